@@ -1,0 +1,9 @@
+//! The store: tables on disk under the lineage that made them. It knows lineages, schemas and batches; it knows no stage.
+
+pub mod lineage;
+pub mod parquet;
+pub mod shelf;
+
+pub use lineage::Digest;
+pub use parquet::{FileRecord, TableWriter};
+pub use shelf::{PartRecord, Shelf, StageId, StoreError, TableRecord};

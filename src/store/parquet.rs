@@ -1,0 +1,299 @@
+//! The one address of the Parquet crate: one table of one part, written in row groups that the data define, and read back.
+//!
+//! Row groups are cut by the sizes of the rows themselves, so a file's bytes do not depend on how the rows were batched on their way
+//! here. Groups are encoded by the worker pool and appended in order.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use arrow::array::{Array, AsArray, RecordBatch};
+use arrow::compute::concat_batches;
+use arrow::datatypes::{DataType, SchemaRef};
+use parquet::arrow::ArrowWriter;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::arrow::arrow_writer::{ArrowColumnChunk, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
+use parquet::basic::{Compression, ZstdLevel};
+use parquet::errors::ParquetError;
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::types::ColumnPath;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::Digest;
+
+/// A row group closes with the row that brings it to this many bytes.
+pub const ROW_GROUP_BYTES: usize = 4 << 20;
+/// A row group has at most this many rows.
+const ROW_GROUP_ROWS: usize = 1 << 16;
+
+/// What the shelf remembers of one file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FileRecord {
+    /// Rows in the file.
+    pub rows: u64,
+    /// Size of the file.
+    pub bytes: u64,
+    /// BLAKE3 of the file.
+    pub digest: Digest,
+}
+
+/// Passes bytes on to a file and digests them on the way.
+struct Digesting {
+    file: BufWriter<File>,
+    hasher: blake3::Hasher,
+    bytes: u64,
+}
+
+impl Write for Digesting {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(buffer)?;
+        self.hasher.update(&buffer[..written]);
+        self.bytes += written as u64;
+        Ok(written)
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// Writes one table of one part.
+pub struct TableWriter {
+    path: PathBuf,
+    schema: SchemaRef,
+    writer: SerializedFileWriter<Digesting>,
+    factory: ArrowRowGroupWriterFactory,
+    /// Rows of the row group that is being filled.
+    open: Vec<RecordBatch>,
+    open_bytes: usize,
+    open_rows: usize,
+    /// Whole row groups that wait to be encoded together.
+    whole: Vec<RecordBatch>,
+    groups: usize,
+    rows: u64,
+}
+
+impl TableWriter {
+    /// Starts a file; what stands at `path` is replaced.
+    ///
+    /// # Errors
+    /// When the file cannot be created.
+    pub fn create(path: &Path, schema: &SchemaRef) -> Result<Self, ParquetError> {
+        let file = BufWriter::with_capacity(1 << 16, File::create(path)?);
+        let sink = Digesting { file, hasher: blake3::Hasher::new(), bytes: 0 };
+        let options = ArrowWriterOptions::new().with_properties(properties(schema));
+        let (writer, factory) = ArrowWriter::try_new_with_options(sink, schema.clone(), options)?.into_serialized_writer()?;
+        Ok(Self {
+            path: path.to_owned(),
+            schema: schema.clone(),
+            writer,
+            factory,
+            open: Vec::new(),
+            open_bytes: 0,
+            open_rows: 0,
+            whole: Vec::new(),
+            groups: 0,
+            rows: 0,
+        })
+    }
+
+    /// Where it writes.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Appends rows.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write(&mut self, batch: &RecordBatch) -> Result<(), ParquetError> {
+        self.rows += batch.num_rows() as u64;
+        let mut start = 0;
+        for (row, bytes) in row_bytes(batch).into_iter().enumerate() {
+            self.open_bytes += bytes;
+            self.open_rows += 1;
+            if self.open_bytes >= ROW_GROUP_BYTES || self.open_rows >= ROW_GROUP_ROWS {
+                self.open.push(batch.slice(start, row + 1 - start));
+                start = row + 1;
+                self.close_group()?;
+            }
+        }
+        if start < batch.num_rows() {
+            self.open.push(batch.slice(start, batch.num_rows() - start));
+        }
+        Ok(())
+    }
+
+    fn close_group(&mut self) -> Result<(), ParquetError> {
+        self.whole.push(concat_batches(&self.schema, &self.open)?);
+        self.open.clear();
+        (self.open_bytes, self.open_rows) = (0, 0);
+        if self.whole.len() >= rayon::current_num_threads() { self.encode() } else { Ok(()) }
+    }
+
+    fn encode(&mut self) -> Result<(), ParquetError> {
+        let (factory, first) = (&self.factory, self.groups);
+        let encoded: Vec<_> =
+            self.whole.par_iter().enumerate().map(|(i, batch)| encode_group(factory, first + i, batch)).collect::<Result<_, _>>()?;
+        self.groups += encoded.len();
+        self.whole.clear();
+        for columns in encoded {
+            let mut group = self.writer.next_row_group()?;
+            for column in columns {
+                column.append_to_row_group(&mut group)?;
+            }
+            group.close()?;
+        }
+        Ok(())
+    }
+
+    /// Ends the file with these footer entries.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn finish(mut self, footer: &[(&str, String)]) -> Result<FileRecord, ParquetError> {
+        if !self.open.is_empty() {
+            self.close_group()?;
+        }
+        self.encode()?;
+        for (key, value) in footer {
+            self.writer.append_key_value_metadata(KeyValue::new((*key).to_owned(), value.clone()));
+        }
+        let mut sink = self.writer.into_inner()?;
+        sink.flush()?;
+        Ok(FileRecord { rows: self.rows, bytes: sink.bytes, digest: sink.hasher.finalize().into() })
+    }
+}
+
+fn encode_group(factory: &ArrowRowGroupWriterFactory, index: usize, batch: &RecordBatch) -> Result<Vec<ArrowColumnChunk>, ParquetError> {
+    let mut writers = factory.create_column_writers(index)?.into_iter();
+    let mut chunks = Vec::new();
+    for (field, column) in batch.schema_ref().fields().iter().zip(batch.columns()) {
+        for leaf in compute_leaves(field, column)? {
+            let mut writer = writers.next().expect("one writer a leaf column");
+            writer.write(&leaf)?;
+            chunks.push(writer.close()?);
+        }
+    }
+    Ok(chunks)
+}
+
+/// Bytes that each row holds in columns of variable length, plus eight for each other column.
+fn row_bytes(batch: &RecordBatch) -> Vec<usize> {
+    let mut bytes = vec![0; batch.num_rows()];
+    for column in batch.columns() {
+        match column.data_type() {
+            DataType::BinaryView => {
+                let views = column.as_binary_view().views();
+                bytes.iter_mut().zip(views).for_each(|(total, view)| *total += *view as u32 as usize);
+            }
+            DataType::List(item) => {
+                let width = item.data_type().primitive_width().unwrap_or(48);
+                let offsets = column.as_list::<i32>().value_offsets();
+                bytes.iter_mut().zip(offsets.windows(2)).for_each(|(total, ends)| *total += (ends[1] - ends[0]) as usize * width);
+            }
+            _ => bytes.iter_mut().for_each(|total| *total += 8),
+        }
+    }
+    bytes
+}
+
+/// Codes are compressed; lists of floats are stored plain, since their low bits are noise; dictionaries only where texts repeat.
+fn properties(schema: &SchemaRef) -> WriterProperties {
+    let zstd = Compression::ZSTD(ZstdLevel::try_new(1).expect("level 1 exists"));
+    let mut properties = WriterProperties::builder()
+        .set_created_by("periscope".to_owned())
+        .set_compression(zstd)
+        .set_max_row_group_row_count(None)
+        .set_offset_index_disabled(true);
+    for field in schema.fields() {
+        let path = match field.data_type() {
+            DataType::List(item) if item.data_type().is_floating() => ColumnPath::from(vec![field.name().clone(), "list".into(), item.name().clone()]),
+            DataType::BinaryView => ColumnPath::from(field.name().as_str()),
+            _ => continue,
+        };
+        properties = properties
+            .set_column_dictionary_enabled(path.clone(), false)
+            .set_column_statistics_enabled(path.clone(), EnabledStatistics::None);
+        if !matches!(field.data_type(), DataType::BinaryView) {
+            properties = properties.set_column_compression(path, Compression::UNCOMPRESSED);
+        }
+    }
+    properties.build()
+}
+
+/// Batches of a file, of at most `rows` rows each, in order.
+///
+/// # Errors
+/// When the file is missing or is not Parquet.
+pub fn read(path: &Path, rows: usize) -> Result<impl Iterator<Item = Result<RecordBatch, ParquetError>> + use<>, ParquetError> {
+    let reader = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?.with_batch_size(rows).build()?;
+    Ok(reader.map(|batch| batch.map_err(ParquetError::from)))
+}
+
+/// Schema and number of rows of a file, and its footer entries.
+///
+/// # Errors
+/// When the file is missing or is not Parquet.
+pub fn describe(path: &Path) -> Result<(SchemaRef, u64, Vec<(String, String)>), ParquetError> {
+    let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?;
+    let file = builder.metadata().file_metadata();
+    let footer = file.key_value_metadata().into_iter().flatten();
+    let footer = footer.filter_map(|entry| Some((entry.key.clone(), entry.value.clone()?))).collect();
+    Ok((Arc::clone(builder.schema()), file.num_rows() as u64, footer))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tables::{Name, Profile, Row};
+
+    fn profiles(count: i32, samples: usize) -> Vec<Profile> {
+        let name: Name = "a".into();
+        (0..count)
+            .map(|lit| Profile {
+                campaign: name.clone(),
+                sensor: name.clone(),
+                lit,
+                seen: 1,
+                role: name.clone(),
+                shots: 10,
+                rejected: 0,
+                t0_ps: 0.5,
+                dt_ps: 50.0,
+                mean_v: (0..samples).map(|i| (i as f64 * 0.1 + f64::from(lit)).sin()).collect(),
+                se_v: (0..samples).map(|_| 0.01).collect(),
+                noise_v: 0.1,
+                noise_acf: vec![1.0, 0.2].into(),
+                baseline_v: 0.0,
+                jitter_ps: 0.0,
+            })
+            .collect()
+    }
+
+    #[test]
+    fn bytes_do_not_depend_on_batches_and_rows_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let rows = profiles(900, 700);
+        let mut records = Vec::new();
+        for chunk in [1, 7, 900] {
+            let path = folder.path().join(format!("{chunk}.parquet"));
+            let mut writer = TableWriter::create(&path, &Profile::schema()).unwrap();
+            for rows in rows.chunks(chunk) {
+                writer.write(&Profile::to_batch(rows)).unwrap();
+            }
+            records.push(writer.finish(&[("lineage", "abc".to_owned())]).unwrap());
+            let read: Vec<Profile> = read(&path, 64).unwrap().flat_map(|batch| Profile::rows(&batch.unwrap()).unwrap()).collect();
+            assert_eq!(read, rows);
+            let (_, count, footer) = describe(&path).unwrap();
+            assert_eq!(count, 900);
+            assert!(footer.contains(&("lineage".to_owned(), "abc".to_owned())));
+        }
+        assert!(records.windows(2).all(|pair| pair[0] == pair[1]), "{records:?}");
+        assert!(records[0].bytes > 2 * ROW_GROUP_BYTES as u64 / 2, "several row groups were meant: {records:?}");
+    }
+}

@@ -1,0 +1,36 @@
+//! Table `calibration`: what the response captures say about each sensor.
+
+use super::row::{Name, Samples};
+use crate::table;
+
+table! {
+    /// One sensor (and vertical range): its impulse response, the template of its reference pulse, and its latency.
+    "calibration": Calibration, CalibrationColumns {
+        /// Campaign.
+        campaign: Name,
+        /// Sensor.
+        sensor: Name,
+        /// Vertical range, where captures were taken at several.
+        range: Option<Name>,
+        /// Shots that went into it.
+        shots: i32,
+        /// Grid step of response and reference.
+        step_ps: f64,
+        /// Time of the first value of the response; its maximum is at time 0.
+        response_t0_ps: f64,
+        /// Impulse response, maximum 1.
+        response: Samples,
+        /// Time of the first value of the reference template; its maximum is at time 0. Null without reference channel.
+        reference_t0_ps: Option<f64>,
+        /// Template of the reference pulse, maximum 1. Null without reference channel.
+        reference: Option<Samples>,
+        /// Delay from reference pulse (without one, trigger) to recorded maximum, beyond the light's time of flight.
+        latency_ps: f64,
+        /// Standard deviation of the latency; common to all arrivals of the sensor.
+        latency_sd_ps: f64,
+        /// Full width of the response at half its maximum.
+        width_ps: f64,
+        /// Standard deviation of the width.
+        width_sd_ps: Option<f64>,
+    }
+}

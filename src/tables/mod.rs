@@ -1,0 +1,58 @@
+//! The tables: one file a kind of row, each declared once. `data-schema/` is the published form of these declarations.
+
+pub mod calibration;
+pub mod distances;
+pub mod labels;
+pub mod onsets;
+pub mod patches;
+pub mod profiles;
+pub mod rejects;
+pub mod row;
+pub mod solution;
+pub mod stir;
+pub mod traces;
+
+use arrow::datatypes::SchemaRef;
+
+pub use calibration::Calibration;
+pub use distances::{Covariance, Distance};
+pub use labels::Label;
+pub use onsets::Onset;
+pub use patches::Patch;
+pub use profiles::Profile;
+pub use rejects::Reject;
+pub use row::{Codes, Name, Row, Samples, SchemaError};
+pub use solution::{Delay, Residual};
+pub use stir::{Impulse, Stir};
+pub use traces::Trace;
+
+/// Columns that name one capture; every table of samples, onsets or labels starts with them.
+pub const CAPTURE_KEY: [&str; 4] = ["campaign", "sensor", "lit", "seen"];
+
+/// All tables, in the order of the pipeline.
+#[must_use]
+pub fn all() -> Vec<(&'static str, SchemaRef)> {
+    fn of<R: Row>() -> (&'static str, SchemaRef) {
+        (R::TABLE, R::schema())
+    }
+    vec![
+        of::<Trace>(),
+        of::<Calibration>(),
+        of::<Profile>(),
+        of::<Stir>(),
+        of::<Onset>(),
+        of::<Label>(),
+        of::<Distance>(),
+        of::<Covariance>(),
+        of::<Patch>(),
+        of::<Delay>(),
+        of::<Residual>(),
+        of::<Reject>(),
+    ]
+}
+
+/// Schema of the table of this name.
+#[must_use]
+pub fn schema_of(table: &str) -> Option<SchemaRef> {
+    all().into_iter().find(|(name, _)| *name == table).map(|(_, schema)| schema)
+}

@@ -1,0 +1,40 @@
+//! Table `profiles`: mean time profile of a capture.
+
+use super::row::{Name, Samples};
+use crate::table;
+
+table! {
+    /// Mean time profile of one capture: baseline removed, every shot aligned to its reference pulse.
+    "profiles": Profile, ProfileColumns {
+        /// Campaign.
+        campaign: Name,
+        /// Sensor.
+        sensor: Name,
+        /// Patch that the laser lit (0: none).
+        lit: i32,
+        /// Patch that the sensor saw (0: none).
+        seen: i32,
+        /// What was captured.
+        role: Name,
+        /// Shots averaged.
+        shots: i32,
+        /// Shots set aside: clipped, outlying, or without reference pulse.
+        rejected: i32,
+        /// Time of sample 0 relative to the reference pulse (without one, to the trigger).
+        t0_ps: f64,
+        /// Time between samples.
+        dt_ps: f64,
+        /// Mean signal.
+        mean_v: Samples,
+        /// Standard error of each mean, from the spread over shots.
+        se_v: Samples,
+        /// Standard deviation of the noise of one shot, before the pulse.
+        noise_v: f64,
+        /// Autocorrelation of that noise at lags 0, 1, 2...
+        noise_acf: Samples,
+        /// Mean baseline that was removed.
+        baseline_v: f64,
+        /// Standard deviation of the time error left over from alignment, common to all arrivals of the profile.
+        jitter_ps: f64,
+    }
+}

@@ -1,0 +1,115 @@
+//! Table `stir`: the space-time impulse response (paper section 3), one time profile a row, sensor response undone.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use arrow::array::{Array, ArrayRef, AsArray, Float64Array, ListArray, StructArray};
+use arrow::datatypes::{DataType, Field, Fields, Float64Type};
+
+use super::row::{Cell, Name, Samples, list, unit_of};
+use crate::table;
+
+/// One impulse of light that explains part of a profile.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Impulse {
+    /// Time of flight since the reference pulse, latency removed.
+    pub time_ps: f64,
+    /// Standard deviation of the time.
+    pub time_sd_ps: f64,
+    /// Height that the sensor's response has in the profile.
+    pub amplitude_v: f64,
+    /// Standard deviation of the amplitude.
+    pub amplitude_sd_v: f64,
+    /// Extra width of the light itself (0: none modelled).
+    pub width_ps: f64,
+    /// Chi-square that leaving the impulse out would cost.
+    pub evidence: f64,
+}
+
+const IMPULSE_FIELDS: [&str; 6] = ["time_ps", "time_sd_ps", "amplitude_v", "amplitude_sd_v", "width_ps", "evidence"];
+
+impl Impulse {
+    fn cells(&self) -> [f64; 6] {
+        [self.time_ps, self.time_sd_ps, self.amplitude_v, self.amplitude_sd_v, self.width_ps, self.evidence]
+    }
+
+    fn fields() -> Fields {
+        let field = |name: &&str| {
+            let unit = unit_of(name).map(|unit| HashMap::from([("unit".to_owned(), unit.to_owned())]));
+            Field::new(*name, DataType::Float64, false).with_metadata(unit.unwrap_or_default())
+        };
+        IMPULSE_FIELDS.iter().map(field).collect()
+    }
+}
+
+impl Cell for Vec<Impulse> {
+    type Array = ListArray;
+    const NULLABLE: bool = false;
+
+    fn data_type() -> DataType {
+        DataType::List(Arc::new(Field::new_list_field(DataType::Struct(Impulse::fields()), false)))
+    }
+
+    fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
+        let mut columns: [Vec<f64>; 6] = Default::default();
+        let lengths: Vec<_> = cells
+            .map(|impulses| {
+                for impulse in impulses {
+                    for (column, value) in columns.iter_mut().zip(impulse.cells()) {
+                        column.push(value);
+                    }
+                }
+                Some(impulses.len())
+            })
+            .collect();
+        let arrays = columns.into_iter().map(|column| Arc::new(Float64Array::from(column)) as ArrayRef).collect();
+        list(Arc::new(StructArray::new(Impulse::fields(), arrays, None)), &lengths)
+    }
+
+    fn get(array: &Self::Array, i: usize) -> Self {
+        let items = array.value(i);
+        let columns = items.as_struct().columns();
+        let column = |c: usize| columns[c].as_primitive::<Float64Type>().values().clone();
+        let columns: [_; 6] = std::array::from_fn(column);
+        (0..items.len())
+            .map(|k| Impulse {
+                time_ps: columns[0][k],
+                time_sd_ps: columns[1][k],
+                amplitude_v: columns[2][k],
+                amplitude_sd_v: columns[3][k],
+                width_ps: columns[4][k],
+                evidence: columns[5][k],
+            })
+            .collect()
+    }
+}
+
+table! {
+    /// One time profile of the space-time impulse response: what the light did, with the sensor's response undone.
+    "stir": Stir, StirColumns {
+        /// Campaign.
+        campaign: Name,
+        /// Sensor.
+        sensor: Name,
+        /// Patch that the laser lit.
+        lit: i32,
+        /// Patch that the sensor saw.
+        seen: i32,
+        /// Time of sample 0 since the reference pulse, latency removed.
+        t0_ps: f64,
+        /// Time between samples.
+        dt_ps: f64,
+        /// Deconvolved profile, for the eye and for edge methods of detect.
+        profile: Samples,
+        /// Standard deviation of the noise in the deconvolved profile, in its unit.
+        profile_noise: f64,
+        /// Impulses that explain the measured profile, in order of time; empty for methods that find none.
+        impulses: Vec<Impulse>,
+        /// Covariance of the impulses' times in ps^2, row by row.
+        impulse_cov: Vec<f64>,
+        /// Chi-square of the fit over its degrees of freedom; null for methods without a fit.
+        chi2_dof: Option<f64>,
+        /// Standard deviation of the time error that all arrivals of the profile share.
+        jitter_ps: f64,
+    }
+}

@@ -1,0 +1,56 @@
+//! Table `traces`: what the oscilloscope recorded, as raw codes with their scale and time base.
+
+use super::row::{Codes, Name};
+use crate::table;
+
+table! {
+    /// One channel of one exposure, as recorded: volts = gain_v * code + offset_v, sample i at t0_ps + i * dt_ps after the trigger.
+    "traces": Trace, TraceColumns {
+        /// Campaign.
+        campaign: Name,
+        /// Sensor.
+        sensor: Name,
+        /// Patch that the laser lit (0: none).
+        lit: i32,
+        /// Patch that the sensor saw (0: none).
+        seen: i32,
+        /// What was captured: scene, response, dark, blocked or fiducial.
+        role: Name,
+        /// Vertical range, where a capture was taken at several.
+        range: Option<Name>,
+        /// Number of the exposure within its capture, from 0.
+        shot: i32,
+        /// Channel of the oscilloscope.
+        channel: Option<Name>,
+        /// Whether this is the reference pulse of the exposure rather than the signal.
+        is_reference: bool,
+        /// Raw file, relative to the campaign folder.
+        file: Name,
+        /// Segment of the file, where it holds several.
+        segment: Option<i32>,
+        /// Time of sample 0 relative to the trigger, sub-sample part included.
+        t0_ps: f64,
+        /// Time between samples.
+        dt_ps: f64,
+        /// Number of samples.
+        samples: i32,
+        /// Type of a code: i8, u8, i16, u16, i32, f32 or f64.
+        code_type: Name,
+        /// Volts per code.
+        gain_v: f64,
+        /// Volts at code 0.
+        offset_v: f64,
+        /// The codes, little-endian.
+        codes: Codes,
+        /// Wall-clock time of the acquisition as the file has it (ISO 8601, zone of the instrument).
+        acquired_at: Option<Name>,
+        /// Samples at or beyond the converter's rails; null where the rails are not known.
+        clipped: Option<i32>,
+        /// Shots that the oscilloscope had averaged into this record already.
+        averaged_shots: i32,
+        /// Known path from source to sensor, for roles response and fiducial.
+        path_m: Option<f64>,
+        /// Standard deviation of the known path.
+        path_sd_m: Option<f64>,
+    }
+}
