@@ -1,4 +1,5 @@
 //! Periscope: a streaming dataflow processor for recorded time-of-flight waveforms.
 pub mod path;
+pub mod store;
 pub mod tables;
 pub mod units;

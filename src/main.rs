@@ -1,3 +1,76 @@
-fn main() {
-    println!("periscope");
+//! The command line. Results go to standard output, all else to standard error.
+//!
+//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was set aside (`--strict` makes that 1).
+
+mod commands;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+
+/// Where light bounced, from oscilloscope traces: positions of surfaces with error bars, also around the corner.
+#[derive(Parser)]
+#[command(name = "periscope", version, arg_required_else_help = true, after_help = AFTER_HELP)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const AFTER_HELP: &str = "First time here:  periscope demo\nA campaign of your own:  periscope run PIPELINE --campaign DIR --out DIR";
+
+#[derive(Subcommand)]
+enum Command {
+    /// Simulate a small campaign of scope files, run its pipeline, and compare what is found with the truth
+    Demo(commands::demo::Demo),
+    /// Turn campaigns into tables: the main job
+    Run(commands::run::Run),
+    /// Say what `run` would reuse or compute, and why; runs nothing
+    Plan(commands::plan::PlanArgs),
+    /// Decode scope files: what is in them
+    Inspect(commands::inspect::Inspect),
+    /// List the tables of a result folder
+    Tables(commands::tables::Tables),
+    /// Ask the tables of a result folder a question in SQL
+    Query(commands::query::Query),
+    /// Write down the content hashes of a campaign's files
+    Seal(commands::seal::Seal),
+    /// Make a campaign of scope files from a scene description, with truth beside it
+    Simulate(commands::simulate::Simulate),
+    /// Show the columns of the tables, with units and meanings
+    Schema(commands::schema::Schema),
+    /// Print shell completions
+    Completions {
+        /// Shell
+        shell: clap_complete::Shell,
+    },
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let result = match cli.command {
+        Command::Demo(args) => commands::demo::demo(&args),
+        Command::Run(args) => commands::run::run(&args),
+        Command::Plan(args) => commands::plan::plan(&args),
+        Command::Inspect(args) => commands::inspect::inspect(&args),
+        Command::Tables(args) => commands::tables::tables(&args),
+        Command::Query(args) => commands::query::query(&args),
+        Command::Seal(args) => commands::seal::seal(&args),
+        Command::Simulate(args) => commands::simulate::simulate(&args),
+        Command::Schema(args) => commands::schema::schema(&args),
+        Command::Completions { shell } => {
+            clap_complete::generate(shell, &mut Cli::command(), "periscope", &mut std::io::stdout());
+            Ok(ExitCode::SUCCESS)
+        }
+    };
+    match result {
+        Ok(code) => code,
+        // A reader that has seen enough (`| head`) is no failure.
+        Err(error) if error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe) => {
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
 }

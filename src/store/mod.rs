@@ -2,6 +2,8 @@
 
 pub mod lineage;
 pub mod parquet;
+#[cfg(feature = "query")]
+pub mod query;
 pub mod shelf;
 
 pub use lineage::Digest;

@@ -1,6 +1,7 @@
 //! The tables: one file a kind of row, each declared once. `data-schema/` is the published form of these declarations.
 
 pub mod calibration;
+pub mod contract;
 pub mod distances;
 pub mod labels;
 pub mod onsets;

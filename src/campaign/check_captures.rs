@@ -1,0 +1,155 @@
+//! Checks of `[[captures]]` and `[[exclude]]`: either this or that key, each coordinate of a record from one place, sensors that are declared.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::fault::{At, Fault};
+use super::keys::{Axis, CaptureRule, Exclude, Match, Reference, Role, Sensor};
+use super::suggest::hint;
+
+
+/// Checks a rule, or a row of its table that was laid over it.
+///
+/// # Errors
+/// The first fault.
+pub fn rule(rule: &CaptureRule, place: &str, sensors: &BTreeMap<String, Sensor>) -> Result<(), Fault> {
+    let at = &At(place);
+    at.check(rule.files.is_some() != rule.table.is_some(), || {
+        "a rule has either `files` (a pattern) or `table` (a CSV file); give one of them".into()
+    })?;
+    at.check(rule.role.is_some() || rule.table.is_some(), || {
+        "key `role` is missing; add role = \"scene\", \"response\", \"dark\", \"blocked\" or \"fiducial\"".into()
+    })?;
+    at.name("channel", rule.channel.as_deref())?;
+    at.name("range", rule.range.as_deref())?;
+    for (key, patch) in [("lit", rule.lit), ("seen", rule.seen)] {
+        at.check(patch.is_none_or(|patch| patch >= 0), || {
+            format!("{key} is negative; patches are numbered from 1 (0: none)")
+        })?;
+    }
+    if let Some(sensor) = &rule.sensor {
+        sensor_exists(sensor, sensors).map_err(|problem| at.fault(problem))?;
+    }
+    record_values(at, rule)?;
+    rule_axes(at, rule)
+}
+
+/// Whether a sensor is declared.
+///
+/// # Errors
+/// The problem and its mend, if it is not.
+pub fn sensor_exists(name: &str, sensors: &BTreeMap<String, Sensor>) -> Result<(), String> {
+    if sensors.contains_key(name) {
+        return Ok(());
+    }
+    Err(format!(
+        "sensor `{name}` is not declared; add [sensors.{name}] to campaign.toml ({})",
+        hint(name, sensors.keys().map(String::as_str))
+    ))
+}
+
+fn record_values(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
+    at.positive("dt_ps", rule.dt_ps)?;
+    at.finite("gain_v", rule.gain_v)?;
+    at.check(rule.gain_v != Some(0.0), || "gain_v = 0 makes all samples equal; give volts per code".into())?;
+    at.finite("offset_v", rule.offset_v)?;
+    at.finite("t0_ps", rule.t0_ps)?;
+    at.positive("power_w", rule.power_w)?;
+    at.positive("path_m", rule.path_m)?;
+    at.positive("path_sd_m", rule.path_sd_m)?;
+    at.needs("path_sd_m", rule.path_sd_m.is_some(), "path_m", rule.path_m.is_some())?;
+    at.check(rule.attenuation_od.is_none_or(|od| od.is_finite() && od >= 0.0), || {
+        "attenuation_od is below 0; give the optical density of the attenuator".into()
+    })?;
+    at.check(rule.averaged_shots != Some(0), || {
+        "averaged_shots = 0; a record that was not averaged has 1".into()
+    })?;
+    at.check(rule.samples.is_none_or(|[a, b]| a < b), || {
+        "samples = [a, b] runs from sample a up to but without b; a must be below b".into()
+    })
+}
+
+/// Each coordinate of a record comes from one place: the pattern, a key, or an axis of the segments.
+fn rule_axes(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
+    let in_pattern: BTreeSet<Axis> = match &rule.files {
+        Some(files) => at.pattern(files)?.axes().collect(),
+        None => BTreeSet::new(),
+    };
+    for (axis, is_key) in key_axes(rule) {
+        let name = axis.name();
+        at.check(!(is_key && in_pattern.contains(&axis)), || {
+            format!("`{name}` stands in the pattern and as a key; take one out")
+        })?;
+        // Shots may count on within the files of a numbered series.
+        let in_segments = axis != Axis::Shot && rule.segments.contains(&axis);
+        at.check(!(in_segments && (is_key || in_pattern.contains(&axis))), || {
+            format!("`{name}` stands in segments and elsewhere; take one out")
+        })?;
+        at.check(rule.segments.iter().filter(|a| **a == axis).count() < 2, || {
+            format!("`{name}` stands twice in segments; take one out")
+        })?;
+        let given = is_key || in_pattern.contains(&axis) || rule.segments.contains(&axis);
+        let needed = matches!(axis, Axis::Lit | Axis::Seen) && rule.role == Some(Role::Scene) && rule.table.is_none();
+        at.check(given || !needed, || {
+            format!("nothing says which patch is `{name}`; put {{{name}}} into the pattern, add the key {name} = N, or list \"{name}\" in segments")
+        })?;
+    }
+    if let Some(reference) = &rule.reference {
+        reference_keys(at, rule, reference, &in_pattern)?;
+    }
+    Ok(())
+}
+
+fn key_axes(rule: &CaptureRule) -> [(Axis, bool); 6] {
+    [
+        (Axis::Lit, rule.lit.is_some()),
+        (Axis::Seen, rule.seen.is_some()),
+        (Axis::Sensor, rule.sensor.is_some()),
+        (Axis::Shot, rule.shot.is_some()),
+        (Axis::Range, rule.range.is_some()),
+        (Axis::Channel, rule.channel.is_some()),
+    ]
+}
+
+fn reference_keys(at: &At, rule: &CaptureRule, reference: &Reference, in_pattern: &BTreeSet<Axis>) -> Result<(), Fault> {
+    at.check(reference.channel.is_some() != reference.files.is_some(), || {
+        "reference has either `channel` (of the same file) or `files` (a pattern); give one of them".into()
+    })?;
+    at.name("reference.channel", reference.channel.as_deref())?;
+    let same = reference.channel.is_some() && reference.channel == rule.channel;
+    at.check(!same, || "reference.channel is the channel of the signal; name the other one".into())?;
+    let Some(files) = &reference.files else { return Ok(()) };
+    for axis in at.pattern(files)?.axes() {
+        let is_key = key_axes(rule).contains(&(axis, true));
+        let known = is_key || in_pattern.contains(&axis) || rule.table.is_some();
+        at.check(known, || {
+            let name = axis.name();
+            format!("reference.files has {{{name}}}, which `files` has not; take it out, or put it into both")
+        })?;
+    }
+    Ok(())
+}
+
+/// Checks an exclusion.
+///
+/// # Errors
+/// The first fault.
+pub fn exclude(exclude: &Exclude, place: &str, sensors: &BTreeMap<String, Sensor>) -> Result<(), Fault> {
+    let at = &At(place);
+
+        at.check(exclude.matches != Match::default(), || {
+            "match is empty and would exclude everything; name role, sensor, lit, seen, shot, range, channel or file".into()
+        })?;
+        at.check(!exclude.reason.trim().is_empty(), || "reason is empty; say why, for those who come later".into())?;
+        if let Some(sensor) = &exclude.matches.sensor {
+            sensor_exists(sensor, sensors).map_err(|problem| at.fault(problem))?;
+        }
+        let Some(file) = &exclude.matches.file else { return Ok(()) };
+        at.check(at.pattern(file)?.axes().next().is_none(), || {
+            "match.file has a placeholder; use `*`, and keys such as lit = 12 beside it".into()
+        })
+}
+
+fn pattern(at: &At, text: &str) -> Result<Pattern, Fault> {
+    Pattern::parse(text).map_err(|error| at.fault(error.to_string()))
+}
+

@@ -1,0 +1,115 @@
+//! An exposure: a record of a raw file, and what the campaign says of it.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::check_captures::sensor_exists;
+use super::keys::{Axis, Campaign, CaptureRule, RecordKeys, Role};
+use super::pattern::Bound;
+use crate::units::PatchId;
+
+/// One record, or all records of a file where its segments are exposures of their own.
+///
+/// Coordinates that are `None` are not known from the campaign: they come from the segments of the file (`keys.segments`), or do not matter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Exposure {
+    /// The rule that took the file: index into `Campaign::captures`.
+    pub rule: usize,
+    /// The file, relative to the campaign folder.
+    pub file: PathBuf,
+    /// What was captured.
+    pub role: Role,
+    /// Sensor; `None` only where the segments count sensors.
+    pub sensor: Option<String>,
+    /// Lit patch (0: none); `None` only where the segments count lit patches.
+    pub lit: Option<PatchId>,
+    /// Seen patch (0: none); `None` only where the segments count seen patches.
+    pub seen: Option<PatchId>,
+    /// Number of the shot; `None`: counted by segments and files.
+    pub shot: Option<u32>,
+    /// Vertical range.
+    pub range: Option<String>,
+    /// Channel; `None`: the only one of the file.
+    pub channel: Option<String>,
+    /// Segment of the file; `None`: all.
+    pub segment: Option<u32>,
+    /// The record of the pulse that marks time zero; `None`: the trigger marks it.
+    pub reference: Option<ReferenceSource>,
+    /// Scale, time base and circumstances.
+    pub keys: Arc<RecordKeys>,
+}
+
+/// Where the reference pulse of an exposure is recorded.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct ReferenceSource {
+    /// The file, relative to the campaign folder; may be the exposure's own.
+    pub file: PathBuf,
+    /// The channel, where the file holds several.
+    pub channel: Option<String>,
+}
+
+/// What a rule and the values of its placeholders say of a file.
+pub(super) fn exposure(
+    campaign: &Campaign,
+    rule_number: usize,
+    rule: &CaptureRule,
+    keys: &Arc<RecordKeys>,
+    file: &str,
+    bound: &Bound,
+) -> Result<Exposure, String> {
+    let role = rule.role.ok_or("nothing says its role; fill the column `role`, or add the key to the rule")?;
+    let patch = |axis: Axis, key: Option<PatchId>| {
+        let patch = number(axis, bound)?.or(key);
+        let name = axis.name();
+        match patch {
+            Some(0) if role == Role::Scene => Err(format!("{name} = 0 in a scene; patches are numbered from 1")),
+            None if rule.segments.contains(&axis) => Ok(None),
+            None if role == Role::Scene => Err(format!("nothing says which patch is `{name}`; fill the column `{name}`, or list \"{name}\" in segments")),
+            patch => Ok(Some(patch.unwrap_or(0))),
+        }
+    };
+    let name = |axis: Axis, key: &Option<String>| {
+        bound.get(axis).map(str::to_owned).or_else(|| key.clone())
+    };
+    let sensor = match name(Axis::Sensor, &rule.sensor) {
+        None if rule.segments.contains(&Axis::Sensor) => None,
+        None => Some(only_sensor(campaign)?),
+        Some(sensor) => {
+            sensor_exists(&sensor, &campaign.sensors)?;
+            Some(sensor)
+        }
+    };
+    Ok(Exposure {
+        rule: rule_number,
+        file: file.into(),
+        role,
+        sensor,
+        lit: patch(Axis::Lit, rule.lit)?,
+        seen: patch(Axis::Seen, rule.seen)?,
+        shot: number(Axis::Shot, bound)?.or(rule.shot),
+        range: name(Axis::Range, &rule.range),
+        channel: name(Axis::Channel, &rule.channel),
+        segment: None,
+        reference: None,
+        keys: Arc::clone(keys),
+    })
+}
+
+fn number<T: FromStr>(axis: Axis, bound: &Bound) -> Result<Option<T>, String> {
+    let parse = |text: &str| text.parse().map_err(|_| {
+        format!("{} = {text} is too large a number; is it a date? Take it up by `*`", axis.name())
+    });
+    bound.get(axis).map(parse).transpose()
+}
+
+fn only_sensor(campaign: &Campaign) -> Result<String, String> {
+    let mut names = campaign.sensors.keys();
+    match (names.next(), names.next()) {
+        (Some(only), None) => Ok(only.clone()),
+        (None, _) => Err("no sensor is declared; add [sensors.NAME] to campaign.toml".into()),
+        _ => Err("nothing says which sensor recorded it; put {sensor} into the pattern, or add the key sensor = \"NAME\"".into()),
+    }
+}

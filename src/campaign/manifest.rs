@@ -1,0 +1,325 @@
+//! The manifest of a campaign folder: size, time of change and content hash of every raw file that was read or sealed.
+//!
+//! `DIR/manifest.json`, one file a line, sorted. The hash (BLAKE3) is what lineages are made of; size and time only spare hashing a file again:
+//! where they differ from what was recorded, the content decides. A file that is rewritten with equal size and equal time of change passes
+//! unseen until `verify --rehash`.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File, Metadata};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+use blake3::Hash;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Name of the manifest in a campaign folder.
+pub const MANIFEST_FILE: &str = "manifest.json";
+
+const VERSION: u32 = 1;
+
+/// Bytes read at a time while hashing.
+const BUFFER_BYTES: usize = 1 << 20;
+
+/// Why a manifest cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ManifestError {
+    /// A file cannot be read or written.
+    #[error("{}: cannot be read or written; check that it exists, its permissions, and that the disk is not full", file.display())]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The manifest is no manifest.
+    #[error("{}: is no manifest of this version ({problem}); restore it, or delete it and seal the folder anew", file.display())]
+    Format {
+        /// The manifest.
+        file: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// Files have other content than was recorded.
+    #[error("changed since they were recorded: {}; restore them, or, if the change is meant, take their lines out of {} and seal anew", files.join(", "), manifest.display())]
+    Changed {
+        /// The files, relative to the campaign folder.
+        files: Vec<String>,
+        /// The manifest.
+        manifest: PathBuf,
+    },
+}
+
+/// What is recorded of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileRecord {
+    /// Size.
+    pub bytes: u64,
+    /// Time of the last change, nanoseconds since 1970.
+    pub modified_ns: i64,
+    /// Hash of the content.
+    #[serde(serialize_with = "as_hex", deserialize_with = "from_hex")]
+    pub blake3: Hash,
+}
+
+/// How a file compares with its record, by size and time of change alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileState {
+    /// As recorded: has this content.
+    Known(Hash),
+    /// Size or time differ from the record: it must be hashed, and compared with this content.
+    Touched {
+        /// The content that was recorded.
+        recorded: Hash,
+    },
+    /// Not recorded.
+    New,
+}
+
+/// The records of a campaign folder, by path relative to it, with `/` between its parts.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Manifest {
+    files: BTreeMap<String, FileRecord>,
+}
+
+/// The file's form.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ManifestFile {
+    version: u32,
+    files: BTreeMap<String, FileRecord>,
+}
+
+impl Manifest {
+    /// Reads the manifest of a campaign folder; `None` if it has none.
+    ///
+    /// # Errors
+    /// When there is one that cannot be read.
+    pub fn load(root: &Path) -> Result<Option<Self>, ManifestError> {
+        let file = root.join(MANIFEST_FILE);
+        let text = match fs::read_to_string(&file) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            read => read.map_err(|source| file_error(&file, source))?,
+        };
+        let format = |problem: String| ManifestError::Format {
+            file: file.clone(),
+            problem,
+        };
+        let read: ManifestFile =
+            serde_json::from_str(&text).map_err(|error| format(error.to_string()))?;
+        if read.version != VERSION {
+            return Err(format(format!("version {}, not {VERSION}", read.version)));
+        }
+        Ok(Some(Self { files: read.files }))
+    }
+
+    /// Writes the manifest: whole under another name, then renamed, so that no reader and no crash sees half of it.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn save(&self, root: &Path) -> Result<(), ManifestError> {
+        let file = root.join(MANIFEST_FILE);
+        let half = root.join(format!(".{MANIFEST_FILE}.{}", std::process::id()));
+        let write = || -> io::Result<()> {
+            let mut out = File::create(&half)?;
+            out.write_all(self.text()?.as_bytes())?;
+            out.sync_all()?;
+            fs::rename(&half, &file)
+        };
+        write().map_err(|source| file_error(&file, source))
+    }
+
+    /// Pretty, but with one file a line: easy to read, to compare, and to take a line out.
+    fn text(&self) -> serde_json::Result<String> {
+        let mut text = format!("{{\n\"version\": {VERSION},\n\"files\": {{");
+        for (index, (path, record)) in self.files.iter().enumerate() {
+            text += if index > 0 { ",\n" } else { "\n" };
+            text += &serde_json::to_string(path)?;
+            text += ": ";
+            text += &serde_json::to_string(record)?;
+        }
+        text += "\n}\n}\n";
+        Ok(text)
+    }
+
+    /// Compares a file with its record by size and time of change; reads nothing of its content.
+    ///
+    /// # Errors
+    /// When the file is not there or cannot be asked.
+    pub fn check(&self, root: &Path, path: &Path) -> Result<FileState, ManifestError> {
+        let Some(record) = self.files.get(&key(path)) else {
+            return Ok(FileState::New);
+        };
+        let found = metadata(&root.join(path))?;
+        Ok(if record.fits(&found) {
+            FileState::Known(record.blake3)
+        } else {
+            FileState::Touched {
+                recorded: record.blake3,
+            }
+        })
+    }
+
+    /// Records a file. `metadata` must have been taken before its content was read, so that a change in between shows at the next [`Manifest::check`].
+    pub fn record(&mut self, path: &Path, content: Hash, metadata: &Metadata) {
+        self.files.insert(key(path), FileRecord::of(content, metadata));
+    }
+
+    /// The record of a file.
+    #[must_use]
+    pub fn get(&self, path: &Path) -> Option<&FileRecord> {
+        self.files.get(&key(path))
+    }
+
+    /// All records, sorted by path.
+    pub fn iter(&self) -> impl Iterator<Item = (&Path, &FileRecord)> {
+        self.files.iter().map(|(path, record)| (Path::new(path), record))
+    }
+}
+
+impl FileRecord {
+    fn of(content: Hash, metadata: &Metadata) -> Self {
+        Self {
+            bytes: metadata.len(),
+            modified_ns: modified_ns(metadata),
+            blake3: content,
+        }
+    }
+
+    /// Whether size and time of change are as recorded.
+    fn fits(&self, metadata: &Metadata) -> bool {
+        self.bytes == metadata.len() && self.modified_ns == modified_ns(metadata)
+    }
+}
+
+/// Time of the last change, nanoseconds since 1970; 0 where the file system has none.
+fn modified_ns(metadata: &Metadata) -> i64 {
+    let Ok(time) = metadata.modified() else { return 0 };
+    match time.duration_since(UNIX_EPOCH) {
+        Ok(after) => after.as_nanos() as i64,
+        Err(before) => -(before.duration().as_nanos() as i64),
+    }
+}
+
+/// BLAKE3 hash of a file's content, read in pieces of 1 MiB.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn hash_file(path: &Path) -> Result<Hash, ManifestError> {
+    let hash = || -> io::Result<Hash> {
+        let mut file = File::open(path)?;
+        let mut hasher = blake3::Hasher::new();
+        let mut buffer = vec![0; BUFFER_BYTES];
+        loop {
+            match file.read(&mut buffer) {
+                Ok(0) => return Ok(hasher.finalize()),
+                Ok(read) => hasher.update(&buffer[..read]),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => return Err(error),
+            };
+        }
+    };
+    hash().map_err(|source| file_error(path, source))
+}
+
+pub(super) fn metadata(path: &Path) -> Result<Metadata, ManifestError> {
+    fs::metadata(path).map_err(|source| file_error(path, source))
+}
+
+fn file_error(file: &Path, source: io::Error) -> ManifestError {
+    ManifestError::File {
+        file: file.to_owned(),
+        source,
+    }
+}
+
+fn key(path: &Path) -> String {
+    let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
+    parts.join("/")
+}
+
+fn as_hex<S: Serializer>(hash: &Hash, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&hash.to_hex())
+}
+
+fn from_hex<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hash, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    Hash::from_hex(text).map_err(serde::de::Error::custom)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn folder_with(text: &str) -> (tempfile::TempDir, Manifest) {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.trc");
+        fs::write(&file, text).unwrap();
+        let mut manifest = Manifest::default();
+        let content = hash_file(&file).unwrap();
+        manifest.record(Path::new("a.trc"), content, &metadata(&file).unwrap());
+        (folder, manifest)
+    }
+
+    #[test]
+    fn a_manifest_reads_back_and_has_one_file_a_line() {
+        let (folder, mut manifest) = folder_with("light");
+        let content = blake3::hash(b"light");
+        let found = metadata(&folder.path().join("a.trc")).unwrap();
+        manifest.record(Path::new("raw/\"b\".trc"), content, &found);
+        assert_eq!(Manifest::load(folder.path()).unwrap(), None);
+        manifest.save(folder.path()).unwrap();
+        assert_eq!(Manifest::load(folder.path()).unwrap(), Some(manifest));
+        let text = fs::read_to_string(folder.path().join(MANIFEST_FILE)).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 7);
+        assert!(lines[3].starts_with("\"a.trc\": {\"bytes\":5,\"modified_ns\":"));
+        assert!(lines[3].contains(&content.to_hex().to_string()));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing left over");
+    }
+
+    #[test]
+    fn empty_and_broken_manifests() {
+        let folder = tempfile::tempdir().unwrap();
+        let empty = Manifest::default();
+        empty.save(folder.path()).unwrap();
+        assert_eq!(Manifest::load(folder.path()).unwrap(), Some(empty));
+        for text in ["", "{}", "{\"version\": 2, \"files\": {}}"] {
+            fs::write(folder.path().join(MANIFEST_FILE), text).unwrap();
+            let error = Manifest::load(folder.path()).unwrap_err().to_string();
+            assert!(error.contains("seal the folder anew"), "{error}");
+        }
+    }
+
+    #[test]
+    fn size_or_time_tell_that_a_file_was_touched() {
+        let (folder, manifest) = folder_with("light");
+        let (path, file) = (Path::new("a.trc"), folder.path().join("a.trc"));
+        let content = blake3::hash(b"light");
+        let state = |path| manifest.check(folder.path(), path).unwrap();
+        assert_eq!(state(path), FileState::Known(content));
+        assert_eq!(state(Path::new("b.trc")), FileState::New);
+        let time = fs::metadata(&file).unwrap().modified().unwrap();
+        let set_time = |time| File::options().write(true).open(&file).unwrap().set_modified(time);
+        set_time(time + Duration::from_secs(1)).unwrap();
+        assert_eq!(state(path), FileState::Touched { recorded: content });
+        fs::write(&file, "lights").unwrap();
+        set_time(time).unwrap();
+        assert_eq!(state(path), FileState::Touched { recorded: content });
+        fs::remove_file(&file).unwrap();
+        assert!(manifest.check(folder.path(), path).is_err());
+    }
+
+    #[test]
+    fn hashing_in_pieces_is_hashing_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("big");
+        for length in [0, 1, BUFFER_BYTES, 2 * BUFFER_BYTES + 17] {
+            let bytes: Vec<u8> = (0..length).map(|i| (i * 31 % 251) as u8).collect();
+            fs::write(&file, &bytes).unwrap();
+            assert_eq!(hash_file(&file).unwrap(), blake3::hash(&bytes));
+        }
+    }
+}

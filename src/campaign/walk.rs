@@ -1,0 +1,77 @@
+//! The files of a campaign folder, in order.
+//!
+//! Hidden files and folders (`.name`), `campaign.toml` and `manifest.json` of the folder itself are no raw files. Links are followed; a
+//! link back to a folder that holds it is not.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::load::CAMPAIGN_FILE;
+use super::manifest::MANIFEST_FILE;
+
+/// All files below `root`, relative to it, sorted by path.
+///
+/// # Errors
+/// A folder that cannot be read, with its path.
+pub fn files(root: &Path) -> Result<Vec<PathBuf>, (PathBuf, io::Error)> {
+    let mut files = Vec::new();
+    visit(root, Path::new(""), &mut Vec::new(), &mut files)?;
+    files.retain(|file| file != Path::new(CAMPAIGN_FILE) && file != Path::new(MANIFEST_FILE));
+    files.sort();
+    Ok(files)
+}
+
+/// `above`: the folders on the way here, without links, so that a ring of links ends.
+fn visit(
+    root: &Path,
+    folder: &Path,
+    above: &mut Vec<PathBuf>,
+    files: &mut Vec<PathBuf>,
+) -> Result<(), (PathBuf, io::Error)> {
+    let here = root.join(folder);
+    let fail = |error| (here.clone(), error);
+    let real = here.canonicalize().map_err(fail)?;
+    if above.contains(&real) {
+        return Ok(());
+    }
+    above.push(real);
+    for entry in here.read_dir().map_err(fail)? {
+        let name = entry.map_err(fail)?.file_name();
+        if name.as_encoded_bytes().starts_with(b".") {
+            continue;
+        }
+        let path = folder.join(name);
+        // A link that leads nowhere, or a file that vanished since, is no file.
+        match root.join(&path).metadata() {
+            Ok(found) if found.is_dir() => visit(root, &path, above, files)?,
+            Ok(found) if found.is_file() => files.push(path),
+            _ => {}
+        }
+    }
+    above.pop();
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn files_come_sorted_without_hidden_ones_and_rings_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        for file in ["b.trc", "raw/z/1.trc", "raw/a.trc", ".git/x", "raw/.part", "raw/campaign.toml"] {
+            fs::create_dir_all(root.join(file).parent().unwrap()).unwrap();
+            fs::write(root.join(file), "x").unwrap();
+        }
+        fs::write(root.join(CAMPAIGN_FILE), "").unwrap();
+        fs::write(root.join(MANIFEST_FILE), "").unwrap();
+        #[cfg(unix)]
+        std::os::unix::fs::symlink(root, root.join("raw/ring")).unwrap();
+        let found = files(root).unwrap();
+        let expected = ["b.trc", "raw/a.trc", "raw/campaign.toml", "raw/z/1.trc"];
+        assert_eq!(found, expected.map(PathBuf::from));
+        assert_eq!(files(&root.join("none")).unwrap_err().0, root.join("none"));
+    }
+}

@@ -1,0 +1,14 @@
+//! The commands, a file each: arguments, what they print, and their exit codes.
+
+pub mod demo;
+pub mod inspect;
+pub mod plan;
+pub mod query;
+pub mod run;
+pub mod schema;
+pub mod seal;
+pub mod simulate;
+pub mod tables;
+
+/// Done, but some input was set aside.
+pub const SOME_REJECTED: u8 = 3;

@@ -1,0 +1,157 @@
+//! `periscope run`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueEnum};
+use periscope::campaign::{self, Campaign};
+use periscope::pipeline::plan::Plan;
+use periscope::pipeline::progress::{Progress, Style};
+use periscope::pipeline::run::{self as runner, Outcome, Settings};
+use periscope::pipeline::spec::Spec;
+use periscope::store::Shelf;
+
+use super::SOME_REJECTED;
+
+/// Arguments of `run`.
+#[derive(Args)]
+pub struct Run {
+    /// Pipeline file (TOML): one heading a table
+    pipeline: PathBuf,
+    /// Campaign folder, with a campaign.toml; may be given several times for one scene
+    #[arg(long, required = true, value_name = "DIR")]
+    campaign: Vec<PathBuf>,
+    /// Result folder
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Stop after this table
+    #[arg(long, value_name = "TABLE")]
+    until: Option<String>,
+    /// Change a parameter of the pipeline, such as onsets.threshold_sigma=6
+    #[arg(long, value_name = "TABLE.PARAM=VALUE")]
+    set: Vec<String>,
+    /// Worker threads (default: one a core)
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Memory for raw samples under way, such as 512MiB
+    #[arg(long, value_name = "SIZE", value_parser = size)]
+    memory: Option<usize>,
+    /// How to show progress
+    #[arg(long, value_enum, default_value = "auto")]
+    progress: ProgressKind,
+    /// Exit with 1 when any input was set aside
+    #[arg(long)]
+    strict: bool,
+    /// Bytes that are read at a time; no byte of the result depends on it
+    #[arg(long, value_name = "SIZE", value_parser = size, help_heading = "Tuning")]
+    batch: Option<usize>,
+    /// Batches that a channel between two stages holds; no byte of the result depends on it
+    #[arg(long, value_name = "N", help_heading = "Tuning")]
+    channel: Option<usize>,
+}
+
+/// How to show progress.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum ProgressKind {
+    /// A bar on a terminal, lines elsewhere
+    Auto,
+    /// A bar
+    Bar,
+    /// A JSON object a line
+    Json,
+    /// Nothing
+    None,
+}
+
+impl From<ProgressKind> for Style {
+    fn from(kind: ProgressKind) -> Self {
+        match kind {
+            ProgressKind::Auto => Self::auto(),
+            ProgressKind::Bar => Self::Bar,
+            ProgressKind::Json => Self::Json,
+            ProgressKind::None => Self::Silent,
+        }
+    }
+}
+
+/// Reads `512MiB`, `64M`, `1GB`, `4096`.
+pub fn size(text: &str) -> Result<usize, String> {
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let number: usize = number.parse().map_err(|_| format!("`{text}` does not begin with a whole number; write 512MiB"))?;
+    let factor = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 1,
+        "k" | "kib" => 1 << 10,
+        "kb" => 1000,
+        "m" | "mib" => 1 << 20,
+        "mb" => 1_000_000,
+        "g" | "gib" => 1 << 30,
+        "gb" => 1_000_000_000,
+        _ => return Err(format!("`{unit}` is no unit of size; write KiB, MiB or GiB")),
+    };
+    number.checked_mul(factor).ok_or_else(|| format!("`{text}` is too much"))
+}
+
+/// Loads campaigns, and makes sure that their names differ: rows of equal names would mix.
+pub fn campaigns(folders: &[PathBuf]) -> Result<Vec<Campaign>> {
+    let mut campaigns: Vec<Campaign> = Vec::new();
+    for folder in folders {
+        let campaign = campaign::load(folder)?;
+        if let Some(other) = campaigns.iter().find(|other| other.name == campaign.name) {
+            bail!("campaigns {} and {} are both named `{}`; change `name` in one campaign.toml", other.root.display(), folder.display(), campaign.name);
+        }
+        campaigns.push(campaign);
+    }
+    Ok(campaigns)
+}
+
+/// Uses so many worker threads.
+pub fn use_threads(threads: Option<usize>) -> Result<()> {
+    if threads == Some(0) {
+        bail!("--threads 0: give at least 1");
+    }
+    rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build_global().context("cannot start the worker threads")
+}
+
+/// Plans and runs; prints warnings of the survey.
+pub fn execute(spec: &Spec, campaigns: &[Campaign], shelf: &Shelf, until: Option<&str>, settings: &Settings, style: Style) -> Result<Outcome> {
+    let mut plan = Plan::new(spec, campaigns, shelf, until)?;
+    for warning in plan.warnings() {
+        eprintln!("warning: {warning}");
+    }
+    let progress = Progress::new(style);
+    let outcome = runner::run(&mut plan, settings, &progress);
+    progress.finish();
+    Ok(outcome?)
+}
+
+/// The command.
+pub fn run(args: &Run) -> Result<ExitCode> {
+    use_threads(args.threads)?;
+    let spec = Spec::load(&args.pipeline, &args.set)?;
+    let campaigns = campaigns(&args.campaign)?;
+    let shelf = Shelf::open(&args.out)?;
+    let defaults = Settings::default();
+    let settings = Settings {
+        batch_bytes: args.batch.unwrap_or(defaults.batch_bytes),
+        channel_batches: args.channel.unwrap_or(defaults.channel_batches),
+        ..defaults
+    };
+    let least = settings.least_memory();
+    let settings = Settings { memory_bytes: args.memory.unwrap_or(settings.memory_bytes.max(least)), ..settings };
+    let outcome = execute(&spec, &campaigns, &shelf, args.until.as_deref(), &settings, args.progress.into())?;
+    let out = args.out.display();
+    for step in &spec.steps {
+        if let Some(record) = outcome.tables.get(&step.heading) {
+            let rows: u64 = record.rows(&step.node.tables()[0].name);
+            let made = if outcome.computed.contains(&step.heading) { "computed" } else { "reused" };
+            println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
+        }
+    }
+    if outcome.rejects > 0 {
+        eprintln!("warning: {} records were set aside; see {out}/rejects", outcome.rejects);
+        return Ok(if args.strict { ExitCode::FAILURE } else { ExitCode::from(SOME_REJECTED) });
+    }
+    Ok(ExitCode::SUCCESS)
+}

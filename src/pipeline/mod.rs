@@ -1,0 +1,8 @@
+//! The runtime: spec -> plan -> run. It knows record batches and lineages, and no physics.
+
+pub mod budget;
+pub mod pass;
+pub mod plan;
+pub mod progress;
+pub mod run;
+pub mod spec;

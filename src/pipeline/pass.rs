@@ -1,0 +1,335 @@
+//! One pass: a source or a stored table streams through a tree of stages, one thread a stage, over bounded channels.
+//!
+//! A tree cannot deadlock: rows only go down. A table appears only on an explicit end; a closed channel without it means that
+//! somebody failed, and the first cause is what the run reports.
+
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use arrow::record_batch::RecordBatch;
+use crossbeam_channel::{Receiver, Sender, bounded};
+
+use super::budget::Budget;
+use super::plan::Plan;
+use super::progress::Progress;
+use super::run::{RunError, Settings};
+use crate::stages::Node;
+use crate::stages::stage::{BesideTables, Credit, Feed, PartRead, Rejection, Running, StageError, Written};
+use crate::store::shelf::PartWriter;
+use crate::store::{Digest, PartRecord, StoreError, TableRecord, parquet};
+use crate::tables::{Reject, Row};
+
+/// What goes down a channel.
+enum Message {
+    /// Rows of the open part, and the hold on memory that they come with.
+    Rows(RecordBatch, Option<Credit>),
+    /// The open part ends; its number, its lineage, and what its source set aside.
+    PartEnd(usize, Digest, Vec<Rejection>),
+    /// No more parts.
+    End,
+}
+
+/// A tree of steps: its root, and the steps that stream from one another below it.
+pub struct Pass {
+    /// A source to read, or a kept table to replay.
+    pub root: usize,
+    /// Steps to compute, each with its input before it.
+    pub steps: Vec<usize>,
+    /// Parts of the root that are to be streamed.
+    pub parts: Vec<usize>,
+}
+
+/// What a pass gives back.
+#[derive(Default)]
+pub struct PassResult {
+    /// Content digests of the source parts read: (step, part) to digest.
+    pub content: BTreeMap<(usize, usize), Digest>,
+}
+
+/// Why a thread of the pass ended.
+enum Failure {
+    /// Somebody else failed.
+    Stopped,
+    /// This is the cause.
+    Cause(RunError),
+}
+
+/// Shared by the threads of a pass.
+struct Shared<'a> {
+    plan: &'a Plan<'a>,
+    settings: &'a Settings,
+    progress: &'a Progress,
+    budget: Arc<Budget>,
+    first: Mutex<Option<RunError>>,
+    content: Mutex<BTreeMap<(usize, usize), Digest>>,
+}
+
+impl Shared<'_> {
+    fn failed(&self, step: usize, error: StageError) -> Failure {
+        match error {
+            StageError::Stopped => Failure::Stopped,
+            source => Failure::Cause(RunError::Stage { heading: self.heading(step), source }),
+        }
+    }
+
+    fn heading(&self, step: usize) -> String {
+        self.plan.spec.steps[step].heading.clone()
+    }
+
+    /// Runs the body of a thread; the first failure stops everybody.
+    fn guard(&self, step: usize, body: impl FnOnce() -> Result<(), Failure>) {
+        let failure = match catch_unwind(AssertUnwindSafe(body)) {
+            Ok(Ok(()) | Err(Failure::Stopped)) => return,
+            Ok(Err(Failure::Cause(error))) => error,
+            Err(panic) => RunError::Panic { heading: self.heading(step), message: panic_text(panic.as_ref()) },
+        };
+        self.first.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(failure);
+        self.budget.stop();
+    }
+}
+
+fn panic_text(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+    text.unwrap_or("no message").to_owned()
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        Self::Cause(RunError::Store(error))
+    }
+}
+
+/// Runs a pass to its end.
+///
+/// # Errors
+/// The first failure of any of its threads.
+pub fn run(plan: &Plan<'_>, pass: &Pass, settings: &Settings, progress: &Progress) -> Result<PassResult, RunError> {
+    let shared = Shared {
+        plan,
+        settings,
+        progress,
+        budget: Budget::new(settings.memory_bytes),
+        first: Mutex::new(None),
+        content: Mutex::new(BTreeMap::new()),
+    };
+    // A source's own table is a step of the pass too: it is written in a thread of its own, beside reading.
+    let mut beside = BTreeMap::new();
+    for &step in &pass.steps {
+        beside.insert(step, tables_beside(plan, step)?);
+    }
+    std::thread::scope(|scope| {
+        let mut senders: BTreeMap<usize, Vec<Sender<Message>>> = BTreeMap::new();
+        let mut receivers: BTreeMap<usize, Receiver<Message>> = BTreeMap::new();
+        for &step in &pass.steps {
+            let input = if step == pass.root { usize::MAX } else { plan.from(step).expect("a step below the root has an input") };
+            let (sender, receiver) = bounded(settings.channel_batches);
+            // Above the root's own writer stands the reader.
+            senders.entry(if input == pass.root && !pass.steps.contains(&pass.root) { usize::MAX } else { input }).or_default().push(sender);
+            receivers.insert(step, receiver);
+        }
+        let shared = &shared;
+        for &step in &pass.steps {
+            let receiver = receivers.remove(&step).expect("each step has one channel");
+            let children = senders.remove(&step).unwrap_or_default();
+            let beside = beside.remove(&step).expect("collected above");
+            scope.spawn(move || shared.guard(step, || work(shared, step, &receiver, &children, &beside)));
+        }
+        let children = senders.remove(&usize::MAX).unwrap_or_default();
+        shared.guard(pass.root, || read(shared, pass, &children));
+        drop(children);
+    });
+    match shared.first.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        Some(error) => Err(error),
+        None => Ok(PassResult { content: shared.content.into_inner().unwrap_or_else(PoisonError::into_inner) }),
+    }
+}
+
+/// Finished tables beside a step, from the shelf.
+fn tables_beside(plan: &Plan<'_>, step: usize) -> Result<BesideTables, RunError> {
+    let mut tables = BTreeMap::new();
+    for (name, heading) in &plan.spec.steps[step].with {
+        let (input, table) = plan.spec.table(heading).expect("the pipeline was checked");
+        let mut batches = Vec::new();
+        for part in plan.tables[input].present.iter().flatten() {
+            batches.extend(stored(plan, input, &table, part)?);
+        }
+        tables.insert(name.clone(), batches);
+    }
+    Ok(BesideTables(tables))
+}
+
+/// All batches of one table of one stored part.
+fn stored(plan: &Plan<'_>, step: usize, table: &str, part: &PartRecord) -> Result<Vec<RecordBatch>, RunError> {
+    let path = plan.shelf.part_file(&plan.tables[step].id, &part.lineage, table);
+    let failed = |source| RunError::Store(StoreError::Parquet { what: "read", path: path.clone(), source });
+    parquet::read(&path, usize::MAX >> 1).map_err(failed)?.map(|batch| batch.map_err(failed)).collect()
+}
+
+fn send(children: &[Sender<Message>], message: impl Fn() -> Message) -> Result<(), Failure> {
+    children.iter().try_for_each(|child| child.send(message()).map_err(|_| Failure::Stopped))
+}
+
+/// The thread of the root: reads a source, or replays a table.
+fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Result<(), Failure> {
+    let plan = shared.plan;
+    for &part in &pass.parts {
+        if pass.steps.contains(&pass.root) {
+            let source = &plan.sources[&pass.root];
+            let feed = Channel { shared, children };
+            let PartRead { content, rejections } =
+                source.read(part, shared.settings.batch_bytes, &feed).map_err(|error| shared.failed(pass.root, error))?;
+            shared.content.lock().unwrap_or_else(PoisonError::into_inner).insert((pass.root, part), content);
+            let beside = plan.beside(pass.root).expect("a source has nothing beside it");
+            let lineage = plan.part_lineage(pass.root, &content, &beside);
+            send(children, || Message::PartEnd(part, lineage, rejections.clone()))?;
+        } else {
+            replay(shared, pass.root, part, children)?;
+        }
+    }
+    send(children, || Message::End)
+}
+
+fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Message>]) -> Result<(), Failure> {
+    let plan = shared.plan;
+    let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
+    let table = &plan.written(root)[0].0;
+    let path = plan.shelf.part_file(&plan.tables[root].id, &record.lineage, table);
+    let failed = |source| Failure::Cause(RunError::Store(StoreError::Parquet { what: "read", path: path.clone(), source }));
+    for batch in parquet::read(&path, shared.settings.replay_rows).map_err(failed)? {
+        let batch = batch.map_err(failed)?;
+        let credit = shared.budget.reserve(batch.get_array_memory_size().min(shared.settings.memory_bytes / 2)).map_err(|_| Failure::Stopped)?;
+        send(children, || Message::Rows(batch.clone(), Some(credit.clone())))?;
+    }
+    send(children, || Message::PartEnd(part, record.lineage, Vec::new()))
+}
+
+/// Hands a source's rows to the first stages.
+struct Channel<'a> {
+    shared: &'a Shared<'a>,
+    children: &'a [Sender<Message>],
+}
+
+impl Feed for Channel<'_> {
+    fn reserve(&self, bytes: usize) -> Result<Credit, StageError> {
+        self.shared.budget.reserve(bytes.min(self.shared.settings.memory_bytes / 2))
+    }
+
+    fn send(&self, batch: RecordBatch, credit: Credit) -> Result<(), StageError> {
+        send(self.children, || Message::Rows(batch.clone(), Some(credit.clone()))).map_err(|_| StageError::Stopped)
+    }
+
+    fn read_bytes(&self, bytes: u64) {
+        self.shared.progress.advance(bytes);
+    }
+}
+
+/// Rows pass through unchanged: the work of a source's own step, which only writes.
+struct Through;
+
+impl Running for Through {
+    fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError> {
+        Ok(Written { tables: vec![vec![batch.clone()]], rejections: Vec::new() })
+    }
+    fn flush(&mut self) -> Result<Written, StageError> {
+        Ok(Written::default())
+    }
+}
+
+/// The thread of one step: takes rows, writes its tables, hands its main table on.
+fn work(shared: &Shared<'_>, step: usize, input: &Receiver<Message>, children: &[Sender<Message>], beside: &BesideTables) -> Result<(), Failure> {
+    let plan = shared.plan;
+    let streams = plan.streams(step);
+    let failed = |error| shared.failed(step, error);
+    let mut running: Box<dyn Running + '_> = match &plan.spec.steps[step].node {
+        Node::Source(_) => Box::new(Through),
+        Node::Operator(operator) => operator.start(plan.campaigns, beside).map_err(failed)?,
+    };
+    let beside = plan.beside(step).expect("tables beside a step are finished before its pass");
+    let mut inputs = Vec::new();
+    let mut writer = None;
+    loop {
+        match input.recv().map_err(|_| Failure::Stopped)? {
+            Message::Rows(batch, credit) => {
+                let written = running.push(&batch).map_err(failed)?;
+                emit(shared, step, &mut writer, written, children, credit.as_ref())?;
+            }
+            Message::PartEnd(part, lineage, rejections) if streams => {
+                let mut written = running.flush().map_err(failed)?;
+                written.rejections.extend(rejections);
+                emit(shared, step, &mut writer, written, children, None)?;
+                let lineage = match &plan.spec.steps[step].node {
+                    Node::Source(_) => lineage,
+                    Node::Operator(_) => plan.part_lineage(step, &lineage, &beside),
+                };
+                commit(shared, step, &mut writer, lineage)?;
+                send(children, || Message::PartEnd(part, lineage, Vec::new()))?;
+            }
+            Message::PartEnd(_, lineage, _) => inputs.push(lineage),
+            Message::End => break,
+        }
+    }
+    if !streams {
+        let written = running.flush().map_err(failed)?;
+        emit(shared, step, &mut writer, written, children, None)?;
+        let lineage = plan.part_lineage(step, &TableRecord::lineage_of(&inputs), &beside);
+        commit(shared, step, &mut writer, lineage)?;
+        send(children, || Message::PartEnd(0, lineage, Vec::new()))?;
+    }
+    send(children, || Message::End)
+}
+
+/// Writes what a stage made, and hands its main table on.
+fn emit<'a>(
+    shared: &Shared<'a>,
+    step: usize,
+    writer: &mut Option<PartWriter<'a>>,
+    written: Written,
+    children: &[Sender<Message>],
+    credit: Option<&Credit>,
+) -> Result<(), Failure> {
+    let plan = shared.plan;
+    let writer = open(shared, step, writer)?;
+    let keep = plan.spec.steps[step].keep;
+    let tables = plan.written(step).len();
+    if keep {
+        for (table, batches) in written.tables.iter().enumerate() {
+            batches.iter().try_for_each(|batch| writer.write(table, batch))?;
+        }
+    }
+    if !written.rejections.is_empty() {
+        let heading = &plan.spec.steps[step].heading;
+        let rows: Vec<Reject> = written.rejections.into_iter().map(|rejection| rejection.row(heading)).collect();
+        shared.progress.rejected(rows.len() as u64);
+        writer.write(tables - 1, &Reject::to_batch(&rows))?;
+    }
+    let Some(main) = written.tables.into_iter().next() else { return Ok(()) };
+    // Rows that a source read hold its memory until the last stage that sees them as they are has let go.
+    let passed = matches!(plan.spec.steps[step].node, Node::Source(_));
+    main.iter().try_for_each(|batch| send(children, || Message::Rows(batch.clone(), credit.filter(|_| passed).cloned())))
+}
+
+fn open<'a, 'b>(
+    shared: &Shared<'a>,
+    step: usize,
+    writer: &'b mut Option<PartWriter<'a>>,
+) -> Result<&'b mut PartWriter<'a>, Failure> {
+    let plan = shared.plan;
+    if writer.is_none() {
+        *writer = Some(plan.shelf.begin(&plan.tables[step].id, &plan.written(step))?);
+    }
+    Ok(writer.as_mut().expect("made above"))
+}
+
+fn commit<'a>(
+    shared: &Shared<'a>,
+    step: usize,
+    writer: &mut Option<PartWriter<'a>>,
+    lineage: Digest,
+) -> Result<(), Failure> {
+    open(shared, step, writer)?;
+    let writer = writer.take().expect("opened above");
+    writer.commit(lineage)?;
+    Ok(())
+}

@@ -1,0 +1,358 @@
+//! The plan: for each table reuse or compute, and why. Nothing is run here.
+
+use std::collections::BTreeMap;
+
+use arrow::datatypes::{DataType, Field, SchemaRef};
+use serde_json::{Value, json};
+
+use super::spec::Spec;
+use crate::campaign::Campaign;
+use crate::stages::Node;
+use crate::stages::stage::{OpenSource, SourcePart, StageError, WrittenTable};
+use crate::store::{Digest, PartRecord, Shelf, StageId, StoreError, TableRecord};
+use crate::tables::{Reject, Row};
+
+/// What is known of one step's table.
+pub struct Planned {
+    /// What makes it.
+    pub id: StageId,
+    /// Its recipe.
+    pub recipe: Digest,
+    /// Lineage of each of its parts; `None` while a raw file of it was never hashed.
+    pub lineages: Vec<Option<Digest>>,
+    /// The parts that are whole on the shelf.
+    pub present: Vec<Option<PartRecord>>,
+    /// Whether the run needs it: kept, or on the way to a kept one that must be computed.
+    pub wanted: bool,
+}
+
+impl Planned {
+    /// Whether every part is on the shelf.
+    #[must_use]
+    pub fn complete(&self) -> bool {
+        !self.present.is_empty() && self.present.iter().all(Option::is_some)
+    }
+
+    /// Lineage of the whole table, if all of it is known.
+    #[must_use]
+    pub fn lineage(&self) -> Option<Digest> {
+        let parts: Option<Vec<Digest>> = self.lineages.iter().copied().collect();
+        parts.filter(|parts| !parts.is_empty()).map(|parts| TableRecord::lineage_of(&parts))
+    }
+}
+
+/// A pipeline against campaigns and a result folder.
+pub struct Plan<'a> {
+    /// The pipeline.
+    pub spec: &'a Spec,
+    /// The campaigns.
+    pub campaigns: &'a [Campaign],
+    /// The result folder.
+    pub shelf: &'a Shelf,
+    /// The sources, surveyed, by step.
+    pub sources: BTreeMap<usize, Box<dyn OpenSource + 'a>>,
+    /// What is known of each step.
+    pub tables: Vec<Planned>,
+    until: Option<usize>,
+}
+
+/// What stops a plan.
+#[derive(Debug, thiserror::Error)]
+pub enum PlanError {
+    /// A source cannot be surveyed.
+    #[error("[{heading}]: {source}")]
+    Stage {
+        /// Heading.
+        heading: String,
+        /// Cause.
+        source: StageError,
+    },
+    /// The result folder cannot be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// No such table.
+    #[error("--until {0}")]
+    Until(String),
+}
+
+impl<'a> Plan<'a> {
+    /// Surveys sources and shelf. `until` names the last table that is wanted; without it all are.
+    ///
+    /// # Errors
+    /// When a campaign or the result folder cannot be read.
+    pub fn new(spec: &'a Spec, campaigns: &'a [Campaign], shelf: &'a Shelf, until: Option<&str>) -> Result<Self, PlanError> {
+        let until = until
+            .map(|heading| {
+                let known: Vec<&str> = spec.steps.iter().map(|step| step.heading.as_str()).collect();
+                spec.position(heading).ok_or_else(|| PlanError::Until(crate::campaign::suggest::unknown("table", heading, &known)))
+            })
+            .transpose()?;
+        let mut sources = BTreeMap::new();
+        let mut ids: Vec<StageId> = Vec::new();
+        for (i, step) in spec.steps.iter().enumerate() {
+            if let Node::Source(source) = &step.node {
+                let open = source.open(campaigns).map_err(|source| PlanError::Stage { heading: step.heading.clone(), source })?;
+                sources.insert(i, open);
+            }
+            let id = stage_id(spec, i, campaigns, &ids);
+            ids.push(id);
+        }
+        let tables = ids.into_iter().map(|id| Planned { recipe: id.recipe(), id, lineages: Vec::new(), present: Vec::new(), wanted: false });
+        let mut plan = Self { spec, campaigns, shelf, sources, tables: tables.collect(), until };
+        plan.refresh(&BTreeMap::new())?;
+        Ok(plan)
+    }
+
+    /// What a user should know of the campaigns before the run, each line once.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings: Vec<String> = self.sources.values().flat_map(|source| source.warnings().iter().cloned()).collect();
+        warnings.sort();
+        warnings.dedup();
+        warnings
+    }
+
+    /// Looks at the shelf again. `content` gives the content digests of source parts that were read since: (step, part) to digest.
+    ///
+    /// # Errors
+    /// When the shelf cannot be read.
+    pub fn refresh(&mut self, content: &BTreeMap<(usize, usize), Digest>) -> Result<(), StoreError> {
+        for i in 0..self.tables.len() {
+            let lineages = self.lineages(i, content);
+            let (id, written) = (&self.tables[i].id, self.written(i));
+            // A part that was made when the table was not kept has nothing but its rejects.
+            let whole = |part: &PartRecord| written.iter().all(|(table, _)| part.files.contains_key(table));
+            let part = |lineage: &Option<Digest>| match lineage {
+                Some(lineage) => Ok(self.shelf.part(id, lineage)?.filter(whole)),
+                None => Ok(None),
+            };
+            let present = lineages.iter().map(part).collect::<Result<Vec<_>, StoreError>>()?;
+            self.tables[i].lineages = lineages;
+            self.tables[i].present = present;
+        }
+        self.mark_wanted();
+        Ok(())
+    }
+
+    fn lineages(&self, i: usize, content: &BTreeMap<(usize, usize), Digest>) -> Vec<Option<Digest>> {
+        if let Some(source) = self.sources.get(&i) {
+            let known = |(part, read): (usize, &SourcePart)| content.get(&(i, part)).copied().or(read.content);
+            return source.parts().iter().enumerate().map(known).map(|content| Some(self.part_lineage(i, &content?, &self.beside(i)?))).collect();
+        }
+        let from = self.from(i).expect("a step without source has an input");
+        let Some(beside) = self.beside(i) else { return vec![None; if self.streams(i) { self.tables[from].lineages.len() } else { 1 }] };
+        if self.streams(i) {
+            let inputs = self.tables[from].lineages.iter();
+            inputs.map(|input| Some(self.part_lineage(i, input.as_ref()?, &beside))).collect()
+        } else {
+            vec![self.tables[from].lineage().map(|input| self.part_lineage(i, &input, &beside))]
+        }
+    }
+
+    /// Lineage of a part of step `i` that is made from `input`, beside whole tables of these lineages.
+    #[must_use]
+    pub fn part_lineage(&self, i: usize, input: &Digest, beside: &[Digest]) -> Digest {
+        Digest::join("part", [&self.tables[i].recipe, input].into_iter().chain(beside))
+    }
+
+    /// Lineages of the finished tables beside step `i`, if known.
+    #[must_use]
+    pub fn beside(&self, i: usize) -> Option<Vec<Digest>> {
+        self.beside_steps(i).map(|step| self.tables[step].lineage()).collect()
+    }
+
+    /// Steps whose tables stand beside step `i`.
+    pub fn beside_steps(&self, i: usize) -> impl Iterator<Item = usize> + use<'a, '_> {
+        self.spec.steps[i].with.values().map(|heading| self.spec.table(heading).expect("the pipeline was checked").0)
+    }
+
+    /// Step that step `i` streams from.
+    #[must_use]
+    pub fn from(&self, i: usize) -> Option<usize> {
+        let from = self.spec.steps[i].from.as_deref()?;
+        Some(self.spec.table(from).expect("the pipeline was checked").0)
+    }
+
+    /// Whether step `i` streams part by part.
+    #[must_use]
+    pub fn streams(&self, i: usize) -> bool {
+        match &self.spec.steps[i].node {
+            Node::Source(_) => true,
+            // A side table as input is read whole.
+            Node::Operator(operator) => operator.grain().streams() && !self.spec.steps[i].from.as_deref().unwrap_or("").contains('.'),
+        }
+    }
+
+    /// Whether the rows of step `i` can be read back from the shelf.
+    #[must_use]
+    pub fn replayable(&self, i: usize) -> bool {
+        self.spec.steps[i].keep && self.tables[i].complete()
+    }
+
+    fn mark_wanted(&mut self) {
+        let count = self.tables.len();
+        let mut wanted = vec![false; count];
+        for i in (0..count).rev() {
+            let asked = match self.until {
+                None => self.spec.steps[i].keep,
+                Some(until) => i == until,
+            };
+            wanted[i] |= asked;
+            if !wanted[i] || self.replayable(i) {
+                // Its inputs matter only if `until` is not given: every kept table is a result of its own.
+                if self.until.is_some() && wanted[i] {
+                    for input in self.inputs(i) {
+                        wanted[input] |= self.spec.steps[input].keep;
+                    }
+                }
+                continue;
+            }
+            for input in self.inputs(i) {
+                wanted[input] = true;
+            }
+        }
+        self.tables.iter_mut().zip(wanted).for_each(|(table, wanted)| table.wanted = wanted);
+    }
+
+    fn inputs(&self, i: usize) -> Vec<usize> {
+        self.from(i).into_iter().chain(self.beside_steps(i)).collect()
+    }
+
+    /// Names of the tables that step `i` writes into the shelf: main, sides, rejects.
+    #[must_use]
+    pub fn written(&self, i: usize) -> Vec<(String, SchemaRef)> {
+        let step = &self.spec.steps[i];
+        let tables = step.node.tables().into_iter().map(|table| (table.name, table.schema));
+        let kept: Vec<_> = if step.keep { tables.collect() } else { Vec::new() };
+        kept.into_iter().chain([(Reject::TABLE.to_owned(), Reject::schema())]).collect()
+    }
+
+    /// In words: reuse or compute, and why.
+    ///
+    /// # Errors
+    /// When the shelf cannot be read.
+    pub fn decision(&self, i: usize) -> Result<Decision, StoreError> {
+        let (step, table) = (&self.spec.steps[i], &self.tables[i]);
+        let finished = table.present.iter().flatten().count();
+        let action = match (table.wanted, table.complete(), step.keep) {
+            (false, ..) => Action::Skip,
+            (true, true, true) => Action::Reuse,
+            (true, _, false) => Action::Pass,
+            (true, false, true) => Action::Compute,
+        };
+        let why = match action {
+            Action::Skip => "not needed".to_owned(),
+            Action::Reuse => "nothing that it depends on has changed".to_owned(),
+            Action::Pass if table.complete() => "not kept; its rows are not needed".to_owned(),
+            Action::Pass => "not kept; its rows are made again where they are needed".to_owned(),
+            Action::Compute => self.reason(i, finished)?,
+        };
+        Ok(Decision { heading: step.heading.clone(), stage: step.node.kind(), action, why, parts: table.lineages.len(), finished })
+    }
+
+    fn reason(&self, i: usize, finished: usize) -> Result<String, StoreError> {
+        let table = &self.tables[i];
+        if finished > 0 {
+            return Ok(format!("{finished} of {} parts are finished", table.lineages.len()));
+        }
+        let Some(earlier) = self.shelf.view(&self.spec.steps[i].heading)? else { return Ok("no earlier result".to_owned()) };
+        let (old, new) = (&earlier.stage, &table.id);
+        let mut reasons = Vec::new();
+        if old.kind != new.kind {
+            reasons.push(format!("stage {} -> {}", old.kind, new.kind));
+        } else if old.version != new.version {
+            reasons.push(format!("version of stage {} {} -> {}", new.kind, old.version, new.version));
+        }
+        differences("", &old.params, &new.params, &mut reasons);
+        differences("campaign: ", &old.fields, &new.fields, &mut reasons);
+        if old.schemas != new.schemas {
+            reasons.push("columns of the table".to_owned());
+        }
+        if reasons.is_empty() {
+            let changed = self.inputs(i).into_iter().filter(|&input| {
+                let heading = &self.spec.steps[input].heading;
+                let before = self.shelf.view(heading).ok().flatten().map(|record| record.lineage);
+                before != self.tables[input].lineage()
+            });
+            let changed: Vec<_> = changed.map(|input| self.spec.steps[input].heading.as_str()).collect();
+            reasons.push(if changed.is_empty() { "raw files are new or changed".to_owned() } else { format!("input changed: {}", changed.join(", ")) });
+        }
+        Ok(reasons.join("; "))
+    }
+}
+
+/// Differences between two JSON values, in words.
+fn differences(place: &str, old: &Value, new: &Value, out: &mut Vec<String>) {
+    match (old, new) {
+        (Value::Object(before), Value::Object(after)) => {
+            for key in before.keys().chain(after.keys().filter(|key| !before.contains_key(*key))) {
+                let place = if place.is_empty() || place.ends_with(' ') { format!("{place}{key}") } else { format!("{place}.{key}") };
+                differences(&place, before.get(key).unwrap_or(&Value::Null), after.get(key).unwrap_or(&Value::Null), out);
+            }
+        }
+        (Value::Array(before), Value::Array(after)) if before.len() == after.len() => {
+            for (i, (before, after)) in before.iter().zip(after).enumerate() {
+                differences(&format!("{place}[{i}]"), before, after, out);
+            }
+        }
+        _ if old != new => out.push(format!("{place} {old} -> {new}")),
+        _ => {}
+    }
+}
+
+fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) -> StageId {
+    let step = &spec.steps[i];
+    let recipe = |heading: &str| {
+        let (step, table) = spec.table(heading).expect("the pipeline was checked");
+        Digest::join(&table, [&earlier[step].recipe()])
+    };
+    let mut inputs: BTreeMap<String, Digest> = step.with.iter().map(|(name, heading)| (name.clone(), recipe(heading))).collect();
+    inputs.extend(step.from.as_deref().map(|heading| ("from".to_owned(), recipe(heading))));
+    let (version, params, fields) = match &step.node {
+        Node::Source(source) => (source.version(), source.params(), source.fields(campaigns)),
+        Node::Operator(operator) => (operator.version(), operator.params(), operator.fields(campaigns)),
+    };
+    let columns = |table: &WrittenTable| json!([table.name, table.schema.fields().iter().map(|field| signature(field)).collect::<Vec<_>>()]);
+    let schemas: Vec<Value> = step.node.tables().iter().map(columns).collect();
+    StageId { kind: step.node.kind().to_owned(), version, params, fields, schemas: Digest::of(&Value::Array(schemas)), inputs }
+}
+
+/// Name, type and nullability of a column, without its prose.
+fn signature(field: &Field) -> Value {
+    let inner: Vec<Value> = match field.data_type() {
+        DataType::List(item) => vec![signature(item)],
+        DataType::Struct(fields) => fields.iter().map(|field| signature(field)).collect(),
+        plain => vec![plain.to_string().into()],
+    };
+    json!([field.name(), field.is_nullable(), inner])
+}
+
+/// What the run would do with a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// It stands on the shelf.
+    Reuse,
+    /// It is computed.
+    Compute,
+    /// It is not kept, only passed through.
+    Pass,
+    /// Nobody asked for it.
+    Skip,
+}
+
+/// A line of the plan.
+#[derive(Clone, Debug)]
+pub struct Decision {
+    /// Heading.
+    pub heading: String,
+    /// Stage.
+    pub stage: &'static str,
+    /// What would be done.
+    pub action: Action,
+    /// Why.
+    pub why: String,
+    /// Parts of the table.
+    pub parts: usize,
+    /// Parts that are finished.
+    pub finished: usize,
+}

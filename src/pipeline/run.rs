@@ -1,0 +1,189 @@
+//! The run: pass after pass until every wanted table is whole, and the views that show them.
+
+use std::collections::BTreeMap;
+
+use thiserror::Error;
+
+use super::pass::{self, Pass};
+use super::plan::{Plan, PlanError};
+use super::progress::Progress;
+use crate::stages::stage::StageError;
+use crate::store::{Digest, StoreError, TableRecord};
+
+/// How a run uses the machine. None of it changes a byte of the result.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Bytes of raw samples that may be under way.
+    pub memory_bytes: usize,
+    /// Bytes that a source reads at a time.
+    pub batch_bytes: usize,
+    /// Batches that a channel holds.
+    pub channel_batches: usize,
+    /// Rows that are read back from a stored table at a time.
+    pub replay_rows: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { memory_bytes: 64 << 20, batch_bytes: 4 << 20, channel_batches: 2, replay_rows: 256 }
+    }
+}
+
+impl Settings {
+    /// The least budget with which every stage and writer can hold its largest piece at once: beneath it a run could wait for itself.
+    #[must_use]
+    pub fn least_memory(&self) -> usize {
+        // The writer of raw traces gathers a row group a worker before it lets go; the reader needs room for one batch more.
+        let groups = rayon::current_num_threads() + 1;
+        groups * (crate::store::parquet::ROW_GROUP_BYTES + self.batch_bytes) + (self.channel_batches + 2) * self.batch_bytes
+    }
+}
+
+/// What stops a run.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// A stage cannot go on.
+    #[error("[{heading}]: {source}")]
+    Stage {
+        /// Heading.
+        heading: String,
+        /// Cause.
+        source: StageError,
+    },
+    /// A stage broke.
+    #[error("[{heading}]: the stage broke: {message}. This is a defect of periscope; finished parts are kept")]
+    Panic {
+        /// Heading.
+        heading: String,
+        /// Message of the panic.
+        message: String,
+    },
+    /// The result folder.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The plan.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// Too little memory.
+    #[error("--memory {given} B is less than the {least} B that this run needs at least; give more, or fewer --threads")]
+    Memory {
+        /// As given.
+        given: usize,
+        /// As needed.
+        least: usize,
+    },
+}
+
+/// What a run did.
+#[derive(Debug, Default)]
+pub struct Outcome {
+    /// Whole tables by view name, those reused included.
+    pub tables: BTreeMap<String, TableRecord>,
+    /// Headings that were computed.
+    pub computed: Vec<String>,
+    /// Rows set aside, in all wanted tables.
+    pub rejects: u64,
+}
+
+/// Runs what the plan wants and does not have.
+///
+/// # Errors
+/// The first failure; parts that were finished before it are kept.
+pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Result<Outcome, RunError> {
+    let least = settings.least_memory();
+    if settings.memory_bytes < least {
+        return Err(RunError::Memory { given: settings.memory_bytes, least });
+    }
+    let mut outcome = Outcome::default();
+    let mut content: BTreeMap<(usize, usize), Digest> = BTreeMap::new();
+    while let Some(pass) = next_pass(plan) {
+        let headings = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str());
+        let source = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root));
+        let bytes = source.map_or(0, |source| pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
+        progress.pass(&headings.clone().collect::<Vec<_>>(), bytes);
+        outcome.computed.extend(headings.map(str::to_owned));
+        let result = pass::run(plan, &pass, settings, progress);
+        if let Some(source) = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
+            source.close().map_err(|source| RunError::Stage { heading: plan.spec.steps[pass.root].heading.clone(), source })?;
+        }
+        content.extend(result?.content);
+        plan.refresh(&content)?;
+        publish(plan, &pass.steps, &mut outcome)?;
+    }
+    let wanted: Vec<usize> = (0..plan.tables.len()).filter(|&i| plan.tables[i].wanted && plan.tables[i].complete()).collect();
+    publish(plan, &wanted, &mut outcome)?;
+    let rejects: Vec<_> = wanted.iter().map(|&i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice())).collect();
+    outcome.rejects = plan.shelf.publish_rejects(&rejects)?;
+    Ok(outcome)
+}
+
+fn publish(plan: &Plan<'_>, steps: &[usize], outcome: &mut Outcome) -> Result<(), StoreError> {
+    for &i in steps {
+        let (step, table) = (&plan.spec.steps[i], &plan.tables[i]);
+        if !step.keep || !table.complete() {
+            continue;
+        }
+        let names = step.node.tables();
+        let views: Vec<(String, String)> = names
+            .into_iter()
+            .enumerate()
+            .map(|(n, table)| {
+                let view = if n == 0 { step.heading.clone() } else { format!("{}.{}", step.heading, table.name) };
+                (table.name, view)
+            })
+            .collect();
+        let parts = table.present.iter().flatten().cloned().collect();
+        let record = plan.shelf.publish(&table.id, parts, &views)?;
+        outcome.tables.insert(step.heading.clone(), record);
+    }
+    Ok(())
+}
+
+/// The next tree of steps that can run: all tables beside them are finished, and their root can be read.
+fn next_pass(plan: &Plan<'_>) -> Option<Pass> {
+    let missing: Vec<usize> = (0..plan.tables.len()).filter(|&i| plan.tables[i].wanted && !done(plan, i)).collect();
+    let first = *missing.iter().find(|&&i| ready(plan, i))?;
+    let mut root = first;
+    while let Some(from) = plan.from(root) {
+        root = from;
+        if plan.replayable(root) {
+            break;
+        }
+    }
+    // Steps below the root that are missing; the root itself where it is a source.
+    let mut steps = Vec::new();
+    for i in root..plan.tables.len() {
+        let below = plan.from(i).is_some_and(|from| (from == root && plan.replayable(root)) || steps.contains(&from));
+        let through = i == root && !plan.replayable(root);
+        // A stage that gathers waits for its input to be on the shelf, so that finished parts need not stream again.
+        let gathers = !plan.streams(i) && plan.from(i).is_some_and(|from| plan.spec.steps[from].keep && from != root);
+        let needed = missing.contains(&i) || (!plan.spec.steps[i].keep && plan.tables[i].wanted);
+        if (below || through) && needed && !gathers && ready(plan, i) {
+            steps.push(i);
+        }
+    }
+    let count = plan.sources.get(&root).map_or(plan.tables[root].present.len(), |source| source.parts().len());
+    let all = steps.iter().any(|&i| !plan.streams(i));
+    let lacking = |part: usize| all || steps.iter().any(|&i| plan.tables[i].present.get(part).is_none_or(Option::is_none));
+    Some(Pass { root, parts: (0..count).filter(|&part| lacking(part)).collect(), steps })
+}
+
+/// Whether nothing more is to be done for a step: its table stands, or it is only passed through.
+fn done(plan: &Plan<'_>, i: usize) -> bool {
+    plan.tables[i].complete() && (plan.spec.steps[i].keep || !consumers_miss(plan, i))
+}
+
+/// Whether a consumer of an unkept step still lacks something.
+fn consumers_miss(plan: &Plan<'_>, i: usize) -> bool {
+    (0..plan.tables.len()).any(|c| plan.tables[c].wanted && plan.from(c) == Some(i) && !plan.tables[c].complete())
+}
+
+/// Whether the tables beside a step, and those beside every step between it and a table that can be read, are finished.
+fn ready(plan: &Plan<'_>, i: usize) -> bool {
+    let beside = plan.beside_steps(i).all(|step| plan.tables[step].complete());
+    let above = match plan.from(i) {
+        None => true,
+        Some(from) => plan.replayable(from) || ready(plan, from),
+    };
+    beside && above
+}

@@ -1,0 +1,74 @@
+//! `ingest`: raw oscilloscope files to `traces`, one row a channel and exposure. The one stage that reads raw files.
+//!
+//! Takes the campaign folder; writes `traces`. Codes stay as the converter gave them, with scale, time base and the sub-sample trigger time
+//! beside them. Files are hashed while they are first read. A file that cannot be decoded is a row in `rejects`, and the rest goes on.
+//!
+//! ```toml
+//! [traces]
+//! stage = "ingest"
+//! params = { roles = ["scene"] }
+//! ```
+
+mod raw;
+mod survey;
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::stage::{Feed, OpenSource, PartRead, Source, SourcePart, StageError, WrittenTable};
+use crate::campaign::{Campaign, Role};
+use crate::tables::{Row, Trace};
+use survey::Surveyed;
+
+/// Parameters of `ingest`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ingest {
+    /// Roles of the captures to read.
+    #[serde(default = "scene")]
+    roles: Vec<Role>,
+}
+
+fn scene() -> Vec<Role> {
+    vec![Role::Scene]
+}
+
+impl Source for Ingest {
+    fn kind(&self) -> &'static str {
+        "ingest"
+    }
+    fn version(&self) -> u32 {
+        1
+    }
+    fn params(&self) -> Value {
+        let mut roles = self.roles.clone();
+        roles.sort();
+        roles.dedup();
+        json!({ "roles": roles })
+    }
+    fn fields(&self, campaigns: &[Campaign]) -> Value {
+        // Rules enter through what they match: each part's content names its files, exposures and keys.
+        campaigns.iter().map(|campaign| campaign.name.as_str()).collect()
+    }
+    fn table(&self) -> WrittenTable {
+        WrittenTable { name: Trace::TABLE.to_owned(), schema: Trace::schema() }
+    }
+    fn open<'a>(&'a self, campaigns: &'a [Campaign]) -> Result<Box<dyn OpenSource + 'a>, StageError> {
+        Ok(Box::new(Surveyed::new(campaigns, &self.roles)?))
+    }
+}
+
+impl OpenSource for Surveyed<'_> {
+    fn parts(&self) -> &[SourcePart] {
+        &self.source_parts
+    }
+    fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+    fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError> {
+        raw::read_part(self, part, batch_bytes, feed)
+    }
+    fn close(&self) -> Result<(), StageError> {
+        self.save_manifests()
+    }
+}

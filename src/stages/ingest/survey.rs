@@ -1,0 +1,286 @@
+//! Which captures there are, in which files, and how they are cut into parts: known before any sample is read.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use serde_json::{Value, json};
+
+use crate::campaign::manifest::{FileState, Manifest, hash_file};
+use crate::campaign::parts::closes_part;
+use crate::campaign::{Axis, Campaign, Exposure, Role, survey};
+use crate::formats;
+use crate::stages::stage::{SourcePart, StageError};
+use crate::store::Digest;
+use crate::units::PatchId;
+
+/// One file's share of a capture.
+#[derive(Clone, Debug)]
+pub struct Item {
+    /// The exposure (or exposures) as the campaign's rules see them.
+    pub exposure: Exposure,
+    /// Records of the file that belong here with their shots, where the file's axes hold more than shots; else all.
+    pub records: Option<Vec<(usize, i32)>>,
+    /// Bytes to read, the reference's file included.
+    pub bytes: u64,
+}
+
+/// One capture: a patch lit, a patch seen, by one sensor.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    /// Position of the campaign in the run.
+    pub campaign: usize,
+    /// What was captured.
+    pub role: Role,
+    /// Sensor.
+    pub sensor: String,
+    /// Patch lit.
+    pub lit: PatchId,
+    /// Patch seen.
+    pub seen: PatchId,
+    /// Its files, in order.
+    pub items: Vec<Item>,
+}
+
+/// What tells captures apart, in the order of the tables: reciprocal captures stand side by side.
+type Order = (usize, String, PatchId, PatchId, PatchId, Role);
+
+impl Capture {
+    fn bytes(&self) -> u64 {
+        self.items.iter().map(|item| item.bytes).sum()
+    }
+
+    /// Name of the capture and its reciprocal together: parts are cut only between such pairs.
+    fn pair_key(&self, campaigns: &[Campaign]) -> String {
+        let (low, high) = (self.lit.min(self.seen), self.lit.max(self.seen));
+        format!("{}/{}/{low}/{high}/{}", campaigns[self.campaign].name, self.sensor, self.role.name())
+    }
+
+    /// All that its rows depend on, the bytes of its files apart.
+    fn description(&self, campaigns: &[Campaign]) -> Value {
+        let item = |item: &Item| {
+            let exposure = &item.exposure;
+            json!({
+                "file": exposure.file, "segment": exposure.segment, "channel": exposure.channel, "shot": exposure.shot, "range": exposure.range,
+                "reference": exposure.reference.as_ref().map(|reference| json!([reference.file, reference.channel])),
+                "keys": exposure.keys, "records": item.records,
+            })
+        };
+        let items: Vec<Value> = self.items.iter().map(item).collect();
+        json!([campaigns[self.campaign].name, self.role, self.sensor, self.lit, self.seen, items])
+    }
+
+    /// Raw files that it reads.
+    pub fn files(&self) -> BTreeSet<&Path> {
+        let references = self.items.iter().filter_map(|item| item.exposure.reference.as_ref().map(|reference| reference.file.as_path()));
+        self.items.iter().map(|item| item.exposure.file.as_path()).chain(references).collect()
+    }
+}
+
+/// The campaigns, surveyed.
+pub struct Surveyed<'a> {
+    /// The campaigns.
+    pub campaigns: &'a [Campaign],
+    /// Captures of each part.
+    pub parts: Vec<Vec<Capture>>,
+    /// The same as the runtime sees them.
+    pub source_parts: Vec<SourcePart>,
+    /// What a user should know.
+    pub warnings: Vec<String>,
+    manifests: Vec<Mutex<(Manifest, bool)>>,
+}
+
+impl<'a> Surveyed<'a> {
+    /// Matches files against rules, and cuts the captures of these roles into parts.
+    ///
+    /// # Errors
+    /// When a folder cannot be read, rules contradict each other, or a sealed file has changed.
+    pub fn new(campaigns: &'a [Campaign], roles: &[Role]) -> Result<Self, StageError> {
+        let mut captures: BTreeMap<Order, Capture> = BTreeMap::new();
+        let mut warnings = Vec::new();
+        let mut manifests = Vec::new();
+        for (index, campaign) in campaigns.iter().enumerate() {
+            let refused = |error: &dyn std::fmt::Display| StageError::Refused(format!("campaign {}: {error}", campaign.root.display()));
+            let found = survey(campaign).map_err(|error| refused(&error))?;
+            let place = campaign.root.display();
+            warnings.extend(found.empty.iter().map(|pattern| format!("{place}: pattern `{pattern}` matches no file")));
+            if !found.unmatched.is_empty() {
+                let some: Vec<String> = found.unmatched.iter().take(3).map(|file| file.display().to_string()).collect();
+                let more = if found.unmatched.len() > 3 { ", ..." } else { "" };
+                warnings.push(format!("{place}: {} files match no rule of campaign.toml: {}{more}", found.unmatched.len(), some.join(", ")));
+            }
+            warnings.extend(found.missing_references.iter().map(|file| format!("{place}: no reference file for {}", file.display())));
+            manifests.push(Mutex::new((Manifest::load(&campaign.root).map_err(|error| refused(&error))?, false)));
+            for exposure in found.exposures.into_iter().filter(|exposure| roles.contains(&exposure.role)) {
+                for (key, item) in items(campaign, exposure).map_err(|error| refused(&error))? {
+                    let (sensor, lit, seen) = key;
+                    let role = item.exposure.role;
+                    let order = (index, sensor.clone(), lit.min(seen), lit.max(seen), lit, role);
+                    let capture = Capture { campaign: index, role, sensor, lit, seen, items: Vec::new() };
+                    captures.entry(order).or_insert(capture).items.push(item);
+                }
+            }
+        }
+        let mut surveyed = Self { campaigns, parts: Vec::new(), source_parts: Vec::new(), warnings, manifests };
+        surveyed.cut(captures.into_values());
+        surveyed.check_manifests()?;
+        let parts = surveyed.parts.iter().map(|part| surveyed.source_part(part)).collect();
+        surveyed.source_parts = parts;
+        Ok(surveyed)
+    }
+
+    fn cut(&mut self, captures: impl Iterator<Item = Capture>) {
+        let mut captures = captures.peekable();
+        let (mut part, mut pair_bytes) = (Vec::new(), 0);
+        while let Some(mut capture) = captures.next() {
+            capture.items.sort_by(|a, b| (&a.exposure.range, a.exposure.shot, &a.exposure.file).cmp(&(&b.exposure.range, b.exposure.shot, &b.exposure.file)));
+            pair_bytes += capture.bytes();
+            let key = capture.pair_key(self.campaigns);
+            part.push(capture);
+            let pair_ends = captures.peek().is_none_or(|next| next.pair_key(self.campaigns) != key);
+            if pair_ends {
+                if closes_part(&key, pair_bytes) {
+                    self.parts.push(std::mem::take(&mut part));
+                }
+                pair_bytes = 0;
+            }
+        }
+        if !part.is_empty() {
+            self.parts.push(part);
+        }
+    }
+
+    /// Files that changed since they were sealed are refused; those whose time stamp alone changed are hashed again here.
+    fn check_manifests(&self) -> Result<(), StageError> {
+        let mut changed = Vec::new();
+        for capture in self.parts.iter().flatten() {
+            let root = &self.campaigns[capture.campaign].root;
+            for file in capture.files() {
+                if let FileState::Touched(recorded) = self.state(capture.campaign, file) {
+                    let digest = hash_file(&root.join(file)).map_err(|error| StageError::Refused(format!("{}: {error}", root.join(file).display())))?;
+                    if digest == recorded {
+                        self.record(capture.campaign, file, digest);
+                    } else {
+                        changed.push(root.join(file).display().to_string());
+                    }
+                }
+            }
+        }
+        if changed.is_empty() {
+            return Ok(());
+        }
+        changed.dedup();
+        Err(StageError::Refused(format!(
+            "changed since the campaign was sealed: {}; restore what was captured, or delete manifest.json to accept the files as they are now",
+            changed.join(", ")
+        )))
+    }
+
+    fn state(&self, campaign: usize, file: &Path) -> FileState {
+        let manifest = self.manifests[campaign].lock().unwrap_or_else(PoisonError::into_inner);
+        manifest.0.check(&self.campaigns[campaign].root, file)
+    }
+
+    /// The digest of a file, if the manifest has it and the file still has the size and time that it had then.
+    pub fn known(&self, campaign: usize, file: &Path) -> Option<Digest> {
+        match self.state(campaign, file) {
+            FileState::Known(digest) => Some(digest.into()),
+            _ => None,
+        }
+    }
+
+    /// Remembers the digest of a file that was just read.
+    pub fn record(&self, campaign: usize, file: &Path, digest: blake3::Hash) {
+        let mut manifest = self.manifests[campaign].lock().unwrap_or_else(PoisonError::into_inner);
+        if manifest.0.record(&self.campaigns[campaign].root, file, digest).is_ok() {
+            manifest.1 = true;
+        }
+    }
+
+    /// Writes the manifests that have new entries. A campaign folder that cannot be written is no error: its files are hashed again next time.
+    pub fn save_manifests(&self) -> Result<(), StageError> {
+        for (campaign, manifest) in self.campaigns.iter().zip(&self.manifests) {
+            let mut manifest = manifest.lock().unwrap_or_else(PoisonError::into_inner);
+            if manifest.1 && manifest.0.save(&campaign.root).is_ok() {
+                manifest.1 = false;
+            }
+        }
+        Ok(())
+    }
+
+    fn source_part(&self, part: &[Capture]) -> SourcePart {
+        let digests: Option<BTreeMap<(usize, PathBuf), Digest>> = part
+            .iter()
+            .flat_map(|capture| capture.files().into_iter().map(|file| (capture.campaign, file.to_owned())))
+            .map(|(campaign, file)| self.known(campaign, &file).map(|digest| ((campaign, file), digest)))
+            .collect();
+        let content = digests.map(|digests| self.content(part, &digests));
+        SourcePart { content, bytes: part.iter().map(Capture::bytes).sum() }
+    }
+
+    /// Digest of a part from the digests of its files.
+    pub fn content(&self, part: &[Capture], digests: &BTreeMap<(usize, PathBuf), Digest>) -> Digest {
+        let captures: Vec<Value> = part.iter().map(|capture| capture.description(self.campaigns)).collect();
+        let files: Vec<Value> = digests.iter().map(|((campaign, file), digest)| json!([campaign, file, digest])).collect();
+        Digest::of(&json!({ "captures": captures, "files": files }))
+    }
+}
+
+/// Sensor, lit, seen.
+type Key = (String, PatchId, PatchId);
+
+/// The captures that an exposure's file holds a share of.
+fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, StageError> {
+    let path = campaign.path_of(&exposure.file);
+    let size = |path: &Path| std::fs::metadata(path).map(|file| file.len()).map_err(|error| StageError::Refused(format!("{}: {error}", path.display())));
+    let mut bytes = size(&path)?;
+    if let Some(reference) = exposure.reference.as_ref().filter(|reference| reference.file != exposure.file) {
+        bytes += size(&campaign.path_of(&reference.file))?;
+    }
+    if exposure.keys.segments == [Axis::Shot] {
+        let key = (exposure.sensor.clone(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
+        return Ok(vec![(key, Item { exposure, records: None, bytes })]);
+    }
+    along_axes(&path, exposure, bytes)
+}
+
+/// Splits a file whose segments or leading axes count more than shots. Patches are numbered from 1 along their axis, ranges and channels too.
+fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, Item)>, StageError> {
+    let refused = |message: String| StageError::Refused(format!("{}: {message}", path.display()));
+    let records = formats::open(path).and_then(|mut file| formats::records(&mut file)).map_err(|error| refused(error.to_string()))?;
+    let axes = &exposure.keys.segments;
+    let shape = match records.first().map(|record| record.head.shape.as_slice()) {
+        Some(shape) if shape.len() == axes.len() => shape.to_vec(),
+        Some([]) if axes.len() == 1 => vec![records.len()],
+        shape => {
+            let names: Vec<&str> = axes.iter().map(|axis| axis.name()).collect();
+            return Err(refused(format!("segments = {names:?} names {} axes, but the file has leading axes {:?}", axes.len(), shape.unwrap_or(&[]))));
+        }
+    };
+    if let Some(axis) = axes.iter().find(|axis| matches!(axis, Axis::Sensor | Axis::Channel)) {
+        let name = axis.name();
+        return Err(refused(format!("segments along `{name}` have no names; give each {name} a rule and a file of its own")));
+    }
+    let mut items: BTreeMap<(Key, Option<usize>), Vec<(usize, i32)>> = BTreeMap::new();
+    for index in 0..records.len() {
+        let (mut rest, mut lit, mut seen, mut shot, mut range) = (index, exposure.lit, exposure.seen, exposure.shot.map_or(0, |shot| shot as i32), None);
+        for (axis, length) in axes.iter().zip(&shape).rev() {
+            let (place, number) = (rest % length, (rest % length) as i32 + 1);
+            rest /= length;
+            match axis {
+                Axis::Lit => lit = Some(number),
+                Axis::Seen => seen = Some(number),
+                Axis::Range => range = Some(place),
+                _ => shot = place as i32,
+            }
+        }
+        let key = (exposure.sensor.clone(), lit.unwrap_or(0), seen.unwrap_or(0));
+        items.entry((key, range)).or_default().push((index, shot));
+    }
+    let share = bytes / items.len().max(1) as u64;
+    let item = |((key, range), records): ((Key, Option<usize>), Vec<(usize, i32)>)| {
+        let range = range.map(|place| (place + 1).to_string()).or_else(|| exposure.range.clone());
+        (key, Item { exposure: Exposure { range, ..exposure.clone() }, records: Some(records), bytes: share })
+    };
+    Ok(items.into_iter().map(item).collect())
+}

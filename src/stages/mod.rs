@@ -1,0 +1,72 @@
+//! The stages: one file a verb. Adding one is a file, a line in `parse`, and a table if it makes a new kind of row.
+
+pub mod average;
+pub mod calibrate;
+pub mod deconvolve;
+pub mod detect;
+pub mod embed;
+pub mod import;
+pub mod ingest;
+pub mod label;
+pub mod range;
+pub mod refine;
+pub mod stage;
+
+use serde::de::DeserializeOwned;
+
+use crate::campaign::suggest;
+use stage::{Operator, Source, WrittenTable};
+
+/// A stage of either kind.
+pub enum Node {
+    /// Without streamed input.
+    Source(Box<dyn Source>),
+    /// With one.
+    Operator(Box<dyn Operator>),
+}
+
+impl Node {
+    /// Main table, then side tables.
+    #[must_use]
+    pub fn tables(&self) -> Vec<WrittenTable> {
+        match self {
+            Self::Source(source) => vec![source.table()],
+            Self::Operator(operator) => operator.tables(),
+        }
+    }
+
+    /// Kind, as in the pipeline file.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Source(source) => source.kind(),
+            Self::Operator(operator) => operator.kind(),
+        }
+    }
+}
+
+/// Kinds that a pipeline file may name.
+pub const KINDS: [&str; 10] = ["ingest", "calibrate", "average", "deconvolve", "detect", "label", "range", "embed", "refine", "import"];
+
+/// The stage of this kind with these parameters.
+///
+/// # Errors
+/// When the kind or a parameter is unknown, or a value is refused; the text names the mend.
+pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
+    fn params_of<S: DeserializeOwned>(params: toml::Table) -> Result<Box<S>, String> {
+        params.try_into().map(Box::new).map_err(|error: toml::de::Error| format!("params: {}", suggest::explain(error.message())))
+    }
+    Ok(match kind {
+        "ingest" => Node::Source(params_of::<ingest::Ingest>(params)?),
+        "import" => Node::Source(params_of::<import::Import>(params)?),
+        "calibrate" => Node::Operator(params_of::<calibrate::Calibrate>(params)?),
+        "average" => Node::Operator(params_of::<average::Average>(params)?),
+        "deconvolve" => Node::Operator(params_of::<deconvolve::Deconvolve>(params)?),
+        "detect" => Node::Operator(params_of::<detect::Detect>(params)?),
+        "label" => Node::Operator(params_of::<label::LabelOnsets>(params)?),
+        "range" => Node::Operator(params_of::<range::Range>(params)?),
+        "embed" => Node::Operator(params_of::<embed::Embed>(params)?),
+        "refine" => Node::Operator(params_of::<refine::Refine>(params)?),
+        _ => return Err(suggest::unknown("stage", kind, &KINDS)),
+    })
+}

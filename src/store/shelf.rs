@@ -1,0 +1,496 @@
+//! The shelf: parts of tables under the lineage that made them, and the views that show whole tables by name.
+//!
+//! ```text
+//! OUT/onsets -> .shelf/detect-<recipe>/table-<lineage>/onsets        the view, switched in one step when the table is whole
+//! OUT/.shelf/detect-<recipe>/stage.json                              what made it: kind, version, parameters, fields, inputs
+//! OUT/.shelf/detect-<recipe>/part-<lineage>.onsets.parquet           one table of one part
+//! OUT/.shelf/detect-<recipe>/part-<lineage>.json                     written last: the part is whole, with digests
+//! OUT/.shelf/detect-<recipe>/table-<lineage>/table.json              the parts of a whole table, in order
+//! OUT/.shelf/detect-<recipe>/table-<lineage>/onsets/part-00000.parquet   hard links to the parts
+//! ```
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use arrow::datatypes::SchemaRef;
+use arrow::record_batch::RecordBatch;
+use parquet::errors::ParquetError;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use thiserror::Error;
+
+use super::parquet::{self as file, FileRecord, TableWriter};
+use super::Digest;
+use crate::tables::{Reject, Row};
+
+/// What can go wrong with a result folder.
+#[derive(Debug, Error)]
+pub enum StoreError {
+    /// Another run holds the folder.
+    #[error("another run is writing to {0}; wait for it, or choose another --out")]
+    Busy(PathBuf),
+    /// A folder that is not a result folder.
+    #[error("{0} holds other files and no .shelf: it is no result folder of periscope; choose another --out")]
+    Foreign(PathBuf),
+    /// A name that the views need is taken by something else.
+    #[error("{0} is in the way: it is not a view made by periscope; move it away, or choose another --out")]
+    InTheWay(PathBuf),
+    /// No such table.
+    #[error("{out} has no table `{heading}`; `periscope tables {out}` lists what there is")]
+    NoTable {
+        /// Result folder.
+        out: PathBuf,
+        /// Name asked for.
+        heading: String,
+    },
+    /// A file could not be read or written.
+    #[error("cannot {what} {path}: {source}{}", mend(source))]
+    Io {
+        /// What was tried.
+        what: &'static str,
+        /// File.
+        path: PathBuf,
+        /// Cause.
+        source: io::Error,
+    },
+    /// A table file could not be read or written.
+    #[error("cannot {what} {path}: {source}")]
+    Parquet {
+        /// What was tried.
+        what: &'static str,
+        /// File.
+        path: PathBuf,
+        /// Cause.
+        source: ParquetError,
+    },
+    /// A record of the shelf does not parse.
+    #[error("{path} is damaged ({source}); delete it, and its table is computed again")]
+    Record {
+        /// File.
+        path: PathBuf,
+        /// Cause.
+        source: serde_json::Error,
+    },
+}
+
+/// What a user can do about a failed write.
+fn mend(source: &io::Error) -> &'static str {
+    match source.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "; free some space and run again: finished parts are kept",
+        io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => "; choose a folder that can be written with --out",
+        _ => "",
+    }
+}
+
+trait At<T> {
+    fn at(self, what: &'static str, path: &Path) -> Result<T, StoreError>;
+}
+
+impl<T> At<T> for io::Result<T> {
+    fn at(self, what: &'static str, path: &Path) -> Result<T, StoreError> {
+        self.map_err(|source| StoreError::Io { what, path: path.to_owned(), source })
+    }
+}
+
+impl<T> At<T> for Result<T, ParquetError> {
+    fn at(self, what: &'static str, path: &Path) -> Result<T, StoreError> {
+        self.map_err(|source| match source {
+            ParquetError::External(cause) => match cause.downcast::<io::Error>() {
+                Ok(source) => StoreError::Io { what, path: path.to_owned(), source: *source },
+                Err(cause) => StoreError::Parquet { what, path: path.to_owned(), source: ParquetError::External(cause) },
+            },
+            source => StoreError::Parquet { what, path: path.to_owned(), source },
+        })
+    }
+}
+
+/// What makes a table, raw files apart: its recipe's content.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StageId {
+    /// Kind of the stage.
+    pub kind: String,
+    /// Version of the stage.
+    pub version: u32,
+    /// Parameters, as parsed.
+    pub params: Value,
+    /// Fields of campaign.toml that the stage reads.
+    pub fields: Value,
+    /// Digest of the schemas that it writes.
+    pub schemas: Digest,
+    /// Recipes of its inputs, by the name under which it knows them (`from`, or a name of `with`).
+    pub inputs: BTreeMap<String, Digest>,
+}
+
+impl StageId {
+    /// Digest of all of it.
+    #[must_use]
+    pub fn recipe(&self) -> Digest {
+        Digest::of(&serde_json::to_value(self).expect("a stage id is plain data"))
+    }
+
+    fn folder(&self) -> String {
+        format!("{}-{}", self.kind, self.recipe().short())
+    }
+}
+
+/// One whole part: the files of its tables.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PartRecord {
+    /// Lineage of the part.
+    pub lineage: Digest,
+    /// Its files by table.
+    pub files: BTreeMap<String, FileRecord>,
+}
+
+/// One whole table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TableRecord {
+    /// Lineage of the table: its parts' lineages, in order.
+    pub lineage: Digest,
+    /// What made it.
+    pub stage: StageId,
+    /// Its parts, in order.
+    pub parts: Vec<PartRecord>,
+}
+
+impl TableRecord {
+    /// Lineage of a table of these parts.
+    pub fn lineage_of<'a>(parts: impl IntoIterator<Item = &'a Digest>) -> Digest {
+        Digest::join("table", parts)
+    }
+
+    /// Rows of one of its tables (main or side), all parts together.
+    #[must_use]
+    pub fn rows(&self, table: &str) -> u64 {
+        self.parts.iter().filter_map(|part| part.files.get(table)).map(|file| file.rows).sum()
+    }
+
+    /// Bytes of one of its tables on disk.
+    #[must_use]
+    pub fn bytes(&self, table: &str) -> u64 {
+        self.parts.iter().filter_map(|part| part.files.get(table)).map(|file| file.bytes).sum()
+    }
+}
+
+/// A result folder's store.
+pub struct Shelf {
+    out: PathBuf,
+    /// Held while the folder is written; `None` for reading.
+    _lock: Option<File>,
+    temporary: AtomicU64,
+}
+
+impl Shelf {
+    /// Opens a result folder for writing: makes it if need be, and sweeps up what a killed run left half-written.
+    ///
+    /// # Errors
+    /// When another run holds it, when it holds foreign files, or when it cannot be written.
+    pub fn open(out: &Path) -> Result<Self, StoreError> {
+        let shelf = out.join(".shelf");
+        let foreign = !shelf.exists() && out.exists() && fs::read_dir(out).at("read", out)?.next().is_some();
+        if foreign {
+            return Err(StoreError::Foreign(out.to_owned()));
+        }
+        fs::create_dir_all(&shelf).at("create", &shelf)?;
+        let path = shelf.join("lock");
+        let lock = File::create(&path).at("create", &path)?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(fs::TryLockError::WouldBlock) => return Err(StoreError::Busy(out.to_owned())),
+            Err(fs::TryLockError::Error(source)) => return Err(StoreError::Io { what: "lock", path, source }),
+        }
+        let shelf = Self { out: out.to_owned(), _lock: Some(lock), temporary: AtomicU64::new(0) };
+        shelf.sweep()?;
+        Ok(shelf)
+    }
+
+    /// Opens a result folder for reading.
+    ///
+    /// # Errors
+    /// When it is not a result folder.
+    pub fn look(out: &Path) -> Result<Self, StoreError> {
+        if !out.join(".shelf").is_dir() {
+            return Err(StoreError::Foreign(out.to_owned()));
+        }
+        Ok(Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0) })
+    }
+
+    /// A shelf for planning only: works on a folder that does not exist yet, and writes nothing.
+    #[must_use]
+    pub fn imagine(out: &Path) -> Self {
+        Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0) }
+    }
+
+    /// The result folder.
+    #[must_use]
+    pub fn out(&self) -> &Path {
+        &self.out
+    }
+
+    fn sweep(&self) -> Result<(), StoreError> {
+        for folder in fs::read_dir(self.root()).at("read", &self.root())?.flatten() {
+            for entry in fs::read_dir(folder.path()).into_iter().flatten().flatten() {
+                if entry.file_name().to_string_lossy().starts_with("tmp-") {
+                    let path = entry.path();
+                    if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) }.at("remove", &path)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn root(&self) -> PathBuf {
+        self.out.join(".shelf")
+    }
+
+    fn temporary(&self, folder: &Path) -> PathBuf {
+        folder.join(format!("tmp-{}", self.temporary.fetch_add(1, Ordering::Relaxed)))
+    }
+
+    /// Record of a part, if it is whole.
+    ///
+    /// # Errors
+    /// When its record is damaged.
+    pub fn part(&self, stage: &StageId, lineage: &Digest) -> Result<Option<PartRecord>, StoreError> {
+        let folder = self.root().join(stage.folder());
+        let Some(record) = read_json::<PartRecord>(&folder.join(format!("part-{lineage}.json")))? else { return Ok(None) };
+        let present = |(table, file): (&String, &FileRecord)| {
+            fs::metadata(folder.join(format!("part-{lineage}.{table}.parquet"))).is_ok_and(|found| found.len() == file.bytes)
+        };
+        Ok(record.files.iter().all(present).then_some(record))
+    }
+
+    /// Starts a part of these tables.
+    ///
+    /// # Errors
+    /// When its files cannot be created.
+    pub fn begin(&self, stage: &StageId, tables: &[(String, SchemaRef)]) -> Result<PartWriter<'_>, StoreError> {
+        let folder = self.root().join(stage.folder());
+        fs::create_dir_all(&folder).at("create", &folder)?;
+        let stage_file = folder.join("stage.json");
+        if !stage_file.exists() {
+            self.write_json(&stage_file, stage)?;
+        }
+        let mut writers = Vec::new();
+        for (table, schema) in tables {
+            let path = self.temporary(&folder);
+            writers.push((table.clone(), TableWriter::create(&path, schema).at("write", &path)?));
+        }
+        Ok(PartWriter { shelf: self, stage: stage.clone(), folder, writers })
+    }
+
+    fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), StoreError> {
+        let temporary = self.temporary(path.parent().expect("a record lies in a folder"));
+        let text = serde_json::to_string_pretty(value).expect("records are plain data");
+        fs::write(&temporary, text).at("write", &temporary)?;
+        fs::rename(&temporary, path).at("write", path)
+    }
+
+    /// Makes a whole table of parts, and shows each of its tables under its view name.
+    ///
+    /// `views` pairs the name of a table within the parts with the name of the view.
+    ///
+    /// # Errors
+    /// When the views cannot be written, or something else has their name.
+    pub fn publish(&self, stage: &StageId, parts: Vec<PartRecord>, views: &[(String, String)]) -> Result<TableRecord, StoreError> {
+        let lineage = TableRecord::lineage_of(parts.iter().map(|part| &part.lineage));
+        let record = TableRecord { lineage, stage: stage.clone(), parts };
+        let folder = self.root().join(stage.folder());
+        let whole = folder.join(format!("table-{lineage}"));
+        if read_json::<TableRecord>(&whole.join("table.json"))?.as_ref() != Some(&record) {
+            let temporary = self.temporary(&folder);
+            for (table, _) in views {
+                let tables = temporary.join(table);
+                fs::create_dir_all(&tables).at("create", &tables)?;
+                for (i, part) in record.parts.iter().enumerate() {
+                    let source = folder.join(format!("part-{}.{table}.parquet", part.lineage));
+                    let target = tables.join(format!("part-{i:05}.parquet"));
+                    fs::hard_link(&source, &target).or_else(|_| fs::copy(&source, &target).map(drop)).at("link", &target)?;
+                }
+            }
+            self.write_json(&temporary.join("table.json"), &record)?;
+            if whole.exists() {
+                fs::remove_dir_all(&whole).at("replace", &whole)?;
+            }
+            fs::rename(&temporary, &whole).at("write", &whole)?;
+        }
+        for (table, view) in views {
+            let target = PathBuf::from(".shelf").join(stage.folder()).join(format!("table-{lineage}")).join(table);
+            self.show(view, &target)?;
+        }
+        Ok(record)
+    }
+
+    /// Shows the rejects of all these tables as one view, `OUT/rejects`, a file a part and heading; gives their number of rows.
+    ///
+    /// # Errors
+    /// When the view cannot be written.
+    pub fn publish_rejects(&self, tables: &[(&str, &StageId, &[Option<PartRecord>])]) -> Result<u64, StoreError> {
+        let table = Reject::TABLE;
+        let files: Vec<_> = tables
+            .iter()
+            .flat_map(|(heading, stage, parts)| parts.iter().flatten().enumerate().map(move |(i, part)| (*heading, *stage, i, part)))
+            .filter(|(.., part)| part.files.get(table).is_some_and(|file| file.rows > 0))
+            .collect();
+        let digest = TableRecord::lineage_of(files.iter().map(|(.., part)| &part.lineage));
+        let name = format!("{table}-{}", digest.short());
+        let whole = self.root().join(&name);
+        let temporary = self.temporary(&self.root());
+        fs::create_dir_all(&temporary).at("create", &temporary)?;
+        // An empty file keeps the view readable, with its schema, when nothing was set aside.
+        let none = temporary.join("none.parquet");
+        TableWriter::create(&none, &Reject::schema()).and_then(|writer| writer.finish(&[])).at("write", &none)?;
+        for (heading, stage, i, part) in &files {
+            let source = self.part_file(stage, &part.lineage, table);
+            let target = temporary.join(format!("{heading}-{i:05}.parquet"));
+            fs::hard_link(&source, &target).or_else(|_| fs::copy(&source, &target).map(drop)).at("link", &target)?;
+        }
+        if whole.exists() {
+            fs::remove_dir_all(&whole).at("replace", &whole)?;
+        }
+        fs::rename(&temporary, &whole).at("write", &whole)?;
+        self.show(table, &PathBuf::from(".shelf").join(name))?;
+        Ok(files.iter().map(|(.., part)| part.files[table].rows).sum())
+    }
+
+    /// Points the view `OUT/<view>` at `target` (relative to OUT) in one step.
+    fn show(&self, view: &str, target: &Path) -> Result<(), StoreError> {
+        let link = self.out.join(view);
+        match fs::read_link(&link) {
+            Ok(present) if present == target => return Ok(()),
+            Ok(_) => {}
+            Err(_) if link.exists() => return Err(StoreError::InTheWay(link)),
+            Err(_) => {}
+        }
+        let temporary = self.out.join(format!(".shelf/tmp-view-{view}"));
+        let _ = fs::remove_file(&temporary);
+        // The link is made in the shelf and moved out, so its target is written as seen from OUT.
+        std::os::unix::fs::symlink(target, &temporary).at("link", &temporary)?;
+        fs::rename(&temporary, &link).at("link", &link)
+    }
+
+    /// The views and the tables behind them, by name.
+    ///
+    /// # Errors
+    /// When the folder cannot be read.
+    pub fn tables(&self) -> Result<Vec<(String, TableRecord)>, StoreError> {
+        let mut tables = Vec::new();
+        for entry in fs::read_dir(&self.out).at("read", &self.out)?.flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            if let Some(record) = self.view(&name)? {
+                tables.push((name, record));
+            }
+        }
+        tables.sort_by(|a, b| a.0.cmp(&b.0));
+        Ok(tables)
+    }
+
+    /// Record of the table behind a view.
+    ///
+    /// # Errors
+    /// When its record is damaged.
+    pub fn view(&self, view: &str) -> Result<Option<TableRecord>, StoreError> {
+        let Ok(target) = fs::read_link(self.out.join(view)) else { return Ok(None) };
+        let Some(whole) = target.parent() else { return Ok(None) };
+        read_json(&self.out.join(whole).join("table.json"))
+    }
+
+    /// Name of the table (main or side) that a view shows.
+    #[must_use]
+    pub fn table_of(&self, view: &str) -> Option<String> {
+        let target = fs::read_link(self.out.join(view)).ok()?;
+        Some(target.file_name()?.to_string_lossy().into_owned())
+    }
+
+    /// When the table behind a view became whole.
+    #[must_use]
+    pub fn made(&self, view: &str) -> Option<std::time::SystemTime> {
+        let target = fs::read_link(self.out.join(view)).ok()?;
+        fs::metadata(self.out.join(target.parent()?).join("table.json")).ok()?.modified().ok()
+    }
+
+    /// Files of a view, in order.
+    ///
+    /// # Errors
+    /// When there is no such view.
+    pub fn files(&self, view: &str) -> Result<Vec<PathBuf>, StoreError> {
+        let folder = self.out.join(view);
+        let missing = || StoreError::NoTable { out: self.out.clone(), heading: view.to_owned() };
+        let mut files: Vec<_> = fs::read_dir(&folder).map_err(|_| missing())?.flatten().map(|entry| entry.path()).collect();
+        files.sort();
+        Ok(files)
+    }
+
+    /// File of one table of one part.
+    #[must_use]
+    pub fn part_file(&self, stage: &StageId, lineage: &Digest, table: &str) -> PathBuf {
+        self.root().join(stage.folder()).join(format!("part-{lineage}.{table}.parquet"))
+    }
+
+    /// All batches of a view.
+    ///
+    /// # Errors
+    /// When there is no such view, or a file cannot be read.
+    pub fn batches(&self, view: &str) -> Result<Vec<RecordBatch>, StoreError> {
+        let mut batches = Vec::new();
+        for path in self.files(view)? {
+            for batch in file::read(&path, 1024).at("read", &path)? {
+                batches.push(batch.at("read", &path)?);
+            }
+        }
+        Ok(batches)
+    }
+}
+
+fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<Option<T>, StoreError> {
+    match fs::read(path) {
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|source| StoreError::Record { path: path.to_owned(), source }),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(source) => Err(StoreError::Io { what: "read", path: path.to_owned(), source }),
+    }
+}
+
+/// Writes the tables of one part; nothing of it counts before [`PartWriter::commit`].
+pub struct PartWriter<'a> {
+    shelf: &'a Shelf,
+    stage: StageId,
+    folder: PathBuf,
+    writers: Vec<(String, TableWriter)>,
+}
+
+impl PartWriter<'_> {
+    /// Appends rows to the `table`-th table of the part.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write(&mut self, table: usize, batch: &RecordBatch) -> Result<(), StoreError> {
+        let writer = &mut self.writers[table].1;
+        let path = writer.path().to_owned();
+        writer.write(batch).at("write", &path)
+    }
+
+    /// Ends the part under its lineage: files are moved to their names, and its record is written last.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn commit(self, lineage: Digest) -> Result<PartRecord, StoreError> {
+        let footer = [
+            ("periscope.lineage", lineage.to_string()),
+            ("periscope.stage", serde_json::to_string(&self.stage).expect("a stage id is plain data")),
+        ];
+        let mut files = BTreeMap::new();
+        for (table, writer) in self.writers {
+            let temporary = writer.path().to_owned();
+            let record = writer.finish(&footer).at("write", &temporary)?;
+            let path = self.folder.join(format!("part-{lineage}.{table}.parquet"));
+            fs::rename(&temporary, &path).at("write", &path)?;
+            files.insert(table, record);
+        }
+        let record = PartRecord { lineage, files };
+        self.shelf.write_json(&self.folder.join(format!("part-{lineage}.json")), &record)?;
+        Ok(record)
+    }
+}
