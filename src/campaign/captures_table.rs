@@ -6,9 +6,9 @@
 //! raw/a.trc,1,scene,1,3,,
 //! raw/r.npy,,response,,,50,"[0, 500]"
 //! ```
-//! A row is a rule of its own for one file: it inherits the keys of the rule that names the table, and its own cells replace them. Columns are `file`,
-//! `segment`, `reference_channel`, `reference_file`, and the keys of a rule; cells are written as in campaign.toml, text without quotes. An empty cell:
-//! from the rule, else from the file. Not read: Parquet.
+//! A row is a rule of its own for one file: it inherits the keys of the rule that names the table, and its own cells replace them.
+//! Columns are `file`, `segment`, `reference_channel`, `reference_file`, and the keys of a rule; cells are written as in campaign.toml, text
+//! without quotes. An empty cell: from the rule, else from the file. Not read: Parquet.
 
 use std::path::{Path, PathBuf};
 
@@ -83,13 +83,19 @@ pub fn read(root: &Path, table: &Path, rule: &CaptureRule) -> Result<Vec<Row>, T
         row,
         problem,
     };
-    if table.extension().is_some_and(|end| end.eq_ignore_ascii_case("parquet")) {
+    if table
+        .extension()
+        .is_some_and(|end| end.eq_ignore_ascii_case("parquet"))
+    {
         let problem = "convert to CSV; Parquet capture tables are not read yet";
         return Err(fail(None, problem.into()));
     }
     let unreadable = |error: csv::Error| {
         let row = error.position().map(csv::Position::line);
-        fail(row, format!("cannot be read as CSV with a comma between cells: {error}"))
+        fail(
+            row,
+            format!("cannot be read as CSV with a comma between cells: {error}"),
+        )
     };
     let inherited = Table::try_from(rule).map_err(|error| fail(None, error.to_string()))?;
     let mut reader = csv::ReaderBuilder::new()
@@ -113,7 +119,10 @@ fn check_columns(columns: &csv::StringRecord) -> Result<(), String> {
     let known = || TEXT.into_iter().chain(VALUES);
     for (index, column) in columns.iter().enumerate() {
         if !known().any(|name| name == column) {
-            return Err(format!("unknown column `{column}`; {}", hint(column, known())));
+            return Err(format!(
+                "unknown column `{column}`; {}",
+                hint(column, known())
+            ));
         }
         if columns.iter().take(index).any(|before| before == column) {
             return Err(format!("two columns `{column}`; take one out"));
@@ -148,7 +157,8 @@ fn row<'a>(
             }
         }
     }
-    let file = file.ok_or("the cell of column `file` is empty; name the file, or take the row out")?;
+    let file =
+        file.ok_or("the cell of column `file` is empty; name the file, or take the row out")?;
     check_path(&file).map_err(|problem| format!("file `{file}` {problem}"))?;
     let rule = Value::Table(keys)
         .try_into()
@@ -182,7 +192,11 @@ fn value(column: &str, cell: &str) -> Result<Value, String> {
         .parse::<Table>()
         .ok()
         .and_then(|mut table| table.remove(column))
-        .ok_or_else(|| format!("{column} `{cell}` is no list; write it as in campaign.toml, such as \"[0, 500]\""))
+        .ok_or_else(|| {
+            format!(
+                "{column} `{cell}` is no list; write it as in campaign.toml, such as \"[0, 500]\""
+            )
+        })
 }
 
 #[cfg(test)]
@@ -239,7 +253,10 @@ mod tests {
     #[test]
     fn faults_name_row_and_mend() {
         for (text, parts) in [
-            ("file,lti\na,1\n", ["captures.csv, row 1", "did you mean `lit`?"]),
+            (
+                "file,lti\na,1\n",
+                ["captures.csv, row 1", "did you mean `lit`?"],
+            ),
             ("file,lit,lit\na,1,2\n", ["row 1", "two columns `lit`"]),
             ("lit\n1\n", ["row 1", "no column `file`"]),
             ("file,lit\na,1\nb,x\n", ["row 3", "`lit`"]),
@@ -259,7 +276,9 @@ mod tests {
     fn parquet_and_absent_tables_are_refused() {
         let error = |name: &str| {
             let folder = tempfile::tempdir().unwrap();
-            read(folder.path(), Path::new(name), &rule()).unwrap_err().to_string()
+            read(folder.path(), Path::new(name), &rule())
+                .unwrap_err()
+                .to_string()
         };
         assert!(error("t.parquet").contains("convert to CSV"));
         assert!(error("none.csv").starts_with("none.csv: cannot be read"));

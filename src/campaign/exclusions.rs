@@ -6,7 +6,6 @@ use super::exposure::Exposure;
 use super::keys::{Campaign, Exclude, Match};
 use super::pattern::{Pattern, Reading};
 
-
 /// The exclusions of a campaign, their patterns taken apart.
 #[derive(Clone, Debug)]
 pub struct Exclusions<'a>(Vec<(&'a Exclude, Option<Pattern>)>);
@@ -17,7 +16,8 @@ impl<'a> Exclusions<'a> {
     pub fn of(campaign: &'a Campaign) -> Self {
         let parsed = |exclude: &'a Exclude| {
             let file = exclude.matches.file.as_deref();
-            let pattern = file.map(|file| Pattern::parse(file).expect("checked when the campaign was loaded"));
+            let pattern = file
+                .map(|file| Pattern::parse(file).expect("checked when the campaign was loaded"));
             (exclude, pattern)
         };
         Self(campaign.exclude.iter().map(parsed).collect())
@@ -47,8 +47,14 @@ impl<'a> Exclusions<'a> {
         means(&exclude.matches, pattern.as_ref(), exposure) != Some(false)
     }
 
-    fn first(&self, holds: impl Fn(&Exclude, Option<&Pattern>) -> bool) -> Option<(usize, &'a str)> {
-        let index = self.0.iter().position(|(exclude, pattern)| holds(exclude, pattern.as_ref()))?;
+    fn first(
+        &self,
+        holds: impl Fn(&Exclude, Option<&Pattern>) -> bool,
+    ) -> Option<(usize, &'a str)> {
+        let index = self
+            .0
+            .iter()
+            .position(|(exclude, pattern)| holds(exclude, pattern.as_ref()))?;
         Some((index, self.0[index].0.reason.as_str()))
     }
 }
@@ -80,7 +86,8 @@ fn same<T: PartialEq>(key: Option<&T>, value: Option<&T>) -> Option<bool> {
 }
 
 fn takes(pattern: &Pattern, file: &Path) -> bool {
-    file.to_str().is_some_and(|file| pattern.read(file) != Reading::No)
+    file.to_str()
+        .is_some_and(|file| pattern.read(file) != Reading::No)
 }
 
 #[cfg(test)]
@@ -106,10 +113,9 @@ mod tests {
     }
 
     fn campaign(matches: &[&str]) -> Campaign {
-        let mut text = "[campaign]\nname = 'c'\n[sensors.s1]\n[sensors.s2]\n".to_owned();
-        for keys in matches {
-            text += &format!("[[exclude]]\nmatch = {{ {keys} }}\nreason = 'r'\n");
-        }
+        let exclude = |keys: &&str| format!("[[exclude]]\nmatch = {{ {keys} }}\nreason = 'r'\n");
+        let excludes: String = matches.iter().map(exclude).collect();
+        let text = format!("[campaign]\nname = 'c'\n[sensors.s1]\n[sensors.s2]\n{excludes}");
         Campaign::parse(Path::new("."), &text).unwrap()
     }
 
@@ -127,12 +133,22 @@ mod tests {
         ] {
             let campaign = campaign(&[keys]);
             let exclusions = Exclusions::of(&campaign);
-            assert_eq!(exclusions.of_exposure(&exposure()).is_some(), sure, "{keys}");
+            assert_eq!(
+                exclusions.of_exposure(&exposure()).is_some(),
+                sure,
+                "{keys}"
+            );
             assert_eq!(exclusions.may_mean(0, &exposure()), may, "{keys}");
         }
-        let filled = Exposure { seen: Some(4), ..exposure() };
+        let filled = Exposure {
+            seen: Some(4),
+            ..exposure()
+        };
         let campaign = campaign(&["lit = 1, seen = 4"]);
-        assert_eq!(Exclusions::of(&campaign).of_exposure(&filled), Some((0, "r")));
+        assert_eq!(
+            Exclusions::of(&campaign).of_exposure(&filled),
+            Some((0, "r"))
+        );
     }
 
     #[test]

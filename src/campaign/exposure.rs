@@ -60,14 +60,20 @@ pub(super) fn exposure(
     file: &str,
     bound: &Bound,
 ) -> Result<Exposure, String> {
-    let role = rule.role.ok_or("nothing says its role; fill the column `role`, or add the key to the rule")?;
+    let role = rule
+        .role
+        .ok_or("nothing says its role; fill the column `role`, or add the key to the rule")?;
     let patch = |axis: Axis, key: Option<PatchId>| {
         let patch = number(axis, bound)?.or(key);
         let name = axis.name();
         match patch {
-            Some(0) if role == Role::Scene => Err(format!("{name} = 0 in a scene; patches are numbered from 1")),
+            Some(0) if role == Role::Scene => Err(format!(
+                "{name} = 0 in a scene; patches are numbered from 1"
+            )),
             None if rule.segments.contains(&axis) => Ok(None),
-            None if role == Role::Scene => Err(format!("nothing says which patch is `{name}`; fill the column `{name}`, or list \"{name}\" in segments")),
+            None if role == Role::Scene => Err(format!(
+                "nothing says which patch is `{name}`; fill the column `{name}`, or list \"{name}\" in segments"
+            )),
             patch => Ok(Some(patch.unwrap_or(0))),
         }
     };
@@ -99,9 +105,14 @@ pub(super) fn exposure(
 }
 
 fn number<T: FromStr>(axis: Axis, bound: &Bound) -> Result<Option<T>, String> {
-    let parse = |text: &str| text.parse().map_err(|_| {
-        format!("{} = {text} is too large a number; is it a date? Take it up by `*`", axis.name())
-    });
+    let parse = |text: &str| {
+        text.parse().map_err(|_| {
+            format!(
+                "{} = {text} is too large a number; is it a date? Take it up by `*`",
+                axis.name()
+            )
+        })
+    };
     bound.get(axis).map(parse).transpose()
 }
 

@@ -21,15 +21,24 @@ pub(super) struct At<'a>(pub(super) &'a str);
 
 impl At<'_> {
     pub(super) fn fault(&self, problem: String) -> Fault {
-        Fault { place: self.0.to_owned(), problem }
+        Fault {
+            place: self.0.to_owned(),
+            problem,
+        }
     }
 
     pub(super) fn check(&self, holds: bool, problem: impl FnOnce() -> String) -> Result<(), Fault> {
-        if holds { Ok(()) } else { Err(self.fault(problem())) }
+        if holds {
+            Ok(())
+        } else {
+            Err(self.fault(problem()))
+        }
     }
 
     pub(super) fn finite(&self, key: &str, value: Option<f64>) -> Result<(), Fault> {
-        self.check(value.is_none_or(f64::is_finite), || format!("{key} is not a finite number; give one, or take it out"))
+        self.check(value.is_none_or(f64::is_finite), || {
+            format!("{key} is not a finite number; give one, or take it out")
+        })
     }
 
     pub(super) fn positive(&self, key: &str, value: Option<f64>) -> Result<(), Fault> {
@@ -39,22 +48,47 @@ impl At<'_> {
         })
     }
 
-    pub(super) fn point(&self, key: &str, point: Option<[f64; 3]>, flat: bool) -> Result<(), Fault> {
+    pub(super) fn point(
+        &self,
+        key: &str,
+        point: Option<[f64; 3]>,
+        flat: bool,
+    ) -> Result<(), Fault> {
         let Some(point) = point else { return Ok(()) };
-        self.check(point.iter().all(|x| x.is_finite()), || format!("{key} has a coordinate that is not finite; give three numbers"))?;
-        self.check(!flat || point[2] == 0.0, || format!("{key} leaves flatland (dimensions = 2); set its third number to 0"))
+        self.check(point.iter().all(|x| x.is_finite()), || {
+            format!("{key} has a coordinate that is not finite; give three numbers")
+        })?;
+        self.check(!flat || point[2] == 0.0, || {
+            format!("{key} leaves flatland (dimensions = 2); set its third number to 0")
+        })
     }
 
-    pub(super) fn needs(&self, key: &str, given: bool, other: &str, other_given: bool) -> Result<(), Fault> {
-        self.check(!given || other_given, || format!("{key} stands without {other}; add {other}, or take {key} out"))
+    pub(super) fn needs(
+        &self,
+        key: &str,
+        given: bool,
+        other: &str,
+        other_given: bool,
+    ) -> Result<(), Fault> {
+        self.check(!given || other_given, || {
+            format!("{key} stands without {other}; add {other}, or take {key} out")
+        })
     }
 
     pub(super) fn name(&self, key: &str, name: Option<&str>) -> Result<(), Fault> {
-        let fits = |name: &str| !name.is_empty() && !name.contains(|c: char| c.is_control() || c == '/');
-        self.check(name.is_none_or(fits), || format!("{key} is empty or has `/` in it; give a plain name"))
+        let fits =
+            |name: &str| !name.is_empty() && !name.contains(|c: char| c.is_control() || c == '/');
+        self.check(name.is_none_or(fits), || {
+            format!("{key} is empty or has `/` in it; give a plain name")
+        })
     }
 
-    pub(super) fn station(&self, key: &str, name: Option<&str>, stations: &BTreeMap<String, Station>) -> Result<(), Fault> {
+    pub(super) fn station(
+        &self,
+        key: &str,
+        name: Option<&str>,
+        stations: &BTreeMap<String, Station>,
+    ) -> Result<(), Fault> {
         let Some(name) = name else { return Ok(()) };
         self.check(stations.contains_key(name), || {
             let hint = hint(name, stations.keys().map(String::as_str));

@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::fault::Fault;
-use super::{check_captures, check_setup};
 use super::keys::{
-    Campaign, CaptureRule, Exclude, Hidden, Patch, Sensor, Station, View, exclude_place, one_station, rule_place,
+    Campaign, CaptureRule, Exclude, Hidden, Patch, Sensor, Station, View, exclude_place,
+    one_station, rule_place,
 };
 use super::toml_text::{self, TomlError};
+use super::{check_captures, check_setup};
 use crate::units::PatchId;
 
 /// Name of the file that makes a folder a campaign.
@@ -129,5 +130,181 @@ impl Campaign {
             check_captures::exclude(exclude, &exclude_place(index), &self.sensors)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::keys::{Axis, PatchRole, Role, SensorKind};
+
+    const FULL: &str = r#"
+[campaign]
+name = "around-the-corner"
+repetition_ps = 10674.64
+[stations.laser]
+position_m = [0, 0, 0.0]
+[stations.s1]
+position_m = [0.08, 0.0, 0.0]
+sd_m = 0.0005
+[sensors.s1]
+station = "s1"
+kind = "analog"
+latency_ps = 1250.0
+latency_sd_ps = 10.0
+[sensors.spad]
+kind = "counts"
+cycles = 1000000
+dead_time_ps = 50000
+[patches.1]
+role = "visible"
+label = "lower left"
+[patches.2]
+role = "mirror"
+position_m = [0.1, 1.2, 0.0]
+sd_m = 0.002
+normal = [0.0, -1.0, 0.0]
+size_m = 0.04
+ray = { from = "laser", direction = [0.08, 0.99, 0.0], sd_rad = 0.002 }
+[views.7]
+patches = [3, 4]
+[hidden]
+count = 2
+[[captures]]
+role = "scene"
+files = "raw/scene/L{lit}_P{seen}.trc"
+sensor = "s1"
+channel = "C1"
+reference = { channel = "C2" }
+segments = "shot"
+averaged_shots = 1
+attenuation_od = 0.0
+[[captures]]
+role = "response"
+files = "raw/response/*.npy"
+sensor = "s1"
+segments = ["range", "shot"]
+path_m = 1.0
+path_sd_m = 0.0005
+dt_ps = 50.0
+gain_v = 0.001
+offset_v = 0.0
+t0_ps = -2000.0
+samples = [0, 500]
+[[captures]]
+table = "captures.csv"
+[[exclude]]
+match = { sensor = "s1", lit = 12 }
+reason = "shutter stuck"
+"#;
+
+    fn parse(text: &str) -> Result<Campaign, String> {
+        Campaign::parse(Path::new("dir"), text).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn all_keys_of_the_contract_are_read() {
+        let campaign = parse(FULL).unwrap();
+        assert_eq!(campaign.group_index, 1.000_277);
+        assert_eq!(campaign.dimensions, 3);
+        assert_eq!(campaign.station_of("s1").unwrap().position_m[0], 0.08);
+        assert_eq!(campaign.station_of("spad"), Some(campaign.source()));
+        assert_eq!(campaign.station_of("s2"), None);
+        assert_eq!(campaign.sensors["spad"].kind, SensorKind::Counts);
+        assert_eq!(campaign.patches[&2].role, PatchRole::Mirror);
+        assert_eq!(campaign.views[&7].patches, [3, 4]);
+        assert_eq!(campaign.captures[0].segments, [Axis::Shot]);
+        assert_eq!(campaign.captures[1].segments, [Axis::Range, Axis::Shot]);
+        assert_eq!(campaign.captures[1].samples, Some([0, 500]));
+        assert_eq!(campaign.captures[2].role, None);
+        assert_eq!(campaign.exclude[0].matches.lit, Some(12));
+        assert_eq!(campaign.captures[0].role.map(Role::name), Some("scene"));
+    }
+
+    #[test]
+    fn the_folder_does_not_enter_what_is_serialized() {
+        let here = Campaign::parse(Path::new("/a"), FULL).unwrap();
+        let there = Campaign::parse(Path::new("/b"), FULL).unwrap();
+        let text = |campaign: &Campaign| serde_json::to_string(campaign).unwrap();
+        assert_eq!(text(&here), text(&there));
+        assert!(text(&here).contains("\"position_m\":[0.08,0.0,0.0]"));
+    }
+
+    #[test]
+    fn a_campaign_without_stations_has_all_at_the_origin() {
+        let campaign = parse("[campaign]\nname = 'c'\n[sensors.s1]\n").unwrap();
+        assert_eq!(campaign.station_of("s1").unwrap().position_m, [0.0; 3]);
+        assert_eq!(campaign.source().sd_m, None);
+    }
+
+    /// One fault a line: what stands in the full file, what stands there instead, and two parts of the message.
+    const FAULTS: &str = r#"
+sd_m = 0.002 ~ sd = 0.002 ~ [patches.2] ~ did you mean `sd_m`?
+count = 2 ~ count = 2.5 ~ `count` in [hidden] ~ expected u32
+[hidden] ~ [hiden] ~ the top level ~ did you mean `hidden`?
+"response" ~ "respons" ~ [[captures]] number 2 ~ did you mean `response`?
+["range", "shot"] ~ "shots" ~ `segments` in [[captures]] number 2 ~ did you mean `shot`?
+repetition_ps ~ dimensions = 4\nrepetition_ps ~ [campaign] ~ 3, or 2
+repetition_ps ~ group_index = 0.9\nrepetition_ps ~ [campaign] ~ 1.000277
+10674.64 ~ nan ~ [campaign] ~ repetition_ps is not a finite number
+[stations.laser] ~ [stations.lasr] ~ [stations] ~ add [stations.laser]
+station = "s1" ~ station = "s2" ~ [sensors.s1] ~ add [stations.s2]
+[patches.1] ~ [patches.0] ~ [patches.0] ~ number them from 1
+[0.0, -1.0, 0.0] ~ [0.0, -2.0, 0.0] ~ [patches.2] ~ [0.000000, -1.000000, 0.000000]
+from = "laser" ~ from = "lasre" ~ [patches.2]: ray.from ~ did you mean `laser`?
+sd_rad = 0.002 ~ sd_rad = -1 ~ ray.sd_rad ~ above 0
+kind = "counts" ~  ~ [sensors.spad] ~ kind = "counts"
+latency_ps = 1250.0 ~  ~ [sensors.s1] ~ latency_sd_ps stands without latency_ps
+[3, 4] ~ [] ~ [views.7] ~ list what
+role = "scene" ~  ~ [[captures]] number 1 ~ `role` is missing
+table = "captures.csv" ~ role = "dark" ~ [[captures]] number 3 ~ either `files`
+table = "captures.csv" ~ table = "/a.csv" ~ [[captures]] number 3 ~ relative to the campaign folder
+channel = "C1" ~ sensor_ = 1 ~ [[captures]] number 1 ~ did you mean `sensor`?
+channel = "C1" ~ lit = 3 ~ [[captures]] number 1 ~ take one out
+_P{seen} ~  ~ [[captures]] number 1 ~ which patch is `seen`
+{seen} ~ {sen} ~ [[captures]] number 1 ~ did you mean `seen`?
+{ channel = "C2" } ~ { channel = "C2", files = "x" } ~ [[captures]] number 1 ~ either `channel`
+{ channel = "C2" } ~ { files = "{shot}.trc" } ~ [[captures]] number 1 ~ put it into both
+{ channel = "C2" } ~ { channel = "C1" } ~ [[captures]] number 1 ~ the other one
+["range", "shot"] ~ ["sensor"] ~ [[captures]] number 2 ~ `sensor` stands in segments
+[0, 500] ~ [500, 0] ~ [[captures]] number 2 ~ a must be below b
+path_m = 1.0 ~  ~ [[captures]] number 2 ~ path_sd_m stands without path_m
+lit = 12 } ~ lit = 12, file = "L{lit}" } ~ [[exclude]] number 1 ~ placeholder
+{ sensor = "s1", lit = 12 } ~ {} ~ [[exclude]] number 1 ~ everything
+sensor = "s1", lit ~ sensor = "s3", lit ~ [[exclude]] number 1 ~ add [sensors.s3]
+"#;
+
+    #[test]
+    fn faults_name_place_and_mend() {
+        for line in FAULTS.trim().lines() {
+            let cells: Vec<&str> = line.split('~').map(str::trim).collect();
+            assert!(FULL.contains(cells[0]), "{line}");
+            let error =
+                parse(&FULL.replacen(cells[0], &cells[1].replace("\\n", "\n"), 1)).unwrap_err();
+            let file = Path::new("dir").join(CAMPAIGN_FILE).display().to_string();
+            assert!(error.starts_with(&file), "{error}");
+            assert!(
+                error.contains(cells[2]) && error.contains(cells[3]),
+                "{line}: {error}"
+            );
+        }
+    }
+
+    #[test]
+    fn flatland_has_no_third_coordinate() {
+        let flat = FULL.replace("repetition_ps", "dimensions = 2\nrepetition_ps");
+        assert!(parse(&flat).is_ok());
+        let error = parse(&flat.replace("[0.1, 1.2, 0.0]", "[0.1, 1.2, 0.3]")).unwrap_err();
+        assert!(
+            error.contains("[patches.2]: position_m leaves flatland"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_folder_without_campaign_file_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = Campaign::load(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("campaign.toml: cannot be read"), "{error}");
     }
 }

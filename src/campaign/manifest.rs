@@ -41,7 +41,10 @@ pub enum ManifestError {
         problem: String,
     },
     /// Files have other content than was recorded.
-    #[error("changed since they were recorded: {}; restore them, or, if the change is meant, take their lines out of {} and seal anew", files.join(", "), manifest.display())]
+    #[error(
+        "changed since they were recorded: {}; restore them, or, if the change is meant, take their lines out of {} and seal anew",
+        files.join(", "), manifest.display()
+    )]
     Changed {
         /// The files, relative to the campaign folder.
         files: Vec<String>,
@@ -161,9 +164,11 @@ impl Manifest {
         })
     }
 
-    /// Records a file. `metadata` must have been taken before its content was read, so that a change in between shows at the next [`Manifest::check`].
+    /// Records a file. `metadata` must have been taken before its content was read, so that a change in between shows at the next
+    /// [`Manifest::check`].
     pub fn record(&mut self, path: &Path, content: Hash, metadata: &Metadata) {
-        self.files.insert(key(path), FileRecord::of(content, metadata));
+        self.files
+            .insert(key(path), FileRecord::of(content, metadata));
     }
 
     /// The record of a file.
@@ -174,7 +179,9 @@ impl Manifest {
 
     /// All records, sorted by path.
     pub fn iter(&self) -> impl Iterator<Item = (&Path, &FileRecord)> {
-        self.files.iter().map(|(path, record)| (Path::new(path), record))
+        self.files
+            .iter()
+            .map(|(path, record)| (Path::new(path), record))
     }
 }
 
@@ -195,7 +202,9 @@ impl FileRecord {
 
 /// Time of the last change, nanoseconds since 1970; 0 where the file system has none.
 fn modified_ns(metadata: &Metadata) -> i64 {
-    let Ok(time) = metadata.modified() else { return 0 };
+    let Ok(time) = metadata.modified() else {
+        return 0;
+    };
     match time.duration_since(UNIX_EPOCH) {
         Ok(after) => after.as_nanos() as i64,
         Err(before) => -(before.duration().as_nanos() as i64),
@@ -277,7 +286,11 @@ mod tests {
         assert_eq!(lines.len(), 7);
         assert!(lines[3].starts_with("\"a.trc\": {\"bytes\":5,\"modified_ns\":"));
         assert!(lines[3].contains(&content.to_hex().to_string()));
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing left over");
+        assert_eq!(
+            fs::read_dir(folder.path()).unwrap().count(),
+            2,
+            "nothing left over"
+        );
     }
 
     #[test]
@@ -302,7 +315,13 @@ mod tests {
         assert_eq!(state(path), FileState::Known(content));
         assert_eq!(state(Path::new("b.trc")), FileState::New);
         let time = fs::metadata(&file).unwrap().modified().unwrap();
-        let set_time = |time| File::options().write(true).open(&file).unwrap().set_modified(time);
+        let set_time = |time| {
+            File::options()
+                .write(true)
+                .open(&file)
+                .unwrap()
+                .set_modified(time)
+        };
         set_time(time + Duration::from_secs(1)).unwrap();
         assert_eq!(state(path), FileState::Touched { recorded: content });
         fs::write(&file, "lights").unwrap();

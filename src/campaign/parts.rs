@@ -1,14 +1,14 @@
 //! Where a part ends: content-defined cuts of a campaign's captures into runs of about [`PART_BYTES`].
 //!
 //! A capture (or a reciprocal pair, which never straddles two parts) of `b` bytes closes its part when the first 64 bits of BLAKE3 of its
-//! key, as a fraction of 2^64, lie below `b / PART_BYTES`. So a part of captures far smaller than [`PART_BYTES`] has that size in the mean (sizes are
-//! spread as an exponential), and the decision is local: a capture that joins a growing campaign moves no boundary but the one where it falls.
+//! key, as a fraction of 2^64, lie below `b / PART_BYTES`. So parts have that size in the mean where captures are far smaller (their
+//! sizes are spread as an exponential), and the decision is local: a capture that joins a growing campaign moves no boundary but the one where it falls.
 
 /// Mean size of a part, in bytes of raw files.
 pub const PART_BYTES: u64 = 64 << 20;
 
-/// Whether the capture or pair of this key, with this many bytes of raw files, is the last of its part. The key must name it uniquely in its campaign,
-/// and be the same whenever it is asked.
+/// Whether the capture or pair of this key, with this many bytes of raw files, is the last of its part. The key must name it uniquely
+/// in its campaign, and be the same whenever it is asked.
 #[must_use]
 pub fn closes_part(pair_key: &str, bytes: u64) -> bool {
     let hash = blake3::hash(pair_key.as_bytes());
@@ -39,7 +39,12 @@ mod tests {
 
     fn captures(count: u64) -> Vec<(String, u64)> {
         (0..count)
-            .map(|i| (format!("s1 {} {}", i / 300, i % 300), 500_000 + 20_000 * (i % 100)))
+            .map(|i| {
+                (
+                    format!("s1 {} {}", i / 300, i % 300),
+                    500_000 + 20_000 * (i % 100),
+                )
+            })
             .collect()
     }
 

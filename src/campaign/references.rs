@@ -89,7 +89,10 @@ impl<'a> References<'a> {
 }
 
 /// The map's strings outlive those of the question; as the map holds its keys covariantly, it may be asked as if they did not.
-fn answer<'q, 'a>(files: &'q BTreeMap<Bound<'q>, Vec<&'a str>>, sought: &Bound<'q>) -> &'q [&'a str] {
+fn answer<'q, 'a>(
+    files: &'q BTreeMap<Bound<'q>, Vec<&'a str>>,
+    sought: &Bound<'q>,
+) -> &'q [&'a str] {
     files.get(sought).map_or(&[], Vec::as_slice)
 }
 

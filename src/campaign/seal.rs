@@ -68,7 +68,11 @@ impl Manifest {
 ///
 /// # Errors
 /// When a file has another content than was recorded (all such files are named, and nothing is written), or cannot be read.
-pub fn seal(campaign: &Campaign, survey: &Survey, update: bool) -> Result<SealReport, ManifestError> {
+pub fn seal(
+    campaign: &Campaign,
+    survey: &Survey,
+    update: bool,
+) -> Result<SealReport, ManifestError> {
     let root = &campaign.root;
     let sealed = Manifest::load(root)?;
     let join = update || sealed.is_none();
@@ -76,12 +80,18 @@ pub fn seal(campaign: &Campaign, survey: &Survey, update: bool) -> Result<SealRe
     let audit = manifest.audit(campaign, false)?;
     if !audit.changed.is_empty() {
         return Err(ManifestError::Changed {
-            files: audit.changed.iter().map(|file| file.display().to_string()).collect(),
+            files: audit
+                .changed
+                .iter()
+                .map(|file| file.display().to_string())
+                .collect(),
             manifest: root.join(MANIFEST_FILE),
         });
     }
     let files = survey.files();
-    let new = files.into_iter().filter(|file| manifest.get(file).is_none());
+    let new = files
+        .into_iter()
+        .filter(|file| manifest.get(file).is_none());
     let new: Vec<PathBuf> = new.map(PathBuf::from).collect();
     for path in &audit.touched {
         if let Some(content) = manifest.get(path).map(|record| record.blake3) {
@@ -101,4 +111,125 @@ pub fn seal(campaign: &Campaign, survey: &Survey, update: bool) -> Result<SealRe
         refreshed: audit.touched,
         gone: audit.gone,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::{self, File};
+    use std::path::Path;
+    use std::time::{Duration, SystemTime};
+
+    struct Folder(tempfile::TempDir);
+
+    impl Folder {
+        fn new(files: &[&str]) -> Self {
+            let folder = Self(tempfile::tempdir().unwrap());
+            let text = "[campaign]\nname = 'c'\n[sensors.s1]\n[[captures]]\nrole = 'dark'\nfiles = '*.npy'\n";
+            folder.write("campaign.toml", text);
+            for file in files {
+                folder.write(file, file);
+            }
+            folder
+        }
+
+        fn write(&self, file: &str, text: &str) {
+            fs::write(self.0.path().join(file), text).unwrap();
+        }
+
+        fn touch(&self, file: &str) {
+            let file = File::options()
+                .write(true)
+                .open(self.0.path().join(file))
+                .unwrap();
+            file.set_modified(SystemTime::UNIX_EPOCH + Duration::from_secs(1))
+                .unwrap();
+        }
+
+        fn campaign(&self) -> Campaign {
+            Campaign::load(self.0.path()).unwrap()
+        }
+
+        fn seal(&self, update: bool) -> Result<SealReport, ManifestError> {
+            let campaign = self.campaign();
+            seal(&campaign, &campaign.survey().unwrap(), update)
+        }
+
+        fn manifest(&self) -> Manifest {
+            Manifest::load(self.0.path()).unwrap().unwrap()
+        }
+    }
+
+    fn paths(files: &[&str]) -> Vec<PathBuf> {
+        files.iter().map(PathBuf::from).collect()
+    }
+
+    #[test]
+    fn the_first_seal_takes_all_raw_files_and_a_second_changes_nothing() {
+        let folder = Folder::new(&["a.npy", "b.npy", "notes.txt"]);
+        let report = folder.seal(false).unwrap();
+        assert_eq!(report.new, paths(&["a.npy", "b.npy"]));
+        assert!(report.joined);
+        let record = *folder.manifest().get(Path::new("a.npy")).unwrap();
+        assert_eq!((record.blake3, record.bytes), (blake3::hash(b"a.npy"), 5));
+        let before = folder.manifest();
+        let again = folder.seal(true).unwrap();
+        assert_eq!((again.unchanged, again.new.len()), (2, 0));
+        assert_eq!(folder.manifest(), before);
+    }
+
+    #[test]
+    fn new_files_join_only_on_request_and_gone_ones_keep_their_line() {
+        let folder = Folder::new(&["a.npy", "b.npy"]);
+        folder.seal(false).unwrap();
+        folder.write("c.npy", "c");
+        fs::remove_file(folder.0.path().join("b.npy")).unwrap();
+        let report = folder.seal(false).unwrap();
+        assert_eq!((report.new, report.joined), (paths(&["c.npy"]), false));
+        assert_eq!((report.gone, report.unchanged), (paths(&["b.npy"]), 1));
+        assert_eq!(folder.manifest().get(Path::new("c.npy")), None);
+        assert!(folder.seal(true).unwrap().joined);
+        assert!(folder.manifest().get(Path::new("c.npy")).is_some());
+        assert!(folder.manifest().get(Path::new("b.npy")).is_some());
+    }
+
+    #[test]
+    fn a_touched_file_is_refreshed_and_a_changed_one_refused_by_name() {
+        let folder = Folder::new(&["a.npy", "b.npy"]);
+        folder.seal(false).unwrap();
+        folder.touch("a.npy");
+        assert_eq!(folder.seal(false).unwrap().refreshed, paths(&["a.npy"]));
+        assert_eq!(folder.seal(false).unwrap().refreshed, paths(&[]));
+        let before = folder.manifest();
+        folder.write("b.npy", "other");
+        folder.write("c.npy", "c");
+        let error = folder.seal(true).unwrap_err().to_string();
+        assert!(
+            error.starts_with("changed since they were recorded: b.npy; restore"),
+            "{error}"
+        );
+        assert_eq!(
+            folder.manifest(),
+            before,
+            "nothing is written beside a refusal"
+        );
+    }
+
+    #[test]
+    fn only_hashing_again_sees_a_change_that_keeps_size_and_time() {
+        let folder = Folder::new(&["a.npy"]);
+        folder.touch("a.npy");
+        folder.seal(false).unwrap();
+        folder.write("a.npy", "A.NPY");
+        folder.touch("a.npy");
+        let audit = |rehash| folder.manifest().audit(&folder.campaign(), rehash).unwrap();
+        assert_eq!(
+            (audit(false).unchanged, audit(false).changed),
+            (1, paths(&[]))
+        );
+        assert_eq!(
+            (audit(true).unchanged, audit(true).changed),
+            (0, paths(&["a.npy"]))
+        );
+    }
 }

@@ -9,10 +9,7 @@
 /// ```text
 /// nearest("postion_m", ["sd_m", "position_m"]) == Some("position_m")
 /// ```
-pub fn nearest<'a>(
-    word: &str,
-    candidates: impl IntoIterator<Item = &'a str>,
-) -> Option<&'a str> {
+pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()
         .map(|candidate| (distance(word, candidate), candidate))
@@ -80,7 +77,9 @@ mod tests {
 
     #[test]
     fn distances_are_those_of_the_definition() {
-        let words = ["", "lit", "lti", "seen", "sene", "shot", "shto", "s", "rnage", "range"];
+        let words = [
+            "", "lit", "lti", "seen", "sene", "shot", "shto", "s", "rnage", "range",
+        ];
         for a in words {
             for b in words {
                 let (x, y): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());

@@ -3,20 +3,19 @@
 //! Nothing is dropped in silence: files that no rule takes, patterns and rows that take nothing, exposures whose reference pulse is missing,
 //! and what an exclusion leaves out are all listed. Two rules that take the same record are an error.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 use std::sync::Arc;
 
 use super::captures_table::{self, TableError};
 use super::check_captures;
+use super::claims::{self, Claim, Source};
 use super::exclusions::Exclusions;
-use super::exposure::Exposure;
-use super::keys::{Axis, Campaign, CaptureRule, RecordKeys, Role, exclude_place, rule_place};
+use super::exposure::{Exposure, exposure};
+use super::keys::{Campaign, CaptureRule, RecordKeys, exclude_place, rule_place};
 use super::pattern::{Bound, Pattern, Reading};
 use super::references::References;
 use super::walk;
-use crate::units::PatchId;
 
 /// What the rules make of the files.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -97,7 +96,12 @@ impl Campaign {
     pub fn survey(&self) -> Result<Survey, SurveyError> {
         let mut files = walk::files(&self.root)
             .map_err(|(folder, source)| SurveyError::Folder { folder, source })?;
-        files.retain(|file| !self.captures.iter().any(|rule| rule.table.as_ref() == Some(file)));
+        files.retain(|file| {
+            !self
+                .captures
+                .iter()
+                .any(|rule| rule.table.as_ref() == Some(file))
+        });
         let paths: BTreeSet<&str> = files.iter().filter_map(|file| file.to_str()).collect();
         let mut surveyor = Surveyor {
             campaign: self,
@@ -135,10 +139,18 @@ struct Surveyor<'a> {
 }
 
 impl Surveyor<'_> {
-    fn lay_pattern(&mut self, index: usize, rule: &CaptureRule, files: &str) -> Result<(), SurveyError> {
+    fn lay_pattern(
+        &mut self,
+        index: usize,
+        rule: &CaptureRule,
+        files: &str,
+    ) -> Result<(), SurveyError> {
         let pattern = Pattern::parse(files).expect("checked when the campaign was loaded");
         let keys = Arc::new(rule.record_keys());
-        let source = Source { rule: index, row: None };
+        let source = Source {
+            rule: index,
+            row: None,
+        };
         let mut matched = false;
         for path in self.paths {
             let bound = match pattern.read(path) {
@@ -155,23 +167,42 @@ impl Surveyor<'_> {
             self.take(source, rule, &keys, path, &bound, None)?;
         }
         if !matched {
-            self.survey.empty.push(format!("{}: files = \"{files}\"", rule_place(index)));
+            self.survey
+                .empty
+                .push(format!("{}: files = \"{files}\"", rule_place(index)));
         }
         Ok(())
     }
 
-    fn lay_table(&mut self, index: usize, rule: &CaptureRule, table: &Path) -> Result<(), SurveyError> {
+    fn lay_table(
+        &mut self,
+        index: usize,
+        rule: &CaptureRule,
+        table: &Path,
+    ) -> Result<(), SurveyError> {
         for row in captures_table::read(&self.campaign.root, table, rule)? {
-            let source = Source { rule: index, row: Some(row.number) };
+            let source = Source {
+                rule: index,
+                row: Some(row.number),
+            };
             let place = source.place(self.campaign);
             if !self.paths.contains(row.file.as_str()) {
-                self.survey.empty.push(format!("{place}: file = \"{}\"", row.file));
+                self.survey
+                    .empty
+                    .push(format!("{place}: file = \"{}\"", row.file));
                 continue;
             }
             check_captures::rule(&row.rule, &place, &self.campaign.sensors)
                 .map_err(|fault| self.error(source, &row.file, fault.problem))?;
             let keys = Arc::new(row.rule.record_keys());
-            self.take(source, &row.rule, &keys, &row.file, &Bound::default(), row.segment)?;
+            self.take(
+                source,
+                &row.rule,
+                &keys,
+                &row.file,
+                &Bound::default(),
+                row.segment,
+            )?;
         }
         Ok(())
     }
@@ -189,7 +220,9 @@ impl Surveyor<'_> {
         let mut exposure = exposure(self.campaign, source.rule, rule, keys, file, bound)
             .map_err(|problem| self.error(source, file, problem))?;
         exposure.segment = segment;
-        let missing = self.references.attach(rule, &mut exposure)
+        let missing = self
+            .references
+            .attach(rule, &mut exposure)
             .map_err(|problem| self.error(source, file, problem))?;
         self.taken.insert(exposure.file.clone());
         if let Some(reference) = &exposure.reference {
@@ -197,9 +230,14 @@ impl Surveyor<'_> {
         }
         if let Some((number, reason)) = self.exclusions.of_exposure(&exposure) {
             self.excludes_used.insert(number);
-            self.survey.excluded.push((exposure.file, reason.to_owned()));
+            self.survey
+                .excluded
+                .push((exposure.file, reason.to_owned()));
         } else if let Some(wanted) = missing {
-            self.survey.missing_references.push(MissingReference { file: exposure.file, wanted });
+            self.survey.missing_references.push(MissingReference {
+                file: exposure.file,
+                wanted,
+            });
         } else {
             self.claims.push(Claim { exposure, source });
         }
@@ -208,7 +246,13 @@ impl Surveyor<'_> {
 
     fn finish(mut self, files: &[PathBuf]) -> Result<Survey, SurveyError> {
         self.claims.sort_by(|a, b| a.order().cmp(&b.order()));
-        self.refuse_clashes()?;
+        if let Some((file, first, second)) = claims::first_clash(&self.claims) {
+            return Err(SurveyError::Clash {
+                file: file.to_owned(),
+                first: first.place(self.campaign),
+                second: second.place(self.campaign),
+            });
+        }
         for file in files.iter().filter(|file| !self.taken.contains(*file)) {
             match self.exclusions.of_file(file) {
                 Some((number, reason)) => {
@@ -222,105 +266,251 @@ impl Surveyor<'_> {
             let may_mean = |claim: &Claim| self.exclusions.may_mean(number, &claim.exposure);
             if !self.excludes_used.contains(&number) && !self.claims.iter().any(may_mean) {
                 let place = exclude_place(number);
-                self.survey.empty.push(format!("{place}: reason = \"{}\"", exclude.reason));
+                self.survey
+                    .empty
+                    .push(format!("{place}: reason = \"{}\"", exclude.reason));
             }
         }
         self.survey.excluded.sort();
         self.survey.excluded.dedup();
-        self.survey.exposures = self.claims.into_iter().map(|claim| claim.exposure).collect();
+        self.survey.exposures = self
+            .claims
+            .into_iter()
+            .map(|claim| claim.exposure)
+            .collect();
         Ok(self.survey)
     }
 
-    /// No record may be two exposures, and no file of references an exposure.
-    fn refuse_clashes(&self) -> Result<(), SurveyError> {
-        let clash = |file: &Path, first: &Claim, second: String| SurveyError::Clash {
-            file: file.to_owned(),
-            first: first.source.place(self.campaign),
-            second,
-        };
-        for records in self.claims.chunk_by(|a, b| a.exposure.file == b.exposure.file) {
-            if let Some((first, second)) = same_record(records) {
-                let second = second.source.place(self.campaign);
-                return Err(clash(&first.exposure.file, first, second));
-            }
-        }
-        let of_files = |claim: &&Claim| matches!(&claim.exposure.reference, Some(r) if r.channel.is_none());
-        for claim in self.claims.iter().filter(of_files) {
-            let Some(reference) = &claim.exposure.reference else { continue };
-            let at = self.claims.partition_point(|other| other.exposure.file < reference.file);
-            if let Some(other) = self.claims.get(at).filter(|o| o.exposure.file == reference.file) {
-                let second = format!("{} as a reference", claim.source.place(self.campaign));
-                return Err(clash(&reference.file, other, second));
-            }
-        }
-        Ok(())
-    }
-
     fn error(&self, source: Source, file: &str, problem: String) -> SurveyError {
-        SurveyError::File { place: source.place(self.campaign), file: file.into(), problem }
-    }
-}
-
-/// The rule, or the row of its table, that speaks of a file.
-#[derive(Clone, Copy, Debug)]
-struct Source {
-    rule: usize,
-    row: Option<u64>,
-}
-
-impl Source {
-    fn place(self, campaign: &Campaign) -> String {
-        match (self.row, &campaign.captures[self.rule].table) {
-            (Some(row), Some(table)) => format!("{}, row {row}", table.display()),
-            _ => rule_place(self.rule),
+        SurveyError::File {
+            place: source.place(self.campaign),
+            file: file.into(),
+            problem,
         }
     }
 }
 
-struct Claim {
-    exposure: Exposure,
-    source: Source,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::keys::Role;
+    use std::fs;
 
-impl Claim {
-    fn order(&self) -> (&Path, Option<&str>, Option<u32>, usize) {
-        let Exposure { file, channel, segment, rule, .. } = &self.exposure;
-        (file, channel.as_deref(), *segment, *rule)
-    }
-}
+    const SENSOR: &str = "[campaign]\nname = 'c'\n[sensors.s1]\n";
 
-/// Two claims to the same record of one file: a claim without channel (or segment) claims all of them.
-fn same_record(claims: &[Claim]) -> Option<(&Claim, &Claim)> {
-    // Each claim is entered as what it is, and as one of any channel, of any segment, of any of both; so that a search never has to look at all of them.
-    let mut entered: BTreeMap<(Part<&str>, Part<u32>), &Claim> = BTreeMap::new();
-    for claim in claims {
-        let (channel, segment) = (claim.exposure.channel.as_deref(), claim.exposure.segment);
-        for channel in clashing(channel) {
-            for segment in clashing(segment) {
-                if let Some(other) = entered.get(&(channel, segment)) {
-                    return Some((other, claim));
-                }
-            }
+    /// A folder with these files, each one byte, and this campaign file.
+    fn folder(files: &[&str], rules: &str) -> (tempfile::TempDir, Campaign) {
+        let folder = tempfile::tempdir().unwrap();
+        for file in files {
+            let file = folder.path().join(file);
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            fs::write(file, "x").unwrap();
         }
-        for channel in [Part::Any, Part::Is(channel)] {
-            for segment in [Part::Any, Part::Is(segment)] {
-                entered.entry((channel, segment)).or_insert(claim);
-            }
+        let campaign = Campaign::parse(folder.path(), &format!("{SENSOR}{rules}")).unwrap();
+        (folder, campaign)
+    }
+
+    fn survey(files: &[&str], rules: &str) -> Result<Survey, String> {
+        folder(files, rules)
+            .1
+            .survey()
+            .map_err(|error| error.to_string())
+    }
+
+    fn names(files: &[PathBuf]) -> Vec<&str> {
+        files.iter().map(|file| file.to_str().unwrap()).collect()
+    }
+
+    const SCENE: &str = "[[captures]]\nrole = 'scene'\nfiles = 'raw/C1_L{lit}_P{seen}.trc'\n\
+                         reference = { files = 'raw/C2_L{lit}_P{seen}.trc' }\ndt_ps = 50\n";
+
+    #[test]
+    fn exposures_references_and_what_is_left_over() {
+        let files = [
+            "raw/C1_L1_P2.trc",
+            "raw/C2_L001_P002.trc",
+            "raw/C1_L2_P1.trc",
+            "notes.txt",
+            "raw/dark.npy",
+            "raw/C1_L3_P1.trc",
+            "raw/C2_L3_P1.trc",
+            "papers/a.pdf",
+        ];
+        let rules = format!(
+            "{SCENE}[[captures]]\nrole = 'dark'\nfiles = 'raw/*.npy'\n[[captures]]\nrole = 'response'\nfiles = 'r/*.npy'\n\
+             [[exclude]]\nmatch = {{ lit = 3 }}\nreason = 'shutter'\n[[exclude]]\nmatch = {{ lit = 9 }}\nreason = 'none such'\n\
+             [[exclude]]\nmatch = {{ file = 'papers/*' }}\nreason = 'no data'\n"
+        );
+        let survey = survey(&files, &rules).unwrap();
+        let [scene, dark] = survey.exposures.as_slice() else {
+            panic!("{survey:?}")
+        };
+        assert_eq!(scene.file, Path::new("raw/C1_L1_P2.trc"));
+        assert_eq!(
+            (scene.lit, scene.seen, scene.shot),
+            (Some(1), Some(2), None)
+        );
+        assert_eq!(
+            (scene.sensor.as_deref(), scene.keys.dt_ps),
+            (Some("s1"), Some(50.0))
+        );
+        let reference = scene.reference.as_ref().unwrap();
+        assert_eq!(reference.file, Path::new("raw/C2_L001_P002.trc"));
+        assert_eq!((dark.rule, dark.lit, dark.seen), (1, Some(0), Some(0)));
+        assert_eq!(
+            survey.missing_references[0].file,
+            Path::new("raw/C1_L2_P1.trc")
+        );
+        let wanted = &survey.missing_references[0].wanted;
+        assert_eq!(wanted, "raw/C2_L{lit}_P{seen}.trc with lit = 2, seen = 1");
+        assert_eq!(names(&survey.unmatched), ["notes.txt"]);
+        let empty = [
+            "[[captures]] number 3: files = \"r/*.npy\"",
+            "[[exclude]] number 2: reason = \"none such\"",
+        ];
+        assert_eq!(survey.empty, empty);
+        let excluded = [("papers/a.pdf", "no data"), ("raw/C1_L3_P1.trc", "shutter")];
+        assert_eq!(
+            survey.excluded,
+            excluded.map(|(file, why)| (file.into(), why.to_owned()))
+        );
+        let files: Vec<&str> = survey
+            .files()
+            .into_iter()
+            .map(|file| file.to_str().unwrap())
+            .collect();
+        assert_eq!(
+            files,
+            ["raw/C1_L1_P2.trc", "raw/C2_L001_P002.trc", "raw/dark.npy"]
+        );
+    }
+
+    #[test]
+    fn every_file_is_accounted_for() {
+        let files: Vec<String> = (0..200)
+            .map(|i| format!("raw/C{}_L{}_P{}.trc", i % 3 + 1, i / 3 % 7 + 1, i / 21 + 1))
+            .collect();
+        let files: Vec<&str> = files.iter().map(String::as_str).collect();
+        let rules = format!("{SCENE}[[exclude]]\nmatch = {{ lit = 4 }}\nreason = 'r'\n");
+        let survey = survey(&files, &rules).unwrap();
+        let mut seen: Vec<PathBuf> = survey.files().into_iter().map(Path::to_owned).collect();
+        seen.extend(survey.unmatched.iter().cloned());
+        seen.extend(survey.excluded.iter().map(|(file, _)| file.clone()));
+        seen.extend(
+            survey
+                .excluded
+                .iter()
+                .map(|(file, _)| file.to_str().unwrap().replace("C1", "C2").into()),
+        );
+        seen.extend(
+            survey
+                .missing_references
+                .iter()
+                .map(|missing| missing.file.clone()),
+        );
+        seen.retain(|file| files.contains(&file.to_str().unwrap()));
+        seen.sort();
+        let mut expected: Vec<PathBuf> = files.iter().map(PathBuf::from).collect();
+        expected.sort();
+        assert_eq!(seen, expected);
+    }
+
+    #[test]
+    fn a_table_says_what_a_pattern_cannot() {
+        let table = "file,segment,lit,seen,role,dt_ps\nraw/a.trc,0,1,2,,\nraw/a.trc,1,2,1,,25\nraw/b.trc,,,,dark,\nraw/c.trc,,1,1,,\n";
+        let (folder, campaign) = folder(
+            &["raw/a.trc", "raw/b.trc"],
+            "[[captures]]\nrole = 'scene'\ntable = 'captures.csv'\ndt_ps = 50\n",
+        );
+        fs::write(folder.path().join("captures.csv"), table).unwrap();
+        let survey = campaign.survey().unwrap();
+        let found: Vec<_> = survey
+            .exposures
+            .iter()
+            .map(|e| (e.segment, e.lit, e.seen, e.role, e.keys.dt_ps))
+            .collect();
+        let expected = [
+            (Some(0), Some(1), Some(2), Role::Scene, Some(50.0)),
+            (Some(1), Some(2), Some(1), Role::Scene, Some(25.0)),
+            (None, Some(0), Some(0), Role::Dark, Some(50.0)),
+        ];
+        assert_eq!(found, expected);
+        assert_eq!(survey.empty, ["captures.csv, row 5: file = \"raw/c.trc\""]);
+        assert!(survey.unmatched.is_empty());
+        for (row, part) in [
+            ("raw/b.trc,,,,,", "which patch is `lit`"),
+            ("raw/b.trc,,1,2,,-5", "dt_ps must be above 0"),
+            ("raw/a.trc,,1,2,,", "taken by captures.csv, row"),
+        ] {
+            fs::write(
+                folder.path().join("captures.csv"),
+                format!("{table}{row}\n"),
+            )
+            .unwrap();
+            let error = campaign.survey().unwrap_err().to_string();
+            assert!(
+                error.contains(part) && error.contains("captures.csv, row"),
+                "{error}"
+            );
         }
     }
-    None
-}
 
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Part<T> {
-    Any,
-    Is(Option<T>),
-}
+    #[test]
+    fn axes_leave_coordinates_open() {
+        let rules = "[[captures]]\nrole = 'scene'\nfiles = '*.npy'\nsegments = ['lit', 'seen', 'sensor', 'shot']\n\
+                     [[exclude]]\nmatch = { lit = 3 }\nreason = 'r'\n";
+        let survey = survey(&["a.npy"], rules).unwrap();
+        let exposure = &survey.exposures[0];
+        assert_eq!(
+            (exposure.lit, exposure.seen, &exposure.sensor),
+            (None, None, &None)
+        );
+        assert!(
+            survey.empty.is_empty(),
+            "the exclusion may mean a part of the array"
+        );
+    }
 
-fn clashing<T: Copy>(part: Option<T>) -> Vec<Part<T>> {
-    match part {
-        None => vec![Part::Any],
-        some => vec![Part::Is(some), Part::Is(None)],
+    #[test]
+    fn two_rules_may_share_a_file_only_by_channel() {
+        let rule = |channel: &str| {
+            format!("[[captures]]\nrole = 'scene'\nfiles = 'L{{lit}}_P{{seen}}.trc'\n{channel}\n")
+        };
+        let files = ["L1_P2.trc"];
+        let both = rule("channel = 'C1'") + &rule("channel = 'C2'");
+        assert_eq!(survey(&files, &both).unwrap().exposures.len(), 2);
+        let error = survey(&files, &(rule("channel = 'C1'") + &rule(""))).unwrap_err();
+        let expected = "L1_P2.trc: taken by [[captures]] number 2 and by [[captures]] number 1;";
+        assert!(error.starts_with(expected), "{error}");
+    }
+
+    #[test]
+    fn files_that_do_not_fit_their_rule_are_named() {
+        let scene = |pattern: &str| format!("[[captures]]\nrole = 'scene'\nfiles = '{pattern}'\n");
+        for (pattern, file, part) in [
+            (
+                "L{lit}_P{seen}.trc",
+                "L0_P2.trc",
+                "patches are numbered from 1",
+            ),
+            (
+                "L{lit}_P{seen}_{shot}.trc",
+                "L1_P2_20231117093000.trc",
+                "too large",
+            ),
+            (
+                "{sensor}_L{lit}_P{seen}.trc",
+                "s2_L1_P2.trc",
+                "add [sensors.s2]",
+            ),
+            (
+                "{sensor}x{range}/L{lit}_P{seen}.trc",
+                "axbxc/L1_P2.trc",
+                "in two ways",
+            ),
+        ] {
+            let error = survey(&[file], &scene(pattern)).unwrap_err();
+            assert!(error.contains(part) && error.contains(file), "{error}");
+        }
     }
 }
-

@@ -93,37 +93,50 @@ fn place(text: &str, span: &Range<usize>) -> Place {
     found
 }
 
-/// Depth first: the deepest key or value that holds the span comes last and stays. Headings that come later in the text do not hold it.
-fn search(table: &DeTable, span: &Range<usize>, steps: &mut Vec<Step>, found: &mut Place) {
+/// Depth first. A key that is the span ends the search (true). Otherwise the deepest value that holds the span comes last and stays; headings
+/// elsewhere in the text do not hold it.
+fn search(table: &DeTable, span: &Range<usize>, steps: &mut Vec<Step>, found: &mut Place) -> bool {
     for (key, value) in table {
         let name = key.get_ref().to_string();
-        if holds(&key.span(), span) || holds(&value.span(), span) {
-            let inside = value.get_ref().is_table() && !holds(&key.span(), span);
+        let is_key = key.span() == *span;
+        if is_key || holds(&value.span(), span) {
             found.steps.clone_from(steps);
             found.key = Some(name.clone());
-            if inside {
-                found.steps.push(Step::Key(name.clone()));
-                found.key = None;
-            }
+        }
+        if is_key {
+            return true;
         }
         steps.push(Step::Key(name));
-        match value.get_ref() {
-            DeValue::Table(inner) => search(inner, span, steps, found),
-            DeValue::Array(items) => {
-                for (index, item) in items.iter().enumerate() {
-                    let DeValue::Table(inner) = item.get_ref() else { continue };
-                    steps.push(Step::Item(index));
-                    if holds(&item.span(), span) {
-                        found.steps.clone_from(steps);
-                        found.key = None;
-                    }
-                    search(inner, span, steps, found);
-                    steps.pop();
-                }
+        let done = match value.get_ref() {
+            DeValue::Table(inner) => {
+                enter(&value.span(), span, steps, found);
+                search(inner, span, steps, found)
             }
-            _ => {}
-        }
+            DeValue::Array(items) => items.iter().enumerate().any(|(index, item)| {
+                let DeValue::Table(inner) = item.get_ref() else {
+                    return false;
+                };
+                steps.push(Step::Item(index));
+                enter(&item.span(), span, steps, found);
+                let done = search(inner, span, steps, found);
+                steps.pop();
+                done
+            }),
+            _ => false,
+        };
         steps.pop();
+        if done {
+            return true;
+        }
+    }
+    false
+}
+
+/// A span in a table, at none of its keys, is at the table itself.
+fn enter(table: &Range<usize>, span: &Range<usize>, steps: &[Step], found: &mut Place) {
+    if holds(table, span) {
+        found.steps = steps.to_vec();
+        found.key = None;
     }
 }
 
@@ -196,7 +209,9 @@ mod tests {
     }
 
     fn error(text: &str) -> String {
-        parse::<File>(Path::new("c.toml"), text).unwrap_err().to_string()
+        parse::<File>(Path::new("c.toml"), text)
+            .unwrap_err()
+            .to_string()
     }
 
     #[test]
@@ -237,6 +252,9 @@ mod tests {
     fn the_right_item_of_several_is_named() {
         let good = "[[captures]]\nposition_m = [1, 2, 3]\n";
         let text = error(&format!("{good}{good}[[captures]]\nposition = 1\n"));
-        assert!(text.contains("line 6") && text.contains("[[captures]] number 3"), "{text}");
+        assert!(
+            text.contains("line 6") && text.contains("[[captures]] number 3"),
+            "{text}"
+        );
     }
 }

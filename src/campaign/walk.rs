@@ -61,7 +61,14 @@ mod tests {
     fn files_come_sorted_without_hidden_ones_and_rings_end() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path();
-        for file in ["b.trc", "raw/z/1.trc", "raw/a.trc", ".git/x", "raw/.part", "raw/campaign.toml"] {
+        for file in [
+            "b.trc",
+            "raw/z/1.trc",
+            "raw/a.trc",
+            ".git/x",
+            "raw/.part",
+            "raw/campaign.toml",
+        ] {
             fs::create_dir_all(root.join(file).parent().unwrap()).unwrap();
             fs::write(root.join(file), "x").unwrap();
         }

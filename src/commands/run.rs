@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use periscope::campaign::{self, Campaign};
+use periscope::campaign::Campaign;
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::{self as runner, Outcome, Settings};
@@ -97,7 +97,7 @@ pub fn size(text: &str) -> Result<usize, String> {
 pub fn campaigns(folders: &[PathBuf]) -> Result<Vec<Campaign>> {
     let mut campaigns: Vec<Campaign> = Vec::new();
     for folder in folders {
-        let campaign = campaign::load(folder)?;
+        let campaign = Campaign::load(folder)?;
         if let Some(other) = campaigns.iter().find(|other| other.name == campaign.name) {
             bail!("campaigns {} and {} are both named `{}`; change `name` in one campaign.toml", other.root.display(), folder.display(), campaign.name);
         }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::Args;
-use periscope::campaign;
+use periscope::campaign::{Campaign, seal as seal_campaign};
 
 /// Arguments of `seal`.
 #[derive(Args)]
@@ -19,9 +19,9 @@ pub struct Seal {
 
 /// The command.
 pub fn seal(args: &Seal) -> Result<ExitCode> {
-    let campaign = campaign::load(&args.dir)?;
-    let survey = campaign::survey(&campaign)?;
-    let report = campaign::manifest::seal(&campaign, &survey, args.update)?;
+    let campaign = Campaign::load(&args.dir)?;
+    let survey = campaign.survey()?;
+    let report = seal_campaign(&campaign, &survey, args.update)?;
     println!("{report}");
     Ok(ExitCode::SUCCESS)
 }

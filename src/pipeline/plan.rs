@@ -91,7 +91,7 @@ impl<'a> Plan<'a> {
         let mut ids: Vec<StageId> = Vec::new();
         for (i, step) in spec.steps.iter().enumerate() {
             if let Node::Source(source) = &step.node {
-                let open = source.open(campaigns).map_err(|source| PlanError::Stage { heading: step.heading.clone(), source })?;
+                let open = source.open(campaigns, &shelf.notes()).map_err(|source| PlanError::Stage { heading: step.heading.clone(), source })?;
                 sources.insert(i, open);
             }
             let id = stage_id(spec, i, campaigns, &ids);

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::stage::{Feed, OpenSource, PartRead, Source, SourcePart, StageError, WrittenTable};
-use crate::campaign::{Campaign, manifest, suggest};
+use crate::campaign::{Campaign, hash_file, suggest};
 use crate::store::{Digest, parquet};
 use crate::tables;
 
@@ -110,12 +110,12 @@ impl Source for Import {
         WrittenTable { name: self.table.clone(), schema: self.schema() }
     }
 
-    fn open<'a>(&'a self, _: &'a [Campaign]) -> Result<Box<dyn OpenSource + 'a>, StageError> {
+    fn open<'a>(&'a self, _: &'a [Campaign], _: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
         let files = self.files()?;
         let mut digests = Vec::new();
         let mut bytes = 0;
         for file in &files {
-            digests.push(Digest::from(manifest::hash_file(file).map_err(|error| self.refused(error))?));
+            digests.push(Digest::from(hash_file(file).map_err(|error| self.refused(error))?));
             bytes += std::fs::metadata(file).map_err(|error| self.refused(error))?.len();
         }
         let content = Digest::join("import", &digests);

@@ -12,6 +12,8 @@
 mod raw;
 mod survey;
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -53,8 +55,8 @@ impl Source for Ingest {
     fn table(&self) -> WrittenTable {
         WrittenTable { name: Trace::TABLE.to_owned(), schema: Trace::schema() }
     }
-    fn open<'a>(&'a self, campaigns: &'a [Campaign]) -> Result<Box<dyn OpenSource + 'a>, StageError> {
-        Ok(Box::new(Surveyed::new(campaigns, &self.roles)?))
+    fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
+        Ok(Box::new(Surveyed::new(campaigns, &self.roles, notes)?))
     }
 }
 
@@ -69,6 +71,6 @@ impl OpenSource for Surveyed<'_> {
         raw::read_part(self, part, batch_bytes, feed)
     }
     fn close(&self) -> Result<(), StageError> {
-        self.save_manifests()
+        self.save_notes()
     }
 }

@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::path::Path;
 use std::sync::Arc;
 
 use arrow::array::{AsArray, Int32Array, RecordBatch, StringArray};
@@ -505,11 +506,11 @@ pub trait Source: Send + Sync {
     fn fields(&self, campaigns: &[Campaign]) -> Value;
     /// Its table.
     fn table(&self) -> WrittenTable;
-    /// Surveys the campaigns: its parts, in order.
+    /// Surveys the campaigns: its parts, in order. What it learns of raw files it may note down in the folder `notes`.
     ///
     /// # Errors
     /// When a campaign folder cannot be read or is inconsistent.
-    fn open<'a>(&'a self, campaigns: &'a [Campaign]) -> Result<Box<dyn OpenSource + 'a>, StageError>;
+    fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError>;
 }
 
 /// A source that has surveyed its parts.

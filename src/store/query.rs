@@ -40,7 +40,7 @@ pub enum QueryError {
 /// # Errors
 /// When the question is refused, or a table cannot be read.
 pub fn answer(shelf: &Shelf, sql: &str, form: Form, out: &mut impl Write) -> Result<(), QueryError> {
-    let context = SQLContext::new();
+    let mut context = SQLContext::new();
     let mut views: Vec<String> = shelf.tables()?.into_iter().map(|(view, _)| view).collect();
     views.push("rejects".to_owned());
     for view in views {

@@ -230,6 +230,12 @@ impl Shelf {
         &self.out
     }
 
+    /// Folder where sources may note down what they learnt of raw files.
+    #[must_use]
+    pub fn notes(&self) -> PathBuf {
+        self.root().join("notes")
+    }
+
     fn sweep(&self) -> Result<(), StoreError> {
         for folder in fs::read_dir(self.root()).at("read", &self.root())?.flatten() {
             for entry in fs::read_dir(folder.path()).into_iter().flatten().flatten() {

@@ -1,14 +1,13 @@
 //! Which captures there are, in which files, and how they are cut into parts: known before any sample is read.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::Metadata;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use serde_json::{Value, json};
 
-use crate::campaign::manifest::{FileState, Manifest, hash_file};
-use crate::campaign::parts::closes_part;
-use crate::campaign::{Axis, Campaign, Exposure, Role, survey};
+use crate::campaign::{Axis, Campaign, Exposure, FileState, Manifest, ManifestError, Role, Survey, closes_part, hash_file};
 use crate::formats;
 use crate::stages::stage::{SourcePart, StageError};
 use crate::store::Digest;
@@ -87,7 +86,36 @@ pub struct Surveyed<'a> {
     pub source_parts: Vec<SourcePart>,
     /// What a user should know.
     pub warnings: Vec<String>,
-    manifests: Vec<Mutex<(Manifest, bool)>>,
+    records: Vec<Record>,
+}
+
+/// What is on record of a campaign's raw files: its seal, if it has one, and what earlier runs into this result folder noted.
+struct Record {
+    seal: Option<Manifest>,
+    /// Folder of the notes.
+    notes: PathBuf,
+    /// Notes, and whether they have entries that are not written down yet.
+    noted: Mutex<(Manifest, bool)>,
+}
+
+impl Record {
+    fn load(campaign: &Campaign, notes: &Path) -> Result<Self, ManifestError> {
+        let notes = notes.join(&campaign.name);
+        let noted = Mutex::new((Manifest::load(&notes)?.unwrap_or_default(), false));
+        Ok(Self { seal: Manifest::load(&campaign.root)?, notes, noted })
+    }
+
+    /// The seal decides where there is one.
+    fn check(&self, root: &Path, file: &Path) -> Result<FileState, ManifestError> {
+        let sealed = self.seal.as_ref().map_or(Ok(FileState::New), |seal| seal.check(root, file))?;
+        let noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner).0.check(root, file)?;
+        Ok(match (sealed, noted) {
+            (FileState::New, noted) => noted,
+            // A file whose time stamp alone changed was hashed again by an earlier run, which noted it.
+            (FileState::Touched { recorded }, FileState::Known(hash)) if hash == recorded => noted,
+            (sealed, _) => sealed,
+        })
+    }
 }
 
 impl<'a> Surveyed<'a> {
@@ -95,24 +123,21 @@ impl<'a> Surveyed<'a> {
     ///
     /// # Errors
     /// When a folder cannot be read, rules contradict each other, or a sealed file has changed.
-    pub fn new(campaigns: &'a [Campaign], roles: &[Role]) -> Result<Self, StageError> {
+    pub fn new(campaigns: &'a [Campaign], roles: &[Role], notes: &Path) -> Result<Self, StageError> {
         let mut captures: BTreeMap<Order, Capture> = BTreeMap::new();
         let mut warnings = Vec::new();
-        let mut manifests = Vec::new();
+        let mut records = Vec::new();
         for (index, campaign) in campaigns.iter().enumerate() {
-            let refused = |error: &dyn std::fmt::Display| StageError::Refused(format!("campaign {}: {error}", campaign.root.display()));
-            let found = survey(campaign).map_err(|error| refused(&error))?;
-            let place = campaign.root.display();
-            warnings.extend(found.empty.iter().map(|pattern| format!("{place}: pattern `{pattern}` matches no file")));
-            if !found.unmatched.is_empty() {
-                let some: Vec<String> = found.unmatched.iter().take(3).map(|file| file.display().to_string()).collect();
-                let more = if found.unmatched.len() > 3 { ", ..." } else { "" };
-                warnings.push(format!("{place}: {} files match no rule of campaign.toml: {}{more}", found.unmatched.len(), some.join(", ")));
-            }
-            warnings.extend(found.missing_references.iter().map(|file| format!("{place}: no reference file for {}", file.display())));
-            manifests.push(Mutex::new((Manifest::load(&campaign.root).map_err(|error| refused(&error))?, false)));
-            for exposure in found.exposures.into_iter().filter(|exposure| roles.contains(&exposure.role)) {
-                for (key, item) in items(campaign, exposure).map_err(|error| refused(&error))? {
+            let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&campaign.root, error));
+            let found = campaign.survey().map_err(|error| refused(&error))?;
+            let record = Record::load(campaign, notes).map_err(|error| refused(&error))?;
+            warn(campaign, &found, &record, &mut warnings);
+            let sealed = |exposure: &Exposure| record.seal.as_ref().is_none_or(|seal| seal.get(&exposure.file).is_some());
+            let mut exposures = found.exposures;
+            exposures.retain(|exposure| roles.contains(&exposure.role) && sealed(exposure));
+            records.push(record);
+            for exposure in exposures {
+                for (key, item) in items(campaign, exposure)? {
                     let (sensor, lit, seen) = key;
                     let role = item.exposure.role;
                     let order = (index, sensor.clone(), lit.min(seen), lit.max(seen), lit, role);
@@ -121,9 +146,9 @@ impl<'a> Surveyed<'a> {
                 }
             }
         }
-        let mut surveyed = Self { campaigns, parts: Vec::new(), source_parts: Vec::new(), warnings, manifests };
+        let mut surveyed = Self { campaigns, parts: Vec::new(), source_parts: Vec::new(), warnings, records };
         surveyed.cut(captures.into_values());
-        surveyed.check_manifests()?;
+        surveyed.check_files()?;
         let parts = surveyed.parts.iter().map(|part| surveyed.source_part(part)).collect();
         surveyed.source_parts = parts;
         Ok(surveyed)
@@ -150,59 +175,56 @@ impl<'a> Surveyed<'a> {
         }
     }
 
-    /// Files that changed since they were sealed are refused; those whose time stamp alone changed are hashed again here.
-    fn check_manifests(&self) -> Result<(), StageError> {
-        let mut changed = Vec::new();
+    /// Files that changed since they were recorded are refused; those whose time stamp alone changed are hashed again here.
+    fn check_files(&self) -> Result<(), StageError> {
+        let mut changed = BTreeSet::new();
         for capture in self.parts.iter().flatten() {
             let root = &self.campaigns[capture.campaign].root;
+            let refused = |error: &dyn std::error::Error| StageError::Refused(chain(root, error));
             for file in capture.files() {
-                if let FileState::Touched(recorded) = self.state(capture.campaign, file) {
-                    let digest = hash_file(&root.join(file)).map_err(|error| StageError::Refused(format!("{}: {error}", root.join(file).display())))?;
-                    if digest == recorded {
-                        self.record(capture.campaign, file, digest);
-                    } else {
-                        changed.push(root.join(file).display().to_string());
-                    }
+                let state = self.records[capture.campaign].check(root, file).map_err(|error| refused(&error))?;
+                let FileState::Touched { recorded } = state else { continue };
+                let metadata = std::fs::metadata(root.join(file)).map_err(|error| refused(&error))?;
+                if hash_file(&root.join(file)).map_err(|error| refused(&error))? == recorded {
+                    self.record(capture.campaign, file, recorded, &metadata);
+                } else {
+                    changed.insert(root.join(file).display().to_string());
                 }
             }
         }
         if changed.is_empty() {
             return Ok(());
         }
-        changed.dedup();
+        let changed: Vec<String> = changed.into_iter().collect();
         Err(StageError::Refused(format!(
-            "changed since the campaign was sealed: {}; restore what was captured, or delete manifest.json to accept the files as they are now",
+            "changed since they were first read: {}; restore what was captured, or, if the change is meant, seal the campaign anew and choose a new --out",
             changed.join(", ")
         )))
     }
 
-    fn state(&self, campaign: usize, file: &Path) -> FileState {
-        let manifest = self.manifests[campaign].lock().unwrap_or_else(PoisonError::into_inner);
-        manifest.0.check(&self.campaigns[campaign].root, file)
-    }
-
-    /// The digest of a file, if the manifest has it and the file still has the size and time that it had then.
+    /// The digest of a file, if it is on record and the file still has the size and time that it had then.
     pub fn known(&self, campaign: usize, file: &Path) -> Option<Digest> {
-        match self.state(campaign, file) {
-            FileState::Known(digest) => Some(digest.into()),
+        match self.records[campaign].check(&self.campaigns[campaign].root, file) {
+            Ok(FileState::Known(digest)) => Some(digest.into()),
             _ => None,
         }
     }
 
-    /// Remembers the digest of a file that was just read.
-    pub fn record(&self, campaign: usize, file: &Path, digest: blake3::Hash) {
-        let mut manifest = self.manifests[campaign].lock().unwrap_or_else(PoisonError::into_inner);
-        if manifest.0.record(&self.campaigns[campaign].root, file, digest).is_ok() {
-            manifest.1 = true;
-        }
+    /// Notes the digest of a file that was read; `metadata` was taken before.
+    pub fn record(&self, campaign: usize, file: &Path, digest: blake3::Hash, metadata: &Metadata) {
+        let mut noted = self.records[campaign].noted.lock().unwrap_or_else(PoisonError::into_inner);
+        noted.0.record(file, digest, metadata);
+        noted.1 = true;
     }
 
-    /// Writes the manifests that have new entries. A campaign folder that cannot be written is no error: its files are hashed again next time.
-    pub fn save_manifests(&self) -> Result<(), StageError> {
-        for (campaign, manifest) in self.campaigns.iter().zip(&self.manifests) {
-            let mut manifest = manifest.lock().unwrap_or_else(PoisonError::into_inner);
-            if manifest.1 && manifest.0.save(&campaign.root).is_ok() {
-                manifest.1 = false;
+    /// Writes down the notes that have new entries.
+    pub fn save_notes(&self) -> Result<(), StageError> {
+        for record in &self.records {
+            let mut noted = record.noted.lock().unwrap_or_else(PoisonError::into_inner);
+            if std::mem::take(&mut noted.1) {
+                let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&record.notes, error));
+                std::fs::create_dir_all(&record.notes).map_err(|error| refused(&error))?;
+                noted.0.save(&record.notes).map_err(|error| refused(&error))?;
             }
         }
         Ok(())
@@ -226,6 +248,33 @@ impl<'a> Surveyed<'a> {
     }
 }
 
+/// An error with its causes, and the folder that it is about.
+fn chain(root: &Path, error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    let texts: Vec<String> = causes.map(ToString::to_string).collect();
+    format!("campaign {}: {}", root.display(), texts.join(": "))
+}
+
+/// What a user should know of a survey.
+fn warn(campaign: &Campaign, found: &Survey, record: &Record, warnings: &mut Vec<String>) {
+    let place = campaign.root.display();
+    let mut list = |what: &str, files: Vec<String>| {
+        let more = if files.len() > 3 { ", ..." } else { "" };
+        if !files.is_empty() {
+            warnings.push(format!("{place}: {} {what}: {}{more}", files.len(), files[..files.len().min(3)].join(", ")));
+        }
+    };
+    let text = |file: &Path| file.display().to_string();
+    list("patterns of campaign.toml match no file", found.empty.clone());
+    list("files match no rule of campaign.toml and are left out", found.unmatched.iter().map(|file| text(file)).collect());
+    let missing = found.missing_references.iter().map(|missing| format!("{} (wanted {})", text(&missing.file), missing.wanted));
+    list("files are left out, since their reference is missing", missing.collect());
+    if let Some(seal) = &record.seal {
+        let new = found.files().into_iter().filter(|file| seal.get(file).is_none());
+        list("files came since the campaign was sealed and are left out until `periscope seal --update`", new.map(text).collect());
+    }
+}
+
 /// Sensor, lit, seen.
 type Key = (String, PatchId, PatchId);
 
@@ -238,7 +287,7 @@ fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, St
         bytes += size(&campaign.path_of(&reference.file))?;
     }
     if exposure.keys.segments == [Axis::Shot] {
-        let key = (exposure.sensor.clone(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
+        let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
         return Ok(vec![(key, Item { exposure, records: None, bytes })]);
     }
     along_axes(&path, exposure, bytes)
@@ -274,7 +323,7 @@ fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, I
                 _ => shot = place as i32,
             }
         }
-        let key = (exposure.sensor.clone(), lit.unwrap_or(0), seen.unwrap_or(0));
+        let key = (exposure.sensor.clone().unwrap_or_default(), lit.unwrap_or(0), seen.unwrap_or(0));
         items.entry((key, range)).or_default().push((index, shot));
     }
     let share = bytes / items.len().max(1) as u64;

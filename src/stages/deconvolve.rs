@@ -1,0 +1,152 @@
+//! `deconvolve`: the sensor's response undone: which impulses of light explain a profile, and how sure (paper sections 3 and 6).
+//!
+//! | method | result |
+//! |---|---|
+//! | `sparse` | impulses off the grid by greedy maximum likelihood, with times, amplitudes, covariance and evidence |
+//! | `wiener` | a regularised profile for the eye and for edge methods of `detect`; no impulses |
+//!
+//! With a known response the limit of time resolution is noise and not the sensor: `sparse` separates pulses closer than the response is
+//! wide. Times are times of flight: the sensor's latency is taken off here.
+//!
+//! Takes `profiles`; writes `stir`. Beside it: `calibration`. Noise is taken as white and equal along the record, of standard deviation
+//! `noise_v` over the root of the shots. Not modelled yet: correlated noise, noise that depends on the level, extended bounces.
+//!
+//! ```toml
+//! [stir]
+//! stage = "deconvolve"
+//! from = "profiles"
+//! with = { calibration = "calibration" }
+//! params = { method = "sparse" }
+//! ```
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
+use crate::campaign::Campaign;
+use crate::signal::fft::RealFft;
+use crate::signal::response::Response;
+use crate::signal::sparse;
+use crate::signal::wiener::{Transfer, Wiener};
+use crate::tables::{Calibration, Impulse, Name, Profile, Stir};
+
+/// Parameters of `deconvolve`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Deconvolve {
+    method: Method,
+    /// Chi-square that one impulse more must gain, for `sparse`; absent: set by the record's length, for one false impulse in 1,000 records.
+    evidence: Option<f64>,
+    /// Most impulses in a profile, for `sparse`.
+    impulses_max: usize,
+    /// Noise over signal power, for `wiener`; absent: estimated for each profile.
+    noise_to_signal: Option<f64>,
+    /// Where a Gaussian low-pass has fallen to exp(-1/2), for `wiener`; absent: none.
+    lowpass_ghz: Option<f64>,
+}
+
+/// How the response is undone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Method {
+    Sparse,
+    Wiener,
+}
+
+impl Default for Deconvolve {
+    fn default() -> Self {
+        Self { method: Method::Sparse, evidence: None, impulses_max: 16, noise_to_signal: None, lowpass_ghz: None }
+    }
+}
+
+/// Response and latency of one sensor.
+pub struct Sensor {
+    response: Response,
+    latency_ps: f64,
+}
+
+/// The calibrated sensors.
+pub struct Sensors(BTreeMap<(Name, Name), Sensor>);
+
+impl Stage for Deconvolve {
+    const KIND: &'static str = "deconvolve";
+    const VERSION: u32 = 1;
+    const GRAIN: Grain = Grain::Capture;
+    const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
+    type Input = Profile;
+    type Output = Stir;
+    type Fields = ();
+    type Context = Sensors;
+
+    fn fields(&self, _: &[Campaign]) {}
+
+    fn context(&self, (): (), beside: &BesideTables) -> Result<Sensors, StageError> {
+        for (name, value) in [("noise_to_signal", self.noise_to_signal), ("lowpass_ghz", self.lowpass_ghz), ("evidence", self.evidence)] {
+            if let Some(value) = value.filter(|value| value.is_nan() || *value <= 0.0) {
+                return Err(StageError::Refused(format!("params.{name} = {value} must be positive")));
+            }
+        }
+        let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
+        let sensor = |row: Calibration| {
+            let response = Response::new(row.response_t0_ps, row.step_ps, &row.response.to_f64());
+            ((row.campaign, row.sensor), Sensor { response, latency_ps: row.latency_ps })
+        };
+        Ok(Sensors(rows.into_iter().map(sensor).collect()))
+    }
+}
+
+impl Apply for Deconvolve {
+    fn apply(&self, sensors: &Sensors, group: Vec<Profile>) -> Result<Outcome<Stir>, StageError> {
+        let mut fft = RealFft::new();
+        let mut rows = Vec::new();
+        for profile in group {
+            let key = (profile.campaign.clone(), profile.sensor.clone());
+            let sensor = sensors.0.get(&key).ok_or_else(|| {
+                let (campaign, sensor) = (&key.0, &key.1);
+                StageError::Refused(format!("sensor `{sensor}` of campaign `{campaign}` is not calibrated: capture its response, or import a calibration"))
+            })?;
+            rows.push(self.deconvolve(sensor, &profile, &mut fft));
+        }
+        Ok(Outcome::rows(rows))
+    }
+}
+
+impl Deconvolve {
+    fn deconvolve(&self, sensor: &Sensor, profile: &Profile, fft: &mut RealFft) -> Stir {
+        let samples = profile.mean_v.to_f64();
+        // A record without any noise (an ideal one) still has the rounding of its f32 samples.
+        let rounding = f64::from(f32::EPSILON) * samples.iter().fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
+        let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding);
+        let (light, light_noise_v) = self.wiener(sensor, profile, &samples, noise_v, fft);
+        let blank = Stir {
+            campaign: profile.campaign.clone(),
+            sensor: profile.sensor.clone(),
+            lit: profile.lit,
+            seen: profile.seen,
+            t0_ps: profile.t0_ps - sensor.latency_ps,
+            dt_ps: profile.dt_ps,
+            profile: light.into_iter().collect(),
+            profile_noise: light_noise_v,
+            impulses: Vec::new(),
+            impulse_cov: Vec::new(),
+            chi2_dof: None,
+            jitter_ps: profile.jitter_ps,
+        };
+        match self.method {
+            Method::Wiener => blank,
+            Method::Sparse => self.sparse(sensor, profile, &samples, noise_v, blank),
+        }
+    }
+
+    /// The Wiener estimate and the standard deviation of its noise.
+    fn wiener(&self, sensor: &Sensor, profile: &Profile, samples: &[f64], noise_v: f64, fft: &mut RealFft) -> (Vec<f64>, f64) {
+        let transfer = Transfer::from_response(fft, &sensor.response, profile.dt_ps, samples.len());
+        let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
+        let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz * profile.dt_ps / 1000.0);
+        let wiener = Wiener::new(&transfer, noise_to_signal, low_pass);
+        let mut light = vec![0.0; samples.len()];
+        wiener.apply(fft, samples, &mut light);
+        (light, noise_v * wiener.noise_gain())
+    }
+}

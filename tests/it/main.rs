@@ -1,0 +1,5 @@
+//! One integration binary, a file a concern.
+
+mod formats;
+mod house;
+mod schema;
