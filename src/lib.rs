@@ -1,5 +1,9 @@
 //! Periscope: a streaming dataflow processor for recorded time-of-flight waveforms.
+pub mod campaign;
+pub mod formats;
 pub mod path;
+pub mod signal;
 pub mod store;
 pub mod tables;
 pub mod units;
+pub mod waveform;

@@ -73,7 +73,9 @@ impl RealFft {
         plan.process_with_scratch(&mut self.bins, signal, &mut self.scratch)
             .expect("lengths were checked");
         let scale = 1.0 / len as f64;
-        signal.iter_mut().for_each(|v| *v *= scale);
+        for v in signal {
+            *v *= scale;
+        }
     }
 }
 

@@ -2,13 +2,16 @@
 //!
 //! The paper's "first non-zero response" (section 4.1) is a threshold. A fixed level walks with amplitude (tens of ps); a fraction of the
 //! pulse's own maximum does not. On an extended bounce the leading edge dates the earliest light, the near rim of the patch, where a fit of
-//! pulses ([`super::sparse`]) dates the centroid. Sources: Gedcke and McDonald, Nucl. Instrum. Methods 58, 253 (1968), for the constant
+//! pulses ([`super::sparse`]) dates the centroid. Sources: Gedcke and `McDonald`, Nucl. Instrum. Methods 58, 253 (1968), for the constant
 //! fraction; Turin, IRE Trans. Inf. Theory 6, 311 (1960), for the matched filter.
 //!
 //! Every function looks for one onset in the samples that it is given: pass the stretch of a record that holds one pulse, baseline removed.
 //! Positions are in samples from the first one. Not modelled: overlap of pulses, noise that moves the place of the maximum.
 
 use super::response::Response;
+
+/// Places of the samples against the pulse over which a matched filter's energy is averaged.
+const PHASES: f64 = 8.0;
 
 /// An upward crossing of a level.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,8 +48,7 @@ pub fn leading_edge(samples: &[f64], fraction: f64, noise_sd: f64) -> Option<Cro
     );
     let peak = first_maximum(samples)?;
     let level = fraction * samples[peak];
-    // Also refuses NaN.
-    if !(level > 0.0) {
+    if level <= 0.0 {
         return None;
     }
     let i = samples[..peak].iter().rposition(|v| *v < level)?;
@@ -85,7 +87,7 @@ pub fn constant_fraction(
         })
         .collect();
     let peak = first_maximum(&difference)?;
-    if !(difference[peak] > 0.0) {
+    if difference[peak] <= 0.0 {
         return None;
     }
     let i = difference[..peak].iter().rposition(|v| *v < 0.0)?;
@@ -109,7 +111,6 @@ pub fn matched_filter_snr(response: &Response, dt_ps: f64, amplitude: f64, noise
         "step and noise must be positive"
     );
     // A sum over steps of dt / PHASES is the sum over dt for all phases.
-    const PHASES: f64 = 8.0;
     let (first_ps, last_ps) = response.support_ps();
     let step_ps = dt_ps / PHASES;
     let steps = ((last_ps - first_ps) / step_ps).floor() as usize;
@@ -145,6 +146,8 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, Normal};
+
+    type Timing<'a> = dyn Fn(&[f64]) -> Option<Crossing> + 'a;
 
     fn pulse(len: usize, at: f64, amplitude: f64) -> Vec<f64> {
         (0..len)
@@ -207,7 +210,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
         let clean = pulse(80, 40.0, 1.0);
         for fraction in [0.3, 0.5] {
-            let timing: [&dyn Fn(&[f64]) -> Option<Crossing>; 3] = [
+            let timing: [&Timing<'_>; 3] = [
                 &|s| leading_edge(s, fraction, 0.001),
                 &|s| constant_fraction(s, fraction, 8.0, 0.001),
                 &|s| threshold(s, fraction, 0.001),

@@ -206,7 +206,7 @@ fn interior_maximum([c0, c1, c2, c3]: [f64; 4]) -> Option<(f64, f64)> {
         (-c2 - root) / (3.0 * c3)
     };
     let curvature = 2.0 * c2 + 6.0 * c3 * u;
-    (u > 0.0 && u < 1.0 && curvature < 0.0).then(|| (u, c0 + u * (c1 + u * (c2 + u * c3))))
+    (u > 0.0 && u < 1.0 && curvature < 0.0).then_some((u, c0 + u * (c1 + u * (c2 + u * c3))))
 }
 
 #[cfg(test)]

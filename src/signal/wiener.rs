@@ -57,7 +57,9 @@ impl Transfer {
         fft.forward(samples, &mut gain);
         let largest = gain.iter().map(|g| g.norm()).fold(0.0, f64::max);
         assert!(largest > 0.0, "the response is zero");
-        gain.iter_mut().for_each(|g| *g /= largest);
+        for g in &mut gain {
+            *g /= largest;
+        }
         Self {
             len: samples.len(),
             gain,

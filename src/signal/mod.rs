@@ -1,0 +1,13 @@
+//! Kernels on waveforms: slices and spectra in, values out. No file, no table, no thread.
+
+pub mod average;
+pub mod codes;
+pub mod fft;
+pub mod noise;
+pub mod onset;
+pub mod oversample;
+pub mod reference;
+pub mod resample;
+pub mod response;
+pub mod sparse;
+pub mod wiener;

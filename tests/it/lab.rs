@@ -1,0 +1,98 @@
+//! A small campaign of our own making, and runs over it: what the tests of whole pipelines share.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use periscope::campaign::Campaign;
+use periscope::pipeline::plan::{Decision, Plan};
+use periscope::pipeline::progress::{Progress, Style};
+use periscope::pipeline::run::{self, Outcome, RunError, Settings};
+use periscope::pipeline::spec::Spec;
+use periscope::simulate::{self, Format, Scene};
+use periscope::store::Shelf;
+use periscope::tables::Row;
+
+/// The pipeline that most tests run.
+pub const ALL_VISIBLE: &str = include_str!("../../pipelines/all-visible.toml");
+const TINY: &str = include_str!("../../pipelines/scenes/tiny.toml");
+
+/// A simulated campaign in a folder of its own.
+pub struct Lab {
+    folder: tempfile::TempDir,
+}
+
+impl Lab {
+    /// Four patches that see one another, a dozen shots a capture.
+    pub fn tiny() -> Self {
+        Self::of(TINY, 1, Format::Trc)
+    }
+
+    /// A campaign of this scene.
+    pub fn of(scene: &str, seed: u64, format: Format) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = Scene::parse(Path::new("scene.toml"), scene).unwrap();
+        simulate::simulate(&scene, seed, &folder.path().join("campaign"), format).unwrap();
+        Self { folder }
+    }
+
+    pub fn campaign(&self) -> PathBuf {
+        self.folder.path().join("campaign")
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Runs a pipeline into the folder `out`.
+    pub fn run(&self, out: &str, pipeline: &str, settings: &Settings) -> Result<Outcome, RunError> {
+        self.run_with(out, pipeline, &[], settings)
+    }
+
+    /// The same with changed parameters.
+    pub fn run_with(&self, out: &str, pipeline: &str, set: &[String], settings: &Settings) -> Result<Outcome, RunError> {
+        let spec = Spec::parse("test", pipeline, set).unwrap();
+        let campaigns = [Campaign::load(&self.campaign()).unwrap()];
+        let shelf = Shelf::open(&self.path(out))?;
+        let mut plan = Plan::new(&spec, &campaigns, &shelf, None)?;
+        run::run(&mut plan, settings, &Progress::new(Style::Silent))
+    }
+
+    /// What a run would do.
+    pub fn plan(&self, out: &str, pipeline: &str, set: &[String]) -> Vec<Decision> {
+        let spec = Spec::parse("test", pipeline, set).unwrap();
+        let campaigns = [Campaign::load(&self.campaign()).unwrap()];
+        let shelf = Shelf::imagine(&self.path(out));
+        let plan = Plan::new(&spec, &campaigns, &shelf, None).unwrap();
+        (0..spec.steps.len()).map(|step| plan.decision(step).unwrap()).collect()
+    }
+
+    /// Rows of a view.
+    pub fn rows<R: Row>(&self, out: &str, view: &str) -> Vec<R> {
+        let batches = Shelf::look(&self.path(out)).unwrap().batches(view).unwrap();
+        batches.iter().flat_map(|batch| R::rows(batch).unwrap()).collect()
+    }
+
+    /// Digests of every part of a result folder, by its path there.
+    pub fn parts(&self, out: &str) -> BTreeMap<String, blake3::Hash> {
+        let mut parts = BTreeMap::new();
+        let mut folders = vec![self.path(out).join(".shelf")];
+        while let Some(folder) = folders.pop() {
+            for entry in fs::read_dir(&folder).unwrap().flatten() {
+                let path = entry.path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else if path.extension().is_some_and(|extension| extension == "parquet") {
+                    let name = path.strip_prefix(self.path(out)).unwrap().display().to_string();
+                    parts.insert(name, blake3::hash(&fs::read(&path).unwrap()));
+                }
+            }
+        }
+        parts
+    }
+}
+
+/// Runs `body` in a pool of so many threads.
+pub fn with_threads<T: Send>(threads: usize, body: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(body)
+}
