@@ -1,6 +1,7 @@
 //! Periscope: a streaming dataflow processor for recorded time-of-flight waveforms.
 pub mod campaign;
 pub mod formats;
+pub mod geometry;
 pub mod path;
 pub mod signal;
 pub mod store;

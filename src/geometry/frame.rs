@@ -1,0 +1,67 @@
+//! The frame of a solution that path lengths leave free.
+//!
+//! With source and camera in one point p0, path lengths are the same for any rotation about p0 and for the mirror image. The canonical frame is:
+//! p0 where its station lies, the first patch on the +x axis, the next that is not in line with it in the xy plane with y > 0, the next that is not in
+//! that plane at z > 0. That also picks one of the two mirror images: the data do not say which is the true one.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::Point;
+
+/// Directions closer than this (as a sine) count as in line, or in plane.
+const IN_LINE: f64 = 1e-6;
+
+/// Orthogonal matrix that turns points (in order of their ids) about `centre` into the canonical frame; a reflection where need be.
+#[must_use]
+pub fn canonical(points: &[Point], centre: Point) -> Matrix3<f64> {
+    let arms: Vec<Vector3<f64>> = points.iter().map(|point| point - centre).collect();
+    let Some(x) = arms.iter().find_map(|arm| arm.try_normalize(f64::MIN_POSITIVE)) else { return Matrix3::identity() };
+    let off_line = |arm: &Vector3<f64>| (arm - x * arm.dot(&x)).try_normalize(IN_LINE * arm.norm());
+    let y = arms.iter().find_map(off_line).unwrap_or_else(|| any_normal(x));
+    let z = x.cross(&y);
+    let off_plane = arms.iter().map(|arm| (arm.dot(&z), arm.norm())).find(|(height, length)| height.abs() > IN_LINE * length);
+    let z = if off_plane.is_some_and(|(height, _)| height < 0.0) { -z } else { z };
+    Matrix3::from_rows(&[x.transpose(), y.transpose(), z.transpose()])
+}
+
+/// Some unit vector at a right angle to `x`.
+fn any_normal(x: Vector3<f64>) -> Vector3<f64> {
+    let least = x.iamin();
+    let axis = Vector3::from_fn(|i, _| if i == least { 1.0 } else { 0.0 });
+    (axis - x * axis.dot(&x)).normalize()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::procrustes::turn;
+    use nalgebra::Rotation3;
+
+    #[test]
+    fn every_rotation_and_mirror_image_gives_the_same_canonical_points() {
+        let centre = Point::new(0.3, 0.1, -0.2);
+        let points = [Point::new(1.0, 2.0, 0.5), Point::new(-1.0, 0.3, 0.8), Point::new(0.4, -0.7, 1.9), Point::new(1.3, 0.2, -0.4)];
+        let in_frame = |points: &[Point]| -> Vec<Point> {
+            let matrix = canonical(points, centre);
+            points.iter().map(|point| turn(&matrix, centre, *point)).collect()
+        };
+        let expected = in_frame(&points);
+        assert!((expected[0].y - centre.y).abs() < 1e-12 && (expected[0].z - centre.z).abs() < 1e-12 && expected[0].x > centre.x);
+        assert!((expected[1].z - centre.z).abs() < 1e-12 && expected[1].y > centre.y && expected[2].z > centre.z);
+        for mirror in [1.0, -1.0] {
+            let by = Rotation3::new(Vector3::new(0.9, 0.4, -1.3)).into_inner() * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, mirror));
+            let turned: Vec<Point> = points.iter().map(|point| turn(&by, centre, *point)).collect();
+            let found = in_frame(&turned);
+            assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-12));
+        }
+    }
+
+    #[test]
+    fn points_in_line_or_at_the_centre_have_a_frame() {
+        let line = [Point::origin(), Point::new(0.0, 0.0, 2.0), Point::new(0.0, 0.0, 3.0)];
+        let matrix = canonical(&line, Point::origin());
+        assert!((matrix * matrix.transpose() - Matrix3::identity()).norm() < 1e-12);
+        assert!((turn(&matrix, Point::origin(), line[1]) - Point::new(2.0, 0.0, 0.0)).norm() < 1e-12);
+        assert_eq!(canonical(&[Point::origin()], Point::origin()), Matrix3::identity());
+    }
+}
