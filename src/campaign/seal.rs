@@ -3,6 +3,7 @@
 //! The first seal hashes every raw file. Later ones look at sizes and times, hash only what these make doubtful, and refuse changed files by name.
 //! New files are reported and join on request; a file that is gone keeps its line, as its disk may be elsewhere today.
 
+use std::fmt;
 use std::path::PathBuf;
 
 use super::keys::Campaign;
@@ -22,6 +23,24 @@ pub struct SealReport {
     pub refreshed: Vec<PathBuf>,
     /// Files in the manifest that are not there.
     pub gone: Vec<PathBuf>,
+}
+
+impl fmt::Display for SealReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut list = |what: &str, files: &[PathBuf]| -> fmt::Result {
+            for file in files {
+                write!(f, "\n{what} {}", file.display())?;
+            }
+            Ok(())
+        };
+        let new = if self.joined { "joined   " } else { "new      " };
+        list("touched  ", &self.refreshed)?;
+        list("gone     ", &self.gone)?;
+        list(new, &self.new)?;
+        let mend = if self.joined || self.new.is_empty() { "" } else { "; `--update` lets them join" };
+        let (joined, left) = if self.joined { (self.new.len(), 0) } else { (0, self.new.len()) };
+        write!(f, "\nsealed: {} files as recorded, {joined} joined, {left} left out{mend}, {} gone", self.unchanged, self.gone.len())
+    }
 }
 
 /// Records of a manifest against the files that are there.

@@ -1,6 +1,7 @@
 //! The files of a campaign folder, in order.
 //!
-//! Hidden files and folders (`.name`), `campaign.toml` and `manifest.json` of the folder itself are no raw files. Links are followed; a
+//! Hidden files and folders (`.name`), `campaign.toml` and `manifest.json` of the folder itself, and its folder `truth` (what a simulated
+//! campaign was made from), are no raw files. Links are followed; a
 //! link back to a folder that holds it is not.
 
 use std::io;
@@ -9,6 +10,9 @@ use std::path::{Path, PathBuf};
 use super::load::CAMPAIGN_FILE;
 use super::manifest::MANIFEST_FILE;
 
+/// Folder of tables beside a simulated campaign's raw files.
+pub const TRUTH: &str = "truth";
+
 /// All files below `root`, relative to it, sorted by path.
 ///
 /// # Errors
@@ -16,7 +20,7 @@ use super::manifest::MANIFEST_FILE;
 pub fn files(root: &Path) -> Result<Vec<PathBuf>, (PathBuf, io::Error)> {
     let mut files = Vec::new();
     visit(root, Path::new(""), &mut Vec::new(), &mut files)?;
-    files.retain(|file| file != Path::new(CAMPAIGN_FILE) && file != Path::new(MANIFEST_FILE));
+    files.retain(|file| file != Path::new(CAMPAIGN_FILE) && file != Path::new(MANIFEST_FILE) && !file.starts_with(TRUTH));
     files.sort();
     Ok(files)
 }

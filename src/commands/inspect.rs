@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::Args;
 use periscope::formats;
+use periscope::signal::codes::Codes;
 use periscope::waveform::Record;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -47,7 +48,7 @@ fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> 
         writeln!(out, "{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
     }
     for record in &records {
-        let bytes = record.bytes(&mut source)?;
+        let bytes = record.read(source.file())?;
         let facts = facts(file, record, &bytes);
         if as_json {
             writeln!(out, "{facts}")?;
@@ -61,14 +62,15 @@ fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> 
 /// What is in one waveform. Values are volts where the file has a scale, else what is in the file.
 fn facts(file: &Path, record: &Record, bytes: &[u8]) -> Value {
     let head = &record.head;
-    let values = record.volts(bytes);
+    let values = record.values(bytes);
     let mut sha = Sha256::new();
     for value in &values {
         sha.update((*value as f32).to_le_bytes());
     }
     let sha: String = sha.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     let ends = 5.min(values.len());
-    let clipped = head.rails.map(|(low, high)| record.codes(bytes).count_at_or_beyond(low, high));
+    let codes = Codes::of(head.code_type.name(), bytes).expect("code types have one name everywhere");
+    let clipped = head.rails.map(|(low, high)| codes.count_at_or_beyond(low, high));
     json!({
         "file": file.display().to_string(),
         "format": head.format,

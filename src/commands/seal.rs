@@ -22,6 +22,6 @@ pub fn seal(args: &Seal) -> Result<ExitCode> {
     let campaign = Campaign::load(&args.dir)?;
     let survey = campaign.survey()?;
     let report = seal_campaign(&campaign, &survey, args.update)?;
-    println!("{report}");
+    println!("{}", report.to_string().trim_start());
     Ok(ExitCode::SUCCESS)
 }

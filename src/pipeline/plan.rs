@@ -60,7 +60,7 @@ pub struct Plan<'a> {
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     /// A source cannot be surveyed.
-    #[error("[{heading}]: {source}")]
+    #[error("[{heading}]")]
     Stage {
         /// Heading.
         heading: String,

@@ -43,7 +43,7 @@ impl Settings {
 #[derive(Debug, Error)]
 pub enum RunError {
     /// A stage cannot go on.
-    #[error("[{heading}]: {source}")]
+    #[error("[{heading}]")]
     Stage {
         /// Heading.
         heading: String,

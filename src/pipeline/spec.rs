@@ -13,7 +13,7 @@ use crate::stages::{self, Node};
 #[derive(Debug, Error)]
 pub enum SpecError {
     /// The file cannot be read.
-    #[error("cannot read pipeline {path}: {source}")]
+    #[error("cannot read pipeline {path}")]
     Read {
         /// File.
         path: PathBuf,

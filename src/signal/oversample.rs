@@ -17,6 +17,8 @@ pub const STEPS: usize = 8;
 const ROUNDS: usize = 5;
 /// Share of a record at its start that is taken as baseline.
 const BASELINE_SHARE: f64 = 0.1;
+/// A pulse begins where the mean record has left its first value by this share of the largest deviation.
+const RISE_SHARE: f64 = 0.25;
 /// The shape is cut where it stays below this many of its standard errors.
 const CUT_SIGMA: f64 = 3.0;
 /// A cell of the fine grid that fewer samples hit has no line of its own.
@@ -62,7 +64,7 @@ impl Shape {
 pub fn shape(shots: &[Shot], dt_ps: f64) -> Option<Shape> {
     let samples = shots.first().expect("a shape needs shots").samples.len();
     assert!(shots.iter().all(|shot| shot.samples.len() == samples), "shots have equal lengths");
-    let baseline = ((samples as f64 * BASELINE_SHARE) as usize).max(1);
+    let baseline = quiet(shots, samples);
     let floors: Vec<f64> = shots.iter().map(|shot| shot.samples[..baseline].iter().sum::<f64>() / baseline as f64).collect();
     let start_ps = shots.iter().map(|shot| shot.t0_ps).fold(f64::NEG_INFINITY, f64::max);
     let end_ps = shots.iter().map(|shot| shot.t0_ps).fold(f64::INFINITY, f64::min) + (samples - 1) as f64 * dt_ps;
@@ -79,6 +81,16 @@ pub fn shape(shots: &[Shot], dt_ps: f64) -> Option<Shape> {
     };
     let noise = noise_of(&values[..(baseline * STEPS).min(values.len() / 4).max(2)]);
     cut(&grid, values, noise)
+}
+
+/// Number of samples at the start of the records that count as baseline: a tenth, or half of what precedes the pulse where that is less.
+fn quiet(shots: &[Shot], samples: usize) -> usize {
+    let mean = |n: usize| shots.iter().map(|shot| shot.samples[n]).sum::<f64>() / shots.len() as f64;
+    let start = mean(0);
+    let deviations: Vec<f64> = (0..samples).map(|n| (mean(n) - start).abs()).collect();
+    let most = deviations.iter().copied().fold(0.0, f64::max);
+    let rise = deviations.iter().position(|deviation| *deviation > RISE_SHARE * most).unwrap_or(samples);
+    ((samples as f64 * BASELINE_SHARE) as usize).min(rise / 2).max(1)
 }
 
 /// Times of the pulse in shots whose trigger jitters, and its shape: times and shape are found in turn.

@@ -82,21 +82,16 @@ impl Transfer {
         let noise = n * noise_sd * noise_sd;
         let total: f64 = profile.iter().map(|y| y * y).sum();
         let signal = (total - noise).max(noise_sd * noise_sd * (2.0 * n).sqrt());
-        noise * self.mean_square() / signal
+        noise * mean_square(&self.gain, self.len) / signal
     }
+}
 
-    /// Mean of `|H|^2` over all N bins; those that a real spectrum leaves out are conjugates.
-    fn mean_square(&self) -> f64 {
-        let total: f64 = self.gain.iter().map(Complex::norm_sqr).sum();
-        let last = self.gain[self.gain.len() - 1].norm_sqr();
-        let unpaired = self.gain[0].norm_sqr()
-            + if self.len.is_multiple_of(2) {
-                last
-            } else {
-                0.0
-            };
-        (2.0 * total - unpaired) / self.len as f64
-    }
+/// Mean of the squared magnitude over all `len` bins of a real record's spectrum; those that it leaves out are conjugates.
+fn mean_square(spectrum: &[Complex<f64>], len: usize) -> f64 {
+    let total: f64 = spectrum.iter().map(Complex::norm_sqr).sum();
+    let last = spectrum[spectrum.len() - 1].norm_sqr();
+    let unpaired = spectrum[0].norm_sqr() + if len.is_multiple_of(2) { last } else { 0.0 };
+    (2.0 * total - unpaired) / len as f64
 }
 
 /// A Wiener filter, made once and applied to many profiles.
@@ -136,6 +131,12 @@ impl Wiener {
             len: transfer.len,
             filter,
         }
+    }
+
+    /// Standard deviation of deconvolved white noise of standard deviation 1: root of the mean of `|W|^2` over all bins.
+    #[must_use]
+    pub fn noise_gain(&self) -> f64 {
+        mean_square(&self.filter, self.len).sqrt()
     }
 
     /// Deconvolves `profile` into `light`, both of the filter's length; `light` has the profile's unit, and its time 0 is the arrival.
@@ -276,6 +277,23 @@ mod tests {
         for (k, (a, b)) in samples.gain.iter().zip(&early.gain).enumerate() {
             let turn = Complex::from_polar(1.0, TAU * 3.0 * k as f64 / 100.0);
             assert!((a * turn - b).norm() < 1e-12, "bin {k}");
+        }
+    }
+
+    #[test]
+    fn noise_leaves_with_the_stated_gain() {
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        for len in [255, 256] {
+            let mut fft = RealFft::new();
+            let wiener = Wiener::new(&Transfer::from_samples(&mut fft, &ringing(), len), 0.01, Some(0.2));
+            let (mut squares, mut light) = (0.0, vec![0.0; len]);
+            for _ in 0..400 {
+                let noise: Vec<f64> = (0..len).map(|_| rand_distr::StandardNormal.sample(&mut rng)).collect();
+                wiener.apply(&mut fft, &noise, &mut light);
+                squares += light.iter().map(|x| x * x).sum::<f64>() / len as f64;
+            }
+            let ratio = (squares / 400.0).sqrt() / wiener.noise_gain();
+            assert!((ratio - 1.0).abs() < 0.01, "{len}: {ratio}");
         }
     }
 

@@ -24,12 +24,14 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Beside, BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::signal::average::{self, Codes as Samples, HEAD_SHOTS, Mean, OutlierTest, PHASES, PhaseSums};
+use crate::signal::average::{self, HEAD_SHOTS, Mean, OutlierTest, PHASES, PhaseSums};
+use crate::signal::codes::Codes as Samples;
 use crate::signal::noise;
 use crate::signal::reference::fit_pulse;
 use crate::signal::response::Response;
+use crate::tables::row::Cell;
 use crate::tables::traces::TraceColumns;
-use crate::tables::{Calibration, Codes, Name, Profile, Row, Trace};
+use crate::tables::{Calibration, Codes, Name, Profile, Trace};
 
 /// Lags of the noise autocorrelation that a profile keeps.
 const ACF_LAGS: usize = 32;
@@ -199,11 +201,9 @@ impl State {
         };
         let (gain_v, dt_ps) = (columns.gain_v.value(i), columns.dt_ps.value(i));
         let clipped = columns.clipped.values()[i] > 0;
-        let mut samples = Vec::new();
-        codes(columns, i).to_f64(&mut samples);
-        samples.iter_mut().for_each(|sample| *sample *= gain_v);
+        let samples: Vec<f64> = codes(columns, i).to_f64().into_iter().map(|code| code * gain_v).collect();
         // A pulse that is cut off at the rails has its fitted time biased: such a shot is set aside.
-        let fit = fit_pulse(&samples, dt_ps, template, None).filter(|_| !clipped);
+        let fit = fit_pulse(&samples, dt_ps, template).filter(|_| !clipped);
         let time = fit.map(|fit| (columns.t0_ps.value(i) + fit.time_ps, fit.time_sd_ps));
         self.reference = Some((columns.shot.value(i), time));
     }
@@ -272,7 +272,7 @@ impl Average {
             self.add(state, codes(columns, i), position);
             return;
         }
-        state.head.push(Shot { codes: Codes::get_from(&columns.codes, i), position });
+        state.head.push(Shot { codes: <Codes as Cell>::get(&columns.codes, i), position });
         if state.head.len() == HEAD_SHOTS {
             self.close_head(state);
         }
@@ -303,7 +303,7 @@ impl Average {
         }
         let Some(mean) = state.sums.finish() else { return };
         let sd = average::spread(&passed, &mean, state.baseline);
-        let stretches: Vec<Vec<f64>> = passed.iter().map(|(codes, _)| (0..state.baseline).map(|i| codes.get(i)).collect()).collect();
+        let stretches: Vec<Vec<f64>> = passed.iter().map(|(codes, _)| codes.slice(0..state.baseline).to_f64()).collect();
         let noise = noise::estimate(&stretches, ACF_LAGS);
         state.spread = Some(Spread { first_position: mean.first_position, sd, noise: noise.sd, acf: noise.acf });
     }
@@ -318,12 +318,6 @@ fn view<'a>(code_type: &str, bytes: &'a [u8]) -> Samples<'a> {
     Samples::of(code_type, bytes).expect("ingest writes known code types only")
 }
 
-impl Codes {
-    fn get_from(array: &<Codes as crate::tables::row::Cell>::Array, i: usize) -> Self {
-        <Codes as crate::tables::row::Cell>::get(array, i)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -332,7 +326,5 @@ mod tests {
     fn parameters_have_their_documented_defaults() {
         let parsed: Average = toml::from_str("shots_min = 16").unwrap();
         assert!(parsed.reject_outliers && parsed.shots_min == 16 && parsed.outlier_sigma == 6.0);
-        let unused = Trace::schema();
-        assert_eq!(unused.fields().len(), 24);
     }
 }

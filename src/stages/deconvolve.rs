@@ -6,7 +6,8 @@
 //! | `wiener` | a regularised profile for the eye and for edge methods of `detect`; no impulses |
 //!
 //! With a known response the limit of time resolution is noise and not the sensor: `sparse` separates pulses closer than the response is
-//! wide. Times are times of flight: the sensor's latency is taken off here.
+//! wide. Times are times of flight: the sensor's latency is taken off here. Pulses of either sign are found, but all of one sign: that of the
+//! response.
 //!
 //! Takes `profiles`; writes `stir`. Beside it: `calibration`. Noise is taken as white and equal along the record, of standard deviation
 //! `noise_v` over the root of the shots. Not modelled yet: correlated noise, noise that depends on the level, extended bounces.
@@ -27,7 +28,7 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageErro
 use crate::campaign::Campaign;
 use crate::signal::fft::RealFft;
 use crate::signal::response::Response;
-use crate::signal::sparse;
+use crate::signal::sparse::{self, Pulse, SparseOptions};
 use crate::signal::wiener::{Transfer, Wiener};
 use crate::tables::{Calibration, Impulse, Name, Profile, Stir};
 
@@ -36,7 +37,7 @@ use crate::tables::{Calibration, Impulse, Name, Profile, Stir};
 #[serde(deny_unknown_fields, default)]
 pub struct Deconvolve {
     method: Method,
-    /// Chi-square that one impulse more must gain, for `sparse`; absent: set by the record's length, for one false impulse in 1,000 records.
+    /// Chi-square that one impulse more must gain, for `sparse`; absent: set by the record's length, for one false impulse in 10,000 records.
     evidence: Option<f64>,
     /// Most impulses in a profile, for `sparse`.
     impulses_max: usize,
@@ -62,7 +63,10 @@ impl Default for Deconvolve {
 
 /// Response and latency of one sensor.
 pub struct Sensor {
+    /// Turned upwards.
     response: Response,
+    /// -1 for a sensor whose pulses go down.
+    polarity: f64,
     latency_ps: f64,
 }
 
@@ -89,8 +93,11 @@ impl Stage for Deconvolve {
         }
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         let sensor = |row: Calibration| {
-            let response = Response::new(row.response_t0_ps, row.step_ps, &row.response.to_f64());
-            ((row.campaign, row.sensor), Sensor { response, latency_ps: row.latency_ps })
+            let mut values = row.response.to_f64();
+            let polarity = values.iter().fold(0.0_f64, |most, value| if value.abs() > most.abs() { *value } else { most }).signum();
+            values.iter_mut().for_each(|value| *value *= polarity);
+            let response = Response::new(row.response_t0_ps, row.step_ps, &values);
+            ((row.campaign, row.sensor), Sensor { response, polarity, latency_ps: row.latency_ps })
         };
         Ok(Sensors(rows.into_iter().map(sensor).collect()))
     }
@@ -114,7 +121,7 @@ impl Apply for Deconvolve {
 
 impl Deconvolve {
     fn deconvolve(&self, sensor: &Sensor, profile: &Profile, fft: &mut RealFft) -> Stir {
-        let samples = profile.mean_v.to_f64();
+        let samples: Vec<f64> = profile.mean_v.to_f64().into_iter().map(|sample| sample * sensor.polarity).collect();
         // A record without any noise (an ideal one) still has the rounding of its f32 samples.
         let rounding = f64::from(f32::EPSILON) * samples.iter().fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
         let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding);
@@ -137,6 +144,24 @@ impl Deconvolve {
             Method::Wiener => blank,
             Method::Sparse => self.sparse(sensor, profile, &samples, noise_v, blank),
         }
+    }
+
+    fn sparse(&self, sensor: &Sensor, profile: &Profile, samples: &[f64], noise_v: f64, blank: Stir) -> Stir {
+        let sd_v = vec![noise_v; samples.len()];
+        let record = sparse::Profile { mean_v: samples, sd_v: &sd_v, t0_ps: blank.t0_ps, dt_ps: profile.dt_ps };
+        let options = SparseOptions { evidence_min: self.evidence, pulses_max: self.impulses_max, baseline: true };
+        let fit = sparse::fit(&record, &sensor.response, &options);
+        let count = fit.pulses.len();
+        let impulse = |(k, pulse): (usize, &Pulse)| Impulse {
+            time_ps: pulse.time_ps,
+            time_sd_ps: fit.covariance_ps2[k * count + k].sqrt(),
+            amplitude_v: pulse.amplitude_v * sensor.polarity,
+            amplitude_sd_v: pulse.amplitude_sd_v,
+            width_ps: 0.0,
+            evidence: pulse.evidence,
+        };
+        let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
+        Stir { impulses, impulse_cov: fit.covariance_ps2, chi2_dof: Some(fit.chi2_per_dof), ..blank }
     }
 
     /// The Wiener estimate and the standard deviation of its noise.

@@ -99,7 +99,7 @@ impl Apply for Detect {
 impl Detect {
     fn impulses(&self, stir: &Stir) -> Vec<Onset> {
         let count = stir.impulses.len();
-        let snr = |k: usize| stir.impulses[k].amplitude_v / stir.impulses[k].amplitude_sd_v;
+        let snr = |k: usize| stir.impulses[k].amplitude_v.abs() / stir.impulses[k].amplitude_sd_v;
         let kept: Vec<usize> = (0..count).filter(|&k| snr(k) >= self.threshold_sigma).collect();
         let end_ps = stir.t0_ps + stir.profile.len() as f64 * stir.dt_ps;
         let onset = |(rank, &k): (usize, &usize)| {

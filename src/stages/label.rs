@@ -116,8 +116,12 @@ impl Stage for LabelOnsets {
         }
         let patches = beside.rows::<Patch>("patches")?.map(|patches| {
             let best = patches.into_iter().filter(|patch| patch.alternative == 0);
-            best.map(|patch| (patch.patch, ([patch.x_m, patch.y_m, patch.z_m], patch.sd_m))).collect()
+            best.map(|patch| Ok((patch.patch, ([patch.x_m, patch.y_m, patch.z_m], patch.sd_m.ok_or(patch.patch)?)))).collect::<Result<_, PatchId>>()
         });
+        let patches = patches.transpose().map_err(|patch| {
+            let text = format!("with patches: patch {patch} has no sd_m, so nobody knows how far off its onsets may be; give patches from `refine`");
+            StageError::Refused(text)
+        })?;
         Ok(Prediction { setups: fields, patches })
     }
 }

@@ -413,7 +413,9 @@ fn groups(batch: &RecordBatch, grain: Grain) -> Vec<(GroupKey, Range<usize>)> {
     let number = |name: &str| batch.column_by_name(name).map(|column| column.as_primitive::<Int32Type>().clone());
     let (campaign, sensor, role) = (text("campaign"), text("sensor"), text("role"));
     let (lit, seen) = (number("lit"), number("seen"));
-    let text_at = |column: &Option<StringArray>, i| column.as_ref().map_or("", |column| column.value(i));
+    fn text_at(column: &Option<StringArray>, i: usize) -> &str {
+        column.as_ref().map_or("", |column| column.value(i))
+    }
     let number_at = |column: &Option<Int32Array>, i| column.as_ref().map_or(0, |column| column.value(i));
     let same = |i: usize, j: usize| -> bool {
         if grain == Grain::All {

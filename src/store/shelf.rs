@@ -47,7 +47,7 @@ pub enum StoreError {
         heading: String,
     },
     /// A file could not be read or written.
-    #[error("cannot {what} {path}: {source}{}", mend(source))]
+    #[error("cannot {what} {path}{}", mend(source))]
     Io {
         /// What was tried.
         what: &'static str,
@@ -57,7 +57,7 @@ pub enum StoreError {
         source: io::Error,
     },
     /// A table file could not be read or written.
-    #[error("cannot {what} {path}: {source}")]
+    #[error("cannot {what} {path}")]
     Parquet {
         /// What was tried.
         what: &'static str,
@@ -67,7 +67,7 @@ pub enum StoreError {
         source: ParquetError,
     },
     /// A record of the shelf does not parse.
-    #[error("{path} is damaged ({source}); delete it, and its table is computed again")]
+    #[error("{path} is damaged; delete it, and its table is computed again")]
     Record {
         /// File.
         path: PathBuf,

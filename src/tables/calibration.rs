@@ -18,11 +18,11 @@ table! {
         step_ps: f64,
         /// Time of the first value of the response; its maximum is at time 0.
         response_t0_ps: f64,
-        /// Impulse response, maximum 1.
+        /// Impulse response; its extremum is 1, or -1 for a sensor whose pulses go down.
         response: Samples,
         /// Time of the first value of the reference template; its maximum is at time 0. Null without reference channel.
         reference_t0_ps: Option<f64>,
-        /// Template of the reference pulse, maximum 1. Null without reference channel.
+        /// Template of the reference pulse; its extremum is 1 or -1. Null without reference channel.
         reference: Option<Samples>,
         /// Delay from reference pulse (without one, trigger) to recorded maximum, beyond the light's time of flight.
         latency_ps: f64,

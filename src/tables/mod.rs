@@ -19,7 +19,7 @@ pub use calibration::Calibration;
 pub use distances::{Covariance, Distance};
 pub use labels::Label;
 pub use onsets::Onset;
-pub use patches::Patch;
+pub use patches::{Patch, PatchCovariance};
 pub use profiles::Profile;
 pub use rejects::Reject;
 pub use row::{Codes, Name, Row, Samples, SchemaError};
@@ -46,6 +46,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Distance>(),
         of::<Covariance>(),
         of::<Patch>(),
+        of::<PatchCovariance>(),
         of::<Delay>(),
         of::<Residual>(),
         of::<Reject>(),

@@ -4,7 +4,9 @@ use super::row::Name;
 use crate::table;
 
 table! {
-    /// Position of one patch with its covariance, in the frame that the table's metadata states.
+    /// Position of one patch with its covariance. Frame: source and camera at their stations, turned onto anchors; with no anchor, and all
+    /// stations in one point, the canonical frame: first patch on +x from there, the next in the xy plane at y > 0, the next at z > 0 (which of
+    /// two mirror images is true the data do not say), and covariances without the three rotations about that point.
     "patches": Patch, PatchColumns {
         /// Patch.
         patch: i32,
@@ -16,20 +18,20 @@ table! {
         y_m: f64,
         /// Position, z.
         z_m: f64,
-        /// Variance of x.
-        cov_xx_m2: f64,
-        /// Covariance of x and y.
-        cov_xy_m2: f64,
-        /// Covariance of x and z.
-        cov_xz_m2: f64,
-        /// Variance of y.
-        cov_yy_m2: f64,
-        /// Covariance of y and z.
-        cov_yz_m2: f64,
-        /// Variance of z.
-        cov_zz_m2: f64,
-        /// Root of the sum of the three variances.
-        sd_m: f64,
+        /// Variance of x; null for a start value.
+        cov_xx_m2: Option<f64>,
+        /// Covariance of x and y; null for a start value.
+        cov_xy_m2: Option<f64>,
+        /// Covariance of x and z; null for a start value.
+        cov_xz_m2: Option<f64>,
+        /// Variance of y; null for a start value.
+        cov_yy_m2: Option<f64>,
+        /// Covariance of y and z; null for a start value.
+        cov_yz_m2: Option<f64>,
+        /// Variance of z; null for a start value.
+        cov_zz_m2: Option<f64>,
+        /// Root of the sum of the three variances; null for a start value.
+        sd_m: Option<f64>,
         /// Onsets that its position rests on.
         onsets: i32,
         /// Chi-square of the whole solution over its degrees of freedom; null for a start value.
@@ -38,5 +40,33 @@ table! {
         alternative: i32,
         /// Log-likelihood of the solution, up to a constant; null for a start value.
         log_likelihood: Option<f64>,
+    }
+}
+
+table! {
+    /// Covariance between the positions of two patches; a patch's own is in `patches`.
+    "patch_covariances": PatchCovariance, PatchCovarianceColumns {
+        /// Patch of the rows.
+        a: i32,
+        /// Patch of the columns, larger than a.
+        b: i32,
+        /// Covariance of x of a and x of b.
+        cov_xx_m2: f64,
+        /// Covariance of x of a and y of b.
+        cov_xy_m2: f64,
+        /// Covariance of x of a and z of b.
+        cov_xz_m2: f64,
+        /// Covariance of y of a and x of b.
+        cov_yx_m2: f64,
+        /// Covariance of y of a and y of b.
+        cov_yy_m2: f64,
+        /// Covariance of y of a and z of b.
+        cov_yz_m2: f64,
+        /// Covariance of z of a and x of b.
+        cov_zx_m2: f64,
+        /// Covariance of z of a and y of b.
+        cov_zy_m2: f64,
+        /// Covariance of z of a and z of b.
+        cov_zz_m2: f64,
     }
 }

@@ -171,6 +171,16 @@ impl Codes {
         assert!(offset + length <= block.len() && u32::try_from(block.len()).is_ok(), "codes {offset}+{length} outside their block");
         Self { block: block.clone(), offset: offset as u32, length: length as u32 }
     }
+
+    /// The `length` bytes from `offset` of these; copies nothing.
+    ///
+    /// # Panics
+    /// When they are not as many.
+    #[must_use]
+    pub fn slice(&self, offset: usize, length: usize) -> Self {
+        assert!(offset + length <= self.len(), "bytes {offset}+{length} of {}", self.len());
+        Self { block: self.block.clone(), offset: self.offset + offset as u32, length: length as u32 }
+    }
 }
 
 impl Deref for Codes {

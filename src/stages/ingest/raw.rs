@@ -1,7 +1,7 @@
 //! Reading the files of a part: sequential reads, hashed on the way, codes handed on as they lie in the file.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -11,11 +11,12 @@ use rayon::prelude::*;
 
 use super::survey::{Capture, Item, Surveyed};
 use crate::formats::{self, FormatError};
-use crate::signal::average::Codes as Samples;
+use crate::campaign::hash_file;
+use crate::signal::codes::Codes as Samples;
 use crate::stages::stage::{Feed, PartRead, Rejection, StageError};
 use crate::store::Digest;
 use crate::tables::{Codes, Name, Row, Trace};
-use crate::waveform::{CodeType, Payload, Record};
+use crate::waveform::{Payload, Record};
 
 /// An item of a capture that is to be read.
 struct Job<'a> {
@@ -25,11 +26,18 @@ struct Job<'a> {
     first_shot: i32,
 }
 
+/// A file that was hashed: its name, its digest, and its size and times from before it was read.
+struct Hashed {
+    file: PathBuf,
+    digest: blake3::Hash,
+    metadata: Metadata,
+}
+
 /// What came of a job.
 struct Done {
     rows: Vec<Trace>,
     shots: i32,
-    digests: Vec<(PathBuf, blake3::Hash)>,
+    digests: Vec<Hashed>,
     rejection: Option<Rejection>,
 }
 
@@ -96,8 +104,9 @@ impl Reader<'_> {
         let mut files = match Files::open(self.surveyed, &job, false) {
             Ok(files) => files,
             Err(error) => {
-                self.take(index, &job, Done { rows: Vec::new(), shots: 0, digests: Vec::new(), rejection: Some(error.rejection(self.surveyed, &job)) });
-                return self.hash_rest(capture, item);
+                let digests = digests_of_bad(self.surveyed, &job);
+                self.take(index, &job, Done { rows: Vec::new(), shots: 0, digests, rejection: Some(error.rejection(self.surveyed, &job)) });
+                return Ok(());
             }
         };
         let exposures = files.exposures();
@@ -127,8 +136,8 @@ impl Reader<'_> {
     /// Notes what came of a job; numbers its exposures where the files do not.
     fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Vec<Trace> {
         let campaign = job.capture.campaign;
-        for (file, digest) in done.digests {
-            self.surveyed.record(campaign, &file, digest);
+        for Hashed { file, digest, metadata } in done.digests {
+            self.surveyed.record(campaign, &file, digest, &metadata);
             self.digests.insert((campaign, file), digest.into());
         }
         self.rejections.extend(done.rejection);
@@ -139,17 +148,6 @@ impl Reader<'_> {
             *first += done.shots;
         }
         done.rows
-    }
-
-    /// A file that was set aside still belongs to the part's content.
-    fn hash_rest(&mut self, capture: &Capture, item: &Item) -> Result<(), StageError> {
-        let files = std::iter::once(&item.exposure.file).chain(item.exposure.reference.as_ref().map(|reference| &reference.file));
-        for file in files {
-            let path = self.surveyed.campaigns[capture.campaign].path_of(file);
-            let digest = crate::campaign::manifest::hash_file(&path).map_err(|error| StageError::Refused(format!("{}: {error}", path.display())))?;
-            self.digests.insert((capture.campaign, file.clone()), digest.into());
-        }
-        Ok(())
     }
 
     fn finish(mut self, captures: &[Capture]) -> Result<PartRead, StageError> {
@@ -187,10 +185,15 @@ fn read_whole(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Done {
 }
 
 /// Digests of files that do not decode: they are part of the content all the same.
-fn digests_of_bad(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Vec<(PathBuf, blake3::Hash)> {
-    let root = &surveyed.campaigns[job.capture.campaign];
+fn digests_of_bad(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Vec<Hashed> {
+    let campaign = &surveyed.campaigns[job.capture.campaign];
     let files = std::iter::once(&job.item.exposure.file).chain(job.item.exposure.reference.as_ref().map(|reference| &reference.file));
-    files.filter_map(|file| Some((file.clone(), crate::campaign::manifest::hash_file(&root.path_of(file)).ok()?))).collect()
+    let hashed = |file: &PathBuf| {
+        let path = campaign.path_of(file);
+        let metadata = std::fs::metadata(&path).ok()?;
+        Some(Hashed { file: file.clone(), digest: hash_file(&path).ok()?, metadata })
+    };
+    files.filter_map(hashed).collect()
 }
 
 /// Why an item is set aside.
@@ -221,7 +224,7 @@ struct RawFile {
     name: PathBuf,
     memory: Option<Buffer>,
     file: Option<File>,
-    length: u64,
+    metadata: Metadata,
     hasher: Option<blake3::Hasher>,
     hashed: u64,
     records: Vec<Record>,
@@ -234,10 +237,11 @@ impl RawFile {
         let format = |error: FormatError| Bad { file: name.to_owned(), byte_offset: error.byte_offset().map(|at| at as i64), reason: error.to_string() };
         let known = surveyed.known(campaign, name).is_some();
         let hasher = (!known).then(blake3::Hasher::new);
+        let metadata = std::fs::metadata(&path).map_err(io)?;
         if whole {
             let bytes = std::fs::read(&path).map_err(io)?;
             let length = bytes.len() as u64;
-            let mut source = formats::Source::new(&path, Cursor::new(bytes)).map_err(format)?;
+            let mut source = formats::Source::new(Cursor::new(bytes), &path).map_err(format)?;
             let records = formats::records(&mut source);
             let memory = Buffer::from_vec(source.into_inner().into_inner());
             let hasher = hasher.map(|mut hasher| {
@@ -245,13 +249,12 @@ impl RawFile {
                 hasher
             });
             let records = records.map_err(format)?;
-            return Ok(Self { name: name.to_owned(), memory: Some(memory), file: None, length, hasher, hashed: length, records });
+            return Ok(Self { name: name.to_owned(), memory: Some(memory), file: None, metadata, hasher, hashed: length, records });
         }
         let mut source = formats::open(&path).map_err(format)?;
         let records = formats::records(&mut source).map_err(format)?;
         let file = File::open(&path).map_err(io)?;
-        let length = file.metadata().map_err(io)?.len();
-        Ok(Self { name: name.to_owned(), memory: None, file: Some(file), length, hasher, hashed: 0, records })
+        Ok(Self { name: name.to_owned(), memory: None, file: Some(file), metadata, hasher, hashed: 0, records })
     }
 
     /// The bytes of a stretch of the file.
@@ -282,11 +285,12 @@ impl RawFile {
         Ok(())
     }
 
-    fn digest(&mut self) -> Result<Option<(PathBuf, blake3::Hash)>, Bad> {
+    fn digest(&mut self) -> Result<Option<Hashed>, Bad> {
         if self.hasher.is_some() {
-            self.hash_to(self.length)?;
+            self.hash_to(self.metadata.len())?;
         }
-        Ok(self.hasher.as_ref().map(|hasher| (self.name.clone(), hasher.finalize())))
+        let hashed = |hasher: &blake3::Hasher| Hashed { file: self.name.clone(), digest: hasher.finalize(), metadata: self.metadata.clone() };
+        Ok(self.hasher.as_ref().map(hashed))
     }
 }
 
@@ -338,7 +342,7 @@ impl Files {
         self.signal.records.first().map_or(0, bytes) * channels
     }
 
-    fn digests(&mut self) -> Result<Vec<(PathBuf, blake3::Hash)>, Bad> {
+    fn digests(&mut self) -> Result<Vec<Hashed>, Bad> {
         let mut digests = Vec::new();
         digests.extend(self.signal.digest()?);
         if let Some(reference) = &mut self.reference {
@@ -406,7 +410,7 @@ fn codes(file: &mut RawFile, records: &[usize]) -> Result<Vec<Codes>, Bad> {
         let length = (record.head.samples * record.head.code_type.bytes()) as u64;
         let Payload::File { byte_offset, big_endian } = record.payload else {
             let Payload::Decoded(bytes) = &record.payload else { unreachable!("a payload lies in the file or is decoded") };
-            let block = Buffer::from(bytes.as_ref());
+            let block = Buffer::from(&**bytes);
             codes.push(Codes::new(&block, 0, block.len()));
             start += 1;
             continue;
@@ -473,7 +477,8 @@ impl<'a> Template<'a> {
         }
         let width = head.code_type.bytes();
         let codes = codes.slice(first as usize * width, (last - first) as usize * width);
-        let clipped = head.rails.map(|(low, high)| samples(head.code_type, &codes).count_at_or_beyond(low, high) as i32);
+        let samples = Samples::of(head.code_type.name(), &codes).expect("code types have one name everywhere");
+        let clipped = head.rails.map(|(low, high)| samples.count_at_or_beyond(low, high) as i32);
         Ok(Trace {
             campaign: self.campaign.clone(),
             sensor: self.sensor.clone(),
@@ -499,18 +504,5 @@ impl<'a> Template<'a> {
             path_m: keys.path_m,
             path_sd_m: keys.path_sd_m,
         })
-    }
-}
-
-/// Codes as the kernels take them.
-pub fn samples(code_type: CodeType, bytes: &[u8]) -> Samples<'_> {
-    match code_type {
-        CodeType::I8 => Samples::I8(bytes),
-        CodeType::U8 => Samples::U8(bytes),
-        CodeType::I16 => Samples::I16(bytes),
-        CodeType::U16 => Samples::U16(bytes),
-        CodeType::I32 => Samples::I32(bytes),
-        CodeType::F32 => Samples::F32(bytes),
-        CodeType::F64 => Samples::F64(bytes),
     }
 }
