@@ -7,6 +7,7 @@
 
 use super::codes::Codes;
 use super::resample;
+use super::response::Response;
 
 /// Phases of a sample: the grid to which a shot's time is rounded, so an error of at most 1/128 sample.
 pub const PHASES: usize = 64;
@@ -14,6 +15,10 @@ pub const PHASES: usize = 64;
 pub const HEAD_SHOTS: usize = 64;
 /// Sums of so many 16 bit codes stay within 32 bits.
 const SPILL_SHOTS: u32 = 1 << 15;
+/// Fine steps in a sample of an averaged response.
+const RESPONSE_STEPS: usize = 8;
+/// Share of the maximum below which an averaged response is cut off at its ends.
+const NEGLIGIBLE: f64 = 1e-4;
 /// Fewer shots say nothing about outliers.
 const JUDGES_MIN: usize = 8;
 
@@ -138,6 +143,12 @@ impl PhaseSums {
         self.shots
     }
 
+    /// Shots of each of the [`PHASES`] phases.
+    #[must_use]
+    pub fn phase_shots(&self) -> Vec<u64> {
+        self.bins.iter().map(|bin| bin.as_ref().map_or(0, |bin| bin.shots)).collect()
+    }
+
     /// The mean; `None` without shots, or when no place is covered by all of them.
     #[must_use]
     pub fn finish(&self) -> Option<Mean> {
@@ -160,6 +171,54 @@ impl PhaseSums {
         mean.iter_mut().for_each(|sum| *sum /= shots);
         Some(Mean { first_position: start, mean })
     }
+}
+
+/// What averaging leaves of an impulse response: `sum_p n_p / N sum_u w(u) h(t + u dt)`, over the phases p with their shots `n_p` and the taps u of the
+/// filter that delays each phase.
+///
+/// One phase that lies on the grid leaves it as it is. Shots spread over all phases leave what lies below half the sample rate: what a fast edge has
+/// above rings, in the mean as in this.
+///
+/// # Panics
+/// When there are not [`PHASES`] counts, no shots, or `dt_ps` is not positive.
+#[must_use]
+pub fn averaged_response(response: &Response, dt_ps: f64, phase_shots: &[i32]) -> Response {
+    assert_eq!(phase_shots.len(), PHASES, "a count for each phase");
+    let shots: f64 = phase_shots.iter().copied().map(f64::from).sum();
+    assert!(shots > 0.0 && dt_ps > 0.0, "an average has shots and a step");
+    if f64::from(phase_shots[0]) == shots {
+        return response.clone();
+    }
+    // The response on the grid of phases, and room for the taps on either side.
+    let step_ps = dt_ps / PHASES as f64;
+    let (first_ps, last_ps) = response.support_ps();
+    let (first, last) = ((first_ps / step_ps).floor() as i64, (last_ps / step_ps).ceil() as i64);
+    let table: Vec<f64> = (first..=last).map(|n| response.value(n as f64 * step_ps)).collect();
+    let reach = (resample::TAPS / 2 * PHASES) as i64;
+    let coarse = PHASES / RESPONSE_STEPS;
+    let start = (first - reach).div_euclid(coarse as i64) * coarse as i64;
+    let mut values = vec![0.0; ((last + reach - start) as usize).div_ceil(coarse) + 1];
+    for (phase, &count) in phase_shots.iter().enumerate().filter(|(_, count)| **count > 0) {
+        let fraction = phase as f64 / PHASES as f64;
+        for (k, tap) in resample::taps(fraction).into_iter().enumerate() {
+            let ahead = (k as i64 - (resample::TAPS / 2) as i64) * PHASES as i64 + phase as i64;
+            let weight = tap * f64::from(count) / shots;
+            // Value i looks at the response at start + i * coarse + ahead.
+            let skip = usize::try_from((first - start - ahead).max(0)).expect("not negative").div_ceil(coarse);
+            for (i, value) in values.iter_mut().enumerate().skip(skip) {
+                let at = start + (i * coarse) as i64 + ahead - first;
+                match table.get(at as usize) {
+                    Some(response) => *value += weight * response,
+                    None => break,
+                }
+            }
+        }
+    }
+    let most = values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
+    let counts = |value: &f64| value.abs() > NEGLIGIBLE * most;
+    let (from, to) = (values.iter().position(counts).unwrap_or(0), values.iter().rposition(counts).unwrap_or(1));
+    let (from, to) = (from.saturating_sub(1), (to + 2).min(values.len()));
+    Response::new((start + (from * coarse) as i64) as f64 * step_ps, step_ps * coarse as f64, &values[from..to])
 }
 
 /// Standard deviation over shots at each place of their mean, each shot's own baseline (mean of its first `baseline` samples) removed.
@@ -341,6 +400,36 @@ mod tests {
         let truth: Vec<f64> = pulse(60.0 - mean.first_position as f64, mean.mean.len()).map(|value| value - 500.0).collect();
         let worst = mean.mean.iter().zip(&truth).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(worst < 1.0, "{worst} codes of 3000");
+    }
+
+    /// A pulse too fast for its sampling: its mean is not its samples, but what `averaged_response` says.
+    #[test]
+    fn the_mean_of_an_undersampled_pulse_is_the_averaged_response() {
+        let fast = |t: f64| (-0.5 * (t / 0.55_f64).powi(2)).exp();
+        let response = Response::new(-5.0, 1.0 / 16.0, &(0..=160).map(|i| fast(f64::from(i) / 16.0 - 5.0)).collect::<Vec<_>>());
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        for (shots, spread) in [(2000, 64), (300, 5), (50, 1)] {
+            let mut sums = PhaseSums::new(128);
+            let mut kept = Vec::new();
+            for _ in 0..shots {
+                let position = rng.random_range(0..spread) + 13;
+                let codes: Vec<i16> = (0..128).map(|i| (20_000.0 * fast(f64::from(i) + position as f64 / 64.0 - 60.3)).round() as i16).collect();
+                kept.push((bytes(&codes), position));
+            }
+            kept.iter().for_each(|(bytes, position)| sums.add(Codes::I16(bytes), *position));
+            let mean = sums.finish().unwrap();
+            let phases: Vec<i32> = sums.phase_shots().into_iter().map(|shots| shots as i32).collect();
+            let averaged = averaged_response(&response, 1.0, &phases);
+            let (mut worst, mut raw) = (0.0_f64, 0.0_f64);
+            for (i, value) in mean.mean.iter().enumerate().skip(20).take(80) {
+                let t = (mean.first_position + i as i64) as f64 - 60.3;
+                worst = worst.max((value / 20_000.0 - averaged.value(t)).abs());
+                raw = raw.max((value / 20_000.0 - fast(t)).abs());
+            }
+            assert!(worst < 1e-3 && raw > 5.0 * worst, "{shots} shots over {spread} phases: {worst}, without {raw}");
+        }
+        let on_grid: Vec<i32> = (0..64).map(|phase| if phase == 0 { 7 } else { 0 }).collect();
+        assert_eq!(averaged_response(&response, 1.0, &on_grid).value(0.3), response.value(0.3));
     }
 
     #[test]

@@ -10,4 +10,5 @@ pub mod reference;
 pub mod resample;
 pub mod response;
 pub mod sparse;
+pub mod spline_fit;
 pub mod wiener;

@@ -1,18 +1,20 @@
 //! A pulse shape on a grid finer than the samples, from many shots that hit the samples at different sub-sample times.
 //!
-//! Every sample of every shot is one value of the same pulse at a known time. At each point of the fine grid a straight line is fitted to the samples
-//! nearby, under a triangular weight one step wide to each side, so that where in its cell a sample falls does not bias it. Where the times of the
-//! shots do not spread over a sample, the shots are averaged on their own grid and interpolated band-limited instead.
-//! Source: equivalent-time sampling; local linear regression as in Fan and Gijbels, *Local Polynomial Modelling*, section 2.
+//! Every sample of every shot is one value of the same pulse at a known time; a least-squares spline with knots every half sample runs through
+//! them all ([`super::spline_fit`]). Where the times of the shots do not spread over a sample, the shots are averaged on their own grid and
+//! interpolated band-limited instead. Source: equivalent-time sampling.
 
 use std::f64::consts::TAU;
 
 use super::reference::fit_pulse;
 use super::resample;
 use super::response::Response;
+use super::spline_fit::SplineFit;
 
 /// Fine steps in a sample.
 pub const STEPS: usize = 8;
+/// Distance of the spline's knots, in samples.
+const KNOTS: f64 = 0.5;
 /// Rounds of fitting times and renewing the shape.
 const ROUNDS: usize = 5;
 /// Share of a record at its start that is taken as baseline.
@@ -75,7 +77,7 @@ pub fn shape(shots: &[Shot], dt_ps: f64) -> Option<Shape> {
     }
     let grid = Grid { start_ps, step_ps, count: count as usize + 1 };
     let values = if spread_over_a_sample(shots, dt_ps) {
-        regress(shots, &floors, dt_ps, &grid)
+        regress(shots, &floors, dt_ps, &grid)?
     } else {
         interpolate(shots, &floors, dt_ps, &grid)
     };
@@ -145,33 +147,14 @@ fn spread_over_a_sample(shots: &[Shot], dt_ps: f64) -> bool {
     hits.iter().all(|hits| *hits >= needed)
 }
 
-/// A line through the samples near each point of the grid.
-fn regress(shots: &[Shot], floors: &[f64], dt_ps: f64, grid: &Grid) -> Vec<f64> {
-    // Sums of weights, of weighted places and squares, and of their products with the values.
-    let mut sums = vec![[0.0_f64; 5]; grid.count];
+/// A least-squares spline through all samples, with knots every half sample: what the shots' sub-sample times resolve, and no more noise than that.
+fn regress(shots: &[Shot], floors: &[f64], dt_ps: f64, grid: &Grid) -> Option<Vec<f64>> {
+    let place = |n: usize| grid.start_ps + n as f64 * grid.step_ps;
+    let mut fit = SplineFit::new(grid.start_ps, place(grid.count - 1), KNOTS * dt_ps);
     for (shot, floor) in shots.iter().zip(floors) {
-        for (i, sample) in shot.samples.iter().enumerate() {
-            let place = (shot.t0_ps + i as f64 * dt_ps - grid.start_ps) / grid.step_ps;
-            let left = place.floor();
-            // A triangular weight of half-width one step reaches the two neighbouring points.
-            for point in [left, left + 1.0] {
-                if point < 0.0 || point >= grid.count as f64 {
-                    continue;
-                }
-                let u = place - point;
-                let weight = 1.0 - u.abs();
-                let value = sample - floor;
-                let terms = [weight, weight * u, weight * u * u, weight * value, weight * u * value];
-                sums[point as usize].iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-            }
-        }
+        shot.samples.iter().enumerate().for_each(|(i, sample)| fit.add(shot.t0_ps + i as f64 * dt_ps, sample - floor));
     }
-    sums.iter()
-        .map(|[w, wu, wuu, wv, wuv]| {
-            let determinant = w * wuu - wu * wu;
-            if determinant > 1e-9 * w * w { (wuu * wv - wu * wuv) / determinant } else if *w > 0.0 { wv / w } else { 0.0 }
-        })
-        .collect()
+    fit.values((0..grid.count).map(place))
 }
 
 /// The mean of the shots on the sample grid of the first, interpolated band-limited.

@@ -7,7 +7,7 @@
 use std::f64::consts::PI;
 
 /// Taps of the filter.
-const TAPS: usize = 32;
+pub const TAPS: usize = 32;
 /// Shape of the window: about 90 dB in the stop band.
 const BETA: f64 = 8.96;
 
@@ -38,7 +38,8 @@ pub fn delay(samples: &[f64], fraction: f64, out: &mut [f64]) {
 }
 
 /// Weights of samples `i - half .. i + half` for the value at `i - fraction`, of sum 1.
-fn taps(fraction: f64) -> [f64; TAPS] {
+#[must_use]
+pub fn taps(fraction: f64) -> [f64; TAPS] {
     let half = (TAPS / 2) as f64;
     let weight = |k: usize| {
         // The window is centred on the place asked for, and reaches `half` samples to each side.

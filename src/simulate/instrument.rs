@@ -105,7 +105,7 @@ pub struct Digitizer<'a> {
 impl<'a> Digitizer<'a> {
     /// Of a scene's instrument.
     pub fn new(instrument: &'a Instrument, bad_shots: f64, pulse: &'a Pulse) -> Self {
-        let height_v = 0.7 * instrument.full_scale_v;
+        let height_v = Instrument::HEIGHT * instrument.full_scale_v;
         let reference = instrument.reference.map(|reference| (Pulse::of(&Shape::Gaussian { fwhm_ps: reference.fwhm_ps }), height_v / reference.snr));
         Self { instrument, bad_shots, pulse, reference }
     }
@@ -145,7 +145,7 @@ impl<'a> Digitizer<'a> {
             let codes = self.record(&clean, strength, t0_ps - late_ps, instrument.sample_noise_v(), rng);
             shots.signal.push((trigger_s, t0_ps * 1e-12, codes));
             if let (Some(records), Some((pulse, noise_v))) = (&mut shots.reference, &self.reference) {
-                let codes = self.record(pulse, 0.7 * instrument.full_scale_v, t0_ps - late_ps, *noise_v, rng);
+                let codes = self.record(pulse, Instrument::HEIGHT * instrument.full_scale_v, t0_ps - late_ps, *noise_v, rng);
                 records.push((trigger_s, t0_ps * 1e-12, codes));
             }
         }

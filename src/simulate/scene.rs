@@ -364,7 +364,7 @@ impl Scene {
 
 impl Instrument {
     /// Share of the range at which every signal stands, when the signal-to-noise ratio is set.
-    const HEIGHT: f64 = 0.7;
+    pub const HEIGHT: f64 = 0.6;
 
     /// Height of the response to light of this strength.
     #[must_use]
@@ -387,9 +387,9 @@ impl Instrument {
         self.full_scale_v / f64::from(1_u32 << self.bits)
     }
 
-    /// Volts at code 0: the baseline stands a tenth of the range above the lower rail.
+    /// Volts at code 0: the baseline stands a fifth of the range above the lower rail.
     #[must_use]
     pub fn offset_v(&self) -> f64 {
-        0.4 * self.full_scale_v
+        0.3 * self.full_scale_v
     }
 }

@@ -238,6 +238,7 @@ impl State {
             noise_v: spread.noise * gain_v.abs(),
             noise_acf: spread.acf.iter().copied().collect(),
             baseline_v: baseline * gain_v + offset_v,
+            phase_shots: Some(self.sums.phase_shots().into_iter().map(|shots| shots as i32).collect()),
             jitter_ps: (alignment + rounding).sqrt() / root_shots,
         }
     }

@@ -26,6 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::signal::average::averaged_response;
 use crate::signal::fft::RealFft;
 use crate::signal::response::Response;
 use crate::signal::sparse::{self, Pulse, SparseOptions};
@@ -125,7 +126,11 @@ impl Deconvolve {
         // A record without any noise (an ideal one) still has the rounding of its f32 samples.
         let rounding = f64::from(f32::EPSILON) * samples.iter().fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
         let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding);
-        let (light, light_noise_v) = self.wiener(sensor, profile, &samples, noise_v, fft);
+        let response = match &profile.phase_shots {
+            Some(phase_shots) => averaged_response(&sensor.response, profile.dt_ps, phase_shots),
+            None => sensor.response.clone(),
+        };
+        let (light, light_noise_v) = self.wiener(&response, profile, &samples, noise_v, fft);
         let blank = Stir {
             campaign: profile.campaign.clone(),
             sensor: profile.sensor.clone(),
@@ -142,20 +147,20 @@ impl Deconvolve {
         };
         match self.method {
             Method::Wiener => blank,
-            Method::Sparse => self.sparse(sensor, profile, &samples, noise_v, blank),
+            Method::Sparse => self.sparse(&response, sensor.polarity, profile, &samples, noise_v, blank),
         }
     }
 
-    fn sparse(&self, sensor: &Sensor, profile: &Profile, samples: &[f64], noise_v: f64, blank: Stir) -> Stir {
+    fn sparse(&self, response: &Response, polarity: f64, profile: &Profile, samples: &[f64], noise_v: f64, blank: Stir) -> Stir {
         let sd_v = vec![noise_v; samples.len()];
         let record = sparse::Profile { mean_v: samples, sd_v: &sd_v, t0_ps: blank.t0_ps, dt_ps: profile.dt_ps };
         let options = SparseOptions { evidence_min: self.evidence, pulses_max: self.impulses_max, baseline: true };
-        let fit = sparse::fit(&record, &sensor.response, &options);
+        let fit = sparse::fit(&record, response, &options);
         let count = fit.pulses.len();
         let impulse = |(k, pulse): (usize, &Pulse)| Impulse {
             time_ps: pulse.time_ps,
             time_sd_ps: fit.covariance_ps2[k * count + k].sqrt(),
-            amplitude_v: pulse.amplitude_v * sensor.polarity,
+            amplitude_v: pulse.amplitude_v * polarity,
             amplitude_sd_v: pulse.amplitude_sd_v,
             width_ps: 0.0,
             evidence: pulse.evidence,
@@ -165,8 +170,8 @@ impl Deconvolve {
     }
 
     /// The Wiener estimate and the standard deviation of its noise.
-    fn wiener(&self, sensor: &Sensor, profile: &Profile, samples: &[f64], noise_v: f64, fft: &mut RealFft) -> (Vec<f64>, f64) {
-        let transfer = Transfer::from_response(fft, &sensor.response, profile.dt_ps, samples.len());
+    fn wiener(&self, response: &Response, profile: &Profile, samples: &[f64], noise_v: f64, fft: &mut RealFft) -> (Vec<f64>, f64) {
+        let transfer = Transfer::from_response(fft, response, profile.dt_ps, samples.len());
         let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
         let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz * profile.dt_ps / 1000.0);
         let wiener = Wiener::new(&transfer, noise_to_signal, low_pass);

@@ -270,6 +270,7 @@ mod tests {
                 noise_v: 0.1,
                 noise_acf: vec![1.0, 0.2].into(),
                 baseline_v: 0.0,
+                phase_shots: None,
                 jitter_ps: 0.0,
             })
             .collect()

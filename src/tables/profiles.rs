@@ -34,6 +34,8 @@ table! {
         noise_acf: Samples,
         /// Mean baseline that was removed.
         baseline_v: f64,
+        /// Shots at each of 64 sub-sample phases, which say what averaging does to a response; null where samples are as recorded.
+        phase_shots: Option<Vec<i32>>,
         /// Standard deviation of the time error left over from alignment, common to all arrivals of the profile.
         jitter_ps: f64,
     }
