@@ -73,6 +73,12 @@ impl Lab {
         batches.iter().flat_map(|batch| R::rows(batch).unwrap()).collect()
     }
 
+    /// Rows of a table of the truth.
+    pub fn truth<R: Row>(&self) -> Vec<R> {
+        let path = self.campaign().join("truth").join(R::TABLE).join("truth.parquet");
+        periscope::store::parquet::read(&path, 1024).unwrap().flat_map(|batch| R::rows(&batch.unwrap()).unwrap()).collect()
+    }
+
     /// Digests of every part of a result folder, by its path there.
     pub fn parts(&self, out: &str) -> BTreeMap<String, blake3::Hash> {
         let mut parts = BTreeMap::new();

@@ -1,5 +1,9 @@
 //! One integration binary, a file a concern.
 
-mod formats;
+mod accuracy;
+mod bound;
+mod determinism;
 mod house;
+mod lab;
+mod lineage;
 mod schema;

@@ -211,8 +211,8 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// Chi2 over degrees of freedom of the record, or of the samples that pulse `k` reaches (of the record, if these are too few).
-    pub(super) fn chi2_per_dof(&self, state: &State, k: Option<usize>) -> f64 {
+    /// Chi2 over degrees of freedom, and these, of the record, or of the samples that pulse `k` reaches (of the record, if these are too few).
+    pub(super) fn chi2_per_dof(&self, state: &State, k: Option<usize>) -> (f64, f64) {
         let columns = &state.fit.columns;
         let range = k.map_or(0..self.data.len(), |k| columns[k].range());
         let used = self.model.weights[range.clone()]
@@ -234,7 +234,7 @@ impl<'a> Fitter<'a> {
             return self.chi2_per_dof(state, None);
         }
         let chi2: f64 = state.residual[range].iter().map(|r| r * r).sum();
-        chi2 / freedom.max(1.0)
+        (chi2 / freedom.max(1.0), freedom.max(1.0))
     }
 }
 

@@ -27,6 +27,8 @@ use super::response::Response;
 use greedy::{Fitter, State};
 pub use search::evidence_min;
 
+/// Standard deviations of chi2 that a misfit must exceed.
+const MISFIT_SIGMA: f64 = 3.0;
 /// False pulses a record of pure noise, where the caller sets no threshold.
 const FALSE_PULSES: f64 = 1e-4;
 
@@ -85,7 +87,7 @@ pub struct SparseFit {
     /// Pulses by rising time.
     pub pulses: Vec<Pulse>,
     /// Covariance of the times, ps^2, row-major: `sd^2 (J^T J)^-1`, each pulse's sd multiplied by the square root of its `chi2_per_dof`
-    /// where that exceeds 1.
+    /// where that exceeds 1 by more than three of its standard deviations.
     pub covariance_ps2: Vec<f64>,
     /// Constant under the pulses, V; 0 if none is fitted.
     pub baseline_v: f64,
@@ -136,36 +138,32 @@ fn describe(fitter: &Fitter, state: &State, evidences: &[f64], evidence_min: f64
     let unknowns = 2 * order.len();
     let all = state.covariance();
     let covariance = |i: usize, j: usize| all[i * unknowns + j];
-    let pulses: Vec<Pulse> = order
-        .iter()
-        .map(|&k| {
-            let chi2_per_dof = fitter.chi2_per_dof(state, Some(k));
-            Pulse {
-                time_ps: state.time_ps(k),
-                amplitude_v: state.amplitude(k),
-                amplitude_sd_v: (covariance(2 * k, 2 * k) * chi2_per_dof.max(1.0)).sqrt(),
-                evidence: evidences[k],
-                chi2_per_dof,
-            }
-        })
-        .collect();
-    let misfit = |p: &Pulse| p.chi2_per_dof.max(1.0).sqrt();
+    let inflations: Vec<f64> = order.iter().map(|&k| inflation(fitter.chi2_per_dof(state, Some(k)))).collect();
+    let pulse = |(&k, inflation): (&usize, &f64)| Pulse {
+        time_ps: state.time_ps(k),
+        amplitude_v: state.amplitude(k),
+        amplitude_sd_v: covariance(2 * k, 2 * k).sqrt() * inflation,
+        evidence: evidences[k],
+        chi2_per_dof: fitter.chi2_per_dof(state, Some(k)).0,
+    };
+    let pulses = order.iter().zip(&inflations).map(pulse).collect();
     let covariance_ps2 = order
         .iter()
-        .zip(&pulses)
-        .flat_map(|(&i, p)| {
-            order
-                .iter()
-                .zip(&pulses)
-                .map(move |(&j, q)| (i, j, misfit(p) * misfit(q)))
-        })
+        .zip(&inflations)
+        .flat_map(|(&i, p)| order.iter().zip(&inflations).map(move |(&j, q)| (i, j, p * q)))
         .map(|(i, j, inflation)| covariance(2 * i + 1, 2 * j + 1) * inflation)
         .collect();
     SparseFit {
         pulses,
         covariance_ps2,
         baseline_v: state.baseline_v(),
-        chi2_per_dof: fitter.chi2_per_dof(state, None),
+        chi2_per_dof: fitter.chi2_per_dof(state, None).0,
         evidence_min,
     }
+}
+
+/// Factor of a standard deviation for a misfit: the root of chi2 per degree of freedom, where noise alone does not explain it. (Multiplying by
+/// whatever exceeds 1 would widen every second interval of a right model.)
+fn inflation((chi2_per_dof, freedom): (f64, f64)) -> f64 {
+    if chi2_per_dof > 1.0 + MISFIT_SIGMA * (2.0 / freedom).sqrt() { chi2_per_dof.sqrt() } else { 1.0 }
 }

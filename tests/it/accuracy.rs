@@ -1,0 +1,104 @@
+//! The whole chain against the Cramer-Rao bound; `benches/accuracy.rs` runs it over hundreds of seeds for docs/accuracy.md.
+
+use std::path::Path;
+
+use periscope::pipeline::run::Settings;
+use periscope::simulate::{Format, Scene};
+use periscope::tables::{Calibration, Onset, Patch, PatchCovariance, Row};
+
+use crate::bound;
+use crate::lab::{ALL_VISIBLE, Lab};
+
+/// The demo's scene.
+pub const SCENE: &str = include_str!("../../pipelines/scenes/all-visible.toml");
+
+/// What some seeds of one scene gave.
+pub struct Study {
+    pub seeds: usize,
+    pub patches: usize,
+    /// Root of the mean squared position error, and of the bound's.
+    pub rms_m: f64,
+    pub bound_m: f64,
+    /// The paper's Algorithm 1 and classical scaling on the same onsets.
+    pub paper_rms_m: f64,
+    pub start_rms_m: f64,
+    /// Normalised squared error of each seed.
+    pub normalised: Vec<f64>,
+    pub degrees_of_freedom: f64,
+    /// Onset errors: root mean square about their seed's mean, bound, and share of true onsets found.
+    pub onset_rms_ps: f64,
+    pub onset_bound_ps: f64,
+    pub onsets_found: f64,
+    pub false_onsets: usize,
+}
+
+/// Simulates, runs and measures each seed.
+pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
+    let scene = Scene::parse(Path::new("scene.toml"), text).unwrap();
+    let count = scene.patches.len();
+    let mut study = Study {
+        seeds: (seeds.end - seeds.start) as usize,
+        patches: count,
+        rms_m: 0.0,
+        bound_m: 0.0,
+        paper_rms_m: 0.0,
+        start_rms_m: 0.0,
+        normalised: Vec::new(),
+        degrees_of_freedom: (3 * count - 3) as f64,
+        onset_rms_ps: 0.0,
+        onset_bound_ps: 0.0,
+        onsets_found: 0.0,
+        false_onsets: 0,
+    };
+    for seed in seeds {
+        let lab = Lab::of(text, seed, Format::Trc);
+        lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
+        let truth: Vec<Patch> = lab.truth();
+        let missed = bound::missed(&lab.rows("out", "patches"), &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"), &truth);
+        study.rms_m += missed.squares_m2;
+        study.normalised.push(missed.normalised);
+        study.paper_rms_m += bound::squares_m2(&lab.rows("out", "paper"), &truth);
+        study.start_rms_m += bound::squares_m2(&lab.rows("out", "start"), &truth);
+        study.onset_bound_ps = bound::onset_sd_ps(&scene, &lab.truth::<Calibration>()[0]);
+        onsets(&lab, &mut study);
+    }
+    let places = (study.seeds * count) as f64;
+    for sum in [&mut study.rms_m, &mut study.paper_rms_m, &mut study.start_rms_m] {
+        *sum = (*sum / places).sqrt();
+    }
+    let profiles = (study.seeds * count * count) as f64;
+    study.onset_rms_ps = (study.onset_rms_ps / (profiles - study.seeds as f64)).sqrt();
+    study.onsets_found /= profiles;
+    study.bound_m = (bound::position_covariance(&scene, study.onset_bound_ps).trace() / count as f64).sqrt();
+    study
+}
+
+/// Onsets beside the true ones: those within 20 standard deviations of one are it, others are false.
+fn onsets(lab: &Lab, study: &mut Study) {
+    let found: Vec<Onset> = lab.rows("out", "onsets");
+    let mut errors = Vec::new();
+    for truth in lab.truth::<Onset>() {
+        let near = |onset: &&Onset| (onset.lit, onset.seen) == (truth.lit, truth.seen) && (onset.time_ps - truth.time_ps).abs() < 20.0 * onset.time_sd_ps;
+        errors.extend(found.iter().find(near).map(|onset| onset.time_ps - truth.time_ps));
+    }
+    // The latency's error is common to all; the bound knows it as a delay.
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    study.onset_rms_ps += errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>();
+    study.onsets_found += errors.len() as f64;
+    study.false_onsets += found.len() - errors.len();
+}
+
+/// Six seeds: 198 degrees of freedom of the normalised error (one standard deviation: 10 %), 216 positions.
+#[test]
+fn positions_reach_the_bound_and_their_covariances_are_of_the_right_size() {
+    let study = study(SCENE, 0..6);
+    let ratio = study.rms_m / study.bound_m;
+    let nse = study.normalised.iter().sum::<f64>() / study.seeds as f64 / study.degrees_of_freedom;
+    eprintln!(
+        "rms {:.4} mm, bound {:.4} mm, ratio {ratio:.3}; NSE/dof {nse:.3}; onsets {:.4} ps, bound {:.4} ps; found {:.4}, false {}; Algorithm 1 {:.4} mm, start {:.4} mm",
+        study.rms_m * 1e3, study.bound_m * 1e3, study.onset_rms_ps, study.onset_bound_ps, study.onsets_found, study.false_onsets, study.paper_rms_m * 1e3, study.start_rms_m * 1e3
+    );
+    assert!(ratio < 1.35, "rms over bound {ratio}");
+    assert!((0.7..1.35).contains(&nse), "normalised squared error over degrees of freedom {nse}");
+    assert!(study.onsets_found == 1.0 && study.false_onsets <= 2);
+}
