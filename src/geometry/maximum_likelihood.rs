@@ -11,7 +11,7 @@
 //! second bounces alone hardly determine a common delay. Not modelled: uncertainty of station positions, errors that onsets of one profile share.
 
 use faer::Mat;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::{Point, dense};
 
@@ -91,6 +91,24 @@ pub struct Solution {
     pub degrees_of_freedom: i64,
     /// Rotations that no measurement determines.
     pub free_rotations: usize,
+    /// Dimensions of space.
+    pub dimensions: usize,
+}
+
+impl Solution {
+    /// Covariance of the coordinates of two patches; in flatland z has none.
+    #[must_use]
+    pub fn patch_covariance_m2(&self, a: usize, b: usize) -> Matrix3<f64> {
+        let dimensions = self.dimensions;
+        Matrix3::from_fn(|i, k| if i < dimensions && k < dimensions { self.covariance[(a * dimensions + i, b * dimensions + k)] } else { 0.0 })
+    }
+
+    /// Variance of a delay.
+    #[must_use]
+    pub fn delay_variance_m2(&self, delay: usize) -> f64 {
+        let at = self.points.len() * self.dimensions + delay;
+        self.covariance[(at, at)]
+    }
 }
 
 /// Why there is no solution.
@@ -278,6 +296,7 @@ fn finish(problem: &Problem, place: Place) -> Result<Solution, Unsolved> {
         chi2: measured + prior_cost(problem, &place),
         degrees_of_freedom: data as i64 - problem.unknowns() as i64 + nulls.ncols() as i64,
         free_rotations: nulls.ncols(),
+        dimensions: problem.dimensions,
         points: place.points,
         delays_m: place.delays_m,
         covariance,

@@ -327,6 +327,7 @@ impl Scene {
             sensor: sensor.into(),
             range: None,
             shots: 0,
+            rejected: 0,
             step_ps: Pulse::STEP_PS,
             response_t0_ps: pulse.start_ps(),
             response: pulse.values().iter().copied().collect(),

@@ -171,12 +171,13 @@ impl State {
         }
     }
 
+    /// Told only where more shots are left out than used: single bad shots are counted in the table.
     fn others(&self) -> Option<Rejection> {
         let why = format!(
-            "{} response shots of sensor {} are left out of its calibration: clipped, without reference pulse, or of another range, length or path than the first",
+            "{} response shots of sensor {} are left out of its calibration, more than are used: clipped, without reference pulse, or of another range, length or path than the first",
             self.other, self.sensor
         );
-        (self.other > 0).then(|| Rejection { reason: why, ..self.rejection(String::new()) })
+        (self.other as usize > self.signals.len()).then(|| Rejection { reason: why, ..self.rejection(String::new()) })
     }
 
     fn calibrate(&self, prior: &Prior) -> Result<Calibration, String> {
@@ -214,6 +215,7 @@ impl State {
             sensor: self.sensor.clone(),
             range: first.range.clone(),
             shots: shots.len() as i32,
+            rejected: self.other + (self.signals.len() - shots.len()) as i32,
             step_ps: shape.step_ps,
             response_t0_ps: shape.t0_ps,
             response: shape.values.iter().map(|value| value * sign).collect(),

@@ -17,7 +17,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use faer::Mat;
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
@@ -236,7 +235,7 @@ impl<'a> Model<'a> {
         let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
         let row = |(place, &patch): (usize, &PatchId)| {
             let point = procrustes::turn(turn, self.centre(), solution.points[place]);
-            let cov = turn * self.block(&solution.covariance, place, place) * turn.transpose();
+            let cov = turn * solution.patch_covariance_m2(place, place) * turn.transpose();
             Patch {
                 patch,
                 kind: self.known.start[&patch].kind.clone(),
@@ -259,17 +258,11 @@ impl<'a> Model<'a> {
         self.patches.iter().enumerate().map(row).collect()
     }
 
-    /// Covariance of two patches' coordinates; in flatland z has none.
-    fn block(&self, covariance: &Mat<f64>, a: usize, b: usize) -> Matrix3<f64> {
-        let dimensions = usize::from(self.first().dimensions);
-        Matrix3::from_fn(|i, k| if i < dimensions && k < dimensions { covariance[(a * dimensions + i, b * dimensions + k)] } else { 0.0 })
-    }
-
     fn patch_covariances(&self, solution: &Solution, turn: &Matrix3<f64>) -> Vec<PatchCovariance> {
         let count = self.patches.len();
         let pairs = (0..count).flat_map(|a| (a + 1..count).map(move |b| (a, b)));
         let row = |(a, b): (usize, usize)| {
-            let cov = turn * self.block(&solution.covariance, a, b) * turn.transpose();
+            let cov = turn * solution.patch_covariance_m2(a, b) * turn.transpose();
             PatchCovariance {
                 a: self.patches[a],
                 b: self.patches[b],
@@ -288,14 +281,13 @@ impl<'a> Model<'a> {
     }
 
     fn delays(&self, solution: &Solution) -> Vec<Delay> {
-        let first = self.patches.len() * usize::from(self.first().dimensions);
         let row = |(n, sensor): (usize, &(Name, Name))| {
             let time = |length_m| units::time_ps(length_m, self.index(sensor));
             Delay {
                 campaign: sensor.0.clone(),
                 sensor: sensor.1.clone(),
                 delay_ps: time(solution.delays_m[n]),
-                sd_ps: time(solution.covariance[(first + n, first + n)].sqrt()),
+                sd_ps: time(solution.delay_variance_m2(n).sqrt()),
                 prior_sd_ps: self.known.latency_sd_ps[sensor],
             }
         };

@@ -79,7 +79,7 @@ pub enum StoreError {
 /// What a user can do about a failed write.
 fn mend(source: &io::Error) -> &'static str {
     match source.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "; free some space and run again: finished parts are kept",
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => "; free some space and run again: finished parts are kept",
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => "; choose a folder that can be written with --out",
         _ => "",
     }

@@ -14,6 +14,8 @@ table! {
         range: Option<Name>,
         /// Shots that went into it.
         shots: i32,
+        /// Shots set aside: clipped, without reference pulse, or unlike the first.
+        rejected: i32,
         /// Grid step of response and reference.
         step_ps: f64,
         /// Time of the first value of the response; its maximum is at time 0.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use periscope::pipeline::run::Settings;
 use periscope::simulate::{Format, Scene};
-use periscope::tables::{Calibration, Onset, Patch, PatchCovariance, Row};
+use periscope::tables::{Calibration, Onset, Patch, PatchCovariance};
 
 use crate::bound;
 use crate::lab::{ALL_VISIBLE, Lab};
@@ -15,7 +15,6 @@ pub const SCENE: &str = include_str!("../../pipelines/scenes/all-visible.toml");
 /// What some seeds of one scene gave.
 pub struct Study {
     pub seeds: usize,
-    pub patches: usize,
     /// Root of the mean squared position error, and of the bound's.
     pub rms_m: f64,
     pub bound_m: f64,
@@ -38,7 +37,6 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
     let count = scene.patches.len();
     let mut study = Study {
         seeds: (seeds.end - seeds.start) as usize,
-        patches: count,
         rms_m: 0.0,
         bound_m: 0.0,
         paper_rms_m: 0.0,

@@ -64,6 +64,11 @@ fn without_tests(text: &str) -> &str {
     text.split("#[cfg(test)]").next().unwrap()
 }
 
+/// A file of tests alone.
+fn is_tests(file: &str) -> bool {
+    file.ends_with("/tests.rs")
+}
+
 /// Rooms that a file names after `crate::`.
 fn imported(text: &str) -> Vec<String> {
     let code = without_tests(text).lines().filter(|line| !line.trim_start().starts_with("//"));
@@ -113,7 +118,7 @@ fn stages_never_import_one_another() {
 
 #[test]
 fn kernels_know_no_file_no_table_no_thread_and_no_clock() {
-    for (file, text) in sources().iter().filter(|(file, _)| file.starts_with("signal/") || file.starts_with("geometry/")) {
+    for (file, text) in sources().iter().filter(|(file, _)| (file.starts_with("signal/") || file.starts_with("geometry/")) && !is_tests(file)) {
         for forbidden in ["std::fs", "std::thread", "std::time", "arrow::", "crate::tables", "rand::"] {
             assert!(!without_tests(text).contains(forbidden), "src/{file} names {forbidden}");
         }
@@ -150,6 +155,16 @@ fn no_room_is_a_drawer_for_odds_and_ends() {
     for (file, _) in sources() {
         for name in ["utils", "util", "common", "types", "error", "helpers", "misc"] {
             assert!(!file.split('/').any(|part| part.trim_end_matches(".rs") == name), "src/{file}: name what lives there");
+        }
+    }
+}
+
+/// Law 9.
+#[test]
+fn times_become_metres_in_one_place() {
+    for (file, text) in sources().iter().filter(|(file, _)| file != "units.rs" && !is_tests(file)) {
+        for forbidden in ["299792", "299_792", "2.997_924", "SPEED_OF_LIGHT", "0.2998", "0.0003 *"] {
+            assert!(!without_tests(text).contains(forbidden), "src/{file} knows the speed of light; units::path_m and units::time_ps do");
         }
     }
 }

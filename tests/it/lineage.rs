@@ -6,7 +6,7 @@ use periscope::pipeline::plan::Action;
 use periscope::pipeline::run::Settings;
 use periscope::tables::{Patch, Profile};
 
-use crate::lab::{ALL_VISIBLE, Lab};
+use crate::lab::{ALL_VISIBLE, Lab, chain};
 
 fn action(lab: &Lab, heading: &str, pipeline: &str, set: &[String]) -> (Action, String) {
     let decisions = lab.plan("out", pipeline, set);
@@ -48,11 +48,16 @@ fn only_campaign_fields_that_a_stage_reads_matter_to_it() {
     lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     let path = lab.campaign().join("campaign.toml");
     let text = fs::read_to_string(&path).unwrap();
-    let (head, rest) = text.split_once("[campaign]\n").unwrap();
-    let rest: String = rest.lines().filter(|line| !line.starts_with("group_index")).map(|line| format!("{line}\n")).collect();
-    fs::write(&path, format!("{head}[campaign]\ngroup_index = 1.33\n{rest}")).unwrap();
-    assert_eq!(action(&lab, "onsets", ALL_VISIBLE, &[]).0, Action::Reuse);
-    let (what, why) = action(&lab, "distances", ALL_VISIBLE, &[]);
+    fs::write(&path, text.replace("[patches.1]\n", "[patches.1]\nposition_m = [-0.6, -0.3, 0.8]\n")).unwrap();
+    for reused in ["calibration", "profiles", "onsets", "labels", "distances"] {
+        assert_eq!(action(&lab, reused, ALL_VISIBLE, &[]).0, Action::Reuse, "{reused}");
+    }
+    let (what, why) = action(&lab, "start", ALL_VISIBLE, &[]);
+    assert_eq!(what, Action::Compute);
+    assert!(why.contains("anchors_m") && why.contains("-0.6"), "{why}");
+    fs::write(&path, text.replace("group_index = 1.000277", "group_index = 1.33")).unwrap();
+    assert_eq!(action(&lab, "traces", ALL_VISIBLE, &[]).0, Action::Reuse);
+    let (what, why) = action(&lab, "calibration", ALL_VISIBLE, &[]);
     assert_eq!(what, Action::Compute);
     assert!(why.contains("group_index") && why.contains("1.33"), "{why}");
 }
@@ -66,7 +71,7 @@ fn a_changed_raw_file_is_refused_by_name() {
     let mut bytes = fs::read(&file).unwrap();
     *bytes.last_mut().unwrap() ^= 1;
     fs::write(&file, bytes).unwrap();
-    let error = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap_err().to_string();
+    let error = chain(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap_err());
     assert!(error.contains(file.file_name().unwrap().to_str().unwrap()) && error.contains("changed"), "{error}");
 }
 

@@ -2,8 +2,13 @@
 
 mod accuracy;
 mod bound;
+mod cli;
 mod determinism;
+mod failures;
 mod house;
 mod lab;
+mod laws;
 mod lineage;
+#[cfg(feature = "query")]
+mod query;
 mod schema;

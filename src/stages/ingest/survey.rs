@@ -94,21 +94,26 @@ struct Record {
     seal: Option<Manifest>,
     /// Folder of the notes.
     notes: PathBuf,
-    /// Notes, and whether they have entries that are not written down yet.
-    noted: Mutex<(Manifest, bool)>,
+    noted: Mutex<Noted>,
+}
+
+/// Notes: those that were written down, and new ones that are not yet.
+struct Noted {
+    manifest: Manifest,
+    new: Vec<(PathBuf, blake3::Hash, Metadata)>,
 }
 
 impl Record {
     fn load(campaign: &Campaign, notes: &Path) -> Result<Self, ManifestError> {
         let notes = notes.join(&campaign.name);
-        let noted = Mutex::new((Manifest::load(&notes)?.unwrap_or_default(), false));
+        let noted = Mutex::new(Noted { manifest: Manifest::load(&notes)?.unwrap_or_default(), new: Vec::new() });
         Ok(Self { seal: Manifest::load(&campaign.root)?, notes, noted })
     }
 
     /// The seal decides where there is one.
     fn check(&self, root: &Path, file: &Path) -> Result<FileState, ManifestError> {
         let sealed = self.seal.as_ref().map_or(Ok(FileState::New), |seal| seal.check(root, file))?;
-        let noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner).0.check(root, file)?;
+        let noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner).manifest.check(root, file)?;
         Ok(match (sealed, noted) {
             (FileState::New, noted) => noted,
             // A file whose time stamp alone changed was hashed again by an earlier run, which noted it.
@@ -213,19 +218,24 @@ impl<'a> Surveyed<'a> {
     /// Notes the digest of a file that was read; `metadata` was taken before.
     pub fn record(&self, campaign: usize, file: &Path, digest: blake3::Hash, metadata: &Metadata) {
         let mut noted = self.records[campaign].noted.lock().unwrap_or_else(PoisonError::into_inner);
-        noted.0.record(file, digest, metadata);
-        noted.1 = true;
+        noted.manifest.record(file, digest, metadata);
+        noted.new.push((file.to_owned(), digest, metadata.clone()));
     }
 
-    /// Writes down the notes that have new entries.
+    /// Writes down the new notes, beside those that other sources of the run have written since.
     pub fn save_notes(&self) -> Result<(), StageError> {
         for record in &self.records {
-            let mut noted = record.noted.lock().unwrap_or_else(PoisonError::into_inner);
-            if std::mem::take(&mut noted.1) {
-                let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&record.notes, error));
-                std::fs::create_dir_all(&record.notes).map_err(|error| refused(&error))?;
-                noted.0.save(&record.notes).map_err(|error| refused(&error))?;
+            let new = std::mem::take(&mut record.noted.lock().unwrap_or_else(PoisonError::into_inner).new);
+            if new.is_empty() {
+                continue;
             }
+            let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&record.notes, error));
+            let mut manifest = Manifest::load(&record.notes).map_err(|error| refused(&error))?.unwrap_or_default();
+            for (file, digest, metadata) in new {
+                manifest.record(&file, digest, &metadata);
+            }
+            std::fs::create_dir_all(&record.notes).map_err(|error| refused(&error))?;
+            manifest.save(&record.notes).map_err(|error| refused(&error))?;
         }
         Ok(())
     }

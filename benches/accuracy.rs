@@ -1,0 +1,51 @@
+//! Study: positions over many seeds against the Cramer-Rao bound. Prints the tables of docs/accuracy.md.
+//!
+//! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer.
+
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/bound.rs"]
+mod bound;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/lab.rs"]
+mod lab;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/accuracy.rs"]
+mod study;
+
+use study::{SCENE, Study, study};
+
+fn main() {
+    let seeds = std::env::args().skip(1).find_map(|arg| arg.parse().ok()).unwrap_or(200);
+    let cases = [("demo scene", SCENE.to_owned()), ("no jitter of the trigger", SCENE.replace("jitter_ps = 80.0", "jitter_ps = 0.0"))];
+    println!("| scene | seeds | rms (mm) | bound (mm) | rms / bound [95 %] | NSE / dof [95 %] | Algorithm 1 (mm) | classical scaling (mm) | onset rms (ps) | onset bound (ps) | onsets found | false onsets |");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
+    for (name, text) in cases {
+        print_row(name, &study(&text, 1000..1000 + seeds));
+    }
+}
+
+fn print_row(name: &str, study: &Study) {
+    let ratio = study.rms_m / study.bound_m;
+    let mean = study.normalised.iter().sum::<f64>() / study.seeds as f64;
+    let variance = study.normalised.iter().map(|nse| (nse - mean).powi(2)).sum::<f64>() / (study.seeds as f64 - 1.0);
+    let nse_95 = 1.96 * (variance / study.seeds as f64).sqrt() / study.degrees_of_freedom;
+    // Squared errors of one seed spread as its normalised error does.
+    let ratio_95 = 0.5 * 1.96 * (variance.sqrt() / mean) / (study.seeds as f64).sqrt() * ratio;
+    println!(
+        "| {name} | {} | {:.4} | {:.4} | {ratio:.3} [{:.3}, {:.3}] | {:.3} [{:.3}, {:.3}] | {:.4} | {:.4} | {:.4} | {:.4} | {:.5} | {} |",
+        study.seeds,
+        1e3 * study.rms_m,
+        1e3 * study.bound_m,
+        ratio - ratio_95,
+        ratio + ratio_95,
+        mean / study.degrees_of_freedom,
+        mean / study.degrees_of_freedom - nse_95,
+        mean / study.degrees_of_freedom + nse_95,
+        1e3 * study.paper_rms_m,
+        1e3 * study.start_rms_m,
+        study.onset_rms_ps,
+        study.onset_bound_ps,
+        study.onsets_found,
+        study.false_onsets,
+    );
+}
