@@ -38,6 +38,8 @@ use crate::units;
 pub const SHOTS_MAX: usize = 4096;
 /// Most bytes of samples of a sensor that are kept.
 pub const KEPT_BYTES: usize = 64 << 20;
+/// Robust standard deviations within which the times of single shots lie.
+const STRAY_SIGMA: f64 = 5.0;
 /// Groups of the jackknife that gives the width's standard deviation.
 const GROUPS: usize = 8;
 /// Fewer shots in a group have no shape of their own.
@@ -242,16 +244,32 @@ fn arrival(shots: &[Shot], dt_ps: f64, shape: &Shape) -> (f64, f64) {
     let template = shape.response();
     let fits = shots.iter().filter_map(|shot| fit_pulse(&shot.samples, dt_ps, &template).map(|fit| (shot.t0_ps + fit.time_ps, fit.time_sd_ps)));
     let fits: Vec<(f64, f64)> = fits.collect();
-    let count = fits.len() as f64;
     if 2 * fits.len() <= shots.len() {
         let baseline: Vec<Vec<f64>> = shots.iter().map(|shot| shot.samples[..(shot.samples.len() / 10).max(2).min(shot.samples.len())].to_vec()).collect();
         let snr = shape.height.abs() * (shots.len() as f64).sqrt() / noise::estimate(&baseline, 1).sd;
         return (shape.peak_ps, template.width_ps() / snr);
     }
-    let mean = fits.iter().map(|(time_ps, _)| time_ps).sum::<f64>() / count;
-    let spread = fits.iter().map(|(time_ps, _)| (time_ps - mean).powi(2)).sum::<f64>();
-    let sd = if fits.len() > 1 { (spread / (count - 1.0) / count).sqrt() } else { fits[0].1 };
+    let kept = without_strays(fits);
+    let count = kept.len() as f64;
+    let mean = kept.iter().map(|(time_ps, _)| time_ps).sum::<f64>() / count;
+    let spread = kept.iter().map(|(time_ps, _)| (time_ps - mean).powi(2)).sum::<f64>();
+    let sd = if kept.len() > 1 { (spread / (count - 1.0) / count).sqrt() } else { kept[0].1 };
     (mean, sd)
+}
+
+/// Times within [`STRAY_SIGMA`] robust standard deviations of their median: a shot without light has its time anywhere.
+fn without_strays(mut fits: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+    let middle = |mut values: Vec<f64>| {
+        let half = values.len() / 2;
+        *values.select_nth_unstable_by(half, f64::total_cmp).1
+    };
+    let median = middle(fits.iter().map(|(time_ps, _)| *time_ps).collect());
+    let deviation = middle(fits.iter().map(|(time_ps, _)| (time_ps - median).abs()).collect());
+    let fitted = middle(fits.iter().map(|(_, sd_ps)| *sd_ps).collect());
+    // The fits' own standard deviation is a floor: times that happen to be equal leave none.
+    let limit = STRAY_SIGMA * (1.4826 * deviation).max(fitted);
+    fits.retain(|(time_ps, _)| (time_ps - median).abs() <= limit);
+    fits
 }
 
 /// Standard deviation of the width by a jackknife that leaves out every eighth shot in turn; `None` with too few shots.
