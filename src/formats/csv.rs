@@ -27,10 +27,10 @@ impl Reader for Csv {
     }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let (times_s, values) = columns(&mut BufReader::new(input.stream()?))?;
+        let Columns { first_line, times_s, values } = columns(&mut BufReader::new(input.stream()?))?;
         let (dt_s, t0_s) = match &times_s {
             Some(times_s) => {
-                let (dt_s, t0_s) = time_base(times_s)?;
+                let (dt_s, t0_s) = time_base(first_line, times_s)?;
                 (Some(dt_s), Some(t0_s))
             }
             None => (None, None),
@@ -71,12 +71,20 @@ fn refuse(line: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Line { line, problem: problem.into() }
 }
 
-/// Times, if there is a column of them, and values.
-fn columns(text: &mut impl BufRead) -> Result<(Option<Vec<f64>>, Vec<f64>), FormatError> {
+/// What the lines hold.
+struct Columns {
+    /// Line of the first numbers.
+    first_line: u64,
+    /// Times, if there is a column of them.
+    times_s: Option<Vec<f64>>,
+    values: Vec<f64>,
+}
+
+fn columns(text: &mut impl BufRead) -> Result<Columns, FormatError> {
     let (mut times_s, mut values, mut count) = (Vec::new(), Vec::new(), None);
     let mut line = Vec::new();
     let mut number = 0;
-    let mut blank = None;
+    let (mut blank, mut first_line) = (None, 1);
     loop {
         line.clear();
         if text.read_until(b'\n', &mut line)? == 0 {
@@ -95,7 +103,8 @@ fn columns(text: &mut impl BufRead) -> Result<(Option<Vec<f64>>, Vec<f64>), Form
         let numbers: Option<Vec<f64>> = fields.iter().map(|field| field.parse().ok().filter(|number: &f64| number.is_finite())).collect();
         let Some(numbers) = numbers else {
             if number == 1 {
-                continue; // One line of names.
+                first_line = 2; // One line of names.
+                continue;
             }
             return Err(refuse(number, format!("{:?} is no row of numbers; a plain CSV has one line of names at most, then times and volts", line.trim_end())));
         };
@@ -113,7 +122,7 @@ fn columns(text: &mut impl BufRead) -> Result<(Option<Vec<f64>>, Vec<f64>), Form
     if values.is_empty() {
         return Err(refuse(number.max(1), "no line of numbers follows"));
     }
-    Ok(((!times_s.is_empty()).then_some(times_s), values))
+    Ok(Columns { first_line, times_s: (!times_s.is_empty()).then_some(times_s), values })
 }
 
 /// Fields of a line; blank cells at its end do not count.
@@ -131,18 +140,18 @@ fn fields(line: &str) -> Vec<&str> {
 }
 
 /// Step and start of evenly spaced times.
-fn time_base(times_s: &[f64]) -> Result<(f64, f64), FormatError> {
+fn time_base(first_line: u64, times_s: &[f64]) -> Result<(f64, f64), FormatError> {
     let (first, last) = (times_s[0], times_s[times_s.len() - 1]);
     if times_s.len() < 2 {
-        return Err(refuse(1, "a single time gives no step"));
+        return Err(refuse(first_line, "a single time gives no step"));
     }
     let dt_s = (last - first) / (times_s.len() - 1) as f64;
     if !(dt_s > 0.0 && dt_s.is_finite()) {
-        return Err(refuse(1, "times do not increase"));
+        return Err(refuse(first_line, "times do not increase"));
     }
     let uneven = times_s.iter().enumerate().position(|(i, time_s)| (time_s - (first + i as f64 * dt_s)).abs() > UNEVEN * dt_s);
     match uneven {
-        Some(row) => Err(refuse(row as u64 + 1, format!("time {} s is off the even step of {dt_s} s (rows counted from the first of numbers)", times_s[row]))),
+        Some(row) => Err(refuse(first_line + row as u64, format!("time {} s is off the even step of {dt_s} s; export the trace again with all its points", times_s[row]))),
         None => Ok((dt_s, first)),
     }
 }

@@ -5,6 +5,7 @@ mod bound;
 mod cli;
 mod determinism;
 mod failures;
+mod formats;
 mod house;
 mod lab;
 mod laws;
