@@ -112,7 +112,7 @@ mod tests {
     use std::path::Path;
 
     fn scene(size_m: f64) -> Scene {
-        let text = include_str!("../../pipelines/scenes/tiny.toml").replace("size_m = 0.005", &format!("size_m = {size_m}"));
+        let text = include_str!("../../pipelines/scenes/tiny.toml").replace("size_m = 0.001", &format!("size_m = {size_m}"));
         Scene::parse(Path::new("tiny.toml"), &text).unwrap()
     }
 
