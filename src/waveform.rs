@@ -54,7 +54,9 @@ impl CodeType {
     /// The type of this name.
     #[must_use]
     pub fn parse(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|code_type| code_type.name() == name)
+        Self::ALL
+            .into_iter()
+            .find(|code_type| code_type.name() == name)
     }
 
     /// Bytes of a code.
@@ -83,7 +85,9 @@ impl CodeType {
 
     /// Turns big-endian codes into little-endian ones, or back, in place.
     pub fn swap_bytes(self, codes: &mut [u8]) {
-        codes.chunks_exact_mut(self.bytes()).for_each(<[u8]>::reverse);
+        codes
+            .chunks_exact_mut(self.bytes())
+            .for_each(<[u8]>::reverse);
     }
 
     /// Codes as numbers, from little-endian bytes.
@@ -93,7 +97,11 @@ impl CodeType {
             ($number:ty) => {
                 codes
                     .chunks_exact(size_of::<$number>())
-                    .map(|code| f64::from(<$number>::from_le_bytes(code.try_into().expect("chunks have the code's size"))))
+                    .map(|code| {
+                        f64::from(<$number>::from_le_bytes(
+                            code.try_into().expect("chunks have the code's size"),
+                        ))
+                    })
                     .collect()
             };
         }
@@ -192,7 +200,10 @@ impl Record {
     pub fn read<F: io::Read + io::Seek>(&self, file: &mut F) -> io::Result<Vec<u8>> {
         match &self.payload {
             Payload::Decoded(codes) => Ok(codes.to_vec()),
-            Payload::File { byte_offset, big_endian } => {
+            Payload::File {
+                byte_offset,
+                big_endian,
+            } => {
                 let mut codes = vec![0; self.code_bytes()];
                 file.seek(io::SeekFrom::Start(*byte_offset))?;
                 file.read_exact(&mut codes)?;
@@ -209,7 +220,9 @@ impl Record {
     pub fn values(&self, codes: &[u8]) -> Vec<f64> {
         let mut values = self.head.code_type.decode(codes);
         if let Some(Scale { gain, offset }) = self.head.scale {
-            values.iter_mut().for_each(|value| *value = gain * *value + offset);
+            values
+                .iter_mut()
+                .for_each(|value| *value = gain * *value + offset);
         }
         values
     }

@@ -33,13 +33,30 @@ impl fmt::Display for SealReport {
             }
             Ok(())
         };
-        let new = if self.joined { "joined   " } else { "new      " };
+        let new = if self.joined {
+            "joined   "
+        } else {
+            "new      "
+        };
         list("touched  ", &self.refreshed)?;
         list("gone     ", &self.gone)?;
         list(new, &self.new)?;
-        let mend = if self.joined || self.new.is_empty() { "" } else { "; `--update` lets them join" };
-        let (joined, left) = if self.joined { (self.new.len(), 0) } else { (0, self.new.len()) };
-        write!(f, "\nsealed: {} files as recorded, {joined} joined, {left} left out{mend}, {} gone", self.unchanged, self.gone.len())
+        let mend = if self.joined || self.new.is_empty() {
+            ""
+        } else {
+            "; `--update` lets them join"
+        };
+        let (joined, left) = if self.joined {
+            (self.new.len(), 0)
+        } else {
+            (0, self.new.len())
+        };
+        write!(
+            f,
+            "\nsealed: {} files as recorded, {joined} joined, {left} left out{mend}, {} gone",
+            self.unchanged,
+            self.gone.len()
+        )
     }
 }
 

@@ -33,13 +33,20 @@ pub fn hint<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String 
 
 /// A whole message about an unknown word: what it should have been one of, and the mend.
 pub fn unknown(what: &str, word: &str, known: &[&str]) -> String {
-    format!("unknown {what} `{word}`; {}", hint(word, known.iter().copied()))
+    format!(
+        "unknown {what} `{word}`; {}",
+        hint(word, known.iter().copied())
+    )
 }
 
 /// Serde's message about an unknown field or variant, with the nearest known one in place of the list of all; other messages as they are.
 pub fn explain(message: &str) -> String {
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    match (message.strip_prefix("unknown field "), message.strip_prefix("unknown variant "), quoted.split_first()) {
+    match (
+        message.strip_prefix("unknown field "),
+        message.strip_prefix("unknown variant "),
+        quoted.split_first(),
+    ) {
         (Some(_), _, Some((word, known))) => unknown("key", word, known),
         (_, Some(_), Some((word, known))) => unknown("value", word, known),
         _ => message.trim_end().to_owned(),

@@ -20,7 +20,11 @@ pub const TRUTH: &str = "truth";
 pub fn files(root: &Path) -> Result<Vec<PathBuf>, (PathBuf, io::Error)> {
     let mut files = Vec::new();
     visit(root, Path::new(""), &mut Vec::new(), &mut files)?;
-    files.retain(|file| file != Path::new(CAMPAIGN_FILE) && file != Path::new(MANIFEST_FILE) && !file.starts_with(TRUTH));
+    files.retain(|file| {
+        file != Path::new(CAMPAIGN_FILE)
+            && file != Path::new(MANIFEST_FILE)
+            && !file.starts_with(TRUTH)
+    });
     files.sort();
     Ok(files)
 }

@@ -29,14 +29,21 @@ pub fn inspect(args: &Inspect) -> Result<ExitCode> {
     let mut failed = false;
     for file in &args.files {
         if let Err(error) = inspect_file(file, args.json, &mut out) {
-            if error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe) {
+            if error
+                .downcast_ref::<std::io::Error>()
+                .is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
+            {
                 return Err(error);
             }
             eprintln!("error: {}: {error:#}", file.display());
             failed = true;
         }
     }
-    Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    Ok(if failed {
+        ExitCode::FAILURE
+    } else {
+        ExitCode::SUCCESS
+    })
 }
 
 fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> {
@@ -45,7 +52,13 @@ fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> 
     if !as_json {
         let head = records.first().context("holds no waveform")?.head.clone();
         let instrument = head.instrument.as_deref().unwrap_or("unknown instrument");
-        writeln!(out, "{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
+        writeln!(
+            out,
+            "{}: {}, {instrument}, {} waveforms",
+            file.display(),
+            head.format,
+            records.len()
+        )?;
     }
     for record in &records {
         let bytes = record.read(source.file())?;
@@ -67,10 +80,17 @@ fn facts(file: &Path, record: &Record, bytes: &[u8]) -> Value {
     for value in &values {
         sha.update((*value as f32).to_le_bytes());
     }
-    let sha: String = sha.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    let sha: String = sha
+        .finalize()
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
     let ends = 5.min(values.len());
-    let codes = Codes::of(head.code_type.name(), bytes).expect("code types have one name everywhere");
-    let clipped = head.rails.map(|(low, high)| codes.count_at_or_beyond(low, high));
+    let codes =
+        Codes::of(head.code_type.name(), bytes).expect("code types have one name everywhere");
+    let clipped = head
+        .rails
+        .map(|(low, high)| codes.count_at_or_beyond(low, high));
     json!({
         "file": file.display().to_string(),
         "format": head.format,

@@ -47,7 +47,10 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
             Action::Pass => "pass",
             Action::Skip => "skip",
         };
-        println!("{action:8} {:24} {:10} {}", decision.heading, decision.stage, decision.why);
+        println!(
+            "{action:8} {:24} {:10} {}",
+            decision.heading, decision.stage, decision.why
+        );
     }
     Ok(ExitCode::SUCCESS)
 }

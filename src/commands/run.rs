@@ -77,9 +77,13 @@ impl From<ProgressKind> for Style {
 
 /// Reads `512MiB`, `64M`, `1GB`, `4096`.
 pub fn size(text: &str) -> Result<usize, String> {
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let digits = text
+        .find(|c: char| !c.is_ascii_digit())
+        .unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);
-    let number: usize = number.parse().map_err(|_| format!("`{text}` does not begin with a whole number; write 512MiB"))?;
+    let number: usize = number
+        .parse()
+        .map_err(|_| format!("`{text}` does not begin with a whole number; write 512MiB"))?;
     let factor = match unit.trim().to_ascii_lowercase().as_str() {
         "" | "b" => 1,
         "k" | "kib" => 1 << 10,
@@ -88,9 +92,15 @@ pub fn size(text: &str) -> Result<usize, String> {
         "mb" => 1_000_000,
         "g" | "gib" => 1 << 30,
         "gb" => 1_000_000_000,
-        _ => return Err(format!("`{unit}` is no unit of size; write KiB, MiB or GiB")),
+        _ => {
+            return Err(format!(
+                "`{unit}` is no unit of size; write KiB, MiB or GiB"
+            ));
+        }
     };
-    number.checked_mul(factor).ok_or_else(|| format!("`{text}` is too much"))
+    number
+        .checked_mul(factor)
+        .ok_or_else(|| format!("`{text}` is too much"))
 }
 
 /// Loads campaigns, and makes sure that their names differ: rows of equal names would mix.
@@ -99,7 +109,12 @@ pub fn campaigns(folders: &[PathBuf]) -> Result<Vec<Campaign>> {
     for folder in folders {
         let campaign = Campaign::load(folder)?;
         if let Some(other) = campaigns.iter().find(|other| other.name == campaign.name) {
-            bail!("campaigns {} and {} are both named `{}`; change `name` in one campaign.toml", other.root.display(), folder.display(), campaign.name);
+            bail!(
+                "campaigns {} and {} are both named `{}`; change `name` in one campaign.toml",
+                other.root.display(),
+                folder.display(),
+                campaign.name
+            );
         }
         campaigns.push(campaign);
     }
@@ -111,11 +126,21 @@ pub fn use_threads(threads: Option<usize>) -> Result<()> {
     if threads == Some(0) {
         bail!("--threads 0: give at least 1");
     }
-    rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build_global().context("cannot start the worker threads")
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.unwrap_or(0))
+        .build_global()
+        .context("cannot start the worker threads")
 }
 
 /// Plans and runs; prints warnings of the survey.
-pub fn execute(spec: &Spec, campaigns: &[Campaign], shelf: &Shelf, until: Option<&str>, settings: &Settings, style: Style) -> Result<Outcome> {
+pub fn execute(
+    spec: &Spec,
+    campaigns: &[Campaign],
+    shelf: &Shelf,
+    until: Option<&str>,
+    settings: &Settings,
+    style: Style,
+) -> Result<Outcome> {
     let mut plan = Plan::new(spec, campaigns, shelf, until)?;
     for warning in plan.warnings() {
         eprintln!("warning: {warning}");
@@ -139,19 +164,43 @@ pub fn run(args: &Run) -> Result<ExitCode> {
         ..defaults
     };
     let least = settings.least_memory();
-    let settings = Settings { memory_bytes: args.memory.unwrap_or(settings.memory_bytes.max(least)), ..settings };
-    let outcome = execute(&spec, &campaigns, &shelf, args.until.as_deref(), &settings, args.progress.into())?;
+    let settings = Settings {
+        memory_bytes: args.memory.unwrap_or(settings.memory_bytes.max(least)),
+        ..settings
+    };
+    let outcome = execute(
+        &spec,
+        &campaigns,
+        &shelf,
+        args.until.as_deref(),
+        &settings,
+        args.progress.into(),
+    )?;
     let out = args.out.display();
     for step in &spec.steps {
         if let Some(record) = outcome.tables.get(&step.heading) {
             let rows: u64 = record.rows(&step.node.tables()[0].name);
-            let made = if outcome.computed.contains(&step.heading) { "computed" } else { "reused" };
-            println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
+            let made = if outcome.computed.contains(&step.heading) {
+                "computed"
+            } else {
+                "reused"
+            };
+            println!(
+                "{:24} {rows:>10} rows  {made:8}  {out}/{}",
+                step.heading, step.heading
+            );
         }
     }
     if outcome.rejects > 0 {
-        eprintln!("warning: {} records were set aside; see {out}/rejects", outcome.rejects);
-        return Ok(if args.strict { ExitCode::FAILURE } else { ExitCode::from(SOME_REJECTED) });
+        eprintln!(
+            "warning: {} records were set aside; see {out}/rejects",
+            outcome.rejects
+        );
+        return Ok(if args.strict {
+            ExitCode::FAILURE
+        } else {
+            ExitCode::from(SOME_REJECTED)
+        });
     }
     Ok(ExitCode::SUCCESS)
 }

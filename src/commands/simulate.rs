@@ -57,6 +57,11 @@ pub fn simulate(args: &Simulate) -> Result<ExitCode> {
     };
     let truth = simulate::simulate(&scene, args.seed, &args.out, format)?;
     let captures = truth.onsets.len();
-    println!("{}: {} patches, {captures} captures of {} shots; truth in truth/", args.out.display(), truth.patches.len(), scene.captures.shots);
+    println!(
+        "{}: {} patches, {captures} captures of {} shots; truth in truth/",
+        args.out.display(),
+        truth.patches.len(),
+        scene.captures.shots
+    );
     Ok(ExitCode::SUCCESS)
 }

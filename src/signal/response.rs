@@ -115,9 +115,46 @@ impl Response {
         start..end.max(start)
     }
 
-    /// Time of the maximum, ps after the arrival.
+    /// Whether it is a step: it ends above half its maximum, where a pulse has decayed.
+    #[must_use]
+    pub fn is_step(&self) -> bool {
+        self.value(self.support_ps().1) > self.height() / 2.0
+    }
+
+    /// Largest value.
+    #[must_use]
+    pub fn height(&self) -> f64 {
+        self.value(self.maximum_ps())
+    }
+
+    /// Time of the maximum, ps after the arrival; for a step, of its steepest rise.
     #[must_use]
     pub fn peak_ps(&self) -> f64 {
+        if self.is_step() {
+            self.steepest().0
+        } else {
+            self.maximum_ps()
+        }
+    }
+
+    /// Time and slope (per ps) of the steepest rise.
+    fn steepest(&self) -> (f64, f64) {
+        let slope = |[_, c1, c2, c3]: [f64; 4], u: f64| c1 + u * (2.0 * c2 + u * 3.0 * c3);
+        let candidates = self.pieces.iter().enumerate().flat_map(|(i, &piece)| {
+            let inner = -piece[2] / (3.0 * piece[3]);
+            let inner = Some(inner).filter(|u| (0.0..1.0).contains(u));
+            [Some(0.0), inner]
+                .into_iter()
+                .flatten()
+                .map(move |u| (i as f64 + u, slope(piece, u)))
+        });
+        let (position, slope) = candidates.fold((0.0, f64::NEG_INFINITY), |best, at| {
+            if at.1 > best.1 { at } else { best }
+        });
+        (self.t0_ps + position * self.step_ps, slope / self.step_ps)
+    }
+
+    fn maximum_ps(&self) -> f64 {
         let knots = self
             .pieces
             .iter()
@@ -139,10 +176,14 @@ impl Response {
         self.t0_ps + position * self.step_ps
     }
 
-    /// Full width at half maximum, ps: distance between the half-maximum crossings next to the maximum on either side.
+    /// Full width at half maximum, ps: distance between the half-maximum crossings next to the maximum on either side. For a step, its rise time:
+    /// height over steepest slope.
     #[must_use]
     pub fn width_ps(&self) -> f64 {
-        let peak_ps = self.peak_ps();
+        if self.is_step() {
+            return self.height() / self.steepest().1;
+        }
+        let peak_ps = self.maximum_ps();
         let half = self.value(peak_ps) / 2.0;
         let reach = self.support_ps();
         self.crossing(peak_ps, reach.1, half) - self.crossing(peak_ps, reach.0, half)
@@ -245,6 +286,26 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn a_step_is_placed_by_its_edge() {
+        let step = |t: f64| 1.0 / (1.0 + (-t / 20.0).exp());
+        let values: Vec<f64> = (0..200)
+            .map(|i| step(10.0 * f64::from(i) - 503.0) * (1.0 - 0.02 * f64::from(i % 3)))
+            .collect();
+        let response = Response::new(-100.0, 10.0, &values);
+        assert!(response.is_step() && !gaussian(0.0).is_step());
+        assert!(
+            (response.peak_ps() - 403.0).abs() < 6.0,
+            "{}",
+            response.peak_ps()
+        );
+        assert!(
+            (response.width_ps() - 80.0).abs() < 12.0,
+            "{}",
+            response.width_ps()
+        );
     }
 
     #[test]

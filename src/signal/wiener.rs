@@ -285,10 +285,16 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(8);
         for len in [255, 256] {
             let mut fft = RealFft::new();
-            let wiener = Wiener::new(&Transfer::from_samples(&mut fft, &ringing(), len), 0.01, Some(0.2));
+            let wiener = Wiener::new(
+                &Transfer::from_samples(&mut fft, &ringing(), len),
+                0.01,
+                Some(0.2),
+            );
             let (mut squares, mut light) = (0.0, vec![0.0; len]);
             for _ in 0..400 {
-                let noise: Vec<f64> = (0..len).map(|_| rand_distr::StandardNormal.sample(&mut rng)).collect();
+                let noise: Vec<f64> = (0..len)
+                    .map(|_| rand_distr::StandardNormal.sample(&mut rng))
+                    .collect();
                 wiener.apply(&mut fft, &noise, &mut light);
                 squares += light.iter().map(|x| x * x).sum::<f64>() / len as f64;
             }

@@ -196,7 +196,10 @@ impl Scene {
     /// # Errors
     /// When it cannot be read, or anything in it is refused.
     pub fn load(file: &Path) -> Result<Self, SceneError> {
-        let text = std::fs::read_to_string(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
+        let text = std::fs::read_to_string(file).map_err(|source| SceneError::Read {
+            file: file.to_owned(),
+            source,
+        })?;
         Self::parse(file, &text)
     }
 
@@ -217,39 +220,86 @@ impl Scene {
             captures: keys.captures,
             text: text.to_owned(),
         };
-        let sensors = scene.sensors.iter().map(|(name, sensor)| (name.clone(), keys::Sensor { station: sensor.station.clone(), ..keys::Sensor::default() }));
-        let patch = |disk: &Disk| keys::Patch { position_m: Some(disk.position_m), normal: Some(disk.normal), size_m: Some(disk.size_m), ..keys::Patch::default() };
-        let patches = scene.patches.iter().map(|(id, disk)| (*id, patch(disk))).collect();
-        let setup = check_setup::setup(&scene.stations, &sensors.collect(), &patches, scene.dimensions);
-        setup.map_err(|fault| SceneError::Setup { file: file.to_owned(), fault })?;
-        scene.check().map_err(|problem| SceneError::Value { file: file.to_owned(), problem })?;
+        let sensors = scene.sensors.iter().map(|(name, sensor)| {
+            (
+                name.clone(),
+                keys::Sensor {
+                    station: sensor.station.clone(),
+                    ..keys::Sensor::default()
+                },
+            )
+        });
+        let patch = |disk: &Disk| keys::Patch {
+            position_m: Some(disk.position_m),
+            normal: Some(disk.normal),
+            size_m: Some(disk.size_m),
+            ..keys::Patch::default()
+        };
+        let patches = scene
+            .patches
+            .iter()
+            .map(|(id, disk)| (*id, patch(disk)))
+            .collect();
+        let setup = check_setup::setup(
+            &scene.stations,
+            &sensors.collect(),
+            &patches,
+            scene.dimensions,
+        );
+        setup.map_err(|fault| SceneError::Setup {
+            file: file.to_owned(),
+            fault,
+        })?;
+        scene.check().map_err(|problem| SceneError::Value {
+            file: file.to_owned(),
+            problem,
+        })?;
         Ok(scene)
     }
 
     fn check(&self) -> Result<(), String> {
         for (id, disk) in &self.patches {
             if disk.role != PatchRole::Visible {
-                return Err(format!("[patches.{id}]: role: hidden and mirror patches are not simulated yet; take it out"));
+                return Err(format!(
+                    "[patches.{id}]: role: hidden and mirror patches are not simulated yet; take it out"
+                ));
             }
             if !(0.0..=1.0).contains(&disk.reflectance) {
-                return Err(format!("[patches.{id}]: reflectance = {} is not from 0 to 1", disk.reflectance));
+                return Err(format!(
+                    "[patches.{id}]: reflectance = {} is not from 0 to 1",
+                    disk.reflectance
+                ));
             }
         }
         let instrument = &self.instrument;
-        let mut positive = vec![("[instrument]: dt_ps", instrument.dt_ps), ("[instrument]: full_scale_v", instrument.full_scale_v)];
+        let mut positive = vec![
+            ("[instrument]: dt_ps", instrument.dt_ps),
+            ("[instrument]: full_scale_v", instrument.full_scale_v),
+        ];
         match instrument.response {
-            Shape::Gaussian { fwhm_ps } => positive.push(("[instrument]: response.fwhm_ps", fwhm_ps)),
+            Shape::Gaussian { fwhm_ps } => {
+                positive.push(("[instrument]: response.fwhm_ps", fwhm_ps))
+            }
             Shape::Emg { sigma_ps, tau_ps } => {
-                positive.extend([("[instrument]: response.sigma_ps", sigma_ps), ("[instrument]: response.tau_ps", tau_ps)]);
+                positive.extend([
+                    ("[instrument]: response.sigma_ps", sigma_ps),
+                    ("[instrument]: response.tau_ps", tau_ps),
+                ]);
             }
         }
         positive.extend(instrument.reference.iter().flat_map(|reference| {
-            [("[instrument]: reference.fwhm_ps", reference.fwhm_ps), ("[instrument]: reference.snr", reference.snr)]
+            [
+                ("[instrument]: reference.fwhm_ps", reference.fwhm_ps),
+                ("[instrument]: reference.snr", reference.snr),
+            ]
         }));
         positive.extend(instrument.snr.map(|snr| ("[instrument]: snr", snr)));
         positive.extend(instrument.volts.map(|volts| ("[instrument]: volts", volts)));
         positive.push(("[captures]: path_m", self.captures.path_m));
-        if let Some((place, value)) = positive.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+        if let Some((place, value)) = positive
+            .into_iter()
+            .find(|(_, value)| !(value.is_finite() && *value > 0.0))
+        {
             return Err(format!("{place} = {value} must be above 0"));
         }
         let not_negative = [
@@ -257,20 +307,32 @@ impl Scene {
             ("[instrument]: noise_v", instrument.noise_v.unwrap_or(0.0)),
             ("[captures]: path_sd_m", self.captures.path_sd_m),
         ];
-        if let Some((place, value)) = not_negative.into_iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
+        if let Some((place, value)) = not_negative
+            .into_iter()
+            .find(|(_, value)| !(value.is_finite() && *value >= 0.0))
+        {
             return Err(format!("{place} = {value} must not be negative"));
         }
         if !(8..=16).contains(&instrument.bits) {
-            return Err(format!("[instrument]: bits = {}; converters of 8 to 16 bits are simulated", instrument.bits));
+            return Err(format!(
+                "[instrument]: bits = {}; converters of 8 to 16 bits are simulated",
+                instrument.bits
+            ));
         }
         if !(16..=10_000_000).contains(&instrument.samples) {
-            return Err(format!("[instrument]: samples = {} is not from 16 to 10,000,000", instrument.samples));
+            return Err(format!(
+                "[instrument]: samples = {} is not from 16 to 10,000,000",
+                instrument.samples
+            ));
         }
         if self.captures.shots == 0 || self.captures.response_shots == 0 {
             return Err("[captures]: shots and response_shots must be at least 1".to_owned());
         }
         if !(0.0..1.0).contains(&self.captures.bad_shots) {
-            return Err(format!("[captures]: bad_shots = {} is a share from 0 up to, not including, 1", self.captures.bad_shots));
+            return Err(format!(
+                "[captures]: bad_shots = {} is a share from 0 up to, not including, 1",
+                self.captures.bad_shots
+            ));
         }
         match (instrument.snr, instrument.noise_v, instrument.volts) {
             (Some(_), None, None) | (None, Some(_), Some(_)) => Ok(()),
@@ -289,11 +351,21 @@ impl Scene {
     }
 
     /// That the response to all of a capture's light lies in the record.
-    pub(super) fn check_record(&self, lit: PatchId, seen: PatchId, light: &Light, latency_ps: f64) -> Result<(), SimulateError> {
+    pub(super) fn check_record(
+        &self,
+        lit: PatchId,
+        seen: PatchId,
+        light: &Light,
+        latency_ps: f64,
+    ) -> Result<(), SimulateError> {
         let instrument = &self.instrument;
         let end_ps = instrument.t0_ps + instrument.samples as f64 * instrument.dt_ps;
         let time_ps = light.centroid_ps() + latency_ps;
-        if time_ps > instrument.t0_ps && time_ps < end_ps { Ok(()) } else { Err(SimulateError::Outside { lit, seen, time_ps }) }
+        if time_ps > instrument.t0_ps && time_ps < end_ps {
+            Ok(())
+        } else {
+            Err(SimulateError::Outside { lit, seen, time_ps })
+        }
     }
 
     pub(super) fn true_patches(&self) -> Vec<Patch> {
@@ -321,7 +393,12 @@ impl Scene {
         self.patches.iter().map(row).collect()
     }
 
-    pub(super) fn true_calibration(&self, sensor: &str, latency_ps: f64, pulse: &Pulse) -> Calibration {
+    pub(super) fn true_calibration(
+        &self,
+        sensor: &str,
+        latency_ps: f64,
+        pulse: &Pulse,
+    ) -> Calibration {
         Calibration {
             campaign: self.name.as_str().into(),
             sensor: sensor.into(),
@@ -340,7 +417,13 @@ impl Scene {
         }
     }
 
-    pub(super) fn true_onset(&self, sensor: &str, lit: PatchId, seen: PatchId, light: &Light) -> Onset {
+    pub(super) fn true_onset(
+        &self,
+        sensor: &str,
+        lit: PatchId,
+        seen: PatchId,
+        light: &Light,
+    ) -> Onset {
         let shortcut = self.instrument.snr.is_some();
         Onset {
             campaign: self.name.as_str().into(),
@@ -358,7 +441,11 @@ impl Scene {
             evidence: None,
             covariance: vec![0.0],
             jitter_ps: 0.0,
-            flags: if shortcut { vec!["snr-was-set".into()] } else { Vec::new() },
+            flags: if shortcut {
+                vec!["snr-was-set".into()]
+            } else {
+                Vec::new()
+            },
         }
     }
 }
@@ -370,7 +457,11 @@ impl Instrument {
     /// Height of the response to light of this strength.
     #[must_use]
     pub fn height_v(&self, strength: f64) -> f64 {
-        if self.snr.is_some() { Self::HEIGHT * self.full_scale_v } else { strength }
+        if self.snr.is_some() {
+            Self::HEIGHT * self.full_scale_v
+        } else {
+            strength
+        }
     }
 
     /// Noise of one sample.

@@ -87,8 +87,17 @@ impl Stage for Calibrate {
             latency_ps: sensor.latency_ps,
             latency_sd_ps: sensor.latency_sd_ps,
         };
-        let sensors = |campaign: &Campaign| campaign.sensors.iter().map(|(name, sensor)| (name.clone(), prior(campaign, sensor))).collect();
-        campaigns.iter().map(|campaign| (campaign.name.clone(), sensors(campaign))).collect()
+        let sensors = |campaign: &Campaign| {
+            campaign
+                .sensors
+                .iter()
+                .map(|(name, sensor)| (name.clone(), prior(campaign, sensor)))
+                .collect()
+        };
+        campaigns
+            .iter()
+            .map(|campaign| (campaign.name.clone(), sensors(campaign)))
+            .collect()
     }
 
     fn context(&self, fields: Self::Fields, _: &BesideTables) -> Result<Self::Context, StageError> {
@@ -112,17 +121,30 @@ impl Fold for Calibrate {
         }
     }
 
-    fn step(&self, _: &Self::Context, state: &mut State, columns: &TraceColumns, rows: Range<usize>) -> Result<(), StageError> {
+    fn step(
+        &self,
+        _: &Self::Context,
+        state: &mut State,
+        columns: &TraceColumns,
+        rows: Range<usize>,
+    ) -> Result<(), StageError> {
         for i in rows.filter(|&i| columns.role.value(i) == Role::Response.name()) {
             state.take(columns, i);
         }
         Ok(())
     }
 
-    fn finish(&self, priors: &Self::Context, state: State) -> Result<Outcome<Calibration>, StageError> {
+    fn finish(
+        &self,
+        priors: &Self::Context,
+        state: State,
+    ) -> Result<Outcome<Calibration>, StageError> {
         let prior = &priors[&*state.campaign][&*state.sensor];
         Ok(match state.calibrate(prior) {
-            Ok(row) => Outcome { rejections: state.others().into_iter().collect(), ..Outcome::rows(vec![row]) },
+            Ok(row) => Outcome {
+                rejections: state.others().into_iter().collect(),
+                ..Outcome::rows(vec![row])
+            },
             Err(why) => Outcome::rejected(state.rejection(why)),
         })
     }
@@ -133,10 +155,18 @@ impl State {
         if self.signals.len() >= SHOTS_MAX || self.bytes >= KEPT_BYTES {
             return;
         }
-        let codes = Codes::of(columns.code_type.value(i), columns.codes.value(i)).expect("ingest writes known code types only");
+        let codes = Codes::of(columns.code_type.value(i), columns.codes.value(i))
+            .expect("ingest writes known code types only");
         let gain_v = columns.gain_v.value(i);
-        let samples = codes.to_f64().into_iter().map(|code| code * gain_v).collect();
-        let shot = Shot { samples, t0_ps: columns.t0_ps.value(i) };
+        let samples = codes
+            .to_f64()
+            .into_iter()
+            .map(|code| code * gain_v)
+            .collect();
+        let shot = Shot {
+            samples,
+            t0_ps: columns.t0_ps.value(i),
+        };
         let clipped = columns.clipped.values()[i] > 0;
         if columns.is_reference.value(i) {
             self.reference = (!clipped).then_some((columns.shot.value(i), shot));
@@ -146,7 +176,9 @@ impl State {
         let first = self.first.get_or_insert_with(|| Trace::read(columns, i));
         let range = <Option<Name> as Cell>::get(&columns.range, i);
         let path = <Option<f64> as Cell>::get(&columns.path_m, i);
-        let alike = (columns.dt_ps.value(i), columns.samples.value(i), path) == (first.dt_ps, first.samples, first.path_m) && range == first.range;
+        let alike = (columns.dt_ps.value(i), columns.samples.value(i), path)
+            == (first.dt_ps, first.samples, first.path_m)
+            && range == first.range;
         let with_reference = !self.references.is_empty() || self.signals.is_empty();
         match reference {
             _ if !alike || clipped => self.other += 1,
@@ -179,19 +211,33 @@ impl State {
             "{} response shots of sensor {} are left out of its calibration, more than are used: clipped, without reference pulse, or of another range, length or path than the first",
             self.other, self.sensor
         );
-        (self.other as usize > self.signals.len()).then(|| Rejection { reason: why, ..self.rejection(String::new()) })
+        (self.other as usize > self.signals.len()).then(|| Rejection {
+            reason: why,
+            ..self.rejection(String::new())
+        })
     }
 
     fn calibrate(&self, prior: &Prior) -> Result<Calibration, String> {
-        let first = self.first.as_ref().ok_or("it has no capture of role `response`; add a [[captures]] rule for one")?;
+        let first = self
+            .first
+            .as_ref()
+            .ok_or("it has no capture of role `response`; add a [[captures]] rule for one")?;
         if self.signals.is_empty() {
-            return Err(format!("none of its {} response shots is usable; check range and reference channel", self.other));
+            return Err(format!(
+                "none of its {} response shots is usable; check range and reference channel",
+                self.other
+            ));
         }
-        let no_pulse = |what: &str| format!("its {what} shows no pulse; check channel, vertical range and `samples`");
+        let no_pulse = |what: &str| {
+            format!("its {what} shows no pulse; check channel, vertical range and `samples`")
+        };
         let reference = if self.references.is_empty() {
             None
         } else {
-            Some(oversample::shape_and_times(&self.references, first.dt_ps).ok_or_else(|| no_pulse("reference channel"))?)
+            Some(
+                oversample::shape_and_times(&self.references, first.dt_ps)
+                    .ok_or_else(|| no_pulse("reference channel"))?,
+            )
         };
         let shots = self.aligned(reference.as_ref().map(|(_, times)| times.as_slice()));
         if shots.is_empty() {
@@ -202,7 +248,10 @@ impl State {
         let (latency_ps, latency_sd_ps) = match (first.path_m, prior.latency_ps) {
             (Some(path_m), _) => {
                 let path_sd_ps = units::time_ps(first.path_sd_m.unwrap_or(0.0), prior.group_index);
-                (arrival_ps - units::time_ps(path_m, prior.group_index), arrival_sd_ps.hypot(path_sd_ps))
+                (
+                    arrival_ps - units::time_ps(path_m, prior.group_index),
+                    arrival_sd_ps.hypot(path_sd_ps),
+                )
             }
             (None, Some(latency_ps)) => (latency_ps, prior.latency_sd_ps.unwrap_or(0.0)),
             (None, None) => {
@@ -210,7 +259,16 @@ impl State {
             }
         };
         let sign = shape.height.signum();
-        let reference = reference.map(|(shape, _)| (shape.t0_ps, shape.values.iter().map(|value| value * shape.height.signum()).collect()));
+        let reference = reference.map(|(shape, _)| {
+            (
+                shape.t0_ps,
+                shape
+                    .values
+                    .iter()
+                    .map(|value| value * shape.height.signum())
+                    .collect(),
+            )
+        });
         let (reference_t0_ps, reference) = reference.unzip();
         Ok(Calibration {
             campaign: self.campaign.clone(),
@@ -232,9 +290,17 @@ impl State {
 
     /// Signals in the frame of their reference pulses; of the trigger, without.
     fn aligned(&self, times: Option<&[Option<(f64, f64)>]>) -> Vec<Shot> {
-        let zero_ps = |i: usize| times.map_or(Some(0.0), |times| times[i].map(|(time_ps, _)| time_ps));
+        let zero_ps =
+            |i: usize| times.map_or(Some(0.0), |times| times[i].map(|(time_ps, _)| time_ps));
         let shots = self.signals.iter().enumerate();
-        shots.filter_map(|(i, shot)| Some(Shot { samples: shot.samples.clone(), t0_ps: shot.t0_ps - zero_ps(i)? })).collect()
+        shots
+            .filter_map(|(i, shot)| {
+                Some(Shot {
+                    samples: shot.samples.clone(),
+                    t0_ps: shot.t0_ps - zero_ps(i)?,
+                })
+            })
+            .collect()
     }
 }
 
@@ -242,18 +308,34 @@ impl State {
 /// the shape, known to about its width over the signal-to-noise ratio of the mean.
 fn arrival(shots: &[Shot], dt_ps: f64, shape: &Shape) -> (f64, f64) {
     let template = shape.response();
-    let fits = shots.iter().filter_map(|shot| fit_pulse(&shot.samples, dt_ps, &template).map(|fit| (shot.t0_ps + fit.time_ps, fit.time_sd_ps)));
+    let fits = shots.iter().filter_map(|shot| {
+        fit_pulse(&shot.samples, dt_ps, &template)
+            .map(|fit| (shot.t0_ps + fit.time_ps, fit.time_sd_ps))
+    });
     let fits: Vec<(f64, f64)> = fits.collect();
     if 2 * fits.len() <= shots.len() {
-        let baseline: Vec<Vec<f64>> = shots.iter().map(|shot| shot.samples[..(shot.samples.len() / 10).max(2).min(shot.samples.len())].to_vec()).collect();
-        let snr = shape.height.abs() * (shots.len() as f64).sqrt() / noise::estimate(&baseline, 1).sd;
+        let baseline: Vec<Vec<f64>> = shots
+            .iter()
+            .map(|shot| {
+                shot.samples[..(shot.samples.len() / 10).max(2).min(shot.samples.len())].to_vec()
+            })
+            .collect();
+        let snr =
+            shape.height.abs() * (shots.len() as f64).sqrt() / noise::estimate(&baseline, 1).sd;
         return (shape.peak_ps, template.width_ps() / snr);
     }
     let kept = without_strays(fits);
     let count = kept.len() as f64;
     let mean = kept.iter().map(|(time_ps, _)| time_ps).sum::<f64>() / count;
-    let spread = kept.iter().map(|(time_ps, _)| (time_ps - mean).powi(2)).sum::<f64>();
-    let sd = if kept.len() > 1 { (spread / (count - 1.0) / count).sqrt() } else { kept[0].1 };
+    let spread = kept
+        .iter()
+        .map(|(time_ps, _)| (time_ps - mean).powi(2))
+        .sum::<f64>();
+    let sd = if kept.len() > 1 {
+        (spread / (count - 1.0) / count).sqrt()
+    } else {
+        kept[0].1
+    };
     (mean, sd)
 }
 
@@ -264,7 +346,11 @@ fn without_strays(mut fits: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
         *values.select_nth_unstable_by(half, f64::total_cmp).1
     };
     let median = middle(fits.iter().map(|(time_ps, _)| *time_ps).collect());
-    let deviation = middle(fits.iter().map(|(time_ps, _)| (time_ps - median).abs()).collect());
+    let deviation = middle(
+        fits.iter()
+            .map(|(time_ps, _)| (time_ps - median).abs())
+            .collect(),
+    );
     let fitted = middle(fits.iter().map(|(_, sd_ps)| *sd_ps).collect());
     // The fits' own standard deviation is a floor: times that happen to be equal leave none.
     let limit = STRAY_SIGMA * (1.4826 * deviation).max(fitted);
@@ -277,10 +363,27 @@ fn width_sd_ps(shots: &[Shot], dt_ps: f64) -> Option<f64> {
     if shots.len() < GROUPS * GROUP_SHOTS {
         return None;
     }
-    let without = |group: usize| -> Vec<Shot> { shots.iter().enumerate().filter(|(i, _)| i % GROUPS != group).map(|(_, shot)| shot.clone()).collect() };
-    let widths: Vec<f64> =
-        (0..GROUPS).map(|group| oversample::shape(&without(group), dt_ps).map(|shape| shape.response().width_ps())).collect::<Option<_>>()?;
+    let without = |group: usize| -> Vec<Shot> {
+        shots
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| i % GROUPS != group)
+            .map(|(_, shot)| shot.clone())
+            .collect()
+    };
+    let widths: Vec<f64> = (0..GROUPS)
+        .map(|group| {
+            oversample::shape(&without(group), dt_ps).map(|shape| shape.response().width_ps())
+        })
+        .collect::<Option<_>>()?;
     let groups = GROUPS as f64;
     let mean = widths.iter().sum::<f64>() / groups;
-    Some(((groups - 1.0) / groups * widths.iter().map(|width| (width - mean).powi(2)).sum::<f64>()).sqrt())
+    Some(
+        ((groups - 1.0) / groups
+            * widths
+                .iter()
+                .map(|width| (width - mean).powi(2))
+                .sum::<f64>())
+        .sqrt(),
+    )
 }

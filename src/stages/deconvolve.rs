@@ -6,8 +6,8 @@
 //! | `wiener` | a regularised profile for the eye and for edge methods of `detect`; no impulses |
 //!
 //! With a known response the limit of time resolution is noise and not the sensor: `sparse` separates pulses closer than the response is
-//! wide. Times are times of flight: the sensor's latency is taken off here. Pulses of either sign are found, but all of one sign: that of the
-//! response.
+//! wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the
+//! response's sign, unless `signed` allows both.
 //!
 //! Takes `profiles`; writes `stir`. Beside it: `calibration`. Noise is taken as white and equal along the record, of standard deviation
 //! `noise_v` over the root of the shots. Not modelled yet: correlated noise, noise that depends on the level, extended bounces.
@@ -42,6 +42,8 @@ pub struct Deconvolve {
     evidence: Option<f64>,
     /// Most impulses in a profile, for `sparse`.
     impulses_max: usize,
+    /// Whether impulses may be negative, for `sparse`: reflections on a line are, light is not.
+    signed: bool,
     /// Noise over signal power, for `wiener`; absent: estimated for each profile.
     noise_to_signal: Option<f64>,
     /// Where a Gaussian low-pass has fallen to exp(-1/2), for `wiener`; absent: none.
@@ -58,7 +60,14 @@ enum Method {
 
 impl Default for Deconvolve {
     fn default() -> Self {
-        Self { method: Method::Sparse, evidence: None, impulses_max: 16, noise_to_signal: None, lowpass_ghz: None }
+        Self {
+            method: Method::Sparse,
+            evidence: None,
+            impulses_max: 16,
+            signed: false,
+            noise_to_signal: None,
+            lowpass_ghz: None,
+        }
     }
 }
 
@@ -78,7 +87,11 @@ impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
     const VERSION: u32 = 1;
     const GRAIN: Grain = Grain::Capture;
-    const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
+    const BESIDE: &'static [Beside] = &[Beside {
+        name: "calibration",
+        table: "calibration",
+        required: true,
+    }];
     type Input = Profile;
     type Output = Stir;
     type Fields = ();
@@ -87,18 +100,42 @@ impl Stage for Deconvolve {
     fn fields(&self, _: &[Campaign]) {}
 
     fn context(&self, (): (), beside: &BesideTables) -> Result<Sensors, StageError> {
-        for (name, value) in [("noise_to_signal", self.noise_to_signal), ("lowpass_ghz", self.lowpass_ghz), ("evidence", self.evidence)] {
+        for (name, value) in [
+            ("noise_to_signal", self.noise_to_signal),
+            ("lowpass_ghz", self.lowpass_ghz),
+            ("evidence", self.evidence),
+        ] {
             if let Some(value) = value.filter(|value| value.is_nan() || *value <= 0.0) {
-                return Err(StageError::Refused(format!("params.{name} = {value} must be positive")));
+                return Err(StageError::Refused(format!(
+                    "params.{name} = {value} must be positive"
+                )));
             }
         }
-        let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
+        let rows = beside
+            .rows::<Calibration>("calibration")?
+            .unwrap_or_default();
         let sensor = |row: Calibration| {
             let mut values = row.response.to_f64();
-            let polarity = values.iter().fold(0.0_f64, |most, value| if value.abs() > most.abs() { *value } else { most }).signum();
+            let polarity = values
+                .iter()
+                .fold(0.0_f64, |most, value| {
+                    if value.abs() > most.abs() {
+                        *value
+                    } else {
+                        most
+                    }
+                })
+                .signum();
             values.iter_mut().for_each(|value| *value *= polarity);
             let response = Response::new(row.response_t0_ps, row.step_ps, &values);
-            ((row.campaign, row.sensor), Sensor { response, polarity, latency_ps: row.latency_ps })
+            (
+                (row.campaign, row.sensor),
+                Sensor {
+                    response,
+                    polarity,
+                    latency_ps: row.latency_ps,
+                },
+            )
         };
         Ok(Sensors(rows.into_iter().map(sensor).collect()))
     }
@@ -122,9 +159,17 @@ impl Apply for Deconvolve {
 
 impl Deconvolve {
     fn deconvolve(&self, sensor: &Sensor, profile: &Profile, fft: &mut RealFft) -> Stir {
-        let samples: Vec<f64> = profile.mean_v.to_f64().into_iter().map(|sample| sample * sensor.polarity).collect();
+        let samples: Vec<f64> = profile
+            .mean_v
+            .to_f64()
+            .into_iter()
+            .map(|sample| sample * sensor.polarity)
+            .collect();
         // A record without any noise (an ideal one) still has the rounding of its f32 samples.
-        let rounding = f64::from(f32::EPSILON) * samples.iter().fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
+        let rounding = f64::from(f32::EPSILON)
+            * samples
+                .iter()
+                .fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
         let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding);
         let response = match &profile.phase_shots {
             Some(phase_shots) => averaged_response(&sensor.response, profile.dt_ps, phase_shots),
@@ -147,14 +192,39 @@ impl Deconvolve {
         };
         match self.method {
             Method::Wiener => blank,
-            Method::Sparse => self.sparse(&response, sensor.polarity, profile, &samples, noise_v, blank),
+            Method::Sparse => self.sparse(
+                &response,
+                sensor.polarity,
+                profile,
+                &samples,
+                noise_v,
+                blank,
+            ),
         }
     }
 
-    fn sparse(&self, response: &Response, polarity: f64, profile: &Profile, samples: &[f64], noise_v: f64, blank: Stir) -> Stir {
+    fn sparse(
+        &self,
+        response: &Response,
+        polarity: f64,
+        profile: &Profile,
+        samples: &[f64],
+        noise_v: f64,
+        blank: Stir,
+    ) -> Stir {
         let sd_v = vec![noise_v; samples.len()];
-        let record = sparse::Profile { mean_v: samples, sd_v: &sd_v, t0_ps: blank.t0_ps, dt_ps: profile.dt_ps };
-        let options = SparseOptions { evidence_min: self.evidence, pulses_max: self.impulses_max, baseline: true };
+        let record = sparse::Profile {
+            mean_v: samples,
+            sd_v: &sd_v,
+            t0_ps: blank.t0_ps,
+            dt_ps: profile.dt_ps,
+        };
+        let options = SparseOptions {
+            evidence_min: self.evidence,
+            pulses_max: self.impulses_max,
+            baseline: true,
+            signed: self.signed,
+        };
         let fit = sparse::fit(&record, response, &options);
         let count = fit.pulses.len();
         let impulse = |(k, pulse): (usize, &Pulse)| Impulse {
@@ -166,14 +236,30 @@ impl Deconvolve {
             evidence: pulse.evidence,
         };
         let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
-        Stir { impulses, impulse_cov: fit.covariance_ps2, chi2_dof: Some(fit.chi2_per_dof), ..blank }
+        Stir {
+            impulses,
+            impulse_cov: fit.covariance_ps2,
+            chi2_dof: Some(fit.chi2_per_dof),
+            ..blank
+        }
     }
 
     /// The Wiener estimate and the standard deviation of its noise.
-    fn wiener(&self, response: &Response, profile: &Profile, samples: &[f64], noise_v: f64, fft: &mut RealFft) -> (Vec<f64>, f64) {
+    fn wiener(
+        &self,
+        response: &Response,
+        profile: &Profile,
+        samples: &[f64],
+        noise_v: f64,
+        fft: &mut RealFft,
+    ) -> (Vec<f64>, f64) {
         let transfer = Transfer::from_response(fft, response, profile.dt_ps, samples.len());
-        let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
-        let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz * profile.dt_ps / 1000.0);
+        let noise_to_signal = self
+            .noise_to_signal
+            .unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
+        let low_pass = self
+            .lowpass_ghz
+            .map(|lowpass_ghz| lowpass_ghz * profile.dt_ps / 1000.0);
         let wiener = Wiener::new(&transfer, noise_to_signal, low_pass);
         let mut light = vec![0.0; samples.len()];
         wiener.apply(fft, samples, &mut light);

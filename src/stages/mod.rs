@@ -46,7 +46,18 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 10] = ["ingest", "calibrate", "average", "deconvolve", "detect", "label", "range", "embed", "refine", "import"];
+pub const KINDS: [&str; 10] = [
+    "ingest",
+    "calibrate",
+    "average",
+    "deconvolve",
+    "detect",
+    "label",
+    "range",
+    "embed",
+    "refine",
+    "import",
+];
 
 /// The stage of this kind with these parameters.
 ///
@@ -54,7 +65,12 @@ pub const KINDS: [&str; 10] = ["ingest", "calibrate", "average", "deconvolve", "
 /// When the kind or a parameter is unknown, or a value is refused; the text names the mend.
 pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
     fn params_of<S: DeserializeOwned>(params: toml::Table) -> Result<Box<S>, String> {
-        params.try_into().map(Box::new).map_err(|error: toml::de::Error| format!("params: {}", suggest::explain(error.message())))
+        params
+            .try_into()
+            .map(Box::new)
+            .map_err(|error: toml::de::Error| {
+                format!("params: {}", suggest::explain(error.message()))
+            })
     }
     Ok(match kind {
         "ingest" => Node::Source(params_of::<ingest::Ingest>(params)?),

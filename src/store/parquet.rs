@@ -13,7 +13,9 @@ use arrow::compute::concat_batches;
 use arrow::datatypes::{DataType, SchemaRef};
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use parquet::arrow::arrow_writer::{ArrowColumnChunk, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
+use parquet::arrow::arrow_writer::{
+    ArrowColumnChunk, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves,
+};
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
@@ -83,9 +85,14 @@ impl TableWriter {
     /// When the file cannot be created.
     pub fn create(path: &Path, schema: &SchemaRef) -> Result<Self, ParquetError> {
         let file = BufWriter::with_capacity(1 << 16, File::create(path)?);
-        let sink = Digesting { file, hasher: blake3::Hasher::new(), bytes: 0 };
+        let sink = Digesting {
+            file,
+            hasher: blake3::Hasher::new(),
+            bytes: 0,
+        };
         let options = ArrowWriterOptions::new().with_properties(properties(schema));
-        let (writer, factory) = ArrowWriter::try_new_with_options(sink, schema.clone(), options)?.into_serialized_writer()?;
+        let (writer, factory) = ArrowWriter::try_new_with_options(sink, schema.clone(), options)?
+            .into_serialized_writer()?;
         Ok(Self {
             path: path.to_owned(),
             schema: schema.clone(),
@@ -132,13 +139,21 @@ impl TableWriter {
         self.whole.push(concat_batches(&self.schema, &self.open)?);
         self.open.clear();
         (self.open_bytes, self.open_rows) = (0, 0);
-        if self.whole.len() >= rayon::current_num_threads() { self.encode() } else { Ok(()) }
+        if self.whole.len() >= rayon::current_num_threads() {
+            self.encode()
+        } else {
+            Ok(())
+        }
     }
 
     fn encode(&mut self) -> Result<(), ParquetError> {
         let (factory, first) = (&self.factory, self.groups);
-        let encoded: Vec<_> =
-            self.whole.par_iter().enumerate().map(|(i, batch)| encode_group(factory, first + i, batch)).collect::<Result<_, _>>()?;
+        let encoded: Vec<_> = self
+            .whole
+            .par_iter()
+            .enumerate()
+            .map(|(i, batch)| encode_group(factory, first + i, batch))
+            .collect::<Result<_, _>>()?;
         self.groups += encoded.len();
         self.whole.clear();
         for columns in encoded {
@@ -161,15 +176,24 @@ impl TableWriter {
         }
         self.encode()?;
         for (key, value) in footer {
-            self.writer.append_key_value_metadata(KeyValue::new((*key).to_owned(), value.clone()));
+            self.writer
+                .append_key_value_metadata(KeyValue::new((*key).to_owned(), value.clone()));
         }
         let mut sink = self.writer.into_inner()?;
         sink.flush()?;
-        Ok(FileRecord { rows: self.rows, bytes: sink.bytes, digest: sink.hasher.finalize().into() })
+        Ok(FileRecord {
+            rows: self.rows,
+            bytes: sink.bytes,
+            digest: sink.hasher.finalize().into(),
+        })
     }
 }
 
-fn encode_group(factory: &ArrowRowGroupWriterFactory, index: usize, batch: &RecordBatch) -> Result<Vec<ArrowColumnChunk>, ParquetError> {
+fn encode_group(
+    factory: &ArrowRowGroupWriterFactory,
+    index: usize,
+    batch: &RecordBatch,
+) -> Result<Vec<ArrowColumnChunk>, ParquetError> {
     let mut writers = factory.create_column_writers(index)?.into_iter();
     let mut chunks = Vec::new();
     for (field, column) in batch.schema_ref().fields().iter().zip(batch.columns()) {
@@ -189,12 +213,18 @@ fn row_bytes(batch: &RecordBatch) -> Vec<usize> {
         match column.data_type() {
             DataType::BinaryView => {
                 let views = column.as_binary_view().views();
-                bytes.iter_mut().zip(views).for_each(|(total, view)| *total += *view as u32 as usize);
+                bytes
+                    .iter_mut()
+                    .zip(views)
+                    .for_each(|(total, view)| *total += *view as u32 as usize);
             }
             DataType::List(item) => {
                 let width = item.data_type().primitive_width().unwrap_or(48);
                 let offsets = column.as_list::<i32>().value_offsets();
-                bytes.iter_mut().zip(offsets.windows(2)).for_each(|(total, ends)| *total += (ends[1] - ends[0]) as usize * width);
+                bytes
+                    .iter_mut()
+                    .zip(offsets.windows(2))
+                    .for_each(|(total, ends)| *total += (ends[1] - ends[0]) as usize * width);
             }
             _ => bytes.iter_mut().for_each(|total| *total += 8),
         }
@@ -212,7 +242,11 @@ fn properties(schema: &SchemaRef) -> WriterProperties {
         .set_offset_index_disabled(true);
     for field in schema.fields() {
         let path = match field.data_type() {
-            DataType::List(item) if item.data_type().is_floating() => ColumnPath::from(vec![field.name().clone(), "list".into(), item.name().clone()]),
+            DataType::List(item) if item.data_type().is_floating() => ColumnPath::from(vec![
+                field.name().clone(),
+                "list".into(),
+                item.name().clone(),
+            ]),
             DataType::BinaryView => ColumnPath::from(field.name().as_str()),
             _ => continue,
         };
@@ -230,8 +264,13 @@ fn properties(schema: &SchemaRef) -> WriterProperties {
 ///
 /// # Errors
 /// When the file is missing or is not Parquet.
-pub fn read(path: &Path, rows: usize) -> Result<impl Iterator<Item = Result<RecordBatch, ParquetError>> + use<>, ParquetError> {
-    let reader = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?.with_batch_size(rows).build()?;
+pub fn read(
+    path: &Path,
+    rows: usize,
+) -> Result<impl Iterator<Item = Result<RecordBatch, ParquetError>> + use<>, ParquetError> {
+    let reader = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?
+        .with_batch_size(rows)
+        .build()?;
     Ok(reader.map(|batch| batch.map_err(ParquetError::from)))
 }
 
@@ -243,7 +282,9 @@ pub fn describe(path: &Path) -> Result<(SchemaRef, u64, Vec<(String, String)>), 
     let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?;
     let file = builder.metadata().file_metadata();
     let footer = file.key_value_metadata().into_iter().flatten();
-    let footer = footer.filter_map(|entry| Some((entry.key.clone(), entry.value.clone()?))).collect();
+    let footer = footer
+        .filter_map(|entry| Some((entry.key.clone(), entry.value.clone()?)))
+        .collect();
     Ok((Arc::clone(builder.schema()), file.num_rows() as u64, footer))
 }
 
@@ -265,7 +306,9 @@ mod tests {
                 rejected: 0,
                 t0_ps: 0.5,
                 dt_ps: 50.0,
-                mean_v: (0..samples).map(|i| (i as f64 * 0.1 + f64::from(lit)).sin()).collect(),
+                mean_v: (0..samples)
+                    .map(|i| (i as f64 * 0.1 + f64::from(lit)).sin())
+                    .collect(),
                 se_v: (0..samples).map(|_| 0.01).collect(),
                 noise_v: 0.1,
                 noise_acf: vec![1.0, 0.2].into(),
@@ -288,13 +331,22 @@ mod tests {
                 writer.write(&Profile::to_batch(rows)).unwrap();
             }
             records.push(writer.finish(&[("lineage", "abc".to_owned())]).unwrap());
-            let read: Vec<Profile> = read(&path, 64).unwrap().flat_map(|batch| Profile::rows(&batch.unwrap()).unwrap()).collect();
+            let read: Vec<Profile> = read(&path, 64)
+                .unwrap()
+                .flat_map(|batch| Profile::rows(&batch.unwrap()).unwrap())
+                .collect();
             assert_eq!(read, rows);
             let (_, count, footer) = describe(&path).unwrap();
             assert_eq!(count, 900);
             assert!(footer.contains(&("lineage".to_owned(), "abc".to_owned())));
         }
-        assert!(records.windows(2).all(|pair| pair[0] == pair[1]), "{records:?}");
-        assert!(records[0].bytes > 2 * ROW_GROUP_BYTES as u64 / 2, "several row groups were meant: {records:?}");
+        assert!(
+            records.windows(2).all(|pair| pair[0] == pair[1]),
+            "{records:?}"
+        );
+        assert!(
+            records[0].bytes > 2 * ROW_GROUP_BYTES as u64 / 2,
+            "several row groups were meant: {records:?}"
+        );
     }
 }

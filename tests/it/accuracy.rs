@@ -52,7 +52,11 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
         let lab = Lab::of(text, seed, Format::Trc);
         lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
         let truth: Vec<Patch> = lab.truth();
-        let missed = bound::missed(&lab.rows("out", "patches"), &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"), &truth);
+        let missed = bound::missed(
+            &lab.rows("out", "patches"),
+            &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"),
+            &truth,
+        );
         study.rms_m += missed.squares_m2;
         study.normalised.push(missed.normalised);
         study.paper_rms_m += bound::squares_m2(&lab.rows("out", "paper"), &truth);
@@ -61,13 +65,18 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
         onsets(&lab, &mut study);
     }
     let places = (study.seeds * count) as f64;
-    for sum in [&mut study.rms_m, &mut study.paper_rms_m, &mut study.start_rms_m] {
+    for sum in [
+        &mut study.rms_m,
+        &mut study.paper_rms_m,
+        &mut study.start_rms_m,
+    ] {
         *sum = (*sum / places).sqrt();
     }
     let profiles = (study.seeds * count * count) as f64;
     study.onset_rms_ps = (study.onset_rms_ps / (profiles - study.seeds as f64)).sqrt();
     study.onsets_found /= profiles;
-    study.bound_m = (bound::position_covariance(&scene, study.onset_bound_ps).trace() / count as f64).sqrt();
+    study.bound_m =
+        (bound::position_covariance(&scene, study.onset_bound_ps).trace() / count as f64).sqrt();
     study
 }
 
@@ -76,12 +85,23 @@ fn onsets(lab: &Lab, study: &mut Study) {
     let found: Vec<Onset> = lab.rows("out", "onsets");
     let mut errors = Vec::new();
     for truth in lab.truth::<Onset>() {
-        let near = |onset: &&Onset| (onset.lit, onset.seen) == (truth.lit, truth.seen) && (onset.time_ps - truth.time_ps).abs() < 20.0 * onset.time_sd_ps;
-        errors.extend(found.iter().find(near).map(|onset| onset.time_ps - truth.time_ps));
+        let near = |onset: &&Onset| {
+            (onset.lit, onset.seen) == (truth.lit, truth.seen)
+                && (onset.time_ps - truth.time_ps).abs() < 20.0 * onset.time_sd_ps
+        };
+        errors.extend(
+            found
+                .iter()
+                .find(near)
+                .map(|onset| onset.time_ps - truth.time_ps),
+        );
     }
     // The latency's error is common to all; the bound knows it as a delay.
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    study.onset_rms_ps += errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>();
+    study.onset_rms_ps += errors
+        .iter()
+        .map(|error| (error - mean).powi(2))
+        .sum::<f64>();
     study.onsets_found += errors.len() as f64;
     study.false_onsets += found.len() - errors.len();
 }
@@ -94,9 +114,19 @@ fn positions_reach_the_bound_and_their_covariances_are_of_the_right_size() {
     let nse = study.normalised.iter().sum::<f64>() / study.seeds as f64 / study.degrees_of_freedom;
     eprintln!(
         "rms {:.4} mm, bound {:.4} mm, ratio {ratio:.3}; NSE/dof {nse:.3}; onsets {:.4} ps, bound {:.4} ps; found {:.4}, false {}; Algorithm 1 {:.4} mm, start {:.4} mm",
-        study.rms_m * 1e3, study.bound_m * 1e3, study.onset_rms_ps, study.onset_bound_ps, study.onsets_found, study.false_onsets, study.paper_rms_m * 1e3, study.start_rms_m * 1e3
+        study.rms_m * 1e3,
+        study.bound_m * 1e3,
+        study.onset_rms_ps,
+        study.onset_bound_ps,
+        study.onsets_found,
+        study.false_onsets,
+        study.paper_rms_m * 1e3,
+        study.start_rms_m * 1e3
     );
     assert!(ratio < 1.35, "rms over bound {ratio}");
-    assert!((0.7..1.35).contains(&nse), "normalised squared error over degrees of freedom {nse}");
+    assert!(
+        (0.7..1.35).contains(&nse),
+        "normalised squared error over degrees of freedom {nse}"
+    );
     assert!(study.onsets_found == 1.0 && study.false_onsets <= 2);
 }

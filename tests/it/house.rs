@@ -47,8 +47,16 @@ fn sources() -> Vec<(String, String)> {
     let mut files = Vec::new();
     walk(&root, &mut files);
     files.sort();
-    let name = |path: &Path| path.strip_prefix(&root).unwrap().to_string_lossy().replace('\\', "/");
-    files.iter().map(|path| (name(path), fs::read_to_string(path).unwrap())).collect()
+    let name = |path: &Path| {
+        path.strip_prefix(&root)
+            .unwrap()
+            .to_string_lossy()
+            .replace('\\', "/")
+    };
+    files
+        .iter()
+        .map(|path| (name(path), fs::read_to_string(path).unwrap()))
+        .collect()
 }
 
 fn room(file: &str) -> &str {
@@ -71,11 +79,17 @@ fn is_tests(file: &str) -> bool {
 
 /// Rooms that a file names after `crate::`.
 fn imported(text: &str) -> Vec<String> {
-    let code = without_tests(text).lines().filter(|line| !line.trim_start().starts_with("//"));
+    let code = without_tests(text)
+        .lines()
+        .filter(|line| !line.trim_start().starts_with("//"));
     let code: String = code.flat_map(|line| [line, "\n"]).collect();
     code.split("crate::")
         .skip(1)
-        .map(|rest| rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>())
+        .map(|rest| {
+            rest.chars()
+                .take_while(|c| c.is_alphanumeric() || *c == '_')
+                .collect::<String>()
+        })
         .filter(|room| !room.is_empty() && floor(room).is_some())
         .collect()
 }
@@ -83,7 +97,10 @@ fn imported(text: &str) -> Vec<String> {
 #[test]
 fn every_file_is_on_a_floor() {
     for (file, _) in sources() {
-        assert!(floor(room(&file)).is_some(), "src/{file} is in no room of the house: give its room a floor in ARCHITECTURE.md and here");
+        assert!(
+            floor(room(&file)).is_some(),
+            "src/{file} is in no room of the house: give its room a floor in ARCHITECTURE.md and here"
+        );
     }
 }
 
@@ -105,12 +122,31 @@ fn a_floor_imports_only_from_floors_below() {
 
 #[test]
 fn stages_never_import_one_another() {
-    let stages: Vec<String> = sources().into_iter().filter_map(|(file, _)| file.strip_prefix("stages/").map(|name| name.trim_end_matches(".rs").to_owned())).collect();
-    for (file, text) in sources().iter().filter(|(file, _)| file.starts_with("stages/") && !file.ends_with("mod.rs")) {
-        let own = file.trim_start_matches("stages/").split('/').next().unwrap().trim_end_matches(".rs");
-        for other in stages.iter().filter(|other| !other.contains('/') && *other != own && *other != "stage" && *other != "mod") {
+    let stages: Vec<String> = sources()
+        .into_iter()
+        .filter_map(|(file, _)| {
+            file.strip_prefix("stages/")
+                .map(|name| name.trim_end_matches(".rs").to_owned())
+        })
+        .collect();
+    for (file, text) in sources()
+        .iter()
+        .filter(|(file, _)| file.starts_with("stages/") && !file.ends_with("mod.rs"))
+    {
+        let own = file
+            .trim_start_matches("stages/")
+            .split('/')
+            .next()
+            .unwrap()
+            .trim_end_matches(".rs");
+        for other in stages.iter().filter(|other| {
+            !other.contains('/') && *other != own && *other != "stage" && *other != "mod"
+        }) {
             for form in [format!("super::{other}::"), format!("stages::{other}::")] {
-                assert!(!without_tests(text).contains(&form), "src/{file} imports stage {other}");
+                assert!(
+                    !without_tests(text).contains(&form),
+                    "src/{file} imports stage {other}"
+                );
             }
         }
     }
@@ -118,9 +154,21 @@ fn stages_never_import_one_another() {
 
 #[test]
 fn kernels_know_no_file_no_table_no_thread_and_no_clock() {
-    for (file, text) in sources().iter().filter(|(file, _)| (file.starts_with("signal/") || file.starts_with("geometry/")) && !is_tests(file)) {
-        for forbidden in ["std::fs", "std::thread", "std::time", "arrow::", "crate::tables", "rand::"] {
-            assert!(!without_tests(text).contains(forbidden), "src/{file} names {forbidden}");
+    for (file, text) in sources().iter().filter(|(file, _)| {
+        (file.starts_with("signal/") || file.starts_with("geometry/")) && !is_tests(file)
+    }) {
+        for forbidden in [
+            "std::fs",
+            "std::thread",
+            "std::time",
+            "arrow::",
+            "crate::tables",
+            "rand::",
+        ] {
+            assert!(
+                !without_tests(text).contains(forbidden),
+                "src/{file} names {forbidden}"
+            );
         }
     }
 }
@@ -131,21 +179,33 @@ fn packages_are_named_only_at_their_addresses() {
         for (package, addresses) in ADDRESSES {
             let named = without_tests(&text).lines().any(|line| {
                 let line = line.trim_start();
-                !line.starts_with("//") && (line.contains(&format!("use {package}::")) || line.contains(&format!(" {package}::")) || line.contains(&format!("({package}::")))
+                !line.starts_with("//")
+                    && (line.contains(&format!("use {package}::"))
+                        || line.contains(&format!(" {package}::"))
+                        || line.contains(&format!("({package}::")))
             });
             let at_home = addresses.iter().any(|address| file.starts_with(address));
             // `crate::store::parquet` is a room of ours, not the package.
             let ours = package == "parquet" && !text.contains("use parquet::");
-            assert!(!named || at_home || ours, "src/{file} names package {package}; its addresses are {addresses:?}");
+            assert!(
+                !named || at_home || ours,
+                "src/{file} names package {package}; its addresses are {addresses:?}"
+            );
         }
     }
 }
 
 #[test]
 fn the_simulator_shares_no_code_with_the_estimators() {
-    for (file, text) in sources().iter().filter(|(file, _)| file.starts_with("simulate/")) {
+    for (file, text) in sources()
+        .iter()
+        .filter(|(file, _)| file.starts_with("simulate/"))
+    {
         for estimator in ["signal", "geometry", "stages"] {
-            assert!(!imported(text).iter().any(|room| room == estimator), "src/{file} imports {estimator}");
+            assert!(
+                !imported(text).iter().any(|room| room == estimator),
+                "src/{file} imports {estimator}"
+            );
         }
     }
 }
@@ -153,8 +213,15 @@ fn the_simulator_shares_no_code_with_the_estimators() {
 #[test]
 fn no_room_is_a_drawer_for_odds_and_ends() {
     for (file, _) in sources() {
-        for name in ["utils", "util", "common", "types", "error", "helpers", "misc"] {
-            assert!(!file.split('/').any(|part| part.trim_end_matches(".rs") == name), "src/{file}: name what lives there");
+        for name in [
+            "utils", "util", "common", "types", "error", "helpers", "misc",
+        ] {
+            assert!(
+                !file
+                    .split('/')
+                    .any(|part| part.trim_end_matches(".rs") == name),
+                "src/{file}: name what lives there"
+            );
         }
     }
 }
@@ -162,9 +229,22 @@ fn no_room_is_a_drawer_for_odds_and_ends() {
 /// Law 9.
 #[test]
 fn times_become_metres_in_one_place() {
-    for (file, text) in sources().iter().filter(|(file, _)| file != "units.rs" && !is_tests(file)) {
-        for forbidden in ["299792", "299_792", "2.997_924", "SPEED_OF_LIGHT", "0.2998", "0.0003 *"] {
-            assert!(!without_tests(text).contains(forbidden), "src/{file} knows the speed of light; units::path_m and units::time_ps do");
+    for (file, text) in sources()
+        .iter()
+        .filter(|(file, _)| file != "units.rs" && !is_tests(file))
+    {
+        for forbidden in [
+            "299792",
+            "299_792",
+            "2.997_924",
+            "SPEED_OF_LIGHT",
+            "0.2998",
+            "0.0003 *",
+        ] {
+            assert!(
+                !without_tests(text).contains(forbidden),
+                "src/{file} knows the speed of light; units::path_m and units::time_ps do"
+            );
         }
     }
 }

@@ -12,4 +12,5 @@ mod laws;
 mod lineage;
 #[cfg(feature = "query")]
 mod query;
+mod real_files;
 mod schema;

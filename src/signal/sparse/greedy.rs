@@ -4,7 +4,7 @@ use super::linear::Cholesky;
 use super::model::{Model, Projection};
 use super::refine::refine;
 use super::search::{MatchedFilter, best_pair};
-use super::{Profile, Response};
+use super::{Profile, Response, SparseOptions};
 
 /// Pulses farther apart than this many widths of the response are refined separately while candidates are compared.
 const CLUSTER_WIDTHS: f64 = 2.5;
@@ -45,10 +45,10 @@ impl<'a> Fitter<'a> {
     pub(super) fn new(
         profile: &Profile,
         response: &'a Response,
-        baseline: bool,
+        options: &SparseOptions,
         evidence_min: f64,
     ) -> Self {
-        let model = Model::new(profile, response, baseline);
+        let model = Model::new(profile, response, options);
         let data = profile
             .mean_v
             .iter()
@@ -111,7 +111,7 @@ impl<'a> Fitter<'a> {
 
     /// Pulse `k` replaced by the best pair in its place, if it looks widened.
     fn split(&self, state: &State, k: usize) -> Option<Change> {
-        if self.widening(state, k) < WIDENED * self.evidence_min {
+        if self.model.signed || self.widening(state, k) < WIDENED * self.evidence_min {
             return None;
         }
         let mut alone = state.residual.clone();

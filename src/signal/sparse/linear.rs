@@ -67,11 +67,15 @@ impl Cholesky {
     }
 }
 
+/// Minimises `x^T G x - 2 b^T x` for `gram` G (`n * n`). `None` if G is singular.
+pub(super) fn least_squares(gram: &[f64], b: &[f64]) -> Option<Vec<f64>> {
+    solve_on(gram, b, &(0..b.len()).collect::<Vec<_>>())
+}
+
 /// Minimises `x^T G x - 2 b^T x` over `x >= 0` for `gram` G (`n * n`). `None` if G is singular.
 pub(super) fn non_negative(gram: &[f64], b: &[f64]) -> Option<Vec<f64>> {
     let n = b.len();
-    let all: Vec<usize> = (0..n).collect();
-    let x = solve_on(gram, b, &all)?;
+    let x = least_squares(gram, b)?;
     if x.iter().all(|v| *v > 0.0) {
         return Some(x);
     }

@@ -1,6 +1,6 @@
 //! Sparse deconvolution: the pulses, between samples and closer than the response, that explain a profile best.
 //!
-//! Model: `y_n = b + sum_k a_k h(t_n - t_k) + w_n`, `a_k >= 0`, response h known, w white with known sd a sample, b a constant baseline.
+//! Model: `y_n = b + sum_k a_k h(t_n - t_k) + w_n`, `a_k >= 0` (or of any sign), response h known, w white with known sd a sample, b a constant baseline.
 //! Maximum likelihood for a number of pulses that grows greedily:
 //! 1. candidates: the matched filter's maximum in the residual, and the best pair in place of each pulse whose residual looks widened;
 //! 2. each candidate is refined jointly with the pulses around it;
@@ -54,6 +54,9 @@ pub struct SparseOptions {
     pub pulses_max: usize,
     /// Whether a constant is fitted with the pulses; it costs one degree of freedom.
     pub baseline: bool,
+    /// Whether amplitudes may be negative, as reflections on a line are; light is never. Pulses closer than the response is wide are then not
+    /// told apart: two of opposite sign imitate anything.
+    pub signed: bool,
 }
 
 impl Default for SparseOptions {
@@ -62,6 +65,7 @@ impl Default for SparseOptions {
             evidence_min: None,
             pulses_max: 64,
             baseline: true,
+            signed: false,
         }
     }
 }
@@ -118,7 +122,7 @@ pub fn fit(profile: &Profile, response: &Response, options: &SparseOptions) -> S
         .evidence_min
         .unwrap_or_else(|| evidence_min(response, record_ps, FALSE_PULSES));
     assert!(threshold > 0.0, "the evidence must be positive");
-    let fitter = Fitter::new(profile, response, options.baseline, threshold);
+    let fitter = Fitter::new(profile, response, options, threshold);
     let mut state = fitter.start();
     while state.pulses() < options.pulses_max {
         let Some(grown) = fitter.grow(&state) else {
@@ -138,7 +142,10 @@ fn describe(fitter: &Fitter, state: &State, evidences: &[f64], evidence_min: f64
     let unknowns = 2 * order.len();
     let all = state.covariance();
     let covariance = |i: usize, j: usize| all[i * unknowns + j];
-    let inflations: Vec<f64> = order.iter().map(|&k| inflation(fitter.chi2_per_dof(state, Some(k)))).collect();
+    let inflations: Vec<f64> = order
+        .iter()
+        .map(|&k| inflation(fitter.chi2_per_dof(state, Some(k))))
+        .collect();
     let pulse = |(&k, inflation): (&usize, &f64)| Pulse {
         time_ps: state.time_ps(k),
         amplitude_v: state.amplitude(k),
@@ -150,7 +157,12 @@ fn describe(fitter: &Fitter, state: &State, evidences: &[f64], evidence_min: f64
     let covariance_ps2 = order
         .iter()
         .zip(&inflations)
-        .flat_map(|(&i, p)| order.iter().zip(&inflations).map(move |(&j, q)| (i, j, p * q)))
+        .flat_map(|(&i, p)| {
+            order
+                .iter()
+                .zip(&inflations)
+                .map(move |(&j, q)| (i, j, p * q))
+        })
         .map(|(i, j, inflation)| covariance(2 * i + 1, 2 * j + 1) * inflation)
         .collect();
     SparseFit {
@@ -165,5 +177,9 @@ fn describe(fitter: &Fitter, state: &State, evidences: &[f64], evidence_min: f64
 /// Factor of a standard deviation for a misfit: the root of chi2 per degree of freedom, where noise alone does not explain it. (Multiplying by
 /// whatever exceeds 1 would widen every second interval of a right model.)
 fn inflation((chi2_per_dof, freedom): (f64, f64)) -> f64 {
-    if chi2_per_dof > 1.0 + MISFIT_SIGMA * (2.0 / freedom).sqrt() { chi2_per_dof.sqrt() } else { 1.0 }
+    if chi2_per_dof > 1.0 + MISFIT_SIGMA * (2.0 / freedom).sqrt() {
+        chi2_per_dof.sqrt()
+    } else {
+        1.0
+    }
 }

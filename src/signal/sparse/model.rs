@@ -4,8 +4,8 @@
 //! not the record's length. The constant baseline is eliminated from every product in closed form (Schur complement), so that all fits,
 //! also those of a few pulses in a long record, are joint fits with it.
 
-use super::linear::{Cholesky, non_negative};
-use super::{Profile, Response};
+use super::linear::{Cholesky, least_squares, non_negative};
+use super::{Profile, Response, SparseOptions};
 use std::ops::Range;
 
 /// A record, its weights, and the response: everything that stays fixed during a fit.
@@ -17,6 +17,8 @@ pub(super) struct Model<'a> {
     pub(super) weights: Vec<f64>,
     /// Squared norm of the weights, if a baseline is fitted: the constant's own product.
     baseline: Option<f64>,
+    /// Whether amplitudes may be negative.
+    pub(super) signed: bool,
     /// First and last arrival, ps, whose maximum lies inside the record.
     arrivals_ps: (f64, f64),
 }
@@ -41,7 +43,7 @@ pub(super) struct Projection {
 }
 
 impl<'a> Model<'a> {
-    pub(super) fn new(profile: &Profile, response: &'a Response, baseline: bool) -> Self {
+    pub(super) fn new(profile: &Profile, response: &'a Response, options: &SparseOptions) -> Self {
         let weights: Vec<f64> = profile.sd_v.iter().map(|sd| 1.0 / sd).collect();
         let squared = weights.iter().map(|w| w * w).sum::<f64>();
         let last = (weights.len() - 1) as f64;
@@ -51,7 +53,8 @@ impl<'a> Model<'a> {
             t0_ps: profile.t0_ps,
             dt_ps: profile.dt_ps,
             weights,
-            baseline: (baseline && squared > 0.0).then_some(squared),
+            baseline: (options.baseline && squared > 0.0).then_some(squared),
+            signed: options.signed,
             arrivals_ps: (first_ps, first_ps + last * profile.dt_ps),
         }
     }
@@ -77,7 +80,7 @@ impl<'a> Model<'a> {
         }
     }
 
-    /// Amplitudes >= 0 that fit whitened `data` best with pulses at `times_ps`. `None` if two pulses
+    /// Amplitudes (>= 0, or signed) that fit whitened `data` best with pulses at `times_ps`. `None` if two pulses
     /// coincide, or the maximum of one is outside of the record.
     pub(super) fn project(&self, data: &[f64], times_ps: Vec<f64>) -> Option<Projection> {
         let (first_ps, last_ps) = self.arrivals_ps;
@@ -103,7 +106,11 @@ impl<'a> Model<'a> {
 
         let gram = minor(&products, 2 * k, 0, 0);
         let right: Vec<f64> = with_data.iter().step_by(2).copied().collect();
-        let amplitudes = non_negative(&gram, &right)?;
+        let amplitudes = if self.signed {
+            least_squares(&gram, &right)?
+        } else {
+            non_negative(&gram, &right)?
+        };
         let energy = amplitudes.iter().zip(&right).map(|(a, b)| a * b).sum();
         Some(Projection {
             times_ps,

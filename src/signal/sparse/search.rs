@@ -59,7 +59,7 @@ impl MatchedFilter {
         Self { phases }
     }
 
-    /// Arrival time and drop of chi2 of the best pulse in whitened `residual`. `None` if no place wants a positive one.
+    /// Arrival time and drop of chi2 of the best pulse in whitened `residual`. `None` if no place wants one.
     pub(super) fn best(&self, model: &Model, residual: &[f64]) -> Option<(f64, f64)> {
         let weighted: Vec<f64> = residual
             .iter()
@@ -71,7 +71,10 @@ impl MatchedFilter {
             let outputs = correlate(&weighted, &phase.taps, phase.first, phase.energies.len());
             for (j, (output, energy)) in outputs.iter().zip(&phase.energies).enumerate() {
                 let drop = output * output / energy;
-                if *energy > 0.0 && *output > 0.0 && best.is_none_or(|(_, d)| drop > d) {
+                if *energy > 0.0
+                    && (*output > 0.0 || model.signed)
+                    && best.is_none_or(|(_, d)| drop > d)
+                {
                     best = Some((phase.start_ps + j as f64 * model.dt_ps, drop));
                 }
             }
