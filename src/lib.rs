@@ -1,4 +1,26 @@
-//! Periscope: a streaming dataflow processor for recorded time-of-flight waveforms.
+//! Periscope: where light bounced, from oscilloscope traces of a time-of-flight campaign.
+//!
+//! A tour, from the ground up:
+//!
+//! - [`units`] turns times into lengths, and is the only place that does; [`store`] keeps tables on disk under the lineage that made them.
+//! - [`path`] is a path of light over patches; [`campaign`] what was captured, and in which files; [`waveform`] one record of an oscilloscope.
+//! - [`signal`] and [`geometry`] are pure kernels: samples, matrices and points in, values out. [`tables`] declares each kind of row once;
+//!   [`formats`] reads scope files.
+//! - [`stages`] are the verbs: each takes rows of one table, gives rows of another, and knows neither files nor threads. [`simulate`] makes
+//!   campaigns whose truth is known, and shares no code with them.
+//! - [`pipeline`] turns a pipeline file into a plan, and a plan into finished tables; it knows no physics.
+//!
+//! ```no_run
+//! use periscope::{campaign::Campaign, pipeline::{plan::Plan, progress::{Progress, Style}, run, spec::Spec}, store::Shelf};
+//! # fn main() -> anyhow::Result<()> {
+//! let spec = Spec::load("pipelines/all-visible.toml".as_ref(), &[])?;
+//! let campaigns = [Campaign::load("my-campaign".as_ref())?];
+//! let shelf = Shelf::open("results".as_ref())?;
+//! let mut plan = Plan::new(&spec, &campaigns, &shelf, None)?;
+//! run::run(&mut plan, &run::Settings::default(), &Progress::new(Style::auto()))?;
+//! # Ok(()) }
+//! ```
+
 pub mod campaign;
 pub mod formats;
 pub mod geometry;

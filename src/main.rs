@@ -16,7 +16,8 @@ struct Cli {
     command: Command,
 }
 
-const AFTER_HELP: &str = "First time here:  periscope demo\nA campaign of your own:  periscope run PIPELINE --campaign DIR --out DIR";
+const AFTER_HELP: &str =
+    "First time here:  periscope demo\nA campaign of your own:  periscope run PIPELINE --campaign DIR --out DIR";
 
 #[derive(Subcommand)]
 enum Command {
@@ -58,12 +59,7 @@ fn main() -> ExitCode {
         Command::Simulate(args) => commands::simulate::simulate(&args),
         Command::Schema(args) => commands::schema::schema(&args),
         Command::Completions { shell } => {
-            clap_complete::generate(
-                shell,
-                &mut Cli::command(),
-                "periscope",
-                &mut std::io::stdout(),
-            );
+            clap_complete::generate(shell, &mut Cli::command(), "periscope", &mut std::io::stdout());
             Ok(ExitCode::SUCCESS)
         }
     };

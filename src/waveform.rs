@@ -27,15 +27,7 @@ pub enum CodeType {
 
 impl CodeType {
     /// All of them.
-    pub const ALL: [Self; 7] = [
-        Self::I8,
-        Self::U8,
-        Self::I16,
-        Self::U16,
-        Self::I32,
-        Self::F32,
-        Self::F64,
-    ];
+    pub const ALL: [Self; 7] = [Self::I8, Self::U8, Self::I16, Self::U16, Self::I32, Self::F32, Self::F64];
 
     /// Name, as in the tables.
     #[must_use]
@@ -54,9 +46,7 @@ impl CodeType {
     /// The type of this name.
     #[must_use]
     pub fn parse(name: &str) -> Option<Self> {
-        Self::ALL
-            .into_iter()
-            .find(|code_type| code_type.name() == name)
+        Self::ALL.into_iter().find(|code_type| code_type.name() == name)
     }
 
     /// Bytes of a code.
@@ -85,9 +75,7 @@ impl CodeType {
 
     /// Turns big-endian codes into little-endian ones, or back, in place.
     pub fn swap_bytes(self, codes: &mut [u8]) {
-        codes
-            .chunks_exact_mut(self.bytes())
-            .for_each(<[u8]>::reverse);
+        codes.chunks_exact_mut(self.bytes()).for_each(<[u8]>::reverse);
     }
 
     /// Codes as numbers, from little-endian bytes.
@@ -98,9 +86,7 @@ impl CodeType {
                 codes
                     .chunks_exact(size_of::<$number>())
                     .map(|code| {
-                        f64::from(<$number>::from_le_bytes(
-                            code.try_into().expect("chunks have the code's size"),
-                        ))
+                        f64::from(<$number>::from_le_bytes(code.try_into().expect("chunks have the code's size")))
                     })
                     .collect()
             };
@@ -200,10 +186,7 @@ impl Record {
     pub fn read<F: io::Read + io::Seek>(&self, file: &mut F) -> io::Result<Vec<u8>> {
         match &self.payload {
             Payload::Decoded(codes) => Ok(codes.to_vec()),
-            Payload::File {
-                byte_offset,
-                big_endian,
-            } => {
+            Payload::File { byte_offset, big_endian } => {
                 let mut codes = vec![0; self.code_bytes()];
                 file.seek(io::SeekFrom::Start(*byte_offset))?;
                 file.read_exact(&mut codes)?;
@@ -220,9 +203,7 @@ impl Record {
     pub fn values(&self, codes: &[u8]) -> Vec<f64> {
         let mut values = self.head.code_type.decode(codes);
         if let Some(Scale { gain, offset }) = self.head.scale {
-            values
-                .iter_mut()
-                .for_each(|value| *value = gain * *value + offset);
+            values.iter_mut().for_each(|value| *value = gain * *value + offset);
         }
         values
     }

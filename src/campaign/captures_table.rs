@@ -19,15 +19,7 @@ use super::pattern::check_path;
 use super::suggest::hint;
 
 /// Columns whose cells are text, whatever they look like.
-const TEXT: [&str; 7] = [
-    "file",
-    "reference_channel",
-    "reference_file",
-    "role",
-    "sensor",
-    "channel",
-    "range",
-];
+const TEXT: [&str; 7] = ["file", "reference_channel", "reference_file", "role", "sensor", "channel", "range"];
 
 /// Columns whose cells are numbers, or lists in brackets.
 const VALUES: [&str; 15] = [
@@ -78,30 +70,17 @@ pub struct Row {
 /// # Errors
 /// When it cannot be read, is Parquet, has an unknown column or none named `file`, or a cell that cannot be.
 pub fn read(root: &Path, table: &Path, rule: &CaptureRule) -> Result<Vec<Row>, TableError> {
-    let fail = |row: Option<u64>, problem: String| TableError {
-        table: table.to_owned(),
-        row,
-        problem,
-    };
-    if table
-        .extension()
-        .is_some_and(|end| end.eq_ignore_ascii_case("parquet"))
-    {
+    let fail = |row: Option<u64>, problem: String| TableError { table: table.to_owned(), row, problem };
+    if table.extension().is_some_and(|end| end.eq_ignore_ascii_case("parquet")) {
         let problem = "convert to CSV; Parquet capture tables are not read yet";
         return Err(fail(None, problem.into()));
     }
     let unreadable = |error: csv::Error| {
         let row = error.position().map(csv::Position::line);
-        fail(
-            row,
-            format!("cannot be read as CSV with a comma between cells: {error}"),
-        )
+        fail(row, format!("cannot be read as CSV with a comma between cells: {error}"))
     };
     let inherited = Table::try_from(rule).map_err(|error| fail(None, error.to_string()))?;
-    let mut reader = csv::ReaderBuilder::new()
-        .trim(csv::Trim::All)
-        .from_path(root.join(table))
-        .map_err(unreadable)?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(root.join(table)).map_err(unreadable)?;
     let columns = reader.headers().map_err(unreadable)?.clone();
     check_columns(&columns).map_err(|problem| fail(Some(1), problem))?;
     let mut rows = Vec::new();
@@ -119,10 +98,7 @@ fn check_columns(columns: &csv::StringRecord) -> Result<(), String> {
     let known = || TEXT.into_iter().chain(VALUES);
     for (index, column) in columns.iter().enumerate() {
         if !known().any(|name| name == column) {
-            return Err(format!(
-                "unknown column `{column}`; {}",
-                hint(column, known())
-            ));
+            return Err(format!("unknown column `{column}`; {}", hint(column, known())));
         }
         if columns.iter().take(index).any(|before| before == column) {
             return Err(format!("two columns `{column}`; take one out"));
@@ -135,18 +111,18 @@ fn check_columns(columns: &csv::StringRecord) -> Result<(), String> {
 }
 
 /// Lays the cells of a row over the keys of the rule.
-fn row<'a>(
-    number: u64,
-    mut keys: Table,
-    cells: impl Iterator<Item = (&'a str, &'a str)>,
-) -> Result<Row, String> {
+fn row<'a>(number: u64, mut keys: Table, cells: impl Iterator<Item = (&'a str, &'a str)>) -> Result<Row, String> {
     let (mut file, mut segment) = (None, None);
     for (column, cell) in cells.filter(|(_, cell)| !cell.is_empty()) {
         match column {
             "file" => file = Some(cell.to_owned()),
-            "segment" => segment = Some(cell.parse().map_err(|_| {
-                format!("segment `{cell}` is not a whole number from 0; correct it, or leave it empty for all segments")
-            })?),
+            "segment" => {
+                segment = Some(cell.parse().map_err(|_| {
+                    format!(
+                        "segment `{cell}` is not a whole number from 0; correct it, or leave it empty for all segments"
+                    )
+                })?)
+            }
             "reference_channel" => reference(&mut keys, "channel", cell),
             "reference_file" => reference(&mut keys, "files", cell),
             _ if TEXT.contains(&column) => {
@@ -157,18 +133,11 @@ fn row<'a>(
             }
         }
     }
-    let file =
-        file.ok_or("the cell of column `file` is empty; name the file, or take the row out")?;
+    let file = file.ok_or("the cell of column `file` is empty; name the file, or take the row out")?;
     check_path(&file).map_err(|problem| format!("file `{file}` {problem}"))?;
-    let rule = Value::Table(keys)
-        .try_into()
-        .map_err(|error: toml::de::Error| error.to_string().trim().replace('\n', " "))?;
-    Ok(Row {
-        number,
-        file,
-        segment,
-        rule,
-    })
+    let rule =
+        Value::Table(keys).try_into().map_err(|error: toml::de::Error| error.to_string().trim().replace('\n', " "))?;
+    Ok(Row { number, file, segment, rule })
 }
 
 /// A reference of the row replaces that of the rule, also where that is of the other kind.
@@ -192,11 +161,7 @@ fn value(column: &str, cell: &str) -> Result<Value, String> {
         .parse::<Table>()
         .ok()
         .and_then(|mut table| table.remove(column))
-        .ok_or_else(|| {
-            format!(
-                "{column} `{cell}` is no list; write it as in campaign.toml, such as \"[0, 500]\""
-            )
-        })
+        .ok_or_else(|| format!("{column} `{cell}` is no list; write it as in campaign.toml, such as \"[0, 500]\""))
 }
 
 #[cfg(test)]
@@ -231,10 +196,7 @@ mod tests {
             seen: Some(12),
             sensor: Some("1".into()),
             samples: Some([0, 500]),
-            reference: Some(Reference {
-                channel: None,
-                files: Some("raw/ref.trc".into()),
-            }),
+            reference: Some(Reference { channel: None, files: Some("raw/ref.trc".into()) }),
             ..rule()
         };
         let second = CaptureRule {
@@ -253,10 +215,7 @@ mod tests {
     #[test]
     fn faults_name_row_and_mend() {
         for (text, parts) in [
-            (
-                "file,lti\na,1\n",
-                ["captures.csv, row 1", "did you mean `lit`?"],
-            ),
+            ("file,lti\na,1\n", ["captures.csv, row 1", "did you mean `lit`?"]),
             ("file,lit,lit\na,1,2\n", ["row 1", "two columns `lit`"]),
             ("lit\n1\n", ["row 1", "no column `file`"]),
             ("file,lit\na,1\nb,x\n", ["row 3", "`lit`"]),
@@ -276,9 +235,7 @@ mod tests {
     fn parquet_and_absent_tables_are_refused() {
         let error = |name: &str| {
             let folder = tempfile::tempdir().unwrap();
-            read(folder.path(), Path::new(name), &rule())
-                .unwrap_err()
-                .to_string()
+            read(folder.path(), Path::new(name), &rule()).unwrap_err().to_string()
         };
         assert!(error("t.parquet").contains("convert to CSV"));
         assert!(error("none.csv").starts_with("none.csv: cannot be read"));

@@ -11,11 +11,7 @@ use super::suggest::hint;
 ///
 /// # Errors
 /// The first fault.
-pub fn rule(
-    rule: &CaptureRule,
-    place: &str,
-    sensors: &BTreeMap<String, Sensor>,
-) -> Result<(), Fault> {
+pub fn rule(rule: &CaptureRule, place: &str, sensors: &BTreeMap<String, Sensor>) -> Result<(), Fault> {
     let at = &At(place);
     at.check(rule.files.is_some() != rule.table.is_some(), || {
         "a rule has either `files` (a pattern) or `table` (a CSV file); give one of them".into()
@@ -58,28 +54,17 @@ pub fn sensor_exists(name: &str, sensors: &BTreeMap<String, Sensor>) -> Result<(
 fn record_values(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
     at.positive("dt_ps", rule.dt_ps)?;
     at.finite("gain_v", rule.gain_v)?;
-    at.check(rule.gain_v != Some(0.0), || {
-        "gain_v = 0 makes all samples equal; give volts per code".into()
-    })?;
+    at.check(rule.gain_v != Some(0.0), || "gain_v = 0 makes all samples equal; give volts per code".into())?;
     at.finite("offset_v", rule.offset_v)?;
     at.finite("t0_ps", rule.t0_ps)?;
     at.positive("power_w", rule.power_w)?;
     at.positive("path_m", rule.path_m)?;
     at.positive("path_sd_m", rule.path_sd_m)?;
-    at.needs(
-        "path_sd_m",
-        rule.path_sd_m.is_some(),
-        "path_m",
-        rule.path_m.is_some(),
-    )?;
-    at.check(
-        rule.attenuation_od
-            .is_none_or(|od| od.is_finite() && od >= 0.0),
-        || "attenuation_od is below 0; give the optical density of the attenuator".into(),
-    )?;
-    at.check(rule.averaged_shots != Some(0), || {
-        "averaged_shots = 0; a record that was not averaged has 1".into()
+    at.needs("path_sd_m", rule.path_sd_m.is_some(), "path_m", rule.path_m.is_some())?;
+    at.check(rule.attenuation_od.is_none_or(|od| od.is_finite() && od >= 0.0), || {
+        "attenuation_od is below 0; give the optical density of the attenuator".into()
     })?;
+    at.check(rule.averaged_shots != Some(0), || "averaged_shots = 0; a record that was not averaged has 1".into())?;
     at.check(rule.samples.is_none_or(|[a, b]| a < b), || {
         "samples = [a, b] runs from sample a up to but without b; a must be below b".into()
     })
@@ -98,18 +83,14 @@ fn rule_axes(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
         })?;
         // Shots may count on within the files of a numbered series.
         let in_segments = axis != Axis::Shot && rule.segments.contains(&axis);
-        at.check(
-            !(in_segments && (is_key || in_pattern.contains(&axis))),
-            || format!("`{name}` stands in segments and elsewhere; take one out"),
-        )?;
-        at.check(
-            rule.segments.iter().filter(|a| **a == axis).count() < 2,
-            || format!("`{name}` stands twice in segments; take one out"),
-        )?;
+        at.check(!(in_segments && (is_key || in_pattern.contains(&axis))), || {
+            format!("`{name}` stands in segments and elsewhere; take one out")
+        })?;
+        at.check(rule.segments.iter().filter(|a| **a == axis).count() < 2, || {
+            format!("`{name}` stands twice in segments; take one out")
+        })?;
         let given = is_key || in_pattern.contains(&axis) || rule.segments.contains(&axis);
-        let needed = matches!(axis, Axis::Lit | Axis::Seen)
-            && rule.role == Some(Role::Scene)
-            && rule.table.is_none();
+        let needed = matches!(axis, Axis::Lit | Axis::Seen) && rule.role == Some(Role::Scene) && rule.table.is_none();
         at.check(given || !needed, || {
             format!("nothing says which patch is `{name}`; put {{{name}}} into the pattern, add the key {name} = N, or list \"{name}\" in segments")
         })?;
@@ -142,9 +123,7 @@ fn reference_keys(
     })?;
     at.name("reference.channel", reference.channel.as_deref())?;
     let same = reference.channel.is_some() && reference.channel == rule.channel;
-    at.check(!same, || {
-        "reference.channel is the channel of the signal; name the other one".into()
-    })?;
+    at.check(!same, || "reference.channel is the channel of the signal; name the other one".into())?;
     let Some(files) = &reference.files else {
         return Ok(());
     };
@@ -163,18 +142,12 @@ fn reference_keys(
 ///
 /// # Errors
 /// The first fault.
-pub fn exclude(
-    exclude: &Exclude,
-    place: &str,
-    sensors: &BTreeMap<String, Sensor>,
-) -> Result<(), Fault> {
+pub fn exclude(exclude: &Exclude, place: &str, sensors: &BTreeMap<String, Sensor>) -> Result<(), Fault> {
     let at = &At(place);
     at.check(exclude.matches != Match::default(), || {
         "match is empty and would exclude everything; name role, sensor, lit, seen, shot, range, channel or file".into()
     })?;
-    at.check(!exclude.reason.trim().is_empty(), || {
-        "reason is empty; say why, for those who come later".into()
-    })?;
+    at.check(!exclude.reason.trim().is_empty(), || "reason is empty; say why, for those who come later".into())?;
     if let Some(sensor) = &exclude.matches.sensor {
         sensor_exists(sensor, sensors).map_err(|problem| at.fault(problem))?;
     }

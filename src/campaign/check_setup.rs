@@ -21,20 +21,12 @@ pub fn campaign(campaign: &Campaign) -> Result<(), Fault> {
     for (id, view) in &campaign.views {
         let place = format!("[views.{id}]");
         let at = At(&place);
-        at.check(
-            *id > 0 && view.patches.iter().all(|patch| *patch > 0),
-            || "numbers of views and patches are positive integers; number them from 1".into(),
-        )?;
-        at.check(!view.patches.is_empty(), || {
-            "patches is empty; list what the view covers".into()
+        at.check(*id > 0 && view.patches.iter().all(|patch| *patch > 0), || {
+            "numbers of views and patches are positive integers; number them from 1".into()
         })?;
+        at.check(!view.patches.is_empty(), || "patches is empty; list what the view covers".into())?;
     }
-    setup(
-        &campaign.stations,
-        &campaign.sensors,
-        &campaign.patches,
-        campaign.dimensions,
-    )
+    setup(&campaign.stations, &campaign.sensors, &campaign.patches, campaign.dimensions)
 }
 
 /// Checks what stands in the room. Scene descriptions have the same headings.
@@ -48,13 +40,10 @@ pub fn setup(
     dimensions: u8,
 ) -> Result<(), Fault> {
     let flat = dimensions == 2;
-    At("[campaign]").check(flat || dimensions == 3, || {
-        format!("dimensions = {dimensions}; it is 3, or 2 for flatland")
-    })?;
+    At("[campaign]")
+        .check(flat || dimensions == 3, || format!("dimensions = {dimensions}; it is 3, or 2 for flatland"))?;
     At("[stations]").check(stations.contains_key(LASER), || {
-        format!(
-            "no station `{LASER}`; add [stations.{LASER}] with the point where the light leaves"
-        )
+        format!("no station `{LASER}`; add [stations.{LASER}] with the point where the light leaves")
     })?;
     for (name, station) in stations {
         let place = format!("[stations.{name}]");
@@ -73,9 +62,7 @@ pub fn setup(
     for (id, patch) in patches {
         let place = format!("[patches.{id}]");
         let at = At(&place);
-        at.check(*id > 0, || {
-            "numbers of patches are positive integers; number them from 1".into()
-        })?;
+        at.check(*id > 0, || "numbers of patches are positive integers; number them from 1".into())?;
         patch_keys(&at, patch, stations, flat)?;
     }
     Ok(())
@@ -84,44 +71,24 @@ pub fn setup(
 fn sensor_keys(at: &At, sensor: &Sensor) -> Result<(), Fault> {
     let counts = sensor.cycles.is_some() || sensor.dead_time_ps.is_some();
     at.check(!counts || sensor.kind == SensorKind::Counts, || {
-        "cycles and dead_time_ps are of photon histograms; add kind = \"counts\", or take them out"
-            .into()
+        "cycles and dead_time_ps are of photon histograms; add kind = \"counts\", or take them out".into()
     })?;
-    at.check(sensor.cycles != Some(0), || {
-        "cycles = 0; give the laser pulses behind a histogram".into()
-    })?;
+    at.check(sensor.cycles != Some(0), || "cycles = 0; give the laser pulses behind a histogram".into())?;
     at.positive("dead_time_ps", sensor.dead_time_ps)?;
     at.finite("latency_ps", sensor.latency_ps)?;
     at.positive("latency_sd_ps", sensor.latency_sd_ps)?;
-    at.needs(
-        "latency_sd_ps",
-        sensor.latency_sd_ps.is_some(),
-        "latency_ps",
-        sensor.latency_ps.is_some(),
-    )
+    at.needs("latency_sd_ps", sensor.latency_sd_ps.is_some(), "latency_ps", sensor.latency_ps.is_some())
 }
 
-fn patch_keys(
-    at: &At,
-    patch: &Patch,
-    stations: &BTreeMap<String, Station>,
-    flat: bool,
-) -> Result<(), Fault> {
+fn patch_keys(at: &At, patch: &Patch, stations: &BTreeMap<String, Station>, flat: bool) -> Result<(), Fault> {
     at.point("position_m", patch.position_m, flat)?;
     at.positive("sd_m", patch.sd_m)?;
-    at.needs(
-        "sd_m",
-        patch.sd_m.is_some(),
-        "position_m",
-        patch.position_m.is_some(),
-    )?;
+    at.needs("sd_m", patch.sd_m.is_some(), "position_m", patch.position_m.is_some())?;
     at.positive("size_m", patch.size_m)?;
     at.point("normal", patch.normal, flat)?;
     if let Some(normal) = patch.normal {
         let length = length(normal);
-        at.check(length > 0.0, || {
-            "normal has length 0; give the direction of the lit side".into()
-        })?;
+        at.check(length > 0.0, || "normal has length 0; give the direction of the lit side".into())?;
         at.check((length - 1.0).abs() < 1e-3, || {
             let unit = normal.map(|x| x / length);
             format!("normal has length {length:.4} and must be a unit vector; write {unit:.6?}")

@@ -32,13 +32,7 @@ pub(super) struct Claim {
 impl Claim {
     /// The order of exposures in a survey.
     pub(super) fn order(&self) -> (&Path, Option<&str>, Option<u32>, usize) {
-        let Exposure {
-            file,
-            channel,
-            segment,
-            rule,
-            ..
-        } = &self.exposure;
+        let Exposure { file, channel, segment, rule, .. } = &self.exposure;
         (file, channel.as_deref(), *segment, *rule)
     }
 }
@@ -53,11 +47,7 @@ pub(super) fn first_clash(claims: &[Claim]) -> Option<(&Path, Source, Source)> {
     }
     for claim in claims {
         // A reference with a channel lies in the exposure's own file.
-        let Some(ReferenceSource {
-            file,
-            channel: None,
-        }) = &claim.exposure.reference
-        else {
+        let Some(ReferenceSource { file, channel: None }) = &claim.exposure.reference else {
             continue;
         };
         let at = claims.partition_point(|other| other.exposure.file < *file);
@@ -140,9 +130,7 @@ mod tests {
             (ca == cb || ca.is_none() || cb.is_none()) && (sa == sb || sa.is_none() || sb.is_none())
         };
         let count = records.len();
-        for (a, b, c) in
-            (0..count.pow(3)).map(|n| (n % count, n / count % count, n / count / count))
-        {
+        for (a, b, c) in (0..count.pow(3)).map(|n| (n % count, n / count % count, n / count / count)) {
             let chosen = [a, b, c].map(|i| claim(i, "f", records[i].0, records[i].1));
             let expected = meet(a, b) || meet(a, c) || meet(b, c);
             assert_eq!(same_record(&chosen).is_some(), expected, "{a} {b} {c}");
@@ -153,10 +141,8 @@ mod tests {
     fn a_reference_that_is_an_exposure_clashes_unless_it_is_a_channel() {
         let mut claims = [claim(0, "a", None, None), claim(1, "b", None, None)];
         assert!(first_clash(&claims).is_none());
-        let reference = |channel: Option<&str>| ReferenceSource {
-            file: "b".into(),
-            channel: channel.map(str::to_owned),
-        };
+        let reference =
+            |channel: Option<&str>| ReferenceSource { file: "b".into(), channel: channel.map(str::to_owned) };
         claims[1].exposure.reference = Some(reference(Some("C2")));
         assert!(first_clash(&claims).is_none());
         claims[0].exposure.reference = Some(reference(None));

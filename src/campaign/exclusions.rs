@@ -16,8 +16,7 @@ impl<'a> Exclusions<'a> {
     pub fn of(campaign: &'a Campaign) -> Self {
         let parsed = |exclude: &'a Exclude| {
             let file = exclude.matches.file.as_deref();
-            let pattern = file
-                .map(|file| Pattern::parse(file).expect("checked when the campaign was loaded"));
+            let pattern = file.map(|file| Pattern::parse(file).expect("checked when the campaign was loaded"));
             (exclude, pattern)
         };
         Self(campaign.exclude.iter().map(parsed).collect())
@@ -47,14 +46,8 @@ impl<'a> Exclusions<'a> {
         means(&exclude.matches, pattern.as_ref(), exposure) != Some(false)
     }
 
-    fn first(
-        &self,
-        holds: impl Fn(&Exclude, Option<&Pattern>) -> bool,
-    ) -> Option<(usize, &'a str)> {
-        let index = self
-            .0
-            .iter()
-            .position(|(exclude, pattern)| holds(exclude, pattern.as_ref()))?;
+    fn first(&self, holds: impl Fn(&Exclude, Option<&Pattern>) -> bool) -> Option<(usize, &'a str)> {
+        let index = self.0.iter().position(|(exclude, pattern)| holds(exclude, pattern.as_ref()))?;
         Some((index, self.0[index].0.reason.as_str()))
     }
 }
@@ -86,8 +79,7 @@ fn same<T: PartialEq>(key: Option<&T>, value: Option<&T>) -> Option<bool> {
 }
 
 fn takes(pattern: &Pattern, file: &Path) -> bool {
-    file.to_str()
-        .is_some_and(|file| pattern.read(file) != Reading::No)
+    file.to_str().is_some_and(|file| pattern.read(file) != Reading::No)
 }
 
 #[cfg(test)]
@@ -133,22 +125,12 @@ mod tests {
         ] {
             let campaign = campaign(&[keys]);
             let exclusions = Exclusions::of(&campaign);
-            assert_eq!(
-                exclusions.of_exposure(&exposure()).is_some(),
-                sure,
-                "{keys}"
-            );
+            assert_eq!(exclusions.of_exposure(&exposure()).is_some(), sure, "{keys}");
             assert_eq!(exclusions.may_mean(0, &exposure()), may, "{keys}");
         }
-        let filled = Exposure {
-            seen: Some(4),
-            ..exposure()
-        };
+        let filled = Exposure { seen: Some(4), ..exposure() };
         let campaign = campaign(&["lit = 1, seen = 4"]);
-        assert_eq!(
-            Exclusions::of(&campaign).of_exposure(&filled),
-            Some((0, "r"))
-        );
+        assert_eq!(Exclusions::of(&campaign).of_exposure(&filled), Some((0, "r")));
     }
 
     #[test]

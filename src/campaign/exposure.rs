@@ -60,16 +60,12 @@ pub(super) fn exposure(
     file: &str,
     bound: &Bound,
 ) -> Result<Exposure, String> {
-    let role = rule
-        .role
-        .ok_or("nothing says its role; fill the column `role`, or add the key to the rule")?;
+    let role = rule.role.ok_or("nothing says its role; fill the column `role`, or add the key to the rule")?;
     let patch = |axis: Axis, key: Option<PatchId>| {
         let patch = number(axis, bound)?.or(key);
         let name = axis.name();
         match patch {
-            Some(0) if role == Role::Scene => Err(format!(
-                "{name} = 0 in a scene; patches are numbered from 1"
-            )),
+            Some(0) if role == Role::Scene => Err(format!("{name} = 0 in a scene; patches are numbered from 1")),
             None if rule.segments.contains(&axis) => Ok(None),
             None if role == Role::Scene => Err(format!(
                 "nothing says which patch is `{name}`; fill the column `{name}`, or list \"{name}\" in segments"
@@ -77,9 +73,7 @@ pub(super) fn exposure(
             patch => Ok(Some(patch.unwrap_or(0))),
         }
     };
-    let name = |axis: Axis, key: &Option<String>| {
-        bound.get(axis).map(str::to_owned).or_else(|| key.clone())
-    };
+    let name = |axis: Axis, key: &Option<String>| bound.get(axis).map(str::to_owned).or_else(|| key.clone());
     let sensor = match name(Axis::Sensor, &rule.sensor) {
         None if rule.segments.contains(&Axis::Sensor) => None,
         None => Some(only_sensor(campaign)?),
@@ -106,12 +100,8 @@ pub(super) fn exposure(
 
 fn number<T: FromStr>(axis: Axis, bound: &Bound) -> Result<Option<T>, String> {
     let parse = |text: &str| {
-        text.parse().map_err(|_| {
-            format!(
-                "{} = {text} is too large a number; is it a date? Take it up by `*`",
-                axis.name()
-            )
-        })
+        text.parse()
+            .map_err(|_| format!("{} = {text} is too large a number; is it a date? Take it up by `*`", axis.name()))
     };
     bound.get(axis).map(parse).transpose()
 }
@@ -121,6 +111,9 @@ fn only_sensor(campaign: &Campaign) -> Result<String, String> {
     match (names.next(), names.next()) {
         (Some(only), None) => Ok(only.clone()),
         (None, _) => Err("no sensor is declared; add [sensors.NAME] to campaign.toml".into()),
-        _ => Err("nothing says which sensor recorded it; put {sensor} into the pattern, or add the key sensor = \"NAME\"".into()),
+        _ => Err(
+            "nothing says which sensor recorded it; put {sensor} into the pattern, or add the key sensor = \"NAME\""
+                .into(),
+        ),
     }
 }

@@ -21,18 +21,11 @@ pub(super) struct At<'a>(pub(super) &'a str);
 
 impl At<'_> {
     pub(super) fn fault(&self, problem: String) -> Fault {
-        Fault {
-            place: self.0.to_owned(),
-            problem,
-        }
+        Fault { place: self.0.to_owned(), problem }
     }
 
     pub(super) fn check(&self, holds: bool, problem: impl FnOnce() -> String) -> Result<(), Fault> {
-        if holds {
-            Ok(())
-        } else {
-            Err(self.fault(problem()))
-        }
+        if holds { Ok(()) } else { Err(self.fault(problem())) }
     }
 
     pub(super) fn finite(&self, key: &str, value: Option<f64>) -> Result<(), Fault> {
@@ -48,12 +41,7 @@ impl At<'_> {
         })
     }
 
-    pub(super) fn point(
-        &self,
-        key: &str,
-        point: Option<[f64; 3]>,
-        flat: bool,
-    ) -> Result<(), Fault> {
+    pub(super) fn point(&self, key: &str, point: Option<[f64; 3]>, flat: bool) -> Result<(), Fault> {
         let Some(point) = point else { return Ok(()) };
         self.check(point.iter().all(|x| x.is_finite()), || {
             format!("{key} has a coordinate that is not finite; give three numbers")
@@ -63,24 +51,13 @@ impl At<'_> {
         })
     }
 
-    pub(super) fn needs(
-        &self,
-        key: &str,
-        given: bool,
-        other: &str,
-        other_given: bool,
-    ) -> Result<(), Fault> {
-        self.check(!given || other_given, || {
-            format!("{key} stands without {other}; add {other}, or take {key} out")
-        })
+    pub(super) fn needs(&self, key: &str, given: bool, other: &str, other_given: bool) -> Result<(), Fault> {
+        self.check(!given || other_given, || format!("{key} stands without {other}; add {other}, or take {key} out"))
     }
 
     pub(super) fn name(&self, key: &str, name: Option<&str>) -> Result<(), Fault> {
-        let fits =
-            |name: &str| !name.is_empty() && !name.contains(|c: char| c.is_control() || c == '/');
-        self.check(name.is_none_or(fits), || {
-            format!("{key} is empty or has `/` in it; give a plain name")
-        })
+        let fits = |name: &str| !name.is_empty() && !name.contains(|c: char| c.is_control() || c == '/');
+        self.check(name.is_none_or(fits), || format!("{key} is empty or has `/` in it; give a plain name"))
     }
 
     pub(super) fn station(

@@ -79,10 +79,7 @@ pub struct Station {
 /// The stations of a campaign that names none: everything at the origin (`p0` of the paper).
 #[must_use]
 pub fn one_station() -> BTreeMap<String, Station> {
-    let origin = Station {
-        position_m: [0.0; 3],
-        sd_m: None,
-    };
+    let origin = Station { position_m: [0.0; 3], sd_m: None };
     BTreeMap::from([(LASER.to_owned(), origin)])
 }
 
@@ -324,14 +321,7 @@ pub enum Axis {
 
 impl Axis {
     /// All of them, in order.
-    pub const ALL: [Self; 6] = [
-        Self::Lit,
-        Self::Seen,
-        Self::Sensor,
-        Self::Shot,
-        Self::Range,
-        Self::Channel,
-    ];
+    pub const ALL: [Self; 6] = [Self::Lit, Self::Seen, Self::Sensor, Self::Shot, Self::Range, Self::Channel];
 
     /// The word for it in campaign files.
     #[must_use]

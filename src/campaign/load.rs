@@ -7,8 +7,7 @@ use serde::Deserialize;
 
 use super::fault::Fault;
 use super::keys::{
-    Campaign, CaptureRule, Exclude, Hidden, Patch, Sensor, Station, View, exclude_place,
-    one_station, rule_place,
+    Campaign, CaptureRule, Exclude, Hidden, Patch, Sensor, Station, View, exclude_place, one_station, rule_place,
 };
 use super::toml_text::{self, TomlError};
 use super::{check_captures, check_setup};
@@ -89,8 +88,7 @@ impl Campaign {
     /// When it cannot be read, or holds anything that cannot be: the message names line or heading, key and mend.
     pub fn load(root: &Path) -> Result<Self, CampaignError> {
         let file = root.join(CAMPAIGN_FILE);
-        let text = std::fs::read_to_string(&file)
-            .map_err(|source| CampaignError::Read { file, source })?;
+        let text = std::fs::read_to_string(&file).map_err(|source| CampaignError::Read { file, source })?;
         Self::parse(root, &text)
     }
 
@@ -115,9 +113,7 @@ impl Campaign {
             captures: keys.captures,
             exclude: keys.exclude,
         };
-        campaign
-            .check()
-            .map_err(|fault| CampaignError::Keys { file, fault })?;
+        campaign.check().map_err(|fault| CampaignError::Keys { file, fault })?;
         Ok(campaign)
     }
 
@@ -279,14 +275,10 @@ sensor = "s1", lit ~ sensor = "s3", lit ~ [[exclude]] number 1 ~ add [sensors.s3
         for line in FAULTS.trim().lines() {
             let cells: Vec<&str> = line.split('~').map(str::trim).collect();
             assert!(FULL.contains(cells[0]), "{line}");
-            let error =
-                parse(&FULL.replacen(cells[0], &cells[1].replace("\\n", "\n"), 1)).unwrap_err();
+            let error = parse(&FULL.replacen(cells[0], &cells[1].replace("\\n", "\n"), 1)).unwrap_err();
             let file = Path::new("dir").join(CAMPAIGN_FILE).display().to_string();
             assert!(error.starts_with(&file), "{error}");
-            assert!(
-                error.contains(cells[2]) && error.contains(cells[3]),
-                "{line}: {error}"
-            );
+            assert!(error.contains(cells[2]) && error.contains(cells[3]), "{line}: {error}");
         }
     }
 
@@ -295,10 +287,7 @@ sensor = "s1", lit ~ sensor = "s3", lit ~ [[exclude]] number 1 ~ add [sensors.s3
         let flat = FULL.replace("repetition_ps", "dimensions = 2\nrepetition_ps");
         assert!(parse(&flat).is_ok());
         let error = parse(&flat.replace("[0.1, 1.2, 0.0]", "[0.1, 1.2, 0.3]")).unwrap_err();
-        assert!(
-            error.contains("[patches.2]: position_m leaves flatland"),
-            "{error}"
-        );
+        assert!(error.contains("[patches.2]: position_m leaves flatland"), "{error}");
     }
 
     #[test]

@@ -105,12 +105,8 @@ impl Manifest {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             read => read.map_err(|source| file_error(&file, source))?,
         };
-        let format = |problem: String| ManifestError::Format {
-            file: file.clone(),
-            problem,
-        };
-        let read: ManifestFile =
-            serde_json::from_str(&text).map_err(|error| format(error.to_string()))?;
+        let format = |problem: String| ManifestError::Format { file: file.clone(), problem };
+        let read: ManifestFile = serde_json::from_str(&text).map_err(|error| format(error.to_string()))?;
         if read.version != VERSION {
             return Err(format(format!("version {}, not {VERSION}", read.version)));
         }
@@ -158,17 +154,14 @@ impl Manifest {
         Ok(if record.fits(&found) {
             FileState::Known(record.blake3)
         } else {
-            FileState::Touched {
-                recorded: record.blake3,
-            }
+            FileState::Touched { recorded: record.blake3 }
         })
     }
 
     /// Records a file. `metadata` must have been taken before its content was read, so that a change in between shows at the next
     /// [`Manifest::check`].
     pub fn record(&mut self, path: &Path, content: Hash, metadata: &Metadata) {
-        self.files
-            .insert(key(path), FileRecord::of(content, metadata));
+        self.files.insert(key(path), FileRecord::of(content, metadata));
     }
 
     /// The record of a file.
@@ -179,19 +172,13 @@ impl Manifest {
 
     /// All records, sorted by path.
     pub fn iter(&self) -> impl Iterator<Item = (&Path, &FileRecord)> {
-        self.files
-            .iter()
-            .map(|(path, record)| (Path::new(path), record))
+        self.files.iter().map(|(path, record)| (Path::new(path), record))
     }
 }
 
 impl FileRecord {
     fn of(content: Hash, metadata: &Metadata) -> Self {
-        Self {
-            bytes: metadata.len(),
-            modified_ns: modified_ns(metadata),
-            blake3: content,
-        }
+        Self { bytes: metadata.len(), modified_ns: modified_ns(metadata), blake3: content }
     }
 
     /// Whether size and time of change are as recorded.
@@ -237,10 +224,7 @@ pub(super) fn metadata(path: &Path) -> Result<Metadata, ManifestError> {
 }
 
 fn file_error(file: &Path, source: io::Error) -> ManifestError {
-    ManifestError::File {
-        file: file.to_owned(),
-        source,
-    }
+    ManifestError::File { file: file.to_owned(), source }
 }
 
 fn key(path: &Path) -> String {
@@ -286,11 +270,7 @@ mod tests {
         assert_eq!(lines.len(), 7);
         assert!(lines[3].starts_with("\"a.trc\": {\"bytes\":5,\"modified_ns\":"));
         assert!(lines[3].contains(&content.to_hex().to_string()));
-        assert_eq!(
-            fs::read_dir(folder.path()).unwrap().count(),
-            2,
-            "nothing left over"
-        );
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing left over");
     }
 
     #[test]
@@ -315,13 +295,7 @@ mod tests {
         assert_eq!(state(path), FileState::Known(content));
         assert_eq!(state(Path::new("b.trc")), FileState::New);
         let time = fs::metadata(&file).unwrap().modified().unwrap();
-        let set_time = |time| {
-            File::options()
-                .write(true)
-                .open(&file)
-                .unwrap()
-                .set_modified(time)
-        };
+        let set_time = |time| File::options().write(true).open(&file).unwrap().set_modified(time);
         set_time(time + Duration::from_secs(1)).unwrap();
         assert_eq!(state(path), FileState::Touched { recorded: content });
         fs::write(&file, "lights").unwrap();

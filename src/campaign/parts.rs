@@ -38,14 +38,7 @@ mod tests {
     }
 
     fn captures(count: u64) -> Vec<(String, u64)> {
-        (0..count)
-            .map(|i| {
-                (
-                    format!("s1 {} {}", i / 300, i % 300),
-                    500_000 + 20_000 * (i % 100),
-                )
-            })
-            .collect()
+        (0..count).map(|i| (format!("s1 {} {}", i / 300, i % 300), 500_000 + 20_000 * (i % 100))).collect()
     }
 
     #[test]

@@ -81,9 +81,7 @@ impl<'a> Bound<'a> {
 impl fmt::Display for Bound<'_> {
     /// `lit = 4, channel = C1`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let given = Axis::ALL
-            .into_iter()
-            .filter_map(|axis| Some((axis.name(), self.get(axis)?)));
+        let given = Axis::ALL.into_iter().filter_map(|axis| Some((axis.name(), self.get(axis)?)));
         for (index, (name, value)) in given.enumerate() {
             let comma = if index > 0 { ", " } else { "" };
             write!(f, "{comma}{name} = {value}")?;
@@ -110,10 +108,7 @@ impl Pattern {
     /// When it is not relative to the campaign folder, or has an unknown placeholder, two placeholders without a sign between, or a
     /// stray `{`, `}` or `**`.
     pub fn parse(text: &str) -> Result<Self, PatternError> {
-        let fail = |problem: String| PatternError {
-            pattern: text.to_owned(),
-            problem,
-        };
+        let fail = |problem: String| PatternError { pattern: text.to_owned(), problem };
         check_path(text).map_err(fail)?;
         let mut tokens = Vec::new();
         let mut rest = text;
@@ -155,11 +150,7 @@ impl Pattern {
     /// Reads a path: relative to the campaign folder, with `/` between its parts.
     #[must_use]
     pub fn read<'a>(&self, path: &'a str) -> Reading<'a> {
-        let mut reader = Reader {
-            path,
-            bound: Bound::default(),
-            found: Vec::new(),
-        };
+        let mut reader = Reader { path, bound: Bound::default(), found: Vec::new() };
         reader.walk(false, &self.tokens, 0);
         match reader.found.as_slice() {
             [] => Reading::No,
@@ -178,7 +169,9 @@ pub(super) fn check_path(text: &str) -> Result<(), String> {
         return Err("has a backslash; separate folders by `/`".into());
     }
     if text.split('/').any(|part| matches!(part, "" | "." | "..")) {
-        return Err("must be a plain path relative to the campaign folder, without a leading `/`, `//`, `.` or `..`".into());
+        return Err(
+            "must be a plain path relative to the campaign folder, without a leading `/`, `//`, `.` or `..`".into()
+        );
     }
     Ok(())
 }
@@ -208,15 +201,9 @@ fn token(text: &str, before: Option<&Token>) -> Result<(Token, usize), String> {
             return Err(format!("unknown placeholder `{{{word}}}`; {hint}"));
         };
         if matches!(before, Some(Token::Value(_))) {
-            return Err(format!(
-                "nothing separates `{{{word}}}` from the placeholder before it; put a sign between"
-            ));
+            return Err(format!("nothing separates `{{{word}}}` from the placeholder before it; put a sign between"));
         }
-        let value = Value {
-            axis,
-            dash: false,
-            underscore: false,
-        };
+        let value = Value { axis, dash: false, underscore: false };
         return Ok((Token::Value(value), word.len() + 2));
     }
     let length = text.find(['*', '{', '}']).unwrap_or(text.len());
@@ -337,10 +324,7 @@ mod tests {
         assert_eq!(read(scene, "raw/scene/L7_P.trc"), "no");
         assert_eq!(read("*{shot}*", "run12b"), "shot = 12");
         assert_eq!(read("{range}.csv", "high-2_b.csv"), "range = high-2_b");
-        assert_eq!(
-            read("{range}_L{lit}*.csv", "low-2_L3_x.csv"),
-            "lit = 3, range = low-2"
-        );
+        assert_eq!(read("{range}_L{lit}*.csv", "low-2_L3_x.csv"), "lit = 3, range = low-2");
         assert_eq!(read("{range}_L{lit}.csv", "low_2_L3.csv"), "no");
     }
 
@@ -356,17 +340,11 @@ mod tests {
 
     #[test]
     fn a_repeated_placeholder_must_agree_and_two_readings_are_told() {
-        assert_eq!(
-            read("L{lit}/L{lit}_{shot}.trc", "L04/L4_1.trc"),
-            "lit = 4, shot = 1"
-        );
+        assert_eq!(read("L{lit}/L{lit}_{shot}.trc", "L04/L4_1.trc"), "lit = 4, shot = 1");
         assert_eq!(read("L{lit}/L{lit}_{shot}.trc", "L4/L5_1.trc"), "no");
         let two = read("{sensor}x{channel}", "axbxc");
         assert_eq!(two, "sensor = axb, channel = c | sensor = a, channel = bxc");
-        assert_eq!(
-            read("{sensor}ch{channel}", "s1ch2"),
-            "sensor = s1, channel = 2"
-        );
+        assert_eq!(read("{sensor}ch{channel}", "s1ch2"), "sensor = s1, channel = 2");
     }
 
     #[test]

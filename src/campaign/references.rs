@@ -24,21 +24,14 @@ impl<'a> References<'a> {
     /// Seeks among these paths, relative to the campaign folder.
     #[must_use]
     pub fn among(paths: &'a BTreeSet<&'a str>) -> Self {
-        Self {
-            paths,
-            by_pattern: BTreeMap::new(),
-        }
+        Self { paths, by_pattern: BTreeMap::new() }
     }
 
     /// Gives the exposure the reference that its rule asks for, if it asks for one. Answers what was sought if no file is there.
     ///
     /// # Errors
     /// When several files answer, or one can be read in two ways.
-    pub fn attach(
-        &mut self,
-        rule: &CaptureRule,
-        exposure: &mut Exposure,
-    ) -> Result<Option<String>, String> {
+    pub fn attach(&mut self, rule: &CaptureRule, exposure: &mut Exposure) -> Result<Option<String>, String> {
         let Some(reference) = &rule.reference else {
             return Ok(None);
         };
@@ -49,19 +42,12 @@ impl<'a> References<'a> {
         let Some(file) = file else {
             return Ok(Some(wanted));
         };
-        exposure.reference = Some(ReferenceSource {
-            file: file.into(),
-            channel: reference.channel.clone(),
-        });
+        exposure.reference = Some(ReferenceSource { file: file.into(), channel: reference.channel.clone() });
         Ok(None)
     }
 
     /// The file of the pattern for the coordinates of the exposure, and what was sought.
-    fn find(
-        &mut self,
-        text: &str,
-        exposure: &Exposure,
-    ) -> Result<(Option<&'a str>, String), String> {
+    fn find(&mut self, text: &str, exposure: &Exposure) -> Result<(Option<&'a str>, String), String> {
         let pattern = Pattern::parse(text).map_err(|error| error.to_string())?;
         if let Some(path) = pattern.literal() {
             return Ok((self.paths.get(path).copied(), text.to_owned()));
@@ -71,36 +57,24 @@ impl<'a> References<'a> {
             self.by_pattern.insert(text.to_owned(), index);
         }
         let index = &self.by_pattern[text];
-        let values = index
-            .axes
-            .iter()
-            .filter_map(|axis| Some((*axis, coordinate(exposure, *axis)?)));
+        let values = index.axes.iter().filter_map(|axis| Some((*axis, coordinate(exposure, *axis)?)));
         let values: Vec<(Axis, String)> = values.collect();
         let sought = Bound::of(values.iter().map(|(axis, value)| (*axis, value.as_str())));
         let wanted = format!("{text} with {sought}");
         match answer(&index.files, &sought) {
             [] => Ok((None, wanted)),
             [file] => Ok((Some(file), wanted)),
-            [one, two, ..] => Err(format!(
-                "its reference ({wanted}) may be {one} or {two}; narrow the pattern"
-            )),
+            [one, two, ..] => Err(format!("its reference ({wanted}) may be {one} or {two}; narrow the pattern")),
         }
     }
 }
 
 /// The map's strings outlive those of the question; as the map holds its keys covariantly, it may be asked as if they did not.
-fn answer<'q, 'a>(
-    files: &'q BTreeMap<Bound<'q>, Vec<&'a str>>,
-    sought: &Bound<'q>,
-) -> &'q [&'a str] {
+fn answer<'q, 'a>(files: &'q BTreeMap<Bound<'q>, Vec<&'a str>>, sought: &Bound<'q>) -> &'q [&'a str] {
     files.get(sought).map_or(&[], Vec::as_slice)
 }
 
-fn index<'a>(
-    pattern: &Pattern,
-    text: &str,
-    paths: &BTreeSet<&'a str>,
-) -> Result<Index<'a>, String> {
+fn index<'a>(pattern: &Pattern, text: &str, paths: &BTreeSet<&'a str>) -> Result<Index<'a>, String> {
     let mut files: BTreeMap<Bound, Vec<&str>> = BTreeMap::new();
     for path in paths {
         match pattern.read(path) {

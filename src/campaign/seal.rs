@@ -33,24 +33,12 @@ impl fmt::Display for SealReport {
             }
             Ok(())
         };
-        let new = if self.joined {
-            "joined   "
-        } else {
-            "new      "
-        };
+        let new = if self.joined { "joined   " } else { "new      " };
         list("touched  ", &self.refreshed)?;
         list("gone     ", &self.gone)?;
         list(new, &self.new)?;
-        let mend = if self.joined || self.new.is_empty() {
-            ""
-        } else {
-            "; `--update` lets them join"
-        };
-        let (joined, left) = if self.joined {
-            (self.new.len(), 0)
-        } else {
-            (0, self.new.len())
-        };
+        let mend = if self.joined || self.new.is_empty() { "" } else { "; `--update` lets them join" };
+        let (joined, left) = if self.joined { (self.new.len(), 0) } else { (0, self.new.len()) };
         write!(
             f,
             "\nsealed: {} files as recorded, {joined} joined, {left} left out{mend}, {} gone",
@@ -104,11 +92,7 @@ impl Manifest {
 ///
 /// # Errors
 /// When a file has another content than was recorded (all such files are named, and nothing is written), or cannot be read.
-pub fn seal(
-    campaign: &Campaign,
-    survey: &Survey,
-    update: bool,
-) -> Result<SealReport, ManifestError> {
+pub fn seal(campaign: &Campaign, survey: &Survey, update: bool) -> Result<SealReport, ManifestError> {
     let root = &campaign.root;
     let sealed = Manifest::load(root)?;
     let join = update || sealed.is_none();
@@ -116,18 +100,12 @@ pub fn seal(
     let audit = manifest.audit(campaign, false)?;
     if !audit.changed.is_empty() {
         return Err(ManifestError::Changed {
-            files: audit
-                .changed
-                .iter()
-                .map(|file| file.display().to_string())
-                .collect(),
+            files: audit.changed.iter().map(|file| file.display().to_string()).collect(),
             manifest: root.join(MANIFEST_FILE),
         });
     }
     let files = survey.files();
-    let new = files
-        .into_iter()
-        .filter(|file| manifest.get(file).is_none());
+    let new = files.into_iter().filter(|file| manifest.get(file).is_none());
     let new: Vec<PathBuf> = new.map(PathBuf::from).collect();
     for path in &audit.touched {
         if let Some(content) = manifest.get(path).map(|record| record.blake3) {
@@ -140,13 +118,7 @@ pub fn seal(
         manifest.record(path, hash_file(&file)?, &before);
     }
     manifest.save(root)?;
-    Ok(SealReport {
-        unchanged: audit.unchanged,
-        new,
-        joined: join,
-        refreshed: audit.touched,
-        gone: audit.gone,
-    })
+    Ok(SealReport { unchanged: audit.unchanged, new, joined: join, refreshed: audit.touched, gone: audit.gone })
 }
 
 #[cfg(test)]
@@ -174,12 +146,8 @@ mod tests {
         }
 
         fn touch(&self, file: &str) {
-            let file = File::options()
-                .write(true)
-                .open(self.0.path().join(file))
-                .unwrap();
-            file.set_modified(SystemTime::UNIX_EPOCH + Duration::from_secs(1))
-                .unwrap();
+            let file = File::options().write(true).open(self.0.path().join(file)).unwrap();
+            file.set_modified(SystemTime::UNIX_EPOCH + Duration::from_secs(1)).unwrap();
         }
 
         fn campaign(&self) -> Campaign {
@@ -240,15 +208,8 @@ mod tests {
         folder.write("b.npy", "other");
         folder.write("c.npy", "c");
         let error = folder.seal(true).unwrap_err().to_string();
-        assert!(
-            error.starts_with("changed since they were recorded: b.npy; restore"),
-            "{error}"
-        );
-        assert_eq!(
-            folder.manifest(),
-            before,
-            "nothing is written beside a refusal"
-        );
+        assert!(error.starts_with("changed since they were recorded: b.npy; restore"), "{error}");
+        assert_eq!(folder.manifest(), before, "nothing is written beside a refusal");
     }
 
     #[test]
@@ -259,13 +220,7 @@ mod tests {
         folder.write("a.npy", "A.NPY");
         folder.touch("a.npy");
         let audit = |rehash| folder.manifest().audit(&folder.campaign(), rehash).unwrap();
-        assert_eq!(
-            (audit(false).unchanged, audit(false).changed),
-            (1, paths(&[]))
-        );
-        assert_eq!(
-            (audit(true).unchanged, audit(true).changed),
-            (0, paths(&["a.npy"]))
-        );
+        assert_eq!((audit(false).unchanged, audit(false).changed), (1, paths(&[])));
+        assert_eq!((audit(true).unchanged, audit(true).changed), (0, paths(&["a.npy"])));
     }
 }

@@ -33,20 +33,13 @@ pub fn hint<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String 
 
 /// A whole message about an unknown word: what it should have been one of, and the mend.
 pub fn unknown(what: &str, word: &str, known: &[&str]) -> String {
-    format!(
-        "unknown {what} `{word}`; {}",
-        hint(word, known.iter().copied())
-    )
+    format!("unknown {what} `{word}`; {}", hint(word, known.iter().copied()))
 }
 
 /// Serde's message about an unknown field or variant, with the nearest known one in place of the list of all; other messages as they are.
 pub fn explain(message: &str) -> String {
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    match (
-        message.strip_prefix("unknown field "),
-        message.strip_prefix("unknown variant "),
-        quoted.split_first(),
-    ) {
+    match (message.strip_prefix("unknown field "), message.strip_prefix("unknown variant "), quoted.split_first()) {
         (Some(_), _, Some((word, known))) => unknown("key", word, known),
         (_, Some(_), Some((word, known))) => unknown("value", word, known),
         _ => message.trim_end().to_owned(),
@@ -85,9 +78,7 @@ mod tests {
         let (Some((x, a1)), Some((y, b1))) = (a.split_last(), b.split_last()) else {
             return a.len().max(b.len());
         };
-        let mut cost = (naive(a1, b1) + usize::from(x != y))
-            .min(naive(a1, b) + 1)
-            .min(naive(a, b1) + 1);
+        let mut cost = (naive(a1, b1) + usize::from(x != y)).min(naive(a1, b) + 1).min(naive(a, b1) + 1);
         if let (Some((x2, a2)), Some((y2, b2))) = (a1.split_last(), b1.split_last())
             && x == y2
             && y == x2
@@ -99,9 +90,7 @@ mod tests {
 
     #[test]
     fn distances_are_those_of_the_definition() {
-        let words = [
-            "", "lit", "lti", "seen", "sene", "shot", "shto", "s", "rnage", "range",
-        ];
+        let words = ["", "lit", "lti", "seen", "sene", "shot", "shto", "s", "rnage", "range"];
         for a in words {
             for b in words {
                 let (x, y): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());

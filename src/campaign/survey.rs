@@ -94,14 +94,8 @@ impl Campaign {
     /// # Errors
     /// When a folder or table cannot be read, a file does not fit the rule that takes it, or two rules take the same record.
     pub fn survey(&self) -> Result<Survey, SurveyError> {
-        let mut files = walk::files(&self.root)
-            .map_err(|(folder, source)| SurveyError::Folder { folder, source })?;
-        files.retain(|file| {
-            !self
-                .captures
-                .iter()
-                .any(|rule| rule.table.as_ref() == Some(file))
-        });
+        let mut files = walk::files(&self.root).map_err(|(folder, source)| SurveyError::Folder { folder, source })?;
+        files.retain(|file| !self.captures.iter().any(|rule| rule.table.as_ref() == Some(file)));
         let paths: BTreeSet<&str> = files.iter().filter_map(|file| file.to_str()).collect();
         let mut surveyor = Surveyor {
             campaign: self,
@@ -139,18 +133,10 @@ struct Surveyor<'a> {
 }
 
 impl Surveyor<'_> {
-    fn lay_pattern(
-        &mut self,
-        index: usize,
-        rule: &CaptureRule,
-        files: &str,
-    ) -> Result<(), SurveyError> {
+    fn lay_pattern(&mut self, index: usize, rule: &CaptureRule, files: &str) -> Result<(), SurveyError> {
         let pattern = Pattern::parse(files).expect("checked when the campaign was loaded");
         let keys = Arc::new(rule.record_keys());
-        let source = Source {
-            rule: index,
-            row: None,
-        };
+        let source = Source { rule: index, row: None };
         let mut matched = false;
         for path in self.paths {
             let bound = match pattern.read(path) {
@@ -167,42 +153,23 @@ impl Surveyor<'_> {
             self.take(source, rule, &keys, path, &bound, None)?;
         }
         if !matched {
-            self.survey
-                .empty
-                .push(format!("{}: files = \"{files}\"", rule_place(index)));
+            self.survey.empty.push(format!("{}: files = \"{files}\"", rule_place(index)));
         }
         Ok(())
     }
 
-    fn lay_table(
-        &mut self,
-        index: usize,
-        rule: &CaptureRule,
-        table: &Path,
-    ) -> Result<(), SurveyError> {
+    fn lay_table(&mut self, index: usize, rule: &CaptureRule, table: &Path) -> Result<(), SurveyError> {
         for row in captures_table::read(&self.campaign.root, table, rule)? {
-            let source = Source {
-                rule: index,
-                row: Some(row.number),
-            };
+            let source = Source { rule: index, row: Some(row.number) };
             let place = source.place(self.campaign);
             if !self.paths.contains(row.file.as_str()) {
-                self.survey
-                    .empty
-                    .push(format!("{place}: file = \"{}\"", row.file));
+                self.survey.empty.push(format!("{place}: file = \"{}\"", row.file));
                 continue;
             }
             check_captures::rule(&row.rule, &place, &self.campaign.sensors)
                 .map_err(|fault| self.error(source, &row.file, fault.problem))?;
             let keys = Arc::new(row.rule.record_keys());
-            self.take(
-                source,
-                &row.rule,
-                &keys,
-                &row.file,
-                &Bound::default(),
-                row.segment,
-            )?;
+            self.take(source, &row.rule, &keys, &row.file, &Bound::default(), row.segment)?;
         }
         Ok(())
     }
@@ -220,24 +187,17 @@ impl Surveyor<'_> {
         let mut exposure = exposure(self.campaign, source.rule, rule, keys, file, bound)
             .map_err(|problem| self.error(source, file, problem))?;
         exposure.segment = segment;
-        let missing = self
-            .references
-            .attach(rule, &mut exposure)
-            .map_err(|problem| self.error(source, file, problem))?;
+        let missing =
+            self.references.attach(rule, &mut exposure).map_err(|problem| self.error(source, file, problem))?;
         self.taken.insert(exposure.file.clone());
         if let Some(reference) = &exposure.reference {
             self.taken.insert(reference.file.clone());
         }
         if let Some((number, reason)) = self.exclusions.of_exposure(&exposure) {
             self.excludes_used.insert(number);
-            self.survey
-                .excluded
-                .push((exposure.file, reason.to_owned()));
+            self.survey.excluded.push((exposure.file, reason.to_owned()));
         } else if let Some(wanted) = missing {
-            self.survey.missing_references.push(MissingReference {
-                file: exposure.file,
-                wanted,
-            });
+            self.survey.missing_references.push(MissingReference { file: exposure.file, wanted });
         } else {
             self.claims.push(Claim { exposure, source });
         }
@@ -266,27 +226,17 @@ impl Surveyor<'_> {
             let may_mean = |claim: &Claim| self.exclusions.may_mean(number, &claim.exposure);
             if !self.excludes_used.contains(&number) && !self.claims.iter().any(may_mean) {
                 let place = exclude_place(number);
-                self.survey
-                    .empty
-                    .push(format!("{place}: reason = \"{}\"", exclude.reason));
+                self.survey.empty.push(format!("{place}: reason = \"{}\"", exclude.reason));
             }
         }
         self.survey.excluded.sort();
         self.survey.excluded.dedup();
-        self.survey.exposures = self
-            .claims
-            .into_iter()
-            .map(|claim| claim.exposure)
-            .collect();
+        self.survey.exposures = self.claims.into_iter().map(|claim| claim.exposure).collect();
         Ok(self.survey)
     }
 
     fn error(&self, source: Source, file: &str, problem: String) -> SurveyError {
-        SurveyError::File {
-            place: source.place(self.campaign),
-            file: file.into(),
-            problem,
-        }
+        SurveyError::File { place: source.place(self.campaign), file: file.into(), problem }
     }
 }
 
@@ -311,10 +261,7 @@ mod tests {
     }
 
     fn survey(files: &[&str], rules: &str) -> Result<Survey, String> {
-        folder(files, rules)
-            .1
-            .survey()
-            .map_err(|error| error.to_string())
+        folder(files, rules).1.survey().map_err(|error| error.to_string())
     }
 
     fn names(files: &[PathBuf]) -> Vec<&str> {
@@ -342,72 +289,37 @@ mod tests {
              [[exclude]]\nmatch = {{ file = 'papers/*' }}\nreason = 'no data'\n"
         );
         let survey = survey(&files, &rules).unwrap();
-        let [scene, dark] = survey.exposures.as_slice() else {
-            panic!("{survey:?}")
-        };
+        let [scene, dark] = survey.exposures.as_slice() else { panic!("{survey:?}") };
         assert_eq!(scene.file, Path::new("raw/C1_L1_P2.trc"));
-        assert_eq!(
-            (scene.lit, scene.seen, scene.shot),
-            (Some(1), Some(2), None)
-        );
-        assert_eq!(
-            (scene.sensor.as_deref(), scene.keys.dt_ps),
-            (Some("s1"), Some(50.0))
-        );
+        assert_eq!((scene.lit, scene.seen, scene.shot), (Some(1), Some(2), None));
+        assert_eq!((scene.sensor.as_deref(), scene.keys.dt_ps), (Some("s1"), Some(50.0)));
         let reference = scene.reference.as_ref().unwrap();
         assert_eq!(reference.file, Path::new("raw/C2_L001_P002.trc"));
         assert_eq!((dark.rule, dark.lit, dark.seen), (1, Some(0), Some(0)));
-        assert_eq!(
-            survey.missing_references[0].file,
-            Path::new("raw/C1_L2_P1.trc")
-        );
+        assert_eq!(survey.missing_references[0].file, Path::new("raw/C1_L2_P1.trc"));
         let wanted = &survey.missing_references[0].wanted;
         assert_eq!(wanted, "raw/C2_L{lit}_P{seen}.trc with lit = 2, seen = 1");
         assert_eq!(names(&survey.unmatched), ["notes.txt"]);
-        let empty = [
-            "[[captures]] number 3: files = \"r/*.npy\"",
-            "[[exclude]] number 2: reason = \"none such\"",
-        ];
+        let empty = ["[[captures]] number 3: files = \"r/*.npy\"", "[[exclude]] number 2: reason = \"none such\""];
         assert_eq!(survey.empty, empty);
         let excluded = [("papers/a.pdf", "no data"), ("raw/C1_L3_P1.trc", "shutter")];
-        assert_eq!(
-            survey.excluded,
-            excluded.map(|(file, why)| (file.into(), why.to_owned()))
-        );
-        let files: Vec<&str> = survey
-            .files()
-            .into_iter()
-            .map(|file| file.to_str().unwrap())
-            .collect();
-        assert_eq!(
-            files,
-            ["raw/C1_L1_P2.trc", "raw/C2_L001_P002.trc", "raw/dark.npy"]
-        );
+        assert_eq!(survey.excluded, excluded.map(|(file, why)| (file.into(), why.to_owned())));
+        let files: Vec<&str> = survey.files().into_iter().map(|file| file.to_str().unwrap()).collect();
+        assert_eq!(files, ["raw/C1_L1_P2.trc", "raw/C2_L001_P002.trc", "raw/dark.npy"]);
     }
 
     #[test]
     fn every_file_is_accounted_for() {
-        let files: Vec<String> = (0..200)
-            .map(|i| format!("raw/C{}_L{}_P{}.trc", i % 3 + 1, i / 3 % 7 + 1, i / 21 + 1))
-            .collect();
+        let files: Vec<String> =
+            (0..200).map(|i| format!("raw/C{}_L{}_P{}.trc", i % 3 + 1, i / 3 % 7 + 1, i / 21 + 1)).collect();
         let files: Vec<&str> = files.iter().map(String::as_str).collect();
         let rules = format!("{SCENE}[[exclude]]\nmatch = {{ lit = 4 }}\nreason = 'r'\n");
         let survey = survey(&files, &rules).unwrap();
         let mut seen: Vec<PathBuf> = survey.files().into_iter().map(Path::to_owned).collect();
         seen.extend(survey.unmatched.iter().cloned());
         seen.extend(survey.excluded.iter().map(|(file, _)| file.clone()));
-        seen.extend(
-            survey
-                .excluded
-                .iter()
-                .map(|(file, _)| file.to_str().unwrap().replace("C1", "C2").into()),
-        );
-        seen.extend(
-            survey
-                .missing_references
-                .iter()
-                .map(|missing| missing.file.clone()),
-        );
+        seen.extend(survey.excluded.iter().map(|(file, _)| file.to_str().unwrap().replace("C1", "C2").into()));
+        seen.extend(survey.missing_references.iter().map(|missing| missing.file.clone()));
         seen.retain(|file| files.contains(&file.to_str().unwrap()));
         seen.sort();
         let mut expected: Vec<PathBuf> = files.iter().map(PathBuf::from).collect();
@@ -418,17 +330,11 @@ mod tests {
     #[test]
     fn a_table_says_what_a_pattern_cannot() {
         let table = "file,segment,lit,seen,role,dt_ps\nraw/a.trc,0,1,2,,\nraw/a.trc,1,2,1,,25\nraw/b.trc,,,,dark,\nraw/c.trc,,1,1,,\n";
-        let (folder, campaign) = folder(
-            &["raw/a.trc", "raw/b.trc"],
-            "[[captures]]\nrole = 'scene'\ntable = 'captures.csv'\ndt_ps = 50\n",
-        );
+        let (folder, campaign) =
+            folder(&["raw/a.trc", "raw/b.trc"], "[[captures]]\nrole = 'scene'\ntable = 'captures.csv'\ndt_ps = 50\n");
         fs::write(folder.path().join("captures.csv"), table).unwrap();
         let survey = campaign.survey().unwrap();
-        let found: Vec<_> = survey
-            .exposures
-            .iter()
-            .map(|e| (e.segment, e.lit, e.seen, e.role, e.keys.dt_ps))
-            .collect();
+        let found: Vec<_> = survey.exposures.iter().map(|e| (e.segment, e.lit, e.seen, e.role, e.keys.dt_ps)).collect();
         let expected = [
             (Some(0), Some(1), Some(2), Role::Scene, Some(50.0)),
             (Some(1), Some(2), Some(1), Role::Scene, Some(25.0)),
@@ -442,16 +348,9 @@ mod tests {
             ("raw/b.trc,,1,2,,-5", "dt_ps must be above 0"),
             ("raw/a.trc,,1,2,,", "taken by captures.csv, row"),
         ] {
-            fs::write(
-                folder.path().join("captures.csv"),
-                format!("{table}{row}\n"),
-            )
-            .unwrap();
+            fs::write(folder.path().join("captures.csv"), format!("{table}{row}\n")).unwrap();
             let error = campaign.survey().unwrap_err().to_string();
-            assert!(
-                error.contains(part) && error.contains("captures.csv, row"),
-                "{error}"
-            );
+            assert!(error.contains(part) && error.contains("captures.csv, row"), "{error}");
         }
     }
 
@@ -461,21 +360,14 @@ mod tests {
                      [[exclude]]\nmatch = { lit = 3 }\nreason = 'r'\n";
         let survey = survey(&["a.npy"], rules).unwrap();
         let exposure = &survey.exposures[0];
-        assert_eq!(
-            (exposure.lit, exposure.seen, &exposure.sensor),
-            (None, None, &None)
-        );
-        assert!(
-            survey.empty.is_empty(),
-            "the exclusion may mean a part of the array"
-        );
+        assert_eq!((exposure.lit, exposure.seen, &exposure.sensor), (None, None, &None));
+        assert!(survey.empty.is_empty(), "the exclusion may mean a part of the array");
     }
 
     #[test]
     fn two_rules_may_share_a_file_only_by_channel() {
-        let rule = |channel: &str| {
-            format!("[[captures]]\nrole = 'scene'\nfiles = 'L{{lit}}_P{{seen}}.trc'\n{channel}\n")
-        };
+        let rule =
+            |channel: &str| format!("[[captures]]\nrole = 'scene'\nfiles = 'L{{lit}}_P{{seen}}.trc'\n{channel}\n");
         let files = ["L1_P2.trc"];
         let both = rule("channel = 'C1'") + &rule("channel = 'C2'");
         assert_eq!(survey(&files, &both).unwrap().exposures.len(), 2);
@@ -488,26 +380,10 @@ mod tests {
     fn files_that_do_not_fit_their_rule_are_named() {
         let scene = |pattern: &str| format!("[[captures]]\nrole = 'scene'\nfiles = '{pattern}'\n");
         for (pattern, file, part) in [
-            (
-                "L{lit}_P{seen}.trc",
-                "L0_P2.trc",
-                "patches are numbered from 1",
-            ),
-            (
-                "L{lit}_P{seen}_{shot}.trc",
-                "L1_P2_20231117093000.trc",
-                "too large",
-            ),
-            (
-                "{sensor}_L{lit}_P{seen}.trc",
-                "s2_L1_P2.trc",
-                "add [sensors.s2]",
-            ),
-            (
-                "{sensor}x{range}/L{lit}_P{seen}.trc",
-                "axbxc/L1_P2.trc",
-                "in two ways",
-            ),
+            ("L{lit}_P{seen}.trc", "L0_P2.trc", "patches are numbered from 1"),
+            ("L{lit}_P{seen}_{shot}.trc", "L1_P2_20231117093000.trc", "too large"),
+            ("{sensor}_L{lit}_P{seen}.trc", "s2_L1_P2.trc", "add [sensors.s2]"),
+            ("{sensor}x{range}/L{lit}_P{seen}.trc", "axbxc/L1_P2.trc", "in two ways"),
         ] {
             let error = survey(&[file], &scene(pattern)).unwrap_err();
             assert!(error.contains(part) && error.contains(file), "{error}");

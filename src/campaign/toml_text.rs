@@ -209,9 +209,7 @@ mod tests {
     }
 
     fn error(text: &str) -> String {
-        parse::<File>(Path::new("c.toml"), text)
-            .unwrap_err()
-            .to_string()
+        parse::<File>(Path::new("c.toml"), text).unwrap_err().to_string()
     }
 
     #[test]
@@ -252,9 +250,6 @@ mod tests {
     fn the_right_item_of_several_is_named() {
         let good = "[[captures]]\nposition_m = [1, 2, 3]\n";
         let text = error(&format!("{good}{good}[[captures]]\nposition = 1\n"));
-        assert!(
-            text.contains("line 6") && text.contains("[[captures]] number 3"),
-            "{text}"
-        );
+        assert!(text.contains("line 6") && text.contains("[[captures]] number 3"), "{text}");
     }
 }

@@ -21,9 +21,7 @@ pub fn files(root: &Path) -> Result<Vec<PathBuf>, (PathBuf, io::Error)> {
     let mut files = Vec::new();
     visit(root, Path::new(""), &mut Vec::new(), &mut files)?;
     files.retain(|file| {
-        file != Path::new(CAMPAIGN_FILE)
-            && file != Path::new(MANIFEST_FILE)
-            && !file.starts_with(TRUTH)
+        file != Path::new(CAMPAIGN_FILE) && file != Path::new(MANIFEST_FILE) && !file.starts_with(TRUTH)
     });
     files.sort();
     Ok(files)
@@ -69,14 +67,7 @@ mod tests {
     fn files_come_sorted_without_hidden_ones_and_rings_end() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path();
-        for file in [
-            "b.trc",
-            "raw/z/1.trc",
-            "raw/a.trc",
-            ".git/x",
-            "raw/.part",
-            "raw/campaign.toml",
-        ] {
+        for file in ["b.trc", "raw/z/1.trc", "raw/a.trc", ".git/x", "raw/.part", "raw/campaign.toml"] {
             fs::create_dir_all(root.join(file).parent().unwrap()).unwrap();
             fs::write(root.join(file), "x").unwrap();
         }

@@ -42,11 +42,7 @@ pub struct Demo {
 pub fn demo(args: &Demo) -> Result<ExitCode> {
     let Some((name, scene, pipeline)) = DEMOS.iter().find(|(name, ..)| *name == args.name) else {
         let names: Vec<&str> = DEMOS.iter().map(|(name, ..)| *name).collect();
-        bail!(
-            "there is no demo `{}`; there is {}",
-            args.name,
-            names.join(", ")
-        );
+        bail!("there is no demo `{}`; there is {}", args.name, names.join(", "));
     };
     use_threads(None)?;
     clear(&args.out)?;
@@ -54,19 +50,11 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
     let scene = Scene::parse(Path::new(&format!("{name}.toml")), scene)?;
     let truth = simulate::simulate(&scene, args.seed, &campaign, Format::Trc)?;
     let pipeline_file = args.out.join(format!("{name}.toml"));
-    std::fs::write(&pipeline_file, pipeline)
-        .with_context(|| format!("cannot write {}", pipeline_file.display()))?;
+    std::fs::write(&pipeline_file, pipeline).with_context(|| format!("cannot write {}", pipeline_file.display()))?;
     let spec = Spec::parse(&pipeline_file.display().to_string(), pipeline, &[])?;
     let campaigns = [Campaign::load(&campaign)?];
     let shelf = Shelf::open(&results)?;
-    let outcome = execute(
-        &spec,
-        &campaigns,
-        &shelf,
-        None,
-        &Settings::default(),
-        Style::auto(),
-    )?;
+    let outcome = execute(&spec, &campaigns, &shelf, None, &Settings::default(), Style::auto())?;
 
     println!(
         "Simulated {} captures of {} shots each as LeCroy .trc files, and solved for {} patches from the light that bounced between them.\n",
@@ -74,26 +62,11 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
         scene.captures.shots,
         truth.patches.len()
     );
-    print!(
-        "{}",
-        comparison(
-            &rows(&shelf, "patches")?,
-            &rows(&shelf, "paper")?,
-            &truth.patches,
-            &scene
-        )?
-    );
+    print!("{}", comparison(&rows(&shelf, "patches")?, &rows(&shelf, "paper")?, &truth.patches, &scene)?);
     println!("\nTables (Parquet; read them with Polars, DuckDB or anything else):");
     for step in &spec.steps {
-        let rows = outcome
-            .tables
-            .get(&step.heading)
-            .map_or(0, |record| record.rows(&step.node.tables()[0].name));
-        println!(
-            "  {:20} {rows:>6} rows  {}",
-            step.heading,
-            results.join(&step.heading).display()
-        );
+        let rows = outcome.tables.get(&step.heading).map_or(0, |record| record.rows(&step.node.tables()[0].name));
+        println!("  {:20} {rows:>6} rows  {}", step.heading, results.join(&step.heading).display());
     }
     println!("\nThe same again, from the files:");
     println!(
@@ -112,17 +85,10 @@ fn clear(out: &Path) -> Result<()> {
     }
     let ours = out.join("campaign/truth").is_dir() || std::fs::read_dir(out)?.next().is_none();
     if !ours {
-        bail!(
-            "{} is there and was not made by a demo; choose another folder with --out",
-            out.display()
-        );
+        bail!("{} is there and was not made by a demo; choose another folder with --out", out.display());
     }
-    std::fs::remove_dir_all(out).with_context(|| {
-        format!(
-            "cannot remove what an earlier demo left in {}",
-            out.display()
-        )
-    })
+    std::fs::remove_dir_all(out)
+        .with_context(|| format!("cannot remove what an earlier demo left in {}", out.display()))
 }
 
 fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
@@ -137,32 +103,21 @@ fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
 fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) -> Result<String> {
     let centre = Point::from(scene.stations["laser"].position_m);
     let (turned, rms_m) = turned_onto(found, truth, centre)?;
-    let mut text = String::from(
-        "patch      found (x, y, z) in m                  true                          error     sd\n",
-    );
+    let mut text =
+        String::from("patch      found (x, y, z) in m                  true                          error     sd\n");
     for ((patch, point), row) in turned.iter().zip(found) {
-        let truth = truth
-            .iter()
-            .find(|truth| truth.patch == *patch)
-            .context("a patch was found that is not in the scene")?;
+        let truth =
+            truth.iter().find(|truth| truth.patch == *patch).context("a patch was found that is not in the scene")?;
         let error_mm = 1e3 * (point - Point::new(truth.x_m, truth.y_m, truth.z_m)).norm();
-        let sd_mm = 1e3
-            * row
-                .sd_m
-                .context("refined patches have a standard deviation")?;
+        let sd_mm = 1e3 * row.sd_m.context("refined patches have a standard deviation")?;
         writeln!(
             text,
             "{patch:>5}  ({:9.5}, {:9.5}, {:9.5})  ({:7.4}, {:7.4}, {:7.4})  {error_mm:6.3} mm {sd_mm:6.3} mm",
             point.x, point.y, point.z, truth.x_m, truth.y_m, truth.z_m
         )?;
     }
-    let sd_m = (found
-        .iter()
-        .filter_map(|row| row.sd_m)
-        .map(|sd_m| sd_m * sd_m)
-        .sum::<f64>()
-        / found.len() as f64)
-        .sqrt();
+    let sd_m =
+        (found.iter().filter_map(|row| row.sd_m).map(|sd_m| sd_m * sd_m).sum::<f64>() / found.len() as f64).sqrt();
     let paper_m = turned_onto(paper, truth, centre)?.1;
     writeln!(
         text,
@@ -174,18 +129,9 @@ fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) 
     Ok(text)
 }
 
-fn turned_onto(
-    found: &[Patch],
-    truth: &[Patch],
-    centre: Point,
-) -> Result<(Vec<(i32, Point)>, f64)> {
+fn turned_onto(found: &[Patch], truth: &[Patch], centre: Point) -> Result<(Vec<(i32, Point)>, f64)> {
     let at = |patch: &Patch| Point::new(patch.x_m, patch.y_m, patch.z_m);
-    let target = |patch: &Patch| {
-        truth
-            .iter()
-            .find(|truth| truth.patch == patch.patch)
-            .map(at)
-    };
+    let target = |patch: &Patch| truth.iter().find(|truth| truth.patch == patch.patch).map(at);
     let targets: Option<Vec<Point>> = found.iter().map(target).collect();
     let targets = targets.context("a patch was found that is not in the scene")?;
     if found.is_empty() {
@@ -193,14 +139,6 @@ fn turned_onto(
     }
     let points: Vec<Point> = found.iter().map(at).collect();
     let fit = procrustes::rotation(&points, &targets, centre, true);
-    let turned = found
-        .iter()
-        .map(|patch| {
-            (
-                patch.patch,
-                procrustes::turn(&fit.matrix, centre, at(patch)),
-            )
-        })
-        .collect();
+    let turned = found.iter().map(|patch| (patch.patch, procrustes::turn(&fit.matrix, centre, at(patch)))).collect();
     Ok((turned, fit.rms_m))
 }

@@ -39,11 +39,7 @@ pub fn inspect(args: &Inspect) -> Result<ExitCode> {
             failed = true;
         }
     }
-    Ok(if failed {
-        ExitCode::FAILURE
-    } else {
-        ExitCode::SUCCESS
-    })
+    Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
 fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> {
@@ -52,13 +48,7 @@ fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> 
     if !as_json {
         let head = records.first().context("holds no waveform")?.head.clone();
         let instrument = head.instrument.as_deref().unwrap_or("unknown instrument");
-        writeln!(
-            out,
-            "{}: {}, {instrument}, {} waveforms",
-            file.display(),
-            head.format,
-            records.len()
-        )?;
+        writeln!(out, "{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
     }
     for record in &records {
         let bytes = record.read(source.file())?;
@@ -80,17 +70,10 @@ fn facts(file: &Path, record: &Record, bytes: &[u8]) -> Value {
     for value in &values {
         sha.update((*value as f32).to_le_bytes());
     }
-    let sha: String = sha
-        .finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
+    let sha = sha.finalize().iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
     let ends = 5.min(values.len());
-    let codes =
-        Codes::of(head.code_type.name(), bytes).expect("code types have one name everywhere");
-    let clipped = head
-        .rails
-        .map(|(low, high)| codes.count_at_or_beyond(low, high));
+    let codes = Codes::of(head.code_type.name(), bytes).expect("code types have one name everywhere");
+    let clipped = head.rails.map(|(low, high)| codes.count_at_or_beyond(low, high));
     json!({
         "file": file.display().to_string(),
         "format": head.format,

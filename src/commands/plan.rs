@@ -25,7 +25,7 @@ pub struct PlanArgs {
     /// Stop after this table
     #[arg(long, value_name = "TABLE")]
     until: Option<String>,
-    /// Change a parameter of the pipeline, such as onsets.threshold_sigma=6
+    /// Change a parameter of the pipeline, such as `onsets.threshold_sigma=6`
     #[arg(long, value_name = "TABLE.PARAM=VALUE")]
     set: Vec<String>,
 }
@@ -47,10 +47,7 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
             Action::Pass => "pass",
             Action::Skip => "skip",
         };
-        println!(
-            "{action:8} {:24} {:10} {}",
-            decision.heading, decision.stage, decision.why
-        );
+        println!("{action:8} {:24} {:10} {}", decision.heading, decision.stage, decision.why);
     }
     Ok(ExitCode::SUCCESS)
 }

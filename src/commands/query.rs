@@ -54,18 +54,9 @@ pub fn query(args: &Query) -> Result<ExitCode> {
     let with: Vec<String> = views
         .iter()
         .filter(|view| args.sql.contains(view.as_str()))
-        .map(|view| {
-            format!(
-                "\"{view}\" AS (SELECT * FROM '{}/{view}/*.parquet')",
-                args.out.display()
-            )
-        })
+        .map(|view| format!("\"{view}\" AS (SELECT * FROM '{}/{view}/*.parquet')", args.out.display()))
         .collect();
-    let with = if with.is_empty() {
-        String::new()
-    } else {
-        format!("WITH {} ", with.join(", "))
-    };
+    let with = if with.is_empty() { String::new() } else { format!("WITH {} ", with.join(", ")) };
     anyhow::bail!(
         "this build is lean and has no SQL engine (asked for: {:?}); get one with `cargo install --path . --features query`, or ask DuckDB:\n{with}{}",
         args.format,

@@ -28,7 +28,7 @@ pub struct Run {
     /// Stop after this table
     #[arg(long, value_name = "TABLE")]
     until: Option<String>,
-    /// Change a parameter of the pipeline, such as onsets.threshold_sigma=6
+    /// Change a parameter of the pipeline, such as `onsets.threshold_sigma=6`
     #[arg(long, value_name = "TABLE.PARAM=VALUE")]
     set: Vec<String>,
     /// Worker threads (default: one a core)
@@ -77,13 +77,10 @@ impl From<ProgressKind> for Style {
 
 /// Reads `512MiB`, `64M`, `1GB`, `4096`.
 pub fn size(text: &str) -> Result<usize, String> {
-    let digits = text
-        .find(|c: char| !c.is_ascii_digit())
-        .unwrap_or(text.len());
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);
-    let number: usize = number
-        .parse()
-        .map_err(|_| format!("`{text}` does not begin with a whole number; write 512MiB"))?;
+    let number: usize =
+        number.parse().map_err(|_| format!("`{text}` does not begin with a whole number; write 512MiB"))?;
     let factor = match unit.trim().to_ascii_lowercase().as_str() {
         "" | "b" => 1,
         "k" | "kib" => 1 << 10,
@@ -93,14 +90,10 @@ pub fn size(text: &str) -> Result<usize, String> {
         "g" | "gib" => 1 << 30,
         "gb" => 1_000_000_000,
         _ => {
-            return Err(format!(
-                "`{unit}` is no unit of size; write KiB, MiB or GiB"
-            ));
+            return Err(format!("`{unit}` is no unit of size; write KiB, MiB or GiB"));
         }
     };
-    number
-        .checked_mul(factor)
-        .ok_or_else(|| format!("`{text}` is too much"))
+    number.checked_mul(factor).ok_or_else(|| format!("`{text}` is too much"))
 }
 
 /// Loads campaigns, and makes sure that their names differ: rows of equal names would mix.
@@ -164,43 +157,19 @@ pub fn run(args: &Run) -> Result<ExitCode> {
         ..defaults
     };
     let least = settings.least_memory();
-    let settings = Settings {
-        memory_bytes: args.memory.unwrap_or(settings.memory_bytes.max(least)),
-        ..settings
-    };
-    let outcome = execute(
-        &spec,
-        &campaigns,
-        &shelf,
-        args.until.as_deref(),
-        &settings,
-        args.progress.into(),
-    )?;
+    let settings = Settings { memory_bytes: args.memory.unwrap_or(settings.memory_bytes.max(least)), ..settings };
+    let outcome = execute(&spec, &campaigns, &shelf, args.until.as_deref(), &settings, args.progress.into())?;
     let out = args.out.display();
     for step in &spec.steps {
         if let Some(record) = outcome.tables.get(&step.heading) {
             let rows: u64 = record.rows(&step.node.tables()[0].name);
-            let made = if outcome.computed.contains(&step.heading) {
-                "computed"
-            } else {
-                "reused"
-            };
-            println!(
-                "{:24} {rows:>10} rows  {made:8}  {out}/{}",
-                step.heading, step.heading
-            );
+            let made = if outcome.computed.contains(&step.heading) { "computed" } else { "reused" };
+            println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
         }
     }
     if outcome.rejects > 0 {
-        eprintln!(
-            "warning: {} records were set aside; see {out}/rejects",
-            outcome.rejects
-        );
-        return Ok(if args.strict {
-            ExitCode::FAILURE
-        } else {
-            ExitCode::from(SOME_REJECTED)
-        });
+        eprintln!("warning: {} records were set aside; see {out}/rejects", outcome.rejects);
+        return Ok(if args.strict { ExitCode::FAILURE } else { ExitCode::from(SOME_REJECTED) });
     }
     Ok(ExitCode::SUCCESS)
 }

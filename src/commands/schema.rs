@@ -17,20 +17,10 @@ pub struct Schema {
 /// The command.
 pub fn schema(args: &Schema) -> Result<ExitCode> {
     let all = tables::all();
-    if let Some(table) = args
-        .table
-        .as_deref()
-        .filter(|table| all.iter().all(|(name, _)| name != table))
-    {
-        bail!(
-            "unknown table `{table}`; {}",
-            suggest::hint(table, all.iter().map(|(name, _)| *name))
-        );
+    if let Some(table) = args.table.as_deref().filter(|table| all.iter().all(|(name, _)| name != table)) {
+        bail!("unknown table `{table}`; {}", suggest::hint(table, all.iter().map(|(name, _)| *name)));
     }
-    for (name, schema) in all
-        .iter()
-        .filter(|(name, _)| args.table.as_deref().is_none_or(|table| table == *name))
-    {
+    for (name, schema) in all.iter().filter(|(name, _)| args.table.as_deref().is_none_or(|table| table == *name)) {
         println!("{}", contract::text(name, schema));
     }
     Ok(ExitCode::SUCCESS)

@@ -27,11 +27,7 @@ impl Reader for Csv {
     }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let Columns {
-            first_line,
-            times_s,
-            values,
-        } = columns(&mut BufReader::new(input.stream()?))?;
+        let Columns { first_line, times_s, values } = columns(&mut BufReader::new(input.stream()?))?;
         let (dt_s, t0_s) = match &times_s {
             Some(times_s) => {
                 let (dt_s, t0_s) = time_base(first_line, times_s)?;
@@ -39,14 +35,7 @@ impl Reader for Csv {
             }
             None => (None, None),
         };
-        Ok(vec![decoded(
-            self.format(),
-            &values,
-            dt_s,
-            t0_s,
-            None,
-            None,
-        )])
+        Ok(vec![decoded(self.format(), &values, dt_s, t0_s, None, None)])
     }
 }
 
@@ -67,34 +56,19 @@ pub(super) fn decoded(
         code_type: CodeType::F64,
         samples: values.len(),
         dt_s,
-        scale: Some(Scale {
-            gain: 1.0,
-            offset: 0.0,
-        }),
+        scale: Some(Scale { gain: 1.0, offset: 0.0 }),
         header_gain: None,
         header_offset: None,
         rails: None,
         acquired_at,
         shape: Vec::new(),
     };
-    let bytes: Vec<u8> = values
-        .iter()
-        .flat_map(|value| value.to_le_bytes())
-        .collect();
-    Record {
-        head: Arc::new(head),
-        segment: None,
-        t0_s,
-        trigger_s: None,
-        payload: Payload::Decoded(bytes.into()),
-    }
+    let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    Record { head: Arc::new(head), segment: None, t0_s, trigger_s: None, payload: Payload::Decoded(bytes.into()) }
 }
 
 fn refuse(line: u64, problem: impl Into<String>) -> FormatError {
-    FormatError::Line {
-        line,
-        problem: problem.into(),
-    }
+    FormatError::Line { line, problem: problem.into() }
 }
 
 /// What the lines hold.
@@ -117,23 +91,17 @@ fn columns(text: &mut impl BufRead) -> Result<Columns, FormatError> {
             break;
         }
         number += 1;
-        let line =
-            std::str::from_utf8(&line).map_err(|_| refuse(number, "is no text: this is no CSV"))?;
+        let line = std::str::from_utf8(&line).map_err(|_| refuse(number, "is no text: this is no CSV"))?;
         let fields = fields(line);
         if fields.iter().all(|field| field.is_empty()) {
             blank = blank.or(Some(number));
             continue;
         }
         if let Some(blank) = blank {
-            return Err(refuse(
-                blank,
-                "is blank, but lines follow: one waveform a file",
-            ));
+            return Err(refuse(blank, "is blank, but lines follow: one waveform a file"));
         }
-        let numbers: Option<Vec<f64>> = fields
-            .iter()
-            .map(|field| field.parse().ok().filter(|number: &f64| number.is_finite()))
-            .collect();
+        let numbers: Option<Vec<f64>> =
+            fields.iter().map(|field| field.parse().ok().filter(|number: &f64| number.is_finite())).collect();
         let Some(numbers) = numbers else {
             if number == 1 {
                 first_line = 2; // One line of names.
@@ -150,10 +118,7 @@ fn columns(text: &mut impl BufRead) -> Result<Columns, FormatError> {
         let columns = *count.get_or_insert(numbers.len());
         match numbers[..] {
             _ if numbers.len() != columns => {
-                return Err(refuse(
-                    number,
-                    format!("has {} fields, those before have {columns}", numbers.len()),
-                ));
+                return Err(refuse(number, format!("has {} fields, those before have {columns}", numbers.len())));
             }
             [value] => values.push(value),
             [time_s, value] => {
@@ -163,9 +128,7 @@ fn columns(text: &mut impl BufRead) -> Result<Columns, FormatError> {
             _ => {
                 return Err(refuse(
                     number,
-                    format!(
-                        "has {columns} columns; a plain CSV has times and volts of one channel: split it"
-                    ),
+                    format!("has {columns} columns; a plain CSV has times and volts of one channel: split it"),
                 ));
             }
         }
@@ -173,19 +136,13 @@ fn columns(text: &mut impl BufRead) -> Result<Columns, FormatError> {
     if values.is_empty() {
         return Err(refuse(number.max(1), "no line of numbers follows"));
     }
-    Ok(Columns {
-        first_line,
-        times_s: (!times_s.is_empty()).then_some(times_s),
-        values,
-    })
+    Ok(Columns { first_line, times_s: (!times_s.is_empty()).then_some(times_s), values })
 }
 
 /// Fields of a line; blank cells at its end do not count.
 fn fields(line: &str) -> Vec<&str> {
     let line = line.trim();
-    let separator = [',', ';', '\t']
-        .into_iter()
-        .find(|separator| line.contains(*separator));
+    let separator = [',', ';', '\t'].into_iter().find(|separator| line.contains(*separator));
     let mut fields: Vec<&str> = match separator {
         Some(separator) => line.split(separator).map(str::trim).collect(),
         None => line.split_whitespace().collect(),
@@ -206,10 +163,8 @@ fn time_base(first_line: u64, times_s: &[f64]) -> Result<(f64, f64), FormatError
     if !(dt_s > 0.0 && dt_s.is_finite()) {
         return Err(refuse(first_line, "times do not increase"));
     }
-    let uneven = times_s
-        .iter()
-        .enumerate()
-        .position(|(i, time_s)| (time_s - (first + i as f64 * dt_s)).abs() > UNEVEN * dt_s);
+    let uneven =
+        times_s.iter().enumerate().position(|(i, time_s)| (time_s - (first + i as f64 * dt_s)).abs() > UNEVEN * dt_s);
     match uneven {
         Some(row) => Err(refuse(
             first_line + row as u64,

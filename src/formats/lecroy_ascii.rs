@@ -28,25 +28,17 @@ impl Reader for LecroyAscii {
         let mut values = Vec::new();
         let mut entries: Vec<(String, f64)> = Vec::new();
         for (number, line) in text.lines().enumerate() {
-            let refuse = |problem: &str| FormatError::Line {
-                line: number as u64 + 1,
-                problem: problem.to_owned(),
-            };
+            let refuse = |problem: &str| FormatError::Line { line: number as u64 + 1, problem: problem.to_owned() };
             let line = line.map_err(|_| refuse("is no text"))?;
             if line.trim().is_empty() {
                 continue;
             }
             let fields: Vec<&str> = line.trim_end().split('\t').collect();
             let [key, entry, _, _, value] = fields[..] else {
-                return Err(refuse(
-                    "has not the five columns of a LeCroy ASCII file; save the trace again",
-                ));
+                return Err(refuse("has not the five columns of a LeCroy ASCII file; save the trace again"));
             };
             if !key.trim().is_empty() {
-                let entry = entry
-                    .trim()
-                    .parse()
-                    .map_err(|_| refuse("has a head entry that is no number"))?;
+                let entry = entry.trim().parse().map_err(|_| refuse("has a head entry that is no number"))?;
                 entries.push((key.trim_matches('"').to_owned(), entry));
             }
             values.push(
@@ -59,14 +51,8 @@ impl Reader for LecroyAscii {
             );
         }
         let entry = |name: &'static str| {
-            let found = entries
-                .iter()
-                .find(|(key, _)| key == name)
-                .map(|(_, value)| *value);
-            found.ok_or_else(|| FormatError::Line {
-                line: 1,
-                problem: format!("the head has no \"{name}\""),
-            })
+            let found = entries.iter().find(|(key, _)| key == name).map(|(_, value)| *value);
+            found.ok_or_else(|| FormatError::Line { line: 1, problem: format!("the head has no \"{name}\"") })
         };
         let (length, dt_s) = (entry("Record Length")?, entry("Sample Interval")?);
         let (point, fraction) = (entry("Trigger Point")?, entry("Trigger Time")?);
@@ -84,13 +70,6 @@ impl Reader for LecroyAscii {
             });
         }
         let t0_s = -(point + fraction) * dt_s;
-        Ok(vec![decoded(
-            self.format(),
-            &values,
-            Some(dt_s),
-            Some(t0_s),
-            None,
-            None,
-        )])
+        Ok(vec![decoded(self.format(), &values, Some(dt_s), Some(t0_s), None, None)])
     }
 }

@@ -32,27 +32,18 @@ impl Reader for LecroyTrc {
     }
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let head = input.bytes("the head", 0, input.length().min(SEARCH_BYTES))?;
-        let start = position(&head).ok_or_else(|| {
-            field(
-                0,
-                "no WAVEDESC block: this is no LeCroy waveform, or its head is lost",
-            )
-        })?;
+        let start = position(&head)
+            .ok_or_else(|| field(0, "no WAVEDESC block: this is no LeCroy waveform, or its head is lost"))?;
         Descriptor::read(input, start as u64)?.records(input, self.format())
     }
 }
 
 fn position(head: &[u8]) -> Option<usize> {
-    head.windows(MARK.len())
-        .take(SEARCH_BYTES as usize)
-        .position(|window| window == MARK)
+    head.windows(MARK.len()).take(SEARCH_BYTES as usize).position(|window| window == MARK)
 }
 
 fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
-    FormatError::Field {
-        byte_offset,
-        problem: problem.into(),
-    }
+    FormatError::Field { byte_offset, problem: problem.into() }
 }
 
 /// The wave descriptor as bytes, and how to read numbers in it.
@@ -69,9 +60,7 @@ impl Descriptor {
         if template != "LECROY_2_3" {
             return Err(field(
                 start + 16,
-                format!(
-                    "template {template:?} is not read, only LECROY_2_3; export the trace again in that form"
-                ),
+                format!("template {template:?} is not read, only LECROY_2_3; export the trace again in that form"),
             ));
         }
         // COMM_ORDER says in what order it is itself: 1 is little-endian, 0 big-endian.
@@ -85,17 +74,11 @@ impl Descriptor {
                 ));
             }
         };
-        Ok(Self {
-            start,
-            bytes,
-            big_endian,
-        })
+        Ok(Self { start, bytes, big_endian })
     }
 
     fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        let mut bytes: [u8; N] = self.bytes[at..at + N]
-            .try_into()
-            .expect("fields lie within the descriptor");
+        let mut bytes: [u8; N] = self.bytes[at..at + N].try_into().expect("fields lie within the descriptor");
         if self.big_endian {
             bytes.reverse();
         }
@@ -123,18 +106,10 @@ impl Descriptor {
     }
 
     fn finite(&self, at: usize, name: &str, value: f64) -> Result<f64, FormatError> {
-        if value.is_finite() {
-            Ok(value)
-        } else {
-            Err(self.refuse(at, format!("{name} = {value} is no number")))
-        }
+        if value.is_finite() { Ok(value) } else { Err(self.refuse(at, format!("{name} = {value} is no number"))) }
     }
 
-    fn records(
-        &self,
-        input: &mut dyn Input,
-        format: &'static str,
-    ) -> Result<Vec<Record>, FormatError> {
+    fn records(&self, input: &mut dyn Input, format: &'static str) -> Result<Vec<Record>, FormatError> {
         let code_type = match self.i16(32) {
             0 => CodeType::I8,
             1 => CodeType::I16,
@@ -156,31 +131,20 @@ impl Descriptor {
             blocks[i] = self.count(36 + 4 * i, name)?;
         }
         if self.count(64, "WAVE_ARRAY_2")? > 0 {
-            return Err(self.refuse(
-                64,
-                "a second data array (complex or extrema) is no plain voltage over time",
-            ));
+            return Err(self.refuse(64, "a second data array (complex or extrema) is no plain voltage over time"));
         }
         let data = self.start + blocks[..6].iter().sum::<u64>();
-        let (count, segments) = (
-            self.count(116, "WAVE_ARRAY_COUNT")?,
-            self.count(144, "SUBARRAY_COUNT")?.max(1),
-        );
+        let (count, segments) = (self.count(116, "WAVE_ARRAY_COUNT")?, self.count(144, "SUBARRAY_COUNT")?.max(1));
         if count * code_type.bytes() as u64 != blocks[6] {
             return Err(self.refuse(
                 116,
-                format!(
-                    "WAVE_ARRAY_COUNT = {count} does not fit the {} bytes of WAVE_ARRAY_1",
-                    blocks[6]
-                ),
+                format!("WAVE_ARRAY_COUNT = {count} does not fit the {} bytes of WAVE_ARRAY_1", blocks[6]),
             ));
         }
         if count == 0 || !count.is_multiple_of(segments) {
             return Err(self.refuse(
                 144,
-                format!(
-                    "{count} points are no whole number of samples for each of {segments} segments"
-                ),
+                format!("{count} points are no whole number of samples for each of {segments} segments"),
             ));
         }
         if data + blocks[6] > input.length() {
@@ -199,28 +163,19 @@ impl Descriptor {
             segment: (segments > 1).then_some(i as u32),
             t0_s: Some(t0_s),
             trigger_s,
-            payload: Payload::File {
-                byte_offset: data + i as u64 * segment_bytes,
-                big_endian: self.big_endian,
-            },
+            payload: Payload::File { byte_offset: data + i as u64 * segment_bytes, big_endian: self.big_endian },
         };
         Ok(triggers.into_iter().enumerate().map(record).collect())
     }
 
-    fn head(
-        &self,
-        code_type: CodeType,
-        samples: usize,
-        format: &'static str,
-    ) -> Result<Head, FormatError> {
+    fn head(&self, code_type: CodeType, samples: usize, format: &'static str) -> Result<Head, FormatError> {
         let gain = self.finite(156, "VERTICAL_GAIN", self.f32(156))?;
         let offset = self.finite(160, "VERTICAL_OFFSET", self.f32(160))?;
         let dt_s = self.finite(176, "HORIZ_INTERVAL", self.f32(176))?;
         if dt_s <= 0.0 {
-            return Err(self.refuse(
-                176,
-                format!("HORIZ_INTERVAL = {dt_s} is not positive: the record has no time base"),
-            ));
+            return Err(
+                self.refuse(176, format!("HORIZ_INTERVAL = {dt_s} is not positive: the record has no time base"))
+            );
         }
         let source = self.i16(344);
         Ok(Head {
@@ -231,10 +186,7 @@ impl Descriptor {
             code_type,
             samples,
             dt_s: Some(dt_s),
-            scale: Some(Scale {
-                gain,
-                offset: -offset,
-            }),
+            scale: Some(Scale { gain, offset: -offset }),
             header_gain: Some(gain),
             header_offset: Some(offset),
             rails: self.rails(code_type),
@@ -257,12 +209,7 @@ impl Descriptor {
 
     fn acquired_at(&self) -> Option<String> {
         let seconds = self.f64(296);
-        let [minute, hour, day, month] = [
-            self.bytes[304],
-            self.bytes[305],
-            self.bytes[306],
-            self.bytes[307],
-        ];
+        let [minute, hour, day, month] = [self.bytes[304], self.bytes[305], self.bytes[306], self.bytes[307]];
         let year = self.i16(308);
         let plausible = (0.0..61.0).contains(&seconds)
             && minute < 60
@@ -270,8 +217,7 @@ impl Descriptor {
             && (1..=31).contains(&day)
             && (1..=12).contains(&month)
             && year > 1980;
-        plausible
-            .then(|| format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{seconds:012.9}"))
+        plausible.then(|| format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{seconds:012.9}"))
     }
 
     /// For each segment the trigger's time since the first trigger, and the time of sample 0.
@@ -282,39 +228,25 @@ impl Descriptor {
         segments: u64,
     ) -> Result<Vec<(Option<f64>, f64)>, FormatError> {
         if segments == 1 {
-            return Ok(vec![(
-                None,
-                self.finite(180, "HORIZ_OFFSET", self.f64(180))?,
-            )]);
+            return Ok(vec![(None, self.finite(180, "HORIZ_OFFSET", self.f64(180))?)]);
         }
         if blocks[3] != 16 * segments {
             return Err(self.refuse(
                 48,
-                format!(
-                    "TRIGTIME_ARRAY has {} bytes, but {segments} segments need {}",
-                    blocks[3],
-                    16 * segments
-                ),
+                format!("TRIGTIME_ARRAY has {} bytes, but {segments} segments need {}", blocks[3], 16 * segments),
             ));
         }
         let at = self.start + blocks[..3].iter().sum::<u64>();
         let bytes = input.bytes("TRIGTIME_ARRAY", at, blocks[3])?;
         let number = |bytes: &[u8]| {
             let bytes: [u8; 8] = bytes.try_into().expect("chunks of eight");
-            if self.big_endian {
-                f64::from_be_bytes(bytes)
-            } else {
-                f64::from_le_bytes(bytes)
-            }
+            if self.big_endian { f64::from_be_bytes(bytes) } else { f64::from_le_bytes(bytes) }
         };
         let mut triggers = Vec::with_capacity(segments as usize);
         for (i, pair) in bytes.chunks_exact(16).enumerate() {
             let (trigger_s, t0_s) = (number(&pair[..8]), number(&pair[8..]));
             if !(trigger_s.is_finite() && t0_s.is_finite()) {
-                return Err(field(
-                    at + 16 * i as u64,
-                    format!("trigger time of segment {i} is no number"),
-                ));
+                return Err(field(at + 16 * i as u64, format!("trigger time of segment {i} is no number")));
             }
             triggers.push((Some(trigger_s), t0_s));
         }
@@ -324,10 +256,7 @@ impl Descriptor {
 
 /// A text field, up to its first zero byte; `None` if nothing is in it.
 fn text(bytes: &[u8]) -> Option<String> {
-    let end = bytes
-        .iter()
-        .position(|&byte| byte == 0)
-        .unwrap_or(bytes.len());
+    let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
     let text = String::from_utf8_lossy(&bytes[..end]).trim().to_owned();
     (!text.is_empty()).then_some(text)
 }
@@ -363,23 +292,13 @@ pub fn write_sequence(
     head: &SequenceHead,
     segments: &[(f64, f64, Vec<i16>)],
 ) -> std::io::Result<()> {
-    let samples = segments
-        .first()
-        .expect("a file has at least one segment")
-        .2
-        .len();
-    assert!(
-        segments.iter().all(|(_, _, codes)| codes.len() == samples),
-        "segments of one file have equal lengths"
-    );
+    let samples = segments.first().expect("a file has at least one segment").2.len();
+    assert!(segments.iter().all(|(_, _, codes)| codes.len() == samples), "segments of one file have equal lengths");
     let wide = head.bits > 8;
     let width = if wide { 2 } else { 1 };
     let length = |bytes: usize| i32::try_from(bytes).expect("a file holds less than 2 GiB");
     let sequence = segments.len() > 1;
-    let (triggers, data) = (
-        if sequence { 16 * segments.len() } else { 0 },
-        segments.len() * samples * width,
-    );
+    let (triggers, data) = (if sequence { 16 * segments.len() } else { 0 }, segments.len() * samples * width);
     let mut bytes = vec![0; DESCRIPTOR as usize];
     let mut put = |at: usize, field: &[u8]| bytes[at..at + field.len()].copy_from_slice(field);
     put(0, MARK);
@@ -389,10 +308,7 @@ pub fn write_sequence(
     put(36, &(DESCRIPTOR as i32).to_le_bytes());
     put(48, &length(triggers).to_le_bytes());
     put(60, &length(data).to_le_bytes());
-    put(
-        76,
-        &head.instrument.as_bytes()[..head.instrument.len().min(15)],
-    );
+    put(76, &head.instrument.as_bytes()[..head.instrument.len().min(15)]);
     put(116, &length(segments.len() * samples).to_le_bytes());
     put(120, &length(samples).to_le_bytes());
     put(128, &length(segments.len() * samples - 1).to_le_bytes());
@@ -420,11 +336,7 @@ pub fn write_sequence(
         if wide {
             codes.extend(segment.iter().flat_map(|code| code.to_le_bytes()));
         } else {
-            codes.extend(
-                segment
-                    .iter()
-                    .map(|&code| i8::try_from(code).expect("codes of 8 bits") as u8),
-            );
+            codes.extend(segment.iter().map(|&code| i8::try_from(code).expect("codes of 8 bits") as u8));
         }
         out.write_all(&codes)?;
     }

@@ -14,12 +14,7 @@ pub use reader::{FormatError, Reader, Source};
 use crate::waveform::Record;
 
 /// The formats, those that know themselves by their first bytes before those that take any text.
-pub const READERS: [&dyn Reader; 4] = [
-    &lecroy_trc::LecroyTrc,
-    &npy::Npy,
-    &lecroy_ascii::LecroyAscii,
-    &csv::Csv,
-];
+pub const READERS: [&dyn Reader; 4] = [&lecroy_trc::LecroyTrc, &npy::Npy, &lecroy_ascii::LecroyAscii, &csv::Csv];
 
 /// Bytes at the start of a file by which its format is found.
 const HEAD_BYTES: usize = 2048;
@@ -36,20 +31,15 @@ pub fn open(path: &Path) -> Result<Source<std::fs::File>, FormatError> {
 ///
 /// # Errors
 /// When no reader knows the file, or its reader refuses it.
-pub fn records<F: std::io::Read + std::io::Seek>(
-    source: &mut Source<F>,
-) -> Result<Vec<Record>, FormatError> {
+pub fn records<F: std::io::Read + std::io::Seek>(source: &mut Source<F>) -> Result<Vec<Record>, FormatError> {
     let head = source.head(HEAD_BYTES)?;
     if head.is_empty() {
         return Err(FormatError::Empty);
     }
     let reader = READERS.into_iter().find(|reader| reader.recognises(&head));
     let extension = source.extension();
-    let reader = reader.or_else(|| {
-        READERS
-            .into_iter()
-            .find(|reader| reader.extensions().contains(&extension.as_str()))
-    });
+    let reader =
+        reader.or_else(|| READERS.into_iter().find(|reader| reader.extensions().contains(&extension.as_str())));
     let reader = reader.ok_or(FormatError::Unknown)?;
     source.seek_to(SeekFrom::Start(0))?;
     reader.records(source)

@@ -28,19 +28,13 @@ impl Reader for Npy {
     }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let refuse = |problem: String| FormatError::Field {
-            byte_offset: 0,
-            problem,
-        };
+        let refuse = |problem: String| FormatError::Field { byte_offset: 0, problem };
         let bytes = input.bytes("the header", 0, input.length().min(HEADER_BYTES))?;
         let mut rest = bytes.as_slice();
-        let header = NpyHeader::from_reader(&mut rest)
-            .map_err(|error| refuse(format!("header: {error}")))?;
+        let header = NpyHeader::from_reader(&mut rest).map_err(|error| refuse(format!("header: {error}")))?;
         let data = (bytes.len() - rest.len()) as u64;
         if header.order() != Order::C && header.shape().len() > 1 {
-            return Err(refuse(
-                "the array is in Fortran order; save it with numpy.ascontiguousarray".to_owned(),
-            ));
+            return Err(refuse("the array is in Fortran order; save it with numpy.ascontiguousarray".to_owned()));
         }
         let (code_type, big_endian) = code_type(&header.dtype()).ok_or_else(|| {
             refuse(format!(
@@ -51,18 +45,12 @@ impl Reader for Npy {
         let Some((&samples, axes)) = header.shape().split_last() else {
             return Err(refuse("a single number is no waveform".to_owned()));
         };
-        let count = header
-            .shape()
-            .iter()
-            .try_fold(1_u64, |product, &length| product.checked_mul(length));
+        let count = header.shape().iter().try_fold(1_u64, |product, &length| product.checked_mul(length));
         let needed = count.and_then(|count| count.checked_mul(code_type.bytes() as u64));
         let available = input.length() - data;
         match needed {
             Some(0) => {
-                return Err(refuse(format!(
-                    "shape {:?} holds no sample",
-                    header.shape()
-                )));
+                return Err(refuse(format!("shape {:?} holds no sample", header.shape())));
             }
             Some(needed) if needed <= available => {}
             _ => {
@@ -70,10 +58,7 @@ impl Reader for Npy {
                     "shape {:?} does not fit the {available} bytes that follow the header; copy the file again",
                     header.shape()
                 );
-                return Err(FormatError::Field {
-                    byte_offset: data,
-                    problem,
-                });
+                return Err(FormatError::Field { byte_offset: data, problem });
             }
         }
         let head = Arc::new(Head {
@@ -98,10 +83,7 @@ impl Reader for Npy {
             segment: (records > 1).then_some(i as u32),
             t0_s: None,
             trigger_s: None,
-            payload: Payload::File {
-                byte_offset: data + i * record_bytes,
-                big_endian,
-            },
+            payload: Payload::File { byte_offset: data + i * record_bytes, big_endian },
         };
         Ok((0..records).map(record).collect())
     }
@@ -131,21 +113,9 @@ fn code_type(dtype: &DType) -> Option<(CodeType, bool)> {
 ///
 /// # Panics
 /// When there are not as many values as the shape says.
-pub fn write<T: npyz::AutoSerialize + Copy>(
-    out: &mut impl Write,
-    shape: &[u64],
-    values: &[T],
-) -> io::Result<()> {
-    assert_eq!(
-        shape.iter().product::<u64>(),
-        values.len() as u64,
-        "as many values as the shape says"
-    );
-    let mut writer = npyz::WriteOptions::new()
-        .default_dtype()
-        .shape(shape)
-        .writer(out)
-        .begin_nd()?;
+pub fn write<T: npyz::AutoSerialize + Copy>(out: &mut impl Write, shape: &[u64], values: &[T]) -> io::Result<()> {
+    assert_eq!(shape.iter().product::<u64>(), values.len() as u64, "as many values as the shape says");
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(out).begin_nd()?;
     writer.extend(values.iter().copied())?;
     writer.finish()
 }

@@ -17,9 +17,7 @@ pub enum FormatError {
     #[error("is empty: the capture may have been interrupted")]
     Empty,
     /// No reader knows it.
-    #[error(
-        "is in no format that is read: LeCroy .trc, LeCroy ASCII .txt, NumPy .npy, or CSV of time and volts"
-    )]
+    #[error("is in no format that is read: LeCroy .trc, LeCroy ASCII .txt, NumPy .npy, or CSV of time and volts")]
     Unknown,
     /// It ends too early.
     #[error(
@@ -58,9 +56,7 @@ impl FormatError {
     #[must_use]
     pub fn byte_offset(&self) -> Option<u64> {
         match self {
-            Self::Truncated { byte_offset, .. } | Self::Field { byte_offset, .. } => {
-                Some(*byte_offset)
-            }
+            Self::Truncated { byte_offset, .. } | Self::Field { byte_offset, .. } => Some(*byte_offset),
             _ => None,
         }
     }
@@ -81,13 +77,11 @@ pub trait Input {
     ///
     /// # Errors
     /// When it does not, or cannot be read.
-    fn bytes(
-        &mut self,
-        what: &'static str,
-        byte_offset: u64,
-        count: u64,
-    ) -> Result<Vec<u8>, FormatError>;
+    fn bytes(&mut self, what: &'static str, byte_offset: u64, count: u64) -> Result<Vec<u8>, FormatError>;
     /// Everything from the start.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
     fn stream(&mut self) -> Result<Box<dyn Read + '_>, FormatError>;
 }
 
@@ -98,15 +92,9 @@ impl<F: Read + Seek> Source<F> {
     /// When its length cannot be found out.
     pub fn new(mut file: F, path: &Path) -> Result<Self, FormatError> {
         let length = file.seek(SeekFrom::End(0))?;
-        let extension = path
-            .extension()
-            .map(|extension| extension.to_string_lossy().to_lowercase())
-            .unwrap_or_default();
-        Ok(Self {
-            file,
-            length,
-            extension,
-        })
+        let extension =
+            path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();
+        Ok(Self { file, length, extension })
     }
 
     /// Extension of the file's name, in lower case.
@@ -141,22 +129,9 @@ impl<F: Read + Seek> Input for Source<F> {
         self.length
     }
 
-    fn bytes(
-        &mut self,
-        what: &'static str,
-        byte_offset: u64,
-        count: u64,
-    ) -> Result<Vec<u8>, FormatError> {
-        if byte_offset
-            .checked_add(count)
-            .is_none_or(|end| end > self.length)
-        {
-            return Err(FormatError::Truncated {
-                what,
-                byte_offset,
-                needed: count,
-                length: self.length,
-            });
+    fn bytes(&mut self, what: &'static str, byte_offset: u64, count: u64) -> Result<Vec<u8>, FormatError> {
+        if byte_offset.checked_add(count).is_none_or(|end| end > self.length) {
+            return Err(FormatError::Truncated { what, byte_offset, needed: count, length: self.length });
         }
         let mut bytes = vec![0; count as usize];
         self.file.seek(SeekFrom::Start(byte_offset))?;

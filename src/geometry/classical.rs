@@ -13,23 +13,13 @@ use super::{Point, dense};
 /// When the matrix is not square or `dimensions` is neither 2 nor 3.
 #[must_use]
 pub fn embed(distances_m: &Mat<f64>, dimensions: usize) -> Vec<Point> {
-    assert!(
-        distances_m.nrows() == distances_m.ncols(),
-        "distances are a square matrix"
-    );
-    assert!(
-        dimensions == 2 || dimensions == 3,
-        "space has 2 or 3 dimensions"
-    );
+    assert!(distances_m.nrows() == distances_m.ncols(), "distances are a square matrix");
+    assert!(dimensions == 2 || dimensions == 3, "space has 2 or 3 dimensions");
     let count = distances_m.nrows();
     let square = |i: usize, j: usize| distances_m[(i, j)] * distances_m[(i, j)];
-    let row_mean: Vec<f64> = (0..count)
-        .map(|i| (0..count).map(|j| square(i, j)).sum::<f64>() / count as f64)
-        .collect();
+    let row_mean: Vec<f64> = (0..count).map(|i| (0..count).map(|j| square(i, j)).sum::<f64>() / count as f64).collect();
     let mean = row_mean.iter().sum::<f64>() / count as f64;
-    let gram = Mat::from_fn(count, count, |i, j| {
-        -0.5 * (square(i, j) - row_mean[i] - row_mean[j] + mean)
-    });
+    let gram = Mat::from_fn(count, count, |i, j| -0.5 * (square(i, j) - row_mean[i] - row_mean[j] + mean));
     let (values, vectors) = dense::symmetric_eigen(&gram);
     let coordinate = |i: usize, k: usize| {
         if k >= dimensions || k >= count {
@@ -38,9 +28,7 @@ pub fn embed(distances_m: &Mat<f64>, dimensions: usize) -> Vec<Point> {
         let column = count - 1 - k;
         values[column].max(0.0).sqrt() * (vectors[(i, column)] - vectors[(0, column)])
     };
-    (1..count)
-        .map(|i| Point::new(coordinate(i, 0), coordinate(i, 1), coordinate(i, 2)))
-        .collect()
+    (1..count).map(|i| Point::new(coordinate(i, 0), coordinate(i, 1), coordinate(i, 2))).collect()
 }
 
 #[cfg(test)]

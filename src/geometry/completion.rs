@@ -12,38 +12,21 @@ use faer::Mat;
 ///
 /// # Panics
 /// When `distance_m(i, j)` is negative.
-pub fn complete(
-    count: usize,
-    distance_m: impl Fn(usize, usize) -> Option<f64>,
-) -> Result<Mat<f64>, Vec<usize>> {
-    let mut lengths = Mat::from_fn(count, count, |i, j| {
-        if i == j {
-            0.0
-        } else {
-            distance_m(i, j).unwrap_or(f64::INFINITY)
-        }
-    });
+pub fn complete(count: usize, distance_m: impl Fn(usize, usize) -> Option<f64>) -> Result<Mat<f64>, Vec<usize>> {
+    let mut lengths =
+        Mat::from_fn(count, count, |i, j| if i == j { 0.0 } else { distance_m(i, j).unwrap_or(f64::INFINITY) });
     for via in 0..count {
         for i in 0..count {
             for j in 0..count {
                 // Only what is missing is filled: a measured distance stays, though a detour may be shorter by noise.
-                if i != j
-                    && distance_m(i, j).is_none()
-                    && lengths[(i, via)] + lengths[(via, j)] < lengths[(i, j)]
-                {
+                if i != j && distance_m(i, j).is_none() && lengths[(i, via)] + lengths[(via, j)] < lengths[(i, j)] {
                     lengths[(i, j)] = lengths[(i, via)] + lengths[(via, j)];
                 }
             }
         }
     }
-    let lost: Vec<usize> = (0..count)
-        .filter(|&i| lengths[(0, i)].is_infinite())
-        .collect();
-    if lost.is_empty() {
-        Ok(lengths)
-    } else {
-        Err(lost)
-    }
+    let lost: Vec<usize> = (0..count).filter(|&i| lengths[(0, i)].is_infinite()).collect();
+    if lost.is_empty() { Ok(lengths) } else { Err(lost) }
 }
 
 #[cfg(test)]
@@ -60,13 +43,7 @@ mod tests {
             _ => None,
         };
         let complete = complete(4, measured).unwrap();
-        assert_eq!(
-            (complete[(0, 2)], complete[(1, 3)], complete[(0, 1)]),
-            (1.9, 2.4, 1.0)
-        );
-        assert_eq!(
-            super::complete(3, |i, j| (i + j == 1).then_some(1.0)),
-            Err(vec![2])
-        );
+        assert_eq!((complete[(0, 2)], complete[(1, 3)], complete[(0, 1)]), (1.9, 2.4, 1.0));
+        assert_eq!(super::complete(3, |i, j| (i + j == 1).then_some(1.0)), Err(vec![2]));
     }
 }

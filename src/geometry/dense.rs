@@ -9,13 +9,9 @@ use faer::{Mat, Side};
 /// When the matrix is not square, or holds what is not finite.
 #[must_use]
 pub fn symmetric_eigen(matrix: &Mat<f64>) -> (Vec<f64>, Mat<f64>) {
-    let eigen = matrix
-        .self_adjoint_eigen(Side::Lower)
-        .expect("the eigenproblem of a finite symmetric matrix converges");
-    (
-        eigen.S().column_vector().iter().copied().collect(),
-        eigen.U().to_owned(),
-    )
+    let eigen =
+        matrix.self_adjoint_eigen(Side::Lower).expect("the eigenproblem of a finite symmetric matrix converges");
+    (eigen.S().column_vector().iter().copied().collect(), eigen.U().to_owned())
 }
 
 /// Singular values in descending order, with the right singular vectors as columns.
@@ -24,13 +20,8 @@ pub fn symmetric_eigen(matrix: &Mat<f64>) -> (Vec<f64>, Mat<f64>) {
 /// When the matrix holds what is not finite.
 #[must_use]
 pub fn singular_values(matrix: &Mat<f64>) -> (Vec<f64>, Mat<f64>) {
-    let svd = matrix
-        .svd()
-        .expect("the singular value decomposition of a finite matrix converges");
-    (
-        svd.S().column_vector().iter().copied().collect(),
-        svd.V().to_owned(),
-    )
+    let svd = matrix.svd().expect("the singular value decomposition of a finite matrix converges");
+    (svd.S().column_vector().iter().copied().collect(), svd.V().to_owned())
 }
 
 /// Solution of a positive definite system; `None` if it is not positive definite.
@@ -56,13 +47,9 @@ pub fn pseudo_inverse(matrix: &Mat<f64>, nulls: &Mat<f64>) -> Option<Mat<f64>> {
     let size = matrix.nrows();
     let scale = (0..size).map(|i| matrix[(i, i)]).fold(0.0, f64::max);
     let projector = nulls * nulls.transpose();
-    let full = Mat::from_fn(size, size, |i, j| {
-        matrix[(i, j)] + scale * projector[(i, j)]
-    });
+    let full = Mat::from_fn(size, size, |i, j| matrix[(i, j)] + scale * projector[(i, j)]);
     let inverse = inverse(&full)?;
-    Some(Mat::from_fn(size, size, |i, j| {
-        inverse[(i, j)] - projector[(i, j)] / scale
-    }))
+    Some(Mat::from_fn(size, size, |i, j| inverse[(i, j)] - projector[(i, j)] / scale))
 }
 
 #[cfg(test)]
@@ -85,8 +72,6 @@ mod tests {
         assert!(inverse(&matrix).is_none() || inverse(&matrix).unwrap()[(0, 0)].abs() > 1e9);
         let two = Mat::from_fn(2, 2, |i, j| [[4.0, 1.0], [1.0, 3.0]][i][j]);
         let solution = solve(&two, &[1.0, 2.0]).unwrap();
-        assert!(
-            (solution[0] - 1.0 / 11.0).abs() < 1e-12 && (solution[1] - 7.0 / 11.0).abs() < 1e-12
-        );
+        assert!((solution[0] - 1.0 / 11.0).abs() < 1e-12 && (solution[1] - 7.0 / 11.0).abs() < 1e-12);
     }
 }

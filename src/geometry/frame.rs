@@ -15,27 +15,15 @@ const IN_LINE: f64 = 1e-6;
 #[must_use]
 pub fn canonical(points: &[Point], centre: Point) -> Matrix3<f64> {
     let arms: Vec<Vector3<f64>> = points.iter().map(|point| point - centre).collect();
-    let Some(x) = arms
-        .iter()
-        .find_map(|arm| arm.try_normalize(f64::MIN_POSITIVE))
-    else {
+    let Some(x) = arms.iter().find_map(|arm| arm.try_normalize(f64::MIN_POSITIVE)) else {
         return Matrix3::identity();
     };
     let off_line = |arm: &Vector3<f64>| (arm - x * arm.dot(&x)).try_normalize(IN_LINE * arm.norm());
-    let y = arms
-        .iter()
-        .find_map(off_line)
-        .unwrap_or_else(|| any_normal(x));
+    let y = arms.iter().find_map(off_line).unwrap_or_else(|| any_normal(x));
     let z = x.cross(&y);
-    let off_plane = arms
-        .iter()
-        .map(|arm| (arm.dot(&z), arm.norm()))
-        .find(|(height, length)| height.abs() > IN_LINE * length);
-    let z = if off_plane.is_some_and(|(height, _)| height < 0.0) {
-        -z
-    } else {
-        z
-    };
+    let off_plane =
+        arms.iter().map(|arm| (arm.dot(&z), arm.norm())).find(|(height, length)| height.abs() > IN_LINE * length);
+    let z = if off_plane.is_some_and(|(height, _)| height < 0.0) { -z } else { z };
     Matrix3::from_rows(&[x.transpose(), y.transpose(), z.transpose()])
 }
 
@@ -63,10 +51,7 @@ mod tests {
         ];
         let in_frame = |points: &[Point]| -> Vec<Point> {
             let matrix = canonical(points, centre);
-            points
-                .iter()
-                .map(|point| turn(&matrix, centre, *point))
-                .collect()
+            points.iter().map(|point| turn(&matrix, centre, *point)).collect()
         };
         let expected = in_frame(&points);
         assert!(
@@ -74,43 +59,22 @@ mod tests {
                 && (expected[0].z - centre.z).abs() < 1e-12
                 && expected[0].x > centre.x
         );
-        assert!(
-            (expected[1].z - centre.z).abs() < 1e-12
-                && expected[1].y > centre.y
-                && expected[2].z > centre.z
-        );
+        assert!((expected[1].z - centre.z).abs() < 1e-12 && expected[1].y > centre.y && expected[2].z > centre.z);
         for mirror in [1.0, -1.0] {
             let by = Rotation3::new(Vector3::new(0.9, 0.4, -1.3)).into_inner()
                 * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, mirror));
-            let turned: Vec<Point> = points
-                .iter()
-                .map(|point| turn(&by, centre, *point))
-                .collect();
+            let turned: Vec<Point> = points.iter().map(|point| turn(&by, centre, *point)).collect();
             let found = in_frame(&turned);
-            assert!(
-                found
-                    .iter()
-                    .zip(&expected)
-                    .all(|(a, b)| (a - b).norm() < 1e-12)
-            );
+            assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-12));
         }
     }
 
     #[test]
     fn points_in_line_or_at_the_centre_have_a_frame() {
-        let line = [
-            Point::origin(),
-            Point::new(0.0, 0.0, 2.0),
-            Point::new(0.0, 0.0, 3.0),
-        ];
+        let line = [Point::origin(), Point::new(0.0, 0.0, 2.0), Point::new(0.0, 0.0, 3.0)];
         let matrix = canonical(&line, Point::origin());
         assert!((matrix * matrix.transpose() - Matrix3::identity()).norm() < 1e-12);
-        assert!(
-            (turn(&matrix, Point::origin(), line[1]) - Point::new(2.0, 0.0, 0.0)).norm() < 1e-12
-        );
-        assert_eq!(
-            canonical(&[Point::origin()], Point::origin()),
-            Matrix3::identity()
-        );
+        assert!((turn(&matrix, Point::origin(), line[1]) - Point::new(2.0, 0.0, 0.0)).norm() < 1e-12);
+        assert_eq!(canonical(&[Point::origin()], Point::origin()), Matrix3::identity());
     }
 }

@@ -15,30 +15,16 @@ use super::{Point, dense};
 /// When the matrix is not square or `dimensions` is neither 2 nor 3.
 #[must_use]
 pub fn embed(distances_m: &Mat<f64>, dimensions: usize) -> Vec<Point> {
-    assert!(
-        distances_m.nrows() == distances_m.ncols(),
-        "distances are a square matrix"
-    );
-    assert!(
-        dimensions == 2 || dimensions == 3,
-        "space has 2 or 3 dimensions"
-    );
+    assert!(distances_m.nrows() == distances_m.ncols(), "distances are a square matrix");
+    assert!(dimensions == 2 || dimensions == 3, "space has 2 or 3 dimensions");
     let count = distances_m.nrows() - 1;
     let square = |i: usize, j: usize| distances_m[(i, j)] * distances_m[(i, j)];
-    let gram = Mat::from_fn(count, count, |i, j| {
-        0.5 * (square(0, i + 1) + square(0, j + 1) - square(i + 1, j + 1))
-    });
+    let gram = Mat::from_fn(count, count, |i, j| 0.5 * (square(0, i + 1) + square(0, j + 1) - square(i + 1, j + 1)));
     let (values, vectors) = dense::singular_values(&gram);
     let coordinate = |i: usize, k: usize| {
-        if k < dimensions.min(count) {
-            values[k].sqrt() * vectors[(i, k)]
-        } else {
-            0.0
-        }
+        if k < dimensions.min(count) { values[k].sqrt() * vectors[(i, k)] } else { 0.0 }
     };
-    (0..count)
-        .map(|i| Point::new(coordinate(i, 0), coordinate(i, 1), coordinate(i, 2)))
-        .collect()
+    (0..count).map(|i| Point::new(coordinate(i, 0), coordinate(i, 1), coordinate(i, 2))).collect()
 }
 
 #[cfg(test)]

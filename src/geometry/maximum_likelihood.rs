@@ -140,21 +140,13 @@ impl Problem {
     }
 
     fn check(&self) {
-        assert!(
-            self.dimensions == 2 || self.dimensions == 3,
-            "space has 2 or 3 dimensions"
-        );
+        assert!(self.dimensions == 2 || self.dimensions == 3, "space has 2 or 3 dimensions");
         for observation in &self.observations {
             assert!(
                 observation.nodes.len() >= 2 && observation.sd_m > 0.0,
                 "a path has two ends and a standard deviation"
             );
-            assert!(
-                observation
-                    .delay
-                    .is_none_or(|delay| delay < self.delay_sd_m.len()),
-                "a delay has a prior"
-            );
+            assert!(observation.delay.is_none_or(|delay| delay < self.delay_sd_m.len()), "a delay has a prior");
         }
     }
 }
@@ -182,62 +174,37 @@ impl Place {
             }
         }
         let first = self.points.len() * dimensions;
-        place
-            .delays_m
-            .iter_mut()
-            .zip(&step[first..])
-            .for_each(|(delay, step)| *delay += step);
+        place.delays_m.iter_mut().zip(&step[first..]).for_each(|(delay, step)| *delay += step);
         place
     }
 }
 
 /// Predicted length of an observation.
 fn predicted_m(observation: &Observation, place: &Place) -> f64 {
-    let lengths = observation
-        .nodes
-        .windows(2)
-        .map(|ends| (place.position(ends[1]) - place.position(ends[0])).norm());
+    let lengths = observation.nodes.windows(2).map(|ends| (place.position(ends[1]) - place.position(ends[0])).norm());
     lengths.sum::<f64>() + observation.delay.map_or(0.0, |delay| place.delays_m[delay])
 }
 
 /// Derivative of an observation's length: unknown, value; an unknown may come twice.
-fn gradient(
-    observation: &Observation,
-    place: &Place,
-    problem: &Problem,
-    out: &mut Vec<(usize, f64)>,
-) {
+fn gradient(observation: &Observation, place: &Place, problem: &Problem, out: &mut Vec<(usize, f64)>) {
     out.clear();
     for ends in observation.nodes.windows(2) {
         let arm: Vector3<f64> = place.position(ends[1]) - place.position(ends[0]);
         // Ends that coincide pull nowhere.
-        let direction = arm
-            .try_normalize(f64::MIN_POSITIVE)
-            .unwrap_or_else(Vector3::zeros);
+        let direction = arm.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
         for (node, sign) in [(ends[0], -1.0), (ends[1], 1.0)] {
             if let Node::Patch(patch) = node {
-                out.extend(
-                    (0..problem.dimensions)
-                        .map(|k| (patch * problem.dimensions + k, sign * direction[k])),
-                );
+                out.extend((0..problem.dimensions).map(|k| (patch * problem.dimensions + k, sign * direction[k])));
             }
         }
     }
-    out.extend(
-        observation
-            .delay
-            .map(|delay| (problem.coordinates() + delay, 1.0)),
-    );
+    out.extend(observation.delay.map(|delay| (problem.coordinates() + delay, 1.0)));
 }
 
 /// Huber's loss of a standardised residual, and the weight of its square.
 fn loss(residual: f64, robust: bool) -> (f64, f64) {
     let size = residual.abs();
-    if robust && size > HUBER {
-        (HUBER * (2.0 * size - HUBER), HUBER / size)
-    } else {
-        (size * size, 1.0)
-    }
+    if robust && size > HUBER { (HUBER * (2.0 * size - HUBER), HUBER / size) } else { (size * size, 1.0) }
 }
 
 /// Objective, and where asked for the normal matrix and its right-hand side.
@@ -245,32 +212,19 @@ fn cost(problem: &Problem, place: &Place) -> f64 {
     let measured = problem
         .observations
         .iter()
-        .map(|o| {
-            loss(
-                (o.length_m - predicted_m(o, place)) / o.sd_m,
-                problem.robust,
-            )
-            .0
-        })
+        .map(|o| loss((o.length_m - predicted_m(o, place)) / o.sd_m, problem.robust).0)
         .sum::<f64>();
     measured + prior_cost(problem, place)
 }
 
 fn prior_cost(problem: &Problem, place: &Place) -> f64 {
-    let delays: f64 = place
-        .delays_m
-        .iter()
-        .zip(&problem.delay_sd_m)
-        .map(|(delay, sd)| (delay / sd).powi(2))
-        .sum();
+    let delays: f64 = place.delays_m.iter().zip(&problem.delay_sd_m).map(|(delay, sd)| (delay / sd).powi(2)).sum();
     let anchors: f64 = problem
         .anchors
         .iter()
         .map(|anchor| {
             (0..problem.dimensions)
-                .map(|k| {
-                    ((place.points[anchor.patch][k] - anchor.position[k]) / anchor.sd_m).powi(2)
-                })
+                .map(|k| ((place.points[anchor.patch][k] - anchor.position[k]) / anchor.sd_m).powi(2))
                 .sum::<f64>()
         })
         .sum();
@@ -301,8 +255,7 @@ fn normal_equations(problem: &Problem, place: &Place) -> (Mat<f64>, Vec<f64>) {
         for k in 0..problem.dimensions {
             let i = anchor.patch * problem.dimensions + k;
             normal[(i, i)] += 1.0 / (anchor.sd_m * anchor.sd_m);
-            right[i] +=
-                (anchor.position[k] - place.points[anchor.patch][k]) / (anchor.sd_m * anchor.sd_m);
+            right[i] += (anchor.position[k] - place.points[anchor.patch][k]) / (anchor.sd_m * anchor.sd_m);
         }
     }
     (normal, right)
@@ -317,25 +270,15 @@ fn normal_equations(problem: &Problem, place: &Place) -> (Mat<f64>, Vec<f64>) {
 /// When an observation has fewer than two nodes or no standard deviation, or names a delay without prior.
 pub fn solve(problem: &Problem) -> Result<Solution, Unsolved> {
     problem.check();
-    let mut place = Place {
-        points: problem.start.clone(),
-        delays_m: vec![0.0; problem.delay_sd_m.len()],
-    };
+    let mut place = Place { points: problem.start.clone(), delays_m: vec![0.0; problem.delay_sd_m.len()] };
     let mut now = cost(problem, &place);
     let mut damping = 1e-3;
     for _ in 0..STEPS {
         let (normal, right) = normal_equations(problem, &place);
-        let scale = (0..normal.nrows())
-            .map(|i| normal[(i, i)])
-            .fold(0.0, f64::max);
+        let scale = (0..normal.nrows()).map(|i| normal[(i, i)]).fold(0.0, f64::max);
         let damped = Mat::from_fn(normal.nrows(), normal.nrows(), |i, j| {
             // The floor keeps rotations, which have no stiffness of their own, from blowing up.
-            normal[(i, j)]
-                + if i == j {
-                    damping * normal[(i, i)] + 1e-9 * damping.max(1e-3) * scale
-                } else {
-                    0.0
-                }
+            normal[(i, j)] + if i == j { damping * normal[(i, i)] + 1e-9 * damping.max(1e-3) * scale } else { 0.0 }
         });
         let Some(step) = dense::solve(&damped, &right) else {
             damping *= 10.0;
@@ -343,9 +286,7 @@ pub fn solve(problem: &Problem) -> Result<Solution, Unsolved> {
         };
         let trial = place.moved(&step, problem.dimensions);
         let then = cost(problem, &trial);
-        let longest = step
-            .iter()
-            .fold(0.0, |most: f64, step| most.max(step.abs()));
+        let longest = step.iter().fold(0.0, |most: f64, step| most.max(step.abs()));
         if then <= now {
             place = trial;
             now = then;
@@ -368,19 +309,10 @@ fn finish(problem: &Problem, place: Place) -> Result<Solution, Unsolved> {
     let covariance = dense::pseudo_inverse(&fisher, &nulls)
         .filter(|covariance| (0..covariance.nrows()).all(|i| covariance[(i, i)].is_finite()));
     let covariance = covariance.ok_or_else(|| undetermined(problem))?;
-    let residuals_m: Vec<f64> = problem
-        .observations
-        .iter()
-        .map(|o| o.length_m - predicted_m(o, &place))
-        .collect();
-    let measured: f64 = residuals_m
-        .iter()
-        .zip(&problem.observations)
-        .map(|(residual, o)| (residual / o.sd_m).powi(2))
-        .sum();
-    let data = problem.observations.len()
-        + problem.delay_sd_m.len()
-        + problem.dimensions * problem.anchors.len();
+    let residuals_m: Vec<f64> = problem.observations.iter().map(|o| o.length_m - predicted_m(o, &place)).collect();
+    let measured: f64 =
+        residuals_m.iter().zip(&problem.observations).map(|(residual, o)| (residual / o.sd_m).powi(2)).sum();
+    let data = problem.observations.len() + problem.delay_sd_m.len() + problem.dimensions * problem.anchors.len();
     Ok(Solution {
         chi2: measured + prior_cost(problem, &place),
         degrees_of_freedom: data as i64 - problem.unknowns() as i64 + nulls.ncols() as i64,
@@ -395,16 +327,8 @@ fn finish(problem: &Problem, place: Place) -> Result<Solution, Unsolved> {
 
 /// Patches that the fewest paths touch.
 fn undetermined(problem: &Problem) -> Unsolved {
-    let touches = |patch: usize| {
-        problem
-            .observations
-            .iter()
-            .filter(|o| o.nodes.contains(&Node::Patch(patch)))
-            .count()
-    };
-    let mut counts: Vec<(usize, usize)> = (0..problem.start.len())
-        .map(|patch| (patch, touches(patch)))
-        .collect();
+    let touches = |patch: usize| problem.observations.iter().filter(|o| o.nodes.contains(&Node::Patch(patch))).count();
+    let mut counts: Vec<(usize, usize)> = (0..problem.start.len()).map(|patch| (patch, touches(patch))).collect();
     counts.sort_by_key(|&(patch, count)| (count, patch));
     counts.truncate(5);
     Unsolved::Undetermined(counts)
@@ -413,23 +337,15 @@ fn undetermined(problem: &Problem) -> Unsolved {
 /// Orthonormal directions of the unknowns that rotate all patches about the first station and change no path: three for stations in one point, one about
 /// their line, none otherwise.
 fn free_rotations(problem: &Problem, place: &Place, fisher: &Mat<f64>) -> Mat<f64> {
-    let stations = problem
-        .observations
-        .iter()
-        .flat_map(|o| &o.nodes)
-        .find_map(|node| match node {
-            Node::Station(point) => Some(*point),
-            Node::Patch(_) => None,
-        });
+    let stations = problem.observations.iter().flat_map(|o| &o.nodes).find_map(|node| match node {
+        Node::Station(point) => Some(*point),
+        Node::Patch(_) => None,
+    });
     let Some(centre) = stations else {
         return Mat::zeros(fisher.nrows(), 0);
     };
     let axes: &[Vector3<f64>] = if problem.dimensions == 3 {
-        &[
-            Vector3::new(1.0, 0.0, 0.0),
-            Vector3::new(0.0, 1.0, 0.0),
-            Vector3::new(0.0, 0.0, 1.0),
-        ]
+        &[Vector3::new(1.0, 0.0, 0.0), Vector3::new(0.0, 1.0, 0.0), Vector3::new(0.0, 0.0, 1.0)]
     } else {
         &[Vector3::new(0.0, 0.0, 1.0)]
     };
@@ -448,30 +364,19 @@ fn free_rotations(problem: &Problem, place: &Place, fisher: &Mat<f64>) -> Mat<f6
     let motion = columns.transpose() * &columns;
     let (sizes, turns) = dense::symmetric_eigen(&motion);
     let largest = sizes.last().copied().unwrap_or(0.0);
-    let kept: Vec<usize> = (0..axes.len())
-        .filter(|&k| sizes[k] > 1e-12 * largest && largest > 0.0)
-        .collect();
+    let kept: Vec<usize> = (0..axes.len()).filter(|&k| sizes[k] > 1e-12 * largest && largest > 0.0).collect();
     let basis = Mat::from_fn(fisher.nrows(), kept.len(), |i, k| {
-        (0..axes.len())
-            .map(|a| columns[(i, a)] * turns[(a, kept[k])])
-            .sum::<f64>()
-            / sizes[kept[k]].sqrt()
+        (0..axes.len()).map(|a| columns[(i, a)] * turns[(a, kept[k])]).sum::<f64>() / sizes[kept[k]].sqrt()
     });
     let stiffness = basis.transpose() * fisher * &basis;
     if kept.is_empty() {
         return Mat::zeros(fisher.nrows(), 0);
     }
     let (values, vectors) = dense::symmetric_eigen(&stiffness);
-    let scale = (0..fisher.nrows())
-        .map(|i| fisher[(i, i)])
-        .fold(0.0, f64::max);
-    let free: Vec<usize> = (0..kept.len())
-        .filter(|&k| values[k] < FREE * scale)
-        .collect();
+    let scale = (0..fisher.nrows()).map(|i| fisher[(i, i)]).fold(0.0, f64::max);
+    let free: Vec<usize> = (0..kept.len()).filter(|&k| values[k] < FREE * scale).collect();
     Mat::from_fn(fisher.nrows(), free.len(), |i, k| {
-        (0..kept.len())
-            .map(|b| basis[(i, b)] * vectors[(b, free[k])])
-            .sum()
+        (0..kept.len()).map(|b| basis[(i, b)] * vectors[(b, free[k])]).sum()
     })
 }
 

@@ -21,24 +21,12 @@ pub struct Fit {
 /// When there are no points, or not as many targets.
 #[must_use]
 pub fn rotation(points: &[Point], targets: &[Point], centre: Point, reflect: bool) -> Fit {
-    assert!(
-        !points.is_empty() && points.len() == targets.len(),
-        "{} points, {} targets",
-        points.len(),
-        targets.len()
-    );
-    let correlation: Matrix3<f64> = points
-        .iter()
-        .zip(targets)
-        .map(|(point, target)| (target - centre) * (point - centre).transpose())
-        .sum();
+    assert!(!points.is_empty() && points.len() == targets.len(), "{} points, {} targets", points.len(), targets.len());
+    let correlation: Matrix3<f64> =
+        points.iter().zip(targets).map(|(point, target)| (target - centre) * (point - centre).transpose()).sum();
     let svd = SVD::new(correlation, true, true);
     let (u, v_t) = (svd.u.expect("asked for"), svd.v_t.expect("asked for"));
-    let sign = if reflect {
-        1.0
-    } else {
-        (u * v_t).determinant().signum()
-    };
+    let sign = if reflect { 1.0 } else { (u * v_t).determinant().signum() };
     // Without reflection, the direction of the smallest singular value pays for it.
     let smallest = svd.singular_values.imin();
     let signs = nalgebra::Vector3::from_fn(|i, _| if i == smallest { sign } else { 1.0 });
@@ -48,10 +36,7 @@ pub fn rotation(points: &[Point], targets: &[Point], centre: Point, reflect: boo
         .zip(targets)
         .map(|(point, target)| (matrix * (point - centre) - (target - centre)).norm_squared())
         .sum();
-    Fit {
-        matrix,
-        rms_m: (squares / points.len() as f64).sqrt(),
-    }
+    Fit { matrix, rms_m: (squares / points.len() as f64).sqrt() }
 }
 
 /// Turns a point about the centre.
@@ -81,17 +66,9 @@ mod tests {
         let mirrored = turned.map(|point| Point::new(-point.x, point.y, point.z));
         let origin = Point::origin();
         let there = points.map(|point| point - centre.coords);
-        let mirrored_there =
-            mirrored.map(|point| point - Vector3::new(-centre.x, centre.y, centre.z));
+        let mirrored_there = mirrored.map(|point| point - Vector3::new(-centre.x, centre.y, centre.z));
         assert!(rotation(&there, &mirrored_there, origin, true).rms_m < 1e-12);
         assert!(rotation(&there, &mirrored_there, origin, false).rms_m > 0.1);
-        assert!(
-            (rotation(&there, &mirrored_there, origin, false)
-                .matrix
-                .determinant()
-                - 1.0)
-                .abs()
-                < 1e-12
-        );
+        assert!((rotation(&there, &mirrored_there, origin, false).matrix.determinant() - 1.0).abs() < 1e-12);
     }
 }

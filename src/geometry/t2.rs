@@ -61,33 +61,16 @@ pub struct Distances {
 /// [`RECIPROCITY_SIGMA`], the variance of the mean is raised to the disagreement's square.
 fn mean(lengths: &[Length]) -> (Length, f64) {
     let weight: f64 = lengths.iter().map(|length| 1.0 / length.variance_m2).sum();
-    let length_m = lengths
-        .iter()
-        .map(|length| length.length_m / length.variance_m2)
-        .sum::<f64>()
-        / weight;
-    let pairs = lengths
-        .iter()
-        .enumerate()
-        .flat_map(|(i, a)| lengths[i + 1..].iter().map(move |b| (a, b)));
+    let length_m = lengths.iter().map(|length| length.length_m / length.variance_m2).sum::<f64>() / weight;
+    let pairs = lengths.iter().enumerate().flat_map(|(i, a)| lengths[i + 1..].iter().map(move |b| (a, b)));
     let (mut worst, mut gap_m) = (0.0_f64, 0.0_f64);
     for (a, b) in pairs {
         let gap = (a.length_m - b.length_m).abs();
         worst = worst.max(gap / (a.variance_m2 + b.variance_m2).sqrt());
         gap_m = gap_m.max(gap);
     }
-    let variance_m2 = if worst > RECIPROCITY_SIGMA {
-        (1.0 / weight).max(gap_m * gap_m)
-    } else {
-        1.0 / weight
-    };
-    (
-        Length {
-            length_m,
-            variance_m2,
-        },
-        worst,
-    )
+    let variance_m2 = if worst > RECIPROCITY_SIGMA { (1.0 / weight).max(gap_m * gap_m) } else { 1.0 / weight };
+    (Length { length_m, variance_m2 }, worst)
 }
 
 /// Inverts T2 for any pattern of measured and missing onsets. `first` are lengths c `O_i` by patch, `second` are lengths c `O_ij` by (lit, seen).
@@ -100,24 +83,11 @@ pub fn invert(first: &[(PatchId, Length)], second: &[((PatchId, PatchId), Length
     }
     let mut pairs: BTreeMap<(PatchId, PatchId), Vec<Length>> = BTreeMap::new();
     for ((lit, seen), length) in second {
-        pairs
-            .entry((*lit.min(seen), *lit.max(seen)))
-            .or_default()
-            .push(*length);
+        pairs.entry((*lit.min(seen), *lit.max(seen))).or_default().push(*length);
     }
     let mut result = Distances::default();
-    let first: BTreeMap<PatchId, Length> = onsets
-        .iter()
-        .map(|(patch, lengths)| (*patch, mean(lengths).0))
-        .collect();
-    for (
-        patch,
-        Length {
-            length_m,
-            variance_m2,
-        },
-    ) in &first
-    {
+    let first: BTreeMap<PatchId, Length> = onsets.iter().map(|(patch, lengths)| (*patch, mean(lengths).0)).collect();
+    for (patch, Length { length_m, variance_m2 }) in &first {
         let onsets = onsets[patch].len() as i32;
         result.distances.push(Distance {
             a: 0,
@@ -151,10 +121,7 @@ pub fn invert(first: &[(PatchId, Length)], second: &[((PatchId, PatchId), Length
 }
 
 /// Distances that share the first onset `O_i`: `d_0i` enters with weight 1/2, every `d_ij` with -1/2.
-fn covariances(
-    distances: &[Distance],
-    first: &BTreeMap<PatchId, Length>,
-) -> Vec<(usize, usize, f64)> {
+fn covariances(distances: &[Distance], first: &BTreeMap<PatchId, Length>) -> Vec<(usize, usize, f64)> {
     let mut users: BTreeMap<PatchId, Vec<(usize, f64)>> = BTreeMap::new();
     for (n, distance) in distances.iter().enumerate() {
         if distance.bounces == 1 {
@@ -168,15 +135,11 @@ fn covariances(
     for (patch, users) in users {
         for (k, (n, weight)) in users.iter().enumerate() {
             for (m, other) in &users[k + 1..] {
-                *covariances.entry((*n.min(m), *n.max(m))).or_insert(0.0) +=
-                    weight * other * first[&patch].variance_m2;
+                *covariances.entry((*n.min(m), *n.max(m))).or_insert(0.0) += weight * other * first[&patch].variance_m2;
             }
         }
     }
-    covariances
-        .into_iter()
-        .map(|((n, m), covariance)| (n, m, covariance))
-        .collect()
+    covariances.into_iter().map(|((n, m), covariance)| (n, m, covariance)).collect()
 }
 
 #[cfg(test)]
@@ -204,9 +167,7 @@ mod tests {
     fn solve_square(rows: &[[f64; 6]; 6], right: &[f64]) -> Vec<f64> {
         // Normal equations: small and well-conditioned enough for a reference.
         let matrix = Mat::from_fn(6, 6, |i, j| (0..6).map(|k| rows[k][i] * rows[k][j]).sum());
-        let right: Vec<f64> = (0..6)
-            .map(|i| (0..6).map(|k| rows[k][i] * right[k]).sum())
-            .collect();
+        let right: Vec<f64> = (0..6).map(|i| (0..6).map(|k| rows[k][i] * right[k]).sum()).collect();
         dense::solve(&matrix, &right).unwrap()
     }
 
@@ -215,30 +176,17 @@ mod tests {
     }
 
     fn closed(o: &[f64], variance_m2: f64) -> Distances {
-        let length = |k: usize| Length {
-            length_m: o[k],
-            variance_m2,
-        };
+        let length = |k: usize| Length { length_m: o[k], variance_m2 };
         invert(
             &[(1, length(0)), (2, length(3)), (3, length(5))],
-            &[
-                ((1, 2), length(1)),
-                ((3, 1), length(2)),
-                ((2, 3), length(4)),
-            ],
+            &[((1, 2), length(1)), ((3, 1), length(2)), ((2, 3), length(4))],
         )
     }
 
     /// In the order of the unknowns above.
     fn values(distances: &Distances) -> [f64; 6] {
-        [(0, 1), (1, 2), (1, 3), (0, 2), (2, 3), (0, 3)].map(|(a, b)| {
-            distances
-                .distances
-                .iter()
-                .find(|d| (d.a, d.b) == (a, b))
-                .unwrap()
-                .distance_m
-        })
+        [(0, 1), (1, 2), (1, 3), (0, 2), (2, 3), (0, 3)]
+            .map(|(a, b)| distances.distances.iter().find(|d| (d.a, d.b) == (a, b)).unwrap().distance_m)
     }
 
     #[test]
@@ -252,9 +200,7 @@ mod tests {
         let mut printed = RIGHT;
         printed[3] = PRINTED_ROW_4;
         let wrong = solve_square(&printed, &o);
-        let worst = (0..6)
-            .map(|k| (wrong[k] - TRUTH[k]).abs())
-            .fold(0.0, f64::max);
+        let worst = (0..6).map(|k| (wrong[k] - TRUTH[k]).abs()).fold(0.0, f64::max);
         assert!(worst > 0.1, "the misprint should matter: {wrong:?}");
     }
 
@@ -274,12 +220,8 @@ mod tests {
                 })
                 .collect();
             let drawn = closed(&noisy, sd * sd);
-            let errors: Vec<f64> = drawn
-                .distances
-                .iter()
-                .zip(&claimed.distances)
-                .map(|(a, b)| a.distance_m - b.distance_m)
-                .collect();
+            let errors: Vec<f64> =
+                drawn.distances.iter().zip(&claimed.distances).map(|(a, b)| a.distance_m - b.distance_m).collect();
             for i in 0..6 {
                 for j in 0..6 {
                     squares[i][j] += errors[i] * errors[j] / f64::from(draws);
@@ -291,11 +233,7 @@ mod tests {
                 let claim = if i == j {
                     claimed.distances[i].variance_m2
                 } else {
-                    claimed
-                        .covariances
-                        .iter()
-                        .find(|(a, b, _)| (*a, *b) == (i, j))
-                        .map_or(0.0, |c| c.2)
+                    claimed.covariances.iter().find(|(a, b, _)| (*a, *b) == (i, j)).map_or(0.0, |c| c.2)
                 };
                 assert!(
                     (squares[i][j] - claim).abs() < 0.03 * sd * sd,
@@ -311,29 +249,13 @@ mod tests {
         let delay = 0.0375 * 2.0;
         let o = onsets(&TRUTH).map(|o| o + delay);
         let found = values(&closed(&o, 1e-6));
-        assert!(
-            (found[1] - TRUTH[1]).abs() < 1e-12
-                && (found[0] - TRUTH[0] - delay / 2.0).abs() < 1e-12
-        );
-        let length = |length_m: f64, variance_m2: f64| Length {
-            length_m,
-            variance_m2,
-        };
+        assert!((found[1] - TRUTH[1]).abs() < 1e-12 && (found[0] - TRUTH[0] - delay / 2.0).abs() < 1e-12);
+        let length = |length_m: f64, variance_m2: f64| Length { length_m, variance_m2 };
         let first = [(1, length(2.0, 1e-6)), (2, length(2.0, 1e-6))];
-        let both = invert(
-            &first,
-            &[((1, 2), length(3.0, 1e-6)), ((2, 1), length(3.003, 2e-6))],
-        );
+        let both = invert(&first, &[((1, 2), length(3.0, 1e-6)), ((2, 1), length(3.003, 2e-6))]);
         let pair = both.distances.last().unwrap();
-        assert!(
-            (pair.distance_m - 1.001).abs() < 1e-12
-                && both.disagreeing.is_empty()
-                && pair.onsets == 4
-        );
-        let apart = invert(
-            &first,
-            &[((1, 2), length(3.0, 1e-6)), ((2, 1), length(3.1, 1e-6))],
-        );
+        assert!((pair.distance_m - 1.001).abs() < 1e-12 && both.disagreeing.is_empty() && pair.onsets == 4);
+        let apart = invert(&first, &[((1, 2), length(3.0, 1e-6)), ((2, 1), length(3.1, 1e-6))]);
         assert_eq!(apart.disagreeing.len(), 1);
         assert!(apart.distances.last().unwrap().variance_m2 > 0.1 * 0.1);
         let lonely = invert(&first[..1], &[((1, 2), length(3.0, 1e-6))]);

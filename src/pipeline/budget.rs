@@ -23,11 +23,7 @@ struct Hold {
 
 impl Drop for Hold {
     fn drop(&mut self) {
-        self.budget
-            .state
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .free += self.bytes;
+        self.budget.state.lock().unwrap_or_else(PoisonError::into_inner).free += self.bytes;
         self.budget.freed.notify_all();
     }
 }
@@ -36,13 +32,7 @@ impl Budget {
     /// A budget of so many bytes.
     #[must_use]
     pub fn new(bytes: usize) -> Arc<Self> {
-        Arc::new(Self {
-            state: Mutex::new(State {
-                free: bytes,
-                stopped: false,
-            }),
-            freed: Condvar::new(),
-        })
+        Arc::new(Self { state: Mutex::new(State { free: bytes, stopped: false }), freed: Condvar::new() })
     }
 
     /// Waits for room.
@@ -52,27 +42,18 @@ impl Budget {
     pub fn reserve(self: &Arc<Self>, bytes: usize) -> Result<Credit, StageError> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         while state.free < bytes && !state.stopped {
-            state = self
-                .freed
-                .wait(state)
-                .unwrap_or_else(PoisonError::into_inner);
+            state = self.freed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
         if state.stopped {
             return Err(StageError::Stopped);
         }
         state.free -= bytes;
-        Ok(Credit::new(Hold {
-            budget: Arc::clone(self),
-            bytes,
-        }))
+        Ok(Credit::new(Hold { budget: Arc::clone(self), bytes }))
     }
 
     /// Wakes everybody who waits: the run has failed.
     pub fn stop(&self) {
-        self.state
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .stopped = true;
+        self.state.lock().unwrap_or_else(PoisonError::into_inner).stopped = true;
         self.freed.notify_all();
     }
 }

@@ -16,9 +16,7 @@ use super::plan::Plan;
 use super::progress::Progress;
 use super::run::{RunError, Settings};
 use crate::stages::Node;
-use crate::stages::stage::{
-    BesideTables, Credit, Feed, PartRead, Rejection, Running, StageError, Written,
-};
+use crate::stages::stage::{BesideTables, Credit, Feed, PartRead, Rejection, Running, StageError, Written};
 use crate::store::shelf::PartWriter;
 use crate::store::{Digest, PartRecord, StoreError, TableRecord, parquet};
 use crate::tables::{Reject, Row};
@@ -72,10 +70,7 @@ impl Shared<'_> {
     fn failed(&self, step: usize, error: StageError) -> Failure {
         match error {
             StageError::Stopped => Failure::Stopped,
-            source => Failure::Cause(RunError::Stage {
-                heading: self.heading(step),
-                source,
-            }),
+            source => Failure::Cause(RunError::Stage { heading: self.heading(step), source }),
         }
     }
 
@@ -88,24 +83,15 @@ impl Shared<'_> {
         let failure = match catch_unwind(AssertUnwindSafe(body)) {
             Ok(Ok(()) | Err(Failure::Stopped)) => return,
             Ok(Err(Failure::Cause(error))) => error,
-            Err(panic) => RunError::Panic {
-                heading: self.heading(step),
-                message: panic_text(panic.as_ref()),
-            },
+            Err(panic) => RunError::Panic { heading: self.heading(step), message: panic_text(panic.as_ref()) },
         };
-        self.first
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .get_or_insert(failure);
+        self.first.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(failure);
         self.budget.stop();
     }
 }
 
 fn panic_text(panic: &(dyn Any + Send)) -> String {
-    let text = panic
-        .downcast_ref::<String>()
-        .map(String::as_str)
-        .or_else(|| panic.downcast_ref::<&str>().copied());
+    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     text.unwrap_or("no message").to_owned()
 }
 
@@ -119,12 +105,7 @@ impl From<StoreError> for Failure {
 ///
 /// # Errors
 /// The first failure of any of its threads.
-pub fn run(
-    plan: &Plan<'_>,
-    pass: &Pass,
-    settings: &Settings,
-    progress: &Progress,
-) -> Result<PassResult, RunError> {
+pub fn run(plan: &Plan<'_>, pass: &Pass, settings: &Settings, progress: &Progress) -> Result<PassResult, RunError> {
     let shared = Shared {
         plan,
         settings,
@@ -150,11 +131,7 @@ pub fn run(
             let (sender, receiver) = bounded(settings.channel_batches);
             // Above the root's own writer stands the reader.
             senders
-                .entry(if input == pass.root && !pass.steps.contains(&pass.root) {
-                    usize::MAX
-                } else {
-                    input
-                })
+                .entry(if input == pass.root && !pass.steps.contains(&pass.root) { usize::MAX } else { input })
                 .or_default()
                 .push(sender);
             receivers.insert(step, receiver);
@@ -164,26 +141,15 @@ pub fn run(
             let receiver = receivers.remove(&step).expect("each step has one channel");
             let children = senders.remove(&step).unwrap_or_default();
             let beside = beside.remove(&step).expect("collected above");
-            scope.spawn(move || {
-                shared.guard(step, || work(shared, step, &receiver, &children, &beside))
-            });
+            scope.spawn(move || shared.guard(step, || work(shared, step, &receiver, &children, &beside)));
         }
         let children = senders.remove(&usize::MAX).unwrap_or_default();
         shared.guard(pass.root, || read(shared, pass, &children));
         drop(children);
     });
-    match shared
-        .first
-        .into_inner()
-        .unwrap_or_else(PoisonError::into_inner)
-    {
+    match shared.first.into_inner().unwrap_or_else(PoisonError::into_inner) {
         Some(error) => Err(error),
-        None => Ok(PassResult {
-            content: shared
-                .content
-                .into_inner()
-                .unwrap_or_else(PoisonError::into_inner),
-        }),
+        None => Ok(PassResult { content: shared.content.into_inner().unwrap_or_else(PoisonError::into_inner) }),
     }
 }
 
@@ -202,32 +168,14 @@ fn tables_beside(plan: &Plan<'_>, step: usize) -> Result<BesideTables, RunError>
 }
 
 /// All batches of one table of one stored part.
-fn stored(
-    plan: &Plan<'_>,
-    step: usize,
-    table: &str,
-    part: &PartRecord,
-) -> Result<Vec<RecordBatch>, RunError> {
-    let path = plan
-        .shelf
-        .part_file(&plan.tables[step].id, &part.lineage, table);
-    let failed = |source| {
-        RunError::Store(StoreError::Parquet {
-            what: "read",
-            path: path.clone(),
-            source,
-        })
-    };
-    parquet::read(&path, usize::MAX >> 1)
-        .map_err(failed)?
-        .map(|batch| batch.map_err(failed))
-        .collect()
+fn stored(plan: &Plan<'_>, step: usize, table: &str, part: &PartRecord) -> Result<Vec<RecordBatch>, RunError> {
+    let path = plan.shelf.part_file(&plan.tables[step].id, &part.lineage, table);
+    let failed = |source| RunError::Store(StoreError::Parquet { what: "read", path: path.clone(), source });
+    parquet::read(&path, usize::MAX >> 1).map_err(failed)?.map(|batch| batch.map_err(failed)).collect()
 }
 
 fn send(children: &[Sender<Message>], message: impl Fn() -> Message) -> Result<(), Failure> {
-    children
-        .iter()
-        .try_for_each(|child| child.send(message()).map_err(|_| Failure::Stopped))
+    children.iter().try_for_each(|child| child.send(message()).map_err(|_| Failure::Stopped))
 }
 
 /// The thread of the root: reads a source, or replays a table.
@@ -237,24 +185,13 @@ fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Resul
         if pass.steps.contains(&pass.root) {
             let source = &plan.sources[&pass.root];
             let feed = Channel { shared, children };
-            let PartRead {
-                content,
-                rejections,
-            } = source
+            let PartRead { content, rejections } = source
                 .read(part, shared.settings.batch_bytes, &feed)
                 .map_err(|error| shared.failed(pass.root, error))?;
-            shared
-                .content
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .insert((pass.root, part), content);
-            let beside = plan
-                .beside(pass.root)
-                .expect("a source has nothing beside it");
+            shared.content.lock().unwrap_or_else(PoisonError::into_inner).insert((pass.root, part), content);
+            let beside = plan.beside(pass.root).expect("a source has nothing beside it");
             let lineage = plan.part_lineage(pass.root, &content, &beside);
-            send(children, || {
-                Message::PartEnd(part, lineage, rejections.clone())
-            })?;
+            send(children, || Message::PartEnd(part, lineage, rejections.clone()))?;
         } else {
             replay(shared, pass.root, part, children)?;
         }
@@ -262,44 +199,22 @@ fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Resul
     send(children, || Message::End)
 }
 
-fn replay(
-    shared: &Shared<'_>,
-    root: usize,
-    part: usize,
-    children: &[Sender<Message>],
-) -> Result<(), Failure> {
+fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Message>]) -> Result<(), Failure> {
     let plan = shared.plan;
-    let record = plan.tables[root].present[part]
-        .as_ref()
-        .expect("only finished parts are replayed");
+    let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
     let table = &plan.written(root)[0].0;
-    let path = plan
-        .shelf
-        .part_file(&plan.tables[root].id, &record.lineage, table);
-    let failed = |source| {
-        Failure::Cause(RunError::Store(StoreError::Parquet {
-            what: "read",
-            path: path.clone(),
-            source,
-        }))
-    };
+    let path = plan.shelf.part_file(&plan.tables[root].id, &record.lineage, table);
+    let failed =
+        |source| Failure::Cause(RunError::Store(StoreError::Parquet { what: "read", path: path.clone(), source }));
     for batch in parquet::read(&path, shared.settings.replay_rows).map_err(failed)? {
         let batch = batch.map_err(failed)?;
         let credit = shared
             .budget
-            .reserve(
-                batch
-                    .get_array_memory_size()
-                    .min(shared.settings.memory_bytes / 2),
-            )
+            .reserve(batch.get_array_memory_size().min(shared.settings.memory_bytes / 2))
             .map_err(|_| Failure::Stopped)?;
-        send(children, || {
-            Message::Rows(batch.clone(), Some(credit.clone()))
-        })?;
+        send(children, || Message::Rows(batch.clone(), Some(credit.clone())))?;
     }
-    send(children, || {
-        Message::PartEnd(part, record.lineage, Vec::new())
-    })
+    send(children, || Message::PartEnd(part, record.lineage, Vec::new()))
 }
 
 /// Hands a source's rows to the first stages.
@@ -310,16 +225,11 @@ struct Channel<'a> {
 
 impl Feed for Channel<'_> {
     fn reserve(&self, bytes: usize) -> Result<Credit, StageError> {
-        self.shared
-            .budget
-            .reserve(bytes.min(self.shared.settings.memory_bytes / 2))
+        self.shared.budget.reserve(bytes.min(self.shared.settings.memory_bytes / 2))
     }
 
     fn send(&self, batch: RecordBatch, credit: Credit) -> Result<(), StageError> {
-        send(self.children, || {
-            Message::Rows(batch.clone(), Some(credit.clone()))
-        })
-        .map_err(|_| StageError::Stopped)
+        send(self.children, || Message::Rows(batch.clone(), Some(credit.clone()))).map_err(|_| StageError::Stopped)
     }
 
     fn read_bytes(&self, bytes: u64) {
@@ -332,10 +242,7 @@ struct Through;
 
 impl Running for Through {
     fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError> {
-        Ok(Written {
-            tables: vec![vec![batch.clone()]],
-            rejections: Vec::new(),
-        })
+        Ok(Written { tables: vec![vec![batch.clone()]], rejections: Vec::new() })
     }
     fn flush(&mut self) -> Result<Written, StageError> {
         Ok(Written::default())
@@ -357,23 +264,14 @@ fn work(
         Node::Source(_) => Box::new(Through),
         Node::Operator(operator) => operator.start(plan.campaigns, beside).map_err(failed)?,
     };
-    let beside = plan
-        .beside(step)
-        .expect("tables beside a step are finished before its pass");
+    let beside = plan.beside(step).expect("tables beside a step are finished before its pass");
     let mut inputs = Vec::new();
     let mut writer = None;
     loop {
         match input.recv().map_err(|_| Failure::Stopped)? {
             Message::Rows(batch, credit) => {
                 let written = running.push(&batch).map_err(failed)?;
-                emit(
-                    shared,
-                    step,
-                    &mut writer,
-                    written,
-                    children,
-                    credit.as_ref(),
-                )?;
+                emit(shared, step, &mut writer, written, children, credit.as_ref())?;
             }
             Message::PartEnd(part, lineage, rejections) if streams => {
                 let mut written = running.flush().map_err(failed)?;
@@ -415,18 +313,12 @@ fn emit<'a>(
     let tables = plan.written(step).len();
     if keep {
         for (table, batches) in written.tables.iter().enumerate() {
-            batches
-                .iter()
-                .try_for_each(|batch| writer.write(table, batch))?;
+            batches.iter().try_for_each(|batch| writer.write(table, batch))?;
         }
     }
     if !written.rejections.is_empty() {
         let heading = &plan.spec.steps[step].heading;
-        let rows: Vec<Reject> = written
-            .rejections
-            .into_iter()
-            .map(|rejection| rejection.row(heading))
-            .collect();
+        let rows: Vec<Reject> = written.rejections.into_iter().map(|rejection| rejection.row(heading)).collect();
         shared.progress.rejected(rows.len() as u64);
         writer.write(tables - 1, &Reject::to_batch(&rows))?;
     }
@@ -435,11 +327,8 @@ fn emit<'a>(
     };
     // Rows that a source read hold its memory until the last stage that sees them as they are has let go.
     let passed = matches!(plan.spec.steps[step].node, Node::Source(_));
-    main.iter().try_for_each(|batch| {
-        send(children, || {
-            Message::Rows(batch.clone(), credit.filter(|_| passed).cloned())
-        })
-    })
+    main.iter()
+        .try_for_each(|batch| send(children, || Message::Rows(batch.clone(), credit.filter(|_| passed).cloned())))
 }
 
 fn open<'a, 'b>(
@@ -449,10 +338,7 @@ fn open<'a, 'b>(
 ) -> Result<&'b mut PartWriter<'a>, Failure> {
     let plan = shared.plan;
     if writer.is_none() {
-        *writer = Some(
-            plan.shelf
-                .begin(&plan.tables[step].id, &plan.written(step))?,
-        );
+        *writer = Some(plan.shelf.begin(&plan.tables[step].id, &plan.written(step))?);
     }
     Ok(writer.as_mut().expect("made above"))
 }

@@ -37,9 +37,7 @@ impl Planned {
     #[must_use]
     pub fn lineage(&self) -> Option<Digest> {
         let parts: Option<Vec<Digest>> = self.lineages.iter().copied().collect();
-        parts
-            .filter(|parts| !parts.is_empty())
-            .map(|parts| TableRecord::lineage_of(&parts))
+        parts.filter(|parts| !parts.is_empty()).map(|parts| TableRecord::lineage_of(&parts))
     }
 }
 
@@ -90,27 +88,18 @@ impl<'a> Plan<'a> {
     ) -> Result<Self, PlanError> {
         let until = until
             .map(|heading| {
-                let known: Vec<&str> = spec
-                    .steps
-                    .iter()
-                    .map(|step| step.heading.as_str())
-                    .collect();
-                spec.position(heading).ok_or_else(|| {
-                    PlanError::Until(crate::campaign::suggest::unknown("table", heading, &known))
-                })
+                let known: Vec<&str> = spec.steps.iter().map(|step| step.heading.as_str()).collect();
+                spec.position(heading)
+                    .ok_or_else(|| PlanError::Until(crate::campaign::suggest::unknown("table", heading, &known)))
             })
             .transpose()?;
         let mut sources = BTreeMap::new();
         let mut ids: Vec<StageId> = Vec::new();
         for (i, step) in spec.steps.iter().enumerate() {
             if let Node::Source(source) = &step.node {
-                let open =
-                    source
-                        .open(campaigns, &shelf.notes())
-                        .map_err(|source| PlanError::Stage {
-                            heading: step.heading.clone(),
-                            source,
-                        })?;
+                let open = source
+                    .open(campaigns, &shelf.notes())
+                    .map_err(|source| PlanError::Stage { heading: step.heading.clone(), source })?;
                 sources.insert(i, open);
             }
             let id = stage_id(spec, i, campaigns, &ids);
@@ -123,14 +112,7 @@ impl<'a> Plan<'a> {
             present: Vec::new(),
             wanted: false,
         });
-        let mut plan = Self {
-            spec,
-            campaigns,
-            shelf,
-            sources,
-            tables: tables.collect(),
-            until,
-        };
+        let mut plan = Self { spec, campaigns, shelf, sources, tables: tables.collect(), until };
         plan.refresh(&BTreeMap::new())?;
         Ok(plan)
     }
@@ -138,11 +120,8 @@ impl<'a> Plan<'a> {
     /// What a user should know of the campaigns before the run, each line once.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        let mut warnings: Vec<String> = self
-            .sources
-            .values()
-            .flat_map(|source| source.warnings().iter().cloned())
-            .collect();
+        let mut warnings: Vec<String> =
+            self.sources.values().flat_map(|source| source.warnings().iter().cloned()).collect();
         warnings.sort();
         warnings.dedup();
         warnings
@@ -152,27 +131,17 @@ impl<'a> Plan<'a> {
     ///
     /// # Errors
     /// When the shelf cannot be read.
-    pub fn refresh(
-        &mut self,
-        content: &BTreeMap<(usize, usize), Digest>,
-    ) -> Result<(), StoreError> {
+    pub fn refresh(&mut self, content: &BTreeMap<(usize, usize), Digest>) -> Result<(), StoreError> {
         for i in 0..self.tables.len() {
             let lineages = self.lineages(i, content);
             let (id, written) = (&self.tables[i].id, self.written(i));
             // A part that was made when the table was not kept has nothing but its rejects.
-            let whole = |part: &PartRecord| {
-                written
-                    .iter()
-                    .all(|(table, _)| part.files.contains_key(table))
-            };
+            let whole = |part: &PartRecord| written.iter().all(|(table, _)| part.files.contains_key(table));
             let part = |lineage: &Option<Digest>| match lineage {
                 Some(lineage) => Ok(self.shelf.part(id, lineage)?.filter(whole)),
                 None => Ok(None),
             };
-            let present = lineages
-                .iter()
-                .map(part)
-                .collect::<Result<Vec<_>, StoreError>>()?;
+            let present = lineages.iter().map(part).collect::<Result<Vec<_>, StoreError>>()?;
             self.tables[i].lineages = lineages;
             self.tables[i].present = present;
         }
@@ -180,15 +149,9 @@ impl<'a> Plan<'a> {
         Ok(())
     }
 
-    fn lineages(
-        &self,
-        i: usize,
-        content: &BTreeMap<(usize, usize), Digest>,
-    ) -> Vec<Option<Digest>> {
+    fn lineages(&self, i: usize, content: &BTreeMap<(usize, usize), Digest>) -> Vec<Option<Digest>> {
         if let Some(source) = self.sources.get(&i) {
-            let known = |(part, read): (usize, &SourcePart)| {
-                content.get(&(i, part)).copied().or(read.content)
-            };
+            let known = |(part, read): (usize, &SourcePart)| content.get(&(i, part)).copied().or(read.content);
             return source
                 .parts()
                 .iter()
@@ -199,54 +162,31 @@ impl<'a> Plan<'a> {
         }
         let from = self.from(i).expect("a step without source has an input");
         let Some(beside) = self.beside(i) else {
-            return vec![
-                None;
-                if self.streams(i) {
-                    self.tables[from].lineages.len()
-                } else {
-                    1
-                }
-            ];
+            return vec![None; if self.streams(i) { self.tables[from].lineages.len() } else { 1 }];
         };
         if self.streams(i) {
             let inputs = self.tables[from].lineages.iter();
-            inputs
-                .map(|input| Some(self.part_lineage(i, input.as_ref()?, &beside)))
-                .collect()
+            inputs.map(|input| Some(self.part_lineage(i, input.as_ref()?, &beside))).collect()
         } else {
-            vec![
-                self.tables[from]
-                    .lineage()
-                    .map(|input| self.part_lineage(i, &input, &beside)),
-            ]
+            vec![self.tables[from].lineage().map(|input| self.part_lineage(i, &input, &beside))]
         }
     }
 
     /// Lineage of a part of step `i` that is made from `input`, beside whole tables of these lineages.
     #[must_use]
     pub fn part_lineage(&self, i: usize, input: &Digest, beside: &[Digest]) -> Digest {
-        Digest::join(
-            "part",
-            [&self.tables[i].recipe, input].into_iter().chain(beside),
-        )
+        Digest::join("part", [&self.tables[i].recipe, input].into_iter().chain(beside))
     }
 
     /// Lineages of the finished tables beside step `i`, if known.
     #[must_use]
     pub fn beside(&self, i: usize) -> Option<Vec<Digest>> {
-        self.beside_steps(i)
-            .map(|step| self.tables[step].lineage())
-            .collect()
+        self.beside_steps(i).map(|step| self.tables[step].lineage()).collect()
     }
 
     /// Steps whose tables stand beside step `i`.
     pub fn beside_steps(&self, i: usize) -> impl Iterator<Item = usize> + use<'a, '_> {
-        self.spec.steps[i].with.values().map(|heading| {
-            self.spec
-                .table(heading)
-                .expect("the pipeline was checked")
-                .0
-        })
+        self.spec.steps[i].with.values().map(|heading| self.spec.table(heading).expect("the pipeline was checked").0)
     }
 
     /// Step that step `i` streams from.
@@ -263,12 +203,7 @@ impl<'a> Plan<'a> {
             Node::Source(_) => true,
             // A side table as input is read whole.
             Node::Operator(operator) => {
-                operator.grain().streams()
-                    && !self.spec.steps[i]
-                        .from
-                        .as_deref()
-                        .unwrap_or("")
-                        .contains('.')
+                operator.grain().streams() && !self.spec.steps[i].from.as_deref().unwrap_or("").contains('.')
             }
         }
     }
@@ -301,36 +236,20 @@ impl<'a> Plan<'a> {
                 wanted[input] = true;
             }
         }
-        self.tables
-            .iter_mut()
-            .zip(wanted)
-            .for_each(|(table, wanted)| table.wanted = wanted);
+        self.tables.iter_mut().zip(wanted).for_each(|(table, wanted)| table.wanted = wanted);
     }
 
     fn inputs(&self, i: usize) -> Vec<usize> {
-        self.from(i)
-            .into_iter()
-            .chain(self.beside_steps(i))
-            .collect()
+        self.from(i).into_iter().chain(self.beside_steps(i)).collect()
     }
 
     /// Names of the tables that step `i` writes into the shelf: main, sides, rejects.
     #[must_use]
     pub fn written(&self, i: usize) -> Vec<(String, SchemaRef)> {
         let step = &self.spec.steps[i];
-        let tables = step
-            .node
-            .tables()
-            .into_iter()
-            .map(|table| (table.name, table.schema));
-        let kept: Vec<_> = if step.keep {
-            tables.collect()
-        } else {
-            Vec::new()
-        };
-        kept.into_iter()
-            .chain([(Reject::TABLE.to_owned(), Reject::schema())])
-            .collect()
+        let tables = step.node.tables().into_iter().map(|table| (table.name, table.schema));
+        let kept: Vec<_> = if step.keep { tables.collect() } else { Vec::new() };
+        kept.into_iter().chain([(Reject::TABLE.to_owned(), Reject::schema())]).collect()
     }
 
     /// In words: reuse or compute, and why.
@@ -366,10 +285,7 @@ impl<'a> Plan<'a> {
     fn reason(&self, i: usize, finished: usize) -> Result<String, StoreError> {
         let table = &self.tables[i];
         if finished > 0 {
-            return Ok(format!(
-                "{finished} of {} parts are finished",
-                table.lineages.len()
-            ));
+            return Ok(format!("{finished} of {} parts are finished", table.lineages.len()));
         }
         let Some(earlier) = self.shelf.view(&self.spec.steps[i].heading)? else {
             return Ok("no earlier result".to_owned());
@@ -379,10 +295,7 @@ impl<'a> Plan<'a> {
         if old.kind != new.kind {
             reasons.push(format!("stage {} -> {}", old.kind, new.kind));
         } else if old.version != new.version {
-            reasons.push(format!(
-                "version of stage {} {} -> {}",
-                new.kind, old.version, new.version
-            ));
+            reasons.push(format!("version of stage {} {} -> {}", new.kind, old.version, new.version));
         }
         differences("", &old.params, &new.params, &mut reasons);
         differences("campaign: ", &old.fields, &new.fields, &mut reasons);
@@ -392,17 +305,10 @@ impl<'a> Plan<'a> {
         if reasons.is_empty() {
             let changed = self.inputs(i).into_iter().filter(|&input| {
                 let heading = &self.spec.steps[input].heading;
-                let before = self
-                    .shelf
-                    .view(heading)
-                    .ok()
-                    .flatten()
-                    .map(|record| record.lineage);
+                let before = self.shelf.view(heading).ok().flatten().map(|record| record.lineage);
                 before != self.tables[input].lineage()
             });
-            let changed: Vec<_> = changed
-                .map(|input| self.spec.steps[input].heading.as_str())
-                .collect();
+            let changed: Vec<_> = changed.map(|input| self.spec.steps[input].heading.as_str()).collect();
             reasons.push(if changed.is_empty() {
                 "raw files are new or changed".to_owned()
             } else {
@@ -417,10 +323,7 @@ impl<'a> Plan<'a> {
 fn differences(place: &str, old: &Value, new: &Value, out: &mut Vec<String>) {
     match (old, new) {
         (Value::Object(before), Value::Object(after)) => {
-            for key in before
-                .keys()
-                .chain(after.keys().filter(|key| !before.contains_key(*key)))
-            {
+            for key in before.keys().chain(after.keys().filter(|key| !before.contains_key(*key))) {
                 let place = if place.is_empty() || place.ends_with(' ') {
                     format!("{place}{key}")
                 } else {
@@ -450,34 +353,15 @@ fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) 
         let (step, table) = spec.table(heading).expect("the pipeline was checked");
         Digest::join(&table, [&earlier[step].recipe()])
     };
-    let mut inputs: BTreeMap<String, Digest> = step
-        .with
-        .iter()
-        .map(|(name, heading)| (name.clone(), recipe(heading)))
-        .collect();
-    inputs.extend(
-        step.from
-            .as_deref()
-            .map(|heading| ("from".to_owned(), recipe(heading))),
-    );
+    let mut inputs: BTreeMap<String, Digest> =
+        step.with.iter().map(|(name, heading)| (name.clone(), recipe(heading))).collect();
+    inputs.extend(step.from.as_deref().map(|heading| ("from".to_owned(), recipe(heading))));
     let (version, params, fields) = match &step.node {
         Node::Source(source) => (source.version(), source.params(), source.fields(campaigns)),
-        Node::Operator(operator) => (
-            operator.version(),
-            operator.params(),
-            operator.fields(campaigns),
-        ),
+        Node::Operator(operator) => (operator.version(), operator.params(), operator.fields(campaigns)),
     };
     let columns = |table: &WrittenTable| {
-        json!([
-            table.name,
-            table
-                .schema
-                .fields()
-                .iter()
-                .map(|field| signature(field))
-                .collect::<Vec<_>>()
-        ])
+        json!([table.name, table.schema.fields().iter().map(|field| signature(field)).collect::<Vec<_>>()])
     };
     let schemas: Vec<Value> = step.node.tables().iter().map(columns).collect();
     StageId {

@@ -26,11 +26,7 @@ impl Style {
     /// The bar on a terminal, lines elsewhere.
     #[must_use]
     pub fn auto() -> Self {
-        if std::io::stderr().is_terminal() {
-            Self::Bar
-        } else {
-            Self::Lines
-        }
+        if std::io::stderr().is_terminal() { Self::Bar } else { Self::Lines }
     }
 }
 
@@ -58,19 +54,8 @@ impl Progress {
     #[must_use]
     pub fn new(style: Style) -> Self {
         let now = Instant::now();
-        let state = State {
-            bar: None,
-            pass: String::new(),
-            total: 0,
-            started: now,
-            last_line: now,
-        };
-        Self {
-            style,
-            state: Mutex::new(state),
-            read: AtomicU64::new(0),
-            rejected: AtomicU64::new(0),
-        }
+        let state = State { bar: None, pass: String::new(), total: 0, started: now, last_line: now };
+        Self { style, state: Mutex::new(state), read: AtomicU64::new(0), rejected: AtomicU64::new(0) }
     }
 
     /// A pass begins that makes these tables from so many raw bytes (0: from stored tables).
@@ -78,16 +63,12 @@ impl Progress {
         self.finish();
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let now = Instant::now();
-        (state.pass, state.total, state.started, state.last_line) =
-            (headings.join(", "), bytes, now, now);
+        (state.pass, state.total, state.started, state.last_line) = (headings.join(", "), bytes, now, now);
         self.read.store(0, Ordering::Relaxed);
         match self.style {
             Style::Bar => state.bar = Some(bar(&state.pass, bytes)),
             Style::Lines => eprintln!("computing {}", state.pass),
-            Style::Json => eprintln!(
-                "{}",
-                json!({ "event": "pass", "tables": headings, "bytes": bytes })
-            ),
+            Style::Json => eprintln!("{}", json!({ "event": "pass", "tables": headings, "bytes": bytes })),
             Style::Silent => {}
         }
     }
@@ -107,10 +88,9 @@ impl Progress {
             let (megabytes, rate) = (read as f64 / 1e6, read as f64 / 1e6 / seconds);
             let left_s = (state.total.saturating_sub(read)) as f64 / 1e6 / rate;
             match self.style {
-                Style::Json => eprintln!(
-                    "{}",
-                    json!({ "event": "read", "bytes": read, "of": state.total, "seconds": seconds })
-                ),
+                Style::Json => {
+                    eprintln!("{}", json!({ "event": "read", "bytes": read, "of": state.total, "seconds": seconds }))
+                }
                 _ => eprintln!(
                     "  {megabytes:.0} of {:.0} MB, {rate:.0} MB/s, {left_s:.0} s left",
                     state.total as f64 / 1e6
@@ -136,15 +116,10 @@ impl Progress {
         let seconds = state.started.elapsed().as_secs_f64();
         let read = self.read.load(Ordering::Relaxed);
         match self.style {
-            Style::Json => eprintln!(
-                "{}",
-                json!({ "event": "done", "tables": state.pass, "bytes": read, "seconds": seconds })
-            ),
-            Style::Bar if read > 0 => eprintln!(
-                "{}: {:.1} MB in {seconds:.2} s",
-                state.pass,
-                read as f64 / 1e6
-            ),
+            Style::Json => {
+                eprintln!("{}", json!({ "event": "done", "tables": state.pass, "bytes": read, "seconds": seconds }))
+            }
+            Style::Bar if read > 0 => eprintln!("{}: {:.1} MB in {seconds:.2} s", state.pass, read as f64 / 1e6),
             Style::Bar => eprintln!("{}: {seconds:.2} s", state.pass),
             Style::Lines | Style::Silent => {}
         }
@@ -154,10 +129,7 @@ impl Progress {
 
 fn bar(pass: &str, bytes: u64) -> ProgressBar {
     let (bar, template) = if bytes > 0 {
-        (
-            ProgressBar::new(bytes),
-            "{msg}  {bar:30}  {bytes} of {total_bytes}, {bytes_per_sec}, {eta} left",
-        )
+        (ProgressBar::new(bytes), "{msg}  {bar:30}  {bytes} of {total_bytes}, {bytes_per_sec}, {eta} left")
     } else {
         (ProgressBar::new_spinner(), "{spinner} {msg}")
     };

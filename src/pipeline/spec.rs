@@ -7,6 +7,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use crate::campaign::suggest;
+use crate::stages::stage::Beside;
 use crate::stages::{self, Node};
 
 /// What is wrong with a pipeline file or with `--set`.
@@ -84,10 +85,7 @@ impl Spec {
     /// # Errors
     /// When the file cannot be read or anything in it is refused.
     pub fn load(path: &Path, settings: &[String]) -> Result<Self, SpecError> {
-        let text = std::fs::read_to_string(path).map_err(|source| SpecError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
+        let text = std::fs::read_to_string(path).map_err(|source| SpecError::Read { path: path.to_owned(), source })?;
         Self::parse(&path.display().to_string(), &text, settings)
     }
 
@@ -96,40 +94,23 @@ impl Spec {
     /// # Errors
     /// When anything in it is refused.
     pub fn parse(pipeline: &str, text: &str, settings: &[String]) -> Result<Self, SpecError> {
-        let syntax = |message: String| SpecError::Syntax {
-            pipeline: pipeline.to_owned(),
-            message,
-        };
-        let mut table: toml::Table = text
-            .parse()
-            .map_err(|error: toml::de::Error| syntax(error.to_string().trim_end().to_owned()))?;
+        let syntax = |message: String| SpecError::Syntax { pipeline: pipeline.to_owned(), message };
+        let mut table: toml::Table =
+            text.parse().map_err(|error: toml::de::Error| syntax(error.to_string().trim_end().to_owned()))?;
         for setting in settings {
-            apply(&mut table, setting)
-                .map_err(|message| syntax(format!("--set {setting}: {message}")))?;
+            apply(&mut table, setting).map_err(|message| syntax(format!("--set {setting}: {message}")))?;
         }
         let mut steps = Vec::new();
         for (name, value) in table {
-            let refused = |message: String| SpecError::Heading {
-                pipeline: pipeline.to_owned(),
-                heading: name.clone(),
-                message,
-            };
+            let refused =
+                |message: String| SpecError::Heading { pipeline: pipeline.to_owned(), heading: name.clone(), message };
             check_name(&name).map_err(refused)?;
-            let heading: Heading = value
-                .try_into()
-                .map_err(|error: toml::de::Error| refused(suggest::explain(error.message())))?;
+            let heading: Heading =
+                value.try_into().map_err(|error: toml::de::Error| refused(suggest::explain(error.message())))?;
             let node = stages::parse(&heading.stage, heading.params).map_err(refused)?;
-            steps.push(Step {
-                heading: name,
-                node,
-                from: heading.from,
-                with: heading.with,
-                keep: heading.keep,
-            });
+            steps.push(Step { heading: name, node, from: heading.from, with: heading.with, keep: heading.keep });
         }
-        let spec = Self {
-            steps: in_order(pipeline, steps)?,
-        };
+        let spec = Self { steps: in_order(pipeline, steps)? };
         spec.check(pipeline)?;
         Ok(spec)
     }
@@ -161,34 +142,23 @@ impl Spec {
                     let kind = operator.kind();
                     let from = step.from.as_deref();
                     let from = from.ok_or_else(|| {
-                        refused(format!(
-                            "stage `{kind}` needs `from = \"...\"`: a table `{}`",
-                            operator.input()
-                        ))
+                        refused(format!("stage `{kind}` needs `from = \"...\"`: a table `{}`", operator.input()))
                     })?;
                     self.expect(from, operator.input())
                         .map_err(|message| refused(format!("from = \"{from}\": {message}")))?;
                     for (name, heading) in &step.with {
-                        let known: Vec<&str> =
-                            operator.beside().iter().map(|beside| beside.name).collect();
-                        let Some(beside) =
-                            operator.beside().iter().find(|beside| beside.name == name)
-                        else {
+                        let known: Vec<&str> = operator.beside().iter().map(|beside| beside.name).collect();
+                        let Some(beside) = operator.beside().iter().find(|beside| beside.name == name) else {
                             return Err(refused(suggest::unknown("name in `with`", name, &known)));
                         };
-                        self.expect(heading, beside.table).map_err(|message| {
-                            refused(format!("with {name} = \"{heading}\": {message}"))
-                        })?;
+                        self.expect(heading, beside.table)
+                            .map_err(|message| refused(format!("with {name} = \"{heading}\": {message}")))?;
                     }
-                    for beside in operator
-                        .beside()
-                        .iter()
-                        .filter(|beside| beside.required && !step.with.contains_key(beside.name))
+                    let given = |beside: &&Beside| step.with.contains_key(beside.name);
+                    if let Some(Beside { name, table, .. }) = operator.beside().iter().find(|b| b.required && !given(b))
                     {
-                        let name = beside.name;
                         return Err(refused(format!(
-                            "stage `{kind}` needs `with = {{ {name} = \"...\" }}`: a table `{}`",
-                            beside.table
+                            "stage `{kind}` needs `with = {{ {name} = \"...\" }}`: a table `{table}`"
                         )));
                     }
                 }
@@ -199,25 +169,18 @@ impl Spec {
 
     /// `heading` or `heading.side` is a table `table`.
     fn expect(&self, heading: &str, table: &str) -> Result<(), String> {
-        let (step, found) = self
-            .table(heading)
-            .ok_or_else(|| format!("there is no such table in this pipeline"))?;
+        let (step, found) = self.table(heading).ok_or_else(|| "there is no such table in this pipeline".to_owned())?;
         if found == table {
             Ok(())
         } else {
-            Err(format!(
-                "`{}` makes a table `{found}`, but a table `{table}` is needed",
-                self.steps[step].heading
-            ))
+            Err(format!("`{}` makes a table `{found}`, but a table `{table}` is needed", self.steps[step].heading))
         }
     }
 
     /// Step and table name behind `heading` or `heading.side`.
     #[must_use]
     pub fn table(&self, heading: &str) -> Option<(usize, String)> {
-        let (main, side) = heading
-            .split_once('.')
-            .map_or((heading, None), |(main, side)| (main, Some(side)));
+        let (main, side) = heading.split_once('.').map_or((heading, None), |(main, side)| (main, Some(side)));
         let step = self.position(main)?;
         let tables = self.steps[step].node.tables();
         let table = match side {
@@ -230,14 +193,9 @@ impl Spec {
 
 /// Headings become folders beside each other in the result folder.
 fn check_name(name: &str) -> Result<(), String> {
-    let plain = name
-        .chars()
-        .all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+    let plain = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
     match name {
-        "rejects" => Err(
-            "`rejects` is the table of what every stage set aside; choose another heading"
-                .to_owned(),
-        ),
+        "rejects" => Err("`rejects` is the table of what every stage set aside; choose another heading".to_owned()),
         _ if plain && !name.is_empty() => Ok(()),
         _ => Err("a heading becomes a folder: letters, digits, `_` and `-` only".to_owned()),
     }
@@ -264,13 +222,8 @@ fn apply(table: &mut toml::Table, setting: &str) -> Result<(), String> {
         step.insert("keep".to_owned(), value);
         return Ok(());
     }
-    let params = step
-        .entry("params")
-        .or_insert_with(|| toml::Value::Table(toml::Table::new()));
-    params
-        .as_table_mut()
-        .ok_or("`params` is not a table")?
-        .insert(param.to_owned(), value);
+    let params = step.entry("params").or_insert_with(|| toml::Value::Table(toml::Table::new()));
+    params.as_table_mut().ok_or("`params` is not a table")?.insert(param.to_owned(), value);
     Ok(())
 }
 
@@ -285,20 +238,15 @@ fn in_order(pipeline: &str, mut steps: Vec<Step>) -> Result<Vec<Step>, SpecError
                 .find(|input| steps.iter().any(|other| other.heading == *input))
                 .map(str::to_owned)
         };
-        match (0..steps.len()).find(|&i| waits(&steps[i], &steps).is_none()) {
-            Some(next) => sorted.push(steps.remove(next)),
-            None => {
-                let message = format!(
-                    "goes in a circle through `{}`",
-                    waits(&steps[0], &steps).unwrap_or_default()
-                );
-                return Err(SpecError::Heading {
-                    pipeline: pipeline.to_owned(),
-                    heading: steps[0].heading.clone(),
-                    message,
-                });
-            }
-        }
+        let Some(next) = (0..steps.len()).find(|&i| waits(&steps[i], &steps).is_none()) else {
+            let message = format!("goes in a circle through `{}`", waits(&steps[0], &steps).unwrap_or_default());
+            return Err(SpecError::Heading {
+                pipeline: pipeline.to_owned(),
+                heading: steps[0].heading.clone(),
+                message,
+            });
+        };
+        sorted.push(steps.remove(next));
     }
     Ok(sorted)
 }

@@ -77,9 +77,7 @@ impl Bin {
         }
         let at = (whole - self.first) as usize;
         match codes {
-            Codes::F32(_) | Codes::F64(_) | Codes::I32(_) => {
-                codes.add_to_f64(&mut self.spilled[at..])
-            }
+            Codes::F32(_) | Codes::F64(_) | Codes::I32(_) => codes.add_to_f64(&mut self.spilled[at..]),
             _ => {
                 codes.add_to(&mut self.sums[at..]);
                 self.since_spill += 1;
@@ -89,10 +87,7 @@ impl Bin {
             }
         }
         self.shots += 1;
-        self.covered = (
-            self.covered.0.max(whole),
-            self.covered.1.min(whole + samples as i64),
-        );
+        self.covered = (self.covered.0.max(whole), self.covered.1.min(whole + samples as i64));
     }
 
     fn spill(&mut self) {
@@ -104,10 +99,7 @@ impl Bin {
 
     /// Sums on the places that all shots cover.
     fn totals(&self) -> Vec<f64> {
-        let (start, end) = (
-            (self.covered.0 - self.first) as usize,
-            (self.covered.1 - self.first) as usize,
-        );
+        let (start, end) = ((self.covered.0 - self.first) as usize, (self.covered.1 - self.first) as usize);
         self.spilled[start..end]
             .iter()
             .zip(&self.sums[start..end])
@@ -133,11 +125,7 @@ impl PhaseSums {
     #[must_use]
     pub fn new(samples: usize) -> Self {
         assert!(samples > 0, "a shot has samples");
-        Self {
-            samples,
-            bins: vec![None; PHASES],
-            shots: 0,
-        }
+        Self { samples, bins: vec![None; PHASES], shots: 0 }
     }
 
     /// Adds a shot whose sample 0 lies at `position` / 64 samples on the grid.
@@ -146,10 +134,7 @@ impl PhaseSums {
     /// When the shot has another number of samples.
     pub fn add(&mut self, codes: Codes<'_>, position: i64) {
         assert_eq!(codes.len(), self.samples, "samples of a shot");
-        let (whole, phase) = (
-            position.div_euclid(PHASES as i64),
-            position.rem_euclid(PHASES as i64),
-        );
+        let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
         let samples = self.samples;
         let bin = self.bins[phase as usize].get_or_insert_with(|| Bin::new(whole, samples));
         bin.add(codes, whole, samples);
@@ -165,25 +150,15 @@ impl PhaseSums {
     /// Shots of each of the [`PHASES`] phases.
     #[must_use]
     pub fn phase_shots(&self) -> Vec<u64> {
-        self.bins
-            .iter()
-            .map(|bin| bin.as_ref().map_or(0, |bin| bin.shots))
-            .collect()
+        self.bins.iter().map(|bin| bin.as_ref().map_or(0, |bin| bin.shots)).collect()
     }
 
     /// The mean; `None` without shots, or when no place is covered by all of them.
     #[must_use]
     pub fn finish(&self) -> Option<Mean> {
-        let bins = || {
-            self.bins
-                .iter()
-                .enumerate()
-                .filter_map(|(phase, bin)| Some((phase, bin.as_ref()?)))
-        };
+        let bins = || self.bins.iter().enumerate().filter_map(|(phase, bin)| Some((phase, bin.as_ref()?)));
         // A shot of phase > 0 begins between two places: the later one is the first that it covers.
-        let start = bins()
-            .map(|(phase, bin)| bin.covered.0 + i64::from(phase > 0))
-            .max()?;
+        let start = bins().map(|(phase, bin)| bin.covered.0 + i64::from(phase > 0)).max()?;
         let end = bins().map(|(_, bin)| bin.covered.1).min()?;
         if start >= end || bins().any(|(_, bin)| bin.covered.0 >= bin.covered.1) {
             return None;
@@ -194,16 +169,11 @@ impl PhaseSums {
             let mut delayed = vec![0.0; totals.len()];
             resample::delay(&totals, phase as f64 / PHASES as f64, &mut delayed);
             let skip = (start - bin.covered.0) as usize;
-            mean.iter_mut()
-                .zip(&delayed[skip..])
-                .for_each(|(sum, value)| *sum += value);
+            mean.iter_mut().zip(&delayed[skip..]).for_each(|(sum, value)| *sum += value);
         }
         let shots = self.shots as f64;
         mean.iter_mut().for_each(|sum| *sum /= shots);
-        Some(Mean {
-            first_position: start,
-            mean,
-        })
+        Some(Mean { first_position: start, mean })
     }
 }
 
@@ -219,40 +189,26 @@ impl PhaseSums {
 pub fn averaged_response(response: &Response, dt_ps: f64, phase_shots: &[i32]) -> Response {
     assert_eq!(phase_shots.len(), PHASES, "a count for each phase");
     let shots: f64 = phase_shots.iter().copied().map(f64::from).sum();
-    assert!(
-        shots > 0.0 && dt_ps > 0.0,
-        "an average has shots and a step"
-    );
+    assert!(shots > 0.0 && dt_ps > 0.0, "an average has shots and a step");
     if f64::from(phase_shots[0]) == shots {
         return response.clone();
     }
     // The response on the grid of phases, and room for the taps on either side.
     let step_ps = dt_ps / PHASES as f64;
     let (first_ps, last_ps) = response.support_ps();
-    let (first, last) = (
-        (first_ps / step_ps).floor() as i64,
-        (last_ps / step_ps).ceil() as i64,
-    );
-    let table: Vec<f64> = (first..=last)
-        .map(|n| response.value(n as f64 * step_ps))
-        .collect();
+    let (first, last) = ((first_ps / step_ps).floor() as i64, (last_ps / step_ps).ceil() as i64);
+    let table: Vec<f64> = (first..=last).map(|n| response.value(n as f64 * step_ps)).collect();
     let reach = (resample::TAPS / 2 * PHASES) as i64;
     let coarse = PHASES / RESPONSE_STEPS;
     let start = (first - reach).div_euclid(coarse as i64) * coarse as i64;
     let mut values = vec![0.0; ((last + reach - start) as usize).div_ceil(coarse) + 1];
-    for (phase, &count) in phase_shots
-        .iter()
-        .enumerate()
-        .filter(|(_, count)| **count > 0)
-    {
+    for (phase, &count) in phase_shots.iter().enumerate().filter(|(_, count)| **count > 0) {
         let fraction = phase as f64 / PHASES as f64;
         for (k, tap) in resample::taps(fraction).into_iter().enumerate() {
             let ahead = (k as i64 - (resample::TAPS / 2) as i64) * PHASES as i64 + phase as i64;
             let weight = tap * f64::from(count) / shots;
             // Value i looks at the response at start + i * coarse + ahead.
-            let skip = usize::try_from((first - start - ahead).max(0))
-                .expect("not negative")
-                .div_ceil(coarse);
+            let skip = usize::try_from((first - start - ahead).max(0)).expect("not negative").div_ceil(coarse);
             for (i, value) in values.iter_mut().enumerate().skip(skip) {
                 let at = start + (i * coarse) as i64 + ahead - first;
                 match table.get(at as usize) {
@@ -262,20 +218,11 @@ pub fn averaged_response(response: &Response, dt_ps: f64, phase_shots: &[i32]) -
             }
         }
     }
-    let most = values
-        .iter()
-        .fold(0.0_f64, |most, value| most.max(value.abs()));
+    let most = values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
     let counts = |value: &f64| value.abs() > NEGLIGIBLE * most;
-    let (from, to) = (
-        values.iter().position(counts).unwrap_or(0),
-        values.iter().rposition(counts).unwrap_or(1),
-    );
+    let (from, to) = (values.iter().position(counts).unwrap_or(0), values.iter().rposition(counts).unwrap_or(1));
     let (from, to) = (from.saturating_sub(1), (to + 2).min(values.len()));
-    Response::new(
-        (start + (from * coarse) as i64) as f64 * step_ps,
-        step_ps * coarse as f64,
-        &values[from..to],
-    )
+    Response::new((start + (from * coarse) as i64) as f64 * step_ps, step_ps * coarse as f64, &values[from..to])
 }
 
 /// Standard deviation over shots at each place of their mean, each shot's own baseline (mean of its first `baseline` samples) removed.
@@ -289,23 +236,16 @@ pub fn averaged_response(response: &Response, dt_ps: f64, phase_shots: &[i32]) -
 pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f64> {
     let count = mean.mean.len();
     let (mut squares, mut covering) = (vec![0.0; count], vec![0_u32; count]);
-    let floor: f64 =
-        mean.mean[..baseline.min(count)].iter().sum::<f64>() / baseline.min(count) as f64;
+    let floor: f64 = mean.mean[..baseline.min(count)].iter().sum::<f64>() / baseline.min(count) as f64;
     // All shots at one place, the usual case without jitter: the same mean is taken off each.
     for (codes, position) in shots {
         let values = codes.to_f64();
         let own = values[..baseline].iter().sum::<f64>() / baseline as f64 - floor;
-        let (whole, phase) = (
-            position.div_euclid(PHASES as i64),
-            position.rem_euclid(PHASES as i64),
-        );
+        let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
         let fraction = phase as f64 / PHASES as f64;
         let offset = whole - mean.first_position;
         let last = count as i64 - 1 - i64::from(phase > 0);
-        let (start, end) = (
-            (-offset).max(0),
-            (last - offset + 1).min(values.len() as i64),
-        );
+        let (start, end) = ((-offset).max(0), (last - offset + 1).min(values.len() as i64));
         if start >= end {
             continue;
         }
@@ -315,31 +255,17 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f
         let length = to - from;
         let here = &mean.mean[at..at + length];
         let there = &mean.mean[next..next + length];
-        let squares = squares[at..at + length]
-            .iter_mut()
-            .zip(&mut covering[at..at + length]);
-        for (((square, covering), value), (here, there)) in
-            squares.zip(&values[from..to]).zip(here.iter().zip(there))
-        {
+        let squares = squares[at..at + length].iter_mut().zip(&mut covering[at..at + length]);
+        for (((square, covering), value), (here, there)) in squares.zip(&values[from..to]).zip(here.iter().zip(there)) {
             let residual = value - own - (here + fraction * (there - here));
             *square += residual * residual;
             *covering += 1;
         }
     }
-    let sd = |(square, covering): (&f64, &u32)| {
-        (*covering >= 2).then(|| (square / f64::from(covering - 1)).sqrt())
-    };
+    let sd = |(square, covering): (&f64, &u32)| (*covering >= 2).then(|| (square / f64::from(covering - 1)).sqrt());
     let known: Vec<f64> = squares.iter().zip(&covering).filter_map(sd).collect();
-    let usual = if known.is_empty() {
-        0.0
-    } else {
-        known.iter().sum::<f64>() / known.len() as f64
-    };
-    squares
-        .iter()
-        .zip(&covering)
-        .map(|pair| sd(pair).unwrap_or(usual))
-        .collect()
+    let usual = if known.is_empty() { 0.0 } else { known.iter().sum::<f64>() / known.len() as f64 };
+    squares.iter().zip(&covering).map(|pair| sd(pair).unwrap_or(usual)).collect()
 }
 
 /// Tells outlying shots: those with a sample further from the median of the first shots than noise and the rounding to whole samples explain.
@@ -358,33 +284,26 @@ impl OutlierTest {
         if shots.len() < JUDGES_MIN {
             return None;
         }
-        let shifted: Vec<(i64, Vec<f64>)> = shots
-            .iter()
-            .map(|(codes, position)| (nearest(*position), without_baseline(*codes, baseline)))
-            .collect();
+        let shifted: Vec<(i64, Vec<f64>)> =
+            shots.iter().map(|(codes, position)| (nearest(*position), without_baseline(*codes, baseline))).collect();
         // Where most shots begin and end: single shots far off do not shrink the test.
-        let first = middle(
-            &mut shifted
-                .iter()
-                .map(|(whole, _)| *whole as f64)
-                .collect::<Vec<_>>(),
-        ) as i64;
+        let first = middle(&mut shifted.iter().map(|(whole, _)| *whole as f64).collect::<Vec<_>>()) as i64;
         let count = shots[0].0.len();
         let mut median = vec![0.0; count];
         let mut deviations = Vec::with_capacity(count);
         let mut column = Vec::with_capacity(shots.len());
         for (n, median) in median.iter_mut().enumerate() {
             column.clear();
-            column.extend(shifted.iter().filter_map(|(whole, values)| {
-                values.get(usize::try_from(first + n as i64 - whole).ok()?)
-            }));
+            column.extend(
+                shifted
+                    .iter()
+                    .filter_map(|(whole, values)| values.get(usize::try_from(first + n as i64 - whole).ok()?)),
+            );
             if column.len() < JUDGES_MIN {
                 return None;
             }
             *median = middle(&mut column);
-            column
-                .iter_mut()
-                .for_each(|value| *value = (*value - *median).abs());
+            column.iter_mut().for_each(|value| *value = (*value - *median).abs());
             deviations.push(middle(&mut column));
         }
         // The floor of half a code keeps a record that is quieter than its converter's step from rejecting everything.
@@ -394,22 +313,9 @@ impl OutlierTest {
             neighbour(n + 1).max(neighbour(n.saturating_sub(1)))
         };
         let margin: Vec<f64> = (0..count).map(|n| sigma * scale + slope(n)).collect();
-        let low = median
-            .iter()
-            .zip(&margin)
-            .map(|(median, margin)| median - margin)
-            .collect();
-        let high = median
-            .iter()
-            .zip(&margin)
-            .map(|(median, margin)| median + margin)
-            .collect();
-        Some(Self {
-            first,
-            baseline,
-            low,
-            high,
-        })
+        let low = median.iter().zip(&margin).map(|(median, margin)| median - margin).collect();
+        let high = median.iter().zip(&margin).map(|(median, margin)| median + margin).collect();
+        Some(Self { first, baseline, low, high })
     }
 
     /// Whether a shot lies outside, at any sample.
@@ -422,10 +328,7 @@ impl OutlierTest {
             return true;
         }
         let bounds = self.low[at..].iter().zip(&self.high[at..]);
-        values[from..]
-            .iter()
-            .zip(bounds)
-            .any(|(value, (low, high))| value < low || value > high)
+        values[from..].iter().zip(bounds).any(|(value, (low, high))| value < low || value > high)
     }
 }
 
@@ -481,17 +384,12 @@ mod tests {
     }
 
     fn views(shots: &[(Vec<u8>, i64)]) -> Vec<(Codes<'_>, i64)> {
-        shots
-            .iter()
-            .map(|(bytes, position)| (Codes::I16(bytes), *position))
-            .collect()
+        shots.iter().map(|(bytes, position)| (Codes::I16(bytes), *position)).collect()
     }
 
     fn sum(views: &[(Codes<'_>, i64)]) -> PhaseSums {
         let mut sums = PhaseSums::new(128);
-        views
-            .iter()
-            .for_each(|(codes, position)| sums.add(*codes, *position));
+        views.iter().for_each(|(codes, position)| sums.add(*codes, *position));
         sums
     }
 
@@ -499,22 +397,9 @@ mod tests {
     fn without_jitter_it_is_the_plain_mean() {
         let shots = shots(37, 0.0, 30.0, 1);
         let mean = sum(&views(&shots)).finish().unwrap();
-        let naive: Vec<f64> = (0..128)
-            .map(|i| {
-                views(&shots)
-                    .iter()
-                    .map(|(codes, _)| codes.to_f64()[i])
-                    .sum::<f64>()
-                    / 37.0
-            })
-            .collect();
-        assert_eq!(
-            mean,
-            Mean {
-                first_position: 0,
-                mean: naive
-            }
-        );
+        let naive: Vec<f64> =
+            (0..128).map(|i| views(&shots).iter().map(|(codes, _)| codes.to_f64()[i]).sum::<f64>() / 37.0).collect();
+        assert_eq!(mean, Mean { first_position: 0, mean: naive });
     }
 
     #[test]
@@ -522,15 +407,9 @@ mod tests {
         let shots = shots(400, 2.0, 2.0, 2);
         let mean = sum(&views(&shots)).finish().unwrap();
         assert!(mean.mean.len() >= 123 && mean.first_position >= 1);
-        let truth: Vec<f64> = pulse(60.0 - mean.first_position as f64, mean.mean.len())
-            .map(|value| value - 500.0)
-            .collect();
-        let worst = mean
-            .mean
-            .iter()
-            .zip(&truth)
-            .map(|(a, b)| (a - b).abs())
-            .fold(0.0, f64::max);
+        let truth: Vec<f64> =
+            pulse(60.0 - mean.first_position as f64, mean.mean.len()).map(|value| value - 500.0).collect();
+        let worst = mean.mean.iter().zip(&truth).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(worst < 1.0, "{worst} codes of 3000");
     }
 
@@ -538,13 +417,8 @@ mod tests {
     #[test]
     fn the_mean_of_an_undersampled_pulse_is_the_averaged_response() {
         let fast = |t: f64| (-0.5 * (t / 0.55_f64).powi(2)).exp();
-        let response = Response::new(
-            -5.0,
-            1.0 / 16.0,
-            &(0..=160)
-                .map(|i| fast(f64::from(i) / 16.0 - 5.0))
-                .collect::<Vec<_>>(),
-        );
+        let response =
+            Response::new(-5.0, 1.0 / 16.0, &(0..=160).map(|i| fast(f64::from(i) / 16.0 - 5.0)).collect::<Vec<_>>());
         let mut rng = ChaCha8Rng::seed_from_u64(9);
         for (shots, spread) in [(2000, 64), (300, 5), (50, 1)] {
             let mut sums = PhaseSums::new(128);
@@ -552,21 +426,13 @@ mod tests {
             for _ in 0..shots {
                 let position = rng.random_range(0..spread) + 13;
                 let codes: Vec<i16> = (0..128)
-                    .map(|i| {
-                        (20_000.0 * fast(f64::from(i) + position as f64 / 64.0 - 60.3)).round()
-                            as i16
-                    })
+                    .map(|i| (20_000.0 * fast(f64::from(i) + position as f64 / 64.0 - 60.3)).round() as i16)
                     .collect();
                 kept.push((bytes(&codes), position));
             }
-            kept.iter()
-                .for_each(|(bytes, position)| sums.add(Codes::I16(bytes), *position));
+            kept.iter().for_each(|(bytes, position)| sums.add(Codes::I16(bytes), *position));
             let mean = sums.finish().unwrap();
-            let phases: Vec<i32> = sums
-                .phase_shots()
-                .into_iter()
-                .map(|shots| shots as i32)
-                .collect();
+            let phases: Vec<i32> = sums.phase_shots().into_iter().map(|shots| shots as i32).collect();
             let averaged = averaged_response(&response, 1.0, &phases);
             let (mut worst, mut raw) = (0.0_f64, 0.0_f64);
             for (i, value) in mean.mean.iter().enumerate().skip(20).take(80) {
@@ -574,18 +440,10 @@ mod tests {
                 worst = worst.max((value / 20_000.0 - averaged.value(t)).abs());
                 raw = raw.max((value / 20_000.0 - fast(t)).abs());
             }
-            assert!(
-                worst < 1e-3 && raw > 5.0 * worst,
-                "{shots} shots over {spread} phases: {worst}, without {raw}"
-            );
+            assert!(worst < 1e-3 && raw > 5.0 * worst, "{shots} shots over {spread} phases: {worst}, without {raw}");
         }
-        let on_grid: Vec<i32> = (0..64)
-            .map(|phase| if phase == 0 { 7 } else { 0 })
-            .collect();
-        assert_eq!(
-            averaged_response(&response, 1.0, &on_grid).value(0.3),
-            response.value(0.3)
-        );
+        let on_grid: Vec<i32> = (0..64).map(|phase| if phase == 0 { 7 } else { 0 }).collect();
+        assert_eq!(averaged_response(&response, 1.0, &on_grid).value(0.3), response.value(0.3));
     }
 
     #[test]
@@ -608,10 +466,7 @@ mod tests {
         for _ in 0..70_000 {
             sums.add(Codes::I16(&codes), 0);
         }
-        assert_eq!(
-            sums.finish().unwrap().mean,
-            vec![-32768.0, 32767.0, -1.0, 0.0]
-        );
+        assert_eq!(sums.finish().unwrap().mean, vec![-32768.0, 32767.0, -1.0, 0.0]);
     }
 
     #[test]
@@ -640,16 +495,11 @@ mod tests {
         let good = shots(64, 1.0, 40.0, 5);
         let test = OutlierTest::new(&views(&good), 32, 6.0).unwrap();
         let more = shots(2000, 1.0, 40.0, 6);
-        let wrong = views(&more)
-            .iter()
-            .filter(|(codes, position)| test.is_outlier(*codes, *position))
-            .count();
+        let wrong = views(&more).iter().filter(|(codes, position)| test.is_outlier(*codes, *position)).count();
         assert!(wrong <= 2, "{wrong} of 2000 good shots rejected");
         for (bytes, position) in shots(200, 1.0, 40.0, 7) {
-            let mut codes: Vec<i16> = bytes
-                .chunks_exact(2)
-                .map(|code| i16::from_le_bytes([code[0], code[1]]))
-                .collect();
+            let mut codes: Vec<i16> =
+                bytes.chunks_exact(2).map(|code| i16::from_le_bytes([code[0], code[1]])).collect();
             codes[90] += 900;
             assert!(test.is_outlier(Codes::I16(&self::bytes(&codes)), position));
         }

@@ -1,5 +1,7 @@
 //! Raw codes of a converter, as they lie in a file: little-endian bytes of a number type, at any alignment.
 
+#![allow(clippy::useless_conversion, reason = "one of the seven types is f64 already")]
+
 use std::ops::Range;
 
 /// Codes of one record.
@@ -34,33 +36,26 @@ macro_rules! each {
                 $body
             }
             Codes::I16(bytes) => {
-                let $numbers = bytes
-                    .chunks_exact(2)
-                    .map(|code| i16::from_le_bytes([code[0], code[1]]));
+                let $numbers = bytes.chunks_exact(2).map(|code| i16::from_le_bytes([code[0], code[1]]));
                 $body
             }
             Codes::U16(bytes) => {
-                let $numbers = bytes
-                    .chunks_exact(2)
-                    .map(|code| u16::from_le_bytes([code[0], code[1]]));
+                let $numbers = bytes.chunks_exact(2).map(|code| u16::from_le_bytes([code[0], code[1]]));
                 $body
             }
             Codes::I32(bytes) => {
-                let $numbers = bytes
-                    .chunks_exact(4)
-                    .map(|code| i32::from_le_bytes([code[0], code[1], code[2], code[3]]));
+                let $numbers =
+                    bytes.chunks_exact(4).map(|code| i32::from_le_bytes([code[0], code[1], code[2], code[3]]));
                 $body
             }
             Codes::F32(bytes) => {
-                let $numbers = bytes
-                    .chunks_exact(4)
-                    .map(|code| f32::from_le_bytes([code[0], code[1], code[2], code[3]]));
+                let $numbers =
+                    bytes.chunks_exact(4).map(|code| f32::from_le_bytes([code[0], code[1], code[2], code[3]]));
                 $body
             }
             Codes::F64(bytes) => {
-                let $numbers = bytes
-                    .chunks_exact(8)
-                    .map(|code| f64::from_le_bytes(code.try_into().expect("chunks of eight")));
+                let $numbers =
+                    bytes.chunks_exact(8).map(|code| f64::from_le_bytes(code.try_into().expect("chunks of eight")));
                 $body
             }
         }
@@ -144,27 +139,17 @@ impl<'a> Codes<'a> {
         match *self {
             Self::F32(_) | Self::F64(_) => panic!("floating codes are summed by add_to_f64"),
             Self::I32(_) => panic!("32 bit codes are summed by add_to_f64"),
-            Self::I8(bytes) => sums
-                .iter_mut()
-                .zip(bytes)
-                .for_each(|(sum, &byte)| *sum += i32::from(byte as i8)),
-            Self::U8(bytes) => sums
-                .iter_mut()
-                .zip(bytes)
-                .for_each(|(sum, &byte)| *sum += i32::from(byte)),
+            Self::I8(bytes) => sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte as i8)),
+            Self::U8(bytes) => sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte)),
             Self::I16(bytes) => {
                 sums.iter_mut()
                     .zip(bytes.chunks_exact(2))
-                    .for_each(|(sum, code)| {
-                        *sum += i32::from(i16::from_le_bytes([code[0], code[1]]))
-                    });
+                    .for_each(|(sum, code)| *sum += i32::from(i16::from_le_bytes([code[0], code[1]])));
             }
             Self::U16(bytes) => {
                 sums.iter_mut()
                     .zip(bytes.chunks_exact(2))
-                    .for_each(|(sum, code)| {
-                        *sum += i32::from(u16::from_le_bytes([code[0], code[1]]))
-                    });
+                    .for_each(|(sum, code)| *sum += i32::from(u16::from_le_bytes([code[0], code[1]])));
             }
         }
     }
@@ -183,12 +168,9 @@ impl<'a> Codes<'a> {
     pub fn count_at_or_beyond(&self, low: f64, high: f64) -> usize {
         // 16 bit codes are the hot path: a minimum and a maximum vectorise, and nearly always settle it.
         if let Self::I16(bytes) = *self {
-            let numbers = bytes
-                .chunks_exact(2)
-                .map(|code| i16::from_le_bytes([code[0], code[1]]));
-            let (least, most) = numbers.fold((i16::MAX, i16::MIN), |(least, most), code| {
-                (least.min(code), most.max(code))
-            });
+            let numbers = bytes.chunks_exact(2).map(|code| i16::from_le_bytes([code[0], code[1]]));
+            let (least, most) =
+                numbers.fold((i16::MAX, i16::MIN), |(least, most), code| (least.min(code), most.max(code)));
             if f64::from(least) > low && f64::from(most) < high {
                 return 0;
             }
@@ -204,31 +186,13 @@ mod tests {
     #[test]
     fn every_type_reads_back_what_was_written() {
         let values = [-3_i16, 7, 120, -128, 0];
-        let i16s: Vec<u8> = values
-            .iter()
-            .flat_map(|value| value.to_le_bytes())
-            .collect();
-        let f32s: Vec<u8> = values
-            .iter()
-            .flat_map(|value| f32::from(*value).to_le_bytes())
-            .collect();
-        let f64s: Vec<u8> = values
-            .iter()
-            .flat_map(|value| f64::from(*value).to_le_bytes())
-            .collect();
-        let i32s: Vec<u8> = values
-            .iter()
-            .flat_map(|value| i32::from(*value).to_le_bytes())
-            .collect();
+        let i16s: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        let f32s: Vec<u8> = values.iter().flat_map(|value| f32::from(*value).to_le_bytes()).collect();
+        let f64s: Vec<u8> = values.iter().flat_map(|value| f64::from(*value).to_le_bytes()).collect();
+        let i32s: Vec<u8> = values.iter().flat_map(|value| i32::from(*value).to_le_bytes()).collect();
         let i8s: Vec<u8> = values.iter().map(|value| *value as i8 as u8).collect();
         let expected: Vec<f64> = values.iter().map(|value| f64::from(*value)).collect();
-        for (name, bytes) in [
-            ("i16", &i16s),
-            ("f32", &f32s),
-            ("f64", &f64s),
-            ("i32", &i32s),
-            ("i8", &i8s),
-        ] {
+        for (name, bytes) in [("i16", &i16s), ("f32", &f32s), ("f64", &f64s), ("i32", &i32s), ("i8", &i8s)] {
             let codes = Codes::of(name, bytes).unwrap();
             assert_eq!(codes.to_f64(), expected, "{name}");
             assert_eq!(codes.len(), 5);

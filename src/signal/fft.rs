@@ -24,12 +24,7 @@ impl RealFft {
     /// A transformer without plans; a length is planned when it is first met.
     #[must_use]
     pub fn new() -> Self {
-        Self {
-            planner: RealFftPlanner::new(),
-            samples: Vec::new(),
-            bins: Vec::new(),
-            scratch: Vec::new(),
-        }
+        Self { planner: RealFftPlanner::new(), samples: Vec::new(), bins: Vec::new(), scratch: Vec::new() }
     }
 
     /// Number of spectral bins of a real record of `len` samples.
@@ -45,12 +40,10 @@ impl RealFft {
     pub fn forward(&mut self, signal: &[f64], spectrum: &mut [Complex<f64>]) {
         check_lengths(signal.len(), spectrum.len());
         let plan = self.planner.plan_fft_forward(signal.len());
-        self.scratch
-            .resize(plan.get_scratch_len(), Complex::default());
+        self.scratch.resize(plan.get_scratch_len(), Complex::default());
         self.samples.clear();
         self.samples.extend_from_slice(signal);
-        plan.process_with_scratch(&mut self.samples, spectrum, &mut self.scratch)
-            .expect("lengths were checked");
+        plan.process_with_scratch(&mut self.samples, spectrum, &mut self.scratch).expect("lengths were checked");
     }
 
     /// Record (N samples) of `spectrum` (N/2 + 1 bins) into `signal`, divided by N. The imaginary parts of the first bin and, for even
@@ -62,16 +55,14 @@ impl RealFft {
         check_lengths(signal.len(), spectrum.len());
         let len = signal.len();
         let plan = self.planner.plan_fft_inverse(len);
-        self.scratch
-            .resize(plan.get_scratch_len(), Complex::default());
+        self.scratch.resize(plan.get_scratch_len(), Complex::default());
         self.bins.clear();
         self.bins.extend_from_slice(spectrum);
         self.bins[0].im = 0.0;
         if len.is_multiple_of(2) {
             self.bins[len / 2].im = 0.0;
         }
-        plan.process_with_scratch(&mut self.bins, signal, &mut self.scratch)
-            .expect("lengths were checked");
+        plan.process_with_scratch(&mut self.bins, signal, &mut self.scratch).expect("lengths were checked");
         let scale = 1.0 / len as f64;
         for v in signal {
             *v *= scale;
@@ -81,11 +72,7 @@ impl RealFft {
 
 fn check_lengths(samples: usize, bins: usize) {
     assert!(samples > 0, "cannot transform an empty record");
-    assert_eq!(
-        bins,
-        RealFft::bins(samples),
-        "a record of {samples} samples has another number of bins"
-    );
+    assert_eq!(bins, RealFft::bins(samples), "a record of {samples} samples has another number of bins");
 }
 
 #[cfg(test)]

@@ -15,23 +15,14 @@ pub struct Noise {
 /// given back.
 #[must_use]
 pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
-    let stretches: Vec<Vec<f64>> = stretches
-        .iter()
-        .filter(|stretch| stretch.len() >= 2)
-        .map(|stretch| centred(stretch))
-        .collect();
+    let stretches: Vec<Vec<f64>> =
+        stretches.iter().filter(|stretch| stretch.len() >= 2).map(|stretch| centred(stretch)).collect();
     let shortest = stretches.iter().map(Vec::len).min().unwrap_or(0);
     if shortest == 0 {
-        return Noise {
-            sd: 0.0,
-            acf: Vec::new(),
-        };
+        return Noise { sd: 0.0, acf: Vec::new() };
     }
     let covariance = |lag: usize| {
-        let products: f64 = stretches
-            .iter()
-            .map(|s| s.iter().zip(&s[lag..]).map(|(a, b)| a * b).sum::<f64>())
-            .sum();
+        let products: f64 = stretches.iter().map(|s| s.iter().zip(&s[lag..]).map(|(a, b)| a * b).sum::<f64>()).sum();
         let pairs: usize = stretches.iter().map(|s| s.len() - lag).sum();
         products / pairs as f64
     };
@@ -39,18 +30,9 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
     let variance = covariance(0) / (1.0 - lost);
     let given_back = variance * lost;
     let acf = (0..lags.min(shortest))
-        .map(|lag| {
-            if lag == 0 || variance == 0.0 {
-                1.0
-            } else {
-                (covariance(lag) + given_back) / variance
-            }
-        })
+        .map(|lag| if lag == 0 || variance == 0.0 { 1.0 } else { (covariance(lag) + given_back) / variance })
         .collect();
-    Noise {
-        sd: variance.sqrt(),
-        acf,
-    }
+    Noise { sd: variance.sqrt(), acf }
 }
 
 fn centred(stretch: &[f64]) -> Vec<f64> {
@@ -68,37 +50,22 @@ mod tests {
     #[test]
     fn white_and_smoothed_noise_are_told() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let white: Vec<Vec<f64>> = (0..300)
-            .map(|_| (0..40).map(|_| StandardNormal.sample(&mut rng)).collect())
-            .collect();
+        let white: Vec<Vec<f64>> =
+            (0..300).map(|_| (0..40).map(|_| StandardNormal.sample(&mut rng)).collect()).collect();
         let noise = estimate(&white, 4);
         assert!((noise.sd - 1.0).abs() < 0.02, "{noise:?}");
-        assert!(
-            noise.acf[1..].iter().all(|r| r.abs() < 0.03) && noise.acf[0] == 1.0,
-            "{noise:?}"
-        );
-        let smoothed: Vec<Vec<f64>> = white
-            .iter()
-            .map(|s| s.windows(2).map(|w| w[0] + w[1]).collect())
-            .collect();
+        assert!(noise.acf[1..].iter().all(|r| r.abs() < 0.03) && noise.acf[0] == 1.0, "{noise:?}");
+        let smoothed: Vec<Vec<f64>> = white.iter().map(|s| s.windows(2).map(|w| w[0] + w[1]).collect()).collect();
         let noise = estimate(&smoothed, 4);
         assert!(
-            (noise.sd - 2_f64.sqrt()).abs() < 0.04
-                && (noise.acf[1] - 0.5).abs() < 0.04
-                && noise.acf[2].abs() < 0.04,
+            (noise.sd - 2_f64.sqrt()).abs() < 0.04 && (noise.acf[1] - 0.5).abs() < 0.04 && noise.acf[2].abs() < 0.04,
             "{noise:?}"
         );
     }
 
     #[test]
     fn nothing_is_said_of_nothing() {
-        assert_eq!(
-            estimate(&[], 4),
-            Noise {
-                sd: 0.0,
-                acf: vec![]
-            }
-        );
+        assert_eq!(estimate(&[], 4), Noise { sd: 0.0, acf: vec![] });
         assert_eq!(estimate(&[vec![1.0]], 4).sd, 0.0);
     }
 }

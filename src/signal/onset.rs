@@ -27,9 +27,7 @@ pub struct Crossing {
 /// First upward crossing of a fixed `level`, given the samples' noise. `None` if no sample below the level is followed by one at or above it.
 #[must_use]
 pub fn threshold(samples: &[f64], level: f64, noise_sd: f64) -> Option<Crossing> {
-    let i = samples
-        .windows(2)
-        .position(|pair| pair[0] < level && pair[1] >= level)?;
+    let i = samples.windows(2).position(|pair| pair[0] < level && pair[1] >= level)?;
     Some(interpolate(samples, i, level, noise_sd))
 }
 
@@ -42,10 +40,7 @@ pub fn threshold(samples: &[f64], level: f64, noise_sd: f64) -> Option<Crossing>
 /// If `fraction` is not between 0 and 1.
 #[must_use]
 pub fn leading_edge(samples: &[f64], fraction: f64, noise_sd: f64) -> Option<Crossing> {
-    assert!(
-        fraction > 0.0 && fraction < 1.0,
-        "the fraction must lie between 0 and 1, got {fraction}"
-    );
+    assert!(fraction > 0.0 && fraction < 1.0, "the fraction must lie between 0 and 1, got {fraction}");
     let peak = first_maximum(samples)?;
     let level = fraction * samples[peak];
     if level <= 0.0 {
@@ -63,20 +58,9 @@ pub fn leading_edge(samples: &[f64], fraction: f64, noise_sd: f64) -> Option<Cro
 /// # Panics
 /// If `fraction` is not between 0 and 1, or `delay` below 1.
 #[must_use]
-pub fn constant_fraction(
-    samples: &[f64],
-    fraction: f64,
-    delay: f64,
-    noise_sd: f64,
-) -> Option<Crossing> {
-    assert!(
-        fraction > 0.0 && fraction < 1.0,
-        "the fraction must lie between 0 and 1, got {fraction}"
-    );
-    assert!(
-        delay >= 1.0,
-        "the delay must be at least one sample, got {delay}"
-    );
+pub fn constant_fraction(samples: &[f64], fraction: f64, delay: f64, noise_sd: f64) -> Option<Crossing> {
+    assert!(fraction > 0.0 && fraction < 1.0, "the fraction must lie between 0 and 1, got {fraction}");
+    assert!(delay >= 1.0, "the delay must be at least one sample, got {delay}");
     let whole = delay.ceil() as usize;
     let part = whole as f64 - delay;
     // Sample j of the difference belongs to sample j + whole of the record.
@@ -93,10 +77,7 @@ pub fn constant_fraction(
     let i = difference[..peak].iter().rposition(|v| *v < 0.0)?;
     let sd = noise_sd * (1.0 + fraction * fraction).sqrt();
     let zero = interpolate(&difference, i, 0.0, sd);
-    Some(Crossing {
-        position: zero.position + part,
-        ..zero
-    })
+    Some(Crossing { position: zero.position + part, ..zero })
 }
 
 /// Signal-to-noise ratio at the output of the matched filter, `a ||h|| / sd`, of a pulse of `amplitude` in white noise of `noise_sd` a
@@ -106,28 +87,19 @@ pub fn constant_fraction(
 /// If `dt_ps` or `noise_sd` is not positive.
 #[must_use]
 pub fn matched_filter_snr(response: &Response, dt_ps: f64, amplitude: f64, noise_sd: f64) -> f64 {
-    assert!(
-        dt_ps > 0.0 && noise_sd > 0.0,
-        "step and noise must be positive"
-    );
+    assert!(dt_ps > 0.0 && noise_sd > 0.0, "step and noise must be positive");
     // A sum over steps of dt / PHASES is the sum over dt for all phases.
     let (first_ps, last_ps) = response.support_ps();
     let step_ps = dt_ps / PHASES;
     let steps = ((last_ps - first_ps) / step_ps).floor() as usize;
-    let energy: f64 = (0..=steps)
-        .map(|i| response.value(first_ps + i as f64 * step_ps).powi(2))
-        .sum();
+    let energy: f64 = (0..=steps).map(|i| response.value(first_ps + i as f64 * step_ps).powi(2)).sum();
     amplitude * (energy / PHASES).sqrt() / noise_sd
 }
 
 /// The line between samples `i` and `i + 1`, `samples[i] < level <= samples[i + 1]`, where it meets the level.
 fn interpolate(samples: &[f64], i: usize, level: f64, sd: f64) -> Crossing {
     let slope = samples[i + 1] - samples[i];
-    Crossing {
-        position: i as f64 + (level - samples[i]) / slope,
-        sd: sd / slope,
-        level,
-    }
+    Crossing { position: i as f64 + (level - samples[i]) / slope, sd: sd / slope, level }
 }
 
 fn first_maximum(samples: &[f64]) -> Option<usize> {
@@ -150,9 +122,7 @@ mod tests {
     type Timing<'a> = dyn Fn(&[f64]) -> Option<Crossing> + 'a;
 
     fn pulse(len: usize, at: f64, amplitude: f64) -> Vec<f64> {
-        (0..len)
-            .map(|n| amplitude * (-0.5 * ((n as f64 - at) / 6.0).powi(2)).exp())
-            .collect()
+        (0..len).map(|n| amplitude * (-0.5 * ((n as f64 - at) / 6.0).powi(2)).exp()).collect()
     }
 
     #[test]
@@ -194,9 +164,7 @@ mod tests {
     #[test]
     fn constant_fraction_with_the_full_rise_as_delay_is_the_leading_edge() {
         // A straight rise from 10 to 20, then flat: y(t - 10) = 0.3 y(t) at 13 + 10, for any amplitude.
-        let samples: Vec<f64> = (0..60)
-            .map(|n| 2.0 * (f64::from(n) - 10.0).clamp(0.0, 10.0))
-            .collect();
+        let samples: Vec<f64> = (0..60).map(|n| 2.0 * (f64::from(n) - 10.0).clamp(0.0, 10.0)).collect();
         let zero = constant_fraction(&samples, 0.3, 10.0, 0.1).expect("zero");
         assert!((zero.position - 13.0).abs() < 1e-12);
         let half = constant_fraction(&samples, 0.3, 12.5, 0.1).expect("zero");
@@ -210,17 +178,15 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
         let clean = pulse(80, 40.0, 1.0);
         for fraction in [0.3, 0.5] {
-            let timing: [&Timing<'_>; 3] = [
-                &|s| leading_edge(s, fraction, 0.001),
-                &|s| constant_fraction(s, fraction, 8.0, 0.001),
-                &|s| threshold(s, fraction, 0.001),
-            ];
+            let timing: [&Timing<'_>; 3] =
+                [&|s| leading_edge(s, fraction, 0.001), &|s| constant_fraction(s, fraction, 8.0, 0.001), &|s| {
+                    threshold(s, fraction, 0.001)
+                }];
             for find in timing {
                 let truth = find(&clean).expect("clean onset");
                 let errors: Vec<f64> = (0..2000)
                     .map(|_| {
-                        let noisy: Vec<f64> =
-                            clean.iter().map(|v| v + normal.sample(&mut rng)).collect();
+                        let noisy: Vec<f64> = clean.iter().map(|v| v + normal.sample(&mut rng)).collect();
                         find(&noisy).expect("onset").position - truth.position
                     })
                     .collect();
@@ -243,9 +209,7 @@ mod tests {
 
     #[test]
     fn matched_filter_snr_of_a_gaussian() {
-        let values: Vec<f64> = (-60..=60)
-            .map(|i| (-0.5 * (f64::from(i) / 10.0).powi(2)).exp())
-            .collect();
+        let values: Vec<f64> = (-60..=60).map(|i| (-0.5 * (f64::from(i) / 10.0).powi(2)).exp()).collect();
         let response = Response::new(-600.0, 10.0, &values); // sd 100 ps
         let norm = (100.0 * std::f64::consts::PI.sqrt() / 50.0).sqrt();
         let snr = matched_filter_snr(&response, 50.0, 3.0, 0.1);

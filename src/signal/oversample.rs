@@ -65,34 +65,18 @@ impl Shape {
 #[must_use]
 pub fn shape(shots: &[Shot], dt_ps: f64) -> Option<Shape> {
     let samples = shots.first().expect("a shape needs shots").samples.len();
-    assert!(
-        shots.iter().all(|shot| shot.samples.len() == samples),
-        "shots have equal lengths"
-    );
+    assert!(shots.iter().all(|shot| shot.samples.len() == samples), "shots have equal lengths");
     let baseline = quiet(shots, samples);
-    let floors: Vec<f64> = shots
-        .iter()
-        .map(|shot| shot.samples[..baseline].iter().sum::<f64>() / baseline as f64)
-        .collect();
-    let start_ps = shots
-        .iter()
-        .map(|shot| shot.t0_ps)
-        .fold(f64::NEG_INFINITY, f64::max);
-    let end_ps = shots
-        .iter()
-        .map(|shot| shot.t0_ps)
-        .fold(f64::INFINITY, f64::min)
-        + (samples - 1) as f64 * dt_ps;
+    let floors: Vec<f64> =
+        shots.iter().map(|shot| shot.samples[..baseline].iter().sum::<f64>() / baseline as f64).collect();
+    let start_ps = shots.iter().map(|shot| shot.t0_ps).fold(f64::NEG_INFINITY, f64::max);
+    let end_ps = shots.iter().map(|shot| shot.t0_ps).fold(f64::INFINITY, f64::min) + (samples - 1) as f64 * dt_ps;
     let step_ps = dt_ps / STEPS as f64;
     let count = ((end_ps - start_ps) / step_ps).floor();
     if count < (4 * STEPS) as f64 {
         return None;
     }
-    let grid = Grid {
-        start_ps,
-        step_ps,
-        count: count as usize + 1,
-    };
+    let grid = Grid { start_ps, step_ps, count: count as usize + 1 };
     let values = if spread_over_a_sample(shots, dt_ps) {
         regress(shots, &floors, dt_ps, &grid)?
     } else {
@@ -104,18 +88,12 @@ pub fn shape(shots: &[Shot], dt_ps: f64) -> Option<Shape> {
 
 /// Number of samples at the start of the records that count as baseline: a tenth, or half of what precedes the pulse where that is less.
 fn quiet(shots: &[Shot], samples: usize) -> usize {
-    let mean =
-        |n: usize| shots.iter().map(|shot| shot.samples[n]).sum::<f64>() / shots.len() as f64;
+    let mean = |n: usize| shots.iter().map(|shot| shot.samples[n]).sum::<f64>() / shots.len() as f64;
     let start = mean(0);
     let deviations: Vec<f64> = (0..samples).map(|n| (mean(n) - start).abs()).collect();
     let most = deviations.iter().copied().fold(0.0, f64::max);
-    let rise = deviations
-        .iter()
-        .position(|deviation| *deviation > RISE_SHARE * most)
-        .unwrap_or(samples);
-    ((samples as f64 * BASELINE_SHARE) as usize)
-        .min(rise / 2)
-        .max(1)
+    let rise = deviations.iter().position(|deviation| *deviation > RISE_SHARE * most).unwrap_or(samples);
+    ((samples as f64 * BASELINE_SHARE) as usize).min(rise / 2).max(1)
 }
 
 /// Times of the pulse in shots whose trigger jitters, and its shape: times and shape are found in turn.
@@ -127,22 +105,13 @@ fn quiet(shots: &[Shot], samples: usize) -> usize {
 #[must_use]
 pub fn shape_and_times(shots: &[Shot], dt_ps: f64) -> Option<(Shape, Vec<Option<(f64, f64)>>)> {
     // The first guess of each time is its own highest sample; errors of half a sample widen the first shape, and the rounds take that off again.
-    let mut times: Vec<Option<(f64, f64)>> = shots
-        .iter()
-        .map(|shot| Some((highest(&shot.samples) as f64 * dt_ps + shot.t0_ps, 0.0)))
-        .collect();
+    let mut times: Vec<Option<(f64, f64)>> =
+        shots.iter().map(|shot| Some((highest(&shot.samples) as f64 * dt_ps + shot.t0_ps, 0.0))).collect();
     let mut found = None;
     for _ in 0..ROUNDS {
-        let pairs = shots
-            .iter()
-            .zip(&times)
-            .filter_map(|(shot, time)| Some((shot, (*time)?.0)));
-        let aligned: Vec<Shot> = pairs
-            .map(|(shot, time_ps)| Shot {
-                samples: shot.samples.clone(),
-                t0_ps: shot.t0_ps - time_ps,
-            })
-            .collect();
+        let pairs = shots.iter().zip(&times).filter_map(|(shot, time)| Some((shot, (*time)?.0)));
+        let aligned: Vec<Shot> =
+            pairs.map(|(shot, time_ps)| Shot { samples: shot.samples.clone(), t0_ps: shot.t0_ps - time_ps }).collect();
         if aligned.is_empty() {
             return None;
         }
@@ -151,8 +120,7 @@ pub fn shape_and_times(shots: &[Shot], dt_ps: f64) -> Option<(Shape, Vec<Option<
         times = shots
             .iter()
             .map(|shot| {
-                fit_pulse(&shot.samples, dt_ps, &template)
-                    .map(|fit| (shot.t0_ps + fit.time_ps, fit.time_sd_ps))
+                fit_pulse(&shot.samples, dt_ps, &template).map(|fit| (shot.t0_ps + fit.time_ps, fit.time_sd_ps))
             })
             .collect();
         found = Some(shape);
@@ -171,13 +139,7 @@ fn highest(samples: &[f64]) -> usize {
     let mut sorted = samples.to_vec();
     let half = sorted.len() / 2;
     let median = *sorted.select_nth_unstable_by(half, f64::total_cmp).1;
-    (0..samples.len())
-        .max_by(|&a, &b| {
-            (samples[a] - median)
-                .abs()
-                .total_cmp(&(samples[b] - median).abs())
-        })
-        .unwrap_or(0)
+    (0..samples.len()).max_by(|&a, &b| (samples[a] - median).abs().total_cmp(&(samples[b] - median).abs())).unwrap_or(0)
 }
 
 /// Whether every eighth of a sample is hit by its share of the shots.
@@ -195,10 +157,7 @@ fn regress(shots: &[Shot], floors: &[f64], dt_ps: f64, grid: &Grid) -> Option<Ve
     let place = |n: usize| grid.start_ps + n as f64 * grid.step_ps;
     let mut fit = SplineFit::new(grid.start_ps, place(grid.count - 1), KNOTS * dt_ps);
     for (shot, floor) in shots.iter().zip(floors) {
-        shot.samples
-            .iter()
-            .enumerate()
-            .for_each(|(i, sample)| fit.add(shot.t0_ps + i as f64 * dt_ps, sample - floor));
+        shot.samples.iter().enumerate().for_each(|(i, sample)| fit.add(shot.t0_ps + i as f64 * dt_ps, sample - floor));
     }
     fit.values((0..grid.count).map(place))
 }
@@ -222,15 +181,7 @@ fn interpolate(shots: &[Shot], floors: &[f64], dt_ps: f64, grid: &Grid) -> Vec<f
         .map(|k| {
             // Values at i + k / STEPS: a delay by the rest of a sample, read one sample further on.
             let mut fine = vec![0.0; samples];
-            resample::delay(
-                &mean,
-                if k == 0 {
-                    0.0
-                } else {
-                    1.0 - k as f64 / STEPS as f64
-                },
-                &mut fine,
-            );
+            resample::delay(&mean, if k == 0 { 0.0 } else { 1.0 - k as f64 / STEPS as f64 }, &mut fine);
             fine
         })
         .collect();
@@ -247,18 +198,12 @@ fn interpolate(shots: &[Shot], floors: &[f64], dt_ps: f64, grid: &Grid) -> Vec<f
 /// Standard deviation about the mean.
 fn noise_of(values: &[f64]) -> f64 {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
-    (values
-        .iter()
-        .map(|value| (value - mean).powi(2))
-        .sum::<f64>()
-        / (values.len() - 1) as f64)
-        .sqrt()
+    (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (values.len() - 1) as f64).sqrt()
 }
 
 /// Cuts the shape out where it rises above noise, with tapered margins, and scales it to a maximum of 1 at time 0.
 fn cut(grid: &Grid, mut values: Vec<f64>, noise: f64) -> Option<Shape> {
-    let strongest =
-        (0..values.len()).max_by(|&a, &b| values[a].abs().total_cmp(&values[b].abs()))?;
+    let strongest = (0..values.len()).max_by(|&a, &b| values[a].abs().total_cmp(&values[b].abs()))?;
     let sign = values[strongest].signum();
     if values[strongest].abs() <= 2.0 * CUT_SIGMA * noise {
         return None;
@@ -268,34 +213,20 @@ fn cut(grid: &Grid, mut values: Vec<f64>, noise: f64) -> Option<Shape> {
     // Two samples in a row below the floor end the pulse; one margin of two samples stays on either side.
     let run = 2 * STEPS;
     let mut start = strongest;
-    while start >= run
-        && values[start - run..start]
-            .iter()
-            .any(|value| value.abs() > floor)
-    {
+    while start >= run && values[start - run..start].iter().any(|value| value.abs() > floor) {
         start -= 1;
     }
     let mut end = strongest + 1;
-    while end + run <= values.len()
-        && values[end..end + run]
-            .iter()
-            .any(|value| value.abs() > floor)
-    {
+    while end + run <= values.len() && values[end..end + run].iter().any(|value| value.abs() > floor) {
         end += 1;
     }
     // A shape that has not decayed where the record ends is a step: it is kept to the end, without taper.
     let step = end + run > values.len();
-    let (start, end) = (
-        start.saturating_sub(run),
-        if step { values.len() } else { end + run },
-    );
+    let (start, end) = (start.saturating_sub(run), if step { values.len() } else { end + run });
     let spline = Response::new(0.0, grid.step_ps, &values[start..end]);
     let peak_ps = spline.peak_ps();
     let height = spline.height();
-    let mut kept: Vec<f64> = values[start..end]
-        .iter()
-        .map(|value| value / height)
-        .collect();
+    let mut kept: Vec<f64> = values[start..end].iter().map(|value| value / height).collect();
     let length = kept.len();
     for i in 0..run.min(length / 2) {
         let taper = 0.5 - 0.5 * (TAU / 2.0 * (i as f64 + 0.5) / run as f64).cos();
@@ -341,17 +272,9 @@ mod tests {
             .map(|_| {
                 let normal = |rng: &mut ChaCha8Rng| -> f64 { StandardNormal.sample(rng) };
                 let at_ps = 2500.0 + jitter_ps * normal(&mut rng);
-                let t0_ps = if jitter_ps > 0.0 {
-                    rng.random_range(0.0..50.0)
-                } else {
-                    0.0
-                };
+                let t0_ps = if jitter_ps > 0.0 { rng.random_range(0.0..50.0) } else { 0.0 };
                 let samples = (0..120)
-                    .map(|n| {
-                        pulse(f64::from(n) * 50.0 + t0_ps - at_ps) / top
-                            + 0.3
-                            + normal(&mut rng) / snr
-                    })
+                    .map(|n| pulse(f64::from(n) * 50.0 + t0_ps - at_ps) / top + 0.3 + normal(&mut rng) / snr)
                     .collect();
                 Shot { samples, t0_ps }
             })
@@ -369,14 +292,10 @@ mod tests {
         // The maximum of a noisy shape is badly defined, a pulse's place is not: compare at the best shift.
         let rms = |shift: f64| {
             let grid = (-60..120).map(|i| f64::from(i) * 6.25);
-            let squares: f64 = grid
-                .map(|t| (response.value(t + shift) - pulse(t + peak_ps) / top).powi(2))
-                .sum();
+            let squares: f64 = grid.map(|t| (response.value(t + shift) - pulse(t + peak_ps) / top).powi(2)).sum();
             (squares / 180.0).sqrt()
         };
-        let best = (-100..=100)
-            .map(|i| rms(f64::from(i) * 0.2))
-            .fold(f64::INFINITY, f64::min);
+        let best = (-100..=100).map(|i| rms(f64::from(i) * 0.2)).fold(f64::INFINITY, f64::min);
         (best, response.width_ps() / width_ps - 1.0)
     }
 
@@ -387,10 +306,7 @@ mod tests {
             let (shape, times) = shape_and_times(&shots, 50.0).unwrap();
             let (rms, width) = errors(&shape, pulse);
             eprintln!("{name}: shape rms {rms:.4}, width {width:+.4}");
-            assert!(
-                rms < 0.01 && width.abs() < 0.01,
-                "{name}: shape rms {rms}, width {width}"
-            );
+            assert!(rms < 0.01 && width.abs() < 0.01, "{name}: shape rms {rms}, width {width}");
             assert!(times.iter().all(Option::is_some));
         }
     }
@@ -400,10 +316,7 @@ mod tests {
         let shots = shots(g250, 500, 0.0, 30.0);
         let shape = shape(&shots, 50.0).unwrap();
         let (rms, width) = errors(&shape, g250);
-        assert!(
-            rms < 0.01 && width.abs() < 0.01,
-            "shape rms {rms}, width {width}"
-        );
+        assert!(rms < 0.01 && width.abs() < 0.01, "shape rms {rms}, width {width}");
         assert!(
             (shape.peak_ps - 2500.0).abs() < 5.0 && (shape.height - 1.0).abs() < 0.02,
             "{} {}",

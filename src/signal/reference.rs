@@ -34,11 +34,7 @@ pub struct PulseFit {
 #[must_use]
 pub fn fit_pulse(samples: &[f64], dt_ps: f64, template: &Response) -> Option<PulseFit> {
     assert!(dt_ps > 0.0, "a step is positive");
-    let landmark = if template.is_step() {
-        steepest(samples)?
-    } else {
-        strongest(samples)?
-    };
+    let landmark = if template.is_step() { steepest(samples)? } else { strongest(samples)? };
     let start_ps = landmark as f64 * dt_ps - template.peak_ps();
     let mut time_ps = start_ps;
     let mut fit = None;
@@ -55,13 +51,7 @@ pub fn fit_pulse(samples: &[f64], dt_ps: f64, template: &Response) -> Option<Pul
             break;
         }
     }
-    let Solved {
-        amplitude,
-        offset,
-        residual_variance,
-        inverse,
-        ..
-    } = fit?;
+    let Solved { amplitude, offset, residual_variance, inverse, .. } = fit?;
     let amplitude_sd = (residual_variance * inverse[0]).sqrt();
     let time_sd_ps = (residual_variance * inverse[1]).sqrt() / amplitude.abs();
     (amplitude.abs() >= SNR_MIN * amplitude_sd && time_sd_ps.is_finite()).then_some(PulseFit {
@@ -83,15 +73,8 @@ fn steepest(samples: &[f64]) -> Option<usize> {
 fn strongest(samples: &[f64]) -> Option<usize> {
     let mut sorted = samples.to_vec();
     let half = sorted.len() / 2;
-    let median = *sorted
-        .get_mut(..)?
-        .select_nth_unstable_by(half.min(samples.len().checked_sub(1)?), f64::total_cmp)
-        .1;
-    (0..samples.len()).max_by(|&a, &b| {
-        (samples[a] - median)
-            .abs()
-            .total_cmp(&(samples[b] - median).abs())
-    })
+    let median = *sorted.get_mut(..)?.select_nth_unstable_by(half.min(samples.len().checked_sub(1)?), f64::total_cmp).1;
+    (0..samples.len()).max_by(|&a, &b| (samples[a] - median).abs().total_cmp(&(samples[b] - median).abs()))
 }
 
 /// A linearised fit.
@@ -124,8 +107,7 @@ fn solve(samples: &[f64], dt_ps: f64, template: &Response, time_ps: f64) -> Opti
         total += samples[n] * samples[n];
     }
     let inverse = inverse(normal)?;
-    let solution: [f64; 3] =
-        std::array::from_fn(|i| (0..3).map(|j| inverse[i][j] * right[j]).sum());
+    let solution: [f64; 3] = std::array::from_fn(|i| (0..3).map(|j| inverse[i][j] * right[j]).sum());
     let explained: f64 = solution.iter().zip(right).map(|(a, b)| a * b).sum();
     let residual_variance = ((total - explained) / (count - 3) as f64).max(0.0);
     (solution[0] != 0.0).then_some(Solved {
@@ -159,9 +141,7 @@ mod tests {
     const SIGMA_PS: f64 = 106.2;
 
     fn gaussian() -> Response {
-        let values: Vec<f64> = (-80..=80)
-            .map(|i| (-0.5 * (f64::from(i) * 6.25 / SIGMA_PS).powi(2)).exp())
-            .collect();
+        let values: Vec<f64> = (-80..=80).map(|i| (-0.5 * (f64::from(i) * 6.25 / SIGMA_PS).powi(2)).exp()).collect();
         Response::new(-500.0, 6.25, &values)
     }
 
@@ -169,9 +149,7 @@ mod tests {
         (0..60)
             .map(|n| {
                 let normal: f64 = StandardNormal.sample(rng);
-                amplitude * (-0.5 * ((f64::from(n) * 50.0 - at_ps) / SIGMA_PS).powi(2)).exp()
-                    + 7.0
-                    + noise * normal
+                amplitude * (-0.5 * ((f64::from(n) * 50.0 - at_ps) / SIGMA_PS).powi(2)).exp() + 7.0 + noise * normal
             })
             .collect()
     }
@@ -205,11 +183,7 @@ mod tests {
         }
         let ratio = (squares / bounds).sqrt();
         assert!((0.93..1.07).contains(&ratio), "rms over bound {ratio}");
-        assert!(
-            (0.95..1.05).contains(&(own / bounds).sqrt()),
-            "own sd over bound {}",
-            (own / bounds).sqrt()
-        );
+        assert!((0.95..1.05).contains(&(own / bounds).sqrt()), "own sd over bound {}", (own / bounds).sqrt());
     }
 
     #[test]
@@ -217,19 +191,14 @@ mod tests {
         let (template, mut rng) = (gaussian(), ChaCha8Rng::seed_from_u64(2));
         for at_ps in [1000.0, 1233.3, 1777.7] {
             let fit = fit_pulse(&shot(at_ps, -4.0, 0.0, &mut rng), 50.0, &template).unwrap();
-            assert!(
-                (fit.time_ps - at_ps).abs() < 1e-3 && (fit.amplitude + 4.0).abs() < 1e-4,
-                "{fit:?}"
-            );
+            assert!((fit.time_ps - at_ps).abs() < 1e-3 && (fit.amplitude + 4.0).abs() < 1e-4, "{fit:?}");
         }
     }
 
     #[test]
     fn noise_is_no_pulse() {
         let (template, mut rng) = (gaussian(), ChaCha8Rng::seed_from_u64(3));
-        let found = (0..300)
-            .filter(|_| fit_pulse(&shot(0.0, 0.0, 1.0, &mut rng), 50.0, &template).is_some())
-            .count();
+        let found = (0..300).filter(|_| fit_pulse(&shot(0.0, 0.0, 1.0, &mut rng), 50.0, &template).is_some()).count();
         assert!(found <= 12, "{found} of 300");
         assert!(fit_pulse(&[], 50.0, &template).is_none());
         assert!(fit_pulse(&[1.0; 40], 50.0, &template).is_none());

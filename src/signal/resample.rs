@@ -17,10 +17,7 @@ const BETA: f64 = 8.96;
 /// When lengths differ, or `fraction` is not in 0..1.
 pub fn delay(samples: &[f64], fraction: f64, out: &mut [f64]) {
     assert_eq!(samples.len(), out.len(), "a delay keeps the length");
-    assert!(
-        (0.0..1.0).contains(&fraction),
-        "fraction {fraction} is not in 0..1"
-    );
+    assert!((0.0..1.0).contains(&fraction), "fraction {fraction} is not in 0..1");
     if fraction == 0.0 || samples.is_empty() {
         out.copy_from_slice(samples);
         return;
@@ -33,15 +30,9 @@ pub fn delay(samples: &[f64], fraction: f64, out: &mut [f64]) {
         let first = i as isize - half as isize;
         *value = if first >= 0 && first + TAPS as isize - 1 <= last {
             let first = first as usize;
-            taps.iter()
-                .zip(&samples[first..first + TAPS])
-                .map(|(tap, sample)| tap * sample)
-                .sum()
+            taps.iter().zip(&samples[first..first + TAPS]).map(|(tap, sample)| tap * sample).sum()
         } else {
-            taps.iter()
-                .enumerate()
-                .map(|(k, tap)| tap * samples[(first + k as isize).clamp(0, last) as usize])
-                .sum()
+            taps.iter().enumerate().map(|(k, tap)| tap * samples[(first + k as isize).clamp(0, last) as usize]).sum()
         };
     }
 }
@@ -54,11 +45,7 @@ pub fn taps(fraction: f64) -> [f64; TAPS] {
         // The window is centred on the place asked for, and reaches `half` samples to each side.
         let x = k as f64 - half + fraction;
         let edge = 1.0 - (x / half) * (x / half);
-        if edge <= 0.0 {
-            0.0
-        } else {
-            sinc(x) * bessel_i0(BETA * edge.sqrt())
-        }
+        if edge <= 0.0 { 0.0 } else { sinc(x) * bessel_i0(BETA * edge.sqrt()) }
     };
     let mut taps: [f64; TAPS] = std::array::from_fn(weight);
     let total: f64 = taps.iter().sum();
@@ -67,11 +54,7 @@ pub fn taps(fraction: f64) -> [f64; TAPS] {
 }
 
 fn sinc(x: f64) -> f64 {
-    if x == 0.0 {
-        1.0
-    } else {
-        (PI * x).sin() / (PI * x)
-    }
+    if x == 0.0 { 1.0 } else { (PI * x).sin() / (PI * x) }
 }
 
 /// Modified Bessel function of the first kind, order 0, by its power series.
@@ -93,9 +76,7 @@ mod tests {
     /// A Gaussian pulse of 5 samples full width at half maximum.
     fn pulse(at: f64) -> Vec<f64> {
         let sigma = 5.0 / 2.354_820_045;
-        (0..200)
-            .map(|i| (-0.5 * ((f64::from(i) - at) / sigma).powi(2)).exp())
-            .collect()
+        (0..200).map(|i| (-0.5 * ((f64::from(i) - at) / sigma).powi(2)).exp()).collect()
     }
 
     #[test]
@@ -105,30 +86,18 @@ mod tests {
         for step in 0..64 {
             let fraction = f64::from(step) / 64.0;
             delay(&samples, fraction, &mut out);
-            let worst = out
-                .iter()
-                .zip(pulse(100.0 + fraction))
-                .map(|(a, b)| (a - b).abs())
-                .fold(0.0, f64::max);
+            let worst = out.iter().zip(pulse(100.0 + fraction)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(worst < 1e-4, "{fraction}: {worst}");
         }
     }
 
     #[test]
     fn two_delays_that_make_a_sample_shift_by_one() {
-        let samples: Vec<f64> = pulse(80.3)
-            .iter()
-            .zip(pulse(110.7))
-            .map(|(a, b)| 2.0 * a - b)
-            .collect();
+        let samples: Vec<f64> = pulse(80.3).iter().zip(pulse(110.7)).map(|(a, b)| 2.0 * a - b).collect();
         let (mut once, mut twice) = (vec![0.0; samples.len()], vec![0.0; samples.len()]);
         delay(&samples, 0.3, &mut once);
         delay(&once, 0.7, &mut twice);
-        let worst = twice[1..]
-            .iter()
-            .zip(&samples)
-            .map(|(a, b)| (a - b).abs())
-            .fold(0.0, f64::max);
+        let worst = twice[1..].iter().zip(&samples).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(worst < 2e-4, "{worst}");
     }
 

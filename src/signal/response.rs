@@ -25,37 +25,19 @@ impl Response {
     /// With fewer than two values, a step that is not positive, or anything not finite.
     #[must_use]
     pub fn new(t0_ps: f64, step_ps: f64, values: &[f64]) -> Self {
-        assert!(
-            values.len() >= 2,
-            "a response needs at least two values, got {}",
-            values.len()
-        );
+        assert!(values.len() >= 2, "a response needs at least two values, got {}", values.len());
         assert!(
             t0_ps.is_finite() && step_ps.is_finite() && step_ps > 0.0,
             "a response needs a finite start and a positive step"
         );
-        assert!(
-            values.iter().all(|v| v.is_finite()),
-            "a response needs finite values"
-        );
+        assert!(values.iter().all(|v| v.is_finite()), "a response needs finite values");
         let curvatures = natural_curvatures(values);
         let pieces = values
             .windows(2)
             .zip(curvatures.windows(2))
-            .map(|(v, m)| {
-                [
-                    v[0],
-                    v[1] - v[0] - (2.0 * m[0] + m[1]) / 6.0,
-                    m[0] / 2.0,
-                    (m[1] - m[0]) / 6.0,
-                ]
-            })
+            .map(|(v, m)| [v[0], v[1] - v[0] - (2.0 * m[0] + m[1]) / 6.0, m[0] / 2.0, (m[1] - m[0]) / 6.0])
             .collect();
-        Self {
-            t0_ps,
-            step_ps,
-            pieces,
-        }
+        Self { t0_ps, step_ps, pieces }
     }
 
     /// Value at `time_ps` after the arrival of the pulse.
@@ -67,21 +49,15 @@ impl Response {
     /// Value and slope (per ps) at `time_ps` after the arrival of the pulse.
     #[must_use]
     pub fn value_and_slope(&self, time_ps: f64) -> (f64, f64) {
-        self.piece(time_ps)
-            .map_or((0.0, 0.0), |([c0, c1, c2, c3], u)| {
-                (
-                    c0 + u * (c1 + u * (c2 + u * c3)),
-                    (c1 + u * (2.0 * c2 + u * 3.0 * c3)) / self.step_ps,
-                )
-            })
+        self.piece(time_ps).map_or((0.0, 0.0), |([c0, c1, c2, c3], u)| {
+            (c0 + u * (c1 + u * (c2 + u * c3)), (c1 + u * (2.0 * c2 + u * 3.0 * c3)) / self.step_ps)
+        })
     }
 
     /// Second derivative (per ps squared) at `time_ps` after the arrival of the pulse.
     #[must_use]
     pub fn curvature(&self, time_ps: f64) -> f64 {
-        self.piece(time_ps).map_or(0.0, |([_, _, c2, c3], u)| {
-            (2.0 * c2 + 6.0 * c3 * u) / (self.step_ps * self.step_ps)
-        })
+        self.piece(time_ps).map_or(0.0, |([_, _, c2, c3], u)| (2.0 * c2 + 6.0 * c3 * u) / (self.step_ps * self.step_ps))
     }
 
     /// The cubic that holds `time_ps` and the position within it; `None` outside the support.
@@ -98,10 +74,7 @@ impl Response {
     /// First and last time at which the response is defined, ps after the arrival.
     #[must_use]
     pub fn support_ps(&self) -> (f64, f64) {
-        (
-            self.t0_ps,
-            self.t0_ps + self.pieces.len() as f64 * self.step_ps,
-        )
+        (self.t0_ps, self.t0_ps + self.pieces.len() as f64 * self.step_ps)
     }
 
     /// Samples `n` in `0..len` of a record (sample `n` at `t0_ps + n * dt_ps`) that a pulse at `arrival_ps` reaches.
@@ -130,11 +103,7 @@ impl Response {
     /// Time of the maximum, ps after the arrival; for a step, of its steepest rise.
     #[must_use]
     pub fn peak_ps(&self) -> f64 {
-        if self.is_step() {
-            self.steepest().0
-        } else {
-            self.maximum_ps()
-        }
+        if self.is_step() { self.steepest().0 } else { self.maximum_ps() }
     }
 
     /// Time and slope (per ps) of the steepest rise.
@@ -143,36 +112,23 @@ impl Response {
         let candidates = self.pieces.iter().enumerate().flat_map(|(i, &piece)| {
             let inner = -piece[2] / (3.0 * piece[3]);
             let inner = Some(inner).filter(|u| (0.0..1.0).contains(u));
-            [Some(0.0), inner]
-                .into_iter()
-                .flatten()
-                .map(move |u| (i as f64 + u, slope(piece, u)))
+            [Some(0.0), inner].into_iter().flatten().map(move |u| (i as f64 + u, slope(piece, u)))
         });
-        let (position, slope) = candidates.fold((0.0, f64::NEG_INFINITY), |best, at| {
-            if at.1 > best.1 { at } else { best }
-        });
+        let (position, slope) =
+            candidates.fold((0.0, f64::NEG_INFINITY), |best, at| if at.1 > best.1 { at } else { best });
         (self.t0_ps + position * self.step_ps, slope / self.step_ps)
     }
 
     fn maximum_ps(&self) -> f64 {
-        let knots = self
-            .pieces
-            .iter()
-            .enumerate()
-            .map(|(i, p)| (i as f64, p[0]));
-        let interior = self
-            .pieces
-            .iter()
-            .enumerate()
-            .filter_map(|(i, p)| interior_maximum(*p).map(|(u, v)| (i as f64 + u, v)));
+        let knots = self.pieces.iter().enumerate().map(|(i, p)| (i as f64, p[0]));
+        let interior =
+            self.pieces.iter().enumerate().filter_map(|(i, p)| interior_maximum(*p).map(|(u, v)| (i as f64 + u, v)));
         let last = self.pieces.len() as f64;
         let end = self.value(self.t0_ps + last * self.step_ps);
-        let (position, _) = knots.chain(interior).chain([(last, end)]).fold(
-            (0.0, f64::NEG_INFINITY),
-            |best, at| {
-                if at.1 > best.1 { at } else { best }
-            },
-        );
+        let (position, _) = knots
+            .chain(interior)
+            .chain([(last, end)])
+            .fold((0.0, f64::NEG_INFINITY), |best, at| if at.1 > best.1 { at } else { best });
         self.t0_ps + position * self.step_ps
     }
 
@@ -194,11 +150,7 @@ impl Response {
         let stride = self.step_ps.copysign(limit_ps - peak_ps);
         let mut above = peak_ps;
         while (limit_ps - above).abs() > 0.0 {
-            let next = if (limit_ps - above).abs() < self.step_ps {
-                limit_ps
-            } else {
-                above + stride
-            };
+            let next = if (limit_ps - above).abs() < self.step_ps { limit_ps } else { above + stride };
             if self.value(next) < level {
                 return self.bisect(above, next, level);
             }
@@ -256,9 +208,7 @@ mod tests {
 
     /// Gaussian of FWHM 250 ps, knots every 10 ps over +-600 ps: negligible (1e-7) at the ends.
     fn gaussian(knot_shift_ps: f64) -> Response {
-        let values: Vec<f64> = (0..121)
-            .map(|i| gauss(-600.0 + knot_shift_ps + 10.0 * f64::from(i)))
-            .collect();
+        let values: Vec<f64> = (0..121).map(|i| gauss(-600.0 + knot_shift_ps + 10.0 * f64::from(i))).collect();
         Response::new(-600.0 + knot_shift_ps, 10.0, &values)
     }
 
@@ -280,10 +230,7 @@ mod tests {
             let curvature = ((t / SIGMA_PS).powi(2) - 1.0) / SIGMA_PS.powi(2) * gauss(t);
             // A natural spline's second derivative is wrong near its ends, where it is made zero.
             if t.abs() < 500.0 {
-                assert!(
-                    (response.curvature(t) - curvature).abs() < 5e-7,
-                    "curvature at {t}"
-                );
+                assert!((response.curvature(t) - curvature).abs() < 5e-7, "curvature at {t}");
             }
         }
     }
@@ -291,21 +238,12 @@ mod tests {
     #[test]
     fn a_step_is_placed_by_its_edge() {
         let step = |t: f64| 1.0 / (1.0 + (-t / 20.0).exp());
-        let values: Vec<f64> = (0..200)
-            .map(|i| step(10.0 * f64::from(i) - 503.0) * (1.0 - 0.02 * f64::from(i % 3)))
-            .collect();
+        let values: Vec<f64> =
+            (0..200).map(|i| step(10.0 * f64::from(i) - 503.0) * (1.0 - 0.02 * f64::from(i % 3))).collect();
         let response = Response::new(-100.0, 10.0, &values);
         assert!(response.is_step() && !gaussian(0.0).is_step());
-        assert!(
-            (response.peak_ps() - 403.0).abs() < 6.0,
-            "{}",
-            response.peak_ps()
-        );
-        assert!(
-            (response.width_ps() - 80.0).abs() < 12.0,
-            "{}",
-            response.width_ps()
-        );
+        assert!((response.peak_ps() - 403.0).abs() < 6.0, "{}", response.peak_ps());
+        assert!((response.width_ps() - 80.0).abs() < 12.0, "{}", response.width_ps());
     }
 
     #[test]
@@ -345,10 +283,7 @@ mod tests {
         for shift in [0.0, 1.7, 5.0, 9.1] {
             let response = gaussian(shift);
             assert!(response.peak_ps().abs() < 0.01, "peak, knots at {shift}");
-            assert!(
-                (response.width_ps() - 250.0).abs() < 0.01,
-                "width, knots at {shift}"
-            );
+            assert!((response.width_ps() - 250.0).abs() < 0.01, "width, knots at {shift}");
         }
         // A ramp cut off at its maximum: the peak is the last knot, the half width the lower half of the ramp.
         let ramp = Response::new(0.0, 1.0, &[0.0, 1.0, 2.0, 3.0, 4.0]);

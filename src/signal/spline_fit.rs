@@ -25,10 +25,7 @@ impl SplineFit {
     /// When the step is not positive or the end lies before the start.
     #[must_use]
     pub fn new(start: f64, end: f64, step: f64) -> Self {
-        assert!(
-            step > 0.0 && end >= start,
-            "knots from {start} to {end} every {step}"
-        );
+        assert!(step > 0.0 && end >= start, "knots from {start} to {end} every {step}");
         let count = ((end - start) / step).ceil().max(1.0) as usize + BAND;
         let mut normal = vec![[0.0; BAND + 1]; count];
         for i in 0..count - 2 {
@@ -40,12 +37,7 @@ impl SplineFit {
                 }
             }
         }
-        Self {
-            start,
-            step,
-            normal,
-            right: vec![0.0; count],
-        }
+        Self { start, step, normal, right: vec![0.0; count] }
     }
 
     /// First basis function at a place, and the values there of it and the next three; `None` outside.
@@ -87,13 +79,7 @@ impl SplineFit {
     pub fn values(&self, places: impl Iterator<Item = f64>) -> Option<Vec<f64>> {
         let coefficients = self.solve()?;
         let value = |at: f64| {
-            self.basis(at).map_or(0.0, |(i, basis)| {
-                basis
-                    .iter()
-                    .zip(&coefficients[i..])
-                    .map(|(b, c)| b * c)
-                    .sum()
-            })
+            self.basis(at).map_or(0.0, |(i, basis)| basis.iter().zip(&coefficients[i..]).map(|(b, c)| b * c).sum())
         };
         Some(places.map(value).collect())
     }
@@ -108,23 +94,16 @@ impl SplineFit {
                 let before = |k: usize| factor[k][j - k] * factor[k][i - k];
                 let known: f64 = (i.saturating_sub(BAND)..j).map(before).sum();
                 let rest = self.normal[j][i - j] - known;
-                factor[j][i - j] = if i == j {
-                    Some(rest).filter(|rest| *rest > 0.0)?.sqrt()
-                } else {
-                    rest / factor[j][0]
-                };
+                factor[j][i - j] =
+                    if i == j { Some(rest).filter(|rest| *rest > 0.0)?.sqrt() } else { rest / factor[j][0] };
             }
         }
         for i in 0..count {
-            let known: f64 = (i.saturating_sub(BAND)..i)
-                .map(|k| factor[k][i - k] * solution[k])
-                .sum();
+            let known: f64 = (i.saturating_sub(BAND)..i).map(|k| factor[k][i - k] * solution[k]).sum();
             solution[i] = (solution[i] - known) / factor[i][0];
         }
         for i in (0..count).rev() {
-            let known: f64 = (i + 1..count.min(i + BAND + 1))
-                .map(|k| factor[i][k - i] * solution[k])
-                .sum();
+            let known: f64 = (i + 1..count.min(i + BAND + 1)).map(|k| factor[i][k - i] * solution[k]).sum();
             solution[i] = (solution[i] - known) / factor[i][0];
         }
         Some(solution)
@@ -142,9 +121,7 @@ mod tests {
         let cubic = |t: f64| 0.3 * t * t * t - t * t + 2.0;
         for shift in [0.0, 17.3] {
             let mut fit = SplineFit::new(shift, shift + 4.0, 0.5);
-            (0..200)
-                .map(|k| f64::from(k) * 0.02)
-                .for_each(|t| fit.add(t + shift, cubic(t)));
+            (0..200).map(|k| f64::from(k) * 0.02).for_each(|t| fit.add(t + shift, cubic(t)));
             let places: Vec<f64> = (0..40).map(|k| f64::from(k) * 0.1).collect();
             let values = fit.values(places.iter().map(|t| t + shift)).unwrap();
             for (t, value) in places.iter().zip(values) {
@@ -164,11 +141,7 @@ mod tests {
             .map(|i| {
                 let entry = |j: usize| {
                     let (low, high) = (i.min(j), i.max(j));
-                    if high - low <= BAND {
-                        fit.normal[low][high - low]
-                    } else {
-                        0.0
-                    }
+                    if high - low <= BAND { fit.normal[low][high - low] } else { 0.0 }
                 };
                 (0..count).map(entry).chain([fit.right[i]]).collect()
             })
@@ -190,16 +163,10 @@ mod tests {
     #[test]
     fn places_without_values_are_bridged_and_outside_is_zero() {
         let mut fit = SplineFit::new(0.0, 10.0, 1.0);
-        (0..40)
-            .map(|k| f64::from(k) * 0.1)
-            .chain((60..100).map(|k| f64::from(k) * 0.1))
-            .for_each(|t| fit.add(t, 5.0));
+        (0..40).map(|k| f64::from(k) * 0.1).chain((60..100).map(|k| f64::from(k) * 0.1)).for_each(|t| fit.add(t, 5.0));
         let values = fit.values([5.0, 2.0, 11.0, -0.1].into_iter()).unwrap();
         assert!(
-            (values[0] - 5.0).abs() < 1e-3
-                && (values[1] - 5.0).abs() < 1e-6
-                && values[2] == 0.0
-                && values[3] == 0.0,
+            (values[0] - 5.0).abs() < 1e-3 && (values[1] - 5.0).abs() < 1e-6 && values[2] == 0.0 && values[3] == 0.0,
             "{values:?}"
         );
     }

@@ -27,11 +27,7 @@ impl Transfer {
     /// If the samples are more than `len`, or all zero.
     #[must_use]
     pub fn from_samples(fft: &mut RealFft, samples: &[f64], len: usize) -> Self {
-        assert!(
-            samples.len() <= len,
-            "the response has {} samples, the record only {len}",
-            samples.len()
-        );
+        assert!(samples.len() <= len, "the response has {} samples, the record only {len}", samples.len());
         let mut padded = samples.to_vec();
         padded.resize(len, 0.0);
         Self::from_circular(fft, &padded)
@@ -60,10 +56,7 @@ impl Transfer {
         for g in &mut gain {
             *g /= largest;
         }
-        Self {
-            len: samples.len(),
-            gain,
-        }
+        Self { len: samples.len(), gain }
     }
 
     /// Noise-to-signal ratio of a profile (baseline removed) whose samples carry white noise of standard deviation `noise_sd`.
@@ -109,14 +102,8 @@ impl Wiener {
     /// If `noise_to_signal` or `low_pass` is not positive.
     #[must_use]
     pub fn new(transfer: &Transfer, noise_to_signal: f64, low_pass: Option<f64>) -> Self {
-        assert!(
-            noise_to_signal > 0.0,
-            "the noise-to-signal ratio must be positive"
-        );
-        assert!(
-            low_pass.is_none_or(|f| f > 0.0),
-            "the low-pass frequency must be positive"
-        );
+        assert!(noise_to_signal > 0.0, "the noise-to-signal ratio must be positive");
+        assert!(low_pass.is_none_or(|f| f > 0.0), "the low-pass frequency must be positive");
         let filter = transfer
             .gain
             .iter()
@@ -127,10 +114,7 @@ impl Wiener {
                 h.conj() / (h.norm_sqr() + noise_to_signal) * smooth
             })
             .collect();
-        Self {
-            len: transfer.len,
-            filter,
-        }
+        Self { len: transfer.len, filter }
     }
 
     /// Standard deviation of deconvolved white noise of standard deviation 1: root of the mean of `|W|^2` over all bins.
@@ -176,14 +160,7 @@ mod tests {
 
     fn circular_convolution(x: &[f64], h: &[f64]) -> Vec<f64> {
         let len = x.len();
-        (0..len)
-            .map(|n| {
-                h.iter()
-                    .enumerate()
-                    .map(|(m, v)| v * x[(n + len - m) % len])
-                    .sum()
-            })
-            .collect()
+        (0..len).map(|n| h.iter().enumerate().map(|(m, v)| v * x[(n + len - m) % len]).sum()).collect()
     }
 
     /// All N bins of the defining sum, and back: what `numpy.fft.fft` and `ifft` compute.
@@ -193,12 +170,7 @@ mod tests {
             .map(|k| {
                 x.iter()
                     .enumerate()
-                    .map(|(n, v)| {
-                        v * Complex::from_polar(
-                            1.0,
-                            sign * TAU * ((k * n) % len) as f64 / len as f64,
-                        )
-                    })
+                    .map(|(n, v)| v * Complex::from_polar(1.0, sign * TAU * ((k * n) % len) as f64 / len as f64))
                     .sum()
             })
             .collect()
@@ -211,16 +183,13 @@ mod tests {
         let y: Vec<f64> = (0..len).map(|_| rng.random_range(-1.0..1.0)).collect();
         let h = ringing();
         let complex = |v: &[f64]| -> Vec<Complex<f64>> {
-            (0..len)
-                .map(|n| Complex::new(v.get(n).copied().unwrap_or(0.0), 0.0))
-                .collect()
+            (0..len).map(|n| Complex::new(v.get(n).copied().unwrap_or(0.0), 0.0)).collect()
         };
         let (big_y, big_h) = (dft(&complex(&y), -1.0), dft(&complex(&h), -1.0));
         let product: Vec<Complex<f64>> = (0..len)
             .map(|k| {
                 let f = k.min(len - k) as f64 / len as f64;
-                big_y[k] * big_h[k].conj() / (big_h[k].norm_sqr() + nsr)
-                    * (-0.5 * (f / f_c).powi(2)).exp()
+                big_y[k] * big_h[k].conj() / (big_h[k].norm_sqr() + nsr) * (-0.5 * (f / f_c).powi(2)).exp()
             })
             .collect();
         let expected = dft(&product, 1.0);
@@ -230,19 +199,14 @@ mod tests {
         let mut light = vec![0.0; len];
         Wiener::new(&transfer, nsr, Some(f_c)).apply(&mut fft, &y, &mut light);
         for n in 0..len {
-            assert!(
-                (light[n] - expected[n].re / len as f64).abs() < 1e-12,
-                "sample {n}"
-            );
+            assert!((light[n] - expected[n].re / len as f64).abs() < 1e-12, "sample {n}");
         }
     }
 
     #[test]
     fn undoes_a_convolution_and_shifts_with_its_input() {
         let len = 256;
-        let light: Vec<f64> = (0..len)
-            .map(|n| (-0.5 * ((n as f64 - 100.0) / 4.0).powi(2)).exp())
-            .collect();
+        let light: Vec<f64> = (0..len).map(|n| (-0.5 * ((n as f64 - 100.0) / 4.0).powi(2)).exp()).collect();
         let y = circular_convolution(&light, &ringing());
         let mut fft = RealFft::new();
         let transfer = Transfer::from_samples(&mut fft, &ringing(), len);
@@ -285,16 +249,10 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(8);
         for len in [255, 256] {
             let mut fft = RealFft::new();
-            let wiener = Wiener::new(
-                &Transfer::from_samples(&mut fft, &ringing(), len),
-                0.01,
-                Some(0.2),
-            );
+            let wiener = Wiener::new(&Transfer::from_samples(&mut fft, &ringing(), len), 0.01, Some(0.2));
             let (mut squares, mut light) = (0.0, vec![0.0; len]);
             for _ in 0..400 {
-                let noise: Vec<f64> = (0..len)
-                    .map(|_| rand_distr::StandardNormal.sample(&mut rng))
-                    .collect();
+                let noise: Vec<f64> = (0..len).map(|_| rand_distr::StandardNormal.sample(&mut rng)).collect();
                 wiener.apply(&mut fft, &noise, &mut light);
                 squares += light.iter().map(|x| x * x).sum::<f64>() / len as f64;
             }

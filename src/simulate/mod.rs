@@ -127,29 +127,17 @@ struct Shooting {
 ///
 /// # Errors
 /// When the folder is in use or cannot be written, or light arrives outside the record.
-pub fn simulate(
-    scene: &Scene,
-    seed: u64,
-    out: &Path,
-    format: Format,
-) -> Result<Truth, SimulateError> {
+pub fn simulate(scene: &Scene, seed: u64, out: &Path, format: Format) -> Result<Truth, SimulateError> {
     folder::claim(out)?;
     let pulse = Pulse::of(&scene.instrument.response);
     let mut shootings = Vec::new();
-    let mut truth = Truth {
-        patches: scene.true_patches(),
-        onsets: Vec::new(),
-        calibration: Vec::new(),
-    };
+    let mut truth = Truth { patches: scene.true_patches(), onsets: Vec::new(), calibration: Vec::new() };
     for (number, (name, sensor)) in scene.sensors.iter().enumerate() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(number as u64);
         let normal: f64 = StandardNormal.sample(&mut rng);
         let path_m = scene.captures.path_m + scene.captures.path_sd_m * normal;
-        let light = Light::at(
-            units::time_ps(path_m, scene.group_index),
-            scene.instrument.volts.unwrap_or(1.0),
-        );
+        let light = Light::at(units::time_ps(path_m, scene.group_index), scene.instrument.volts.unwrap_or(1.0));
         let stem = format!("raw/response/{name}");
         shootings.push(Shooting {
             stream: rng.random(),
@@ -158,16 +146,12 @@ pub fn simulate(
             shots: scene.captures.response_shots,
             latency_ps: sensor.latency_ps,
         });
-        truth
-            .calibration
-            .push(scene.true_calibration(name, sensor.latency_ps, &pulse));
+        truth.calibration.push(scene.true_calibration(name, sensor.latency_ps, &pulse));
         for lit in scene.patches.keys() {
             for seen in scene.patches.keys() {
                 let light = transport::light(scene, name, *lit, *seen);
                 let stem = format!("raw/scene/{name}_L{lit}_P{seen}");
-                truth
-                    .onsets
-                    .push(scene.true_onset(name, *lit, *seen, &light));
+                truth.onsets.push(scene.true_onset(name, *lit, *seen, &light));
                 shootings.push(Shooting {
                     stream: rng.random(),
                     stem,
@@ -175,12 +159,7 @@ pub fn simulate(
                     shots: scene.captures.shots,
                     latency_ps: sensor.latency_ps,
                 });
-                scene.check_record(
-                    *lit,
-                    *seen,
-                    &shootings[shootings.len() - 1].light,
-                    sensor.latency_ps,
-                )?;
+                scene.check_record(*lit, *seen, &shootings[shootings.len() - 1].light, sensor.latency_ps)?;
             }
         }
     }
@@ -188,12 +167,7 @@ pub fn simulate(
     shootings.par_iter().try_for_each(|shooting| {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(shooting.stream);
-        let shots = digitizer.shots(
-            &shooting.light,
-            shooting.latency_ps,
-            shooting.shots,
-            &mut rng,
-        );
+        let shots = digitizer.shots(&shooting.light, shooting.latency_ps, shooting.shots, &mut rng);
         folder::write_shots(out, &shooting.stem, scene, format, &shots)
     })?;
     folder::write_campaign(out, scene, format)?;

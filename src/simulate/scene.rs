@@ -196,10 +196,8 @@ impl Scene {
     /// # Errors
     /// When it cannot be read, or anything in it is refused.
     pub fn load(file: &Path) -> Result<Self, SceneError> {
-        let text = std::fs::read_to_string(file).map_err(|source| SceneError::Read {
-            file: file.to_owned(),
-            source,
-        })?;
+        let text =
+            std::fs::read_to_string(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
         Self::parse(file, &text)
     }
 
@@ -221,13 +219,7 @@ impl Scene {
             text: text.to_owned(),
         };
         let sensors = scene.sensors.iter().map(|(name, sensor)| {
-            (
-                name.clone(),
-                keys::Sensor {
-                    station: sensor.station.clone(),
-                    ..keys::Sensor::default()
-                },
-            )
+            (name.clone(), keys::Sensor { station: sensor.station.clone(), ..keys::Sensor::default() })
         });
         let patch = |disk: &Disk| keys::Patch {
             position_m: Some(disk.position_m),
@@ -235,25 +227,10 @@ impl Scene {
             size_m: Some(disk.size_m),
             ..keys::Patch::default()
         };
-        let patches = scene
-            .patches
-            .iter()
-            .map(|(id, disk)| (*id, patch(disk)))
-            .collect();
-        let setup = check_setup::setup(
-            &scene.stations,
-            &sensors.collect(),
-            &patches,
-            scene.dimensions,
-        );
-        setup.map_err(|fault| SceneError::Setup {
-            file: file.to_owned(),
-            fault,
-        })?;
-        scene.check().map_err(|problem| SceneError::Value {
-            file: file.to_owned(),
-            problem,
-        })?;
+        let patches = scene.patches.iter().map(|(id, disk)| (*id, patch(disk))).collect();
+        let setup = check_setup::setup(&scene.stations, &sensors.collect(), &patches, scene.dimensions);
+        setup.map_err(|fault| SceneError::Setup { file: file.to_owned(), fault })?;
+        scene.check().map_err(|problem| SceneError::Value { file: file.to_owned(), problem })?;
         Ok(scene)
     }
 
@@ -265,41 +242,26 @@ impl Scene {
                 ));
             }
             if !(0.0..=1.0).contains(&disk.reflectance) {
-                return Err(format!(
-                    "[patches.{id}]: reflectance = {} is not from 0 to 1",
-                    disk.reflectance
-                ));
+                return Err(format!("[patches.{id}]: reflectance = {} is not from 0 to 1", disk.reflectance));
             }
         }
         let instrument = &self.instrument;
-        let mut positive = vec![
-            ("[instrument]: dt_ps", instrument.dt_ps),
-            ("[instrument]: full_scale_v", instrument.full_scale_v),
-        ];
+        let mut positive =
+            vec![("[instrument]: dt_ps", instrument.dt_ps), ("[instrument]: full_scale_v", instrument.full_scale_v)];
         match instrument.response {
-            Shape::Gaussian { fwhm_ps } => {
-                positive.push(("[instrument]: response.fwhm_ps", fwhm_ps))
-            }
+            Shape::Gaussian { fwhm_ps } => positive.push(("[instrument]: response.fwhm_ps", fwhm_ps)),
             Shape::Emg { sigma_ps, tau_ps } => {
-                positive.extend([
-                    ("[instrument]: response.sigma_ps", sigma_ps),
-                    ("[instrument]: response.tau_ps", tau_ps),
-                ]);
+                positive
+                    .extend([("[instrument]: response.sigma_ps", sigma_ps), ("[instrument]: response.tau_ps", tau_ps)]);
             }
         }
         positive.extend(instrument.reference.iter().flat_map(|reference| {
-            [
-                ("[instrument]: reference.fwhm_ps", reference.fwhm_ps),
-                ("[instrument]: reference.snr", reference.snr),
-            ]
+            [("[instrument]: reference.fwhm_ps", reference.fwhm_ps), ("[instrument]: reference.snr", reference.snr)]
         }));
         positive.extend(instrument.snr.map(|snr| ("[instrument]: snr", snr)));
         positive.extend(instrument.volts.map(|volts| ("[instrument]: volts", volts)));
         positive.push(("[captures]: path_m", self.captures.path_m));
-        if let Some((place, value)) = positive
-            .into_iter()
-            .find(|(_, value)| !(value.is_finite() && *value > 0.0))
-        {
+        if let Some((place, value)) = positive.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
             return Err(format!("{place} = {value} must be above 0"));
         }
         let not_negative = [
@@ -307,23 +269,15 @@ impl Scene {
             ("[instrument]: noise_v", instrument.noise_v.unwrap_or(0.0)),
             ("[captures]: path_sd_m", self.captures.path_sd_m),
         ];
-        if let Some((place, value)) = not_negative
-            .into_iter()
-            .find(|(_, value)| !(value.is_finite() && *value >= 0.0))
+        if let Some((place, value)) = not_negative.into_iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0))
         {
             return Err(format!("{place} = {value} must not be negative"));
         }
         if !(8..=16).contains(&instrument.bits) {
-            return Err(format!(
-                "[instrument]: bits = {}; converters of 8 to 16 bits are simulated",
-                instrument.bits
-            ));
+            return Err(format!("[instrument]: bits = {}; converters of 8 to 16 bits are simulated", instrument.bits));
         }
         if !(16..=10_000_000).contains(&instrument.samples) {
-            return Err(format!(
-                "[instrument]: samples = {} is not from 16 to 10,000,000",
-                instrument.samples
-            ));
+            return Err(format!("[instrument]: samples = {} is not from 16 to 10,000,000", instrument.samples));
         }
         if self.captures.shots == 0 || self.captures.response_shots == 0 {
             return Err("[captures]: shots and response_shots must be at least 1".to_owned());
@@ -393,12 +347,7 @@ impl Scene {
         self.patches.iter().map(row).collect()
     }
 
-    pub(super) fn true_calibration(
-        &self,
-        sensor: &str,
-        latency_ps: f64,
-        pulse: &Pulse,
-    ) -> Calibration {
+    pub(super) fn true_calibration(&self, sensor: &str, latency_ps: f64, pulse: &Pulse) -> Calibration {
         Calibration {
             campaign: self.name.as_str().into(),
             sensor: sensor.into(),
@@ -417,13 +366,7 @@ impl Scene {
         }
     }
 
-    pub(super) fn true_onset(
-        &self,
-        sensor: &str,
-        lit: PatchId,
-        seen: PatchId,
-        light: &Light,
-    ) -> Onset {
+    pub(super) fn true_onset(&self, sensor: &str, lit: PatchId, seen: PatchId, light: &Light) -> Onset {
         let shortcut = self.instrument.snr.is_some();
         Onset {
             campaign: self.name.as_str().into(),
@@ -441,11 +384,7 @@ impl Scene {
             evidence: None,
             covariance: vec![0.0],
             jitter_ps: 0.0,
-            flags: if shortcut {
-                vec!["snr-was-set".into()]
-            } else {
-                Vec::new()
-            },
+            flags: if shortcut { vec!["snr-was-set".into()] } else { Vec::new() },
         }
     }
 }
@@ -457,11 +396,7 @@ impl Instrument {
     /// Height of the response to light of this strength.
     #[must_use]
     pub fn height_v(&self, strength: f64) -> f64 {
-        if self.snr.is_some() {
-            Self::HEIGHT * self.full_scale_v
-        } else {
-            strength
-        }
+        if self.snr.is_some() { Self::HEIGHT * self.full_scale_v } else { strength }
     }
 
     /// Noise of one sample.

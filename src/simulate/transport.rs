@@ -29,29 +29,18 @@ impl Light {
 
     /// Mean time of flight.
     pub fn centroid_ps(&self) -> f64 {
-        self.0
-            .iter()
-            .map(|(time_ps, strength)| time_ps * strength)
-            .sum::<f64>()
-            / self.total()
+        self.0.iter().map(|(time_ps, strength)| time_ps * strength).sum::<f64>() / self.total()
     }
 
     /// First time of flight.
     pub fn earliest_ps(&self) -> f64 {
-        self.0
-            .iter()
-            .map(|(time_ps, _)| *time_ps)
-            .fold(f64::INFINITY, f64::min)
+        self.0.iter().map(|(time_ps, _)| *time_ps).fold(f64::INFINITY, f64::min)
     }
 
     /// Standard deviation of the times of flight.
     pub fn width_ps(&self) -> f64 {
         let centroid_ps = self.centroid_ps();
-        (self
-            .0
-            .iter()
-            .map(|(time_ps, strength)| strength * (time_ps - centroid_ps).powi(2))
-            .sum::<f64>()
+        (self.0.iter().map(|(time_ps, strength)| strength * (time_ps - centroid_ps).powi(2)).sum::<f64>()
             / self.total())
         .sqrt()
     }
@@ -77,20 +66,14 @@ fn cosine(normal: [f64; 3], from: [f64; 3], to: [f64; 3]) -> f64 {
 
 /// Points of equal area that cover a disk evenly, on a spiral by the golden angle.
 fn elements(disk: &Disk) -> Vec<[f64; 3]> {
-    let least = (0..3)
-        .min_by(|&a, &b| disk.normal[a].abs().total_cmp(&disk.normal[b].abs()))
-        .expect("three axes");
+    let least = (0..3).min_by(|&a, &b| disk.normal[a].abs().total_cmp(&disk.normal[b].abs())).expect("three axes");
     let mut axis = [0.0; 3];
     axis[least] = 1.0;
     let along = dot(axis, disk.normal);
     let u = std::array::from_fn(|k| axis[k] - along * disk.normal[k]);
     let u = u.map(|value: f64| value / length(u));
     let n = disk.normal;
-    let v = [
-        n[1] * u[2] - n[2] * u[1],
-        n[2] * u[0] - n[0] * u[2],
-        n[0] * u[1] - n[1] * u[0],
-    ];
+    let v = [n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]];
     let golden = TAU * (1.0 - 2.0 / (1.0 + 5_f64.sqrt()));
     let point = |k: usize| {
         let radius_m = 0.5 * disk.size_m * ((k as f64 + 0.5) / ELEMENTS as f64).sqrt();
@@ -102,10 +85,7 @@ fn elements(disk: &Disk) -> Vec<[f64; 3]> {
 
 /// Light of one capture.
 pub fn light(scene: &Scene, sensor: &str, lit: PatchId, seen: PatchId) -> Light {
-    let (source, eye) = (
-        scene.stations[crate::campaign::keys::LASER].position_m,
-        scene.sensor_m(sensor),
-    );
+    let (source, eye) = (scene.stations[crate::campaign::keys::LASER].position_m, scene.sensor_m(sensor));
     let (i, j) = (&scene.patches[&lit], &scene.patches[&seen]);
     let time = |length_m| units::time_ps(length_m, scene.group_index);
     let volts = PI * scene.instrument.volts.unwrap_or(1.0) / ELEMENTS as f64;
@@ -114,25 +94,16 @@ pub fn light(scene: &Scene, sensor: &str, lit: PatchId, seen: PatchId) -> Light 
         disk.reflectance / PI * cosine(disk.normal, at, eye) / dot(minus(eye, at), minus(eye, at))
     };
     if lit == seen {
-        let arrival = |at: [f64; 3]| {
-            (
-                time(length(minus(at, source)) + length(minus(eye, at))),
-                volts * to_eye(i, at),
-            )
-        };
+        let arrival = |at: [f64; 3]| (time(length(minus(at, source)) + length(minus(eye, at))), volts * to_eye(i, at));
         return Light(elements(i).into_iter().map(arrival).collect());
     }
     let area_m2 = PI * (0.5 * j.size_m).powi(2) / ELEMENTS as f64;
-    let targets: Vec<([f64; 3], f64)> = elements(j)
-        .into_iter()
-        .map(|at| (at, to_eye(j, at) * area_m2))
-        .collect();
+    let targets: Vec<([f64; 3], f64)> = elements(j).into_iter().map(|at| (at, to_eye(j, at) * area_m2)).collect();
     let mut arrivals = Vec::with_capacity(ELEMENTS * ELEMENTS);
     for x in elements(i) {
         for (y, onward) in &targets {
             let arm = minus(*y, x);
-            let handed_on = i.reflectance / PI * cosine(i.normal, x, *y) * cosine(j.normal, *y, x)
-                / dot(arm, arm);
+            let handed_on = i.reflectance / PI * cosine(i.normal, x, *y) * cosine(j.normal, *y, x) / dot(arm, arm);
             arrivals.push((
                 time(length(minus(x, source)) + length(arm) + length(minus(eye, *y))),
                 volts * handed_on * onward,
@@ -148,8 +119,8 @@ mod tests {
     use std::path::Path;
 
     fn scene(size_m: f64) -> Scene {
-        let text = include_str!("../../pipelines/scenes/tiny.toml")
-            .replace("size_m = 0.001", &format!("size_m = {size_m}"));
+        let text =
+            include_str!("../../pipelines/scenes/tiny.toml").replace("size_m = 0.001", &format!("size_m = {size_m}"));
         Scene::parse(Path::new("tiny.toml"), &text).unwrap()
     }
 
@@ -173,73 +144,37 @@ mod tests {
         for a in elements(&pair[0]) {
             for b in elements(&pair[1]) {
                 let arm = minus(b, a);
-                exchange += cosine(pair[0].normal, a, b) * cosine(pair[1].normal, b, a)
-                    / (PI * dot(arm, arm))
+                exchange += cosine(pair[0].normal, a, b) * cosine(pair[1].normal, b, a) / (PI * dot(arm, arm))
                     * area_m2
                     / ELEMENTS as f64;
             }
         }
-        assert!(
-            (exchange / expected - 1.0).abs() < 0.01,
-            "{exchange} {expected}"
-        );
+        assert!((exchange / expected - 1.0).abs() < 0.01, "{exchange} {expected}");
     }
 
     #[test]
     fn strength_falls_with_the_square_of_the_distance_and_as_the_cosine() {
         let mut scene = scene(0.001);
-        let disk = |z: f64, normal: [f64; 3]| Disk {
-            position_m: [0.0, 0.0, z],
-            normal,
-            ..scene.patches[&1].clone()
-        };
+        let disk = |z: f64, normal: [f64; 3]| Disk { position_m: [0.0, 0.0, z], normal, ..scene.patches[&1].clone() };
         let tilted = [0.0, 0.6, -0.8];
-        let disks = [
-            disk(1.0, [0.0, 0.0, -1.0]),
-            disk(2.0, [0.0, 0.0, -1.0]),
-            disk(1.0, tilted),
-        ];
-        scene.patches = disks
-            .into_iter()
-            .enumerate()
-            .map(|(i, disk)| (i as i32 + 1, disk))
-            .collect();
+        let disks = [disk(1.0, [0.0, 0.0, -1.0]), disk(2.0, [0.0, 0.0, -1.0]), disk(1.0, tilted)];
+        scene.patches = disks.into_iter().enumerate().map(|(i, disk)| (i as i32 + 1, disk)).collect();
         let total = |patch| light(&scene, "s1", patch, patch).total();
-        assert!(
-            (total(1) / total(2) - 4.0).abs() < 1e-4 && (total(3) / total(1) - 0.8).abs() < 1e-4
-        );
+        assert!((total(1) / total(2) - 4.0).abs() < 1e-4 && (total(3) / total(1) - 0.8).abs() < 1e-4);
         let white = total(1) / 0.8;
-        assert!(
-            (white - 1.0).abs() < 1e-4,
-            "a white disk at 1 m gives `volts` of 1: {white}"
-        );
+        assert!((white - 1.0).abs() < 1e-4, "a white disk at 1 m gives `volts` of 1: {white}");
     }
 
     #[test]
     fn the_centroid_of_a_small_patch_is_the_path_through_its_centre() {
         let scene = scene(0.002);
-        let path = |points: &[[f64; 3]]| {
-            points
-                .windows(2)
-                .map(|ends| length(minus(ends[1], ends[0])))
-                .sum::<f64>()
-        };
+        let path = |points: &[[f64; 3]]| points.windows(2).map(|ends| length(minus(ends[1], ends[0]))).sum::<f64>();
         let origin = [0.0; 3];
         let at = |patch: i32| scene.patches[&patch].position_m;
         let single = light(&scene, "s1", 1, 1).centroid_ps();
         let double = light(&scene, "s1", 1, 2).centroid_ps();
-        assert!(
-            (single - units::time_ps(path(&[origin, at(1), origin]), scene.group_index)).abs()
-                < 0.02
-        );
-        assert!(
-            (double - units::time_ps(path(&[origin, at(1), at(2), origin]), scene.group_index))
-                .abs()
-                < 0.02
-        );
-        assert!(
-            (double - light(&scene, "s1", 2, 1).centroid_ps()).abs() < 0.02,
-            "reciprocity"
-        );
+        assert!((single - units::time_ps(path(&[origin, at(1), origin]), scene.group_index)).abs() < 0.02);
+        assert!((double - units::time_ps(path(&[origin, at(1), at(2), origin]), scene.group_index)).abs() < 0.02);
+        assert!((double - light(&scene, "s1", 2, 1).centroid_ps()).abs() < 0.02, "reciprocity");
     }
 }

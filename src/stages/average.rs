@@ -54,12 +54,7 @@ pub struct Average {
 
 impl Default for Average {
     fn default() -> Self {
-        Self {
-            shots_min: 1,
-            baseline_ps: None,
-            reject_outliers: true,
-            outlier_sigma: 6.0,
-        }
+        Self { shots_min: 1, baseline_ps: None, reject_outliers: true, outlier_sigma: 6.0 }
     }
 }
 
@@ -67,11 +62,7 @@ impl Stage for Average {
     const KIND: &'static str = "average";
     const VERSION: u32 = 1;
     const GRAIN: Grain = Grain::Capture;
-    const BESIDE: &'static [Beside] = &[Beside {
-        name: "calibration",
-        table: "calibration",
-        required: false,
-    }];
+    const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
     type Input = Trace;
     type Output = Profile;
     type Fields = ();
@@ -82,14 +73,9 @@ impl Stage for Average {
     fn context(&self, (): (), beside: &BesideTables) -> Result<Templates, StageError> {
         let template = |row: Calibration| {
             let (t0_ps, values) = row.reference_t0_ps.zip(row.reference)?;
-            Some((
-                (row.campaign, row.sensor),
-                Response::new(t0_ps, row.step_ps, &values.to_f64()),
-            ))
+            Some(((row.campaign, row.sensor), Response::new(t0_ps, row.step_ps, &values.to_f64())))
         };
-        let rows = beside
-            .rows::<Calibration>("calibration")?
-            .unwrap_or_default();
+        let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         Ok(Templates(rows.into_iter().filter_map(template).collect()))
     }
 }
@@ -137,12 +123,9 @@ impl Fold for Average {
 
     fn begin(&self, _: &Templates, first: Trace) -> State {
         let samples = first.samples as usize;
-        let baseline = self
-            .baseline_ps
-            .map_or(samples as f64 * BASELINE_SHARE, |baseline_ps| {
-                baseline_ps / first.dt_ps
-            })
-            .round() as usize;
+        let baseline =
+            self.baseline_ps.map_or(samples as f64 * BASELINE_SHARE, |baseline_ps| baseline_ps / first.dt_ps).round()
+                as usize;
         State {
             baseline: baseline.clamp(1, samples),
             first,
@@ -179,7 +162,10 @@ impl Fold for Average {
 
     fn finish(&self, _: &Templates, mut state: State) -> Result<Outcome<Profile>, StageError> {
         if state.several_ranges {
-            return Ok(state.rejection("was taken at several vertical ranges, which are not merged yet; exclude all but one in campaign.toml".to_owned()));
+            return Ok(state.rejection(
+                "was taken at several vertical ranges, which are not merged yet; exclude all but one in campaign.toml"
+                    .to_owned(),
+            ));
         }
         if state.missing_template {
             let sensor = &state.first.sensor;
@@ -200,7 +186,10 @@ impl Fold for Average {
             return Ok(state.rejection(why));
         }
         let Some(mean) = state.sums.finish() else {
-            return Ok(state.rejection("has shots so far apart in time that none overlaps all others; check its reference channel and trigger".to_owned()));
+            return Ok(state.rejection(
+                "has shots so far apart in time that none overlaps all others; check its reference channel and trigger"
+                    .to_owned(),
+            ));
         };
         Ok(Outcome::rows(vec![state.profile(&mean)]))
     }
@@ -208,14 +197,7 @@ impl Fold for Average {
 
 impl State {
     fn rejection(&self, why: String) -> Outcome<Profile> {
-        let Trace {
-            campaign,
-            sensor,
-            lit,
-            seen,
-            role,
-            ..
-        } = &self.first;
+        let Trace { campaign, sensor, lit, seen, role, .. } = &self.first;
         Outcome::rejected(Rejection {
             campaign: campaign.clone(),
             file: Some(self.first.file.clone()),
@@ -233,36 +215,28 @@ impl State {
         };
         let (gain_v, dt_ps) = (columns.gain_v.value(i), columns.dt_ps.value(i));
         let clipped = columns.clipped.values()[i] > 0;
-        let samples: Vec<f64> = codes(columns, i)
-            .to_f64()
-            .into_iter()
-            .map(|code| code * gain_v)
-            .collect();
+        let samples: Vec<f64> = codes(columns, i).to_f64().into_iter().map(|code| code * gain_v).collect();
         // A pulse that is cut off at the rails has its fitted time biased: such a shot is set aside.
         let fit = fit_pulse(&samples, dt_ps, template).filter(|_| !clipped);
         let time = fit.map(|fit| (columns.t0_ps.value(i) + fit.time_ps, fit.time_sd_ps));
         self.reference = Some((columns.shot.value(i), time));
     }
 
+    /// Adds a shot, unless it is outlying.
+    fn add(&mut self, codes: Samples<'_>, position: i64) {
+        if self.test.as_ref().is_some_and(|test| test.is_outlier(codes, position)) {
+            self.rejected += 1;
+        } else {
+            self.sums.add(codes, position);
+            self.shots += 1;
+        }
+    }
+
     fn profile(&self, mean: &Mean) -> Profile {
-        let Trace {
-            campaign,
-            sensor,
-            lit,
-            seen,
-            role,
-            dt_ps,
-            gain_v,
-            offset_v,
-            ..
-        } = &self.first;
-        let spread = self
-            .spread
-            .as_ref()
-            .expect("the head is closed before a profile is made");
+        let Trace { campaign, sensor, lit, seen, role, dt_ps, gain_v, offset_v, .. } = &self.first;
+        let spread = self.spread.as_ref().expect("the head is closed before a profile is made");
         let count = mean.mean.len();
-        let baseline = mean.mean[..self.baseline.min(count)].iter().sum::<f64>()
-            / self.baseline.min(count) as f64;
+        let baseline = mean.mean[..self.baseline.min(count)].iter().sum::<f64>() / self.baseline.min(count) as f64;
         let root_shots = (self.shots as f64).sqrt();
         // The head's spread on the samples of the mean; beyond them its last value holds.
         let spread_at = |i: usize| {
@@ -272,11 +246,7 @@ impl State {
         // Rounding to a phase is uniform over one step of the grid; where all shots share a phase it is the same for all of them.
         let step_ps = dt_ps / PHASES as f64;
         let alignment = self.reference_variance_ps2 / self.shots as f64;
-        let rounding = if alignment > 0.0 {
-            step_ps * step_ps / 12.0
-        } else {
-            0.0
-        };
+        let rounding = if alignment > 0.0 { step_ps * step_ps / 12.0 } else { 0.0 };
         Profile {
             campaign: campaign.clone(),
             sensor: sensor.clone(),
@@ -287,24 +257,12 @@ impl State {
             rejected: self.rejected + self.other_scale,
             t0_ps: mean.first_position as f64 * dt_ps,
             dt_ps: *dt_ps,
-            mean_v: mean
-                .mean
-                .iter()
-                .map(|code| (code - baseline) * gain_v)
-                .collect(),
-            se_v: (0..count)
-                .map(|i| spread_at(i) * gain_v.abs() / root_shots)
-                .collect(),
+            mean_v: mean.mean.iter().map(|code| (code - baseline) * gain_v).collect(),
+            se_v: (0..count).map(|i| spread_at(i) * gain_v.abs() / root_shots).collect(),
             noise_v: spread.noise * gain_v.abs(),
             noise_acf: spread.acf.iter().copied().collect(),
             baseline_v: baseline * gain_v + offset_v,
-            phase_shots: Some(
-                self.sums
-                    .phase_shots()
-                    .into_iter()
-                    .map(|shots| shots as i32)
-                    .collect(),
-            ),
+            phase_shots: Some(self.sums.phase_shots().into_iter().map(|shots| shots as i32).collect()),
             jitter_ps: (alignment + rounding).sqrt() / root_shots,
         }
     }
@@ -312,33 +270,15 @@ impl State {
 
 impl Average {
     fn take_signal(&self, state: &mut State, columns: &TraceColumns, i: usize) {
-        let (shot, dt_ps, samples) = (
-            columns.shot.value(i),
-            columns.dt_ps.value(i),
-            columns.samples.value(i),
-        );
+        let (shot, dt_ps, samples) = (columns.shot.value(i), columns.dt_ps.value(i), columns.samples.value(i));
         let reference = state.reference.take();
         let first = &state.first;
         if columns.range.value(i) != first.range.as_deref().unwrap_or("") {
             state.several_ranges = true;
             return;
         }
-        let scale = (
-            columns.gain_v.value(i),
-            columns.offset_v.value(i),
-            dt_ps,
-            samples,
-            columns.code_type.value(i),
-        );
-        if scale
-            != (
-                first.gain_v,
-                first.offset_v,
-                first.dt_ps,
-                first.samples,
-                &*first.code_type,
-            )
-        {
+        let scale = (columns.gain_v.value(i), columns.offset_v.value(i), dt_ps, samples, columns.code_type.value(i));
+        if scale != (first.gain_v, first.offset_v, first.dt_ps, first.samples, &*first.code_type) {
             state.other_scale += 1;
             return;
         }
@@ -354,29 +294,12 @@ impl Average {
         let position = ((columns.t0_ps.value(i) - zero_ps) / dt_ps * PHASES as f64).round() as i64;
         state.reference_variance_ps2 += zero_sd_ps * zero_sd_ps;
         if state.spread.is_some() {
-            self.add(state, codes(columns, i), position);
+            state.add(codes(columns, i), position);
             return;
         }
-        state.head.push(Shot {
-            codes: <Codes as Cell>::get(&columns.codes, i),
-            position,
-        });
+        state.head.push(Shot { codes: <Codes as Cell>::get(&columns.codes, i), position });
         if state.head.len() == HEAD_SHOTS {
             self.close_head(state);
-        }
-    }
-
-    /// Adds a shot, unless it is outlying.
-    fn add(&self, state: &mut State, codes: Samples<'_>, position: i64) {
-        if state
-            .test
-            .as_ref()
-            .is_some_and(|test| test.is_outlier(codes, position))
-        {
-            state.rejected += 1;
-        } else {
-            state.sums.add(codes, position);
-            state.shots += 1;
         }
     }
 
@@ -384,41 +307,27 @@ impl Average {
     fn close_head(&self, state: &mut State) {
         let head = std::mem::take(&mut state.head);
         let code_type = &state.first.code_type.clone();
-        let views: Vec<(Samples<'_>, i64)> = head
-            .iter()
-            .map(|shot| (view(code_type, &shot.codes), shot.position))
-            .collect();
+        let views: Vec<(Samples<'_>, i64)> =
+            head.iter().map(|shot| (view(code_type, &shot.codes), shot.position)).collect();
         if self.reject_outliers {
             state.test = OutlierTest::new(&views, state.baseline, self.outlier_sigma);
         }
         let passed: Vec<(Samples<'_>, i64)> = views
             .iter()
             .copied()
-            .filter(|(codes, position)| {
-                !state
-                    .test
-                    .as_ref()
-                    .is_some_and(|test| test.is_outlier(*codes, *position))
-            })
+            .filter(|(codes, position)| !state.test.as_ref().is_some_and(|test| test.is_outlier(*codes, *position)))
             .collect();
         for (codes, position) in views {
-            self.add(state, codes, position);
+            state.add(codes, position);
         }
         let Some(mean) = state.sums.finish() else {
             return;
         };
         let sd = average::spread(&passed, &mean, state.baseline);
-        let stretches: Vec<Vec<f64>> = passed
-            .iter()
-            .map(|(codes, _)| codes.slice(0..state.baseline).to_f64())
-            .collect();
+        let stretches: Vec<Vec<f64>> =
+            passed.iter().map(|(codes, _)| codes.slice(0..state.baseline).to_f64()).collect();
         let noise = noise::estimate(&stretches, ACF_LAGS);
-        state.spread = Some(Spread {
-            first_position: mean.first_position,
-            sd,
-            noise: noise.sd,
-            acf: noise.acf,
-        });
+        state.spread = Some(Spread { first_position: mean.first_position, sd, noise: noise.sd, acf: noise.acf });
     }
 }
 

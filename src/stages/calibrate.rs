@@ -88,16 +88,9 @@ impl Stage for Calibrate {
             latency_sd_ps: sensor.latency_sd_ps,
         };
         let sensors = |campaign: &Campaign| {
-            campaign
-                .sensors
-                .iter()
-                .map(|(name, sensor)| (name.clone(), prior(campaign, sensor)))
-                .collect()
+            campaign.sensors.iter().map(|(name, sensor)| (name.clone(), prior(campaign, sensor))).collect()
         };
-        campaigns
-            .iter()
-            .map(|campaign| (campaign.name.clone(), sensors(campaign)))
-            .collect()
+        campaigns.iter().map(|campaign| (campaign.name.clone(), sensors(campaign))).collect()
     }
 
     fn context(&self, fields: Self::Fields, _: &BesideTables) -> Result<Self::Context, StageError> {
@@ -134,17 +127,10 @@ impl Fold for Calibrate {
         Ok(())
     }
 
-    fn finish(
-        &self,
-        priors: &Self::Context,
-        state: State,
-    ) -> Result<Outcome<Calibration>, StageError> {
+    fn finish(&self, priors: &Self::Context, state: State) -> Result<Outcome<Calibration>, StageError> {
         let prior = &priors[&*state.campaign][&*state.sensor];
         Ok(match state.calibrate(prior) {
-            Ok(row) => Outcome {
-                rejections: state.others().into_iter().collect(),
-                ..Outcome::rows(vec![row])
-            },
+            Ok(row) => Outcome { rejections: state.others().into_iter().collect(), ..Outcome::rows(vec![row]) },
             Err(why) => Outcome::rejected(state.rejection(why)),
         })
     }
@@ -155,18 +141,11 @@ impl State {
         if self.signals.len() >= SHOTS_MAX || self.bytes >= KEPT_BYTES {
             return;
         }
-        let codes = Codes::of(columns.code_type.value(i), columns.codes.value(i))
-            .expect("ingest writes known code types only");
+        let codes =
+            Codes::of(columns.code_type.value(i), columns.codes.value(i)).expect("ingest writes known code types only");
         let gain_v = columns.gain_v.value(i);
-        let samples = codes
-            .to_f64()
-            .into_iter()
-            .map(|code| code * gain_v)
-            .collect();
-        let shot = Shot {
-            samples,
-            t0_ps: columns.t0_ps.value(i),
-        };
+        let samples = codes.to_f64().into_iter().map(|code| code * gain_v).collect();
+        let shot = Shot { samples, t0_ps: columns.t0_ps.value(i) };
         let clipped = columns.clipped.values()[i] > 0;
         if columns.is_reference.value(i) {
             self.reference = (!clipped).then_some((columns.shot.value(i), shot));
@@ -211,26 +190,19 @@ impl State {
             "{} response shots of sensor {} are left out of its calibration, more than are used: clipped, without reference pulse, or of another range, length or path than the first",
             self.other, self.sensor
         );
-        (self.other as usize > self.signals.len()).then(|| Rejection {
-            reason: why,
-            ..self.rejection(String::new())
-        })
+        (self.other as usize > self.signals.len()).then(|| Rejection { reason: why, ..self.rejection(String::new()) })
     }
 
     fn calibrate(&self, prior: &Prior) -> Result<Calibration, String> {
-        let first = self
-            .first
-            .as_ref()
-            .ok_or("it has no capture of role `response`; add a [[captures]] rule for one")?;
+        let first =
+            self.first.as_ref().ok_or("it has no capture of role `response`; add a [[captures]] rule for one")?;
         if self.signals.is_empty() {
             return Err(format!(
                 "none of its {} response shots is usable; check range and reference channel",
                 self.other
             ));
         }
-        let no_pulse = |what: &str| {
-            format!("its {what} shows no pulse; check channel, vertical range and `samples`")
-        };
+        let no_pulse = |what: &str| format!("its {what} shows no pulse; check channel, vertical range and `samples`");
         let reference = if self.references.is_empty() {
             None
         } else {
@@ -248,10 +220,7 @@ impl State {
         let (latency_ps, latency_sd_ps) = match (first.path_m, prior.latency_ps) {
             (Some(path_m), _) => {
                 let path_sd_ps = units::time_ps(first.path_sd_m.unwrap_or(0.0), prior.group_index);
-                (
-                    arrival_ps - units::time_ps(path_m, prior.group_index),
-                    arrival_sd_ps.hypot(path_sd_ps),
-                )
+                (arrival_ps - units::time_ps(path_m, prior.group_index), arrival_sd_ps.hypot(path_sd_ps))
             }
             (None, Some(latency_ps)) => (latency_ps, prior.latency_sd_ps.unwrap_or(0.0)),
             (None, None) => {
@@ -259,16 +228,8 @@ impl State {
             }
         };
         let sign = shape.height.signum();
-        let reference = reference.map(|(shape, _)| {
-            (
-                shape.t0_ps,
-                shape
-                    .values
-                    .iter()
-                    .map(|value| value * shape.height.signum())
-                    .collect(),
-            )
-        });
+        let reference = reference
+            .map(|(shape, _)| (shape.t0_ps, shape.values.iter().map(|value| value * shape.height.signum()).collect()));
         let (reference_t0_ps, reference) = reference.unzip();
         Ok(Calibration {
             campaign: self.campaign.clone(),
@@ -290,16 +251,10 @@ impl State {
 
     /// Signals in the frame of their reference pulses; of the trigger, without.
     fn aligned(&self, times: Option<&[Option<(f64, f64)>]>) -> Vec<Shot> {
-        let zero_ps =
-            |i: usize| times.map_or(Some(0.0), |times| times[i].map(|(time_ps, _)| time_ps));
+        let zero_ps = |i: usize| times.map_or(Some(0.0), |times| times[i].map(|(time_ps, _)| time_ps));
         let shots = self.signals.iter().enumerate();
         shots
-            .filter_map(|(i, shot)| {
-                Some(Shot {
-                    samples: shot.samples.clone(),
-                    t0_ps: shot.t0_ps - zero_ps(i)?,
-                })
-            })
+            .filter_map(|(i, shot)| Some(Shot { samples: shot.samples.clone(), t0_ps: shot.t0_ps - zero_ps(i)? }))
             .collect()
     }
 }
@@ -309,33 +264,22 @@ impl State {
 fn arrival(shots: &[Shot], dt_ps: f64, shape: &Shape) -> (f64, f64) {
     let template = shape.response();
     let fits = shots.iter().filter_map(|shot| {
-        fit_pulse(&shot.samples, dt_ps, &template)
-            .map(|fit| (shot.t0_ps + fit.time_ps, fit.time_sd_ps))
+        fit_pulse(&shot.samples, dt_ps, &template).map(|fit| (shot.t0_ps + fit.time_ps, fit.time_sd_ps))
     });
     let fits: Vec<(f64, f64)> = fits.collect();
     if 2 * fits.len() <= shots.len() {
         let baseline: Vec<Vec<f64>> = shots
             .iter()
-            .map(|shot| {
-                shot.samples[..(shot.samples.len() / 10).max(2).min(shot.samples.len())].to_vec()
-            })
+            .map(|shot| shot.samples[..(shot.samples.len() / 10).max(2).min(shot.samples.len())].to_vec())
             .collect();
-        let snr =
-            shape.height.abs() * (shots.len() as f64).sqrt() / noise::estimate(&baseline, 1).sd;
+        let snr = shape.height.abs() * (shots.len() as f64).sqrt() / noise::estimate(&baseline, 1).sd;
         return (shape.peak_ps, template.width_ps() / snr);
     }
     let kept = without_strays(fits);
     let count = kept.len() as f64;
     let mean = kept.iter().map(|(time_ps, _)| time_ps).sum::<f64>() / count;
-    let spread = kept
-        .iter()
-        .map(|(time_ps, _)| (time_ps - mean).powi(2))
-        .sum::<f64>();
-    let sd = if kept.len() > 1 {
-        (spread / (count - 1.0) / count).sqrt()
-    } else {
-        kept[0].1
-    };
+    let spread = kept.iter().map(|(time_ps, _)| (time_ps - mean).powi(2)).sum::<f64>();
+    let sd = if kept.len() > 1 { (spread / (count - 1.0) / count).sqrt() } else { kept[0].1 };
     (mean, sd)
 }
 
@@ -346,11 +290,7 @@ fn without_strays(mut fits: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
         *values.select_nth_unstable_by(half, f64::total_cmp).1
     };
     let median = middle(fits.iter().map(|(time_ps, _)| *time_ps).collect());
-    let deviation = middle(
-        fits.iter()
-            .map(|(time_ps, _)| (time_ps - median).abs())
-            .collect(),
-    );
+    let deviation = middle(fits.iter().map(|(time_ps, _)| (time_ps - median).abs()).collect());
     let fitted = middle(fits.iter().map(|(_, sd_ps)| *sd_ps).collect());
     // The fits' own standard deviation is a floor: times that happen to be equal leave none.
     let limit = STRAY_SIGMA * (1.4826 * deviation).max(fitted);
@@ -364,26 +304,12 @@ fn width_sd_ps(shots: &[Shot], dt_ps: f64) -> Option<f64> {
         return None;
     }
     let without = |group: usize| -> Vec<Shot> {
-        shots
-            .iter()
-            .enumerate()
-            .filter(|(i, _)| i % GROUPS != group)
-            .map(|(_, shot)| shot.clone())
-            .collect()
+        shots.iter().enumerate().filter(|(i, _)| i % GROUPS != group).map(|(_, shot)| shot.clone()).collect()
     };
     let widths: Vec<f64> = (0..GROUPS)
-        .map(|group| {
-            oversample::shape(&without(group), dt_ps).map(|shape| shape.response().width_ps())
-        })
+        .map(|group| oversample::shape(&without(group), dt_ps).map(|shape| shape.response().width_ps()))
         .collect::<Option<_>>()?;
     let groups = GROUPS as f64;
     let mean = widths.iter().sum::<f64>() / groups;
-    Some(
-        ((groups - 1.0) / groups
-            * widths
-                .iter()
-                .map(|width| (width - mean).powi(2))
-                .sum::<f64>())
-        .sqrt(),
-    )
+    Some(((groups - 1.0) / groups * widths.iter().map(|width| (width - mean).powi(2)).sum::<f64>()).sqrt())
 }

@@ -87,11 +87,7 @@ impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
     const VERSION: u32 = 1;
     const GRAIN: Grain = Grain::Capture;
-    const BESIDE: &'static [Beside] = &[Beside {
-        name: "calibration",
-        table: "calibration",
-        required: true,
-    }];
+    const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
     type Input = Profile;
     type Output = Stir;
     type Fields = ();
@@ -100,42 +96,23 @@ impl Stage for Deconvolve {
     fn fields(&self, _: &[Campaign]) {}
 
     fn context(&self, (): (), beside: &BesideTables) -> Result<Sensors, StageError> {
-        for (name, value) in [
-            ("noise_to_signal", self.noise_to_signal),
-            ("lowpass_ghz", self.lowpass_ghz),
-            ("evidence", self.evidence),
-        ] {
+        for (name, value) in
+            [("noise_to_signal", self.noise_to_signal), ("lowpass_ghz", self.lowpass_ghz), ("evidence", self.evidence)]
+        {
             if let Some(value) = value.filter(|value| value.is_nan() || *value <= 0.0) {
-                return Err(StageError::Refused(format!(
-                    "params.{name} = {value} must be positive"
-                )));
+                return Err(StageError::Refused(format!("params.{name} = {value} must be positive")));
             }
         }
-        let rows = beside
-            .rows::<Calibration>("calibration")?
-            .unwrap_or_default();
+        let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         let sensor = |row: Calibration| {
             let mut values = row.response.to_f64();
             let polarity = values
                 .iter()
-                .fold(0.0_f64, |most, value| {
-                    if value.abs() > most.abs() {
-                        *value
-                    } else {
-                        most
-                    }
-                })
+                .fold(0.0_f64, |most, value| if value.abs() > most.abs() { *value } else { most })
                 .signum();
             values.iter_mut().for_each(|value| *value *= polarity);
             let response = Response::new(row.response_t0_ps, row.step_ps, &values);
-            (
-                (row.campaign, row.sensor),
-                Sensor {
-                    response,
-                    polarity,
-                    latency_ps: row.latency_ps,
-                },
-            )
+            ((row.campaign, row.sensor), Sensor { response, polarity, latency_ps: row.latency_ps })
         };
         Ok(Sensors(rows.into_iter().map(sensor).collect()))
     }
@@ -159,17 +136,10 @@ impl Apply for Deconvolve {
 
 impl Deconvolve {
     fn deconvolve(&self, sensor: &Sensor, profile: &Profile, fft: &mut RealFft) -> Stir {
-        let samples: Vec<f64> = profile
-            .mean_v
-            .to_f64()
-            .into_iter()
-            .map(|sample| sample * sensor.polarity)
-            .collect();
+        let samples: Vec<f64> = profile.mean_v.to_f64().into_iter().map(|sample| sample * sensor.polarity).collect();
         // A record without any noise (an ideal one) still has the rounding of its f32 samples.
-        let rounding = f64::from(f32::EPSILON)
-            * samples
-                .iter()
-                .fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
+        let rounding =
+            f64::from(f32::EPSILON) * samples.iter().fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
         let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding);
         let response = match &profile.phase_shots {
             Some(phase_shots) => averaged_response(&sensor.response, profile.dt_ps, phase_shots),
@@ -192,14 +162,7 @@ impl Deconvolve {
         };
         match self.method {
             Method::Wiener => blank,
-            Method::Sparse => self.sparse(
-                &response,
-                sensor.polarity,
-                profile,
-                &samples,
-                noise_v,
-                blank,
-            ),
+            Method::Sparse => self.sparse(&response, sensor.polarity, profile, &samples, noise_v, blank),
         }
     }
 
@@ -213,12 +176,7 @@ impl Deconvolve {
         blank: Stir,
     ) -> Stir {
         let sd_v = vec![noise_v; samples.len()];
-        let record = sparse::Profile {
-            mean_v: samples,
-            sd_v: &sd_v,
-            t0_ps: blank.t0_ps,
-            dt_ps: profile.dt_ps,
-        };
+        let record = sparse::Profile { mean_v: samples, sd_v: &sd_v, t0_ps: blank.t0_ps, dt_ps: profile.dt_ps };
         let options = SparseOptions {
             evidence_min: self.evidence,
             pulses_max: self.impulses_max,
@@ -236,12 +194,7 @@ impl Deconvolve {
             evidence: pulse.evidence,
         };
         let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
-        Stir {
-            impulses,
-            impulse_cov: fit.covariance_ps2,
-            chi2_dof: Some(fit.chi2_per_dof),
-            ..blank
-        }
+        Stir { impulses, impulse_cov: fit.covariance_ps2, chi2_dof: Some(fit.chi2_per_dof), ..blank }
     }
 
     /// The Wiener estimate and the standard deviation of its noise.
@@ -254,12 +207,8 @@ impl Deconvolve {
         fft: &mut RealFft,
     ) -> (Vec<f64>, f64) {
         let transfer = Transfer::from_response(fft, response, profile.dt_ps, samples.len());
-        let noise_to_signal = self
-            .noise_to_signal
-            .unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
-        let low_pass = self
-            .lowpass_ghz
-            .map(|lowpass_ghz| lowpass_ghz * profile.dt_ps / 1000.0);
+        let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
+        let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz * profile.dt_ps / 1000.0);
         let wiener = Wiener::new(&transfer, noise_to_signal, low_pass);
         let mut light = vec![0.0; samples.len()];
         wiener.apply(fft, samples, &mut light);

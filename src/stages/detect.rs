@@ -57,12 +57,7 @@ enum Method {
 
 impl Default for Detect {
     fn default() -> Self {
-        Self {
-            method: Method::Impulses,
-            threshold_sigma: 5.0,
-            fraction: 0.5,
-            delay_ps: 100.0,
-        }
+        Self { method: Method::Impulses, threshold_sigma: 5.0, fraction: 0.5, delay_ps: 100.0 }
     }
 }
 
@@ -79,10 +74,7 @@ impl Stage for Detect {
 
     fn context(&self, (): (), _: &BesideTables) -> Result<(), StageError> {
         if !(self.fraction > 0.0 && self.fraction < 1.0) {
-            return Err(StageError::Refused(format!(
-                "params.fraction = {} must lie between 0 and 1",
-                self.fraction
-            )));
+            return Err(StageError::Refused(format!("params.fraction = {} must lie between 0 and 1", self.fraction)));
         }
         if self.threshold_sigma < 0.0 || self.threshold_sigma.is_nan() {
             return Err(StageError::Refused(format!(
@@ -111,23 +103,16 @@ impl Detect {
     fn impulses(&self, stir: &Stir) -> Vec<Onset> {
         let count = stir.impulses.len();
         let snr = |k: usize| stir.impulses[k].amplitude_v.abs() / stir.impulses[k].amplitude_sd_v;
-        let kept: Vec<usize> = (0..count)
-            .filter(|&k| snr(k) >= self.threshold_sigma)
-            .collect();
+        let kept: Vec<usize> = (0..count).filter(|&k| snr(k) >= self.threshold_sigma).collect();
         let end_ps = stir.t0_ps + stir.profile.len() as f64 * stir.dt_ps;
         let onset = |(rank, &k): (usize, &usize)| {
             let impulse = &stir.impulses[k];
-            let covariance: Vec<f64> = kept
-                .iter()
-                .map(|&other| stir.impulse_cov[k * count + other])
-                .collect();
+            let covariance: Vec<f64> = kept.iter().map(|&other| stir.impulse_cov[k * count + other]).collect();
             let correlated = kept.iter().zip(&covariance).any(|(&other, cov)| {
-                other != k
-                    && cov.abs() > BLENDED * impulse.time_sd_ps * stir.impulses[other].time_sd_ps
+                other != k && cov.abs() > BLENDED * impulse.time_sd_ps * stir.impulses[other].time_sd_ps
             });
             let margin_ps = EDGE_SAMPLES * stir.dt_ps;
-            let at_edge =
-                impulse.time_ps < stir.t0_ps + margin_ps || impulse.time_ps > end_ps - margin_ps;
+            let at_edge = impulse.time_ps < stir.t0_ps + margin_ps || impulse.time_ps > end_ps - margin_ps;
             let misfit = stir.chi2_dof.is_some_and(|chi2_dof| chi2_dof > MISFIT);
             Onset {
                 rank: rank as i32 + 1,
@@ -140,11 +125,7 @@ impl Detect {
                 snr: snr(k),
                 evidence: Some(impulse.evidence),
                 covariance,
-                flags: flags(&[
-                    ("blended", correlated),
-                    ("misfit", misfit),
-                    ("at-edge", at_edge),
-                ]),
+                flags: flags(&[("blended", correlated), ("misfit", misfit), ("at-edge", at_edge)]),
                 ..blank(stir)
             }
         };
@@ -154,11 +135,7 @@ impl Detect {
     fn edge(&self, stir: &Stir) -> Result<Option<Onset>, StageError> {
         let profile = stir.profile.to_f64();
         let peak = profile.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let snr = if stir.profile_noise > 0.0 {
-            peak / stir.profile_noise
-        } else {
-            f64::INFINITY
-        };
+        let snr = if stir.profile_noise > 0.0 { peak / stir.profile_noise } else { f64::INFINITY };
         if !(peak > 0.0 && snr >= self.threshold_sigma) {
             return Ok(None);
         }
@@ -178,8 +155,7 @@ impl Detect {
         Ok(crossing.map(|crossing| {
             let time_ps = stir.t0_ps + crossing.position * stir.dt_ps;
             let sd_ps = crossing.sd * stir.dt_ps;
-            let at_edge = crossing.position < EDGE_SAMPLES
-                || crossing.position > profile.len() as f64 - EDGE_SAMPLES;
+            let at_edge = crossing.position < EDGE_SAMPLES || crossing.position > profile.len() as f64 - EDGE_SAMPLES;
             Onset {
                 rank: 1,
                 time_ps,
@@ -196,11 +172,7 @@ impl Detect {
 }
 
 fn flags(flags: &[(&str, bool)]) -> Vec<Name> {
-    flags
-        .iter()
-        .filter(|(_, set)| *set)
-        .map(|(name, _)| Name::from(*name))
-        .collect()
+    flags.iter().filter(|(_, set)| *set).map(|(name, _)| Name::from(*name)).collect()
 }
 
 /// An onset of this profile with nothing known but its key.

@@ -65,20 +65,14 @@ impl Stage for Embed {
         let frame = |campaign: &Campaign| Frame {
             dimensions: campaign.dimensions,
             source_m: campaign.source().position_m,
-            anchors_m: campaign
-                .patches
-                .iter()
-                .filter_map(|(id, patch)| Some((*id, patch.position_m?)))
-                .collect(),
+            anchors_m: campaign.patches.iter().filter_map(|(id, patch)| Some((*id, patch.position_m?))).collect(),
         };
         campaigns.iter().map(frame).collect()
     }
 
     fn context(&self, fields: Self::Fields, _: &BesideTables) -> Result<Frame, StageError> {
         let mut frames = fields.into_iter();
-        let first = frames
-            .next()
-            .ok_or_else(|| StageError::Refused("no campaign is given".to_owned()))?;
+        let first = frames.next().ok_or_else(|| StageError::Refused("no campaign is given".to_owned()))?;
         if frames.any(|frame| frame != first) {
             let text = "the campaigns differ in dimensions, in the laser's station or in anchors: campaigns of one scene must share them";
             return Err(StageError::Refused(text.to_owned()));
@@ -89,21 +83,13 @@ impl Stage for Embed {
 
 impl Apply for Embed {
     fn apply(&self, frame: &Frame, group: Vec<Distance>) -> Result<Outcome<Patch>, StageError> {
-        let ids: Vec<PatchId> = group
-            .iter()
-            .filter(|distance| distance.a == 0)
-            .map(|distance| distance.b)
-            .collect();
-        let known: BTreeMap<(PatchId, PatchId), &Distance> = group
-            .iter()
-            .map(|distance| ((distance.a, distance.b), distance))
-            .collect();
+        let ids: Vec<PatchId> = group.iter().filter(|distance| distance.a == 0).map(|distance| distance.b).collect();
+        let known: BTreeMap<(PatchId, PatchId), &Distance> =
+            group.iter().map(|distance| ((distance.a, distance.b), distance)).collect();
         let id = |i: usize| if i == 0 { 0 } else { ids[i - 1] };
         // Noise may push a short distance below zero.
         let length = |i: usize, j: usize| {
-            known
-                .get(&(id(i).min(id(j)), id(i).max(id(j))))
-                .map(|distance| distance.distance_m.max(0.0))
+            known.get(&(id(i).min(id(j)), id(i).max(id(j)))).map(|distance| distance.distance_m.max(0.0))
         };
         let dimensions = usize::from(frame.dimensions);
         if ids.len() < dimensions {
@@ -112,8 +98,8 @@ impl Apply for Embed {
                 ids.len()
             )));
         }
-        let distances = completion::complete(ids.len() + 1, length)
-            .expect("every patch here has a distance to patch 0");
+        let distances =
+            completion::complete(ids.len() + 1, length).expect("every patch here has a distance to patch 0");
         let points = match self.method {
             Method::Classical => classical::embed(&distances, dimensions),
             Method::IsoEmbed => iso_embed::embed(&distances, dimensions),
@@ -125,28 +111,24 @@ impl Apply for Embed {
                 .map(|distance| distance.onsets)
                 .sum()
         };
-        let rows = frame
-            .turned(&ids, &points)
-            .into_iter()
-            .zip(&ids)
-            .map(|(point, &patch)| Patch {
-                patch,
-                kind: "visible".into(),
-                x_m: point.x,
-                y_m: point.y,
-                z_m: point.z,
-                cov_xx_m2: None,
-                cov_xy_m2: None,
-                cov_xz_m2: None,
-                cov_yy_m2: None,
-                cov_yz_m2: None,
-                cov_zz_m2: None,
-                sd_m: None,
-                onsets: onsets(patch),
-                chi2_dof: None,
-                alternative: 0,
-                log_likelihood: None,
-            });
+        let rows = frame.turned(&ids, &points).into_iter().zip(&ids).map(|(point, &patch)| Patch {
+            patch,
+            kind: "visible".into(),
+            x_m: point.x,
+            y_m: point.y,
+            z_m: point.z,
+            cov_xx_m2: None,
+            cov_xy_m2: None,
+            cov_xz_m2: None,
+            cov_yy_m2: None,
+            cov_yz_m2: None,
+            cov_zz_m2: None,
+            sd_m: None,
+            onsets: onsets(patch),
+            chi2_dof: None,
+            alternative: 0,
+            log_likelihood: None,
+        });
         Ok(Outcome::rows(rows.collect()))
     }
 }
@@ -156,19 +138,14 @@ impl Frame {
     fn turned(&self, ids: &[PatchId], points: &[Point]) -> Vec<Point> {
         let centre = Point::from(self.source_m);
         let there: Vec<Point> = points.iter().map(|point| centre + point.coords).collect();
-        let anchored = there
-            .iter()
-            .zip(ids)
-            .filter_map(|(point, id)| Some((*point, Point::from(*self.anchors_m.get(id)?))));
+        let anchored =
+            there.iter().zip(ids).filter_map(|(point, id)| Some((*point, Point::from(*self.anchors_m.get(id)?))));
         let (from, onto): (Vec<Point>, Vec<Point>) = anchored.unzip();
         let matrix = if from.len() >= usize::from(self.dimensions) {
             procrustes::rotation(&from, &onto, centre, true).matrix
         } else {
             frame::canonical(&there, centre)
         };
-        there
-            .iter()
-            .map(|point| procrustes::turn(&matrix, centre, *point))
-            .collect()
+        there.iter().map(|point| procrustes::turn(&matrix, centre, *point)).collect()
     }
 }

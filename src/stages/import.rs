@@ -41,10 +41,7 @@ fn known_table<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Stri
     if known.contains(&name.as_str()) {
         return Ok(name);
     }
-    Err(serde::de::Error::custom(format!(
-        "unknown table `{name}`; {}",
-        suggest::hint(&name, known)
-    )))
+    Err(serde::de::Error::custom(format!("unknown table `{name}`; {}", suggest::hint(&name, known))))
 }
 
 impl Import {
@@ -62,16 +59,9 @@ impl Import {
         }
         let entries = std::fs::read_dir(&self.path).map_err(|error| self.refused(error))?;
         let mut files: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
-        files.retain(|file| {
-            file.extension()
-                .is_some_and(|extension| extension == "parquet")
-        });
+        files.retain(|file| file.extension().is_some_and(|extension| extension == "parquet"));
         files.sort();
-        if files.is_empty() {
-            Err(self.refused("holds no .parquet file"))
-        } else {
-            Ok(files)
-        }
+        if files.is_empty() { Err(self.refused("holds no .parquet file")) } else { Ok(files) }
     }
 
     /// The batch with the table's own columns, types and order.
@@ -80,30 +70,15 @@ impl Import {
         let place = |column: &str, message: String| {
             StageError::Refused(format!("{}: column `{column}`: {message}", file.display()))
         };
-        let known: Vec<&str> = schema
-            .fields()
-            .iter()
-            .map(|field| field.name().as_str())
-            .collect();
-        if let Some(other) = batch
-            .schema_ref()
-            .fields()
-            .iter()
-            .find(|field| !known.contains(&field.name().as_str()))
-        {
+        let known: Vec<&str> = schema.fields().iter().map(|field| field.name().as_str()).collect();
+        if let Some(other) = batch.schema_ref().fields().iter().find(|field| !known.contains(&field.name().as_str())) {
             let hint = suggest::hint(other.name(), known.iter().copied());
-            return Err(place(
-                other.name(),
-                format!("table `{}` has none such; {hint}", self.table),
-            ));
+            return Err(place(other.name(), format!("table `{}` has none such; {hint}", self.table)));
         }
         let column = |field: &Arc<arrow::datatypes::Field>| -> Result<ArrayRef, StageError> {
             match batch.column_by_name(field.name()) {
                 Some(column) => {
-                    let options = CastOptions {
-                        safe: false,
-                        ..CastOptions::default()
-                    };
+                    let options = CastOptions { safe: false, ..CastOptions::default() };
                     let column = cast_with_options(column, field.data_type(), &options)
                         .map_err(|error| place(field.name(), error.to_string()))?;
                     if column.null_count() > 0 && !field.is_nullable() {
@@ -111,20 +86,11 @@ impl Import {
                     }
                     Ok(column)
                 }
-                None if field.is_nullable() => {
-                    Ok(new_null_array(field.data_type(), batch.num_rows()))
-                }
-                None => Err(place(
-                    field.name(),
-                    format!("is missing; see `periscope schema {}`", self.table),
-                )),
+                None if field.is_nullable() => Ok(new_null_array(field.data_type(), batch.num_rows())),
+                None => Err(place(field.name(), format!("is missing; see `periscope schema {}`", self.table))),
             }
         };
-        let columns = schema
-            .fields()
-            .iter()
-            .map(column)
-            .collect::<Result<_, _>>()?;
+        let columns = schema.fields().iter().map(column).collect::<Result<_, _>>()?;
         Ok(RecordBatch::try_new(schema.clone(), columns)?)
     }
 }
@@ -144,37 +110,19 @@ impl Source for Import {
         Value::Null
     }
     fn table(&self) -> WrittenTable {
-        WrittenTable {
-            name: self.table.clone(),
-            schema: self.schema(),
-        }
+        WrittenTable { name: self.table.clone(), schema: self.schema() }
     }
 
-    fn open<'a>(
-        &'a self,
-        _: &'a [Campaign],
-        _: &Path,
-    ) -> Result<Box<dyn OpenSource + 'a>, StageError> {
+    fn open<'a>(&'a self, _: &'a [Campaign], _: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
         let files = self.files()?;
         let mut digests = Vec::new();
         let mut bytes = 0;
         for file in &files {
-            digests.push(Digest::from(
-                hash_file(file).map_err(|error| self.refused(error))?,
-            ));
-            bytes += std::fs::metadata(file)
-                .map_err(|error| self.refused(error))?
-                .len();
+            digests.push(Digest::from(hash_file(file).map_err(|error| self.refused(error))?));
+            bytes += std::fs::metadata(file).map_err(|error| self.refused(error))?.len();
         }
         let content = Digest::join("import", &digests);
-        Ok(Box::new(Opened {
-            import: self,
-            files,
-            parts: [SourcePart {
-                content: Some(content),
-                bytes,
-            }],
-        }))
+        Ok(Box::new(Opened { import: self, files, parts: [SourcePart { content: Some(content), bytes }] }))
     }
 }
 
@@ -203,10 +151,7 @@ impl OpenSource for Opened<'_> {
             }
             feed.read_bytes(std::fs::metadata(file).map_or(0, |file| file.len()));
         }
-        Ok(PartRead {
-            content: self.parts[0].content.expect("hashed when it was opened"),
-            rejections: Vec::new(),
-        })
+        Ok(PartRead { content: self.parts[0].content.expect("hashed when it was opened"), rejections: Vec::new() })
     }
 
     fn close(&self) -> Result<(), StageError> {

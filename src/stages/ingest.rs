@@ -50,22 +50,12 @@ impl Source for Ingest {
     }
     fn fields(&self, campaigns: &[Campaign]) -> Value {
         // Rules enter through what they match: each part's content names its files, exposures and keys.
-        campaigns
-            .iter()
-            .map(|campaign| campaign.name.as_str())
-            .collect()
+        campaigns.iter().map(|campaign| campaign.name.as_str()).collect()
     }
     fn table(&self) -> WrittenTable {
-        WrittenTable {
-            name: Trace::TABLE.to_owned(),
-            schema: Trace::schema(),
-        }
+        WrittenTable { name: Trace::TABLE.to_owned(), schema: Trace::schema() }
     }
-    fn open<'a>(
-        &'a self,
-        campaigns: &'a [Campaign],
-        notes: &Path,
-    ) -> Result<Box<dyn OpenSource + 'a>, StageError> {
+    fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
         Ok(Box::new(Surveyed::new(campaigns, &self.roles, notes)?))
     }
 }
@@ -77,12 +67,7 @@ impl OpenSource for Surveyed<'_> {
     fn warnings(&self) -> &[String] {
         &self.warnings
     }
-    fn read(
-        &self,
-        part: usize,
-        batch_bytes: usize,
-        feed: &dyn Feed,
-    ) -> Result<PartRead, StageError> {
+    fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError> {
         raw::read_part(self, part, batch_bytes, feed)
     }
     fn close(&self) -> Result<(), StageError> {

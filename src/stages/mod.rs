@@ -46,18 +46,8 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 10] = [
-    "ingest",
-    "calibrate",
-    "average",
-    "deconvolve",
-    "detect",
-    "label",
-    "range",
-    "embed",
-    "refine",
-    "import",
-];
+pub const KINDS: [&str; 10] =
+    ["ingest", "calibrate", "average", "deconvolve", "detect", "label", "range", "embed", "refine", "import"];
 
 /// The stage of this kind with these parameters.
 ///
@@ -68,9 +58,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         params
             .try_into()
             .map(Box::new)
-            .map_err(|error: toml::de::Error| {
-                format!("params: {}", suggest::explain(error.message()))
-            })
+            .map_err(|error: toml::de::Error| format!("params: {}", suggest::explain(error.message())))
     }
     Ok(match kind {
         "ingest" => Node::Source(params_of::<ingest::Ingest>(params)?),

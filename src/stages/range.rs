@@ -47,45 +47,28 @@ impl Stage for Range {
     const KIND: &'static str = "range";
     const VERSION: u32 = 1;
     const GRAIN: Grain = Grain::All;
-    const SIDES: &'static [Side] = &[Side {
-        name: Covariance::TABLE,
-        schema: Covariance::schema,
-    }];
+    const SIDES: &'static [Side] = &[Side { name: Covariance::TABLE, schema: Covariance::schema }];
     type Input = Label;
     type Output = Distance;
     type Fields = BTreeMap<String, Setup>;
     type Context = BTreeMap<String, Setup>;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let gap_m = |a: [f64; 3], b: [f64; 3]| {
-            a.iter()
-                .zip(b)
-                .map(|(a, b)| (a - b).powi(2))
-                .sum::<f64>()
-                .sqrt()
-        };
+        let gap_m = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
         let setup = |campaign: &Campaign| {
             let source_m = campaign.source().position_m;
             let apart = |sensor: &&String| {
-                campaign
-                    .station_of(sensor)
-                    .is_none_or(|station| gap_m(station.position_m, source_m) > ONE_STATION_M)
+                campaign.station_of(sensor).is_none_or(|station| gap_m(station.position_m, source_m) > ONE_STATION_M)
             };
-            let visible = campaign
-                .patches
-                .iter()
-                .filter(|(_, patch)| patch.role == PatchRole::Visible)
-                .map(|(id, _)| *id);
+            let visible =
+                campaign.patches.iter().filter(|(_, patch)| patch.role == PatchRole::Visible).map(|(id, _)| *id);
             Setup {
                 group_index: campaign.group_index,
                 apart: campaign.sensors.keys().filter(apart).cloned().collect(),
                 visible: visible.collect(),
             }
         };
-        campaigns
-            .iter()
-            .map(|campaign| (campaign.name.clone(), setup(campaign)))
-            .collect()
+        campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
     }
 
     fn context(&self, fields: Self::Fields, _: &BesideTables) -> Result<Self::Context, StageError> {
@@ -102,19 +85,12 @@ impl Stage for Range {
 }
 
 impl Apply for Range {
-    fn apply(
-        &self,
-        setups: &Self::Context,
-        group: Vec<Label>,
-    ) -> Result<Outcome<Distance>, StageError> {
+    fn apply(&self, setups: &Self::Context, group: Vec<Label>) -> Result<Outcome<Distance>, StageError> {
         let (mut first, mut second) = (Vec::new(), Vec::new());
         for label in group.iter().filter(|label| label.alternative == 0) {
             let index = setups[&*label.campaign].group_index;
             let sd_m = units::path_m(label.time_sd_ps, index);
-            let length = Length {
-                length_m: units::path_m(label.time_ps, index),
-                variance_m2: sd_m * sd_m,
-            };
+            let length = Length { length_m: units::path_m(label.time_ps, index), variance_m2: sd_m * sd_m };
             match label.path.as_deref() {
                 Some([patch]) => first.push((*patch, length)),
                 Some([lit, seen]) => second.push(((*lit, *seen), length)),
@@ -141,40 +117,18 @@ impl Apply for Range {
 fn covariances(found: &Distances) -> arrow::array::RecordBatch {
     let row = |&(first, second, cov_m2): &(usize, usize, f64)| {
         let (first, second) = (&found.distances[first], &found.distances[second]);
-        Covariance {
-            a1: first.a,
-            b1: first.b,
-            a2: second.a,
-            b2: second.b,
-            cov_m2,
-        }
+        Covariance { a1: first.a, b1: first.b, a2: second.a, b2: second.b, cov_m2 }
     };
     Covariance::to_batch(&found.covariances.iter().map(row).collect::<Vec<_>>())
 }
 
 /// What a user should know: distances that could not be had, or that contradict themselves.
-fn rejections(
-    setups: &BTreeMap<String, Setup>,
-    labels: &[Label],
-    found: &Distances,
-) -> Vec<Rejection> {
-    let campaign = || {
-        labels
-            .first()
-            .map_or_else(|| "".into(), |label| label.campaign.clone())
-    };
-    let about = |reason: String| Rejection {
-        campaign: campaign(),
-        file: None,
-        segment: None,
-        byte_offset: None,
-        reason,
-    };
+fn rejections(setups: &BTreeMap<String, Setup>, labels: &[Label], found: &Distances) -> Vec<Rejection> {
+    let campaign = || labels.first().map_or_else(|| "".into(), |label| label.campaign.clone());
+    let about =
+        |reason: String| Rejection { campaign: campaign(), file: None, segment: None, byte_offset: None, reason };
     let seen: BTreeSet<PatchId> = found.distances.iter().map(|distance| distance.b).collect();
-    let listed: BTreeSet<PatchId> = setups
-        .values()
-        .flat_map(|setup| setup.visible.iter().copied())
-        .collect();
+    let listed: BTreeSet<PatchId> = setups.values().flat_map(|setup| setup.visible.iter().copied()).collect();
     let unseen = listed.difference(&seen).map(|patch| {
         about(format!(
             "patch {patch} stands in campaign.toml, but no first bounce of it was found, so it has no distance: capture lit {patch}, seen {patch}, or take it out"

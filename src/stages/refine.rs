@@ -20,13 +20,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
-use super::stage::{
-    Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError,
-};
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::geometry::maximum_likelihood::{
-    self, Anchor, Node, Observation, Problem, Solution, Unsolved,
-};
+use crate::geometry::maximum_likelihood::{self, Anchor, Node, Observation, Problem, Solution, Unsolved};
 use crate::geometry::{Point, frame, procrustes};
 use crate::tables::{Calibration, Delay, Label, Name, Patch, PatchCovariance, Residual, Row};
 use crate::units::{self, PatchId};
@@ -74,30 +70,13 @@ impl Stage for Refine {
     const VERSION: u32 = 1;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
-        Beside {
-            name: "patches",
-            table: "patches",
-            required: true,
-        },
-        Beside {
-            name: "calibration",
-            table: "calibration",
-            required: false,
-        },
+        Beside { name: "patches", table: "patches", required: true },
+        Beside { name: "calibration", table: "calibration", required: false },
     ];
     const SIDES: &'static [Side] = &[
-        Side {
-            name: PatchCovariance::TABLE,
-            schema: PatchCovariance::schema,
-        },
-        Side {
-            name: Delay::TABLE,
-            schema: Delay::schema,
-        },
-        Side {
-            name: Residual::TABLE,
-            schema: Residual::schema,
-        },
+        Side { name: PatchCovariance::TABLE, schema: PatchCovariance::schema },
+        Side { name: Delay::TABLE, schema: Delay::schema },
+        Side { name: Residual::TABLE, schema: Residual::schema },
     ];
     type Input = Label;
     type Output = Patch;
@@ -105,42 +84,28 @@ impl Stage for Refine {
     type Context = Known;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let station = |campaign: &Campaign, sensor: &String| {
-            Some((sensor.clone(), campaign.station_of(sensor)?.position_m))
-        };
+        let station =
+            |campaign: &Campaign, sensor: &String| Some((sensor.clone(), campaign.station_of(sensor)?.position_m));
         let setup = |campaign: &Campaign| Setup {
             dimensions: campaign.dimensions,
             group_index: campaign.group_index,
             source_m: campaign.source().position_m,
-            sensors_m: campaign
-                .sensors
-                .keys()
-                .filter_map(|sensor| station(campaign, sensor))
-                .collect(),
+            sensors_m: campaign.sensors.keys().filter_map(|sensor| station(campaign, sensor)).collect(),
             anchors_m: campaign
                 .patches
                 .iter()
                 .filter_map(|(id, patch)| Some((*id, (patch.position_m?, patch.sd_m))))
                 .collect(),
         };
-        campaigns
-            .iter()
-            .map(|campaign| (campaign.name.clone(), setup(campaign)))
-            .collect()
+        campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
     }
 
     fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
         let start = beside.rows::<Patch>("patches")?.unwrap_or_default();
-        let calibration = beside
-            .rows::<Calibration>("calibration")?
-            .unwrap_or_default();
+        let calibration = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         Ok(Known {
             setups,
-            start: start
-                .into_iter()
-                .filter(|patch| patch.alternative == 0)
-                .map(|patch| (patch.patch, patch))
-                .collect(),
+            start: start.into_iter().filter(|patch| patch.alternative == 0).map(|patch| (patch.patch, patch)).collect(),
             latency_sd_ps: calibration
                 .into_iter()
                 .map(|row| ((row.campaign, row.sensor), row.latency_sd_ps))
@@ -155,17 +120,10 @@ impl Apply for Refine {
         let (labels, lost): (Vec<Label>, Vec<Label>) = group
             .into_iter()
             .filter(|label| label.alternative == 0 && label.path.is_some())
-            .partition(|label| {
-                label
-                    .path
-                    .iter()
-                    .flatten()
-                    .all(|patch| known.start.contains_key(patch))
-            });
+            .partition(|label| label.path.iter().flatten().all(|patch| known.start.contains_key(patch)));
         let model = Model::new(known, &labels);
         let problem = model.problem(self.robust);
-        let solution =
-            maximum_likelihood::solve(&problem).map_err(|unsolved| model.refused(&unsolved))?;
+        let solution = maximum_likelihood::solve(&problem).map_err(|unsolved| model.refused(&unsolved))?;
         let turn = model.frame(&solution);
         Ok(Outcome {
             rows: model.patches(&solution, &turn),
@@ -183,16 +141,8 @@ impl Apply for Refine {
 fn lost_patches(known: &Known, lost: &[Label]) -> Vec<Rejection> {
     let mut patches: BTreeMap<PatchId, (usize, Name)> = BTreeMap::new();
     for label in lost {
-        for patch in label
-            .path
-            .iter()
-            .flatten()
-            .filter(|patch| !known.start.contains_key(patch))
-        {
-            patches
-                .entry(*patch)
-                .or_insert_with(|| (0, label.campaign.clone()))
-                .0 += 1;
+        for patch in label.path.iter().flatten().filter(|patch| !known.start.contains_key(patch)) {
+            patches.entry(*patch).or_insert_with(|| (0, label.campaign.clone())).0 += 1;
         }
     }
     let reject = |(patch, (onsets, campaign)): (PatchId, (usize, Name))| Rejection {
@@ -217,24 +167,11 @@ struct Model<'a> {
 
 impl<'a> Model<'a> {
     fn new(known: &'a Known, labels: &'a [Label]) -> Self {
-        let patches: BTreeSet<PatchId> = labels
-            .iter()
-            .flat_map(|label| label.path.iter().flatten().copied())
-            .collect();
-        let sensors: BTreeSet<(Name, Name)> = labels
-            .iter()
-            .map(|label| (label.campaign.clone(), label.sensor.clone()))
-            .collect();
-        let sensors = sensors
-            .into_iter()
-            .filter(|sensor| known.latency_sd_ps.contains_key(sensor))
-            .collect();
-        Self {
-            known,
-            labels,
-            patches: patches.into_iter().collect(),
-            sensors,
-        }
+        let patches: BTreeSet<PatchId> = labels.iter().flat_map(|label| label.path.iter().flatten().copied()).collect();
+        let sensors: BTreeSet<(Name, Name)> =
+            labels.iter().map(|label| (label.campaign.clone(), label.sensor.clone())).collect();
+        let sensors = sensors.into_iter().filter(|sensor| known.latency_sd_ps.contains_key(sensor)).collect();
+        Self { known, labels, patches: patches.into_iter().collect(), sensors }
     }
 
     fn setup(&self, label: &Label) -> &Setup {
@@ -243,17 +180,11 @@ impl<'a> Model<'a> {
 
     /// The setup whose frame holds: that of the first campaign.
     fn first(&self) -> &Setup {
-        self.known
-            .setups
-            .values()
-            .next()
-            .expect("a run has a campaign")
+        self.known.setups.values().next().expect("a run has a campaign")
     }
 
     fn place(&self, patch: PatchId) -> usize {
-        self.patches
-            .binary_search(&patch)
-            .expect("all patches of the labels are unknowns")
+        self.patches.binary_search(&patch).expect("all patches of the labels are unknowns")
     }
 
     fn problem(&self, robust: bool) -> Problem {
@@ -263,20 +194,12 @@ impl<'a> Model<'a> {
         };
         let anchor = |(patch, (position_m, sd_m)): (&PatchId, &([f64; 3], Option<f64>))| {
             let patch = self.patches.binary_search(patch).ok()?;
-            Some(Anchor {
-                patch,
-                position: Point::from(*position_m),
-                sd_m: sd_m.unwrap_or(EXACT_M),
-            })
+            Some(Anchor { patch, position: Point::from(*position_m), sd_m: sd_m.unwrap_or(EXACT_M) })
         };
         Problem {
             start: self.patches.iter().map(start).collect(),
             dimensions: usize::from(self.first().dimensions),
-            observations: self
-                .labels
-                .iter()
-                .map(|label| self.observation(label))
-                .collect(),
+            observations: self.labels.iter().map(|label| self.observation(label)).collect(),
             anchors: self.first().anchors_m.iter().filter_map(anchor).collect(),
             delay_sd_m: self
                 .sensors
@@ -293,34 +216,22 @@ impl<'a> Model<'a> {
 
     fn observation(&self, label: &Label) -> Observation {
         let setup = self.setup(label);
-        let path = label
-            .path
-            .iter()
-            .flatten()
-            .map(|patch| Node::Patch(self.place(*patch)));
+        let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
         let source = Node::Station(Point::from(setup.source_m));
         let sensor = Node::Station(Point::from(setup.sensors_m[&*label.sensor]));
         Observation {
-            nodes: std::iter::once(source)
-                .chain(path)
-                .chain([sensor])
-                .collect(),
+            nodes: std::iter::once(source).chain(path).chain([sensor]).collect(),
             length_m: units::path_m(label.time_ps, setup.group_index),
             sd_m: units::path_m(label.time_sd_ps, setup.group_index),
-            delay: self
-                .sensors
-                .binary_search(&(label.campaign.clone(), label.sensor.clone()))
-                .ok(),
+            delay: self.sensors.binary_search(&(label.campaign.clone(), label.sensor.clone())).ok(),
         }
     }
 
     fn refused(&self, unsolved: &Unsolved) -> StageError {
         StageError::Refused(match unsolved {
             Unsolved::Undetermined(fewest) => {
-                let list: Vec<String> = fewest
-                    .iter()
-                    .map(|(place, count)| format!("{} ({count} onsets)", self.patches[*place]))
-                    .collect();
+                let list: Vec<String> =
+                    fewest.iter().map(|(place, count)| format!("{} ({count} onsets)", self.patches[*place])).collect();
                 format!(
                     "the onsets leave positions undetermined; patches with the fewest: {}; capture more pairs with them, or exclude them",
                     list.join(", ")
@@ -347,8 +258,7 @@ impl<'a> Model<'a> {
     }
 
     fn patches(&self, solution: &Solution, turn: &Matrix3<f64>) -> Vec<Patch> {
-        let chi2_dof = (solution.degrees_of_freedom > 0)
-            .then(|| solution.chi2 / solution.degrees_of_freedom as f64);
+        let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
         let row = |(place, &patch): (usize, &PatchId)| {
             let point = procrustes::turn(turn, self.centre(), solution.points[place]);
             let cov = turn * solution.patch_covariance_m2(place, place) * turn.transpose();
@@ -365,11 +275,8 @@ impl<'a> Model<'a> {
                 cov_yz_m2: Some(cov[(1, 2)]),
                 cov_zz_m2: Some(cov[(2, 2)]),
                 sd_m: Some(cov.trace().sqrt()),
-                onsets: self
-                    .labels
-                    .iter()
-                    .filter(|label| label.path.iter().flatten().any(|of| *of == patch))
-                    .count() as i32,
+                onsets: self.labels.iter().filter(|label| label.path.iter().flatten().any(|of| *of == patch)).count()
+                    as i32,
                 chi2_dof,
                 alternative: 0,
                 log_likelihood: Some(-0.5 * solution.chi2),
@@ -424,20 +331,13 @@ impl<'a> Model<'a> {
                 lit: label.lit,
                 seen: label.seen,
                 rank: label.rank,
-                path: label
-                    .path
-                    .clone()
-                    .expect("only labels with a path are observations"),
+                path: label.path.clone().expect("only labels with a path are observations"),
                 residual_ps,
                 sd_ps: label.time_sd_ps,
                 standardised,
                 suspect: standardised.abs() > SUSPECT,
             }
         };
-        self.labels
-            .iter()
-            .zip(&solution.residuals_m)
-            .map(row)
-            .collect()
+        self.labels.iter().zip(&solution.residuals_m).map(row).collect()
     }
 }

@@ -144,21 +144,13 @@ impl<R> Outcome<R> {
     /// Rows of the main table and nothing else.
     #[must_use]
     pub fn rows(rows: Vec<R>) -> Self {
-        Self {
-            rows,
-            sides: Vec::new(),
-            rejections: Vec::new(),
-        }
+        Self { rows, sides: Vec::new(), rejections: Vec::new() }
     }
 
     /// Nothing but a rejection.
     #[must_use]
     pub fn rejected(rejection: Rejection) -> Self {
-        Self {
-            rows: Vec::new(),
-            sides: Vec::new(),
-            rejections: vec![rejection],
-        }
+        Self { rows: Vec::new(), sides: Vec::new(), rejections: vec![rejection] }
     }
 }
 
@@ -190,11 +182,7 @@ pub trait Stage: Serialize + Send + Sync + 'static {
     ///
     /// # Errors
     /// When parameters, fields and finished tables do not go together.
-    fn context(
-        &self,
-        fields: Self::Fields,
-        beside: &BesideTables,
-    ) -> Result<Self::Context, StageError>;
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Self::Context, StageError>;
 }
 
 /// A stage that takes a whole group of rows at once.
@@ -203,11 +191,7 @@ pub trait Apply: Stage {
     ///
     /// # Errors
     /// When the table as a whole cannot be made.
-    fn apply(
-        &self,
-        context: &Self::Context,
-        group: Vec<Self::Input>,
-    ) -> Result<Outcome<Self::Output>, StageError>;
+    fn apply(&self, context: &Self::Context, group: Vec<Self::Input>) -> Result<Outcome<Self::Output>, StageError>;
 }
 
 /// A stage that takes a group of rows in chunks, in order.
@@ -231,11 +215,7 @@ pub trait Fold: Stage {
     ///
     /// # Errors
     /// When the table as a whole cannot be made.
-    fn finish(
-        &self,
-        context: &Self::Context,
-        state: Self::State,
-    ) -> Result<Outcome<Self::Output>, StageError>;
+    fn finish(&self, context: &Self::Context, state: Self::State) -> Result<Outcome<Self::Output>, StageError>;
 }
 
 impl<S: Apply> Fold for S {
@@ -256,11 +236,7 @@ impl<S: Apply> Fold for S {
         Ok(())
     }
 
-    fn finish(
-        &self,
-        context: &S::Context,
-        state: Self::State,
-    ) -> Result<Outcome<S::Output>, StageError> {
+    fn finish(&self, context: &S::Context, state: Self::State) -> Result<Outcome<S::Output>, StageError> {
         self.apply(context, state)
     }
 }
@@ -305,11 +281,7 @@ pub trait Operator: Send + Sync {
     ///
     /// # Errors
     /// When parameters, fields and finished tables do not go together.
-    fn start<'a>(
-        &'a self,
-        campaigns: &[Campaign],
-        beside: &BesideTables,
-    ) -> Result<Box<dyn Running + 'a>, StageError>;
+    fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError>;
 }
 
 /// A stage at work.
@@ -340,8 +312,7 @@ impl<S: Fold> Operator for S {
         serde_json::to_value(self).expect("parameters are plain data")
     }
     fn fields(&self, campaigns: &[Campaign]) -> Value {
-        serde_json::to_value(Stage::fields(self, campaigns))
-            .expect("campaign fields are plain data")
+        serde_json::to_value(Stage::fields(self, campaigns)).expect("campaign fields are plain data")
     }
     fn input(&self) -> &'static str {
         S::Input::TABLE
@@ -350,27 +321,13 @@ impl<S: Fold> Operator for S {
         S::BESIDE
     }
     fn tables(&self) -> Vec<WrittenTable> {
-        let main = WrittenTable {
-            name: S::Output::TABLE.to_owned(),
-            schema: S::Output::schema(),
-        };
-        let sides = S::SIDES.iter().map(|side| WrittenTable {
-            name: side.name.to_owned(),
-            schema: (side.schema)(),
-        });
+        let main = WrittenTable { name: S::Output::TABLE.to_owned(), schema: S::Output::schema() };
+        let sides = S::SIDES.iter().map(|side| WrittenTable { name: side.name.to_owned(), schema: (side.schema)() });
         std::iter::once(main).chain(sides).collect()
     }
-    fn start<'a>(
-        &'a self,
-        campaigns: &[Campaign],
-        beside: &BesideTables,
-    ) -> Result<Box<dyn Running + 'a>, StageError> {
+    fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError> {
         let context = self.context(Stage::fields(self, campaigns), beside)?;
-        Ok(Box::new(Groups {
-            stage: self,
-            context,
-            open: BTreeMap::new(),
-        }))
+        Ok(Box::new(Groups { stage: self, context, open: BTreeMap::new() }))
     }
 }
 
@@ -385,23 +342,16 @@ struct Groups<'a, S: Fold> {
 }
 
 impl<S: Fold> Groups<'_, S> {
-    fn written(&self, outcomes: Vec<Outcome<S::Output>>) -> Result<Written, StageError> {
+    fn written(outcomes: Vec<Outcome<S::Output>>) -> Result<Written, StageError> {
         let mut rows = Vec::new();
         let mut sides: Vec<Vec<RecordBatch>> = vec![Vec::new(); S::SIDES.len()];
         let mut rejections = Vec::new();
         for outcome in outcomes {
             rows.extend(outcome.rows);
-            sides
-                .iter_mut()
-                .zip(outcome.sides)
-                .for_each(|(all, side)| all.push(side));
+            sides.iter_mut().zip(outcome.sides).for_each(|(all, side)| all.push(side));
             rejections.extend(outcome.rejections);
         }
-        let mut tables = vec![if rows.is_empty() {
-            Vec::new()
-        } else {
-            vec![S::Output::to_batch(&rows)]
-        }];
+        let mut tables = vec![if rows.is_empty() { Vec::new() } else { vec![S::Output::to_batch(&rows)] }];
         for (side, batches) in S::SIDES.iter().zip(sides) {
             tables.push(if batches.is_empty() {
                 Vec::new()
@@ -419,10 +369,10 @@ impl<S: Fold> Running for Groups<'_, S> {
         let groups = groups(batch, S::GRAIN);
         if !S::GRAIN.streams() {
             for (key, rows) in groups {
-                let state = self.open.entry(key).or_insert_with(|| {
-                    self.stage
-                        .begin(&self.context, S::Input::read(&columns, rows.start))
-                });
+                let state = self
+                    .open
+                    .entry(key)
+                    .or_insert_with(|| self.stage.begin(&self.context, S::Input::read(&columns, rows.start)));
                 self.stage.step(&self.context, state, &columns, rows)?;
             }
             return Ok(Written::default());
@@ -433,26 +383,13 @@ impl<S: Fold> Running for Groups<'_, S> {
         if let Some((key, state)) = self.open.pop_first() {
             if groups.first().is_some_and(|(first, _)| *first == key) {
                 work.push((key, Some(groups[0].1.clone()), Some(state)));
-                work.extend(
-                    groups
-                        .into_iter()
-                        .skip(1)
-                        .map(|(key, rows)| (key, Some(rows), None)),
-                );
+                work.extend(groups.into_iter().skip(1).map(|(key, rows)| (key, Some(rows), None)));
             } else {
                 work.push((key, None, Some(state)));
-                work.extend(
-                    groups
-                        .into_iter()
-                        .map(|(key, rows)| (key, Some(rows), None)),
-                );
+                work.extend(groups.into_iter().map(|(key, rows)| (key, Some(rows), None)));
             }
         } else {
-            work.extend(
-                groups
-                    .into_iter()
-                    .map(|(key, rows)| (key, Some(rows), None)),
-            );
+            work.extend(groups.into_iter().map(|(key, rows)| (key, Some(rows), None)));
         }
         let (stage, context) = (self.stage, &self.context);
         let mut done: Vec<(GroupKey, S::State)> = work
@@ -461,8 +398,7 @@ impl<S: Fold> Running for Groups<'_, S> {
                 let Some(rows) = rows else {
                     return Ok((key, state.expect("a group without rows was open")));
                 };
-                let mut state = state
-                    .unwrap_or_else(|| stage.begin(context, S::Input::read(&columns, rows.start)));
+                let mut state = state.unwrap_or_else(|| stage.begin(context, S::Input::read(&columns, rows.start)));
                 stage.step(context, &mut state, &columns, rows)?;
                 Ok((key, state))
             })
@@ -470,86 +406,75 @@ impl<S: Fold> Running for Groups<'_, S> {
         if done.last().map(|(key, _)| key) == last.as_ref() {
             self.open.extend(done.pop());
         }
-        let outcomes = done
-            .into_par_iter()
-            .map(|(_, state)| stage.finish(context, state))
-            .collect::<Result<_, _>>()?;
-        self.written(outcomes)
+        let outcomes = done.into_par_iter().map(|(_, state)| stage.finish(context, state)).collect::<Result<_, _>>()?;
+        Self::written(outcomes)
     }
 
     fn flush(&mut self) -> Result<Written, StageError> {
         let states: Vec<_> = std::mem::take(&mut self.open).into_values().collect();
         let (stage, context) = (self.stage, &self.context);
-        let outcomes = states
-            .into_par_iter()
-            .map(|state| stage.finish(context, state))
-            .collect::<Result<_, _>>()?;
-        self.written(outcomes)
+        let outcomes = states.into_par_iter().map(|state| stage.finish(context, state)).collect::<Result<_, _>>()?;
+        Self::written(outcomes)
     }
+}
+
+/// Columns that tell rows apart; what a table does not have is the same for all of its rows.
+struct KeyColumns {
+    campaign: Option<StringArray>,
+    sensor: Option<StringArray>,
+    role: Option<StringArray>,
+    lit: Option<Int32Array>,
+    seen: Option<Int32Array>,
+}
+
+impl KeyColumns {
+    fn of(batch: &RecordBatch) -> Self {
+        let text = |name: &str| batch.column_by_name(name).map(|column| column.as_string::<i32>().clone());
+        let number = |name: &str| batch.column_by_name(name).map(|column| column.as_primitive::<Int32Type>().clone());
+        Self {
+            campaign: text("campaign"),
+            sensor: text("sensor"),
+            role: text("role"),
+            lit: number("lit"),
+            seen: number("seen"),
+        }
+    }
+
+    /// What tells a row's group apart, borrowed.
+    fn key(&self, grain: Grain, i: usize) -> (&str, &str, i32, i32, &str) {
+        let text = |column| text_at(column, i);
+        let number = |column: &Option<Int32Array>| column.as_ref().map_or(0, |column| column.value(i));
+        let (lit, seen) = (number(&self.lit), number(&self.seen));
+        match grain {
+            Grain::All => ("", "", 0, 0, ""),
+            Grain::Sensor => (text(self.campaign.as_ref()), text(self.sensor.as_ref()), 0, 0, ""),
+            Grain::Capture => {
+                (text(self.campaign.as_ref()), text(self.sensor.as_ref()), lit, seen, text(self.role.as_ref()))
+            }
+            Grain::Pair => (
+                text(self.campaign.as_ref()),
+                text(self.sensor.as_ref()),
+                lit.min(seen),
+                lit.max(seen),
+                text(self.role.as_ref()),
+            ),
+        }
+    }
+}
+
+fn text_at(column: Option<&StringArray>, i: usize) -> &str {
+    column.map_or("", |column| column.value(i))
 }
 
 /// Runs of rows that belong together, in order.
 fn groups(batch: &RecordBatch, grain: Grain) -> Vec<(GroupKey, Range<usize>)> {
-    let text = |name: &str| {
-        batch
-            .column_by_name(name)
-            .map(|column| column.as_string::<i32>().clone())
-    };
-    let number = |name: &str| {
-        batch
-            .column_by_name(name)
-            .map(|column| column.as_primitive::<Int32Type>().clone())
-    };
-    let (campaign, sensor, role) = (text("campaign"), text("sensor"), text("role"));
-    let (lit, seen) = (number("lit"), number("seen"));
-    fn text_at(column: &Option<StringArray>, i: usize) -> &str {
-        column.as_ref().map_or("", |column| column.value(i))
-    }
-    let number_at =
-        |column: &Option<Int32Array>, i| column.as_ref().map_or(0, |column| column.value(i));
-    let same = |i: usize, j: usize| -> bool {
-        if grain == Grain::All {
-            return true;
-        }
-        let key = text_at(&campaign, i) == text_at(&campaign, j)
-            && text_at(&sensor, i) == text_at(&sensor, j);
-        let (lit_i, seen_i, lit_j, seen_j) = (
-            number_at(&lit, i),
-            number_at(&seen, i),
-            number_at(&lit, j),
-            number_at(&seen, j),
-        );
-        let role = text_at(&role, i) == text_at(&role, j);
-        match grain {
-            Grain::All => true,
-            Grain::Sensor => key,
-            Grain::Capture => key && role && lit_i == lit_j && seen_i == seen_j,
-            Grain::Pair => {
-                key && role
-                    && lit_i.min(seen_i) == lit_j.min(seen_j)
-                    && lit_i.max(seen_i) == lit_j.max(seen_j)
-            }
-        }
-    };
-    let key = |i: usize| -> GroupKey {
-        let (lit, seen) = (number_at(&lit, i), number_at(&seen, i));
-        let (campaign, sensor, role) = (
-            text_at(&campaign, i).to_owned(),
-            text_at(&sensor, i).to_owned(),
-            text_at(&role, i).to_owned(),
-        );
-        match grain {
-            Grain::All => (String::new(), String::new(), 0, 0, String::new()),
-            Grain::Sensor => (campaign, sensor, 0, 0, String::new()),
-            Grain::Capture => (campaign, sensor, lit, seen, role),
-            Grain::Pair => (campaign, sensor, lit.min(seen), lit.max(seen), role),
-        }
-    };
+    let columns = KeyColumns::of(batch);
     let mut groups = Vec::new();
     let mut start = 0;
     for i in 1..=batch.num_rows() {
-        if i == batch.num_rows() || !same(start, i) {
-            groups.push((key(start), start..i));
+        if i == batch.num_rows() || columns.key(grain, start) != columns.key(grain, i) {
+            let (campaign, sensor, lit, seen, role) = columns.key(grain, start);
+            groups.push(((campaign.to_owned(), sensor.to_owned(), lit, seen, role.to_owned()), start..i));
             start = i;
         }
     }
@@ -558,7 +483,7 @@ fn groups(batch: &RecordBatch, grain: Grain) -> Vec<(GroupKey, Range<usize>)> {
 
 /// A hold on part of the memory budget, given back when the last clone is dropped.
 #[derive(Clone)]
-pub struct Credit(#[allow(dead_code)] Arc<dyn Send + Sync>);
+pub struct Credit(#[expect(dead_code, reason = "it is held, not looked at")] Arc<dyn Send + Sync>);
 
 impl Credit {
     /// Wraps what gives the memory back when it is dropped.
@@ -616,11 +541,7 @@ pub trait Source: Send + Sync {
     ///
     /// # Errors
     /// When a campaign folder cannot be read or is inconsistent.
-    fn open<'a>(
-        &'a self,
-        campaigns: &'a [Campaign],
-        notes: &Path,
-    ) -> Result<Box<dyn OpenSource + 'a>, StageError>;
+    fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError>;
 }
 
 /// A source that has surveyed its parts.
@@ -633,12 +554,7 @@ pub trait OpenSource: Send + Sync {
     ///
     /// # Errors
     /// When the run must stop; a bad file is a rejection, not an error.
-    fn read(
-        &self,
-        part: usize,
-        batch_bytes: usize,
-        feed: &dyn Feed,
-    ) -> Result<PartRead, StageError>;
+    fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError>;
     /// Remembers what was learnt of the raw files; called when a pass has ended, also when it has failed.
     ///
     /// # Errors

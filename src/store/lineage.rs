@@ -70,9 +70,7 @@ impl Serialize for Digest {
 impl<'de> Deserialize<'de> for Digest {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text = String::deserialize(deserializer)?;
-        blake3::Hash::from_hex(text)
-            .map(Self::from)
-            .map_err(serde::de::Error::custom)
+        blake3::Hash::from_hex(text).map(Self::from).map_err(serde::de::Error::custom)
     }
 }
 
@@ -83,10 +81,7 @@ mod tests {
 
     #[test]
     fn order_of_keys_does_not_matter_and_order_of_inputs_does() {
-        assert_eq!(
-            Digest::of(&json!({"a": 1, "b": 2.5})),
-            Digest::of(&json!({"b": 2.5, "a": 1}))
-        );
+        assert_eq!(Digest::of(&json!({"a": 1, "b": 2.5})), Digest::of(&json!({"b": 2.5, "a": 1})));
         let (a, b) = (Digest::of_bytes(b"a"), Digest::of_bytes(b"b"));
         assert_ne!(Digest::join("x", [&a, &b]), Digest::join("x", [&b, &a]));
         assert_ne!(Digest::join("x", [&a]), Digest::join("y", [&a]));

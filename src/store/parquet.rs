@@ -13,9 +13,7 @@ use arrow::compute::concat_batches;
 use arrow::datatypes::{DataType, SchemaRef};
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use parquet::arrow::arrow_writer::{
-    ArrowColumnChunk, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves,
-};
+use parquet::arrow::arrow_writer::{ArrowColumnChunk, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
@@ -85,14 +83,10 @@ impl TableWriter {
     /// When the file cannot be created.
     pub fn create(path: &Path, schema: &SchemaRef) -> Result<Self, ParquetError> {
         let file = BufWriter::with_capacity(1 << 16, File::create(path)?);
-        let sink = Digesting {
-            file,
-            hasher: blake3::Hasher::new(),
-            bytes: 0,
-        };
+        let sink = Digesting { file, hasher: blake3::Hasher::new(), bytes: 0 };
         let options = ArrowWriterOptions::new().with_properties(properties(schema));
-        let (writer, factory) = ArrowWriter::try_new_with_options(sink, schema.clone(), options)?
-            .into_serialized_writer()?;
+        let (writer, factory) =
+            ArrowWriter::try_new_with_options(sink, schema.clone(), options)?.into_serialized_writer()?;
         Ok(Self {
             path: path.to_owned(),
             schema: schema.clone(),
@@ -139,11 +133,7 @@ impl TableWriter {
         self.whole.push(concat_batches(&self.schema, &self.open)?);
         self.open.clear();
         (self.open_bytes, self.open_rows) = (0, 0);
-        if self.whole.len() >= rayon::current_num_threads() {
-            self.encode()
-        } else {
-            Ok(())
-        }
+        if self.whole.len() >= rayon::current_num_threads() { self.encode() } else { Ok(()) }
     }
 
     fn encode(&mut self) -> Result<(), ParquetError> {
@@ -176,16 +166,11 @@ impl TableWriter {
         }
         self.encode()?;
         for (key, value) in footer {
-            self.writer
-                .append_key_value_metadata(KeyValue::new((*key).to_owned(), value.clone()));
+            self.writer.append_key_value_metadata(KeyValue::new((*key).to_owned(), value.clone()));
         }
         let mut sink = self.writer.into_inner()?;
         sink.flush()?;
-        Ok(FileRecord {
-            rows: self.rows,
-            bytes: sink.bytes,
-            digest: sink.hasher.finalize().into(),
-        })
+        Ok(FileRecord { rows: self.rows, bytes: sink.bytes, digest: sink.hasher.finalize().into() })
     }
 }
 
@@ -213,10 +198,7 @@ fn row_bytes(batch: &RecordBatch) -> Vec<usize> {
         match column.data_type() {
             DataType::BinaryView => {
                 let views = column.as_binary_view().views();
-                bytes
-                    .iter_mut()
-                    .zip(views)
-                    .for_each(|(total, view)| *total += *view as u32 as usize);
+                bytes.iter_mut().zip(views).for_each(|(total, view)| *total += *view as u32 as usize);
             }
             DataType::List(item) => {
                 let width = item.data_type().primitive_width().unwrap_or(48);
@@ -242,11 +224,9 @@ fn properties(schema: &SchemaRef) -> WriterProperties {
         .set_offset_index_disabled(true);
     for field in schema.fields() {
         let path = match field.data_type() {
-            DataType::List(item) if item.data_type().is_floating() => ColumnPath::from(vec![
-                field.name().clone(),
-                "list".into(),
-                item.name().clone(),
-            ]),
+            DataType::List(item) if item.data_type().is_floating() => {
+                ColumnPath::from(vec![field.name().clone(), "list".into(), item.name().clone()])
+            }
             DataType::BinaryView => ColumnPath::from(field.name().as_str()),
             _ => continue,
         };
@@ -268,9 +248,7 @@ pub fn read(
     path: &Path,
     rows: usize,
 ) -> Result<impl Iterator<Item = Result<RecordBatch, ParquetError>> + use<>, ParquetError> {
-    let reader = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?
-        .with_batch_size(rows)
-        .build()?;
+    let reader = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?.with_batch_size(rows).build()?;
     Ok(reader.map(|batch| batch.map_err(ParquetError::from)))
 }
 
@@ -282,9 +260,7 @@ pub fn describe(path: &Path) -> Result<(SchemaRef, u64, Vec<(String, String)>), 
     let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?;
     let file = builder.metadata().file_metadata();
     let footer = file.key_value_metadata().into_iter().flatten();
-    let footer = footer
-        .filter_map(|entry| Some((entry.key.clone(), entry.value.clone()?)))
-        .collect();
+    let footer = footer.filter_map(|entry| Some((entry.key.clone(), entry.value.clone()?))).collect();
     Ok((Arc::clone(builder.schema()), file.num_rows() as u64, footer))
 }
 
@@ -306,9 +282,7 @@ mod tests {
                 rejected: 0,
                 t0_ps: 0.5,
                 dt_ps: 50.0,
-                mean_v: (0..samples)
-                    .map(|i| (i as f64 * 0.1 + f64::from(lit)).sin())
-                    .collect(),
+                mean_v: (0..samples).map(|i| (i as f64 * 0.1 + f64::from(lit)).sin()).collect(),
                 se_v: (0..samples).map(|_| 0.01).collect(),
                 noise_v: 0.1,
                 noise_acf: vec![1.0, 0.2].into(),
@@ -331,22 +305,14 @@ mod tests {
                 writer.write(&Profile::to_batch(rows)).unwrap();
             }
             records.push(writer.finish(&[("lineage", "abc".to_owned())]).unwrap());
-            let read: Vec<Profile> = read(&path, 64)
-                .unwrap()
-                .flat_map(|batch| Profile::rows(&batch.unwrap()).unwrap())
-                .collect();
+            let read: Vec<Profile> =
+                read(&path, 64).unwrap().flat_map(|batch| Profile::rows(&batch.unwrap()).unwrap()).collect();
             assert_eq!(read, rows);
             let (_, count, footer) = describe(&path).unwrap();
             assert_eq!(count, 900);
             assert!(footer.contains(&("lineage".to_owned(), "abc".to_owned())));
         }
-        assert!(
-            records.windows(2).all(|pair| pair[0] == pair[1]),
-            "{records:?}"
-        );
-        assert!(
-            records[0].bytes > 2 * ROW_GROUP_BYTES as u64 / 2,
-            "several row groups were meant: {records:?}"
-        );
+        assert!(records.windows(2).all(|pair| pair[0] == pair[1]), "{records:?}");
+        assert!(records[0].bytes > 2 * ROW_GROUP_BYTES as u64 / 2, "several row groups were meant: {records:?}");
     }
 }

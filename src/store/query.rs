@@ -3,8 +3,7 @@
 use std::io::Write;
 
 use polars::prelude::{
-    CsvWriter, JsonFormat, JsonWriter, LazyFrame, ParquetWriter, PlRefPath, PolarsError,
-    ScanArgsParquet, SerWriter,
+    CsvWriter, JsonFormat, JsonWriter, LazyFrame, ParquetWriter, PlRefPath, PolarsError, ScanArgsParquet, SerWriter,
 };
 use polars::sql::SQLContext;
 use thiserror::Error;
@@ -42,30 +41,20 @@ pub enum QueryError {
 ///
 /// # Errors
 /// When the question is refused, or a table cannot be read.
-pub fn answer(
-    shelf: &Shelf,
-    sql: &str,
-    form: Form,
-    out: &mut impl Write,
-) -> Result<(), QueryError> {
+pub fn answer(shelf: &Shelf, sql: &str, form: Form, out: &mut impl Write) -> Result<(), QueryError> {
     let mut context = SQLContext::new();
     let mut views: Vec<String> = shelf.tables()?.into_iter().map(|(view, _)| view).collect();
     views.push("rejects".to_owned());
     for view in views {
         let pattern = shelf.out().join(&view).join("*.parquet");
-        let frame = LazyFrame::scan_parquet(
-            PlRefPath::new(pattern.to_string_lossy()),
-            ScanArgsParquet::default(),
-        )?;
+        let frame = LazyFrame::scan_parquet(PlRefPath::new(pattern.to_string_lossy()), ScanArgsParquet::default())?;
         context.register(&view, frame);
     }
     let mut answer = context.execute(sql)?.collect()?;
     match form {
         Form::Table => writeln!(out, "{answer}")?,
         Form::Csv => CsvWriter::new(out).finish(&mut answer)?,
-        Form::Json => JsonWriter::new(out)
-            .with_json_format(JsonFormat::JsonLines)
-            .finish(&mut answer)?,
+        Form::Json => JsonWriter::new(out).with_json_format(JsonFormat::JsonLines).finish(&mut answer)?,
         Form::Parquet => {
             ParquetWriter::new(out).finish(&mut answer)?;
         }

@@ -33,14 +33,10 @@ pub enum StoreError {
     #[error("another run is writing to {0}; wait for it, or choose another --out")]
     Busy(PathBuf),
     /// A folder that is not a result folder.
-    #[error(
-        "{0} holds other files and no .shelf: it is no result folder of periscope; choose another --out"
-    )]
+    #[error("{0} holds other files and no .shelf: it is no result folder of periscope; choose another --out")]
     Foreign(PathBuf),
     /// A name that the views need is taken by something else.
-    #[error(
-        "{0} is in the way: it is not a view made by periscope; move it away, or choose another --out"
-    )]
+    #[error("{0} is in the way: it is not a view made by periscope; move it away, or choose another --out")]
     InTheWay(PathBuf),
     /// No such table.
     #[error("{out} has no table `{heading}`; `periscope tables {out}` lists what there is")]
@@ -99,11 +95,7 @@ trait At<T> {
 
 impl<T> At<T> for io::Result<T> {
     fn at(self, what: &'static str, path: &Path) -> Result<T, StoreError> {
-        self.map_err(|source| StoreError::Io {
-            what,
-            path: path.to_owned(),
-            source,
-        })
+        self.map_err(|source| StoreError::Io { what, path: path.to_owned(), source })
     }
 }
 
@@ -111,22 +103,12 @@ impl<T> At<T> for Result<T, ParquetError> {
     fn at(self, what: &'static str, path: &Path) -> Result<T, StoreError> {
         self.map_err(|source| match source {
             ParquetError::External(cause) => match cause.downcast::<io::Error>() {
-                Ok(source) => StoreError::Io {
-                    what,
-                    path: path.to_owned(),
-                    source: *source,
-                },
-                Err(cause) => StoreError::Parquet {
-                    what,
-                    path: path.to_owned(),
-                    source: ParquetError::External(cause),
-                },
+                Ok(source) => StoreError::Io { what, path: path.to_owned(), source: *source },
+                Err(cause) => {
+                    StoreError::Parquet { what, path: path.to_owned(), source: ParquetError::External(cause) }
+                }
             },
-            source => StoreError::Parquet {
-                what,
-                path: path.to_owned(),
-                source,
-            },
+            source => StoreError::Parquet { what, path: path.to_owned(), source },
         })
     }
 }
@@ -189,21 +171,13 @@ impl TableRecord {
     /// Rows of one of its tables (main or side), all parts together.
     #[must_use]
     pub fn rows(&self, table: &str) -> u64 {
-        self.parts
-            .iter()
-            .filter_map(|part| part.files.get(table))
-            .map(|file| file.rows)
-            .sum()
+        self.parts.iter().filter_map(|part| part.files.get(table)).map(|file| file.rows).sum()
     }
 
     /// Bytes of one of its tables on disk.
     #[must_use]
     pub fn bytes(&self, table: &str) -> u64 {
-        self.parts
-            .iter()
-            .filter_map(|part| part.files.get(table))
-            .map(|file| file.bytes)
-            .sum()
+        self.parts.iter().filter_map(|part| part.files.get(table)).map(|file| file.bytes).sum()
     }
 }
 
@@ -222,8 +196,7 @@ impl Shelf {
     /// When another run holds it, when it holds foreign files, or when it cannot be written.
     pub fn open(out: &Path) -> Result<Self, StoreError> {
         let shelf = out.join(".shelf");
-        let foreign =
-            !shelf.exists() && out.exists() && fs::read_dir(out).at("read", out)?.next().is_some();
+        let foreign = !shelf.exists() && out.exists() && fs::read_dir(out).at("read", out)?.next().is_some();
         if foreign {
             return Err(StoreError::Foreign(out.to_owned()));
         }
@@ -234,18 +207,10 @@ impl Shelf {
             Ok(()) => {}
             Err(fs::TryLockError::WouldBlock) => return Err(StoreError::Busy(out.to_owned())),
             Err(fs::TryLockError::Error(source)) => {
-                return Err(StoreError::Io {
-                    what: "lock",
-                    path,
-                    source,
-                });
+                return Err(StoreError::Io { what: "lock", path, source });
             }
         }
-        let shelf = Self {
-            out: out.to_owned(),
-            _lock: Some(lock),
-            temporary: AtomicU64::new(0),
-        };
+        let shelf = Self { out: out.to_owned(), _lock: Some(lock), temporary: AtomicU64::new(0) };
         shelf.sweep()?;
         Ok(shelf)
     }
@@ -258,21 +223,13 @@ impl Shelf {
         if !out.join(".shelf").is_dir() {
             return Err(StoreError::Foreign(out.to_owned()));
         }
-        Ok(Self {
-            out: out.to_owned(),
-            _lock: None,
-            temporary: AtomicU64::new(0),
-        })
+        Ok(Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0) })
     }
 
     /// A shelf for planning only: works on a folder that does not exist yet, and writes nothing.
     #[must_use]
     pub fn imagine(out: &Path) -> Self {
-        Self {
-            out: out.to_owned(),
-            _lock: None,
-            temporary: AtomicU64::new(0),
-        }
+        Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0) }
     }
 
     /// The result folder.
@@ -288,19 +245,12 @@ impl Shelf {
     }
 
     fn sweep(&self) -> Result<(), StoreError> {
-        for folder in fs::read_dir(self.root())
-            .at("read", &self.root())?
-            .flatten()
-        {
+        for folder in fs::read_dir(self.root()).at("read", &self.root())?.flatten() {
             for entry in fs::read_dir(folder.path()).into_iter().flatten().flatten() {
                 if entry.file_name().to_string_lossy().starts_with("tmp-") {
                     let path = entry.path();
-                    if path.is_dir() {
-                        fs::remove_dir_all(&path)
-                    } else {
-                        fs::remove_file(&path)
-                    }
-                    .at("remove", &path)?;
+                    if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) }
+                        .at("remove", &path)?;
                 }
             }
         }
@@ -312,24 +262,16 @@ impl Shelf {
     }
 
     fn temporary(&self, folder: &Path) -> PathBuf {
-        folder.join(format!(
-            "tmp-{}",
-            self.temporary.fetch_add(1, Ordering::Relaxed)
-        ))
+        folder.join(format!("tmp-{}", self.temporary.fetch_add(1, Ordering::Relaxed)))
     }
 
     /// Record of a part, if it is whole.
     ///
     /// # Errors
     /// When its record is damaged.
-    pub fn part(
-        &self,
-        stage: &StageId,
-        lineage: &Digest,
-    ) -> Result<Option<PartRecord>, StoreError> {
+    pub fn part(&self, stage: &StageId, lineage: &Digest) -> Result<Option<PartRecord>, StoreError> {
         let folder = self.root().join(stage.folder());
-        let Some(record) = read_json::<PartRecord>(&folder.join(format!("part-{lineage}.json")))?
-        else {
+        let Some(record) = read_json::<PartRecord>(&folder.join(format!("part-{lineage}.json")))? else {
             return Ok(None);
         };
         let present = |(table, file): (&String, &FileRecord)| {
@@ -343,11 +285,7 @@ impl Shelf {
     ///
     /// # Errors
     /// When its files cannot be created.
-    pub fn begin(
-        &self,
-        stage: &StageId,
-        tables: &[(String, SchemaRef)],
-    ) -> Result<PartWriter<'_>, StoreError> {
+    pub fn begin(&self, stage: &StageId, tables: &[(String, SchemaRef)]) -> Result<PartWriter<'_>, StoreError> {
         let folder = self.root().join(stage.folder());
         fs::create_dir_all(&folder).at("create", &folder)?;
         let stage_file = folder.join("stage.json");
@@ -357,17 +295,9 @@ impl Shelf {
         let mut writers = Vec::new();
         for (table, schema) in tables {
             let path = self.temporary(&folder);
-            writers.push((
-                table.clone(),
-                TableWriter::create(&path, schema).at("write", &path)?,
-            ));
+            writers.push((table.clone(), TableWriter::create(&path, schema).at("write", &path)?));
         }
-        Ok(PartWriter {
-            shelf: self,
-            stage: stage.clone(),
-            folder,
-            writers,
-        })
+        Ok(PartWriter { shelf: self, stage: stage.clone(), folder, writers })
     }
 
     fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), StoreError> {
@@ -390,11 +320,7 @@ impl Shelf {
         views: &[(String, String)],
     ) -> Result<TableRecord, StoreError> {
         let lineage = TableRecord::lineage_of(parts.iter().map(|part| &part.lineage));
-        let record = TableRecord {
-            lineage,
-            stage: stage.clone(),
-            parts,
-        };
+        let record = TableRecord { lineage, stage: stage.clone(), parts };
         let folder = self.root().join(stage.folder());
         let whole = folder.join(format!("table-{lineage}"));
         if read_json::<TableRecord>(&whole.join("table.json"))?.as_ref() != Some(&record) {
@@ -417,10 +343,7 @@ impl Shelf {
             fs::rename(&temporary, &whole).at("write", &whole)?;
         }
         for (table, view) in views {
-            let target = PathBuf::from(".shelf")
-                .join(stage.folder())
-                .join(format!("table-{lineage}"))
-                .join(table);
+            let target = PathBuf::from(".shelf").join(stage.folder()).join(format!("table-{lineage}")).join(table);
             self.show(view, &target)?;
         }
         Ok(record)
@@ -430,19 +353,12 @@ impl Shelf {
     ///
     /// # Errors
     /// When the view cannot be written.
-    pub fn publish_rejects(
-        &self,
-        tables: &[(&str, &StageId, &[Option<PartRecord>])],
-    ) -> Result<u64, StoreError> {
+    pub fn publish_rejects(&self, tables: &[(&str, &StageId, &[Option<PartRecord>])]) -> Result<u64, StoreError> {
         let table = Reject::TABLE;
         let files: Vec<_> = tables
             .iter()
             .flat_map(|(heading, stage, parts)| {
-                parts
-                    .iter()
-                    .flatten()
-                    .enumerate()
-                    .map(move |(i, part)| (*heading, *stage, i, part))
+                parts.iter().flatten().enumerate().map(move |(i, part)| (*heading, *stage, i, part))
             })
             .filter(|(.., part)| part.files.get(table).is_some_and(|file| file.rows > 0))
             .collect();
@@ -453,15 +369,11 @@ impl Shelf {
         fs::create_dir_all(&temporary).at("create", &temporary)?;
         // An empty file keeps the view readable, with its schema, when nothing was set aside.
         let none = temporary.join("none.parquet");
-        TableWriter::create(&none, &Reject::schema())
-            .and_then(|writer| writer.finish(&[]))
-            .at("write", &none)?;
+        TableWriter::create(&none, &Reject::schema()).and_then(|writer| writer.finish(&[])).at("write", &none)?;
         for (heading, stage, i, part) in &files {
             let source = self.part_file(stage, &part.lineage, table);
             let target = temporary.join(format!("{heading}-{i:05}.parquet"));
-            fs::hard_link(&source, &target)
-                .or_else(|_| fs::copy(&source, &target).map(drop))
-                .at("link", &target)?;
+            fs::hard_link(&source, &target).or_else(|_| fs::copy(&source, &target).map(drop)).at("link", &target)?;
         }
         if whole.exists() {
             fs::remove_dir_all(&whole).at("replace", &whole)?;
@@ -476,9 +388,8 @@ impl Shelf {
         let link = self.out.join(view);
         match fs::read_link(&link) {
             Ok(present) if present == target => return Ok(()),
-            Ok(_) => {}
             Err(_) if link.exists() => return Err(StoreError::InTheWay(link)),
-            Err(_) => {}
+            _ => {}
         }
         let temporary = self.out.join(format!(".shelf/tmp-view-{view}"));
         let _ = fs::remove_file(&temporary);
@@ -528,10 +439,7 @@ impl Shelf {
     #[must_use]
     pub fn made(&self, view: &str) -> Option<std::time::SystemTime> {
         let target = fs::read_link(self.out.join(view)).ok()?;
-        fs::metadata(self.out.join(target.parent()?).join("table.json"))
-            .ok()?
-            .modified()
-            .ok()
+        fs::metadata(self.out.join(target.parent()?).join("table.json")).ok()?.modified().ok()
     }
 
     /// Files of a view, in order.
@@ -540,15 +448,9 @@ impl Shelf {
     /// When there is no such view.
     pub fn files(&self, view: &str) -> Result<Vec<PathBuf>, StoreError> {
         let folder = self.out.join(view);
-        let missing = || StoreError::NoTable {
-            out: self.out.clone(),
-            heading: view.to_owned(),
-        };
-        let mut files: Vec<_> = fs::read_dir(&folder)
-            .map_err(|_| missing())?
-            .flatten()
-            .map(|entry| entry.path())
-            .collect();
+        let missing = || StoreError::NoTable { out: self.out.clone(), heading: view.to_owned() };
+        let mut files: Vec<_> =
+            fs::read_dir(&folder).map_err(|_| missing())?.flatten().map(|entry| entry.path()).collect();
         files.sort();
         Ok(files)
     }
@@ -556,9 +458,7 @@ impl Shelf {
     /// File of one table of one part.
     #[must_use]
     pub fn part_file(&self, stage: &StageId, lineage: &Digest, table: &str) -> PathBuf {
-        self.root()
-            .join(stage.folder())
-            .join(format!("part-{lineage}.{table}.parquet"))
+        self.root().join(stage.folder()).join(format!("part-{lineage}.{table}.parquet"))
     }
 
     /// All batches of a view.
@@ -578,20 +478,11 @@ impl Shelf {
 
 fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<Option<T>, StoreError> {
     match fs::read(path) {
-        Ok(bytes) => {
-            serde_json::from_slice(&bytes)
-                .map(Some)
-                .map_err(|source| StoreError::Record {
-                    path: path.to_owned(),
-                    source,
-                })
-        }
+        Ok(bytes) => serde_json::from_slice(&bytes)
+            .map(Some)
+            .map_err(|source| StoreError::Record { path: path.to_owned(), source }),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(StoreError::Io {
-            what: "read",
-            path: path.to_owned(),
-            source,
-        }),
+        Err(source) => Err(StoreError::Io { what: "read", path: path.to_owned(), source }),
     }
 }
 
@@ -621,10 +512,7 @@ impl PartWriter<'_> {
     pub fn commit(self, lineage: Digest) -> Result<PartRecord, StoreError> {
         let footer = [
             ("periscope.lineage", lineage.to_string()),
-            (
-                "periscope.stage",
-                serde_json::to_string(&self.stage).expect("a stage id is plain data"),
-            ),
+            ("periscope.stage", serde_json::to_string(&self.stage).expect("a stage id is plain data")),
         ];
         let mut files = BTreeMap::new();
         for (table, writer) in self.writers {
@@ -635,8 +523,7 @@ impl PartWriter<'_> {
             files.insert(table, record);
         }
         let record = PartRecord { lineage, files };
-        self.shelf
-            .write_json(&self.folder.join(format!("part-{lineage}.json")), &record)?;
+        self.shelf.write_json(&self.folder.join(format!("part-{lineage}.json")), &record)?;
         Ok(record)
     }
 }

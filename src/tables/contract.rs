@@ -7,10 +7,7 @@ use arrow::datatypes::{DataType, Field, Schema};
 /// A table's columns with types, units and meanings, as text.
 #[must_use]
 pub fn text(table: &str, schema: &Schema) -> String {
-    let mut text = format!(
-        "# {table}\n# {}\n",
-        schema.metadata().get("meaning").map_or("", String::as_str)
-    );
+    let mut text = format!("# {table}\n# {}\n", schema.metadata().get("meaning").map_or("", String::as_str));
     for field in schema.fields() {
         column(&mut text, "", field);
     }
@@ -19,28 +16,11 @@ pub fn text(table: &str, schema: &Schema) -> String {
 
 fn column(text: &mut String, indent: &str, field: &Field) {
     let metadata = |key: &str| field.metadata().get(key).map_or("", String::as_str);
-    let null = if field.is_nullable() {
-        ", may be null"
-    } else {
-        ""
-    };
-    let unit = if metadata("unit").is_empty() {
-        String::new()
-    } else {
-        format!(" [{}]", metadata("unit"))
-    };
-    let meaning = if metadata("meaning").is_empty() {
-        String::new()
-    } else {
-        format!(": {}", metadata("meaning"))
-    };
-    writeln!(
-        text,
-        "{indent}{} {}{null}{unit}{meaning}",
-        field.name(),
-        type_name(field.data_type())
-    )
-    .expect("a String takes all text");
+    let null = if field.is_nullable() { ", may be null" } else { "" };
+    let unit = if metadata("unit").is_empty() { String::new() } else { format!(" [{}]", metadata("unit")) };
+    let meaning = if metadata("meaning").is_empty() { String::new() } else { format!(": {}", metadata("meaning")) };
+    writeln!(text, "{indent}{} {}{null}{unit}{meaning}", field.name(), type_name(field.data_type()))
+        .expect("a String takes all text");
     if let DataType::List(item) = field.data_type()
         && let DataType::Struct(fields) = item.data_type()
     {

@@ -56,8 +56,5 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
 /// Schema of the table of this name.
 #[must_use]
 pub fn schema_of(table: &str) -> Option<SchemaRef> {
-    all()
-        .into_iter()
-        .find(|(name, _)| *name == table)
-        .map(|(_, schema)| schema)
+    all().into_iter().find(|(name, _)| *name == table).map(|(_, schema)| schema)
 }

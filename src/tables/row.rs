@@ -8,13 +8,11 @@ use std::ops::Deref;
 use std::sync::Arc;
 
 use arrow::array::{
-    Array, ArrayRef, AsArray, BinaryViewArray, BinaryViewBuilder, BooleanArray, Float32Array,
-    Float64Array, Int32Array, Int64Array, ListArray, StringArray,
+    Array, ArrayRef, AsArray, BinaryViewArray, BinaryViewBuilder, BooleanArray, Float32Array, Float64Array, Int32Array,
+    Int64Array, ListArray, StringArray,
 };
 use arrow::buffer::{Buffer, OffsetBuffer, ScalarBuffer};
-use arrow::datatypes::{
-    DataType, Field, Float32Type, Float64Type, Int32Type, Int64Type, Schema, SchemaRef,
-};
+use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, Int32Type, Int64Type, Schema, SchemaRef};
 use arrow::record_batch::RecordBatch;
 use thiserror::Error;
 
@@ -33,9 +31,7 @@ pub enum SchemaError {
         column: &'static str,
     },
     /// A column has another type.
-    #[error(
-        "column `{column}` of table `{table}` is {found}, not {expected}; see `periscope schema {table}`"
-    )]
+    #[error("column `{column}` of table `{table}` is {found}, not {expected}; see `periscope schema {table}`")]
     Type {
         /// Table.
         table: &'static str,
@@ -82,9 +78,7 @@ pub trait Row: Sized + Clone + Send + Sync + 'static {
     /// As [`Row::columns`].
     fn rows(batch: &RecordBatch) -> Result<Vec<Self>, SchemaError> {
         let columns = Self::columns(batch)?;
-        Ok((0..batch.num_rows())
-            .map(|i| Self::read(&columns, i))
-            .collect())
+        Ok((0..batch.num_rows()).map(|i| Self::read(&columns, i)).collect())
     }
 }
 
@@ -180,11 +174,7 @@ impl Codes {
             offset + length <= block.len() && u32::try_from(block.len()).is_ok(),
             "codes {offset}+{length} outside their block"
         );
-        Self {
-            block: block.clone(),
-            offset: offset as u32,
-            length: length as u32,
-        }
+        Self { block: block.clone(), offset: offset as u32, length: length as u32 }
     }
 
     /// The `length` bytes from `offset` of these; copies nothing.
@@ -193,16 +183,8 @@ impl Codes {
     /// When they are not as many.
     #[must_use]
     pub fn slice(&self, offset: usize, length: usize) -> Self {
-        assert!(
-            offset + length <= self.len(),
-            "bytes {offset}+{length} of {}",
-            self.len()
-        );
-        Self {
-            block: self.block.clone(),
-            offset: self.offset + offset as u32,
-            length: length as u32,
-        }
+        assert!(offset + length <= self.len(), "bytes {offset}+{length} of {}", self.len());
+        Self { block: self.block.clone(), offset: self.offset + offset as u32, length: length as u32 }
     }
 }
 
@@ -228,23 +210,12 @@ impl Cell for Codes {
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
         let mut builder = BinaryViewBuilder::new();
         let mut last: Option<(&Buffer, u32)> = None;
-        for Codes {
-            block,
-            offset,
-            length,
-        } in cells
-        {
+        for Codes { block, offset, length } in cells {
             let id = match last {
-                Some((shared, id))
-                    if shared.as_ptr() == block.as_ptr() && shared.len() == block.len() =>
-                {
-                    id
-                }
+                Some((shared, id)) if shared.as_ptr() == block.as_ptr() && shared.len() == block.len() => id,
                 _ => builder.append_block(block.clone()),
             };
-            builder
-                .try_append_view(id, *offset, *length)
-                .expect("codes lie within their block");
+            builder.try_append_view(id, *offset, *length).expect("codes lie within their block");
             last = Some((block, id));
         }
         Arc::new(builder.finish())
@@ -254,17 +225,9 @@ impl Cell for Codes {
         let view = array.views()[i];
         let length = view as u32;
         if length <= 12 {
-            return Self {
-                block: Buffer::from(array.value(i)),
-                offset: 0,
-                length,
-            };
+            return Self { block: Buffer::from(array.value(i)), offset: 0, length };
         }
-        Self {
-            block: array.data_buffers()[(view >> 64) as u32 as usize].clone(),
-            offset: (view >> 96) as u32,
-            length,
-        }
+        Self { block: array.data_buffers()[(view >> 64) as u32 as usize].clone(), offset: (view >> 96) as u32, length }
     }
 }
 
@@ -280,11 +243,7 @@ impl From<Vec<f32>> for Samples {
 
 impl FromIterator<f64> for Samples {
     fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
-        values
-            .into_iter()
-            .map(|value| value as f32)
-            .collect::<Vec<f32>>()
-            .into()
+        values.into_iter().map(|value| value as f32).collect::<Vec<f32>>().into()
     }
 }
 
@@ -311,16 +270,8 @@ fn item(data_type: DataType) -> Arc<Field> {
 /// A list column from its items and the length of each cell; `None` is a null cell.
 pub(crate) fn list(items: ArrayRef, lengths: &[Option<usize>]) -> ArrayRef {
     let offsets = OffsetBuffer::from_lengths(lengths.iter().map(|length| length.unwrap_or(0)));
-    let nulls = lengths
-        .iter()
-        .any(Option::is_none)
-        .then(|| lengths.iter().map(Option::is_some).collect());
-    Arc::new(ListArray::new(
-        item(items.data_type().clone()),
-        offsets,
-        items,
-        nulls,
-    ))
+    let nulls = lengths.iter().any(Option::is_none).then(|| lengths.iter().map(Option::is_some).collect());
+    Arc::new(ListArray::new(item(items.data_type().clone()), offsets, items, nulls))
 }
 
 impl Cell for Samples {
@@ -340,13 +291,7 @@ impl Cell for Samples {
         list(Arc::new(Float32Array::from(values)), &lengths)
     }
     fn get(array: &Self::Array, i: usize) -> Self {
-        Self(
-            array
-                .value(i)
-                .as_primitive::<Float32Type>()
-                .values()
-                .clone(),
-        )
+        Self(array.value(i).as_primitive::<Float32Type>().values().clone())
     }
 }
 
@@ -424,34 +369,18 @@ impl Cell for Vec<Name> {
         list(Arc::new(StringArray::from_iter_values(values)), &lengths)
     }
     fn get(array: &Self::Array, i: usize) -> Self {
-        array
-            .value(i)
-            .as_string::<i32>()
-            .iter()
-            .flatten()
-            .map(Name::from)
-            .collect()
+        array.value(i).as_string::<i32>().iter().flatten().map(Name::from).collect()
     }
 }
 
 /// Units that a column name can end in, longest first, and how they are written.
-const UNITS: [(&str, &str); 7] = [
-    ("_m2", "m^2"),
-    ("_ps2", "ps^2"),
-    ("_ps", "ps"),
-    ("_m", "m"),
-    ("_v", "V"),
-    ("_rad", "rad"),
-    ("_bytes", "B"),
-];
+const UNITS: [(&str, &str); 7] =
+    [("_m2", "m^2"), ("_ps2", "ps^2"), ("_ps", "ps"), ("_m", "m"), ("_v", "V"), ("_rad", "rad"), ("_bytes", "B")];
 
 /// Unit that a column name carries as its suffix.
 #[must_use]
 pub fn unit_of(column: &str) -> Option<&'static str> {
-    UNITS
-        .iter()
-        .find(|(suffix, _)| column.ends_with(suffix))
-        .map(|(_, unit)| *unit)
+    UNITS.iter().find(|(suffix, _)| column.ends_with(suffix)).map(|(_, unit)| *unit)
 }
 
 /// Schema field of a column of cell type `C`.
@@ -473,13 +402,9 @@ pub fn column<C: Cell>(
     table: &'static str,
     column: &'static str,
 ) -> Result<C::Array, SchemaError> {
-    let array = batch
-        .column_by_name(column)
-        .ok_or(SchemaError::Missing { table, column })?;
-    let typed = array
-        .as_any()
-        .downcast_ref::<C::Array>()
-        .filter(|_| array.data_type().equals_datatype(&C::data_type()));
+    let array = batch.column_by_name(column).ok_or(SchemaError::Missing { table, column })?;
+    let typed =
+        array.as_any().downcast_ref::<C::Array>().filter(|_| array.data_type().equals_datatype(&C::data_type()));
     let typed = typed.ok_or_else(|| SchemaError::Type {
         table,
         column,
@@ -495,10 +420,8 @@ pub fn column<C: Cell>(
 /// Schema of a table: fields, and the table's name and meaning as metadata.
 #[must_use]
 pub fn table_schema(table: &str, meaning: &str, fields: Vec<Field>) -> SchemaRef {
-    let metadata = HashMap::from([
-        ("table".to_owned(), table.to_owned()),
-        ("meaning".to_owned(), meaning.trim().to_owned()),
-    ]);
+    let metadata =
+        HashMap::from([("table".to_owned(), table.to_owned()), ("meaning".to_owned(), meaning.trim().to_owned())]);
     Arc::new(Schema::new_with_metadata(fields, metadata))
 }
 

@@ -26,31 +26,16 @@ pub struct Impulse {
     pub evidence: f64,
 }
 
-const IMPULSE_FIELDS: [&str; 6] = [
-    "time_ps",
-    "time_sd_ps",
-    "amplitude_v",
-    "amplitude_sd_v",
-    "width_ps",
-    "evidence",
-];
+const IMPULSE_FIELDS: [&str; 6] = ["time_ps", "time_sd_ps", "amplitude_v", "amplitude_sd_v", "width_ps", "evidence"];
 
 impl Impulse {
     fn cells(&self) -> [f64; 6] {
-        [
-            self.time_ps,
-            self.time_sd_ps,
-            self.amplitude_v,
-            self.amplitude_sd_v,
-            self.width_ps,
-            self.evidence,
-        ]
+        [self.time_ps, self.time_sd_ps, self.amplitude_v, self.amplitude_sd_v, self.width_ps, self.evidence]
     }
 
     fn fields() -> Fields {
         let field = |name: &&str| {
-            let unit =
-                unit_of(name).map(|unit| HashMap::from([("unit".to_owned(), unit.to_owned())]));
+            let unit = unit_of(name).map(|unit| HashMap::from([("unit".to_owned(), unit.to_owned())]));
             Field::new(*name, DataType::Float64, false).with_metadata(unit.unwrap_or_default())
         };
         IMPULSE_FIELDS.iter().map(field).collect()
@@ -62,10 +47,7 @@ impl Cell for Vec<Impulse> {
     const NULLABLE: bool = false;
 
     fn data_type() -> DataType {
-        DataType::List(Arc::new(Field::new_list_field(
-            DataType::Struct(Impulse::fields()),
-            false,
-        )))
+        DataType::List(Arc::new(Field::new_list_field(DataType::Struct(Impulse::fields()), false)))
     }
 
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
@@ -80,14 +62,8 @@ impl Cell for Vec<Impulse> {
                 Some(impulses.len())
             })
             .collect();
-        let arrays = columns
-            .into_iter()
-            .map(|column| Arc::new(Float64Array::from(column)) as ArrayRef)
-            .collect();
-        list(
-            Arc::new(StructArray::new(Impulse::fields(), arrays, None)),
-            &lengths,
-        )
+        let arrays = columns.into_iter().map(|column| Arc::new(Float64Array::from(column)) as ArrayRef).collect();
+        list(Arc::new(StructArray::new(Impulse::fields(), arrays, None)), &lengths)
     }
 
     fn get(array: &Self::Array, i: usize) -> Self {

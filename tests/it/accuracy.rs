@@ -65,18 +65,13 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
         onsets(&lab, &mut study);
     }
     let places = (study.seeds * count) as f64;
-    for sum in [
-        &mut study.rms_m,
-        &mut study.paper_rms_m,
-        &mut study.start_rms_m,
-    ] {
+    for sum in [&mut study.rms_m, &mut study.paper_rms_m, &mut study.start_rms_m] {
         *sum = (*sum / places).sqrt();
     }
     let profiles = (study.seeds * count * count) as f64;
     study.onset_rms_ps = (study.onset_rms_ps / (profiles - study.seeds as f64)).sqrt();
     study.onsets_found /= profiles;
-    study.bound_m =
-        (bound::position_covariance(&scene, study.onset_bound_ps).trace() / count as f64).sqrt();
+    study.bound_m = (bound::position_covariance(&scene, study.onset_bound_ps).trace() / count as f64).sqrt();
     study
 }
 
@@ -89,19 +84,11 @@ fn onsets(lab: &Lab, study: &mut Study) {
             (onset.lit, onset.seen) == (truth.lit, truth.seen)
                 && (onset.time_ps - truth.time_ps).abs() < 20.0 * onset.time_sd_ps
         };
-        errors.extend(
-            found
-                .iter()
-                .find(near)
-                .map(|onset| onset.time_ps - truth.time_ps),
-        );
+        errors.extend(found.iter().find(near).map(|onset| onset.time_ps - truth.time_ps));
     }
     // The latency's error is common to all; the bound knows it as a delay.
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    study.onset_rms_ps += errors
-        .iter()
-        .map(|error| (error - mean).powi(2))
-        .sum::<f64>();
+    study.onset_rms_ps += errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>();
     study.onsets_found += errors.len() as f64;
     study.false_onsets += found.len() - errors.len();
 }
@@ -124,9 +111,6 @@ fn positions_reach_the_bound_and_their_covariances_are_of_the_right_size() {
         study.start_rms_m * 1e3
     );
     assert!(ratio < 1.35, "rms over bound {ratio}");
-    assert!(
-        (0.7..1.35).contains(&nse),
-        "normalised squared error over degrees of freedom {nse}"
-    );
+    assert!((0.7..1.35).contains(&nse), "normalised squared error over degrees of freedom {nse}");
     assert!(study.onsets_found == 1.0 && study.false_onsets <= 2);
 }

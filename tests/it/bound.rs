@@ -40,29 +40,18 @@ pub fn onset_sd_ps(scene: &Scene, truth: &Calibration) -> f64 {
     let height_v = instrument.height_v(1.0);
     let rounding_v = instrument.gain_v() / 12_f64.sqrt();
     let snr = |noise_v: f64| height_v / noise_v.hypot(rounding_v);
-    let signal = shot_sd_ps(
-        &tabulated(truth),
-        instrument.dt_ps,
-        snr(instrument.sample_noise_v()),
-    );
+    let signal = shot_sd_ps(&tabulated(truth), instrument.dt_ps, snr(instrument.sample_noise_v()));
     let reference = instrument.reference.expect("the scene has a reference");
     let sigma = reference.fwhm_ps / (8.0 * 2_f64.ln()).sqrt();
-    let reference = shot_sd_ps(
-        &|t| (-0.5 * (t / sigma).powi(2)).exp(),
-        instrument.dt_ps,
-        snr(height_v / reference.snr),
-    );
+    let reference =
+        shot_sd_ps(&|t| (-0.5 * (t / sigma).powi(2)).exp(), instrument.dt_ps, snr(height_v / reference.snr));
     let shots = scene.captures.shots as f64 * (1.0 - scene.captures.bad_shots);
     signal.hypot(reference) / shots.sqrt()
 }
 
 /// Covariance of all coordinates (three a patch) in the gauge without rotations about the laser: each pair in both directions, one delay with a prior.
 pub fn position_covariance(scene: &Scene, onset_sd_ps: f64) -> DMatrix<f64> {
-    let points: Vec<Vector3<f64>> = scene
-        .patches
-        .values()
-        .map(|disk| Vector3::from(disk.position_m))
-        .collect();
+    let points: Vec<Vector3<f64>> = scene.patches.values().map(|disk| Vector3::from(disk.position_m)).collect();
     let count = points.len();
     let scale = LIGHT_M_PER_PS / scene.group_index;
     let mut information = DMatrix::zeros(3 * count + 1, 3 * count + 1);
@@ -95,14 +84,8 @@ pub fn pseudo_inverse(matrix: &DMatrix<f64>, nulls: usize) -> DMatrix<f64> {
     order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
     let kept = &order[nulls..];
     kept.iter()
-        .map(|&k| {
-            eigen.eigenvectors.column(k) * eigen.eigenvectors.column(k).transpose()
-                / eigen.eigenvalues[k]
-        })
-        .fold(
-            DMatrix::zeros(matrix.nrows(), matrix.ncols()),
-            |sum, term| sum + term,
-        )
+        .map(|&k| eigen.eigenvectors.column(k) * eigen.eigenvectors.column(k).transpose() / eigen.eigenvalues[k])
+        .fold(DMatrix::zeros(matrix.nrows(), matrix.ncols()), |sum, term| sum + term)
 }
 
 /// What a solution missed the truth by, after the best rotation (or reflection) about the laser at the origin.
@@ -115,11 +98,7 @@ pub struct Missed {
 
 /// Rotation or reflection about the origin that brings points nearest to others, by the polar decomposition of their correlation.
 fn aligning(points: &[Vector3<f64>], targets: &[Vector3<f64>]) -> Matrix3<f64> {
-    let correlation: Matrix3<f64> = points
-        .iter()
-        .zip(targets)
-        .map(|(point, target)| target * point.transpose())
-        .sum();
+    let correlation: Matrix3<f64> = points.iter().zip(targets).map(|(point, target)| target * point.transpose()).sum();
     let svd = correlation.svd(true, true);
     svd.u.expect("asked for") * svd.v_t.expect("asked for")
 }
@@ -130,16 +109,10 @@ fn position(patch: &Patch) -> Vector3<f64> {
 
 /// Mean squared position error of start values, which have no covariance.
 pub fn squares_m2(found: &[Patch], truth: &[Patch]) -> f64 {
-    let (points, targets): (Vec<_>, Vec<_>) = (
-        found.iter().map(position).collect(),
-        truth.iter().map(position).collect(),
-    );
+    let (points, targets): (Vec<_>, Vec<_>) =
+        (found.iter().map(position).collect(), truth.iter().map(position).collect());
     let turn = aligning(&points, &targets);
-    points
-        .iter()
-        .zip(&targets)
-        .map(|(point, target)| (turn * point - target).norm_squared())
-        .sum()
+    points.iter().zip(&targets).map(|(point, target)| (turn * point - target).norm_squared()).sum()
 }
 
 /// Errors of a refined solution.
@@ -148,38 +121,21 @@ pub fn missed(found: &[Patch], covariances: &[PatchCovariance], truth: &[Patch])
         found.iter().map(|patch| patch.patch).collect::<Vec<_>>(),
         truth.iter().map(|patch| patch.patch).collect::<Vec<_>>()
     );
-    let (points, targets): (Vec<_>, Vec<_>) = (
-        found.iter().map(position).collect(),
-        truth.iter().map(position).collect(),
-    );
+    let (points, targets): (Vec<_>, Vec<_>) =
+        (found.iter().map(position).collect(), truth.iter().map(position).collect());
     let turn = aligning(&points, &targets);
-    let errors: Vec<Vector3<f64>> = points
-        .iter()
-        .zip(&targets)
-        .map(|(point, target)| turn * point - target)
-        .collect();
+    let errors: Vec<Vector3<f64>> = points.iter().zip(&targets).map(|(point, target)| turn * point - target).collect();
     let place = |patch: i32| {
-        found
-            .iter()
-            .position(|row| row.patch == patch)
-            .expect("covariances are of patches that were found")
+        found.iter().position(|row| row.patch == patch).expect("covariances are of patches that were found")
     };
     let mut covariance = DMatrix::zeros(3 * found.len(), 3 * found.len());
     let mut put = |a: usize, b: usize, block: Matrix3<f64>| {
-        covariance
-            .view_mut((3 * a, 3 * b), (3, 3))
-            .copy_from(&(turn * block * turn.transpose()))
+        covariance.view_mut((3 * a, 3 * b), (3, 3)).copy_from(&(turn * block * turn.transpose()))
     };
     for (a, row) in found.iter().enumerate() {
-        let [xx, xy, xz, yy, yz, zz] = [
-            row.cov_xx_m2,
-            row.cov_xy_m2,
-            row.cov_xz_m2,
-            row.cov_yy_m2,
-            row.cov_yz_m2,
-            row.cov_zz_m2,
-        ]
-        .map(|value| value.expect("refined"));
+        let [xx, xy, xz, yy, yz, zz] =
+            [row.cov_xx_m2, row.cov_xy_m2, row.cov_xz_m2, row.cov_yy_m2, row.cov_yz_m2, row.cov_zz_m2]
+                .map(|value| value.expect("refined"));
         put(a, a, Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
     }
     for row in covariances {
@@ -197,13 +153,7 @@ pub fn missed(found: &[Patch], covariances: &[PatchCovariance], truth: &[Patch])
         put(place(row.a), place(row.b), block);
         put(place(row.b), place(row.a), block.transpose());
     }
-    let error = DVector::from_iterator(
-        3 * errors.len(),
-        errors.iter().flat_map(|error| [error.x, error.y, error.z]),
-    );
+    let error = DVector::from_iterator(3 * errors.len(), errors.iter().flat_map(|error| [error.x, error.y, error.z]));
     let normalised = (error.transpose() * pseudo_inverse(&covariance, 3) * &error)[(0, 0)];
-    Missed {
-        squares_m2: errors.iter().map(Vector3::norm_squared).sum(),
-        normalised,
-    }
+    Missed { squares_m2: errors.iter().map(Vector3::norm_squared).sum(), normalised }
 }

@@ -9,11 +9,7 @@ use serde_json::Value;
 use crate::lab::{ALL_VISIBLE, Lab};
 
 fn periscope(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_periscope"))
-        .args(args)
-        .current_dir(folder)
-        .output()
-        .unwrap()
+    Command::new(env!("CARGO_BIN_EXE_periscope")).args(args).current_dir(folder).output().unwrap()
 }
 
 fn out(output: &Output) -> String {
@@ -30,52 +26,25 @@ fn the_demo_prints_found_and_true_positions_and_names_the_tables() {
     let demo = periscope(folder.path(), &["demo"]);
     assert_eq!(demo.status.code(), Some(0), "{}", err(&demo));
     let text = out(&demo);
-    let patches = text
-        .lines()
-        .filter(|line| line.contains(" mm ") && line.contains("  ("))
-        .count();
+    let patches = text.lines().filter(|line| line.contains(" mm ") && line.contains("  (")).count();
     assert_eq!(patches, 12, "{text}");
-    for word in [
-        "found",
-        "true",
-        "error",
-        "sd",
-        "rms error",
-        "Algorithm 1",
-        "periscope-demo/out/patches",
-        "periscope run",
-    ] {
+    for word in
+        ["found", "true", "error", "sd", "rms error", "Algorithm 1", "periscope-demo/out/patches", "periscope run"]
+    {
         assert!(text.contains(word), "{word} is not in:\n{text}");
     }
     // The command that it prints works, and has nothing left to do.
-    let again: Vec<&str> = text
-        .lines()
-        .find(|line| line.contains("periscope run"))
-        .unwrap()
-        .split_whitespace()
-        .skip(1)
-        .collect();
+    let again: Vec<&str> =
+        text.lines().find(|line| line.contains("periscope run")).unwrap().split_whitespace().skip(1).collect();
     let again = periscope(folder.path(), &again);
     assert_eq!(again.status.code(), Some(0), "{}", err(&again));
-    assert!(
-        !out(&again).contains("computed") && out(&again).contains("reused"),
-        "{}",
-        out(&again)
-    );
+    assert!(!out(&again).contains("computed") && out(&again).contains("reused"), "{}", out(&again));
     let other = periscope(folder.path(), &["demo", "all-visble"]);
-    assert!(
-        other.status.code() == Some(1) && err(&other).contains("all-visible"),
-        "{}",
-        err(&other)
-    );
+    assert!(other.status.code() == Some(1) && err(&other).contains("all-visible"), "{}", err(&other));
     fs::create_dir(folder.path().join("mine")).unwrap();
     fs::write(folder.path().join("mine/thesis.tex"), "").unwrap();
     let refused = periscope(folder.path(), &["demo", "--out", "mine"]);
-    assert!(
-        refused.status.code() == Some(1) && err(&refused).contains("choose another folder"),
-        "{}",
-        err(&refused)
-    );
+    assert!(refused.status.code() == Some(1) && err(&refused).contains("choose another folder"), "{}", err(&refused));
     assert!(folder.path().join("mine/thesis.tex").exists());
 }
 
@@ -83,39 +52,14 @@ fn the_demo_prints_found_and_true_positions_and_names_the_tables() {
 fn help_and_wrong_usage() {
     let folder = tempfile::tempdir().unwrap();
     let help = out(&periscope(folder.path(), &["--help"]));
-    for command in [
-        "demo",
-        "run",
-        "plan",
-        "inspect",
-        "tables",
-        "query",
-        "seal",
-        "simulate",
-        "schema",
-        "completions",
-    ] {
-        assert!(
-            help.contains(&format!("\n  {command}")),
-            "{command} is not in:\n{help}"
-        );
+    for command in ["demo", "run", "plan", "inspect", "tables", "query", "seal", "simulate", "schema", "completions"] {
+        assert!(help.contains(&format!("\n  {command}")), "{command} is not in:\n{help}");
     }
     assert_eq!(periscope(folder.path(), &[]).status.code(), Some(2));
     let wrong = periscope(folder.path(), &["run", "p.toml", "--campain", "x"]);
-    assert!(
-        wrong.status.code() == Some(2) && err(&wrong).contains("--campaign"),
-        "{}",
-        err(&wrong)
-    );
-    let missing = periscope(
-        folder.path(),
-        &["run", "p.toml", "--campaign", "x", "--out", "o"],
-    );
-    assert!(
-        missing.status.code() == Some(1) && err(&missing).contains("p.toml"),
-        "{}",
-        err(&missing)
-    );
+    assert!(wrong.status.code() == Some(2) && err(&wrong).contains("--campaign"), "{}", err(&wrong));
+    let missing = periscope(folder.path(), &["run", "p.toml", "--campaign", "x", "--out", "o"]);
+    assert!(missing.status.code() == Some(1) && err(&missing).contains("p.toml"), "{}", err(&missing));
 }
 
 #[test]
@@ -123,10 +67,7 @@ fn inspect_says_what_is_in_a_file() {
     let lab = Lab::tiny();
     let file = "campaign/raw/scene/s1_L1_P2_C1.trc";
     let json = periscope(&lab.path(""), &["inspect", "--json", file]);
-    let lines: Vec<Value> = out(&json)
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
+    let lines: Vec<Value> = out(&json).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.len(), 24);
     let keys = [
         "file",
@@ -149,11 +90,7 @@ fn inspect_says_what_is_in_a_file() {
         "max",
         "sha256_f32le",
     ];
-    assert!(
-        keys.iter().all(|key| lines[0].get(key).is_some()),
-        "{}",
-        lines[0]
-    );
+    assert!(keys.iter().all(|key| lines[0].get(key).is_some()), "{}", lines[0]);
     assert!(
         lines[3]["segment"] == 3
             && lines[0]["samples"] == 320
@@ -165,9 +102,7 @@ fn inspect_says_what_is_in_a_file() {
     fs::write(lab.path("bad.trc"), "WAVEDESC").unwrap();
     let mixed = periscope(&lab.path(""), &["inspect", "bad.trc", file]);
     assert!(
-        mixed.status.code() == Some(1)
-            && err(&mixed).contains("bad.trc")
-            && out(&mixed).contains("24 waveforms"),
+        mixed.status.code() == Some(1) && err(&mixed).contains("bad.trc") && out(&mixed).contains("24 waveforms"),
         "{}",
         err(&mixed)
     );
@@ -178,79 +113,35 @@ fn run_plan_tables_seal_and_schema() {
     let lab = Lab::tiny();
     fs::write(lab.path("p.toml"), ALL_VISIBLE).unwrap();
     let here = lab.path("");
-    let args =
-        |command: &'static str| [command, "p.toml", "--campaign", "campaign", "--out", "out"];
+    let args = |command: &'static str| [command, "p.toml", "--campaign", "campaign", "--out", "out"];
     let before = out(&periscope(&here, &args("plan")));
-    assert!(
-        before.lines().all(|line| line.starts_with("compute")),
-        "{before}"
-    );
+    assert!(before.lines().all(|line| line.starts_with("compute")), "{before}");
     assert!(!here.join("out").exists(), "plan makes nothing");
     let run = periscope(&here, &args("run"));
     assert_eq!(run.status.code(), Some(0), "{}", err(&run));
     let after = out(&periscope(&here, &args("plan")));
-    assert!(
-        after.lines().all(|line| line.starts_with("reuse")),
-        "{after}"
-    );
+    assert!(after.lines().all(|line| line.starts_with("reuse")), "{after}");
     let tables = out(&periscope(&here, &["tables", "out"]));
-    assert!(
-        tables.contains("patches.residuals") && tables.contains("refine"),
-        "{tables}"
-    );
+    assert!(tables.contains("patches.residuals") && tables.contains("refine"), "{tables}");
     let seal = periscope(&here, &["seal", "campaign"]);
-    assert!(
-        seal.status.code() == Some(0) && out(&seal).contains("34 joined"),
-        "{}{}",
-        out(&seal),
-        err(&seal)
-    );
+    assert!(seal.status.code() == Some(0) && out(&seal).contains("34 joined"), "{}{}", out(&seal), err(&seal));
     let schema = out(&periscope(&here, &["schema", "onsets"]));
     assert!(schema.contains("time_ps f64 [ps]"), "{schema}");
     // A bad file: done, but with exit code 3, which --strict makes 1.
     fs::write(here.join("campaign/raw/scene/s1_L1_P2_C1.trc"), "broken").unwrap();
     fs::remove_file(here.join("campaign/manifest.json")).unwrap();
-    let strict = periscope(
-        &here,
-        &["run", "p.toml", "--campaign", "campaign", "--out", "other"],
-    );
+    let strict = periscope(&here, &["run", "p.toml", "--campaign", "campaign", "--out", "other"]);
     assert!(
         strict.status.code() == Some(3) && err(&strict).contains("other/rejects"),
         "{:?} {}",
         strict.status,
         err(&strict)
     );
-    let strict = periscope(
-        &here,
-        &[
-            "run",
-            "p.toml",
-            "--campaign",
-            "campaign",
-            "--out",
-            "other",
-            "--strict",
-        ],
-    );
+    let strict = periscope(&here, &["run", "p.toml", "--campaign", "campaign", "--out", "other", "--strict"]);
     assert_eq!(strict.status.code(), Some(1));
-    let json = periscope(
-        &here,
-        &[
-            "run",
-            "p.toml",
-            "--campaign",
-            "campaign",
-            "--out",
-            "third",
-            "--progress",
-            "json",
-        ],
-    );
+    let json = periscope(&here, &["run", "p.toml", "--campaign", "campaign", "--out", "third", "--progress", "json"]);
     assert!(
-        err(&json)
-            .lines()
-            .filter(|line| line.starts_with('{'))
-            .all(|line| serde_json::from_str::<Value>(line).is_ok()),
+        err(&json).lines().filter(|line| line.starts_with('{')).all(|line| serde_json::from_str::<Value>(line).is_ok()),
         "{}",
         err(&json)
     );
@@ -264,58 +155,20 @@ fn simulate_writes_a_campaign_that_run_solves_in_either_format() {
     for format in ["trc", "npy"] {
         let simulated = periscope(
             folder.path(),
-            &[
-                "simulate",
-                scene.to_str().unwrap(),
-                "--out",
-                format,
-                "--format",
-                format,
-                "--seed",
-                "5",
-            ],
+            &["simulate", scene.to_str().unwrap(), "--out", format, "--format", format, "--seed", "5"],
         );
-        assert!(
-            simulated.status.code() == Some(0) && out(&simulated).contains("16 captures"),
-            "{}",
-            err(&simulated)
-        );
+        assert!(simulated.status.code() == Some(0) && out(&simulated).contains("16 captures"), "{}", err(&simulated));
         let results = format!("{format}-out");
-        let run = periscope(
-            folder.path(),
-            &[
-                "run",
-                pipeline.to_str().unwrap(),
-                "--campaign",
-                format,
-                "--out",
-                &results,
-            ],
-        );
+        let run =
+            periscope(folder.path(), &["run", pipeline.to_str().unwrap(), "--campaign", format, "--out", &results]);
         assert_eq!(run.status.code(), Some(0), "{}", err(&run));
     }
-    let used = periscope(
-        folder.path(),
-        &["simulate", scene.to_str().unwrap(), "--out", "trc"],
-    );
-    assert!(
-        used.status.code() == Some(1) && err(&used).contains("not empty"),
-        "{}",
-        err(&used)
-    );
-    fs::write(
-        folder.path().join("bad.toml"),
-        fs::read_to_string(&scene)
-            .unwrap()
-            .replacen("jitter_ps", "jiter_ps", 1),
-    )
-    .unwrap();
+    let used = periscope(folder.path(), &["simulate", scene.to_str().unwrap(), "--out", "trc"]);
+    assert!(used.status.code() == Some(1) && err(&used).contains("not empty"), "{}", err(&used));
+    fs::write(folder.path().join("bad.toml"), fs::read_to_string(&scene).unwrap().replacen("jitter_ps", "jiter_ps", 1))
+        .unwrap();
     let bad = periscope(folder.path(), &["simulate", "bad.toml", "--out", "x"]);
-    assert!(
-        err(&bad).contains("did you mean `jitter_ps`?") && err(&bad).contains("line"),
-        "{}",
-        err(&bad)
-    );
+    assert!(err(&bad).contains("did you mean `jitter_ps`?") && err(&bad).contains("line"), "{}", err(&bad));
 }
 
 #[cfg(not(feature = "query"))]
@@ -323,14 +176,7 @@ fn simulate_writes_a_campaign_that_run_solves_in_either_format() {
 fn a_lean_build_says_how_to_query() {
     let lab = Lab::tiny();
     lab.rows_of_patches("out");
-    let query = periscope(
-        &lab.path(""),
-        &["query", "out", "SELECT patch, x_m FROM patches"],
-    );
+    let query = periscope(&lab.path(""), &["query", "out", "SELECT patch, x_m FROM patches"]);
     assert_eq!(query.status.code(), Some(1));
-    assert!(
-        err(&query).contains("--features query") && err(&query).contains("patches/*.parquet"),
-        "{}",
-        err(&query)
-    );
+    assert!(err(&query).contains("--features query") && err(&query).contains("patches/*.parquet"), "{}", err(&query));
 }

@@ -11,58 +11,12 @@ fn every_part_is_the_same_however_the_run_uses_the_machine() {
     let variants = [
         ("usual", 2, usual.clone()),
         ("one-thread", 1, usual.clone()),
-        (
-            "small-batches",
-            2,
-            Settings {
-                batch_bytes: 10_000,
-                ..usual.clone()
-            },
-        ),
-        (
-            "odd-batches",
-            1,
-            Settings {
-                batch_bytes: 3_333,
-                replay_rows: 7,
-                ..usual.clone()
-            },
-        ),
-        (
-            "one-batch-channels",
-            2,
-            Settings {
-                channel_batches: 1,
-                ..usual.clone()
-            },
-        ),
-        (
-            "wide-channels",
-            2,
-            Settings {
-                channel_batches: 32,
-                memory_bytes: 256 << 20,
-                ..usual.clone()
-            },
-        ),
-        (
-            "much-memory",
-            2,
-            Settings {
-                memory_bytes: 512 << 20,
-                ..usual.clone()
-            },
-        ),
-        (
-            "little-memory",
-            2,
-            Settings {
-                memory_bytes: 30 << 20,
-                batch_bytes: 100_000,
-                channel_batches: 1,
-                ..usual
-            },
-        ),
+        ("small-batches", 2, Settings { batch_bytes: 10_000, ..usual.clone() }),
+        ("odd-batches", 1, Settings { batch_bytes: 3_333, replay_rows: 7, ..usual.clone() }),
+        ("one-batch-channels", 2, Settings { channel_batches: 1, ..usual.clone() }),
+        ("wide-channels", 2, Settings { channel_batches: 32, memory_bytes: 256 << 20, ..usual.clone() }),
+        ("much-memory", 2, Settings { memory_bytes: 512 << 20, ..usual.clone() }),
+        ("little-memory", 2, Settings { memory_bytes: 30 << 20, batch_bytes: 100_000, channel_batches: 1, ..usual }),
     ];
     let mut reference = None;
     for (name, threads, settings) in variants {

@@ -1,5 +1,6 @@
 //! Laws 5 and 10: what is bad, and what becomes of it. Each message must name the place and the mend.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -19,14 +20,7 @@ use crate::lab::{ALL_VISIBLE, Lab, chain};
 fn rejects(lab: &Lab) -> Vec<String> {
     lab.rows::<Reject>("out", "rejects")
         .into_iter()
-        .map(|row| {
-            format!(
-                "{} {} {}",
-                row.stage,
-                row.file.unwrap_or_default(),
-                row.reason
-            )
-        })
+        .map(|row| format!("{} {} {}", row.stage, row.file.unwrap_or_default(), row.reason))
         .collect()
 }
 
@@ -34,10 +28,7 @@ fn warnings(lab: &Lab) -> String {
     let spec = Spec::parse("test", ALL_VISIBLE, &[]).unwrap();
     let campaigns = [Campaign::load(&lab.campaign()).unwrap()];
     let shelf = Shelf::imagine(&lab.path("out"));
-    Plan::new(&spec, &campaigns, &shelf, None)
-        .unwrap()
-        .warnings()
-        .join("\n")
+    Plan::new(&spec, &campaigns, &shelf, None).unwrap().warnings().join("\n")
 }
 
 fn edit(path: &Path, from: &str, to: &str) {
@@ -52,27 +43,11 @@ fn a_pattern_without_files_and_files_without_a_rule_are_listed_and_the_run_goes_
     fs::write(lab.campaign().join("raw/notes.txt"), "shutter was slow").unwrap();
     let path = lab.campaign().join("campaign.toml");
     let text = fs::read_to_string(&path).unwrap();
-    fs::write(
-        &path,
-        text + "[[captures]]\nrole = \"dark\"\nfiles = \"raw/dark/*.trc\"\nsensor = \"s1\"\n",
-    )
-    .unwrap();
+    fs::write(&path, text + "[[captures]]\nrole = \"dark\"\nfiles = \"raw/dark/*.trc\"\nsensor = \"s1\"\n").unwrap();
     let warnings = warnings(&lab);
-    assert!(
-        warnings.contains("raw/dark/*.trc") && warnings.contains("match no file"),
-        "{warnings}"
-    );
-    assert!(
-        warnings.contains("raw/notes.txt") && warnings.contains("match no rule"),
-        "{warnings}"
-    );
-    assert_eq!(
-        lab.run("out", ALL_VISIBLE, &Settings::default())
-            .unwrap()
-            .tables["patches"]
-            .rows("patches"),
-        4
-    );
+    assert!(warnings.contains("raw/dark/*.trc") && warnings.contains("match no file"), "{warnings}");
+    assert!(warnings.contains("raw/notes.txt") && warnings.contains("match no rule"), "{warnings}");
+    assert_eq!(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap().tables["patches"].rows("patches"), 4);
 }
 
 #[test]
@@ -81,37 +56,19 @@ fn truncated_and_foreign_files_are_set_aside_by_name_and_the_rest_goes_on() {
     let scene = lab.campaign().join("raw/scene");
     let bytes = fs::read(scene.join("s1_L1_P2_C1.trc")).unwrap();
     fs::write(scene.join("s1_L1_P2_C1.trc"), &bytes[..bytes.len() / 2]).unwrap();
-    fs::write(
-        scene.join("s1_L2_P3_C1.trc"),
-        "this is no oscilloscope file",
-    )
-    .unwrap();
+    fs::write(scene.join("s1_L2_P3_C1.trc"), "this is no oscilloscope file").unwrap();
     fs::write(scene.join("s1_L3_P1_C2.trc"), "").unwrap();
     let outcome = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     assert_eq!(outcome.tables["patches"].rows("patches"), 4);
     assert_eq!(outcome.tables["profiles"].rows("profiles"), 13);
     let rejects = rejects(&lab);
-    let about = |file: &str, text: &str| {
-        rejects
-            .iter()
-            .any(|row| row.contains(file) && row.contains(text))
-    };
-    assert!(
-        about("s1_L1_P2_C1.trc", "copy it from the instrument again"),
-        "{rejects:#?}"
-    );
-    assert!(
-        about("s1_L2_P3_C1.trc", "this is no LeCroy waveform"),
-        "{rejects:#?}"
-    );
+    let about = |file: &str, text: &str| rejects.iter().any(|row| row.contains(file) && row.contains(text));
+    assert!(about("s1_L1_P2_C1.trc", "copy it from the instrument again"), "{rejects:#?}");
+    assert!(about("s1_L2_P3_C1.trc", "this is no LeCroy waveform"), "{rejects:#?}");
     assert!(about("s1_L3_P1_C2.trc", "is empty"), "{rejects:#?}");
     // The same bad files a second time: nothing is computed, and they are still reported.
     let again = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
-    assert!(
-        again.computed.is_empty() && again.rejects == outcome.rejects,
-        "{:?}",
-        again.computed
-    );
+    assert!(again.computed.is_empty() && again.rejects == outcome.rejects, "{:?}", again.computed);
 }
 
 #[test]
@@ -119,10 +76,7 @@ fn a_missing_reference_file_is_told_and_its_capture_left_out() {
     let lab = Lab::tiny();
     fs::remove_file(lab.campaign().join("raw/scene/s1_L1_P2_C2.trc")).unwrap();
     let warnings = warnings(&lab);
-    assert!(
-        warnings.contains("s1_L1_P2_C1.trc") && warnings.contains("reference is missing"),
-        "{warnings}"
-    );
+    assert!(warnings.contains("s1_L1_P2_C1.trc") && warnings.contains("reference is missing"), "{warnings}");
     let outcome = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     assert_eq!(outcome.tables["profiles"].rows("profiles"), 15);
 }
@@ -139,9 +93,7 @@ fn a_capture_with_no_valid_shot_is_set_aside() {
     lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     let rejects = rejects(&lab);
     assert!(
-        rejects
-            .iter()
-            .any(|row| row.contains("lit 2, seen 2") && row.contains("0 valid shots of the 16")),
+        rejects.iter().any(|row| row.contains("lit 2, seen 2") && row.contains("0 valid shots of the 16")),
         "{rejects:#?}"
     );
 }
@@ -149,18 +101,11 @@ fn a_capture_with_no_valid_shot_is_set_aside() {
 #[test]
 fn a_patch_seen_by_no_capture_is_told_with_its_mend() {
     let lab = Lab::tiny();
-    edit(
-        &lab.campaign().join("campaign.toml"),
-        "[patches.4]\n",
-        "[patches.9]\nrole = \"visible\"\n[patches.4]\n",
-    );
+    edit(&lab.campaign().join("campaign.toml"), "[patches.4]\n", "[patches.9]\nrole = \"visible\"\n[patches.4]\n");
     lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     let rejects = rejects(&lab);
     assert!(
-        rejects
-            .iter()
-            .any(|row| row.contains("patch 9")
-                && row.contains("capture lit 9, seen 9, or take it out")),
+        rejects.iter().any(|row| row.contains("patch 9") && row.contains("capture lit 9, seen 9, or take it out")),
         "{rejects:#?}"
     );
 }
@@ -170,80 +115,38 @@ fn unknown_keys_are_refused_with_the_nearest_known_one() {
     let lab = Lab::tiny();
     let refused = |text: &str, set: &[&str]| {
         let set: Vec<String> = set.iter().map(|set| (*set).to_owned()).collect();
-        chain(
-            Spec::parse("all-visible.toml", text, &set)
-                .err()
-                .expect("is refused"),
-        )
+        chain(Spec::parse("all-visible.toml", text, &set).err().expect("is refused"))
     };
     let pipeline = |from: &str, to: &str| {
         assert!(ALL_VISIBLE.contains(from));
         refused(&ALL_VISIBLE.replacen(from, to, 1), &[])
     };
     let error = pipeline("threshold_sigma", "threshold_sigmas");
-    assert!(
-        error.contains("[onsets]") && error.contains("did you mean `threshold_sigma`?"),
-        "{error}"
-    );
+    assert!(error.contains("[onsets]") && error.contains("did you mean `threshold_sigma`?"), "{error}");
     let error = pipeline("stage = \"detect\"", "stage = \"detct\"");
     assert!(error.contains("did you mean `detect`?"), "{error}");
     let error = pipeline("from = \"stir\"", "form = \"stir\"");
-    assert!(
-        error.contains("[onsets]") && error.contains("did you mean `from`?"),
-        "{error}"
-    );
+    assert!(error.contains("[onsets]") && error.contains("did you mean `from`?"), "{error}");
     let error = pipeline("from = \"stir\"", "from = \"profiles\"");
-    assert!(
-        error.contains("makes a table `profiles`, but a table `stir` is needed"),
-        "{error}"
-    );
+    assert!(error.contains("makes a table `profiles`, but a table `stir` is needed"), "{error}");
     let error = refused(ALL_VISIBLE, &["onset.threshold_sigma=6"]);
     assert!(error.contains("did you mean `onsets`?"), "{error}");
-    edit(
-        &lab.campaign().join("campaign.toml"),
-        "role = \"scene\"",
-        "rolle = \"scene\"",
-    );
+    edit(&lab.campaign().join("campaign.toml"), "role = \"scene\"", "rolle = \"scene\"");
     let error = chain(Campaign::load(&lab.campaign()).unwrap_err());
-    assert!(
-        error.contains("campaign.toml, line") && error.contains("did you mean `role`?"),
-        "{error}"
-    );
+    assert!(error.contains("campaign.toml, line") && error.contains("did you mean `role`?"), "{error}");
 }
 
 #[test]
 fn a_stage_that_cannot_go_on_names_itself_and_what_stood_stays() {
     let lab = Lab::tiny();
-    edit(
-        &lab.campaign().join("campaign.toml"),
-        "[campaign]\n",
-        "[campaign]\nrepetition_ps = 10674.64\n",
-    );
-    let error = chain(
-        lab.run("out", ALL_VISIBLE, &Settings::default())
-            .unwrap_err(),
-    );
-    assert!(
-        error.contains("[labels]") && error.contains("remove repetition_ps"),
-        "{error}"
-    );
-    assert!(
-        lab.path("out/onsets").exists()
-            && !lab.path("out/labels").exists()
-            && !lab.path("out/patches").exists()
-    );
+    edit(&lab.campaign().join("campaign.toml"), "[campaign]\n", "[campaign]\nrepetition_ps = 10674.64\n");
+    let error = chain(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap_err());
+    assert!(error.contains("[labels]") && error.contains("remove repetition_ps"), "{error}");
+    assert!(lab.path("out/onsets").exists() && !lab.path("out/labels").exists() && !lab.path("out/patches").exists());
     let before = lab.parts("out");
-    edit(
-        &lab.campaign().join("campaign.toml"),
-        "repetition_ps = 10674.64\n",
-        "",
-    );
+    edit(&lab.campaign().join("campaign.toml"), "repetition_ps = 10674.64\n", "");
     let outcome = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
-    assert!(
-        !outcome.computed.contains(&"profiles".to_owned()),
-        "{:?}",
-        outcome.computed
-    );
+    assert!(!outcome.computed.contains(&"profiles".to_owned()), "{:?}", outcome.computed);
     let after = lab.parts("out");
     assert!(before.iter().all(|(file, digest)| after[file] == *digest));
 }
@@ -268,10 +171,7 @@ impl Stage for Breaks {
 
 impl Apply for Breaks {
     fn apply(&self, (): &(), group: Vec<Profile>) -> Result<Outcome<Stir>, StageError> {
-        assert!(
-            group[0].lit != 3,
-            "a kernel was called with lengths that do not match"
-        );
+        assert!(group[0].lit != 3, "a kernel was called with lengths that do not match");
         Ok(Outcome::rows(Vec::new()))
     }
 }
@@ -286,18 +186,13 @@ fn a_panic_in_a_stage_is_that_stages_error_and_not_a_hang() {
         node: Node::Operator(Box::new(Breaks)),
         heading: step.heading.clone(),
         from: step.from.clone(),
-        with: Default::default(),
+        with: BTreeMap::new(),
         keep: true,
     };
     let campaigns = [Campaign::load(&lab.campaign()).unwrap()];
     let shelf = Shelf::open(&lab.path("out")).unwrap();
     let mut plan = Plan::new(&spec, &campaigns, &shelf, None).unwrap();
-    let error = run::run(
-        &mut plan,
-        &Settings::default(),
-        &Progress::new(Style::Silent),
-    )
-    .unwrap_err();
+    let error = run::run(&mut plan, &Settings::default(), &Progress::new(Style::Silent)).unwrap_err();
     assert!(
         matches!(&error, RunError::Panic { heading, message } if heading == "stir" && message.contains("lengths that do not match")),
         "{error}"
@@ -313,26 +208,14 @@ fn a_panic_in_a_stage_is_that_stages_error_and_not_a_hang() {
 fn a_second_run_at_the_same_time_is_refused_and_a_foreign_folder_too() {
     let lab = Lab::tiny();
     let held = Shelf::open(&lab.path("out")).unwrap();
-    let error = chain(
-        lab.run("out", ALL_VISIBLE, &Settings::default())
-            .unwrap_err(),
-    );
-    assert!(
-        error.contains("another run is writing to") && error.contains("choose another --out"),
-        "{error}"
-    );
+    let error = chain(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap_err());
+    assert!(error.contains("another run is writing to") && error.contains("choose another --out"), "{error}");
     drop(held);
     assert_eq!(lab.rows_of_patches("out"), 4);
     fs::create_dir_all(lab.path("photos")).unwrap();
     fs::write(lab.path("photos/cat.jpg"), "meow").unwrap();
-    let error = chain(
-        lab.run("photos", ALL_VISIBLE, &Settings::default())
-            .unwrap_err(),
-    );
-    assert!(
-        error.contains("no result folder") && error.contains("choose another --out"),
-        "{error}"
-    );
+    let error = chain(lab.run("photos", ALL_VISIBLE, &Settings::default()).unwrap_err());
+    assert!(error.contains("no result folder") && error.contains("choose another --out"), "{error}");
 }
 
 fn periscope(lab: &Lab, limit_blocks: Option<u32>, args: &[&str]) -> Output {
@@ -342,20 +225,11 @@ fn periscope(lab: &Lab, limit_blocks: Option<u32>, args: &[&str]) -> Output {
         // A limit on the size of a file fails a write as a full disk does, where the signal that comes with it is ignored.
         Some(blocks) => {
             let mut shell = Command::new("sh");
-            shell
-                .arg("-c")
-                .arg(format!(
-                    "trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\""
-                ))
-                .arg(binary);
+            shell.arg("-c").arg(format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"")).arg(binary);
             shell
         }
     };
-    command
-        .args(args)
-        .current_dir(lab.path(""))
-        .output()
-        .unwrap()
+    command.args(args).current_dir(lab.path("")).output().unwrap()
 }
 
 #[test]
@@ -366,17 +240,9 @@ fn a_full_disk_stops_the_run_with_its_mend_and_the_next_run_goes_on_from_there()
     let failed = periscope(&lab, Some(200), &args);
     let text = String::from_utf8_lossy(&failed.stderr);
     assert_eq!(failed.status.code(), Some(1), "{text}");
-    assert!(
-        text.contains("free some space and run again: finished parts are kept"),
-        "{text}"
-    );
+    assert!(text.contains("free some space and run again: finished parts are kept"), "{text}");
     assert!(!lab.path("out/traces").exists() && !lab.path("out/patches").exists());
     let whole = periscope(&lab, None, &args);
-    assert_eq!(
-        whole.status.code(),
-        Some(0),
-        "{}",
-        String::from_utf8_lossy(&whole.stderr)
-    );
+    assert_eq!(whole.status.code(), Some(0), "{}", String::from_utf8_lossy(&whole.stderr));
     assert_eq!(lab.rows::<Patch>("out", "patches").len(), 4);
 }

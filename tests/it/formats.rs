@@ -16,10 +16,8 @@ const READ: [&str; 4] = ["lecroy-trc", "lecroy-ascii", "npy-tdr", "rs-csv"];
 
 /// Folder of real files, where present; says loudly when it is not.
 pub fn samples() -> Option<PathBuf> {
-    let folder = std::env::var_os("PERISCOPE_SAMPLES").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/scope-samples"),
-        PathBuf::from,
-    );
+    let folder = std::env::var_os("PERISCOPE_SAMPLES")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/scope-samples"), PathBuf::from);
     if !folder.join("reference.json").exists() {
         eprintln!(
             "\n!!! no real oscilloscope files here (PERISCOPE_SAMPLES says where they are): what they would test is NOT tested\n"
@@ -44,8 +42,7 @@ fn decode(path: &Path) -> Result<Vec<(Record, Vec<f64>)>, String> {
 }
 
 fn decode_bytes(bytes: Vec<u8>, name: &str) -> Result<Vec<(Record, Vec<f64>)>, String> {
-    let mut source = formats::Source::new(Cursor::new(bytes), Path::new(name))
-        .map_err(|error| error.to_string())?;
+    let mut source = formats::Source::new(Cursor::new(bytes), Path::new(name)).map_err(|error| error.to_string())?;
     let records = formats::records(&mut source).map_err(|error| error.to_string())?;
     records
         .into_iter()
@@ -60,13 +57,8 @@ fn decode_bytes(bytes: Vec<u8>, name: &str) -> Result<Vec<(Record, Vec<f64>)>, S
 
 fn sha256_f32(values: &[f64]) -> String {
     let mut sha = Sha256::new();
-    values
-        .iter()
-        .for_each(|value| sha.update((*value as f32).to_le_bytes()));
-    sha.finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    values.iter().for_each(|value| sha.update((*value as f32).to_le_bytes()));
+    sha.finalize().iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"))
 }
 
 fn near(found: Option<f64>, expected: &Value) -> bool {
@@ -80,19 +72,10 @@ fn near(found: Option<f64>, expected: &Value) -> bool {
 #[test]
 fn real_files_decode_as_the_reference_says() {
     let Some(folder) = samples() else { return };
-    let reference: Value =
-        serde_json::from_str(&fs::read_to_string(folder.join("reference.json")).unwrap()).unwrap();
+    let reference: Value = serde_json::from_str(&fs::read_to_string(folder.join("reference.json")).unwrap()).unwrap();
     let mut compared = 0;
-    for entry in reference["files"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .chain(reference["derived"].as_array().unwrap())
-    {
-        let (file, format) = (
-            entry["file"].as_str().unwrap(),
-            entry["format"].as_str().unwrap(),
-        );
+    for entry in reference["files"].as_array().unwrap().iter().chain(reference["derived"].as_array().unwrap()) {
+        let (file, format) = (entry["file"].as_str().unwrap(), entry["format"].as_str().unwrap());
         let waveforms = entry["waveforms"].as_array().map_or(&[][..], Vec::as_slice);
         // Of the vendor CSVs only those without a head and with one channel are plain.
         if !READ.contains(&format) || (format == "rs-csv" && waveforms.len() > 1) {
@@ -113,83 +96,32 @@ fn compare(file: &str, format: &str, record: &Record, values: &[f64], expected: 
     let place = format!("{file} segment {:?}", record.segment);
     // The array files hold codes alone: their volts, their trailing word and their time base are the campaign's to say.
     let tdr = format == "npy-tdr";
-    let values: Vec<f64> = if tdr {
-        values[..500]
-            .iter()
-            .map(|code| 4.0 * (code - 2048.0) / 4096.0)
-            .collect()
-    } else {
-        values.to_vec()
-    };
-    assert_eq!(
-        values.len() as u64,
-        expected["n"].as_u64().unwrap(),
-        "{place}"
-    );
+    let values: Vec<f64> =
+        if tdr { values[..500].iter().map(|code| 4.0 * (code - 2048.0) / 4096.0).collect() } else { values.to_vec() };
+    assert_eq!(values.len() as u64, expected["n"].as_u64().unwrap(), "{place}");
     if expected["sha_exact"] == true {
-        assert_eq!(
-            sha256_f32(&values),
-            expected["sha256_f32le"].as_str().unwrap(),
-            "{place}"
-        );
+        assert_eq!(sha256_f32(&values), expected["sha256_f32le"].as_str().unwrap(), "{place}");
     }
-    let first: Vec<f64> = expected["first5"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|value| value.as_f64().unwrap())
-        .collect();
-    assert!(
-        values.iter().zip(first).all(|(a, b)| (a - b).abs() < 1e-6),
-        "{place}"
-    );
+    let first: Vec<f64> = expected["first5"].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect();
+    assert!(values.iter().zip(first).all(|(a, b)| (a - b).abs() < 1e-6), "{place}");
     if tdr {
         return;
     }
-    assert!(
-        near(record.head.dt_s, &expected["dt_s"]),
-        "{place}: dt {:?}, not {}",
-        record.head.dt_s,
-        expected["dt_s"]
-    );
+    assert!(near(record.head.dt_s, &expected["dt_s"]), "{place}: dt {:?}, not {}", record.head.dt_s, expected["dt_s"]);
     // The ASCII files' own trigger time is finer than their printed column of times, which the reference took.
-    let finer = format == "lecroy-ascii"
-        && (record.t0_s.unwrap() - expected["t0_s"].as_f64().unwrap()).abs() < 1e-14;
-    assert!(
-        finer || near(record.t0_s, &expected["t0_s"]),
-        "{place}: t0 {:?}, not {}",
-        record.t0_s,
-        expected["t0_s"]
-    );
-    assert_eq!(
-        record.segment.map(u64::from),
-        expected["segment"].as_u64(),
-        "{place}"
-    );
+    let finer = format == "lecroy-ascii" && (record.t0_s.unwrap() - expected["t0_s"].as_f64().unwrap()).abs() < 1e-14;
+    assert!(finer || near(record.t0_s, &expected["t0_s"]), "{place}: t0 {:?}, not {}", record.t0_s, expected["t0_s"]);
+    assert_eq!(record.segment.map(u64::from), expected["segment"].as_u64(), "{place}");
     if format == "lecroy-trc" {
         assert!(
-            near(record.head.header_gain, &expected["gain"])
-                && near(record.head.header_offset, &expected["offset"]),
+            near(record.head.header_gain, &expected["gain"]) && near(record.head.header_offset, &expected["offset"]),
             "{place}"
         );
-        assert_eq!(
-            record.head.channel.as_deref(),
-            expected["channel"].as_str(),
-            "{place}"
-        );
-        assert_eq!(
-            record.head.instrument.as_deref(),
-            expected["instrument"].as_str(),
-            "{place}"
-        );
+        assert_eq!(record.head.channel.as_deref(), expected["channel"].as_str(), "{place}");
+        assert_eq!(record.head.instrument.as_deref(), expected["instrument"].as_str(), "{place}");
         let acquired = expected["acq_time"].as_str().unwrap();
         assert!(
-            record
-                .head
-                .acquired_at
-                .as_deref()
-                .unwrap()
-                .starts_with(&acquired[..26]),
+            record.head.acquired_at.as_deref().unwrap().starts_with(&acquired[..26]),
             "{place}: {:?}, not {acquired}",
             record.head.acquired_at
         );
@@ -200,20 +132,8 @@ fn compare(file: &str, format: &str, record: &Record, values: &[f64], expected: 
 fn broken_and_foreign_files_are_refused_in_words() {
     let Some(folder) = samples() else { return };
     let mut refused = 0;
-    for kind in [
-        "broken",
-        "tektronix",
-        "keysight",
-        "rigol",
-        "rohde-schwarz",
-        "sigrok",
-        "caen-wavedump",
-    ] {
-        for entry in fs::read_dir(folder.join(kind))
-            .unwrap()
-            .flatten()
-            .filter(|entry| entry.path().is_file())
-        {
+    for kind in ["broken", "tektronix", "keysight", "rigol", "rohde-schwarz", "sigrok", "caen-wavedump"] {
+        for entry in fs::read_dir(folder.join(kind)).unwrap().flatten().filter(|entry| entry.path().is_file()) {
             let path = entry.path();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
             match decode(&path) {
@@ -236,29 +156,15 @@ fn broken_and_foreign_files_are_refused_in_words() {
         "{}",
         told("lecroy_truncated_data.trc")
     );
-    assert!(
-        told("lecroy_nan_gain.trc").contains("VERTICAL_GAIN"),
-        "{}",
-        told("lecroy_nan_gain.trc")
-    );
-    assert!(
-        told("npy_absurd_shape.npy").contains("9000000000000"),
-        "{}",
-        told("npy_absurd_shape.npy")
-    );
+    assert!(told("lecroy_nan_gain.trc").contains("VERTICAL_GAIN"), "{}", told("lecroy_nan_gain.trc"));
+    assert!(told("npy_absurd_shape.npy").contains("9000000000000"), "{}", told("npy_absurd_shape.npy"));
 }
 
 fn sequence(bits: u16, count: usize) -> (Vec<u8>, Vec<(f64, f64, Vec<i16>)>) {
     let top = if bits == 8 { 127 } else { 32_000 };
     let code = |i: usize, k: usize| ((i * 7 + k * 31) as i32 % (2 * top) - top) as i16;
     let segments: Vec<_> = (0..count)
-        .map(|k| {
-            (
-                k as f64 * 1e-3,
-                -1e-9 - k as f64 * 1.3e-11,
-                (0..50).map(|i| code(i, k)).collect(),
-            )
-        })
+        .map(|k| (k as f64 * 1e-3, -1e-9 - k as f64 * 1.3e-11, (0..50).map(|i| code(i, k)).collect()))
         .collect();
     let head = lecroy_trc::SequenceHead {
         instrument: "TEST".to_owned(),
@@ -279,21 +185,13 @@ fn what_is_written_is_read_back() {
         let (bytes, segments) = sequence(bits, count);
         let decoded = decode_bytes(bytes, "a.trc").unwrap();
         assert_eq!(decoded.len(), count);
-        for (k, ((record, values), (trigger_s, t0_s, codes))) in
-            decoded.iter().zip(&segments).enumerate()
-        {
+        for (k, ((record, values), (trigger_s, t0_s, codes))) in decoded.iter().zip(&segments).enumerate() {
             assert_eq!(record.t0_s, Some(*t0_s));
             if count > 1 {
-                assert_eq!(
-                    (record.trigger_s, record.segment),
-                    (Some(*trigger_s), Some(k as u32))
-                );
+                assert_eq!((record.trigger_s, record.segment), (Some(*trigger_s), Some(k as u32)));
             }
             assert!(
-                values
-                    .iter()
-                    .zip(codes)
-                    .all(|(value, code)| *value == 0.25 * f64::from(*code) + 0.5),
+                values.iter().zip(codes).all(|(value, code)| *value == 0.25 * f64::from(*code) + 0.5),
                 "{bits} bits, segment {k}"
             );
             assert_eq!(record.head.channel.as_deref(), Some("C2"));
@@ -302,10 +200,7 @@ fn what_is_written_is_read_back() {
     let mut bytes = Vec::new();
     npy::write(&mut bytes, &[2, 3, 4], &(0..24).collect::<Vec<i16>>()).unwrap();
     let decoded = decode_bytes(bytes, "a.npy").unwrap();
-    assert_eq!(
-        (decoded.len(), decoded[0].0.head.shape.clone()),
-        (6, vec![2, 3])
-    );
+    assert_eq!((decoded.len(), decoded[0].0.head.shape.clone()), (6, vec![2, 3]));
     assert_eq!(decoded[5].1, [20.0, 21.0, 22.0, 23.0]);
     let mut bytes = Vec::new();
     csv::write(&mut bytes, -2e-9, 5e-11, &[0.5, -1.25, 3.0]).unwrap();
@@ -316,31 +211,18 @@ fn what_is_written_is_read_back() {
 
 #[test]
 fn a_csv_says_in_which_line_it_goes_wrong() {
-    let lines: Vec<String> = (0..20)
-        .map(|i| format!("{:e},{}", f64::from(i) * 1e-10, i * i))
-        .collect();
+    let lines: Vec<String> = (0..20).map(|i| format!("{:e},{}", f64::from(i) * 1e-10, i * i)).collect();
     let with = |line: usize, text: &str| {
         let mut lines = lines.clone();
         lines[line] = text.to_owned();
         format!("time,volts\n{}\n", lines.join("\n")).into_bytes()
     };
-    assert_eq!(
-        decode_bytes(with(0, &lines[0]), "a.csv").unwrap()[0].1[19],
-        361.0
-    );
-    assert_eq!(
-        decode_bytes(lines.join("\n").replace(',', ";").into_bytes(), "a.csv").unwrap()[0]
-            .1
-            .len(),
-        20
-    );
+    assert_eq!(decode_bytes(with(0, &lines[0]), "a.csv").unwrap()[0].1[19], 361.0);
+    assert_eq!(decode_bytes(lines.join("\n").replace(',', ";").into_bytes(), "a.csv").unwrap()[0].1.len(), 20);
     let error = decode_bytes(with(5, "5e-10,abc"), "a.csv").unwrap_err();
     assert!(error.contains("line 7"), "{error}");
     let error = decode_bytes(with(10, "1.05e-9,100"), "a.csv").unwrap_err();
-    assert!(
-        error.contains("line 12") && error.contains("even step"),
-        "{error}"
-    );
+    assert!(error.contains("line 12") && error.contains("even step"), "{error}");
 }
 
 /// Files of our own writers with bytes changed, cut, put in, and lengths made huge.
@@ -357,21 +239,9 @@ fn no_mutation_makes_a_reader_panic_or_claim_more_than_the_file_holds() {
         "\"Trigger Time\"\t0.25",
         "\"Horizontal Offset\"\t-5e-10",
     ];
-    let row = |i: usize| {
-        format!(
-            "{}\t\t{:e}\t{}",
-            head.get(i).unwrap_or(&"\t"),
-            i as f64 * 5e-11,
-            0.01 * i as f64
-        )
-    };
+    let row = |i: usize| format!("{}\t\t{:e}\t{}", head.get(i).unwrap_or(&"\t"), i as f64 * 5e-11, 0.01 * i as f64);
     let ascii = (0..30).map(row).collect::<Vec<_>>().join("\r\n");
-    assert_eq!(
-        decode_bytes(ascii.clone().into_bytes(), "a.txt").unwrap()[0]
-            .0
-            .t0_s,
-        Some(-10.25 * 5e-11)
-    );
+    assert_eq!(decode_bytes(ascii.clone().into_bytes(), "a.txt").unwrap()[0].0.t0_s, Some(-10.25 * 5e-11));
     let seeds: [(&str, Vec<u8>); 5] = [
         ("a.trc", sequence(8, 4).0),
         ("b.trc", sequence(12, 1).0),
@@ -397,22 +267,15 @@ fn no_mutation_makes_a_reader_panic_or_claim_more_than_the_file_holds() {
                 assert_eq!(values.len(), record.head.samples, "{name}, round {round}");
                 match &record.payload {
                     Payload::Decoded(codes) => claimed += codes.len(),
-                    Payload::File { byte_offset, .. } => assert!(
-                        *byte_offset as usize + record.code_bytes() <= length,
-                        "{name}, round {round}"
-                    ),
+                    Payload::File { byte_offset, .. } => {
+                        assert!(*byte_offset as usize + record.code_bytes() <= length, "{name}, round {round}")
+                    }
                 }
             }
-            assert!(
-                claimed <= 16 * length,
-                "{name}, round {round}: {claimed} bytes of a file of {length}"
-            );
+            assert!(claimed <= 16 * length, "{name}, round {round}: {claimed} bytes of a file of {length}");
         }
     }
-    assert!(
-        accepted > 1000,
-        "mutations leave some files whole: {accepted}"
-    );
+    assert!(accepted > 1000, "mutations leave some files whole: {accepted}");
 }
 
 fn mutate(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
@@ -430,11 +293,7 @@ fn mutate(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
         }
         // Where a length may stand: the largest and the most negative.
         _ => {
-            let value: i32 = if rng.random_bool(0.5) {
-                i32::MAX
-            } else {
-                i32::MIN
-            };
+            let value: i32 = if rng.random_bool(0.5) { i32::MAX } else { i32::MIN };
             let end = (at + 4).min(bytes.len());
             bytes[at..end].copy_from_slice(&value.to_le_bytes()[..end - at]);
         }

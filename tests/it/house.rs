@@ -47,16 +47,8 @@ fn sources() -> Vec<(String, String)> {
     let mut files = Vec::new();
     walk(&root, &mut files);
     files.sort();
-    let name = |path: &Path| {
-        path.strip_prefix(&root)
-            .unwrap()
-            .to_string_lossy()
-            .replace('\\', "/")
-    };
-    files
-        .iter()
-        .map(|path| (name(path), fs::read_to_string(path).unwrap()))
-        .collect()
+    let name = |path: &Path| path.strip_prefix(&root).unwrap().to_string_lossy().replace('\\', "/");
+    files.iter().map(|path| (name(path), fs::read_to_string(path).unwrap())).collect()
 }
 
 fn room(file: &str) -> &str {
@@ -79,17 +71,11 @@ fn is_tests(file: &str) -> bool {
 
 /// Rooms that a file names after `crate::`.
 fn imported(text: &str) -> Vec<String> {
-    let code = without_tests(text)
-        .lines()
-        .filter(|line| !line.trim_start().starts_with("//"));
+    let code = without_tests(text).lines().filter(|line| !line.trim_start().starts_with("//"));
     let code: String = code.flat_map(|line| [line, "\n"]).collect();
     code.split("crate::")
         .skip(1)
-        .map(|rest| {
-            rest.chars()
-                .take_while(|c| c.is_alphanumeric() || *c == '_')
-                .collect::<String>()
-        })
+        .map(|rest| rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>())
         .filter(|room| !room.is_empty() && floor(room).is_some())
         .collect()
 }
@@ -124,29 +110,15 @@ fn a_floor_imports_only_from_floors_below() {
 fn stages_never_import_one_another() {
     let stages: Vec<String> = sources()
         .into_iter()
-        .filter_map(|(file, _)| {
-            file.strip_prefix("stages/")
-                .map(|name| name.trim_end_matches(".rs").to_owned())
-        })
+        .filter_map(|(file, _)| file.strip_prefix("stages/").map(|name| name.trim_end_matches(".rs").to_owned()))
         .collect();
-    for (file, text) in sources()
-        .iter()
-        .filter(|(file, _)| file.starts_with("stages/") && !file.ends_with("mod.rs"))
-    {
-        let own = file
-            .trim_start_matches("stages/")
-            .split('/')
-            .next()
-            .unwrap()
-            .trim_end_matches(".rs");
-        for other in stages.iter().filter(|other| {
-            !other.contains('/') && *other != own && *other != "stage" && *other != "mod"
-        }) {
+    for (file, text) in sources().iter().filter(|(file, _)| file.starts_with("stages/") && !file.ends_with("mod.rs")) {
+        let own = file.trim_start_matches("stages/").split('/').next().unwrap().trim_end_matches(".rs");
+        for other in
+            stages.iter().filter(|other| !other.contains('/') && *other != own && *other != "stage" && *other != "mod")
+        {
             for form in [format!("super::{other}::"), format!("stages::{other}::")] {
-                assert!(
-                    !without_tests(text).contains(&form),
-                    "src/{file} imports stage {other}"
-                );
+                assert!(!without_tests(text).contains(&form), "src/{file} imports stage {other}");
             }
         }
     }
@@ -154,21 +126,12 @@ fn stages_never_import_one_another() {
 
 #[test]
 fn kernels_know_no_file_no_table_no_thread_and_no_clock() {
-    for (file, text) in sources().iter().filter(|(file, _)| {
-        (file.starts_with("signal/") || file.starts_with("geometry/")) && !is_tests(file)
-    }) {
-        for forbidden in [
-            "std::fs",
-            "std::thread",
-            "std::time",
-            "arrow::",
-            "crate::tables",
-            "rand::",
-        ] {
-            assert!(
-                !without_tests(text).contains(forbidden),
-                "src/{file} names {forbidden}"
-            );
+    for (file, text) in sources()
+        .iter()
+        .filter(|(file, _)| (file.starts_with("signal/") || file.starts_with("geometry/")) && !is_tests(file))
+    {
+        for forbidden in ["std::fs", "std::thread", "std::time", "arrow::", "crate::tables", "rand::"] {
+            assert!(!without_tests(text).contains(forbidden), "src/{file} names {forbidden}");
         }
     }
 }
@@ -187,25 +150,16 @@ fn packages_are_named_only_at_their_addresses() {
             let at_home = addresses.iter().any(|address| file.starts_with(address));
             // `crate::store::parquet` is a room of ours, not the package.
             let ours = package == "parquet" && !text.contains("use parquet::");
-            assert!(
-                !named || at_home || ours,
-                "src/{file} names package {package}; its addresses are {addresses:?}"
-            );
+            assert!(!named || at_home || ours, "src/{file} names package {package}; its addresses are {addresses:?}");
         }
     }
 }
 
 #[test]
 fn the_simulator_shares_no_code_with_the_estimators() {
-    for (file, text) in sources()
-        .iter()
-        .filter(|(file, _)| file.starts_with("simulate/"))
-    {
+    for (file, text) in sources().iter().filter(|(file, _)| file.starts_with("simulate/")) {
         for estimator in ["signal", "geometry", "stages"] {
-            assert!(
-                !imported(text).iter().any(|room| room == estimator),
-                "src/{file} imports {estimator}"
-            );
+            assert!(!imported(text).iter().any(|room| room == estimator), "src/{file} imports {estimator}");
         }
     }
 }
@@ -213,13 +167,9 @@ fn the_simulator_shares_no_code_with_the_estimators() {
 #[test]
 fn no_room_is_a_drawer_for_odds_and_ends() {
     for (file, _) in sources() {
-        for name in [
-            "utils", "util", "common", "types", "error", "helpers", "misc",
-        ] {
+        for name in ["utils", "util", "common", "types", "error", "helpers", "misc"] {
             assert!(
-                !file
-                    .split('/')
-                    .any(|part| part.trim_end_matches(".rs") == name),
+                !file.split('/').any(|part| part.trim_end_matches(".rs") == name),
                 "src/{file}: name what lives there"
             );
         }
@@ -229,18 +179,8 @@ fn no_room_is_a_drawer_for_odds_and_ends() {
 /// Law 9.
 #[test]
 fn times_become_metres_in_one_place() {
-    for (file, text) in sources()
-        .iter()
-        .filter(|(file, _)| file != "units.rs" && !is_tests(file))
-    {
-        for forbidden in [
-            "299792",
-            "299_792",
-            "2.997_924",
-            "SPEED_OF_LIGHT",
-            "0.2998",
-            "0.0003 *",
-        ] {
+    for (file, text) in sources().iter().filter(|(file, _)| file != "units.rs" && !is_tests(file)) {
+        for forbidden in ["299792", "299_792", "2.997_924", "SPEED_OF_LIGHT", "0.2998", "0.0003 *"] {
             assert!(
                 !without_tests(text).contains(forbidden),
                 "src/{file} knows the speed of light; units::path_m and units::time_ps do"

@@ -16,8 +16,7 @@ use periscope::tables::Row;
 /// The pipeline that most tests run.
 pub const ALL_VISIBLE: &str = include_str!("../../pipelines/all-visible.toml");
 /// Averages and no more.
-pub const AVERAGES: &str =
-    "[traces]\nstage = 'ingest'\n[profiles]\nstage = 'average'\nfrom = 'traces'\n";
+pub const AVERAGES: &str = "[traces]\nstage = 'ingest'\n[profiles]\nstage = 'average'\nfrom = 'traces'\n";
 const TINY: &str = include_str!("../../pipelines/scenes/tiny.toml");
 
 /// A simulated campaign in a folder of its own.
@@ -41,16 +40,11 @@ impl Lab {
 
     /// So many captures of 16 MiB each, all codes zero but for a pulse: enough for several parts.
     pub fn bulk(captures: i32) -> Self {
-        let lab = Self {
-            folder: tempfile::tempdir().unwrap(),
-        };
+        let lab = Self { folder: tempfile::tempdir().unwrap() };
         fs::create_dir_all(lab.campaign().join("raw")).unwrap();
         let rule = "[[captures]]\nrole = 'scene'\nfiles = 'raw/L{lit}_P{seen}.npy'\ndt_ps = 50.0\nt0_ps = 0.0\ngain_v = 0.001\noffset_v = 0.0\n";
-        fs::write(
-            lab.campaign().join("campaign.toml"),
-            format!("[campaign]\nname = 'bulk'\n[sensors.s1]\n{rule}"),
-        )
-        .unwrap();
+        fs::write(lab.campaign().join("campaign.toml"), format!("[campaign]\nname = 'bulk'\n[sensors.s1]\n{rule}"))
+            .unwrap();
         // Reciprocal pairs: (1, 2), (2, 1), (3, 4), (4, 3)...
         (0..captures).for_each(|n| lab.add_bulk_capture(n + 1, if n % 2 == 0 { n + 2 } else { n }));
         lab
@@ -61,17 +55,13 @@ impl Lab {
         let (shots, samples) = (512, 16_384);
         let mut codes = vec![0_i16; shots * samples];
         (0..shots).for_each(|shot| codes[shot * samples + 8000 + lit as usize] = 1000);
-        let mut file =
-            fs::File::create(self.campaign().join(format!("raw/L{lit}_P{seen}.npy"))).unwrap();
+        let mut file = fs::File::create(self.campaign().join(format!("raw/L{lit}_P{seen}.npy"))).unwrap();
         periscope::formats::npy::write(&mut file, &[shots as u64, samples as u64], &codes).unwrap();
     }
 
     /// Runs the usual pipeline; how many patches it finds.
     pub fn rows_of_patches(&self, out: &str) -> u64 {
-        self.run(out, ALL_VISIBLE, &Settings::default())
-            .unwrap()
-            .tables["patches"]
-            .rows("patches")
+        self.run(out, ALL_VISIBLE, &Settings::default()).unwrap().tables["patches"].rows("patches")
     }
 
     pub fn campaign(&self) -> PathBuf {
@@ -108,27 +98,18 @@ impl Lab {
         let campaigns = [Campaign::load(&self.campaign()).unwrap()];
         let shelf = Shelf::imagine(&self.path(out));
         let plan = Plan::new(&spec, &campaigns, &shelf, None).unwrap();
-        (0..spec.steps.len())
-            .map(|step| plan.decision(step).unwrap())
-            .collect()
+        (0..spec.steps.len()).map(|step| plan.decision(step).unwrap()).collect()
     }
 
     /// Rows of a view.
     pub fn rows<R: Row>(&self, out: &str, view: &str) -> Vec<R> {
         let batches = Shelf::look(&self.path(out)).unwrap().batches(view).unwrap();
-        batches
-            .iter()
-            .flat_map(|batch| R::rows(batch).unwrap())
-            .collect()
+        batches.iter().flat_map(|batch| R::rows(batch).unwrap()).collect()
     }
 
     /// Rows of a table of the truth.
     pub fn truth<R: Row>(&self) -> Vec<R> {
-        let path = self
-            .campaign()
-            .join("truth")
-            .join(R::TABLE)
-            .join("truth.parquet");
+        let path = self.campaign().join("truth").join(R::TABLE).join("truth.parquet");
         periscope::store::parquet::read(&path, 1024)
             .unwrap()
             .flat_map(|batch| R::rows(&batch.unwrap()).unwrap())
@@ -144,15 +125,8 @@ impl Lab {
                 let path = entry.path();
                 if path.is_dir() {
                     folders.push(path);
-                } else if path
-                    .extension()
-                    .is_some_and(|extension| extension == "parquet")
-                {
-                    let name = path
-                        .strip_prefix(self.path(out))
-                        .unwrap()
-                        .display()
-                        .to_string();
+                } else if path.extension().is_some_and(|extension| extension == "parquet") {
+                    let name = path.strip_prefix(self.path(out)).unwrap().display().to_string();
                     parts.insert(name, blake3::hash(&fs::read(&path).unwrap()));
                 }
             }
@@ -163,11 +137,7 @@ impl Lab {
 
 /// Runs `body` in a pool of so many threads.
 pub fn with_threads<T: Send>(threads: usize, body: impl FnOnce() -> T + Send) -> T {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .unwrap()
-        .install(body)
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(body)
 }
 
 /// An error with its causes, as the command line prints it.

@@ -27,10 +27,7 @@ fn sql_sees_every_table_under_its_own_name() {
         "json",
     );
     assert!(text.is_empty(), "{text}{error}");
-    let (_, text, error) = ask(
-        "SELECT lit, seen, codes FROM traces WHERE is_reference LIMIT 2",
-        "csv",
-    );
+    let (_, text, error) = ask("SELECT lit, seen, codes FROM traces WHERE is_reference LIMIT 2", "csv");
     assert!(text.starts_with("lit,seen"), "{text}{error}");
     let (code, _, error) = ask("SELECT * FROM patchs", "table");
     assert!(code == Some(1) && error.contains("patchs"), "{error}");

@@ -17,23 +17,11 @@ fn the_published_schema_is_the_codes_own() {
             fs::write(&path, &text).unwrap();
         }
         let published = fs::read_to_string(&path).unwrap_or_default();
-        assert_eq!(
-            published,
-            text,
-            "{} differs; PERISCOPE_UPDATE_SCHEMA=1 rewrites it",
-            path.display()
-        );
+        assert_eq!(published, text, "{} differs; PERISCOPE_UPDATE_SCHEMA=1 rewrites it", path.display());
     }
-    let published: Vec<_> = fs::read_dir(&folder)
-        .unwrap()
-        .flatten()
-        .map(|entry| entry.file_name().into_string().unwrap())
-        .collect();
-    assert_eq!(
-        published.len(),
-        tables::all().len(),
-        "data-schema/ has files of tables that are gone: {published:?}"
-    );
+    let published: Vec<_> =
+        fs::read_dir(&folder).unwrap().flatten().map(|entry| entry.file_name().into_string().unwrap()).collect();
+    assert_eq!(published.len(), tables::all().len(), "data-schema/ has files of tables that are gone: {published:?}");
 }
 
 #[test]
@@ -41,10 +29,7 @@ fn every_column_has_a_meaning_and_lengths_times_and_voltages_a_unit() {
     for (table, schema) in tables::all() {
         for field in schema.fields() {
             assert!(
-                field
-                    .metadata()
-                    .get("meaning")
-                    .is_some_and(|meaning| meaning.len() > 3),
+                field.metadata().get("meaning").is_some_and(|meaning| meaning.len() > 3),
                 "{table}.{} says nothing",
                 field.name()
             );
@@ -54,21 +39,9 @@ fn every_column_has_a_meaning_and_lengths_times_and_voltages_a_unit() {
 
 #[test]
 fn tables_of_captures_begin_with_their_key() {
-    for table in [
-        "traces",
-        "profiles",
-        "stir",
-        "onsets",
-        "labels",
-        "residuals",
-    ] {
+    for table in ["traces", "profiles", "stir", "onsets", "labels", "residuals"] {
         let schema = tables::schema_of(table).unwrap();
-        let first: Vec<&str> = schema
-            .fields()
-            .iter()
-            .take(4)
-            .map(|field| field.name().as_str())
-            .collect();
+        let first: Vec<&str> = schema.fields().iter().take(4).map(|field| field.name().as_str()).collect();
         assert_eq!(first, tables::CAPTURE_KEY, "{table}");
     }
 }

@@ -42,27 +42,11 @@ struct Change {
 }
 
 impl<'a> Fitter<'a> {
-    pub(super) fn new(
-        profile: &Profile,
-        response: &'a Response,
-        options: &SparseOptions,
-        evidence_min: f64,
-    ) -> Self {
+    pub(super) fn new(profile: &Profile, response: &'a Response, options: &SparseOptions, evidence_min: f64) -> Self {
         let model = Model::new(profile, response, options);
-        let data = profile
-            .mean_v
-            .iter()
-            .zip(&model.weights)
-            .map(|(y, w)| y * w)
-            .collect();
+        let data = profile.mean_v.iter().zip(&model.weights).map(|(y, w)| y * w).collect();
         let width_ps = response.width_ps();
-        Self {
-            filter: MatchedFilter::new(&model, width_ps, response.peak_ps()),
-            model,
-            data,
-            width_ps,
-            evidence_min,
-        }
+        Self { filter: MatchedFilter::new(&model, width_ps, response.peak_ps()), model, data, width_ps, evidence_min }
     }
 
     /// The state without pulses.
@@ -81,12 +65,7 @@ impl<'a> Fitter<'a> {
         for (r, w) in residual.iter_mut().zip(&self.model.weights) {
             *r -= baseline_v * w;
         }
-        Some(State {
-            factor: fit.factor()?,
-            fit,
-            residual,
-            baseline_v,
-        })
+        Some(State { factor: fit.factor()?, fit, residual, baseline_v })
     }
 
     fn refine(&self, data: &[f64], times_ps: Vec<f64>) -> Option<Projection> {
@@ -128,27 +107,15 @@ impl<'a> Fitter<'a> {
         if with_residual <= 0.0 {
             return 0.0;
         }
-        let mut imitated: Vec<f64> = state
-            .fit
-            .columns
-            .iter()
-            .flat_map(|c| widened.dot(c)[0])
-            .collect();
+        let mut imitated: Vec<f64> = state.fit.columns.iter().flat_map(|c| widened.dot(c)[0]).collect();
         state.factor.solve_lower(&mut imitated);
         let own = widened.dot(&widened)[0][0] - imitated.iter().map(|v| v * v).sum::<f64>();
         with_residual * with_residual / own
     }
 
     /// Takes the pulses `out` away, puts pulses at `times_ps` in, and refines them with the pulses near `center_ps`; the others stay.
-    fn change(
-        &self,
-        state: &State,
-        out: &[usize],
-        center_ps: f64,
-        times_ps: &[f64],
-    ) -> Option<Change> {
-        let near =
-            |k: &usize| (state.time_ps(*k) - center_ps).abs() < CLUSTER_WIDTHS * self.width_ps;
+    fn change(&self, state: &State, out: &[usize], center_ps: f64, times_ps: &[f64]) -> Option<Change> {
+        let near = |k: &usize| (state.time_ps(*k) - center_ps).abs() < CLUSTER_WIDTHS * self.width_ps;
         let (cluster, others): (Vec<usize>, Vec<usize>) = (0..state.pulses()).partition(near);
         let mut data = state.residual.clone();
         for k in &cluster {
@@ -164,10 +131,7 @@ impl<'a> Fitter<'a> {
             .collect();
         let new = self.refine(&data, start)?;
         let others = others.iter().map(|k| state.time_ps(*k));
-        Some(Change {
-            drop: new.energy - old.energy,
-            times_ps: others.chain(new.times_ps).collect(),
-        })
+        Some(Change { drop: new.energy - old.energy, times_ps: others.chain(new.times_ps).collect() })
     }
 
     /// Pulse `k` taken out. A neighbour that may have been split off from it starts from where one pulse would stand for both.
@@ -180,11 +144,7 @@ impl<'a> Fitter<'a> {
             return self.change(state, &[k], state.time_ps(k), &[]);
         };
         let share = state.amplitude(k) / (state.amplitude(j) + state.amplitude(k));
-        let shift_ps = if share.is_finite() {
-            share * (state.time_ps(k) - state.time_ps(j))
-        } else {
-            0.0
-        };
+        let shift_ps = if share.is_finite() { share * (state.time_ps(k) - state.time_ps(j)) } else { 0.0 };
         let merged_ps = state.time_ps(j) + shift_ps;
         self.change(state, &[j, k], state.time_ps(k), &[merged_ps])
     }
@@ -192,9 +152,7 @@ impl<'a> Fitter<'a> {
     /// Takes out pulses not worth their evidence, the weakest first. The state that remains, and the evidence of each of its pulses.
     pub(super) fn prune(&self, mut state: State) -> (State, Vec<f64>) {
         loop {
-            let removals: Vec<Option<Change>> = (0..state.pulses())
-                .map(|k| self.removal(&state, k))
-                .collect();
+            let removals: Vec<Option<Change>> = (0..state.pulses()).map(|k| self.removal(&state, k)).collect();
             // Without a fit for the rest, a pulse is indispensable.
             let evidence = |r: &Option<Change>| r.as_ref().map_or(f64::INFINITY, |r| -r.drop);
             let evidences: Vec<f64> = removals.iter().map(evidence).collect();
@@ -215,16 +173,12 @@ impl<'a> Fitter<'a> {
     pub(super) fn chi2_per_dof(&self, state: &State, k: Option<usize>) -> (f64, f64) {
         let columns = &state.fit.columns;
         let range = k.map_or(0..self.data.len(), |k| columns[k].range());
-        let used = self.model.weights[range.clone()]
-            .iter()
-            .filter(|w| **w > 0.0)
-            .count() as f64;
+        let used = self.model.weights[range.clone()].iter().filter(|w| **w > 0.0).count() as f64;
         // A pulse takes its two unknowns from the samples that it reaches.
         let unknowns: f64 = columns
             .iter()
             .map(|c| {
-                let both =
-                    c.range().end.min(range.end) as f64 - c.range().start.max(range.start) as f64;
+                let both = c.range().end.min(range.end) as f64 - c.range().start.max(range.start) as f64;
                 2.0 * both.max(0.0) / c.range().len() as f64
             })
             .sum();
@@ -260,17 +214,8 @@ impl State {
         let unknowns = 2 * self.pulses();
         // The derivative by a time is the amplitude times the derivative column.
         let scale = |i: usize| {
-            if i % 2 == 1 {
-                self.amplitude(i / 2)
-            } else {
-                1.0
-            }
+            if i % 2 == 1 { self.amplitude(i / 2) } else { 1.0 }
         };
-        self.factor
-            .inverse()
-            .iter()
-            .enumerate()
-            .map(|(e, v)| v / (scale(e / unknowns) * scale(e % unknowns)))
-            .collect()
+        self.factor.inverse().iter().enumerate().map(|(e, v)| v / (scale(e / unknowns) * scale(e % unknowns))).collect()
     }
 }

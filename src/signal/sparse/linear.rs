@@ -38,9 +38,7 @@ impl Cholesky {
     pub(super) fn solve(&self, b: &mut [f64]) {
         self.solve_lower(b);
         for i in (0..self.n).rev() {
-            let rest: f64 = (i + 1..self.n)
-                .map(|k| self.lower[k * self.n + i] * b[k])
-                .sum();
+            let rest: f64 = (i + 1..self.n).map(|k| self.lower[k * self.n + i] * b[k]).sum();
             b[i] = (b[i] - rest) / self.lower[i * self.n + i];
         }
     }
@@ -113,10 +111,7 @@ pub(super) fn non_negative(gram: &[f64], b: &[f64]) -> Option<Vec<f64>> {
 
 fn solve_on(gram: &[f64], b: &[f64], free: &[usize]) -> Option<Vec<f64>> {
     let n = b.len();
-    let part = free
-        .iter()
-        .flat_map(|i| free.iter().map(move |j| gram[i * n + j]))
-        .collect();
+    let part = free.iter().flat_map(|i| free.iter().map(move |j| gram[i * n + j])).collect();
     let mut x: Vec<f64> = free.iter().map(|i| b[*i]).collect();
     Cholesky::new(part, free.len())?.solve(&mut x);
     Some(x)
@@ -130,23 +125,12 @@ mod tests {
 
     /// `B^T B` of a random `2n * n` matrix.
     fn random_gram(n: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
-        let b: Vec<f64> = (0..2 * n * n)
-            .map(|_| rng.random_range(-1.0..1.0))
-            .collect();
-        (0..n * n)
-            .map(|e| {
-                (0..2 * n)
-                    .map(|r| b[r * n + e / n] * b[r * n + e % n])
-                    .sum()
-            })
-            .collect()
+        let b: Vec<f64> = (0..2 * n * n).map(|_| rng.random_range(-1.0..1.0)).collect();
+        (0..n * n).map(|e| (0..2 * n).map(|r| b[r * n + e / n] * b[r * n + e % n]).sum()).collect()
     }
 
     fn times(matrix: &[f64], x: &[f64]) -> Vec<f64> {
-        matrix
-            .chunks_exact(x.len())
-            .map(|row| row.iter().zip(x).map(|(a, b)| a * b).sum())
-            .collect()
+        matrix.chunks_exact(x.len()).map(|row| row.iter().zip(x).map(|(a, b)| a * b).sum()).collect()
     }
 
     #[test]

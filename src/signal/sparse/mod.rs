@@ -61,12 +61,7 @@ pub struct SparseOptions {
 
 impl Default for SparseOptions {
     fn default() -> Self {
-        Self {
-            evidence_min: None,
-            pulses_max: 64,
-            baseline: true,
-            signed: false,
-        }
+        Self { evidence_min: None, pulses_max: 64, baseline: true, signed: false }
     }
 }
 
@@ -118,9 +113,7 @@ pub fn fit(profile: &Profile, response: &Response, options: &SparseOptions) -> S
     assert!(positive, "the sds must be positive");
 
     let record_ps = len as f64 * profile.dt_ps;
-    let threshold = options
-        .evidence_min
-        .unwrap_or_else(|| evidence_min(response, record_ps, FALSE_PULSES));
+    let threshold = options.evidence_min.unwrap_or_else(|| evidence_min(response, record_ps, FALSE_PULSES));
     assert!(threshold > 0.0, "the evidence must be positive");
     let fitter = Fitter::new(profile, response, options, threshold);
     let mut state = fitter.start();
@@ -142,10 +135,7 @@ fn describe(fitter: &Fitter, state: &State, evidences: &[f64], evidence_min: f64
     let unknowns = 2 * order.len();
     let all = state.covariance();
     let covariance = |i: usize, j: usize| all[i * unknowns + j];
-    let inflations: Vec<f64> = order
-        .iter()
-        .map(|&k| inflation(fitter.chi2_per_dof(state, Some(k))))
-        .collect();
+    let inflations: Vec<f64> = order.iter().map(|&k| inflation(fitter.chi2_per_dof(state, Some(k)))).collect();
     let pulse = |(&k, inflation): (&usize, &f64)| Pulse {
         time_ps: state.time_ps(k),
         amplitude_v: state.amplitude(k),
@@ -157,12 +147,7 @@ fn describe(fitter: &Fitter, state: &State, evidences: &[f64], evidence_min: f64
     let covariance_ps2 = order
         .iter()
         .zip(&inflations)
-        .flat_map(|(&i, p)| {
-            order
-                .iter()
-                .zip(&inflations)
-                .map(move |(&j, q)| (i, j, p * q))
-        })
+        .flat_map(|(&i, p)| order.iter().zip(&inflations).map(move |(&j, q)| (i, j, p * q)))
         .map(|(i, j, inflation)| covariance(2 * i + 1, 2 * j + 1) * inflation)
         .collect();
     SparseFit {
@@ -177,9 +162,5 @@ fn describe(fitter: &Fitter, state: &State, evidences: &[f64], evidence_min: f64
 /// Factor of a standard deviation for a misfit: the root of chi2 per degree of freedom, where noise alone does not explain it. (Multiplying by
 /// whatever exceeds 1 would widen every second interval of a right model.)
 fn inflation((chi2_per_dof, freedom): (f64, f64)) -> f64 {
-    if chi2_per_dof > 1.0 + MISFIT_SIGMA * (2.0 / freedom).sqrt() {
-        chi2_per_dof.sqrt()
-    } else {
-        1.0
-    }
+    if chi2_per_dof > 1.0 + MISFIT_SIGMA * (2.0 / freedom).sqrt() { chi2_per_dof.sqrt() } else { 1.0 }
 }

@@ -106,34 +106,14 @@ impl<'a> Model<'a> {
 
         let gram = minor(&products, 2 * k, 0, 0);
         let right: Vec<f64> = with_data.iter().step_by(2).copied().collect();
-        let amplitudes = if self.signed {
-            least_squares(&gram, &right)?
-        } else {
-            non_negative(&gram, &right)?
-        };
+        let amplitudes = if self.signed { least_squares(&gram, &right)? } else { non_negative(&gram, &right)? };
         let energy = amplitudes.iter().zip(&right).map(|(a, b)| a * b).sum();
-        Some(Projection {
-            times_ps,
-            amplitudes,
-            columns,
-            energy,
-            products,
-            with_data,
-        })
+        Some(Projection { times_ps, amplitudes, columns, energy, products, with_data })
     }
 
-    fn eliminate_baseline(
-        &self,
-        data: &[f64],
-        columns: &[Column],
-        products: &mut [f64],
-        with_data: &mut [f64],
-    ) {
+    fn eliminate_baseline(&self, data: &[f64], columns: &[Column], products: &mut [f64], with_data: &mut [f64]) {
         let Some(squared) = self.baseline else { return };
-        let constant: Vec<f64> = columns
-            .iter()
-            .flat_map(|c| c.dot_record(&self.weights))
-            .collect();
+        let constant: Vec<f64> = columns.iter().flat_map(|c| c.dot_record(&self.weights)).collect();
         let data_sum: f64 = data.iter().zip(&self.weights).map(|(z, w)| z * w).sum();
         let n = constant.len();
         for i in 0..n {
@@ -254,8 +234,5 @@ impl Projection {
 
 /// Every second row and column of an `n * n` matrix, from the given ones on.
 fn minor(matrix: &[f64], n: usize, row: usize, column: usize) -> Vec<f64> {
-    (row..n)
-        .step_by(2)
-        .flat_map(|i| (column..n).step_by(2).map(move |j| matrix[i * n + j]))
-        .collect()
+    (row..n).step_by(2).flat_map(|i| (column..n).step_by(2).map(move |j| matrix[i * n + j])).collect()
 }

@@ -11,12 +11,7 @@ const STEPS: usize = 60;
 
 /// Pulses that fit whitened `data` best, near `times_ps`; no step moves a pulse by more than `step_max_ps`. `None` if the start is
 /// degenerate (two pulses coincide, or one is outside of the record).
-pub(super) fn refine(
-    model: &Model,
-    data: &[f64],
-    times_ps: Vec<f64>,
-    step_max_ps: f64,
-) -> Option<Projection> {
+pub(super) fn refine(model: &Model, data: &[f64], times_ps: Vec<f64>, step_max_ps: f64) -> Option<Projection> {
     let mut best = model.project(data, times_ps)?;
     let mut damping = 1e-4;
     for _ in 0..STEPS {
@@ -26,12 +21,7 @@ pub(super) fn refine(
         if promised < PROMISE {
             break;
         }
-        let times_ps = best
-            .times_ps
-            .iter()
-            .zip(&step)
-            .map(|(t, d)| t + d.clamp(-step_max_ps, step_max_ps))
-            .collect();
+        let times_ps = best.times_ps.iter().zip(&step).map(|(t, d)| t + d.clamp(-step_max_ps, step_max_ps)).collect();
         match model.project(data, times_ps) {
             Some(trial) if trial.energy > best.energy => {
                 best = trial;

@@ -22,9 +22,7 @@ pub fn evidence_min(response: &Response, record_ps: f64, false_pulses: f64) -> f
     let step_ps = (last_ps - first_ps) / 1000.0;
     let (energy, slope_energy) = (0..=1000)
         .map(|i| response.value_and_slope(first_ps + f64::from(i) * step_ps))
-        .fold((0.0, 0.0), |(e, s), (value, slope)| {
-            (e + value * value, s + slope * slope)
-        });
+        .fold((0.0, 0.0), |(e, s), (value, slope)| (e + value * value, s + slope * slope));
     let beta = (slope_energy / energy).sqrt();
     let crossings = record_ps * beta / (std::f64::consts::TAU * false_pulses);
     (2.0 * crossings.ln()).max(20.0)
@@ -48,33 +46,23 @@ struct Phase {
 
 impl MatchedFilter {
     pub(super) fn new(model: &Model, width_ps: f64, peak_ps: f64) -> Self {
-        let count = (POSITIONS_PER_WIDTH * model.dt_ps / width_ps)
-            .ceil()
-            .max(1.0) as usize;
+        let count = (POSITIONS_PER_WIDTH * model.dt_ps / width_ps).ceil().max(1.0) as usize;
         let squares: Vec<f64> = model.weights.iter().map(|w| w * w).collect();
         let counted: Vec<f64> = model.weights.iter().map(|w| f64::from(*w > 0.0)).collect();
-        let phases = (0..count)
-            .map(|p| Phase::new(model, peak_ps, p as f64 / count as f64, &squares, &counted))
-            .collect();
+        let phases =
+            (0..count).map(|p| Phase::new(model, peak_ps, p as f64 / count as f64, &squares, &counted)).collect();
         Self { phases }
     }
 
     /// Arrival time and drop of chi2 of the best pulse in whitened `residual`. `None` if no place wants one.
     pub(super) fn best(&self, model: &Model, residual: &[f64]) -> Option<(f64, f64)> {
-        let weighted: Vec<f64> = residual
-            .iter()
-            .zip(&model.weights)
-            .map(|(r, w)| r * w)
-            .collect();
+        let weighted: Vec<f64> = residual.iter().zip(&model.weights).map(|(r, w)| r * w).collect();
         let mut best: Option<(f64, f64)> = None;
         for phase in &self.phases {
             let outputs = correlate(&weighted, &phase.taps, phase.first, phase.energies.len());
             for (j, (output, energy)) in outputs.iter().zip(&phase.energies).enumerate() {
                 let drop = output * output / energy;
-                if *energy > 0.0
-                    && (*output > 0.0 || model.signed)
-                    && best.is_none_or(|(_, d)| drop > d)
-                {
+                if *energy > 0.0 && (*output > 0.0 || model.signed) && best.is_none_or(|(_, d)| drop > d) {
                     best = Some((phase.start_ps + j as f64 * model.dt_ps, drop));
                 }
             }
@@ -91,13 +79,8 @@ impl Phase {
         let index = |after_ps: f64| (start_ps + after_ps - model.t0_ps) / model.dt_ps;
         let first = index(first_ps).ceil() as i64;
         let last = index(last_ps).floor() as i64;
-        let taps: Vec<f64> = (first..=last)
-            .map(|n| {
-                model
-                    .response
-                    .value(model.t0_ps + n as f64 * model.dt_ps - start_ps)
-            })
-            .collect();
+        let taps: Vec<f64> =
+            (first..=last).map(|n| model.response.value(model.t0_ps + n as f64 * model.dt_ps - start_ps)).collect();
         let squared_taps: Vec<f64> = taps.iter().map(|h| h * h).collect();
         let mut energies = correlate(squares, &squared_taps, first, squares.len());
         let seen = correlate(counted, &squared_taps, first, counted.len());
@@ -107,12 +90,7 @@ impl Phase {
                 *energy = 0.0;
             }
         }
-        Self {
-            start_ps,
-            first,
-            taps,
-            energies,
-        }
+        Self { start_ps, first, taps, energies }
     }
 }
 
@@ -132,15 +110,8 @@ fn correlate(record: &[f64], taps: &[f64], first: i64, len: usize) -> Vec<f64> {
 }
 
 /// Best two arrival times, both amplitudes positive, for whitened `data` near `center_ps`, by exhaustion over a grid.
-pub(super) fn best_pair(
-    model: &Model,
-    data: &[f64],
-    center_ps: f64,
-    width_ps: f64,
-) -> Option<[f64; 2]> {
-    let times: Vec<f64> = (-PAIR_RANGE..=PAIR_RANGE)
-        .map(|i| center_ps + f64::from(i) * PAIR_STEP * width_ps)
-        .collect();
+pub(super) fn best_pair(model: &Model, data: &[f64], center_ps: f64, width_ps: f64) -> Option<[f64; 2]> {
+    let times: Vec<f64> = (-PAIR_RANGE..=PAIR_RANGE).map(|i| center_ps + f64::from(i) * PAIR_STEP * width_ps).collect();
     let columns: Vec<Column> = times.iter().map(|t| model.column(*t)).collect();
     let with_data: Vec<f64> = columns.iter().map(|c| c.dot_record(data)[0]).collect();
     let own: Vec<f64> = columns.iter().map(|c| c.dot(c)[0][0]).collect();

@@ -19,11 +19,7 @@ struct Shape {
 fn gaussian() -> Shape {
     let formula = |t: f64| (-0.5 * (t / 106.165_225).powi(2)).exp();
     let values: Vec<f64> = (-65..=65).map(|i| formula(10.0 * f64::from(i))).collect();
-    Shape {
-        name: "Gaussian",
-        formula,
-        response: Response::new(-650.0, 10.0, &values),
-    }
+    Shape { name: "Gaussian", formula, response: Response::new(-650.0, 10.0, &values) }
 }
 
 /// Gaussian of sd 33 ps, convolved with an exponential decay of 112 ps: Simpson's rule over the decay.
@@ -41,22 +37,14 @@ fn exponential() -> Shape {
         sum * step / 3.0 / 52.196
     };
     let values: Vec<f64> = (-30..=240).map(|i| formula(5.0 * f64::from(i))).collect();
-    Shape {
-        name: "exponential",
-        formula,
-        response: Response::new(-150.0, 5.0, &values),
-    }
+    Shape { name: "exponential", formula, response: Response::new(-150.0, 5.0, &values) }
 }
 
 /// Samples of pulses `(time, amplitude)` on `baseline`, without noise.
 fn clean(shape: &Shape, pulses: &[(f64, f64)], baseline: f64, len: usize) -> Vec<f64> {
     let sample = |n: usize| {
         let t = T0_PS + DT_PS * n as f64;
-        pulses
-            .iter()
-            .map(|(at, a)| a * (shape.formula)(t - at))
-            .sum::<f64>()
-            + baseline
+        pulses.iter().map(|(at, a)| a * (shape.formula)(t - at)).sum::<f64>() + baseline
     };
     (0..len).map(sample).collect()
 }
@@ -67,12 +55,7 @@ fn with_noise(clean: &[f64], sd: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
 }
 
 fn fit_white(shape: &Shape, mean_v: &[f64], sd: f64, options: &SparseOptions) -> SparseFit {
-    let profile = Profile {
-        mean_v,
-        sd_v: &vec![sd; mean_v.len()],
-        t0_ps: T0_PS,
-        dt_ps: DT_PS,
-    };
+    let profile = Profile { mean_v, sd_v: &vec![sd; mean_v.len()], t0_ps: T0_PS, dt_ps: DT_PS };
     fit(&profile, &shape.response, options)
 }
 
@@ -105,9 +88,7 @@ fn bound_ps(shape: &Shape, pulses: &[(f64, f64)], sd: f64, len: usize) -> Vec<f6
         for (q, line) in m.iter_mut().enumerate() {
             let factor = line[p];
             if q != p {
-                line.iter_mut()
-                    .zip(&pivot_row)
-                    .for_each(|(v, r)| *v -= factor * r);
+                line.iter_mut().zip(&pivot_row).for_each(|(v, r)| *v -= factor * r);
             }
         }
     }
@@ -128,31 +109,15 @@ fn a_single_pulse_is_timed_at_the_bound() {
                 let truth = [(3000.0 + rng.random_range(0.0..DT_PS), 1.0)];
                 let y = with_noise(&clean(&shape, &truth, 0.3, 120), 1.0 / snr, &mut rng);
                 let found = fit_white(&shape, &y, 1.0 / snr, &SparseOptions::default());
-                assert_eq!(
-                    found.pulses.len(),
-                    1,
-                    "{} at {snr} {truth:?} {found:?}",
-                    shape.name
-                );
+                assert_eq!(found.pulses.len(), 1, "{} at {snr} {truth:?} {found:?}", shape.name);
                 let error = found.pulses[0].time_ps - truth[0].0;
                 errors.push(error / bound_ps(&shape, &truth, 1.0 / snr, 120)[0]);
                 pulls.push(error / found.covariance_ps2[0].sqrt());
             }
             let (ratio, pull) = (rms(&errors), rms(&pulls));
-            println!(
-                "{} SNR {snr}: rms / bound {ratio:.3}, rms / own sd {pull:.3}",
-                shape.name
-            );
-            assert!(
-                (0.9..1.1).contains(&ratio),
-                "{} at {snr}: {ratio}",
-                shape.name
-            );
-            assert!(
-                (0.8..1.1).contains(&pull),
-                "{} at {snr}: {pull}",
-                shape.name
-            );
+            println!("{} SNR {snr}: rms / bound {ratio:.3}, rms / own sd {pull:.3}", shape.name);
+            assert!((0.9..1.1).contains(&ratio), "{} at {snr}: {ratio}", shape.name);
+            assert!((0.8..1.1).contains(&pull), "{} at {snr}: {pull}", shape.name);
         }
     }
 }
@@ -185,16 +150,8 @@ fn pairs_closer_than_the_response_are_separated_at_the_bound() {
                 shape.name
             );
             assert!(separated >= 0.98, "{} {distance}: {separated}", shape.name);
-            assert!(
-                (0.9..1.1).contains(&ratio),
-                "{} {distance}: {ratio}",
-                shape.name
-            );
-            assert!(
-                (0.8..1.1).contains(&pull),
-                "{} {distance}: {pull}",
-                shape.name
-            );
+            assert!((0.9..1.1).contains(&ratio), "{} {distance}: {ratio}", shape.name);
+            assert!((0.8..1.1).contains(&pull), "{} {distance}: {pull}", shape.name);
         }
     }
 }
@@ -207,12 +164,7 @@ fn one_pulse_never_becomes_two() {
             let truth = [(rng.random_range(500.0..48_000.0), 1.0)];
             let y = with_noise(&clean(&shape, &truth, 0.0, 1000), 0.01, &mut rng);
             let found = fit_white(&shape, &y, 0.01, &SparseOptions::default());
-            assert_eq!(
-                found.pulses.len(),
-                1,
-                "{} at {truth:?} {found:?}",
-                shape.name
-            );
+            assert_eq!(found.pulses.len(), 1, "{} at {truth:?} {found:?}", shape.name);
         }
     }
 }
@@ -230,20 +182,13 @@ fn noise_gives_false_pulses_at_the_rate_that_the_threshold_promises() {
         for _ in 0..1000 {
             let y = with_noise(&vec![0.0; len], 1.0, &mut rng);
             for (count, threshold) in records.iter_mut().zip([loose, strict]) {
-                let options = SparseOptions {
-                    evidence_min: Some(threshold),
-                    pulses_max: 1,
-                    ..SparseOptions::default()
-                };
+                let options =
+                    SparseOptions { evidence_min: Some(threshold), pulses_max: 1, ..SparseOptions::default() };
                 *count += fit_white(&shape, &y, 1.0, &options).pulses.len();
             }
         }
         println!("{}: {records:?} of 1000, threshold {strict:.1}", shape.name);
-        assert!(
-            (100..240).contains(&records[0]),
-            "{}: {records:?}",
-            shape.name
-        );
+        assert!((100..240).contains(&records[0]), "{}: {records:?}", shape.name);
         assert!(records[1] <= 1, "{}: {records:?}", shape.name);
     }
 }
@@ -269,19 +214,14 @@ fn shift_in_is_shift_out() {
 fn many_pulses_on_a_baseline_are_all_found() {
     let mut rng = ChaCha8Rng::seed_from_u64(16);
     for shape in [gaussian(), exponential()] {
-        let truth: Vec<(f64, f64)> = (0..12)
-            .map(|k| (2000.0 + 330.0 * f64::from(k), 1.0 - 0.06 * f64::from(k)))
-            .collect();
+        let truth: Vec<(f64, f64)> =
+            (0..12).map(|k| (2000.0 + 330.0 * f64::from(k), 1.0 - 0.06 * f64::from(k))).collect();
         let y = with_noise(&clean(&shape, &truth, -0.7, 2048), 0.01, &mut rng);
         let found = fit_white(&shape, &y, 0.01, &SparseOptions::default());
         assert_eq!(found.pulses.len(), 12, "{}", shape.name);
         for (k, ((at, a), pulse)) in truth.iter().zip(&found.pulses).enumerate() {
             let sd = found.covariance_ps2[13 * k].sqrt();
-            assert!(
-                (pulse.time_ps - at).abs() < 4.0 * sd,
-                "{} pulse {k}",
-                shape.name
-            );
+            assert!((pulse.time_ps - at).abs() < 4.0 * sd, "{} pulse {k}", shape.name);
             assert!((pulse.amplitude_v - a).abs() < 4.0 * pulse.amplitude_sd_v);
             assert!(pulse.evidence > found.evidence_min);
         }
@@ -294,10 +234,7 @@ fn many_pulses_on_a_baseline_are_all_found() {
 fn evidence_of_a_lone_pulse_is_its_energy() {
     let shape = gaussian();
     let y = clean(&shape, &[(3000.0, 1.0)], 0.0, 120);
-    let options = SparseOptions {
-        baseline: false,
-        ..SparseOptions::default()
-    };
+    let options = SparseOptions { baseline: false, ..SparseOptions::default() };
     let found = fit_white(&shape, &y, 0.1, &options);
     let energy = y.iter().map(|v| v * v).sum::<f64>() / 0.01;
     assert!((found.pulses[0].evidence / energy - 1.0).abs() < 1e-6);
@@ -317,26 +254,14 @@ fn ignored_samples_do_not_count_and_noisy_ones_count_less() {
     for n in 20..30 {
         (y[n], sd_v[n]) = (0.5, 1.0);
     }
-    let profile = Profile {
-        mean_v: &y,
-        sd_v: &sd_v,
-        t0_ps: T0_PS,
-        dt_ps: DT_PS,
-    };
+    let profile = Profile { mean_v: &y, sd_v: &sd_v, t0_ps: T0_PS, dt_ps: DT_PS };
     let found = fit(&profile, &shape.response, &SparseOptions::default());
     assert_eq!(found.pulses.len(), 1);
     let sd = found.covariance_ps2[0].sqrt();
     assert!((found.pulses[0].time_ps - 3000.0).abs() < 4.0 * sd);
     // Nothing but ignored samples: no pulse, no panic.
-    let nothing = Profile {
-        sd_v: &[f64::INFINITY; 120],
-        ..profile
-    };
-    assert!(
-        fit(&nothing, &shape.response, &SparseOptions::default())
-            .pulses
-            .is_empty()
-    );
+    let nothing = Profile { sd_v: &[f64::INFINITY; 120], ..profile };
+    assert!(fit(&nothing, &shape.response, &SparseOptions::default()).pulses.is_empty());
 }
 
 #[test]
@@ -348,25 +273,12 @@ fn an_inexact_response_shows_in_chi2_and_is_borne_by_its_own_variance() {
         ..gaussian()
     };
     let y = with_noise(&clean(&wider, &[(3000.0, 1.0)], 0.0, 120), 0.002, &mut rng);
-    let one = SparseOptions {
-        pulses_max: 1,
-        ..SparseOptions::default()
-    };
+    let one = SparseOptions { pulses_max: 1, ..SparseOptions::default() };
     assert!(fit_white(&shape, &y, 0.002, &one).pulses[0].chi2_per_dof > 5.0);
-    assert!(
-        fit_white(&shape, &y, 0.002, &SparseOptions::default())
-            .pulses
-            .len()
-            > 1
-    );
+    assert!(fit_white(&shape, &y, 0.002, &SparseOptions::default()).pulses.len() > 1);
     let mut sd_v = vec![0.002; 120];
     sd_v[50..76].fill(0.02); // 325 ps to either side of the maximum
-    let profile = Profile {
-        mean_v: &y,
-        sd_v: &sd_v,
-        t0_ps: T0_PS,
-        dt_ps: DT_PS,
-    };
+    let profile = Profile { mean_v: &y, sd_v: &sd_v, t0_ps: T0_PS, dt_ps: DT_PS };
     let found = fit(&profile, &shape.response, &SparseOptions::default());
     assert_eq!(found.pulses.len(), 1);
     assert!((found.pulses[0].time_ps - 3000.0).abs() < 4.0 * found.covariance_ps2[0].sqrt());

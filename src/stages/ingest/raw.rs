@@ -90,34 +90,17 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     /// Files that fit in one batch together: read whole, in parallel.
-    fn small(
-        &mut self,
-        captures: &[Capture],
-        group: &[(usize, &Item)],
-        bytes: usize,
-    ) -> Result<(), StageError> {
+    fn small(&mut self, captures: &[Capture], group: &[(usize, &Item)], bytes: usize) -> Result<(), StageError> {
         if group.is_empty() {
             return Ok(());
         }
         let credit = self.feed.reserve(bytes)?;
         let jobs: Vec<(usize, Job<'_>)> = group
             .iter()
-            .map(|(index, item)| {
-                (
-                    *index,
-                    Job {
-                        capture: &captures[*index],
-                        item,
-                        first_shot: 0,
-                    },
-                )
-            })
+            .map(|(index, item)| (*index, Job { capture: &captures[*index], item, first_shot: 0 }))
             .collect();
         let surveyed = self.surveyed;
-        let done: Vec<Done> = jobs
-            .par_iter()
-            .map(|(_, job)| read_whole(surveyed, job))
-            .collect();
+        let done: Vec<Done> = jobs.par_iter().map(|(_, job)| read_whole(surveyed, job)).collect();
         let mut rows = Vec::new();
         for ((index, job), done) in jobs.iter().zip(done) {
             rows.extend(self.take(*index, job, done));
@@ -131,11 +114,7 @@ impl Reader<'_> {
 
     /// A file that is larger than a batch: read in pieces.
     fn large(&mut self, index: usize, capture: &Capture, item: &Item) -> Result<(), StageError> {
-        let job = Job {
-            capture,
-            item,
-            first_shot: self.shots.get(&index).copied().unwrap_or(0),
-        };
+        let job = Job { capture, item, first_shot: self.shots.get(&index).copied().unwrap_or(0) };
         let mut files = match Files::open(self.surveyed, &job, false) {
             Ok(files) => files,
             Err(error) => {
@@ -143,24 +122,14 @@ impl Reader<'_> {
                 self.take(
                     index,
                     &job,
-                    Done {
-                        rows: Vec::new(),
-                        shots: 0,
-                        digests,
-                        rejection: Some(error.rejection(self.surveyed, &job)),
-                    },
+                    Done { rows: Vec::new(), shots: 0, digests, rejection: Some(error.rejection(self.surveyed, &job)) },
                 );
                 return Ok(());
             }
         };
         let exposures = files.exposures();
         let per_batch = (self.batch_bytes / files.exposure_bytes().max(1)).max(1);
-        let mut outcome = Done {
-            rows: Vec::new(),
-            shots: exposures as i32,
-            digests: Vec::new(),
-            rejection: None,
-        };
+        let mut outcome = Done { rows: Vec::new(), shots: exposures as i32, digests: Vec::new(), rejection: None };
         for start in (0..exposures).step_by(per_batch) {
             let range = start..exposures.min(start + per_batch);
             let bytes = files.exposure_bytes() * range.len();
@@ -176,11 +145,7 @@ impl Reader<'_> {
         }
         match files.digests() {
             Ok(digests) => outcome.digests = digests,
-            Err(error) => {
-                outcome.rejection = outcome
-                    .rejection
-                    .or(Some(error.rejection(self.surveyed, &job)))
-            }
+            Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
         }
         self.take(index, &job, outcome);
         Ok(())
@@ -189,12 +154,7 @@ impl Reader<'_> {
     /// Notes what came of a job; numbers its exposures where the files do not.
     fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Vec<Trace> {
         let campaign = job.capture.campaign;
-        for Hashed {
-            file,
-            digest,
-            metadata,
-        } in done.digests
-        {
+        for Hashed { file, digest, metadata } in done.digests {
             self.surveyed.record(campaign, &file, digest, &metadata);
             self.digests.insert((campaign, file), digest.into());
         }
@@ -223,20 +183,12 @@ impl Reader<'_> {
                 }
             }
         }
-        Ok(PartRead {
-            content: self.surveyed.content(captures, &self.digests),
-            rejections: self.rejections,
-        })
+        Ok(PartRead { content: self.surveyed.content(captures, &self.digests), rejections: self.rejections })
     }
 }
 
 fn read_whole(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Done {
-    let mut done = Done {
-        rows: Vec::new(),
-        shots: 0,
-        digests: Vec::new(),
-        rejection: None,
-    };
+    let mut done = Done { rows: Vec::new(), shots: 0, digests: Vec::new(), rejection: None };
     let read = Files::open(surveyed, job, true).and_then(|mut files| {
         done.digests = files.digests()?;
         let exposures = files.exposures();
@@ -256,21 +208,12 @@ fn read_whole(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Done {
 /// Digests of files that do not decode: they are part of the content all the same.
 fn digests_of_bad(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Vec<Hashed> {
     let campaign = &surveyed.campaigns[job.capture.campaign];
-    let files = std::iter::once(&job.item.exposure.file).chain(
-        job.item
-            .exposure
-            .reference
-            .as_ref()
-            .map(|reference| &reference.file),
-    );
+    let files = std::iter::once(&job.item.exposure.file)
+        .chain(job.item.exposure.reference.as_ref().map(|reference| &reference.file));
     let hashed = |file: &PathBuf| {
         let path = campaign.path_of(file);
         let metadata = std::fs::metadata(&path).ok()?;
-        Some(Hashed {
-            file: file.clone(),
-            digest: hash_file(&path).ok()?,
-            metadata,
-        })
+        Some(Hashed { file: file.clone(), digest: hash_file(&path).ok()?, metadata })
     };
     files.filter_map(hashed).collect()
 }
@@ -285,10 +228,7 @@ struct Bad {
 impl Bad {
     fn rejection(self, surveyed: &Surveyed<'_>, job: &Job<'_>) -> Rejection {
         Rejection {
-            campaign: surveyed.campaigns[job.capture.campaign]
-                .name
-                .as_str()
-                .into(),
+            campaign: surveyed.campaigns[job.capture.campaign].name.as_str().into(),
             file: Some(text(&self.file)),
             segment: None,
             byte_offset: self.byte_offset,
@@ -313,18 +253,9 @@ struct RawFile {
 }
 
 impl RawFile {
-    fn open(
-        surveyed: &Surveyed<'_>,
-        campaign: usize,
-        name: &Path,
-        whole: bool,
-    ) -> Result<Self, Bad> {
+    fn open(surveyed: &Surveyed<'_>, campaign: usize, name: &Path, whole: bool) -> Result<Self, Bad> {
         let path = surveyed.campaigns[campaign].path_of(name);
-        let io = |error: io::Error| Bad {
-            file: name.to_owned(),
-            byte_offset: None,
-            reason: error.to_string(),
-        };
+        let io = |error: io::Error| Bad { file: name.to_owned(), byte_offset: None, reason: error.to_string() };
         let format = |error: FormatError| Bad {
             file: name.to_owned(),
             byte_offset: error.byte_offset().map(|at| at as i64),
@@ -357,45 +288,26 @@ impl RawFile {
         let mut source = formats::open(&path).map_err(format)?;
         let records = formats::records(&mut source).map_err(format)?;
         let file = File::open(&path).map_err(io)?;
-        Ok(Self {
-            name: name.to_owned(),
-            memory: None,
-            file: Some(file),
-            metadata,
-            hasher,
-            hashed: 0,
-            records,
-        })
+        Ok(Self { name: name.to_owned(), memory: None, file: Some(file), metadata, hasher, hashed: 0, records })
     }
 
     /// The bytes of a stretch of the file.
     fn span(&mut self, range: Range<u64>) -> Result<Buffer, Bad> {
         if let Some(memory) = &self.memory {
-            return Ok(
-                memory.slice_with_length(range.start as usize, (range.end - range.start) as usize)
-            );
+            return Ok(memory.slice_with_length(range.start as usize, (range.end - range.start) as usize));
         }
         if self.hasher.is_some() && range.start > self.hashed {
             self.hash_to(range.start)?;
         }
         let mut bytes = vec![0; (range.end - range.start) as usize];
-        let file = self
-            .file
-            .as_mut()
-            .expect("a file that is not in memory is open");
-        let read = file
-            .seek(SeekFrom::Start(range.start))
-            .and_then(|_| file.read_exact(&mut bytes));
+        let file = self.file.as_mut().expect("a file that is not in memory is open");
+        let read = file.seek(SeekFrom::Start(range.start)).and_then(|_| file.read_exact(&mut bytes));
         read.map_err(|error| Bad {
             file: self.name.clone(),
             byte_offset: Some(range.start as i64),
             reason: error.to_string(),
         })?;
-        if let Some(hasher) = self
-            .hasher
-            .as_mut()
-            .filter(|_| range.start <= self.hashed && range.end > self.hashed)
-        {
+        if let Some(hasher) = self.hasher.as_mut().filter(|_| range.start <= self.hashed && range.end > self.hashed) {
             hasher.update(&bytes[(self.hashed - range.start) as usize..]);
             self.hashed = range.end;
         }
@@ -438,52 +350,24 @@ impl Files {
         let exposure = &job.item.exposure;
         let campaign = job.capture.campaign;
         let signal = RawFile::open(surveyed, campaign, &exposure.file, whole)?;
-        let bad = |reason: String| Bad {
-            file: exposure.file.clone(),
-            byte_offset: None,
-            reason,
-        };
+        let bad = |reason: String| Bad { file: exposure.file.clone(), byte_offset: None, reason };
         let signal_records = match &job.item.records {
             Some(records) => records.clone(),
             None => numbered(
-                &select(
-                    &signal.records,
-                    exposure.channel.as_deref(),
-                    exposure.segment,
-                )
-                .map_err(bad)?,
+                &select(&signal.records, exposure.channel.as_deref(), exposure.segment).map_err(bad)?,
                 exposure.shot,
             ),
         };
-        let mut files = Self {
-            signal,
-            signal_records,
-            reference: None,
-            reference_records: None,
-        };
+        let mut files = Self { signal, signal_records, reference: None, reference_records: None };
         let Some(reference) = &exposure.reference else {
             return Ok(files);
         };
         let records = if reference.file == exposure.file {
-            select(
-                &files.signal.records,
-                reference.channel.as_deref(),
-                exposure.segment,
-            )
-            .map_err(bad)?
+            select(&files.signal.records, reference.channel.as_deref(), exposure.segment).map_err(bad)?
         } else {
             let file = RawFile::open(surveyed, campaign, &reference.file, whole)?;
-            let bad = |reason: String| Bad {
-                file: reference.file.clone(),
-                byte_offset: None,
-                reason,
-            };
-            let records = select(
-                &file.records,
-                reference.channel.as_deref(),
-                exposure.segment,
-            )
-            .map_err(bad)?;
+            let bad = |reason: String| Bad { file: reference.file.clone(), byte_offset: None, reason };
+            let records = select(&file.records, reference.channel.as_deref(), exposure.segment).map_err(bad)?;
             files.reference = Some(file);
             records
         };
@@ -519,24 +403,15 @@ impl Files {
     }
 
     /// Rows of a range of exposures: for each its reference, then its signal.
-    fn rows(
-        &mut self,
-        surveyed: &Surveyed<'_>,
-        job: &Job<'_>,
-        exposures: Range<usize>,
-    ) -> Result<Vec<Trace>, Bad> {
+    fn rows(&mut self, surveyed: &Surveyed<'_>, job: &Job<'_>, exposures: Range<usize>) -> Result<Vec<Trace>, Bad> {
         let template = Template::new(surveyed, job);
-        let signal: Vec<usize> = self.signal_records[exposures.clone()]
-            .iter()
-            .map(|(record, _)| *record)
-            .collect();
+        let signal: Vec<usize> = self.signal_records[exposures.clone()].iter().map(|(record, _)| *record).collect();
         let signal_codes = codes(&mut self.signal, &signal)?;
         let reference_codes = match &self.reference_records {
             None => None,
-            Some(records) => Some(codes(
-                self.reference.as_mut().unwrap_or(&mut self.signal),
-                &records[exposures.clone()],
-            )?),
+            Some(records) => {
+                Some(codes(self.reference.as_mut().unwrap_or(&mut self.signal), &records[exposures.clone()])?)
+            }
         };
         let mut rows = Vec::with_capacity(2 * exposures.len());
         for (i, exposure) in exposures.enumerate() {
@@ -564,24 +439,12 @@ impl Files {
 }
 
 /// Records of one channel (the only one, where none is named), or of one segment of it.
-fn select(
-    records: &[Record],
-    channel: Option<&str>,
-    segment: Option<u32>,
-) -> Result<Vec<usize>, String> {
-    let mut channels: Vec<&str> = records
-        .iter()
-        .filter_map(|record| record.head.channel.as_deref())
-        .collect();
+fn select(records: &[Record], channel: Option<&str>, segment: Option<u32>) -> Result<Vec<usize>, String> {
+    let mut channels: Vec<&str> = records.iter().filter_map(|record| record.head.channel.as_deref()).collect();
     channels.sort_unstable();
     channels.dedup();
-    if let Some(channel) =
-        channel.filter(|channel| !channels.is_empty() && !channels.contains(channel))
-    {
-        return Err(format!(
-            "has no channel `{channel}`; it has {}",
-            channels.join(", ")
-        ));
+    if let Some(channel) = channel.filter(|channel| !channels.is_empty() && !channels.contains(channel)) {
+        return Err(format!("has no channel `{channel}`; it has {}", channels.join(", ")));
     }
     if channel.is_none() && channels.len() > 1 {
         return Err(format!(
@@ -590,14 +453,10 @@ fn select(
         ));
     }
     let wanted = |record: &Record| {
-        let named = channel.is_none()
-            || record.head.channel.is_none()
-            || record.head.channel.as_deref() == channel;
+        let named = channel.is_none() || record.head.channel.is_none() || record.head.channel.as_deref() == channel;
         named && (segment.is_none() || record.segment == segment)
     };
-    let found: Vec<usize> = (0..records.len())
-        .filter(|&i| wanted(&records[i]))
-        .collect();
+    let found: Vec<usize> = (0..records.len()).filter(|&i| wanted(&records[i])).collect();
     match segment {
         Some(segment) if found.is_empty() => Err(format!("has no segment {segment}")),
         _ => Ok(found),
@@ -607,11 +466,7 @@ fn select(
 /// Records with their shots: the segment's number, or the shot that the rule gives.
 fn numbered(records: &[usize], shot: Option<u32>) -> Vec<(usize, i32)> {
     let first = shot.unwrap_or(0) as i32;
-    records
-        .iter()
-        .enumerate()
-        .map(|(i, &record)| (record, first + i as i32))
-        .collect()
+    records.iter().enumerate().map(|(i, &record)| (record, first + i as i32)).collect()
 }
 
 /// Codes of records, little-endian. Records that lie one behind the other share one read and one block.
@@ -621,11 +476,7 @@ fn codes(file: &mut RawFile, records: &[usize]) -> Result<Vec<Codes>, Bad> {
     while start < records.len() {
         let record = &file.records[records[start]];
         let length = (record.head.samples * record.head.code_type.bytes()) as u64;
-        let Payload::File {
-            byte_offset,
-            big_endian,
-        } = record.payload
-        else {
+        let Payload::File { byte_offset, big_endian } = record.payload else {
             let Payload::Decoded(bytes) = &record.payload else {
                 unreachable!("a payload lies in the file or is decoded")
             };
@@ -648,8 +499,7 @@ fn codes(file: &mut RawFile, records: &[usize]) -> Result<Vec<Codes>, Bad> {
             code_type.swap_bytes(&mut bytes);
             block = Buffer::from_vec(bytes);
         }
-        codes
-            .extend((0..count).map(|i| Codes::new(&block, (i * length) as usize, length as usize)));
+        codes.extend((0..count).map(|i| Codes::new(&block, (i * length) as usize, length as usize)));
         start = end;
     }
     Ok(codes)
@@ -668,24 +518,14 @@ impl<'a> Template<'a> {
     fn new(surveyed: &Surveyed<'_>, job: &'a Job<'a>) -> Self {
         Self {
             job,
-            campaign: surveyed.campaigns[job.capture.campaign]
-                .name
-                .as_str()
-                .into(),
+            campaign: surveyed.campaigns[job.capture.campaign].name.as_str().into(),
             sensor: job.capture.sensor.as_str().into(),
             role: job.capture.role.name().into(),
             range: job.item.exposure.range.as_deref().map(Into::into),
         }
     }
 
-    fn row(
-        &self,
-        file: &Path,
-        record: &Record,
-        shot: i32,
-        is_reference: bool,
-        codes: &Codes,
-    ) -> Result<Trace, Bad> {
+    fn row(&self, file: &Path, record: &Record, shot: i32, is_reference: bool, codes: &Codes) -> Result<Trace, Bad> {
         let (head, keys) = (&record.head, &self.job.item.exposure.keys);
         let missing = |what: &str, key: &str| Bad {
             file: file.to_owned(),
@@ -700,41 +540,23 @@ impl<'a> Template<'a> {
                 reason: format!("is in {unit}, not volts over time"),
             });
         }
-        let dt_ps = keys
-            .dt_ps
-            .or(head.dt_s.map(|dt_s| dt_s * 1e12))
-            .ok_or_else(|| missing("time base", "dt_ps"))?;
-        let t0_ps = keys
-            .t0_ps
-            .or(record.t0_s.map(|t0_s| t0_s * 1e12))
-            .ok_or_else(|| missing("time of sample 0", "t0_ps"))?;
-        let gain_v = keys
-            .gain_v
-            .or(head.scale.map(|scale| scale.gain))
-            .ok_or_else(|| missing("scale", "gain_v"))?;
-        let offset_v = keys
-            .offset_v
-            .or(head.scale.map(|scale| scale.offset))
-            .unwrap_or(0.0);
+        let dt_ps = keys.dt_ps.or(head.dt_s.map(|dt_s| dt_s * 1e12)).ok_or_else(|| missing("time base", "dt_ps"))?;
+        let t0_ps =
+            keys.t0_ps.or(record.t0_s.map(|t0_s| t0_s * 1e12)).ok_or_else(|| missing("time of sample 0", "t0_ps"))?;
+        let gain_v = keys.gain_v.or(head.scale.map(|scale| scale.gain)).ok_or_else(|| missing("scale", "gain_v"))?;
+        let offset_v = keys.offset_v.or(head.scale.map(|scale| scale.offset)).unwrap_or(0.0);
         let [first, last] = keys.samples.unwrap_or([0, head.samples as u64]);
         if first >= last || last > head.samples as u64 {
             let reason = format!(
                 "has {} samples; samples = [{first}, {last}] in its [[captures]] rule is not among them",
                 head.samples
             );
-            return Err(Bad {
-                file: file.to_owned(),
-                byte_offset: None,
-                reason,
-            });
+            return Err(Bad { file: file.to_owned(), byte_offset: None, reason });
         }
         let width = head.code_type.bytes();
         let codes = codes.slice(first as usize * width, (last - first) as usize * width);
-        let samples = Samples::of(head.code_type.name(), &codes)
-            .expect("code types have one name everywhere");
-        let clipped = head
-            .rails
-            .map(|(low, high)| samples.count_at_or_beyond(low, high) as i32);
+        let samples = Samples::of(head.code_type.name(), &codes).expect("code types have one name everywhere");
+        let clipped = head.rails.map(|(low, high)| samples.count_at_or_beyond(low, high) as i32);
         Ok(Trace {
             campaign: self.campaign.clone(),
             sensor: self.sensor.clone(),

@@ -8,8 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use serde_json::{Value, json};
 
 use crate::campaign::{
-    Axis, Campaign, Exposure, FileState, Manifest, ManifestError, Role, Survey, closes_part,
-    hash_file,
+    Axis, Campaign, Exposure, FileState, Manifest, ManifestError, Role, Survey, closes_part, hash_file,
 };
 use crate::formats;
 use crate::stages::stage::{SourcePart, StageError};
@@ -55,12 +54,7 @@ impl Capture {
     /// Name of the capture and its reciprocal together: parts are cut only between such pairs.
     fn pair_key(&self, campaigns: &[Campaign]) -> String {
         let (low, high) = (self.lit.min(self.seen), self.lit.max(self.seen));
-        format!(
-            "{}/{}/{low}/{high}/{}",
-            campaigns[self.campaign].name,
-            self.sensor,
-            self.role.name()
-        )
+        format!("{}/{}/{low}/{high}/{}", campaigns[self.campaign].name, self.sensor, self.role.name())
     }
 
     /// All that its rows depend on, the bytes of its files apart.
@@ -74,29 +68,16 @@ impl Capture {
             })
         };
         let items: Vec<Value> = self.items.iter().map(item).collect();
-        json!([
-            campaigns[self.campaign].name,
-            self.role,
-            self.sensor,
-            self.lit,
-            self.seen,
-            items
-        ])
+        json!([campaigns[self.campaign].name, self.role, self.sensor, self.lit, self.seen, items])
     }
 
     /// Raw files that it reads.
     pub fn files(&self) -> BTreeSet<&Path> {
-        let references = self.items.iter().filter_map(|item| {
-            item.exposure
-                .reference
-                .as_ref()
-                .map(|reference| reference.file.as_path())
-        });
-        self.items
+        let references = self
+            .items
             .iter()
-            .map(|item| item.exposure.file.as_path())
-            .chain(references)
-            .collect()
+            .filter_map(|item| item.exposure.reference.as_ref().map(|reference| reference.file.as_path()));
+        self.items.iter().map(|item| item.exposure.file.as_path()).chain(references).collect()
     }
 }
 
@@ -130,29 +111,14 @@ struct Noted {
 impl Record {
     fn load(campaign: &Campaign, notes: &Path) -> Result<Self, ManifestError> {
         let notes = notes.join(&campaign.name);
-        let noted = Mutex::new(Noted {
-            manifest: Manifest::load(&notes)?.unwrap_or_default(),
-            new: Vec::new(),
-        });
-        Ok(Self {
-            seal: Manifest::load(&campaign.root)?,
-            notes,
-            noted,
-        })
+        let noted = Mutex::new(Noted { manifest: Manifest::load(&notes)?.unwrap_or_default(), new: Vec::new() });
+        Ok(Self { seal: Manifest::load(&campaign.root)?, notes, noted })
     }
 
     /// The seal decides where there is one.
     fn check(&self, root: &Path, file: &Path) -> Result<FileState, ManifestError> {
-        let sealed = self
-            .seal
-            .as_ref()
-            .map_or(Ok(FileState::New), |seal| seal.check(root, file))?;
-        let noted = self
-            .noted
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .manifest
-            .check(root, file)?;
+        let sealed = self.seal.as_ref().map_or(Ok(FileState::New), |seal| seal.check(root, file))?;
+        let noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner).manifest.check(root, file)?;
         Ok(match (sealed, noted) {
             (FileState::New, noted) => noted,
             // A file whose time stamp alone changed was hashed again by an earlier run, which noted it.
@@ -167,26 +133,17 @@ impl<'a> Surveyed<'a> {
     ///
     /// # Errors
     /// When a folder cannot be read, rules contradict each other, or a sealed file has changed.
-    pub fn new(
-        campaigns: &'a [Campaign],
-        roles: &[Role],
-        notes: &Path,
-    ) -> Result<Self, StageError> {
+    pub fn new(campaigns: &'a [Campaign], roles: &[Role], notes: &Path) -> Result<Self, StageError> {
         let mut captures: BTreeMap<Order, Capture> = BTreeMap::new();
         let mut warnings = Vec::new();
         let mut records = Vec::new();
         for (index, campaign) in campaigns.iter().enumerate() {
-            let refused =
-                |error: &dyn std::error::Error| StageError::Refused(chain(&campaign.root, error));
+            let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&campaign.root, error));
             let found = campaign.survey().map_err(|error| refused(&error))?;
             let record = Record::load(campaign, notes).map_err(|error| refused(&error))?;
             warn(campaign, &found, &record, &mut warnings);
-            let sealed = |exposure: &Exposure| {
-                record
-                    .seal
-                    .as_ref()
-                    .is_none_or(|seal| seal.get(&exposure.file).is_some())
-            };
+            let sealed =
+                |exposure: &Exposure| record.seal.as_ref().is_none_or(|seal| seal.get(&exposure.file).is_some());
             let mut exposures = found.exposures;
             exposures.retain(|exposure| roles.contains(&exposure.role) && sealed(exposure));
             records.push(record);
@@ -194,40 +151,16 @@ impl<'a> Surveyed<'a> {
                 for (key, item) in items(campaign, exposure)? {
                     let (sensor, lit, seen) = key;
                     let role = item.exposure.role;
-                    let order = (
-                        index,
-                        sensor.clone(),
-                        lit.min(seen),
-                        lit.max(seen),
-                        lit,
-                        role,
-                    );
-                    let capture = Capture {
-                        campaign: index,
-                        role,
-                        sensor,
-                        lit,
-                        seen,
-                        items: Vec::new(),
-                    };
+                    let order = (index, sensor.clone(), lit.min(seen), lit.max(seen), lit, role);
+                    let capture = Capture { campaign: index, role, sensor, lit, seen, items: Vec::new() };
                     captures.entry(order).or_insert(capture).items.push(item);
                 }
             }
         }
-        let mut surveyed = Self {
-            campaigns,
-            parts: Vec::new(),
-            source_parts: Vec::new(),
-            warnings,
-            records,
-        };
+        let mut surveyed = Self { campaigns, parts: Vec::new(), source_parts: Vec::new(), warnings, records };
         surveyed.cut(captures.into_values());
         surveyed.check_files()?;
-        let parts = surveyed
-            .parts
-            .iter()
-            .map(|part| surveyed.source_part(part))
-            .collect();
+        let parts = surveyed.parts.iter().map(|part| surveyed.source_part(part)).collect();
         surveyed.source_parts = parts;
         Ok(surveyed)
     }
@@ -246,9 +179,7 @@ impl<'a> Surveyed<'a> {
             pair_bytes += capture.bytes();
             let key = capture.pair_key(self.campaigns);
             part.push(capture);
-            let pair_ends = captures
-                .peek()
-                .is_none_or(|next| next.pair_key(self.campaigns) != key);
+            let pair_ends = captures.peek().is_none_or(|next| next.pair_key(self.campaigns) != key);
             if pair_ends {
                 if closes_part(&key, pair_bytes) {
                     self.parts.push(std::mem::take(&mut part));
@@ -268,14 +199,11 @@ impl<'a> Surveyed<'a> {
             let root = &self.campaigns[capture.campaign].root;
             let refused = |error: &dyn std::error::Error| StageError::Refused(chain(root, error));
             for file in capture.files() {
-                let state = self.records[capture.campaign]
-                    .check(root, file)
-                    .map_err(|error| refused(&error))?;
+                let state = self.records[capture.campaign].check(root, file).map_err(|error| refused(&error))?;
                 let FileState::Touched { recorded } = state else {
                     continue;
                 };
-                let metadata =
-                    std::fs::metadata(root.join(file)).map_err(|error| refused(&error))?;
+                let metadata = std::fs::metadata(root.join(file)).map_err(|error| refused(&error))?;
                 if hash_file(&root.join(file)).map_err(|error| refused(&error))? == recorded {
                     self.record(capture.campaign, file, recorded, &metadata);
                 } else {
@@ -303,10 +231,7 @@ impl<'a> Surveyed<'a> {
 
     /// Notes the digest of a file that was read; `metadata` was taken before.
     pub fn record(&self, campaign: usize, file: &Path, digest: blake3::Hash, metadata: &Metadata) {
-        let mut noted = self.records[campaign]
-            .noted
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut noted = self.records[campaign].noted.lock().unwrap_or_else(PoisonError::into_inner);
         noted.manifest.record(file, digest, metadata);
         noted.new.push((file.to_owned(), digest, metadata.clone()));
     }
@@ -314,28 +239,17 @@ impl<'a> Surveyed<'a> {
     /// Writes down the new notes, beside those that other sources of the run have written since.
     pub fn save_notes(&self) -> Result<(), StageError> {
         for record in &self.records {
-            let new = std::mem::take(
-                &mut record
-                    .noted
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .new,
-            );
+            let new = std::mem::take(&mut record.noted.lock().unwrap_or_else(PoisonError::into_inner).new);
             if new.is_empty() {
                 continue;
             }
-            let refused =
-                |error: &dyn std::error::Error| StageError::Refused(chain(&record.notes, error));
-            let mut manifest = Manifest::load(&record.notes)
-                .map_err(|error| refused(&error))?
-                .unwrap_or_default();
+            let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&record.notes, error));
+            let mut manifest = Manifest::load(&record.notes).map_err(|error| refused(&error))?.unwrap_or_default();
             for (file, digest, metadata) in new {
                 manifest.record(&file, digest, &metadata);
             }
             std::fs::create_dir_all(&record.notes).map_err(|error| refused(&error))?;
-            manifest
-                .save(&record.notes)
-                .map_err(|error| refused(&error))?;
+            manifest.save(&record.notes).map_err(|error| refused(&error))?;
         }
         Ok(())
     }
@@ -343,38 +257,18 @@ impl<'a> Surveyed<'a> {
     fn source_part(&self, part: &[Capture]) -> SourcePart {
         let digests: Option<BTreeMap<(usize, PathBuf), Digest>> = part
             .iter()
-            .flat_map(|capture| {
-                capture
-                    .files()
-                    .into_iter()
-                    .map(|file| (capture.campaign, file.to_owned()))
-            })
-            .map(|(campaign, file)| {
-                self.known(campaign, &file)
-                    .map(|digest| ((campaign, file), digest))
-            })
+            .flat_map(|capture| capture.files().into_iter().map(|file| (capture.campaign, file.to_owned())))
+            .map(|(campaign, file)| self.known(campaign, &file).map(|digest| ((campaign, file), digest)))
             .collect();
         let content = digests.map(|digests| self.content(part, &digests));
-        SourcePart {
-            content,
-            bytes: part.iter().map(Capture::bytes).sum(),
-        }
+        SourcePart { content, bytes: part.iter().map(Capture::bytes).sum() }
     }
 
     /// Digest of a part from the digests of its files.
-    pub fn content(
-        &self,
-        part: &[Capture],
-        digests: &BTreeMap<(usize, PathBuf), Digest>,
-    ) -> Digest {
-        let captures: Vec<Value> = part
-            .iter()
-            .map(|capture| capture.description(self.campaigns))
-            .collect();
-        let files: Vec<Value> = digests
-            .iter()
-            .map(|((campaign, file), digest)| json!([campaign, file, digest]))
-            .collect();
+    pub fn content(&self, part: &[Capture], digests: &BTreeMap<(usize, PathBuf), Digest>) -> Digest {
+        let captures: Vec<Value> = part.iter().map(|capture| capture.description(self.campaigns)).collect();
+        let files: Vec<Value> =
+            digests.iter().map(|((campaign, file), digest)| json!([campaign, file, digest])).collect();
         Digest::of(&json!({ "captures": captures, "files": files }))
     }
 }
@@ -392,35 +286,20 @@ fn warn(campaign: &Campaign, found: &Survey, record: &Record, warnings: &mut Vec
     let mut list = |what: &str, files: Vec<String>| {
         let more = if files.len() > 3 { ", ..." } else { "" };
         if !files.is_empty() {
-            warnings.push(format!(
-                "{place}: {} {what}: {}{more}",
-                files.len(),
-                files[..files.len().min(3)].join(", ")
-            ));
+            warnings.push(format!("{place}: {} {what}: {}{more}", files.len(), files[..files.len().min(3)].join(", ")));
         }
     };
     let text = |file: &Path| file.display().to_string();
-    list(
-        "patterns of campaign.toml match no file",
-        found.empty.clone(),
-    );
+    list("patterns of campaign.toml match no file", found.empty.clone());
     list(
         "files match no rule of campaign.toml and are left out",
         found.unmatched.iter().map(|file| text(file)).collect(),
     );
-    let missing = found
-        .missing_references
-        .iter()
-        .map(|missing| format!("{} (wanted {})", text(&missing.file), missing.wanted));
-    list(
-        "files are left out, since their reference is missing",
-        missing.collect(),
-    );
+    let missing =
+        found.missing_references.iter().map(|missing| format!("{} (wanted {})", text(&missing.file), missing.wanted));
+    list("files are left out, since their reference is missing", missing.collect());
     if let Some(seal) = &record.seal {
-        let new = found
-            .files()
-            .into_iter()
-            .filter(|file| seal.get(file).is_none());
+        let new = found.files().into_iter().filter(|file| seal.get(file).is_none());
         list(
             "files came since the campaign was sealed and are left out until `periscope seal --update`",
             new.map(text).collect(),
@@ -440,27 +319,12 @@ fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, St
             .map_err(|error| StageError::Refused(format!("{}: {error}", path.display())))
     };
     let mut bytes = size(&path)?;
-    if let Some(reference) = exposure
-        .reference
-        .as_ref()
-        .filter(|reference| reference.file != exposure.file)
-    {
+    if let Some(reference) = exposure.reference.as_ref().filter(|reference| reference.file != exposure.file) {
         bytes += size(&campaign.path_of(&reference.file))?;
     }
     if exposure.keys.segments == [Axis::Shot] {
-        let key = (
-            exposure.sensor.clone().unwrap_or_default(),
-            exposure.lit.unwrap_or(0),
-            exposure.seen.unwrap_or(0),
-        );
-        return Ok(vec![(
-            key,
-            Item {
-                exposure,
-                records: None,
-                bytes,
-            },
-        )]);
+        let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
+        return Ok(vec![(key, Item { exposure, records: None, bytes })]);
     }
     along_axes(&path, exposure, bytes)
 }
@@ -484,10 +348,7 @@ fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, I
             )));
         }
     };
-    if let Some(axis) = axes
-        .iter()
-        .find(|axis| matches!(axis, Axis::Sensor | Axis::Channel))
-    {
+    if let Some(axis) = axes.iter().find(|axis| matches!(axis, Axis::Sensor | Axis::Channel)) {
         let name = axis.name();
         return Err(refused(format!(
             "segments along `{name}` have no names; give each {name} a rule and a file of its own"
@@ -495,13 +356,8 @@ fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, I
     }
     let mut items: BTreeMap<(Key, Option<usize>), Vec<(usize, i32)>> = BTreeMap::new();
     for index in 0..records.len() {
-        let (mut rest, mut lit, mut seen, mut shot, mut range) = (
-            index,
-            exposure.lit,
-            exposure.seen,
-            exposure.shot.map_or(0, |shot| shot as i32),
-            None,
-        );
+        let (mut rest, mut lit, mut seen, mut shot, mut range) =
+            (index, exposure.lit, exposure.seen, exposure.shot.map_or(0, |shot| shot as i32), None);
         for (axis, length) in axes.iter().zip(&shape).rev() {
             let (place, number) = (rest % length, (rest % length) as i32 + 1);
             rest /= length;
@@ -512,29 +368,13 @@ fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, I
                 _ => shot = place as i32,
             }
         }
-        let key = (
-            exposure.sensor.clone().unwrap_or_default(),
-            lit.unwrap_or(0),
-            seen.unwrap_or(0),
-        );
+        let key = (exposure.sensor.clone().unwrap_or_default(), lit.unwrap_or(0), seen.unwrap_or(0));
         items.entry((key, range)).or_default().push((index, shot));
     }
     let share = bytes / items.len().max(1) as u64;
     let item = |((key, range), records): ((Key, Option<usize>), Vec<(usize, i32)>)| {
-        let range = range
-            .map(|place| (place + 1).to_string())
-            .or_else(|| exposure.range.clone());
-        (
-            key,
-            Item {
-                exposure: Exposure {
-                    range,
-                    ..exposure.clone()
-                },
-                records: Some(records),
-                bytes: share,
-            },
-        )
+        let range = range.map(|place| (place + 1).to_string()).or_else(|| exposure.range.clone());
+        (key, Item { exposure: Exposure { range, ..exposure.clone() }, records: Some(records), bytes: share })
     };
     Ok(items.into_iter().map(item).collect())
 }
