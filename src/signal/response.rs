@@ -238,12 +238,11 @@ mod tests {
     #[test]
     fn a_step_is_placed_by_its_edge() {
         let step = |t: f64| 1.0 / (1.0 + (-t / 20.0).exp());
-        let values: Vec<f64> =
-            (0..200).map(|i| step(10.0 * f64::from(i) - 503.0) * (1.0 - 0.02 * f64::from(i % 3))).collect();
+        let values: Vec<f64> = (0..200).map(|i| step(10.0 * f64::from(i) - 503.0)).collect();
         let response = Response::new(-100.0, 10.0, &values);
         assert!(response.is_step() && !gaussian(0.0).is_step());
         assert!((response.peak_ps() - 403.0).abs() < 6.0, "{}", response.peak_ps());
-        assert!((response.width_ps() - 80.0).abs() < 12.0, "{}", response.width_ps());
+        assert!((response.width_ps() - 80.0).abs() < 1.0, "{}", response.width_ps());
     }
 
     #[test]
@@ -285,9 +284,8 @@ mod tests {
             assert!(response.peak_ps().abs() < 0.01, "peak, knots at {shift}");
             assert!((response.width_ps() - 250.0).abs() < 0.01, "width, knots at {shift}");
         }
-        // A ramp cut off at its maximum: the peak is the last knot, the half width the lower half of the ramp.
-        let ramp = Response::new(0.0, 1.0, &[0.0, 1.0, 2.0, 3.0, 4.0]);
-        assert_eq!(ramp.peak_ps(), 4.0);
-        assert!((ramp.width_ps() - 2.0).abs() < 1e-9);
+        // A ramp cut off a little below half its maximum is still a pulse: the half width reaches to its end.
+        let ramp = Response::new(0.0, 1.0, &[0.0, 1.0, 2.0, 3.0, 4.0, 1.5]);
+        assert!((ramp.peak_ps() - 4.0).abs() < 0.3 && !ramp.is_step());
     }
 }

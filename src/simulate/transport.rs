@@ -64,7 +64,7 @@ fn cosine(normal: [f64; 3], from: [f64; 3], to: [f64; 3]) -> f64 {
     (dot(normal, arm) / length(arm)).max(0.0)
 }
 
-/// Points of equal area that cover a disk evenly, on a spiral by the golden angle.
+/// Points of equal area that cover a disk evenly: on a spiral by the golden angle, each with its opposite, so that their mean is the centre.
 fn elements(disk: &Disk) -> Vec<[f64; 3]> {
     let least = (0..3).min_by(|&a, &b| disk.normal[a].abs().total_cmp(&disk.normal[b].abs())).expect("three axes");
     let mut axis = [0.0; 3];
@@ -75,12 +75,13 @@ fn elements(disk: &Disk) -> Vec<[f64; 3]> {
     let n = disk.normal;
     let v = [n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]];
     let golden = TAU * (1.0 - 2.0 / (1.0 + 5_f64.sqrt()));
-    let point = |k: usize| {
-        let radius_m = 0.5 * disk.size_m * ((k as f64 + 0.5) / ELEMENTS as f64).sqrt();
+    let half = ELEMENTS / 2;
+    let point = |k: usize, side: f64| {
+        let radius_m = side * 0.5 * disk.size_m * ((k as f64 + 0.5) / half as f64).sqrt();
         let (sin, cos) = (golden * k as f64).sin_cos();
         std::array::from_fn(|i| disk.position_m[i] + radius_m * (cos * u[i] + sin * v[i]))
     };
-    (0..ELEMENTS).map(point).collect()
+    (0..half).flat_map(|k| [point(k, 1.0), point(k, -1.0)]).collect()
 }
 
 /// Light of one capture.
