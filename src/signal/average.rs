@@ -12,7 +12,7 @@ use super::response::Response;
 /// Phases of a sample: the grid to which a shot's time is rounded, so an error of at most 1/128 sample.
 pub const PHASES: usize = 64;
 /// The first shots of a capture, from which outliers are judged and the spread is taken.
-pub const HEAD_SHOTS: usize = 64;
+pub const HEAD_SHOTS: usize = 32;
 /// Sums of so many 16 bit codes stay within 32 bits.
 const SPILL_SHOTS: u32 = 1 << 15;
 /// Fine steps in a sample of an averaged response.
@@ -235,33 +235,44 @@ pub fn averaged_response(response: &Response, dt_ps: f64, phase_shots: &[i32]) -
 #[must_use]
 pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f64> {
     let count = mean.mean.len();
-    let (mut squares, mut covering) = (vec![0.0; count], vec![0_u32; count]);
+    let mut squares = vec![0.0; count];
+    // Where the number of shots that cover a place changes, and by how much.
+    let mut changes = vec![0_i32; count + 1];
     let floor: f64 = mean.mean[..baseline.min(count)].iter().sum::<f64>() / baseline.min(count) as f64;
-    // All shots at one place, the usual case without jitter: the same mean is taken off each.
+    let mut values = Vec::new();
     for (codes, position) in shots {
-        let values = codes.to_f64();
+        codes.read_into(&mut values);
         let own = values[..baseline].iter().sum::<f64>() / baseline as f64 - floor;
         let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
-        let fraction = phase as f64 / PHASES as f64;
         let offset = whole - mean.first_position;
         let last = count as i64 - 1 - i64::from(phase > 0);
         let (start, end) = ((-offset).max(0), (last - offset + 1).min(values.len() as i64));
         if start >= end {
             continue;
         }
-        let (from, to) = (start as usize, end as usize);
-        let at = (offset + start) as usize;
-        let next = at + usize::from(phase > 0);
-        let length = to - from;
-        let here = &mean.mean[at..at + length];
-        let there = &mean.mean[next..next + length];
-        let squares = squares[at..at + length].iter_mut().zip(&mut covering[at..at + length]);
-        for (((square, covering), value), (here, there)) in squares.zip(&values[from..to]).zip(here.iter().zip(there)) {
-            let residual = value - own - (here + fraction * (there - here));
-            *square += residual * residual;
-            *covering += 1;
+        let (at, length) = ((offset + start) as usize, (end - start) as usize);
+        let values = &values[start as usize..end as usize];
+        let (squares, here) = (&mut squares[at..at + length], &mean.mean[at..at + length]);
+        if phase == 0 {
+            for ((square, value), here) in squares.iter_mut().zip(values).zip(here) {
+                let residual = value - own - here;
+                *square += residual * residual;
+            }
+        } else {
+            let (fraction, there) = (phase as f64 / PHASES as f64, &mean.mean[at + 1..=at + length]);
+            for (((square, value), here), there) in squares.iter_mut().zip(values).zip(here).zip(there) {
+                let residual = value - own - (here + fraction * (there - here));
+                *square += residual * residual;
+            }
         }
+        changes[at] += 1;
+        changes[at + length] -= 1;
     }
+    let mut covering = Vec::with_capacity(count);
+    changes[..count].iter().fold(0, |now, change| {
+        covering.push((now + change) as u32);
+        now + change
+    });
     let sd = |(square, covering): (&f64, &u32)| (*covering >= 2).then(|| (square / f64::from(covering - 1)).sqrt());
     let known: Vec<f64> = squares.iter().zip(&covering).filter_map(sd).collect();
     let usual = if known.is_empty() { 0.0 } else { known.iter().sum::<f64>() / known.len() as f64 };

@@ -130,6 +130,12 @@ impl<'a> Codes<'a> {
         each!(*self, numbers => numbers.map(f64::from).collect())
     }
 
+    /// The codes as numbers, in place of what `values` held.
+    pub fn read_into(&self, values: &mut Vec<f64>) {
+        values.clear();
+        each!(*self, numbers => values.extend(numbers.map(f64::from)));
+    }
+
     /// Adds the codes to sums, sample by sample. Exact for whole numbers while the sums stay within `i32`.
     ///
     /// # Panics

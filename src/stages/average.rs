@@ -2,8 +2,8 @@
 //!
 //! Each shot is moved by its own sub-sample trigger time and onto its reference pulse, whose time is fitted with the calibrated template. The
 //! offset is rounded to 1/64 sample, codes are summed as integers by phase, and each phase is delayed once at the end: exact, and the same for
-//! any order and chunking. Shots at the converter's rails, outlying shots (tested against the first 64) and shots without reference pulse are
-//! set aside. The standard error comes from the spread of the first 64 accepted shots; what the alignment leaves is `jitter_ps`.
+//! any order and chunking. Shots at the converter's rails, outlying shots (tested against the first 32) and shots without reference pulse are
+//! set aside. The standard error comes from the spread of the first 32 accepted shots; what the alignment leaves is `jitter_ps`.
 //!
 //! Takes `traces`; writes `profiles`. Beside it: `calibration`, needed where captures have a reference channel.
 //!
@@ -34,7 +34,7 @@ use crate::tables::traces::TraceColumns;
 use crate::tables::{Calibration, Codes, Name, Profile, Trace};
 
 /// Lags of the noise autocorrelation that a profile keeps.
-const ACF_LAGS: usize = 32;
+const ACF_LAGS: usize = 16;
 /// Share of a record that is its baseline where the pipeline does not say.
 const BASELINE_SHARE: f64 = 0.1;
 

@@ -21,6 +21,7 @@
 //! ```
 
 use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
@@ -80,8 +81,22 @@ pub struct Sensor {
     latency_ps: f64,
 }
 
-/// The calibrated sensors.
-pub struct Sensors(BTreeMap<(Name, Name), Sensor>);
+/// The calibrated sensors, and tools that wait for their next use.
+pub struct Sensors {
+    calibrated: BTreeMap<(Name, Name), Sensor>,
+    tools: Mutex<Vec<Tools>>,
+}
+
+/// What one worker has prepared, kept because captures of a campaign are mostly alike.
+#[derive(Default)]
+struct Tools {
+    fft: RealFft,
+    response: Option<(Alike, Response)>,
+    filter: Option<(Alike, f64, Wiener)>,
+}
+
+/// What an averaged response depends on: sensor, time step, length, and phases of the shots.
+type Alike = (Name, Name, u64, usize, Option<Vec<i32>>);
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
@@ -114,38 +129,55 @@ impl Stage for Deconvolve {
             let response = Response::new(row.response_t0_ps, row.step_ps, &values);
             ((row.campaign, row.sensor), Sensor { response, polarity, latency_ps: row.latency_ps })
         };
-        Ok(Sensors(rows.into_iter().map(sensor).collect()))
+        Ok(Sensors { calibrated: rows.into_iter().map(sensor).collect(), tools: Mutex::default() })
     }
 }
 
 impl Apply for Deconvolve {
     fn apply(&self, sensors: &Sensors, group: Vec<Profile>) -> Result<Outcome<Stir>, StageError> {
-        let mut fft = RealFft::new();
+        let waiting = || sensors.tools.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut tools = waiting().pop().unwrap_or_default();
         let mut rows = Vec::new();
         for profile in group {
             let key = (profile.campaign.clone(), profile.sensor.clone());
-            let sensor = sensors.0.get(&key).ok_or_else(|| {
+            let sensor = sensors.calibrated.get(&key).ok_or_else(|| {
                 let (campaign, sensor) = (&key.0, &key.1);
                 StageError::Refused(format!("sensor `{sensor}` of campaign `{campaign}` is not calibrated: capture its response, or import a calibration"))
             })?;
-            rows.push(self.deconvolve(sensor, &profile, &mut fft));
+            rows.push(self.deconvolve(sensor, &profile, &mut tools));
         }
+        waiting().push(tools);
         Ok(Outcome::rows(rows))
     }
 }
 
+impl Tools {
+    /// Makes the averaged response of a profile the one at hand.
+    fn take_up(&mut self, sensor: &Sensor, profile: &Profile) -> Alike {
+        let Profile { campaign, sensor: name, dt_ps, mean_v, phase_shots, .. } = profile;
+        // Only shares of shots matter, but whole numbers compare exactly.
+        let alike = (campaign.clone(), name.clone(), dt_ps.to_bits(), mean_v.len(), phase_shots.clone());
+        if self.response.as_ref().is_none_or(|(of, _)| *of != alike) {
+            let averaged = match phase_shots {
+                Some(phase_shots) => averaged_response(&sensor.response, *dt_ps, phase_shots),
+                None => sensor.response.clone(),
+            };
+            self.response = Some((alike.clone(), averaged));
+        }
+        alike
+    }
+}
+
 impl Deconvolve {
-    fn deconvolve(&self, sensor: &Sensor, profile: &Profile, fft: &mut RealFft) -> Stir {
+    fn deconvolve(&self, sensor: &Sensor, profile: &Profile, tools: &mut Tools) -> Stir {
         let samples: Vec<f64> = profile.mean_v.to_f64().into_iter().map(|sample| sample * sensor.polarity).collect();
         // A record without any noise (an ideal one) still has the rounding of its f32 samples.
         let rounding =
             f64::from(f32::EPSILON) * samples.iter().fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
         let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding);
-        let response = match &profile.phase_shots {
-            Some(phase_shots) => averaged_response(&sensor.response, profile.dt_ps, phase_shots),
-            None => sensor.response.clone(),
-        };
-        let (light, light_noise_v) = self.wiener(&response, profile, &samples, noise_v, fft);
+        let alike = tools.take_up(sensor, profile);
+        let (light, light_noise_v) = self.wiener(alike, profile.dt_ps, &samples, noise_v, tools);
+        let response = tools.response.as_ref().map(|(_, response)| response).expect("taken up above");
         let blank = Stir {
             campaign: profile.campaign.clone(),
             sensor: profile.sensor.clone(),
@@ -162,7 +194,7 @@ impl Deconvolve {
         };
         match self.method {
             Method::Wiener => blank,
-            Method::Sparse => self.sparse(&response, sensor.polarity, profile, &samples, noise_v, blank),
+            Method::Sparse => self.sparse(response, sensor.polarity, profile, &samples, noise_v, blank),
         }
     }
 
@@ -198,18 +230,17 @@ impl Deconvolve {
     }
 
     /// The Wiener estimate and the standard deviation of its noise.
-    fn wiener(
-        &self,
-        response: &Response,
-        profile: &Profile,
-        samples: &[f64],
-        noise_v: f64,
-        fft: &mut RealFft,
-    ) -> (Vec<f64>, f64) {
-        let transfer = Transfer::from_response(fft, response, profile.dt_ps, samples.len());
-        let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
-        let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz * profile.dt_ps / 1000.0);
-        let wiener = Wiener::new(&transfer, noise_to_signal, low_pass);
+    fn wiener(&self, alike: Alike, dt_ps: f64, samples: &[f64], noise_v: f64, tools: &mut Tools) -> (Vec<f64>, f64) {
+        let Tools { fft, response, filter } = tools;
+        let ready = |(of, ratio, _): &(Alike, f64, Wiener)| *of == alike && self.noise_to_signal == Some(*ratio);
+        if !filter.as_ref().is_some_and(ready) {
+            let (_, response) = response.as_ref().expect("taken up before");
+            let transfer = Transfer::from_response(fft, response, dt_ps, samples.len());
+            let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
+            let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz * dt_ps / 1000.0);
+            *filter = Some((alike, noise_to_signal, Wiener::new(&transfer, noise_to_signal, low_pass)));
+        }
+        let (_, _, wiener) = filter.as_ref().expect("made above");
         let mut light = vec![0.0; samples.len()];
         wiener.apply(fft, samples, &mut light);
         (light, noise_v * wiener.noise_gain())

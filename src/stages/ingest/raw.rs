@@ -16,7 +16,7 @@ use crate::signal::codes::Codes as Samples;
 use crate::stages::stage::{Feed, PartRead, Rejection, StageError};
 use crate::store::Digest;
 use crate::tables::{Codes, Name, Row, Trace};
-use crate::waveform::{Payload, Record};
+use crate::waveform::{CodeType, Payload, Record};
 
 /// An item of a capture that is to be read.
 struct Job<'a> {
@@ -244,6 +244,8 @@ fn text(file: &Path) -> Name {
 /// A raw file: whole in memory, or read in pieces; hashed as it is read in order.
 struct RawFile {
     name: PathBuf,
+    /// The same, as the rows have it.
+    text: Name,
     memory: Option<Buffer>,
     file: Option<File>,
     metadata: Metadata,
@@ -277,6 +279,7 @@ impl RawFile {
             let records = records.map_err(format)?;
             return Ok(Self {
                 name: name.to_owned(),
+                text: text(name),
                 memory: Some(memory),
                 file: None,
                 metadata,
@@ -288,7 +291,16 @@ impl RawFile {
         let mut source = formats::open(&path).map_err(format)?;
         let records = formats::records(&mut source).map_err(format)?;
         let file = File::open(&path).map_err(io)?;
-        Ok(Self { name: name.to_owned(), memory: None, file: Some(file), metadata, hasher, hashed: 0, records })
+        Ok(Self {
+            name: name.to_owned(),
+            text: text(name),
+            memory: None,
+            file: Some(file),
+            metadata,
+            hasher,
+            hashed: 0,
+            records,
+        })
     }
 
     /// The bytes of a stretch of the file.
@@ -418,21 +430,9 @@ impl Files {
             let (record, shot) = self.signal_records[exposure];
             if let (Some(codes), Some(records)) = (&reference_codes, &self.reference_records) {
                 let file = self.reference.as_ref().unwrap_or(&self.signal);
-                rows.push(template.row(
-                    &file.name,
-                    &file.records[records[exposure]],
-                    shot + job.first_shot,
-                    true,
-                    &codes[i],
-                )?);
+                rows.push(template.row(file, records[exposure], shot + job.first_shot, true, &codes[i])?);
             }
-            rows.push(template.row(
-                &self.signal.name,
-                &self.signal.records[record],
-                shot + job.first_shot,
-                false,
-                &signal_codes[i],
-            )?);
+            rows.push(template.row(&self.signal, record, shot + job.first_shot, false, &signal_codes[i])?);
         }
         Ok(rows)
     }
@@ -512,6 +512,8 @@ struct Template<'a> {
     sensor: Name,
     role: Name,
     range: Option<Name>,
+    /// Names of code types, in their order.
+    code_types: [Name; CodeType::ALL.len()],
 }
 
 impl<'a> Template<'a> {
@@ -522,20 +524,22 @@ impl<'a> Template<'a> {
             sensor: job.capture.sensor.as_str().into(),
             role: job.capture.role.name().into(),
             range: job.item.exposure.range.as_deref().map(Into::into),
+            code_types: CodeType::ALL.map(|code_type| code_type.name().into()),
         }
     }
 
-    fn row(&self, file: &Path, record: &Record, shot: i32, is_reference: bool, codes: &Codes) -> Result<Trace, Bad> {
+    fn row(&self, file: &RawFile, record: usize, shot: i32, is_reference: bool, codes: &Codes) -> Result<Trace, Bad> {
+        let (name, record) = (&file.name, &file.records[record]);
         let (head, keys) = (&record.head, &self.job.item.exposure.keys);
         let missing = |what: &str, key: &str| Bad {
-            file: file.to_owned(),
+            file: name.to_owned(),
             byte_offset: None,
             reason: format!("has no {what}; give {key} in its [[captures]] rule"),
         };
         if head.unit.as_deref().is_some_and(|unit| unit != "V") {
             let unit = head.unit.as_deref().unwrap_or_default();
             return Err(Bad {
-                file: file.to_owned(),
+                file: name.to_owned(),
                 byte_offset: None,
                 reason: format!("is in {unit}, not volts over time"),
             });
@@ -551,7 +555,7 @@ impl<'a> Template<'a> {
                 "has {} samples; samples = [{first}, {last}] in its [[captures]] rule is not among them",
                 head.samples
             );
-            return Err(Bad { file: file.to_owned(), byte_offset: None, reason });
+            return Err(Bad { file: name.to_owned(), byte_offset: None, reason });
         }
         let width = head.code_type.bytes();
         let codes = codes.slice(first as usize * width, (last - first) as usize * width);
@@ -567,12 +571,12 @@ impl<'a> Template<'a> {
             shot,
             channel: head.channel.as_deref().map(Into::into),
             is_reference,
-            file: text(file),
+            file: file.text.clone(),
             segment: record.segment.map(|segment| segment as i32),
             t0_ps: t0_ps + first as f64 * dt_ps,
             dt_ps,
             samples: (last - first) as i32,
-            code_type: head.code_type.name().into(),
+            code_type: self.code_types[head.code_type as usize].clone(),
             gain_v,
             offset_v,
             codes,
