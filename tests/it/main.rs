@@ -14,3 +14,4 @@ mod lineage;
 mod query;
 mod real_files;
 mod schema;
+mod version;
