@@ -5,4 +5,5 @@ pub mod pass;
 pub mod plan;
 pub mod progress;
 pub mod run;
+pub mod settings;
 pub mod spec;

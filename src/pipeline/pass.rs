@@ -14,7 +14,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use super::budget::Budget;
 use super::plan::Plan;
 use super::progress::Progress;
-use super::run::{RunError, Settings};
+use super::settings::{RunError, Settings};
 use crate::stages::Node;
 use crate::stages::stage::{BesideTables, Credit, Feed, PartRead, Rejection, Running, StageError, Written};
 use crate::store::shelf::PartWriter;

@@ -46,6 +46,7 @@ mod folder;
 mod instrument;
 mod scene;
 mod transport;
+mod truth;
 
 use std::path::{Path, PathBuf};
 

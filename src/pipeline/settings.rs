@@ -1,0 +1,74 @@
+//! How a run uses the machine, and what can stop it.
+
+use thiserror::Error;
+
+use super::plan::PlanError;
+use crate::stages::stage::StageError;
+use crate::store::StoreError;
+
+/// How a run uses the machine. None of it changes a byte of the result.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Bytes of raw samples that may be under way.
+    pub memory_bytes: usize,
+    /// Bytes that a source reads at a time.
+    pub batch_bytes: usize,
+    /// Batches that a channel holds.
+    pub channel_batches: usize,
+    /// Rows that are read back from a stored table at a time.
+    pub replay_rows: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { memory_bytes: 64 << 20, batch_bytes: 4 << 20, channel_batches: 2, replay_rows: 256 }
+    }
+}
+
+impl Settings {
+    /// The least budget with which every stage and writer can hold its largest piece at once: beneath it a run could wait for itself.
+    #[must_use]
+    pub fn least_memory(&self) -> usize {
+        // The writer of raw traces gathers a row group a worker before it lets go; the reader needs room for one batch more.
+        let groups = rayon::current_num_threads() + 1;
+        groups * (crate::store::parquet::ROW_GROUP_BYTES + self.batch_bytes)
+            + (self.channel_batches + 2) * self.batch_bytes
+    }
+}
+
+/// What stops a run.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// A stage cannot go on.
+    #[error("[{heading}]")]
+    Stage {
+        /// Heading.
+        heading: String,
+        /// Cause.
+        source: StageError,
+    },
+    /// A stage broke.
+    #[error("[{heading}]: the stage broke: {message}. This is a defect of periscope; finished parts are kept")]
+    Panic {
+        /// Heading.
+        heading: String,
+        /// Message of the panic.
+        message: String,
+    },
+    /// The result folder.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The plan.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// Too little memory.
+    #[error(
+        "--memory {given} B is less than the {least} B that this run needs at least; give more, or fewer --threads"
+    )]
+    Memory {
+        /// As given.
+        given: usize,
+        /// As needed.
+        least: usize,
+    },
+}
