@@ -55,7 +55,8 @@ impl Lab {
         let (shots, samples) = (512, 16_384);
         let mut codes = vec![0_i16; shots * samples];
         (0..shots).for_each(|shot| codes[shot * samples + 8000 + lit as usize] = 1000);
-        let mut file = fs::File::create(self.campaign().join(format!("raw/L{lit}_P{seen}.npy"))).unwrap();
+        let file = fs::File::create(self.campaign().join(format!("raw/L{lit}_P{seen}.npy"))).unwrap();
+        let mut file = std::io::BufWriter::new(file);
         periscope::formats::npy::write(&mut file, &[shots as u64, samples as u64], &codes).unwrap();
     }
 
