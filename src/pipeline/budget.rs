@@ -2,7 +2,8 @@
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
-use crate::stages::stage::{Credit, StageError};
+use crate::stages::source::Credit;
+use crate::stages::stage::StageError;
 
 /// Bytes that may be under way between sources and the stages that reduce them.
 pub struct Budget {

@@ -8,7 +8,9 @@ use serde_json::{Value, json};
 use super::spec::Spec;
 use crate::campaign::Campaign;
 use crate::stages::Node;
-use crate::stages::stage::{OpenSource, SourcePart, StageError, WrittenTable};
+use crate::stages::operator::WrittenTable;
+use crate::stages::source::{OpenSource, SourcePart};
+use crate::stages::stage::StageError;
 use crate::store::{Digest, PartRecord, Shelf, StageId, StoreError, TableRecord};
 use crate::tables::{Reject, Row};
 

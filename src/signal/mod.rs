@@ -1,6 +1,7 @@
 //! Kernels on waveforms: slices and spectra in, values out. No file, no table, no thread.
 
 pub mod average;
+pub mod averaged_response;
 pub mod codes;
 pub mod fft;
 pub mod noise;
@@ -9,6 +10,7 @@ pub mod oversample;
 pub mod reference;
 pub mod resample;
 pub mod response;
+pub mod shot_spread;
 pub mod sparse;
 pub mod spline_fit;
 pub mod wiener;

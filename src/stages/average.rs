@@ -24,11 +24,12 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Beside, BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::signal::average::{self, HEAD_SHOTS, Mean, OutlierTest, PHASES, PhaseSums};
+use crate::signal::average::{Mean, PHASES, PhaseSums};
 use crate::signal::codes::Codes as Samples;
 use crate::signal::noise;
 use crate::signal::reference::fit_pulse;
 use crate::signal::response::Response;
+use crate::signal::shot_spread::{self, HEAD_SHOTS, OutlierTest};
 use crate::tables::row::Cell;
 use crate::tables::traces::TraceColumns;
 use crate::tables::{Calibration, Codes, Name, Profile, Trace};
@@ -323,7 +324,7 @@ impl Average {
         let Some(mean) = state.sums.finish() else {
             return;
         };
-        let sd = average::spread(&passed, &mean, state.baseline);
+        let sd = shot_spread::spread(&passed, &mean, state.baseline);
         let stretches: Vec<Vec<f64>> =
             passed.iter().map(|(codes, _)| codes.slice(0..state.baseline).to_f64()).collect();
         let noise = noise::estimate(&stretches, ACF_LAGS);

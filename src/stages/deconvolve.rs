@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::signal::average::averaged_response;
+use crate::signal::averaged_response::averaged_response;
 use crate::signal::fft::RealFft;
 use crate::signal::response::Response;
 use crate::signal::sparse::{self, Pulse, SparseOptions};

@@ -19,7 +19,9 @@ use arrow::datatypes::SchemaRef;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::stage::{Feed, OpenSource, PartRead, Source, SourcePart, StageError, WrittenTable};
+use super::operator::WrittenTable;
+use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
+use super::stage::StageError;
 use crate::campaign::{Campaign, hash_file, suggest};
 use crate::store::{Digest, parquet};
 use crate::tables;

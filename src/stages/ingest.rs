@@ -9,6 +9,7 @@
 //! params = { roles = ["scene"] }
 //! ```
 
+mod files;
 mod raw;
 mod survey;
 
@@ -17,7 +18,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::stage::{Feed, OpenSource, PartRead, Source, SourcePart, StageError, WrittenTable};
+use super::operator::WrittenTable;
+use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
+use super::stage::StageError;
 use crate::campaign::{Campaign, Role};
 use crate::tables::{Row, Trace};
 use survey::Surveyed;

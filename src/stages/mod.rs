@@ -8,14 +8,17 @@ pub mod embed;
 pub mod import;
 pub mod ingest;
 pub mod label;
+pub mod operator;
 pub mod range;
 pub mod refine;
+pub mod source;
 pub mod stage;
 
 use serde::de::DeserializeOwned;
 
 use crate::campaign::suggest;
-use stage::{Operator, Source, WrittenTable};
+use operator::{Operator, WrittenTable};
+use source::Source;
 
 /// A stage of either kind.
 pub enum Node {

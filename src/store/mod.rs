@@ -1,11 +1,13 @@
 //! The store: tables on disk under the lineage that made them. It knows lineages, schemas and batches; it knows no stage.
 
+pub mod failure;
 pub mod lineage;
 pub mod parquet;
 #[cfg(feature = "query")]
 pub mod query;
 pub mod shelf;
 
+pub use failure::StoreError;
 pub use lineage::Digest;
 pub use parquet::{FileRecord, TableWriter};
-pub use shelf::{PartRecord, Shelf, StageId, StoreError, TableRecord};
+pub use shelf::{PartRecord, Shelf, StageId, TableRecord};

@@ -17,101 +17,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use arrow::datatypes::SchemaRef;
 use arrow::record_batch::RecordBatch;
-use parquet::errors::ParquetError;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use thiserror::Error;
 
 use super::Digest;
+use super::failure::{At, StoreError};
 use super::parquet::{self as file, FileRecord, TableWriter};
 use crate::tables::{Reject, Row};
-
-/// What can go wrong with a result folder.
-#[derive(Debug, Error)]
-pub enum StoreError {
-    /// Another run holds the folder.
-    #[error("another run is writing to {0}; wait for it, or choose another --out")]
-    Busy(PathBuf),
-    /// A folder that is not a result folder.
-    #[error("{0} holds other files and no .shelf: it is no result folder of periscope; choose another --out")]
-    Foreign(PathBuf),
-    /// A name that the views need is taken by something else.
-    #[error("{0} is in the way: it is not a view made by periscope; move it away, or choose another --out")]
-    InTheWay(PathBuf),
-    /// No such table.
-    #[error("{out} has no table `{heading}`; `periscope tables {out}` lists what there is")]
-    NoTable {
-        /// Result folder.
-        out: PathBuf,
-        /// Name asked for.
-        heading: String,
-    },
-    /// A file could not be read or written.
-    #[error("cannot {what} {path}{}", mend(source))]
-    Io {
-        /// What was tried.
-        what: &'static str,
-        /// File.
-        path: PathBuf,
-        /// Cause.
-        source: io::Error,
-    },
-    /// A table file could not be read or written.
-    #[error("cannot {what} {path}")]
-    Parquet {
-        /// What was tried.
-        what: &'static str,
-        /// File.
-        path: PathBuf,
-        /// Cause.
-        source: ParquetError,
-    },
-    /// A record of the shelf does not parse.
-    #[error("{path} is damaged; delete it, and its table is computed again")]
-    Record {
-        /// File.
-        path: PathBuf,
-        /// Cause.
-        source: serde_json::Error,
-    },
-}
-
-/// What a user can do about a failed write.
-fn mend(source: &io::Error) -> &'static str {
-    match source.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
-            "; free some space and run again: finished parts are kept"
-        }
-        io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
-            "; choose a folder that can be written with --out"
-        }
-        _ => "",
-    }
-}
-
-trait At<T> {
-    fn at(self, what: &'static str, path: &Path) -> Result<T, StoreError>;
-}
-
-impl<T> At<T> for io::Result<T> {
-    fn at(self, what: &'static str, path: &Path) -> Result<T, StoreError> {
-        self.map_err(|source| StoreError::Io { what, path: path.to_owned(), source })
-    }
-}
-
-impl<T> At<T> for Result<T, ParquetError> {
-    fn at(self, what: &'static str, path: &Path) -> Result<T, StoreError> {
-        self.map_err(|source| match source {
-            ParquetError::External(cause) => match cause.downcast::<io::Error>() {
-                Ok(source) => StoreError::Io { what, path: path.to_owned(), source: *source },
-                Err(cause) => {
-                    StoreError::Parquet { what, path: path.to_owned(), source: ParquetError::External(cause) }
-                }
-            },
-            source => StoreError::Parquet { what, path: path.to_owned(), source },
-        })
-    }
-}
 
 /// What makes a table, raw files apart: its recipe's content.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

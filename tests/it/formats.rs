@@ -28,17 +28,7 @@ pub fn samples() -> Option<PathBuf> {
 }
 
 fn decode(path: &Path) -> Result<Vec<(Record, Vec<f64>)>, String> {
-    let mut source = formats::open(path).map_err(|error| error.to_string())?;
-    let records = formats::records(&mut source).map_err(|error| error.to_string())?;
-    records
-        .into_iter()
-        .map(|record| {
-            record
-                .read(source.file())
-                .map(|codes| (record.clone(), record.values(&codes)))
-                .map_err(|error| error.to_string())
-        })
-        .collect()
+    decode_bytes(fs::read(path).map_err(|error| error.to_string())?, &path.to_string_lossy())
 }
 
 fn decode_bytes(bytes: Vec<u8>, name: &str) -> Result<Vec<(Record, Vec<f64>)>, String> {

@@ -11,7 +11,8 @@ use crate::campaign::{
     Axis, Campaign, Exposure, FileState, Manifest, ManifestError, Role, Survey, closes_part, hash_file,
 };
 use crate::formats;
-use crate::stages::stage::{SourcePart, StageError};
+use crate::stages::source::SourcePart;
+use crate::stages::stage::StageError;
 use crate::store::Digest;
 use crate::units::PatchId;
 

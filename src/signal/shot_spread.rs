@@ -1,0 +1,146 @@
+//! How shots of one capture differ from their mean, and which of them differ too much.
+
+use super::average::{Mean, PHASES};
+use super::codes::Codes;
+
+/// The first shots of a capture, from which outliers are judged and the spread is taken.
+pub const HEAD_SHOTS: usize = 32;
+/// Fewer shots say nothing about outliers.
+const JUDGES_MIN: usize = 8;
+
+/// Standard deviation over shots at each place of their mean, each shot's own baseline (mean of its first `baseline` samples) removed.
+///
+/// A shot that lies between two places of the grid is compared with the mean interpolated there. Places that fewer than two shots cover get the
+/// mean of all others.
+///
+/// # Panics
+/// When `baseline` is 0 or exceeds a shot.
+#[must_use]
+pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f64> {
+    let count = mean.mean.len();
+    let mut squares = vec![0.0; count];
+    // Where the number of shots that cover a place changes, and by how much.
+    let mut changes = vec![0_i32; count + 1];
+    let floor: f64 = mean.mean[..baseline.min(count)].iter().sum::<f64>() / baseline.min(count) as f64;
+    let mut values = Vec::new();
+    for (codes, position) in shots {
+        codes.read_into(&mut values);
+        let own = values[..baseline].iter().sum::<f64>() / baseline as f64 - floor;
+        let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
+        let offset = whole - mean.first_position;
+        let last = count as i64 - 1 - i64::from(phase > 0);
+        let (start, end) = ((-offset).max(0), (last - offset + 1).min(values.len() as i64));
+        if start >= end {
+            continue;
+        }
+        let (at, length) = ((offset + start) as usize, (end - start) as usize);
+        let values = &values[start as usize..end as usize];
+        let (squares, here) = (&mut squares[at..at + length], &mean.mean[at..at + length]);
+        if phase == 0 {
+            for ((square, value), here) in squares.iter_mut().zip(values).zip(here) {
+                let residual = value - own - here;
+                *square += residual * residual;
+            }
+        } else {
+            let (fraction, there) = (phase as f64 / PHASES as f64, &mean.mean[at + 1..=at + length]);
+            for (((square, value), here), there) in squares.iter_mut().zip(values).zip(here).zip(there) {
+                let residual = value - own - (here + fraction * (there - here));
+                *square += residual * residual;
+            }
+        }
+        changes[at] += 1;
+        changes[at + length] -= 1;
+    }
+    let mut covering = Vec::with_capacity(count);
+    changes[..count].iter().fold(0, |now, change| {
+        covering.push((now + change) as u32);
+        now + change
+    });
+    let sd = |(square, covering): (&f64, &u32)| (*covering >= 2).then(|| (square / f64::from(covering - 1)).sqrt());
+    let known: Vec<f64> = squares.iter().zip(&covering).filter_map(sd).collect();
+    let usual = if known.is_empty() { 0.0 } else { known.iter().sum::<f64>() / known.len() as f64 };
+    squares.iter().zip(&covering).map(|pair| sd(pair).unwrap_or(usual)).collect()
+}
+
+/// Tells outlying shots: those with a sample further from the median of the first shots than noise and the rounding to whole samples explain.
+#[derive(Clone, Debug)]
+pub struct OutlierTest {
+    first: i64,
+    baseline: usize,
+    low: Vec<f64>,
+    high: Vec<f64>,
+}
+
+impl OutlierTest {
+    /// From the first shots; `sigma` robust standard deviations are allowed. `None` with fewer than eight shots, or none that overlap.
+    #[must_use]
+    pub fn new(shots: &[(Codes<'_>, i64)], baseline: usize, sigma: f64) -> Option<Self> {
+        if shots.len() < JUDGES_MIN {
+            return None;
+        }
+        let shifted: Vec<(i64, Vec<f64>)> =
+            shots.iter().map(|(codes, position)| (nearest(*position), without_baseline(*codes, baseline))).collect();
+        // Where most shots begin and end: single shots far off do not shrink the test.
+        let first = middle(&mut shifted.iter().map(|(whole, _)| *whole as f64).collect::<Vec<_>>()) as i64;
+        let count = shots[0].0.len();
+        let mut median = vec![0.0; count];
+        let mut deviations = Vec::with_capacity(count);
+        let mut column = Vec::with_capacity(shots.len());
+        for (n, median) in median.iter_mut().enumerate() {
+            column.clear();
+            column.extend(
+                shifted
+                    .iter()
+                    .filter_map(|(whole, values)| values.get(usize::try_from(first + n as i64 - whole).ok()?)),
+            );
+            if column.len() < JUDGES_MIN {
+                return None;
+            }
+            *median = middle(&mut column);
+            column.iter_mut().for_each(|value| *value = (*value - *median).abs());
+            deviations.push(middle(&mut column));
+        }
+        // The floor of half a code keeps a record that is quieter than its converter's step from rejecting everything.
+        let scale = (1.4826 * middle(&mut deviations)).max(0.5);
+        let slope = |n: usize| {
+            let neighbour = |m: usize| (median[m.min(count - 1)] - median[n]).abs();
+            neighbour(n + 1).max(neighbour(n.saturating_sub(1)))
+        };
+        let margin: Vec<f64> = (0..count).map(|n| sigma * scale + slope(n)).collect();
+        let low = median.iter().zip(&margin).map(|(median, margin)| median - margin).collect();
+        let high = median.iter().zip(&margin).map(|(median, margin)| median + margin).collect();
+        Some(Self { first, baseline, low, high })
+    }
+
+    /// Whether a shot lies outside, at any sample.
+    #[must_use]
+    pub fn is_outlier(&self, codes: Codes<'_>, position: i64) -> bool {
+        let values = without_baseline(codes, self.baseline);
+        let offset = nearest(position) - self.first;
+        let (from, at) = ((-offset).max(0) as usize, offset.max(0) as usize);
+        if from >= values.len() || at >= self.low.len() {
+            return true;
+        }
+        let bounds = self.low[at..].iter().zip(&self.high[at..]);
+        values[from..].iter().zip(bounds).any(|(value, (low, high))| value < low || value > high)
+    }
+}
+
+/// The whole place next to a position in phases.
+fn nearest(position: i64) -> i64 {
+    (position + PHASES as i64 / 2).div_euclid(PHASES as i64)
+}
+
+fn without_baseline(codes: Codes<'_>, baseline: usize) -> Vec<f64> {
+    let mut values = codes.to_f64();
+    let baseline = baseline.clamp(1, values.len());
+    let own = values[..baseline].iter().sum::<f64>() / baseline as f64;
+    values.iter_mut().for_each(|value| *value -= own);
+    values
+}
+
+/// The upper median; reorders the values.
+fn middle(values: &mut [f64]) -> f64 {
+    let half = values.len() / 2;
+    *values.select_nth_unstable_by(half, f64::total_cmp).1
+}

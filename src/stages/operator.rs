@@ -1,0 +1,254 @@
+//! A stage as the runtime sees it: batch in, batch out, in parallel over captures, rows in input order.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use arrow::array::{AsArray, Int32Array, RecordBatch, StringArray};
+use arrow::compute::concat_batches;
+use arrow::datatypes::{Int32Type, SchemaRef};
+use rayon::prelude::*;
+use serde_json::Value;
+
+use super::stage::{Beside, BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
+use crate::campaign::Campaign;
+use crate::tables::Row;
+
+/// Rows that came out of a batch: main table first, then side tables, then rejects.
+#[derive(Default)]
+pub struct Written {
+    /// One entry a table in the order of [`Operator::tables`]; tables without rows may be left out at the end.
+    pub tables: Vec<Vec<RecordBatch>>,
+    /// What was set aside.
+    pub rejections: Vec<Rejection>,
+}
+
+/// A table that a stage writes.
+#[derive(Clone, Debug)]
+pub struct WrittenTable {
+    /// Name of the table in the shelf.
+    pub name: String,
+    /// Its schema.
+    pub schema: SchemaRef,
+}
+
+/// A stage as the runtime sees it.
+pub trait Operator: Send + Sync {
+    /// Kind, as in the pipeline file.
+    fn kind(&self) -> &'static str;
+    /// Version.
+    fn version(&self) -> u32;
+    /// Grain.
+    fn grain(&self) -> Grain;
+    /// Parameters as parsed, defaults included.
+    fn params(&self) -> Value;
+    /// Fields of the campaigns that it reads.
+    fn fields(&self, campaigns: &[Campaign]) -> Value;
+    /// Table that it takes.
+    fn input(&self) -> &'static str;
+    /// Finished tables that it takes beside.
+    fn beside(&self) -> &'static [Beside];
+    /// Main table, then side tables.
+    fn tables(&self) -> Vec<WrittenTable>;
+    /// Gets ready for rows.
+    ///
+    /// # Errors
+    /// When parameters, fields and finished tables do not go together.
+    fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError>;
+}
+
+/// A stage at work.
+pub trait Running: Send {
+    /// Takes a batch; gives the rows of all groups that ended within it.
+    ///
+    /// # Errors
+    /// When the table as a whole cannot be made.
+    fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError>;
+    /// Ends the groups that are open: at the end of a part for grains that stream, at the end of all rows for the others.
+    ///
+    /// # Errors
+    /// When the table as a whole cannot be made.
+    fn flush(&mut self) -> Result<Written, StageError>;
+}
+
+impl<S: Fold> Operator for S {
+    fn kind(&self) -> &'static str {
+        S::KIND
+    }
+    fn version(&self) -> u32 {
+        S::VERSION
+    }
+    fn grain(&self) -> Grain {
+        S::GRAIN
+    }
+    fn params(&self) -> Value {
+        serde_json::to_value(self).expect("parameters are plain data")
+    }
+    fn fields(&self, campaigns: &[Campaign]) -> Value {
+        serde_json::to_value(Stage::fields(self, campaigns)).expect("campaign fields are plain data")
+    }
+    fn input(&self) -> &'static str {
+        S::Input::TABLE
+    }
+    fn beside(&self) -> &'static [Beside] {
+        S::BESIDE
+    }
+    fn tables(&self) -> Vec<WrittenTable> {
+        let main = WrittenTable { name: S::Output::TABLE.to_owned(), schema: S::Output::schema() };
+        let sides = S::SIDES.iter().map(|side| WrittenTable { name: side.name.to_owned(), schema: (side.schema)() });
+        std::iter::once(main).chain(sides).collect()
+    }
+    fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError> {
+        let context = self.context(Stage::fields(self, campaigns), beside)?;
+        Ok(Box::new(Groups { stage: self, context, open: BTreeMap::new() }))
+    }
+}
+
+/// What tells two groups apart. Order of keys is order of output for grains that gather.
+type GroupKey = (String, String, i32, i32, String);
+
+/// A stage's groups: those that rows may still come for, by key.
+struct Groups<'a, S: Fold> {
+    stage: &'a S,
+    context: S::Context,
+    open: BTreeMap<GroupKey, S::State>,
+}
+
+impl<S: Fold> Groups<'_, S> {
+    fn written(outcomes: Vec<Outcome<S::Output>>) -> Result<Written, StageError> {
+        let mut rows = Vec::new();
+        let mut sides: Vec<Vec<RecordBatch>> = vec![Vec::new(); S::SIDES.len()];
+        let mut rejections = Vec::new();
+        for outcome in outcomes {
+            rows.extend(outcome.rows);
+            sides.iter_mut().zip(outcome.sides).for_each(|(all, side)| all.push(side));
+            rejections.extend(outcome.rejections);
+        }
+        let mut tables = vec![if rows.is_empty() { Vec::new() } else { vec![S::Output::to_batch(&rows)] }];
+        for (side, batches) in S::SIDES.iter().zip(sides) {
+            tables.push(if batches.is_empty() {
+                Vec::new()
+            } else {
+                vec![concat_batches(&(side.schema)(), &batches)?]
+            });
+        }
+        Ok(Written { tables, rejections })
+    }
+}
+
+impl<S: Fold> Running for Groups<'_, S> {
+    fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError> {
+        let columns = S::Input::columns(batch)?;
+        let groups = groups(batch, S::GRAIN);
+        if !S::GRAIN.streams() {
+            for (key, rows) in groups {
+                let state = self
+                    .open
+                    .entry(key)
+                    .or_insert_with(|| self.stage.begin(&self.context, S::Input::read(&columns, rows.start)));
+                self.stage.step(&self.context, state, &columns, rows)?;
+            }
+            return Ok(Written::default());
+        }
+        let last = groups.last().map(|(key, _)| key.clone());
+        let mut work: Vec<(GroupKey, Option<Range<usize>>, Option<S::State>)> = Vec::new();
+        // The group that was open goes on with the first rows, or has ended before them.
+        if let Some((key, state)) = self.open.pop_first() {
+            if groups.first().is_some_and(|(first, _)| *first == key) {
+                work.push((key, Some(groups[0].1.clone()), Some(state)));
+                work.extend(groups.into_iter().skip(1).map(|(key, rows)| (key, Some(rows), None)));
+            } else {
+                work.push((key, None, Some(state)));
+                work.extend(groups.into_iter().map(|(key, rows)| (key, Some(rows), None)));
+            }
+        } else {
+            work.extend(groups.into_iter().map(|(key, rows)| (key, Some(rows), None)));
+        }
+        let (stage, context) = (self.stage, &self.context);
+        let mut done: Vec<(GroupKey, S::State)> = work
+            .into_par_iter()
+            .map(|(key, rows, state)| {
+                let Some(rows) = rows else {
+                    return Ok((key, state.expect("a group without rows was open")));
+                };
+                let mut state = state.unwrap_or_else(|| stage.begin(context, S::Input::read(&columns, rows.start)));
+                stage.step(context, &mut state, &columns, rows)?;
+                Ok((key, state))
+            })
+            .collect::<Result<_, StageError>>()?;
+        if done.last().map(|(key, _)| key) == last.as_ref() {
+            self.open.extend(done.pop());
+        }
+        let outcomes = done.into_par_iter().map(|(_, state)| stage.finish(context, state)).collect::<Result<_, _>>()?;
+        Self::written(outcomes)
+    }
+
+    fn flush(&mut self) -> Result<Written, StageError> {
+        let states: Vec<_> = std::mem::take(&mut self.open).into_values().collect();
+        let (stage, context) = (self.stage, &self.context);
+        let outcomes = states.into_par_iter().map(|state| stage.finish(context, state)).collect::<Result<_, _>>()?;
+        Self::written(outcomes)
+    }
+}
+
+/// Columns that tell rows apart; what a table does not have is the same for all of its rows.
+struct KeyColumns {
+    campaign: Option<StringArray>,
+    sensor: Option<StringArray>,
+    role: Option<StringArray>,
+    lit: Option<Int32Array>,
+    seen: Option<Int32Array>,
+}
+
+impl KeyColumns {
+    fn of(batch: &RecordBatch) -> Self {
+        let text = |name: &str| batch.column_by_name(name).map(|column| column.as_string::<i32>().clone());
+        let number = |name: &str| batch.column_by_name(name).map(|column| column.as_primitive::<Int32Type>().clone());
+        Self {
+            campaign: text("campaign"),
+            sensor: text("sensor"),
+            role: text("role"),
+            lit: number("lit"),
+            seen: number("seen"),
+        }
+    }
+
+    /// What tells a row's group apart, borrowed.
+    fn key(&self, grain: Grain, i: usize) -> (&str, &str, i32, i32, &str) {
+        let text = |column| text_at(column, i);
+        let number = |column: &Option<Int32Array>| column.as_ref().map_or(0, |column| column.value(i));
+        let (lit, seen) = (number(&self.lit), number(&self.seen));
+        match grain {
+            Grain::All => ("", "", 0, 0, ""),
+            Grain::Sensor => (text(self.campaign.as_ref()), text(self.sensor.as_ref()), 0, 0, ""),
+            Grain::Capture => {
+                (text(self.campaign.as_ref()), text(self.sensor.as_ref()), lit, seen, text(self.role.as_ref()))
+            }
+            Grain::Pair => (
+                text(self.campaign.as_ref()),
+                text(self.sensor.as_ref()),
+                lit.min(seen),
+                lit.max(seen),
+                text(self.role.as_ref()),
+            ),
+        }
+    }
+}
+
+fn text_at(column: Option<&StringArray>, i: usize) -> &str {
+    column.map_or("", |column| column.value(i))
+}
+
+/// Runs of rows that belong together, in order.
+fn groups(batch: &RecordBatch, grain: Grain) -> Vec<(GroupKey, Range<usize>)> {
+    let columns = KeyColumns::of(batch);
+    let mut groups = Vec::new();
+    let mut start = 0;
+    for i in 1..=batch.num_rows() {
+        if i == batch.num_rows() || columns.key(grain, start) != columns.key(grain, i) {
+            let (campaign, sensor, lit, seen, role) = columns.key(grain, start);
+            groups.push(((campaign.to_owned(), sensor.to_owned(), lit, seen, role.to_owned()), start..i));
+            start = i;
+        }
+    }
+    groups
+}

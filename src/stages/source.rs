@@ -1,0 +1,93 @@
+//! What has no streamed input: parts that are read from elsewhere, within the memory budget.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use arrow::array::RecordBatch;
+use serde_json::Value;
+
+use super::operator::WrittenTable;
+use super::stage::{Rejection, StageError};
+use crate::campaign::Campaign;
+use crate::store::Digest;
+
+/// A hold on part of the memory budget, given back when the last clone is dropped.
+#[derive(Clone)]
+pub struct Credit(#[expect(dead_code, reason = "it is held, not looked at")] Arc<dyn Send + Sync>);
+
+impl Credit {
+    /// Wraps what gives the memory back when it is dropped.
+    pub fn new(hold: impl Send + Sync + 'static) -> Self {
+        Self(Arc::new(hold))
+    }
+}
+
+/// Where a source puts its rows.
+pub trait Feed {
+    /// Waits until the memory budget has room for `bytes`.
+    ///
+    /// # Errors
+    /// When the run is being stopped.
+    fn reserve(&self, bytes: usize) -> Result<Credit, StageError>;
+    /// Hands rows on.
+    ///
+    /// # Errors
+    /// When the run is being stopped.
+    fn send(&self, batch: RecordBatch, credit: Credit) -> Result<(), StageError>;
+    /// Says how many raw bytes were read, for progress.
+    fn read_bytes(&self, bytes: u64);
+}
+
+/// A part as a source knows it before reading.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SourcePart {
+    /// Digest of its raw content and of what the source makes of it, if all its files were hashed before.
+    pub content: Option<Digest>,
+    /// Raw bytes, for progress.
+    pub bytes: u64,
+}
+
+/// What reading a part gave beside its rows.
+pub struct PartRead {
+    /// Digest of its raw content and of what the source makes of it.
+    pub content: Digest,
+    /// What was set aside.
+    pub rejections: Vec<Rejection>,
+}
+
+/// A stage without streamed input.
+pub trait Source: Send + Sync {
+    /// Kind, as in the pipeline file.
+    fn kind(&self) -> &'static str;
+    /// Version.
+    fn version(&self) -> u32;
+    /// Parameters as parsed, defaults included.
+    fn params(&self) -> Value;
+    /// Fields of the campaigns that it reads.
+    fn fields(&self, campaigns: &[Campaign]) -> Value;
+    /// Its table.
+    fn table(&self) -> WrittenTable;
+    /// Surveys the campaigns: its parts, in order. What it learns of raw files it may note down in the folder `notes`.
+    ///
+    /// # Errors
+    /// When a campaign folder cannot be read or is inconsistent.
+    fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError>;
+}
+
+/// A source that has surveyed its parts.
+pub trait OpenSource: Send + Sync {
+    /// Its parts, in order.
+    fn parts(&self) -> &[SourcePart];
+    /// What a user should know before the run: files that no rule matches, and the like.
+    fn warnings(&self) -> &[String];
+    /// Reads a part. Chunk and batch sizes are the caller's; the rows do not depend on them.
+    ///
+    /// # Errors
+    /// When the run must stop; a bad file is a rejection, not an error.
+    fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError>;
+    /// Remembers what was learnt of the raw files; called when a pass has ended, also when it has failed.
+    ///
+    /// # Errors
+    /// When it cannot be written down.
+    fn close(&self) -> Result<(), StageError>;
+}
