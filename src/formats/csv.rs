@@ -103,7 +103,7 @@ fn columns(text: &mut impl BufRead) -> Result<Columns, FormatError> {
         let numbers: Option<Vec<f64>> =
             fields.iter().map(|field| field.parse().ok().filter(|number: &f64| number.is_finite())).collect();
         let Some(numbers) = numbers else {
-            if number == 1 {
+            if number == 1 && fields[0].parse::<f64>().is_err() {
                 first_line = 2; // One line of names.
                 continue;
             }
@@ -139,9 +139,9 @@ fn columns(text: &mut impl BufRead) -> Result<Columns, FormatError> {
     Ok(Columns { first_line, times_s: (!times_s.is_empty()).then_some(times_s), values })
 }
 
-/// Fields of a line; blank cells at its end do not count.
+/// Fields of a line, without a byte order mark; blank cells at its end do not count.
 fn fields(line: &str) -> Vec<&str> {
-    let line = line.trim();
+    let line = line.trim_start_matches('\u{feff}').trim();
     let separator = [',', ';', '\t'].into_iter().find(|separator| line.contains(*separator));
     let mut fields: Vec<&str> = match separator {
         Some(separator) => line.split(separator).map(str::trim).collect(),

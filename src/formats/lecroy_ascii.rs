@@ -63,13 +63,13 @@ impl Reader for LecroyAscii {
             );
             return Err(FormatError::Line { line: 1, problem });
         }
-        if !(dt_s > 0.0 && dt_s.is_finite() && (point + fraction).is_finite()) {
+        let t0_s = -(point + fraction) * dt_s;
+        if !(dt_s > 0.0 && dt_s.is_finite() && t0_s.is_finite()) {
             return Err(FormatError::Line {
                 line: 2,
                 problem: format!("a sample interval of {dt_s} s gives no time base"),
             });
         }
-        let t0_s = -(point + fraction) * dt_s;
         Ok(vec![decoded(self.format(), &values, Some(dt_s), Some(t0_s), None, None)])
     }
 }

@@ -130,6 +130,18 @@ impl Descriptor {
         for (i, name) in names.iter().enumerate() {
             blocks[i] = self.count(36 + 4 * i, name)?;
         }
+        if blocks[0] < DESCRIPTOR {
+            return Err(self.refuse(
+                36,
+                format!("WAVE_DESCRIPTOR = {} is less than the {DESCRIPTOR} bytes that it has", blocks[0]),
+            ));
+        }
+        if blocks[4] > 0 {
+            return Err(self.refuse(
+                52,
+                "RIS_TIME_ARRAY: samples interleaved from several triggers are not read; record in real time",
+            ));
+        }
         if self.count(64, "WAVE_ARRAY_2")? > 0 {
             return Err(self.refuse(64, "a second data array (complex or extrema) is no plain voltage over time"));
         }
@@ -176,6 +188,12 @@ impl Descriptor {
             return Err(
                 self.refuse(176, format!("HORIZ_INTERVAL = {dt_s} is not positive: the record has no time base"))
             );
+        }
+        if let Some(unit) = text(&self.bytes[244..292]).filter(|unit| !unit.eq_ignore_ascii_case("s")) {
+            return Err(self.refuse(
+                244,
+                format!("samples over {unit:?} are no voltage over time; save the trace that was recorded"),
+            ));
         }
         let source = self.i16(344);
         Ok(Head {

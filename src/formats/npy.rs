@@ -30,6 +30,7 @@ impl Reader for Npy {
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let refuse = |problem: String| FormatError::Field { byte_offset: 0, problem };
         let bytes = input.bytes("the header", 0, input.length().min(HEADER_BYTES))?;
+        plain_header(&bytes).map_err(refuse)?;
         let mut rest = bytes.as_slice();
         let header = NpyHeader::from_reader(&mut rest).map_err(|error| refuse(format!("header: {error}")))?;
         let data = (bytes.len() - rest.len()) as u64;
@@ -87,6 +88,26 @@ impl Reader for Npy {
         };
         Ok((0..records).map(record).collect())
     }
+}
+
+/// What `npyz` does not check: it allocates what the header claims, and its parser's time doubles with each nested bracket.
+fn plain_header(bytes: &[u8]) -> Result<(), String> {
+    let (length, text) = match bytes {
+        [_, _, _, _, _, _, 1, _, a, b, text @ ..] => (u32::from(u16::from_le_bytes([*a, *b])), text),
+        [_, _, _, _, _, _, 2 | 3, _, a, b, c, d, text @ ..] => (u32::from_le_bytes([*a, *b, *c, *d]), text),
+        _ => return Err("header: neither version 1, 2 nor 3, or cut short; save the array again".to_owned()),
+    };
+    let Some(text) = text.get(..length as usize) else {
+        return Err(format!(
+            "the header claims {length} bytes, of which {} are there; copy the file again",
+            text.len()
+        ));
+    };
+    // The dictionary and the tuple of the shape.
+    if text.iter().filter(|byte| b"([{".contains(byte)).count() > 2 {
+        return Err("structured types are not read; save the numbers as a plain array".to_owned());
+    }
+    Ok(())
 }
 
 fn code_type(dtype: &DType) -> Option<(CodeType, bool)> {

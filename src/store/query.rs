@@ -8,7 +8,8 @@ use polars::prelude::{
 use polars::sql::SQLContext;
 use thiserror::Error;
 
-use super::shelf::{Shelf, StoreError};
+use super::failure::StoreError;
+use super::shelf::Shelf;
 
 /// Form of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -180,3 +180,12 @@ fn a_lean_build_says_how_to_query() {
     assert_eq!(query.status.code(), Some(1));
     assert!(err(&query).contains("--features query") && err(&query).contains("patches/*.parquet"), "{}", err(&query));
 }
+
+/// The campaign that the README shows is one that is read.
+#[test]
+fn the_readmes_campaign_is_valid() {
+    let readme = include_str!("../../README.md");
+    let text = readme.split("```toml\n").nth(1).unwrap().split("```").next().unwrap();
+    let campaign = periscope::campaign::Campaign::parse(Path::new("."), text).unwrap();
+    assert_eq!((campaign.captures.len(), campaign.sensors.len()), (2, 1));
+}

@@ -289,3 +289,28 @@ fn mutate(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
         }
     }
 }
+
+/// Files that lie in ways that mutations seldom find.
+#[test]
+fn hostile_and_misleading_heads_are_refused() {
+    let refused = |bytes: &[u8], name: &str| decode_bytes(bytes.to_vec(), name).map(|_| ()).unwrap_err();
+    // A header that claims 4 GiB, and one whose brackets nest: neither may cost memory or time.
+    let error = refused(b"\x93NUMPY\x02\x00\xff\xff\xff\xff{'", "a.npy");
+    assert!(error.contains("claims 4294967295 bytes"), "{error}");
+    let nested = [b"\x93NUMPY\x01\x00\x40\x00{'descr': ".as_slice(), &[b'['; 54]].concat();
+    assert!(refused(&nested, "a.npy").contains("structured"), "{}", refused(&nested, "a.npy"));
+    // A first row of data that went wrong is no line of names; a byte order mark is no part of a number.
+    let rows = |first: &str| format!("{first}\n1e-10,1\n2e-10,2\n").into_bytes();
+    assert!(refused(&rows("0,overload"), "a.csv").contains("line 1"));
+    assert_eq!(decode_bytes(rows("\u{feff}0,0"), "a.csv").unwrap()[0].1, [0.0, 1.0, 2.0]);
+    // LeCroy: samples interleaved from several triggers, a spectrum, a descriptor that overlaps the samples.
+    let with = |at: usize, field: &[u8]| {
+        let mut bytes = sequence(8, 1).0;
+        let start = 11 + at;
+        bytes[start..start + field.len()].copy_from_slice(field);
+        bytes
+    };
+    assert!(refused(&with(52, &8_i32.to_le_bytes()), "a.trc").contains("RIS_TIME_ARRAY"));
+    assert!(refused(&with(244, b"Hz\0"), "a.trc").contains("Hz"));
+    assert!(refused(&with(36, &100_i32.to_le_bytes()), "a.trc").contains("WAVE_DESCRIPTOR"));
+}
