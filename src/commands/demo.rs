@@ -68,9 +68,11 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
         let rows = outcome.tables.get(&step.heading).map_or(0, |record| record.rows(&step.node.tables()[0].name));
         println!("  {:20} {rows:>6} rows  {}", step.heading, results.join(&step.heading).display());
     }
+    // As it was called, so that the line works where the program is not on the path.
+    let program = std::env::args().next().unwrap_or_else(|| "periscope".to_owned());
     println!("\nThe same again, from the files:");
     println!(
-        "  periscope run {} --campaign {} --out {}",
+        "  {program} run {} --campaign {} --out {}",
         pipeline_file.display(),
         campaign.display(),
         results.display()
