@@ -11,32 +11,12 @@ pub fn bounces(path: &[PatchId]) -> i32 {
     path.len() as i32
 }
 
-/// The same path walked backwards: reciprocity says that it takes the same time when source and sensor coincide.
-#[must_use]
-pub fn reversed(path: &[PatchId]) -> Vec<PatchId> {
-    path.iter().rev().copied().collect()
-}
-
-/// Text such as `0-4-1-0`: source, patches, sensor.
-#[must_use]
-pub fn text(path: &[PatchId]) -> String {
-    let mut text = String::from("0");
-    for patch in path {
-        text.push('-');
-        text.push_str(&patch.to_string());
-    }
-    text.push_str("-0");
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_path_reads_as_light_goes() {
-        assert_eq!(text(&[4, 1]), "0-4-1-0");
-        assert_eq!(reversed(&[4, 2, 1]), vec![1, 2, 4]);
+    fn a_path_has_as_many_bounces_as_patches() {
         assert_eq!(bounces(&[4, 2, 1]), 3);
     }
 }

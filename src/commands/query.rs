@@ -46,7 +46,7 @@ pub fn query(args: &Query) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The command in a build without Polars: says how to get it, and how to ask `DuckDB` the same.
+/// The command in a build without Polars: says how to get it, and how to ask DuckDB the same.
 #[cfg(not(feature = "query"))]
 pub fn query(args: &Query) -> Result<ExitCode> {
     let shelf = periscope::store::Shelf::look(&args.out)?;

@@ -100,12 +100,6 @@ impl<'a> Codes<'a> {
         self.len() == 0
     }
 
-    /// Whether the codes are whole numbers, whose sums are exact.
-    #[must_use]
-    pub fn is_integer(&self) -> bool {
-        !matches!(self, Self::F32(_) | Self::F64(_))
-    }
-
     /// The codes of a range of samples.
     ///
     /// # Panics

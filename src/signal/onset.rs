@@ -1,17 +1,12 @@
-//! Onsets by classical timing: threshold, leading edge, constant fraction; and the matched filter's signal-to-noise ratio.
+//! Onsets by classical timing: threshold, leading edge, constant fraction.
 //!
 //! The paper's "first non-zero response" (section 4.1) is a threshold. A fixed level walks with amplitude (tens of ps); a fraction of the
 //! pulse's own maximum does not. On an extended bounce the leading edge dates the earliest light, the near rim of the patch, where a fit of
-//! pulses ([`super::sparse`]) dates the centroid. Sources: Gedcke and `McDonald`, Nucl. Instrum. Methods 58, 253 (1968), for the constant
-//! fraction; Turin, IRE Trans. Inf. Theory 6, 311 (1960), for the matched filter.
+//! pulses ([`super::sparse`]) dates the centroid. Source: Gedcke and McDonald, Nucl. Instrum. Methods 58, 253 (1968), for the
+//! constant fraction.
 //!
 //! Every function looks for one onset in the samples that it is given: pass the stretch of a record that holds one pulse, baseline removed.
 //! Positions are in samples from the first one. Not modelled: overlap of pulses, noise that moves the place of the maximum.
-
-use super::response::Response;
-
-/// Places of the samples against the pulse over which a matched filter's energy is averaged.
-const PHASES: f64 = 8.0;
 
 /// An upward crossing of a level.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,22 +73,6 @@ pub fn constant_fraction(samples: &[f64], fraction: f64, delay: f64, noise_sd: f
     let sd = noise_sd * (1.0 + fraction * fraction).sqrt();
     let zero = interpolate(&difference, i, 0.0, sd);
     Some(Crossing { position: zero.position + part, ..zero })
-}
-
-/// Signal-to-noise ratio at the output of the matched filter, `a ||h|| / sd`, of a pulse of `amplitude` in white noise of `noise_sd` a
-/// sample; `||h||^2 = sum h(n dt)^2`, averaged over where the samples fall. 5 is a false alarm of 3e-7 per independent sample.
-///
-/// # Panics
-/// If `dt_ps` or `noise_sd` is not positive.
-#[must_use]
-pub fn matched_filter_snr(response: &Response, dt_ps: f64, amplitude: f64, noise_sd: f64) -> f64 {
-    assert!(dt_ps > 0.0 && noise_sd > 0.0, "step and noise must be positive");
-    // A sum over steps of dt / PHASES is the sum over dt for all phases.
-    let (first_ps, last_ps) = response.support_ps();
-    let step_ps = dt_ps / PHASES;
-    let steps = ((last_ps - first_ps) / step_ps).floor() as usize;
-    let energy: f64 = (0..=steps).map(|i| response.value(first_ps + i as f64 * step_ps).powi(2)).sum();
-    amplitude * (energy / PHASES).sqrt() / noise_sd
 }
 
 /// The line between samples `i` and `i + 1`, `samples[i] < level <= samples[i + 1]`, where it meets the level.
@@ -205,14 +184,5 @@ mod tests {
         assert_eq!(threshold(&[1.0, 1.0, 0.0], 0.5, 1.0), None);
         assert_eq!(constant_fraction(&[1.0, 1.0], 0.5, 4.0, 1.0), None);
         assert_eq!(constant_fraction(&[0.0; 20], 0.5, 4.0, 1.0), None);
-    }
-
-    #[test]
-    fn matched_filter_snr_of_a_gaussian() {
-        let values: Vec<f64> = (-60..=60).map(|i| (-0.5 * (f64::from(i) / 10.0).powi(2)).exp()).collect();
-        let response = Response::new(-600.0, 10.0, &values); // sd 100 ps
-        let norm = (100.0 * std::f64::consts::PI.sqrt() / 50.0).sqrt();
-        let snr = matched_filter_snr(&response, 50.0, 3.0, 0.1);
-        assert!((snr / (30.0 * norm) - 1.0).abs() < 1e-4);
     }
 }

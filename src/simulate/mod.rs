@@ -96,9 +96,9 @@ pub enum SimulateError {
 /// Format of the raw files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// `LeCroy` sequence files, a segment a shot, each with the sub-sample time of its trigger.
+    /// LeCroy sequence files, a segment a shot, each with the sub-sample time of its trigger.
     Trc,
-    /// `NumPy` arrays of codes, a row a shot; the sub-sample time of the trigger is lost, as in many home-made set-ups.
+    /// NumPy arrays of codes, a row a shot; the sub-sample time of the trigger is lost, as in many home-made set-ups.
     Npy,
 }
 
