@@ -58,7 +58,7 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
 
     println!(
         "Simulated {} captures of {} shots each as LeCroy .trc files, and solved for {} patches from the light that bounced between them.\n",
-        truth.onsets.len(),
+        truth.captures.iter().filter(|capture| &*capture.role == "scene").count(),
         scene.captures.shots,
         truth.patches.len()
     );

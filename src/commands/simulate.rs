@@ -31,21 +31,32 @@ enum FileFormat {
     Trc,
     /// NumPy arrays, a row a shot, without trigger times
     Npy,
+    /// Comma-separated times and volts, a file a shot
+    Csv,
 }
 
-const KEYS: &str = r#"Keys of a scene:
-  [campaign]      name; group_index, dimensions (optional)
-  [stations.NAME] position_m, as in campaign.toml (optional: one station `laser` at the origin)
-  [sensors.NAME]  station (optional), latency_ps: true delay from arrival to the response's maximum
-  [patches.N]     a disk: position_m, normal, size_m (diameter), reflectance (optional, 0.8)
+const KEYS: &str = r#"Keys of a scene (optional ones in brackets):
+  [campaign]      name [group_index, dimensions]
+  [stations.NAME] position_m: where light leaves (`laser`) and sensors stand [one station `laser` at the origin]
+  [sensors.NAME]  latency_ps [station, kind = "analog" or "counts"]
+  [patches.N]     a disk: position_m, normal, size_m [reflectance 0.8, role = "visible", "hidden" or "mirror",
+                  lobe = { share, width_rad }: glossy]
+  [views.N]       patches: a spot and pixel that covers several
+  [surfaces.NAME] furniture and walls: corner_m, edges_m (two) [reflectance, cell_m]
+  [laser]         pulse_j, wavelength_nm, repetition_hz [power_per_h, power_sd]
+  [optics]        lens_m [transmission, ambient_w]
   [instrument]    response = { kind = "emg", sigma_ps, tau_ps } or { kind = "gaussian", fwhm_ps }
-                  dt_ps, samples, t0_ps (of sample 0), bits (8 to 16), full_scale_v, jitter_ps (of the trigger)
-                  snr (of one shot: all captures are amplified to one height), or noise_v and volts (height of a
-                  first bounce from a white patch at 1 m) for heights as geometry gives them
-                  reference = { fwhm_ps, snr } (optional): a second channel with the pulse that marks time zero
-  [captures]      shots, response_shots, path_m and path_sd_m of the response, bad_shots (optional share)
+                  responsivity_a_w, dt_ps, samples, t0_ps, full_scale_v, noise_v, jitter_ps
+                  [load_ohm 50, dark_a, bits 8, noise_bandwidth_ghz, rate_hz, reference = { fwhm_ps, height_v }]
+  [instrument.ranges.NAME]  full_scale_v, noise_v [latency_ps]
+  [instrument.counts]       efficiency [dark_hz, dead_time_ps]: for sensors that count photons
+  [instrument.flaws]        [saturation_v, slew_ps, cubic, interleave, pickup, echo, tail, recovery, delay_ps_per_h, delay_sd_ps]
+  [captures]      shots, response_shots, path_m, path_sd_m [lit, seen, bounces 2, ranges, response_od, dark_shots,
+                  blocked_shots, bad_shots, lost_shots, overhead_s]
+  [[captures.fiducials]]    path_m or through, shots [attenuation_od, runs, every_s]
+  Shortcut for studies: snr in [instrument] in place of [laser], [optics], noise_v, responsivity_a_w; the truth says so.
 
-First and second bounces of visible patches are simulated; scenes that ask for more are refused.
+What each means, with an example: the documentation of the module `simulate` (`cargo doc --open`).
 Examples: pipelines/scenes/"#;
 
 /// The command.
@@ -54,14 +65,29 @@ pub fn simulate(args: &Simulate) -> Result<ExitCode> {
     let format = match args.format {
         FileFormat::Trc => Format::Trc,
         FileFormat::Npy => Format::Npy,
+        FileFormat::Csv => Format::Csv,
     };
     let truth = simulate::simulate(&scene, args.seed, &args.out, format)?;
-    let captures = truth.onsets.len();
-    println!(
-        "{}: {} patches, {captures} captures of {} shots; truth in truth/",
+    let of = |role: &str| truth.captures.iter().filter(|capture| &*capture.role == role).count();
+    print!(
+        "{}: {} patches, {} captures of {} shots",
         args.out.display(),
         truth.patches.len(),
+        of("scene"),
         scene.captures.shots
     );
+    for role in ["response", "dark", "blocked", "fiducial"].into_iter().filter(|role| of(role) > 0) {
+        print!(", {} {role}", of(role));
+    }
+    println!("; truth in truth/");
+    if scene.instrument.snr.is_some() {
+        println!("signal-to-noise ratio set to {} in one shot, not derived", scene.instrument.snr.unwrap_or(0.0));
+    } else {
+        let snrs = truth.captures.iter().filter(|capture| &*capture.role == "scene").map(|capture| capture.snr);
+        let (least, most) =
+            snrs.fold((f64::INFINITY, 0.0), |(least, most), snr| (f64::min(least, snr), f64::max(most, snr)));
+        let last = truth.captures.iter().map(|capture| capture.start_s + capture.duration_s).fold(0.0, f64::max);
+        println!("signal-to-noise ratio {least:.3e} to {most:.3e} in one shot; {:.3} hours of capture", last / 3600.0);
+    }
     Ok(ExitCode::SUCCESS)
 }

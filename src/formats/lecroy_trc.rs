@@ -294,6 +294,20 @@ pub struct SequenceHead {
     pub dt_s: f32,
     /// Bits of the converter: 8, or 9 to 16 (stored as 16).
     pub bits: u16,
+    /// When the first segment was acquired.
+    pub acquired: Acquired,
+}
+
+/// Wall-clock time of a trigger, in the zone of the instrument.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(missing_docs, reason = "names say it")]
+pub struct Acquired {
+    pub year: i16,
+    pub month: u8,
+    pub day: u8,
+    pub hour: u8,
+    pub minute: u8,
+    pub second: f64,
 }
 
 /// Writes segments of equal length, each with its trigger's time since the first and the time of its sample 0, as one little-endian file.
@@ -338,6 +352,10 @@ pub fn write_sequence(
     put(180, &segments[0].1.to_le_bytes());
     put(196, b"V");
     put(244, b"S");
+    let Acquired { year, month, day, hour, minute, second } = head.acquired;
+    put(296, &second.to_le_bytes());
+    put(304, &[minute, hour, day, month]);
+    put(308, &year.to_le_bytes());
     put(344, &head.channel.to_le_bytes());
     let total = bytes.len() + triggers + data;
     write!(out, "#9{total:09}")?;

@@ -1,17 +1,26 @@
 //! The campaign folder that a simulation leaves: raw files, campaign.toml, truth.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
-use super::instrument::Shots;
-use super::scene::{Instrument, Scene};
+use super::calendar::acquired;
+use super::chain::{Chain, Setting};
+use super::recorder::{Shot, Shots};
+use super::scene::Scene;
+use super::session::Shooting;
 use super::{Format, SimulateError, Truth};
+use crate::campaign::Role;
+use crate::campaign::keys::{PatchRole, SensorKind};
 use crate::campaign::walk::TRUTH;
-use crate::formats::{lecroy_trc, npy};
+use crate::formats::{csv, lecroy_trc, npy};
 use crate::store::TableWriter;
 use crate::tables::Row;
+
+/// Table of the fiducial captures, which no pattern can tell apart.
+const FIDUCIALS: &str = "fiducials.csv";
 
 fn written<T>(path: &Path, result: io::Result<T>) -> Result<T, SimulateError> {
     result.map_err(|source| SimulateError::Write { path: path.to_owned(), source })
@@ -27,41 +36,80 @@ pub fn claim(out: &Path) -> Result<(), SimulateError> {
 }
 
 /// Volts per stored code, and volts at code 0: a converter of more than 8 bits fills the upper bits of a word.
-fn scale(instrument: &Instrument) -> (f64, f64) {
-    let step = if instrument.bits == 8 { 1.0 } else { f64::from(1_u32 << (16 - instrument.bits)) };
-    (instrument.gain_v() / step, instrument.offset_v())
+fn scale(setting: &Setting, bits: u16) -> (f64, f64) {
+    let step = if bits == 8 { 1.0 } else { f64::from(1_u32 << (16 - bits)) };
+    (setting.gain_v() / step, setting.offset_v())
 }
 
 fn extension(format: Format) -> &'static str {
     match format {
         Format::Trc => "trc",
         Format::Npy => "npy",
+        Format::Csv => "csv",
     }
 }
 
-/// Writes the channels of one capture: `stem_C1`, and `stem_C2` for the reference.
-pub fn write_shots(out: &Path, stem: &str, scene: &Scene, format: Format, shots: &Shots) -> Result<(), SimulateError> {
-    let channels = std::iter::once(&shots.signal).chain(&shots.reference);
-    for (channel, records) in channels.enumerate() {
-        let path = out.join(format!("{stem}_C{}.{}", channel + 1, extension(format)));
-        written(&path, fs::create_dir_all(path.parent().expect("a file lies in a folder")))?;
-        let mut file = BufWriter::new(written(&path, File::create(&path))?);
+/// Opens a file for writing, and the folders on the way to it.
+fn create(path: &Path) -> Result<BufWriter<File>, SimulateError> {
+    written(path, fs::create_dir_all(path.parent().expect("a file lies in a folder")))?;
+    Ok(BufWriter::new(written(path, File::create(path))?))
+}
+
+/// Writes the channels of one capture: `stem_C1`, and `stem_C2` for the reference; for CSV a file a shot.
+pub fn write_shots(
+    out: &Path,
+    scene: &Scene,
+    chain: &Chain,
+    format: Format,
+    shooting: &Shooting,
+    shots: &Shots,
+) -> Result<(), SimulateError> {
+    let reference = chain.reference_setting(&scene.instrument);
+    let channels = [(Some(&shots.signal), Some(&shooting.setting)), (shots.reference.as_ref(), reference.as_ref())];
+    for (channel, (records, setting)) in channels.into_iter().enumerate() {
+        let Some((records, setting)) = records.zip(setting) else {
+            continue;
+        };
+        let end = format!("C{}.{}", channel + 1, extension(format));
+        if format == Format::Csv {
+            for (number, (_, t0_s, codes)) in records.iter().enumerate() {
+                let path = out.join(format!("{}_{number:05}_{end}", shooting.stem));
+                let (gain_v, offset_v) = scale(setting, scene.instrument.bits);
+                let volts: Vec<f64> = codes.iter().map(|code| f64::from(*code) * gain_v + offset_v).collect();
+                let mut file = create(&path)?;
+                let result = csv::write(&mut file, *t0_s, scene.instrument.dt_ps * 1e-12, &volts);
+                written(&path, result.and_then(|()| file.flush()))?;
+            }
+            continue;
+        }
+        let path = out.join(format!("{}_{end}", shooting.stem));
+        let mut file = create(&path)?;
         let result = match format {
-            Format::Trc => write_trc(&mut file, scene, channel, records),
             Format::Npy => write_npy(&mut file, scene, records),
+            _ => write_trc(&mut file, scene, channel, setting, shooting.start_s, records),
         };
         written(&path, result.and_then(|()| file.flush()))?;
     }
     Ok(())
 }
 
+/// Writes the histogram of one capture of a photon counter.
+pub fn write_histogram(out: &Path, shooting: &Shooting, counts: &[i32]) -> Result<(), SimulateError> {
+    let path = out.join(format!("{}_C1.npy", shooting.stem));
+    let mut file = create(&path)?;
+    let result = npy::write(&mut file, &[1, counts.len() as u64], counts);
+    written(&path, result.and_then(|()| file.flush()))
+}
+
 fn write_trc(
     file: &mut impl io::Write,
     scene: &Scene,
     channel: usize,
-    records: &[(f64, f64, Vec<i16>)],
+    setting: &Setting,
+    start_s: f64,
+    records: &[Shot],
 ) -> io::Result<()> {
-    let (gain_v, offset_v) = scale(&scene.instrument);
+    let (gain_v, offset_v) = scale(setting, scene.instrument.bits);
     let head = lecroy_trc::SequenceHead {
         instrument: "PERISCOPE-SIM".to_owned(),
         channel: channel as i16,
@@ -70,11 +118,12 @@ fn write_trc(
         offset_v: -offset_v as f32,
         dt_s: (scene.instrument.dt_ps * 1e-12) as f32,
         bits: scene.instrument.bits,
+        acquired: acquired(start_s),
     };
     lecroy_trc::write_sequence(file, &head, records)
 }
 
-fn write_npy(file: &mut impl io::Write, scene: &Scene, records: &[(f64, f64, Vec<i16>)]) -> io::Result<()> {
+fn write_npy(file: &mut impl io::Write, scene: &Scene, records: &[Shot]) -> io::Result<()> {
     let shape = [records.len() as u64, scene.instrument.samples as u64];
     let codes = || records.iter().flat_map(|(_, _, codes)| codes.iter().copied());
     if scene.instrument.bits == 8 {
@@ -85,18 +134,26 @@ fn write_npy(file: &mut impl io::Write, scene: &Scene, records: &[(f64, f64, Vec
 }
 
 /// Writes campaign.toml: what a lab would know, which the truth is not.
-pub fn write_campaign(out: &Path, scene: &Scene, format: Format) -> Result<(), SimulateError> {
+pub fn write_campaign(out: &Path, scene: &Scene, format: Format, shootings: &[Shooting]) -> Result<(), SimulateError> {
     let path = out.join("campaign.toml");
-    written(&path, fs::write(&path, campaign_text(scene, format)))
+    written(&path, fs::write(&path, campaign_text(scene, format, shootings)))?;
+    if shootings.iter().any(|shooting| shooting.role == Role::Fiducial) {
+        let path = out.join(FIDUCIALS);
+        written(&path, fs::write(&path, fiducials_text(scene, format, shootings)))?;
+    }
+    Ok(())
 }
 
-fn campaign_text(scene: &Scene, format: Format) -> String {
+fn campaign_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> String {
     let mut text = String::from("# A simulated campaign. What is true lies in truth/, which no stage reads.\n");
     let mut line = |line: String| writeln!(text, "{line}").expect("a String takes all text");
     line(format!(
         "[campaign]\nname = {:?}\ngroup_index = {:?}\ndimensions = {}",
         scene.name, scene.group_index, scene.dimensions
     ));
+    if let Some(repetition_ps) = scene.repetition_ps().filter(|_| scene.wraps()) {
+        line(format!("repetition_ps = {repetition_ps:?}"));
+    }
     for (name, station) in &scene.stations {
         line(format!("\n[stations.{name}]\nposition_m = {:?}", station.position_m));
     }
@@ -105,36 +162,124 @@ fn campaign_text(scene: &Scene, format: Format) -> String {
         if let Some(station) = &sensor.station {
             line(format!("station = {station:?}"));
         }
+        if let Some(counts) = scene.instrument.counts.filter(|_| sensor.kind == SensorKind::Counts) {
+            line(format!("kind = \"counts\"\ncycles = {}", scene.captures.shots));
+            if counts.dead_time_ps > 0.0 {
+                line(format!("dead_time_ps = {:?}", counts.dead_time_ps));
+            }
+        }
     }
     line(String::new());
-    for patch in scene.patches.keys() {
-        line(format!("[patches.{patch}]\nrole = \"visible\""));
+    for (patch, disk) in &scene.patches {
+        match disk.role {
+            PatchRole::Visible => line(format!("[patches.{patch}]\nrole = \"visible\"")),
+            PatchRole::Mirror => line(format!("[patches.{patch}]\nrole = \"mirror\"")),
+            PatchRole::Hidden => {}
+        }
     }
-    let reference = scene.instrument.reference.is_some();
-    let mut rule = |role: &str, stem: &str, more: String| {
-        let end = extension(format);
-        line(format!("\n[[captures]]\nrole = \"{role}\"\nfiles = \"{stem}_C1.{end}\""));
-        if reference {
-            line(format!("reference = {{ files = \"{stem}_C2.{end}\" }}"));
+    for (view, covers) in &scene.views {
+        line(format!("[views.{view}]\npatches = {:?}", covers.patches));
+    }
+    let mut rules = BTreeSet::new();
+    for shooting in shootings.iter().filter(|shooting| shooting.role != Role::Fiducial) {
+        let rule = rule_text(scene, format, shooting);
+        if rules.insert(rule.clone()) {
+            line(rule);
         }
-        line(format!("segments = \"shot\"{more}"));
-        if format == Format::Npy {
-            let (gain_v, offset_v) = scale(&scene.instrument);
-            let Instrument { dt_ps, t0_ps, .. } = scene.instrument;
-            line(format!("dt_ps = {dt_ps:?}\nt0_ps = {t0_ps:?}\ngain_v = {gain_v:?}\noffset_v = {offset_v:?}"));
-        }
-    };
-    rule("scene", "raw/scene/{sensor}_L{lit}_P{seen}", String::new());
-    let path = format!("\npath_m = {:?}\npath_sd_m = {:?}", scene.captures.path_m, scene.captures.path_sd_m);
-    rule("response", "raw/response/{sensor}", path);
+    }
+    if shootings.iter().any(|shooting| shooting.role == Role::Fiducial) {
+        line(format!("\n[[captures]]\nrole = \"fiducial\"\ntable = \"{FIDUCIALS}\"\nsegments = \"shot\""));
+    }
     text
 }
 
-/// Writes the truth: tables of the pipeline's own schemas, and the scene with its seed.
+/// The rule that a capture's files follow.
+fn rule_text(scene: &Scene, format: Format, shooting: &Shooting) -> String {
+    let format = if shooting.counts { Format::Npy } else { format };
+    let shot = if format == Format::Csv { "_{shot}" } else { "" };
+    let stem = match shooting.role {
+        Role::Scene => {
+            let end = format!("{}_L{}_P{}", shooting.sensor, shooting.lit, shooting.seen);
+            shooting.stem.replace(&end, "{sensor}_L{lit}_P{seen}")
+        }
+        _ => shooting.stem.clone(),
+    };
+    let end = extension(format);
+    let role = shooting.role.name();
+    let mut text = format!("\n[[captures]]\nrole = \"{role}\"\nfiles = \"{stem}{shot}_C1.{end}\"\n");
+    let mut line = |line: String| writeln!(text, "{line}").expect("a String takes all text");
+    if shooting.role != Role::Scene {
+        line(format!("sensor = {:?}", shooting.sensor));
+    }
+    if scene.instrument.reference.is_some() && shooting.fires && !shooting.counts {
+        line(format!("reference = {{ files = \"{stem}{shot}_C2.{end}\" }}"));
+    }
+    if let Some(range) = &shooting.setting.name {
+        line(format!("range = {range:?}"));
+    }
+    line("segments = \"shot\"".to_owned());
+    if shooting.role == Role::Response {
+        line(format!("path_m = {:?}\npath_sd_m = {:?}", scene.captures.path_m, scene.captures.path_sd_m));
+    }
+    if shooting.attenuation_od > 0.0 {
+        line(format!("attenuation_od = {:?}", shooting.attenuation_od));
+    }
+    if format == Format::Npy {
+        let (dt_ps, t0_ps) = (scene.instrument.dt_ps, scene.instrument.t0_ps);
+        let (gain_v, offset_v) =
+            if shooting.counts { (1.0, 0.0) } else { scale(&shooting.setting, scene.instrument.bits) };
+        line(format!("dt_ps = {dt_ps:?}\nt0_ps = {t0_ps:?}\ngain_v = {gain_v:?}\noffset_v = {offset_v:?}"));
+    }
+    text
+}
+
+/// The table of fiducial captures, a row a file.
+fn fiducials_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> String {
+    let mut text = String::from(
+        "file,reference_file,sensor,range,path_m,path_sd_m,attenuation_od,shot,dt_ps,t0_ps,gain_v,offset_v\n",
+    );
+    for shooting in shootings.iter().filter(|shooting| shooting.role == Role::Fiducial) {
+        let files = if format == Format::Csv { shooting.shots } else { 1 };
+        for number in 0..files {
+            let format = if shooting.counts { Format::Npy } else { format };
+            let shot = if format == Format::Csv { format!("_{number:05}") } else { String::new() };
+            let file = |channel: usize| format!("{}{shot}_C{channel}.{}", shooting.stem, extension(format));
+            let reference =
+                if scene.instrument.reference.is_some() && !shooting.counts { file(2) } else { String::new() };
+            let number = if format == Format::Csv { number.to_string() } else { String::new() };
+            let base = if format == Format::Npy {
+                let (gain_v, offset_v) =
+                    if shooting.counts { (1.0, 0.0) } else { scale(&shooting.setting, scene.instrument.bits) };
+                format!("{:?},{:?},{gain_v:?},{offset_v:?}", scene.instrument.dt_ps, scene.instrument.t0_ps)
+            } else {
+                ",,,".to_owned()
+            };
+            let cell = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:?}"));
+            let path_sd_m = shooting.path_m.map(|_| scene.captures.path_sd_m).filter(|sd_m| *sd_m > 0.0);
+            writeln!(
+                text,
+                "{},{reference},{},{},{},{},{:?},{number},{base}",
+                file(1),
+                shooting.sensor,
+                shooting.setting.name.as_deref().unwrap_or(""),
+                cell(shooting.path_m),
+                cell(path_sd_m),
+                shooting.attenuation_od,
+            )
+            .expect("a String takes all text");
+        }
+    }
+    text
+}
+
+/// Writes the truth: tables of the pipeline's own schemas, tables of what only a simulation knows, and the scene with its seed.
 pub fn write_truth(out: &Path, scene: &Scene, seed: u64, truth: &Truth) -> Result<(), SimulateError> {
     write_table(out, &truth.patches)?;
     write_table(out, &truth.onsets)?;
     write_table(out, &truth.calibration)?;
+    write_table(out, &truth.paths)?;
+    write_table(out, &truth.centroids)?;
+    write_table(out, &truth.captures)?;
     let path = out.join(TRUTH).join("scene.toml");
     written(&path, fs::write(&path, format!("# Simulated with seed {seed}.\n{}", scene.text)))
 }

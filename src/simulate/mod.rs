@@ -1,66 +1,133 @@
 //! The forward model: a scene description becomes a campaign of scope files, with truth beside it.
 //!
-//! First and second bounces by integrals over the areas of Lambertian patches, an instrument with response, latency, trigger jitter, noise and
-//! converter, and shots that went wrong. It shares no code with the estimators (`signal`, `geometry`, `stages`): nothing is tested against itself.
+//! Light is followed by integrals over the areas of patches, with occlusion, glossy lobes, mirrors and up to five bounces; the instrument has a
+//! response, noise, converter, vertical ranges and flaws; signal-to-noise ratios follow from pulse energy, optics and detector. It shares no code
+//! with the estimators (`signal`, `geometry`, `stages`): nothing is tested against itself.
 //!
 //! ```toml
 //! [campaign]
 //! name = "two-patches"
 //! group_index = 1.000277             # optional
 //! dimensions = 3                     # optional
-//! [stations.laser]                   # optional: at the origin
+//! [stations.laser]                   # optional: at the origin; others for sensors that stand elsewhere
 //! position_m = [0.0, 0.0, 0.0]
 //! [sensors.s1]
 //! station = "laser"                  # optional
+//! kind = "analog"                    # optional; or "counts"
 //! latency_ps = 1250.0                # true delay from arrival to the response's maximum
 //! [patches.1]                        # a disk
 //! position_m = [0.3, 0.2, 1.0]
 //! normal = [0.0, 0.0, -1.0]
 //! size_m = 0.005                     # diameter
 //! reflectance = 0.8                  # optional
+//! role = "visible"                   # optional; or "hidden" (neither lit nor seen), "mirror" (perfect, lit and seen only in what it reflects)
+//! lobe = { share = 0.5, width_rad = 0.05 }   # optional: glossy; this share goes into a lobe about the mirror direction
+//! [views.7]                          # optional: a spot and pixel that covers several patches
+//! patches = [1, 2]
+//! [surfaces.door]                    # optional: furniture, walls: they block light and, with `reflectance` and `cell_m`, give some back
+//! corner_m = [0.0, 0.0, 0.5]
+//! edges_m = [[0.4, 0.0, 0.0], [0.0, 1.0, 0.0]]
+//! reflectance = 0.5
+//! cell_m = 0.1
+//! [laser]
+//! pulse_j = 4.483e-9
+//! wavelength_nm = 810.0
+//! repetition_hz = 93.68e6            # records reach across the period: profiles are circular
+//! power_per_h = 0.0                  # optional: relative drift; power_sd: scatter from capture to capture
+//! [optics]
+//! lens_m = 0.025                     # diameter
+//! transmission = 0.9                 # optional
+//! ambient_w = 0.0                    # optional: power of ambient light on the detector
 //! [instrument]
 //! response = { kind = "emg", sigma_ps = 33.0, tau_ps = 112.0 }   # or { kind = "gaussian", fwhm_ps = 250.0 }
+//! responsivity_a_w = 0.45
+//! load_ohm = 50.0                    # optional; times the amplifier's gain
+//! dark_a = 0.0                       # optional: dark current
 //! dt_ps = 50.0
 //! samples = 320
 //! t0_ps = -1000.0                    # nominal time of sample 0 after the trigger
 //! bits = 8                           # of the converter, 8 to 16
 //! full_scale_v = 1.0                 # range of the converter
-//! snr = 20.0                         # of one shot; a shortcut: every capture is amplified to the same height. Or noise_v and volts
+//! noise_v = 0.004                    # of one sample of one shot at that range
+//! noise_bandwidth_ghz = 5.0          # optional: noise is white without
 //! jitter_ps = 80.0                   # of the trigger, standard deviation
-//! reference = { fwhm_ps = 200.0, snr = 50.0 }   # optional: a second channel with the pulse that marks time zero
+//! rate_hz = 1000.0                   # optional: shots that the instrument records in a second, if fewer than the laser gives
+//! reference = { fwhm_ps = 200.0, height_v = 0.3 }   # optional: a second channel with the pulse that marks time zero
+//! [instrument.ranges.fine]           # optional: vertical ranges in place of full_scale_v and noise_v
+//! full_scale_v = 0.08
+//! noise_v = 0.0003
+//! latency_ps = 12.0                  # what its amplifier adds
+//! [instrument.counts]                # for sensors of kind "counts"
+//! efficiency = 0.3
+//! dark_hz = 100.0
+//! dead_time_ps = 50000.0
+//! [instrument.flaws]                 # optional, each
+//! saturation_v = 2.0                 # v becomes v / (1 + v / saturation_v)
+//! slew_ps = 20.0                     # delay of a pulse that fills the range
+//! cubic = 0.01                       # relative surplus at full scale
+//! interleave = { cores = 4, offset_v = 0.001, gain = 0.01 }
+//! pickup = { volts = 0.001, frequency_ghz = 0.4, decay_ps = 3000.0 }
+//! echo = { ratio = 0.01, delay_ps = 4000.0 }
+//! tail = { ratio = 0.01, tau_ps = 2000.0 }
+//! recovery = { ratio = 0.02, tau_ps = 3000.0 }   # after clipping
+//! delay_ps_per_h = 0.0
+//! delay_sd_ps = 0.0                  # from capture to capture
 //! [captures]
-//! shots = 100
+//! shots = 100                        # of each scene capture; for photon counters, pulses of the laser
+//! lit = [1, 2]                       # optional, like `seen`: patches and views; else all visible patches
+//! bounces = 2                        # optional: light is followed so far, 1 to 5
+//! ranges = "auto"                    # optional: the most sensitive range that holds the signal; or "all", each in turn
 //! response_shots = 400
+//! response_od = 0.0                  # optional, at least; more where the response would clip
 //! path_m = 1.0                       # known path of the response captures; the true one differs by its sd
 //! path_sd_m = 0.0003
+//! dark_shots = 0                     # optional, like blocked_shots
 //! bad_shots = 0.02                   # optional: share of shots without light or with far too much
+//! lost_shots = 0.0                   # optional: share of shots that are not in the files
+//! overhead_s = 0.0                   # optional: time between captures
+//! [[captures.fiducials]]             # optional: known paths, once or again and again
+//! path_m = 0.6                       # to a white diffuser and back; or: through = [1, 5, 2]
+//! attenuation_od = 0.3
+//! shots = 100
+//! runs = 10
+//! every_s = 600.0
 //! ```
 //!
-//! With `noise_v` (standard deviation of a sample) in place of `snr`, `volts` is the height of a first bounce from a white patch at 1 m, lit and seen
-//! head on, and signals have the heights that geometry gives them.
+//! A shortcut for studies of kernels: `snr = 20.0` in [instrument] (of one shot, all captures amplified to the same height) in place of [laser],
+//! [optics], `noise_v` and `responsivity_a_w`; `reference = { fwhm_ps, snr }` likewise. The truth marks such campaigns.
 //!
-//! Not modelled yet: third and later bounces, hidden and mirror patches, occluders, specular reflection, ambient light, drift, non-linearity,
-//! correlated noise, the laser's period. Scenes that ask for them are refused.
+//! Not modelled: paths over two mirrors in a row, polarisation, interference, a beam that is wider than its patch.
 
+mod calendar;
+mod chain;
+mod check_scene;
+mod counts;
 mod folder;
-mod instrument;
+pub mod keys;
+mod pulse;
+mod recorder;
 mod scene;
-mod transport;
+mod session;
+pub mod transport;
 mod truth;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::tables::{Calibration, Onset, Patch};
-use crate::units::{self, PatchId};
-use instrument::{Digitizer, Pulse};
+use crate::tables::{Calibration, Onset, Patch, TrueCapture, TrueCentroid, TruePath};
+use crate::units::PatchId;
+pub use chain::{Chain, Setting};
+pub use pulse::Pulse;
+use recorder::{Exposure, Recorder};
 pub use scene::{Scene, SceneError};
-use transport::Light;
+use session::Session;
+pub use session::Shooting;
+use transport::{Captured, Paths, Room};
 
 /// Why a campaign was not made.
 #[derive(Debug, Error)]
@@ -100,6 +167,8 @@ pub enum Format {
     Trc,
     /// NumPy arrays of codes, a row a shot; the sub-sample time of the trigger is lost, as in many home-made set-ups.
     Npy,
+    /// Comma-separated times and volts, a file a shot.
+    Csv,
 }
 
 /// What is true of a simulated campaign.
@@ -111,17 +180,83 @@ pub struct Truth {
     pub onsets: Vec<Onset>,
     /// True responses and latencies.
     pub calibration: Vec<Calibration>,
+    /// All paths of light.
+    pub paths: Vec<TruePath>,
+    /// Centres of patches beside what their first bounces stand for.
+    pub centroids: Vec<TrueCentroid>,
+    /// What each capture is made of.
+    pub captures: Vec<TrueCapture>,
 }
 
-/// What one file pair is to hold.
-struct Shooting {
-    /// Number of its random stream.
-    stream: u64,
-    /// Beginning of its file names, relative to the campaign.
-    stem: String,
-    light: Light,
-    shots: usize,
-    latency_ps: f64,
+/// A scene with its light and its list of captures: all that is certain before anything random is drawn.
+pub struct Laboratory<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// From light to volts.
+    pub chain: Chain,
+    /// The scene's light, by lit patch or view.
+    pub captured: BTreeMap<PatchId, Captured>,
+    /// Captures, in order. What drifts is drawn with the seed.
+    pub shootings: Vec<Shooting>,
+}
+
+impl<'a> Laboratory<'a> {
+    /// Follows the light of a scene and lists its captures.
+    ///
+    /// # Errors
+    /// When the first light of a capture arrives outside the record.
+    pub fn new(scene: &'a Scene, seed: u64) -> Result<Self, SimulateError> {
+        let (room, chain) = (Room::new(scene), Chain::new(scene));
+        let paths = Paths::new(scene, &room, scene.captures.bounces);
+        let captured: BTreeMap<PatchId, Captured> =
+            scene.lit().into_par_iter().map(|lit| (lit, paths.lit(&scene.covers(lit)))).collect();
+        let shootings = Session::plan(scene, &chain, &room, &captured, seed);
+        shootings.iter().try_for_each(|shooting| scene.check_record(shooting))?;
+        Ok(Self { scene, chain, captured, shootings })
+    }
+
+    /// Time from the first shot to the last.
+    #[must_use]
+    pub fn hours(&self) -> f64 {
+        let end_s = |shooting: &Shooting| shooting.start_s + shooting.duration_s(self.scene);
+        self.shootings.iter().map(end_s).fold(0.0, f64::max) / 3600.0
+    }
+
+    /// What endless averaging of a capture would leave, in volts, with samples from `t0_ps` after the reference pulse.
+    #[must_use]
+    pub fn mean_v(&self, shooting: &Shooting, t0_ps: f64) -> Vec<f64> {
+        Recorder::new(self.scene, &self.chain).mean_v(&exposure(shooting), t0_ps)
+    }
+
+    fn truth(&self) -> Truth {
+        let scene = self.scene;
+        let mut truth = Truth {
+            patches: scene.true_patches(),
+            onsets: Vec::new(),
+            calibration: scene.true_calibration(&self.chain),
+            paths: Vec::new(),
+            centroids: scene.true_centroids(&self.captured),
+            captures: Vec::new(),
+        };
+        for shooting in &self.shootings {
+            let paths = scene.true_paths(&self.chain, shooting);
+            truth.onsets.extend(truth::true_onsets(&paths, shooting.role, scene.instrument.snr.is_some()));
+            truth.paths.extend(paths);
+            truth.captures.push(scene.true_capture(&self.chain, shooting, &shooting.stem));
+        }
+        truth
+    }
+}
+
+fn exposure(shooting: &Shooting) -> Exposure<'_> {
+    Exposure {
+        light: &shooting.light,
+        factor: shooting.factor,
+        latency_ps: shooting.latency_ps,
+        setting: &shooting.setting,
+        fires: shooting.fires,
+        shots: shooting.shots,
+    }
 }
 
 /// Makes a campaign in the folder `out`, which must be empty or absent. Equal scene, seed and format give equal files.
@@ -130,48 +265,23 @@ struct Shooting {
 /// When the folder is in use or cannot be written, or light arrives outside the record.
 pub fn simulate(scene: &Scene, seed: u64, out: &Path, format: Format) -> Result<Truth, SimulateError> {
     folder::claim(out)?;
-    let pulse = Pulse::of(&scene.instrument.response);
-    let mut shootings = Vec::new();
-    let mut truth = Truth { patches: scene.true_patches(), onsets: Vec::new(), calibration: Vec::new() };
-    for (number, (name, sensor)) in scene.sensors.iter().enumerate() {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(number as u64);
-        let normal: f64 = StandardNormal.sample(&mut rng);
-        let path_m = scene.captures.path_m + scene.captures.path_sd_m * normal;
-        let light = Light::at(units::time_ps(path_m, scene.group_index), scene.instrument.volts.unwrap_or(1.0));
-        let stem = format!("raw/response/{name}");
-        shootings.push(Shooting {
-            stream: rng.random(),
-            stem,
-            light,
-            shots: scene.captures.response_shots,
-            latency_ps: sensor.latency_ps,
-        });
-        truth.calibration.push(scene.true_calibration(name, sensor.latency_ps, &pulse));
-        for lit in scene.patches.keys() {
-            for seen in scene.patches.keys() {
-                let light = transport::light(scene, name, *lit, *seen);
-                let stem = format!("raw/scene/{name}_L{lit}_P{seen}");
-                truth.onsets.push(scene.true_onset(name, *lit, *seen, &light));
-                shootings.push(Shooting {
-                    stream: rng.random(),
-                    stem,
-                    light,
-                    shots: scene.captures.shots,
-                    latency_ps: sensor.latency_ps,
-                });
-                scene.check_record(*lit, *seen, &shootings[shootings.len() - 1].light, sensor.latency_ps)?;
-            }
-        }
-    }
-    let digitizer = Digitizer::new(&scene.instrument, scene.captures.bad_shots, &pulse);
-    shootings.par_iter().try_for_each(|shooting| {
+    let laboratory = Laboratory::new(scene, seed)?;
+    let chain = &laboratory.chain;
+    let recorder = Recorder::new(scene, chain);
+    laboratory.shootings.par_iter().try_for_each(|shooting| {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(shooting.stream);
-        let shots = digitizer.shots(&shooting.light, shooting.latency_ps, shooting.shots, &mut rng);
-        folder::write_shots(out, &shooting.stem, scene, format, &shots)
+        if shooting.counts {
+            let (light, factor) = (&shooting.light, shooting.factor);
+            let cycles = shooting.shots as u64;
+            let counts = counts::histogram(scene, &chain.pulse, light, factor, shooting.latency_ps, cycles, &mut rng);
+            return folder::write_histogram(out, shooting, &counts);
+        }
+        let shots = recorder.shots(&exposure(shooting), &mut rng);
+        folder::write_shots(out, scene, chain, format, shooting, &shots)
     })?;
-    folder::write_campaign(out, scene, format)?;
+    let truth = laboratory.truth();
+    folder::write_campaign(out, scene, format, &laboratory.shootings)?;
     folder::write_truth(out, scene, seed, &truth)?;
     Ok(truth)
 }

@@ -12,6 +12,7 @@ pub mod row;
 pub mod solution;
 pub mod stir;
 pub mod traces;
+pub mod truth;
 
 use arrow::datatypes::SchemaRef;
 
@@ -26,6 +27,7 @@ pub use row::{Codes, Name, Row, Samples, SchemaError};
 pub use solution::{Delay, Residual};
 pub use stir::{Impulse, Stir};
 pub use traces::Trace;
+pub use truth::{TrueCapture, TrueCentroid, TruePath};
 
 /// Columns that name one capture; every table of samples, onsets or labels starts with them.
 pub const CAPTURE_KEY: [&str; 4] = ["campaign", "sensor", "lit", "seen"];
@@ -50,6 +52,9 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Delay>(),
         of::<Residual>(),
         of::<Reject>(),
+        of::<TruePath>(),
+        of::<TrueCentroid>(),
+        of::<TrueCapture>(),
     ]
 }
 

@@ -37,14 +37,18 @@ fn tabulated(row: &Calibration) -> impl Fn(f64) -> f64 + use<> {
 /// Standard deviation of every onset of a scene whose signal-to-noise ratio is set: signal, its reference pulse, and the converter's rounding.
 pub fn onset_sd_ps(scene: &Scene, truth: &Calibration) -> f64 {
     let instrument = &scene.instrument;
-    let height_v = instrument.height_v(1.0);
-    let rounding_v = instrument.gain_v() / 12_f64.sqrt();
+    let height_v = 0.6 * instrument.full_scale_v;
+    let rounding_v = instrument.full_scale_v / f64::from(1 << instrument.bits) / 12_f64.sqrt();
     let snr = |noise_v: f64| height_v / noise_v.hypot(rounding_v);
-    let signal = shot_sd_ps(&tabulated(truth), instrument.dt_ps, snr(instrument.sample_noise_v()));
+    let signal =
+        shot_sd_ps(&tabulated(truth), instrument.dt_ps, snr(height_v / instrument.snr.expect("the ratio is set")));
     let reference = instrument.reference.expect("the scene has a reference");
     let sigma = reference.fwhm_ps / (8.0 * 2_f64.ln()).sqrt();
-    let reference =
-        shot_sd_ps(&|t| (-0.5 * (t / sigma).powi(2)).exp(), instrument.dt_ps, snr(height_v / reference.snr));
+    let reference = shot_sd_ps(
+        &|t| (-0.5 * (t / sigma).powi(2)).exp(),
+        instrument.dt_ps,
+        snr(height_v / reference.snr.expect("the ratio is set")),
+    );
     let shots = scene.captures.shots as f64 * (1.0 - scene.captures.bad_shots);
     signal.hypot(reference) / shots.sqrt()
 }

@@ -163,6 +163,7 @@ fn sequence(bits: u16, count: usize) -> (Vec<u8>, Vec<(f64, f64, Vec<i16>)>) {
         offset_v: -0.5,
         dt_s: 5e-11,
         bits,
+        acquired: lecroy_trc::Acquired { year: 2026, month: 3, day: 4, hour: 5, minute: 6, second: 7.25 },
     };
     let mut bytes = Vec::new();
     lecroy_trc::write_sequence(&mut bytes, &head, &segments).unwrap();

@@ -1,0 +1,147 @@
+//! From light to volts: what a joule on the detector gives, and what noise comes with it.
+//!
+//! A pulse of energy E on a detector of responsivity R makes the charge `E R`; through a load Z it is a voltage pulse of the response's shape h
+//! (maximum 1, area a) and height `E R Z / a`. Each electron does the same for itself, so that the variance at a time is the sum of
+//! `q E R (Z h / a)^2` over arrivals (Campbell's theorem): shot noise. Ambient light and dark current add the same without end.
+
+use super::keys::{Instrument, Range};
+use super::pulse::Pulse;
+use super::scene::Scene;
+
+/// Charge of an electron in coulombs.
+const ELECTRON_C: f64 = 1.602_176_634e-19;
+/// Planck's constant times the speed of light, joule metres.
+const PHOTON_J_M: f64 = 1.986_445_857e-25;
+const S_PER_PS: f64 = 1e-12;
+
+/// One setting of the oscilloscope.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setting {
+    /// Its name; `None` where the instrument has but one.
+    pub name: Option<String>,
+    /// Range of the converter.
+    pub full_scale_v: f64,
+    /// Noise of one sample of one shot in the dark, ambient light and dark current included.
+    pub noise_v: f64,
+    /// What it adds to the latency.
+    pub latency_ps: f64,
+    bits: u16,
+}
+
+impl Setting {
+    /// Volts per code.
+    pub fn gain_v(&self) -> f64 {
+        self.full_scale_v / f64::from(1_u32 << self.bits)
+    }
+
+    /// Volts at code 0: the baseline stands a fifth of the range above the lower rail.
+    pub fn offset_v(&self) -> f64 {
+        0.3 * self.full_scale_v
+    }
+
+    /// Highest voltage that it records.
+    pub fn top_v(&self) -> f64 {
+        0.8 * self.full_scale_v - self.gain_v()
+    }
+
+    /// Noise of one sample with the converter's rounding.
+    pub fn recorded_noise_v(&self) -> f64 {
+        self.noise_v.hypot(self.gain_v() / 12_f64.sqrt())
+    }
+}
+
+/// The recording chain of a scene.
+#[derive(Clone, Debug)]
+pub struct Chain {
+    /// Impulse response, echo and tail included.
+    pub pulse: Pulse,
+    /// Height of the response to one joule; `None` where the signal-to-noise ratio is set and all signals have one height.
+    volts_per_j: Option<f64>,
+    /// Variance from shot noise: volts^2 per joule at the response's maximum; it goes with the response's square.
+    shot_v2_per_j: f64,
+    /// Constant voltage of ambient light and dark current.
+    pub background_v: f64,
+    /// Settings, the most sensitive first.
+    pub settings: Vec<Setting>,
+    height_v: f64,
+}
+
+impl Chain {
+    /// Share of the range at which every signal stands, when the signal-to-noise ratio is set.
+    pub const HEIGHT: f64 = 0.6;
+
+    /// Of a scene's analog sensors.
+    pub fn new(scene: &Scene) -> Self {
+        let instrument = &scene.instrument;
+        let pulse = Pulse::of(&instrument.response).with(&instrument.flaws);
+        let area_s = pulse.area_ps() * S_PER_PS;
+        let height_v = Self::HEIGHT * instrument.full_scale_v;
+        let responsivity = instrument.responsivity_a_w.filter(|_| instrument.snr.is_none());
+        let volts_per_j = match instrument.snr {
+            Some(_) => None,
+            None => Some(responsivity.unwrap_or(0.0) * instrument.load_ohm / area_s),
+        };
+        let electron_v = ELECTRON_C * instrument.load_ohm / area_s;
+        let ambient_a = scene.optics.map_or(0.0, |optics| optics.ambient_w) * responsivity.unwrap_or(0.0);
+        let background_a = ambient_a + instrument.dark_a;
+        let background_v2 = background_a / ELECTRON_C * electron_v * electron_v * pulse.energy_ps() * S_PER_PS;
+        let setting = |name: Option<String>, range: Range| Setting {
+            name,
+            full_scale_v: range.full_scale_v,
+            noise_v: (range.noise_v * range.noise_v + background_v2).sqrt(),
+            latency_ps: range.latency_ps,
+            bits: instrument.bits,
+        };
+        let noise_v = instrument.snr.map_or(instrument.noise_v.unwrap_or(0.0), |snr| height_v / snr);
+        let only = Range { full_scale_v: instrument.full_scale_v, noise_v, latency_ps: 0.0 };
+        let mut settings: Vec<Setting> =
+            instrument.ranges.iter().map(|(name, range)| setting(Some(name.clone()), *range)).collect();
+        settings.sort_by(|a, b| a.full_scale_v.total_cmp(&b.full_scale_v));
+        if settings.is_empty() {
+            settings.push(setting(None, only));
+        }
+        Self {
+            pulse,
+            volts_per_j,
+            shot_v2_per_j: volts_per_j.unwrap_or(0.0) * electron_v,
+            background_v: background_a * instrument.load_ohm,
+            settings,
+            height_v,
+        }
+    }
+
+    /// Volts that a unit of strength gives in a capture whose light has this strength in all.
+    pub fn volts_per_strength(&self, total: f64) -> f64 {
+        self.volts_per_j.unwrap_or_else(|| if total > 0.0 { self.height_v / total } else { 0.0 })
+    }
+
+    /// Variance from shot noise at the maximum of the response to a unit of strength.
+    pub fn shot_v2_per_strength(&self) -> f64 {
+        self.shot_v2_per_j
+    }
+
+    /// How the reference pulse is recorded: at the same share of a range of its own.
+    pub fn reference_setting(&self, instrument: &Instrument) -> Option<Setting> {
+        let reference = instrument.reference?;
+        let height_v = reference.height_v.unwrap_or(self.height_v);
+        let noise_v = reference.snr.map_or(instrument.noise_v.unwrap_or(0.0), |snr| height_v / snr);
+        let full_scale_v = height_v / Self::HEIGHT;
+        Some(Setting { name: None, full_scale_v, noise_v, latency_ps: 0.0, bits: instrument.bits })
+    }
+
+    /// Electrons that a joule sets free.
+    pub fn electrons_per_j(instrument: &Instrument) -> f64 {
+        instrument.responsivity_a_w.unwrap_or(0.0) / ELECTRON_C
+    }
+
+    /// The most sensitive setting that holds a signal of this height over the background, noise included; else the coarsest.
+    pub fn setting_for(&self, height_v: f64) -> &Setting {
+        let holds = |setting: &&Setting| height_v + self.background_v + 6.0 * setting.noise_v < setting.top_v();
+        self.settings.iter().find(holds).unwrap_or(&self.settings[self.settings.len() - 1])
+    }
+}
+
+/// Photons of a joule at a wavelength.
+pub fn photons_per_j(wavelength_nm: f64) -> f64 {
+    wavelength_nm * 1e-9 / PHOTON_J_M
+}

@@ -1,0 +1,131 @@
+//! The photon counter: histograms of detections over the laser's pulses.
+//!
+//! In each cycle a bin detects with probability `live (1 - exp(-expected))`, where the counter is live unless a detection within its dead time
+//! before (also in earlier cycles, as the laser repeats) has blinded it: early light hides late light (pile-up). The live share follows from the
+//! bins before it; where the laser repeats it is found by iteration. Detections of different cycles are independent, so that the histogram is
+//! drawn bin by bin as a binomial, which neglects only that one cycle cannot count twice within a dead time.
+
+use rand::RngExt;
+use rand_distr::{Binomial, Distribution};
+
+use super::chain::photons_per_j;
+use super::keys::Counts;
+use super::pulse::Pulse;
+use super::recorder::binned;
+use super::scene::Scene;
+use super::transport::Light;
+
+/// Rounds in which the live share settles.
+const ROUNDS: usize = 200;
+
+/// Expected detections a cycle in each bin of a perfect counter.
+fn expected(scene: &Scene, counts: &Counts, pulse: &Pulse, light: &Light, factor: f64, latency_ps: f64) -> Vec<f64> {
+    let instrument = &scene.instrument;
+    let photons = scene.laser.map_or(0.0, |laser| photons_per_j(laser.wavelength_nm)) * counts.efficiency;
+    let dark =
+        (counts.dark_hz + scene.optics.map_or(0.0, |optics| optics.ambient_w) * photons) * instrument.dt_ps * 1e-12;
+    let mut bins = vec![dark; instrument.samples];
+    if light.0.is_empty() {
+        return bins;
+    }
+    let (start_ps, strengths) = binned(light, latency_ps);
+    let area_ps = pulse.area_ps();
+    let period_ps = scene.repetition_ps().filter(|period_ps| *period_ps < instrument.samples as f64 * instrument.dt_ps);
+    for (k, strength) in strengths.iter().enumerate().filter(|(_, strength)| **strength > 0.0) {
+        for (i, value) in pulse.values().iter().enumerate() {
+            let time_ps = start_ps + k as f64 + pulse.start_ps() + i as f64 - instrument.t0_ps;
+            let time_ps = period_ps.map_or(time_ps, |period_ps| time_ps.rem_euclid(period_ps));
+            let bin = (time_ps / instrument.dt_ps).floor();
+            if bin >= 0.0 && bin < bins.len() as f64 {
+                bins[bin as usize] += strength * factor * photons * value * Pulse::STEP_PS / area_ps;
+            }
+        }
+    }
+    bins
+}
+
+/// Probability a cycle that each bin counts, with a dead time of so many bins. Where the laser repeats after `period` bins, a detection also blinds
+/// the cycles after its own.
+fn counted(expected: &[f64], dead_bins: usize, period: Option<usize>) -> Vec<f64> {
+    let mut hit: Vec<f64> = expected.iter().map(|expected| -(-expected).exp_m1()).collect();
+    hit.resize(period.unwrap_or(hit.len()).max(hit.len()), 0.0);
+    let count = hit.len();
+    let (turns, reach) = match period {
+        Some(_) => (dead_bins / count, dead_bins % count),
+        None => (0, dead_bins.min(count)),
+    };
+    let mut counted = hit.clone();
+    for _ in 0..ROUNDS {
+        // Detections of earlier cycles that still blind the first bin of this one.
+        let whole = turns as f64 * counted.iter().sum::<f64>();
+        let mut recent = if period.is_some() { counted[count - reach..].iter().sum() } else { 0.0 };
+        let mut largest = 0.0_f64;
+        for bin in 0..count {
+            let live = (1.0 - whole - recent).max(0.0);
+            // Half the way: where light is strong the whole way overshoots.
+            let now = if period.is_some() { 0.5 * (counted[bin] + live * hit[bin]) } else { live * hit[bin] };
+            largest = largest.max((now - counted[bin]).abs());
+            recent += now;
+            if bin >= reach {
+                recent -= counted[bin - reach];
+            } else if period.is_some() {
+                recent -= counted[count + bin - reach];
+            }
+            counted[bin] = now;
+        }
+        if largest < 1e-12 {
+            break;
+        }
+    }
+    counted.truncate(expected.len());
+    counted
+}
+
+/// Histogram of one capture over so many pulses of the laser.
+pub fn histogram(
+    scene: &Scene,
+    pulse: &Pulse,
+    light: &Light,
+    factor: f64,
+    latency_ps: f64,
+    cycles: u64,
+    rng: &mut impl RngExt,
+) -> Vec<i32> {
+    let counts = scene.instrument.counts.expect("checked: the scene has a counter");
+    let expected = expected(scene, &counts, pulse, light, factor, latency_ps);
+    let dead_bins = (counts.dead_time_ps / scene.instrument.dt_ps).round() as usize;
+    let draw = |probability: f64| {
+        let drawn = Binomial::new(cycles, probability.clamp(0.0, 1.0)).expect("a probability").sample(rng);
+        i32::try_from(drawn).unwrap_or(i32::MAX)
+    };
+    let period = scene.repetition_ps().map(|period_ps| (period_ps / scene.instrument.dt_ps).round() as usize);
+    counted(&expected, dead_bins, period).into_iter().map(draw).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A dead time beyond the record: only the first photon of a cycle counts.
+    #[test]
+    fn early_light_hides_late_light() {
+        let expected = [0.1, 0.0, 0.7, 0.4, 0.2];
+        let counted = counted(&expected, 1000, None);
+        let mut none = 1.0;
+        for (expected, counted) in expected.iter().zip(&counted) {
+            let first = none * (1.0 - f64::exp(-expected));
+            assert!((counted - first).abs() < 1e-12, "{counted} {first}");
+            none *= f64::exp(-expected);
+        }
+    }
+
+    /// Constant light and a dead time that is not extended: rate / (1 + rate * dead time).
+    #[test]
+    fn constant_light_counts_as_a_dead_time_that_is_not_extended() {
+        let (expected, dead) = (1e-3, 1300);
+        let counted = counted(&vec![expected; 500], dead, Some(500));
+        let hit = 1.0 - f64::exp(-expected);
+        let law = hit / (1.0 + hit * dead as f64);
+        assert!(counted.iter().all(|counted| (counted / law - 1.0).abs() < 1e-6), "{} {law}", counted[100]);
+    }
+}

@@ -1,0 +1,269 @@
+//! What is captured, in which order, at which setting, into which files: the lab's day.
+
+use std::collections::BTreeMap;
+use std::f64::consts::PI;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::chain::{Chain, Setting, photons_per_j};
+use super::keys::{Fiducial, Ranges};
+use super::recorder::arrived;
+use super::scene::Scene;
+use super::transport::{Captured, Light, PathLights, Paths, Room};
+use crate::campaign::Role;
+use crate::campaign::keys::SensorKind;
+use crate::units::{self, PatchId};
+
+/// Reflectance of the diffuser that response and fiducial captures go over.
+const DIFFUSER: f64 = 0.8;
+/// Steps of the attenuator that brings a response into the range.
+const OD_STEP: f64 = 0.1;
+
+/// One capture.
+#[derive(Clone, Debug)]
+pub struct Shooting {
+    /// Number of its random stream.
+    pub stream: u64,
+    /// What is captured.
+    pub role: Role,
+    /// Sensor.
+    pub sensor: String,
+    /// Whether the sensor counts photons.
+    pub counts: bool,
+    /// Patch or view lit (0: none).
+    pub lit: PatchId,
+    /// Patch or view seen (0: none).
+    pub seen: PatchId,
+    /// Beginning of its file names, relative to the campaign.
+    pub stem: String,
+    /// Light of the scene by path; empty for other roles.
+    pub paths: PathLights,
+    /// All light.
+    pub light: Light,
+    /// Known path, for responses and fiducials.
+    pub path_m: Option<f64>,
+    /// Bounces of the known path.
+    pub bounces: Option<usize>,
+    /// Optical density in the beam.
+    pub attenuation_od: f64,
+    /// Share of the light that attenuator and drift leave.
+    pub factor: f64,
+    /// From arrival to recorded maximum.
+    pub latency_ps: f64,
+    /// Setting of the oscilloscope.
+    pub setting: Setting,
+    /// Whether the laser fires.
+    pub fires: bool,
+    /// Shots.
+    pub shots: usize,
+    /// Start after that of the campaign.
+    pub start_s: f64,
+}
+
+/// Makes the list of captures.
+pub struct Session<'a> {
+    scene: &'a Scene,
+    chain: &'a Chain,
+    room: &'a Room,
+    seed: u64,
+    now_s: f64,
+    shootings: Vec<Shooting>,
+}
+
+impl<'a> Session<'a> {
+    /// All captures of a scene. `captured` is the scene's light: for each lit patch or view, what the sensors get.
+    pub fn plan(
+        scene: &'a Scene,
+        chain: &'a Chain,
+        room: &'a Room,
+        captured: &BTreeMap<PatchId, Captured>,
+        seed: u64,
+    ) -> Vec<Shooting> {
+        let mut session = Self { scene, chain, room, seed, now_s: 0.0, shootings: Vec::new() };
+        for (number, name) in scene.sensors.keys().enumerate() {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(number as u64);
+            session.sensor(name, captured, &mut rng);
+        }
+        session.shootings
+    }
+
+    fn sensor(&mut self, name: &str, captured: &BTreeMap<PatchId, Captured>, rng: &mut ChaCha8Rng) {
+        let captures = &self.scene.captures;
+        let normal: f64 = StandardNormal.sample(rng);
+        let true_path_m = captures.path_m + captures.path_sd_m * normal;
+        let response = self.over_diffuser(true_path_m);
+        for setting in self.settings(name) {
+            let od = self.density_for(&response, &setting, captures.response_od);
+            let at = self.now_s;
+            let mut shooting = self.shooting(Role::Response, name, &setting, response.clone(), rng);
+            shooting.shots = captures.response_shots;
+            shooting.path_m = Some(captures.path_m);
+            shooting.bounces = Some(1);
+            self.put(Shooting { attenuation_od: od, start_s: at, ..shooting });
+        }
+        let base = self.settings(name);
+        for (role, shots) in [(Role::Dark, captures.dark_shots), (Role::Blocked, captures.blocked_shots)] {
+            for setting in base.iter().filter(|_| shots > 0) {
+                let shooting = self.shooting(role, name, setting, Light::default(), rng);
+                self.put(Shooting { shots, fires: role == Role::Blocked, start_s: self.now_s, ..shooting });
+            }
+        }
+        for (number, fiducial) in captures.fiducials.iter().enumerate() {
+            self.fiducial(name, number, fiducial, rng);
+        }
+        for lit in self.scene.lit() {
+            for seen in self.scene.seen() {
+                let paths = captured[&lit].get(&(name.to_owned(), seen)).cloned().unwrap_or_default();
+                self.capture(name, lit, seen, paths, rng);
+            }
+        }
+    }
+
+    fn capture(&mut self, name: &str, lit: PatchId, seen: PatchId, paths: PathLights, rng: &mut ChaCha8Rng) {
+        let light = Light(paths.values().flat_map(|light| light.0.iter().copied()).collect());
+        let settings = match self.scene.captures.ranges {
+            Ranges::All => self.settings(name),
+            Ranges::Auto => vec![self.chain.setting_for(self.height_v(&light)).clone()],
+        };
+        for setting in settings {
+            let mut shooting = self.shooting(Role::Scene, name, &setting, light.clone(), rng);
+            let folder = setting.name.as_ref().map_or(String::new(), |range| format!("{range}/"));
+            let kind = if shooting.counts { "counts" } else { "scene" };
+            shooting.stem = format!("raw/{kind}/{folder}{name}_L{lit}_P{seen}");
+            shooting.paths = paths.clone();
+            self.put(Shooting { lit, seen, shots: self.scene.captures.shots, start_s: self.now_s, ..shooting });
+        }
+    }
+
+    fn fiducial(&mut self, name: &str, number: usize, fiducial: &Fiducial, rng: &mut ChaCha8Rng) {
+        let light = if let Some(path_m) = fiducial.path_m {
+            self.over_diffuser(path_m)
+        } else {
+            let eye = self.scene.sensor_m(name).into();
+            Paths::new(self.scene, self.room, fiducial.through.len()).along(&fiducial.through, eye)
+        };
+        // A path that is closed has no light, and no length that a lab could know.
+        let centroid_m = || (!light.0.is_empty()).then(|| units::path_m(light.centroid_ps(), self.scene.group_index));
+        let path_m = fiducial.path_m.or_else(centroid_m);
+        let strength = light.moved(0.0, attenuation(fiducial.attenuation_od));
+        let setting = self.chain.setting_for(self.height_v(&strength)).clone();
+        let after_s = self.now_s;
+        for run in 0..fiducial.runs {
+            let shooting = self.shooting(Role::Fiducial, name, &setting, light.clone(), rng);
+            let stem = format!("raw/fiducial/{}/{name}_{run:04}", number + 1);
+            self.put(Shooting {
+                stem,
+                path_m,
+                bounces: Some(fiducial.through.len().max(1)),
+                attenuation_od: fiducial.attenuation_od,
+                shots: fiducial.shots,
+                start_s: if fiducial.every_s > 0.0 { run as f64 * fiducial.every_s } else { self.now_s },
+                ..shooting
+            });
+        }
+        // Runs that repeat are taken between other captures; those that do not take their turn.
+        if fiducial.every_s > 0.0 {
+            self.now_s = after_s;
+        }
+    }
+
+    /// A capture with all that follows from sensor and setting.
+    fn shooting(&self, role: Role, name: &str, setting: &Setting, light: Light, rng: &mut ChaCha8Rng) -> Shooting {
+        let sensor = &self.scene.sensors[name];
+        let folder = setting.name.as_ref().map_or(String::new(), |range| format!("{range}/"));
+        Shooting {
+            stream: rng.random(),
+            role,
+            sensor: name.to_owned(),
+            counts: sensor.kind == SensorKind::Counts,
+            lit: 0,
+            seen: 0,
+            stem: format!("raw/{}/{folder}{name}", role.name()),
+            paths: PathLights::new(),
+            light,
+            path_m: None,
+            bounces: None,
+            attenuation_od: 0.0,
+            factor: 1.0,
+            latency_ps: sensor.latency_ps + setting.latency_ps,
+            setting: setting.clone(),
+            fires: true,
+            shots: 0,
+            start_s: 0.0,
+        }
+    }
+
+    /// Adds a capture, with the drift of its hour.
+    fn put(&mut self, mut shooting: Shooting) {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        rng.set_stream(!shooting.stream);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+        let hours = shooting.start_s / 3600.0;
+        let flaws = &self.scene.instrument.flaws;
+        shooting.latency_ps += flaws.delay_ps_per_h * hours + flaws.delay_sd_ps * normal();
+        let drift =
+            self.scene.laser.map_or(1.0, |laser| (1.0 + laser.power_per_h * hours) * (1.0 + laser.power_sd * normal()));
+        shooting.factor = attenuation(shooting.attenuation_od) * drift.max(0.0);
+        self.now_s = shooting.start_s + shooting.shots as f64 / self.scene.rate_hz() + self.scene.captures.overhead_s;
+        self.shootings.push(shooting);
+    }
+
+    fn settings(&self, name: &str) -> Vec<Setting> {
+        let counts = self.scene.sensors[name].kind == SensorKind::Counts;
+        if counts { self.chain.settings[..1].to_vec() } else { self.chain.settings.clone() }
+    }
+
+    /// First bounce off a white diffuser at half the path, lit and seen head on.
+    fn over_diffuser(&self, path_m: f64) -> Light {
+        let strength = match (self.scene.laser, self.scene.optics) {
+            (Some(laser), Some(_)) => laser.pulse_j * DIFFUSER / PI * self.room.lens_m2 / (0.5 * path_m).powi(2),
+            _ => 1.0,
+        };
+        Light::at(units::time_ps(path_m, self.scene.group_index), strength)
+    }
+
+    fn height_v(&self, light: &Light) -> f64 {
+        if light.0.is_empty() {
+            return 0.0;
+        }
+        arrived(light, 0.0, self.chain.volts_per_strength(light.total()), &self.chain.pulse).height()
+    }
+
+    /// Optical density that brings light into a range, in steps, but at least that asked for.
+    fn density_for(&self, light: &Light, setting: &Setting, least: f64) -> f64 {
+        let over = self.height_v(light) / (Chain::HEIGHT * setting.full_scale_v);
+        if self.scene.laser.is_none() || over <= 0.0 {
+            return least;
+        }
+        // Rounding in the last digit must not ask for a step more.
+        let od = ((over.log10() - least).max(0.0) / OD_STEP - 1e-9).ceil() * OD_STEP + least;
+        (od * 1e6).round() / 1e6
+    }
+}
+
+/// Share of the light that passes an optical density.
+fn attenuation(od: f64) -> f64 {
+    10_f64.powf(-od)
+}
+
+impl Shooting {
+    /// Time that its shots take.
+    pub fn duration_s(&self, scene: &Scene) -> f64 {
+        self.shots as f64 / scene.rate_hz()
+    }
+
+    /// Height over noise of one shot for light of this strength; for photon counters, the root of the expected detections a cycle.
+    pub fn shot_snr(&self, scene: &Scene, chain: &Chain, strength: f64) -> f64 {
+        if self.counts {
+            let efficiency = scene.instrument.counts.map_or(0.0, |counts| counts.efficiency);
+            let photons = scene.laser.map_or(0.0, |laser| photons_per_j(laser.wavelength_nm));
+            return (strength * self.factor * efficiency * photons).sqrt();
+        }
+        let volts = chain.volts_per_strength(self.light.total()) * strength * self.factor;
+        let shot_v2 = chain.shot_v2_per_strength() * strength * self.factor;
+        volts / (self.setting.recorded_noise_v().powi(2) + shot_v2).sqrt()
+    }
+}
