@@ -3,11 +3,11 @@
 //! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer.
 
 #[allow(dead_code, reason = "the tests use more of it")]
-#[path = "../tests/it/bound.rs"]
-mod bound;
-#[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/lab.rs"]
 mod lab;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/missed.rs"]
+mod missed;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/accuracy.rs"]
 mod study;

@@ -21,6 +21,7 @@
 //! # Ok(()) }
 //! ```
 
+pub mod bound;
 pub mod campaign;
 pub mod formats;
 pub mod geometry;

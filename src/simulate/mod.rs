@@ -104,6 +104,7 @@ mod check_scene;
 mod counts;
 mod folder;
 pub mod keys;
+mod laboratory;
 mod pulse;
 mod recorder;
 mod scene;
@@ -111,7 +112,6 @@ mod session;
 pub mod transport;
 mod truth;
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rand::SeedableRng;
@@ -122,12 +122,11 @@ use thiserror::Error;
 use crate::tables::{Calibration, Onset, Patch, TrueCapture, TrueCentroid, TruePath};
 use crate::units::PatchId;
 pub use chain::{Chain, Setting};
+pub use laboratory::Laboratory;
 pub use pulse::Pulse;
-use recorder::{Exposure, Recorder};
+use recorder::Recorder;
 pub use scene::{Scene, SceneError};
-use session::Session;
 pub use session::Shooting;
-use transport::{Captured, Paths, Room};
 
 /// Why a campaign was not made.
 #[derive(Debug, Error)]
@@ -188,77 +187,6 @@ pub struct Truth {
     pub captures: Vec<TrueCapture>,
 }
 
-/// A scene with its light and its list of captures: all that is certain before anything random is drawn.
-pub struct Laboratory<'a> {
-    /// The scene.
-    pub scene: &'a Scene,
-    /// From light to volts.
-    pub chain: Chain,
-    /// The scene's light, by lit patch or view.
-    pub captured: BTreeMap<PatchId, Captured>,
-    /// Captures, in order. What drifts is drawn with the seed.
-    pub shootings: Vec<Shooting>,
-}
-
-impl<'a> Laboratory<'a> {
-    /// Follows the light of a scene and lists its captures.
-    ///
-    /// # Errors
-    /// When the first light of a capture arrives outside the record.
-    pub fn new(scene: &'a Scene, seed: u64) -> Result<Self, SimulateError> {
-        let (room, chain) = (Room::new(scene), Chain::new(scene));
-        let paths = Paths::new(scene, &room, scene.captures.bounces);
-        let captured: BTreeMap<PatchId, Captured> =
-            scene.lit().into_par_iter().map(|lit| (lit, paths.lit(&scene.covers(lit)))).collect();
-        let shootings = Session::plan(scene, &chain, &room, &captured, seed);
-        shootings.iter().try_for_each(|shooting| scene.check_record(shooting))?;
-        Ok(Self { scene, chain, captured, shootings })
-    }
-
-    /// Time from the first shot to the last.
-    #[must_use]
-    pub fn hours(&self) -> f64 {
-        let end_s = |shooting: &Shooting| shooting.start_s + shooting.duration_s(self.scene);
-        self.shootings.iter().map(end_s).fold(0.0, f64::max) / 3600.0
-    }
-
-    /// What endless averaging of a capture would leave, in volts, with samples from `t0_ps` after the reference pulse.
-    #[must_use]
-    pub fn mean_v(&self, shooting: &Shooting, t0_ps: f64) -> Vec<f64> {
-        Recorder::new(self.scene, &self.chain).mean_v(&exposure(shooting), t0_ps)
-    }
-
-    fn truth(&self) -> Truth {
-        let scene = self.scene;
-        let mut truth = Truth {
-            patches: scene.true_patches(),
-            onsets: Vec::new(),
-            calibration: scene.true_calibration(&self.chain),
-            paths: Vec::new(),
-            centroids: scene.true_centroids(&self.captured),
-            captures: Vec::new(),
-        };
-        for shooting in &self.shootings {
-            let paths = scene.true_paths(&self.chain, shooting);
-            truth.onsets.extend(truth::true_onsets(&paths, shooting.role, scene.instrument.snr.is_some()));
-            truth.paths.extend(paths);
-            truth.captures.push(scene.true_capture(&self.chain, shooting, &shooting.stem));
-        }
-        truth
-    }
-}
-
-fn exposure(shooting: &Shooting) -> Exposure<'_> {
-    Exposure {
-        light: &shooting.light,
-        factor: shooting.factor,
-        latency_ps: shooting.latency_ps,
-        setting: &shooting.setting,
-        fires: shooting.fires,
-        shots: shooting.shots,
-    }
-}
-
 /// Makes a campaign in the folder `out`, which must be empty or absent. Equal scene, seed and format give equal files.
 ///
 /// # Errors
@@ -277,7 +205,7 @@ pub fn simulate(scene: &Scene, seed: u64, out: &Path, format: Format) -> Result<
             let counts = counts::histogram(scene, &chain.pulse, light, factor, shooting.latency_ps, cycles, &mut rng);
             return folder::write_histogram(out, shooting, &counts);
         }
-        let shots = recorder.shots(&exposure(shooting), &mut rng);
+        let shots = recorder.shots(&shooting.exposure(), &mut rng);
         folder::write_shots(out, scene, chain, format, shooting, &shots)
     })?;
     let truth = laboratory.truth();

@@ -88,6 +88,21 @@ impl Pulse {
         self
     }
 
+    /// The shape so many times as wide, its maximum where it is.
+    #[must_use]
+    pub fn stretched(&self, factor: f64) -> Self {
+        let start_ps = (self.start_ps * factor).floor();
+        let count = (self.values.len() as f64 * factor).ceil() as usize + 2;
+        let value = |i: usize| self.value((start_ps + i as f64 * Self::STEP_PS) / factor);
+        Self::new(start_ps, (0..count).map(value).collect())
+    }
+
+    /// The square of the shape.
+    #[must_use]
+    pub fn squared(&self) -> Self {
+        Self::new(self.start_ps, self.values.iter().map(|value| value * value).collect())
+    }
+
     /// Time of the first value.
     pub fn start_ps(&self) -> f64 {
         self.start_ps

@@ -1,5 +1,7 @@
 //! The oscilloscope: light in, codes out, shot by shot.
 
+use std::f64::consts::{LN_2, TAU};
+
 use rand::RngExt;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 
@@ -88,10 +90,7 @@ impl<'a> Recorder<'a> {
     pub fn shots(&self, exposure: &Exposure, rng: &mut impl RngExt) -> Shots {
         let instrument = self.instrument;
         let clean = self.clean(exposure);
-        let reference = self.reference.as_ref().map(|(pulse, setting)| {
-            let height_v = Chain::HEIGHT * setting.full_scale_v;
-            (self.folded(&Pulse::new(pulse.start_ps(), pulse.values().iter().map(|v| v * height_v).collect())), setting)
-        });
+        let reference = self.reference_signal().filter(|_| exposure.fires);
         let cores = instrument.flaws.interleave.map(|interleave| cores(interleave, rng));
         let mut shots = Shots { signal: Vec::new(), reference: reference.as_ref().map(|_| Vec::new()) };
         for shot in 0..exposure.shots {
@@ -122,6 +121,14 @@ impl<'a> Recorder<'a> {
             }
         }
         shots
+    }
+
+    /// The reference pulse in volts, and how it is recorded.
+    pub fn reference_signal(&self) -> Option<(Pulse, Setting)> {
+        let (pulse, setting) = self.reference.as_ref()?;
+        let height_v = Chain::HEIGHT * setting.full_scale_v;
+        let volts = Pulse::new(pulse.start_ps(), pulse.values().iter().map(|value| value * height_v).collect());
+        Some((self.folded(&volts), setting.clone()))
     }
 
     /// Mean signal of a capture, as [`Recorder::shots`] would leave it after endless averaging of shots that all start at `t0_ps`.
@@ -163,7 +170,7 @@ impl<'a> Recorder<'a> {
     }
 
     /// A signal as it repeats with the laser, over the time of the record.
-    fn folded(&self, signal: &Pulse) -> Pulse {
+    pub fn folded(&self, signal: &Pulse) -> Pulse {
         let Some(period_ps) = self.period_ps else {
             return signal.clone();
         };
@@ -187,7 +194,7 @@ impl<'a> Recorder<'a> {
 
     fn pickup(&self, exposure: &Exposure, time_ps: f64) -> f64 {
         self.instrument.flaws.pickup.filter(|_| exposure.fires).map_or(0.0, |pickup| {
-            let turn = std::f64::consts::TAU * pickup.frequency_ghz * 1e-3 * time_ps;
+            let turn = TAU * pickup.frequency_ghz * 1e-3 * time_ps;
             pickup.volts * turn.cos() * (-time_ps.abs() / pickup.decay_ps).exp()
         })
     }
@@ -279,15 +286,21 @@ fn cores(interleave: Interleave, rng: &mut impl RngExt) -> Vec<(f64, f64)> {
     (0..interleave.cores).map(|_| (interleave.offset_v * normal(), 1.0 + interleave.gain * normal())).collect()
 }
 
-/// Weights of a Gaussian low-pass that is down to 1/sqrt(2) at the bandwidth.
-fn colour(instrument: &Instrument) -> Vec<f64> {
+/// Weights, symmetric, that turn white noise into samples of noise behind a Gaussian low-pass which is down to 1/sqrt(2) at the bandwidth. Its
+/// autocorrelation is a Gaussian; the weights' transform is the root of that of the autocorrelation at the samples.
+pub fn colour(instrument: &Instrument) -> Vec<f64> {
     let Some(bandwidth_ghz) = instrument.noise_bandwidth_ghz else {
         return vec![1.0];
     };
-    let sigma_ps = (std::f64::consts::LN_2 / 2.0).sqrt() / (std::f64::consts::PI * 2e-3 * bandwidth_ghz) * 2_f64.sqrt();
-    let reach = (4.0 * sigma_ps / instrument.dt_ps).ceil() as i32;
-    let weights: Vec<f64> =
-        (-reach..=reach).map(|k| (-0.5 * (f64::from(k) * instrument.dt_ps / sigma_ps).powi(2)).exp()).collect();
+    let sigma_ps = (2.0 * LN_2).sqrt() / (TAU * 1e-3 * bandwidth_ghz);
+    let reach = (6.0 * sigma_ps / instrument.dt_ps).ceil().max(4.0) as i32;
+    let size = 4 * reach;
+    let acf = |lag: i32| (-0.5 * (f64::from(lag) * instrument.dt_ps / sigma_ps).powi(2)).exp();
+    let turn = |a: i32, b: i32| (TAU * f64::from(a) * f64::from(b) / f64::from(size)).cos();
+    let root = |k: i32| (-2 * reach + 1..2 * reach).map(|lag| acf(lag) * turn(k, lag)).sum::<f64>().max(0.0).sqrt();
+    let spectrum: Vec<f64> = (0..size).map(root).collect();
+    let weight = |n: i32| (0..size).map(|k| spectrum[k as usize] * turn(k, n)).sum::<f64>() / f64::from(size);
+    let weights: Vec<f64> = (-reach..=reach).map(weight).collect();
     let norm = weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt();
     weights.into_iter().map(|weight| weight / norm).collect()
 }
@@ -316,4 +329,26 @@ pub fn arrived(light: &Light, latency_ps: f64, volts_per_strength: f64, pulse: &
         values[at..].iter_mut().zip(pulse.values()).for_each(|(value, pulse)| *value += volts * pulse);
     }
     Pulse::new(origin_ps + pulse.start_ps(), values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn noise_has_the_autocorrelation_of_its_bandwidth() {
+        let text = include_str!("../../pipelines/scenes/tiny.toml");
+        for bandwidth_ghz in [1.0, 4.0, 8.0] {
+            let text = text.replace("snr = 20.0", &format!("noise_bandwidth_ghz = {bandwidth_ghz:?}\nsnr = 20.0"));
+            let scene = Scene::parse(Path::new("tiny.toml"), &text).unwrap();
+            let weights = colour(&scene.instrument);
+            let sigma_ps = LN_2.sqrt() * 2_f64.sqrt() / (TAU * 1e-3 * bandwidth_ghz);
+            for lag in 0..8 {
+                let acf: f64 = weights.iter().zip(&weights[lag..]).map(|(a, b)| a * b).sum();
+                let expected = (-0.5 * (lag as f64 * 50.0 / sigma_ps).powi(2)).exp();
+                assert!((acf - expected).abs() < 2e-3, "{bandwidth_ghz} GHz, lag {lag}: {acf} {expected}");
+            }
+        }
+    }
 }

@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::chain::{Chain, Setting, photons_per_j};
 use super::keys::{Fiducial, Ranges};
-use super::recorder::arrived;
+use super::recorder::{Exposure, arrived};
 use super::scene::Scene;
 use super::transport::{Captured, Light, PathLights, Paths, Room};
 use crate::campaign::Role;
@@ -250,6 +250,18 @@ fn attenuation(od: f64) -> f64 {
 }
 
 impl Shooting {
+    /// As the recorder takes it.
+    pub fn exposure(&self) -> Exposure<'_> {
+        Exposure {
+            light: &self.light,
+            factor: self.factor,
+            latency_ps: self.latency_ps,
+            setting: &self.setting,
+            fires: self.fires,
+            shots: self.shots,
+        }
+    }
+
     /// Time that its shots take.
     pub fn duration_s(&self, scene: &Scene) -> f64 {
         self.shots as f64 / scene.rate_hz()

@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
+use periscope::bound::{Bound, Use};
 use periscope::pipeline::run::Settings;
 use periscope::simulate::{Format, Scene};
-use periscope::tables::{Calibration, Onset, Patch, PatchCovariance};
+use periscope::tables::{Onset, Patch, PatchCovariance};
 
-use crate::bound;
 use crate::lab::{ALL_VISIBLE, Lab};
+use crate::missed;
 
 /// The demo's scene.
 pub const SCENE: &str = include_str!("../../pipelines/scenes/all-visible.toml");
@@ -52,16 +53,15 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
         let lab = Lab::of(text, seed, Format::Trc);
         lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
         let truth: Vec<Patch> = lab.truth();
-        let missed = bound::missed(
+        let missed = missed::missed(
             &lab.rows("out", "patches"),
             &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"),
             &truth,
         );
         study.rms_m += missed.squares_m2;
         study.normalised.push(missed.normalised);
-        study.paper_rms_m += bound::squares_m2(&lab.rows("out", "paper"), &truth);
-        study.start_rms_m += bound::squares_m2(&lab.rows("out", "start"), &truth);
-        study.onset_bound_ps = bound::onset_sd_ps(&scene, &lab.truth::<Calibration>()[0]);
+        study.paper_rms_m += missed::squares_m2(&lab.rows("out", "paper"), &truth);
+        study.start_rms_m += missed::squares_m2(&lab.rows("out", "start"), &truth);
         onsets(&lab, &mut study);
     }
     let places = (study.seeds * count) as f64;
@@ -71,7 +71,11 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
     let profiles = (study.seeds * count * count) as f64;
     study.onset_rms_ps = (study.onset_rms_ps / (profiles - study.seeds as f64)).sqrt();
     study.onsets_found /= profiles;
-    study.bound_m = (bound::position_covariance(&scene, study.onset_bound_ps).trace() / count as f64).sqrt();
+    let bound = Bound::new(&scene, Use::default()).unwrap();
+    let onset_sds =
+        bound.profiles.iter().flat_map(|profile| profile.pulses.iter().filter_map(|pulse| pulse.time_sd_ps));
+    study.onset_bound_ps = (onset_sds.map(|sd_ps| sd_ps * sd_ps).sum::<f64>() / (count * count) as f64).sqrt();
+    study.bound_m = bound.coordinates.rms_m();
     study
 }
 

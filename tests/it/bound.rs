@@ -1,163 +1,229 @@
-//! The Cramer-Rao bound of a simulated scene, and errors measured by it: written from the model alone, sharing no code with the estimators.
+//! The Cramer-Rao calculator against a Fisher matrix of finite differences on the simulator's mean: every patch is moved, every height, baseline,
+//! delay, width and path length changed, and nothing is known but how the samples follow.
 
-use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
-use periscope::simulate::Scene;
-use periscope::tables::{Calibration, Patch, PatchCovariance};
+use std::collections::BTreeMap;
+use std::path::Path;
 
+use nalgebra::{DMatrix, DVector};
+use periscope::bound::{Bound, Use};
+use periscope::campaign::Role;
+use periscope::simulate::transport::Light;
+use periscope::simulate::{Laboratory, Scene, Shooting};
+
+use crate::missed::pseudo_inverse;
+
+const PHASES: usize = 4;
 const LIGHT_M_PER_PS: f64 = 2.997_924_58e-4;
 
-/// Standard deviation of an onset's time in one shot: amplitude, time and offset unknown, white noise, samples at random phases.
-fn shot_sd_ps(shape: &dyn Fn(f64) -> f64, dt_ps: f64, snr: f64) -> f64 {
-    let step = 0.5;
-    let mut information = Matrix3::zeros();
-    let mut t = -1200.0;
-    while t < 4000.0 {
-        let slope = (shape(t + 0.05) - shape(t - 0.05)) / 0.1;
-        let gradient = Vector3::new(slope, shape(t), 1.0);
-        information += gradient * gradient.transpose() * (step / dt_ps * snr * snr);
-        t += step;
-    }
-    information.try_inverse().expect("a pulse has a time")[(0, 0)].sqrt()
+/// Samples of a capture at all phases, one after the other.
+fn mean(laboratory: &Laboratory, shooting: &Shooting) -> Vec<f64> {
+    let instrument = &laboratory.scene.instrument;
+    let start_ps = |phase: usize| instrument.t0_ps + instrument.dt_ps * phase as f64 / PHASES as f64;
+    (0..PHASES).flat_map(|phase| laboratory.mean_v(shooting, start_ps(phase))).collect()
 }
 
-/// Linear interpolation of a true response.
-fn tabulated(row: &Calibration) -> impl Fn(f64) -> f64 + use<> {
-    let (start, step, values) = (row.response_t0_ps, row.step_ps, row.response.to_f64());
-    move |t| {
-        let place = (t - start) / step;
-        let i = place.floor();
-        if i < 0.0 || i as usize + 1 >= values.len() {
-            0.0
-        } else {
-            values[i as usize] + (place - i) * (values[i as usize + 1] - values[i as usize])
-        }
+/// A capture whose paths have these strengths.
+fn with_strengths(shooting: &Shooting, strengths: &BTreeMap<Vec<i32>, f64>) -> Shooting {
+    let mut changed = shooting.clone();
+    for (path, light) in &mut changed.paths {
+        let factor = strengths[path] / light.total();
+        light.0.iter_mut().for_each(|(_, strength)| *strength *= factor);
     }
+    changed.light = Light(changed.paths.values().flat_map(|light| light.0.iter().copied()).collect());
+    changed
 }
 
-/// Standard deviation of every onset of a scene whose signal-to-noise ratio is set: signal, its reference pulse, and the converter's rounding.
-pub fn onset_sd_ps(scene: &Scene, truth: &Calibration) -> f64 {
+fn difference(more: &[f64], less: &[f64], step: f64) -> Vec<f64> {
+    more.iter().zip(less).map(|(more, less)| (more - less) / (2.0 * step)).collect()
+}
+
+/// Covariance of a shot's samples: a Gaussian low-pass over white noise, and the converter's rounding.
+fn covariance(scene: &Scene, shooting: &Shooting) -> DMatrix<f64> {
     let instrument = &scene.instrument;
-    let height_v = 0.6 * instrument.full_scale_v;
-    let rounding_v = instrument.full_scale_v / f64::from(1 << instrument.bits) / 12_f64.sqrt();
-    let snr = |noise_v: f64| height_v / noise_v.hypot(rounding_v);
-    let signal =
-        shot_sd_ps(&tabulated(truth), instrument.dt_ps, snr(height_v / instrument.snr.expect("the ratio is set")));
-    let reference = instrument.reference.expect("the scene has a reference");
+    let variance_v2 = shooting.setting.noise_v.powi(2);
+    let rounding_v2 = shooting.setting.gain_v().powi(2) / 12.0;
+    // A Gaussian of the bandwidth B passes exp(-ln 2 / 2 (f / B)^2); its autocorrelation is a Gaussian of standard deviation sqrt(ln 2) / (2 pi B) * sqrt 2.
+    let reach_ps = instrument
+        .noise_bandwidth_ghz
+        .map(|bandwidth| std::f64::consts::LN_2.sqrt() * 2_f64.sqrt() / (std::f64::consts::TAU * 1e-3 * bandwidth));
+    DMatrix::from_fn(instrument.samples, instrument.samples, |i, j| {
+        let lag_ps = i.abs_diff(j) as f64 * instrument.dt_ps;
+        let correlation = match reach_ps {
+            None => f64::from(i == j),
+            Some(reach_ps) => (-0.5 * (lag_ps / reach_ps).powi(2)).exp(),
+        };
+        variance_v2 * correlation + if i == j { rounding_v2 } else { 0.0 }
+    })
+}
+
+/// Error that the reference pulse, a Gaussian, leaves in the mean of all shots.
+fn reference_variance_ps2(scene: &Scene, shooting: &Shooting) -> f64 {
+    let (instrument, reference) = (&scene.instrument, scene.instrument.reference.unwrap());
     let sigma = reference.fwhm_ps / (8.0 * 2_f64.ln()).sqrt();
-    let reference = shot_sd_ps(
-        &|t| (-0.5 * (t / sigma).powi(2)).exp(),
-        instrument.dt_ps,
-        snr(height_v / reference.snr.expect("the ratio is set")),
-    );
-    let shots = scene.captures.shots as f64 * (1.0 - scene.captures.bad_shots);
-    signal.hypot(reference) / shots.sqrt()
+    // Height 1; noise as on the signal, but for its size.
+    let noise_v2 = 1.0 / reference.snr.unwrap().powi(2);
+    let rounding_v2 = (1.0 / (0.6 * 256.0_f64)).powi(2) / 12.0;
+    let signal_v2 = shooting.setting.noise_v.powi(2);
+    let rounding_signal_v2 = shooting.setting.gain_v().powi(2) / 12.0;
+    let noise = covariance(scene, shooting).map_with_location(|i, j, value| {
+        let correlated = value - if i == j { rounding_signal_v2 } else { 0.0 };
+        correlated * noise_v2 / signal_v2 + if i == j { rounding_v2 } else { 0.0 }
+    });
+    let column = |of: &dyn Fn(f64) -> f64| -> Vec<f64> {
+        let start_ps = |phase: usize| instrument.t0_ps + instrument.dt_ps * phase as f64 / PHASES as f64;
+        let times = |phase: usize| (0..instrument.samples).map(move |n| start_ps(phase) + n as f64 * instrument.dt_ps);
+        (0..PHASES).flat_map(times).map(of).collect()
+    };
+    let pulse = |t: f64| (-0.5 * (t / sigma).powi(2)).exp();
+    let columns = [column(&|t| t / (sigma * sigma) * pulse(t)), column(&pulse), column(&|_| 1.0)];
+    let shots = shooting.shots as f64 * (1.0 - scene.captures.bad_shots);
+    1.0 / of_capture(&columns, 1, &[], &noise, shots)[(0, 0)]
 }
 
-/// Covariance of all coordinates (three a patch) in the gauge without rotations about the laser: each pair in both directions, one delay with a prior.
-pub fn position_covariance(scene: &Scene, onset_sd_ps: f64) -> DMatrix<f64> {
-    let points: Vec<Vector3<f64>> = scene.patches.values().map(|disk| Vector3::from(disk.position_m)).collect();
-    let count = points.len();
-    let scale = LIGHT_M_PER_PS / scene.group_index;
-    let mut information = DMatrix::zeros(3 * count + 1, 3 * count + 1);
-    for i in 0..count {
-        for j in 0..count {
-            let mut gradient = DVector::zeros(3 * count + 1);
-            let mut pull = |of: usize, arm: Vector3<f64>| {
-                let unit = arm / arm.norm();
-                (0..3).for_each(|k| gradient[3 * of + k] += unit[k]);
-            };
-            pull(i, points[i]);
-            pull(j, points[j]);
-            if i != j {
-                pull(i, points[i] - points[j]);
-                pull(j, points[j] - points[i]);
-            }
-            gradient[3 * count] = 1.0;
-            information += &gradient * gradient.transpose() / (scale * onset_sd_ps).powi(2);
+/// Information on the first `kept` unknowns of a capture whose columns these are, with priors on the others.
+fn of_capture(
+    columns: &[Vec<f64>],
+    kept: usize,
+    priors: &[(usize, f64)],
+    noise: &DMatrix<f64>,
+    shots: f64,
+) -> DMatrix<f64> {
+    let inverse = noise.clone().cholesky().unwrap().inverse();
+    let samples = noise.nrows();
+    let mut information = DMatrix::zeros(columns.len(), columns.len());
+    for phase in 0..PHASES {
+        let part = DMatrix::from_fn(samples, columns.len(), |i, c| columns[c][phase * samples + i]);
+        information += part.transpose() * &inverse * part * (shots / PHASES as f64);
+    }
+    for (at, variance) in priors {
+        information[(*at, *at)] += 1.0 / variance;
+    }
+    let (own, rest) = (kept, columns.len() - kept);
+    let nuisance = information.view((own, own), (rest, rest)).into_owned();
+    let cross = information.view((0, own), (own, rest)).into_owned();
+    information.view((0, 0), (own, own)) - &cross * nuisance.try_inverse().unwrap() * cross.transpose()
+}
+
+/// Standard deviation of each patch by finite differences.
+fn by_differences(text: &str) -> Vec<f64> {
+    let parse = |text: &str| Scene::parse(Path::new("scene.toml"), text).unwrap();
+    let scene = parse(text);
+    let patches: Vec<i32> = scene.patches.keys().copied().collect();
+    let moved = |patch: i32, axis: usize, step: f64| {
+        let mut moved = scene.clone();
+        moved.patches.get_mut(&patch).unwrap().position_m[axis] += step;
+        moved
+    };
+    let stretched = |factor: f64| {
+        parse(
+            &text
+                .replace("sigma_ps = 33.0", &format!("sigma_ps = {}", 33.0 * factor))
+                .replace("tau_ps = 112.0", &format!("tau_ps = {}", 112.0 * factor)),
+        )
+    };
+    let (step_m, width_step) = (1e-4, 0.01);
+    let nominal = Laboratory::new(&scene, 0).unwrap();
+    let scenes: Vec<[Scene; 2]> = patches
+        .iter()
+        .flat_map(|patch| (0..3).map(|axis| [moved(*patch, axis, step_m), moved(*patch, axis, -step_m)]))
+        .collect();
+    let labs: Vec<[Laboratory; 2]> =
+        scenes.iter().map(|pair| pair.each_ref().map(|scene| Laboratory::new(scene, 0).unwrap())).collect();
+    let wide = [stretched(1.0 + width_step), stretched(1.0 - width_step)];
+    let wide = wide.each_ref().map(|scene| Laboratory::new(scene, 0).unwrap());
+    let coordinates = 3 * patches.len();
+    // Coordinates, then delay and width.
+    let mut information = DMatrix::zeros(coordinates + 2, coordinates + 2);
+    for (number, shooting) in nominal.shootings.iter().enumerate() {
+        let strengths: BTreeMap<Vec<i32>, f64> =
+            shooting.paths.iter().map(|(path, light)| (path.clone(), light.total())).collect();
+        let at = |laboratory: &Laboratory| mean(laboratory, &with_strengths(&laboratory.shootings[number], &strengths));
+        let later = |step_ps: f64| {
+            let mut later = shooting.clone();
+            later.latency_ps += step_ps;
+            mean(&nominal, &later)
+        };
+        let delay = difference(&later(1.0), &later(-1.0), 1.0);
+        let width = if shooting.role == Role::Response {
+            difference(
+                &mean(&wide[0], &wide[0].shootings[number]),
+                &mean(&wide[1], &wide[1].shootings[number]),
+                width_step,
+            )
+        } else {
+            difference(&at(&wide[0]), &at(&wide[1]), width_step)
+        };
+        let height = mean(&nominal, shooting);
+        let baseline = vec![1.0; height.len()];
+        let noise = covariance(&scene, shooting);
+        let shots = shooting.shots as f64 * (1.0 - scene.captures.bad_shots);
+        let reference = reference_variance_ps2(&scene, shooting);
+        if shooting.role == Role::Response {
+            let path_ps = (scene.captures.path_sd_m / LIGHT_M_PER_PS * scene.group_index).powi(2);
+            let columns = [delay.clone(), width, height, baseline, delay.clone(), delay];
+            let said = of_capture(&columns, 2, &[(4, reference), (5, path_ps)], &noise, shots);
+            let mut block = information.view_mut((coordinates, coordinates), (2, 2));
+            block += said;
+            continue;
         }
+        let mut columns: Vec<Vec<f64>> =
+            labs.iter().map(|[more, less]| difference(&at(more), &at(less), step_m)).collect();
+        columns.extend([delay.clone(), width]);
+        for path in strengths.keys() {
+            let mut scaled = [strengths.clone(), strengths.clone()];
+            let strength = strengths[path];
+            scaled[0].insert(path.clone(), 1.01 * strength);
+            scaled[1].insert(path.clone(), 0.99 * strength);
+            // A change of one strength must not be undone by the amplification to one height.
+            let total: f64 = strengths.values().sum();
+            let [more, less] = scaled.each_ref().map(|strengths| {
+                let factor = strengths.values().sum::<f64>() / total;
+                let mean = mean(&nominal, &with_strengths(shooting, strengths));
+                mean.into_iter().map(|value| value * factor).collect::<Vec<f64>>()
+            });
+            columns.push(difference(&more, &less, 0.01));
+        }
+        columns.extend([baseline, delay]);
+        let last = columns.len() - 1;
+        information += of_capture(&columns, coordinates + 2, &[(last, reference)], &noise, shots);
     }
-    information[(3 * count, 3 * count)] += 1.0 / scene.captures.path_sd_m.powi(2);
-    let all = pseudo_inverse(&information, 3);
-    all.view((0, 0), (3 * count, 3 * count)).into_owned()
+    let (own, rest) =
+        (information.view((0, 0), (coordinates, coordinates)), information.view((coordinates, coordinates), (2, 2)));
+    let cross = information.view((0, coordinates), (coordinates, 2));
+    let alone = own - cross * rest.into_owned().try_inverse().unwrap() * cross.transpose();
+    let all = pseudo_inverse(&alone, 3);
+    let variances = DVector::from_fn(coordinates, |i, _| all[(i, i)]);
+    (0..patches.len()).map(|k| variances.rows(3 * k, 3).sum().sqrt()).collect()
 }
 
-/// Inverse on all but the `nulls` smallest eigenvalues.
-pub fn pseudo_inverse(matrix: &DMatrix<f64>, nulls: usize) -> DMatrix<f64> {
-    let eigen = SymmetricEigen::new(matrix.clone());
-    let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).collect();
-    order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-    let kept = &order[nulls..];
-    kept.iter()
-        .map(|&k| eigen.eigenvectors.column(k) * eigen.eigenvectors.column(k).transpose() / eigen.eigenvalues[k])
-        .fold(DMatrix::zeros(matrix.nrows(), matrix.ncols()), |sum, term| sum + term)
-}
-
-/// What a solution missed the truth by, after the best rotation (or reflection) about the laser at the origin.
-pub struct Missed {
-    /// Sum of squared position errors.
-    pub squares_m2: f64,
-    /// Squared error in units of the covariance that the tables claim.
-    pub normalised: f64,
-}
-
-/// Rotation or reflection about the origin that brings points nearest to others, by the polar decomposition of their correlation.
-fn aligning(points: &[Vector3<f64>], targets: &[Vector3<f64>]) -> Matrix3<f64> {
-    let correlation: Matrix3<f64> = points.iter().zip(targets).map(|(point, target)| target * point.transpose()).sum();
-    let svd = correlation.svd(true, true);
-    svd.u.expect("asked for") * svd.v_t.expect("asked for")
-}
-
-fn position(patch: &Patch) -> Vector3<f64> {
-    Vector3::new(patch.x_m, patch.y_m, patch.z_m)
-}
-
-/// Mean squared position error of start values, which have no covariance.
-pub fn squares_m2(found: &[Patch], truth: &[Patch]) -> f64 {
-    let (points, targets): (Vec<_>, Vec<_>) =
-        (found.iter().map(position).collect(), truth.iter().map(position).collect());
-    let turn = aligning(&points, &targets);
-    points.iter().zip(&targets).map(|(point, target)| (turn * point - target).norm_squared()).sum()
-}
-
-/// Errors of a refined solution.
-pub fn missed(found: &[Patch], covariances: &[PatchCovariance], truth: &[Patch]) -> Missed {
-    assert_eq!(
-        found.iter().map(|patch| patch.patch).collect::<Vec<_>>(),
-        truth.iter().map(|patch| patch.patch).collect::<Vec<_>>()
-    );
-    let (points, targets): (Vec<_>, Vec<_>) =
-        (found.iter().map(position).collect(), truth.iter().map(position).collect());
-    let turn = aligning(&points, &targets);
-    let errors: Vec<Vector3<f64>> = points.iter().zip(&targets).map(|(point, target)| turn * point - target).collect();
-    let place = |patch: i32| {
-        found.iter().position(|row| row.patch == patch).expect("covariances are of patches that were found")
-    };
-    let mut covariance = DMatrix::zeros(3 * found.len(), 3 * found.len());
-    let mut put = |a: usize, b: usize, block: Matrix3<f64>| {
-        covariance.view_mut((3 * a, 3 * b), (3, 3)).copy_from(&(turn * block * turn.transpose()))
-    };
-    for (a, row) in found.iter().enumerate() {
-        let [xx, xy, xz, yy, yz, zz] =
-            [row.cov_xx_m2, row.cov_xy_m2, row.cov_xz_m2, row.cov_yy_m2, row.cov_yz_m2, row.cov_zz_m2]
-                .map(|value| value.expect("refined"));
-        put(a, a, Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
+fn compare(text: &str, bounces: usize) {
+    let scene = Scene::parse(Path::new("scene.toml"), text).unwrap();
+    // All pulses count in the finite differences.
+    let bound = Bound::new(&scene, Use { bounces, threshold_sigma: 0.0 }).unwrap().coordinates;
+    let reference = by_differences(text);
+    for (patch, reference_m) in bound.patches.iter().zip(reference) {
+        let sd_m = bound.sd_m(*patch).unwrap();
+        eprintln!("patch {patch}: bound {:.5} mm, by differences {:.5} mm", 1e3 * sd_m, 1e3 * reference_m);
+        assert!((sd_m / reference_m - 1.0).abs() < 0.01);
     }
-    for row in covariances {
-        let block = Matrix3::new(
-            row.cov_xx_m2,
-            row.cov_xy_m2,
-            row.cov_xz_m2,
-            row.cov_yx_m2,
-            row.cov_yy_m2,
-            row.cov_yz_m2,
-            row.cov_zx_m2,
-            row.cov_zy_m2,
-            row.cov_zz_m2,
-        );
-        put(place(row.a), place(row.b), block);
-        put(place(row.b), place(row.a), block.transpose());
-    }
-    let error = DVector::from_iterator(3 * errors.len(), errors.iter().flat_map(|error| [error.x, error.y, error.z]));
-    let normalised = (error.transpose() * pseudo_inverse(&covariance, 3) * &error)[(0, 0)];
-    Missed { squares_m2: errors.iter().map(Vector3::norm_squared).sum(), normalised }
+}
+
+const TINY: &str = include_str!("../../pipelines/scenes/tiny.toml");
+
+#[test]
+fn the_bound_is_that_of_finite_differences() {
+    compare(TINY, 2);
+}
+
+#[test]
+fn the_bound_is_that_of_finite_differences_in_correlated_noise() {
+    compare(&TINY.replace("snr = 20.0", "noise_bandwidth_ghz = 6.0\nsnr = 20.0"), 2);
+}
+
+/// Third bounces among visible patches, as strong as first ones through the large patches, blended here and there.
+#[test]
+fn the_bound_is_that_of_finite_differences_with_third_bounces() {
+    let large = TINY.replace("size_m = 0.001", "size_m = 0.02").replace("[captures]", "[captures]\nbounces = 3");
+    let large = large.replace("samples = 320", "samples = 420");
+    compare(&large, 3);
 }

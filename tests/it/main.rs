@@ -10,6 +10,7 @@ mod house;
 mod lab;
 mod laws;
 mod lineage;
+mod missed;
 mod monte_carlo;
 #[cfg(feature = "query")]
 mod query;

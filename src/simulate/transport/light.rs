@@ -12,7 +12,8 @@ impl Light {
 
     /// Strength of all arrivals together.
     pub fn total(&self) -> f64 {
-        self.0.iter().map(|(_, strength)| strength).sum()
+        // From +0: the sum of nothing is -0 else.
+        self.0.iter().fold(0.0, |sum, (_, strength)| sum + strength)
     }
 
     /// Mean time of flight.

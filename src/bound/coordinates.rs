@@ -1,0 +1,240 @@
+//! What all captures together say of where the patches are.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector3};
+
+use super::profile::{ProfileBound, eliminate, response};
+use crate::campaign::Role;
+use crate::campaign::keys::{LASER, PatchRole};
+use crate::simulate::Laboratory;
+use crate::units::{self, PatchId};
+
+/// Eigenvalues below this part of the largest, in units of each unknown's own information, are none.
+const UNKNOWN: f64 = 1e-11;
+
+/// Bound of all patches together.
+#[derive(Clone, Debug)]
+pub struct Coordinates {
+    /// Patches that the light says anything about, in order; three coordinates each (two in flatland).
+    pub patches: Vec<PatchId>,
+    /// Coordinates of a patch.
+    pub dimensions: usize,
+    /// Covariance in square metres, without turns that path lengths say nothing of.
+    pub covariance: DMatrix<f64>,
+    /// Turns about the stations that path lengths say nothing of.
+    pub turns: usize,
+    /// Combinations of coordinates beyond turns that nothing determines; the covariance leaves them out.
+    pub undetermined: usize,
+    /// Of each patch: whether an undetermined combination moves it.
+    pub loose: Vec<bool>,
+    /// Onsets that each patch rests on.
+    pub onsets: Vec<usize>,
+}
+
+/// Places of the unknowns.
+struct Unknowns {
+    patches: Vec<PatchId>,
+    dimensions: usize,
+    /// Place of the delay of each sensor at each range; the width follows.
+    sensors: BTreeMap<(String, Option<String>), usize>,
+    count: usize,
+}
+
+impl Coordinates {
+    pub(super) fn new(laboratory: &Laboratory, profiles: &[ProfileBound], bounces: usize) -> Self {
+        let scene = laboratory.scene;
+        let usable = |path: &[PatchId]| {
+            path.len() <= bounces
+                && path.iter().all(|patch| scene.patches.get(patch).is_some_and(|disk| disk.role != PatchRole::Mirror))
+        };
+        let used = |profile: &'_ ProfileBound| -> Vec<usize> {
+            let sound = |&k: &usize| usable(&profile.pulses[k].path) && profile.pulses[k].time_sd_ps.is_some();
+            profile.detected.iter().copied().filter(sound).collect()
+        };
+        let mut onsets: BTreeMap<PatchId, usize> = BTreeMap::new();
+        for profile in profiles {
+            for k in used(profile) {
+                let mut met = profile.pulses[k].path.clone();
+                met.sort_unstable();
+                met.dedup();
+                met.into_iter().for_each(|patch| *onsets.entry(patch).or_default() += 1);
+            }
+        }
+        let patches: Vec<PatchId> = onsets.keys().copied().collect();
+        let dimensions = usize::from(scene.dimensions);
+        let mut sensors = BTreeMap::new();
+        for profile in profiles {
+            let place = dimensions * patches.len() + 2 * sensors.len();
+            sensors.entry((profile.sensor.clone(), profile.range.clone())).or_insert(place);
+        }
+        let count = dimensions * patches.len() + 2 * sensors.len();
+        let unknowns = Unknowns { patches, dimensions, sensors, count };
+        let mut information = DMatrix::zeros(count, count);
+        for profile in profiles {
+            let used = used(profile);
+            if !used.is_empty() {
+                information += unknowns.of_profile(laboratory, profile, &used);
+            }
+        }
+        for shooting in laboratory.shootings.iter().filter(|shooting| shooting.role == Role::Response) {
+            let key = (shooting.sensor.clone(), shooting.setting.name.clone());
+            let Some(&place) = unknowns.sensors.get(&key) else {
+                continue;
+            };
+            let path_sd_ps = units::time_ps(scene.captures.path_sd_m, scene.group_index);
+            let mut said = response(laboratory, shooting);
+            // The time of the response is the delay and an unknown part of the path.
+            if path_sd_ps > 0.0 {
+                let pulled = said.column(0).into_owned();
+                said -= &pulled * pulled.transpose() / (1.0 / (path_sd_ps * path_sd_ps) + pulled[0]);
+            }
+            let mut block = information.view_mut((place, place), (2, 2));
+            block += said;
+        }
+        unknowns.solve(laboratory, &information, &onsets)
+    }
+
+    /// Square root of the sum of a patch's variances; `None` for a patch that nothing is said about, or too little.
+    #[must_use]
+    pub fn sd_m(&self, patch: PatchId) -> Option<f64> {
+        let place = self.patches.iter().position(|other| *other == patch).filter(|&place| !self.loose[place])?;
+        let variances = (0..self.dimensions).map(|k| {
+            let at = place * self.dimensions + k;
+            self.covariance[(at, at)]
+        });
+        Some(variances.sum::<f64>().sqrt())
+    }
+
+    /// Root of the mean squared position error.
+    #[must_use]
+    pub fn rms_m(&self) -> f64 {
+        (self.covariance.trace() / self.patches.len() as f64).sqrt()
+    }
+}
+
+impl Unknowns {
+    /// Information of one profile: its times as functions of coordinates and delay, its width that of the sensor.
+    fn of_profile(&self, laboratory: &Laboratory, profile: &ProfileBound, used: &[usize]) -> DMatrix<f64> {
+        let kept: Vec<usize> = used
+            .iter()
+            .map(|k| profile.detected.iter().position(|other| other == k).expect("used ones are detected"))
+            .chain([profile.detected.len()])
+            .collect();
+        let information = eliminate(&profile.information, &kept);
+        let mut slopes = DMatrix::zeros(kept.len(), self.count);
+        let delay = self.sensors[&(profile.sensor.clone(), profile.range.clone())];
+        for (row, &k) in used.iter().enumerate() {
+            slopes[(row, delay)] = 1.0;
+            for (patch, slope) in slopes_ps_m(laboratory, &profile.sensor, &profile.pulses[k].path) {
+                let place = self.patches.iter().position(|other| *other == patch).expect("used paths are known");
+                for axis in 0..self.dimensions {
+                    slopes[(row, place * self.dimensions + axis)] += slope[axis];
+                }
+            }
+        }
+        slopes[(used.len(), delay + 1)] = 1.0;
+        slopes.transpose() * information * slopes
+    }
+
+    fn solve(
+        self,
+        laboratory: &Laboratory,
+        information: &DMatrix<f64>,
+        onsets: &BTreeMap<PatchId, usize>,
+    ) -> Coordinates {
+        let size = self.dimensions * self.patches.len();
+        let kept: Vec<usize> = (0..size).collect();
+        let gauge = self.turns(laboratory);
+        let turns = gauge.ncols();
+        let coordinates = eliminate(information, &kept);
+        // In units of each coordinate's own information, so that near and far patches count alike.
+        let scale = DVector::from_fn(size, |i, _| coordinates[(i, i)].max(f64::MIN_POSITIVE).sqrt());
+        let largest = scale.max();
+        // Turns are given a large information, and taken out of the covariance after.
+        let fixed = &coordinates + &gauge * gauge.transpose() * (largest * largest);
+        let scaled = DMatrix::from_fn(size, size, |i, j| fixed[(i, j)] / (scale[i] * scale[j]));
+        let eigen = SymmetricEigen::new(scaled);
+        let limit = UNKNOWN * eigen.eigenvalues.max();
+        let mut covariance = DMatrix::zeros(size, size);
+        let mut loose = vec![false; self.patches.len()];
+        let mut undetermined = 0;
+        for (k, value) in eigen.eigenvalues.iter().enumerate() {
+            let vector = eigen.eigenvectors.column(k).component_div(&scale);
+            if *value > limit {
+                covariance += &vector * vector.transpose() / *value;
+                continue;
+            }
+            undetermined += 1;
+            let direction = &vector / vector.norm();
+            for (place, loose) in loose.iter_mut().enumerate() {
+                *loose |= direction.rows(place * self.dimensions, self.dimensions).norm() > 1e-3;
+            }
+        }
+        let free = DMatrix::identity(size, size) - &gauge * gauge.transpose();
+        let covariance = &free * covariance * &free;
+        let onsets = self.patches.iter().map(|patch| onsets[patch]).collect();
+        Coordinates {
+            patches: self.patches,
+            dimensions: self.dimensions,
+            covariance,
+            turns,
+            undetermined,
+            loose,
+            onsets,
+        }
+    }
+
+    /// Orthonormal columns: turns of all patches about the stations that leave every station where it is.
+    fn turns(&self, laboratory: &Laboratory) -> DMatrix<f64> {
+        let scene = laboratory.scene;
+        let source = Vector3::from(scene.stations[LASER].position_m);
+        let arms: Vec<Vector3<f64>> =
+            scene.sensors.keys().map(|name| Vector3::from(scene.sensor_m(name)) - source).collect();
+        let longest = arms.iter().copied().max_by(|a, b| a.norm().total_cmp(&b.norm())).unwrap_or_default();
+        let axes: Vec<Vector3<f64>> = if longest.norm() < 1e-9 {
+            if self.dimensions == 2 { vec![Vector3::z()] } else { vec![Vector3::x(), Vector3::y(), Vector3::z()] }
+        } else if self.dimensions == 3 && arms.iter().all(|arm| arm.cross(&longest).norm() < 1e-9) {
+            vec![longest.normalize()]
+        } else {
+            Vec::new()
+        };
+        let turn = |axis: &Vector3<f64>| {
+            let moved = self.patches.iter().flat_map(|patch| {
+                let arm = Vector3::from(scene.patches[patch].position_m) - source;
+                let moved = axis.cross(&arm);
+                (0..self.dimensions).map(move |k| moved[k])
+            });
+            DVector::from_iterator(self.dimensions * self.patches.len(), moved)
+        };
+        let mut basis: Vec<DVector<f64>> = Vec::new();
+        for axis in &axes {
+            let mut column = turn(axis);
+            for other in &basis {
+                column -= other * other.dot(&column);
+            }
+            if column.norm() > 1e-9 {
+                basis.push(column.normalize());
+            }
+        }
+        if basis.is_empty() {
+            DMatrix::zeros(self.dimensions * self.patches.len(), 0)
+        } else {
+            DMatrix::from_columns(&basis)
+        }
+    }
+}
+
+/// How the time of a path moves with its patches, in ps a metre: unit vectors from the neighbours before and after.
+fn slopes_ps_m(laboratory: &Laboratory, sensor: &str, path: &[PatchId]) -> Vec<(PatchId, Vector3<f64>)> {
+    let scene = laboratory.scene;
+    let ps_per_m = units::time_ps(1.0, scene.group_index);
+    let mut points = vec![Vector3::from(scene.stations[LASER].position_m)];
+    points.extend(path.iter().map(|patch| Vector3::from(scene.patches[patch].position_m)));
+    points.push(Vector3::from(scene.sensor_m(sensor)));
+    let slope = |k: usize| {
+        let (before, after) = (points[k] - points[k - 1], points[k] - points[k + 1]);
+        (before.normalize() + after.normalize()) * ps_per_m
+    };
+    path.iter().enumerate().map(|(k, patch)| (*patch, slope(k + 1))).collect()
+}

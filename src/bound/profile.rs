@@ -1,0 +1,323 @@
+//! What the samples of one capture say of the times of its pulses.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::banded::Banded;
+use crate::campaign::Role;
+use crate::simulate::{Laboratory, Pulse, Shooting};
+use crate::units::PatchId;
+
+/// Sub-sample phases over which shots are spread.
+const PHASES: usize = 8;
+/// Step of numerical derivatives in time.
+const STEP_PS: f64 = 1.0;
+/// Two pulses are apart if their difference from one is this much chi-square: told apart in 99 of 100 at a threshold of 20.
+const APART: f64 = 46.0;
+
+/// A pulse of a profile.
+#[derive(Clone, Debug)]
+pub struct PulseBound {
+    /// Patches in the order in which the light met them.
+    pub path: Vec<PatchId>,
+    /// Time of flight.
+    pub time_ps: f64,
+    /// Matched-filter signal-to-noise ratio of the average, all else known.
+    pub snr: f64,
+    /// Bound of the time's standard deviation with all else in the profile unknown, the reference pulse's error included; `None` where the pulse
+    /// cannot be told from another, or is below the threshold.
+    pub time_sd_ps: Option<f64>,
+    /// Whether another pulse is so near that the two are seen as one.
+    pub blended: bool,
+}
+
+/// What one capture says.
+#[derive(Clone, Debug)]
+pub struct ProfileBound {
+    /// Sensor.
+    pub sensor: String,
+    /// Vertical range, where the instrument has several.
+    pub range: Option<String>,
+    /// Patch or view lit.
+    pub lit: PatchId,
+    /// Patch or view seen.
+    pub seen: PatchId,
+    /// All pulses, in order of time.
+    pub pulses: Vec<PulseBound>,
+    /// Those above the threshold, as indices of `pulses`.
+    pub detected: Vec<usize>,
+    /// Information (1/ps^2) on the times of the detected pulses and, last, on the relative width of the response; amplitudes, baseline and the
+    /// reference pulse's error taken out.
+    pub information: DMatrix<f64>,
+}
+
+/// All scene captures.
+pub(super) fn all(laboratory: &Laboratory, threshold_sigma: f64) -> Vec<ProfileBound> {
+    let scene = laboratory.shootings.par_iter().filter(|shooting| shooting.role == Role::Scene);
+    scene.map(|shooting| profile(laboratory, shooting, threshold_sigma)).collect()
+}
+
+/// What a response capture says of (time, relative width).
+pub(super) fn response(laboratory: &Laboratory, shooting: &Shooting) -> DMatrix<f64> {
+    let samples = Samples::new(laboratory, shooting);
+    let signal = laboratory.signal(shooting, &shooting.light);
+    let columns = [
+        Column::Time(&signal),
+        Column::Height(&signal),
+        Column::Baseline,
+        width_column(laboratory, shooting, &[&signal], &[0]),
+    ];
+    let information = samples.information(&columns);
+    let kept = eliminate(&information, &[0, 3]);
+    with_common_error(&kept, 1, reference_variance_ps2(laboratory, shooting))
+}
+
+fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -> ProfileBound {
+    let samples = Samples::new(laboratory, shooting);
+    let mut paths: Vec<_> = shooting.paths.iter().collect();
+    paths.sort_by(|a, b| a.1.centroid_ps().total_cmp(&b.1.centroid_ps()));
+    let signals: Vec<Pulse> = paths.iter().map(|(_, light)| laboratory.signal(shooting, light)).collect();
+    let snrs: Vec<f64> =
+        signals.iter().map(|signal| samples.information(&[Column::Height(signal)])[(0, 0)].sqrt()).collect();
+    let mut pulses: Vec<PulseBound> = paths
+        .iter()
+        .zip(&snrs)
+        .map(|((path, light), snr)| PulseBound {
+            path: (*path).clone(),
+            time_ps: light.centroid_ps(),
+            snr: *snr,
+            time_sd_ps: None,
+            blended: false,
+        })
+        .collect();
+    // A pulse beside the record has no information at all.
+    let detected: Vec<usize> = (0..pulses.len()).filter(|&k| snrs[k] >= threshold_sigma && snrs[k] > 0.0).collect();
+    let count = detected.len();
+    let mut columns: Vec<Column> = detected.iter().map(|&k| Column::Time(&signals[k])).collect();
+    columns.extend(detected.iter().map(|&k| Column::Height(&signals[k])));
+    columns.push(Column::Baseline);
+    let of: Vec<&Pulse> = detected.iter().map(|&k| &signals[k]).collect();
+    columns.push(width_column(laboratory, shooting, &of, &detected));
+    let full = samples.information(&columns);
+    blends(&mut pulses, &detected, &full);
+    let times_and_width: Vec<usize> = (0..count).chain([2 * count + 1]).collect();
+    let kept = eliminate(&full, &times_and_width);
+    let information = with_common_error(&kept, count, reference_variance_ps2(laboratory, shooting));
+    // The width is known from response captures far better than from one profile: for a single profile's own bound it is given.
+    let times = information.view((0, 0), (count, count)).into_owned();
+    if let Some(covariance) = inverse(&times) {
+        for (i, &k) in detected.iter().enumerate() {
+            let variance = covariance[(i, i)];
+            pulses[k].time_sd_ps = (variance > 0.0 && variance.is_finite()).then(|| variance.sqrt());
+        }
+    }
+    ProfileBound {
+        sensor: shooting.sensor.clone(),
+        range: shooting.setting.name.clone(),
+        lit: shooting.lit,
+        seen: shooting.seen,
+        pulses,
+        detected,
+        information,
+    }
+}
+
+/// Marks pulses that are seen as one with a neighbour: taking one pulse at the common centroid for both costs less chi-square than [`APART`].
+fn blends(pulses: &mut [PulseBound], detected: &[usize], full: &DMatrix<f64>) {
+    let count = detected.len();
+    for i in 1..count {
+        let (a, b) = (detected[i - 1], detected[i]);
+        // What of pulse b no change of height and time of pulse a imitates.
+        let imitated = [i - 1, count + i - 1];
+        let block = DMatrix::from_fn(2, 2, |r, c| full[(imitated[r], imitated[c])]);
+        let cross = DVector::from_fn(2, |r, _| full[(imitated[r], count + i)]);
+        let own = full[(count + i, count + i)];
+        let rest = inverse(&block).map_or(0.0, |inverse| own - (cross.transpose() * inverse * &cross)[(0, 0)]);
+        // The other way round it may be more: the stronger one imitates.
+        let block_b = DMatrix::from_fn(2, 2, |r, c| full[([i, count + i][r], [i, count + i][c])]);
+        let cross_b = DVector::from_fn(2, |r, _| full[([i, count + i][r], count + i - 1)]);
+        let own_a = full[(count + i - 1, count + i - 1)];
+        let rest_a =
+            inverse(&block_b).map_or(0.0, |inverse| own_a - (cross_b.transpose() * inverse * &cross_b)[(0, 0)]);
+        if rest.min(rest_a) < APART {
+            pulses[a].blended = true;
+            pulses[b].blended = true;
+        }
+    }
+}
+
+/// Variance of the error that the reference pulse leaves in the mean of all shots, common to all pulses of a profile.
+fn reference_variance_ps2(laboratory: &Laboratory, shooting: &Shooting) -> f64 {
+    if shooting.counts {
+        return 0.0;
+    }
+    let instrument = &laboratory.scene.instrument;
+    let Some((pulse, setting)) = laboratory.reference_signal() else {
+        // Without reference the trigger's own jitter is what it is.
+        return instrument.jitter_ps * instrument.jitter_ps / laboratory.good_shots(shooting);
+    };
+    let samples = Samples {
+        times: phases(instrument.t0_ps, instrument.dt_ps, instrument.samples),
+        shots: laboratory.good_shots(shooting),
+        acf: laboratory.noise_acf().iter().map(|acf| acf * setting.noise_v * setting.noise_v).collect(),
+        floor_v2: setting.gain_v() * setting.gain_v() / 12.0,
+        shot: None,
+    };
+    let information = samples.information(&[Column::Time(&pulse), Column::Height(&pulse), Column::Baseline]);
+    1.0 / eliminate(&information, &[0])[(0, 0)]
+}
+
+/// A direction in which a profile can change.
+enum Column<'a> {
+    /// A pulse's time.
+    Time(&'a Pulse),
+    /// A pulse's height, in units of itself.
+    Height(&'a Pulse),
+    /// The baseline.
+    Baseline,
+    /// The response's relative width: wide less narrow, over twice the step.
+    Width(Pulse, Pulse, f64),
+}
+
+impl Column<'_> {
+    fn value(&self, time_ps: f64) -> f64 {
+        match self {
+            Self::Time(signal) => {
+                -(signal.value(time_ps + STEP_PS) - signal.value(time_ps - STEP_PS)) / (2.0 * STEP_PS)
+            }
+            Self::Height(signal) => signal.value(time_ps),
+            Self::Baseline => 1.0,
+            Self::Width(wide, narrow, step) => (wide.value(time_ps) - narrow.value(time_ps)) / (2.0 * step),
+        }
+    }
+}
+
+/// Change of all detected pulses with the response's relative width, its maxima where they are.
+fn width_column<'a>(
+    laboratory: &Laboratory,
+    shooting: &Shooting,
+    signals: &[&Pulse],
+    detected: &[usize],
+) -> Column<'a> {
+    let step = 1e-3;
+    let stretched = |factor: f64| {
+        let lights: Vec<_> = if shooting.paths.is_empty() {
+            vec![shooting.light.clone()]
+        } else {
+            let mut paths: Vec<_> = shooting.paths.values().collect();
+            paths.sort_by(|a, b| a.centroid_ps().total_cmp(&b.centroid_ps()));
+            detected.iter().map(|&k| paths[k].clone()).collect()
+        };
+        laboratory.stretched(shooting, &lights, factor)
+    };
+    debug_assert_eq!(signals.len(), detected.len().max(1), "one signal a pulse");
+    Column::Width(stretched(1.0 + step), stretched(1.0 - step), step)
+}
+
+/// The samples of a capture: when, how many times, and how noisy.
+struct Samples {
+    times: Vec<Vec<f64>>,
+    shots: f64,
+    acf: Vec<f64>,
+    /// Variance beside the correlated noise.
+    floor_v2: f64,
+    /// Variance by time from the light itself.
+    shot: Option<Pulse>,
+}
+
+fn phases(t0_ps: f64, dt_ps: f64, samples: usize) -> Vec<Vec<f64>> {
+    let start = |phase: usize| t0_ps + dt_ps * phase as f64 / PHASES as f64;
+    (0..PHASES).map(|phase| (0..samples).map(|n| start(phase) + n as f64 * dt_ps).collect()).collect()
+}
+
+impl Samples {
+    fn new(laboratory: &Laboratory, shooting: &Shooting) -> Self {
+        let instrument = &laboratory.scene.instrument;
+        let (t0_ps, dt_ps) = (instrument.t0_ps, instrument.dt_ps);
+        if shooting.counts {
+            // Bins stand still; their variance is what they expect, and a dark count at least.
+            let times = vec![(0..instrument.samples).map(|n| t0_ps + (n as f64 + 0.5) * dt_ps).collect()];
+            let dark = laboratory.dark_counts(shooting).max(1e-9);
+            return Self {
+                times,
+                shots: 1.0,
+                acf: vec![0.0],
+                floor_v2: dark,
+                shot: Some(laboratory.signal(shooting, &shooting.light)),
+            };
+        }
+        let noise_v = shooting.setting.noise_v;
+        Self {
+            times: phases(t0_ps, dt_ps, instrument.samples),
+            shots: laboratory.good_shots(shooting),
+            acf: laboratory.noise_acf().iter().map(|acf| acf * noise_v * noise_v).collect(),
+            floor_v2: shooting.setting.gain_v().powi(2) / 12.0,
+            shot: laboratory.shot_noise_v2(shooting),
+        }
+    }
+
+    /// Fisher information of Gaussian samples on changes along these columns.
+    fn information(&self, columns: &[Column]) -> DMatrix<f64> {
+        let mut sum = DMatrix::zeros(columns.len(), columns.len());
+        for times in &self.times {
+            let extra: Vec<f64> = times
+                .iter()
+                .map(|time_ps| self.floor_v2 + self.shot.as_ref().map_or(0.0, |shot| shot.value(*time_ps).max(0.0)))
+                .collect();
+            let noise = Banded::new(&self.acf, &extra);
+            let mut matrix = DMatrix::zeros(times.len(), columns.len());
+            for (c, column) in columns.iter().enumerate() {
+                let mut values: Vec<f64> = times.iter().map(|time_ps| column.value(*time_ps)).collect();
+                noise.whiten(&mut values);
+                matrix.set_column(c, &DVector::from_vec(values));
+            }
+            sum += matrix.tr_mul(&matrix);
+        }
+        sum * (self.shots / self.times.len() as f64)
+    }
+}
+
+/// Information on some unknowns when the others are unknown too (Schur's complement).
+pub(super) fn eliminate(information: &DMatrix<f64>, kept: &[usize]) -> DMatrix<f64> {
+    let others: Vec<usize> = (0..information.nrows()).filter(|i| !kept.contains(i)).collect();
+    let block = |rows: &[usize], columns: &[usize]| {
+        DMatrix::from_fn(rows.len(), columns.len(), |r, c| information[(rows[r], columns[c])])
+    };
+    let own = block(kept, kept);
+    if others.is_empty() {
+        return own;
+    }
+    let cross = block(kept, &others);
+    match inverse(&block(&others, &others)) {
+        Some(inverse) => &own - &cross * inverse * cross.transpose(),
+        // Heights that cannot be told apart leave no information on their times.
+        None => DMatrix::zeros(kept.len(), kept.len()),
+    }
+}
+
+/// Information on times (the first `times` unknowns) and more, when all times share an error of this variance.
+fn with_common_error(information: &DMatrix<f64>, times: usize, variance_ps2: f64) -> DMatrix<f64> {
+    let shared = DVector::from_fn(information.nrows(), |i, _| if i < times { 1.0 } else { 0.0 });
+    let pulled = information * &shared;
+    let total = shared.dot(&pulled);
+    if variance_ps2 == 0.0 || total == 0.0 {
+        return information.clone();
+    }
+    information - &pulled * pulled.transpose() / (1.0 / variance_ps2 + total)
+}
+
+/// Inverse of a symmetric positive definite matrix, scaled to a diagonal of ones first; `None` if it is singular to working precision.
+pub(super) fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let scale: Vec<f64> = (0..matrix.nrows()).map(|i| matrix[(i, i)].sqrt()).collect();
+    if scale.iter().any(|scale| !(*scale > 0.0 && scale.is_finite())) {
+        return None;
+    }
+    let scaled = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| matrix[(i, j)] / (scale[i] * scale[j]));
+    let factor = scaled.cholesky()?;
+    let smallest = factor.l_dirty().diagonal().iter().copied().fold(f64::INFINITY, f64::min);
+    if smallest < 1e-7 {
+        return None;
+    }
+    let inverse = factor.inverse();
+    Some(DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| inverse[(i, j)] / (scale[i] * scale[j])))
+}

@@ -1,0 +1,147 @@
+//! A scene with its light and its list of captures: all that is certain before noise is drawn.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use super::chain::{Chain, Setting, photons_per_j};
+use super::pulse::Pulse;
+use super::recorder::{Recorder, arrived};
+use super::scene::Scene;
+use super::session::{Session, Shooting};
+use super::transport::{Captured, Light, Paths, Room};
+use super::truth::true_onsets;
+use super::{SimulateError, Truth};
+use crate::units::PatchId;
+
+/// A scene, its light, and what is captured of it.
+pub struct Laboratory<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// From light to volts.
+    pub chain: Chain,
+    /// The scene's light, by lit patch or view.
+    pub captured: BTreeMap<PatchId, Captured>,
+    /// Captures, in order. What drifts is drawn with the seed.
+    pub shootings: Vec<Shooting>,
+}
+
+impl<'a> Laboratory<'a> {
+    /// Follows the light of a scene and lists its captures.
+    ///
+    /// # Errors
+    /// When the first light of a capture arrives outside the record.
+    pub fn new(scene: &'a Scene, seed: u64) -> Result<Self, SimulateError> {
+        let (room, chain) = (Room::new(scene), Chain::new(scene));
+        let paths = Paths::new(scene, &room, scene.captures.bounces);
+        let captured: BTreeMap<PatchId, Captured> =
+            scene.lit().into_par_iter().map(|lit| (lit, paths.lit(&scene.covers(lit)))).collect();
+        let shootings = Session::plan(scene, &chain, &room, &captured, seed);
+        shootings.iter().try_for_each(|shooting| scene.check_record(shooting))?;
+        Ok(Self { scene, chain, captured, shootings })
+    }
+
+    /// Time from the first shot to the last.
+    #[must_use]
+    pub fn hours(&self) -> f64 {
+        let end_s = |shooting: &Shooting| shooting.start_s + shooting.duration_s(self.scene);
+        self.shootings.iter().map(end_s).fold(0.0, f64::max) / 3600.0
+    }
+
+    /// What endless averaging of a capture would leave, in volts, with samples from `t0_ps` after the reference pulse; the instrument's flaws included.
+    #[must_use]
+    pub fn mean_v(&self, shooting: &Shooting, t0_ps: f64) -> Vec<f64> {
+        Recorder::new(self.scene, &self.chain).mean_v(&shooting.exposure(), t0_ps)
+    }
+
+    /// What a part of a capture's light gives: volts over time, as they repeat with the laser; for a photon counter, detections a bin in all cycles.
+    #[must_use]
+    pub fn signal(&self, shooting: &Shooting, light: &Light) -> Pulse {
+        self.response_of(shooting, light, &self.chain.pulse)
+    }
+
+    /// The same for several paths together, with a response so many times as wide.
+    #[must_use]
+    pub fn stretched(&self, shooting: &Shooting, lights: &[Light], factor: f64) -> Pulse {
+        let light = Light(lights.iter().flat_map(|light| light.0.iter().copied()).collect());
+        self.response_of(shooting, &light, &self.chain.pulse.stretched(factor))
+    }
+
+    fn response_of(&self, shooting: &Shooting, light: &Light, pulse: &Pulse) -> Pulse {
+        let per_strength = if shooting.counts {
+            // A bin gets its share of each pulse's area.
+            self.detections_per_j() * shooting.shots as f64 * self.scene.instrument.dt_ps / self.chain.pulse.area_ps()
+        } else {
+            self.chain.volts_per_strength(shooting.light.total())
+        };
+        if light.0.is_empty() {
+            return Pulse::new(0.0, vec![0.0; 4]);
+        }
+        let signal = arrived(light, shooting.latency_ps, per_strength * shooting.factor, pulse);
+        Recorder::new(self.scene, &self.chain).folded(&signal)
+    }
+
+    fn detections_per_j(&self) -> f64 {
+        let photons = self.scene.laser.map_or(0.0, |laser| photons_per_j(laser.wavelength_nm));
+        self.scene.instrument.counts.map_or(0.0, |counts| counts.efficiency * photons)
+    }
+
+    /// Detections in the dark that a bin of a photon counter gets in all cycles.
+    #[must_use]
+    pub fn dark_counts(&self, shooting: &Shooting) -> f64 {
+        let dark_hz = self.scene.instrument.counts.map_or(0.0, |counts| counts.dark_hz);
+        let ambient_hz = self.scene.optics.map_or(0.0, |optics| optics.ambient_w) * self.detections_per_j();
+        (dark_hz + ambient_hz) * self.scene.instrument.dt_ps * 1e-12 * shooting.shots as f64
+    }
+
+    /// Shots of a capture that are neither bad nor lost.
+    #[must_use]
+    pub fn good_shots(&self, shooting: &Shooting) -> f64 {
+        let captures = &self.scene.captures;
+        shooting.shots as f64 * (1.0 - captures.bad_shots) * (1.0 - captures.lost_shots)
+    }
+
+    /// Autocorrelation of the oscilloscope's noise, by lag in samples.
+    #[must_use]
+    pub fn noise_acf(&self) -> Vec<f64> {
+        let weights = super::recorder::colour(&self.scene.instrument);
+        let lag = |lag: usize| weights.iter().zip(&weights[lag..]).map(|(a, b)| a * b).sum();
+        (0..weights.len()).map(lag).collect()
+    }
+
+    /// The reference pulse in volts about time 0, and how it is recorded.
+    #[must_use]
+    pub fn reference_signal(&self) -> Option<(Pulse, Setting)> {
+        Recorder::new(self.scene, &self.chain).reference_signal()
+    }
+
+    /// Variance of a shot's noise over time that comes from the capture's own light; `None` where it is left out.
+    #[must_use]
+    pub fn shot_noise_v2(&self, shooting: &Shooting) -> Option<Pulse> {
+        let per_strength = self.chain.shot_v2_per_strength() * shooting.factor;
+        if per_strength == 0.0 || shooting.light.0.is_empty() {
+            return None;
+        }
+        let variance = arrived(&shooting.light, shooting.latency_ps, per_strength, &self.chain.pulse.squared());
+        Some(Recorder::new(self.scene, &self.chain).folded(&variance))
+    }
+
+    pub(super) fn truth(&self) -> Truth {
+        let scene = self.scene;
+        let mut truth = Truth {
+            patches: scene.true_patches(),
+            onsets: Vec::new(),
+            calibration: scene.true_calibration(&self.chain),
+            paths: Vec::new(),
+            centroids: scene.true_centroids(&self.captured),
+            captures: Vec::new(),
+        };
+        for shooting in &self.shootings {
+            let paths = scene.true_paths(&self.chain, shooting);
+            truth.onsets.extend(true_onsets(&paths, shooting.role, scene.instrument.snr.is_some()));
+            truth.paths.extend(paths);
+            truth.captures.push(scene.true_capture(&self.chain, shooting, &shooting.stem));
+        }
+        truth
+    }
+}
