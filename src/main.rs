@@ -37,6 +37,8 @@ enum Command {
     Seal(commands::seal::Seal),
     /// Make a campaign of scope files from a scene description, with truth beside it
     Simulate(commands::simulate::Simulate),
+    /// Before capturing: what a scene will show and how well, how long it takes, and what a change would bring
+    Design(commands::design::Design),
     /// Show the columns of the tables, with units and meanings
     Schema(commands::schema::Schema),
     /// Print shell completions
@@ -57,6 +59,7 @@ fn main() -> ExitCode {
         Command::Query(args) => commands::query::query(&args),
         Command::Seal(args) => commands::seal::seal(&args),
         Command::Simulate(args) => commands::simulate::simulate(&args),
+        Command::Design(args) => commands::design::design(&args),
         Command::Schema(args) => commands::schema::schema(&args),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut Cli::command(), "periscope", &mut std::io::stdout());

@@ -5,12 +5,14 @@
 //!   shot noise by level. Unknown beside the times: all amplitudes, the baseline, the width of the response.
 //! - [`coordinates`]: all captures and the response captures together say where the patches are. Unknown beside them: each sensor's delay and
 //!   response width, the reference pulse's error in each profile, the length of the known path.
+//! - [`outlook`]: what that means to somebody who is about to capture, for `periscope design`.
 //!
 //! Not in it: what the flaws of an instrument distort (saturation, slew, interleaving, drift), the pile-up of photon counters, amplitudes as a
 //! source of geometry.
 
 mod banded;
 pub mod coordinates;
+pub mod outlook;
 pub mod profile;
 
 use crate::simulate::{Laboratory, Scene, SimulateError};

@@ -27,8 +27,6 @@ pub struct PulseBound {
     /// Bound of the time's standard deviation with all else in the profile unknown, the reference pulse's error included; `None` where the pulse
     /// cannot be told from another, or is below the threshold.
     pub time_sd_ps: Option<f64>,
-    /// Whether another pulse is so near that the two are seen as one.
-    pub blended: bool,
 }
 
 /// What one capture says.
@@ -46,6 +44,8 @@ pub struct ProfileBound {
     pub pulses: Vec<PulseBound>,
     /// Those above the threshold, as indices of `pulses`.
     pub detected: Vec<usize>,
+    /// Neighbours among the detected pulses that are so near that the two are seen as one: the earlier of each such pair.
+    pub blends: Vec<usize>,
     /// Information (1/ps^2) on the times of the detected pulses and, last, on the relative width of the response; amplitudes, baseline and the
     /// reference pulse's error taken out.
     pub information: DMatrix<f64>,
@@ -87,7 +87,6 @@ fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -
             time_ps: light.centroid_ps(),
             snr: *snr,
             time_sd_ps: None,
-            blended: false,
         })
         .collect();
     // A pulse beside the record has no information at all.
@@ -99,7 +98,7 @@ fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -
     let of: Vec<&Pulse> = detected.iter().map(|&k| &signals[k]).collect();
     columns.push(width_column(laboratory, shooting, &of, &detected));
     let full = samples.information(&columns);
-    blends(&mut pulses, &detected, &full);
+    let blends = blends(&detected, &full);
     let times_and_width: Vec<usize> = (0..count).chain([2 * count + 1]).collect();
     let kept = eliminate(&full, &times_and_width);
     let information = with_common_error(&kept, count, reference_variance_ps2(laboratory, shooting));
@@ -118,32 +117,22 @@ fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -
         seen: shooting.seen,
         pulses,
         detected,
+        blends,
         information,
     }
 }
 
-/// Marks pulses that are seen as one with a neighbour: taking one pulse at the common centroid for both costs less chi-square than [`APART`].
-fn blends(pulses: &mut [PulseBound], detected: &[usize], full: &DMatrix<f64>) {
+/// Neighbours that are seen as one: the weaker pulse's height is known so badly beside the stronger's height and time that the two cost less than
+/// [`APART`] in chi-square to be taken for one.
+fn blends(detected: &[usize], full: &DMatrix<f64>) -> Vec<usize> {
     let count = detected.len();
-    for i in 1..count {
-        let (a, b) = (detected[i - 1], detected[i]);
-        // What of pulse b no change of height and time of pulse a imitates.
-        let imitated = [i - 1, count + i - 1];
-        let block = DMatrix::from_fn(2, 2, |r, c| full[(imitated[r], imitated[c])]);
-        let cross = DVector::from_fn(2, |r, _| full[(imitated[r], count + i)]);
-        let own = full[(count + i, count + i)];
-        let rest = inverse(&block).map_or(0.0, |inverse| own - (cross.transpose() * inverse * &cross)[(0, 0)]);
-        // The other way round it may be more: the stronger one imitates.
-        let block_b = DMatrix::from_fn(2, 2, |r, c| full[([i, count + i][r], [i, count + i][c])]);
-        let cross_b = DVector::from_fn(2, |r, _| full[([i, count + i][r], count + i - 1)]);
-        let own_a = full[(count + i - 1, count + i - 1)];
-        let rest_a =
-            inverse(&block_b).map_or(0.0, |inverse| own_a - (cross_b.transpose() * inverse * &cross_b)[(0, 0)]);
-        if rest.min(rest_a) < APART {
-            pulses[a].blended = true;
-            pulses[b].blended = true;
-        }
-    }
+    // Information on pulse `own`'s height that no change of height and time of pulse `other` imitates.
+    let alone = |own: usize, other: usize| {
+        let chosen = [count + own, other, count + other];
+        let three = DMatrix::from_fn(3, 3, |r, c| full[(chosen[r], chosen[c])]);
+        eliminate(&three, &[0])[(0, 0)]
+    };
+    (1..count).filter(|&i| alone(i, i - 1).min(alone(i - 1, i)) < APART).map(|i| detected[i - 1]).collect()
 }
 
 /// Variance of the error that the reference pulse leaves in the mean of all shots, common to all pulses of a profile.

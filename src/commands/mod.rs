@@ -1,6 +1,7 @@
 //! The commands, a file each: arguments, what they print, and their exit codes.
 
 pub mod demo;
+pub mod design;
 pub mod inspect;
 pub mod plan;
 pub mod query;
