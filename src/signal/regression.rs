@@ -50,9 +50,8 @@ pub fn least_squares(columns: &[Vec<f64>], right: &[f64], sd: &[f64]) -> Option<
         return None;
     }
     let size = columns.len();
-    let normal: Vec<Vec<f64>> = (0..size)
-        .map(|i| (0..size).map(|j| dot(&columns[i], &columns[j]) / (scale[i] * scale[j])).collect())
-        .collect();
+    let normal: Vec<Vec<f64>> =
+        (0..size).map(|i| (0..size).map(|j| dot(&columns[i], &columns[j]) / (scale[i] * scale[j])).collect()).collect();
     let mut covariance = inverse(normal)?;
     for i in 0..size {
         for j in 0..size {
@@ -72,7 +71,8 @@ pub fn least_squares(columns: &[Vec<f64>], right: &[f64], sd: &[f64]) -> Option<
 fn inverse(mut matrix: Vec<Vec<f64>>) -> Option<Vec<Vec<f64>>> {
     const SINGULAR: f64 = 1e-12;
     let size = matrix.len();
-    let mut inverse: Vec<Vec<f64>> = (0..size).map(|i| (0..size).map(|j| f64::from(u8::from(i == j))).collect()).collect();
+    let mut inverse: Vec<Vec<f64>> =
+        (0..size).map(|i| (0..size).map(|j| f64::from(u8::from(i == j))).collect()).collect();
     for k in 0..size {
         let pivot = matrix[k][k];
         if pivot <= SINGULAR {

@@ -160,7 +160,11 @@ mod tests {
         for (chi2, dof) in [(0.5, 2), (9.0, 4), (40.0, 18)] {
             let density = |x: f64| x.powf(dof as f64 / 2.0 - 1.0) * (-x / 2.0).exp();
             let naive = tail(density, chi2, 400.0) / tail(density, 0.0, 400.0);
-            assert!((chi_square(chi2, dof) / naive - 1.0).abs() < 1e-4, "{chi2}/{dof}: {} {naive}", chi_square(chi2, dof));
+            assert!(
+                (chi_square(chi2, dof) / naive - 1.0).abs() < 1e-4,
+                "{chi2}/{dof}: {} {naive}",
+                chi_square(chi2, dof)
+            );
         }
     }
 
@@ -170,6 +174,9 @@ mod tests {
             assert!((student(z, 1_000_000) / normal(z) - 1.0).abs() < 1e-4);
             assert!((chi_square(z * z, 1) / normal(z) - 1.0).abs() < 1e-12);
         }
-        assert_eq!((normal(0.0), student(0.0, 4), student(f64::INFINITY, 4), normal(f64::INFINITY)), (1.0, 1.0, 0.0, 0.0));
+        assert_eq!(
+            (normal(0.0), student(0.0, 4), student(f64::INFINITY, 4), normal(f64::INFINITY)),
+            (1.0, 1.0, 0.0, 0.0)
+        );
     }
 }
