@@ -184,11 +184,12 @@ mod tests {
 
     /// A Gaussian edge of 33 ps with a decay of 112 ps, by quadrature; its maximum is 1, at 0.
     fn decaying(t_ps: f64) -> f64 {
+        const MODE_PS: f64 = 41.1;
         let value = |t_ps: f64| {
             let terms = (0..1500).map(|k| f64::from(k) * 2.0);
             terms.map(|s| (-s / 112.0).exp() * (-0.5 * ((t_ps - s) / 33.0).powi(2)).exp()).sum::<f64>()
         };
-        value(t_ps + 52.7) / value(52.7)
+        value(t_ps + MODE_PS) / value(MODE_PS)
     }
 
     fn response(shape: fn(f64) -> f64) -> Response {

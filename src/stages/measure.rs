@@ -184,8 +184,10 @@ fn spread(profile: &Profile, response: &Response, time_ps: f64, amplitude_v: f64
     }
     let shots = f64::from(profile.shots);
     let variance = |n: usize| {
-        let between = between_samples(profile, response, at(n)) * amplitude_v.powi(2) / shots;
-        f64::from(profile.se_v[n]).powi(2) - between
+        // Neither the straight line between samples nor what the alignment leaves is light that fluctuates.
+        let between = between_samples(profile, response, at(n)) / shots;
+        let moved = (response.value_and_slope(at(n)).1 * profile.jitter_ps).powi(2);
+        f64::from(profile.se_v[n]).powi(2) - amplitude_v.powi(2) * (between + moved)
     };
     let mean = high.iter().map(|&n| variance(n)).sum::<f64>() / high.len() as f64;
     let judged = (shots.min(HEAD_SHOTS as f64) - 1.0) * high.len() as f64;

@@ -374,7 +374,7 @@ impl Cell for Vec<Name> {
 }
 
 /// Units that a column name can end in, longest first, and how they are written.
-const UNITS: [(&str, &str); 9] = [
+const UNITS: [(&str, &str); 8] = [
     ("_m2", "m^2"),
     ("_ps2", "ps^2"),
     ("_ps", "ps"),
@@ -383,7 +383,6 @@ const UNITS: [(&str, &str); 9] = [
     ("_w", "W"),
     ("_rad", "rad"),
     ("_bytes", "B"),
-    ("_db", "dB"),
 ];
 
 /// Unit that a column name carries as its suffix.

@@ -1,7 +1,9 @@
 //! One integration binary, a file a concern.
 
 mod accuracy;
+mod bench;
 mod bound;
+mod characterize;
 mod cli;
 mod determinism;
 mod failures;
