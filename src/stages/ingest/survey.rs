@@ -337,9 +337,11 @@ fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, St
 /// Splits a file whose segments or leading axes count more than shots. Patches are numbered from 1 along their axis, ranges and channels too.
 fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, Item)>, StageError> {
     let refused = |message: String| StageError::Refused(format!("{}: {message}", path.display()));
-    let records = formats::open(path)
-        .and_then(|mut file| formats::records(&mut file))
-        .map_err(|error| refused(error.to_string()))?;
+    let Ok(records) = formats::open(path).and_then(|mut file| formats::records(&mut file)) else {
+        // A file that does not decode, perhaps since it is still being written, is set aside with the reason when it is read.
+        let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
+        return Ok(vec![(key, Item { exposure, records: Some(Vec::new()), bytes })]);
+    };
     let axes = &exposure.keys.segments;
     let shape = match records.first().map(|record| record.head.shape.as_slice()) {
         Some(shape) if shape.len() == axes.len() => shape.to_vec(),
