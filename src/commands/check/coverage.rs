@@ -62,7 +62,7 @@ fn captures(report: &mut Report, survey: &Survey) {
         .map(|((role, sensor), (captures, files))| Captures {
             role: role.name().to_owned(),
             sensor,
-            captures: captures.len(),
+            count: captures.len(),
             files,
         })
         .collect();

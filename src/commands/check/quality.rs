@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use periscope::campaign::Role;
 use periscope::tables::{self, Measurement};
 
-use super::report::{Pair, Report, Sensor, SetAside, Verdict, listed};
+use super::report::{CheckOfSensor, Pair, Report, Sensor, SetAside, listed};
 
 /// Share of clipped shots beyond which the range is wrong: single ones are the laser's.
 const CLIPPED_SHARE: f64 = 0.05;
@@ -42,7 +42,7 @@ pub fn fill(
         if &*row.verdict == "fail" {
             report.mend.push(format!("sensor {}: {} fails: {}", row.sensor, row.check, row.cause));
         }
-        report.sensor(&row.sensor).checks.push(Verdict {
+        report.sensor(&row.sensor).checks.push(CheckOfSensor {
             check: row.check.to_string(),
             verdict: row.verdict.to_string(),
             value: row.value,

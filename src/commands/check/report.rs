@@ -27,7 +27,7 @@ pub struct Captures {
     pub role: String,
     pub sensor: String,
     /// Captures of the scene, or runs.
-    pub captures: usize,
+    pub count: usize,
     pub files: usize,
 }
 
@@ -48,7 +48,7 @@ pub struct Pair {
 /// What is known of one sensor.
 #[derive(Debug, Default, Serialize)]
 pub struct Sensor {
-    pub sensor: String,
+    pub name: String,
     /// Pairs that are absent from the rectangle of all lit and all seen patches so far.
     pub missing_pairs: Vec<Pair>,
     /// Pairs whose reciprocal is there and they are not, outside of that rectangle.
@@ -64,12 +64,12 @@ pub struct Sensor {
     /// The five faintest captures of the scene.
     pub faintest: Vec<(Pair, f64)>,
     /// Verdicts of the instrument check.
-    pub checks: Vec<Verdict>,
+    pub checks: Vec<CheckOfSensor>,
 }
 
 /// A row of the table `checks`.
 #[derive(Debug, Serialize)]
-pub struct Verdict {
+pub struct CheckOfSensor {
     pub check: String,
     pub verdict: String,
     pub value: Option<f64>,
@@ -83,8 +83,8 @@ pub struct Verdict {
 impl Report {
     /// The entry of a sensor.
     pub fn sensor(&mut self, name: &str) -> &mut Sensor {
-        let place = self.sensors.iter().position(|sensor| sensor.sensor == name).unwrap_or_else(|| {
-            self.sensors.push(Sensor { sensor: name.to_owned(), ..Sensor::default() });
+        let place = self.sensors.iter().position(|sensor| sensor.name == name).unwrap_or_else(|| {
+            self.sensors.push(Sensor { name: name.to_owned(), ..Sensor::default() });
             self.sensors.len() - 1
         });
         &mut self.sensors[place]

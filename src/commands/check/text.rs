@@ -12,7 +12,7 @@ pub fn text(report: &Report) -> String {
     let mut text = format!("campaign {}\n", report.campaign);
     let mut line = |line: String| writeln!(text, "{line}").expect("a String takes all text");
     for found in &report.captures {
-        line(format!("  {:9} {:8} {:>6} captures in {} files", found.role, found.sensor, found.captures, found.files));
+        line(format!("  {:9} {:8} {:>6} captures in {} files", found.role, found.sensor, found.count, found.files));
     }
     if report.captures.is_empty() {
         line("  no rule matches any file".to_owned());
@@ -49,7 +49,7 @@ pub fn text(report: &Report) -> String {
 }
 
 fn sensor(found: &Sensor) -> Vec<String> {
-    let mut lines = vec![format!("\nsensor {}", found.sensor)];
+    let mut lines = vec![format!("\nsensor {}", found.name)];
     for (what, pairs) in
         [("missing pairs", &found.missing_pairs), ("missing reciprocal pairs", &found.missing_reciprocals)]
     {
