@@ -99,6 +99,14 @@ fn a_capture_with_no_valid_shot_is_set_aside() {
 }
 
 #[test]
+fn a_campaign_without_response_captures_is_told_so() {
+    let lab = Lab::tiny();
+    fs::remove_dir_all(lab.campaign().join("raw/response")).unwrap();
+    let error = chain(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap_err());
+    assert!(error.contains("[profiles]") && error.contains("from response captures"), "{error}");
+}
+
+#[test]
 fn a_patch_seen_by_no_capture_is_told_with_its_mend() {
     let lab = Lab::tiny();
     edit(&lab.campaign().join("campaign.toml"), "[patches.4]\n", "[patches.9]\nrole = \"visible\"\n[patches.4]\n");

@@ -4,6 +4,7 @@ mod accuracy;
 mod bench;
 mod bound;
 mod characterize;
+mod check;
 mod cli;
 mod determinism;
 mod failures;

@@ -120,3 +120,74 @@ fn longest<'a>(
     }
     best.map(|(_, runs)| runs.into_iter().map(|(_, run)| run).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(path_m: f64, attenuation_od: f64, acquired_at: Option<&str>) -> Measurement {
+        Measurement {
+            campaign: "c".into(),
+            sensor: "s1".into(),
+            lit: 0,
+            seen: 0,
+            role: "fiducial".into(),
+            run: Some("f".into()),
+            shots: 64,
+            rejected: 0,
+            clipped: 0,
+            path_m: Some(path_m),
+            path_sd_m: None,
+            attenuation_od: Some(attenuation_od),
+            power_w: None,
+            bounces: None,
+            acquired_at: acquired_at.map(Into::into),
+            snr: Some(100.0),
+            amplitude_v: Some(1.0),
+            amplitude_sd_v: Some(0.01),
+            time_ps: Some(1000.0),
+            time_sd_ps: Some(0.5),
+            width_ratio: None,
+            width_ratio_sd: None,
+            width_ps: None,
+            baseline_v: 0.0,
+            noise_v: 0.02,
+            noise_acf: None,
+            signal_noise_v: None,
+            gain_v: 1e-4,
+            echo_ratio: None,
+            echo_ratio_sd: None,
+            echo_delay_ps: None,
+            echo_trials: None,
+            pickup_v: None,
+            pickup_sd_v: None,
+            pickup_trials: None,
+        }
+    }
+
+    #[test]
+    fn a_series_differs_in_one_setting_alone() {
+        let settings = [(1.0, 0.0), (1.0, 0.5), (1.0, 1.0), (1.2, 0.0), (1.4, 0.0), (1.4, 0.2), (1.6, 0.0), (1.0, 0.0)];
+        let rows: Vec<Measurement> = settings.iter().map(|(path_m, od)| row(*path_m, *od, None)).collect();
+        let runs: Vec<Run<'_>> = rows.iter().filter_map(Run::of).collect();
+        let attenuated = attenuation(&runs).unwrap();
+        assert!(attenuated.len() == 4 && attenuated.iter().all(|run| run.row.path_m == Some(1.0)));
+        let moved = path(&runs).unwrap();
+        assert!(moved.len() == 5 && moved.iter().all(|run| run.row.attenuation_od == Some(0.0)));
+        assert!(time(&runs).is_none(), "two runs of one setting are no series");
+    }
+
+    #[test]
+    fn times_are_hours_where_files_say_them_and_numbers_where_not() {
+        let clock = ["2009-03-27T14:00:00", "2009-03-27T14:30:00", "2009-03-27T16:00:00"];
+        let rows: Vec<Measurement> = clock.iter().map(|at| row(1.0, 0.0, Some(at))).collect();
+        let runs: Vec<Run<'_>> = rows.iter().filter_map(Run::of).collect();
+        let series = time(&runs).unwrap();
+        let since: Vec<f64> = series.at.iter().map(|at| at - series.at[0]).collect();
+        assert!(series.unit == "h" && (since[1] - 0.5).abs() < 1e-6 && (since[2] - 2.0).abs() < 1e-6, "{since:?}");
+        let rows = vec![row(1.0, 0.0, None); 3];
+        let runs: Vec<Run<'_>> = rows.iter().filter_map(Run::of).collect();
+        let series = time(&runs).unwrap();
+        assert_eq!((series.unit, series.at), ("run", vec![0.0, 1.0, 2.0]));
+    }
+}
