@@ -20,7 +20,7 @@ use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::{self as runner, Settings};
 use periscope::pipeline::spec::Spec;
-use periscope::store::{Shelf, parquet};
+use periscope::store::Shelf;
 use periscope::tables::{Calibration, Reject, Row};
 
 use super::SOME_REJECTED;
@@ -133,7 +133,7 @@ fn forget_changed(campaign: &Campaign, shelf: &Shelf) -> Result<()> {
     Ok(())
 }
 
-/// Runs the pipeline; what any of its stages set aside, also those whose tables are not kept.
+/// Runs the pipeline; files with why they were set aside.
 fn run(campaign: &Campaign, shelf: &Shelf, until: Option<&str>) -> Result<BTreeSet<(Option<String>, String)>> {
     let spec = Spec::parse("check", PIPELINE, &[])?;
     let campaigns = [campaign.clone()];
@@ -144,19 +144,9 @@ fn run(campaign: &Campaign, shelf: &Shelf, until: Option<&str>) -> Result<BTreeS
     let outcome = runner::run(&mut plan, &Settings { memory_bytes, ..settings }, &progress);
     progress.finish();
     outcome?;
-    let mut rejects = BTreeSet::new();
-    for table in &plan.tables {
-        for part in table.present.iter().flatten().filter(|part| part.files.contains_key(Reject::TABLE)) {
-            let file = shelf.part_file(&table.id, &part.lineage, Reject::TABLE);
-            for batch in parquet::read(&file, 1024)? {
-                let rows = Reject::rows(&batch?)?;
-                rejects.extend(
-                    rows.into_iter().map(|row| (row.file.map(|file| file.to_string()), row.reason.to_string())),
-                );
-            }
-        }
-    }
-    Ok(rejects)
+    let reject = |row: Reject| (row.file.map(|file| file.to_string()), row.reason.to_string());
+    let rejects = shelf.batches("rejects")?.iter().map(Reject::rows).collect::<Result<Vec<_>, _>>()?;
+    Ok(rejects.into_iter().flatten().map(reject).collect())
 }
 
 /// Rows of a table; none where it could not be made since nothing was captured.

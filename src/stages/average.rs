@@ -269,7 +269,8 @@ impl State {
             dt_ps: *dt_ps,
             mean_v: mean.mean.iter().map(|code| (code - baseline) * gain_v).collect(),
             se_v: (0..count).map(|i| spread_at(i) * gain_v.abs() / root_shots).collect(),
-            noise_v: spread.noise * gain_v.abs(),
+            // The spread is that of records, each of which the oscilloscope may have averaged.
+            noise_v: spread.noise * gain_v.abs() * f64::from(self.first.averaged_shots).sqrt(),
             noise_acf: spread.acf.iter().copied().collect(),
             baseline_v: baseline * gain_v + offset_v,
             phase_shots: Some(self.sums.phase_shots().into_iter().map(|shots| shots as i32).collect()),

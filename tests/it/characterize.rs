@@ -126,3 +126,19 @@ fn missing_captures_are_told() {
     }
     assert!(&*verdict("echo").verdict == "pass" && &*verdict("noise_codes").verdict == "pass", "{checks:#?}");
 }
+
+/// Records that the oscilloscope averaged are quieter than shots: `noise_v` is that of a shot, so that it over the root of `shots` is that of the mean.
+#[test]
+fn the_noise_of_one_shot_is_known_also_where_records_are_averages() {
+    let noise = |averaged: &str| {
+        let lab = Lab::tiny();
+        let path = lab.campaign().join("campaign.toml");
+        let text = fs::read_to_string(&path).unwrap().replace("segments = \"shot\"", averaged);
+        fs::write(&path, text).unwrap();
+        lab.run("out", CHARACTERIZE, &Settings::default()).unwrap();
+        let profile = lab.rows::<Profile>("out", "profiles").remove(0);
+        (profile.shots, profile.noise_v)
+    };
+    let (single, averaged) = (noise("segments = \"shot\""), noise("segments = \"shot\"\naveraged_shots = 4"));
+    assert!(averaged.0 == 4 * single.0 && (averaged.1 / single.1 - 2.0).abs() < 1e-9, "{single:?} {averaged:?}");
+}

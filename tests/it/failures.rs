@@ -69,6 +69,12 @@ fn truncated_and_foreign_files_are_set_aside_by_name_and_the_rest_goes_on() {
     // The same bad files a second time: nothing is computed, and they are still reported.
     let again = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     assert!(again.computed.is_empty() && again.rejects == outcome.rejects, "{:?}", again.computed);
+    // They are reported also where the traces themselves are not kept, in the first run and in the second.
+    for _ in 0..2 {
+        let unkept =
+            lab.run_with("unkept", ALL_VISIBLE, &["traces.keep=false".to_owned()], &Settings::default()).unwrap();
+        assert_eq!(unkept.rejects, outcome.rejects);
+    }
 }
 
 #[test]
