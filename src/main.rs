@@ -1,6 +1,6 @@
 //! The command line. Results go to standard output, all else to standard error.
 //!
-//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was set aside (`--strict` makes that 1).
+//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was set aside (`--strict` makes that 1), or `check` found something to mend.
 
 mod commands;
 
@@ -29,6 +29,8 @@ enum Command {
     Plan(commands::plan::PlanArgs),
     /// Decode scope files: what is in them
     Inspect(commands::inspect::Inspect),
+    /// Look a campaign over, also while it is still being captured: what is missing, clipped, faint or drifting
+    Check(commands::check::Check),
     /// List the tables of a result folder
     Tables(commands::tables::Tables),
     /// Ask the tables of a result folder a question in SQL
@@ -55,6 +57,7 @@ fn main() -> ExitCode {
         Command::Run(args) => commands::run::run(&args),
         Command::Plan(args) => commands::plan::plan(&args),
         Command::Inspect(args) => commands::inspect::inspect(&args),
+        Command::Check(args) => commands::check::check(&args),
         Command::Tables(args) => commands::tables::tables(&args),
         Command::Query(args) => commands::query::query(&args),
         Command::Seal(args) => commands::seal::seal(&args),

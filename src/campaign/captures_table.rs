@@ -22,7 +22,7 @@ use super::suggest::hint;
 const TEXT: [&str; 7] = ["file", "reference_channel", "reference_file", "role", "sensor", "channel", "range"];
 
 /// Columns whose cells are numbers, or lists in brackets.
-const VALUES: [&str; 15] = [
+const VALUES: [&str; 16] = [
     "segment",
     "lit",
     "seen",
@@ -33,6 +33,7 @@ const VALUES: [&str; 15] = [
     "power_w",
     "path_m",
     "path_sd_m",
+    "bounces",
     "dt_ps",
     "gain_v",
     "offset_v",

@@ -104,6 +104,7 @@ mod tests {
                 rule,
                 file: file.into(),
                 role: Role::Scene,
+                run: None,
                 sensor: None,
                 lit: None,
                 seen: None,

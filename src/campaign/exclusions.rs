@@ -92,6 +92,7 @@ mod tests {
             rule: 0,
             file: "raw/L1.trc".into(),
             role: Role::Scene,
+            run: None,
             sensor: Some("s1".into()),
             lit: Some(1),
             seen: None,

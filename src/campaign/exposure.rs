@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::check_captures::sensor_exists;
 use super::keys::{Axis, Campaign, CaptureRule, RecordKeys, Role};
-use super::pattern::Bound;
+use super::pattern::{Bound, Pattern};
 use crate::units::PatchId;
 
 /// One record, or all records of a file where its segments are exposures of their own.
@@ -22,6 +22,9 @@ pub struct Exposure {
     pub file: PathBuf,
     /// What was captured.
     pub role: Role,
+    /// Which run of shots, for other roles than scene: the file, with `*` for the number of the shot where the pattern has one. It depends on nothing
+    /// but the file, so that it never changes when a campaign grows.
+    pub run: Option<String>,
     /// Sensor; `None` only where the segments count sensors.
     pub sensor: Option<String>,
     /// Lit patch (0: none); `None` only where the segments count lit patches.
@@ -86,6 +89,7 @@ pub(super) fn exposure(
         rule: rule_number,
         file: file.into(),
         role,
+        run: (role != Role::Scene).then(|| run(rule, file)),
         sensor,
         lit: patch(Axis::Lit, rule.lit)?,
         seen: patch(Axis::Seen, rule.seen)?,
@@ -96,6 +100,14 @@ pub(super) fn exposure(
         reference: None,
         keys: Arc::clone(keys),
     })
+}
+
+/// The run that a file belongs to: files that a pattern tells apart by their shot alone are one.
+fn run(rule: &CaptureRule, file: &str) -> String {
+    match rule.files.as_deref().map(Pattern::parse) {
+        Some(Ok(pattern)) => pattern.starred(file, Axis::Shot),
+        _ => file.to_owned(),
+    }
 }
 
 fn number<T: FromStr>(axis: Axis, bound: &Bound) -> Result<Option<T>, String> {

@@ -212,6 +212,8 @@ pub struct CaptureRule {
     pub path_m: Option<f64>,
     /// Standard deviation of the known path.
     pub path_sd_m: Option<f64>,
+    /// Bounces of the known path, for roles response and fiducial.
+    pub bounces: Option<u32>,
     /// Time between samples.
     pub dt_ps: Option<f64>,
     /// Volts per code.
@@ -235,6 +237,7 @@ impl CaptureRule {
             power_w: self.power_w,
             path_m: self.path_m,
             path_sd_m: self.path_sd_m,
+            bounces: self.bounces,
             dt_ps: self.dt_ps,
             gain_v: self.gain_v,
             offset_v: self.offset_v,
@@ -254,6 +257,7 @@ pub struct RecordKeys {
     pub power_w: Option<f64>,
     pub path_m: Option<f64>,
     pub path_sd_m: Option<f64>,
+    pub bounces: Option<u32>,
     pub dt_ps: Option<f64>,
     pub gain_v: Option<f64>,
     pub offset_v: Option<f64>,

@@ -164,6 +164,11 @@ impl Manifest {
         self.files.insert(key(path), FileRecord::of(content, metadata));
     }
 
+    /// Drops the records of files that are not as recorded any more, or gone: for a campaign that is still being captured.
+    pub fn forget_changed(&mut self, root: &Path) {
+        self.files.retain(|path, record| fs::metadata(root.join(path)).is_ok_and(|found| record.fits(&found)));
+    }
+
     /// The record of a file.
     #[must_use]
     pub fn get(&self, path: &Path) -> Option<&FileRecord> {

@@ -12,6 +12,7 @@
 //! is no match but an error. Matching is by backtracking over the tokens. Not modelled: `?`, `[a-z]`, escapes, and blindness to case.
 
 use std::fmt;
+use std::ops::Range;
 
 use super::keys::Axis;
 use super::suggest::hint;
@@ -150,13 +151,27 @@ impl Pattern {
     /// Reads a path: relative to the campaign folder, with `/` between its parts.
     #[must_use]
     pub fn read<'a>(&self, path: &'a str) -> Reading<'a> {
-        let mut reader = Reader { path, bound: Bound::default(), found: Vec::new() };
+        let mut reader = Reader::new(path);
         reader.walk(false, &self.tokens, 0);
         match reader.found.as_slice() {
             [] => Reading::No,
             [one] => Reading::Yes(*one),
             [one, two, ..] => Reading::Ambiguous(*one, *two),
         }
+    }
+
+    /// A path that the pattern reads, with `*` for each value of this placeholder: what is common to the files that differ only there.
+    #[must_use]
+    pub fn starred(&self, path: &str, axis: Axis) -> String {
+        let mut reader = Reader::new(path);
+        reader.walk(false, &self.tokens, 0);
+        let (mut starred, mut rest) = (String::new(), 0);
+        for (_, range) in reader.places.iter().filter(|(of, _)| *of == axis) {
+            starred.push_str(&path[rest..range.start]);
+            starred.push('*');
+            rest = range.end;
+        }
+        starred + &path[rest..]
     }
 }
 
@@ -231,10 +246,18 @@ fn touches(before: Option<&Token>, after: Option<&Token>, sign: char) -> bool {
 struct Reader<'a> {
     path: &'a str,
     bound: Bound<'a>,
+    /// Where the placeholders so far took their values.
+    taken: Vec<(Axis, Range<usize>)>,
     found: Vec<Bound<'a>>,
+    /// The same of the first reading that was found.
+    places: Vec<(Axis, Range<usize>)>,
 }
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    fn new(path: &'a str) -> Self {
+        Self { path, bound: Bound::default(), taken: Vec::new(), found: Vec::new(), places: Vec::new() }
+    }
+
     /// Reads the path from byte `at` by `tokens`; `after_star`: a star took what lies just before.
     fn walk(&mut self, after_star: bool, tokens: &[Token], at: usize) {
         if self.found.len() > 1 {
@@ -242,6 +265,9 @@ impl Reader<'_> {
         }
         let Some((token, rest)) = tokens.split_first() else {
             if at == self.path.len() && !self.found.contains(&self.bound) {
+                if self.found.is_empty() {
+                    self.places.clone_from(&self.taken);
+                }
                 self.found.push(self.bound);
             }
             return;
@@ -289,7 +315,9 @@ impl Reader<'_> {
             }
             if held.get(value.axis).is_none_or(|held| held == text) {
                 self.bound.0[value.axis as usize] = Some(text);
+                self.taken.push((value.axis, at..at + length));
                 self.walk(false, rest, at + length);
+                self.taken.pop();
             }
         }
         self.bound = held;
@@ -326,6 +354,14 @@ mod tests {
         assert_eq!(read("{range}.csv", "high-2_b.csv"), "range = high-2_b");
         assert_eq!(read("{range}_L{lit}*.csv", "low-2_L3_x.csv"), "lit = 3, range = low-2");
         assert_eq!(read("{range}_L{lit}.csv", "low_2_L3.csv"), "no");
+    }
+
+    #[test]
+    fn a_star_takes_the_place_of_a_value_wherever_it_stands() {
+        let starred = |pattern: &str, path: &str| Pattern::parse(pattern).unwrap().starred(path, Axis::Shot);
+        assert_eq!(starred("r/7_{shot}.trc", "r/7_007.trc"), "r/7_*.trc");
+        assert_eq!(starred("r/{shot}/*_{shot}.trc", "r/03/3_3.trc"), "r/*/3_*.trc");
+        assert_eq!(starred("r/*.trc", "r/03.trc"), "r/03.trc");
     }
 
     #[test]

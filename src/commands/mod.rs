@@ -1,5 +1,6 @@
 //! The commands, a file each: arguments, what they print, and their exit codes.
 
+pub mod check;
 pub mod demo;
 pub mod design;
 pub mod inspect;
@@ -11,5 +12,5 @@ pub mod seal;
 pub mod simulate;
 pub mod tables;
 
-/// Done, but some input was set aside.
+/// Done, but some input was set aside, or something is to be mended.
 pub const SOME_REJECTED: u8 = 3;

@@ -29,17 +29,17 @@ pub struct Planned {
 }
 
 impl Planned {
-    /// Whether every part is on the shelf.
+    /// Whether every part is on the shelf; a table of captures that there are none of has no parts, and is whole.
     #[must_use]
     pub fn complete(&self) -> bool {
-        !self.present.is_empty() && self.present.iter().all(Option::is_some)
+        self.present.iter().all(Option::is_some)
     }
 
     /// Lineage of the whole table, if all of it is known.
     #[must_use]
     pub fn lineage(&self) -> Option<Digest> {
         let parts: Option<Vec<Digest>> = self.lineages.iter().copied().collect();
-        parts.filter(|parts| !parts.is_empty()).map(|parts| TableRecord::lineage_of(&parts))
+        parts.map(|parts| TableRecord::lineage_of(&parts))
     }
 }
 

@@ -49,12 +49,23 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     let wanted: Vec<usize> =
         (0..plan.tables.len()).filter(|&i| plan.tables[i].wanted && plan.tables[i].complete()).collect();
     publish(plan, &wanted, &mut outcome)?;
-    let rejects: Vec<_> = wanted
-        .iter()
-        .map(|&i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice()))
+    let rejects: Vec<_> = behind(plan)
+        .into_iter()
+        .map(|i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice()))
         .collect();
     outcome.rejects = plan.shelf.publish_rejects(&rejects)?;
     Ok(outcome)
+}
+
+/// The wanted tables and all that they are made from, also where that is not kept: what was set aside on the way is part of the outcome.
+fn behind(plan: &Plan<'_>) -> Vec<usize> {
+    let mut behind: Vec<bool> = plan.tables.iter().map(|table| table.wanted).collect();
+    for i in (0..behind.len()).rev().filter(|&i| plan.tables[i].complete()) {
+        if behind[i] {
+            plan.from(i).into_iter().chain(plan.beside_steps(i)).for_each(|input| behind[input] = true);
+        }
+    }
+    (0..behind.len()).filter(|&i| behind[i] && plan.tables[i].complete()).collect()
 }
 
 fn publish(plan: &Plan<'_>, steps: &[usize], outcome: &mut Outcome) -> Result<(), StoreError> {

@@ -61,7 +61,7 @@ impl Default for Average {
 
 impl Stage for Average {
     const KIND: &'static str = "average";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
     type Input = Trace;
@@ -102,10 +102,14 @@ pub struct State {
     sums: PhaseSums,
     shots: i64,
     rejected: i32,
+    /// Of these, clipped.
+    clipped: i32,
     other_scale: i32,
     several_ranges: bool,
     /// Reference time of the shot whose signal comes next: shot, time and its sd; `None` where no pulse was found.
     reference: Option<(i32, Option<(f64, f64)>)>,
+    /// Whether that reference pulse is cut off at the rails.
+    reference_clipped: bool,
     /// Sum of squared standard deviations of the reference times.
     reference_variance_ps2: f64,
     missing_template: bool,
@@ -136,9 +140,11 @@ impl Fold for Average {
             sums: PhaseSums::new(samples),
             shots: 0,
             rejected: 0,
+            clipped: 0,
             other_scale: 0,
             several_ranges: false,
             reference: None,
+            reference_clipped: false,
             reference_variance_ps2: 0.0,
             missing_template: false,
         }
@@ -181,7 +187,7 @@ impl Fold for Average {
         if state.shots == 0 || state.shots < i64::from(self.shots_min) {
             let (shots, rejected, other) = (state.shots, state.rejected, state.other_scale);
             let why = format!(
-                "has {shots} valid shots of the {} that it needs; {rejected} were clipped, outlying or without reference pulse, {other} of another scale or length",
+                "has {shots} valid shots of the {} that it needs; {rejected} were clipped, outlying or without reference pulse, {other} of another scale, length or setting",
                 self.shots_min.max(1)
             );
             return Ok(state.rejection(why));
@@ -221,6 +227,7 @@ impl State {
         let fit = fit_pulse(&samples, dt_ps, template).filter(|_| !clipped);
         let time = fit.map(|fit| (columns.t0_ps.value(i) + fit.time_ps, fit.time_sd_ps));
         self.reference = Some((columns.shot.value(i), time));
+        self.reference_clipped = clipped;
     }
 
     /// Adds a shot, unless it is outlying.
@@ -254,17 +261,27 @@ impl State {
             lit: *lit,
             seen: *seen,
             role: role.clone(),
+            run: self.first.run.clone(),
             shots: self.shots as i32 * self.first.averaged_shots,
             rejected: self.rejected + self.other_scale,
+            clipped: self.clipped,
             t0_ps: mean.first_position as f64 * dt_ps,
             dt_ps: *dt_ps,
             mean_v: mean.mean.iter().map(|code| (code - baseline) * gain_v).collect(),
             se_v: (0..count).map(|i| spread_at(i) * gain_v.abs() / root_shots).collect(),
-            noise_v: spread.noise * gain_v.abs(),
+            // The spread is that of records, each of which the oscilloscope may have averaged.
+            noise_v: spread.noise * gain_v.abs() * f64::from(self.first.averaged_shots).sqrt(),
             noise_acf: spread.acf.iter().copied().collect(),
             baseline_v: baseline * gain_v + offset_v,
             phase_shots: Some(self.sums.phase_shots().into_iter().map(|shots| shots as i32).collect()),
             jitter_ps: (alignment + rounding).sqrt() / root_shots,
+            gain_v: *gain_v,
+            path_m: self.first.path_m,
+            path_sd_m: self.first.path_sd_m,
+            attenuation_od: self.first.attenuation_od,
+            power_w: self.first.power_w,
+            bounces: self.first.bounces,
+            acquired_at: self.first.acquired_at.clone(),
         }
     }
 }
@@ -273,13 +290,17 @@ impl Average {
     fn take_signal(&self, state: &mut State, columns: &TraceColumns, i: usize) {
         let (shot, dt_ps, samples) = (columns.shot.value(i), columns.dt_ps.value(i), columns.samples.value(i));
         let reference = state.reference.take();
+        let reference_clipped = std::mem::take(&mut state.reference_clipped);
         let first = &state.first;
         if columns.range.value(i) != first.range.as_deref().unwrap_or("") {
             state.several_ranges = true;
             return;
         }
         let scale = (columns.gain_v.value(i), columns.offset_v.value(i), dt_ps, samples, columns.code_type.value(i));
-        if scale != (first.gain_v, first.offset_v, first.dt_ps, first.samples, &*first.code_type) {
+        let scale_of_first = (first.gain_v, first.offset_v, first.dt_ps, first.samples, &*first.code_type);
+        let number = |column| <Option<f64> as Cell>::get(column, i);
+        let setting = (number(&columns.path_m), number(&columns.attenuation_od), number(&columns.power_w));
+        if scale != scale_of_first || setting != (first.path_m, first.attenuation_od, first.power_w) {
             state.other_scale += 1;
             return;
         }
@@ -288,6 +309,7 @@ impl Average {
             Some((of, time)) => time.filter(|_| of == shot),
         };
         let clipped = columns.clipped.values()[i] > 0;
+        state.clipped += i32::from(clipped || reference_clipped);
         let Some((zero_ps, zero_sd_ps)) = zero_ps.filter(|_| !clipped) else {
             state.rejected += 1;
             return;

@@ -43,7 +43,7 @@ impl Source for Ingest {
         "ingest"
     }
     fn version(&self) -> u32 {
-        1
+        2
     }
     fn params(&self) -> Value {
         let mut roles = self.roles.clone();

@@ -2,12 +2,14 @@
 
 pub mod average;
 pub mod calibrate;
+pub mod characterize;
 pub mod deconvolve;
 pub mod detect;
 pub mod embed;
 pub mod import;
 pub mod ingest;
 pub mod label;
+pub mod measure;
 pub mod operator;
 pub mod range;
 pub mod refine;
@@ -49,8 +51,20 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 10] =
-    ["ingest", "calibrate", "average", "deconvolve", "detect", "label", "range", "embed", "refine", "import"];
+pub const KINDS: [&str; 12] = [
+    "ingest",
+    "calibrate",
+    "average",
+    "measure",
+    "characterize",
+    "deconvolve",
+    "detect",
+    "label",
+    "range",
+    "embed",
+    "refine",
+    "import",
+];
 
 /// The stage of this kind with these parameters.
 ///
@@ -68,6 +82,8 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "import" => Node::Source(params_of::<import::Import>(params)?),
         "calibrate" => Node::Operator(params_of::<calibrate::Calibrate>(params)?),
         "average" => Node::Operator(params_of::<average::Average>(params)?),
+        "measure" => Node::Operator(params_of::<measure::Measure>(params)?),
+        "characterize" => Node::Operator(params_of::<characterize::Characterize>(params)?),
         "deconvolve" => Node::Operator(params_of::<deconvolve::Deconvolve>(params)?),
         "detect" => Node::Operator(params_of::<detect::Detect>(params)?),
         "label" => Node::Operator(params_of::<label::LabelOnsets>(params)?),

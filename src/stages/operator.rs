@@ -104,7 +104,7 @@ impl<S: Fold> Operator for S {
 }
 
 /// What tells two groups apart. Order of keys is order of output for grains that gather.
-type GroupKey = (String, String, i32, i32, String);
+type GroupKey = (String, String, i32, i32, String, String);
 
 /// A stage's groups: those that rows may still come for, by key.
 struct Groups<'a, S: Fold> {
@@ -195,6 +195,7 @@ struct KeyColumns {
     campaign: Option<StringArray>,
     sensor: Option<StringArray>,
     role: Option<StringArray>,
+    run: Option<StringArray>,
     lit: Option<Int32Array>,
     seen: Option<Int32Array>,
 }
@@ -207,30 +208,31 @@ impl KeyColumns {
             campaign: text("campaign"),
             sensor: text("sensor"),
             role: text("role"),
+            run: text("run"),
             lit: number("lit"),
             seen: number("seen"),
         }
     }
 
     /// What tells a row's group apart, borrowed.
-    fn key(&self, grain: Grain, i: usize) -> (&str, &str, i32, i32, &str) {
+    fn key(&self, grain: Grain, i: usize) -> (&str, &str, i32, i32, &str, &str) {
         let text = |column| text_at(column, i);
         let number = |column: &Option<Int32Array>| column.as_ref().map_or(0, |column| column.value(i));
         let (lit, seen) = (number(&self.lit), number(&self.seen));
-        match grain {
-            Grain::All => ("", "", 0, 0, ""),
-            Grain::Sensor => (text(self.campaign.as_ref()), text(self.sensor.as_ref()), 0, 0, ""),
-            Grain::Capture => {
-                (text(self.campaign.as_ref()), text(self.sensor.as_ref()), lit, seen, text(self.role.as_ref()))
-            }
-            Grain::Pair => (
-                text(self.campaign.as_ref()),
-                text(self.sensor.as_ref()),
-                lit.min(seen),
-                lit.max(seen),
-                text(self.role.as_ref()),
-            ),
-        }
+        let (first, second) = match grain {
+            Grain::All => return ("", "", 0, 0, "", ""),
+            Grain::Sensor => return (text(self.campaign.as_ref()), text(self.sensor.as_ref()), 0, 0, "", ""),
+            Grain::Capture => (lit, seen),
+            Grain::Pair => (lit.min(seen), lit.max(seen)),
+        };
+        (
+            text(self.campaign.as_ref()),
+            text(self.sensor.as_ref()),
+            first,
+            second,
+            text(self.role.as_ref()),
+            text(self.run.as_ref()),
+        )
     }
 }
 
@@ -245,8 +247,9 @@ fn groups(batch: &RecordBatch, grain: Grain) -> Vec<(GroupKey, Range<usize>)> {
     let mut start = 0;
     for i in 1..=batch.num_rows() {
         if i == batch.num_rows() || columns.key(grain, start) != columns.key(grain, i) {
-            let (campaign, sensor, lit, seen, role) = columns.key(grain, start);
-            groups.push(((campaign.to_owned(), sensor.to_owned(), lit, seen, role.to_owned()), start..i));
+            let (campaign, sensor, lit, seen, role, run) = columns.key(grain, start);
+            let key = (campaign.to_owned(), sensor.to_owned(), lit, seen, role.to_owned(), run.to_owned());
+            groups.push((key, start..i));
             start = i;
         }
     }

@@ -278,8 +278,10 @@ mod tests {
                 lit,
                 seen: 1,
                 role: name.clone(),
+                run: None,
                 shots: 10,
                 rejected: 0,
+                clipped: 0,
                 t0_ps: 0.5,
                 dt_ps: 50.0,
                 mean_v: (0..samples).map(|i| (i as f64 * 0.1 + f64::from(lit)).sin()).collect(),
@@ -289,6 +291,13 @@ mod tests {
                 baseline_v: 0.0,
                 phase_shots: None,
                 jitter_ps: 0.0,
+                gain_v: 0.001,
+                path_m: None,
+                path_sd_m: None,
+                attenuation_od: None,
+                power_w: None,
+                bounces: None,
+                acquired_at: None,
             })
             .collect()
     }

@@ -1,9 +1,11 @@
 //! The tables: one file a kind of row, each declared once. `data-schema/` is the published form of these declarations.
 
 pub mod calibration;
+pub mod checks;
 pub mod contract;
 pub mod distances;
 pub mod labels;
+pub mod measurements;
 pub mod onsets;
 pub mod patches;
 pub mod profiles;
@@ -17,8 +19,10 @@ pub mod truth;
 use arrow::datatypes::SchemaRef;
 
 pub use calibration::Calibration;
+pub use checks::Check;
 pub use distances::{Covariance, Distance};
 pub use labels::Label;
+pub use measurements::Measurement;
 pub use onsets::Onset;
 pub use patches::{Patch, PatchCovariance};
 pub use profiles::Profile;
@@ -42,6 +46,8 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Trace>(),
         of::<Calibration>(),
         of::<Profile>(),
+        of::<Measurement>(),
+        of::<Check>(),
         of::<Stir>(),
         of::<Onset>(),
         of::<Label>(),

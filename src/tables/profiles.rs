@@ -16,10 +16,14 @@ table! {
         seen: i32,
         /// What was captured.
         role: Name,
+        /// Which run of shots, for other roles than scene: its file; null for captures of the scene.
+        run: Option<Name>,
         /// Shots averaged.
         shots: i32,
         /// Shots set aside: clipped, outlying, or without reference pulse.
         rejected: i32,
+        /// Of these, shots with a sample of signal or reference at the converter's rails.
+        clipped: i32,
         /// Time of sample 0 relative to the reference pulse (without one, to the trigger).
         t0_ps: f64,
         /// Time between samples.
@@ -38,5 +42,19 @@ table! {
         phase_shots: Option<Vec<i32>>,
         /// Standard deviation of the time error left over from alignment, common to all arrivals of the profile.
         jitter_ps: f64,
+        /// Volts per code of the records.
+        gain_v: f64,
+        /// Known path from source to sensor, for roles response and fiducial.
+        path_m: Option<f64>,
+        /// Standard deviation of the known path.
+        path_sd_m: Option<f64>,
+        /// Optical density of the attenuator in the beam.
+        attenuation_od: Option<f64>,
+        /// Mean power of the laser, in watts.
+        power_w: Option<f64>,
+        /// Bounces of the known path, for roles response and fiducial.
+        bounces: Option<i32>,
+        /// Wall-clock time of the first shot as its file has it (ISO 8601, zone of the instrument).
+        acquired_at: Option<Name>,
     }
 }

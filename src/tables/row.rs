@@ -374,8 +374,16 @@ impl Cell for Vec<Name> {
 }
 
 /// Units that a column name can end in, longest first, and how they are written.
-const UNITS: [(&str, &str); 7] =
-    [("_m2", "m^2"), ("_ps2", "ps^2"), ("_ps", "ps"), ("_m", "m"), ("_v", "V"), ("_rad", "rad"), ("_bytes", "B")];
+const UNITS: [(&str, &str); 8] = [
+    ("_m2", "m^2"),
+    ("_ps2", "ps^2"),
+    ("_ps", "ps"),
+    ("_m", "m"),
+    ("_v", "V"),
+    ("_w", "W"),
+    ("_rad", "rad"),
+    ("_bytes", "B"),
+];
 
 /// Unit that a column name carries as its suffix.
 #[must_use]

@@ -16,6 +16,8 @@ table! {
         seen: i32,
         /// What was captured: scene, response, dark, blocked or fiducial.
         role: Name,
+        /// Which run of shots, for other roles than scene: its file; null for captures of the scene.
+        run: Option<Name>,
         /// Vertical range, where a capture was taken at several.
         range: Option<Name>,
         /// Number of the exposure within its capture, from 0.
@@ -52,5 +54,11 @@ table! {
         path_m: Option<f64>,
         /// Standard deviation of the known path.
         path_sd_m: Option<f64>,
+        /// Optical density of the attenuator in the beam.
+        attenuation_od: Option<f64>,
+        /// Mean power of the laser, in watts.
+        power_w: Option<f64>,
+        /// Bounces of the known path, for roles response and fiducial.
+        bounces: Option<i32>,
     }
 }

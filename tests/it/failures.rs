@@ -69,6 +69,12 @@ fn truncated_and_foreign_files_are_set_aside_by_name_and_the_rest_goes_on() {
     // The same bad files a second time: nothing is computed, and they are still reported.
     let again = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     assert!(again.computed.is_empty() && again.rejects == outcome.rejects, "{:?}", again.computed);
+    // They are reported also where the traces themselves are not kept, in the first run and in the second.
+    for _ in 0..2 {
+        let unkept =
+            lab.run_with("unkept", ALL_VISIBLE, &["traces.keep=false".to_owned()], &Settings::default()).unwrap();
+        assert_eq!(unkept.rejects, outcome.rejects);
+    }
 }
 
 #[test]
@@ -96,6 +102,14 @@ fn a_capture_with_no_valid_shot_is_set_aside() {
         rejects.iter().any(|row| row.contains("lit 2, seen 2") && row.contains("0 valid shots of the 16")),
         "{rejects:#?}"
     );
+}
+
+#[test]
+fn a_campaign_without_response_captures_is_told_so() {
+    let lab = Lab::tiny();
+    fs::remove_dir_all(lab.campaign().join("raw/response")).unwrap();
+    let error = chain(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap_err());
+    assert!(error.contains("[profiles]") && error.contains("from response captures"), "{error}");
 }
 
 #[test]

@@ -1,7 +1,10 @@
 //! One integration binary, a file a concern.
 
 mod accuracy;
+mod bench;
 mod bound;
+mod characterize;
+mod check;
 mod cli;
 mod determinism;
 mod failures;

@@ -322,6 +322,7 @@ struct Template<'a> {
     campaign: Name,
     sensor: Name,
     role: Name,
+    run: Option<Name>,
     range: Option<Name>,
     /// Names of code types, in their order.
     code_types: [Name; CodeType::ALL.len()],
@@ -334,6 +335,7 @@ impl<'a> Template<'a> {
             campaign: surveyed.campaigns[job.capture.campaign].name.as_str().into(),
             sensor: job.capture.sensor.as_str().into(),
             role: job.capture.role.name().into(),
+            run: job.capture.run.as_deref().map(Into::into),
             range: job.item.exposure.range.as_deref().map(Into::into),
             code_types: CodeType::ALL.map(|code_type| code_type.name().into()),
         }
@@ -378,6 +380,7 @@ impl<'a> Template<'a> {
             lit: self.job.capture.lit,
             seen: self.job.capture.seen,
             role: self.role.clone(),
+            run: self.run.clone(),
             range: self.range.clone(),
             shot,
             channel: head.channel.as_deref().map(Into::into),
@@ -396,6 +399,9 @@ impl<'a> Template<'a> {
             averaged_shots: keys.averaged_shots.unwrap_or(1) as i32,
             path_m: keys.path_m,
             path_sd_m: keys.path_sd_m,
+            attenuation_od: keys.attenuation_od,
+            power_w: keys.power_w,
+            bounces: keys.bounces.map(|bounces| bounces as i32),
         })
     }
 }

@@ -27,13 +27,15 @@ pub struct Item {
     pub bytes: u64,
 }
 
-/// One capture: a patch lit, a patch seen, by one sensor.
+/// One capture: a patch lit, a patch seen, by one sensor; for other roles than scene, one run of shots.
 #[derive(Clone, Debug)]
 pub struct Capture {
     /// Position of the campaign in the run.
     pub campaign: usize,
     /// What was captured.
     pub role: Role,
+    /// Which run of shots, for other roles than scene.
+    pub run: Option<String>,
     /// Sensor.
     pub sensor: String,
     /// Patch lit.
@@ -44,8 +46,9 @@ pub struct Capture {
     pub items: Vec<Item>,
 }
 
-/// What tells captures apart, in the order of the tables: reciprocal captures stand side by side.
-type Order = (usize, String, PatchId, PatchId, PatchId, Role);
+/// What tells captures apart, in the order of the tables: campaign, sensor, smaller and larger patch, role, run, lit. So reciprocal captures stand
+/// side by side.
+type Order = (usize, String, PatchId, PatchId, Role, Option<String>, PatchId);
 
 impl Capture {
     fn bytes(&self) -> u64 {
@@ -55,7 +58,8 @@ impl Capture {
     /// Name of the capture and its reciprocal together: parts are cut only between such pairs.
     fn pair_key(&self, campaigns: &[Campaign]) -> String {
         let (low, high) = (self.lit.min(self.seen), self.lit.max(self.seen));
-        format!("{}/{}/{low}/{high}/{}", campaigns[self.campaign].name, self.sensor, self.role.name())
+        let run = self.run.as_ref().map_or(String::new(), |run| format!("/{run}"));
+        format!("{}/{}/{low}/{high}/{}{run}", campaigns[self.campaign].name, self.sensor, self.role.name())
     }
 
     /// All that its rows depend on, the bytes of its files apart.
@@ -69,7 +73,7 @@ impl Capture {
             })
         };
         let items: Vec<Value> = self.items.iter().map(item).collect();
-        json!([campaigns[self.campaign].name, self.role, self.sensor, self.lit, self.seen, items])
+        json!([campaigns[self.campaign].name, self.role, self.run, self.sensor, self.lit, self.seen, items])
     }
 
     /// Raw files that it reads.
@@ -151,9 +155,9 @@ impl<'a> Surveyed<'a> {
             for exposure in exposures {
                 for (key, item) in items(campaign, exposure)? {
                     let (sensor, lit, seen) = key;
-                    let role = item.exposure.role;
-                    let order = (index, sensor.clone(), lit.min(seen), lit.max(seen), lit, role);
-                    let capture = Capture { campaign: index, role, sensor, lit, seen, items: Vec::new() };
+                    let (role, run) = (item.exposure.role, item.exposure.run.clone());
+                    let order = (index, sensor.clone(), lit.min(seen), lit.max(seen), role, run.clone(), lit);
+                    let capture = Capture { campaign: index, role, run, sensor, lit, seen, items: Vec::new() };
                     captures.entry(order).or_insert(capture).items.push(item);
                 }
             }
@@ -333,9 +337,11 @@ fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, St
 /// Splits a file whose segments or leading axes count more than shots. Patches are numbered from 1 along their axis, ranges and channels too.
 fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, Item)>, StageError> {
     let refused = |message: String| StageError::Refused(format!("{}: {message}", path.display()));
-    let records = formats::open(path)
-        .and_then(|mut file| formats::records(&mut file))
-        .map_err(|error| refused(error.to_string()))?;
+    let Ok(records) = formats::open(path).and_then(|mut file| formats::records(&mut file)) else {
+        // A file that does not decode, perhaps since it is still being written, is set aside with the reason when it is read.
+        let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
+        return Ok(vec![(key, Item { exposure, records: Some(Vec::new()), bytes })]);
+    };
     let axes = &exposure.keys.segments;
     let shape = match records.first().map(|record| record.head.shape.as_slice()) {
         Some(shape) if shape.len() == axes.len() => shape.to_vec(),

@@ -1,0 +1,113 @@
+//! A check as text for a person.
+
+use std::fmt::Write;
+
+use super::report::{Pair, Report, Sensor, listed};
+
+/// Files of a kind that are named; the JSON names all.
+const NAMED: usize = 10;
+
+/// The report as text.
+pub fn text(report: &Report) -> String {
+    let mut text = format!("campaign {}\n", report.campaign);
+    let mut line = |line: String| writeln!(text, "{line}").expect("a String takes all text");
+    for found in &report.captures {
+        line(format!("  {:9} {:8} {:>6} captures in {} files", found.role, found.sensor, found.count, found.files));
+    }
+    if report.captures.is_empty() {
+        line("  no rule matches any file".to_owned());
+    }
+    let set_aside: Vec<String> = report
+        .set_aside
+        .iter()
+        .map(|row| row.file.as_ref().map_or(row.reason.clone(), |file| format!("{file}: {}", row.reason)))
+        .collect();
+    for (what, items) in [
+        ("files that no rule matches", &report.unmatched),
+        ("patterns and rows that match nothing", &report.empty),
+        ("files without their reference", &report.missing_references),
+        ("set aside", &set_aside),
+    ] {
+        if !items.is_empty() {
+            line(format!("\n{} {what}", items.len()));
+            items.iter().take(NAMED).for_each(|item| line(format!("  {item}")));
+        }
+        if items.len() > NAMED {
+            line(format!("  and {} more", items.len() - NAMED));
+        }
+    }
+    for found in &report.sensors {
+        sensor(found).into_iter().for_each(&mut line);
+    }
+    if report.mend.is_empty() {
+        line("\nall is well".to_owned());
+    } else {
+        line("\nto mend".to_owned());
+        report.mend.iter().for_each(|mend| line(format!("  {mend}")));
+    }
+    text
+}
+
+fn sensor(found: &Sensor) -> Vec<String> {
+    let mut lines = vec![format!("\nsensor {}", found.name)];
+    for (what, pairs) in
+        [("missing pairs", &found.missing_pairs), ("missing reciprocal pairs", &found.missing_reciprocals)]
+    {
+        if !pairs.is_empty() {
+            lines.push(format!("  {what:24} {}: {}", pairs.len(), listed(pairs)));
+        }
+    }
+    if let Some([least, middle, most]) = found.shots {
+        lines.push(format!("  {:24} {least} / {middle} / {most} (least, median, most)", "shots a capture"));
+    }
+    if !found.fewer_shots.is_empty() {
+        let pairs: Vec<Pair> = found.fewer_shots.iter().map(|(pair, _)| *pair).collect();
+        lines.push(format!("  {:24} {}: {}", "fewer shots than others", pairs.len(), listed(&pairs)));
+    }
+    if let Some(share) = found.clipped_share {
+        lines.push(format!("  {:24} {:.2} % of shots", "clipped", 100.0 * share));
+    }
+    if let Some(median) = found.snr_median {
+        let faintest: Vec<String> =
+            found.faintest.iter().map(|(Pair { lit, seen }, snr)| format!("({lit}, {seen}) {snr:.1}")).collect();
+        lines.push(format!("  {:24} {median:.1} in the median; faintest {}", "signal to noise", faintest.join(", ")));
+    }
+    checks(found, &mut lines);
+    lines
+}
+
+fn checks(found: &Sensor, lines: &mut Vec<String>) {
+    for row in found.checks.iter().filter(|row| row.verdict != "missing") {
+        let value = row.value.map_or("-".to_owned(), short);
+        let sd = row.sd.map_or(String::new(), |sd| format!(" +- {}", short(sd)));
+        let good = row.expected.map_or(String::new(), |expected| {
+            let tolerance = row.tolerance.map_or(String::new(), |tolerance| format!(" +- {}", short(tolerance)));
+            let word = if row.tolerance.is_some() { "good" } else { "at least" };
+            format!("  ({word}: {}{tolerance})", short(expected))
+        });
+        lines.push(format!("  {:24} {:5} {value}{sd} {}{good}", row.check, row.verdict, row.unit));
+    }
+    let missing: Vec<&str> =
+        found.checks.iter().filter(|row| row.verdict == "missing").map(|row| row.check.as_str()).collect();
+    if !missing.is_empty() {
+        lines.push(format!(
+            "  {:24} {}; pipelines/characterize.toml says what to capture",
+            "not checked",
+            missing.join(", ")
+        ));
+    }
+}
+
+/// A number to four digits.
+fn short(value: f64) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    let digits = (3 - value.abs().log10().floor() as i32).clamp(0, 12) as usize;
+    let text = if value.abs() < 1e-6 { format!("{value:.3e}") } else { format!("{value:.digits$}") };
+    if text.contains('.') && !text.contains('e') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    }
+}

@@ -1,0 +1,263 @@
+//! `measure`: the pulse of each run of an instrument check (paper figure 7), as numbers that runs can be compared by.
+//!
+//! The strongest pulse of the mean record is fitted with what averaging leaves of the calibrated response: amplitude, time, baseline, then its width
+//! ([`pulse_fit`]); behind it an echo is sought ([`echo`]). Runs of roles dark and blocked have no pulse: told is the largest deviation of their mean
+//! record, which is what goes on in step with the trigger. Times keep the latency. The response is one for all runs of a sensor: its own error is
+//! common to them, and is in no standard deviation here.
+//!
+//! Takes `profiles`; writes `measurements`. Beside it: `calibration`. Not modelled: several pulses of a scene (the strongest is measured).
+//!
+//! ```toml
+//! [measurements]
+//! stage = "measure"
+//! from = "profiles"
+//! with = { calibration = "calibration" }
+//! ```
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
+use crate::campaign::{Campaign, Role};
+use crate::signal::average::PHASES;
+use crate::signal::averaged_response::averaged_response;
+use crate::signal::echo::{self, Core};
+use crate::signal::pulse_fit::{self, Record};
+use crate::signal::reference::fit_pulse;
+use crate::signal::response::Response;
+use crate::signal::shot_spread::HEAD_SHOTS;
+use crate::tables::{Calibration, Measurement, Name, Profile};
+
+/// Share of a record whose samples tell the noise, for the significance of its autocorrelation.
+const BASELINE_SHARE: f64 = 0.1;
+/// An autocorrelation within this many standard deviations of 0 is none.
+const ACF_SIGMA: f64 = 3.0;
+/// Share of its maximum above which the pulse is high.
+const HIGH_SHARE: f64 = 0.7;
+/// Spread beyond the noise counts where it exceeds its own uncertainty by this factor.
+const EXTRA_SIGMA: f64 = 2.0;
+
+/// Parameters of `measure`: none.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Measure {}
+
+/// The response of one sensor.
+pub struct Sensor {
+    /// Turned upwards.
+    response: Response,
+    /// -1 for a sensor whose pulses go down.
+    polarity: f64,
+    core: Option<Core>,
+    width_ps: f64,
+}
+
+impl Stage for Measure {
+    const KIND: &'static str = "measure";
+    const VERSION: u32 = 1;
+    const GRAIN: Grain = Grain::Capture;
+    const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
+    type Input = Profile;
+    type Output = Measurement;
+    type Fields = ();
+    type Context = BTreeMap<(Name, Name), Sensor>;
+
+    fn fields(&self, _: &[Campaign]) {}
+
+    fn context(&self, (): (), beside: &BesideTables) -> Result<Self::Context, StageError> {
+        let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
+        Ok(rows.into_iter().map(|row| ((row.campaign.clone(), row.sensor.clone()), Sensor::of(&row))).collect())
+    }
+}
+
+impl Sensor {
+    fn of(row: &Calibration) -> Self {
+        let mut values = row.response.to_f64();
+        let extremum = values.iter().fold(0.0_f64, |most, value| if value.abs() > most.abs() { *value } else { most });
+        let polarity = extremum.signum();
+        values.iter_mut().for_each(|value| *value *= polarity);
+        let response = Response::new(row.response_t0_ps, row.step_ps, &values);
+        let core = Core::of(&response, row.step_ps);
+        Self { response, polarity, core, width_ps: row.width_ps }
+    }
+}
+
+impl Apply for Measure {
+    fn apply(&self, sensors: &Self::Context, group: Vec<Profile>) -> Result<Outcome<Measurement>, StageError> {
+        // A sensor without calibration has its noise measured all the same; `calibrate` has said why it has none.
+        let measure = |profile: &Profile| {
+            let sensor = sensors.get(&(profile.campaign.clone(), profile.sensor.clone()));
+            measurement(profile, sensor)
+        };
+        Ok(Outcome::rows(group.iter().map(measure).collect()))
+    }
+}
+
+fn measurement(profile: &Profile, sensor: Option<&Sensor>) -> Measurement {
+    let dark = [Role::Dark, Role::Blocked].iter().any(|role| *profile.role == *role.name());
+    let row = blank(profile);
+    if dark {
+        let (pickup_v, trials) = largest_deviation(&profile.mean_v.to_f64());
+        return Measurement {
+            pickup_v: Some(pickup_v),
+            pickup_sd_v: Some(noise_of_mean(profile, &(0..0))),
+            pickup_trials: Some(trials),
+            ..row
+        };
+    }
+    match sensor {
+        Some(sensor) => with_pulse(row, profile, sensor),
+        None => row,
+    }
+}
+
+/// Fills in the columns of the pulse, if there is one.
+fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measurement {
+    let samples: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.polarity).collect();
+    let seen = |response: &Response| match &profile.phase_shots {
+        Some(phase_shots) => averaged_response(response, profile.dt_ps, phase_shots),
+        None => response.clone(),
+    };
+    let response = seen(&sensor.response);
+    let Some(found) = fit_pulse(&samples, profile.dt_ps, &response) else {
+        return row;
+    };
+    let noise = noise_of_mean(profile, &response.reach(found.time_ps, 0.0, profile.dt_ps, samples.len()));
+    let acf = significant_acf(profile);
+    let record = Record { samples: &samples, dt_ps: profile.dt_ps, noise, acf: &acf };
+    let Some(pulse) = (noise > 0.0).then(|| pulse_fit::fit(&record, &response, &found)).flatten() else {
+        return row;
+    };
+    let spread = spread(profile, &response, pulse.time_ps, pulse.amplitude, noise);
+    let echo = sensor.core.as_ref().and_then(|core| echo::largest(&record, core, &seen(&core.response)));
+    Measurement {
+        snr: Some(pulse.amplitude.abs() / pulse.amplitude_sd),
+        amplitude_v: Some(pulse.amplitude),
+        amplitude_sd_v: Some(pulse.amplitude_sd.hypot(spread.extra_v)),
+        time_ps: Some(profile.t0_ps + pulse.time_ps),
+        time_sd_ps: Some(pulse.time_sd_ps.hypot(profile.jitter_ps)),
+        width_ratio: pulse.width.map(|(ratio, _)| ratio),
+        width_ratio_sd: pulse.width.map(|(_, sd)| sd),
+        width_ps: pulse.width.map(|(ratio, _)| ratio * sensor.width_ps),
+        signal_noise_v: spread.shot_v,
+        echo_ratio: echo.map(|echo| echo.ratio),
+        echo_ratio_sd: echo.map(|echo| echo.ratio_sd),
+        echo_delay_ps: echo.map(|echo| echo.delay_ps),
+        echo_trials: echo.map(|echo| echo.trials),
+        ..row
+    }
+}
+
+/// Standard error of the mean record, all samples together but for those that a pulse reaches: single ones come from few shots.
+fn noise_of_mean(profile: &Profile, pulse: &Range<usize>) -> f64 {
+    let variances = profile.se_v.iter().enumerate().filter(|(n, _)| !pulse.contains(n));
+    let (sum, count) = variances.fold((0.0, 0), |(sum, count), (_, se)| (sum + f64::from(*se).powi(2), count + 1));
+    if sum > 0.0 { (sum / f64::from(count)).sqrt() } else { profile.noise_v / f64::from(profile.shots).sqrt() }
+}
+
+/// The autocorrelation of the noise as far as it differs from 0 for certain.
+fn significant_acf(profile: &Profile) -> Vec<f64> {
+    let judged = (profile.shots as usize).min(HEAD_SHOTS) as f64 * profile.mean_v.len() as f64 * BASELINE_SHARE;
+    let least = ACF_SIGMA / judged.sqrt();
+    let acf = profile.noise_acf.to_f64();
+    let rest = acf.iter().skip(1).take_while(|r| r.abs() > least);
+    std::iter::once(1.0).chain(rest.copied()).collect()
+}
+
+/// How the shots spread where the pulse is high.
+struct Spread {
+    /// Standard deviation of one shot; `None` where it is not known.
+    shot_v: Option<f64>,
+    /// What the spread beyond the noise adds to the standard deviation of the mean's amplitude: light that fluctuates moves all samples together.
+    extra_v: f64,
+}
+
+fn spread(profile: &Profile, response: &Response, time_ps: f64, amplitude_v: f64, noise_v: f64) -> Spread {
+    let height = response.height();
+    let at = |n: usize| n as f64 * profile.dt_ps - time_ps;
+    let reach = response.reach(time_ps, 0.0, profile.dt_ps, profile.se_v.len());
+    let high: Vec<usize> = reach.filter(|&n| response.value(at(n)) > HIGH_SHARE * height).collect();
+    if high.is_empty() || profile.shots < 2 {
+        return Spread { shot_v: None, extra_v: 0.0 };
+    }
+    let shots = f64::from(profile.shots);
+    let variance = |n: usize| {
+        // Neither the straight line between samples nor what the alignment leaves is light that fluctuates.
+        let between = between_samples(profile, response, at(n)) / shots;
+        let moved = (response.value_and_slope(at(n)).1 * profile.jitter_ps).powi(2);
+        f64::from(profile.se_v[n]).powi(2) - amplitude_v.powi(2) * (between + moved)
+    };
+    let mean = high.iter().map(|&n| variance(n)).sum::<f64>() / high.len() as f64;
+    let judged = (shots.min(HEAD_SHOTS as f64) - 1.0) * high.len() as f64;
+    let extra = mean - noise_v * noise_v;
+    let certain = extra > EXTRA_SIGMA * noise_v * noise_v * (2.0 / judged).sqrt();
+    Spread { shot_v: Some((mean.max(0.0) * shots).sqrt()), extra_v: if certain { extra.sqrt() } else { 0.0 } }
+}
+
+/// Mean square of what `average` takes for spread at a sample: it compares shots between two samples of the mean with the straight line through these.
+fn between_samples(profile: &Profile, response: &Response, time_ps: f64) -> f64 {
+    let Some(phase_shots) = &profile.phase_shots else {
+        return 0.0;
+    };
+    let shots: f64 = phase_shots.iter().copied().map(f64::from).sum();
+    let (here, there) = (response.value(time_ps), response.value(time_ps + profile.dt_ps));
+    let error = |(phase, count): (usize, &i32)| {
+        let fraction = phase as f64 / PHASES as f64;
+        let line = here + fraction * (there - here);
+        f64::from(*count) / shots * (response.value(time_ps + fraction * profile.dt_ps) - line).powi(2)
+    };
+    phase_shots.iter().enumerate().map(error).sum()
+}
+
+/// The sample furthest from the mean of all, and how many there are.
+fn largest_deviation(samples: &[f64]) -> (f64, f64) {
+    let mean = samples.iter().sum::<f64>() / samples.len() as f64;
+    let largest = samples
+        .iter()
+        .map(|value| value - mean)
+        .fold(0.0_f64, |most, value| if value.abs() > most.abs() { value } else { most });
+    (largest, samples.len() as f64)
+}
+
+/// A measurement of this profile with nothing known of a pulse.
+fn blank(profile: &Profile) -> Measurement {
+    Measurement {
+        campaign: profile.campaign.clone(),
+        sensor: profile.sensor.clone(),
+        lit: profile.lit,
+        seen: profile.seen,
+        role: profile.role.clone(),
+        run: profile.run.clone(),
+        shots: profile.shots,
+        rejected: profile.rejected,
+        clipped: profile.clipped,
+        path_m: profile.path_m,
+        path_sd_m: profile.path_sd_m,
+        attenuation_od: profile.attenuation_od,
+        power_w: profile.power_w,
+        bounces: profile.bounces,
+        acquired_at: profile.acquired_at.clone(),
+        snr: None,
+        amplitude_v: None,
+        amplitude_sd_v: None,
+        time_ps: None,
+        time_sd_ps: None,
+        width_ratio: None,
+        width_ratio_sd: None,
+        width_ps: None,
+        baseline_v: profile.baseline_v,
+        noise_v: profile.noise_v,
+        noise_acf: profile.noise_acf.get(1).map(|r| f64::from(*r)),
+        signal_noise_v: None,
+        gain_v: profile.gain_v,
+        echo_ratio: None,
+        echo_ratio_sd: None,
+        echo_delay_ps: None,
+        echo_trials: None,
+        pickup_v: None,
+        pickup_sd_v: None,
+        pickup_trials: None,
+    }
+}
