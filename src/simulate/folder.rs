@@ -236,7 +236,7 @@ fn rule_text(scene: &Scene, format: Format, shooting: &Shooting) -> String {
 /// The table of fiducial captures, a row a file.
 fn fiducials_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> String {
     let mut text = String::from(
-        "file,reference_file,sensor,range,path_m,path_sd_m,attenuation_od,shot,dt_ps,t0_ps,gain_v,offset_v\n",
+        "file,reference_file,sensor,range,path_m,path_sd_m,attenuation_od,bounces,shot,dt_ps,t0_ps,gain_v,offset_v\n",
     );
     for shooting in shootings.iter().filter(|shooting| shooting.role == Role::Fiducial) {
         let files = if format == Format::Csv { shooting.shots } else { 1 };
@@ -258,13 +258,14 @@ fn fiducials_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> Stri
             let path_sd_m = shooting.path_m.map(|_| scene.captures.path_sd_m).filter(|sd_m| *sd_m > 0.0);
             writeln!(
                 text,
-                "{},{reference},{},{},{},{},{:?},{number},{base}",
+                "{},{reference},{},{},{},{},{:?},{},{number},{base}",
                 file(1),
                 shooting.sensor,
                 shooting.setting.name.as_deref().unwrap_or(""),
                 cell(shooting.path_m),
                 cell(path_sd_m),
                 shooting.attenuation_od,
+                shooting.bounces.unwrap_or(1),
             )
             .expect("a String takes all text");
         }

@@ -32,7 +32,7 @@ use crate::signal::response::Response;
 use crate::signal::shot_spread::{self, HEAD_SHOTS, OutlierTest};
 use crate::tables::row::Cell;
 use crate::tables::traces::TraceColumns;
-use crate::tables::{Calibration, Codes, Name, Profile, Trace};
+use crate::tables::{Calibration, Codes, Name, Profile, Row, Trace};
 
 /// Lags of the noise autocorrelation that a profile keeps.
 const ACF_LAGS: usize = 16;
@@ -92,7 +92,7 @@ struct Shot {
 
 /// A capture under way.
 pub struct State {
-    /// First row: key, scale and time base that all others must have.
+    /// First signal row: key, scale and time base that all others must have. Until one comes, the reference row before it.
     first: Trace,
     baseline: usize,
     head: Vec<Shot>,
@@ -127,27 +127,7 @@ impl Fold for Average {
     type State = State;
 
     fn begin(&self, _: &Templates, first: Trace) -> State {
-        let samples = first.samples as usize;
-        let baseline =
-            self.baseline_ps.map_or(samples as f64 * BASELINE_SHARE, |baseline_ps| baseline_ps / first.dt_ps).round()
-                as usize;
-        State {
-            baseline: baseline.clamp(1, samples),
-            first,
-            head: Vec::new(),
-            test: None,
-            spread: None,
-            sums: PhaseSums::new(samples),
-            shots: 0,
-            rejected: 0,
-            clipped: 0,
-            other_scale: 0,
-            several_ranges: false,
-            reference: None,
-            reference_clipped: false,
-            reference_variance_ps2: 0.0,
-            missing_template: false,
-        }
+        State::new(self, first)
     }
 
     fn step(
@@ -203,6 +183,29 @@ impl Fold for Average {
 }
 
 impl State {
+    fn new(average: &Average, first: Trace) -> Self {
+        let samples = first.samples as usize;
+        let share = samples as f64 * BASELINE_SHARE;
+        let baseline = average.baseline_ps.map_or(share, |baseline_ps| baseline_ps / first.dt_ps).round() as usize;
+        Self {
+            baseline: baseline.clamp(1, samples),
+            first,
+            head: Vec::new(),
+            test: None,
+            spread: None,
+            sums: PhaseSums::new(samples),
+            shots: 0,
+            rejected: 0,
+            clipped: 0,
+            other_scale: 0,
+            several_ranges: false,
+            reference: None,
+            reference_clipped: false,
+            reference_variance_ps2: 0.0,
+            missing_template: false,
+        }
+    }
+
     fn rejection(&self, why: String) -> Outcome<Profile> {
         let Trace { campaign, sensor, lit, seen, role, .. } = &self.first;
         Outcome::rejected(Rejection {
@@ -291,6 +294,10 @@ impl Average {
         let (shot, dt_ps, samples) = (columns.shot.value(i), columns.dt_ps.value(i), columns.samples.value(i));
         let reference = state.reference.take();
         let reference_clipped = std::mem::take(&mut state.reference_clipped);
+        if state.first.is_reference {
+            let missing_template = state.missing_template;
+            *state = State { missing_template, ..State::new(self, Trace::read(columns, i)) };
+        }
         let first = &state.first;
         if columns.range.value(i) != first.range.as_deref().unwrap_or("") {
             state.several_ranges = true;

@@ -5,7 +5,9 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-use crate::bench::{self, Faults};
+use periscope::simulate::Format;
+
+use crate::characterize::faulty;
 use crate::lab::Lab;
 
 fn check(lab: &Lab, args: &[&str]) -> Output {
@@ -106,14 +108,12 @@ fn a_campaign_that_has_only_begun_can_be_checked() {
 
 #[test]
 fn verdicts_of_the_instrument_are_told_with_their_cause() {
-    let lab = Lab::empty();
-    fs::create_dir_all(lab.campaign()).unwrap();
-    bench::write(&lab.campaign(), &Faults { compression: 0.1, ..Faults::default() }, 64, 3);
+    let lab = Lab::of(&faulty("saturation_v = 5.0"), 3, Format::Trc);
     let (code, report) = json(&lab, &[]);
     assert_eq!(code, Some(3));
     assert!(mend(&report, "sensor s1: linearity fails: saturation"), "{report:#}");
     let checks = report["sensors"][0]["checks"].as_array().unwrap();
     assert!(checks.iter().any(|row| row["check"] == "delay_drift" && row["verdict"] == "pass"), "{report:#}");
     let text = String::from_utf8(check(&lab, &[]).stdout).unwrap();
-    assert!(text.contains("linearity                fail  0.0"), "{text}");
+    assert!(text.contains("linearity                fail  0.1"), "{text}");
 }

@@ -25,11 +25,6 @@ pub struct Lab {
 }
 
 impl Lab {
-    /// A folder with nothing in it.
-    pub fn empty() -> Self {
-        Self { folder: tempfile::tempdir().unwrap() }
-    }
-
     /// Four patches that see one another, a dozen shots a capture.
     pub fn tiny() -> Self {
         Self::of(TINY, 1, Format::Trc)

@@ -1,7 +1,6 @@
 //! One integration binary, a file a concern.
 
 mod accuracy;
-mod bench;
 mod bound;
 mod characterize;
 mod check;

@@ -1,0 +1,60 @@
+//! Study: how often a good instrument fails `characterize`, and how often a faulty one is found out. Prints the tables of docs/instrument-checks.md.
+//!
+//! `cargo bench --bench instrument_checks` (300 seeds), `cargo bench --bench instrument_checks -- 20` for fewer.
+
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/characterize.rs"]
+mod characterize;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/lab.rs"]
+mod lab;
+
+use std::collections::BTreeMap;
+
+use characterize::{EXACT, FAULTS, INSTRUMENT, checks, failed, faulty};
+use rayon::prelude::*;
+
+/// Wilson's interval of a rate, 95 %.
+fn interval(hits: usize, draws: usize) -> (f64, f64) {
+    let (hits, n, z) = (hits as f64, draws as f64, 1.959_964_f64);
+    let centre = (hits + 0.5 * z * z) / (n + z * z);
+    let half = z / (n + z * z) * (hits * (n - hits) / n + 0.25 * z * z).sqrt();
+    (100.0 * (centre - half), 100.0 * (centre + half))
+}
+
+fn main() {
+    let seeds = std::env::args().skip(1).find_map(|arg| arg.parse().ok()).unwrap_or(300_u64);
+    println!("| good instrument | seeds | passed | 95 % | alarms |\n|---|---|---|---|---|");
+    let exact = [&["level=0.05"], EXACT.as_slice()].concat();
+    for (name, set) in [("tolerances as they are", vec!["level=0.05"]), ("all tolerances 0", exact)] {
+        let runs: Vec<Vec<String>> = (0..seeds)
+            .into_par_iter()
+            .map(|seed| failed(&checks(INSTRUMENT, 1000 + seed, &set).1).into_iter().map(str::to_owned).collect())
+            .collect();
+        let passed = runs.iter().filter(|failed| failed.is_empty()).count();
+        let mut alarms: BTreeMap<&str, usize> = BTreeMap::new();
+        runs.iter().flatten().for_each(|check| *alarms.entry(check).or_default() += 1);
+        let (low, high) = interval(passed, runs.len());
+        let rate = 100.0 * passed as f64 / runs.len() as f64;
+        println!("| {name}, level 5 % | {seeds} | {rate:.1} % | {low:.1} to {high:.1} | {alarms:?} |");
+    }
+    println!("\n| fault | seeds | found, cause named | 95 % | other checks that failed |\n|---|---|---|---|---|");
+    for (flaw, check, cause, _) in FAULTS {
+        let scene = faulty(flaw);
+        let runs: Vec<(bool, Vec<String>)> = (0..seeds / 3)
+            .into_par_iter()
+            .map(|seed| {
+                let (_lab, checks) = checks(&scene, 1000 + seed, &[]);
+                let found = &*checks[check].verdict == "fail" && checks[check].cause.contains(cause);
+                let others = failed(&checks).into_iter().filter(|other| *other != check).map(str::to_owned).collect();
+                (found, others)
+            })
+            .collect();
+        let found = runs.iter().filter(|(found, _)| *found).count();
+        let mut others: BTreeMap<&str, usize> = BTreeMap::new();
+        runs.iter().flat_map(|(_, others)| others).for_each(|check| *others.entry(check).or_default() += 1);
+        let (low, high) = interval(found, runs.len());
+        let rate = 100.0 * found as f64 / runs.len() as f64;
+        println!("| `{flaw}` | {} | {rate:.1} % ({check}) | {low:.1} to {high:.1} | {others:?} |", runs.len());
+    }
+}
