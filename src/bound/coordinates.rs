@@ -10,7 +10,7 @@ use crate::campaign::keys::{LASER, PatchRole};
 use crate::simulate::Laboratory;
 use crate::units::{self, PatchId};
 
-/// Eigenvalues below this part of the largest, in units of each unknown's own information, are none.
+/// Information below this, in units of each patch's own, is none.
 const UNKNOWN: f64 = 1e-11;
 
 /// Bound of all patches together.
@@ -109,7 +109,7 @@ impl Coordinates {
     /// Root of the mean squared position error.
     #[must_use]
     pub fn rms_m(&self) -> f64 {
-        (self.covariance.trace() / self.patches.len() as f64).sqrt()
+        (self.covariance.trace() / self.patches.len().max(1) as f64).sqrt()
     }
 }
 
@@ -144,31 +144,46 @@ impl Unknowns {
         onsets: &BTreeMap<PatchId, usize>,
     ) -> Coordinates {
         let size = self.dimensions * self.patches.len();
+        if size == 0 {
+            let covariance = DMatrix::zeros(0, 0);
+            let (patches, dimensions) = (self.patches, self.dimensions);
+            return Coordinates {
+                patches,
+                dimensions,
+                covariance,
+                turns: 0,
+                undetermined: 0,
+                loose: Vec::new(),
+                onsets: Vec::new(),
+            };
+        }
         let kept: Vec<usize> = (0..size).collect();
         let gauge = self.turns(laboratory);
         let turns = gauge.ncols();
         let coordinates = eliminate(information, &kept);
-        // In units of each coordinate's own information, so that near and far patches count alike.
-        let scale = DVector::from_fn(size, |i, _| coordinates[(i, i)].max(f64::MIN_POSITIVE).sqrt());
-        let largest = scale.max();
-        // Turns are given a large information, and taken out of the covariance after.
-        let fixed = &coordinates + &gauge * gauge.transpose() * (largest * largest);
-        let scaled = DMatrix::from_fn(size, size, |i, j| fixed[(i, j)] / (scale[i] * scale[j]));
-        let eigen = SymmetricEigen::new(scaled);
-        let limit = UNKNOWN * eigen.eigenvalues.max();
+        // In units of each patch's own information, so that near and far patches count alike.
+        let own = |patch: usize| {
+            let places = patch * self.dimensions..(patch + 1) * self.dimensions;
+            places.map(|i| coordinates[(i, i)]).sum::<f64>().sqrt()
+        };
+        let scale = DVector::from_fn(size, |i, _| own(i / self.dimensions));
+        let scaled = DMatrix::from_fn(size, size, |i, j| coordinates[(i, j)] / (scale[i] * scale[j]));
+        // Turns, in the same units, are held fast here and taken out of the covariance after.
+        let held = orthonormal(size, gauge.column_iter().map(|turn| turn.component_mul(&scale)));
+        let eigen = SymmetricEigen::new(scaled + &held * held.transpose());
         let mut covariance = DMatrix::zeros(size, size);
         let mut loose = vec![false; self.patches.len()];
         let mut undetermined = 0;
         for (k, value) in eigen.eigenvalues.iter().enumerate() {
-            let vector = eigen.eigenvectors.column(k).component_div(&scale);
-            if *value > limit {
+            let vector = eigen.eigenvectors.column(k);
+            if *value > UNKNOWN {
+                let vector = vector.component_div(&scale);
                 covariance += &vector * vector.transpose() / *value;
                 continue;
             }
             undetermined += 1;
-            let direction = &vector / vector.norm();
             for (place, loose) in loose.iter_mut().enumerate() {
-                *loose |= direction.rows(place * self.dimensions, self.dimensions).norm() > 1e-3;
+                *loose |= vector.rows(place * self.dimensions, self.dimensions).norm() > 1e-3;
             }
         }
         let free = DMatrix::identity(size, size) - &gauge * gauge.transpose();
@@ -207,22 +222,24 @@ impl Unknowns {
             });
             DVector::from_iterator(self.dimensions * self.patches.len(), moved)
         };
-        let mut basis: Vec<DVector<f64>> = Vec::new();
-        for axis in &axes {
-            let mut column = turn(axis);
-            for other in &basis {
-                column -= other * other.dot(&column);
-            }
-            if column.norm() > 1e-9 {
-                basis.push(column.normalize());
-            }
+        let size = self.dimensions * self.patches.len();
+        orthonormal(size, axes.iter().map(turn))
+    }
+}
+
+/// Orthonormal columns that span the same as these (Gram and Schmidt).
+fn orthonormal(size: usize, columns: impl Iterator<Item = DVector<f64>>) -> DMatrix<f64> {
+    let mut basis: Vec<DVector<f64>> = Vec::new();
+    for mut column in columns {
+        let length = column.norm();
+        for other in &basis {
+            column -= other * other.dot(&column);
         }
-        if basis.is_empty() {
-            DMatrix::zeros(self.dimensions * self.patches.len(), 0)
-        } else {
-            DMatrix::from_columns(&basis)
+        if column.norm() > 1e-9 * length {
+            basis.push(column.normalize());
         }
     }
+    if basis.is_empty() { DMatrix::zeros(size, 0) } else { DMatrix::from_columns(&basis) }
 }
 
 /// How the time of a path moves with its patches, in ps a metre: unit vectors from the neighbours before and after.

@@ -30,6 +30,12 @@ pub struct PatchOutlook {
     pub chance: f64,
     /// Onsets above the threshold that meet it.
     pub onsets: usize,
+    /// Largest signal-to-noise ratio of a pulse that meets it, in the average of all shots.
+    pub snr: f64,
+    /// Shots, and hours, that it takes one profile to bring that pulse to the threshold.
+    pub shots: f64,
+    /// See `shots`.
+    pub hours: f64,
 }
 
 /// All bounces of one order.
@@ -41,10 +47,12 @@ pub struct OrderOutlook {
     pub paths: usize,
     /// Those above the threshold.
     pub found: usize,
-    /// Least, median and largest matched-filter signal-to-noise ratio.
+    /// Least, median and largest matched-filter signal-to-noise ratio of the average of all shots.
     pub snr: [f64; 3],
-    /// Times as many shots as planned that the median path needs to stand above the threshold.
-    pub shots_factor: f64,
+    /// Shots that the median path needs to stand at the threshold, and those that the strongest needs.
+    pub shots: [f64; 2],
+    /// Hours of capture, for one profile, that these take.
+    pub hours: [f64; 2],
 }
 
 /// Two pulses of one capture that are seen as one.
@@ -106,7 +114,7 @@ impl Outlook {
         let bound = Bound::of(&laboratory, using);
         Ok(Self {
             patches: patches(scene, &bound, using),
-            orders: orders(&bound, using),
+            orders: orders(scene, &bound, using),
             blends: blends(&bound),
             ambiguities: ambiguities(scene, &bound),
             changes: changes(scene, using)?,
@@ -126,9 +134,12 @@ fn kind(scene: &Scene, patch: PatchId) -> &'static str {
 
 fn patches(scene: &Scene, bound: &Bound, using: Use) -> Vec<PatchOutlook> {
     let row = |patch: &PatchId| {
-        let pulses = bound.profiles.iter().flat_map(|profile| &profile.pulses);
-        let of = pulses.filter(|pulse| pulse.path.len() <= using.bounces && pulse.path.contains(patch));
-        let chances: Vec<f64> = of.map(|pulse| normal_cdf(pulse.snr - using.threshold_sigma)).collect();
+        let pulses =
+            || bound.profiles.iter().flat_map(|profile| &profile.pulses).filter(|pulse| pulse.path.contains(patch));
+        let used = pulses().filter(|pulse| pulse.path.len() <= using.bounces);
+        let chances: Vec<f64> = used.map(|pulse| normal_cdf(pulse.snr - using.threshold_sigma)).collect();
+        let snr = pulses().map(|pulse| pulse.snr).fold(0.0, f64::max);
+        let shots = scene.captures.shots as f64 * (using.threshold_sigma / snr).powi(2);
         let place = bound.coordinates.patches.iter().position(|other| other == patch);
         PatchOutlook {
             patch: *patch,
@@ -136,6 +147,9 @@ fn patches(scene: &Scene, bound: &Bound, using: Use) -> Vec<PatchOutlook> {
             sd_m: bound.coordinates.sd_m(*patch),
             chance: at_least(usize::from(scene.dimensions), &chances),
             onsets: place.map_or(0, |place| bound.coordinates.onsets[place]),
+            snr,
+            shots,
+            hours: shots / scene.rate_hz() / 3600.0,
         }
     };
     scene.patches.keys().map(row).collect()
@@ -163,20 +177,22 @@ fn normal_cdf(z: f64) -> f64 {
     if z >= 0.0 { 1.0 - tail } else { tail }
 }
 
-fn orders(bound: &Bound, using: Use) -> Vec<OrderOutlook> {
+fn orders(scene: &Scene, bound: &Bound, using: Use) -> Vec<OrderOutlook> {
     let mut snrs: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
     for pulse in bound.profiles.iter().flat_map(|profile| &profile.pulses) {
         snrs.entry(pulse.path.len()).or_default().push(pulse.snr);
     }
     let order = |(bounces, mut snrs): (usize, Vec<f64>)| {
         snrs.sort_by(f64::total_cmp);
-        let median = snrs[snrs.len() / 2];
+        let (median, most) = (snrs[snrs.len() / 2], snrs[snrs.len() - 1]);
+        let shots = [median, most].map(|snr| scene.captures.shots as f64 * (using.threshold_sigma / snr).powi(2));
         OrderOutlook {
             bounces,
             paths: snrs.len(),
             found: snrs.iter().filter(|snr| **snr >= using.threshold_sigma).count(),
-            snr: [snrs[0], median, snrs[snrs.len() - 1]],
-            shots_factor: (using.threshold_sigma / median).powi(2),
+            snr: [snrs[0], median, most],
+            shots,
+            hours: shots.map(|shots| shots / scene.rate_hz() / 3600.0),
         }
     };
     snrs.into_iter().map(order).collect()
@@ -289,7 +305,10 @@ fn changes(scene: &Scene, using: Use) -> Result<Vec<Change>, SimulateError> {
 
 /// What a changed scene says of the patches of the scene as it is.
 fn change(what: String, changed: &Scene, scene: &Scene, using: Use) -> Result<Change, SimulateError> {
-    let laboratory = Laboratory::new(changed, 0)?;
+    // Bounces that are not used are not followed.
+    let mut changed = changed.clone();
+    changed.captures.bounces = using.bounces;
+    let laboratory = Laboratory::new(&changed, 0)?;
     let bound = Bound::of(&laboratory, using);
     let rms_m = |role: PatchRole| {
         let sds =

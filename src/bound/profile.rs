@@ -5,11 +5,11 @@ use rayon::prelude::*;
 
 use super::banded::Banded;
 use crate::campaign::Role;
-use crate::simulate::{Laboratory, Pulse, Shooting};
+use crate::simulate::{Laboratory, Pulse, Setting, Shooting};
 use crate::units::PatchId;
 
 /// Sub-sample phases over which shots are spread.
-const PHASES: usize = 8;
+const PHASES: usize = 4;
 /// Step of numerical derivatives in time.
 const STEP_PS: f64 = 1.0;
 /// Two pulses are apart if their difference from one is this much chi-square: told apart in 99 of 100 at a threshold of 20.
@@ -145,13 +145,7 @@ fn reference_variance_ps2(laboratory: &Laboratory, shooting: &Shooting) -> f64 {
         // Without reference the trigger's own jitter is what it is.
         return instrument.jitter_ps * instrument.jitter_ps / laboratory.good_shots(shooting);
     };
-    let samples = Samples {
-        times: phases(instrument.t0_ps, instrument.dt_ps, instrument.samples),
-        shots: laboratory.good_shots(shooting),
-        acf: laboratory.noise_acf().iter().map(|acf| acf * setting.noise_v * setting.noise_v).collect(),
-        floor_v2: setting.gain_v() * setting.gain_v() / 12.0,
-        shot: None,
-    };
+    let samples = Samples::analog(laboratory, &setting, None, laboratory.good_shots(shooting));
     let information = samples.information(&[Column::Time(&pulse), Column::Height(&pulse), Column::Baseline]);
     1.0 / eliminate(&information, &[0])[(0, 0)]
 }
@@ -203,57 +197,42 @@ fn width_column<'a>(
     Column::Width(stretched(1.0 + step), stretched(1.0 - step), step)
 }
 
-/// The samples of a capture: when, how many times, and how noisy.
+/// The samples of a capture: when (at each phase), how many times, and what their noise is like.
 struct Samples {
-    times: Vec<Vec<f64>>,
+    times: Vec<(Vec<f64>, Banded)>,
     shots: f64,
-    acf: Vec<f64>,
-    /// Variance beside the correlated noise.
-    floor_v2: f64,
-    /// Variance by time from the light itself.
-    shot: Option<Pulse>,
-}
-
-fn phases(t0_ps: f64, dt_ps: f64, samples: usize) -> Vec<Vec<f64>> {
-    let start = |phase: usize| t0_ps + dt_ps * phase as f64 / PHASES as f64;
-    (0..PHASES).map(|phase| (0..samples).map(|n| start(phase) + n as f64 * dt_ps).collect()).collect()
 }
 
 impl Samples {
     fn new(laboratory: &Laboratory, shooting: &Shooting) -> Self {
-        let instrument = &laboratory.scene.instrument;
-        let (t0_ps, dt_ps) = (instrument.t0_ps, instrument.dt_ps);
+        let (t0_ps, dt_ps) = (laboratory.scene.instrument.t0_ps, laboratory.scene.instrument.dt_ps);
         if shooting.counts {
             // Bins stand still; their variance is what they expect, and a dark count at least.
-            let times = vec![(0..instrument.samples).map(|n| t0_ps + (n as f64 + 0.5) * dt_ps).collect()];
             let dark = laboratory.dark_counts(shooting).max(1e-9);
+            let expected = laboratory.signal(shooting, &shooting.light);
             return Self {
-                times,
+                times: vec![phase(laboratory, t0_ps + 0.5 * dt_ps, &[0.0], dark, Some(&expected))],
                 shots: 1.0,
-                acf: vec![0.0],
-                floor_v2: dark,
-                shot: Some(laboratory.signal(shooting, &shooting.light)),
             };
         }
-        let noise_v = shooting.setting.noise_v;
-        Self {
-            times: phases(t0_ps, dt_ps, instrument.samples),
-            shots: laboratory.good_shots(shooting),
-            acf: laboratory.noise_acf().iter().map(|acf| acf * noise_v * noise_v).collect(),
-            floor_v2: shooting.setting.gain_v().powi(2) / 12.0,
-            shot: laboratory.shot_noise_v2(shooting),
-        }
+        let shot_v2 = laboratory.shot_noise_v2(shooting);
+        Self::analog(laboratory, &shooting.setting, shot_v2.as_ref(), laboratory.good_shots(shooting))
+    }
+
+    /// Shots at all phases, behind an oscilloscope at this setting.
+    fn analog(laboratory: &Laboratory, setting: &Setting, shot_v2: Option<&Pulse>, shots: f64) -> Self {
+        let instrument = &laboratory.scene.instrument;
+        let acf: Vec<f64> = laboratory.noise_acf().iter().map(|acf| acf * setting.noise_v * setting.noise_v).collect();
+        let rounding_v2 = setting.gain_v() * setting.gain_v() / 12.0;
+        let start_ps = |k: usize| instrument.t0_ps + instrument.dt_ps * k as f64 / PHASES as f64;
+        let times = (0..PHASES).map(|k| phase(laboratory, start_ps(k), &acf, rounding_v2, shot_v2)).collect();
+        Self { times, shots }
     }
 
     /// Fisher information of Gaussian samples on changes along these columns.
     fn information(&self, columns: &[Column]) -> DMatrix<f64> {
         let mut sum = DMatrix::zeros(columns.len(), columns.len());
-        for times in &self.times {
-            let extra: Vec<f64> = times
-                .iter()
-                .map(|time_ps| self.floor_v2 + self.shot.as_ref().map_or(0.0, |shot| shot.value(*time_ps).max(0.0)))
-                .collect();
-            let noise = Banded::new(&self.acf, &extra);
+        for (times, noise) in &self.times {
             let mut matrix = DMatrix::zeros(times.len(), columns.len());
             for (c, column) in columns.iter().enumerate() {
                 let mut values: Vec<f64> = times.iter().map(|time_ps| column.value(*time_ps)).collect();
@@ -264,6 +243,15 @@ impl Samples {
         }
         sum * (self.shots / self.times.len() as f64)
     }
+}
+
+/// Sample times from `start_ps`, and their noise: correlated, white, and by time from the light itself.
+fn phase(laboratory: &Laboratory, start_ps: f64, acf: &[f64], white: f64, shot: Option<&Pulse>) -> (Vec<f64>, Banded) {
+    let instrument = &laboratory.scene.instrument;
+    let times: Vec<f64> = (0..instrument.samples).map(|n| start_ps + n as f64 * instrument.dt_ps).collect();
+    let extra = |time_ps: &f64| white + shot.map_or(0.0, |shot| shot.value(*time_ps).max(0.0));
+    let noise = Banded::new(acf, &times.iter().map(extra).collect::<Vec<f64>>());
+    (times, noise)
 }
 
 /// Information on some unknowns when the others are unknown too (Schur's complement).

@@ -1,5 +1,7 @@
 //! `periscope design`.
 
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -45,9 +47,9 @@ pub fn design(args: &Design) -> Result<ExitCode> {
     scene.captures.bounces = scene.captures.bounces.max(bounces).max(3);
     let outlook = Outlook::new(&scene, Use { bounces, threshold_sigma: args.threshold })?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&object(&scene, &outlook))?);
+        writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&object(&scene, &outlook))?)?;
     } else {
-        print(&scene, &outlook, bounces, args.threshold);
+        std::io::stdout().write_all(text(&scene, &outlook, bounces, args.threshold)?.as_bytes())?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -62,12 +64,29 @@ fn length(metres: Option<f64>) -> String {
 }
 
 fn hours(hours: f64) -> String {
-    if hours < 0.1 { format!("{:.1} s", 3600.0 * hours) } else { format!("{hours:.2} h") }
+    match 3600.0 * hours {
+        seconds if seconds < 0.1 => format!("{:.2} ms", 1e3 * seconds),
+        seconds if seconds < 360.0 => format!("{seconds:.1} s"),
+        seconds if seconds < 4e5 => format!("{hours:.2} h"),
+        seconds if seconds < 8e7 => format!("{:.0} days", seconds / 86_400.0),
+        seconds => format!("{:.1e} years", seconds / 3.156e7),
+    }
 }
 
-fn print(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) {
+/// Shots and time of one profile.
+fn effort(shots: f64, time_h: f64) -> String {
+    match shots {
+        shots if shots <= 1.0 => "one shot".to_owned(),
+        shots if shots.is_finite() => format!("{shots:.1e} shots, {}", hours(time_h)),
+        _ => "no light".to_owned(),
+    }
+}
+
+fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Result<String, std::fmt::Error> {
+    let mut text = String::new();
     let captures = scene.lit().len() * scene.seen().len() * scene.sensors.len();
-    println!(
+    writeln!(
+        text,
         "{}: {} patches, {captures} captures of {} shots; {:.3e} pulses, {} of capture{}\n",
         scene.name,
         scene.patches.len(),
@@ -75,65 +94,87 @@ fn print(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) {
         outlook.pulses,
         hours(outlook.hours),
         if scene.instrument.snr.is_some() { " (signal-to-noise ratio set, not derived)" } else { "" }
-    );
-    println!("Positions, from bounces up to order {bounces} (Cramer-Rao bound of an unbiased estimate)");
-    println!("{:>7} {:8} {:>12} {:>8} {:>7}", "patch", "kind", "sd", "found", "onsets");
+    )?;
+    writeln!(text, "Positions, from bounces up to order {bounces} (Cramer-Rao bound of an unbiased estimate)")?;
+    writeln!(
+        text,
+        "{:>7} {:8} {:>12} {:>8} {:>7} {:>10}   a profile to the threshold",
+        "patch", "kind", "sd", "found", "onsets", "strongest"
+    )?;
     for row in &outlook.patches {
-        println!(
-            "{:>7} {:8} {:>12} {:>7.1}% {:>7}",
+        writeln!(
+            text,
+            "{:>7} {:8} {:>12} {:>7.1}% {:>7} {:>10.2e}   {}",
             row.patch,
             row.kind,
             length(row.sd_m),
             100.0 * row.chance,
-            row.onsets
-        );
+            row.onsets,
+            row.snr,
+            effort(row.shots, row.hours)
+        )?;
     }
-    println!("\nBounces, by the signal-to-noise ratio of the averaged pulse (threshold {threshold})");
-    println!(
-        "{:>7} {:>7} {:>7} {:>10} {:>10} {:>10}  the median needs",
+    writeln!(
+        text,
+        "\nBounces, by the signal-to-noise ratio of the averaged pulse, and what it takes a profile to bring one to the threshold of {threshold}"
+    )?;
+    writeln!(
+        text,
+        "{:>7} {:>7} {:>7} {:>9} {:>9} {:>9}   strongest needs            median needs",
         "order", "paths", "found", "least", "median", "most"
-    );
+    )?;
     for row in &outlook.orders {
-        let needs = if row.shots_factor > 1.0 {
-            format!("{:.2e} times the shots", row.shots_factor)
-        } else {
-            "no more shots".to_owned()
-        };
         let [least, median, most] = row.snr;
-        println!(
-            "{:>7} {:>7} {:>7} {least:>10.2e} {median:>10.2e} {most:>10.2e}  {needs}",
-            row.bounces, row.paths, row.found
-        );
+        let needs = |k: usize| effort(row.shots[k], row.hours[k]);
+        writeln!(
+            text,
+            "{:>7} {:>7} {:>7} {least:>9.2e} {median:>9.2e} {most:>9.2e}   {:26} {}",
+            row.bounces,
+            row.paths,
+            row.found,
+            needs(1),
+            needs(0)
+        )?;
     }
     if !outlook.blends.is_empty() {
-        println!("\nPulses that are seen as one: {} pairs", outlook.blends.len());
+        writeln!(text, "\nPulses that are seen as one: {} pairs", outlook.blends.len())?;
         for blend in outlook.blends.iter().take(LISTED) {
             let [a, b] = &blend.paths;
-            println!(
+            writeln!(
+                text,
                 "  sensor {}, lit {}, seen {}: paths {a:?} and {b:?}, {:.1} ps apart",
                 blend.sensor, blend.lit, blend.seen, blend.apart_ps
-            );
+            )?;
         }
         if outlook.blends.len() > LISTED {
-            println!("  and {} more (--json lists all)", outlook.blends.len() - LISTED);
+            writeln!(text, "  and {} more (--json lists all)", outlook.blends.len() - LISTED)?;
         }
     }
     if !outlook.ambiguities.is_empty() {
-        println!("\nWhat the data leave open");
-        outlook.ambiguities.iter().for_each(|text| println!("  {text}"));
+        writeln!(text, "\nWhat the data leave open")?;
+        for open in &outlook.ambiguities {
+            writeln!(text, "  {open}")?;
+        }
     }
-    println!("\nWhat a change would bring (root mean square over patches)");
-    println!("{:44} {:>12} {:>12} {:>7} {:>10}", "", "visible", "hidden", "onsets", "capture");
+    writeln!(text, "\nWhat a change would bring (root mean square over patches)")?;
+    writeln!(text, "{:44} {:>12} {:>12} {:>7} {:>10}", "", "visible", "hidden", "onsets", "capture")?;
     for row in &outlook.changes {
-        println!(
+        writeln!(
+            text,
             "{:44} {:>12} {:>12} {:>7} {:>10}",
             row.what,
             length(row.visible_m),
             length(row.hidden_m),
             row.onsets,
             hours(row.hours)
-        );
+        )?;
     }
+    Ok(text)
+}
+
+/// JSON has no infinity: what no number of shots brings is null.
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
 }
 
 fn object(scene: &Scene, outlook: &Outlook) -> serde_json::Value {
@@ -145,10 +186,12 @@ fn object(scene: &Scene, outlook: &Outlook) -> serde_json::Value {
         "hours": outlook.hours,
         "patches": outlook.patches.iter().map(|row| json!({
             "patch": row.patch, "kind": row.kind, "sd_m": row.sd_m, "chance": row.chance, "onsets": row.onsets,
+            "snr_strongest": row.snr, "shots_strongest": finite(row.shots), "hours_strongest": finite(row.hours),
         })).collect::<Vec<_>>(),
         "bounces": outlook.orders.iter().map(|row| json!({
             "order": row.bounces, "paths": row.paths, "found": row.found, "snr_least": row.snr[0], "snr_median": row.snr[1],
-            "snr_most": row.snr[2], "shots_factor": row.shots_factor,
+            "snr_most": row.snr[2], "shots_median": finite(row.shots[0]), "shots_strongest": finite(row.shots[1]),
+            "hours_median": finite(row.hours[0]), "hours_strongest": finite(row.hours[1]),
         })).collect::<Vec<_>>(),
         "blends": outlook.blends.iter().map(|row| json!({
             "sensor": row.sensor, "lit": row.lit, "seen": row.seen, "paths": row.paths, "apart_ps": row.apart_ps,

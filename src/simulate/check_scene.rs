@@ -68,6 +68,8 @@ fn positive(scene: &Scene) -> Vec<Entry> {
     optional("[laser]: wavelength_nm", scene.laser.map(|laser| laser.wavelength_nm));
     optional("[laser]: repetition_hz", scene.laser.map(|laser| laser.repetition_hz));
     optional("[optics]: lens_m", scene.optics.map(|optics| optics.lens_m));
+    optional("[optics]: detector_m", scene.optics.and_then(|optics| optics.detector_m));
+    optional("[optics]: numerical_aperture", scene.optics.map(|optics| optics.numerical_aperture));
     entries.extend([("[instrument]: load_ohm", instrument.load_ohm), ("[captures]: path_m", captures.path_m)]);
     let mut entries: Vec<Entry> = entries.into_iter().map(|(place, value)| (place.to_owned(), value)).collect();
     for (name, range) in &instrument.ranges {
@@ -97,6 +99,7 @@ fn not_negative(scene: &Scene) -> Vec<Entry> {
         ("[instrument.flaws]: delay_sd_ps", delay_sd_ps),
         ("[captures]: path_sd_m", captures.path_sd_m),
         ("[captures]: response_od", captures.response_od),
+        ("[captures]: first_bounce_od", captures.first_bounce_od),
         ("[captures]: overhead_s", captures.overhead_s),
     ];
     entries.extend(scene.laser.map(|laser| ("[laser]: power_sd", laser.power_sd)));
@@ -214,6 +217,12 @@ fn captures(scene: &Scene) -> Result<(), String> {
     }
     if !(1..=5).contains(&captures.bounces) {
         return Err(format!("[captures]: bounces = {}; light is followed over 1 to 5", captures.bounces));
+    }
+    if scene.instrument.snr.is_some() && (captures.response_od > 0.0 || captures.first_bounce_od > 0.0) {
+        return Err(
+            "[captures]: with `snr` set, all signals have one height; take response_od and first_bounce_od out"
+                .to_owned(),
+        );
     }
     for (key, numbers) in [("lit", scene.lit()), ("seen", scene.seen())] {
         if numbers.is_empty() {

@@ -130,8 +130,15 @@ pub struct Optics {
     pub lens_m: f64,
     #[serde(default = "all")]
     pub transmission: f64,
+    pub detector_m: Option<f64>,
+    #[serde(default = "half")]
+    pub numerical_aperture: f64,
     #[serde(default)]
     pub ambient_w: f64,
+}
+
+fn half() -> f64 {
+    0.5
 }
 
 fn all() -> f64 {
@@ -311,6 +318,8 @@ pub struct Captures {
     pub path_sd_m: f64,
     #[serde(default)]
     pub response_od: f64,
+    #[serde(default)]
+    pub first_bounce_od: f64,
     #[serde(default)]
     pub dark_shots: usize,
     #[serde(default)]

@@ -37,6 +37,8 @@
 //! [optics]
 //! lens_m = 0.025                     # diameter
 //! transmission = 0.9                 # optional
+//! detector_m = 0.00025               # optional: diameter; with it a pixel gets no more than a detector of this area takes in from
+//! numerical_aperture = 0.5           # a cone of this aperture (optional), however large lens and patch are
 //! ambient_w = 0.0                    # optional: power of ambient light on the detector
 //! [instrument]
 //! response = { kind = "emg", sigma_ps = 33.0, tau_ps = 112.0 }   # or { kind = "gaussian", fwhm_ps = 250.0 }
@@ -79,6 +81,7 @@
 //! ranges = "auto"                    # optional: the most sensitive range that holds the signal; or "all", each in turn
 //! response_shots = 400
 //! response_od = 0.0                  # optional, at least; more where the response would clip
+//! first_bounce_od = 0.0              # optional: density in the beam of captures whose lit patch is seen
 //! path_m = 1.0                       # known path of the response captures; the true one differs by its sd
 //! path_sd_m = 0.0003
 //! dark_shots = 0                     # optional, like blocked_shots

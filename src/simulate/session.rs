@@ -124,17 +124,27 @@ impl<'a> Session<'a> {
 
     fn capture(&mut self, name: &str, lit: PatchId, seen: PatchId, paths: PathLights, rng: &mut ChaCha8Rng) {
         let light = Light(paths.values().flat_map(|light| light.0.iter().copied()).collect());
+        let od = if lit == seen { self.scene.captures.first_bounce_od } else { 0.0 };
+        let height_v = self.height_v(&light) * attenuation(od);
         let settings = match self.scene.captures.ranges {
             Ranges::All => self.settings(name),
-            Ranges::Auto => vec![self.chain.setting_for(self.height_v(&light)).clone()],
+            Ranges::Auto => vec![self.chain.setting_for(height_v).clone()],
         };
         for setting in settings {
-            let mut shooting = self.shooting(Role::Scene, name, &setting, light.clone(), rng);
-            let folder = setting.name.as_ref().map_or(String::new(), |range| format!("{range}/"));
+            let shooting = self.shooting(Role::Scene, name, &setting, light.clone(), rng);
+            let range = setting.name.as_ref().map_or(String::new(), |range| format!("{range}/"));
+            let filter = if od > 0.0 { format!("od{od}/") } else { String::new() };
             let kind = if shooting.counts { "counts" } else { "scene" };
-            shooting.stem = format!("raw/{kind}/{folder}{name}_L{lit}_P{seen}");
-            shooting.paths = paths.clone();
-            self.put(Shooting { lit, seen, shots: self.scene.captures.shots, start_s: self.now_s, ..shooting });
+            self.put(Shooting {
+                lit,
+                seen,
+                stem: format!("raw/{kind}/{range}{filter}{name}_L{lit}_P{seen}"),
+                paths: paths.clone(),
+                attenuation_od: od,
+                shots: self.scene.captures.shots,
+                start_s: self.now_s,
+                ..shooting
+            });
         }
     }
 

@@ -43,7 +43,7 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
         paper_rms_m: 0.0,
         start_rms_m: 0.0,
         normalised: Vec::new(),
-        degrees_of_freedom: (3 * count - 3) as f64,
+        degrees_of_freedom: 0.0,
         onset_rms_ps: 0.0,
         onset_bound_ps: 0.0,
         onsets_found: 0.0,
@@ -58,6 +58,7 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
             &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"),
             &truth,
         );
+        study.degrees_of_freedom = missed::degrees_of_freedom(&truth) as f64;
         study.rms_m += missed.squares_m2;
         study.normalised.push(missed.normalised);
         study.paper_rms_m += missed::squares_m2(&lab.rows("out", "paper"), &truth);

@@ -49,12 +49,7 @@ pub const EXACT: [&str; 9] = [
 pub const FAULTS: [(&str, &str, &str, &[&str]); 5] = [
     ("saturation_v = 5.0", "linearity", "saturation", &["inverse_square", "signal_dependent_delay", "echo"]),
     ("delay_ps_per_h = 1.0", "delay_drift", "warming up", &["delay_scatter"]),
-    (
-        "echo = { ratio = 0.02, delay_ps = 4000.0 }",
-        "echo",
-        "ps behind the pulse, as from the far end of a cable of 0.4",
-        &[],
-    ),
+    ("echo = { ratio = 0.02, delay_ps = 4000.0 }", "echo", "ps behind the pulse, as from the far end of a cable", &[]),
     ("slew_ps = 20.0", "signal_dependent_delay", "walk", &["shift_per_path"]),
     (
         "pickup = { volts = 0.004, frequency_ghz = 0.5, decay_ps = 4000.0 }",

@@ -14,6 +14,11 @@ pub fn pseudo_inverse(matrix: &DMatrix<f64>, nulls: usize) -> DMatrix<f64> {
         .fold(DMatrix::zeros(matrix.nrows(), matrix.ncols()), |sum, term| sum + term)
 }
 
+/// Coordinates that path lengths determine: all but three turns; in flatland all in the plane but one turn.
+pub fn degrees_of_freedom(truth: &[Patch]) -> usize {
+    if truth.iter().all(|patch| patch.z_m == 0.0) { 2 * truth.len() - 1 } else { 3 * truth.len() - 3 }
+}
+
 /// What a solution missed the truth by, after the best rotation (or reflection) about the laser at the origin.
 pub struct Missed {
     /// Sum of squared position errors.
@@ -80,6 +85,7 @@ pub fn missed(found: &[Patch], covariances: &[PatchCovariance], truth: &[Patch])
         put(place(row.b), place(row.a), block.transpose());
     }
     let error = DVector::from_iterator(3 * errors.len(), errors.iter().flat_map(|error| [error.x, error.y, error.z]));
-    let normalised = (error.transpose() * pseudo_inverse(&covariance, 3) * &error)[(0, 0)];
+    let unknown = 3 * found.len() - degrees_of_freedom(truth);
+    let normalised = (error.transpose() * pseudo_inverse(&covariance, unknown) * &error)[(0, 0)];
     Missed { squares_m2: errors.iter().map(Vector3::norm_squared).sum(), normalised }
 }

@@ -140,6 +140,14 @@ impl Facet {
         }
     }
 
+    /// Distance from the centre within which all of it lies.
+    pub fn radius_m(&self) -> f64 {
+        match self.outline {
+            Outline::Disk { radius_m } => radius_m,
+            Outline::Rectangle { edges, .. } => 0.5 * (edges[0] + edges[1]).norm(),
+        }
+    }
+
     /// Mirror image of a point in its plane.
     pub fn image(&self, point: Vector) -> Vector {
         point - 2.0 * self.normal.dot(&(point - self.centre)) * self.normal

@@ -35,6 +35,8 @@ pub struct Room {
     pub pulse_j: f64,
     /// Area of the lens times its transmission; 1 where the signal-to-noise ratio is set.
     pub lens_m2: f64,
+    /// Area times solid angle that the detector takes in, times the transmission.
+    etendue_m2_sr: f64,
     group_index: f64,
 }
 
@@ -72,12 +74,17 @@ impl Room {
             }
         }
         let links = (0..facets.len() * facets.len()).map(|_| OnceLock::new()).collect();
-        let (pulse_j, lens_m2) = match (&scene.laser, &scene.optics) {
-            (Some(laser), Some(optics)) => (laser.pulse_j, PI * (0.5 * optics.lens_m).powi(2) * optics.transmission),
-            _ => (1.0, 1.0),
+        let (pulse_j, lens_m2, etendue_m2_sr) = match (&scene.laser, &scene.optics) {
+            (Some(laser), Some(optics)) => {
+                let disk_m2 = |diameter_m: f64| PI * (0.5 * diameter_m).powi(2);
+                let cone = PI * optics.numerical_aperture.powi(2);
+                let etendue = optics.detector_m.map_or(f64::INFINITY, |detector_m| disk_m2(detector_m) * cone);
+                (laser.pulse_j, disk_m2(optics.lens_m) * optics.transmission, etendue * optics.transmission)
+            }
+            _ => (1.0, 1.0, f64::INFINITY),
         };
         let source = Vector::from(scene.stations[LASER].position_m);
-        Self { facets, blockers, links, source, pulse_j, lens_m2, group_index: scene.group_index }
+        Self { facets, blockers, links, source, pulse_j, lens_m2, etendue_m2_sr, group_index: scene.group_index }
     }
 
     /// Time of flight over a length.
@@ -87,9 +94,18 @@ impl Room {
 
     /// Whether nothing stands between two points. Surfaces that an end lies on do not block it.
     pub fn clear(&self, a: Vector, b: Vector) -> bool {
-        self.blockers
-            .iter()
-            .all(|blocker| blocker.hit(a, b).is_none_or(|share| !(TOUCH..=1.0 - TOUCH).contains(&share)))
+        clear_of(self.blockers.iter(), a, b)
+    }
+
+    /// Blockers that may stand between two facets.
+    fn between(&self, p: &Facet, q: &Facet) -> Vec<&Facet> {
+        let (way, reach_m) = (q.centre - p.centre, p.radius_m().max(q.radius_m()));
+        let near = |blocker: &&Facet| {
+            let arm = blocker.centre - p.centre;
+            let along = (arm.dot(&way) / way.norm_squared()).clamp(0.0, 1.0);
+            (arm - along * way).norm() <= blocker.radius_m() + reach_m
+        };
+        self.blockers.iter().filter(near).collect()
     }
 
     /// Whether nothing stands between two points but the mirror in which they see each other.
@@ -117,6 +133,7 @@ impl Room {
         if !(both || back) {
             return Vec::new();
         }
+        let blockers = self.between(p, q);
         let mut links = Vec::with_capacity(points.len() * q.elements.len());
         for at in points {
             let start = links.len();
@@ -124,7 +141,7 @@ impl Room {
                 let arm = element.at - at;
                 let length_m = arm.norm();
                 let cosines = (p.normal.dot(&arm) / length_m).max(0.0) * (-q.normal.dot(&arm) / length_m).max(0.0);
-                let open = cosines > 0.0 && self.clear(*at, element.at);
+                let open = cosines > 0.0 && clear_of(blockers.iter().copied(), *at, element.at);
                 let factor = if open { cosines * q.area_m2 * element.share / (length_m * length_m) } else { 0.0 };
                 links.push(Link { factor, later_ps: self.time_ps(length_m - centres_m) });
             }
@@ -154,12 +171,18 @@ impl Room {
         (factor > 0.0 && self.clear_over(at, meeting, target.at)).then_some((factor, length_m, meeting))
     }
 
+    /// Solid angle of the lens times the cosine at a facet; less, where the whole facet seen through the whole lens is more than the detector takes in.
+    fn aperture(&self, facet: &Facet, cosine: f64, length_m: f64) -> f64 {
+        let whole = cosine * self.lens_m2 / (length_m * length_m);
+        whole.min(self.etendue_m2_sr / facet.area_m2)
+    }
+
     /// What of the light that leaves a point of a facet reaches the lens at `eye`, its length of way, and where it leaves to: solid angle times cosine.
     pub fn to_eye(&self, at: Vector, facet: &Facet, eye: Vector) -> Option<(f64, f64)> {
         let arm = eye - at;
         let length_m = arm.norm();
         let cosine = facet.normal.dot(&arm) / length_m;
-        (cosine > 0.0 && self.clear(at, eye)).then(|| (cosine * self.lens_m2 / (length_m * length_m), length_m))
+        (cosine > 0.0 && self.clear(at, eye)).then(|| (self.aperture(facet, cosine, length_m), length_m))
     }
 
     /// The same for an eye that looks into a mirror; also where the light meets the mirror.
@@ -177,9 +200,14 @@ impl Room {
         let out = meeting - at;
         let length_m = (image - at).norm();
         let cosine = facet.normal.dot(&out) / out.norm();
-        let factor = mirror.reflectance * cosine * self.lens_m2 / (length_m * length_m);
+        let factor = mirror.reflectance * self.aperture(facet, cosine, length_m);
         (cosine > 0.0 && self.clear_over(at, meeting, eye)).then_some((factor, length_m, meeting))
     }
+}
+
+/// Whether none of the blockers meets a line between two points, its ends apart.
+fn clear_of<'a>(mut blockers: impl Iterator<Item = &'a Facet>, a: Vector, b: Vector) -> bool {
+    blockers.all(|blocker| blocker.hit(a, b).is_none_or(|share| !(TOUCH..=1.0 - TOUCH).contains(&share)))
 }
 
 /// A cell so near that four points do not stand for it gets its whole by the closed form, where nothing hides a part of it.

@@ -210,3 +210,25 @@ fn a_narrow_lobe_points_where_the_mirror_does() {
     let beside = light(&scene, 1, 4, &[1, 2, 4]).total();
     assert!(towards > 20.0 * beside, "{towards} {beside}");
 }
+
+/// A pixel gets no more than its detector takes in.
+#[test]
+fn a_small_detector_limits_what_a_large_lens_gathers() {
+    let text = |size_m: f64, detector: &str| {
+        let patch = patch(1, [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], size_m, "");
+        format!(
+            "[campaign]\nname = 'test'\n[sensors.s1]\n{patch}[laser]\npulse_j = 1e-9\nwavelength_nm = 800.0\nrepetition_hz = 1e6\n[optics]\n\
+             lens_m = 0.025\n{detector}[instrument]\nresponse = {{ kind = 'gaussian', fwhm_ps = 100.0 }}\nresponsivity_a_w = 0.5\ndt_ps = 50.0\n\
+             samples = 1000\nt0_ps = -1000.0\nfull_scale_v = 1.0\nnoise_v = 0.001\njitter_ps = 0.0\n[captures]\nshots = 1\nresponse_shots = 1\n\
+             path_m = 1.0\npath_sd_m = 0.0\nbounces = 1\n"
+        )
+    };
+    let total = |size_m: f64, detector: &str| {
+        light(&Scene::parse(Path::new("test.toml"), &text(size_m, detector)).unwrap(), 1, 1, &[1]).total()
+    };
+    let diode = "detector_m = 0.00025\nnumerical_aperture = 0.5\n";
+    assert!((total(0.005, diode) / total(0.005, "") - 1.0).abs() < 1e-9);
+    // Etendue of the diode over that of a disk of 5 cm and the lens at 1 m.
+    let share = (PI * 0.000_125_f64.powi(2) * PI * 0.25) / (PI * 0.025_f64.powi(2) * PI * 0.0125_f64.powi(2));
+    assert!((total(0.05, diode) / total(0.05, "") / share - 1.0).abs() < 2e-3);
+}
