@@ -263,7 +263,7 @@ fn ambiguities(scene: &Scene, bound: &Bound) -> Vec<String> {
         .map(|(patch, _)| *patch)
         .collect();
     if !absent.is_empty() {
-        found.push(format!("patches {absent:?} make no onset above the threshold"));
+        found.push(format!("patches {absent:?} make no onset above the threshold that the geometry uses (paths over mirrors it does not)"));
     }
     found
 }

@@ -18,4 +18,5 @@ mod monte_carlo;
 mod query;
 mod real_files;
 mod schema;
+mod simulate;
 mod version;
