@@ -96,8 +96,8 @@
 //! every_s = 600.0
 //! ```
 //!
-//! A shortcut for studies of kernels: `snr = 20.0` in [instrument] (of one shot, all captures amplified to the same height) in place of [laser],
-//! [optics], `noise_v` and `responsivity_a_w`; `reference = { fwhm_ps, snr }` likewise. The truth marks such campaigns.
+//! A shortcut for studies of kernels: `snr = 20.0` in `[instrument]` (of one shot, all captures amplified to the same height) in place of `[laser]`,
+//! `[optics]`, `noise_v` and `responsivity_a_w`; `reference = { fwhm_ps, snr }` likewise. The truth marks such campaigns.
 //!
 //! Not modelled: paths over two mirrors in a row, polarisation, interference, a beam that is wider than its patch.
 
@@ -108,6 +108,7 @@ mod counts;
 mod folder;
 pub mod keys;
 mod laboratory;
+mod load_scene;
 mod pulse;
 mod recorder;
 mod scene;
@@ -126,9 +127,10 @@ use crate::tables::{Calibration, Onset, Patch, TrueCapture, TrueCentroid, TruePa
 use crate::units::PatchId;
 pub use chain::{Chain, Setting};
 pub use laboratory::Laboratory;
+pub use load_scene::SceneError;
 pub use pulse::Pulse;
 use recorder::Recorder;
-pub use scene::{Scene, SceneError};
+pub use scene::Scene;
 pub use session::Shooting;
 
 /// Why a campaign was not made.

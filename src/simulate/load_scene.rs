@@ -1,0 +1,81 @@
+//! Reads a scene file.
+
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::check_scene::{check, check_setup};
+use super::keys::SceneFile;
+use super::scene::Scene;
+use crate::campaign::Fault;
+use crate::campaign::toml_text::{self, TomlError};
+
+/// What is wrong with a scene file.
+#[derive(Debug, Error)]
+pub enum SceneError {
+    /// It cannot be read.
+    #[error("cannot read scene {}", file.display())]
+    Read {
+        /// File.
+        file: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// Not TOML, an unknown key, or a value of the wrong type.
+    #[error(transparent)]
+    Toml(#[from] TomlError),
+    /// A value that cannot be.
+    #[error("{}: {fault}", file.display())]
+    Setup {
+        /// File.
+        file: PathBuf,
+        /// What, and the mend.
+        fault: Fault,
+    },
+    /// A value that cannot be.
+    #[error("{}: {problem}", file.display())]
+    Value {
+        /// File.
+        file: PathBuf,
+        /// What, and the mend.
+        problem: String,
+    },
+}
+
+impl Scene {
+    /// Reads a scene file.
+    ///
+    /// # Errors
+    /// When it cannot be read, or anything in it is refused.
+    pub fn load(file: &Path) -> Result<Self, SceneError> {
+        let text =
+            std::fs::read_to_string(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
+        Self::parse(file, &text)
+    }
+
+    /// Parses the text of a scene file, called `file` in messages.
+    ///
+    /// # Errors
+    /// When anything in it is refused.
+    pub fn parse(file: &Path, text: &str) -> Result<Self, SceneError> {
+        let keys: SceneFile = toml_text::parse(file, text)?;
+        let scene = Self {
+            name: keys.campaign.name,
+            group_index: keys.campaign.group_index,
+            dimensions: keys.campaign.dimensions,
+            stations: keys.stations,
+            sensors: keys.sensors,
+            patches: keys.patches,
+            views: keys.views,
+            surfaces: keys.surfaces,
+            laser: keys.laser,
+            optics: keys.optics,
+            instrument: keys.instrument,
+            captures: keys.captures,
+            text: text.to_owned(),
+        };
+        check_setup(&scene).map_err(|fault| SceneError::Setup { file: file.to_owned(), fault })?;
+        check(&scene).map_err(|problem| SceneError::Value { file: file.to_owned(), problem })?;
+        Ok(scene)
+    }
+}
