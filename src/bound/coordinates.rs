@@ -106,6 +106,15 @@ impl Coordinates {
         Some(variances.sum::<f64>().sqrt())
     }
 
+    /// Covariance of a patch's coordinates in square metres, row by row; `None` as for its standard deviation.
+    #[must_use]
+    pub fn covariance_m2(&self, patch: PatchId) -> Option<Vec<Vec<f64>>> {
+        let place = self.patches.iter().position(|other| *other == patch).filter(|&place| !self.loose[place])?;
+        let (start, size) = (place * self.dimensions, self.dimensions);
+        let block = self.covariance.view((start, start), (size, size)).into_owned();
+        Some(block.row_iter().map(|row| row.iter().copied().collect()).collect())
+    }
+
     /// Root of the mean squared position error.
     #[must_use]
     pub fn rms_m(&self) -> f64 {

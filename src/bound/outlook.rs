@@ -26,6 +26,8 @@ pub struct PatchOutlook {
     pub kind: &'static str,
     /// Bound of its position's standard deviation; `None` where it is not determined.
     pub sd_m: Option<f64>,
+    /// Bound of its position's covariance, row by row.
+    pub covariance_m2: Option<Vec<Vec<f64>>>,
     /// Chance that as many of its onsets are found as it has coordinates.
     pub chance: f64,
     /// Onsets above the threshold that meet it.
@@ -145,6 +147,7 @@ fn patches(scene: &Scene, bound: &Bound, using: Use) -> Vec<PatchOutlook> {
             patch: *patch,
             kind: kind(scene, *patch),
             sd_m: bound.coordinates.sd_m(*patch),
+            covariance_m2: bound.coordinates.covariance_m2(*patch),
             chance: at_least(usize::from(scene.dimensions), &chances),
             onsets: place.map_or(0, |place| bound.coordinates.onsets[place]),
             snr,

@@ -185,7 +185,7 @@ fn object(scene: &Scene, outlook: &Outlook) -> serde_json::Value {
         "pulses": outlook.pulses,
         "hours": outlook.hours,
         "patches": outlook.patches.iter().map(|row| json!({
-            "patch": row.patch, "kind": row.kind, "sd_m": row.sd_m, "chance": row.chance, "onsets": row.onsets,
+            "patch": row.patch, "kind": row.kind, "sd_m": row.sd_m, "covariance_m2": row.covariance_m2, "chance": row.chance, "onsets": row.onsets,
             "snr_strongest": row.snr, "shots_strongest": finite(row.shots), "hours_strongest": finite(row.hours),
         })).collect::<Vec<_>>(),
         "bounces": outlook.orders.iter().map(|row| json!({

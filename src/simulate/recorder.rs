@@ -334,6 +334,7 @@ pub fn arrived(light: &Light, latency_ps: f64, volts_per_strength: f64, pulse: &
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::SeedableRng;
     use std::path::Path;
 
     #[test]
@@ -350,5 +351,61 @@ mod tests {
                 assert!((acf - expected).abs() < 2e-3, "{bandwidth_ghz} GHz, lag {lag}: {acf} {expected}");
             }
         }
+    }
+
+    fn shots(scene: &Scene, light: &Light, count: usize) -> Vec<Vec<f64>> {
+        let chain = Chain::new(scene);
+        let recorder = Recorder::new(scene, &chain);
+        let setting = &chain.settings[0];
+        let exposure = Exposure { light, factor: 1.0, latency_ps: 0.0, setting, fires: true, shots: count };
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let volts = |codes: Vec<i16>| {
+            codes.iter().map(|code| f64::from(*code) * setting.gain_v() + setting.offset_v()).collect()
+        };
+        recorder.shots(&exposure, &mut rng).signal.into_iter().map(|(_, _, codes)| volts(codes)).collect()
+    }
+
+    fn flawed(flaw: &str) -> Scene {
+        let text = include_str!("../../pipelines/scenes/tiny.toml")
+            .replace("bad_shots = 0.02", "")
+            .replace("snr = 20.0", "snr = 60.0")
+            .replace("[captures]", &format!("[instrument.flaws]\n{flaw}\n[captures]"));
+        Scene::parse(Path::new("tiny.toml"), &text).unwrap()
+    }
+
+    /// Four converters that differ repeat every fourth sample within a shot, and average out over shots, which start at any of them.
+    #[test]
+    fn interleaved_converters_repeat_within_a_shot() {
+        let scene = flawed("interleave = { cores = 4, offset_v = 0.05 }");
+        let shots = shots(&scene, &Light::default(), 400);
+        let product = |lag: usize| {
+            let pairs = shots.iter().flat_map(|shot| (0..200).map(|n| shot[n] * shot[n + lag]));
+            let mean = shots.iter().flatten().sum::<f64>() / (shots.len() * shots[0].len()) as f64;
+            pairs.sum::<f64>() / (200.0 * shots.len() as f64) - mean * mean
+        };
+        assert!(product(4) > 3.0 * 0.01_f64.powi(2) && (product(4) / product(8) - 1.0).abs() < 0.05);
+        let column = |n: usize| shots.iter().map(|shot| shot[n]).sum::<f64>() / shots.len() as f64;
+        assert!((column(10) - column(11)).abs() < 4.0 * (product(4) / 400.0).sqrt() * 2_f64.sqrt());
+    }
+
+    /// After a pulse beyond the rail the amplifier comes back slowly.
+    #[test]
+    fn an_overdriven_amplifier_recovers_slowly() {
+        let after = |flaw: &str| {
+            let mut scene = flawed(flaw);
+            scene.instrument.full_scale_v = 0.2;
+            let mut chain = Chain::new(&scene);
+            // Amplified to a height that the converter does not hold.
+            chain.settings[0].full_scale_v = 0.05;
+            let recorder = Recorder::new(&scene, &chain);
+            let (light, setting) = (Light::at(3000.0, 1.0), &chain.settings[0]);
+            let exposure = Exposure { light: &light, factor: 1.0, latency_ps: 0.0, setting, fires: true, shots: 200 };
+            let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(6);
+            let shots = recorder.shots(&exposure, &mut rng).signal;
+            let late = |(_, _, codes): &Shot| codes[130..150].iter().map(|code| f64::from(*code)).sum::<f64>() / 20.0;
+            shots.iter().map(late).sum::<f64>() / shots.len() as f64
+        };
+        let (clean, slow) = (after("cubic = 0.0"), after("recovery = { ratio = 0.05, tau_ps = 3000.0 }"));
+        assert!(slow > clean + 5.0, "{clean} {slow}");
     }
 }
