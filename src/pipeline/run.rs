@@ -19,7 +19,7 @@ pub struct Outcome {
     pub rejects: u64,
 }
 
-/// Runs what the plan wants and does not have.
+/// Runs what the plan wants and does not have. Not to be called from one of rayon's own threads: stages would wait for workers that wait for them.
 ///
 /// # Errors
 /// The first failure; parts that were finished before it are kept.
