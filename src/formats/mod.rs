@@ -5,6 +5,7 @@ pub mod lecroy_ascii;
 pub mod lecroy_trc;
 pub mod npy;
 pub mod reader;
+pub mod tek_isf;
 
 use std::io::SeekFrom;
 use std::path::Path;
@@ -14,7 +15,8 @@ pub use reader::{FormatError, Reader, Source};
 use crate::waveform::Record;
 
 /// The formats, those that know themselves by their first bytes before those that take any text.
-pub const READERS: [&dyn Reader; 4] = [&lecroy_trc::LecroyTrc, &npy::Npy, &lecroy_ascii::LecroyAscii, &csv::Csv];
+pub const READERS: [&dyn Reader; 5] =
+    [&lecroy_trc::LecroyTrc, &npy::Npy, &tek_isf::TekIsf, &lecroy_ascii::LecroyAscii, &csv::Csv];
 
 /// Bytes at the start of a file by which its format is found.
 const HEAD_BYTES: usize = 2048;

@@ -17,7 +17,9 @@ pub enum FormatError {
     #[error("is empty: the capture may have been interrupted")]
     Empty,
     /// No reader knows it.
-    #[error("is in no format that is read: LeCroy .trc, LeCroy ASCII .txt, NumPy .npy, or CSV of time and volts")]
+    #[error(
+        "is in no format that is read: LeCroy .trc, LeCroy ASCII .txt, Tektronix .isf, NumPy .npy, or CSV of time and volts"
+    )]
     Unknown,
     /// It ends too early.
     #[error(

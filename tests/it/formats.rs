@@ -12,7 +12,9 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 
 /// Formats of the reference decodings that are read.
-const READ: [&str; 4] = ["lecroy-trc", "lecroy-ascii", "npy-tdr", "rs-csv"];
+const READ: [&str; 5] = ["lecroy-trc", "lecroy-ascii", "npy-tdr", "rs-csv", "tek-isf"];
+/// Real records that are no voltage over time: named, and refused.
+const OTHER: [(&str, &str); 2] = [("sample_ENV.isf", "peak-detect"), ("rf_tek0002NRM.isf", "over Hz")];
 
 /// Folder of real files, where present; says loudly when it is not.
 pub fn samples() -> Option<PathBuf> {
@@ -69,6 +71,10 @@ fn real_files_decode_as_the_reference_says() {
         let waveforms = entry["waveforms"].as_array().map_or(&[][..], Vec::as_slice);
         // Of the vendor CSVs only those without a head and with one channel are plain.
         if !READ.contains(&format) || (format == "rs-csv" && waveforms.len() > 1) {
+            continue;
+        }
+        if let Some((_, says)) = OTHER.iter().find(|(name, _)| file.ends_with(name)) {
+            assert!(decode(&folder.join(file)).unwrap_err().contains(says), "{file}");
             continue;
         }
         let decoded = decode(&folder.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
@@ -132,8 +138,9 @@ fn broken_and_foreign_files_are_refused_in_words() {
                     refused += 1;
                 }
                 // Columns of numbers without any head are plain CSV, whoever wrote them.
-                Ok(_) => assert!(
-                    ["rs_rtp_01.Wfm.csv", "rs_rtp_04.Wfm.csv"].contains(&name.as_str()),
+                Ok(records) => assert!(
+                    ["rs_rtp_01.Wfm.csv", "rs_rtp_04.Wfm.csv"].contains(&name.as_str())
+                        || (kind != "broken" && READ.contains(&records[0].0.head.format)),
                     "{kind}/{name} is taken for what it is not"
                 ),
             }
@@ -147,6 +154,13 @@ fn broken_and_foreign_files_are_refused_in_words() {
         told("lecroy_truncated_data.trc")
     );
     assert!(told("lecroy_nan_gain.trc").contains("VERTICAL_GAIN"), "{}", told("lecroy_nan_gain.trc"));
+    for (file, says) in [
+        ("tek_isf_truncated.isf", "cut short"),
+        ("tek_isf_no_ymult.isf", "no YMULT"),
+        ("tek_isf_absurd_block.isf", "cut short"),
+    ] {
+        assert!(told(file).contains(says), "{}", told(file));
+    }
     assert!(told("npy_absurd_shape.npy").contains("9000000000000"), "{}", told("npy_absurd_shape.npy"));
 }
 
@@ -168,6 +182,14 @@ fn sequence(bits: u16, count: usize) -> (Vec<u8>, Vec<(f64, f64, Vec<i16>)>) {
     let mut bytes = Vec::new();
     lecroy_trc::write_sequence(&mut bytes, &head, &segments).unwrap();
     (bytes, segments)
+}
+
+/// A Tektronix record of 100 words.
+fn isf() -> Vec<u8> {
+    let head = ":WFMPRE:NR_PT 100;BYT_NR 2;ENCDG BINARY;BN_FMT RI;BYT_OR MSB;WFID \"Ch1, DC coupling\";PT_FMT Y;XUNIT \"s\";XINCR 5.0E-11;\
+        XZERO -1.0E-9;PT_OFF 0;YUNIT \"V\";YMULT 1.0E-3;YOFF 0.0;YZERO 0.0;:CURVE #3200";
+    let codes = (0..100_i16).flat_map(|i| (i * 300).to_be_bytes());
+    head.bytes().chain(codes).collect()
 }
 
 #[test]
@@ -233,10 +255,11 @@ fn no_mutation_makes_a_reader_panic_or_claim_more_than_the_file_holds() {
     let row = |i: usize| format!("{}\t\t{:e}\t{}", head.get(i).unwrap_or(&"\t"), i as f64 * 5e-11, 0.01 * i as f64);
     let ascii = (0..30).map(row).collect::<Vec<_>>().join("\r\n");
     assert_eq!(decode_bytes(ascii.clone().into_bytes(), "a.txt").unwrap()[0].0.t0_s, Some(-10.25 * 5e-11));
-    let seeds: [(&str, Vec<u8>); 5] = [
+    let seeds: [(&str, Vec<u8>); 6] = [
         ("a.trc", sequence(8, 4).0),
         ("b.trc", sequence(12, 1).0),
         ("a.npy", npy_bytes),
+        ("a.isf", isf()),
         ("a.csv", csv_bytes),
         ("a.txt", ascii.into_bytes()),
     ];
