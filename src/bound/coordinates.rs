@@ -24,9 +24,7 @@ pub struct Coordinates {
     pub covariance: DMatrix<f64>,
     /// Turns about the stations that path lengths say nothing of.
     pub turns: usize,
-    /// Combinations of coordinates beyond turns that nothing determines; the covariance leaves them out.
-    pub undetermined: usize,
-    /// Of each patch: whether an undetermined combination moves it.
+    /// Of each patch: whether a combination of coordinates moves it that nothing determines; the covariance leaves such combinations out.
     pub loose: Vec<bool>,
     /// Onsets that each patch rests on.
     pub onsets: Vec<usize>,
@@ -156,15 +154,7 @@ impl Unknowns {
         if size == 0 {
             let covariance = DMatrix::zeros(0, 0);
             let (patches, dimensions) = (self.patches, self.dimensions);
-            return Coordinates {
-                patches,
-                dimensions,
-                covariance,
-                turns: 0,
-                undetermined: 0,
-                loose: Vec::new(),
-                onsets: Vec::new(),
-            };
+            return Coordinates { patches, dimensions, covariance, turns: 0, loose: Vec::new(), onsets: Vec::new() };
         }
         let kept: Vec<usize> = (0..size).collect();
         let gauge = self.turns(laboratory);
@@ -182,7 +172,6 @@ impl Unknowns {
         let eigen = SymmetricEigen::new(scaled + &held * held.transpose());
         let mut covariance = DMatrix::zeros(size, size);
         let mut loose = vec![false; self.patches.len()];
-        let mut undetermined = 0;
         for (k, value) in eigen.eigenvalues.iter().enumerate() {
             let vector = eigen.eigenvectors.column(k);
             if *value > UNKNOWN {
@@ -190,7 +179,6 @@ impl Unknowns {
                 covariance += &vector * vector.transpose() / *value;
                 continue;
             }
-            undetermined += 1;
             for (place, loose) in loose.iter_mut().enumerate() {
                 *loose |= vector.rows(place * self.dimensions, self.dimensions).norm() > 1e-3;
             }
@@ -198,15 +186,7 @@ impl Unknowns {
         let free = DMatrix::identity(size, size) - &gauge * gauge.transpose();
         let covariance = &free * covariance * &free;
         let onsets = self.patches.iter().map(|patch| onsets[patch]).collect();
-        Coordinates {
-            patches: self.patches,
-            dimensions: self.dimensions,
-            covariance,
-            turns,
-            undetermined,
-            loose,
-            onsets,
-        }
+        Coordinates { patches: self.patches, dimensions: self.dimensions, covariance, turns, loose, onsets }
     }
 
     /// Orthonormal columns: turns of all patches about the stations that leave every station where it is.

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::banded::Banded;
 use crate::campaign::Role;
+use crate::simulate::transport::Light;
 use crate::simulate::{Laboratory, Pulse, Setting, Shooting};
 use crate::units::PatchId;
 
@@ -65,7 +66,7 @@ pub(super) fn response(laboratory: &Laboratory, shooting: &Shooting) -> DMatrix<
         Column::Time(&signal),
         Column::Height(&signal),
         Column::Baseline,
-        width_column(laboratory, shooting, &[&signal], &[0]),
+        width_column(laboratory, shooting, &[&shooting.light]),
     ];
     let information = samples.information(&columns);
     let kept = eliminate(&information, &[0, 3]);
@@ -95,8 +96,8 @@ fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -
     let mut columns: Vec<Column> = detected.iter().map(|&k| Column::Time(&signals[k])).collect();
     columns.extend(detected.iter().map(|&k| Column::Height(&signals[k])));
     columns.push(Column::Baseline);
-    let of: Vec<&Pulse> = detected.iter().map(|&k| &signals[k]).collect();
-    columns.push(width_column(laboratory, shooting, &of, &detected));
+    let lights: Vec<&Light> = detected.iter().map(|&k| paths[k].1).collect();
+    columns.push(width_column(laboratory, shooting, &lights));
     let full = samples.information(&columns);
     let blends = blends(&detected, &full);
     let times_and_width: Vec<usize> = (0..count).chain([2 * count + 1]).collect();
@@ -175,25 +176,10 @@ impl Column<'_> {
     }
 }
 
-/// Change of all detected pulses with the response's relative width, its maxima where they are.
-fn width_column<'a>(
-    laboratory: &Laboratory,
-    shooting: &Shooting,
-    signals: &[&Pulse],
-    detected: &[usize],
-) -> Column<'a> {
+/// Change of pulses with the response's relative width, their maxima where they are.
+fn width_column<'a>(laboratory: &Laboratory, shooting: &Shooting, lights: &[&Light]) -> Column<'a> {
     let step = 1e-3;
-    let stretched = |factor: f64| {
-        let lights: Vec<_> = if shooting.paths.is_empty() {
-            vec![shooting.light.clone()]
-        } else {
-            let mut paths: Vec<_> = shooting.paths.values().collect();
-            paths.sort_by(|a, b| a.centroid_ps().total_cmp(&b.centroid_ps()));
-            detected.iter().map(|&k| paths[k].clone()).collect()
-        };
-        laboratory.stretched(shooting, &lights, factor)
-    };
-    debug_assert_eq!(signals.len(), detected.len().max(1), "one signal a pulse");
+    let stretched = |factor: f64| laboratory.stretched(shooting, lights, factor);
     Column::Width(stretched(1.0 + step), stretched(1.0 - step), step)
 }
 
@@ -256,7 +242,9 @@ fn phase(laboratory: &Laboratory, start_ps: f64, acf: &[f64], white: f64, shot: 
 
 /// Information on some unknowns when the others are unknown too (Schur's complement).
 pub(super) fn eliminate(information: &DMatrix<f64>, kept: &[usize]) -> DMatrix<f64> {
-    let others: Vec<usize> = (0..information.nrows()).filter(|i| !kept.contains(i)).collect();
+    // What nothing says anything about is tied to nothing.
+    let said = |i: &usize| information[(*i, *i)] > 0.0;
+    let others: Vec<usize> = (0..information.nrows()).filter(|i| !kept.contains(i)).filter(said).collect();
     let block = |rows: &[usize], columns: &[usize]| {
         DMatrix::from_fn(rows.len(), columns.len(), |r, c| information[(rows[r], columns[c])])
     };

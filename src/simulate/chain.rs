@@ -141,7 +141,15 @@ impl Chain {
     }
 }
 
-/// Photons of a joule at a wavelength.
-pub fn photons_per_j(wavelength_nm: f64) -> f64 {
-    wavelength_nm * 1e-9 / PHOTON_J_M
+/// Detections that a joule makes in a perfect photon counter of the scene's efficiency.
+pub fn detections_per_j(scene: &Scene) -> f64 {
+    let photons = scene.laser.map_or(0.0, |laser| laser.wavelength_nm * 1e-9 / PHOTON_J_M);
+    scene.instrument.counts.map_or(0.0, |counts| counts.efficiency * photons)
+}
+
+/// Detections a bin and cycle without the laser: in the dark, and of ambient light.
+pub fn dark_per_bin(scene: &Scene) -> f64 {
+    let dark_hz = scene.instrument.counts.map_or(0.0, |counts| counts.dark_hz);
+    let ambient_w = scene.optics.map_or(0.0, |optics| optics.ambient_w);
+    (dark_hz + ambient_w * detections_per_j(scene)) * scene.instrument.dt_ps * S_PER_PS
 }

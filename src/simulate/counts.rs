@@ -8,8 +8,7 @@
 use rand::RngExt;
 use rand_distr::{Binomial, Distribution};
 
-use super::chain::photons_per_j;
-use super::keys::Counts;
+use super::chain::{dark_per_bin, detections_per_j};
 use super::pulse::Pulse;
 use super::recorder::binned;
 use super::scene::Scene;
@@ -19,17 +18,14 @@ use super::transport::Light;
 const ROUNDS: usize = 200;
 
 /// Expected detections a cycle in each bin of a perfect counter.
-fn expected(scene: &Scene, counts: &Counts, pulse: &Pulse, light: &Light, factor: f64, latency_ps: f64) -> Vec<f64> {
+fn expected(scene: &Scene, pulse: &Pulse, light: &Light, factor: f64, latency_ps: f64) -> Vec<f64> {
     let instrument = &scene.instrument;
-    let photons = scene.laser.map_or(0.0, |laser| photons_per_j(laser.wavelength_nm)) * counts.efficiency;
-    let dark =
-        (counts.dark_hz + scene.optics.map_or(0.0, |optics| optics.ambient_w) * photons) * instrument.dt_ps * 1e-12;
-    let mut bins = vec![dark; instrument.samples];
+    let mut bins = vec![dark_per_bin(scene); instrument.samples];
     if light.0.is_empty() {
         return bins;
     }
     let (start_ps, strengths) = binned(light, latency_ps);
-    let area_ps = pulse.area_ps();
+    let (area_ps, per_j) = (pulse.area_ps(), detections_per_j(scene));
     let period_ps = scene.repetition_ps().filter(|period_ps| *period_ps < instrument.samples as f64 * instrument.dt_ps);
     for (k, strength) in strengths.iter().enumerate().filter(|(_, strength)| **strength > 0.0) {
         for (i, value) in pulse.values().iter().enumerate() {
@@ -37,7 +33,7 @@ fn expected(scene: &Scene, counts: &Counts, pulse: &Pulse, light: &Light, factor
             let time_ps = period_ps.map_or(time_ps, |period_ps| time_ps.rem_euclid(period_ps));
             let bin = (time_ps / instrument.dt_ps).floor();
             if bin >= 0.0 && bin < bins.len() as f64 {
-                bins[bin as usize] += strength * factor * photons * value * Pulse::STEP_PS / area_ps;
+                bins[bin as usize] += strength * factor * per_j * value * Pulse::STEP_PS / area_ps;
             }
         }
     }
@@ -92,7 +88,7 @@ pub fn histogram(
     rng: &mut impl RngExt,
 ) -> Vec<i32> {
     let counts = scene.instrument.counts.expect("checked: the scene has a counter");
-    let expected = expected(scene, &counts, pulse, light, factor, latency_ps);
+    let expected = expected(scene, pulse, light, factor, latency_ps);
     let dead_bins = (counts.dead_time_ps / scene.instrument.dt_ps).round() as usize;
     let draw = |probability: f64| {
         let drawn = Binomial::new(cycles, probability.clamp(0.0, 1.0)).expect("a probability").sample(rng);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::chain::{Chain, Setting, photons_per_j};
+use super::chain::{Chain, Setting, dark_per_bin, detections_per_j};
 use super::pulse::Pulse;
 use super::recorder::{Recorder, arrived};
 use super::scene::Scene;
@@ -62,7 +62,7 @@ impl<'a> Laboratory<'a> {
 
     /// The same for several paths together, with a response so many times as wide.
     #[must_use]
-    pub fn stretched(&self, shooting: &Shooting, lights: &[Light], factor: f64) -> Pulse {
+    pub fn stretched(&self, shooting: &Shooting, lights: &[&Light], factor: f64) -> Pulse {
         let light = Light(lights.iter().flat_map(|light| light.0.iter().copied()).collect());
         self.response_of(shooting, &light, &self.chain.pulse.stretched(factor))
     }
@@ -70,7 +70,8 @@ impl<'a> Laboratory<'a> {
     fn response_of(&self, shooting: &Shooting, light: &Light, pulse: &Pulse) -> Pulse {
         let per_strength = if shooting.counts {
             // A bin gets its share of each pulse's area.
-            self.detections_per_j() * shooting.shots as f64 * self.scene.instrument.dt_ps / self.chain.pulse.area_ps()
+            detections_per_j(self.scene) * shooting.shots as f64 * self.scene.instrument.dt_ps
+                / self.chain.pulse.area_ps()
         } else {
             self.chain.volts_per_strength(shooting.light.total())
         };
@@ -81,17 +82,10 @@ impl<'a> Laboratory<'a> {
         Recorder::new(self.scene, &self.chain).folded(&signal)
     }
 
-    fn detections_per_j(&self) -> f64 {
-        let photons = self.scene.laser.map_or(0.0, |laser| photons_per_j(laser.wavelength_nm));
-        self.scene.instrument.counts.map_or(0.0, |counts| counts.efficiency * photons)
-    }
-
     /// Detections in the dark that a bin of a photon counter gets in all cycles.
     #[must_use]
     pub fn dark_counts(&self, shooting: &Shooting) -> f64 {
-        let dark_hz = self.scene.instrument.counts.map_or(0.0, |counts| counts.dark_hz);
-        let ambient_hz = self.scene.optics.map_or(0.0, |optics| optics.ambient_w) * self.detections_per_j();
-        (dark_hz + ambient_hz) * self.scene.instrument.dt_ps * 1e-12 * shooting.shots as f64
+        dark_per_bin(self.scene) * shooting.shots as f64
     }
 
     /// Shots of a capture that are neither bad nor lost.

@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::chain::{Chain, Setting, photons_per_j};
+use super::chain::{Chain, Setting, detections_per_j};
 use super::keys::{Fiducial, Ranges};
 use super::recorder::{Exposure, arrived};
 use super::scene::Scene;
@@ -280,9 +280,7 @@ impl Shooting {
     /// Height over noise of one shot for light of this strength; for photon counters, the root of the expected detections a cycle.
     pub fn shot_snr(&self, scene: &Scene, chain: &Chain, strength: f64) -> f64 {
         if self.counts {
-            let efficiency = scene.instrument.counts.map_or(0.0, |counts| counts.efficiency);
-            let photons = scene.laser.map_or(0.0, |laser| photons_per_j(laser.wavelength_nm));
-            return (strength * self.factor * efficiency * photons).sqrt();
+            return (strength * self.factor * detections_per_j(scene)).sqrt();
         }
         let volts = chain.volts_per_strength(self.light.total()) * strength * self.factor;
         let shot_v2 = chain.shot_v2_per_strength() * strength * self.factor;
