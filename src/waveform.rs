@@ -3,8 +3,54 @@
 //! volts = gain * code + offset, sample i at `t0_s + i * dt_s` after the trigger. The sub-sample part of the trigger time is in `t0_s`: leaving it
 //! out costs up to one sample.
 
-use std::io;
+use std::fmt::Debug;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
+
+/// Bytes of a file that are in memory at a time while its codes are handed on.
+const PIECE_BYTES: usize = 1 << 17;
+
+/// What a record is: only some records can be timed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// One voltage after the other.
+    Waveform,
+    /// The same, averaged over triggers by the instrument.
+    Average,
+    /// Photons counted in each bin of time.
+    Counts,
+    /// Extremes of what lay between samples: envelope, peak detect.
+    Envelope,
+    /// Logic levels.
+    Digital,
+    /// Power or voltage over frequency.
+    Spectrum,
+    /// In-phase and quadrature samples of a carrier.
+    Iq,
+}
+
+impl Kind {
+    /// Name, as `inspect` prints it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Waveform => "waveform",
+            Self::Average => "average",
+            Self::Counts => "counts",
+            Self::Envelope => "envelope",
+            Self::Digital => "digital",
+            Self::Spectrum => "spectrum",
+            Self::Iq => "iq",
+        }
+    }
+
+    /// Whether times of arrival can be taken from it.
+    #[must_use]
+    pub const fn is_timed(self) -> bool {
+        matches!(self, Self::Waveform | Self::Average | Self::Counts)
+    }
+}
 
 /// Type of a raw code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +65,8 @@ pub enum CodeType {
     U16,
     /// Signed, 32 bits.
     I32,
+    /// Unsigned, 32 bits.
+    U32,
     /// Floating, 32 bits.
     F32,
     /// Floating, 64 bits.
@@ -27,7 +75,7 @@ pub enum CodeType {
 
 impl CodeType {
     /// All of them.
-    pub const ALL: [Self; 7] = [Self::I8, Self::U8, Self::I16, Self::U16, Self::I32, Self::F32, Self::F64];
+    pub const ALL: [Self; 8] = [Self::I8, Self::U8, Self::I16, Self::U16, Self::I32, Self::U32, Self::F32, Self::F64];
 
     /// Name, as in the tables.
     #[must_use]
@@ -38,6 +86,7 @@ impl CodeType {
             Self::I16 => "i16",
             Self::U16 => "u16",
             Self::I32 => "i32",
+            Self::U32 => "u32",
             Self::F32 => "f32",
             Self::F64 => "f64",
         }
@@ -55,7 +104,7 @@ impl CodeType {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::F32 => 4,
+            Self::I32 | Self::U32 | Self::F32 => 4,
             Self::F64 => 8,
         }
     }
@@ -69,6 +118,7 @@ impl CodeType {
             Self::I16 => Some((f64::from(i16::MIN), f64::from(i16::MAX))),
             Self::U16 => Some((0.0, f64::from(u16::MAX))),
             Self::I32 => Some((f64::from(i32::MIN), f64::from(i32::MAX))),
+            Self::U32 => Some((0.0, f64::from(u32::MAX))),
             Self::F32 | Self::F64 => None,
         }
     }
@@ -97,6 +147,7 @@ impl CodeType {
             Self::I16 => numbers!(i16),
             Self::U16 => numbers!(u16),
             Self::I32 => numbers!(i32),
+            Self::U32 => numbers!(u32),
             Self::F32 => numbers!(f32),
             Self::F64 => numbers!(f64),
         }
@@ -117,6 +168,8 @@ pub struct Scale {
 pub struct Head {
     /// Format of the file.
     pub format: &'static str,
+    /// What its records are.
+    pub kind: Kind,
     /// Instrument, as the file has it.
     pub instrument: Option<String>,
     /// Channel.
@@ -127,8 +180,10 @@ pub struct Head {
     pub code_type: CodeType,
     /// Samples of one segment.
     pub samples: usize,
-    /// Time between samples, as the file has it.
+    /// Time between samples, as the file has it. (Of a spectrum: hertz between them.)
     pub dt_s: Option<f64>,
+    /// Whether the time of sample 0 is known to within some samples only: what the head gives is where the trigger should be.
+    pub t0_nominal: bool,
     /// What makes a value of a code.
     pub scale: Option<Scale>,
     /// Gain as the header has it.
@@ -143,22 +198,67 @@ pub struct Head {
     pub shape: Vec<usize>,
 }
 
+impl Head {
+    /// A waveform of which nothing else is known.
+    #[must_use]
+    pub fn new(format: &'static str, code_type: CodeType, samples: usize) -> Self {
+        Self {
+            format,
+            kind: Kind::Waveform,
+            instrument: None,
+            channel: None,
+            unit: None,
+            code_type,
+            samples,
+            dt_s: None,
+            t0_nominal: false,
+            scale: None,
+            header_gain: None,
+            header_offset: None,
+            rails: None,
+            acquired_at: None,
+            shape: Vec::new(),
+        }
+    }
+}
+
+/// A file as records are read from it.
+pub trait ReadSeek: Read + Seek {}
+impl<T: Read + Seek> ReadSeek for T {}
+
+/// Codes that lie packed in their file (compressed, in chunks, in a wider record), unpacked anew whenever they are read.
+pub trait Unpack: Debug + Send + Sync {
+    /// Hands on all codes in order, little-endian, in pieces of whole codes, until `take` breaks off.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or holds other than what its head said.
+    fn unpack(
+        &self,
+        file: &mut dyn ReadSeek,
+        take: &mut dyn FnMut(&[u8]) -> io::Result<ControlFlow<()>>,
+    ) -> io::Result<()>;
+}
+
 /// Where the codes of a record are.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub enum Payload {
     /// In the file, as they are.
     File {
         /// From this byte.
         byte_offset: u64,
+        /// Bytes from a code to the next; more than a code has where channels are interleaved.
+        stride: u64,
         /// Whether they are big-endian.
         big_endian: bool,
     },
+    /// In the file, packed.
+    Packed(Arc<dyn Unpack>),
     /// Decoded from text: little-endian bytes of the head's code type.
     Decoded(Arc<[u8]>),
 }
 
 /// One waveform: one segment of one channel.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Record {
     /// What it shares with the other segments.
     pub head: Arc<Head>,
@@ -179,26 +279,80 @@ impl Record {
         self.head.samples * self.head.code_type.bytes()
     }
 
-    /// Its codes as little-endian bytes, read from the file that it came from.
-    ///
-    /// # Errors
-    /// When the file cannot be read.
-    pub fn read<F: io::Read + io::Seek>(&self, file: &mut F) -> io::Result<Vec<u8>> {
-        match &self.payload {
-            Payload::Decoded(codes) => Ok(codes.to_vec()),
-            Payload::File { byte_offset, big_endian } => {
-                let mut codes = vec![0; self.code_bytes()];
-                file.seek(io::SeekFrom::Start(*byte_offset))?;
-                file.read_exact(&mut codes)?;
-                if *big_endian {
-                    self.head.code_type.swap_bytes(&mut codes);
-                }
-                Ok(codes)
+    /// Where its codes begin, if they lie in the file one behind the other.
+    #[must_use]
+    pub fn contiguous(&self) -> Option<(u64, bool)> {
+        match self.payload {
+            Payload::File { byte_offset, stride, big_endian } if stride == self.head.code_type.bytes() as u64 => {
+                Some((byte_offset, big_endian))
             }
+            _ => None,
         }
     }
 
-    /// Scaled values of its codes; the codes themselves where the file has no scale.
+    /// Hands on the codes of some samples, little-endian, in pieces of whole codes: a record may be larger than memory.
+    ///
+    /// # Errors
+    /// When the file that it came from cannot be read.
+    ///
+    /// # Panics
+    /// When the samples are not among those of the record.
+    pub fn visit(&self, file: &mut dyn ReadSeek, samples: Range<usize>, take: &mut dyn FnMut(&[u8])) -> io::Result<()> {
+        assert!(samples.start <= samples.end && samples.end <= self.head.samples, "samples of another record");
+        let width = self.head.code_type.bytes();
+        match &self.payload {
+            Payload::Decoded(codes) => take(&codes[samples.start * width..samples.end * width]),
+            Payload::Packed(packed) => {
+                let (mut skip, mut left) = (samples.start * width, (samples.end - samples.start) * width);
+                packed.unpack(file, &mut |codes| {
+                    let skipped = skip.min(codes.len());
+                    skip -= skipped;
+                    let codes = &codes[skipped..];
+                    let codes = &codes[..left.min(codes.len())];
+                    left -= codes.len();
+                    take(codes);
+                    Ok(if left == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+                })?;
+                if left > 0 {
+                    return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "holds fewer samples than its head says"));
+                }
+            }
+            Payload::File { byte_offset, stride, big_endian } => {
+                let stride = *stride as usize;
+                let per_piece = (PIECE_BYTES / stride).max(1);
+                let mut piece = vec![0; per_piece.min(samples.len()) * stride];
+                for start in samples.clone().step_by(per_piece) {
+                    let count = per_piece.min(samples.end - start);
+                    file.seek(SeekFrom::Start(byte_offset + (start * stride) as u64))?;
+                    file.read_exact(&mut piece[..(count - 1) * stride + width])?;
+                    if stride > width {
+                        (1..count).for_each(|i| piece.copy_within(i * stride..i * stride + width, i * width));
+                    }
+                    let codes = &mut piece[..count * width];
+                    if *big_endian {
+                        self.head.code_type.swap_bytes(codes);
+                    }
+                    take(codes);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The codes of some samples, little-endian.
+    ///
+    /// # Errors
+    /// When the file that it came from cannot be read.
+    ///
+    /// # Panics
+    /// When the samples are not among those of the record.
+    pub fn read(&self, file: &mut dyn ReadSeek, samples: Range<usize>) -> io::Result<Vec<u8>> {
+        let mut codes = Vec::with_capacity(samples.len() * self.head.code_type.bytes());
+        self.visit(file, samples, &mut |piece| codes.extend_from_slice(piece))?;
+        Ok(codes)
+    }
+
+    /// Scaled values of codes; the codes themselves where the file has no scale.
     #[must_use]
     pub fn values(&self, codes: &[u8]) -> Vec<f64> {
         let mut values = self.head.code_type.decode(codes);

@@ -22,7 +22,7 @@ use super::suggest::hint;
 const TEXT: [&str; 7] = ["file", "reference_channel", "reference_file", "role", "sensor", "channel", "range"];
 
 /// Columns whose cells are numbers, or lists in brackets.
-const VALUES: [&str; 16] = [
+const VALUES: [&str; 17] = [
     "segment",
     "lit",
     "seen",
@@ -35,6 +35,7 @@ const VALUES: [&str; 16] = [
     "path_sd_m",
     "bounces",
     "dt_ps",
+    "nominal_rate_hz",
     "gain_v",
     "offset_v",
     "t0_ps",

@@ -53,6 +53,10 @@ pub fn sensor_exists(name: &str, sensors: &BTreeMap<String, Sensor>) -> Result<(
 
 fn record_values(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
     at.positive("dt_ps", rule.dt_ps)?;
+    at.positive("nominal_rate_hz", rule.nominal_rate_hz)?;
+    at.check(rule.dt_ps.is_none() || rule.nominal_rate_hz.is_none(), || {
+        "dt_ps gives the time between samples, nominal_rate_hz corrects that of the file; give one of them".into()
+    })?;
     at.finite("gain_v", rule.gain_v)?;
     at.check(rule.gain_v != Some(0.0), || "gain_v = 0 makes all samples equal; give volts per code".into())?;
     at.finite("offset_v", rule.offset_v)?;

@@ -101,6 +101,7 @@ mod tests {
     fn claim(rule: usize, file: &str, channel: Option<&str>, segment: Option<u32>) -> Claim {
         Claim {
             exposure: Exposure {
+                companions: Vec::new(),
                 rule,
                 file: file.into(),
                 role: Role::Scene,

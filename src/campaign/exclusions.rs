@@ -101,6 +101,7 @@ mod tests {
             channel: None,
             segment: None,
             reference: None,
+            companions: Vec::new(),
             keys: CaptureRule::default().record_keys().into(),
         }
     }

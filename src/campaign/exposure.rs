@@ -41,8 +41,18 @@ pub struct Exposure {
     pub segment: Option<u32>,
     /// The record of the pulse that marks time zero; `None`: the trigger marks it.
     pub reference: Option<ReferenceSource>,
+    /// Files with the samples of its file, or of its reference's, where heads and samples lie in two files.
+    pub companions: Vec<PathBuf>,
     /// Scale, time base and circumstances.
     pub keys: Arc<RecordKeys>,
+}
+
+impl Exposure {
+    /// The raw files that it lies in: its own, that of its reference (which may be the same), companions.
+    pub fn files(&self) -> impl Iterator<Item = &PathBuf> {
+        let reference = self.reference.as_ref().map(|reference| &reference.file);
+        std::iter::once(&self.file).chain(reference).chain(&self.companions)
+    }
 }
 
 /// Where the reference pulse of an exposure is recorded.
@@ -98,6 +108,7 @@ pub(super) fn exposure(
         channel: name(Axis::Channel, &rule.channel),
         segment: None,
         reference: None,
+        companions: Vec::new(),
         keys: Arc::clone(keys),
     })
 }

@@ -216,6 +216,8 @@ pub struct CaptureRule {
     pub bounces: Option<u32>,
     /// Time between samples.
     pub dt_ps: Option<f64>,
+    /// Sampling rate that the instrument is known to have: its inverse replaces a step that the file rounded.
+    pub nominal_rate_hz: Option<f64>,
     /// Volts per code.
     pub gain_v: Option<f64>,
     /// Volts at code 0.
@@ -239,6 +241,7 @@ impl CaptureRule {
             path_sd_m: self.path_sd_m,
             bounces: self.bounces,
             dt_ps: self.dt_ps,
+            nominal_rate_hz: self.nominal_rate_hz,
             gain_v: self.gain_v,
             offset_v: self.offset_v,
             t0_ps: self.t0_ps,
@@ -259,6 +262,8 @@ pub struct RecordKeys {
     pub path_sd_m: Option<f64>,
     pub bounces: Option<u32>,
     pub dt_ps: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nominal_rate_hz: Option<f64>,
     pub gain_v: Option<f64>,
     pub offset_v: Option<f64>,
     pub t0_ps: Option<f64>,

@@ -5,7 +5,7 @@
 //! | `keys` | what can stand in campaign.toml? |
 //! | `load`, `check_setup`, `check_captures`, `fault` | is what stands there possible? |
 //! | `toml_text`, `suggest` | if not: in which line, and what was meant? |
-//! | `survey`, `pattern`, `walk`, `captures_table`, `references`, `exclusions`, `exposure`, `claims` | which file is which exposure? |
+//! | `survey`, `pattern`, `walk`, `captures_table`, `references`, `companions`, `exclusions`, `exposure`, `claims` | which file is which exposure? |
 //! | `manifest`, `seal` | is it still the file that was read before? |
 //! | `parts` | where does a run of captures end that is stored and computed as one? |
 //!
@@ -15,6 +15,7 @@ pub mod captures_table;
 pub mod check_captures;
 pub mod check_setup;
 mod claims;
+pub mod companions;
 pub mod exclusions;
 pub mod exposure;
 pub mod fault;

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use super::captures_table::{self, TableError};
 use super::check_captures;
 use super::claims::{self, Claim, Source};
+use super::companions::companion;
 use super::exclusions::Exclusions;
 use super::exposure::{Exposure, exposure};
 use super::keys::{Campaign, CaptureRule, RecordKeys, exclude_place, rule_place};
@@ -46,9 +47,7 @@ impl Survey {
     /// The raw files of all exposures, their references included, each once.
     #[must_use]
     pub fn files(&self) -> BTreeSet<&Path> {
-        let own = self.exposures.iter().map(|e| e.file.as_path());
-        let references = self.exposures.iter().filter_map(|e| e.reference.as_ref());
-        own.chain(references.map(|r| r.file.as_path())).collect()
+        self.exposures.iter().flat_map(|exposure| exposure.files().map(PathBuf::as_path)).collect()
     }
 }
 
@@ -96,12 +95,16 @@ impl Campaign {
     pub fn survey(&self) -> Result<Survey, SurveyError> {
         let mut files = walk::files(&self.root).map_err(|(folder, source)| SurveyError::Folder { folder, source })?;
         files.retain(|file| !self.captures.iter().any(|rule| rule.table.as_ref() == Some(file)));
-        let paths: BTreeSet<&str> = files.iter().filter_map(|file| file.to_str()).collect();
+        let mut paths: BTreeSet<&str> = files.iter().filter_map(|file| file.to_str()).collect();
+        let companions: BTreeSet<PathBuf> = paths.iter().filter_map(|path| companion(Path::new(path))).collect();
+        // A file with the samples of another is no recording of its own: no pattern sees it.
+        let companions: BTreeSet<&str> = companions.iter().filter_map(|path| paths.take(path.to_str()?)).collect();
         let mut surveyor = Surveyor {
             campaign: self,
             exclusions: Exclusions::of(self),
             references: References::among(&paths),
             paths: &paths,
+            companions: &companions,
             claims: Vec::new(),
             taken: BTreeSet::new(),
             excludes_used: BTreeSet::new(),
@@ -125,6 +128,7 @@ struct Surveyor<'a> {
     exclusions: Exclusions<'a>,
     references: References<'a>,
     paths: &'a BTreeSet<&'a str>,
+    companions: &'a BTreeSet<&'a str>,
     claims: Vec<Claim>,
     /// Files that a rule took, and their references.
     taken: BTreeSet<PathBuf>,
@@ -189,10 +193,12 @@ impl Surveyor<'_> {
         exposure.segment = segment;
         let missing =
             self.references.attach(rule, &mut exposure).map_err(|problem| self.error(source, file, problem))?;
-        self.taken.insert(exposure.file.clone());
-        if let Some(reference) = &exposure.reference {
-            self.taken.insert(reference.file.clone());
-        }
+        let companions = exposure.files().filter_map(|file| companion(file));
+        let mut companions: Vec<PathBuf> =
+            companions.filter(|file| file.to_str().is_some_and(|file| self.companions.contains(file))).collect();
+        companions.dedup();
+        exposure.companions = companions;
+        self.taken.extend(exposure.files().cloned());
         if let Some((number, reason)) = self.exclusions.of_exposure(&exposure) {
             self.excludes_used.insert(number);
             self.survey.excluded.push((exposure.file, reason.to_owned()));
@@ -306,6 +312,17 @@ mod tests {
         assert_eq!(survey.excluded, excluded.map(|(file, why)| (file.into(), why.to_owned())));
         let files: Vec<&str> = survey.files().into_iter().map(|file| file.to_str().unwrap()).collect();
         assert_eq!(files, ["raw/C1_L1_P2.trc", "raw/C2_L001_P002.trc", "raw/dark.npy"]);
+    }
+
+    #[test]
+    fn samples_beside_their_head_belong_to_it() {
+        let files = ["L1_P2.bin", "L1_P2.Wfm.bin", "L2_P1.bin", "L3_P1.Wfm.bin"];
+        let found = survey(&files, "[[captures]]\nrole = 'scene'\nfiles = 'L{lit}_P*.bin'\nseen = 2\n").unwrap();
+        assert_eq!(found.exposures.len(), 3, "a companion without its head is a file that the rule takes");
+        assert_eq!(found.exposures[0].companions, [PathBuf::from("L1_P2.Wfm.bin")]);
+        assert_eq!(found.exposures[0].files().count(), 2);
+        assert!(found.unmatched.is_empty() && found.exposures[1].companions.is_empty());
+        assert_eq!(found.files().len(), 4);
     }
 
     #[test]

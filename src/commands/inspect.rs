@@ -1,14 +1,15 @@
 //! `periscope inspect`.
 
+use std::collections::VecDeque;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use periscope::formats;
+use periscope::formats::{self, Input, Source};
 use periscope::signal::codes::Codes;
-use periscope::waveform::Record;
+use periscope::waveform::{Kind, Record};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
@@ -43,7 +44,7 @@ pub fn inspect(args: &Inspect) -> Result<ExitCode> {
 }
 
 fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> {
-    let mut source = formats::open(file)?;
+    let mut source = Source::open(file)?;
     let records = formats::records(&mut source)?;
     if !as_json {
         let head = records.first().context("holds no waveform")?.head.clone();
@@ -51,8 +52,9 @@ fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> 
         writeln!(out, "{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
     }
     for record in &records {
-        let bytes = record.read(source.file())?;
-        let facts = facts(file, record, &bytes);
+        let mut seen = Seen::of(record);
+        record.visit(source.file(), 0..record.head.samples, &mut |codes| seen.take(record, codes))?;
+        let facts = seen.facts(file, record);
         if as_json {
             writeln!(out, "{facts}")?;
         } else {
@@ -62,39 +64,76 @@ fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> 
     Ok(())
 }
 
-/// What is in one waveform. Values are volts where the file has a scale, else what is in the file.
-fn facts(file: &Path, record: &Record, bytes: &[u8]) -> Value {
-    let head = &record.head;
-    let values = record.values(bytes);
-    let mut sha = Sha256::new();
-    for value in &values {
-        sha.update((*value as f32).to_le_bytes());
+/// Values at either end that are shown.
+const ENDS: usize = 5;
+
+/// What was seen of a record so far, which may be larger than memory. Values are volts where the file has a scale, else what is in the file.
+struct Seen {
+    first: Vec<f64>,
+    last: VecDeque<f64>,
+    sum: f64,
+    min: Option<f64>,
+    max: Option<f64>,
+    clipped: Option<usize>,
+    sha: Sha256,
+}
+
+impl Seen {
+    fn of(record: &Record) -> Self {
+        Self {
+            first: Vec::new(),
+            last: VecDeque::new(),
+            sum: 0.0,
+            min: None,
+            max: None,
+            clipped: record.head.rails.map(|_| 0),
+            sha: Sha256::new(),
+        }
     }
-    let sha = sha.finalize().iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
-    let ends = 5.min(values.len());
-    let codes = Codes::of(head.code_type.name(), bytes).expect("code types have one name everywhere");
-    let clipped = head.rails.map(|(low, high)| codes.count_at_or_beyond(low, high));
-    json!({
-        "file": file.display().to_string(),
-        "format": head.format,
-        "instrument": head.instrument,
-        "channel": head.channel,
-        "segment": record.segment,
-        "samples": head.samples,
-        "dt_s": head.dt_s,
-        "t0_s": record.t0_s,
-        "unit": head.unit,
-        "gain": head.header_gain,
-        "offset": head.header_offset,
-        "acquired_at": head.acquired_at,
-        "clipped": clipped,
-        "first": values[..ends],
-        "last": values[values.len() - ends..],
-        "mean": (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64),
-        "min": values.iter().copied().reduce(f64::min),
-        "max": values.iter().copied().reduce(f64::max),
-        "sha256_f32le": sha,
-    })
+
+    fn take(&mut self, record: &Record, codes: &[u8]) {
+        let values = record.values(codes);
+        let floats: Vec<u8> = values.iter().flat_map(|value| (*value as f32).to_le_bytes()).collect();
+        self.sha.update(&floats);
+        self.first.extend(&values[..values.len().min(ENDS - self.first.len())]);
+        self.last.extend(&values[values.len().saturating_sub(ENDS)..]);
+        self.last.drain(..self.last.len().saturating_sub(ENDS));
+        self.sum = values.iter().fold(self.sum, |sum, value| sum + value);
+        self.min = values.iter().copied().chain(self.min).reduce(f64::min);
+        self.max = values.iter().copied().chain(self.max).reduce(f64::max);
+        if let (Some(clipped), Some((low, high))) = (&mut self.clipped, record.head.rails) {
+            let codes = Codes::of(record.head.code_type.name(), codes).expect("code types have one name everywhere");
+            *clipped += codes.count_at_or_beyond(low, high);
+        }
+    }
+
+    fn facts(self, file: &Path, record: &Record) -> Value {
+        let head = &record.head;
+        let sha = self.sha.finalize().iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
+        json!({
+            "file": file.display().to_string(),
+            "format": head.format,
+            "kind": head.kind.name(),
+            "instrument": head.instrument,
+            "channel": head.channel,
+            "segment": record.segment,
+            "samples": head.samples,
+            "dt_s": head.dt_s,
+            "t0_s": record.t0_s,
+            "t0_nominal": head.t0_nominal,
+            "unit": head.unit,
+            "gain": head.header_gain,
+            "offset": head.header_offset,
+            "acquired_at": head.acquired_at,
+            "clipped": self.clipped,
+            "first": self.first,
+            "last": self.last,
+            "mean": (head.samples > 0).then(|| self.sum / head.samples as f64),
+            "min": self.min,
+            "max": self.max,
+            "sha256_f32le": sha,
+        })
+    }
 }
 
 /// The facts that a person looks for first.
@@ -105,12 +144,14 @@ fn line(facts: &Value) -> String {
         other => other.to_string(),
     };
     format!(
-        "channel {:4} segment {:4} {:>8} samples  dt {} s  t0 {} s  {} to {} {}  clipped {}",
+        "{} channel {:4} segment {:4} {:>8} samples  dt {} {}  t0 {} s  {} to {} {}  clipped {}",
+        text("kind"),
         text("channel"),
         text("segment"),
         text("samples"),
         text("dt_s"),
-        text("t0_s"),
+        if facts["kind"] == Kind::Spectrum.name() { "Hz" } else { "s" },
+        text("t0_s") + if facts["t0_nominal"] == true { " (nominal)" } else { "" },
         text("min"),
         text("max"),
         text("unit"),

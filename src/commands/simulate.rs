@@ -29,6 +29,10 @@ pub struct Simulate {
 enum FileFormat {
     /// LeCroy sequence files with sub-sample trigger times
     Trc,
+    /// Tektronix FastFrame files with sub-sample trigger times
+    Wfm,
+    /// Keysight segmented files of volts with sub-sample trigger times
+    Bin,
     /// NumPy arrays, a row a shot, without trigger times
     Npy,
     /// Comma-separated times and volts, a file a shot
@@ -64,6 +68,8 @@ pub fn simulate(args: &Simulate) -> Result<ExitCode> {
     let scene = Scene::load(&args.scene)?;
     let format = match args.format {
         FileFormat::Trc => Format::Trc,
+        FileFormat::Wfm => Format::Wfm,
+        FileFormat::Bin => Format::Bin,
         FileFormat::Npy => Format::Npy,
         FileFormat::Csv => Format::Csv,
     };

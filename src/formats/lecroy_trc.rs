@@ -2,7 +2,7 @@
 //! sequences with a sub-sample trigger time of their own for each segment.
 //!
 //! Offsets are from the bytes `WAVEDESC`. Source: LeCroy's remote control manual (the template that the instrument prints at `TMPL?`).
-//! Older templates (`LECROY_1_0`) have other offsets and are refused by name; so are RIS and dual arrays.
+//! The older template LECROY_1_0 has a reader of its own; others are refused by name, and so are RIS and dual arrays.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -28,7 +28,8 @@ impl Reader for LecroyTrc {
         &["trc"]
     }
     fn recognises(&self, head: &[u8]) -> bool {
-        position(head).is_some()
+        position(head)
+            .is_some_and(|at| !head[at..].get(16..).is_some_and(|template| template.starts_with(b"LECROY_1_0")))
     }
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let head = input.bytes("the head", 0, input.length().min(SEARCH_BYTES))?;
@@ -38,7 +39,7 @@ impl Reader for LecroyTrc {
     }
 }
 
-fn position(head: &[u8]) -> Option<usize> {
+pub(super) fn position(head: &[u8]) -> Option<usize> {
     head.windows(MARK.len()).take(SEARCH_BYTES as usize).position(|window| window == MARK)
 }
 
@@ -175,7 +176,11 @@ impl Descriptor {
             segment: (segments > 1).then_some(i as u32),
             t0_s: Some(t0_s),
             trigger_s,
-            payload: Payload::File { byte_offset: data + i as u64 * segment_bytes, big_endian: self.big_endian },
+            payload: Payload::File {
+                byte_offset: data + i as u64 * segment_bytes,
+                stride: code_type.bytes() as u64,
+                big_endian: self.big_endian,
+            },
         };
         Ok(triggers.into_iter().enumerate().map(record).collect())
     }
@@ -197,19 +202,16 @@ impl Descriptor {
         }
         let source = self.i16(344);
         Ok(Head {
-            format,
             instrument: text(&self.bytes[76..92]),
             channel: (0..4).contains(&source).then(|| format!("C{}", source + 1)),
             unit: text(&self.bytes[196..244]),
-            code_type,
-            samples,
             dt_s: Some(dt_s),
             scale: Some(Scale { gain, offset: -offset }),
             header_gain: Some(gain),
             header_offset: Some(offset),
             rails: self.rails(code_type),
             acquired_at: self.acquired_at(),
-            shape: Vec::new(),
+            ..Head::new(format, code_type, samples)
         })
     }
 
@@ -273,7 +275,7 @@ impl Descriptor {
 }
 
 /// A text field, up to its first zero byte; `None` if nothing is in it.
-fn text(bytes: &[u8]) -> Option<String> {
+pub(super) fn text(bytes: &[u8]) -> Option<String> {
     let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
     let text = String::from_utf8_lossy(&bytes[..end]).trim().to_owned();
     (!text.is_empty()).then_some(text)

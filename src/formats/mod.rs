@@ -1,48 +1,78 @@
 //! Scope files to records: one file a format, behind one trait. The format is found by content first, then by extension.
 
+pub mod becker_hickl_sdt;
+pub mod caen_wavedump;
 pub mod csv;
-pub mod lecroy_ascii;
+pub mod hdf5;
+#[cfg(test)]
+mod hostile;
+mod inflate;
+pub mod keysight_bin;
+pub mod lecroy_1_0;
 pub mod lecroy_trc;
 pub mod npy;
+pub mod npz;
+pub mod picoquant;
 pub mod reader;
+pub mod rigol_bin;
+pub mod rigol_wfm;
+pub mod rohde_schwarz;
+pub mod sigrok_sr;
 pub mod tek_isf;
+pub mod tek_wfm;
+pub mod wav;
+mod zip_file;
 
-use std::io::SeekFrom;
-use std::path::Path;
+use std::io::{Read, Seek};
 
-pub use reader::{FormatError, Reader, Source};
+pub use reader::{FormatError, Input, Joined, Reader, Source};
 
 use crate::waveform::Record;
 
 /// The formats, those that know themselves by their first bytes before those that take any text.
-pub const READERS: [&dyn Reader; 5] =
-    [&lecroy_trc::LecroyTrc, &npy::Npy, &tek_isf::TekIsf, &lecroy_ascii::LecroyAscii, &csv::Csv];
+pub const READERS: [&dyn Reader; 18] = [
+    &lecroy_trc::LecroyTrc,
+    &npy::Npy,
+    &hdf5::Hdf5,
+    &npz::Npz,
+    &sigrok_sr::SigrokSr,
+    &tek_isf::TekIsf,
+    &tek_wfm::TekWfm,
+    &wav::Wav,
+    &caen_wavedump::CaenWavedump,
+    &rohde_schwarz::RohdeSchwarz,
+    &keysight_bin::KeysightBin,
+    &rigol_bin::RigolBin,
+    &lecroy_1_0::Lecroy10,
+    &rigol_wfm::RigolWfm,
+    &picoquant::PicoquantPhu,
+    &picoquant::PicoquantPtu,
+    &becker_hickl_sdt::BeckerHicklSdt,
+    &csv::Csv,
+];
 
 /// Bytes at the start of a file by which its format is found.
 const HEAD_BYTES: usize = 2048;
 
-/// Opens a file.
+/// The reader of a file: by its content, else by its extension.
 ///
 /// # Errors
-/// When it cannot be read.
-pub fn open(path: &Path) -> Result<Source<std::fs::File>, FormatError> {
-    Source::new(std::fs::File::open(path)?, path)
+/// When no reader knows the file.
+pub fn reader<F: Read + Seek>(source: &mut Source<F>) -> Result<&'static dyn Reader, FormatError> {
+    let head = source.head(HEAD_BYTES)?;
+    if head.is_empty() {
+        return Err(FormatError::Empty);
+    }
+    let by_content = READERS.into_iter().find(|reader| reader.recognises(&head));
+    let extension = source.extension();
+    let by_name = || READERS.into_iter().find(|reader| reader.extensions().contains(&extension));
+    by_content.or_else(by_name).ok_or(FormatError::Unknown)
 }
 
 /// The records of a file; reads headers, and samples only where they are text.
 ///
 /// # Errors
 /// When no reader knows the file, or its reader refuses it.
-pub fn records<F: std::io::Read + std::io::Seek>(source: &mut Source<F>) -> Result<Vec<Record>, FormatError> {
-    let head = source.head(HEAD_BYTES)?;
-    if head.is_empty() {
-        return Err(FormatError::Empty);
-    }
-    let reader = READERS.into_iter().find(|reader| reader.recognises(&head));
-    let extension = source.extension();
-    let reader =
-        reader.or_else(|| READERS.into_iter().find(|reader| reader.extensions().contains(&extension.as_str())));
-    let reader = reader.ok_or(FormatError::Unknown)?;
-    source.seek_to(SeekFrom::Start(0))?;
-    reader.records(source)
+pub fn records<F: Read + Seek>(source: &mut Source<F>) -> Result<Vec<Record>, FormatError> {
+    reader(source)?.records(source)
 }

@@ -13,8 +13,8 @@ use crate::waveform::{CodeType, Head, Payload, Record};
 /// The reader.
 pub struct Npy;
 
-/// Longest header that is read.
-const HEADER_BYTES: u64 = 1 << 16;
+/// Longest header that is read: the dictionary of a plain array has some hundred bytes.
+pub(super) const HEADER_BYTES: u64 = 1 << 12;
 
 impl Reader for Npy {
     fn format(&self) -> &'static str {
@@ -28,14 +28,56 @@ impl Reader for Npy {
     }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let refuse = |problem: String| FormatError::Field { byte_offset: 0, problem };
         let bytes = input.bytes("the header", 0, input.length().min(HEADER_BYTES))?;
-        plain_header(&bytes).map_err(refuse)?;
-        let mut rest = bytes.as_slice();
+        let Some(array) = Array::read(&bytes, input.length())? else {
+            return Err(refuse("a single number is no waveform"));
+        };
+        array.limit(input.length(), 0, size_of::<Record>())?;
+        let head = Arc::new(array.head(self.format()));
+        let record = |i: u64| Record {
+            head: Arc::clone(&head),
+            segment: array.segment(i),
+            t0_s: None,
+            trigger_s: None,
+            payload: Payload::File {
+                byte_offset: array.data + i * array.record_bytes(),
+                stride: array.code_type.bytes() as u64,
+                big_endian: array.big_endian,
+            },
+        };
+        Ok((0..array.records).map(record).collect())
+    }
+}
+
+fn refuse(problem: impl Into<String>) -> FormatError {
+    FormatError::Field { byte_offset: 0, problem: problem.into() }
+}
+
+/// An array, as its header describes it.
+pub(super) struct Array {
+    pub code_type: CodeType,
+    pub big_endian: bool,
+    /// Where its numbers begin.
+    pub data: u64,
+    /// The last axis.
+    samples: u64,
+    /// The leading axes, and their product.
+    axes: Vec<usize>,
+    pub records: u64,
+}
+
+impl Array {
+    /// From the first bytes of an array, which has `length` bytes with its header; `None` for a single number.
+    pub fn read(bytes: &[u8], length: u64) -> Result<Option<Self>, FormatError> {
+        plain_header(bytes).map_err(refuse)?;
+        let mut rest = bytes;
         let header = NpyHeader::from_reader(&mut rest).map_err(|error| refuse(format!("header: {error}")))?;
         let data = (bytes.len() - rest.len()) as u64;
+        let Some((&samples, axes)) = header.shape().split_last() else {
+            return Ok(None);
+        };
         if header.order() != Order::C && header.shape().len() > 1 {
-            return Err(refuse("the array is in Fortran order; save it with numpy.ascontiguousarray".to_owned()));
+            return Err(refuse("the array is in Fortran order; save it with numpy.ascontiguousarray"));
         }
         let (code_type, big_endian) = code_type(&header.dtype()).ok_or_else(|| {
             refuse(format!(
@@ -43,16 +85,11 @@ impl Reader for Npy {
                 header.dtype().descr()
             ))
         })?;
-        let Some((&samples, axes)) = header.shape().split_last() else {
-            return Err(refuse("a single number is no waveform".to_owned()));
-        };
         let count = header.shape().iter().try_fold(1_u64, |product, &length| product.checked_mul(length));
         let needed = count.and_then(|count| count.checked_mul(code_type.bytes() as u64));
-        let available = input.length() - data;
+        let available = length.saturating_sub(data);
         match needed {
-            Some(0) => {
-                return Err(refuse(format!("shape {:?} holds no sample", header.shape())));
-            }
+            Some(0) => return Err(refuse(format!("shape {:?} holds no sample", header.shape()))),
             Some(needed) if needed <= available => {}
             _ => {
                 let problem = format!(
@@ -62,31 +99,41 @@ impl Reader for Npy {
                 return Err(FormatError::Field { byte_offset: data, problem });
             }
         }
-        let head = Arc::new(Head {
-            format: self.format(),
-            instrument: None,
-            channel: None,
-            unit: None,
-            code_type,
-            samples: samples as usize,
-            dt_s: None,
-            scale: None,
-            header_gain: None,
-            header_offset: None,
-            rails: code_type.limits(),
-            acquired_at: None,
-            shape: axes.iter().map(|&length| length as usize).collect(),
-        });
-        let records: u64 = axes.iter().product();
-        let record_bytes = samples * code_type.bytes() as u64;
-        let record = |i: u64| Record {
-            head: Arc::clone(&head),
-            segment: (records > 1).then_some(i as u32),
-            t0_s: None,
-            trigger_s: None,
-            payload: Payload::File { byte_offset: data + i * record_bytes, big_endian },
-        };
-        Ok((0..records).map(record).collect())
+        let axes: Vec<usize> = axes.iter().map(|&length| length as usize).collect();
+        let records = axes.iter().map(|&length| length as u64).product();
+        Ok(Some(Self { code_type, big_endian, data, samples, axes, records }))
+    }
+
+    /// Bytes of its numbers.
+    pub fn bytes(&self) -> u64 {
+        self.records * self.record_bytes()
+    }
+
+    /// Bytes of one record.
+    pub fn record_bytes(&self) -> u64 {
+        self.samples * self.code_type.bytes() as u64
+    }
+
+    pub fn segment(&self, record: u64) -> Option<u32> {
+        (self.records > 1).then_some(record as u32)
+    }
+
+    /// Refuses so many short records that what is kept of them and of those before, `each` bytes, is far more than the file.
+    pub fn limit(&self, file_bytes: u64, before: usize, each: usize) -> Result<(), FormatError> {
+        let most = (3 * file_bytes.min(1 << 60) + (1 << 19)) / each as u64;
+        if self.records > most.min(u64::from(u32::MAX)).saturating_sub(before as u64) {
+            return Err(refuse(format!(
+                "{} records of {} samples are not read; samples are on the last axis: transpose the array, \
+                 or cut it into files",
+                self.records, self.samples
+            )));
+        }
+        Ok(())
+    }
+
+    pub fn head(&self, format: &'static str) -> Head {
+        let rails = self.code_type.limits();
+        Head { rails, shape: self.axes.clone(), ..Head::new(format, self.code_type, self.samples as usize) }
     }
 }
 

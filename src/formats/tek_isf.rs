@@ -1,12 +1,12 @@
 //! Tektronix .isf: a head of `KEY value;` pairs in long or short spelling, then `:CURVE #`, the length of the block, and the codes.
 //!
 //! volts = YMULT * (code - YOFF) + YZERO, sample i at XZERO + (i - PT_OFF) * XINCR after the trigger. The file has no date. Records of minima and
-//! maxima (peak detect, envelope) and spectra are named and refused: their samples are not one voltage after the other.
+//! maxima (peak detect, envelope: PT_FMT ENV) and of spectra (over other than seconds) are named as what they are.
 
 use std::sync::Arc;
 
 use super::reader::{FormatError, Input, Reader};
-use crate::waveform::{CodeType, Head, Payload, Record, Scale};
+use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
 
 /// The reader.
 pub struct TekIsf;
@@ -33,7 +33,7 @@ impl Reader for TekIsf {
         if start.checked_add(block).is_none_or(|end| end > length) {
             return Err(FormatError::Truncated { what: "the curve", byte_offset: start, needed: block, length });
         }
-        keys.refuse_other_records()?;
+        let kind = keys.kind()?;
         let code_type = keys.code_type()?;
         let samples = block / code_type.bytes() as u64;
         let said = keys.number("NR_P", "NR_PT")?;
@@ -55,22 +55,19 @@ impl Reader for TekIsf {
         }
         let title = keys.text("WFI", "WFID");
         let head = Head {
-            format: self.format(),
-            instrument: None,
+            kind,
             channel: title.and_then(|title| title.split(',').next()).map(|name| name.trim().to_owned()),
             unit: keys.text("YUN", "YUNIT").map(str::to_owned),
-            code_type,
-            samples: samples as usize,
             dt_s: Some(dt_s),
             scale: Some(Scale { gain, offset }),
             header_gain: Some(gain),
             header_offset: Some(code_zero),
             // In words an 8 bit converter fills the upper byte and a high-resolution one more: only bytes say where the rails are.
             rails: (code_type == CodeType::I8 || code_type == CodeType::U8).then(|| code_type.limits()).flatten(),
-            acquired_at: None,
-            shape: Vec::new(),
+            ..Head::new(self.format(), code_type, samples as usize)
         };
-        let payload = Payload::File { byte_offset: start, big_endian: keys.text("BYT_O", "BYT_OR") != Some("LSB") };
+        let big_endian = keys.text("BYT_O", "BYT_OR") != Some("LSB");
+        let payload = Payload::File { byte_offset: start, stride: code_type.bytes() as u64, big_endian };
         Ok(vec![Record { head: Arc::new(head), segment: None, t0_s: Some(t0_s), trigger_s: None, payload }])
     }
 }
@@ -120,22 +117,20 @@ impl Keys {
         number.ok_or_else(|| field(0, format!("{long} = {text:?} is no number")))
     }
 
-    /// Records that are no voltage over time.
-    fn refuse_other_records(&self) -> Result<(), FormatError> {
-        let form = self.text("PT_F", "PT_FMT").unwrap_or("Y");
-        if form.starts_with("ENV") {
-            return Err(field(0, "is an envelope or peak-detect record (pairs of minimum and maximum); acquire in sample or average mode for timing".to_owned()));
-        }
-        let unit = self.text("XUN", "XUNIT").unwrap_or("s");
-        if !unit.eq_ignore_ascii_case("s") {
-            return Err(field(0, format!("is over {unit}, not over seconds: a spectrum or XY record has no times")));
-        }
+    fn kind(&self) -> Result<Kind, FormatError> {
         match self.text("ENC", "ENCDG") {
             Some(encoding) if !encoding.starts_with("BIN") => {
-                Err(field(0, format!("has its curve as {encoding}; save it as binary (DATA:ENCDG RIBINARY)")))
+                return Err(field(0, format!("has its curve as {encoding}; save it as binary (DATA:ENCDG RIBINARY)")));
             }
-            _ => Ok(()),
+            _ => {}
         }
+        let (form, unit) = (self.text("PT_F", "PT_FMT").unwrap_or("Y"), self.text("XUN", "XUNIT").unwrap_or("s"));
+        Ok(match unit {
+            _ if form.starts_with("ENV") => Kind::Envelope,
+            "s" | "S" => Kind::Waveform,
+            "Hz" => Kind::Spectrum,
+            _ => return Err(field(0, format!("is over {unit}, neither over seconds nor over Hz"))),
+        })
     }
 
     fn code_type(&self) -> Result<CodeType, FormatError> {
@@ -190,7 +185,7 @@ mod tests {
     fn values(bytes: Vec<u8>) -> Result<(Vec<f64>, Record), String> {
         let mut source = Source::new(Cursor::new(bytes), Path::new("a.isf")).map_err(|error| error.to_string())?;
         let record = TekIsf.records(&mut source).map_err(|error| error.to_string())?.remove(0);
-        let codes = record.read(source.file()).map_err(|error| error.to_string())?;
+        let codes = record.read(source.file(), 0..record.head.samples).map_err(|error| error.to_string())?;
         Ok((record.values(&codes), record))
     }
 
@@ -210,8 +205,7 @@ mod tests {
     #[test]
     fn other_records_and_broken_heads_are_named() {
         for (from, to, says) in [
-            ("PT_FMT Y", "PT_FMT ENV", "peak-detect"),
-            ("XUNIT \"s\"", "XUNIT \"Hz\"", "over Hz"),
+            ("XUNIT \"s\"", "XUNIT \"m\"", "over m"),
             ("YMULT 0.5;", "", "no YMULT"),
             ("XINCR 1.0E-9", "XINCR soon", "is no number"),
             ("NR_PT 3", "NR_PT 4", "NR_PT says 4"),
@@ -220,6 +214,11 @@ mod tests {
         ] {
             let error = values(file(&LONG.replace(from, to), &[0; 6])).unwrap_err();
             assert!(error.contains(says), "{error}");
+        }
+        for (from, to, kind) in
+            [("PT_FMT Y", "PT_FMT ENV", Kind::Envelope), ("XUNIT \"s\"", "XUNIT \"Hz\"", Kind::Spectrum)]
+        {
+            assert_eq!(values(file(&LONG.replace(from, to), &[0; 6])).unwrap().1.head.kind, kind);
         }
         let mut cut = file(LONG, &[0; 6]);
         cut.truncate(cut.len() - 1);

@@ -226,6 +226,10 @@ struct Channel<'a> {
 }
 
 impl Feed for Channel<'_> {
+    fn most(&self) -> usize {
+        self.shared.settings.memory_bytes
+    }
+
     fn reserve(&self, bytes: usize) -> Result<Credit, StageError> {
         self.shared.budget.reserve(bytes.min(self.shared.settings.memory_bytes / 2))
     }

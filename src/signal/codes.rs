@@ -1,6 +1,6 @@
 //! Raw codes of a converter, as they lie in a file: little-endian bytes of a number type, at any alignment.
 
-#![allow(clippy::useless_conversion, reason = "one of the seven types is f64 already")]
+#![allow(clippy::useless_conversion, reason = "one of the eight types is f64 already")]
 
 use std::ops::Range;
 
@@ -17,6 +17,8 @@ pub enum Codes<'a> {
     U16(&'a [u8]),
     /// Signed, 32 bits.
     I32(&'a [u8]),
+    /// Unsigned, 32 bits.
+    U32(&'a [u8]),
     /// Floating, 32 bits.
     F32(&'a [u8]),
     /// Floating, 64 bits.
@@ -48,6 +50,11 @@ macro_rules! each {
                     bytes.chunks_exact(4).map(|code| i32::from_le_bytes([code[0], code[1], code[2], code[3]]));
                 $body
             }
+            Codes::U32(bytes) => {
+                let $numbers =
+                    bytes.chunks_exact(4).map(|code| u32::from_le_bytes([code[0], code[1], code[2], code[3]]));
+                $body
+            }
             Codes::F32(bytes) => {
                 let $numbers =
                     bytes.chunks_exact(4).map(|code| f32::from_le_bytes([code[0], code[1], code[2], code[3]]));
@@ -63,7 +70,7 @@ macro_rules! each {
 }
 
 impl<'a> Codes<'a> {
-    /// Codes of the type of this name (`i8`, `u8`, `i16`, `u16`, `i32`, `f32`, `f64`); `None` for another.
+    /// Codes of the type of this name (`i8`, `u8`, `i16`, `u16`, `i32`, `u32`, `f32`, `f64`); `None` for another.
     #[must_use]
     pub fn of(code_type: &str, bytes: &'a [u8]) -> Option<Self> {
         Some(match code_type {
@@ -72,6 +79,7 @@ impl<'a> Codes<'a> {
             "i16" => Self::I16(bytes),
             "u16" => Self::U16(bytes),
             "i32" => Self::I32(bytes),
+            "u32" => Self::U32(bytes),
             "f32" => Self::F32(bytes),
             "f64" => Self::F64(bytes),
             _ => return None,
@@ -82,7 +90,7 @@ impl<'a> Codes<'a> {
         match self {
             Self::I8(bytes) | Self::U8(bytes) => (bytes, 1),
             Self::I16(bytes) | Self::U16(bytes) => (bytes, 2),
-            Self::I32(bytes) | Self::F32(bytes) => (bytes, 4),
+            Self::I32(bytes) | Self::U32(bytes) | Self::F32(bytes) => (bytes, 4),
             Self::F64(bytes) => (bytes, 8),
         }
     }
@@ -113,6 +121,7 @@ impl<'a> Codes<'a> {
             Self::I16(bytes) => Self::I16(cut(bytes, 2)),
             Self::U16(bytes) => Self::U16(cut(bytes, 2)),
             Self::I32(bytes) => Self::I32(cut(bytes, 4)),
+            Self::U32(bytes) => Self::U32(cut(bytes, 4)),
             Self::F32(bytes) => Self::F32(cut(bytes, 4)),
             Self::F64(bytes) => Self::F64(cut(bytes, 8)),
         }
@@ -138,7 +147,7 @@ impl<'a> Codes<'a> {
         let sums = &mut sums[..self.len()];
         match *self {
             Self::F32(_) | Self::F64(_) => panic!("floating codes are summed by add_to_f64"),
-            Self::I32(_) => panic!("32 bit codes are summed by add_to_f64"),
+            Self::I32(_) | Self::U32(_) => panic!("32 bit codes are summed by add_to_f64"),
             Self::I8(bytes) => sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte as i8)),
             Self::U8(bytes) => sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte)),
             Self::I16(bytes) => {

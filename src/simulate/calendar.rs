@@ -27,6 +27,13 @@ pub fn acquired(seconds: f64) -> Acquired {
     }
 }
 
+/// The same as seconds since 1970, whole and fraction.
+pub fn unix(seconds: f64) -> (i64, f64) {
+    /// The first midnight of 2026.
+    const START: i64 = 1_767_225_600;
+    (START + seconds.floor() as i64, seconds - seconds.floor())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -39,6 +39,12 @@ impl Setting {
         0.3 * self.full_scale_v
     }
 
+    /// Volts per stored code, and volts at code 0: a converter of more than 8 bits fills the upper bits of a word.
+    pub fn scale(&self, bits: u16) -> (f64, f64) {
+        let step = if bits == 8 { 1.0 } else { f64::from(1_u32 << (16 - bits)) };
+        (self.gain_v() / step, self.offset_v())
+    }
+
     /// Highest voltage that it records.
     pub fn top_v(&self) -> f64 {
         0.8 * self.full_scale_v - self.gain_v()

@@ -3,26 +3,22 @@
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Write as _};
+use std::io::{self, BufWriter};
 use std::path::Path;
 
-use super::calendar::acquired;
-use super::chain::{Chain, Setting};
-use super::recorder::{Shot, Shots};
 use super::scene::Scene;
 use super::session::Shooting;
 use super::{Format, SimulateError, Truth};
 use crate::campaign::Role;
 use crate::campaign::keys::{PatchRole, SensorKind};
 use crate::campaign::walk::TRUTH;
-use crate::formats::{csv, lecroy_trc, npy};
 use crate::store::TableWriter;
 use crate::tables::Row;
 
 /// Table of the fiducial captures, which no pattern can tell apart.
 const FIDUCIALS: &str = "fiducials.csv";
 
-fn written<T>(path: &Path, result: io::Result<T>) -> Result<T, SimulateError> {
+pub(super) fn written<T>(path: &Path, result: io::Result<T>) -> Result<T, SimulateError> {
     result.map_err(|source| SimulateError::Write { path: path.to_owned(), source })
 }
 
@@ -35,102 +31,10 @@ pub fn claim(out: &Path) -> Result<(), SimulateError> {
     Ok(())
 }
 
-/// Volts per stored code, and volts at code 0: a converter of more than 8 bits fills the upper bits of a word.
-fn scale(setting: &Setting, bits: u16) -> (f64, f64) {
-    let step = if bits == 8 { 1.0 } else { f64::from(1_u32 << (16 - bits)) };
-    (setting.gain_v() / step, setting.offset_v())
-}
-
-fn extension(format: Format) -> &'static str {
-    match format {
-        Format::Trc => "trc",
-        Format::Npy => "npy",
-        Format::Csv => "csv",
-    }
-}
-
 /// Opens a file for writing, and the folders on the way to it.
-fn create(path: &Path) -> Result<BufWriter<File>, SimulateError> {
+pub(super) fn create(path: &Path) -> Result<BufWriter<File>, SimulateError> {
     written(path, fs::create_dir_all(path.parent().expect("a file lies in a folder")))?;
     Ok(BufWriter::new(written(path, File::create(path))?))
-}
-
-/// Writes the channels of one capture: `stem_C1`, and `stem_C2` for the reference; for CSV a file a shot.
-pub fn write_shots(
-    out: &Path,
-    scene: &Scene,
-    chain: &Chain,
-    format: Format,
-    shooting: &Shooting,
-    shots: &Shots,
-) -> Result<(), SimulateError> {
-    let reference = chain.reference_setting(&scene.instrument);
-    let channels = [(Some(&shots.signal), Some(&shooting.setting)), (shots.reference.as_ref(), reference.as_ref())];
-    for (channel, (records, setting)) in channels.into_iter().enumerate() {
-        let Some((records, setting)) = records.zip(setting) else {
-            continue;
-        };
-        let end = format!("C{}.{}", channel + 1, extension(format));
-        if format == Format::Csv {
-            for (number, (_, t0_s, codes)) in records.iter().enumerate() {
-                let path = out.join(format!("{}_{number:05}_{end}", shooting.stem));
-                let (gain_v, offset_v) = scale(setting, scene.instrument.bits);
-                let volts: Vec<f64> = codes.iter().map(|code| f64::from(*code) * gain_v + offset_v).collect();
-                let mut file = create(&path)?;
-                let result = csv::write(&mut file, *t0_s, scene.instrument.dt_ps * 1e-12, &volts);
-                written(&path, result.and_then(|()| file.flush()))?;
-            }
-            continue;
-        }
-        let path = out.join(format!("{}_{end}", shooting.stem));
-        let mut file = create(&path)?;
-        let result = match format {
-            Format::Npy => write_npy(&mut file, scene, records),
-            _ => write_trc(&mut file, scene, channel, setting, shooting.start_s, records),
-        };
-        written(&path, result.and_then(|()| file.flush()))?;
-    }
-    Ok(())
-}
-
-/// Writes the histogram of one capture of a photon counter.
-pub fn write_histogram(out: &Path, shooting: &Shooting, counts: &[i32]) -> Result<(), SimulateError> {
-    let path = out.join(format!("{}_C1.npy", shooting.stem));
-    let mut file = create(&path)?;
-    let result = npy::write(&mut file, &[1, counts.len() as u64], counts);
-    written(&path, result.and_then(|()| file.flush()))
-}
-
-fn write_trc(
-    file: &mut impl io::Write,
-    scene: &Scene,
-    channel: usize,
-    setting: &Setting,
-    start_s: f64,
-    records: &[Shot],
-) -> io::Result<()> {
-    let (gain_v, offset_v) = scale(setting, scene.instrument.bits);
-    let head = lecroy_trc::SequenceHead {
-        instrument: "PERISCOPE-SIM".to_owned(),
-        channel: channel as i16,
-        gain_v: gain_v as f32,
-        // LeCroy's offset is taken off.
-        offset_v: -offset_v as f32,
-        dt_s: (scene.instrument.dt_ps * 1e-12) as f32,
-        bits: scene.instrument.bits,
-        acquired: acquired(start_s),
-    };
-    lecroy_trc::write_sequence(file, &head, records)
-}
-
-fn write_npy(file: &mut impl io::Write, scene: &Scene, records: &[Shot]) -> io::Result<()> {
-    let shape = [records.len() as u64, scene.instrument.samples as u64];
-    let codes = || records.iter().flat_map(|(_, _, codes)| codes.iter().copied());
-    if scene.instrument.bits == 8 {
-        npy::write(file, &shape, &codes().map(|code| code as i8).collect::<Vec<_>>())
-    } else {
-        npy::write(file, &shape, &codes().collect::<Vec<_>>())
-    }
 }
 
 /// Writes campaign.toml: what a lab would know, which the truth is not.
@@ -204,7 +108,7 @@ fn rule_text(scene: &Scene, format: Format, shooting: &Shooting) -> String {
         }
         _ => shooting.stem.clone(),
     };
-    let end = extension(format);
+    let end = format.extension();
     let role = shooting.role.name();
     let mut text = format!("\n[[captures]]\nrole = \"{role}\"\nfiles = \"{stem}{shot}_C1.{end}\"\n");
     let mut line = |line: String| writeln!(text, "{line}").expect("a String takes all text");
@@ -227,7 +131,7 @@ fn rule_text(scene: &Scene, format: Format, shooting: &Shooting) -> String {
     if format == Format::Npy {
         let (dt_ps, t0_ps) = (scene.instrument.dt_ps, scene.instrument.t0_ps);
         let (gain_v, offset_v) =
-            if shooting.counts { (1.0, 0.0) } else { scale(&shooting.setting, scene.instrument.bits) };
+            if shooting.counts { (1.0, 0.0) } else { shooting.setting.scale(scene.instrument.bits) };
         line(format!("dt_ps = {dt_ps:?}\nt0_ps = {t0_ps:?}\ngain_v = {gain_v:?}\noffset_v = {offset_v:?}"));
     }
     text
@@ -243,13 +147,13 @@ fn fiducials_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> Stri
         for number in 0..files {
             let format = if shooting.counts { Format::Npy } else { format };
             let shot = if format == Format::Csv { format!("_{number:05}") } else { String::new() };
-            let file = |channel: usize| format!("{}{shot}_C{channel}.{}", shooting.stem, extension(format));
+            let file = |channel: usize| format!("{}{shot}_C{channel}.{}", shooting.stem, format.extension());
             let reference =
                 if scene.instrument.reference.is_some() && !shooting.counts { file(2) } else { String::new() };
             let number = if format == Format::Csv { number.to_string() } else { String::new() };
             let base = if format == Format::Npy {
                 let (gain_v, offset_v) =
-                    if shooting.counts { (1.0, 0.0) } else { scale(&shooting.setting, scene.instrument.bits) };
+                    if shooting.counts { (1.0, 0.0) } else { shooting.setting.scale(scene.instrument.bits) };
                 format!("{:?},{:?},{gain_v:?},{offset_v:?}", scene.instrument.dt_ps, scene.instrument.t0_ps)
             } else {
                 ",,,".to_owned()

@@ -110,6 +110,7 @@ pub mod keys;
 mod laboratory;
 mod load_scene;
 mod pulse;
+mod raw_files;
 mod recorder;
 mod scene;
 mod session;
@@ -169,6 +170,10 @@ pub enum SimulateError {
 pub enum Format {
     /// LeCroy sequence files, a segment a shot, each with the sub-sample time of its trigger.
     Trc,
+    /// Tektronix FastFrame files, a frame a shot, each with the sub-sample time of its trigger.
+    Wfm,
+    /// Keysight segmented files in volts, a segment a shot, each with the sub-sample time of its trigger; converter rails are lost.
+    Bin,
     /// NumPy arrays of codes, a row a shot; the sub-sample time of the trigger is lost, as in many home-made set-ups.
     Npy,
     /// Comma-separated times and volts, a file a shot.
@@ -208,10 +213,10 @@ pub fn simulate(scene: &Scene, seed: u64, out: &Path, format: Format) -> Result<
             let (light, factor) = (&shooting.light, shooting.factor);
             let cycles = shooting.shots as u64;
             let counts = counts::histogram(scene, &chain.pulse, light, factor, shooting.latency_ps, cycles, &mut rng);
-            return folder::write_histogram(out, shooting, &counts);
+            return raw_files::write_histogram(out, shooting, &counts);
         }
         let shots = recorder.shots(&shooting.exposure(), &mut rng);
-        folder::write_shots(out, scene, chain, format, shooting, &shots)
+        raw_files::write_shots(out, scene, chain, format, shooting, &shots)
     })?;
     let truth = laboratory.truth();
     folder::write_campaign(out, scene, format, &laboratory.shootings)?;

@@ -10,8 +10,10 @@
 //! ```
 
 mod files;
-mod raw;
+mod part;
+mod raw_file;
 mod survey;
+mod template;
 
 use std::path::Path;
 
@@ -43,7 +45,7 @@ impl Source for Ingest {
         "ingest"
     }
     fn version(&self) -> u32 {
-        2
+        3
     }
     fn params(&self) -> Value {
         let mut roles = self.roles.clone();
@@ -71,7 +73,7 @@ impl OpenSource for Surveyed<'_> {
         &self.warnings
     }
     fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError> {
-        raw::read_part(self, part, batch_bytes, feed)
+        part::read_part(self, part, batch_bytes, feed)
     }
     fn close(&self) -> Result<(), StageError> {
         self.save_notes()

@@ -24,6 +24,8 @@ impl Credit {
 
 /// Where a source puts its rows.
 pub trait Feed {
+    /// Bytes that may be under way at most: what cannot be cut must be smaller.
+    fn most(&self) -> usize;
     /// Waits until the memory budget has room for `bytes`.
     ///
     /// # Errors

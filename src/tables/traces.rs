@@ -34,9 +34,11 @@ table! {
         t0_ps: f64,
         /// Time between samples.
         dt_ps: f64,
+        /// Time between samples as the file has it, where the campaign says another (dt_ps, nominal_rate_hz); else null.
+        file_dt_ps: Option<f64>,
         /// Number of samples.
         samples: i32,
-        /// Type of a code: i8, u8, i16, u16, i32, f32 or f64.
+        /// Type of a code: i8, u8, i16, u16, i32, u32, f32 or f64.
         code_type: Name,
         /// Volts per code.
         gain_v: f64,

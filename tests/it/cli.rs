@@ -74,6 +74,7 @@ fn inspect_says_what_is_in_a_file() {
     let keys = [
         "file",
         "format",
+        "kind",
         "instrument",
         "channel",
         "segment",

@@ -189,3 +189,12 @@ fn times_become_metres_in_one_place() {
         }
     }
 }
+
+#[test]
+fn every_reader_is_fuzzed() {
+    let manifest = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/Cargo.toml")).unwrap();
+    for reader in periscope::formats::READERS {
+        let target = format!("name = \"{}\" # format", reader.format().replace('.', "-"));
+        assert!(manifest.contains(&target), "tests/fuzz/Cargo.toml has no [[bin]] with {target}");
+    }
+}

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use periscope::campaign::Campaign;
-use periscope::formats;
+use periscope::formats::{self, Input, Source};
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::{self, Settings};
@@ -14,7 +14,7 @@ use periscope::pipeline::spec::Spec;
 use periscope::store::Shelf;
 use periscope::tables::{Onset, Profile, Row};
 
-use crate::formats::samples;
+use crate::scope_samples::samples;
 
 fn mean_and_sd(values: &[f64]) -> (f64, f64) {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -59,12 +59,12 @@ fn crossing(samples: &[f64], level: f64) -> f64 {
 #[test]
 fn the_trigger_time_of_each_segment_takes_the_sampling_out_of_a_sequence() {
     let Some(folder) = samples() else { return };
-    let mut source = formats::open(&folder.join("lecroy/wr64xi_pulse_sequence_20seg.trc")).unwrap();
+    let mut source = Source::open(&folder.join("lecroy/wr64xi_pulse_sequence_20seg.trc")).unwrap();
     let records = formats::records(&mut source).unwrap();
     let (mut with, mut without) = (Vec::new(), Vec::new());
     for record in &records {
         let dt_ps = record.head.dt_s.unwrap() * 1e12;
-        let at_ps = crossing(&record.values(&record.read(source.file()).unwrap()), 1.0) * dt_ps;
+        let at_ps = crossing(&record.values(&record.read(source.file(), 0..record.head.samples).unwrap()), 1.0) * dt_ps;
         without.push(at_ps);
         with.push(at_ps + record.t0_s.unwrap() * 1e12);
     }

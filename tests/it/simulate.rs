@@ -4,10 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use periscope::campaign::{Campaign, Role};
-use periscope::formats;
+use periscope::formats::{self, Input};
 use periscope::pipeline::run::Settings;
+use periscope::signal::codes::Codes;
 use periscope::simulate::{Format, Laboratory, Scene};
-use periscope::tables::{Patch, TrueCapture, TruePath};
+use periscope::tables::{Patch, Trace, TrueCapture, TruePath};
 
 use crate::lab::{ALL_VISIBLE, Lab};
 
@@ -16,9 +17,9 @@ const TINY: &str = include_str!("../../pipelines/scenes/tiny.toml");
 
 /// Volts of every shot of a file.
 fn volts(lab: &Lab, file: &str) -> Vec<Vec<f64>> {
-    let mut source = formats::open(&lab.campaign().join(file)).unwrap();
+    let mut source = formats::Source::open(&lab.campaign().join(file)).unwrap();
     let records = formats::records(&mut source).unwrap();
-    records.iter().map(|record| record.values(&record.read(source.file()).unwrap())).collect()
+    records.iter().map(|record| record.values(&record.read(source.file(), 0..record.head.samples).unwrap())).collect()
 }
 
 fn mean_and_sd(shots: &[Vec<f64>], at: usize) -> (f64, f64) {
@@ -76,6 +77,34 @@ fn csv_campaigns_hold_the_same_light() {
         at(a).iter().zip(at(b)).map(|(p, q)| (p - q).powi(2)).sum::<f64>().sqrt()
     };
     assert!((apart(&found, 0, 2) - apart(&truth, 0, 2)).abs() < 2e-3);
+}
+
+/// The same shots in each binary format: the same light to the rounding of volts and times.
+#[test]
+fn every_binary_format_holds_the_same_shots() {
+    let text = TINY.replace("response_shots = 400", "response_shots = 8");
+    let labs = [(Format::Trc, "trc"), (Format::Wfm, "wfm"), (Format::Bin, "bin")].map(|(format, extension)| {
+        let lab = Lab::of(&text, 3, format);
+        let traces = "[traces]\nstage = 'ingest'\nparams = { roles = ['scene', 'response'] }\n";
+        assert_eq!(lab.run("out", traces, &Settings::default()).unwrap().rejects, 0, "{extension}");
+        let rows: Vec<Trace> = lab.rows("out", "traces");
+        assert!(rows.iter().all(|row| row.file.ends_with(extension)));
+        (extension, rows)
+    });
+    let [(_, trc), rest @ ..] = &labs;
+    for (extension, rows) in rest {
+        assert_eq!(rows.len(), trc.len(), "{extension}");
+        for (row, trc) in rows.iter().zip(trc) {
+            let volts = |row: &Trace| {
+                let codes = Codes::of(&row.code_type, &row.codes).unwrap().to_f64();
+                codes.into_iter().map(|code| row.gain_v * code + row.offset_v).collect::<Vec<_>>()
+            };
+            assert_eq!((row.shot, row.segment, row.is_reference), (trc.shot, trc.segment, trc.is_reference));
+            assert!((row.t0_ps - trc.t0_ps).abs() < 1e-6, "{extension}: {} and {} ps", row.t0_ps, trc.t0_ps);
+            let missed = volts(row).iter().zip(volts(trc)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(missed < 1e-6, "{extension}: {missed} V");
+        }
+    }
 }
 
 /// Records across the laser's period: the signal repeats, and campaign.toml says so.

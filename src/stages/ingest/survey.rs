@@ -46,6 +46,14 @@ pub struct Capture {
     pub items: Vec<Item>,
 }
 
+/// An item of a capture that is to be read.
+pub struct Job<'a> {
+    pub capture: &'a Capture,
+    pub item: &'a Item,
+    /// Number of the item's first exposure within its capture, where the files do not say.
+    pub first_shot: i32,
+}
+
 /// What tells captures apart, in the order of the tables: campaign, sensor, smaller and larger patch, role, run, lit. So reciprocal captures stand
 /// side by side.
 type Order = (usize, String, PatchId, PatchId, Role, Option<String>, PatchId);
@@ -78,11 +86,7 @@ impl Capture {
 
     /// Raw files that it reads.
     pub fn files(&self) -> BTreeSet<&Path> {
-        let references = self
-            .items
-            .iter()
-            .filter_map(|item| item.exposure.reference.as_ref().map(|reference| reference.file.as_path()));
-        self.items.iter().map(|item| item.exposure.file.as_path()).chain(references).collect()
+        self.items.iter().flat_map(|item| item.exposure.files().map(PathBuf::as_path)).collect()
     }
 }
 
@@ -323,10 +327,8 @@ fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, St
             .map(|file| file.len())
             .map_err(|error| StageError::Refused(format!("{}: {error}", path.display())))
     };
-    let mut bytes = size(&path)?;
-    if let Some(reference) = exposure.reference.as_ref().filter(|reference| reference.file != exposure.file) {
-        bytes += size(&campaign.path_of(&reference.file))?;
-    }
+    let files: BTreeSet<&PathBuf> = exposure.files().collect();
+    let bytes = files.into_iter().map(|file| size(&campaign.path_of(file))).sum::<Result<u64, StageError>>()?;
     if exposure.keys.segments == [Axis::Shot] {
         let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
         return Ok(vec![(key, Item { exposure, records: None, bytes })]);
@@ -337,7 +339,7 @@ fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, St
 /// Splits a file whose segments or leading axes count more than shots. Patches are numbered from 1 along their axis, ranges and channels too.
 fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, Item)>, StageError> {
     let refused = |message: String| StageError::Refused(format!("{}: {message}", path.display()));
-    let Ok(records) = formats::open(path).and_then(|mut file| formats::records(&mut file)) else {
+    let Ok(records) = formats::Source::open(path).and_then(|mut file| formats::records(&mut file)) else {
         // A file that does not decode, perhaps since it is still being written, is set aside with the reason when it is read.
         let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
         return Ok(vec![(key, Item { exposure, records: Some(Vec::new()), bytes })]);

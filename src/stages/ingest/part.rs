@@ -5,8 +5,9 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 
-use super::files::{Files, Hashed, Job};
-use super::survey::{Capture, Item, Surveyed};
+use super::files::Files;
+use super::raw_file::Hashed;
+use super::survey::{Capture, Item, Job, Surveyed};
 use crate::campaign::hash_file;
 use crate::stages::source::{Feed, PartRead};
 use crate::stages::stage::{Rejection, StageError};
@@ -107,12 +108,20 @@ impl Reader<'_> {
                 return Ok(());
             }
         };
+        let most = self.feed.most();
+        if files.exposure_bytes(&job) > most {
+            return Err(StageError::Refused(format!(
+                "{}: one exposure takes {} bytes, the memory of the run is {most}; give more --memory, or the part that counts by samples = [first, last] in its [[captures]] rule",
+                self.surveyed.campaigns[capture.campaign].path_of(&item.exposure.file).display(),
+                files.exposure_bytes(&job)
+            )));
+        }
         let exposures = files.exposures();
-        let per_batch = (self.batch_bytes / files.exposure_bytes().max(1)).max(1);
+        let per_batch = (self.batch_bytes / files.exposure_bytes(&job).max(1)).max(1);
         let mut outcome = Done { rows: Vec::new(), shots: exposures as i32, digests: Vec::new(), rejection: None };
         for start in (0..exposures).step_by(per_batch) {
             let range = start..exposures.min(start + per_batch);
-            let bytes = files.exposure_bytes() * range.len();
+            let bytes = files.exposure_bytes(&job) * range.len();
             let credit = self.feed.reserve(bytes)?;
             match files.rows(self.surveyed, &job, range) {
                 Ok(rows) => self.feed.send(Trace::to_batch(&rows), credit)?,
@@ -188,12 +197,10 @@ fn read_whole(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Done {
 /// Digests of files that do not decode: they are part of the content all the same.
 fn digests_of_bad(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Vec<Hashed> {
     let campaign = &surveyed.campaigns[job.capture.campaign];
-    let files = std::iter::once(&job.item.exposure.file)
-        .chain(job.item.exposure.reference.as_ref().map(|reference| &reference.file));
     let hashed = |file: &PathBuf| {
         let path = campaign.path_of(file);
         let metadata = std::fs::metadata(&path).ok()?;
         Some(Hashed { file: file.clone(), digest: hash_file(&path).ok()?, metadata })
     };
-    files.filter_map(hashed).collect()
+    job.item.exposure.files().filter_map(hashed).collect()
 }

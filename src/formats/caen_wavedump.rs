@@ -1,0 +1,257 @@
+//! CAEN WaveDump binary output: events one behind the other, each a head of six little-endian words and its 16 bit codes.
+//!
+//! Words of the head: bytes of the event with its head, board, pattern, channel, event counter, trigger time tag (WaveDump user manual UM2091).
+//! One file is one channel, every event is a segment of it, and a segment may be longer or shorter than the one before.
+//!
+//! The file has no volts, no sample rate and no trigger position: codes are as they are, `dt_s`, `t0_s` and `trigger_s` are `None`. Rate, range and
+//! post-trigger are in the `WaveDumpConfig.txt` of the run and must be given with the campaign. The trigger time tag is not read: it wraps, and its
+//! tick depends on the board.
+//!
+//! Not read, and refused where it can be told: 8 bit boards (721, 731: one byte per code) and the 742 (floating numbers), both recognised by codes
+//! beyond 14 bits in the first event; files without heads (record with `OUTPUT_FILE_HEADER YES`). Text (`OUTPUT_FILE_FORMAT ASCII`) is for the CSV
+//! reader, to which all `.dat` files go that are not recognised. Events of unequal length were tested on files we built; all else on real files of a
+//! DT5751.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::reader::{FormatError, Input, Reader};
+use crate::waveform::{CodeType, Head, Payload, Record};
+
+/// The reader.
+pub struct CaenWavedump;
+
+/// Bytes of an event's head.
+const HEAD: u64 = 24;
+/// Boards are numbered by five bits (GEO), channels up to 64 (740).
+const BOARDS: u32 = 32;
+const CHANNELS: u32 = 64;
+/// Bytes of the longest event that is believed: no board records more than 100 million samples per channel.
+const MAX_EVENT: u32 = 200_000_000;
+/// No board of 16 bit codes has more bits than these.
+const MAX_CODE: u16 = (1 << 14) - 1;
+/// Bytes of the first event that are looked at for codes beyond `MAX_CODE`.
+const LOOKED_AT: u64 = 1 << 16;
+
+impl Reader for CaenWavedump {
+    fn format(&self) -> &'static str {
+        "caen-wavedump"
+    }
+    fn extensions(&self) -> &'static [&'static str] {
+        // Its .dat files know themselves; what else is called so is a text.
+        &[]
+    }
+    fn recognises(&self, head: &[u8]) -> bool {
+        let Some(first) = Event::parse(head).filter(|event| event.problem(None).is_none()) else {
+            return false;
+        };
+        match head.get(first.bytes as usize..).and_then(Event::parse) {
+            Some(second) => second.problem(Some(first)).is_none(),
+            None => true,
+        }
+    }
+
+    fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
+        let mut first = None;
+        let mut count = 0_usize;
+        // Counted before any record is kept: a vector that grows would take more memory than the file is long.
+        let mut at = 0;
+        while at < input.length() {
+            let event = Event::read(input, at, first)?;
+            if first.is_none() {
+                sixteen_bits(input, event)?;
+            }
+            first.get_or_insert(event);
+            at += u64::from(event.bytes);
+            count += 1;
+        }
+        let mut heads = BTreeMap::new();
+        let mut records = Vec::with_capacity(count);
+        at = 0;
+        while at < input.length() {
+            let event = Event::read(input, at, first)?;
+            let head = heads.entry(event.samples()).or_insert_with(|| Arc::new(self.head(event)));
+            let segment = u32::try_from(records.len()).map_err(|_| field(at, "has more events than are counted"))?;
+            records.push(Record {
+                head: Arc::clone(head),
+                segment: (count > 1).then_some(segment),
+                t0_s: None,
+                trigger_s: None,
+                payload: Payload::File { byte_offset: at + HEAD, stride: 2, big_endian: false },
+            });
+            at += u64::from(event.bytes);
+        }
+        Ok(records)
+    }
+}
+
+impl CaenWavedump {
+    fn head(&self, event: Event) -> Head {
+        Head {
+            channel: Some(format!("ch{}", event.channel)),
+            unit: Some("adc".to_owned()),
+            ..Head::new(self.format(), CodeType::U16, event.samples())
+        }
+    }
+}
+
+fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
+    FormatError::Field { byte_offset, problem: problem.into() }
+}
+
+/// What is needed of an event's head.
+#[derive(Clone, Copy)]
+struct Event {
+    bytes: u32,
+    board: u32,
+    channel: u32,
+}
+
+impl Event {
+    fn parse(head: &[u8]) -> Option<Self> {
+        let word =
+            |i: usize| head.get(4 * i..4 * i + 4).map(|word| u32::from_le_bytes(word.try_into().expect("four bytes")));
+        // The last word is asked for so that a head is there as a whole.
+        word(5)?;
+        Some(Self { bytes: word(0)?, board: word(1)?, channel: word(3)? })
+    }
+
+    fn samples(self) -> usize {
+        (self.bytes as usize - HEAD as usize) / 2
+    }
+
+    /// What is wrong with it: where in the head, and how.
+    fn problem(self, first: Option<Self>) -> Option<(u64, String)> {
+        let Self { bytes, board, channel } = self;
+        if !(26..=MAX_EVENT).contains(&bytes) || bytes % 2 == 1 {
+            let problem = format!(
+                "event size {bytes} is none of an event of 16 bit codes with its head of 24 bytes; record with \
+                 OUTPUT_FILE_HEADER YES on a board of 10 to 14 bits, or copy the file from its disk again"
+            );
+            return Some((0, problem));
+        }
+        let (boards, channels) = first.map_or((BOARDS, CHANNELS), |first| (first.board, first.channel));
+        if first.map_or(board >= boards, |_| board != boards) {
+            return Some((4, format!("board ID {board} is none, or not that of the first event; copy the file again")));
+        }
+        if first.map_or(channel >= channels, |_| channel != channels) {
+            return Some((
+                12,
+                format!("channel {channel} is none, or not that of the first event; copy the file again"),
+            ));
+        }
+        None
+    }
+
+    fn read(input: &mut dyn Input, at: u64, first: Option<Self>) -> Result<Self, FormatError> {
+        let length = input.length();
+        let bytes = input.bytes("an event's head", at, HEAD)?;
+        let event = Self::parse(&bytes).expect("24 bytes are a head");
+        if let Some((offset, problem)) = event.problem(first) {
+            return Err(field(at + offset, problem));
+        }
+        let needed = u64::from(event.bytes);
+        if at.checked_add(needed).is_none_or(|end| end > length) {
+            return Err(FormatError::Truncated { what: "an event", byte_offset: at, needed, length });
+        }
+        Ok(event)
+    }
+}
+
+/// Refuses codes that are not of 16 bits: bytes in pairs, or floating numbers.
+fn sixteen_bits(input: &mut dyn Input, event: Event) -> Result<(), FormatError> {
+    let codes = input.bytes("the first event", HEAD, (u64::from(event.bytes) - HEAD).min(LOOKED_AT))?;
+    let beyond = codes.chunks_exact(2).position(|code| u16::from_le_bytes([code[0], code[1]]) > MAX_CODE);
+    match beyond {
+        None => Ok(()),
+        Some(i) => Err(field(
+            HEAD + 2 * i as u64,
+            "a code has more than 14 bits: an 8 bit board (721, 731) or a 742, whose files are not read; \
+             convert the run to .npy",
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+    use std::path::Path;
+
+    use super::super::hostile;
+    use super::*;
+    use crate::formats::Source;
+
+    fn event(board: u32, channel: u32, counter: u32, codes: &[u16]) -> Vec<u8> {
+        let words = [24 + 2 * codes.len() as u32, board, 0x0006_0000, channel, counter, 0x0030_AF85];
+        let mut bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+        bytes.extend(codes.iter().flat_map(|code| code.to_le_bytes()));
+        bytes
+    }
+
+    fn two_events() -> Vec<u8> {
+        [event(31, 5, 0, &[1, 2, 3]), event(31, 5, 1, &[4, 5, 16383, 7])].concat()
+    }
+
+    fn error(bytes: Vec<u8>) -> String {
+        let mut source = Source::new(Cursor::new(bytes), Path::new("wave5.dat")).unwrap();
+        CaenWavedump.records(&mut source).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn events_of_any_length_are_segments() {
+        let bytes = two_events();
+        assert!(CaenWavedump.recognises(&bytes));
+        let mut source = Source::new(Cursor::new(bytes), Path::new("wave5.dat")).unwrap();
+        let records = CaenWavedump.records(&mut source).unwrap();
+        let values = |i: usize, source: &mut Source<_>| {
+            let record: &Record = &records[i];
+            let codes = record.read(source.file(), 0..record.head.samples).unwrap();
+            record.values(&codes)
+        };
+        assert_eq!(values(0, &mut source), [1.0, 2.0, 3.0]);
+        assert_eq!(values(1, &mut source), [4.0, 5.0, 16383.0, 7.0]);
+        assert_eq!(records[1].segment, Some(1));
+        assert_eq!(records[1].head.channel.as_deref(), Some("ch5"));
+        assert!(records[1].t0_s.is_none() && records[1].head.dt_s.is_none() && records[1].head.scale.is_none());
+    }
+
+    #[test]
+    fn a_single_event_is_no_segment_and_equal_events_share_a_head() {
+        let mut source = Source::new(Cursor::new(event(0, 0, 0, &[9])), Path::new("wave0.dat")).unwrap();
+        assert_eq!(CaenWavedump.records(&mut source).unwrap()[0].segment, None);
+        let bytes = [event(0, 0, 0, &[9]), event(0, 0, 1, &[8])].concat();
+        let records =
+            CaenWavedump.records(&mut Source::new(Cursor::new(bytes), Path::new("wave0.dat")).unwrap()).unwrap();
+        assert!(Arc::ptr_eq(&records[0].head, &records[1].head));
+    }
+
+    #[test]
+    fn other_files_are_not_taken() {
+        for head in [b"1.0,2.0\n3.0,4.0\n5.0,6.0\n7.0,8.0\n".as_slice(), &[0; 64], &[255; 64], b"\x1a\0\0\0"] {
+            assert!(!CaenWavedump.recognises(head));
+        }
+        let mut lost = two_events();
+        lost.remove(30);
+        assert!(!CaenWavedump.recognises(&lost));
+    }
+
+    #[test]
+    fn what_is_wrong_is_said() {
+        let two = two_events();
+        assert!(error(two[..50].to_vec()).contains("an event's head needs 24 bytes from byte 30"));
+        assert!(error(two[..two.len() - 1].to_vec()).contains("cut short: an event needs 32 bytes"));
+        assert!(error([event(0, 1, 0, &[1]), event(0, 2, 1, &[1])].concat()).contains("byte 38: channel 2"));
+        assert!(error([event(0, 1, 0, &[1]), event(3, 1, 1, &[1])].concat()).contains("board ID 3"));
+        assert!(error(event(0, 1, 0, &[])).contains("event size 24"));
+        assert!(error(event(0, 1, 0, &[100, 0x8081])).contains("byte 26: a code has more than 14 bits"));
+        let mut odd = event(0, 1, 0, &[1, 1]);
+        odd[0] -= 1;
+        assert!(error(odd).contains("event size 27"));
+    }
+
+    #[test]
+    fn hostile_files_are_refused_or_decoded_whole() {
+        hostile::cut_everywhere(&CaenWavedump, &two_events());
+        hostile::change_anywhere(&CaenWavedump, &two_events(), 5000);
+    }
+}

@@ -1,0 +1,128 @@
+//! Columns of numbers as text, of any scope: the head says which dialect it is, and what the columns are; the rows are read alike.
+//!
+//! | dialect | head | times |
+//! |---|---|---|
+//! | lecroy-csv | `LECROY...` / `Segments,n,SegmentSize,m` / `Segment,TrigTime,TimeSinceSegment1` / `#1,date,s` / `Time,Ampl` | column |
+//! | lecroy-ascii | `"Record Length"`, `"Sample Interval"`, ... in the first columns, beside the rows | head |
+//! | tek-csv | `Sample Interval,4e-11`, `Record Length,...`, ... / `TIME,CH1` | head, checked against the column |
+//! | keysight-csv | `x-axis,1,2` / `second,Volt,Volt` | column |
+//! | rigol-csv | `X,CH1,Start,Increment,` / `Sequence,Volt,-1e-6,1e-9`; `,CH1` / `Second,Volt` | head; column |
+//! | csv | comments (# %), a line of names (`time_ns,ch1`), a line of units (`(us),(V)`), or nothing | column, if there is one |
+//!
+//! Where only a column of times is there, dt is (last - first) / (rows - 1), since printed times are rounded, and an uneven time is refused. A first
+//! column without a name that tells is one of times if it increases from row to row. Fields are separated by comma, semicolon, tab or spaces; where
+//! not by commas, these may be decimal. Units of times and prefixes of units (`Time (ns)`, `ch1_mv`) are honoured; no unit is V and s.
+//!
+//! Not read: two time bases in one file, more than 256 columns, lines of more than 64 KiB, heads of other vendors. A text that is cut between two
+//! rows is noticed only where its head has the number of rows, one that is cut within its last number nowhere. Tested on files that we built
+//! ourselves only: lecroy-csv, FastFrame and logic channels of tek-csv, decimal commas, units with prefixes.
+
+use std::io::{self, BufReader, Write};
+use std::sync::Arc;
+
+use super::reader::{FormatError, Input, Reader};
+use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
+
+mod dialects;
+mod layout;
+mod lecroy;
+mod rows;
+#[cfg(test)]
+mod tests;
+mod text;
+mod times;
+mod units;
+
+use layout::{Layout, Role};
+use text::Lines;
+
+/// The reader.
+pub struct Csv;
+
+/// More memory than a record without its samples takes.
+const RECORD_BYTES: u64 = 256;
+
+impl Reader for Csv {
+    fn format(&self) -> &'static str {
+        "csv"
+    }
+    fn extensions(&self) -> &'static [&'static str] {
+        &["csv", "txt", "tsv", "dat"]
+    }
+    fn recognises(&self, head: &[u8]) -> bool {
+        dialects::STARTS.iter().any(|start| head.starts_with(start))
+    }
+
+    fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
+        let length = input.length();
+        let mut layout = dialects::layout(&mut Lines::new(BufReader::new(input.stream()?)), length)?;
+        if layout.segments > (4 * length + (1 << 18)) / RECORD_BYTES {
+            let problem = format!("{} segments are more than the file can hold; export it again", layout.segments);
+            return Err(refuse(1, problem));
+        }
+        let survey = rows::survey(&mut Lines::new(BufReader::new(input.stream()?)), &layout)?;
+        layout.decide(&survey);
+        let samples = survey.rows / layout.segments;
+        let channels = layout.columns.iter().filter(|column| column.role == Role::Channel).count() as u64;
+        let needed = (channels * layout.segments).saturating_mul(RECORD_BYTES + 8 * samples);
+        if needed > 4 * length + (1 << 18) {
+            let problem = format!(
+                "{} segments of {channels} channels are too many for so few rows; export them in several files",
+                layout.segments
+            );
+            return Err(refuse(1, problem));
+        }
+        let base = times::Base::new(&layout, &survey, samples)?;
+        let codes = rows::fill(&mut Lines::new(BufReader::new(input.stream()?)), &layout, &base, samples as usize)?;
+        Ok(records(&layout, &base, &codes, samples as usize))
+    }
+}
+
+/// Records, channel by channel; `codes` are those of segment after segment, each channel by channel.
+fn records(layout: &Layout, base: &times::Base, codes: &[Arc<[u8]>], samples: usize) -> Vec<Record> {
+    let channels: Vec<_> = layout.columns.iter().filter(|column| column.role == Role::Channel).collect();
+    let mut records = Vec::with_capacity(codes.len());
+    for (index, column) in channels.iter().enumerate() {
+        let head = Arc::new(Head {
+            kind: if layout.axis.spectrum { Kind::Spectrum } else { column.kind },
+            instrument: layout.instrument.clone(),
+            channel: column.name.clone(),
+            unit: column.unit.name.clone(),
+            dt_s: base.dt_s,
+            scale: Some(Scale { gain: 1.0, offset: 0.0 }),
+            acquired_at: layout.acquired_at.clone(),
+            ..Head::new(layout.format, CodeType::F64, samples)
+        });
+        for (number, codes) in codes.iter().skip(index).step_by(channels.len()).enumerate() {
+            records.push(Record {
+                head: Arc::clone(&head),
+                segment: (layout.segments > 1).then_some(number as u32),
+                t0_s: base.t0_s[number],
+                trigger_s: layout.triggers_s.get(number).copied(),
+                payload: Payload::Decoded(Arc::clone(codes)),
+            });
+        }
+    }
+    records
+}
+
+fn refuse(line: u64, problem: impl Into<String>) -> FormatError {
+    FormatError::Line { line, problem: problem.into() }
+}
+
+/// As much of a text as a message can have.
+fn clip(text: &str) -> String {
+    text.chars().take(80).collect()
+}
+
+/// Writes times and values, with a line of names.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub fn write(out: &mut impl Write, t0_s: f64, dt_s: f64, values_v: &[f64]) -> io::Result<()> {
+    writeln!(out, "time_s,voltage_v")?;
+    for (i, value_v) in values_v.iter().enumerate() {
+        writeln!(out, "{:e},{value_v}", t0_s + i as f64 * dt_s)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,110 @@
+//! The time base: from the head where that has it, else from the first and last time; each time is checked against it.
+
+use super::super::reader::FormatError;
+use super::layout::{Layout, Role, Survey};
+use super::refuse;
+
+/// A time may lie this part of a step off its even place: rounding in print stays far below, a lost line does not.
+const UNEVEN: f64 = 0.25;
+
+/// A step of head and times that differs by less than this part is one step.
+const SAME: f64 = 1e-15;
+
+/// Segments may begin this many steps apart: the trigger lies anywhere within a sample.
+const APART: f64 = 2.0;
+
+/// The time base of all segments.
+#[derive(Debug)]
+pub(super) struct Base {
+    pub dt_s: Option<f64>,
+    /// Time of the first sample of each segment.
+    pub t0_s: Vec<Option<f64>>,
+    /// What x must be in print.
+    printed: Option<Printed>,
+}
+
+/// What x must be, in the numbers of its column.
+#[derive(Debug)]
+struct Printed {
+    /// The first of each segment.
+    first: Vec<f64>,
+    step: f64,
+    tolerance: f64,
+    unit: String,
+}
+
+impl Base {
+    pub(super) fn new(layout: &Layout, survey: &Survey, samples: u64) -> Result<Self, FormatError> {
+        let base = Self::of(layout, survey, samples)?;
+        if base.t0_s.iter().flatten().all(|t0_s| t0_s.is_finite()) {
+            return Ok(base);
+        }
+        Err(refuse(layout.first_line, "the time of the first sample is beyond all numbers; export the trace again"))
+    }
+
+    fn of(layout: &Layout, survey: &Survey, samples: u64) -> Result<Self, FormatError> {
+        let axis = &layout.axis;
+        if !layout.columns.iter().any(|column| column.role == Role::Time) {
+            return Ok(Self { dt_s: axis.dt_s, t0_s: vec![axis.t0_s; layout.segments as usize], printed: None });
+        }
+        let firsts = || survey.ends.iter().map(|(first, _)| *first);
+        if axis.sequence {
+            let (dt_s, start_s) = (axis.dt_s.unwrap_or_default(), axis.t0_s.unwrap_or_default());
+            let printed = Printed { first: firsts().collect(), step: 1.0, tolerance: UNEVEN, unit: String::new() };
+            let t0_s = firsts().map(|number| Some(start_s + number * dt_s)).collect();
+            return Ok(Self { dt_s: Some(dt_s), t0_s, printed: Some(printed) });
+        }
+        let refuse = |problem: &str| refuse(layout.first_line, problem);
+        let unit = |x: f64| axis.unit.scale(x);
+        let steps = survey.ends.iter().map(|(first, last)| (unit(*last) - unit(*first)) / (samples.max(2) - 1) as f64);
+        let of_times = steps.sum::<f64>() / survey.ends.len() as f64;
+        let dt_s = match axis.dt_s {
+            // Where head and times agree, the times are kept to their last digit; where times are printed too coarsely, the head is.
+            Some(dt_s) if samples > 1 && (of_times - dt_s).abs() <= SAME * dt_s => of_times,
+            Some(dt_s) => dt_s,
+            None if samples < 2 => {
+                return Err(refuse("a single time gives no step; export the trace with its samples"));
+            }
+            None => of_times,
+        };
+        if !(dt_s > 0.0 && dt_s.is_finite()) {
+            return Err(refuse("times do not increase; export the trace again"));
+        }
+        // Where the step comes from the times, they must be fine enough to show it.
+        let resolution = |x: f64| if axis.dt_s.is_some() { resolution(unit(x), survey.digits) } else { 0.0 };
+        let coarsest = survey.ends.iter().flat_map(|(first, last)| [*first, *last]).map(resolution).fold(0.0, f64::max);
+        let first: Vec<f64> = match axis.t0_s {
+            Some(t0_s) => vec![axis.unit.unscale(t0_s)],
+            None => firsts().collect(),
+        };
+        let apart = |x: &f64| (unit(*x) - unit(first[0])).abs() > APART * dt_s + coarsest;
+        if first.iter().any(apart) {
+            return Err(refuse(
+                "the times of a segment do not begin where those of the first do; export the segments one by one",
+            ));
+        }
+        let t0_s = first.iter().map(|x| (axis.t0_s.is_some() || resolution(*x) <= dt_s).then(|| unit(*x))).collect();
+        let printed = Printed {
+            first,
+            step: axis.unit.unscale(dt_s),
+            tolerance: axis.unit.unscale(UNEVEN * dt_s + coarsest),
+            unit: axis.unit.name.clone().unwrap_or_default(),
+        };
+        Ok(Self { dt_s: Some(dt_s), t0_s, printed: Some(printed) })
+    }
+
+    /// Whether a printed x lies where it must.
+    pub(super) fn check(&self, segment: usize, index: usize, x: f64) -> Result<(), String> {
+        let Some(printed) = &self.printed else { return Ok(()) };
+        let Printed { first, step, tolerance, unit } = printed;
+        if (x - (first[segment] + index as f64 * step)).abs() <= *tolerance {
+            return Ok(());
+        }
+        Err(format!("time {x} {unit} is off the even step of {step}; export the trace again with all its points"))
+    }
+}
+
+/// The last digit of a number that is printed with so many of them.
+fn resolution(x: f64, digits: usize) -> f64 {
+    if x == 0.0 { 0.0 } else { 10_f64.powi(x.abs().log10().floor() as i32 + 1 - digits as i32) }
+}

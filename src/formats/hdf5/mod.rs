@@ -1,0 +1,64 @@
+//! HDF5 files of oscilloscopes: Keysight Infiniium (`keysight-h5`) and Tektronix DPO5000 (`tek-h5`); formulas are in [`keysight`] and [`tektronix`].
+//!
+//! Of HDF5 itself is read what both vendors write, which is what the HDF5 library writes unless told otherwise: superblock version 0 or 1, object
+//! headers version 1, groups as symbol tables, attributes in the headers, data sets of one axis that are contiguous, compact, or chunked with or
+//! without deflate (HDF5 File Format Specification 3.0, sections II to IV). Contiguous samples stay in the file, chunks are inflated piece by piece.
+//!
+//! Not read, and refused by name: later superblocks and layouts, other filters, data sets of several axes, shared types. `h5repack -f GZIP=6` makes a
+//! file with other filters readable.
+
+mod dataset;
+mod file;
+mod keysight;
+mod tektronix;
+mod value;
+
+use super::reader::{FormatError, Input, Reader};
+use crate::waveform::Record;
+use file::{File, SIGNATURE};
+
+/// The reader.
+pub struct Hdf5;
+
+/// Names of what is in a file that are said when it is refused.
+const NAMES: usize = 8;
+
+impl Reader for Hdf5 {
+    fn format(&self) -> &'static str {
+        "hdf5"
+    }
+    fn extensions(&self) -> &'static [&'static str] {
+        &["h5", "hdf5"]
+    }
+    fn recognises(&self, head: &[u8]) -> bool {
+        head.starts_with(SIGNATURE)
+    }
+
+    fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
+        let (mut file, root) = File::open(input)?;
+        let entries = file.group(root)?;
+        if let Some(waveforms) = entries.find("Waveforms") {
+            return keysight::records(&mut file, &entries, waveforms);
+        }
+        if let (Some(data), Some(spacing), Some(start)) =
+            (entries.find("Data"), entries.find("Spacing"), entries.find("StartTime"))
+        {
+            return tektronix::records(&mut file, data, spacing, start);
+        }
+        let names: Vec<_> = entries.iter().take(NAMES).map(|entry| entry.name.as_str()).collect();
+        Err(field(
+            root,
+            format!(
+                "is an HDF5 file with {names:?}: neither of Keysight (group \"Waveforms\") nor of Tektronix \
+                 (\"Data\", \"Spacing\", \"StartTime\"); save the waveforms as .npy, samples on the last axis"
+            ),
+        ))
+    }
+}
+
+fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
+    FormatError::Field { byte_offset, problem: problem.into() }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,161 @@
+//! What every reader must survive, for its tests: files cut at every length, and files with bytes changed anywhere.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use super::{Input, Reader, Source};
+use crate::waveform::{Payload, Record};
+
+/// Compressed samples may be many for few bytes: so many bytes of them are looked at.
+const UNPACKED_BYTES: usize = 1 << 22;
+
+/// A file of these bytes.
+pub fn source(bytes: &[u8]) -> Source<Cursor<Vec<u8>>> {
+    Source::new(Cursor::new(bytes.to_vec()), Path::new("a.file")).expect("memory has a length")
+}
+
+/// The records of a file, each with its values, or why it is refused.
+///
+/// # Panics
+/// When a record claims what the file does not hold.
+pub fn read(reader: &dyn Reader, bytes: &[u8]) -> Result<Vec<(Record, Vec<f64>)>, String> {
+    if bytes.is_empty() {
+        return Err("is empty, which is found before any reader is asked".to_owned());
+    }
+    let mut source = source(bytes);
+    let _ = reader.recognises(&bytes[..bytes.len().min(2048)]);
+    let records = reader.records(&mut source).map_err(|error| error.to_string())?;
+    assert!(!records.is_empty(), "a file without records is refused");
+    assert!(size_of_val(records.as_slice()) <= 4 * bytes.len() + (1 << 20), "{} records", records.len());
+    let mut left = UNPACKED_BYTES;
+    let mut decoded = Vec::new();
+    for record in records {
+        check(&record, bytes.len() as u64);
+        if record.code_bytes() <= left {
+            left -= record.code_bytes();
+            let codes = match record.read(source.file(), 0..record.head.samples) {
+                Ok(codes) => codes,
+                // Of packed codes it may turn out late that they are broken.
+                Err(error) if matches!(record.payload, Payload::Packed(_)) => return Err(error.to_string()),
+                Err(error) => panic!("{record:?} is not in its file: {error}"),
+            };
+            assert_eq!(codes.len(), record.code_bytes(), "shorter than it says");
+            decoded.push((record.clone(), record.values(&codes)));
+        }
+    }
+    Ok(decoded)
+}
+
+fn check(record: &Record, length: u64) {
+    let head = &record.head;
+    assert!(head.samples > 0, "a record without samples");
+    assert!(head.dt_s.is_none_or(|dt_s| dt_s > 0.0 && dt_s.is_finite()), "dt {:?}", head.dt_s);
+    assert!(record.t0_s.is_none_or(f64::is_finite) && record.trigger_s.is_none_or(f64::is_finite));
+    let scaled = head.scale.is_none_or(|scale| scale.gain.is_finite() && scale.offset.is_finite() && scale.gain != 0.0);
+    assert!(scaled, "scale {:?}", head.scale);
+    if let Payload::File { byte_offset, stride, .. } = record.payload {
+        let end = byte_offset + (head.samples as u64 - 1) * stride + head.code_type.bytes() as u64;
+        assert!(end <= length, "a record of {} samples ends beyond the file", head.samples);
+    }
+}
+
+/// The records of a file that is all right, each with its values.
+///
+/// # Panics
+/// When it is refused.
+pub fn decode(reader: &dyn Reader, bytes: &[u8]) -> Vec<(Record, Vec<f64>)> {
+    read(reader, bytes).expect("a file that is all right")
+}
+
+/// Why a file is refused.
+///
+/// # Panics
+/// When it is not.
+pub fn refusal(reader: &dyn Reader, bytes: &[u8]) -> String {
+    read(reader, bytes).map(|_| ()).expect_err("a file that is refused")
+}
+
+/// Cuts a file at every length: each is refused, or what is read of it is as in the whole.
+///
+/// # Panics
+/// When one is neither.
+pub fn cut_everywhere(reader: &dyn Reader, bytes: &[u8]) {
+    let whole = decode(reader, bytes);
+    leave_seed(reader, bytes);
+    for length in 0..bytes.len() {
+        for (i, (_, values)) in read(reader, &bytes[..length]).unwrap_or_default().into_iter().enumerate() {
+            assert_eq!(values, whole[i].1, "record {i}, cut to {length} bytes");
+        }
+    }
+}
+
+/// Leaves a file that a test built to the fuzzer (`tests/fuzz/run`), where that asks for it.
+fn leave_seed(reader: &dyn Reader, bytes: &[u8]) {
+    if let Some(folder) = std::env::var_os("PERISCOPE_SEEDS") {
+        let folder = Path::new(&folder).join(reader.format().replace('.', "-"));
+        std::fs::create_dir_all(&folder).expect("a folder that can be written");
+        std::fs::write(folder.join(blake3::hash(bytes).to_string()), bytes).expect("a folder that can be written");
+    }
+}
+
+/// Changes a few bytes of a file, many times over.
+///
+/// # Panics
+/// When reading does, or a record claims what the file does not hold.
+pub fn change_anywhere(reader: &dyn Reader, bytes: &[u8], times: u64) {
+    damage(reader, bytes, times, |_| ());
+}
+
+/// The same, where `mend` makes sums right again; returns how many were still read.
+///
+/// # Panics
+/// When reading does, or a record claims what the file does not hold.
+pub fn damage(reader: &dyn Reader, bytes: &[u8], times: u64, mend: impl Fn(&mut Vec<u8>)) -> usize {
+    // Numerical Recipes' linear congruence: the same numbers in every run.
+    let mut state = 0x9e37_79b9_7f4a_7c15_u64;
+    let mut random = |below: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below.max(1)
+    };
+    let mut survived = 0;
+    for _ in 0..times {
+        let mut bytes = bytes.to_vec();
+        for _ in 0..=random(3) {
+            // Heads and ends are where it hurts: half of the edits are there.
+            let near = bytes.len().min(512);
+            let at = match random(4) {
+                0 => random(near),
+                1 => bytes.len() - near + random(near),
+                _ => random(bytes.len()),
+            };
+            edit(&mut bytes, at, &mut random);
+            if bytes.is_empty() {
+                break;
+            }
+        }
+        mend(&mut bytes);
+        survived += usize::from(read(reader, &bytes).is_ok());
+    }
+    survived
+}
+
+fn edit(bytes: &mut Vec<u8>, at: usize, random: &mut impl FnMut(usize) -> usize) {
+    let rest = bytes.len() - at;
+    match random(8) {
+        0 => bytes[at] ^= 1 << random(8),
+        1 => bytes[at] = random(256) as u8,
+        2 => bytes[at..at + rest.min(1 << random(4))].fill([0, 1, 0x7f, 0x80, 0xff][random(5)]),
+        3 => {
+            let number = [0_u32, 1, 2, 3, 16, 255, 65_536, 0x7fff_ffff, 0xffff_fffe][random(9)].to_le_bytes();
+            bytes[at..at + rest.min(4)].copy_from_slice(&number[..rest.min(4)]);
+        }
+        4 => bytes[at] = bytes[at].wrapping_add(1),
+        5 => bytes[at] = bytes[at].wrapping_sub(1),
+        6 if random(8) == 0 => bytes.truncate(at),
+        6 => {
+            let from = random(bytes.len() - rest.min(8) + 1);
+            bytes.copy_within(from..from + rest.min(8), at);
+        }
+        _ => bytes.insert(at, random(256) as u8),
+    }
+}

@@ -1,0 +1,269 @@
+//! NumPy `.npz`: a zip file of `.npy` members, stored (`numpy.savez`) or deflated (`numpy.savez_compressed`).
+//!
+//! Every array is a channel with the member's name; its last axis counts samples, the leading ones are segments. The file has neither scale nor time
+//! base: values are the numbers as they are. An array named `time` is a channel like any other. Single numbers (arrays without axes) are no channels
+//! and are left out. Deflated members are unpacked whenever they are read, and their checksums compared at their ends; those of stored ones are not.
+//!
+//! Not read, and refused by name: Zip64 (arrays of 4 GiB and more), encryption, and what the `.npy` reader refuses. No file of an instrument was at
+//! hand: tested on files we built, and on files of NumPy.
+
+use std::io;
+use std::ops::ControlFlow;
+use std::sync::{Arc, Mutex};
+
+use super::inflate::{Packing, Unpacker};
+use super::npy::{Array, HEADER_BYTES};
+use super::reader::{FormatError, Input, Reader};
+use super::zip_file::{self, Member};
+use crate::waveform::{CodeType, Payload, ReadSeek, Record, Unpack};
+
+/// The reader.
+pub struct Npz;
+
+impl Reader for Npz {
+    fn format(&self) -> &'static str {
+        "npz"
+    }
+    fn extensions(&self) -> &'static [&'static str] {
+        &["npz"]
+    }
+    fn recognises(&self, head: &[u8]) -> bool {
+        zip_file::first_name(head).is_some_and(|name| name.ends_with(b".npy"))
+    }
+
+    fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
+        let mut records = Vec::new();
+        let resumed = Arc::new(Resumed::default());
+        for member in zip_file::members(input)? {
+            let named = |error: FormatError| {
+                let problem = format!("member {:?}: {error}", member.name);
+                FormatError::Field { byte_offset: member.byte_offset, problem }
+            };
+            let bytes = member.start(input.file(), HEADER_BYTES).map_err(|error| named(error.into()))?;
+            let Some(array) = Array::read(&bytes, member.length).map_err(named)? else {
+                continue;
+            };
+            if array.data + array.bytes() != member.length {
+                let problem = format!(
+                    "member {:?} has {} bytes, its array {}; save it again",
+                    member.name,
+                    member.length,
+                    array.data + array.bytes()
+                );
+                return Err(FormatError::Field { byte_offset: member.byte_offset, problem });
+            }
+            let each = size_of::<Record>() + size_of::<Deflated>();
+            array.limit(input.length(), records.len(), each).map_err(named)?;
+            self.push(&mut records, member, &array, &resumed);
+        }
+        if records.is_empty() {
+            let problem = "holds no array of samples; save the waveforms with numpy.savez".to_owned();
+            return Err(FormatError::Field { byte_offset: 0, problem });
+        }
+        Ok(records)
+    }
+}
+
+impl Npz {
+    fn push(&self, records: &mut Vec<Record>, member: Member, array: &Array, resumed: &Arc<Resumed>) {
+        let mut head = array.head(self.format());
+        let name = &member.name;
+        head.channel = Some(name.strip_suffix(".npy").unwrap_or(name).to_owned());
+        let (head, member) = (Arc::new(head), Arc::new(member));
+        for i in 0..array.records {
+            let start = array.data + i * array.record_bytes();
+            let payload = match member.packing {
+                Packing::Stored => Payload::File {
+                    byte_offset: member.byte_offset + start,
+                    stride: array.code_type.bytes() as u64,
+                    big_endian: array.big_endian,
+                },
+                _ => Payload::Packed(Arc::new(Deflated {
+                    member: Arc::clone(&member),
+                    start,
+                    bytes: array.record_bytes(),
+                    swapped: array.big_endian.then_some(array.code_type),
+                    resumed: Arc::clone(resumed),
+                })),
+            };
+            let (head, segment) = (Arc::clone(&head), array.segment(i));
+            records.push(Record { head, segment, t0_s: None, trigger_s: None, payload });
+        }
+    }
+}
+
+/// Where unpacking stopped in one member of the file, by the place of that member: the next segment goes on from there.
+type Resumed = Mutex<Option<(u64, Unpacker)>>;
+
+/// A record in a deflated member.
+#[derive(Debug)]
+struct Deflated {
+    member: Arc<Member>,
+    /// Its place among the unpacked bytes.
+    start: u64,
+    bytes: u64,
+    /// The type of its codes, if they are big-endian.
+    swapped: Option<CodeType>,
+    resumed: Arc<Resumed>,
+}
+
+impl Unpack for Deflated {
+    fn unpack(
+        &self,
+        file: &mut dyn ReadSeek,
+        take: &mut dyn FnMut(&[u8]) -> io::Result<ControlFlow<()>>,
+    ) -> io::Result<()> {
+        let place = self.member.byte_offset;
+        let resumed = self.resumed.lock().ok().and_then(|mut resumed| resumed.take());
+        let before = |unpacker: &Unpacker| unpacker.position() <= self.start;
+        let mut unpacker = match resumed {
+            Some((member, unpacker)) if member == place && before(&unpacker) => unpacker,
+            _ => self.member.unpacker(),
+        };
+        let skipped = self.start - unpacker.position();
+        let _ = self.member.unpack(&mut unpacker, file, skipped, &mut |_| Ok(ControlFlow::Continue(())))?;
+        let mut take = |piece: &mut [u8]| {
+            if let Some(code_type) = self.swapped {
+                code_type.swap_bytes(piece);
+            }
+            take(piece)
+        };
+        let _ = self.member.unpack(&mut unpacker, file, self.bytes, &mut take)?;
+        if unpacker.position() < self.member.length
+            && let Ok(mut resumed) = self.resumed.lock()
+        {
+            *resumed = Some((place, unpacker));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+    use std::path::Path;
+
+    use super::super::hostile;
+    use super::super::zip_file::tests::{Local, zip};
+    use super::*;
+    use crate::formats::{Source, npy};
+
+    /// Counts the bytes that are read.
+    struct Counting<'a> {
+        file: Cursor<&'a Vec<u8>>,
+        read: usize,
+    }
+    impl io::Read for Counting<'_> {
+        fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+            let count = self.file.read(bytes)?;
+            self.read += count;
+            Ok(count)
+        }
+    }
+    impl io::Seek for Counting<'_> {
+        fn seek(&mut self, to: io::SeekFrom) -> io::Result<u64> {
+            self.file.seek(to)
+        }
+    }
+
+    fn array<T: npyz::AutoSerialize + Copy>(shape: &[u64], values: &[T]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        npy::write(&mut bytes, shape, values).unwrap();
+        bytes
+    }
+
+    /// Two segments of three 16 bit codes, big-endian.
+    fn swapped() -> Vec<u8> {
+        let mut bytes = array(&[2, 3], &[1_i16, -2, 300, 4, 5, 6]);
+        let type_code = bytes.windows(3).position(|window| window == b"<i2").unwrap();
+        bytes[type_code] = b'>';
+        let data = bytes.len() - 12;
+        bytes[data..].chunks_exact_mut(2).for_each(<[u8]>::reverse);
+        bytes
+    }
+
+    fn file(deflate: bool, local: Local) -> Vec<u8> {
+        let (one, dt) = (array(&[4], &[0.5_f64, 1.5, -1.0, 9.0]), array(&[], &[1e-9]));
+        zip(&[("L1.npy", &one), ("dt.npy", &dt), ("L2.npy", &swapped())], deflate, local)
+    }
+
+    fn records(bytes: &[u8]) -> Result<Vec<Record>, String> {
+        let mut source = Source::new(Cursor::new(bytes), Path::new("a.npz")).unwrap();
+        Npz.records(&mut source).map_err(|error| error.to_string())
+    }
+
+    fn values(record: &Record, bytes: &[u8]) -> Vec<f64> {
+        record.values(&record.read(&mut Cursor::new(bytes), 0..record.head.samples).unwrap())
+    }
+
+    #[test]
+    fn arrays_are_channels_and_leading_axes_segments() {
+        for (deflate, local) in [(false, Local::Zip64), (true, Local::Lengths), (true, Local::Streamed)] {
+            let bytes = file(deflate, local);
+            assert!(Npz.recognises(&bytes));
+            let records = records(&bytes).unwrap();
+            assert_eq!(records.len(), 3);
+            assert_eq!(values(&records[0], &bytes), [0.5, 1.5, -1.0, 9.0]);
+            for _ in 0..2 {
+                assert_eq!(values(&records[1], &bytes), [1.0, -2.0, 300.0]);
+                assert_eq!(values(&records[2], &bytes), [4.0, 5.0, 6.0]);
+            }
+            let said = |record: &Record| (record.head.channel.clone().unwrap(), record.segment, record.t0_s);
+            assert_eq!(said(&records[0]), ("L1".to_owned(), None, None));
+            assert_eq!(said(&records[2]), ("L2".to_owned(), Some(1), None));
+            assert_eq!(records[2].head.shape, [2]);
+        }
+    }
+
+    #[test]
+    fn long_segments_are_read_in_any_order() {
+        let codes: Vec<i32> = (0..120_000).map(|i: i32| i.wrapping_mul(48_271) >> 8).collect();
+        let bytes = zip(&[("a.npy", &array(&[3, 40_000], &codes))], true, Local::Lengths);
+        let records = records(&bytes).unwrap();
+        for i in [2, 0, 1, 1, 2, 0] {
+            let expected = codes[i * 40_000..(i + 1) * 40_000].iter().map(|&code| f64::from(code));
+            assert!(values(&records[i], &bytes).into_iter().eq(expected), "segment {i}");
+        }
+        // One segment after the other, the file is unpacked once.
+        let mut counting = Counting { file: Cursor::new(&bytes), read: 0 };
+        for record in &records {
+            record.read(&mut counting, 0..40_000).unwrap();
+        }
+        assert!(counting.read < bytes.len() + 1, "{} of {} bytes read", counting.read, bytes.len());
+        let middle = records[1].read(&mut Cursor::new(&bytes), 17..19).unwrap();
+        assert_eq!(middle, [codes[40_017], codes[40_018]].map(i32::to_le_bytes).concat());
+    }
+
+    #[test]
+    fn what_is_wrong_is_said() {
+        let error = |members: &[(&str, &[u8])]| records(&zip(members, false, Local::Lengths)).unwrap_err();
+        assert!(error(&[]).contains("holds no array"));
+        assert!(error(&[("dt.npy", &array(&[], &[1.0]))]).contains("holds no array"));
+        assert!(error(&[("notes.txt", b"no array at all")]).contains("\"notes.txt\": byte 0: header"));
+        let one = array(&[2], &[1.0, 2.0]);
+        assert!(error(&[("a.npy", &one[..one.len() - 1])]).contains("\"a.npy\": byte 128: shape [2] does not fit"));
+        assert!(error(&[("a.npy", &[one.as_slice(), b"more"].concat())]).contains("has 148 bytes, its array 144"));
+        assert!(error(&[("a.npy", &array(&[1], &[1_i64]))]).contains("are not read; save them as"));
+        let short = array(&[40_000, 1], &vec![0_u8; 40_000]);
+        assert!(error(&[("a.npy", &short)]).contains("40000 records of 1 samples"));
+    }
+
+    #[test]
+    fn damaged_samples_are_found_when_they_are_read() {
+        let bytes = zip(&[("a.npy", &array(&[1000], &[7_i16; 1000]))], true, Local::Lengths);
+        let mut damaged = bytes.clone();
+        let directory = bytes.windows(4).position(|window| window == b"PK\x01\x02").unwrap();
+        damaged[directory + 16] ^= 1;
+        let record = records(&damaged).unwrap().remove(0);
+        let error = record.read(&mut Cursor::new(&damaged), 0..1000).unwrap_err().to_string();
+        assert!(error.contains("checksum"), "{error}");
+    }
+
+    #[test]
+    fn hostile_files_are_refused_or_decoded_whole() {
+        for (deflate, local) in [(false, Local::Zip64), (true, Local::Lengths)] {
+            hostile::cut_everywhere(&Npz, &file(deflate, local));
+            hostile::change_anywhere(&Npz, &file(deflate, local), 3000);
+        }
+    }
+}

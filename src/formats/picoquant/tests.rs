@@ -1,0 +1,189 @@
+use super::tags::{DATE, FLOAT, INTEGER, TAG_BYTES, TEXT, iso};
+use super::*;
+use crate::formats::hostile::{change_anywhere, cut_everywhere, decode, refusal};
+use crate::waveform::Kind;
+
+/// 2019-06-14 13:30:15.250 in days since 1899-12-30.
+const WHEN: f64 = 43_630.0 + (13.0 * 3600.0 + 30.0 * 60.0 + 15.25) / 86_400.0;
+
+fn with(bytes: &mut Vec<u8>, name: &str, index: i32, kind: u32, value: u64) {
+    let start = bytes.len();
+    bytes.extend(name.as_bytes());
+    bytes.resize(start + 32, 0);
+    bytes.extend(index.to_le_bytes());
+    bytes.extend(kind.to_le_bytes());
+    bytes.extend(value.to_le_bytes());
+}
+
+/// Magic, what every file has, and a tag that is not read.
+fn start(magic: &[u8]) -> Vec<u8> {
+    let mut bytes = magic.to_vec();
+    bytes.extend(b"1.0.00\0\0");
+    with(&mut bytes, "File_Comment", WHOLE, 0x4002_FFFF, 8);
+    bytes.extend(b"h\0i\0\0\0\0\0");
+    with(&mut bytes, "File_CreatingTime", WHOLE, DATE, WHEN.to_bits());
+    with(&mut bytes, "HW_Type", WHOLE, TEXT, 16);
+    bytes.extend(b"HydraHarp 400\0\0\0");
+    with(&mut bytes, "MeasDesc_Resolution", WHOLE, FLOAT, 4e-12_f64.to_bits());
+    bytes
+}
+
+/// Curves of these channels, each of three bins that count up from ten times its index.
+fn phu(channels: &[u64]) -> Vec<u8> {
+    let mut bytes = start(HISTOGRAMS);
+    with(&mut bytes, "HistoResult_BitsPerBin", WHOLE, INTEGER, 32);
+    with(&mut bytes, "HistoResult_NumberOfCurves", WHOLE, INTEGER, channels.len() as u64);
+    let data = bytes.len() as u64 + TAG_BYTES * (5 * channels.len() as u64 + 1);
+    for (index, channel) in (0_i32..).zip(channels) {
+        let offset = data + 12 * u64::from(index.cast_unsigned());
+        with(&mut bytes, "HistResDscr_HWInpChanIdx", index, INTEGER, *channel);
+        with(&mut bytes, "HistResDscr_MDescResolution", index, FLOAT, 8e-12_f64.to_bits());
+        with(&mut bytes, "HistResDscr_MDescOffset", index, INTEGER, 5);
+        with(&mut bytes, "HistResDscr_HistogramBins", index, INTEGER, 3);
+        with(&mut bytes, "HistResDscr_DataOffset", index, INTEGER, offset);
+    }
+    with(&mut bytes, "Header_End", WHOLE, 0xFFFF_0008, 0);
+    for index in 0..channels.len() as u32 {
+        bytes.extend([10 * index, 10 * index + 1, 70_000].iter().flat_map(|count| count.to_le_bytes()));
+    }
+    bytes
+}
+
+fn ptu(record_type: u64, events: &[u32]) -> Vec<u8> {
+    let mut bytes = start(EVENTS);
+    with(&mut bytes, "TTResultFormat_TTTRRecType", WHOLE, INTEGER, record_type);
+    with(&mut bytes, "TTResultFormat_BitsPerRecord", WHOLE, INTEGER, 32);
+    with(&mut bytes, "TTResult_NumberOfRecords", WHOLE, INTEGER, events.len() as u64);
+    with(&mut bytes, "Header_End", WHOLE, 0xFFFF_0008, 0);
+    bytes.extend(events.iter().flat_map(|event| event.to_le_bytes()));
+    bytes
+}
+
+fn pico_harp(channel: u32, time: u32, sync: u32) -> u32 {
+    channel << 28 | time << 16 | sync
+}
+
+fn hydra_harp(special: u32, channel: u32, time: u32, sync: u32) -> u32 {
+    special << 31 | channel << 25 | time << 10 | sync
+}
+
+/// Photons, overflows and markers of the newer record layout.
+fn hydra_harp_events() -> Vec<u32> {
+    vec![
+        hydra_harp(0, 0, 2, 1000),
+        hydra_harp(1, 63, 0, 2),
+        hydra_harp(0, 1, 0, 5),
+        hydra_harp(1, 3, 32767, 6),
+        hydra_harp(0, 0, 2, 7),
+        hydra_harp(0, 63, 4, 8),
+        hydra_harp(0, 0, 0, 9),
+    ]
+}
+
+#[test]
+fn curves_are_read_where_they_lie() {
+    let records = decode(&PicoquantPhu, &phu(&[0, 2]));
+    assert_eq!(records[0].1, [0.0, 1.0, 70_000.0]);
+    assert_eq!(records[1].1, [10.0, 11.0, 70_000.0]);
+    let (record, head) = (&records[1].0, &records[1].0.head);
+    assert_eq!((head.kind, head.channel.as_deref(), record.segment), (Kind::Counts, Some("2"), None));
+    assert_eq!((head.dt_s, record.t0_s), (Some(8e-12), Some(5.0 * 1e-9)));
+    assert_eq!(head.instrument.as_deref(), Some("HydraHarp 400"));
+    assert_eq!(head.acquired_at.as_deref(), Some("2019-06-14T13:30:15.250"));
+}
+
+#[test]
+fn curves_of_one_channel_are_its_segments() {
+    let segments: Vec<_> = decode(&PicoquantPhu, &phu(&[1, 0, 1])).iter().map(|(record, _)| record.segment).collect();
+    assert_eq!(segments, [Some(0), None, Some(1)]);
+}
+
+#[test]
+fn photons_of_each_record_type_are_counted() {
+    for record_type in [0x1_0304, 0x101_0304, 0x1_0305, 0x101_0306, 0x1_0307] {
+        let records = decode(&PicoquantPtu, &ptu(record_type, &hydra_harp_events()));
+        let counts: Vec<_> =
+            records.iter().map(|(record, counts)| (record.head.channel.as_deref(), &counts[..])).collect();
+        let expected: [(_, &[f64]); 3] = [
+            (Some("0"), &[1.0, 0.0, 2.0, 0.0, 0.0]),
+            (Some("1"), &[1.0, 0.0, 0.0, 0.0, 0.0]),
+            (Some("63"), &[0.0, 0.0, 0.0, 0.0, 1.0]),
+        ];
+        assert_eq!(counts, expected);
+        assert_eq!((records[0].0.head.dt_s, records[0].0.t0_s), (Some(4e-12), Some(0.0)));
+    }
+    let events = [pico_harp(1, 3, 0), pico_harp(15, 0, 0), pico_harp(15, 2, 9), pico_harp(4, 1, 7), pico_harp(1, 3, 8)];
+    let records = decode(&PicoquantPtu, &ptu(0x1_0303, &events));
+    assert_eq!(records[0].1, [0.0, 0.0, 0.0, 2.0]);
+    assert_eq!((records[1].1.as_slice(), records[1].0.head.channel.as_deref()), (&[0.0, 1.0, 0.0, 0.0][..], Some("4")));
+}
+
+#[test]
+fn more_events_than_a_piece_are_counted() {
+    let events: Vec<u32> = (0..40_000).map(|event| hydra_harp(0, event % 3, event % 7, 0)).collect();
+    let records = decode(&PicoquantPtu, &ptu(0x1_0307, &events));
+    let total: f64 = records.iter().flat_map(|(_, counts)| counts).sum();
+    assert_eq!((records.len(), total), (3, 40_000.0));
+    assert_eq!(records[0].1[0], (0..40_000).filter(|event| event % 21 == 0).count() as f64);
+}
+
+#[test]
+fn refusals_are_named() {
+    let bad_phu = |name: &str, value: u64| {
+        let mut file = phu(&[0, 1]);
+        let at = file.windows(name.len()).position(|bytes| bytes == name.as_bytes()).unwrap();
+        file[at + 40..at + 48].copy_from_slice(&value.to_le_bytes());
+        refusal(&PicoquantPhu, &file)
+    };
+    for (name, value, says) in [
+        ("HistoResult_NumberOfCurves", 0, "= 0: 1 to 1024"),
+        ("HistoResult_NumberOfCurves", 3, "HistResDscr_HistogramBins(2) is missing"),
+        ("HistoResult_NumberOfCurves", u64::MAX, "is negative"),
+        ("HistoResult_BitsPerBin", 16, "only 32"),
+        ("HistResDscr_HistogramBins", 0, "the curve is empty"),
+        ("HistResDscr_HistogramBins", i64::MAX as u64, "cut short"),
+        ("HistResDscr_DataOffset", i64::MAX as u64, "cut short"),
+        ("HistResDscr_MDescResolution", 4.0_f64.to_bits(), "= 4 is no width"),
+        ("HistResDscr_MDescResolution", f64::NAN.to_bits(), "= NaN is no width"),
+        ("HW_Type", u64::MAX, "cut short"),
+    ] {
+        let error = bad_phu(name, value);
+        assert!(error.contains(says), "{error}");
+    }
+    for (record_type, events, says) in [
+        (0x1_0204, &[][..], "T2 mode"),
+        (0x77, &[], "0x00000077 is not known"),
+        (0x1_0303, &[pico_harp(7, 0, 0)], "channel 7"),
+        (0x1_0303, &[pico_harp(15, 0, 0)], "none of the events is a photon"),
+    ] {
+        let error = refusal(&PicoquantPtu, &ptu(record_type, events));
+        assert!(error.contains(says), "{error}");
+    }
+    assert!(refusal(&PicoquantPtu, &phu(&[0])).contains("PQTTTR"));
+}
+
+#[test]
+fn dates_are_those_of_the_calendar() {
+    for (days, date) in [
+        (36_526.0, "2000-01-01T00:00:00.000"),
+        (36_585.0, "2000-02-29T00:00:00.000"),
+        (45_657.999_999_99, "2024-12-31T23:59:59.999"),
+        (73_109.5, "2100-02-28T12:00:00.000"),
+        (73_110.0, "2100-03-01T00:00:00.000"),
+    ] {
+        assert_eq!(iso(days).as_deref(), Some(date));
+    }
+    assert_eq!((iso(0.0), iso(f64::NAN), iso(1e300)), (None, None, None));
+}
+
+#[test]
+fn hostile_files_are_survived() {
+    let file = phu(&[0, 1]);
+    cut_everywhere(&PicoquantPhu, &file);
+    change_anywhere(&PicoquantPhu, &file, 5000);
+    for file in [ptu(0x1_0303, &[pico_harp(1, 3, 0), pico_harp(2, 1, 0)]), ptu(0x1_0307, &hydra_harp_events())] {
+        cut_everywhere(&PicoquantPtu, &file);
+        assert!(refusal(&PicoquantPtu, &file[..file.len() - 1]).contains("cut short"));
+        change_anywhere(&PicoquantPtu, &file, 5000);
+    }
+}

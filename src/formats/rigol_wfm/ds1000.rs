@@ -1,0 +1,154 @@
+//! DS1000B, DS1000C, DS1000D and DS1000E: two heads that differ in where things are, not in what they say.
+//!
+//! volts = V/div / 25 * (zero - position - code), with zero = 99 (B) or 125 (C, D, E), V/div = scale * 1e-6 * probe, position in codes. Sample i is
+//! at offset * 1 ps + (i - depth / 2) / rate. Of a DS1000B capture with the trigger in the middle all four channels equal the scope's own CSV in
+//! every sample and in time. The sign of an offset from the middle is as of the DS2000; where the offset on the screen is no longer that of the
+//! measurement (the knob was turned after the scope had stopped), the file leaves open which counts: then there is no time of sample 0.
+//!
+//! Of the probe: the DS1000E stores the scale without it, the DS1000D with it, and nothing in the file tells these two apart. It is read as a
+//! DS1000E: with a probe other than 1x, volts of a DS1000D come out larger by its factor. An inverted channel has no scale: whether its codes are
+//! inverted already is not known. Rolling captures of the DS1000E end in bytes that are no samples, which are left out.
+
+use super::{FORMAT, Fields, field, record, some};
+use crate::formats::reader::{FormatError, Input};
+use crate::waveform::{CodeType, Head, Record, Scale};
+
+/// Where a head says what.
+struct Layout {
+    channel_heads: usize,
+    /// Flags in a channel's part: switched on; inverted when it was measured.
+    on: usize,
+    inverted: usize,
+    /// Code at 0 V of a channel in the middle of the screen.
+    zero: f64,
+}
+
+/// Where it says when.
+struct TimeBase {
+    rate: usize,
+    offset: usize,
+    measured_offset: usize,
+}
+
+const B: Layout = Layout { channel_heads: 68, on: 14, inverted: 15, zero: 99.0 };
+const B_TIME: TimeBase = TimeBase { rate: 180, offset: 172, measured_offset: 192 };
+const B_POINTS: usize = 60;
+const B_DATA: u64 = 420;
+
+const E: Layout = Layout { channel_heads: 36, on: 13, inverted: 14, zero: 125.0 };
+const E_TIME: TimeBase = TimeBase { rate: 100, offset: 92, measured_offset: 112 };
+const E_POINTS: usize = 28;
+const E_DATA: u64 = 276;
+/// What only the DS1000D and DS1000E have: how far a rolling capture got, and depth and time base of the second channel, which counts when each
+/// channel has a trigger of its own.
+const E_ROLL_STOP: usize = 20;
+const E_TRIGGER_MODE: usize = 142;
+const ALTERNATING: u8 = 4;
+const E_POINTS_2: usize = 232;
+const E_TIME_2: TimeBase = TimeBase { rate: 252, offset: 244, measured_offset: 264 };
+
+/// The DS1000C has its samples behind these bytes, and sixteen more if it begins like a DS1000E.
+const C_DATA: u64 = 256;
+const C_PADDING: u64 = 16;
+
+/// Bytes of a channel's part of the head.
+const CHANNEL_BYTES: usize = 24;
+/// Codes of a division of the screen.
+const CODES_PER_DIVISION: f64 = 25.0;
+
+/// The four channels of a DS1000B, each at its own place whether the others are on or not.
+pub(super) fn records_b(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
+    let fields = Fields::read(input, B_DATA)?;
+    let points = fields.u32(B_POINTS);
+    let mut records = Vec::new();
+    for number in 0..4 {
+        if B.is_on(&fields, number) {
+            let mut head = B.head(&fields, number, points)?;
+            head.instrument = fields.text(4, 8);
+            let t0_s = B_TIME.place(&fields, &mut head, points)?;
+            let byte_offset = B_DATA + number as u64 * u64::from(points);
+            records.push(record(input, head, t0_s, (byte_offset, 1))?);
+        }
+    }
+    some(records, B.channel_heads + B.on)
+}
+
+/// The two channels of the others; those that are off take no place.
+pub(super) fn records_e(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
+    let fields = Fields::read(input, C_DATA)?;
+    let points = fields.u32(E_POINTS);
+    let on = (0..2).filter(|number| E.is_on(&fields, *number)).count() as u64;
+    let padded = C_DATA + C_PADDING;
+    if fields.u8(0) == 0xA1 {
+        return two_channels(input, &fields, [points; 2], C_DATA);
+    } else if input.length() == padded + on * u64::from(points) {
+        return two_channels(input, &fields, [points; 2], padded);
+    }
+    let fields = Fields::read(input, E_DATA)?;
+    let points_2 = match fields.u32(E_POINTS_2) {
+        0 => points,
+        other => other,
+    };
+    two_channels(input, &fields, [points, points_2], E_DATA)
+}
+
+fn two_channels(input: &dyn Input, fields: &Fields, depths: [u32; 2], data: u64) -> Result<Vec<Record>, FormatError> {
+    let is_e = data == E_DATA;
+    // Two more bytes than the head says are no samples.
+    let skipped = match fields.u32(E_ROLL_STOP) {
+        stop if is_e && stop > 0 => u64::from(stop) + 2,
+        _ => 0,
+    };
+    let (mut records, mut byte_offset) = (Vec::new(), data);
+    for (number, depth) in depths.into_iter().enumerate().filter(|(number, _)| E.is_on(fields, *number)) {
+        let valid = u32::try_from(u64::from(depth).saturating_sub(skipped)).unwrap_or(0);
+        if valid == 0 {
+            let at = if skipped > 0 { E_ROLL_STOP } else { E_POINTS };
+            return Err(field(at, format!("CH{} has no samples: {skipped} of {depth} are none", number + 1)));
+        }
+        let mut head = E.head(fields, number, valid)?;
+        let own_trigger = is_e && number == 1 && fields.u8(E_TRIGGER_MODE) == ALTERNATING;
+        let time = if own_trigger { &E_TIME_2 } else { &E_TIME };
+        let t0_s = time.place(fields, &mut head, depth)?;
+        records.push(record(input, head, t0_s, (byte_offset, 1))?);
+        byte_offset += u64::from(depth);
+    }
+    some(records, E.channel_heads + E.on)
+}
+
+impl Layout {
+    fn is_on(&self, fields: &Fields, number: usize) -> bool {
+        fields.u8(self.channel_heads + number * CHANNEL_BYTES + self.on) != 0
+    }
+
+    fn head(&self, fields: &Fields, number: usize, samples: u32) -> Result<Head, FormatError> {
+        let at = self.channel_heads + number * CHANNEL_BYTES;
+        let probe = fields.factor(at + 8, "the probe's factor")?;
+        let scale = match fields.i32(at + 16) {
+            0 => return Err(field(at + 16, "the scale is 0 V/div; save the capture again")),
+            scale => 1e-6 * f64::from(scale) * probe,
+        };
+        let position = f64::from(fields.i16(at + 20));
+        let gain = scale / CODES_PER_DIVISION;
+        let upright = fields.u8(at + self.inverted) == 0;
+        Ok(Head {
+            channel: Some(format!("CH{}", number + 1)),
+            unit: upright.then(|| "V".to_owned()),
+            scale: upright.then_some(Scale { gain: -gain, offset: gain * (self.zero - position) }),
+            header_gain: Some(scale),
+            header_offset: Some(position),
+            ..Head::new(FORMAT, CodeType::U8, samples as usize)
+        })
+    }
+}
+
+impl TimeBase {
+    /// Time between samples, into the head, and time of sample 0 of a memory of this depth.
+    fn place(&self, fields: &Fields, head: &mut Head, depth: u32) -> Result<Option<f64>, FormatError> {
+        let dt_s = fields.dt_s(self.rate, "the sample rate", 1.0)?;
+        head.dt_s = Some(dt_s);
+        let offset = fields.i64(self.measured_offset);
+        let known = offset == fields.i64(self.offset);
+        Ok(known.then(|| 1e-12 * offset as f64 - f64::from(depth) * dt_s / 2.0))
+    }
+}

@@ -1,0 +1,55 @@
+//! The sum of all bytes, by which a file tells whether it is as it was saved.
+
+use std::io::Read;
+
+use super::{CHECKSUM, Numbers, UNCOUNTED};
+use crate::formats::reader::{FormatError, Input};
+
+/// Bytes that are summed at a time.
+const PIECE_BYTES: usize = 1 << 18;
+
+/// Compares the sum of all bytes before `end` with what is written there.
+pub(super) fn verify(header: &Numbers, input: &mut dyn Input, end: u64) -> Result<(), FormatError> {
+    // The byte count says whether there should be a checksum; of files beyond 4 GiB it has the lower 32 bits.
+    let counted = header.u32(11).wrapping_add(UNCOUNTED);
+    if input.length() == end && u64::from(counted) == end & u64::from(u32::MAX) {
+        return Ok(());
+    }
+    let bytes = input.bytes("the checksum", end, CHECKSUM)?;
+    let checksum = Numbers { bytes, origin: 0, big_endian: header.big_endian };
+    let said = u64::from_le_bytes(checksum.array(0));
+    let mut stream = input.stream()?;
+    let (mut sum, mut left, mut piece) = (0_u64, end, vec![0; PIECE_BYTES]);
+    while left > 0 {
+        let count = left.min(PIECE_BYTES as u64);
+        let piece = &mut piece[..count as usize];
+        stream.read_exact(piece)?;
+        sum = sum.wrapping_add(sum_of_bytes(piece));
+        left -= count;
+    }
+    if sum == said {
+        return Ok(());
+    }
+    let problem = format!("the waveform file checksum is {said}, but the bytes before it add up to {sum}");
+    let mend = "the file was damaged or changed, copy it from the instrument again";
+    Err(FormatError::Field { byte_offset: end, problem: format!("{problem}: {mend}") })
+}
+
+/// Sum of bytes, eight at a time.
+pub(super) fn sum_of_bytes(bytes: &[u8]) -> u64 {
+    const EVEN: u64 = 0x00ff_00ff_00ff_00ff;
+    const LOWER: u64 = 0x0000_ffff_0000_ffff;
+    let mut sum = 0;
+    // A lane of 16 bits takes two bytes of each of 128 words at most, which is 65,280.
+    for block in bytes.chunks(128 * 8) {
+        let words = block.chunks_exact(8);
+        sum += words.remainder().iter().copied().map(u64::from).sum::<u64>();
+        let lanes = words.fold(0, |lanes, word| {
+            let word = u64::from_le_bytes(word.try_into().expect("chunks of eight"));
+            lanes + (word & EVEN) + ((word >> 8) & EVEN)
+        });
+        let halves = (lanes & LOWER) + ((lanes >> 16) & LOWER);
+        sum += (halves & u64::from(u32::MAX)) + (halves >> 32);
+    }
+    sum
+}

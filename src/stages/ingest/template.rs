@@ -1,0 +1,155 @@
+//! A row of traces: what the file says of a record, and what the campaign says instead.
+
+use super::raw_file::{Bad, RawFile};
+use super::survey::{Job, Surveyed};
+use crate::campaign::keys::SensorKind;
+use crate::signal::codes::Codes as Samples;
+use crate::tables::{Codes, Name, Trace};
+use crate::waveform::{CodeType, Kind};
+
+/// A nominal rate may differ by this part from the step that a file rounded: a step printed with six digits is off by 5e-6 at most.
+const ROUNDED: f64 = 1e-5;
+
+/// What all rows of an item share.
+pub struct Template<'a> {
+    job: &'a Job<'a>,
+    /// Whether the sensor counts photons.
+    counts: bool,
+    campaign: Name,
+    sensor: Name,
+    role: Name,
+    run: Option<Name>,
+    range: Option<Name>,
+    /// Names of code types, in their order.
+    code_types: [Name; CodeType::ALL.len()],
+}
+
+impl<'a> Template<'a> {
+    pub fn new(surveyed: &Surveyed<'_>, job: &'a Job<'a>) -> Self {
+        let sensor = surveyed.campaigns[job.capture.campaign].sensors.get(&job.capture.sensor);
+        Self {
+            job,
+            counts: sensor.is_some_and(|sensor| sensor.kind == SensorKind::Counts),
+            campaign: surveyed.campaigns[job.capture.campaign].name.as_str().into(),
+            sensor: job.capture.sensor.as_str().into(),
+            role: job.capture.role.name().into(),
+            run: job.capture.run.as_deref().map(Into::into),
+            range: job.item.exposure.range.as_deref().map(Into::into),
+            code_types: CodeType::ALL.map(|code_type| code_type.name().into()),
+        }
+    }
+
+    /// Whether a record holds what its sensor measures.
+    pub fn check(&self, file: &RawFile, record: usize) -> Result<(), Bad> {
+        let head = &file.records[record].head;
+        let problem = match head.kind {
+            Kind::Waveform | Kind::Average => match head.unit.as_deref() {
+                None | Some("V") => return Ok(()),
+                Some(_) if self.job.item.exposure.keys.gain_v.is_some() => return Ok(()),
+                Some(unit) => {
+                    format!(
+                        "is in {unit}, not in volts; if volts follow from its codes, give gain_v in its [[captures]] rule"
+                    )
+                }
+            },
+            Kind::Counts if self.counts => return Ok(()),
+            Kind::Counts => {
+                format!("holds photon counts; say kind = \"counts\" in [sensors.{}]", self.job.capture.sensor)
+            }
+            Kind::Envelope => "is an envelope or peak-detect record: extremes, not one voltage after the other; \
+                acquire in sample, high-resolution or average mode"
+                .to_owned(),
+            Kind::Digital => "is a digital record: logic levels have no onset; name an analog channel".to_owned(),
+            Kind::Spectrum => "is a spectrum: it has no times; save the trace over time".to_owned(),
+            Kind::Iq => "is an IQ record of a carrier, not a voltage over time; save the analog channel".to_owned(),
+        };
+        Err(file.bad(problem))
+    }
+
+    /// Time between samples in ps; the same as the file has it, where the campaign says another.
+    fn step(&self, file: &RawFile, record: usize) -> Result<(f64, Option<f64>), Bad> {
+        let keys = &self.job.item.exposure.keys;
+        let of_file = file.records[record].head.dt_s.map(|dt_s| dt_s * 1e12);
+        match (keys.dt_ps, keys.nominal_rate_hz, of_file) {
+            (Some(dt_ps), _, of_file) => Ok((dt_ps, of_file.filter(|of_file| *of_file != dt_ps))),
+            (None, None, Some(of_file)) => Ok((of_file, None)),
+            (None, _, None) => Err(missing(file, "time base", "dt_ps")),
+            (None, Some(rate_hz), Some(of_file)) => {
+                let dt_ps = 1e12 / rate_hz;
+                if (dt_ps - of_file).abs() > ROUNDED * of_file {
+                    return Err(file.bad(format!(
+                        "has {of_file} ps between samples, which is no rounded {dt_ps} ps; nominal_rate_hz = {rate_hz} in its \
+                         [[captures]] rule is another rate (dt_ps would overrule the file)"
+                    )));
+                }
+                Ok((dt_ps, Some(of_file)))
+            }
+        }
+    }
+
+    /// The row of a record; `codes` are those of its samples that count.
+    pub fn row(
+        &self,
+        file: &RawFile,
+        record: usize,
+        shot: i32,
+        is_reference: bool,
+        codes: &Codes,
+    ) -> Result<Trace, Bad> {
+        let number = record;
+        let record = &file.records[record];
+        let (head, keys) = (&record.head, &self.job.item.exposure.keys);
+        let (dt_ps, file_dt_ps) = self.step(file, number)?;
+        let t0_ps = keys.t0_ps.or(record.t0_s.map(|t0_s| t0_s * 1e12).filter(|_| !head.t0_nominal));
+        let what = if head.t0_nominal { "time of sample 0 to better than some samples" } else { "time of sample 0" };
+        let t0_ps = t0_ps.ok_or_else(|| missing(file, what, "t0_ps"))?;
+        let gain_v = keys.gain_v.or(head.scale.map(|scale| scale.gain));
+        let gain_v = gain_v.ok_or_else(|| missing(file, "scale", "gain_v"))?;
+        // An offset belongs to its gain: where the campaign gives volts per code, the file's own scale is out.
+        let of_file = head.scale.filter(|_| keys.gain_v.is_none()).map(|scale| scale.offset);
+        let offset_v = keys.offset_v.or(of_file).unwrap_or(0.0);
+        let first = keys.samples.map_or(0, |[first, _]| first);
+        let samples = codes.len() / head.code_type.bytes();
+        let samples = i32::try_from(samples).map_err(|_| {
+            file.bad(format!(
+                "has {samples} samples in one record; name the part that counts by samples = [first, last]"
+            ))
+        })?;
+        let values = Samples::of(head.code_type.name(), codes).expect("code types have one name everywhere");
+        let clipped = head.rails.map(|(low, high)| values.count_at_or_beyond(low, high) as i32);
+        Ok(Trace {
+            campaign: self.campaign.clone(),
+            sensor: self.sensor.clone(),
+            lit: self.job.capture.lit,
+            seen: self.job.capture.seen,
+            role: self.role.clone(),
+            run: self.run.clone(),
+            range: self.range.clone(),
+            shot,
+            channel: head.channel.as_deref().map(Into::into),
+            is_reference,
+            file: file.text.clone(),
+            segment: record.segment.map(|segment| segment as i32),
+            t0_ps: t0_ps + first as f64 * dt_ps,
+            dt_ps,
+            file_dt_ps,
+            samples,
+            code_type: self.code_types[head.code_type as usize].clone(),
+            gain_v,
+            offset_v,
+            codes: codes.clone(),
+            acquired_at: head.acquired_at.as_deref().map(Into::into),
+            clipped,
+            averaged_shots: keys.averaged_shots.unwrap_or(1) as i32,
+            path_m: keys.path_m,
+            path_sd_m: keys.path_sd_m,
+            attenuation_od: keys.attenuation_od,
+            power_w: keys.power_w,
+            bounces: keys.bounces.map(|bounces| bounces as i32),
+        })
+    }
+}
+
+fn missing(file: &RawFile, what: &str, key: &str) -> Bad {
+    file.bad(format!("has no {what}; give {key} in its [[captures]] rule"))
+}

@@ -1,0 +1,44 @@
+//! Feeds bytes to the reader that the target is named after.
+#![no_main]
+
+use std::io::Cursor;
+use std::path::Path;
+
+use fuzz::formats::{FormatError, Input, READERS, Reader, Source};
+use libfuzzer_sys::fuzz_target;
+
+/// Codes that are unpacked of one record; a compressed record may be a thousand times its file.
+const UNPACKED_BYTES: usize = 1 << 22;
+
+fuzz_target!(|data: &[u8]| {
+    let name = env!("CARGO_BIN_NAME");
+    let named = |reader: &&dyn Reader| reader.format().replace('.', "-") == name;
+    let reader = READERS.into_iter().find(named).expect("a target is named after its format");
+    // Of a format in two files, the first four bytes say where the companion begins.
+    let (length, bytes) = match data.split_first_chunk::<4>() {
+        Some((length, bytes)) if name == "rs-bin" => (u32::from_le_bytes(*length).into(), bytes),
+        _ => (data.len() as u64, data),
+    };
+    let size = bytes.len() as u64;
+    let Ok(mut source) = Source::with_companion(Cursor::new(bytes), length, Path::new("a")) else { return };
+    let mut records = Err(FormatError::Empty);
+    let memory = allocation_counter::measure(|| records = reader.records(&mut source));
+    assert!(memory.bytes_max <= 4 * size + (1 << 20), "{} bytes allocated for a file of {size}", memory.bytes_max);
+    let mut left = UNPACKED_BYTES;
+    for record in records.unwrap_or_default() {
+        if let Some((at, _)) = record.contiguous() {
+            assert!(at + record.code_bytes() as u64 <= size, "samples beyond the end of the file");
+        }
+        let samples = record.head.samples.min(left / record.head.code_type.bytes());
+        left -= samples * record.head.code_type.bytes();
+        let mut bytes = 0;
+        let memory = allocation_counter::measure(|| {
+            // An error is an answer: a packed record may turn out to be broken.
+            if record.visit(source.file(), 0..samples, &mut |codes| bytes += codes.len()).is_err() {
+                bytes = samples * record.head.code_type.bytes();
+            }
+        });
+        assert_eq!(bytes, samples * record.head.code_type.bytes(), "fewer codes than samples");
+        assert!(memory.bytes_max <= 4 * size + (2 << 20), "{} bytes to unpack a file of {size}", memory.bytes_max);
+    }
+});
