@@ -11,7 +11,8 @@
 
 use std::sync::Arc;
 
-use super::lecroy_trc::{position, text};
+use super::lecroy_trc::{TRIGGER_BYTES, acquired_at, position, trigger_times};
+use super::numbers::Numbers;
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
 
@@ -23,14 +24,12 @@ const SEARCH_BYTES: u64 = 1024;
 const TEMPLATE: &[u8] = b"LECROY_1_0";
 /// Bytes that a segment takes in memory: a record, and its times.
 const SEGMENT_BYTES: u64 = size_of::<Record>() as u64 + 24;
-/// Bytes of TRIGTIME for one segment.
-const TRIGGER_BYTES: u64 = 16;
 
 /// The reader.
 pub struct Lecroy10;
 
 /// Where the descriptor of this template begins, if it is one.
-pub(super) fn descriptor(head: &[u8]) -> Option<usize> {
+fn descriptor(head: &[u8]) -> Option<usize> {
     position(head).filter(|start| head[*start..].get(16..).is_some_and(|name| name.starts_with(TEMPLATE)))
 }
 
@@ -56,11 +55,7 @@ impl Reader for Lecroy10 {
 }
 
 /// The wave descriptor as bytes, and how to read numbers in it.
-struct Descriptor {
-    start: u64,
-    bytes: Vec<u8>,
-    big_endian: bool,
-}
+struct Descriptor(Numbers);
 
 /// Lengths of what follows the descriptor.
 struct Blocks {
@@ -81,38 +76,21 @@ impl Descriptor {
                 return Err(FormatError::Field { byte_offset: start + 34, problem });
             }
         };
-        Ok(Self { start, bytes, big_endian })
+        Ok(Self(Numbers { bytes, origin: start, big_endian }))
     }
 
-    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        let mut bytes: [u8; N] = self.bytes[at..at + N].try_into().expect("fields lie within the descriptor");
-        if self.big_endian {
-            bytes.reverse();
-        }
-        bytes
-    }
-    fn i16(&self, at: usize) -> i16 {
-        i16::from_le_bytes(self.array(at))
-    }
     fn f32(&self, at: usize, name: &str) -> Result<f64, FormatError> {
-        self.finite(at, name, f64::from(f32::from_le_bytes(self.array(at))))
-    }
-    fn refuse(&self, at: usize, problem: impl Into<String>) -> FormatError {
-        FormatError::Field { byte_offset: self.start + at as u64, problem: problem.into() }
+        self.0.finite(at, name, self.0.f32(at))
     }
     fn count(&self, at: usize, name: &str) -> Result<u64, FormatError> {
-        let count = i32::from_le_bytes(self.array(at));
-        u64::try_from(count).map_err(|_| self.refuse(at, format!("{name} = {count} is negative")))
+        let count = self.0.i32(at);
+        u64::try_from(count).map_err(|_| self.0.refuse(at, format!("{name} = {count} is negative")))
     }
-    fn finite(&self, at: usize, name: &str, value: f64) -> Result<f64, FormatError> {
-        if value.is_finite() { Ok(value) } else { Err(self.refuse(at, format!("{name} = {value} is no number"))) }
-    }
-
     fn records(&self, input: &mut dyn Input, format: &'static str) -> Result<Vec<Record>, FormatError> {
-        let code_type = match self.i16(32) {
+        let code_type = match self.0.i16(32) {
             0 => CodeType::I8,
             1 => CodeType::I16,
-            other => return Err(self.refuse(32, format!("COMM_TYPE {other} is neither byte nor word"))),
+            other => return Err(self.0.refuse(32, format!("COMM_TYPE {other} is neither byte nor word"))),
         };
         let blocks = self.blocks(input)?;
         let (count, segments) = (self.count(92, "WAVE_ARRAY_COUNT")?, self.count(108, "SUBARRAY_COUNT")?.max(1));
@@ -120,15 +98,15 @@ impl Descriptor {
         if count * width != blocks.length {
             let problem =
                 format!("WAVE_ARRAY_COUNT = {count} does not fit the {} bytes of WAVE_ARRAY_1", blocks.length);
-            return Err(self.refuse(92, problem));
+            return Err(self.0.refuse(92, problem));
         }
         if count == 0 || !count.is_multiple_of(segments) {
             let problem = format!("SUBARRAY_COUNT = {segments} does not divide {count} points");
-            return Err(self.refuse(108, problem));
+            return Err(self.0.refuse(108, problem));
         }
         if segments * SEGMENT_BYTES > 3 * input.length() + (1 << 19) {
             let problem = format!("SUBARRAY_COUNT = {segments} is more segments than {count} points make sense for");
-            return Err(self.refuse(108, problem));
+            return Err(self.0.refuse(108, problem));
         }
         let head = Arc::new(self.head(code_type, (count / segments) as usize, format)?);
         let record = |(i, (trigger_s, t0_s)): (usize, (Option<f64>, f64))| Record {
@@ -139,7 +117,7 @@ impl Descriptor {
             payload: Payload::File {
                 byte_offset: blocks.data + i as u64 * (blocks.length / segments),
                 stride: width,
-                big_endian: self.big_endian,
+                big_endian: self.0.big_endian,
             },
         };
         Ok(self.triggers(input, &blocks, segments)?.into_iter().enumerate().map(record).collect())
@@ -149,14 +127,14 @@ impl Descriptor {
         let descriptor = self.count(36, "WAVE_DESCRIPTOR")?;
         if descriptor < DESCRIPTOR {
             let problem = format!("WAVE_DESCRIPTOR = {descriptor} is less than the {DESCRIPTOR} bytes that it has");
-            return Err(self.refuse(36, problem));
+            return Err(self.0.refuse(36, problem));
         }
         let text = self.count(40, "USER_TEXT")?;
         let (triggers, length) = (self.count(44, "TRIGTIME_ARRAY")?, self.count(48, "WAVE_ARRAY_1")?);
         if self.count(52, "WAVE_ARRAY_2")? > 0 {
-            return Err(self.refuse(52, "a second data array (complex or extrema) is no plain voltage over time"));
+            return Err(self.0.refuse(52, "a second data array (complex or extrema) is no plain voltage over time"));
         }
-        let trigger_times = self.start + descriptor + text;
+        let trigger_times = self.0.origin + descriptor + text;
         let data = trigger_times + triggers;
         if data + length > input.length() {
             let (what, length) = ("WAVE_ARRAY_1", input.length());
@@ -170,19 +148,19 @@ impl Descriptor {
         let dt_s = self.f32(134, "HORIZ_INTERVAL")?;
         if dt_s <= 0.0 {
             let problem = format!("HORIZ_INTERVAL = {dt_s} is not positive: the record has no time base");
-            return Err(self.refuse(134, problem));
+            return Err(self.0.refuse(134, problem));
         }
         if gain == 0.0 {
-            return Err(self.refuse(120, "VERTICAL_GAIN = 0 gives no scale; save the trace again"));
+            return Err(self.0.refuse(120, "VERTICAL_GAIN = 0 gives no scale; save the trace again"));
         }
-        let (low, high) = (f64::from(self.i16(130)), f64::from(self.i16(128)));
+        let (low, high) = (f64::from(self.0.i16(130)), f64::from(self.0.i16(128)));
         let kind = self.kind()?;
         let is_raw = kind == Kind::Waveform && low < high;
         Ok(Head {
             kind,
-            instrument: text(&self.bytes[56..72]),
+            instrument: self.0.text(56, 16),
             channel: self.channel(),
-            unit: text(&self.bytes[154..202]),
+            unit: self.0.text(154, 48),
             dt_s: Some(dt_s),
             scale: Some(Scale { gain, offset: -offset }),
             header_gain: Some(gain),
@@ -192,26 +170,26 @@ impl Descriptor {
                 CodeType::I8 => ((low / 256.0).floor(), (high / 256.0).floor()),
                 _ => (low, high),
             }),
-            acquired_at: self.acquired_at(),
+            acquired_at: acquired_at(&self.0, 250),
             ..Head::new(format, code_type, samples)
         })
     }
 
     fn kind(&self) -> Result<Kind, FormatError> {
-        let record_type = self.i16(270);
-        match (record_type, text(&self.bytes[202..250]).unwrap_or_default().as_str()) {
-            (1 | 8, _) => Err(self.refuse(
+        let record_type = self.0.i16(270);
+        match (record_type, self.0.text(202, 48).unwrap_or_default().as_str()) {
+            (1 | 8, _) => Err(self.0.refuse(
                 270,
                 "RECORD_TYPE: samples interleaved from several triggers are not read; record in real time",
             )),
-            (12, _) => Err(self.refuse(270, "RECORD_TYPE: the trigger times of this sequence are not corrected")),
+            (12, _) => Err(self.0.refuse(270, "RECORD_TYPE: the trigger times of this sequence are not corrected")),
             (_, "Hz" | "HZ") => Ok(Kind::Spectrum),
             (6, _) => Ok(Kind::Envelope),
             (_, "" | "s" | "S") => {
-                let cumulative = self.i16(272) == 8 || self.count(116, "SWEEPS_PER_ACQ")? > 1;
+                let cumulative = self.0.i16(272) == 8 || self.count(116, "SWEEPS_PER_ACQ")? > 1;
                 Ok(if cumulative { Kind::Average } else { Kind::Waveform })
             }
-            (_, unit) => Err(self.refuse(
+            (_, unit) => Err(self.0.refuse(
                 202,
                 format!("samples over {unit:?} are no voltage over time; save the trace that was recorded"),
             )),
@@ -220,22 +198,9 @@ impl Descriptor {
 
     /// Channels are numbered within each of up to six plug-ins.
     fn channel(&self) -> Option<String> {
-        let (plug_in, channel) = (self.i16(294), self.i16(296));
+        let (plug_in, channel) = (self.0.i16(294), self.0.i16(296));
         let letter = usize::try_from(plug_in).ok().and_then(|plug_in| "CABCDEF".chars().nth(plug_in))?;
         (1..=4).contains(&channel).then(|| format!("{letter}{channel}"))
-    }
-
-    fn acquired_at(&self) -> Option<String> {
-        let seconds = f64::from_le_bytes(self.array(250));
-        let [minute, hour, day, month] = [258, 259, 260, 261].map(|at| self.bytes[at]);
-        let year = self.i16(262);
-        let plausible = (0.0..61.0).contains(&seconds)
-            && minute < 60
-            && hour < 24
-            && (1..=31).contains(&day)
-            && (1..=12).contains(&month)
-            && year > 1980;
-        plausible.then(|| format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{seconds:012.9}"))
     }
 
     /// For each segment the trigger's time since the first trigger, and the time of sample 0.
@@ -246,31 +211,13 @@ impl Descriptor {
         segments: u64,
     ) -> Result<Vec<(Option<f64>, f64)>, FormatError> {
         if segments == 1 {
-            let t0_s = f64::from_le_bytes(self.array(138));
-            return Ok(vec![(None, self.finite(138, "HORIZ_OFFSET", t0_s)?)]);
+            return Ok(vec![(None, self.0.finite(138, "HORIZ_OFFSET", self.0.f64(138))?)]);
         }
         if segments.checked_mul(TRIGGER_BYTES) != Some(blocks.triggers) {
             let problem = format!("TRIGTIME_ARRAY = {} bytes are no {segments} segments' times", blocks.triggers);
-            return Err(self.refuse(44, problem));
+            return Err(self.0.refuse(44, problem));
         }
-        let bytes = input.bytes("TRIGTIME", blocks.trigger_times, blocks.triggers)?;
-        let number = |bytes: &[u8]| {
-            let bytes = bytes.try_into().expect("halves of sixteen bytes");
-            if self.big_endian { f64::from_be_bytes(bytes) } else { f64::from_le_bytes(bytes) }
-        };
-        let mut triggers = Vec::with_capacity(segments as usize);
-        for (i, pair) in bytes.chunks_exact(TRIGGER_BYTES as usize).enumerate() {
-            let (trigger_s, t0_s) = (number(&pair[..8]), number(&pair[8..]));
-            if !(trigger_s.is_finite() && t0_s.is_finite()) {
-                let byte_offset = blocks.trigger_times + i as u64 * TRIGGER_BYTES;
-                return Err(FormatError::Field {
-                    byte_offset,
-                    problem: format!("TRIGTIME of segment {i} is no number"),
-                });
-            }
-            triggers.push((Some(trigger_s), t0_s));
-        }
-        Ok(triggers)
+        trigger_times(&self.0, input, blocks.trigger_times, segments)
     }
 }
 

@@ -7,6 +7,7 @@
 use std::io::Write;
 use std::sync::Arc;
 
+use super::numbers::{Numbers, text};
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Payload, Record, Scale};
 
@@ -14,6 +15,8 @@ use crate::waveform::{CodeType, Head, Payload, Record, Scale};
 const DESCRIPTOR: u64 = 346;
 /// Where a descriptor may begin: after a block prefix or the text of a query.
 const SEARCH_BYTES: u64 = 1024;
+/// Bytes of the trigger times of one segment.
+pub(super) const TRIGGER_BYTES: u64 = 16;
 /// The descriptor's own name.
 const MARK: &[u8] = b"WAVEDESC";
 
@@ -48,11 +51,7 @@ fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
 }
 
 /// The wave descriptor as bytes, and how to read numbers in it.
-struct Descriptor {
-    start: u64,
-    bytes: Vec<u8>,
-    big_endian: bool,
-}
+struct Descriptor(Numbers);
 
 impl Descriptor {
     fn read(input: &mut dyn Input, start: u64) -> Result<Self, FormatError> {
@@ -75,47 +74,20 @@ impl Descriptor {
                 ));
             }
         };
-        Ok(Self { start, bytes, big_endian })
-    }
-
-    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        let mut bytes: [u8; N] = self.bytes[at..at + N].try_into().expect("fields lie within the descriptor");
-        if self.big_endian {
-            bytes.reverse();
-        }
-        bytes
-    }
-    fn i16(&self, at: usize) -> i16 {
-        i16::from_le_bytes(self.array(at))
-    }
-    fn i32(&self, at: usize) -> i32 {
-        i32::from_le_bytes(self.array(at))
-    }
-    fn f32(&self, at: usize) -> f64 {
-        f64::from(f32::from_le_bytes(self.array(at)))
-    }
-    fn f64(&self, at: usize) -> f64 {
-        f64::from_le_bytes(self.array(at))
-    }
-    fn refuse(&self, at: usize, problem: impl Into<String>) -> FormatError {
-        field(self.start + at as u64, problem)
+        Ok(Self(Numbers { bytes, origin: start, big_endian }))
     }
 
     fn count(&self, at: usize, name: &str) -> Result<u64, FormatError> {
-        let count = self.i32(at);
-        u64::try_from(count).map_err(|_| self.refuse(at, format!("{name} = {count} is negative")))
-    }
-
-    fn finite(&self, at: usize, name: &str, value: f64) -> Result<f64, FormatError> {
-        if value.is_finite() { Ok(value) } else { Err(self.refuse(at, format!("{name} = {value} is no number"))) }
+        let count = self.0.i32(at);
+        u64::try_from(count).map_err(|_| self.0.refuse(at, format!("{name} = {count} is negative")))
     }
 
     fn records(&self, input: &mut dyn Input, format: &'static str) -> Result<Vec<Record>, FormatError> {
-        let code_type = match self.i16(32) {
+        let code_type = match self.0.i16(32) {
             0 => CodeType::I8,
             1 => CodeType::I16,
             other => {
-                return Err(self.refuse(32, format!("COMM_TYPE {other} is neither 8 nor 16 bit")));
+                return Err(self.0.refuse(32, format!("COMM_TYPE {other} is neither 8 nor 16 bit")));
             }
         };
         let mut blocks = [0; 7];
@@ -132,30 +104,30 @@ impl Descriptor {
             blocks[i] = self.count(36 + 4 * i, name)?;
         }
         if blocks[0] < DESCRIPTOR {
-            return Err(self.refuse(
+            return Err(self.0.refuse(
                 36,
                 format!("WAVE_DESCRIPTOR = {} is less than the {DESCRIPTOR} bytes that it has", blocks[0]),
             ));
         }
         if blocks[4] > 0 {
-            return Err(self.refuse(
+            return Err(self.0.refuse(
                 52,
                 "RIS_TIME_ARRAY: samples interleaved from several triggers are not read; record in real time",
             ));
         }
         if self.count(64, "WAVE_ARRAY_2")? > 0 {
-            return Err(self.refuse(64, "a second data array (complex or extrema) is no plain voltage over time"));
+            return Err(self.0.refuse(64, "a second data array (complex or extrema) is no plain voltage over time"));
         }
-        let data = self.start + blocks[..6].iter().sum::<u64>();
+        let data = self.0.origin + blocks[..6].iter().sum::<u64>();
         let (count, segments) = (self.count(116, "WAVE_ARRAY_COUNT")?, self.count(144, "SUBARRAY_COUNT")?.max(1));
         if count * code_type.bytes() as u64 != blocks[6] {
-            return Err(self.refuse(
+            return Err(self.0.refuse(
                 116,
                 format!("WAVE_ARRAY_COUNT = {count} does not fit the {} bytes of WAVE_ARRAY_1", blocks[6]),
             ));
         }
         if count == 0 || !count.is_multiple_of(segments) {
-            return Err(self.refuse(
+            return Err(self.0.refuse(
                 144,
                 format!("{count} points are no whole number of samples for each of {segments} segments"),
             ));
@@ -179,38 +151,38 @@ impl Descriptor {
             payload: Payload::File {
                 byte_offset: data + i as u64 * segment_bytes,
                 stride: code_type.bytes() as u64,
-                big_endian: self.big_endian,
+                big_endian: self.0.big_endian,
             },
         };
         Ok(triggers.into_iter().enumerate().map(record).collect())
     }
 
     fn head(&self, code_type: CodeType, samples: usize, format: &'static str) -> Result<Head, FormatError> {
-        let gain = self.finite(156, "VERTICAL_GAIN", self.f32(156))?;
-        let offset = self.finite(160, "VERTICAL_OFFSET", self.f32(160))?;
-        let dt_s = self.finite(176, "HORIZ_INTERVAL", self.f32(176))?;
+        let gain = self.0.finite(156, "VERTICAL_GAIN", self.0.f32(156))?;
+        let offset = self.0.finite(160, "VERTICAL_OFFSET", self.0.f32(160))?;
+        let dt_s = self.0.finite(176, "HORIZ_INTERVAL", self.0.f32(176))?;
         if dt_s <= 0.0 {
-            return Err(
-                self.refuse(176, format!("HORIZ_INTERVAL = {dt_s} is not positive: the record has no time base"))
-            );
+            return Err(self
+                .0
+                .refuse(176, format!("HORIZ_INTERVAL = {dt_s} is not positive: the record has no time base")));
         }
-        if let Some(unit) = text(&self.bytes[244..292]).filter(|unit| !unit.eq_ignore_ascii_case("s")) {
-            return Err(self.refuse(
+        if let Some(unit) = self.0.text(244, 48).filter(|unit| !unit.eq_ignore_ascii_case("s")) {
+            return Err(self.0.refuse(
                 244,
                 format!("samples over {unit:?} are no voltage over time; save the trace that was recorded"),
             ));
         }
-        let source = self.i16(344);
+        let source = self.0.i16(344);
         Ok(Head {
-            instrument: text(&self.bytes[76..92]),
+            instrument: self.0.text(76, 16),
             channel: (0..4).contains(&source).then(|| format!("C{}", source + 1)),
-            unit: text(&self.bytes[196..244]),
+            unit: self.0.text(196, 48),
             dt_s: Some(dt_s),
             scale: Some(Scale { gain, offset: -offset }),
             header_gain: Some(gain),
             header_offset: Some(offset),
             rails: self.rails(code_type),
-            acquired_at: self.acquired_at(),
+            acquired_at: acquired_at(&self.0, 296),
             ..Head::new(format, code_type, samples)
         })
     }
@@ -218,26 +190,13 @@ impl Descriptor {
     /// The converter fills the upper bits of a code: with fewer bits than the code has, its highest code has zeros below.
     fn rails(&self, code_type: CodeType) -> Option<(f64, f64)> {
         let (low, high) = code_type.limits()?;
-        let bits = i32::from(self.i16(172));
+        let bits = i32::from(self.0.i16(172));
         let spare = code_type.bytes() as i32 * 8 - bits;
         if (1..=8).contains(&spare) && bits >= 8 {
             Some((low, high + 1.0 - f64::from(1 << spare)))
         } else {
             Some((low, high))
         }
-    }
-
-    fn acquired_at(&self) -> Option<String> {
-        let seconds = self.f64(296);
-        let [minute, hour, day, month] = [self.bytes[304], self.bytes[305], self.bytes[306], self.bytes[307]];
-        let year = self.i16(308);
-        let plausible = (0.0..61.0).contains(&seconds)
-            && minute < 60
-            && hour < 24
-            && (1..=31).contains(&day)
-            && (1..=12).contains(&month)
-            && year > 1980;
-        plausible.then(|| format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{seconds:012.9}"))
     }
 
     /// For each segment the trigger's time since the first trigger, and the time of sample 0.
@@ -248,37 +207,51 @@ impl Descriptor {
         segments: u64,
     ) -> Result<Vec<(Option<f64>, f64)>, FormatError> {
         if segments == 1 {
-            return Ok(vec![(None, self.finite(180, "HORIZ_OFFSET", self.f64(180))?)]);
+            return Ok(vec![(None, self.0.finite(180, "HORIZ_OFFSET", self.0.f64(180))?)]);
         }
         if blocks[3] != 16 * segments {
-            return Err(self.refuse(
+            return Err(self.0.refuse(
                 48,
                 format!("TRIGTIME_ARRAY has {} bytes, but {segments} segments need {}", blocks[3], 16 * segments),
             ));
         }
-        let at = self.start + blocks[..3].iter().sum::<u64>();
-        let bytes = input.bytes("TRIGTIME_ARRAY", at, blocks[3])?;
-        let number = |bytes: &[u8]| {
-            let bytes: [u8; 8] = bytes.try_into().expect("chunks of eight");
-            if self.big_endian { f64::from_be_bytes(bytes) } else { f64::from_le_bytes(bytes) }
-        };
-        let mut triggers = Vec::with_capacity(segments as usize);
-        for (i, pair) in bytes.chunks_exact(16).enumerate() {
-            let (trigger_s, t0_s) = (number(&pair[..8]), number(&pair[8..]));
-            if !(trigger_s.is_finite() && t0_s.is_finite()) {
-                return Err(field(at + 16 * i as u64, format!("trigger time of segment {i} is no number")));
-            }
-            triggers.push((Some(trigger_s), t0_s));
-        }
-        Ok(triggers)
+        trigger_times(&self.0, input, self.0.origin + blocks[..3].iter().sum::<u64>(), segments)
     }
 }
 
-/// A text field, up to its first zero byte; `None` if nothing is in it.
-pub(super) fn text(bytes: &[u8]) -> Option<String> {
-    let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
-    let text = String::from_utf8_lossy(&bytes[..end]).trim().to_owned();
-    (!text.is_empty()).then_some(text)
+/// The time of the first trigger: f64 seconds, then minute, hour, day, month in a byte each, and an i16 year.
+pub(super) fn acquired_at(numbers: &Numbers, at: usize) -> Option<String> {
+    let seconds = numbers.f64(at);
+    let [minute, hour, day, month] = [8, 9, 10, 11].map(|after| numbers.u8(at + after));
+    let year = numbers.i16(at + 12);
+    let plausible = (0.0..61.0).contains(&seconds)
+        && minute < 60
+        && hour < 24
+        && (1..=31).contains(&day)
+        && (1..=12).contains(&month)
+        && year > 1980;
+    plausible.then(|| format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{seconds:012.9}"))
+}
+
+/// The array of trigger times: for each segment its trigger's time since the first one, and the time of its sample 0.
+pub(super) fn trigger_times(
+    descriptor: &Numbers,
+    input: &mut dyn Input,
+    origin: u64,
+    segments: u64,
+) -> Result<Vec<(Option<f64>, f64)>, FormatError> {
+    let bytes = input.bytes("TRIGTIME_ARRAY", origin, TRIGGER_BYTES * segments)?;
+    let times = Numbers { bytes, origin, big_endian: descriptor.big_endian };
+    let mut triggers = Vec::with_capacity(segments as usize);
+    for i in 0..segments as usize {
+        let at = TRIGGER_BYTES as usize * i;
+        let (trigger_s, t0_s) = (times.f64(at), times.f64(at + 8));
+        if !(trigger_s.is_finite() && t0_s.is_finite()) {
+            return Err(times.refuse(at, format!("trigger time of segment {i} is no number")));
+        }
+        triggers.push((Some(trigger_s), t0_s));
+    }
+    Ok(triggers)
 }
 
 /// What a sequence file says of all its segments.

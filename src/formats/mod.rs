@@ -12,6 +12,7 @@ pub mod lecroy_1_0;
 pub mod lecroy_trc;
 pub mod npy;
 pub mod npz;
+mod numbers;
 pub mod picoquant;
 pub mod reader;
 pub mod rigol_bin;

@@ -28,6 +28,7 @@ pub use encode::{FrameHead, write};
 use frames::{Frame, Frames};
 use trailer::Trailer;
 
+use super::numbers::Numbers;
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
 
@@ -99,57 +100,6 @@ fn field(byte_offset: usize, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset: byte_offset as u64, problem: problem.into() }
 }
 
-/// A text field, up to its first zero byte; `None` if nothing is in it.
-fn text(bytes: &[u8]) -> Option<String> {
-    let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
-    let text = String::from_utf8_lossy(&bytes[..end]).trim().to_owned();
-    (!text.is_empty()).then_some(text)
-}
-
-/// A stretch of the file as numbers in its byte order. Whatever is asked for lies within it.
-struct Numbers {
-    bytes: Vec<u8>,
-    /// Where in the file it begins.
-    origin: usize,
-    big_endian: bool,
-}
-
-impl Numbers {
-    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        let mut bytes: [u8; N] = self.bytes[at..at + N].try_into().expect("fields lie within their block");
-        if self.big_endian {
-            bytes.reverse();
-        }
-        bytes
-    }
-    fn u16(&self, at: usize) -> u16 {
-        u16::from_le_bytes(self.array(at))
-    }
-    fn i16(&self, at: usize) -> i16 {
-        i16::from_le_bytes(self.array(at))
-    }
-    fn u32(&self, at: usize) -> u32 {
-        u32::from_le_bytes(self.array(at))
-    }
-    fn i32(&self, at: usize) -> i32 {
-        i32::from_le_bytes(self.array(at))
-    }
-    fn f64(&self, at: usize) -> f64 {
-        f64::from_le_bytes(self.array(at))
-    }
-    fn refuse(&self, at: usize, problem: impl Into<String>) -> FormatError {
-        field(self.origin + at, problem)
-    }
-    fn finite(&self, at: usize, name: &str) -> Result<f64, FormatError> {
-        let value = self.f64(at);
-        if value.is_finite() {
-            Ok(value)
-        } else {
-            Err(self.refuse(at, format!("{name} = {value} is no number; save the waveform again")))
-        }
-    }
-}
-
 /// The head, and where its fields are.
 struct Header {
     numbers: Numbers,
@@ -208,7 +158,7 @@ impl Header {
 
     fn dt_s(&self) -> Result<f64, FormatError> {
         let at = self.layout.implicit;
-        let dt_s = self.numbers.finite(at, "scale of the implicit dimension")?;
+        let dt_s = self.numbers.finite(at, "scale of the implicit dimension", self.numbers.f64(at))?;
         if dt_s <= 0.0 {
             let problem = format!("scale of the implicit dimension = {dt_s} is not positive: there is no time base");
             return Err(field(at, format!("{problem}; save the waveform again")));
@@ -242,7 +192,7 @@ impl Header {
             return refuse(storage_at, format!("storage type {storage} (a histogram or a pixel map)"));
         }
         let unit_at = self.layout.implicit + 20;
-        let unit = text(&self.numbers.bytes[unit_at..unit_at + 20]);
+        let unit = self.numbers.text(unit_at, 20);
         let spectral = (1..=2).contains(&self.numbers.i32(self.layout.time_base + 8));
         match unit.as_deref() {
             Some("Hz") => Ok(Kind::Spectrum),
@@ -255,17 +205,17 @@ impl Header {
 
     fn head(&self, code_type: CodeType, trailer: &Trailer, first: &Frame) -> Result<Head, FormatError> {
         let at = self.layout.explicit;
-        let gain = self.numbers.finite(at, "scale of the explicit dimension")?;
-        let offset = self.numbers.finite(at + 8, "offset of the explicit dimension")?;
+        let gain = self.numbers.finite(at, "scale of the explicit dimension", self.numbers.f64(at))?;
+        let offset = self.numbers.finite(at + 8, "offset of the explicit dimension", self.numbers.f64(at + 8))?;
         if gain == 0.0 {
             return Err(field(at, "scale of the explicit dimension = 0 gives no volts; save the waveform again"));
         }
         let kind = self.kind(trailer)?;
-        let unit = text(&self.numbers.bytes[at + 20..at + 40]);
+        let unit = self.numbers.text(at + 20, 20);
         let logic = (kind == Kind::Digital).then(|| "logic".to_owned());
         Ok(Head {
             kind,
-            channel: text(&self.numbers.bytes[40..72]).or_else(|| trailer.label.clone()),
+            channel: self.numbers.text(40, 32).or_else(|| trailer.label.clone()),
             unit: unit.or(logic),
             scale: Some(Scale { gain, offset }),
             header_gain: Some(gain),

@@ -12,7 +12,8 @@ use std::io::Read;
 
 use flate2::read::ZlibDecoder;
 
-use super::{CHANNELS, FORMAT, Fields, field, record, some};
+use super::{CHANNELS, FORMAT, field, record, some};
+use crate::formats::numbers::Numbers;
 use crate::formats::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Record, Scale};
 
@@ -94,7 +95,7 @@ fn blocks(input: &mut dyn Input) -> Result<(Vec<Channel>, u64), FormatError> {
     let mut channels: Vec<Channel> = Vec::new();
     let mut at = HEAD_BYTES;
     loop {
-        let head = Fields(input.bytes("a block of settings", at, BLOCK_HEAD_BYTES)?);
+        let head = Numbers::little(input.bytes("a block of settings", at, BLOCK_HEAD_BYTES)?, 0);
         let [id, kind, unpacked, packed, length] = [0, 2, 4, 6, 8].map(|at| head.u16(at));
         if packed == 0 && length == 0 {
             return Ok((channels, at));
@@ -128,7 +129,7 @@ fn channel(bytes: &[u8], packed: bool, block: (usize, u16), at: u64) -> Result<C
         let problem = format!("the settings of CH{number} cannot be unpacked; copy the file from the instrument again");
         return Err(field(at as usize, problem));
     }
-    let content = Fields(content);
+    let content = Numbers::little(content, 0);
     let is_dho800 = kind == DHO800_CHANNEL;
     let (numerator, centre) = (content.i64(1) as f64, content.i64(38) as f64);
     if numerator == 0.0 {
@@ -162,7 +163,7 @@ impl Data {
                 continue;
             }
             if let Some(data) =
-                Self::read(&Fields(input.bytes("the head of the samples", start, DATA_HEAD_BYTES)?), start)
+                Self::read(&Numbers::little(input.bytes("the head of the samples", start, DATA_HEAD_BYTES)?, 0), start)
             {
                 if data.end() == Some(input.length()) {
                     return Ok(data);
@@ -175,7 +176,7 @@ impl Data {
         })
     }
 
-    fn read(fields: &Fields, start: u64) -> Option<Self> {
+    fn read(fields: &Numbers, start: u64) -> Option<Self> {
         let (total, ticks) = (fields.i64(0), fields.u32(16));
         let (samples, again) = (fields.u32(24), fields.u32(28));
         if total <= 0 || samples == 0 || samples != again || ticks == 0 {

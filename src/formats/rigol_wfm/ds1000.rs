@@ -9,7 +9,8 @@
 //! DS1000E: with a probe other than 1x, volts of a DS1000D come out larger by its factor. An inverted channel has no scale: whether its codes are
 //! inverted already is not known. Rolling captures of the DS1000E end in bytes that are no samples, which are left out.
 
-use super::{FORMAT, Fields, field, record, some};
+use super::{FORMAT, dt_s, factor, field, record, some};
+use crate::formats::numbers::Numbers;
 use crate::formats::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Record, Scale};
 
@@ -58,7 +59,7 @@ const CODES_PER_DIVISION: f64 = 25.0;
 
 /// The four channels of a DS1000B, each at its own place whether the others are on or not.
 pub(super) fn records_b(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-    let fields = Fields::read(input, B_DATA)?;
+    let fields = Numbers::head(input, B_DATA)?;
     let points = fields.u32(B_POINTS);
     let mut records = Vec::new();
     for number in 0..4 {
@@ -75,7 +76,7 @@ pub(super) fn records_b(input: &mut dyn Input) -> Result<Vec<Record>, FormatErro
 
 /// The two channels of the others; those that are off take no place.
 pub(super) fn records_e(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-    let fields = Fields::read(input, C_DATA)?;
+    let fields = Numbers::head(input, C_DATA)?;
     let points = fields.u32(E_POINTS);
     let on = (0..2).filter(|number| E.is_on(&fields, *number)).count() as u64;
     let padded = C_DATA + C_PADDING;
@@ -84,7 +85,7 @@ pub(super) fn records_e(input: &mut dyn Input) -> Result<Vec<Record>, FormatErro
     } else if input.length() == padded + on * u64::from(points) {
         return two_channels(input, &fields, [points; 2], padded);
     }
-    let fields = Fields::read(input, E_DATA)?;
+    let fields = Numbers::head(input, E_DATA)?;
     let points_2 = match fields.u32(E_POINTS_2) {
         0 => points,
         other => other,
@@ -92,7 +93,7 @@ pub(super) fn records_e(input: &mut dyn Input) -> Result<Vec<Record>, FormatErro
     two_channels(input, &fields, [points, points_2], E_DATA)
 }
 
-fn two_channels(input: &dyn Input, fields: &Fields, depths: [u32; 2], data: u64) -> Result<Vec<Record>, FormatError> {
+fn two_channels(input: &dyn Input, fields: &Numbers, depths: [u32; 2], data: u64) -> Result<Vec<Record>, FormatError> {
     let is_e = data == E_DATA;
     // Two more bytes than the head says are no samples.
     let skipped = match fields.u32(E_ROLL_STOP) {
@@ -117,13 +118,13 @@ fn two_channels(input: &dyn Input, fields: &Fields, depths: [u32; 2], data: u64)
 }
 
 impl Layout {
-    fn is_on(&self, fields: &Fields, number: usize) -> bool {
+    fn is_on(&self, fields: &Numbers, number: usize) -> bool {
         fields.u8(self.channel_heads + number * CHANNEL_BYTES + self.on) != 0
     }
 
-    fn head(&self, fields: &Fields, number: usize, samples: u32) -> Result<Head, FormatError> {
+    fn head(&self, fields: &Numbers, number: usize, samples: u32) -> Result<Head, FormatError> {
         let at = self.channel_heads + number * CHANNEL_BYTES;
-        let probe = fields.factor(at + 8, "the probe's factor")?;
+        let probe = factor(fields, at + 8, "the probe's factor")?;
         let scale = match fields.i32(at + 16) {
             0 => return Err(field(at + 16, "the scale is 0 V/div; save the capture again")),
             scale => 1e-6 * f64::from(scale) * probe,
@@ -144,8 +145,8 @@ impl Layout {
 
 impl TimeBase {
     /// Time between samples, into the head, and time of sample 0 of a memory of this depth.
-    fn place(&self, fields: &Fields, head: &mut Head, depth: u32) -> Result<Option<f64>, FormatError> {
-        let dt_s = fields.dt_s(self.rate, "the sample rate", 1.0)?;
+    fn place(&self, fields: &Numbers, head: &mut Head, depth: u32) -> Result<Option<f64>, FormatError> {
+        let dt_s = dt_s(fields, self.rate, "the sample rate", 1.0)?;
         head.dt_s = Some(dt_s);
         let offset = fields.i64(self.measured_offset);
         let known = offset == fields.i64(self.offset);

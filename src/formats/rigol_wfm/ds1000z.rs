@@ -10,7 +10,8 @@
 //! Lanes: with two channels on, the first of them has the odd bytes; with three or four, four bytes are CH4, CH3, CH2, CH1. Records with logic
 //! channels are refused by name: how they share the memory is not known. `dt_s` is 1 / (sample rate in GHz, an f32, * 1e9).
 
-use super::{CHANNELS, FORMAT, Fields, field, record, some};
+use super::{CHANNELS, FORMAT, dt_s, field, record, some};
+use crate::formats::numbers::Numbers;
 use crate::formats::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Record};
 
@@ -29,7 +30,7 @@ const HORIZONTAL_OFFSET: usize = 0x104;
 
 /// The channels that are on.
 pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-    let fields = Fields::read(input, HEAD_BYTES)?;
+    let fields = Numbers::head(input, HEAD_BYTES)?;
     if fields.u16(STRUCTURE_SIZE) != 0xD8 {
         let size = fields.u16(STRUCTURE_SIZE);
         return Err(field(STRUCTURE_SIZE, format!("a head of {size} bytes is not of a DS1000Z; save as CSV")));
@@ -62,7 +63,7 @@ pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError>
     some(records, ENABLED)
 }
 
-fn head(fields: &Fields, number: usize, samples: u32) -> Result<Head, FormatError> {
+fn head(fields: &Numbers, number: usize, samples: u32) -> Result<Head, FormatError> {
     let at = CHANNEL_HEADS + number * CHANNEL_BYTES;
     let acquisition = fields.u8(ACQUISITION);
     Ok(Head {
@@ -74,9 +75,9 @@ fn head(fields: &Fields, number: usize, samples: u32) -> Result<Head, FormatErro
         },
         instrument: fields.text(MODEL, 20),
         channel: Some(format!("CH{}", number + 1)),
-        dt_s: Some(fields.dt_s(RATE_GHZ, "the sample rate", 1e9)?),
-        header_gain: Some(fields.finite(at + 8, "the scale")?),
-        header_offset: Some(fields.finite(at + 12, "the shift")?),
+        dt_s: Some(dt_s(fields, RATE_GHZ, "the sample rate", 1e9)?),
+        header_gain: Some(fields.finite(at + 8, "the scale", fields.f32(at + 8))?),
+        header_offset: Some(fields.finite(at + 12, "the shift", fields.f32(at + 12))?),
         ..Head::new(FORMAT, CodeType::U8, samples as usize)
     })
 }

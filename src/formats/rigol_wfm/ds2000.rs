@@ -16,7 +16,8 @@ use std::io::{self, SeekFrom};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use super::{CHANNELS, FORMAT, Fields, field, record, some, unit, within};
+use super::{CHANNELS, FORMAT, dt_s, factor, field, record, some, unit, within};
+use crate::formats::numbers::Numbers;
 use crate::formats::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Payload, ReadSeek, Record, Scale, Unpack};
 
@@ -69,7 +70,7 @@ const MIDDLE: f64 = 127.0;
 
 /// The channels that are on.
 pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-    let serial = Fields::read(input, 24)?.text(SERIAL, 20).unwrap_or_default();
+    let serial = Numbers::head(input, 24)?.text(SERIAL, 20).unwrap_or_default();
     let layout = match serial.strip_prefix("MSO").or_else(|| serial.strip_prefix("DS")).and_then(|rest| rest.get(..1)) {
         Some("2") => DS2000,
         Some("4") => DS4000,
@@ -83,7 +84,7 @@ pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError>
 
 impl Layout {
     fn records(&self, input: &mut dyn Input, serial: &str) -> Result<Vec<Record>, FormatError> {
-        let fields = Fields::read(input, self.head_bytes)?;
+        let fields = Numbers::head(input, self.head_bytes)?;
         let samples = fields.u32(self.samples);
         if self.is_ds2000 && fields.u8(INTERWOVEN) & 1 == 1 {
             return Ok(vec![self.interwoven(input, &fields, serial, samples)?]);
@@ -98,7 +99,7 @@ impl Layout {
     }
 
     /// Where the valid samples of a channel begin.
-    fn stretch(&self, fields: &Fields, number: usize) -> Result<u64, FormatError> {
+    fn stretch(&self, fields: &Numbers, number: usize) -> Result<u64, FormatError> {
         let at = OFFSETS + 4 * number;
         match fields.u32(at) {
             offset if u64::from(offset) >= self.head_bytes => {
@@ -111,7 +112,7 @@ impl Layout {
     fn interwoven(
         &self,
         input: &dyn Input,
-        fields: &Fields,
+        fields: &Numbers,
         serial: &str,
         samples: u32,
     ) -> Result<Record, FormatError> {
@@ -135,12 +136,12 @@ impl Layout {
     }
 
     /// Where sample 0 lies if the middle of the memory lies at the horizontal offset.
-    fn t0_s(&self, fields: &Fields, head: &Head) -> Option<f64> {
+    fn t0_s(&self, fields: &Numbers, head: &Head) -> Option<f64> {
         let middle_s = fields.i64(self.horizontal_offset) as f64 * 1e-12;
         head.dt_s.map(|dt_s| middle_s - head.samples as f64 * dt_s / 2.0)
     }
 
-    fn head(&self, fields: &Fields, number: usize, serial: &str, samples: u32) -> Result<Head, FormatError> {
+    fn head(&self, fields: &Numbers, number: usize, serial: &str, samples: u32) -> Result<Head, FormatError> {
         let at = self.channel_heads + number * CHANNEL_BYTES;
         let acquisition = fields.u16(self.acquisition);
         let kind = match acquisition {
@@ -152,7 +153,8 @@ impl Layout {
                 return Err(field(self.acquisition, problem));
             }
         };
-        let (scale, offset) = (fields.factor(at + 8, "the scale")?, fields.finite(at + 12, "the offset")?);
+        let (scale, offset) =
+            (factor(fields, at + 8, "the scale")?, fields.finite(at + 12, "the offset", fields.f32(at + 12))?);
         let flags = [fields.u8(at + 16), fields.u8(at + 17)];
         // Newer DS2000 mark a channel that is on by 8 instead of 1, and have the two flags in the other order.
         let swapped = self.is_ds2000 && fields.u8(at) != 1;
@@ -163,7 +165,7 @@ impl Layout {
             instrument: Some(serial.to_owned()),
             channel: Some(format!("CH{}", number + 1)),
             unit: unit(unit_number),
-            dt_s: Some(fields.dt_s(self.rate, "the sample rate", 1.0)?),
+            dt_s: Some(dt_s(fields, self.rate, "the sample rate", 1.0)?),
             t0_nominal: true,
             // Whether the codes of an inverted channel are inverted already is not known.
             scale: (inverted == 0).then_some(Scale { gain, offset: -gain * MIDDLE - offset }),

@@ -24,6 +24,7 @@ mod tests;
 
 use std::sync::Arc;
 
+use super::numbers::Numbers;
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{Head, Payload, Record};
 
@@ -90,63 +91,21 @@ fn field(byte_offset: usize, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset: byte_offset as u64, problem: problem.into() }
 }
 
-/// A head of known length, all of whose numbers are little-endian.
-struct Fields(Vec<u8>);
+/// A number (f32) that is not 0 either.
+fn factor(fields: &Numbers, at: usize, name: &str) -> Result<f64, FormatError> {
+    match fields.finite(at, name, fields.f32(at))? {
+        0.0 => Err(fields.refuse(at, format!("{name} = 0 gives no scale; save the capture again"))),
+        value => Ok(value),
+    }
+}
 
-impl Fields {
-    fn read(input: &mut dyn Input, length: u64) -> Result<Self, FormatError> {
-        Ok(Self(input.bytes("the head", 0, length)?))
+/// Time between samples of a sample rate (f32), in hertz times `unit_hz`.
+fn dt_s(fields: &Numbers, at: usize, name: &str, unit_hz: f64) -> Result<f64, FormatError> {
+    let dt_s = 1.0 / (fields.finite(at, name, fields.f32(at))? * unit_hz);
+    if dt_s > 0.0 && dt_s.is_finite() {
+        return Ok(dt_s);
     }
-    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        self.0[at..at + N].try_into().expect("fields lie within the head")
-    }
-    fn u8(&self, at: usize) -> u8 {
-        self.0[at]
-    }
-    fn u16(&self, at: usize) -> u16 {
-        u16::from_le_bytes(self.array(at))
-    }
-    fn i16(&self, at: usize) -> i16 {
-        i16::from_le_bytes(self.array(at))
-    }
-    fn u32(&self, at: usize) -> u32 {
-        u32::from_le_bytes(self.array(at))
-    }
-    fn i32(&self, at: usize) -> i32 {
-        i32::from_le_bytes(self.array(at))
-    }
-    fn i64(&self, at: usize) -> i64 {
-        i64::from_le_bytes(self.array(at))
-    }
-
-    fn finite(&self, at: usize, name: &str) -> Result<f64, FormatError> {
-        let value = f64::from(f32::from_le_bytes(self.array(at)));
-        if value.is_finite() { Ok(value) } else { Err(field(at, format!("{name} = {value} is no number"))) }
-    }
-
-    /// A number that is not 0 either.
-    fn factor(&self, at: usize, name: &str) -> Result<f64, FormatError> {
-        match self.finite(at, name)? {
-            0.0 => Err(field(at, format!("{name} = 0 gives no scale; save the capture again"))),
-            value => Ok(value),
-        }
-    }
-
-    /// Time between samples of a sample rate, in hertz times `unit_hz`.
-    fn dt_s(&self, at: usize, name: &str, unit_hz: f64) -> Result<f64, FormatError> {
-        let dt_s = 1.0 / (self.finite(at, name)? * unit_hz);
-        if dt_s > 0.0 && dt_s.is_finite() {
-            return Ok(dt_s);
-        }
-        Err(field(at, format!("{name} gives {dt_s} s between samples: the record has no time base")))
-    }
-
-    /// A text, up to its first zero byte; `None` if nothing is in it.
-    fn text(&self, at: usize, length: usize) -> Option<String> {
-        let bytes = self.0[at..at + length].split(|byte| *byte == 0).next().unwrap_or_default();
-        let text = String::from_utf8_lossy(bytes).trim().to_owned();
-        (!text.is_empty()).then_some(text)
-    }
+    Err(fields.refuse(at, format!("{name} gives {dt_s} s between samples: the record has no time base")))
 }
 
 /// One channel whose codes lie in the file, `stride` bytes from one to the next.

@@ -2,7 +2,8 @@
 
 use std::io::Read;
 
-use super::{CHECKSUM, Numbers, UNCOUNTED};
+use super::{CHECKSUM, UNCOUNTED};
+use crate::formats::numbers::Numbers;
 use crate::formats::reader::{FormatError, Input};
 
 /// Bytes that are summed at a time.
@@ -17,7 +18,7 @@ pub(super) fn verify(header: &Numbers, input: &mut dyn Input, end: u64) -> Resul
     }
     let bytes = input.bytes("the checksum", end, CHECKSUM)?;
     let checksum = Numbers { bytes, origin: 0, big_endian: header.big_endian };
-    let said = u64::from_le_bytes(checksum.array(0));
+    let said = checksum.u64(0);
     let mut stream = input.stream()?;
     let (mut sum, mut left, mut piece) = (0_u64, end, vec![0; PIECE_BYTES]);
     while left > 0 {

@@ -1,6 +1,7 @@
 //! The frames of a file: where their samples lie, and when each was triggered.
 
-use super::{CURVE, Header, Numbers, UPDATE, field};
+use super::{CURVE, Header, UPDATE, field};
+use crate::formats::numbers::Numbers;
 use crate::formats::reader::{FormatError, Input};
 use crate::waveform::CodeType;
 
@@ -98,14 +99,15 @@ impl<'a> Frames<'a> {
             return Err(FormatError::Truncated { what: "the curve buffer", byte_offset: buffer, needed, length });
         }
         let bytes = input.bytes("the frames' update specifications and curve objects", origin as u64, tables)?;
-        let tables = Numbers { bytes, origin, big_endian: numbers.big_endian };
+        let tables = Numbers { bytes, origin: origin as u64, big_endian: numbers.big_endian };
         Ok((Self { header, tables, first, code_type }, buffer))
     }
 
     /// The frames, and where the last one's curve buffer ends.
     pub(super) fn list(&self, mut buffer: u64, length: u64, dt_s: f64) -> Result<(Vec<Frame>, u64), FormatError> {
+        let at = self.header.layout.implicit + 8;
         let offset_s =
-            self.header.numbers.finite(self.header.layout.implicit + 8, "offset of the implicit dimension")?;
+            self.header.numbers.finite(at, "offset of the implicit dimension", self.header.numbers.f64(at))?;
         let more = self.tables.bytes.len() / (UPDATE + CURVE);
         let mut frames = Vec::with_capacity(more + 1);
         for i in 0..=more {
@@ -141,8 +143,8 @@ impl<'a> Frames<'a> {
             None => (&self.header.numbers, self.header.layout.update),
             Some(before) => (&self.tables, before * UPDATE),
         };
-        let tt_offset = numbers.finite(at + 4, "TT offset")?;
-        let fraction_s = numbers.finite(at + 12, "fractional second")?;
+        let tt_offset = numbers.finite(at + 4, "TT offset", numbers.f64(at + 4))?;
+        let fraction_s = numbers.finite(at + 12, "fractional second", numbers.f64(at + 12))?;
         let t0_s = offset_s + tt_offset * dt_s;
         if !t0_s.is_finite() {
             let problem = format!("TT offset = {tt_offset} samples of {dt_s} s gives no time");

@@ -1,6 +1,7 @@
 //! The optional trailer behind the checksum: keys and values, as instruments of the 4, 5 and 6 Series write them.
 
-use super::{CHECKSUM, text};
+use super::CHECKSUM;
+use crate::formats::numbers::text;
 use crate::formats::reader::{FormatError, Input};
 
 /// Mark of a trailer.
