@@ -1,4 +1,4 @@
-//! HDF5 files of oscilloscopes: Keysight Infiniium (`keysight-h5`) and Tektronix DPO5000 (`tek-h5`); formulas are in [`keysight`] and [`tektronix`].
+//! HDF5 files of oscilloscopes: Keysight Infiniium (`keysight-h5`) and Tektronix DPO5000 (`tek-h5`); formulas are in `keysight.rs` and `tektronix.rs`.
 //!
 //! Of HDF5 itself is read what both vendors write, which is what the HDF5 library writes unless told otherwise: superblock version 0 or 1, object
 //! headers version 1, groups as symbol tables, attributes in the headers, data sets of one axis that are contiguous, compact, or chunked with or
