@@ -6,7 +6,7 @@ use super::raw_file::{Bad, Hashed, RawFile};
 use super::survey::{Job, Surveyed};
 use super::template::Template;
 use crate::tables::Trace;
-use crate::waveform::Record;
+use crate::waveform::{Kind, Record};
 
 /// The files of an item: signal, and reference if it has one.
 pub struct Files {
@@ -124,7 +124,11 @@ fn select(records: &[Record], channel: Option<&str>, segment: Option<u32>) -> Re
         let named = channel.is_none() || record.head.channel.is_none() || record.head.channel.as_deref() == channel;
         named && (segment.is_none() || record.segment == segment)
     };
-    let found: Vec<usize> = (0..records.len()).filter(|&i| wanted(&records[i])).collect();
+    let mut found: Vec<usize> = (0..records.len()).filter(|&i| wanted(&records[i])).collect();
+    // Beside exposures, an average is the instrument's own of them (a summary frame), and no exposure.
+    if found.iter().any(|&i| records[i].head.kind == Kind::Waveform) {
+        found.retain(|&i| records[i].head.kind != Kind::Average);
+    }
     match segment {
         Some(segment) if found.is_empty() => Err(format!("has no segment {segment}")),
         _ => Ok(found),
@@ -135,4 +139,25 @@ fn select(records: &[Record], channel: Option<&str>, segment: Option<u32>) -> Re
 fn numbered(records: &[usize], shot: Option<u32>) -> Vec<(usize, i32)> {
     let first = shot.unwrap_or(0) as i32;
     records.iter().enumerate().map(|(i, &record)| (record, first + i as i32)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::waveform::{CodeType, Head, Payload};
+    use std::sync::Arc;
+
+    #[test]
+    fn an_average_beside_its_exposures_is_none_of_them() {
+        let record = |kind: Kind, segment: u32| Record {
+            head: Arc::new(Head { kind, ..Head::new("tek-wfm", CodeType::I8, 4) }),
+            segment: Some(segment),
+            t0_s: None,
+            trigger_s: None,
+            payload: Payload::Decoded([0; 4].as_slice().into()),
+        };
+        let frames = [record(Kind::Waveform, 0), record(Kind::Waveform, 1), record(Kind::Average, 2)];
+        assert_eq!(select(&frames, None, None).unwrap(), [0, 1]);
+        assert_eq!(select(&frames[2..], None, None).unwrap(), [0], "alone, it is the exposure");
+    }
 }
