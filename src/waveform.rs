@@ -131,12 +131,18 @@ impl CodeType {
     /// Codes as numbers, from little-endian bytes.
     #[must_use]
     pub fn decode(self, codes: &[u8]) -> Vec<f64> {
+        self.decode_as(codes, |code| code)
+    }
+
+    /// What `value` makes of each code: one pass, since memory is what it waits for.
+    fn decode_as(self, codes: &[u8], value: impl Fn(f64) -> f64) -> Vec<f64> {
         macro_rules! numbers {
             ($number:ty) => {
                 codes
                     .chunks_exact(size_of::<$number>())
                     .map(|code| {
-                        f64::from(<$number>::from_le_bytes(code.try_into().expect("chunks have the code's size")))
+                        let code = <$number>::from_le_bytes(code.try_into().expect("chunks have the code's size"));
+                        value(f64::from(code))
                     })
                     .collect()
             };
@@ -355,10 +361,9 @@ impl Record {
     /// Scaled values of codes; the codes themselves where the file has no scale.
     #[must_use]
     pub fn values(&self, codes: &[u8]) -> Vec<f64> {
-        let mut values = self.head.code_type.decode(codes);
-        if let Some(Scale { gain, offset }) = self.head.scale {
-            values.iter_mut().for_each(|value| *value = gain * *value + offset);
+        match self.head.scale {
+            Some(Scale { gain, offset }) => self.head.code_type.decode_as(codes, |code| gain * code + offset),
+            None => self.head.code_type.decode(codes),
         }
-        values
     }
 }
