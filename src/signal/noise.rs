@@ -1,5 +1,7 @@
 //! Noise of a record: standard deviation and autocorrelation, from stretches without light.
 
+use super::whiten::Predictors;
+
 /// What stretches of noise say.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Noise {
@@ -11,8 +13,8 @@ pub struct Noise {
 
 /// Noise of stretches of samples, each with its own mean removed; `lags` autocorrelations. Stretches of fewer than two samples do not count.
 ///
-/// The mean that is removed takes part of the variance with it, for white noise one part in the stretch's length at every lag: that part is
-/// given back.
+/// The mean that is removed takes its own variance with it at every lag: that part is given back, on the supposition that nothing is correlated
+/// beyond `lags` and half a stretch.
 #[must_use]
 pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
     let stretches: Vec<Vec<f64>> =
@@ -26,13 +28,85 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
         let pairs: usize = stretches.iter().map(|s| s.len() - lag).sum();
         products / pairs as f64
     };
-    let lost = 1.0 / shortest as f64;
-    let variance = covariance(0) / (1.0 - lost);
-    let given_back = variance * lost;
-    let acf = (0..lags.min(shortest))
-        .map(|lag| if lag == 0 || variance == 0.0 { 1.0 } else { (covariance(lag) + given_back) / variance })
-        .collect();
-    Noise { sd: variance.sqrt(), acf }
+    let centred: Vec<f64> = (0..lags.clamp(1, shortest)).map(covariance).collect();
+    let length = stretches.iter().map(Vec::len).sum::<usize>() / stretches.len();
+    let covariances = undo_centring(&centred, length);
+    let variance = covariances[0].max(0.0);
+    let correlation =
+        |(lag, covariance): (usize, &f64)| if lag == 0 || variance == 0.0 { 1.0 } else { covariance / variance };
+    Noise { sd: variance.sqrt(), acf: covariances.iter().enumerate().map(correlation).take(lags).collect() }
+}
+
+/// Covariances at lags 0, 1, .. from those of stretches of `length` samples whose means were removed: the fixed point of
+/// `c = centred + loss(c)`. The loss is the smaller the shorter the correlation, so that the iteration contracts.
+fn undo_centring(centred: &[f64], length: usize) -> Vec<f64> {
+    const ROUNDS: usize = 60;
+    let correlated = centred.len().min(length / 2).max(1);
+    let mut covariances = centred.to_vec();
+    for _ in 0..ROUNDS {
+        let loss = loss_by_centring(&covariances[..correlated], length, centred.len());
+        for ((c, centred), loss) in covariances.iter_mut().zip(centred).zip(loss) {
+            *c = centred + loss;
+        }
+    }
+    covariances
+}
+
+/// What the covariances at `lags` lags lose when a stretch's mean m is removed: the mean over n of
+/// `cov(x_n, m) + cov(x_{n + lag}, m) - var(m)`.
+fn loss_by_centring(covariances: &[f64], length: usize, lags: usize) -> Vec<f64> {
+    // Sums of the covariances up to each lag, and from them L times cov(x_n, m).
+    let sums: Vec<f64> = running_sums(covariances.iter().copied());
+    let upto = |lag: usize| sums[(lag + 1).min(covariances.len())];
+    let scale = 1.0 / length as f64;
+    let with_mean = (0..length).map(|n| scale * (upto(n) + upto(length - 1 - n) - covariances[0]));
+    let with_mean = running_sums(with_mean);
+    let of_mean = scale * with_mean[length];
+    (0..lags)
+        .map(|lag| {
+            let both = with_mean[length - lag] + with_mean[length] - with_mean[lag];
+            both / (length - lag) as f64 - of_mean
+        })
+        .collect()
+}
+
+/// Sums of the first 0, 1, 2, .. values.
+fn running_sums(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut sums = vec![0.0];
+    for value in values {
+        sums.push(sums[sums.len() - 1] + value);
+    }
+    sums
+}
+
+/// Autocorrelation of the autoregressive process that describes an estimated one best: always a valid one, and without the scatter of lags that
+/// say nothing. `samples`: number of samples N behind the estimate.
+///
+/// The order m has the smallest Bayesian information criterion `N ln v_m + m ln N` (Schwarz, Ann. Stat. 6, 461 (1978)), `v_m` the variance of the
+/// error of prediction, among those whose `v_m` is known: lags that are wrong by `1 / sqrt(N)` make it wrong by `|a|^2 / sqrt(N)`, a the filter
+/// `1, -phi_1, .., -phi_m`. No order exceeds `N^(1/3) / 2` (Berk, Ann. Stat. 2, 489 (1974): spectra are consistent if m grows more slowly than
+/// `N^(1/3)`): an estimate that is nearly none otherwise tempts to the highest, which kills the lowest frequencies. Up to lag m the result
+/// is the estimate, behind it the process's continuation.
+#[must_use]
+pub fn autoregressive(acf: &[f64], samples: usize) -> Vec<f64> {
+    let predictors = Predictors::new(acf);
+    let n = samples.max(1) as f64;
+    let criterion = |m: &usize| n * predictors.variances[*m].ln() + *m as f64 * n.ln();
+    let is_known = |m: &usize| {
+        let squared = 1.0 + predictors.coefficients[*m].iter().map(|phi| phi * phi).sum::<f64>();
+        predictors.variances[*m] > squared / n.sqrt()
+    };
+    let order = (0..=predictors.order())
+        .take_while(|m| *m as f64 <= 0.5 * n.cbrt() && is_known(m))
+        .min_by(|a, b| criterion(a).total_cmp(&criterion(b)))
+        .unwrap_or(0);
+    let coefficients = &predictors.coefficients[order];
+    let mut smooth: Vec<f64> = acf.iter().take(order + 1).map(|r| r / acf[0]).collect();
+    while smooth.len() < acf.len() {
+        let next = coefficients.iter().zip(smooth.iter().rev()).map(|(phi, r)| phi * r).sum();
+        smooth.push(next);
+    }
+    smooth
 }
 
 /// Sum of products in eight interleaved parts, which the processor can take side by side; the order of additions is fixed.
@@ -75,6 +149,54 @@ mod tests {
             (noise.sd - 2_f64.sqrt()).abs() < 0.04 && (noise.acf[1] - 0.5).abs() < 0.04 && noise.acf[2].abs() < 0.04,
             "{noise:?}"
         );
+    }
+
+    /// `x_n = phi x_{n-1} + e_n` of variance 1, from its stationary state on.
+    fn first_order(phi: f64, len: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
+        let mut draw = || -> f64 { StandardNormal.sample(rng) };
+        let mut x = draw();
+        (0..len)
+            .map(|_| {
+                let this = x;
+                x = phi * x + (1.0 - phi * phi).sqrt() * draw();
+                this
+            })
+            .collect()
+    }
+
+    /// Short stretches: what their means take of slow noise is given back, in the variance and at every lag.
+    #[test]
+    fn removed_means_do_not_bias_correlated_noise() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let stretches: Vec<Vec<f64>> = (0..4000).map(|_| first_order(0.7, 40, &mut rng)).collect();
+        let noise = estimate(&stretches, 16);
+        assert!((noise.sd - 1.0).abs() < 0.01, "{}", noise.sd);
+        for (lag, r) in noise.acf.iter().enumerate() {
+            assert!((r - 0.7_f64.powi(lag as i32)).abs() < 0.015, "{lag}: {r}");
+        }
+    }
+
+    #[test]
+    fn the_autoregressive_process_is_recognised_and_continued() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let (mut raw, mut smooth) = ([0.0; 16], [0.0; 16]);
+        for _ in 0..200 {
+            let stretches: Vec<Vec<f64>> = (0..16).map(|_| first_order(0.5, 40, &mut rng)).collect();
+            let noise = estimate(&stretches, 16);
+            let model = autoregressive(&noise.acf, 640);
+            assert_eq!((model.len(), model[0]), (16, 1.0));
+            for lag in 0..16 {
+                let truth = 0.5_f64.powi(lag as i32);
+                raw[lag] += (noise.acf[lag] - truth).powi(2);
+                smooth[lag] += (model[lag] - truth).powi(2);
+            }
+        }
+        assert!(smooth[8..].iter().sum::<f64>() < 0.5 * raw[8..].iter().sum::<f64>(), "{smooth:?} {raw:?}");
+        // An exact one of order 1 stays what it is; nothing stays nothing; too few samples say nothing.
+        let exact = [1.0, 0.5, 0.25, 0.125];
+        assert!(autoregressive(&exact, 1000).iter().zip(&exact).all(|(a, b)| (a - b).abs() < 1e-12));
+        assert_eq!(autoregressive(&[], 10), Vec::<f64>::new());
+        assert_eq!(autoregressive(&[2.0, 0.2], 2), [1.0, 0.0]);
     }
 
     #[test]

@@ -7,6 +7,8 @@ use super::codes::Codes;
 pub const HEAD_SHOTS: usize = 32;
 /// Fewer shots say nothing about outliers.
 const JUDGES_MIN: usize = 8;
+/// Largest standard deviation, in codes, of noise whose median deviation after rounding may be 0: 0.5 / 0.6745.
+const QUIET_SD: f64 = 0.741;
 
 /// Standard deviation over shots at each place of their mean, each shot's own baseline (mean of its first `baseline` samples) removed.
 ///
@@ -100,8 +102,8 @@ impl OutlierTest {
             column.iter_mut().for_each(|value| *value = (*value - *median).abs());
             deviations.push(middle(&mut column));
         }
-        // The floor of half a code keeps a record that is quieter than its converter's step from rejecting everything.
-        let scale = (1.4826 * middle(&mut deviations)).max(0.5);
+        // A median deviation of 0 codes says only that half of the normal noise lies within half a code.
+        let scale = (1.4826 * middle(&mut deviations)).max(QUIET_SD);
         let slope = |n: usize| {
             let neighbour = |m: usize| (median[m.min(count - 1)] - median[n]).abs();
             neighbour(n + 1).max(neighbour(n.saturating_sub(1)))
@@ -143,4 +145,34 @@ fn without_baseline(codes: Codes<'_>, baseline: usize) -> Vec<f64> {
 fn middle(values: &mut [f64]) -> f64 {
     let half = values.len() / 2;
     *values.select_nth_unstable_by(half, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    /// Noise of a code or less, at any level between two codes: its median deviation is 0 or 1 code, whatever its sd.
+    #[test]
+    fn good_shots_with_little_noise_are_not_rejected() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for noise in [0.3, 0.5, 0.65, 0.74, 1.0] {
+            let mut wrong = 0;
+            for _ in 0..10 {
+                let level = rng.random_range(-0.5..0.5);
+                let mut code = || -> [u8; 2] {
+                    let normal: f64 = StandardNormal.sample(&mut rng);
+                    ((level + noise * normal).round() as i16).to_le_bytes()
+                };
+                let mut shot = || -> Vec<u8> { (0..500).flat_map(|_| code()).collect() };
+                let head: Vec<Vec<u8>> = (0..HEAD_SHOTS).map(|_| shot()).collect();
+                let views: Vec<(Codes<'_>, i64)> = head.iter().map(|bytes| (Codes::I16(bytes), 0)).collect();
+                let test = OutlierTest::new(&views, 32, 6.0).expect("enough shots");
+                wrong += (0..100).filter(|_| test.is_outlier(Codes::I16(&shot()), 0)).count();
+            }
+            assert!(wrong <= 1, "noise {noise}: {wrong} of 1000");
+        }
+    }
 }

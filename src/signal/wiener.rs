@@ -117,10 +117,24 @@ impl Wiener {
         Self { len: transfer.len, filter }
     }
 
-    /// Standard deviation of deconvolved white noise of standard deviation 1: root of the mean of `|W|^2` over all bins.
+    /// Standard deviation of deconvolved noise of standard deviation 1 and autocorrelation `acf` (lags 0, 1, ..; `&[1.0]` or nothing: white): root of
+    /// the mean of `|W|^2` over all bins, each weighted by the noise's power in it.
     #[must_use]
-    pub fn noise_gain(&self) -> f64 {
-        mean_square(&self.filter, self.len).sqrt()
+    pub fn noise_gain(&self, fft: &mut RealFft, acf: &[f64]) -> f64 {
+        if acf.len() <= 1 {
+            return mean_square(&self.filter, self.len).sqrt();
+        }
+        let mut circular = vec![0.0; self.len];
+        for (lag, r) in acf.iter().enumerate().take(self.len.div_ceil(2)) {
+            circular[lag] = *r;
+            circular[(self.len - lag) % self.len] = *r;
+        }
+        let mut power = vec![Complex::default(); self.filter.len()];
+        fft.forward(&circular, &mut power);
+        // The root of the power, which is not negative but for the lags that an estimate leaves out.
+        let weighted: Vec<Complex<f64>> =
+            self.filter.iter().zip(&power).map(|(w, p)| w * (p.re.max(0.0) / acf[0]).sqrt()).collect();
+        mean_square(&weighted, self.len).sqrt()
     }
 
     /// Deconvolves `profile` into `light`, both of the filter's length; `light` has the profile's unit, and its time 0 is the arrival.
@@ -250,14 +264,20 @@ mod tests {
         for len in [255, 256] {
             let mut fft = RealFft::new();
             let wiener = Wiener::new(&Transfer::from_samples(&mut fft, &ringing(), len), 0.01, Some(0.2));
-            let (mut squares, mut light) = (0.0, vec![0.0; len]);
-            for _ in 0..400 {
-                let noise: Vec<f64> = (0..len).map(|_| rand_distr::StandardNormal.sample(&mut rng)).collect();
-                wiener.apply(&mut fft, &noise, &mut light);
-                squares += light.iter().map(|x| x * x).sum::<f64>() / len as f64;
+            // White noise, and that of two samples' mean.
+            for acf in [&[1.0][..], &[1.0, 0.5]] {
+                let (mut squares, mut light) = (0.0, vec![0.0; len]);
+                for _ in 0..400 {
+                    let white: Vec<f64> = (0..=len).map(|_| rand_distr::StandardNormal.sample(&mut rng)).collect();
+                    let mean = |pair: &[f64]| 0.5_f64.sqrt() * (pair[0] + pair[1]);
+                    let noise: Vec<f64> =
+                        if acf.len() == 1 { white[1..].to_vec() } else { white.windows(2).map(mean).collect() };
+                    wiener.apply(&mut fft, &noise, &mut light);
+                    squares += light.iter().map(|x| x * x).sum::<f64>() / len as f64;
+                }
+                let ratio = (squares / 400.0).sqrt() / wiener.noise_gain(&mut fft, acf);
+                assert!((ratio - 1.0).abs() < 0.01, "{len} {acf:?}: {ratio}");
             }
-            let ratio = (squares / 400.0).sqrt() / wiener.noise_gain();
-            assert!((ratio - 1.0).abs() < 0.01, "{len}: {ratio}");
         }
     }
 

@@ -61,7 +61,7 @@ impl Default for Average {
 
 impl Stage for Average {
     const KIND: &'static str = "average";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
     type Input = Trace;
@@ -121,6 +121,8 @@ struct Spread {
     sd: Vec<f64>,
     noise: f64,
     acf: Vec<f64>,
+    /// Samples behind noise and autocorrelation.
+    samples: usize,
 }
 
 impl Fold for Average {
@@ -275,6 +277,7 @@ impl State {
             // The spread is that of records, each of which the oscilloscope may have averaged.
             noise_v: spread.noise * gain_v.abs() * f64::from(self.first.averaged_shots).sqrt(),
             noise_acf: spread.acf.iter().copied().collect(),
+            noise_samples: i32::try_from(spread.samples).ok(),
             baseline_v: baseline * gain_v + offset_v,
             phase_shots: Some(self.sums.phase_shots().into_iter().map(|shots| shots as i32).collect()),
             jitter_ps: (alignment + rounding).sqrt() / root_shots,
@@ -357,7 +360,9 @@ impl Average {
         let stretches: Vec<Vec<f64>> =
             passed.iter().map(|(codes, _)| codes.slice(0..state.baseline).to_f64()).collect();
         let noise = noise::estimate(&stretches, ACF_LAGS);
-        state.spread = Some(Spread { first_position: mean.first_position, sd, noise: noise.sd, acf: noise.acf });
+        let samples = stretches.iter().map(Vec::len).sum();
+        state.spread =
+            Some(Spread { first_position: mean.first_position, sd, noise: noise.sd, acf: noise.acf, samples });
     }
 }
 

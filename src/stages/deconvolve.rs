@@ -9,8 +9,10 @@
 //! wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the
 //! response's sign, unless `signed` allows both.
 //!
-//! Takes `profiles`; writes `stir`. Beside it: `calibration`. Noise is taken as white and equal along the record, of standard deviation
-//! `noise_v` over the root of the shots. Not modelled yet: correlated noise, noise that depends on the level, extended bounces.
+//! Takes `profiles`; writes `stir`. Beside it: `calibration`. Noise is taken as equal along the record, of standard deviation `noise_v` over the root
+//! of the shots and with the autocorrelation `noise_acf`, smoothed to that of an autoregressive process of the order that `noise_samples` can tell. `wiener`
+//! knows the correlation in `profile_noise` only. Where the response fits far worse than the noise is (`chi2_dof` well above 1) and a single shot
+//! tells the noise, its estimate weighs the misfit otherwise in every record: `correlated = false` keeps times comparable there. Not modelled yet: noise that depends on the level, extended bounces.
 //!
 //! ```toml
 //! [stir]
@@ -29,10 +31,14 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageErro
 use crate::campaign::Campaign;
 use crate::signal::averaged_response::averaged_response;
 use crate::signal::fft::RealFft;
+use crate::signal::noise;
 use crate::signal::response::Response;
 use crate::signal::sparse::{self, Pulse, SparseOptions};
 use crate::signal::wiener::{Transfer, Wiener};
 use crate::tables::{Calibration, Impulse, Name, Profile, Stir};
+
+/// Share of a record whose samples tell the noise, where the profile does not say.
+const BASELINE_SHARE: f64 = 0.1;
 
 /// Parameters of `deconvolve`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -45,6 +51,8 @@ pub struct Deconvolve {
     impulses_max: usize,
     /// Whether impulses may be negative, for `sparse`: reflections on a line are, light is not.
     signed: bool,
+    /// Whether the noise's correlation counts.
+    correlated: bool,
     /// Noise over signal power, for `wiener`; absent: estimated for each profile.
     noise_to_signal: Option<f64>,
     /// Where a Gaussian low-pass has fallen to exp(-1/2), for `wiener`; absent: none.
@@ -66,6 +74,7 @@ impl Default for Deconvolve {
             evidence: None,
             impulses_max: 16,
             signed: false,
+            correlated: true,
             noise_to_signal: None,
             lowpass_ghz: None,
         }
@@ -98,9 +107,25 @@ struct Tools {
 /// What an averaged response depends on: sensor, time step, length, and phases of the shots.
 type Alike = (Name, Name, u64, usize, Option<Vec<i32>>);
 
+/// Noise of a mean record.
+struct Noise {
+    /// Standard deviation of each sample.
+    sd_v: f64,
+    /// Autocorrelation at lags 0, 1, ..
+    acf: Vec<f64>,
+}
+
+/// Autocorrelation of a profile's noise.
+fn correlation(profile: &Profile) -> Vec<f64> {
+    // A table made elsewhere may not say how many samples tell the noise: at least a tenth of one shot's.
+    let usual = || profile.mean_v.len() as f64 * BASELINE_SHARE;
+    let samples = profile.noise_samples.map_or_else(usual, f64::from);
+    noise::autoregressive(&profile.noise_acf.to_f64(), samples.max(1.0) as usize)
+}
+
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
     type Input = Profile;
@@ -176,7 +201,11 @@ impl Deconvolve {
             f64::from(f32::EPSILON) * samples.iter().fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
         let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding);
         let alike = tools.take_up(sensor, profile);
-        let (light, light_noise_v) = self.wiener(alike, profile.dt_ps, &samples, noise_v, tools);
+        // What is no more than the rounding of the samples is white.
+        let is_white = !self.correlated || noise_v <= rounding;
+        let acf = if is_white { vec![1.0] } else { correlation(profile) };
+        let noise = Noise { sd_v: noise_v, acf };
+        let (light, light_noise_v) = self.wiener(alike, profile.dt_ps, &samples, &noise, tools);
         let response = tools.response.as_ref().map(|(_, response)| response).expect("taken up above");
         let blank = Stir {
             campaign: profile.campaign.clone(),
@@ -194,7 +223,7 @@ impl Deconvolve {
         };
         match self.method {
             Method::Wiener => blank,
-            Method::Sparse => self.sparse(response, sensor.polarity, profile, &samples, noise_v, blank),
+            Method::Sparse => self.sparse(response, sensor.polarity, profile, &samples, &noise, blank),
         }
     }
 
@@ -204,16 +233,18 @@ impl Deconvolve {
         polarity: f64,
         profile: &Profile,
         samples: &[f64],
-        noise_v: f64,
+        noise: &Noise,
         blank: Stir,
     ) -> Stir {
-        let sd_v = vec![noise_v; samples.len()];
-        let record = sparse::Profile { mean_v: samples, sd_v: &sd_v, t0_ps: blank.t0_ps, dt_ps: profile.dt_ps };
+        let sd_v = vec![noise.sd_v; samples.len()];
+        let (acf, t0_ps, dt_ps) = (&noise.acf, blank.t0_ps, profile.dt_ps);
+        let record = sparse::Profile { mean_v: samples, sd_v: &sd_v, acf, t0_ps, dt_ps };
         let options = SparseOptions {
             evidence_min: self.evidence,
             pulses_max: self.impulses_max,
             baseline: true,
             signed: self.signed,
+            extent_max_ps: 0.0,
         };
         let fit = sparse::fit(&record, response, &options);
         let count = fit.pulses.len();
@@ -230,19 +261,20 @@ impl Deconvolve {
     }
 
     /// The Wiener estimate and the standard deviation of its noise.
-    fn wiener(&self, alike: Alike, dt_ps: f64, samples: &[f64], noise_v: f64, tools: &mut Tools) -> (Vec<f64>, f64) {
+    fn wiener(&self, alike: Alike, dt_ps: f64, samples: &[f64], noise: &Noise, tools: &mut Tools) -> (Vec<f64>, f64) {
         let Tools { fft, response, filter } = tools;
         let ready = |(of, ratio, _): &(Alike, f64, Wiener)| *of == alike && self.noise_to_signal == Some(*ratio);
         if !filter.as_ref().is_some_and(ready) {
             let (_, response) = response.as_ref().expect("taken up before");
             let transfer = Transfer::from_response(fft, response, dt_ps, samples.len());
-            let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
+            let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise.sd_v));
             let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz * dt_ps / 1000.0);
             *filter = Some((alike, noise_to_signal, Wiener::new(&transfer, noise_to_signal, low_pass)));
         }
         let (_, _, wiener) = filter.as_ref().expect("made above");
         let mut light = vec![0.0; samples.len()];
         wiener.apply(fft, samples, &mut light);
-        (light, noise_v * wiener.noise_gain())
+        let light_noise_v = noise.sd_v * wiener.noise_gain(fft, &noise.acf);
+        (light, light_noise_v)
     }
 }

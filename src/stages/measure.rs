@@ -30,7 +30,7 @@ use crate::signal::response::Response;
 use crate::signal::shot_spread::HEAD_SHOTS;
 use crate::tables::{Calibration, Measurement, Name, Profile};
 
-/// Share of a record whose samples tell the noise, for the significance of its autocorrelation.
+/// Share of a record whose samples tell the noise, for the significance of its autocorrelation, where the profile does not say.
 const BASELINE_SHARE: f64 = 0.1;
 /// An autocorrelation within this many standard deviations of 0 is none.
 const ACF_SIGMA: f64 = 3.0;
@@ -56,7 +56,7 @@ pub struct Sensor {
 
 impl Stage for Measure {
     const KIND: &'static str = "measure";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
     type Input = Profile;
@@ -159,7 +159,8 @@ fn noise_of_mean(profile: &Profile, pulse: &Range<usize>) -> f64 {
 
 /// The autocorrelation of the noise as far as it differs from 0 for certain.
 fn significant_acf(profile: &Profile) -> Vec<f64> {
-    let judged = (profile.shots as usize).min(HEAD_SHOTS) as f64 * profile.mean_v.len() as f64 * BASELINE_SHARE;
+    let usual = || (profile.shots as usize).min(HEAD_SHOTS) as f64 * profile.mean_v.len() as f64 * BASELINE_SHARE;
+    let judged = profile.noise_samples.map_or_else(usual, f64::from).max(1.0);
     let least = ACF_SIGMA / judged.sqrt();
     let acf = profile.noise_acf.to_f64();
     let rest = acf.iter().skip(1).take_while(|r| r.abs() > least);

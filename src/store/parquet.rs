@@ -288,6 +288,7 @@ mod tests {
                 se_v: (0..samples).map(|_| 0.01).collect(),
                 noise_v: 0.1,
                 noise_acf: vec![1.0, 0.2].into(),
+                noise_samples: Some(640),
                 baseline_v: 0.0,
                 phase_shots: None,
                 jitter_ps: 0.0,

@@ -36,6 +36,8 @@ table! {
         noise_v: f64,
         /// Autocorrelation of that noise at lags 0, 1, 2...
         noise_acf: Samples,
+        /// Samples that this noise was taken from; null where that is not known.
+        noise_samples: Option<i32>,
         /// Mean baseline that was removed.
         baseline_v: f64,
         /// Shots at each of 64 sub-sample phases, which say what averaging does to a response; null where samples are as recorded.

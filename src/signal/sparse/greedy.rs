@@ -1,10 +1,12 @@
 //! The greedy growth and pruning of a fit.
 
-use super::linear::Cholesky;
-use super::model::{Model, Projection};
+use super::column::Column;
+use super::model::Model;
+use super::place::Place;
+use super::projection::Projection;
 use super::refine::refine;
 use super::search::{MatchedFilter, best_pair};
-use super::{Profile, Response, SparseOptions};
+use super::state::{Misfit, State};
 
 /// Pulses farther apart than this many widths of the response are refined separately while candidates are compared.
 const CLUSTER_WIDTHS: f64 = 2.5;
@@ -12,41 +14,44 @@ const CLUSTER_WIDTHS: f64 = 2.5;
 const STEP_WIDTHS: f64 = 0.32;
 /// A pulse is tried as two if the first-order drop of chi2 by widening it exceeds this part of the evidence asked for.
 const WIDENED: f64 = 0.25;
+/// Drop of chi2 that the width, or the tail, of a pulse far from others must be worth: it makes no new pulse and costs the time little, and
+/// left out it moves the time. Between blended pulses a needless width costs much, and must be worth what a pulse is.
+const WIDTH_EVIDENCE: f64 = 4.0;
+/// Chi2 of the samples of a widened pulse may lie this many of its standard deviations below its mean and still hide a misfit.
+const EXCESS_SIGMA: f64 = 3.0;
 /// Fewer degrees of freedom than this say nothing about the fit of one pulse.
 const FREEDOM_MIN: f64 = 4.0;
 
 /// What stays fixed during a fit.
 pub(super) struct Fitter<'a> {
     model: Model<'a>,
-    /// The record over its sd.
-    data: Vec<f64>,
-    width_ps: f64,
+    /// The records, whitened.
+    data: Vec<Vec<f64>>,
     filter: MatchedFilter,
     evidence_min: f64,
+    pulses_max: usize,
+    /// Excess kurtosis of each sample's noise, of each record; nothing for Gaussian noise.
+    kurtosis: Vec<Vec<f64>>,
 }
 
-/// Pulses that fit the whole record best, near where they were started.
-pub(super) struct State {
-    fit: Projection,
-    /// Record less pulses and baseline, over its sd.
-    residual: Vec<f64>,
-    baseline_v: f64,
-    /// Factor of the products of all values and derivatives.
-    factor: Cholesky,
-}
-
-/// A change of a state: the times of all pulses after it, and the drop of chi2 that it brings.
+/// A change of a state: the places of all pulses after it, the drop of chi2 that it brings, and what that must exceed.
 struct Change {
-    times_ps: Vec<f64>,
+    places: Vec<Place>,
     drop: f64,
+    cost: f64,
 }
 
 impl<'a> Fitter<'a> {
-    pub(super) fn new(profile: &Profile, response: &'a Response, options: &SparseOptions, evidence_min: f64) -> Self {
-        let model = Model::new(profile, response, options);
-        let data = profile.mean_v.iter().zip(&model.weights).map(|(y, w)| y * w).collect();
-        let width_ps = response.width_ps();
-        Self { filter: MatchedFilter::new(&model, width_ps, response.peak_ps()), model, data, width_ps, evidence_min }
+    pub(super) fn new(model: Model<'a>, means_v: &[&[f64]], evidence_min: f64, pulses_max: usize) -> Self {
+        let data = model.records.iter().zip(means_v).map(|(record, mean_v)| record.whitener.apply(mean_v)).collect();
+        let kurtosis = vec![Vec::new(); model.records.len()];
+        Self { filter: MatchedFilter::new(&model), model, data, evidence_min, pulses_max, kurtosis }
+    }
+
+    /// With noise in record 0 that is not Gaussian.
+    pub(super) fn with_kurtosis(mut self, kurtosis: Vec<f64>) -> Self {
+        self.kurtosis[0] = kurtosis;
+        self
     }
 
     /// The state without pulses.
@@ -54,102 +59,204 @@ impl<'a> Fitter<'a> {
         self.solve(Vec::new()).expect("nothing can coincide")
     }
 
-    /// Refines all pulses together from the given times. `None` if two of them cannot be told apart.
-    fn solve(&self, times_ps: Vec<f64>) -> Option<State> {
-        let fit = self.refine(&self.data, times_ps)?;
-        let mut residual = self.data.clone();
-        for (column, a) in fit.columns.iter().zip(&fit.amplitudes) {
-            column.add_to(&mut residual, -a);
+    /// Refines all pulses together from the given places. `None` if two of them cannot be told apart.
+    fn solve(&self, places: Vec<Place>) -> Option<State> {
+        let fit = self.refine(&self.data, places)?;
+        let mut residuals = self.data.clone();
+        for (group, range) in fit.groups.iter().zip(&self.model.groups) {
+            for (columns, residual) in group.columns.iter().zip(&mut residuals[range.clone()]) {
+                for (column, a) in columns.iter().zip(&group.amplitudes) {
+                    column.add_to(residual, -a);
+                }
+            }
         }
-        let baseline_v = self.model.baseline(&residual);
-        for (r, w) in residual.iter_mut().zip(&self.model.weights) {
-            *r -= baseline_v * w;
-        }
-        Some(State { factor: fit.factor()?, fit, residual, baseline_v })
+        let both = self.model.records.iter().zip(&mut residuals);
+        let baselines_v = both.map(|(record, residual)| record.take_baseline(residual)).collect();
+        Some(State { factor: fit.factor()?, fit, residuals, baselines_v })
     }
 
-    fn refine(&self, data: &[f64], times_ps: Vec<f64>) -> Option<Projection> {
-        refine(&self.model, data, times_ps, STEP_WIDTHS * self.width_ps)
+    fn refine(&self, data: &[Vec<f64>], places: Vec<Place>) -> Option<Projection> {
+        refine(&self.model, data, places, STEP_WIDTHS * self.model.width_ps)
     }
 
-    /// The state with one more pulse, if one is worth its evidence.
+    /// The state with one more pulse or a wider one, if that is worth its evidence.
     pub(super) fn grow(&self, state: &State) -> Option<State> {
         let added = self
             .filter
-            .best(&self.model, &state.residual)
-            .filter(|(_, drop)| *drop > WIDENED * self.evidence_min)
-            .and_then(|(time_ps, _)| self.change(state, &[], time_ps, &[time_ps]));
-        let split = (0..state.pulses()).filter_map(|k| self.split(state, k));
+            .best(&self.model, &state.residuals)
+            .filter(|(_, drop)| *drop > WIDENED * self.evidence_min && state.pulses() < self.pulses_max)
+            .and_then(|(time_ps, _)| self.change(state, &[], time_ps, &[Place::point(time_ps)]));
+        let replaced = (0..state.pulses()).filter_map(|k| self.replacement(state, k));
+        let gain = |change: &Change| change.drop - change.cost;
         let best = added
             .into_iter()
-            .chain(split)
-            .max_by(|a, b| a.drop.total_cmp(&b.drop))
-            .filter(|best| best.drop > self.evidence_min)?;
-        self.solve(best.times_ps)
+            .chain(replaced)
+            .max_by(|a, b| gain(a).total_cmp(&gain(b)))
+            .filter(|best| best.drop > best.cost)?;
+        self.solve(best.places)
     }
 
-    /// Pulse `k` replaced by the best pair in its place, if it looks widened.
-    fn split(&self, state: &State, k: usize) -> Option<Change> {
-        if self.model.signed || self.widening(state, k) < WIDENED * self.evidence_min {
-            return None;
+    /// Pulse `k`, if it looks widened, replaced by one of more extended light, or by the best pair in its place where that explains the
+    /// samples better by the evidence asked for.
+    fn replacement(&self, state: &State, k: usize) -> Option<Change> {
+        let place = state.fit.places[k];
+        let (misfit, variance_ps2) = match place.shapes {
+            0 => self.widening(state, k),
+            _ => (self.excess(state, k), place.variance_ps2),
+        };
+        let least = WIDENED * self.evidence_min;
+        let extended = if self.model.extent_max_ps > 0.0 && misfit > least.min(self.width_cost(state, k)) {
+            self.extended(state, k, variance_ps2)
+        } else {
+            None
+        };
+        if self.model.signed || misfit < least || state.pulses() >= self.pulses_max {
+            return extended;
         }
-        let mut alone = state.residual.clone();
-        state.fit.columns[k].add_to(&mut alone, state.amplitude(k));
-        let pair = best_pair(&self.model, &alone, state.time_ps(k), self.width_ps)?;
-        self.change(state, &[k], state.time_ps(k), &pair)
+        let Some(pair) = self.pair(state, k) else { return extended };
+        let is_better = |one: &Change| pair.drop < one.drop + self.evidence_min;
+        let Some(one) = extended else { return Some(pair) };
+        if is_better(&one) {
+            return Some(one);
+        }
+        Some(self.tailed(state, &[k], &one).filter(is_better).unwrap_or(pair))
     }
 
-    /// Drop of chi2, to first order, by widening pulse `k`: the residual's product with the part of its second derivative that no shift or
-    /// amplitude of any pulse can imitate. Two pulses close together look like one widened pulse.
-    fn widening(&self, state: &State, k: usize) -> f64 {
-        let widened = self.model.second_derivative(state.time_ps(k));
-        let [with_residual, _] = widened.dot_record(&state.residual);
-        if with_residual <= 0.0 {
-            return 0.0;
-        }
-        let mut imitated: Vec<f64> = state.fit.columns.iter().flat_map(|c| widened.dot(c)[0]).collect();
-        state.factor.solve_lower(&mut imitated);
-        let own = widened.dot(&widened)[0][0] - imitated.iter().map(|v| v * v).sum::<f64>();
-        with_residual * with_residual / own
+    /// Drop of chi2 that a width of pulse `k` must be worth.
+    fn width_cost(&self, state: &State, k: usize) -> f64 {
+        let blended = (0..state.pulses()).any(|j| j != k && self.is_near(state.time_ps(j), state.time_ps(k)));
+        if blended { self.evidence_min } else { WIDTH_EVIDENCE }
     }
 
-    /// Takes the pulses `out` away, puts pulses at `times_ps` in, and refines them with the pulses near `center_ps`; the others stay.
-    fn change(&self, state: &State, out: &[usize], center_ps: f64, times_ps: &[f64]) -> Option<Change> {
-        let near = |k: &usize| (state.time_ps(*k) - center_ps).abs() < CLUSTER_WIDTHS * self.width_ps;
-        let (cluster, others): (Vec<usize>, Vec<usize>) = (0..state.pulses()).partition(near);
-        let mut data = state.residual.clone();
-        for k in &cluster {
-            state.fit.columns[*k].add_to(&mut data, state.amplitude(*k));
+    fn is_near(&self, time_ps: f64, other_ps: f64) -> bool {
+        (time_ps - other_ps).abs() < CLUSTER_WIDTHS * self.model.width_ps
+    }
+
+    /// Pulse `k` with one more parameter of shape, the variance started from the given one. `None` if it has all, is not worth it, or the
+    /// best is as large as is allowed.
+    fn extended(&self, state: &State, k: usize, variance_ps2: f64) -> Option<Change> {
+        let most_ps = self.model.extent_max_ps;
+        let place = state.fit.places[k];
+        let (start, cost) = match place.shapes {
+            0 => {
+                let variance_ps2 = variance_ps2.clamp(0.0, 0.9 * most_ps * most_ps);
+                (Place::widened(place.time_ps, variance_ps2), self.width_cost(state, k))
+            }
+            1 => (place.tailed(most_ps), self.width_cost(state, k)),
+            _ => return None,
+        };
+        let change = Change { cost, ..self.change(state, &[k], place.time_ps, &[start])? };
+        (self.is_within_limits(&change) && change.drop > cost).then_some(change)
+    }
+
+    /// A change that ends in a widened pulse in place of the pulses `out`, with a tail for it.
+    fn tailed(&self, state: &State, out: &[usize], widened: &Change) -> Option<Change> {
+        let place = widened.places.last().filter(|place| place.shapes == 1)?;
+        self.change(state, out, place.time_ps, &[place.tailed(self.model.extent_max_ps)])
+            .filter(|change| self.is_within_limits(change) && change.drop > widened.drop + WIDTH_EVIDENCE)
+    }
+
+    /// Whether the spread of the pulse put in last is less than the largest allowed.
+    fn is_within_limits(&self, change: &Change) -> bool {
+        change.places.last().is_none_or(|place| !place.is_at_limit(self.model.extent_max_ps))
+    }
+
+    /// Pulse `k` replaced by the best pair in its place.
+    fn pair(&self, state: &State, k: usize) -> Option<Change> {
+        let time_ps = state.time_ps(k);
+        let mut alone = state.residuals.clone();
+        for (group, range) in state.fit.groups.iter().zip(&self.model.groups) {
+            for (columns, residual) in group.columns.iter().zip(&mut alone[range.clone()]) {
+                columns[k].add_to(residual, group.amplitudes[k]);
+            }
         }
-        let old = cluster.iter().map(|k| state.time_ps(*k)).collect();
-        let old = self.model.project(&data, old)?;
-        let start = cluster
-            .iter()
-            .filter(|k| !out.contains(k))
-            .map(|k| state.time_ps(*k))
-            .chain(times_ps.iter().copied())
+        let pair = best_pair(&self.model, &alone, time_ps)?;
+        self.change(state, &[k], time_ps, &pair.map(Place::point))
+    }
+
+    /// Drop of chi2, to first order, by widening the point `k`, and the variance that it takes: the residual's product with the part of its
+    /// derivative by the variance that no shift or amplitude of any pulse can imitate. Two pulses close together look like one widened
+    /// pulse.
+    fn widening(&self, state: &State, k: usize) -> (f64, f64) {
+        let amplitudes = state.fit.groups.iter().zip(&self.model.groups);
+        let amplitudes = amplitudes.flat_map(|(group, range)| range.clone().map(|_| group.amplitudes[k]));
+        let direction: Vec<(f64, Column)> = amplitudes
+            .zip(&self.model.records)
+            .map(|(a, record)| (a, Column::widening(record, state.time_ps(k))))
             .collect();
-        let new = self.refine(&data, start)?;
-        let others = others.iter().map(|k| state.time_ps(*k));
-        Some(Change { drop: new.energy - old.energy, times_ps: others.chain(new.times_ps).collect() })
+        let parts = direction.iter().zip(&state.residuals);
+        let with_residual: f64 = parts.map(|((a, column), residual)| a * column.dot_record(residual)[0]).sum();
+        if with_residual <= 0.0 {
+            return (0.0, 0.0);
+        }
+        let mut imitated = state.fit.products_with(&self.model, &direction);
+        state.factor.solve_lower(&mut imitated);
+        let own = direction.iter().map(|(a, column)| a * a * column.shared(column)).sum::<f64>()
+            - imitated.iter().map(|v| v * v).sum::<f64>();
+        (with_residual * with_residual / own, with_residual / own)
     }
 
-    /// Pulse `k` taken out. A neighbour that may have been split off from it starts from where one pulse would stand for both.
+    /// What chi2 of the samples of pulse `k` may exceed that of noise by.
+    fn excess(&self, state: &State, k: usize) -> f64 {
+        let Misfit { chi2, freedom, variance } = self.chi2(state, Some(k));
+        chi2 - freedom + EXCESS_SIGMA * variance.sqrt()
+    }
+
+    /// Takes the pulses `out` away, puts pulses at `into` in, and refines them with the pulses near `center_ps`; the others stay. The last places are
+    /// those put in.
+    fn change(&self, state: &State, out: &[usize], center_ps: f64, into: &[Place]) -> Option<Change> {
+        let near = |k: &usize| self.is_near(state.time_ps(*k), center_ps);
+        let (cluster, others): (Vec<usize>, Vec<usize>) = (0..state.pulses()).partition(near);
+        let mut data = state.residuals.clone();
+        for (group, range) in state.fit.groups.iter().zip(&self.model.groups) {
+            for (columns, residual) in group.columns.iter().zip(&mut data[range.clone()]) {
+                for k in &cluster {
+                    columns[*k].add_to(residual, group.amplitudes[*k]);
+                }
+            }
+        }
+        let places = &state.fit.places;
+        let old = Projection::new(&self.model, &data, cluster.iter().map(|k| places[*k]).collect())?;
+        let kept = cluster.iter().filter(|k| !out.contains(k)).map(|k| places[*k]);
+        let new = self.refine(&data, kept.chain(into.iter().copied()).collect())?;
+        let others = others.iter().map(|k| places[*k]);
+        Some(Change {
+            drop: new.energy - old.energy,
+            places: others.chain(new.places).collect(),
+            cost: self.evidence_min,
+        })
+    }
+
+    /// Pulse `k` taken out. A neighbour that may have been split off from it starts from where one pulse would stand for both, a point or, where that
+    /// is allowed and better, an extended one.
     fn removal(&self, state: &State, k: usize) -> Option<Change> {
         let distance = |j: usize| (state.time_ps(j) - state.time_ps(k)).abs();
         let neighbour = (0..state.pulses())
-            .filter(|j| *j != k && distance(*j) < self.width_ps)
+            .filter(|j| *j != k && distance(*j) < self.model.width_ps)
             .min_by(|i, j| distance(*i).total_cmp(&distance(*j)));
         let Some(j) = neighbour else {
             return self.change(state, &[k], state.time_ps(k), &[]);
         };
         let share = state.amplitude(k) / (state.amplitude(j) + state.amplitude(k));
-        let shift_ps = if share.is_finite() { share * (state.time_ps(k) - state.time_ps(j)) } else { 0.0 };
-        let merged_ps = state.time_ps(j) + shift_ps;
-        self.change(state, &[j, k], state.time_ps(k), &[merged_ps])
+        let share = if share.is_finite() { share } else { 0.0 };
+        let apart_ps = state.time_ps(k) - state.time_ps(j);
+        let place = Place { time_ps: state.time_ps(j) + share * apart_ps, ..state.fit.places[j] };
+        let merged = |place: Place| self.change(state, &[j, k], state.time_ps(k), &[place]);
+        let point = merged(place);
+        let most_ps = self.model.extent_max_ps;
+        let variance_ps2 = place.variance_ps2 + share * (1.0 - share) * apart_ps * apart_ps;
+        if most_ps == 0.0 || place.shapes > 0 || !(0.0..most_ps * most_ps).contains(&variance_ps2) {
+            return point;
+        }
+        let extended =
+            merged(Place::widened(place.time_ps, variance_ps2)).filter(|change| self.is_within_limits(change));
+        let worse = extended.as_ref().filter(|change| -change.drop > self.evidence_min);
+        let tailed = worse.and_then(|change| self.tailed(state, &[j, k], change));
+        [point, extended, tailed].into_iter().flatten().max_by(|a, b| a.drop.total_cmp(&b.drop))
     }
 
-    /// Takes out pulses not worth their evidence, the weakest first. The state that remains, and the evidence of each of its pulses.
+    /// Takes out pulses, and parameters of their shape, not worth their evidence, the weakest first. The state that remains, and the
+    /// evidence of each of its pulses.
     pub(super) fn prune(&self, mut state: State) -> (State, Vec<f64>) {
         loop {
             let removals: Vec<Option<Change>> = (0..state.pulses()).map(|k| self.removal(&state, k)).collect();
@@ -161,7 +268,8 @@ impl<'a> Fitter<'a> {
                 .flatten()
                 .max_by(|a, b| a.drop.total_cmp(&b.drop))
                 .filter(|weakest| -weakest.drop < self.evidence_min)
-                .and_then(|weakest| self.solve(weakest.times_ps));
+                .or_else(|| self.simpler(&state))
+                .and_then(|weakest| self.solve(weakest.places));
             match fewer {
                 Some(fewer) => state = fewer,
                 None => return (state, evidences),
@@ -169,53 +277,60 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// Chi2 over degrees of freedom, and these, of the record, or of the samples that pulse `k` reaches (of the record, if these are too few).
-    pub(super) fn chi2_per_dof(&self, state: &State, k: Option<usize>) -> (f64, f64) {
-        let columns = &state.fit.columns;
-        let range = k.map_or(0..self.data.len(), |k| columns[k].range());
-        let used = self.model.weights[range.clone()].iter().filter(|w| **w > 0.0).count() as f64;
-        // A pulse takes its two unknowns from the samples that it reaches.
+    /// The first pulse whose last parameter of shape is not worth its evidence, without it.
+    fn simpler(&self, state: &State) -> Option<Change> {
+        let mut extended = state.fit.places.iter().enumerate().filter(|(_, place)| place.shapes > 0);
+        extended.find_map(|(k, place)| {
+            let less = match place.shapes {
+                1 => Place::point(place.time_ps),
+                _ => Place::widened(place.time_ps, place.variance_ps2),
+            };
+            let cost = self.width_cost(state, k);
+            self.change(state, &[k], place.time_ps, &[less]).filter(|change| -change.drop < cost)
+        })
+    }
+
+    /// Misfit of all records, or of the samples that pulse `k` reaches.
+    fn chi2(&self, state: &State, k: Option<usize>) -> Misfit {
+        let parts = (0..self.model.records.len()).map(|r| self.chi2_of(state, r, k));
+        parts.reduce(Misfit::plus).expect("a fit has a record")
+    }
+
+    /// Misfit of record `r`, or of its samples that pulse `k` reaches.
+    fn chi2_of(&self, state: &State, r: usize, k: Option<usize>) -> Misfit {
+        let record = &self.model.records[r];
+        let columns = state.columns(&self.model, r);
+        let range = k.map_or(0..record.len(), |k| columns[k].range());
+        let used = record.whitener.weights()[range.clone()].iter().filter(|w| **w > 0.0).count() as f64;
+        // A pulse takes its unknowns from the samples that it reaches.
         let unknowns: f64 = columns
             .iter()
-            .map(|c| {
+            .zip(&state.fit.places)
+            .map(|(c, place)| {
                 let both = c.range().end.min(range.end) as f64 - c.range().start.max(range.start) as f64;
-                2.0 * both.max(0.0) / c.range().len() as f64
+                (1 + place.parameters()) as f64 * both.max(0.0) / c.range().len() as f64
             })
             .sum();
-        let share = used / self.data.len() as f64;
-        let freedom = used - unknowns - self.model.offsets() as f64 * share;
-        if k.is_some() && freedom < FREEDOM_MIN {
-            return self.chi2_per_dof(state, None);
-        }
-        let chi2: f64 = state.residual[range].iter().map(|r| r * r).sum();
-        (chi2 / freedom.max(1.0), freedom.max(1.0))
-    }
-}
-
-impl State {
-    pub(super) fn pulses(&self) -> usize {
-        self.fit.times_ps.len()
+        let share = used / record.len() as f64;
+        let freedom = used - unknowns - record.offsets() as f64 * share;
+        let kurtosis: f64 = self.kurtosis[r].get(range.clone()).map_or(0.0, |kurtosis| kurtosis.iter().sum());
+        let chi2 = state.residuals[r][range].iter().map(|r| r * r).sum();
+        Misfit { chi2, freedom, variance: 2.0 * freedom + kurtosis }
     }
 
-    pub(super) fn time_ps(&self, k: usize) -> f64 {
-        self.fit.times_ps[k]
+    /// Misfit of record `r` (all records for `None`), or of the samples that pulse `k` reaches (of the record, if these are too few).
+    pub(super) fn misfit(&self, state: &State, r: Option<usize>, k: Option<usize>) -> Misfit {
+        let misfit = r.map_or_else(|| self.chi2(state, k), |r| self.chi2_of(state, r, k));
+        if k.is_some() && misfit.freedom < FREEDOM_MIN { self.misfit(state, r, None) } else { misfit }
     }
 
-    pub(super) fn amplitude(&self, k: usize) -> f64 {
-        self.fit.amplitudes[k]
+    /// Number of records.
+    pub(super) fn records(&self) -> usize {
+        self.model.records.len()
     }
 
-    pub(super) fn baseline_v(&self) -> f64 {
-        self.baseline_v
-    }
-
-    /// Covariance `(J^T J)^-1` of `(amplitude_0, time_0, amplitude_1, ..)`, row-major.
-    pub(super) fn covariance(&self) -> Vec<f64> {
-        let unknowns = 2 * self.pulses();
-        // The derivative by a time is the amplitude times the derivative column.
-        let scale = |i: usize| {
-            if i % 2 == 1 { self.amplitude(i / 2) } else { 1.0 }
-        };
-        self.factor.inverse().iter().enumerate().map(|(e, v)| v / (scale(e / unknowns) * scale(e % unknowns))).collect()
+    /// The group of records that record `r` shares its amplitudes with.
+    pub(super) fn group_of(&self, r: usize) -> usize {
+        self.model.groups.iter().position(|group| group.contains(&r)).expect("each record is in a group")
     }
 }

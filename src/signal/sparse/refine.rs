@@ -1,28 +1,29 @@
-//! Joint refinement of arrival times: Levenberg-Marquardt with the amplitudes eliminated.
+//! Joint refinement of places: Levenberg-Marquardt with the amplitudes eliminated.
 //!
 //! Source: Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973), variable projection, in Kaufman's simplification. It finds the optimum
 //! next to its start; [`super::search`] provides the starts.
 
-use super::model::{Model, Projection};
+use super::model::Model;
+use super::place::Place;
+use super::projection::Projection;
 
 /// Steps that promise less chi2 than this end the refinement: they move a time by less than a thousandth of its sd.
 const PROMISE: f64 = 1e-6;
 const STEPS: usize = 60;
 
-/// Pulses that fit whitened `data` best, near `times_ps`; no step moves a pulse by more than `step_max_ps`. `None` if the start is
-/// degenerate (two pulses coincide, or one is outside of the record).
-pub(super) fn refine(model: &Model, data: &[f64], times_ps: Vec<f64>, step_max_ps: f64) -> Option<Projection> {
-    let mut best = model.project(data, times_ps)?;
+/// Pulses that fit whitened `data` best, near `places`; no step moves a pulse by more than `step_max_ps`. `None` if the start is
+/// degenerate (two pulses coincide, or one is outside of a record).
+pub(super) fn refine(model: &Model, data: &[Vec<f64>], places: Vec<Place>, step_max_ps: f64) -> Option<Projection> {
+    let mut best = Projection::new(model, data, places)?;
     let mut damping = 1e-4;
     for _ in 0..STEPS {
-        let Some((step, promised)) = best.step(damping) else {
+        let Some((step, promised)) = best.step(damping, model.extent_max_ps) else {
             break;
         };
         if promised < PROMISE {
             break;
         }
-        let times_ps = best.times_ps.iter().zip(&step).map(|(t, d)| t + d.clamp(-step_max_ps, step_max_ps)).collect();
-        match model.project(data, times_ps) {
+        match Projection::new(model, data, best.moved(&step, step_max_ps, model.extent_max_ps)) {
             Some(trial) if trial.energy > best.energy => {
                 best = trial;
                 damping = (damping * 0.1).max(1e-9);

@@ -1,5 +1,10 @@
 //! Accuracy against bounds computed here from the responses' formulas, resolution, false pulses.
 
+mod correlated;
+mod counts;
+mod extended;
+mod joint;
+
 use super::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -55,7 +60,7 @@ fn with_noise(clean: &[f64], sd: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
 }
 
 fn fit_white(shape: &Shape, mean_v: &[f64], sd: f64, options: &SparseOptions) -> SparseFit {
-    let profile = Profile { mean_v, sd_v: &vec![sd; mean_v.len()], t0_ps: T0_PS, dt_ps: DT_PS };
+    let profile = Profile { mean_v, sd_v: &vec![sd; mean_v.len()], acf: &[], t0_ps: T0_PS, dt_ps: DT_PS };
     fit(&profile, &shape.response, options)
 }
 
@@ -254,7 +259,7 @@ fn ignored_samples_do_not_count_and_noisy_ones_count_less() {
     for n in 20..30 {
         (y[n], sd_v[n]) = (0.5, 1.0);
     }
-    let profile = Profile { mean_v: &y, sd_v: &sd_v, t0_ps: T0_PS, dt_ps: DT_PS };
+    let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[], t0_ps: T0_PS, dt_ps: DT_PS };
     let found = fit(&profile, &shape.response, &SparseOptions::default());
     assert_eq!(found.pulses.len(), 1);
     let sd = found.covariance_ps2[0].sqrt();
@@ -278,7 +283,7 @@ fn an_inexact_response_shows_in_chi2_and_is_borne_by_its_own_variance() {
     assert!(fit_white(&shape, &y, 0.002, &SparseOptions::default()).pulses.len() > 1);
     let mut sd_v = vec![0.002; 120];
     sd_v[50..76].fill(0.02); // 325 ps to either side of the maximum
-    let profile = Profile { mean_v: &y, sd_v: &sd_v, t0_ps: T0_PS, dt_ps: DT_PS };
+    let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[], t0_ps: T0_PS, dt_ps: DT_PS };
     let found = fit(&profile, &shape.response, &SparseOptions::default());
     assert_eq!(found.pulses.len(), 1);
     assert!((found.pulses[0].time_ps - 3000.0).abs() < 4.0 * found.covariance_ps2[0].sqrt());

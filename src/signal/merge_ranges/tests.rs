@@ -1,0 +1,155 @@
+//! Truth merged from clipped and noisy copies, errors of the right size.
+
+use super::*;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+const LEN: usize = 400;
+const DT_PS: f64 = 50.0;
+
+/// A strong bounce that clips, and weak ones behind it; V on the first range's scale.
+fn light(sample: f64) -> f64 {
+    let pulse = |at: f64, a: f64| a * (-0.5 * ((sample - at) / 2.2).powi(2)).exp();
+    pulse(60.3, 4.0) + pulse(150.7, 0.3) + pulse(171.2, 0.12) + pulse(290.4, 0.05)
+}
+
+struct Case {
+    gain: f64,
+    offset_v: f64,
+    delay: f64,
+    se_v: [f64; 2],
+    limit_v: f64,
+}
+
+const CASE: Case = Case { gain: 0.1, offset_v: 0.013, delay: 0.0, se_v: [1e-3, 4e-4], limit_v: 0.5 };
+
+/// Means and clipped samples of both ranges. The sensitive one is wrong for ten samples after it has clipped.
+fn draw(case: &Case, rng: &mut ChaCha8Rng) -> [(Vec<f64>, Vec<f64>, Vec<bool>); 2] {
+    let mut noisy = |v: f64, se: f64| {
+        let normal: f64 = StandardNormal.sample(rng);
+        v + se * normal
+    };
+    let clipped: Vec<bool> = (0..LEN).map(|n| light(n as f64) > case.limit_v).collect();
+    let sensitive: Vec<f64> = (0..LEN)
+        .map(|n| {
+            let recovering = (1..=10).any(|k| n >= k && clipped[n - k]);
+            let v = noisy(light(n as f64), case.se_v[0]).min(case.limit_v);
+            if recovering { v - 0.08 } else { v }
+        })
+        .collect();
+    let coarse = (0..LEN).map(|n| noisy(case.offset_v + case.gain * light(n as f64 - case.delay), case.se_v[1]));
+    [(sensitive, vec![case.se_v[0]; LEN], clipped), (coarse.collect(), vec![case.se_v[1]; LEN], vec![false; LEN])]
+}
+
+fn views(ranges: &[(Vec<f64>, Vec<f64>, Vec<bool>)]) -> Vec<RangeProfile<'_>> {
+    ranges.iter().map(|(mean_v, se_v, clipped)| RangeProfile { mean_v, se_v, clipped }).collect()
+}
+
+fn options(delay_dt_ps: Option<f64>) -> MergeOptions {
+    MergeOptions { margin_before: 1, margin_after: 10, delay_dt_ps }
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+#[test]
+fn gain_offset_and_delay_are_recovered_with_errors_of_the_right_size() {
+    for (delay, fitted) in [(0.0, None), (0.0, Some(DT_PS)), (0.37, Some(DT_PS)), (-2.6, Some(DT_PS))] {
+        let case = Case { delay, ..CASE };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let (mut gains, mut offsets, mut delays, mut chi2, mut dof) = (vec![], vec![], vec![], 0.0, 0.0);
+        for _ in 0..300 {
+            let ranges = draw(&case, &mut rng);
+            let merged = merge(&views(&ranges), &options(fitted)).expect("shared samples");
+            let link = &merged.links[0];
+            gains.push((link.gain - case.gain) / link.gain_sd);
+            offsets.push((link.offset_v - case.offset_v) / link.offset_sd_v);
+            if fitted.is_some() {
+                delays.push((link.delay_ps - delay * DT_PS) / link.delay_sd_ps);
+            }
+            chi2 += link.chi2;
+            dof += link.dof as f64;
+        }
+        println!("{delay} {fitted:?}: pulls {:.3} {:.3} {:.3}", rms(&gains), rms(&offsets), rms(&delays));
+        // 300 draws: an rms of 1 is known to 4 %.
+        for pulls in [&gains, &offsets, &delays] {
+            assert!(pulls.is_empty() || (0.88..1.12).contains(&rms(pulls)), "{delay}: {}", rms(pulls));
+            assert!(pulls.is_empty() || (pulls.iter().sum::<f64>() / 300.0).abs() < 0.2, "{delay}: biased");
+        }
+        assert!((chi2 / dof - 1.0).abs() < 0.02, "{delay}: {}", chi2 / dof);
+    }
+}
+
+/// Where noise is not small against the light, a regression of one range on the other finds too small a gain.
+#[test]
+fn noise_of_the_first_range_does_not_bias_the_gain() {
+    let case = Case { se_v: [0.03, 0.003], ..CASE };
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let (mut pulls, mut plain) = (vec![], 0.0);
+    for _ in 0..400 {
+        let ranges = draw(&case, &mut rng);
+        let merged = merge(&views(&ranges), &options(None)).expect("shared samples");
+        pulls.push((merged.links[0].gain - case.gain) / merged.links[0].gain_sd);
+        let shared: Vec<usize> = (80..LEN).collect();
+        let mean = |v: &[f64]| shared.iter().map(|n| v[*n]).sum::<f64>() / shared.len() as f64;
+        let (x, y) = (mean(&ranges[0].0), mean(&ranges[1].0));
+        let product: f64 = shared.iter().map(|n| (ranges[0].0[*n] - x) * (ranges[1].0[*n] - y)).sum();
+        plain += product / shared.iter().map(|n| (ranges[0].0[*n] - x).powi(2)).sum::<f64>() / 400.0;
+    }
+    let bias = pulls.iter().sum::<f64>() / 400.0;
+    assert!(bias.abs() < 0.2 && (0.88..1.12).contains(&rms(&pulls)), "{bias} {}", rms(&pulls));
+    assert!(plain < 0.9 * case.gain, "{plain}");
+}
+
+#[test]
+fn the_merged_profile_is_the_truth_within_its_errors() {
+    for (delay, fitted) in [(0.0, None), (0.37, Some(DT_PS))] {
+        let case = Case { delay, ..CASE };
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let (mut pulls, mut worst_scale) = (vec![], 0.0_f64);
+        for _ in 0..60 {
+            let ranges = draw(&case, &mut rng);
+            let merged = merge(&views(&ranges), &options(fitted)).expect("shared samples");
+            for n in 0..LEN {
+                let sd = merged.se_v[n].hypot(merged.scale_sd_v(n));
+                pulls.push((merged.mean_v[n] - light(n as f64)) / sd);
+            }
+            assert!(merged.se_v.iter().all(|se| *se <= 4.3e-3));
+            // In the weak bounces the scale's error is small against the noise.
+            worst_scale = (120..LEN).map(|n| merged.scale_sd_v(n) / merged.se_v[n]).fold(worst_scale, f64::max);
+        }
+        assert!((rms(&pulls) - 1.0).abs() < 0.03, "{delay}: {}", rms(&pulls));
+        assert!(worst_scale < 0.15, "{delay}: {worst_scale}");
+    }
+}
+
+#[test]
+fn three_ranges_merge_by_their_variances_and_what_no_range_has_is_said() {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let [first, second] = draw(&CASE, &mut rng);
+    let third: Vec<f64> = second.0.iter().map(|v| 2.0 * v + 1.0).collect();
+    let mut all_clipped = (third, vec![8e-4; LEN], vec![false; LEN]);
+    let mut ranges = vec![first, second, all_clipped.clone()];
+    let merged = merge(&views(&ranges), &options(None)).expect("shared samples");
+    assert!((merged.links[1].gain / merged.links[0].gain - 2.0).abs() < 1e-6);
+    // Where all are valid, the variances' reciprocals add.
+    let (g, se) = (merged.links[0].gain, &merged.se_v);
+    let expected = (1e6 + 2.0 * (g / 4e-4).powi(2)).sqrt().recip();
+    assert!((se[200] / expected - 1.0).abs() < 1e-6);
+    assert!((merged.shares[0][200] - (g / 4e-4).powi(2) * expected.powi(2)).abs() < 1e-9);
+
+    // Clipped in every range at sample 60: infinite error there, and only there.
+    ranges[1].2[60] = true;
+    all_clipped.2[60] = true;
+    ranges[2] = all_clipped;
+    let merged = merge(&views(&ranges), &options(None)).expect("shared samples");
+    let missing: Vec<usize> = (0..LEN).filter(|n| merged.se_v[*n].is_infinite()).collect();
+    assert_eq!(missing, (59..=70).collect::<Vec<_>>());
+    assert!(merged.mean_v.iter().all(|v| v.is_finite()));
+
+    ranges[1].2.fill(true);
+    assert_eq!(merge(&views(&ranges), &options(None)), None);
+    assert!(merge(&views(&ranges)[..1], &options(None)).expect("one range").links.is_empty());
+}

@@ -1,0 +1,149 @@
+//! One pulse of amplitude 1 in a whitened record, and its products with other pulses and with data.
+
+use super::model::Record;
+use super::place::{Place, spread_response};
+use std::ops::Range;
+
+/// Whitened samples of a pulse of amplitude 1 from sample `first` on.
+pub(super) struct Column {
+    first: usize,
+    /// Value and derivative by the time.
+    samples: Vec<[f64; 2]>,
+    /// Derivatives by variance and tail; empty for a point.
+    shape: Vec<[f64; 2]>,
+}
+
+impl Column {
+    pub(super) fn new(record: &Record, place: &Place) -> Self {
+        if place.shapes == 0 {
+            return Self::of_point(record, place.time_ps, |after_ps| {
+                let (value, slope) = record.response.value_and_slope(after_ps);
+                [value, -slope]
+            });
+        }
+        let nodes = place.nodes(record.width_ps);
+        let range = place.reach(&nodes, record.response, record.t0_ps, record.dt_ps, record.len());
+        let (first, both) =
+            sample(record, place.time_ps, range, |after_ps| spread_response(record.response, &nodes, after_ps));
+        let samples = both.iter().map(|[value, by_time, _, _]| [*value, *by_time]).collect();
+        let shape = both.iter().map(|[_, _, by_variance, by_tail]| [*by_variance, *by_tail]).collect();
+        Self { first, samples, shape }
+    }
+
+    /// The derivative by the variance of a point, in place of the value; the derivative is left 0.
+    pub(super) fn widening(record: &Record, time_ps: f64) -> Self {
+        Self::of_point(record, time_ps, |after_ps| [0.5 * record.response.curvature(after_ps), 0.0])
+    }
+
+    fn of_point(record: &Record, time_ps: f64, shape: impl Fn(f64) -> [f64; 2]) -> Self {
+        let range = record.response.reach(time_ps, record.t0_ps, record.dt_ps, record.len());
+        let (first, samples) = sample(record, time_ps, range, shape);
+        Self { first, samples, shape: Vec::new() }
+    }
+
+    /// Adds the products of the first `counts` of (value, derivatives by time, variance, tail) of two columns to the block of `products`
+    /// (rows of `n`) that starts at `corner`; the rows are this column's.
+    pub(super) fn add_products(
+        &self,
+        other: &Self,
+        counts: (usize, usize),
+        products: &mut [f64],
+        n: usize,
+        corner: (usize, usize),
+    ) {
+        let mut write = |p: usize, q: usize, block: [[f64; 2]; 2]| {
+            for row in p..counts.0.min(p + 2) {
+                for column in q..counts.1.min(q + 2) {
+                    products[(corner.0 + row) * n + corner.1 + column] += block[row - p][column - q];
+                }
+            }
+        };
+        write(0, 0, dot(self.first, &self.samples, other.first, &other.samples));
+        if !self.shape.is_empty() {
+            write(2, 0, dot(self.first, &self.shape, other.first, &other.samples));
+        }
+        if !other.shape.is_empty() {
+            write(0, 2, dot(self.first, &self.samples, other.first, &other.shape));
+            write(2, 2, dot(self.first, &self.shape, other.first, &other.shape));
+        }
+    }
+
+    /// Product of the two columns' values.
+    pub(super) fn shared(&self, other: &Self) -> f64 {
+        let start = self.first.max(other.first);
+        let end = self.range().end.min(other.range().end);
+        if start >= end {
+            return 0.0;
+        }
+        let met = |column: &Self| start - column.first..end - column.first;
+        self.samples[met(self)].iter().zip(&other.samples[met(other)]).map(|(a, b)| a[0] * b[0]).sum()
+    }
+
+    /// Whether both reach a sample.
+    pub(super) fn overlaps(&self, other: &Self) -> bool {
+        self.first < other.first + other.samples.len() && other.first < self.first + self.samples.len()
+    }
+
+    /// Samples of the record that the pulse reaches.
+    pub(super) fn range(&self) -> Range<usize> {
+        self.first..self.first + self.samples.len()
+    }
+
+    /// Products of value and derivatives with a whitened record.
+    pub(super) fn dot_record(&self, record: &[f64]) -> [f64; 4] {
+        let record = &record[self.range()];
+        let mut sums = [0.0; 4];
+        for (c, z) in self.samples.iter().zip(record) {
+            sums[0] += c[0] * z;
+            sums[1] += c[1] * z;
+        }
+        for (c, z) in self.shape.iter().zip(record) {
+            sums[2] += c[0] * z;
+            sums[3] += c[1] * z;
+        }
+        sums
+    }
+
+    /// Adds `amplitude` times the pulse to a whitened record.
+    pub(super) fn add_to(&self, record: &mut [f64], amplitude: f64) {
+        for (c, z) in self.samples.iter().zip(&mut record[self.first..]) {
+            *z += amplitude * c[0];
+        }
+    }
+}
+
+/// Whitened samples `range` of `shape`, a function of the time after the arrival.
+fn sample<const P: usize>(
+    record: &Record,
+    time_ps: f64,
+    range: Range<usize>,
+    shape: impl Fn(f64) -> [f64; P],
+) -> (usize, Vec<[f64; P]>) {
+    let len = record.len();
+    let first = range.start;
+    // The filter carries each sample on over the next ones.
+    let end = if range.is_empty() { range.end } else { (range.end + record.whitener.order()).min(len) };
+    let mut samples = Vec::with_capacity(end - first);
+    samples.extend(range.map(|n| shape(record.t0_ps + n as f64 * record.dt_ps - time_ps)));
+    samples.resize(end - first, [0.0; P]);
+    record.whitener.apply_from(first, &mut samples);
+    (first, samples)
+}
+
+/// The four products of two runs of pairs of values that start at their samples `first`; the first index is a's.
+#[inline]
+fn dot(first_a: usize, a: &[[f64; 2]], first_b: usize, b: &[[f64; 2]]) -> [[f64; 2]; 2] {
+    let start = first_a.max(first_b);
+    let end = (first_a + a.len()).min(first_b + b.len());
+    let mut sums = [[0.0; 2]; 2];
+    if start < end {
+        for (a, b) in a[start - first_a..end - first_a].iter().zip(&b[start - first_b..end - first_b]) {
+            for p in 0..2 {
+                for q in 0..2 {
+                    sums[p][q] += a[p] * b[q];
+                }
+            }
+        }
+    }
+    sums
+}

@@ -1,0 +1,102 @@
+//! Several records that show the same pulses: a common fit, and the result as each record sees it.
+//!
+//! Profiles (i, k) and (k, i) of a pair of patches hold the same paths, walked in opposite directions: their pulses arrive at the same
+//! times, while noise, sampling and response differ. Fitted together, two records of equal noise give times better by `sqrt(2)`, and tell
+//! pulses apart as one of `sqrt(2)` times their SNR does.
+
+use super::evidence::{evidence_min_joint, evidence_min_of};
+use super::greedy::Fitter;
+use super::model::Model;
+use super::state::State;
+use super::{FALSE_PULSES, Profile, Pulse, Response, SparseFit, SparseOptions};
+
+/// Fits pulses whose times, and widths, all `records` share; amplitudes too with `shared_amplitudes`, else each record has its own. One result a
+/// record: times, widths, their covariance and the evidence are common; amplitudes, baseline and chi2 are its own.
+///
+/// A pulse must have its maximum inside of every record.
+///
+/// # Panics
+/// If there is no record, the records' steps differ, or for one of them what [`super::fit`] panics for.
+#[must_use]
+pub fn fit_joint(records: &[(Profile, &Response)], options: &SparseOptions, shared_amplitudes: bool) -> Vec<SparseFit> {
+    assert!(!records.is_empty(), "a fit needs a record");
+    for (profile, _) in records {
+        check(profile);
+        assert!(profile.dt_ps == records[0].0.dt_ps, "records that are fitted together have one sample step");
+    }
+    assert!((0.0..f64::INFINITY).contains(&options.extent_max_ps), "the extent must not be negative");
+    let model = Model::new(records, options, shared_amplitudes);
+    let threshold = options.evidence_min.unwrap_or_else(|| {
+        if let [(profile, response)] = records {
+            return evidence_min_of(profile, response, FALSE_PULSES);
+        }
+        let total_ps: f64 = records.iter().map(|(profile, _)| profile.mean_v.len() as f64 * profile.dt_ps).sum();
+        evidence_min_joint(&model, total_ps / records.len() as f64, FALSE_PULSES)
+    });
+    assert!(threshold > 0.0, "the evidence must be positive");
+    let means_v: Vec<&[f64]> = records.iter().map(|(profile, _)| profile.mean_v).collect();
+    run(&Fitter::new(model, &means_v, threshold, options.pulses_max), threshold)
+}
+
+/// Grows and prunes a fit: one result a record.
+pub(super) fn run(fitter: &Fitter, evidence_min: f64) -> Vec<SparseFit> {
+    let mut state = fitter.start();
+    while let Some(grown) = fitter.grow(&state) {
+        state = grown;
+    }
+    let (state, evidences) = fitter.prune(state);
+    (0..fitter.records()).map(|r| describe(fitter, &state, r, &evidences, evidence_min)).collect()
+}
+
+fn check(profile: &Profile) {
+    let len = profile.mean_v.len();
+    assert!(len > 0, "the profile is empty");
+    assert_eq!(len, profile.sd_v.len(), "one sd a sample");
+    assert!(profile.dt_ps > 0.0, "the sample step must be positive");
+    let finite = profile.mean_v.iter().all(|v| v.is_finite());
+    assert!(finite, "the means must be finite");
+    let positive = profile.sd_v.iter().all(|sd| *sd > 0.0);
+    assert!(positive, "the sds must be positive");
+}
+
+/// The fit as record `r` sees it, pulses in order of time.
+fn describe(fitter: &Fitter, state: &State, r: usize, evidences: &[f64], evidence_min: f64) -> SparseFit {
+    let mut order: Vec<usize> = (0..state.pulses()).collect();
+    order.sort_by(|i, j| state.time_ps(*i).total_cmp(&state.time_ps(*j)));
+    let (all, unknowns) = state.covariance();
+    let covariance = |i: usize, j: usize| all[i * unknowns + j];
+    // All records' samples of a pulse speak for its time.
+    let inflations: Vec<f64> = order.iter().map(|&k| fitter.misfit(state, None, Some(k)).inflation()).collect();
+    let group = fitter.group_of(r);
+    let pulse = |(&k, inflation): (&usize, &f64)| {
+        let place = state.place(k);
+        let sd = |unknown: usize| covariance(unknown, unknown).sqrt() * inflation;
+        let (time, amplitude) = (state.time_unknown(k), group * state.pulses() + k);
+        let width_ps = place.variance_ps2.sqrt();
+        Pulse {
+            time_ps: place.time_ps,
+            width_ps,
+            width_sd_ps: if width_ps > 0.0 { sd(time + 1) / (2.0 * width_ps) } else { 0.0 },
+            tail_ps: place.tail_ps,
+            tail_sd_ps: if place.shapes > 1 { sd(time + 2) } else { 0.0 },
+            amplitude_v: state.amplitude_of(group, k),
+            amplitude_sd_v: sd(amplitude),
+            evidence: evidences[k],
+            chi2_per_dof: fitter.misfit(state, Some(r), Some(k)).per_dof(),
+        }
+    };
+    let pulses = order.iter().zip(&inflations).map(pulse).collect();
+    let covariance_ps2 = order
+        .iter()
+        .zip(&inflations)
+        .flat_map(|(&i, p)| order.iter().zip(&inflations).map(move |(&j, q)| (i, j, p * q)))
+        .map(|(i, j, inflation)| covariance(state.time_unknown(i), state.time_unknown(j)) * inflation)
+        .collect();
+    SparseFit {
+        pulses,
+        covariance_ps2,
+        baseline_v: state.baseline_v(r),
+        chi2_per_dof: fitter.misfit(state, Some(r), None).per_dof(),
+        evidence_min,
+    }
+}
