@@ -7,7 +7,7 @@
 //! (sd infinite) the filter starts anew: what the samples before it say about those behind it is given up.
 //!
 //! Predictors: Levinson-Durbin recursion (Durbin, Rev. Inst. Int. Stat. 28, 233 (1960)). An autocorrelation that was estimated need not be
-//! one. The recursion ends before the first partial correlation beyond [`PARTIAL_MAX`]: up to there the sequence is positive definite and
+//! one. The recursion ends before the first partial correlation beyond `PARTIAL_MAX`: up to there the sequence is positive definite and
 //! the filter's inverse stable, and what is used is the process of largest entropy that has these lags (Burg). Where the number of samples behind an
 //! estimate is known, [`super::noise::autoregressive`] chooses the order better beforehand.
 

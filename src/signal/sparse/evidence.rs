@@ -12,7 +12,7 @@ const ROUNDS: usize = 12;
 ///
 /// A matched filter's output, scaled to unit variance, crosses `u` upwards at the rate `beta / (2 pi) exp(-u^2 / 2)`, with
 /// `beta^2 = sum h'^2 / sum h^2` (Rice, Bell Syst. Tech. J. 24, 46 (1945)); the best pulse lowers chi2 by `u^2`. Hence
-/// `gamma = 2 ln(T beta / (2 pi false_pulses))`, T the record's length, and never below [`LEAST`], against the splitting of single pulses.
+/// `gamma = 2 ln(T beta / (2 pi false_pulses))`, T the record's length, and never below `LEAST`, against the splitting of single pulses.
 #[must_use]
 pub fn evidence_min(response: &Response, record_ps: f64, false_pulses: f64) -> f64 {
     threshold(response, &[1.0], 0.0, record_ps, false_pulses)
