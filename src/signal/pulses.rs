@@ -98,6 +98,34 @@ impl Pulses {
         Self { covariance_ps2, ..self }
     }
 
+    /// Of each pulse, the standard deviation of its amplitude (V) in the least-squares fit at these pulses, and its evidence: by how much chi2 rises
+    /// without it when the others are fitted again. Where two pulses cannot be told apart, each has the standard deviation that it would have alone.
+    #[must_use]
+    pub fn judged(&self, profile: &Profile, response: &Response) -> Vec<(f64, f64)> {
+        let fit = self.linearised(profile, response);
+        let judge = |k: usize| {
+            let alone = || self.alone(k).linearised(profile, response).map_or(f64::INFINITY, |fit| fit.sd(0));
+            let sd_v = fit.as_ref().map_or_else(alone, |fit| fit.sd(k));
+            let mut others_ps = self.times_ps.clone();
+            others_ps.remove(k);
+            let start = Self::at(profile, response, others_ps);
+            let refined = start.clone().and_then(|start| start.refined(profile, response));
+            let without = refined.or(start).map_or(f64::INFINITY, |pulses| pulses.chi2);
+            (sd_v, (without - self.chi2).max(0.0))
+        };
+        (0..self.times_ps.len()).map(judge).collect()
+    }
+
+    /// Pulse `k` without the others; chi2 stays theirs together.
+    ///
+    /// # Panics
+    /// If there is no such pulse.
+    #[must_use]
+    pub fn alone(&self, k: usize) -> Self {
+        let (times_ps, amplitudes_v) = (vec![self.times_ps[k]], vec![self.amplitudes_v[k]]);
+        Self { times_ps, amplitudes_v, covariance_ps2: None, chi2: self.chi2 }
+    }
+
     /// The least-squares fit next to these pulses, with its covariance. `None` if two pulses coincide or an amplitude is not positive.
     #[must_use]
     pub fn refined(self, profile: &Profile, response: &Response) -> Option<Self> {

@@ -3,7 +3,18 @@
 //! | method | result |
 //! |---|---|
 //! | `sparse` | impulses off the grid by greedy maximum likelihood, with times, amplitudes, covariance and evidence |
+//! | `nnls` | non-negative least squares on a grid, its atoms merged, refined off the grid and pruned by evidence |
+//! | `pencil` | poles of the spectrum (ESPRIT), refined and pruned the same way |
+//! | `richardson-lucy` | light on a grid by multiplicative steps until the residual is noise; an impulse for each lump, at its centroid |
 //! | `wiener` | a regularised profile for the eye and for edge methods of `detect`; no impulses |
+//!
+//! The last four are there to compare with. `nnls`, `pencil` and `richardson-lucy` take noise as white and the baseline as the mean of the samples
+//! that no light reaches; correlated noise brings false impulses and error bars that are too small. Times of `richardson-lucy` are biased by
+//! picoseconds, and it splits pulses in strong noise: what it gives as standard deviation is that of a least-squares fit at its times, without either.
+//!
+//! Light that an extended patch spreads in time is modelled by `sparse` where `extent_max_ps` is positive: an impulse whose samples ask for it is
+//! widened by a Gaussian, and by an exponential tail where that does not suffice; its time is that of the light's centroid, and `width_ps` the
+//! standard deviation of both together. Two impulses closer than twice that limit may then be taken for one.
 //!
 //! With a known response the limit of time resolution is noise and not the sensor: `sparse` separates pulses closer than the response is
 //! wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the
@@ -12,7 +23,8 @@
 //! Takes `profiles`; writes `stir`. Beside it: `calibration`. Noise is taken as equal along the record, of standard deviation `noise_v` over the root
 //! of the shots and with the autocorrelation `noise_acf`, smoothed to that of an autoregressive process of the order that `noise_samples` can tell. `wiener`
 //! knows the correlation in `profile_noise` only. Where the response fits far worse than the noise is (`chi2_dof` well above 1) and a single shot
-//! tells the noise, its estimate weighs the misfit otherwise in every record: `correlated = false` keeps times comparable there. Not modelled yet: noise that depends on the level, extended bounces.
+//! tells the noise, its estimate weighs the misfit otherwise in every record: `correlated = false` keeps times comparable there. Not modelled yet:
+//! noise that depends on the level.
 //!
 //! ```toml
 //! [stir]
@@ -21,6 +33,8 @@
 //! with = { calibration = "calibration" }
 //! params = { method = "sparse" }
 //! ```
+
+mod explain;
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -33,9 +47,9 @@ use crate::signal::averaged_response::averaged_response;
 use crate::signal::fft::RealFft;
 use crate::signal::noise;
 use crate::signal::response::Response;
-use crate::signal::sparse::{self, Pulse, SparseOptions};
 use crate::signal::wiener::{Transfer, Wiener};
-use crate::tables::{Calibration, Impulse, Name, Profile, Stir};
+use crate::tables::{Calibration, Name, Profile, Stir};
+use explain::{Asked, Method, Record};
 
 /// Share of a record whose samples tell the noise, where the profile does not say.
 const BASELINE_SHARE: f64 = 0.1;
@@ -45,26 +59,21 @@ const BASELINE_SHARE: f64 = 0.1;
 #[serde(deny_unknown_fields, default)]
 pub struct Deconvolve {
     method: Method,
-    /// Chi-square that one impulse more must gain, for `sparse`; absent: set by the record's length, for one false impulse in 10,000 records.
+    /// Chi-square that one impulse more must gain, for `sparse`, `nnls` and `pencil`; absent: set by the record's length, for one false impulse in
+    /// 10,000 records.
     evidence: Option<f64>,
-    /// Most impulses in a profile, for `sparse`.
+    /// Most impulses in a profile, for `sparse` and `pencil`.
     impulses_max: usize,
     /// Whether impulses may be negative, for `sparse`: reflections on a line are, light is not.
     signed: bool,
     /// Whether the noise's correlation counts.
     correlated: bool,
+    /// Largest standard deviation of the spread in time of one impulse's light, as extended patches give, for `sparse`; 0: points only.
+    extent_max_ps: f64,
     /// Noise over signal power, for `wiener`; absent: estimated for each profile.
     noise_to_signal: Option<f64>,
     /// Where a Gaussian low-pass has fallen to exp(-1/2), for `wiener`; absent: none.
     lowpass_ghz: Option<f64>,
-}
-
-/// How the response is undone.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum Method {
-    Sparse,
-    Wiener,
 }
 
 impl Default for Deconvolve {
@@ -75,6 +84,7 @@ impl Default for Deconvolve {
             impulses_max: 16,
             signed: false,
             correlated: true,
+            extent_max_ps: 0.0,
             noise_to_signal: None,
             lowpass_ghz: None,
         }
@@ -143,6 +153,15 @@ impl Stage for Deconvolve {
                 return Err(StageError::Refused(format!("params.{name} = {value} must be positive")));
             }
         }
+        if !(0.0..f64::INFINITY).contains(&self.extent_max_ps) {
+            let extent_max_ps = self.extent_max_ps;
+            return Err(StageError::Refused(format!("params.extent_max_ps = {extent_max_ps} must not be negative")));
+        }
+        if self.method != Method::Sparse && (self.signed || self.extent_max_ps > 0.0) {
+            return Err(StageError::Refused(
+                "params.signed and params.extent_max_ps go with method `sparse` alone".to_owned(),
+            ));
+        }
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         let sensor = |row: Calibration| {
             let mut values = row.response.to_f64();
@@ -207,57 +226,39 @@ impl Deconvolve {
         let noise = Noise { sd_v: noise_v, acf };
         let (light, light_noise_v) = self.wiener(alike, profile.dt_ps, &samples, &noise, tools);
         let response = tools.response.as_ref().map(|(_, response)| response).expect("taken up above");
-        let blank = Stir {
+        let t0_ps = profile.t0_ps - sensor.latency_ps;
+        let sd_v = vec![noise.sd_v; samples.len()];
+        let record = Record { samples: &samples, sd_v, acf: &noise.acf, t0_ps, dt_ps: profile.dt_ps, response };
+        let explained = match self.method {
+            Method::Wiener => None,
+            Method::Sparse => Some(record.sparse(self.asked())),
+            Method::Nnls | Method::Pencil | Method::RichardsonLucy => Some(record.compared(self.method, self.asked())),
+        };
+        let chi2_dof = explained.as_ref().map(|explained| explained.chi2_dof);
+        let (mut impulses, impulse_cov) =
+            explained.map_or_else(Default::default, |explained| (explained.impulses, explained.covariance_ps2));
+        for impulse in &mut impulses {
+            impulse.amplitude_v *= sensor.polarity;
+        }
+        Stir {
             campaign: profile.campaign.clone(),
             sensor: profile.sensor.clone(),
             lit: profile.lit,
             seen: profile.seen,
-            t0_ps: profile.t0_ps - sensor.latency_ps,
+            t0_ps,
             dt_ps: profile.dt_ps,
             profile: light.into_iter().collect(),
             profile_noise: light_noise_v,
-            impulses: Vec::new(),
-            impulse_cov: Vec::new(),
-            chi2_dof: None,
+            impulses,
+            impulse_cov,
+            chi2_dof,
             jitter_ps: profile.jitter_ps,
-        };
-        match self.method {
-            Method::Wiener => blank,
-            Method::Sparse => self.sparse(response, sensor.polarity, profile, &samples, &noise, blank),
         }
     }
 
-    fn sparse(
-        &self,
-        response: &Response,
-        polarity: f64,
-        profile: &Profile,
-        samples: &[f64],
-        noise: &Noise,
-        blank: Stir,
-    ) -> Stir {
-        let sd_v = vec![noise.sd_v; samples.len()];
-        let (acf, t0_ps, dt_ps) = (&noise.acf, blank.t0_ps, profile.dt_ps);
-        let record = sparse::Profile { mean_v: samples, sd_v: &sd_v, acf, t0_ps, dt_ps };
-        let options = SparseOptions {
-            evidence_min: self.evidence,
-            pulses_max: self.impulses_max,
-            baseline: true,
-            signed: self.signed,
-            extent_max_ps: 0.0,
-        };
-        let fit = sparse::fit(&record, response, &options);
-        let count = fit.pulses.len();
-        let impulse = |(k, pulse): (usize, &Pulse)| Impulse {
-            time_ps: pulse.time_ps,
-            time_sd_ps: fit.covariance_ps2[k * count + k].sqrt(),
-            amplitude_v: pulse.amplitude_v * polarity,
-            amplitude_sd_v: pulse.amplitude_sd_v,
-            width_ps: 0.0,
-            evidence: pulse.evidence,
-        };
-        let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
-        Stir { impulses, impulse_cov: fit.covariance_ps2, chi2_dof: Some(fit.chi2_per_dof), ..blank }
+    fn asked(&self) -> Asked {
+        let Self { evidence, impulses_max, signed, extent_max_ps, .. } = *self;
+        Asked { evidence, impulses_max, signed, extent_max_ps }
     }
 
     /// The Wiener estimate and the standard deviation of its noise.

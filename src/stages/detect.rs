@@ -5,12 +5,19 @@
 //! | `impulses` | time of an impulse that `deconvolve` found; refers to the centroid of the light | `impulses` |
 //! | `leading-edge` | crossing of `fraction` of the profile's maximum, walking back from it | `profile` |
 //! | `constant-fraction` | zero of the delayed profile less `fraction` of itself | `profile` |
+//! | `first-response` | the paper's "first non-zero response": the first sample above `threshold_sigma` | `profile` |
+//! | `aic` | where noise ends and signal begins by Akaike's criterion, within `window_ps` before each response's maximum | `profile` |
 //!
-//! The paper's own "first non-zero response" is a threshold, whose time walks with amplitude; an edge at a fraction does not. Edge methods see
-//! one onset a profile: that of its maximum. An onset needs a signal-to-noise ratio of `threshold_sigma`.
+//! A threshold walks with amplitude by tens of picoseconds, and Akaike's criterion almost as much; an edge at a fraction does not. Edges at a fraction see
+//! one onset a profile: that of its maximum. `first-response` and `aic` see as many as there are responses: after each, the profile must fall below
+//! `rearm_sigma` before the next. An onset needs a signal-to-noise ratio of `threshold_sigma`. Two impulses so close that neither amplitude is
+//! that certain are onsets all the same where leaving either out would cost a chi-square of `threshold_sigma` squared: that there are two is then
+//! certain, and how light divides between them is not. `aic` has no standard deviation of its own:
+//! given is that of rounding to a sample and of noise over the mean slope up to the maximum.
 //!
 //! Takes `stir`; writes `onsets`. Flags: `blended` (its time is strongly correlated with a neighbour's), `misfit` (the fit of its profile
-//! leaves more than noise), `at-edge` (near an end of the record). Not modelled yet: extended bounces, saturated arrivals.
+//! leaves more than noise), `at-edge` (near an end of the record), `extended` (its light is spread in time: `earliest_ps` is where it would begin if it
+//! were spread evenly, as by one flat patch; after two patches it begins up to 0.7 widths before that). Not modelled yet: saturated arrivals.
 //!
 //! ```toml
 //! [onsets]
@@ -18,6 +25,8 @@
 //! from = "stir"
 //! params = { method = "impulses", threshold_sigma = 5.0 }
 //! ```
+
+use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
@@ -30,6 +39,8 @@ use crate::tables::{Name, Onset, Stir};
 const BLENDED: f64 = 0.5;
 /// Chi-square per degree of freedom beyond which a fit is called a misfit.
 const MISFIT: f64 = 1.5;
+/// Light that is spread evenly begins this many standard deviations before its centroid: the root of 3.
+const EARLIEST_WIDTHS: f64 = 1.732_050_807_568_877_2;
 /// An onset closer to an end of the record than this many samples is at its edge.
 const EDGE_SAMPLES: f64 = 2.0;
 
@@ -44,6 +55,10 @@ pub struct Detect {
     fraction: f64,
     /// Delay of the discriminator, for `constant-fraction`.
     delay_ps: f64,
+    /// Signal-to-noise ratio below which a profile must fall between two onsets, for `first-response` and `aic`.
+    rearm_sigma: f64,
+    /// How long before its maximum a response may begin, for `aic`.
+    window_ps: f64,
 }
 
 /// How onsets are found.
@@ -53,17 +68,26 @@ enum Method {
     Impulses,
     LeadingEdge,
     ConstantFraction,
+    FirstResponse,
+    Aic,
 }
 
 impl Default for Detect {
     fn default() -> Self {
-        Self { method: Method::Impulses, threshold_sigma: 5.0, fraction: 0.5, delay_ps: 100.0 }
+        Self {
+            method: Method::Impulses,
+            threshold_sigma: 5.0,
+            fraction: 0.5,
+            delay_ps: 100.0,
+            rearm_sigma: 2.0,
+            window_ps: 1000.0,
+        }
     }
 }
 
 impl Stage for Detect {
     const KIND: &'static str = "detect";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::Capture;
     type Input = Stir;
     type Output = Onset;
@@ -82,6 +106,16 @@ impl Stage for Detect {
                 self.threshold_sigma
             )));
         }
+        let rearms = self.rearm_sigma > 0.0 && self.rearm_sigma <= self.threshold_sigma;
+        if matches!(self.method, Method::FirstResponse | Method::Aic) && !rearms {
+            return Err(StageError::Refused(format!(
+                "params.rearm_sigma = {} must lie between 0 and threshold_sigma",
+                self.rearm_sigma
+            )));
+        }
+        if self.window_ps.is_nan() || self.window_ps <= 0.0 {
+            return Err(StageError::Refused(format!("params.window_ps = {} must be positive", self.window_ps)));
+        }
         Ok(())
     }
 }
@@ -92,7 +126,7 @@ impl Apply for Detect {
         for stir in &group {
             match self.method {
                 Method::Impulses => onsets.extend(self.impulses(stir)),
-                Method::LeadingEdge | Method::ConstantFraction => onsets.extend(self.edge(stir)?),
+                _ => onsets.extend(self.edges(stir)?),
             }
         }
         Ok(Outcome::rows(onsets))
@@ -103,7 +137,8 @@ impl Detect {
     fn impulses(&self, stir: &Stir) -> Vec<Onset> {
         let count = stir.impulses.len();
         let snr = |k: usize| stir.impulses[k].amplitude_v.abs() / stir.impulses[k].amplitude_sd_v;
-        let kept: Vec<usize> = (0..count).filter(|&k| snr(k) >= self.threshold_sigma).collect();
+        let kept: Vec<usize> =
+            (0..count).filter(|&k| snr(k) >= self.threshold_sigma || self.is_of_blended_pair(stir, k)).collect();
         let end_ps = stir.t0_ps + stir.profile.len() as f64 * stir.dt_ps;
         let onset = |(rank, &k): (usize, &usize)| {
             let impulse = &stir.impulses[k];
@@ -113,33 +148,61 @@ impl Detect {
             });
             let margin_ps = EDGE_SAMPLES * stir.dt_ps;
             let at_edge = impulse.time_ps < stir.t0_ps + margin_ps || impulse.time_ps > end_ps - margin_ps;
+            let extended = impulse.width_ps > 0.0;
             let misfit = stir.chi2_dof.is_some_and(|chi2_dof| chi2_dof > MISFIT);
             Onset {
                 rank: rank as i32 + 1,
                 time_ps: impulse.time_ps,
                 time_sd_ps: impulse.time_sd_ps,
-                earliest_ps: None,
+                earliest_ps: extended.then_some(impulse.time_ps - EARLIEST_WIDTHS * impulse.width_ps),
                 amplitude: impulse.amplitude_v,
                 amplitude_sd: Some(impulse.amplitude_sd_v),
                 width_ps: impulse.width_ps,
                 snr: snr(k),
                 evidence: Some(impulse.evidence),
                 covariance,
-                flags: flags(&[("blended", correlated), ("misfit", misfit), ("at-edge", at_edge)]),
+                flags: flags(&[
+                    ("blended", correlated),
+                    ("extended", extended),
+                    ("misfit", misfit),
+                    ("at-edge", at_edge),
+                ]),
                 ..blank(stir)
             }
         };
         kept.iter().enumerate().map(onset).collect()
     }
 
-    fn edge(&self, stir: &Stir) -> Result<Option<Onset>, StageError> {
+    /// Whether neither impulse `k` nor one whose time is correlated with its own has an amplitude that is certain, but no fit without either of
+    /// them explains the profile.
+    fn is_of_blended_pair(&self, stir: &Stir, k: usize) -> bool {
+        let count = stir.impulses.len();
+        // What a misfit adds to chi-square is no evidence.
+        let misfit = stir.chi2_dof.unwrap_or(1.0).max(1.0);
+        let is_vague = |k: usize| {
+            let impulse = &stir.impulses[k];
+            impulse.amplitude_v.abs() < self.threshold_sigma * impulse.amplitude_sd_v
+                && impulse.evidence >= misfit * self.threshold_sigma.powi(2)
+        };
+        let variance = |k: usize| stir.impulse_cov[k * count + k];
+        let is_correlated = |other: usize| {
+            stir.impulse_cov[k * count + other].powi(2) > BLENDED.powi(2) * variance(k) * variance(other)
+        };
+        is_vague(k) && (0..count).any(|other| other != k && is_vague(other) && is_correlated(other))
+    }
+
+    fn edges(&self, stir: &Stir) -> Result<Vec<Onset>, StageError> {
         let profile = stir.profile.to_f64();
         let peak = profile.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let snr = if stir.profile_noise > 0.0 { peak / stir.profile_noise } else { f64::INFINITY };
-        if !(peak > 0.0 && snr >= self.threshold_sigma) {
-            return Ok(None);
+        // A profile without any noise still has the rounding of its f32 samples.
+        let noise = stir.profile_noise.max(f64::from(f32::EPSILON) * peak);
+        if !(peak > 0.0 && peak >= self.threshold_sigma * noise) {
+            return Ok(Vec::new());
         }
-        let crossing: Option<Crossing> = match self.method {
+        let at_maximum = |crossing: Option<Crossing>| {
+            crossing.map(|Crossing { position, sd, .. }| Edge { position, sd, height: peak }).into_iter().collect()
+        };
+        let edges: Vec<Edge> = match self.method {
             Method::ConstantFraction => {
                 let delay = self.delay_ps / stir.dt_ps;
                 if delay < 1.0 {
@@ -148,27 +211,69 @@ impl Detect {
                         self.delay_ps, stir.dt_ps
                     )));
                 }
-                onset::constant_fraction(&profile, self.fraction, delay, stir.profile_noise)
+                at_maximum(onset::constant_fraction(&profile, self.fraction, delay, noise))
             }
-            _ => onset::leading_edge(&profile, self.fraction, stir.profile_noise),
+            Method::FirstResponse => self.responses(&profile, noise).into_iter().map(|(_, edge)| edge).collect(),
+            Method::Aic => self.beginnings(&profile, noise, self.window_ps / stir.dt_ps),
+            _ => at_maximum(onset::leading_edge(&profile, self.fraction, noise)),
         };
-        Ok(crossing.map(|crossing| {
-            let time_ps = stir.t0_ps + crossing.position * stir.dt_ps;
-            let sd_ps = crossing.sd * stir.dt_ps;
-            let at_edge = crossing.position < EDGE_SAMPLES || crossing.position > profile.len() as f64 - EDGE_SAMPLES;
+        let count = edges.len();
+        let onset = |(k, edge): (usize, &Edge)| {
+            let time_ps = stir.t0_ps + edge.position * stir.dt_ps;
+            let sd_ps = edge.sd * stir.dt_ps;
+            let at_edge = edge.position < EDGE_SAMPLES || edge.position > profile.len() as f64 - EDGE_SAMPLES;
             Onset {
-                rank: 1,
+                rank: k as i32 + 1,
                 time_ps,
                 time_sd_ps: sd_ps,
                 earliest_ps: Some(time_ps),
-                amplitude: peak,
-                snr,
-                covariance: vec![sd_ps * sd_ps],
+                amplitude: edge.height,
+                snr: edge.height / noise,
+                covariance: (0..count).map(|other| if other == k { sd_ps * sd_ps } else { 0.0 }).collect(),
                 flags: flags(&[("at-edge", at_edge)]),
                 ..blank(stir)
             }
-        }))
+        };
+        Ok(edges.iter().enumerate().map(onset).collect())
     }
+
+    /// Every response: the samples from its first one to where it falls below the level of re-arming, and its edge.
+    fn responses(&self, profile: &[f64], noise: f64) -> Vec<(Range<usize>, Edge)> {
+        let crossings = onset::responses(profile, self.threshold_sigma, self.rearm_sigma, noise);
+        let response = |Crossing { position, sd, .. }: Crossing| {
+            let first = position as usize;
+            let low = profile[first..].iter().position(|sample| *sample < self.rearm_sigma * noise);
+            let reach = first..low.map_or(profile.len(), |low| first + low);
+            let height = profile[reach.clone()].iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            (reach, Edge { position, sd, height })
+        };
+        crossings.into_iter().map(response).collect()
+    }
+
+    /// Where every response begins by Akaike's criterion; what is left of the response before it does not count.
+    fn beginnings(&self, profile: &[f64], noise: f64, window: f64) -> Vec<Edge> {
+        let mut start = 0;
+        let mut edges = Vec::new();
+        for (reach, Edge { height, .. }) in self.responses(profile, noise) {
+            let stretch = &profile[start..reach.end];
+            if let Some(place) = onset::akaike(stretch, window.ceil() as usize, noise) {
+                let peak = stretch.iter().position(|sample| *sample == height).unwrap_or(stretch.len());
+                let slope = height / (peak as f64 - place).max(1.0);
+                let sd = (1.0 / 12.0 + (noise / slope).powi(2)).sqrt();
+                edges.push(Edge { position: start as f64 + place, sd, height });
+            }
+            start = reach.end;
+        }
+        edges
+    }
+}
+
+/// An onset of a profile, in samples.
+struct Edge {
+    position: f64,
+    sd: f64,
+    /// Largest sample of its response.
+    height: f64,
 }
 
 fn flags(flags: &[(&str, bool)]) -> Vec<Name> {
@@ -196,3 +301,6 @@ fn blank(stir: &Stir) -> Onset {
         flags: Vec::new(),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -36,7 +36,7 @@ table! {
         covariance: Vec<f64>,
         /// Standard deviation of the time error that all onsets of the profile share.
         jitter_ps: f64,
-        /// What to know about it: blended, misfit, at-edge.
+        /// What to know about it: blended, extended, misfit, at-edge.
         flags: Vec<Name>,
     }
 }

@@ -13,7 +13,7 @@ use crate::missed;
 /// The demo's scene.
 pub const SCENE: &str = include_str!("../../pipelines/scenes/all-visible.toml");
 /// One whose signal-to-noise ratios are derived.
-const PHOTODIODE: &str = include_str!("../../pipelines/scenes/photodiode.toml");
+pub const PHOTODIODE: &str = include_str!("../../pipelines/scenes/photodiode.toml");
 
 /// What some seeds of one scene gave.
 pub struct Study {

@@ -13,6 +13,7 @@ mod ingest;
 mod lab;
 mod laws;
 mod lineage;
+mod methods;
 mod missed;
 mod monte_carlo;
 #[cfg(feature = "query")]
