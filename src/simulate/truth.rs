@@ -87,6 +87,17 @@ impl Scene {
             latency_sd_ps: 0.0,
             width_ps: chain.pulse.width_ps(),
             width_sd_ps: None,
+            reference_v_ps: None,
+            noise_model: None,
+            noise_acf: None,
+            drift_from: None,
+            drift_step_s: None,
+            drift_ps: None,
+            drift_sd_ps: None,
+            pickup_t0_ps: None,
+            pickup_dt_ps: None,
+            pickup_v: None,
+            pickup_se_v: None,
         };
         let rows = |(name, sensor): (&String, &super::keys::Sensor)| {
             chain.settings.iter().map(|setting| row(name, sensor.latency_ps, setting)).collect::<Vec<_>>()

@@ -246,6 +246,17 @@ impl State {
             latency_sd_ps,
             width_ps: shape.response().width_ps(),
             width_sd_ps: width_sd_ps(&shots, first.dt_ps),
+            reference_v_ps: None,
+            noise_model: None,
+            noise_acf: None,
+            drift_from: None,
+            drift_step_s: None,
+            drift_ps: None,
+            drift_sd_ps: None,
+            pickup_t0_ps: None,
+            pickup_dt_ps: None,
+            pickup_v: None,
+            pickup_se_v: None,
         })
     }
 

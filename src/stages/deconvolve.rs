@@ -253,6 +253,8 @@ impl Deconvolve {
             impulse_cov,
             chi2_dof,
             jitter_ps: profile.jitter_ps,
+            gain_sd: profile.gain_sd,
+            power_ratio: None,
         }
     }
 

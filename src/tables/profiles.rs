@@ -18,6 +18,8 @@ table! {
         role: Name,
         /// Which run of shots, for other roles than scene: its file; null for captures of the scene.
         run: Option<Name>,
+        /// Vertical range whose scale the profile has: of several merged ones the most sensitive. Null where captures have but one.
+        range: Option<Name>,
         /// Shots averaged.
         shots: i32,
         /// Shots set aside: clipped, outlying, or without reference pulse.
@@ -30,12 +32,15 @@ table! {
         dt_ps: f64,
         /// Mean signal.
         mean_v: Samples,
-        /// Standard error of each mean, from the spread over shots.
+        /// Standard error that each mean has for itself, by the noise model; infinite for a sample that every range clipped.
         se_v: Samples,
         /// Standard deviation of the noise of one shot, before the pulse.
         noise_v: f64,
         /// Autocorrelation of that noise at lags 0, 1, 2...
         noise_acf: Samples,
+        /// Variance of one shot at level v: s0^2 + s1^2 abs(v) + s2^2 v^2 + j^2 (dv/dt)^2; the four coefficients in V^2, V, 1, ps^2. Null where
+        /// shots are too few to tell.
+        noise_model: Option<Vec<f64>>,
         /// Samples that this noise was taken from; null where that is not known.
         noise_samples: Option<i32>,
         /// Mean baseline that was removed.
@@ -44,6 +49,20 @@ table! {
         phase_shots: Option<Vec<i32>>,
         /// Standard deviation of the time error left over from alignment, common to all arrivals of the profile.
         jitter_ps: f64,
+        /// Relative standard deviation of all amplitudes of the profile together: the laser's energy from shot to shot, the factor between merged ranges.
+        gain_sd: f64,
+        /// Mean time of the reference pulse after the trigger. Null without reference channel.
+        reference_ps: Option<f64>,
+        /// Its standard error.
+        reference_sd_ps: Option<f64>,
+        /// Mean integral of the reference pulse over time, which goes with the laser's energy. Null without reference channel.
+        reference_v_ps: Option<f64>,
+        /// Its standard error.
+        reference_sd_v_ps: Option<f64>,
+        /// Photons counted in each bin, for sensors that count.
+        counts: Option<Vec<i32>>,
+        /// Laser pulses behind these counts.
+        cycles: Option<i64>,
         /// Volts per code of the records.
         gain_v: f64,
         /// Known path from source to sensor, for roles response and fiducial.

@@ -374,13 +374,15 @@ impl Cell for Vec<Name> {
 }
 
 /// Units that a column name can end in, longest first, and how they are written.
-const UNITS: [(&str, &str); 8] = [
+const UNITS: [(&str, &str); 10] = [
     ("_m2", "m^2"),
     ("_ps2", "ps^2"),
+    ("_v_ps", "V ps"),
     ("_ps", "ps"),
     ("_m", "m"),
     ("_v", "V"),
     ("_w", "W"),
+    ("_s", "s"),
     ("_rad", "rad"),
     ("_bytes", "B"),
 ];

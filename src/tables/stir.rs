@@ -111,5 +111,9 @@ table! {
         chi2_dof: Option<f64>,
         /// Standard deviation of the time error that all arrivals of the profile share.
         jitter_ps: f64,
+        /// Relative standard deviation of all amplitudes of the profile together.
+        gain_sd: f64,
+        /// Laser's energy over that in the response captures, from the integral of the reference pulse. Null without reference channel.
+        power_ratio: Option<f64>,
     }
 }

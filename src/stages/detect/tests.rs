@@ -48,6 +48,8 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         impulse_cov: fit.covariance_ps2.clone(),
         chi2_dof: Some(fit.chi2_per_dof),
         jitter_ps: 0.0,
+        gain_sd: 0.0,
+        power_ratio: None,
     }
 }
 
