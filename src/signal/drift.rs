@@ -82,10 +82,38 @@ impl Drift {
         let mut solved = hats.clone();
         self.factor.solve(&mut solved);
         let variance = (1.0 - part) * solved[knot] + part * solved[knot + 1];
+        (self.level_ps + delay_ps, (variance + self.walk_ps2(part)).sqrt())
+    }
+
+    /// By how much the delay at a time exceeds that at `origin_s`, and the standard deviation of the difference, ps. Both within the points, or the
+    /// same side of them; else the walk beyond them counts in full.
+    #[must_use]
+    pub fn since(&self, origin_s: f64, time_s: f64) -> (f64, f64) {
+        let mut hats = vec![0.0; self.knots_ps.len()];
+        let mut walk_ps2 = 0.0;
+        for (at_s, sign) in [(time_s, 1.0), (origin_s, -1.0)] {
+            let (knot, part) = place(self.start_s, self.spacing_s, self.knots_ps.len(), at_s);
+            hats[knot] += sign * (1.0 - part);
+            hats[knot + 1] += sign * part;
+            walk_ps2 += self.walk_ps2(part);
+        }
+        let mut solved = hats.clone();
+        self.factor.solve(&mut solved);
+        let delay_ps: f64 = hats.iter().zip(&self.knots_ps).map(|(hat, knot)| hat * knot).sum();
+        let variance: f64 = hats.iter().zip(&solved).map(|(hat, solved)| hat * solved).sum();
+        (delay_ps, (variance.max(0.0) + walk_ps2).sqrt())
+    }
+
+    /// Variance of the walk beyond the last knot, `part` of a spacing after the one before.
+    fn walk_ps2(&self, part: f64) -> f64 {
         // Sum of squares 1 + 4 + .. of the knots that lie between the last one and this time.
         let beyond = (part - 1.0).max(-part).max(0.0);
-        let walk = self.roughness_ps.powi(2) * beyond * (beyond + 1.0) * (2.0 * beyond + 1.0) / 6.0;
-        (self.level_ps + delay_ps, (variance + walk).sqrt())
+        self.roughness_ps.powi(2) * beyond * (beyond + 1.0) * (2.0 * beyond + 1.0) / 6.0
+    }
+
+    /// Times of the knots, s.
+    pub fn knots_s(&self) -> impl Iterator<Item = f64> {
+        (0..self.knots_ps.len()).map(|knot| self.start_s + knot as f64 * self.spacing_s)
     }
 
     /// Standard deviation of the change of slope at a knot, ps a knot.

@@ -1,7 +1,8 @@
 //! A pulse shape on a grid finer than the samples, from many shots that hit the samples at different sub-sample times.
 //!
 //! Every sample of every shot is one value of the same pulse at a known time; a least-squares spline with knots every half sample runs through
-//! them all ([`super::spline_fit`]). Where the times of the shots do not spread over a sample, the shots are averaged on their own grid and
+//! them all ([`super::spline_fit`]). The shape holds what rises above its noise: the pulse with its tail, and whatever comes later that is certain, such as
+//! an echo in the cable; between them it is zero. Where the times of the shots do not spread over a sample, the shots are averaged on their own grid and
 //! interpolated band-limited instead. Source: equivalent-time sampling.
 
 use std::f64::consts::TAU;
@@ -23,6 +24,8 @@ const BASELINE_SHARE: f64 = 0.1;
 const RISE_SHARE: f64 = 0.25;
 /// The shape is cut where it stays below this many of its standard errors.
 const CUT_SIGMA: f64 = 3.0;
+/// Behind the pulse, a stretch belongs to the shape if it rises to this many standard errors: an echo.
+const FAR_SIGMA: f64 = 6.0;
 /// A cell of the fine grid that fewer samples hit has no line of its own.
 const HITS_MIN: f64 = 3.0;
 
@@ -212,29 +215,35 @@ fn cut(grid: &Grid, mut values: Vec<f64>, noise: f64) -> Option<Shape> {
     let floor = (CUT_SIGMA * noise).max(1e-6 * values[strongest]);
     // Two samples in a row below the floor end the pulse; one margin of two samples stays on either side.
     let run = 2 * STEPS;
+    let loud = |stretch: &[f64]| stretch.iter().any(|value| value.abs() > floor);
     let mut start = strongest;
-    while start >= run && values[start - run..start].iter().any(|value| value.abs() > floor) {
+    while start >= run && loud(&values[start - run..start]) {
         start -= 1;
     }
-    let mut end = strongest + 1;
-    while end + run <= values.len() && values[end..end + run].iter().any(|value| value.abs() > floor) {
-        end += 1;
+    let end_of = |mut end: usize| {
+        while end + run <= values.len() && loud(&values[end..end + run]) {
+            end += 1;
+        }
+        end
+    };
+    let mut stretches = vec![(start, end_of(strongest + 1))];
+    let mut at = stretches[0].1;
+    while let Some(far) = (at..values.len()).find(|&n| values[n].abs() > FAR_SIGMA * noise) {
+        let mut begin = far;
+        while begin >= at + run && loud(&values[begin - run..begin]) {
+            begin -= 1;
+        }
+        at = end_of(far + 1);
+        stretches.push((begin, at));
     }
     // A shape that has not decayed where the record ends is a step: it is kept to the end, without taper.
-    let step = end + run > values.len();
-    let (start, end) = (start.saturating_sub(run), if step { values.len() } else { end + run });
+    let step = at + run > values.len();
+    let (start, end) = (start.saturating_sub(run), if step { values.len() } else { at + run });
+    mask(&mut values, &stretches, run, step);
     let spline = Response::new(0.0, grid.step_ps, &values[start..end]);
     let peak_ps = spline.peak_ps();
     let height = spline.height();
-    let mut kept: Vec<f64> = values[start..end].iter().map(|value| value / height).collect();
-    let length = kept.len();
-    for i in 0..run.min(length / 2) {
-        let taper = 0.5 - 0.5 * (TAU / 2.0 * (i as f64 + 0.5) / run as f64).cos();
-        kept[i] *= taper;
-        if !step {
-            kept[length - 1 - i] *= taper;
-        }
-    }
+    let kept = values[start..end].iter().map(|value| value / height).collect();
     Some(Shape {
         t0_ps: -peak_ps,
         step_ps: grid.step_ps,
@@ -242,6 +251,25 @@ fn cut(grid: &Grid, mut values: Vec<f64>, noise: f64) -> Option<Shape> {
         peak_ps: grid.start_ps + start as f64 * grid.step_ps + peak_ps,
         height: height * sign,
     })
+}
+
+/// Silences what lies outside of the stretches, with margins that fade over `run` values; after the last one only if the shape ends there.
+fn mask(values: &mut [f64], stretches: &[(usize, usize)], run: usize, step: bool) {
+    let fade = |distance: usize| {
+        if distance < run { 0.5 + 0.5 * (TAU / 2.0 * (distance as f64 + 0.5) / run as f64).cos() } else { 0.0 }
+    };
+    let last = stretches[stretches.len() - 1].1;
+    for (n, value) in values.iter_mut().enumerate() {
+        if step && n >= last {
+            continue;
+        }
+        let weight = |(start, end): &(usize, usize)| match n {
+            _ if n < *start => fade(start - 1 - n),
+            _ if n >= *end => fade(n - end),
+            _ => 1.0,
+        };
+        *value *= stretches.iter().map(weight).fold(0.0, f64::max);
+    }
 }
 
 #[cfg(test)]
@@ -309,6 +337,36 @@ mod tests {
             assert!(rms < 0.01 && width.abs() < 0.01, "{name}: shape rms {rms}, width {width}");
             assert!(times.iter().all(Option::is_some));
         }
+    }
+
+    /// A diffusion tail of nanoseconds and an echo at -40 dB are part of the response.
+    #[test]
+    fn tails_and_echoes_belong_to_the_shape() {
+        let decay = |t: f64| if t > 0.0 { 0.02 * (-t / 1000.0).exp() } else { 0.0 };
+        fn pulse(t: f64) -> f64 {
+            g250(t) + 0.01 * g250(t - 1800.0)
+        }
+        let mut shots = shots(pulse, 4000, 70.0, 30.0);
+        let (shape, _) = shape_and_times(&shots, 50.0).unwrap();
+        let response = shape.response();
+        let error = |t: f64| response.value(t) - pulse(t);
+        let echo: Vec<f64> = (-20..=20).map(|i| error(1800.0 + 10.0 * f64::from(i))).collect();
+        let rms = (echo.iter().map(|e| e * e).sum::<f64>() / echo.len() as f64).sqrt();
+        eprintln!("echo of 0.0100 at 1800 ps: rms error {rms:.5}");
+        assert!(rms < 0.001, "{rms}");
+        assert!(response.value(900.0).abs() < 1e-12);
+        for shot in &mut shots {
+            for (n, sample) in shot.samples.iter_mut().enumerate() {
+                *sample += decay(n as f64 * 50.0 + shot.t0_ps - 2500.0);
+            }
+        }
+        let (shape, _) = shape_and_times(&shots, 50.0).unwrap();
+        let response = shape.response();
+        let tail: Vec<f64> = (0..10).map(|i| response.value(600.0 + 50.0 * f64::from(i))).collect();
+        let truth: Vec<f64> = (0..10).map(|i| decay(600.0 + 50.0 * f64::from(i))).collect();
+        let (sum, true_sum) = (tail.iter().sum::<f64>(), truth.iter().sum::<f64>());
+        eprintln!("tail: {:.4} of {:.4}", sum, true_sum);
+        assert!((sum / true_sum - 1.0).abs() < 0.1, "{tail:?}");
     }
 
     #[test]

@@ -63,6 +63,17 @@ pub fn fit_pulse(samples: &[f64], dt_ps: f64, template: &Response) -> Option<Pul
     })
 }
 
+/// Integral over time of a fitted pulse as it was recorded, its offset taken off: it goes with the pulse's energy. In the unit of the samples, times ps.
+///
+/// # Panics
+/// When `dt_ps` is not positive.
+#[must_use]
+pub fn integral(samples: &[f64], dt_ps: f64, template: &Response, fit: &PulseFit) -> f64 {
+    assert!(dt_ps > 0.0, "a step is positive");
+    let reach = template.reach(fit.time_ps, 0.0, dt_ps, samples.len());
+    samples[reach].iter().map(|sample| sample - fit.offset).sum::<f64>() * dt_ps
+}
+
 /// The sample between two neighbours that differ most.
 fn steepest(samples: &[f64]) -> Option<usize> {
     let rise = |n: usize| (samples[n + 1] - samples[n - 1]).abs();

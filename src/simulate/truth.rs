@@ -87,17 +87,10 @@ impl Scene {
             latency_sd_ps: 0.0,
             width_ps: chain.pulse.width_ps(),
             width_sd_ps: None,
+            acquired_at: None,
             reference_v_ps: None,
             noise_model: None,
             noise_acf: None,
-            drift_from: None,
-            drift_step_s: None,
-            drift_ps: None,
-            drift_sd_ps: None,
-            pickup_t0_ps: None,
-            pickup_dt_ps: None,
-            pickup_v: None,
-            pickup_se_v: None,
         };
         let rows = |(name, sensor): (&String, &super::keys::Sensor)| {
             chain.settings.iter().map(|setting| row(name, sensor.latency_ps, setting)).collect::<Vec<_>>()
@@ -206,6 +199,7 @@ pub(super) fn true_onsets(paths: &[TruePath], role: Role, snr_was_set: bool) -> 
         evidence: None,
         covariance: vec![0.0],
         jitter_ps: 0.0,
+        power_ratio: None,
         flags: if snr_was_set { vec!["snr-was-set".into()] } else { Vec::new() },
     };
     strong.enumerate().map(onset).collect()

@@ -30,7 +30,6 @@
 
 mod across;
 mod finding;
-mod moment;
 mod series;
 mod within;
 

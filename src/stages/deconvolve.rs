@@ -17,42 +17,48 @@
 //! standard deviation of both together. Two impulses closer than twice that limit may then be taken for one.
 //!
 //! With a known response the limit of time resolution is noise and not the sensor: `sparse` separates pulses closer than the response is
-//! wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the
-//! response's sign, unless `signed` allows both.
+//! wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the response's sign, unless `signed` allows both.
 //!
-//! Takes `profiles`; writes `stir`. Beside it: `calibration`. Noise is taken as equal along the record, of standard deviation `noise_v` over the root
-//! of the shots and with the autocorrelation `noise_acf`, smoothed to that of an autoregressive process of the order that `noise_samples` can tell. `wiener`
-//! knows the correlation in `profile_noise` only. Where the response fits far worse than the noise is (`chi2_dof` well above 1) and a single shot
-//! tells the noise, its estimate weighs the misfit otherwise in every record: `correlated = false` keeps times comparable there. Not modelled yet:
-//! noise that depends on the level.
+//! Profiles (i, k) and (k, i) hold the same paths walked in opposite directions, where laser and sensor stand together. With `joint` they are
+//! explained together: times better by up to the root of 2, and arrivals told apart as at so much more signal. The impulses then stand in the row
+//! of the smaller `lit` alone, so that nothing counts twice.
+//!
+//! Photon counts are explained by the likelihood of counts, freed of pile-up by the dead time in campaign.toml; amplitudes are counts a bin.
+//!
+//! Takes `profiles`; writes `stir`. Beside it: `calibration`; and `session` (of `track`), whose drift and pick-up are taken off: a drift's own error
+//! joins `jitter_ps`, the pick-up's the noise. The noise of each sample is the profile's `se_v`, its autocorrelation `noise_acf`, smoothed to that of an
+//! autoregressive process of the order that `noise_samples` can tell. `wiener` knows equal noise along the record. Where the response fits far
+//! worse than the noise is (`chi2_dof` well above 1) and a single shot tells the noise, its estimate weighs the misfit otherwise in every record:
+//! `correlated = false` keeps times comparable there.
+//!
+//! Not modelled: light that wraps around the end of a record (`average` cuts circular profiles open where they are quiet), counts explained jointly.
 //!
 //! ```toml
 //! [stir]
 //! stage = "deconvolve"
 //! from = "profiles"
-//! with = { calibration = "calibration" }
+//! with = { calibration = "calibration", session = "session" }
 //! params = { method = "sparse" }
 //! ```
 
 mod explain;
+mod session;
 
 use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
-use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
+use super::calibrated::{self, Calibrated};
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::signal::averaged_response::averaged_response;
 use crate::signal::fft::RealFft;
-use crate::signal::noise;
 use crate::signal::response::Response;
+use crate::signal::sparse::Unpiled;
 use crate::signal::wiener::{Transfer, Wiener};
-use crate::tables::{Calibration, Name, Profile, Stir};
-use explain::{Asked, Method, Record};
-
-/// Share of a record whose samples tell the noise, where the profile does not say.
-const BASELINE_SHARE: f64 = 0.1;
+use crate::tables::{Calibration, Name, Profile, Session, Stir};
+use explain::{Asked, Explained, Method, Record};
+use session::Correction;
 
 /// Parameters of `deconvolve`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -68,6 +74,8 @@ pub struct Deconvolve {
     signed: bool,
     /// Whether the noise's correlation counts.
     correlated: bool,
+    /// Whether reciprocal profiles are explained together, for `sparse`: where laser and sensor stand together.
+    joint: bool,
     /// Largest standard deviation of the spread in time of one impulse's light, as extended patches give, for `sparse`; 0: points only.
     extent_max_ps: f64,
     /// Noise over signal power, for `wiener`; absent: estimated for each profile.
@@ -84,6 +92,7 @@ impl Default for Deconvolve {
             impulses_max: 16,
             signed: false,
             correlated: true,
+            joint: false,
             extent_max_ps: 0.0,
             noise_to_signal: None,
             lowpass_ghz: None,
@@ -91,61 +100,86 @@ impl Default for Deconvolve {
     }
 }
 
-/// Response and latency of one sensor.
-pub struct Sensor {
-    /// Turned upwards.
-    response: Response,
-    /// -1 for a sensor whose pulses go down.
-    polarity: f64,
-    latency_ps: f64,
+/// What campaign.toml says that matters here.
+#[derive(Clone, Debug, Serialize)]
+pub struct Setup {
+    repetition_ps: Option<f64>,
+    /// Dead times of photon counters.
+    dead_times_ps: BTreeMap<String, f64>,
+    /// Sensors that stand where the laser stands.
+    with_laser: Vec<String>,
 }
 
 /// The calibrated sensors, and tools that wait for their next use.
 pub struct Sensors {
-    calibrated: BTreeMap<(Name, Name), Sensor>,
+    rows: Vec<Calibration>,
+    calibrated: BTreeMap<Key, Calibrated>,
+    sessions: Vec<Session>,
+    setups: BTreeMap<String, Setup>,
     tools: Mutex<Vec<Tools>>,
 }
+
+/// Campaign, sensor, range.
+type Key = (Name, Name, Option<Name>);
 
 /// What one worker has prepared, kept because captures of a campaign are mostly alike.
 #[derive(Default)]
 struct Tools {
     fft: RealFft,
-    response: Option<(Alike, Response)>,
+    response: Option<(Alike, Arc<Response>)>,
     filter: Option<(Alike, f64, Wiener)>,
 }
 
-/// What an averaged response depends on: sensor, time step, length, and phases of the shots.
-type Alike = (Name, Name, u64, usize, Option<Vec<i32>>);
+/// What an averaged response depends on: sensor and range, time step, length, and phases of the shots.
+type Alike = (Key, u64, usize, Option<Vec<i32>>);
 
-/// Noise of a mean record.
-struct Noise {
-    /// Standard deviation of each sample.
-    sd_v: f64,
-    /// Autocorrelation at lags 0, 1, ..
+/// A profile made ready: upwards, without pick-up, in times of flight.
+struct Ready {
+    samples: Vec<f64>,
+    sd_v: Vec<f64>,
     acf: Vec<f64>,
-}
-
-/// Autocorrelation of a profile's noise.
-fn correlation(profile: &Profile) -> Vec<f64> {
-    // A table made elsewhere may not say how many samples tell the noise: at least a tenth of one shot's.
-    let usual = || profile.mean_v.len() as f64 * BASELINE_SHARE;
-    let samples = profile.noise_samples.map_or_else(usual, f64::from);
-    noise::autoregressive(&profile.noise_acf.to_f64(), samples.max(1.0) as usize)
+    t0_ps: f64,
+    dt_ps: f64,
+    /// Time error that all its arrivals share.
+    jitter_ps: f64,
+    response: Arc<Response>,
+    unpiled: Option<Unpiled>,
+    polarity: f64,
+    power_ratio: Option<f64>,
+    light: Vec<f64>,
+    light_noise_v: f64,
 }
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 2;
-    const GRAIN: Grain = Grain::Capture;
-    const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
+    const VERSION: u32 = 3;
+    const GRAIN: Grain = Grain::Pair;
+    const BESIDE: &'static [Beside] = &[
+        Beside { name: "calibration", table: "calibration", required: true },
+        Beside { name: "session", table: "session", required: false },
+    ];
     type Input = Profile;
     type Output = Stir;
-    type Fields = ();
+    type Fields = BTreeMap<String, Setup>;
     type Context = Sensors;
 
-    fn fields(&self, _: &[Campaign]) {}
+    fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
+        let setup = |campaign: &Campaign| {
+            let with_laser = |name: &&String| campaign.station_of(name).is_some_and(|at| at.position_m == campaign.source().position_m);
+            Setup {
+                repetition_ps: campaign.repetition_ps,
+                dead_times_ps: campaign
+                    .sensors
+                    .iter()
+                    .filter_map(|(name, sensor)| Some((name.clone(), sensor.dead_time_ps?)))
+                    .collect(),
+                with_laser: campaign.sensors.keys().filter(with_laser).cloned().collect(),
+            }
+        };
+        campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
+    }
 
-    fn context(&self, (): (), beside: &BesideTables) -> Result<Sensors, StageError> {
+    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Sensors, StageError> {
         for (name, value) in
             [("noise_to_signal", self.noise_to_signal), ("lowpass_ghz", self.lowpass_ghz), ("evidence", self.evidence)]
         {
@@ -157,23 +191,15 @@ impl Stage for Deconvolve {
             let extent_max_ps = self.extent_max_ps;
             return Err(StageError::Refused(format!("params.extent_max_ps = {extent_max_ps} must not be negative")));
         }
-        if self.method != Method::Sparse && (self.signed || self.extent_max_ps > 0.0) {
+        if self.method != Method::Sparse && (self.signed || self.joint || self.extent_max_ps > 0.0) {
             return Err(StageError::Refused(
-                "params.signed and params.extent_max_ps go with method `sparse` alone".to_owned(),
+                "params.signed, params.joint and params.extent_max_ps go with method `sparse` alone".to_owned(),
             ));
         }
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
-        let sensor = |row: Calibration| {
-            let mut values = row.response.to_f64();
-            let polarity = values
-                .iter()
-                .fold(0.0_f64, |most, value| if value.abs() > most.abs() { *value } else { most })
-                .signum();
-            values.iter_mut().for_each(|value| *value *= polarity);
-            let response = Response::new(row.response_t0_ps, row.step_ps, &values);
-            ((row.campaign, row.sensor), Sensor { response, polarity, latency_ps: row.latency_ps })
-        };
-        Ok(Sensors { calibrated: rows.into_iter().map(sensor).collect(), tools: Mutex::default() })
+        let sessions = beside.rows::<Session>("session")?.unwrap_or_default();
+        let calibrated = rows.iter().map(|row| (key_of(row), Calibrated::new(row))).collect();
+        Ok(Sensors { rows, calibrated, sessions, setups, tools: Mutex::default() })
     }
 }
 
@@ -181,81 +207,148 @@ impl Apply for Deconvolve {
     fn apply(&self, sensors: &Sensors, group: Vec<Profile>) -> Result<Outcome<Stir>, StageError> {
         let waiting = || sensors.tools.lock().unwrap_or_else(PoisonError::into_inner);
         let mut tools = waiting().pop().unwrap_or_default();
-        let mut rows = Vec::new();
-        for profile in group {
-            let key = (profile.campaign.clone(), profile.sensor.clone());
-            let sensor = sensors.calibrated.get(&key).ok_or_else(|| {
-                let (campaign, sensor) = (&key.0, &key.1);
-                StageError::Refused(format!("sensor `{sensor}` of campaign `{campaign}` is not calibrated: capture its response, or import a calibration"))
-            })?;
-            rows.push(self.deconvolve(sensor, &profile, &mut tools));
+        let mut outcome = Outcome::rows(Vec::new());
+        let mut ready: Vec<(&Profile, Ready)> = Vec::new();
+        for profile in &group {
+            match self.prepare(sensors, profile, &mut tools)? {
+                Ok(prepared) => ready.push((profile, prepared)),
+                Err(why) => outcome.rejections.push(rejection(profile, &why)),
+            }
         }
         waiting().push(tools);
-        Ok(Outcome::rows(rows))
+        let explained = self.explain(sensors, &ready);
+        for ((profile, ready), explained) in ready.into_iter().zip(explained) {
+            outcome.rows.push(stir(profile, ready, explained));
+        }
+        Ok(outcome)
     }
 }
 
-impl Tools {
-    /// Makes the averaged response of a profile the one at hand.
-    fn take_up(&mut self, sensor: &Sensor, profile: &Profile) -> Alike {
-        let Profile { campaign, sensor: name, dt_ps, mean_v, phase_shots, .. } = profile;
-        // Only shares of shots matter, but whole numbers compare exactly.
-        let alike = (campaign.clone(), name.clone(), dt_ps.to_bits(), mean_v.len(), phase_shots.clone());
-        if self.response.as_ref().is_none_or(|(of, _)| *of != alike) {
-            let averaged = match phase_shots {
-                Some(phase_shots) => averaged_response(&sensor.response, *dt_ps, phase_shots),
-                None => sensor.response.clone(),
-            };
-            self.response = Some((alike.clone(), averaged));
-        }
-        alike
+fn key_of(row: &Calibration) -> Key {
+    (row.campaign.clone(), row.sensor.clone(), row.range.clone())
+}
+
+fn rejection(profile: &Profile, why: &str) -> Rejection {
+    let Profile { campaign, sensor, lit, seen, .. } = profile;
+    Rejection {
+        campaign: campaign.clone(),
+        file: None,
+        segment: None,
+        byte_offset: None,
+        reason: format!("profile of sensor {sensor}, lit {lit}, seen {seen}, {why}"),
+    }
+}
+
+fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
+    let chi2_dof = explained.as_ref().map(|explained| explained.chi2_dof);
+    let (mut impulses, impulse_cov) =
+        explained.map_or_else(Default::default, |explained| (explained.impulses, explained.covariance_ps2));
+    for impulse in &mut impulses {
+        impulse.amplitude_v *= ready.polarity;
+    }
+    Stir {
+        campaign: profile.campaign.clone(),
+        sensor: profile.sensor.clone(),
+        lit: profile.lit,
+        seen: profile.seen,
+        t0_ps: ready.t0_ps,
+        dt_ps: ready.dt_ps,
+        profile: ready.light.into_iter().collect(),
+        profile_noise: ready.light_noise_v,
+        impulses,
+        impulse_cov,
+        chi2_dof,
+        jitter_ps: ready.jitter_ps,
+        gain_sd: profile.gain_sd,
+        power_ratio: ready.power_ratio,
     }
 }
 
 impl Deconvolve {
-    fn deconvolve(&self, sensor: &Sensor, profile: &Profile, tools: &mut Tools) -> Stir {
-        let samples: Vec<f64> = profile.mean_v.to_f64().into_iter().map(|sample| sample * sensor.polarity).collect();
-        // A record without any noise (an ideal one) still has the rounding of its f32 samples.
-        let rounding =
-            f64::from(f32::EPSILON) * samples.iter().fold(f64::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
-        let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding);
-        let alike = tools.take_up(sensor, profile);
-        // What is no more than the rounding of the samples is white.
-        let is_white = !self.correlated || noise_v <= rounding;
-        let acf = if is_white { vec![1.0] } else { correlation(profile) };
-        let noise = Noise { sd_v: noise_v, acf };
-        let (light, light_noise_v) = self.wiener(alike, profile.dt_ps, &samples, &noise, tools);
-        let response = tools.response.as_ref().map(|(_, response)| response).expect("taken up above");
-        let t0_ps = profile.t0_ps - sensor.latency_ps;
-        let sd_v = vec![noise.sd_v; samples.len()];
-        let record = Record { samples: &samples, sd_v, acf: &noise.acf, t0_ps, dt_ps: profile.dt_ps, response };
-        let explained = match self.method {
-            Method::Wiener => None,
-            Method::Sparse => Some(record.sparse(self.asked())),
-            Method::Nnls | Method::Pencil | Method::RichardsonLucy => Some(record.compared(self.method, self.asked())),
+    /// What the impulses are; `None` for a profile whose impulses stand with its reciprocal one, or that has none to be found.
+    fn explain(&self, sensors: &Sensors, ready: &[(&Profile, Ready)]) -> Vec<Option<Explained>> {
+        if let [(first, a), (second, b)] = ready
+            && self.joint
+            && (first.lit, first.seen) == (second.seen, second.lit)
+            && first.lit != first.seen
+            && a.unpiled.is_none()
+            && b.unpiled.is_none()
+            && a.dt_ps == b.dt_ps
+            && sensors.setups[&*first.campaign].with_laser.iter().any(|sensor| **sensor == *first.sensor)
+        {
+            let together = explain::jointly(&[a.record(), b.record()], self.asked());
+            return if first.lit < first.seen { vec![Some(together), None] } else { vec![None, Some(together)] };
+        }
+        ready.iter().map(|(_, ready)| self.explain_alone(ready)).collect()
+    }
+
+    fn explain_alone(&self, ready: &Ready) -> Option<Explained> {
+        match (self.method, &ready.unpiled) {
+            (Method::Wiener, _) => None,
+            (Method::Sparse, Some(unpiled)) => Some(ready.record().counts(unpiled, self.asked())),
+            (Method::Sparse, None) => Some(explain::jointly(&[ready.record()], self.asked())),
+            (Method::Nnls | Method::Pencil | Method::RichardsonLucy, _) => {
+                Some(ready.record().compared(self.method, self.asked()))
+            }
+        }
+    }
+
+    /// A profile made ready, or why it cannot be.
+    fn prepare(
+        &self,
+        sensors: &Sensors,
+        profile: &Profile,
+        tools: &mut Tools,
+    ) -> Result<Result<Ready, String>, StageError> {
+        let (campaign, sensor) = (&profile.campaign, &profile.sensor);
+        let row = calibrated::row_of(&sensors.rows, profile).ok_or_else(|| {
+            let range = profile.range.as_ref().map(|range| format!(" at range `{range}`")).unwrap_or_default();
+            StageError::Refused(format!("sensor `{sensor}` of campaign `{campaign}` is not calibrated{range}: capture its response, or import a calibration"))
+        })?;
+        let key = key_of(row);
+        let calibrated = &sensors.calibrated[&key];
+        let setup = sensors.setups.get(&**campaign);
+        let correction = match Correction::of(&sensors.sessions, &key, profile) {
+            Ok(correction) => correction,
+            Err(why) => return Ok(Err(why)),
         };
-        let chi2_dof = explained.as_ref().map(|explained| explained.chi2_dof);
-        let (mut impulses, impulse_cov) =
-            explained.map_or_else(Default::default, |explained| (explained.impulses, explained.covariance_ps2));
-        for impulse in &mut impulses {
-            impulse.amplitude_v *= sensor.polarity;
+        let mut samples: Vec<f64> = profile.mean_v.to_f64();
+        let mut sd_v = calibrated::sd_v(profile);
+        let period_ps = setup.and_then(|setup| setup.repetition_ps);
+        if let Err(why) = correction.take_pickup_off(profile, period_ps, &mut samples, &mut sd_v) {
+            return Ok(Err(why));
         }
-        Stir {
-            campaign: profile.campaign.clone(),
-            sensor: profile.sensor.clone(),
-            lit: profile.lit,
-            seen: profile.seen,
-            t0_ps,
+        if self.method == Method::Pencil && sd_v.iter().any(|sd| sd.is_infinite()) {
+            return Ok(Err("has samples that every range clipped, which `pencil` cannot leave out; take another method".to_owned()));
+        }
+        samples.iter_mut().for_each(|sample| *sample *= calibrated.polarity);
+        let rounding_v = calibrated::rounding_v(profile);
+        let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding_v);
+        let alike = tools.take_up(key, calibrated, profile);
+        // What is no more than the rounding of the samples is white.
+        let is_white = !self.correlated || noise_v <= rounding_v;
+        let acf = if is_white { vec![1.0] } else { calibrated::correlation(profile) };
+        let (light, light_noise_v) = self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools);
+        let dead_time_ps = setup.and_then(|setup| setup.dead_times_ps.get(&**sensor)).copied().unwrap_or(0.0);
+        let unpiled = match unpiled(profile, dead_time_ps) {
+            Ok(unpiled) => unpiled,
+            Err(why) => return Ok(Err(why)),
+        };
+        let power = |reference_v_ps: f64| Some(reference_v_ps / calibrated.reference_v_ps?);
+        Ok(Ok(Ready {
+            samples,
+            sd_v,
+            acf,
+            t0_ps: profile.t0_ps - calibrated.latency_ps - correction.drift_ps,
             dt_ps: profile.dt_ps,
-            profile: light.into_iter().collect(),
-            profile_noise: light_noise_v,
-            impulses,
-            impulse_cov,
-            chi2_dof,
-            jitter_ps: profile.jitter_ps,
-            gain_sd: profile.gain_sd,
-            power_ratio: None,
-        }
+            jitter_ps: profile.jitter_ps.hypot(correction.drift_sd_ps),
+            response: Arc::clone(&tools.response.as_ref().expect("taken up above").1),
+            unpiled,
+            polarity: calibrated.polarity,
+            power_ratio: profile.reference_v_ps.and_then(power),
+            light,
+            light_noise_v,
+        }))
     }
 
     fn asked(&self) -> Asked {
@@ -264,20 +357,60 @@ impl Deconvolve {
     }
 
     /// The Wiener estimate and the standard deviation of its noise.
-    fn wiener(&self, alike: Alike, dt_ps: f64, samples: &[f64], noise: &Noise, tools: &mut Tools) -> (Vec<f64>, f64) {
+    fn wiener(
+        &self,
+        alike: Alike,
+        dt_ps: f64,
+        samples: &[f64],
+        noise_v: f64,
+        acf: &[f64],
+        tools: &mut Tools,
+    ) -> (Vec<f64>, f64) {
         let Tools { fft, response, filter } = tools;
         let ready = |(of, ratio, _): &(Alike, f64, Wiener)| *of == alike && self.noise_to_signal == Some(*ratio);
         if !filter.as_ref().is_some_and(ready) {
             let (_, response) = response.as_ref().expect("taken up before");
             let transfer = Transfer::from_response(fft, response, dt_ps, samples.len());
-            let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise.sd_v));
+            let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
             let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz * dt_ps / 1000.0);
             *filter = Some((alike, noise_to_signal, Wiener::new(&transfer, noise_to_signal, low_pass)));
         }
         let (_, _, wiener) = filter.as_ref().expect("made above");
         let mut light = vec![0.0; samples.len()];
         wiener.apply(fft, samples, &mut light);
-        let light_noise_v = noise.sd_v * wiener.noise_gain(fft, &noise.acf);
+        let light_noise_v = noise_v * wiener.noise_gain(fft, acf);
         (light, light_noise_v)
+    }
+}
+
+/// Counts freed of pile-up; `None` for voltages.
+fn unpiled(profile: &Profile, dead_time_ps: f64) -> Result<Option<Unpiled>, String> {
+    let Some((counts, cycles)) = profile.counts.as_ref().zip(profile.cycles) else {
+        return Ok(None);
+    };
+    let counts: Vec<u32> = counts.iter().map(|count| u32::try_from(*count).unwrap_or(0)).collect();
+    let dead_bins = (dead_time_ps / profile.dt_ps).round() as usize;
+    let unpiled = Unpiled::new(&counts, u64::try_from(cycles).unwrap_or(0), dead_bins);
+    let why = "has more photons within a dead time than laser pulses; check `cycles` and `dead_time_ps` in campaign.toml";
+    unpiled.map(Some).ok_or_else(|| why.to_owned())
+}
+
+impl Ready {
+    fn record(&self) -> Record<'_> {
+        let Self { samples, sd_v, acf, t0_ps, dt_ps, response, .. } = self;
+        Record { samples, sd_v, acf, t0_ps: *t0_ps, dt_ps: *dt_ps, response }
+    }
+}
+
+impl Tools {
+    /// Makes the averaged response of a profile the one at hand.
+    fn take_up(&mut self, key: Key, sensor: &Calibrated, profile: &Profile) -> Alike {
+        let Profile { dt_ps, mean_v, phase_shots, .. } = profile;
+        // Only shares of shots matter, but whole numbers compare exactly.
+        let alike = (key, dt_ps.to_bits(), mean_v.len(), phase_shots.clone());
+        if self.response.as_ref().is_none_or(|(of, _)| *of != alike) {
+            self.response = Some((alike.clone(), Arc::new(sensor.averaged(profile))));
+        }
+        alike
     }
 }

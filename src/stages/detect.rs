@@ -87,7 +87,7 @@ impl Default for Detect {
 
 impl Stage for Detect {
     const KIND: &'static str = "detect";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::Capture;
     type Input = Stir;
     type Output = Onset;
@@ -156,7 +156,7 @@ impl Detect {
                 time_sd_ps: impulse.time_sd_ps,
                 earliest_ps: extended.then_some(impulse.time_ps - EARLIEST_WIDTHS * impulse.width_ps),
                 amplitude: impulse.amplitude_v,
-                amplitude_sd: Some(impulse.amplitude_sd_v),
+                amplitude_sd: Some(impulse.amplitude_sd_v.hypot(stir.gain_sd * impulse.amplitude_v)),
                 width_ps: impulse.width_ps,
                 snr: snr(k),
                 evidence: Some(impulse.evidence),
@@ -298,6 +298,7 @@ fn blank(stir: &Stir) -> Onset {
         evidence: None,
         covariance: Vec::new(),
         jitter_ps: stir.jitter_ps,
+        power_ratio: stir.power_ratio,
         flags: Vec::new(),
     }
 }

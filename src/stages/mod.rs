@@ -2,6 +2,7 @@
 
 pub mod average;
 pub mod calibrate;
+mod calibrated;
 pub mod characterize;
 pub mod deconvolve;
 pub mod detect;
@@ -10,11 +11,13 @@ pub mod import;
 pub mod ingest;
 pub mod label;
 pub mod measure;
+mod moment;
 pub mod operator;
 pub mod range;
 pub mod refine;
 pub mod source;
 pub mod stage;
+pub mod track;
 
 use serde::de::DeserializeOwned;
 
@@ -51,10 +54,11 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 12] = [
+pub const KINDS: [&str; 13] = [
     "ingest",
     "calibrate",
     "average",
+    "track",
     "measure",
     "characterize",
     "deconvolve",
@@ -82,6 +86,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "import" => Node::Source(params_of::<import::Import>(params)?),
         "calibrate" => Node::Operator(params_of::<calibrate::Calibrate>(params)?),
         "average" => Node::Operator(params_of::<average::Average>(params)?),
+        "track" => Node::Operator(params_of::<track::Track>(params)?),
         "measure" => Node::Operator(params_of::<measure::Measure>(params)?),
         "characterize" => Node::Operator(params_of::<characterize::Characterize>(params)?),
         "deconvolve" => Node::Operator(params_of::<deconvolve::Deconvolve>(params)?),

@@ -30,6 +30,8 @@ table! {
         latency_ps: f64,
         /// Standard deviation of the latency; common to all arrivals of the sensor.
         latency_sd_ps: f64,
+        /// Wall-clock time of the first response shot (ISO 8601, zone of the instrument).
+        acquired_at: Option<Name>,
         /// Mean integral of the reference pulse in the response captures, which goes with the laser's energy. Null without reference channel.
         reference_v_ps: Option<f64>,
         /// Variance of one shot at level v: s0^2 + s1^2 abs(v) + s2^2 v^2 + j^2 (dv/dt)^2; the four coefficients in V^2, V, 1, ps^2.
@@ -40,21 +42,5 @@ table! {
         width_ps: f64,
         /// Standard deviation of the width.
         width_sd_ps: Option<f64>,
-        /// Wall-clock time of the first knot of the drift (ISO 8601, zone of the instrument). Null where drift is not followed.
-        drift_from: Option<Name>,
-        /// Time between its knots, in seconds.
-        drift_step_s: Option<f64>,
-        /// Delay beyond the latency at each knot.
-        drift_ps: Option<Vec<f64>>,
-        /// Standard deviation of each.
-        drift_sd_ps: Option<Vec<f64>>,
-        /// Time of the first sample of the pick-up. Null where none is known.
-        pickup_t0_ps: Option<f64>,
-        /// Time between its samples.
-        pickup_dt_ps: Option<f64>,
-        /// What the laser's firing induces without any light.
-        pickup_v: Option<Samples>,
-        /// Standard error of each sample of it.
-        pickup_se_v: Option<Samples>,
     }
 }

@@ -11,6 +11,7 @@ pub mod patches;
 pub mod profiles;
 pub mod rejects;
 pub mod row;
+pub mod session;
 pub mod solution;
 pub mod stir;
 pub mod traces;
@@ -28,6 +29,7 @@ pub use patches::{Patch, PatchCovariance};
 pub use profiles::Profile;
 pub use rejects::Reject;
 pub use row::{Codes, Name, Row, Samples, SchemaError};
+pub use session::Session;
 pub use solution::{Delay, Residual};
 pub use stir::{Impulse, Stir};
 pub use traces::Trace;
@@ -46,6 +48,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Trace>(),
         of::<Calibration>(),
         of::<Profile>(),
+        of::<Session>(),
         of::<Measurement>(),
         of::<Check>(),
         of::<Stir>(),

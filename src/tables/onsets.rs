@@ -24,7 +24,7 @@ table! {
         earliest_ps: Option<f64>,
         /// Amplitude in the unit of the profile.
         amplitude: f64,
-        /// Standard deviation of the amplitude, where the method tells.
+        /// Standard deviation of the amplitude, that of all amplitudes of the profile together included, where the method tells.
         amplitude_sd: Option<f64>,
         /// Extra width of the light itself (0: none modelled).
         width_ps: f64,
@@ -36,6 +36,8 @@ table! {
         covariance: Vec<f64>,
         /// Standard deviation of the time error that all onsets of the profile share.
         jitter_ps: f64,
+        /// Laser's energy over that in the response captures, which amplitudes of other captures compare by. Null without reference channel.
+        power_ratio: Option<f64>,
         /// What to know about it: blended, extended, misfit, at-edge.
         flags: Vec<Name>,
     }

@@ -39,18 +39,17 @@ pub struct Unpiled {
 
 impl Unpiled {
     /// Frees `counts` (of each bin, over `cycles` laser cycles) of pile-up by a dead time of `dead_bins` bins after each count; counts do not reach
-    /// into the next cycle.
-    ///
-    /// # Panics
-    /// If a count is negative, or more counts fall into a dead time than there are cycles.
+    /// into the next cycle. `None` if more counts fall into a dead time than there are cycles.
     #[must_use]
-    pub fn new(counts: &[u32], cycles: u64, dead_bins: usize) -> Self {
+    pub fn new(counts: &[u32], cycles: u64, dead_bins: usize) -> Option<Self> {
         let total = cycles as f64;
         let mut busy = 0.0;
         let (mut corrected, mut ready) = (Vec::with_capacity(counts.len()), Vec::with_capacity(counts.len()));
         for (i, count) in counts.iter().enumerate() {
             let (count, free) = (f64::from(*count), total - busy);
-            assert!(count <= free, "bin {i}: more counts than cycles that were ready for one");
+            if count > free {
+                return None;
+            }
             // A bin that counts in every cycle says only that there was much light.
             let says = free > 0.0 && count < free;
             corrected.push(if says { -total * (-count / free).ln_1p() } else { 0.0 });
@@ -60,7 +59,7 @@ impl Unpiled {
                 busy -= f64::from(counts[i - dead_bins]);
             }
         }
-        Self { counts: corrected, ready, cycles: total }
+        Some(Self { counts: corrected, ready, cycles: total })
     }
 
     /// Variance of each bin whose mean is as given; infinite where a bin says nothing.

@@ -8,7 +8,7 @@ use crate::signal::pencil::{self, PencilOptions};
 use crate::signal::pulses::Pulses;
 use crate::signal::response::Response;
 use crate::signal::richardson_lucy::{self, RichardsonLucyOptions};
-use crate::signal::sparse::{self, Pulse, SparseOptions};
+use crate::signal::sparse::{self, Pulse, SparseFit, SparseOptions, Unpiled};
 use crate::tables::Impulse;
 
 /// False impulses a record of noise alone, where the pipeline asks for no evidence of its own.
@@ -41,8 +41,8 @@ pub(super) struct Asked {
 /// A mean record, turned upwards, and the response that its pulses have in it.
 pub(super) struct Record<'a> {
     pub(super) samples: &'a [f64],
-    /// Standard deviation of each sample.
-    pub(super) sd_v: Vec<f64>,
+    /// Standard deviation of each sample; infinite for one to be ignored.
+    pub(super) sd_v: &'a [f64],
     /// Autocorrelation of the noise.
     pub(super) acf: &'a [f64],
     pub(super) t0_ps: f64,
@@ -58,15 +58,22 @@ pub(super) struct Explained {
     pub(super) chi2_dof: f64,
 }
 
-impl Record<'_> {
-    /// By maximum likelihood off the grid.
-    pub(super) fn sparse(&self, asked: Asked) -> Explained {
-        let Asked { evidence, impulses_max, signed, extent_max_ps } = asked;
-        let (mean_v, sd_v, acf) = (self.samples, &self.sd_v, self.acf);
-        let record = sparse::Profile { mean_v, sd_v, acf, t0_ps: self.t0_ps, dt_ps: self.dt_ps };
-        let options =
-            SparseOptions { evidence_min: evidence, pulses_max: impulses_max, baseline: true, signed, extent_max_ps };
-        let fit = sparse::fit(&record, self.response, &options);
+/// Records of the same light by maximum likelihood off the grid, as the first of them sees it.
+pub(super) fn jointly(records: &[Record], asked: Asked) -> Explained {
+    let profiles: Vec<(sparse::Profile, &Response)> =
+        records.iter().map(|record| (record.profile(), record.response)).collect();
+    Explained::of(&sparse::fit_joint(&profiles, &asked.options(), false)[0])
+}
+
+impl Asked {
+    fn options(self) -> SparseOptions {
+        let Self { evidence, impulses_max, signed, extent_max_ps } = self;
+        SparseOptions { evidence_min: evidence, pulses_max: impulses_max, baseline: true, signed, extent_max_ps }
+    }
+}
+
+impl Explained {
+    fn of(fit: &SparseFit) -> Self {
         let count = fit.pulses.len();
         let impulse = |(k, pulse): (usize, &Pulse)| Impulse {
             time_ps: pulse.time_ps,
@@ -78,14 +85,26 @@ impl Record<'_> {
             evidence: pulse.evidence,
         };
         let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
-        Explained { impulses, covariance_ps2: fit.covariance_ps2, chi2_dof: fit.chi2_per_dof }
+        Self { impulses, covariance_ps2: fit.covariance_ps2.clone(), chi2_dof: fit.chi2_per_dof }
+    }
+}
+
+impl Record<'_> {
+    fn profile(&self) -> sparse::Profile<'_> {
+        let Self { samples: mean_v, sd_v, acf, t0_ps, dt_ps, .. } = *self;
+        sparse::Profile { mean_v, sd_v, acf, t0_ps, dt_ps }
+    }
+
+    /// Photon counts, by their likelihood.
+    pub(super) fn counts(&self, unpiled: &Unpiled, asked: Asked) -> Explained {
+        Explained::of(&sparse::fit_counts(unpiled, self.t0_ps, self.dt_ps, self.response, &asked.options()))
     }
 
     /// By a method of comparison: noise taken as white, the baseline removed before.
     pub(super) fn compared(&self, method: Method, asked: Asked) -> Explained {
         let samples = self.without_baseline();
-        let (mean_v, sd_v, response) = (&samples, &self.sd_v, self.response);
-        let record = sparse::Profile { mean_v, sd_v, acf: &[1.0], t0_ps: self.t0_ps, dt_ps: self.dt_ps };
+        let response = self.response;
+        let record = sparse::Profile { mean_v: &samples, acf: &[1.0], ..self.profile() };
         let evidence_min = asked.evidence.unwrap_or_else(|| sparse::evidence_min_of(&record, response, FALSE_IMPULSES));
         let pulses = match method {
             Method::Pencil => {
@@ -110,8 +129,15 @@ impl Record<'_> {
         let peak_ps = self.response.peak_ps();
         let before = ((peak_ps - first_ps) / self.dt_ps).ceil() as usize;
         let after = ((last_ps - peak_ps) / self.dt_ps).ceil() as usize;
-        let baseline_v = noise::quiet_mean(self.samples, self.sd_v[0], before, after).unwrap_or(0.0);
+        let baseline_v = noise::quiet_mean(self.samples, self.usual_sd_v(), before, after).unwrap_or(0.0);
         self.samples.iter().map(|sample| sample - baseline_v).collect()
+    }
+
+    /// The median of the samples' standard deviations.
+    fn usual_sd_v(&self) -> f64 {
+        let mut sorted = self.sd_v.to_vec();
+        let half = sorted.len() / 2;
+        *sorted.select_nth_unstable_by(half, f64::total_cmp).1
     }
 
     /// The response without the ringing below zero that averaging gives it, which light on a grid must not have.

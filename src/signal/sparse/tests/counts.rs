@@ -56,7 +56,7 @@ fn photons_are_timed_at_their_bound() {
                     .iter()
                     .map(|mean| Poisson::new(*mean).expect("positive").sample(&mut rng) as u32)
                     .collect();
-                let histogram = Unpiled::new(&counts, 1_000_000_000, 0);
+                let histogram = Unpiled::new(&counts, 1_000_000_000, 0).unwrap();
                 let found = fit_counts(&histogram, T0_PS, DT_PS, &shape.response, &SparseOptions::default());
                 assert_eq!(found.pulses.len(), 1, "{} {photons} {:?}", shape.name, found.pulses);
                 let error = found.pulses[0].time_ps - at;
@@ -87,8 +87,8 @@ fn pile_up_is_taken_out() {
             (found.pulses.len(), found.pulses[0].time_ps - at, found.covariance_ps2[0].sqrt())
         };
         let one = SparseOptions { pulses_max: 1, ..SparseOptions::default() };
-        biased.push(time_of(&Unpiled::new(&counts, 1_000_000_000, 0), &one).1);
-        let (count, error, sd) = time_of(&Unpiled::new(&counts, cycles, BINS), &SparseOptions::default());
+        biased.push(time_of(&Unpiled::new(&counts, 1_000_000_000, 0).unwrap(), &one).1);
+        let (count, error, sd) = time_of(&Unpiled::new(&counts, cycles, BINS).unwrap(), &SparseOptions::default());
         assert_eq!(count, 1);
         pulls.push(error / sd);
     }
@@ -106,7 +106,7 @@ fn background_alone_has_no_pulse() {
         let mut found = 0;
         for _ in 0..300 {
             let counts: Vec<u32> = (0..400).map(|_| poisson.sample(&mut rng) as u32).collect();
-            let histogram = Unpiled::new(&counts, 1_000_000, 0);
+            let histogram = Unpiled::new(&counts, 1_000_000, 0).unwrap();
             found += fit_counts(&histogram, T0_PS, DT_PS, &shape.response, &SparseOptions::default()).pulses.len();
         }
         assert!(found <= 1, "{background}: {found}");
@@ -123,7 +123,7 @@ fn pile_up_of_means_is_undone_exactly() {
             let busy: f64 = counts[i.saturating_sub(dead_bins)..].iter().map(|n| f64::from(*n)).sum();
             counts.push(((cycles - busy) * -(-mean / cycles).exp_m1()).round() as u32);
         }
-        let histogram = Unpiled::new(&counts, 1_000_000_000, dead_bins);
+        let histogram = Unpiled::new(&counts, 1_000_000_000, dead_bins).unwrap();
         for (corrected, mean) in histogram.counts.iter().zip(&mean) {
             assert!((corrected / mean - 1.0).abs() < 1e-7, "{dead_bins}: {corrected} {mean}");
         }

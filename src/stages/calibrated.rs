@@ -1,0 +1,75 @@
+//! A calibrated sensor as the stages behind `average` use it, and what a profile says of its noise.
+
+use crate::signal::averaged_response::averaged_response;
+use crate::signal::noise;
+use crate::signal::response::Response;
+use crate::tables::{Calibration, Profile};
+
+/// Share of a record whose samples tell the noise, where the profile does not say.
+const BASELINE_SHARE: f64 = 0.1;
+
+/// Response and latency of one sensor at one vertical range.
+#[derive(Clone, Debug)]
+pub struct Calibrated {
+    /// Turned upwards.
+    pub response: Response,
+    /// -1 for a sensor whose pulses go down.
+    pub polarity: f64,
+    /// Delay beyond the light's time of flight.
+    pub latency_ps: f64,
+    /// Mean integral of the reference pulse when it was calibrated.
+    pub reference_v_ps: Option<f64>,
+}
+
+impl Calibrated {
+    /// From its row.
+    pub fn new(row: &Calibration) -> Self {
+        let mut values = row.response.to_f64();
+        let extremum = values.iter().fold(0.0_f64, |most, value| if value.abs() > most.abs() { *value } else { most });
+        let polarity = extremum.signum();
+        values.iter_mut().for_each(|value| *value *= polarity);
+        Self {
+            response: Response::new(row.response_t0_ps, row.step_ps, &values),
+            polarity,
+            latency_ps: row.latency_ps,
+            reference_v_ps: row.reference_v_ps,
+        }
+    }
+
+    /// What averaging leaves of the response in a profile.
+    pub fn averaged(&self, profile: &Profile) -> Response {
+        match &profile.phase_shots {
+            Some(phase_shots) => averaged_response(&self.response, profile.dt_ps, phase_shots),
+            None => self.response.clone(),
+        }
+    }
+}
+
+/// The calibration of a profile: that of its sensor and range, or the only one of its sensor.
+pub fn row_of<'a>(calibration: &'a [Calibration], profile: &Profile) -> Option<&'a Calibration> {
+    let of_sensor = || calibration.iter().filter(|row| row.campaign == profile.campaign && row.sensor == profile.sensor);
+    of_sensor().find(|row| row.range == profile.range).or_else(|| {
+        let mut rows = of_sensor();
+        rows.next().filter(|_| rows.next().is_none())
+    })
+}
+
+/// Standard deviation of each sample of a profile's mean. A record without any noise (an ideal one) still has the rounding of its f32 samples.
+pub fn sd_v(profile: &Profile) -> Vec<f64> {
+    let rounding_v = rounding_v(profile);
+    profile.se_v.iter().map(|se| f64::from(*se).max(rounding_v)).collect()
+}
+
+/// Rounding of a profile's f32 samples.
+pub fn rounding_v(profile: &Profile) -> f64 {
+    let most = profile.mean_v.iter().fold(f32::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
+    f64::from(f32::EPSILON) * f64::from(most)
+}
+
+/// Autocorrelation of a profile's noise, smoothed to that of an autoregressive process of the order that its samples can tell.
+pub fn correlation(profile: &Profile) -> Vec<f64> {
+    // A table made elsewhere may not say how many samples tell the noise: at least a tenth of one shot's.
+    let usual = || profile.mean_v.len() as f64 * BASELINE_SHARE;
+    let samples = profile.noise_samples.map_or_else(usual, f64::from);
+    noise::autoregressive(&profile.noise_acf.to_f64(), samples.max(1.0) as usize)
+}
