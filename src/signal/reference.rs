@@ -12,6 +12,9 @@ const SETTLED_PS: f64 = 1e-7;
 /// A pulse weaker than this many of its own standard deviations is none.
 const SNR_MIN: f64 = 5.0;
 
+/// A pulse below this part of the largest sample is rounding.
+const ROUNDING: f64 = 1e-12;
+
 /// A fitted pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PulseFit {
@@ -54,13 +57,10 @@ pub fn fit_pulse(samples: &[f64], dt_ps: f64, template: &Response) -> Option<Pul
     let Solved { amplitude, offset, residual_variance, inverse, .. } = fit?;
     let amplitude_sd = (residual_variance * inverse[0]).sqrt();
     let time_sd_ps = (residual_variance * inverse[1]).sqrt() / amplitude.abs();
-    (amplitude.abs() >= SNR_MIN * amplitude_sd && time_sd_ps.is_finite()).then_some(PulseFit {
-        time_ps,
-        amplitude,
-        offset,
-        time_sd_ps,
-        amplitude_sd,
-    })
+    // Of a constant record the fit leaves its own rounding, on which no pulse stands out.
+    let rounding = ROUNDING * samples.iter().fold(0.0, |most: f64, sample| most.max(sample.abs()));
+    let stands_out = amplitude.abs() >= SNR_MIN * amplitude_sd && amplitude.abs() > rounding;
+    (stands_out && time_sd_ps.is_finite()).then_some(PulseFit { time_ps, amplitude, offset, time_sd_ps, amplitude_sd })
 }
 
 /// Integral over time of a fitted pulse as it was recorded, its offset taken off: it goes with the pulse's energy. In the unit of the samples, times ps.

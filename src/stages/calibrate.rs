@@ -113,10 +113,8 @@ impl Stage for Calibrate {
     type Context = Self::Fields;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let counter = |sensor: &Sensor| Counter {
-            cycles: sensor.cycles,
-            dead_time_ps: sensor.dead_time_ps.unwrap_or(0.0),
-        };
+        let counter =
+            |sensor: &Sensor| Counter { cycles: sensor.cycles, dead_time_ps: sensor.dead_time_ps.unwrap_or(0.0) };
         let prior = |campaign: &Campaign, sensor: &Sensor| Prior {
             group_index: campaign.group_index,
             latency_ps: sensor.latency_ps,
@@ -181,7 +179,8 @@ impl State {
         }
         let first = &shots.first;
         let path = <Option<f64> as Cell>::get(&columns.path_m, i);
-        let alike = (columns.dt_ps.value(i), columns.samples.value(i), path) == (first.dt_ps, first.samples, first.path_m);
+        let alike =
+            (columns.dt_ps.value(i), columns.samples.value(i), path) == (first.dt_ps, first.samples, first.path_m);
         let with_reference = !shots.references.is_empty() || (reference.is_some() && shots.signals.is_empty());
         if !alike || clipped || reference.is_some() != with_reference {
             shots.other += 1;

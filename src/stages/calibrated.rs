@@ -47,7 +47,8 @@ impl Calibrated {
 
 /// The calibration of a profile: that of its sensor and range, or the only one of its sensor.
 pub fn row_of<'a>(calibration: &'a [Calibration], profile: &Profile) -> Option<&'a Calibration> {
-    let of_sensor = || calibration.iter().filter(|row| row.campaign == profile.campaign && row.sensor == profile.sensor);
+    let of_sensor =
+        || calibration.iter().filter(|row| row.campaign == profile.campaign && row.sensor == profile.sensor);
     of_sensor().find(|row| row.range == profile.range).or_else(|| {
         let mut rows = of_sensor();
         rows.next().filter(|_| rows.next().is_none())

@@ -165,7 +165,9 @@ impl Stage for Deconvolve {
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
         let setup = |campaign: &Campaign| {
-            let with_laser = |name: &&String| campaign.station_of(name).is_some_and(|at| at.position_m == campaign.source().position_m);
+            let with_laser = |name: &&String| {
+                campaign.station_of(name).is_some_and(|at| at.position_m == campaign.source().position_m)
+            };
             Setup {
                 repetition_ps: campaign.repetition_ps,
                 dead_times_ps: campaign
@@ -319,7 +321,9 @@ impl Deconvolve {
             return Ok(Err(why));
         }
         if self.method == Method::Pencil && sd_v.iter().any(|sd| sd.is_infinite()) {
-            return Ok(Err("has samples that every range clipped, which `pencil` cannot leave out; take another method".to_owned()));
+            return Ok(Err(
+                "has samples that every range clipped, which `pencil` cannot leave out; take another method".to_owned(),
+            ));
         }
         samples.iter_mut().for_each(|sample| *sample *= calibrated.polarity);
         let rounding_v = calibrated::rounding_v(profile);
@@ -391,7 +395,8 @@ fn unpiled(profile: &Profile, dead_time_ps: f64) -> Result<Option<Unpiled>, Stri
     let counts: Vec<u32> = counts.iter().map(|count| u32::try_from(*count).unwrap_or(0)).collect();
     let dead_bins = (dead_time_ps / profile.dt_ps).round() as usize;
     let unpiled = Unpiled::new(&counts, u64::try_from(cycles).unwrap_or(0), dead_bins);
-    let why = "has more photons within a dead time than laser pulses; check `cycles` and `dead_time_ps` in campaign.toml";
+    let why =
+        "has more photons within a dead time than laser pulses; check `cycles` and `dead_time_ps` in campaign.toml";
     unpiled.map(Some).ok_or_else(|| why.to_owned())
 }
 

@@ -24,8 +24,8 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::moment;
 use super::calibrated::{self, Calibrated};
+use super::moment;
 use super::stage::{Beside, BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::{Campaign, Role};
 use crate::signal::drift::{self, Drift, DriftError, DriftOptions, Point};
@@ -98,12 +98,7 @@ impl Fold for Track {
     type State = State;
 
     fn begin(&self, _: &Vec<Calibration>, first: Profile) -> State {
-        State {
-            campaign: first.campaign,
-            sensor: first.sensor,
-            fiducials: BTreeMap::new(),
-            blocked: BTreeMap::new(),
-        }
+        State { campaign: first.campaign, sensor: first.sensor, fiducials: BTreeMap::new(), blocked: BTreeMap::new() }
     }
 
     fn step(
@@ -155,10 +150,13 @@ impl Track {
         let of_sensor = |row: &&Calibration| row.campaign == state.campaign && row.sensor == state.sensor;
         let origin = calibration.iter().filter(of_sensor).find_map(|row| row.acquired_at.clone());
         let time_s = |name: &Option<Name>| name.as_deref().and_then(moment::seconds);
-        let point = |run: &Run| Some(Point { time_s: time_s(&run.acquired_at)?, delay_ps: run.delay_ps, sd_ps: run.sd_ps });
+        let point =
+            |run: &Run| Some(Point { time_s: time_s(&run.acquired_at)?, delay_ps: run.delay_ps, sd_ps: run.sd_ps });
         let points: Option<Vec<Point>> = runs.iter().map(point).collect();
         let (Some(points), Some(origin_s)) = (points, time_s(&origin)) else {
-            return Err("its fiducial or response files do not say when they were taken: drift is not followed".to_owned());
+            return Err(
+                "its fiducial or response files do not say when they were taken: drift is not followed".to_owned()
+            );
         };
         let first = runs.iter().zip(&points).min_by(|a, b| a.1.time_s.total_cmp(&b.1.time_s)).expect("there are runs");
         let mut times: Vec<f64> = points.iter().map(|point| point.time_s).collect();
@@ -242,7 +240,8 @@ fn delay(profile: &Profile, sensor: &Calibrated) -> Option<(f64, f64)> {
     let mean_v: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.polarity).collect();
     let sd_v: Vec<f64> = calibrated::sd_v(profile);
     let acf = calibrated::correlation(profile);
-    let record = sparse::Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &acf, t0_ps: profile.t0_ps, dt_ps: profile.dt_ps };
+    let record =
+        sparse::Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &acf, t0_ps: profile.t0_ps, dt_ps: profile.dt_ps };
     let fit = sparse::fit(&record, &response, &SparseOptions { pulses_max: 1, ..SparseOptions::default() });
     let pulse = fit.pulses.first()?;
     Some((pulse.time_ps, fit.covariance_ps2[0].sqrt().hypot(profile.jitter_ps)))

@@ -118,7 +118,9 @@ fn run_plan_tables_seal_and_schema() {
     let here = lab.path("");
     let args = |command: &'static str| [command, "p.toml", "--campaign", "campaign", "--out", "out"];
     let before = out(&periscope(&here, &args("plan")));
-    assert!(before.lines().all(|line| line.starts_with("compute")), "{before}");
+    // The campaign has neither fiducials nor blocked captures: nothing is to be read of them.
+    let mut computed = before.lines().filter(|line| !line.contains(" session_"));
+    assert!(computed.all(|line| line.starts_with("compute")), "{before}");
     assert!(!here.join("out").exists(), "plan makes nothing");
     let run = periscope(&here, &args("run"));
     assert_eq!(run.status.code(), Some(0), "{}", err(&run));

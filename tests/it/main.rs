@@ -21,5 +21,6 @@ mod query;
 mod real_files;
 mod schema;
 mod scope_samples;
+mod session;
 mod simulate;
 mod version;

@@ -6,9 +6,9 @@ use crate::signal::sparse::{self, SparseOptions, Unpiled};
 
 /// What the histograms of a range say.
 pub(super) fn found(histograms: &[Shot], dt_ps: f64, counter: Counter) -> Result<Found, String> {
-    let cycles = counter.cycles.ok_or(
-        "the laser pulses behind a histogram are unknown; give its [sensors] entry in campaign.toml `cycles`",
-    )?;
+    let cycles = counter
+        .cycles
+        .ok_or("the laser pulses behind a histogram are unknown; give its [sensors] entry in campaign.toml `cycles`")?;
     let t0_ps = histograms[0].t0_ps;
     // Histograms of another start cannot be added bin by bin.
     let alike: Vec<&Shot> = histograms.iter().filter(|histogram| histogram.t0_ps == t0_ps).collect();
@@ -16,8 +16,9 @@ pub(super) fn found(histograms: &[Shot], dt_ps: f64, counter: Counter) -> Result
         .map(|bin| alike.iter().map(|histogram| histogram.samples[bin].max(0.0)).sum::<f64>() as u32)
         .collect();
     let dead_bins = (counter.dead_time_ps / dt_ps).round() as usize;
-    let unpiled = Unpiled::new(&counts, cycles * alike.len() as u64, dead_bins)
-        .ok_or("its response has more photons within a dead time than laser pulses; check `cycles` and `dead_time_ps`")?;
+    let unpiled = Unpiled::new(&counts, cycles * alike.len() as u64, dead_bins).ok_or(
+        "its response has more photons within a dead time than laser pulses; check `cycles` and `dead_time_ps`",
+    )?;
     let no_pulse = || "its response shows no pulse; check `samples` and the time window of the histogram".to_owned();
     let shape = oversample::shape(&[Shot { samples: unpiled.counts.clone(), t0_ps }], dt_ps).ok_or_else(no_pulse)?;
     let one = SparseOptions { pulses_max: 1, ..SparseOptions::default() };

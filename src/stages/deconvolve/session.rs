@@ -30,7 +30,10 @@ impl<'a> Correction<'a> {
         };
         let time_s = profile.acquired_at.as_deref().and_then(moment::seconds);
         let Some((time_s, from_s)) = time_s.zip(moment::seconds(from)) else {
-            return Err("does not say when it was taken, but its sensor drifts; leave `session` out of the stage's `with`".to_owned());
+            return Err(
+                "does not say when it was taken, but its sensor drifts; leave `session` out of the stage's `with`"
+                    .to_owned(),
+            );
         };
         let (drift_ps, drift_sd_ps) = at(drift_ps, sd_ps, (time_s - from_s) / step_s);
         Ok(Self { drift_ps, drift_sd_ps, pickup })
@@ -44,13 +47,20 @@ impl<'a> Correction<'a> {
         samples: &mut [f64],
         sd_v: &mut [f64],
     ) -> Result<(), String> {
-        let Some(Session { pickup_t0_ps: Some(t0_ps), pickup_dt_ps: Some(dt_ps), pickup_v: Some(values), pickup_se_v: Some(errors), .. }) =
-            self.pickup
+        let Some(Session {
+            pickup_t0_ps: Some(t0_ps),
+            pickup_dt_ps: Some(dt_ps),
+            pickup_v: Some(values),
+            pickup_se_v: Some(errors),
+            ..
+        }) = self.pickup
         else {
             return Ok(());
         };
         let offset = (profile.t0_ps - t0_ps) / profile.dt_ps;
-        if (profile.dt_ps - dt_ps).abs() > OFF_GRID * dt_ps / samples.len() as f64 || (offset - offset.round()).abs() > OFF_GRID {
+        if (profile.dt_ps - dt_ps).abs() > OFF_GRID * dt_ps / samples.len() as f64
+            || (offset - offset.round()).abs() > OFF_GRID
+        {
             return Err("has other sample times than the blocked captures, whose pick-up cannot be taken off; capture them alike, or leave `session` out of the stage's `with`".to_owned());
         }
         let (offset, count) = (offset.round() as i64, values.len() as i64);
