@@ -35,9 +35,31 @@ fn main() {
         "| scene | seeds | rms (mm) | bound (mm) | bound / rms [95 %] | NSE / dof [95 %] | Algorithm 1 (mm) | classical scaling (mm) | onset rms (ps) | onset bound (ps) | onsets found | false onsets |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
-    for (name, text) in cases {
-        print_row(name, &study(&text, 1000..1000 + seeds));
+    let studies: Vec<(&str, Study)> = cases
+        .iter()
+        .map(|(name, text)| {
+            let study = study(text, 1000..1000 + seeds);
+            print_row(name, &study);
+            (*name, study)
+        })
+        .collect();
+    println!(
+        "\n| scene | onsets | within the interval of 50 % | of 68 % | of 95 % | of 99 % |\n|---|---|---|---|---|---|"
+    );
+    for (name, study) in &studies {
+        print_coverage(name, &study.pulls);
     }
+}
+
+/// Shares of errors within intervals that are to hold 50, 68, 95 and 99 % of them, each with its 95 % interval.
+fn print_coverage(name: &str, pulls: &[f64]) {
+    let count = pulls.len() as f64;
+    print!("| {name} | {count} |");
+    for sigmas in [0.674_490, 0.994_458, 1.959_964, 2.575_829] {
+        let share = pulls.iter().filter(|pull| pull.abs() < sigmas).count() as f64 / count;
+        print!(" {share:.3} ± {:.3} |", 1.96 * (share * (1.0 - share) / count).sqrt());
+    }
+    println!();
 }
 
 fn print_row(name: &str, study: &Study) {

@@ -2,9 +2,11 @@
 //!
 //! Convention: patch 0 is `p0`, source and camera in one (paper section 3). Paths are written in the order light meets the patches.
 
+pub mod association;
 pub mod classical;
 pub mod completion;
 pub mod dense;
+pub mod detours;
 pub mod frame;
 pub mod iso_embed;
 pub mod maximum_likelihood;

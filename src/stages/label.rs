@@ -1,20 +1,34 @@
-//! `label`: which path of light made which onset (paper section 4.1, up to second bounces).
+//! `label`: which path of light made which onset (paper sections 4.1 and 4.3).
 //!
-//! With patch i lit and seen, the first light to arrive is the first bounce 0-i-0; with patch j lit and i seen it is the second bounce 0-j-i-0,
-//! since no path of more bounces is shorter. Later onsets of a profile are left unexplained here (path null).
+//! Without known patches, the first light tells:
+//! - With patch i lit and seen it is the first bounce 0-i-0.
+//! - With i lit and j seen it is the second bounce 0-i-j-0, or, where the two exchange no light (coplanar, occluded and specular pairs), a third
+//!   bounce over some k: [`crate::geometry::detours`] tells, from path lengths alone. No second bounce is shorter than both first bounces nor
+//!   longer than their sum, which sets false onsets aside.
 //!
-//! Takes `onsets`; writes `labels`. Beside it, optional: `patches`. With them each path's time is predicted, the onset nearest to it within
-//! five standard deviations gets the label, and `residual_ps` says how far off it is.
+//! With `patches` beside it, every path of up to `bounces` bounces is predicted and every onset associated
+//! ([`crate::geometry::association`]): the direct path first; where a pair's direct light is missing, no path leads over that pair; then all
+//! longer paths. A label less probable than `probability_min` is left open (path null), its candidates told as alternatives.
 //!
-//! Probability: that the onset is light at all and not noise, 1 - exp(-snr^2 / 2). That the direct path may be closed (coplanar or occluded
-//! patches, whose first light is a third bounce) is not modelled yet, nor are laser periods: with `repetition_ps` the stage refuses.
+//! Onsets of a laser that repeats are known modulo its period (`repetition_ps` in campaign.toml). `turns` is how many periods were added: without
+//! known patches such that first bounces lie within one period beyond `near_m`, and second bounces where their first bounces leave one choice; with them,
+//! as predicted.
+//!
+//! Takes `onsets`; writes `labels`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
+//! prediction `covariances` (`patch_covariances` of the same stage) and `delays`.
+//!
+//! Not modelled: amplitudes, which could tell paths of equal length apart; onsets of one profile whose errors are correlated.
 //!
 //! ```toml
 //! [labels]
 //! stage = "label"
 //! from = "onsets"
-//! params = { bounces = 2 }
+//! with = { patches = "visible", covariances = "visible.patch_covariances", delays = "visible.delays" }
+//! params = { bounces = 3 }
 //! ```
+
+mod blind;
+mod predicted;
 
 use std::collections::BTreeMap;
 
@@ -22,26 +36,34 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::tables::{Label, Onset, Patch};
+use crate::tables::{Delay, Label, Name, Onset, Patch, PatchCovariance};
 use crate::units::{self, PatchId};
+use predicted::Scene;
 
-/// An onset further than this many standard deviations from its predicted time is not that path.
-const GATE: f64 = 5.0;
+/// Stations closer than this are one.
+const ONE_STATION_M: f64 = 1e-6;
 
 /// Parameters of `label`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct LabelOnsets {
-    /// Largest order of bounces to label.
-    #[serde(default = "two")]
+    /// Largest order of bounces to label: to 3 without known patches, to 4 with them.
     bounces: i32,
+    /// Least probability of a label, with known patches.
+    probability_min: f64,
+    /// Onsets that no path of the known patches explains, per nanosecond of a profile.
+    clutter_per_ns: f64,
+    /// No patch is nearer to laser and sensor than this; matters where the laser's period is given and patches are not known.
+    near_m: f64,
 }
 
-fn two() -> i32 {
-    2
+impl Default for LabelOnsets {
+    fn default() -> Self {
+        Self { bounces: 2, probability_min: 0.95, clutter_per_ns: 0.05, near_m: 0.0 }
+    }
 }
 
-/// What a campaign says that paths are predicted from.
+/// What a campaign says that paths depend on.
 #[derive(Clone, Debug, Serialize)]
 pub struct Setup {
     group_index: f64,
@@ -50,44 +72,53 @@ pub struct Setup {
     sensors_m: BTreeMap<String, [f64; 3]>,
 }
 
-/// Patches and stations, to predict paths.
-pub struct Prediction {
-    setups: BTreeMap<String, Setup>,
-    patches: Option<BTreeMap<PatchId, ([f64; 3], f64)>>,
-}
-
-impl Prediction {
-    /// Time of a path and its standard deviation (that of the patches' positions), if all of it is known.
-    fn time_ps(&self, onset: &Onset, path: &[PatchId]) -> Option<(f64, f64)> {
-        let patches = self.patches.as_ref()?;
-        let setup = self.setups.get(&*onset.campaign)?;
-        let mut at = setup.source_m;
-        let (mut length_m, mut variance_m2) = (0.0, 0.0);
-        for patch in path {
-            let (position_m, sd_m) = patches.get(patch)?;
-            length_m += distance_m(at, *position_m);
-            variance_m2 += (2.0 * sd_m).powi(2);
-            at = *position_m;
-        }
-        length_m += distance_m(at, *setup.sensors_m.get(&*onset.sensor)?);
-        let time = |length_m| units::time_ps(length_m, setup.group_index);
-        Some((time(length_m), time(variance_m2.sqrt())))
+impl Setup {
+    /// Distance between laser and a sensor.
+    fn apart_m(&self, sensor: &str) -> f64 {
+        let sensor_m = self.sensors_m[sensor];
+        self.source_m.iter().zip(sensor_m).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
     }
 }
 
-fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+/// Setups of the campaigns, and what is known of the scene.
+pub struct Known {
+    setups: BTreeMap<String, Setup>,
+    scene: Option<Scene>,
+    delays_ps: BTreeMap<(Name, Name), (f64, f64)>,
+}
+
+/// What became of one onset.
+struct Verdict {
+    /// Laser periods added to its time.
+    turns: i32,
+    /// `None`: left unexplained.
+    path: Option<Vec<PatchId>>,
+    residual_ps: Option<f64>,
+    probability: f64,
+    /// Place among the onset's labels, the best 0.
+    alternative: i32,
+}
+
+impl Verdict {
+    /// Left unexplained.
+    fn open() -> Self {
+        Self { turns: 0, path: None, residual_ps: None, probability: 1.0, alternative: 0 }
+    }
 }
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
-    const BESIDE: &'static [Beside] = &[Beside { name: "patches", table: "patches", required: false }];
+    const BESIDE: &'static [Beside] = &[
+        Beside { name: "patches", table: "patches", required: false },
+        Beside { name: "covariances", table: "patch_covariances", required: false },
+        Beside { name: "delays", table: "delays", required: false },
+    ];
     type Input = Onset;
     type Output = Label;
     type Fields = BTreeMap<String, Setup>;
-    type Context = Prediction;
+    type Context = Known;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
         let setup = |campaign: &Campaign| Setup {
@@ -103,75 +134,98 @@ impl Stage for LabelOnsets {
         campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
     }
 
-    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Self::Context, StageError> {
-        if !(1..=2).contains(&self.bounces) {
-            let text =
-                format!("params.bounces = {}: bounces 1 and 2 are labelled; third bounces are not yet", self.bounces);
-            return Err(StageError::Refused(text));
-        }
-        if let Some((campaign, _)) = fields.iter().find(|(_, setup)| setup.repetition_ps.is_some()) {
+    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
+        let scene = match beside.rows::<Patch>("patches")? {
+            None => None,
+            Some(patches) => {
+                let covariances = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
+                Some(Scene::new(&patches, &covariances).map_err(|patch| {
+                    StageError::Refused(format!(
+                        "with patches: patch {patch} has no covariance, so nobody knows how far off its onsets may be; give patches from `refine`"
+                    ))
+                })?)
+            }
+        };
+        let most = if scene.is_some() { 4 } else { 3 };
+        if !(1..=most).contains(&self.bounces) {
+            let bounces = self.bounces;
+            let known = if scene.is_some() { "with known patches" } else { "without known patches" };
             return Err(StageError::Refused(format!(
-                "campaign `{campaign}` gives repetition_ps: onsets are then known modulo the laser's period, which `label` does not resolve yet; \
-                 remove repetition_ps from campaign.toml if every path is shorter than one period"
+                "params.bounces = {bounces}: {known} bounces 1 to {most} are labelled"
             )));
         }
-        let patches = beside.rows::<Patch>("patches")?.map(|patches| {
-            let best = patches.into_iter().filter(|patch| patch.alternative == 0);
-            best.map(|patch| Ok((patch.patch, ([patch.x_m, patch.y_m, patch.z_m], patch.sd_m.ok_or(patch.patch)?))))
-                .collect::<Result<_, PatchId>>()
-        });
-        let patches = patches.transpose().map_err(|patch| {
-            let text = format!("with patches: patch {patch} has no sd_m, so nobody knows how far off its onsets may be; give patches from `refine`");
-            StageError::Refused(text)
-        })?;
-        Ok(Prediction { setups: fields, patches })
+        if !(0.0..=1.0).contains(&self.probability_min) || !(self.clutter_per_ns > 0.0) || !(self.near_m >= 0.0) {
+            return Err(StageError::Refused(
+                "params: probability_min must lie between 0 and 1, clutter_per_ns be positive, near_m not negative"
+                    .to_owned(),
+            ));
+        }
+        let delays = beside.rows::<Delay>("delays")?.unwrap_or_default();
+        let delays_ps = delays.into_iter().map(|row| ((row.campaign, row.sensor), (row.delay_ps, row.sd_ps))).collect();
+        Ok(Known { setups, scene, delays_ps })
     }
 }
 
 impl Apply for LabelOnsets {
-    fn apply(&self, context: &Prediction, group: Vec<Onset>) -> Result<Outcome<Label>, StageError> {
-        let same_profile =
-            |a: &Onset, b: &Onset| (&a.campaign, &a.sensor, a.lit, a.seen) == (&b.campaign, &b.sensor, b.lit, b.seen);
-        let labels = group.chunk_by(same_profile).flat_map(|profile| self.label(context, profile)).collect();
-        Ok(Outcome::rows(labels))
+    fn apply(&self, known: &Known, group: Vec<Onset>) -> Result<Outcome<Label>, StageError> {
+        let of_one_sensor = |a: &Onset, b: &Onset| (&a.campaign, &a.sensor) == (&b.campaign, &b.sensor);
+        let of_one_profile = |a: &Onset, b: &Onset| (a.lit, a.seen) == (b.lit, b.seen);
+        let mut rows = Vec::new();
+        for of_sensor in group.chunk_by(of_one_sensor) {
+            let profiles: Vec<&[Onset]> = of_sensor.chunk_by(of_one_profile).collect();
+            let setup = &known.setups[&*of_sensor[0].campaign];
+            let verdicts = match &known.scene {
+                None => self.blind(setup, &profiles),
+                Some(scene) => {
+                    let key = (of_sensor[0].campaign.clone(), of_sensor[0].sensor.clone());
+                    self.predicted(setup, scene, known.delays_ps.get(&key).copied().unwrap_or_default(), &profiles)
+                }
+            };
+            for (profile, verdicts) in profiles.iter().zip(verdicts) {
+                for (onset, verdicts) in profile.iter().zip(verdicts) {
+                    rows.extend(verdicts.into_iter().map(|verdict| row(onset, verdict, setup)));
+                }
+            }
+        }
+        Ok(Outcome::rows(rows))
     }
 }
 
-impl LabelOnsets {
-    /// Labels the onsets of one profile.
-    fn label(&self, context: &Prediction, profile: &[Onset]) -> Vec<Label> {
-        let (lit, seen) = (profile[0].lit, profile[0].seen);
-        let path = if lit == seen { vec![lit] } else { vec![lit, seen] };
-        let path = Some(path).filter(|path| path.len() as i32 <= self.bounces);
-        let predicted = path.as_ref().and_then(|path| context.time_ps(&profile[0], path));
-        let sd = |onset: &Onset| onset.time_sd_ps.hypot(onset.jitter_ps);
-        let chosen = match predicted {
-            None => (0..profile.len()).min_by(|&a, &b| profile[a].time_ps.total_cmp(&profile[b].time_ps)),
-            Some((time_ps, sd_ps)) => {
-                let off = |i: usize| (profile[i].time_ps - time_ps).abs() / sd(&profile[i]).hypot(sd_ps);
-                (0..profile.len()).filter(|&i| off(i) < GATE).min_by(|&a, &b| off(a).total_cmp(&off(b)))
-            }
-        };
-        let row = |(i, onset): (usize, &Onset)| {
-            let path = path.clone().filter(|_| chosen == Some(i));
-            let residual_ps = predicted.filter(|_| path.is_some()).map(|(time_ps, _)| onset.time_ps - time_ps);
-            let light = 1.0 - (-onset.snr * onset.snr / 2.0).exp();
-            Label {
-                campaign: onset.campaign.clone(),
-                sensor: onset.sensor.clone(),
-                lit,
-                seen,
-                rank: onset.rank,
-                time_ps: onset.time_ps,
-                time_sd_ps: sd(onset),
-                turns: 0,
-                bounces: path.as_deref().map_or(0, crate::path::bounces),
-                probability: if path.is_some() { light } else { 1.0 },
-                path,
-                residual_ps,
-                alternative: 0,
-            }
-        };
-        profile.iter().enumerate().map(row).collect()
+/// Standard deviation of an onset's time, what its profile shares included.
+fn sd_ps(onset: &Onset) -> f64 {
+    onset.time_sd_ps.hypot(onset.jitter_ps)
+}
+
+/// Probability that an onset is light at all and not noise.
+fn light(onset: &Onset) -> f64 {
+    1.0 - (-onset.snr * onset.snr / 2.0).exp()
+}
+
+fn row(onset: &Onset, verdict: Verdict, setup: &Setup) -> Label {
+    let turns_ps = f64::from(verdict.turns) * setup.repetition_ps.unwrap_or(0.0);
+    Label {
+        campaign: onset.campaign.clone(),
+        sensor: onset.sensor.clone(),
+        lit: onset.lit,
+        seen: onset.seen,
+        rank: onset.rank,
+        time_ps: onset.time_ps + turns_ps,
+        time_sd_ps: sd_ps(onset),
+        turns: verdict.turns,
+        bounces: verdict.path.as_deref().map_or(0, crate::path::bounces),
+        path: verdict.path,
+        residual_ps: verdict.residual_ps,
+        probability: verdict.probability,
+        alternative: verdict.alternative,
     }
+}
+
+/// Path from laser to sensor over patches, in the order light meets them, that is direct: each patch once.
+fn direct(profile: &[Onset]) -> Vec<PatchId> {
+    let (lit, seen) = (profile[0].lit, profile[0].seen);
+    if lit == seen { vec![lit] } else { vec![lit, seen] }
+}
+
+fn time_ps(length_m: f64, setup: &Setup) -> f64 {
+    units::time_ps(length_m, setup.group_index)
 }

@@ -32,6 +32,8 @@ pub struct Study {
     pub onset_bound_ps: f64,
     pub onsets_found: f64,
     pub false_onsets: usize,
+    /// Onset errors about their seed's mean, over the standard deviations stated.
+    pub pulls: Vec<f64>,
 }
 
 /// Simulates, runs and measures each seed.
@@ -50,6 +52,7 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
         onset_bound_ps: 0.0,
         onsets_found: 0.0,
         false_onsets: 0,
+        pulls: Vec::new(),
     };
     for seed in seeds {
         let lab = Lab::of(text, seed, Format::Trc);
@@ -91,11 +94,15 @@ fn onsets(lab: &Lab, study: &mut Study) {
             (onset.lit, onset.seen) == (truth.lit, truth.seen)
                 && (onset.time_ps - truth.time_ps).abs() < 20.0 * onset.time_sd_ps
         };
-        errors.extend(found.iter().find(near).map(|onset| onset.time_ps - truth.time_ps));
+        let error = |onset: &Onset| (onset.time_ps - truth.time_ps, onset.time_sd_ps.hypot(onset.jitter_ps));
+        errors.extend(found.iter().find(near).map(error));
     }
     // The latency's error is common to all; the bound knows it as a delay.
-    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    study.onset_rms_ps += errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>();
+    let mean = errors.iter().map(|(error, _)| error).sum::<f64>() / errors.len() as f64;
+    study.onset_rms_ps += errors.iter().map(|(error, _)| (error - mean).powi(2)).sum::<f64>();
+    // The mean that is taken off has a share in every error: one of their number.
+    let kept = (1.0 - 1.0 / errors.len() as f64).sqrt();
+    study.pulls.extend(errors.iter().map(|(error, sd_ps)| (error - mean) / (sd_ps * kept)));
     study.onsets_found += errors.len() as f64;
     study.false_onsets += found.len() - errors.len();
 }

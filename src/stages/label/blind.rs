@@ -1,0 +1,130 @@
+//! Labels without known patches: the first light of each profile, and whether it took a detour.
+
+use std::collections::BTreeMap;
+
+use super::{LabelOnsets, ONE_STATION_M, Setup, Verdict, direct, light, sd_ps, time_ps};
+use crate::geometry::detours::detours;
+use crate::geometry::t2::Length;
+use crate::tables::Onset;
+use crate::units::{self, PatchId};
+
+/// Bounds on a second bounce are kept this many standard deviations wide.
+const GATE: f64 = 5.0;
+
+/// An onset that may be a profile's first light.
+#[derive(Clone, Copy, Debug)]
+struct First {
+    /// Its place in the profile.
+    onset: usize,
+    turns: i32,
+    time_ps: f64,
+    sd_ps: f64,
+}
+
+/// First light by (lit, seen).
+type Firsts = BTreeMap<(PatchId, PatchId), First>;
+
+impl LabelOnsets {
+    /// For each profile of one sensor, for each onset, its labels.
+    pub(super) fn blind(&self, setup: &Setup, profiles: &[&[Onset]]) -> Vec<Vec<Vec<Verdict>>> {
+        let Some(sensor) = profiles.first().map(|profile| &*profile[0].sensor) else {
+            return Vec::new();
+        };
+        let mut firsts = Firsts::new();
+        for profile in profiles.iter().filter(|profile| profile[0].lit == profile[0].seen) {
+            let near_ps = time_ps(2.0 * self.near_m, setup);
+            let far_ps = setup.repetition_ps.map_or(f64::INFINITY, |period_ps| near_ps + period_ps);
+            if let Some(first) = readings(profile, setup.repetition_ps, (near_ps, far_ps)).into_iter().next() {
+                firsts.insert((profile[0].lit, profile[0].seen), first);
+            }
+        }
+        let seconds: Vec<((PatchId, PatchId), First)> = profiles
+            .iter()
+            .filter(|profile| profile[0].lit != profile[0].seen)
+            .filter_map(|profile| {
+                let pair = (profile[0].lit, profile[0].seen);
+                Some((pair, self.second(setup, sensor, &firsts, profile)?))
+            })
+            .collect();
+        firsts.extend(seconds);
+        let closed = closed(setup, sensor, &firsts);
+        let labels = |profile: &&[Onset]| {
+            let pair = (profile[0].lit, profile[0].seen);
+            let first = firsts.get(&pair);
+            let label = |(i, onset): (usize, &Onset)| {
+                let Some(first) = first.filter(|first| first.onset == i) else {
+                    return vec![Verdict::open()];
+                };
+                let path = match closed.get(&pair) {
+                    None => Some(direct(profile)),
+                    Some(via) => via.map(|via| vec![pair.0, via, pair.1]),
+                };
+                let Some(path) = path.filter(|path| path.len() as i32 <= self.bounces) else {
+                    return vec![Verdict::open()];
+                };
+                let probability = light(onset);
+                vec![Verdict { turns: first.turns, path: Some(path), residual_ps: None, probability, alternative: 0 }]
+            };
+            profile.iter().enumerate().map(label).collect()
+        };
+        profiles.iter().map(labels).collect()
+    }
+
+    /// First light of a pair, between the longer of its two first bounces and their sum; `None` where the laser's period leaves a choice.
+    fn second(&self, setup: &Setup, sensor: &str, firsts: &Firsts, profile: &[Onset]) -> Option<First> {
+        let own = [profile[0].lit, profile[0].seen].map(|patch| firsts.get(&(patch, patch)));
+        let known = || own.iter().flatten();
+        let near_ps = time_ps(2.0 * self.near_m, setup);
+        let least_ps = known().map(|first| first.time_ps - GATE * first.sd_ps).fold(near_ps, f64::max);
+        let most_ps = if let [Some(a), Some(b)] = own {
+            // Stations apart leave each leg as much longer.
+            let apart_ps = time_ps(2.0 * setup.apart_m(sensor), setup);
+            a.time_ps + b.time_ps + apart_ps + GATE * a.sd_ps.hypot(b.sd_ps)
+        } else {
+            setup.repetition_ps.map_or(f64::INFINITY, |period_ps| least_ps + period_ps)
+        };
+        let readings = readings(profile, setup.repetition_ps, (least_ps, most_ps));
+        // A detour is longer than any second bounce may be: where nothing lies within the bounds, the first light beyond them is looked at.
+        let first = readings.first().copied()?;
+        let is_sure =
+            setup.repetition_ps.is_none_or(|period_ps| most_ps - least_ps <= period_ps || readings.len() == 1);
+        is_sure.then_some(first)
+    }
+}
+
+/// Onsets of a profile read with so many laser periods added that they lie within bounds, in order of time.
+fn readings(profile: &[Onset], period_ps: Option<f64>, (least_ps, most_ps): (f64, f64)) -> Vec<First> {
+    let reading = |(onset, row): (usize, &Onset)| -> Vec<First> {
+        let sd_ps = sd_ps(row);
+        let (least_ps, most_ps) = (least_ps - GATE * sd_ps, most_ps + GATE * sd_ps);
+        let of_turns = |turns: i32| {
+            let time_ps = row.time_ps + f64::from(turns) * period_ps.unwrap_or(0.0);
+            (time_ps >= least_ps && time_ps <= most_ps).then_some(First { onset, turns, time_ps, sd_ps })
+        };
+        let Some(period_ps) = period_ps else {
+            return of_turns(0).into_iter().collect();
+        };
+        let turns_of = |time_ps: f64| (time_ps - row.time_ps) / period_ps;
+        (turns_of(least_ps).ceil() as i32..=turns_of(most_ps).floor() as i32).filter_map(of_turns).collect()
+    };
+    let mut readings: Vec<First> = profile.iter().enumerate().flat_map(reading).collect();
+    readings.sort_by(|a, b| a.time_ps.total_cmp(&b.time_ps));
+    readings
+}
+
+/// Pairs whose first light took a detour, and over which patch if that is known. Where laser and sensor stand together, a pair that was captured one
+/// way only counts for both.
+fn closed(setup: &Setup, sensor: &str, firsts: &Firsts) -> BTreeMap<(PatchId, PatchId), Option<PatchId>> {
+    let length = |first: &First| Length {
+        length_m: units::path_m(first.time_ps, setup.group_index),
+        variance_m2: units::path_m(first.sd_ps, setup.group_index).powi(2),
+    };
+    let mut arrivals: BTreeMap<(PatchId, PatchId), Length> =
+        firsts.iter().map(|(pair, first)| (*pair, length(first))).collect();
+    if setup.apart_m(sensor) < ONE_STATION_M {
+        for (&(lit, seen), first) in firsts {
+            arrivals.entry((seen, lit)).or_insert_with(|| length(first));
+        }
+    }
+    detours(&arrivals).into_iter().map(|(pair, detour)| (pair, detour.via)).collect()
+}

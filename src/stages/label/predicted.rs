@@ -1,0 +1,248 @@
+//! Labels with known patches: every path predicted, every onset associated.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{LabelOnsets, Setup, Verdict, direct, sd_ps, time_ps};
+use crate::geometry::Point;
+use crate::geometry::association::{Candidate, GATE, Time, associate};
+use crate::tables::{Onset, Patch, PatchCovariance};
+use crate::units::PatchId;
+
+/// Alternatives told of an onset that is left open.
+const ALTERNATIVES: usize = 4;
+
+/// Known patches with their errors.
+pub(super) struct Scene {
+    points: BTreeMap<PatchId, Point>,
+    covariances: BTreeMap<(PatchId, PatchId), Matrix3<f64>>,
+}
+
+/// A predicted path, read some laser periods earlier.
+struct Prediction {
+    path: Vec<PatchId>,
+    turns: i32,
+    time: Time,
+}
+
+/// Where a profile's light comes from and goes to.
+struct View<'a> {
+    setup: &'a Setup,
+    source: Point,
+    sensor: Point,
+    /// Delay that calibration left, and its standard deviation.
+    delay_ps: (f64, f64),
+}
+
+impl Scene {
+    /// Of the best alternative; the patch without covariance as error.
+    pub(super) fn new(patches: &[Patch], covariances: &[PatchCovariance]) -> Result<Self, PatchId> {
+        let (mut points, mut blocks) = (BTreeMap::new(), BTreeMap::new());
+        for row in patches.iter().filter(|patch| patch.alternative == 0) {
+            let own = [row.cov_xx_m2, row.cov_xy_m2, row.cov_xz_m2, row.cov_yy_m2, row.cov_yz_m2, row.cov_zz_m2];
+            let [Some(xx), Some(xy), Some(xz), Some(yy), Some(yz), Some(zz)] = own else {
+                return Err(row.patch);
+            };
+            points.insert(row.patch, Point::new(row.x_m, row.y_m, row.z_m));
+            blocks.insert((row.patch, row.patch), Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
+        }
+        for row in covariances {
+            let block = Matrix3::new(
+                row.cov_xx_m2,
+                row.cov_xy_m2,
+                row.cov_xz_m2,
+                row.cov_yx_m2,
+                row.cov_yy_m2,
+                row.cov_yz_m2,
+                row.cov_zx_m2,
+                row.cov_zy_m2,
+                row.cov_zz_m2,
+            );
+            blocks.insert((row.a, row.b), block);
+            blocks.insert((row.b, row.a), block.transpose());
+        }
+        Ok(Self { points, covariances: blocks })
+    }
+
+    fn knows(&self, path: &[PatchId]) -> bool {
+        path.iter().all(|patch| self.points.contains_key(patch))
+    }
+
+    /// Length of a path.
+    fn length_m(&self, path: &[PatchId], view: &View) -> f64 {
+        let (end, length_m) = path.iter().fold((view.source, 0.0), |(at, length_m), patch| {
+            let point = self.points[patch];
+            (point, length_m + (point - at).norm())
+        });
+        length_m + (view.sensor - end).norm()
+    }
+
+    /// Standard deviation of a path's length from the errors of its patches.
+    fn length_sd_m(&self, path: &[PatchId], view: &View) -> f64 {
+        let mut slopes: BTreeMap<PatchId, Vector3<f64>> = BTreeMap::new();
+        for (n, patch) in path.iter().enumerate() {
+            let point = self.points[patch];
+            let before = if n == 0 { view.source } else { self.points[&path[n - 1]] };
+            let after = path.get(n + 1).map_or(view.sensor, |next| self.points[next]);
+            let unit = |other: Point| (point - other).try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
+            *slopes.entry(*patch).or_insert_with(Vector3::zeros) += unit(before) + unit(after);
+        }
+        let term = |a: &PatchId, b: &PatchId| {
+            self.covariances.get(&(*a, *b)).map_or(0.0, |block| slopes[a].dot(&(block * slopes[b])))
+        };
+        let variance: f64 =
+            slopes.keys().flat_map(|a| slopes.keys().map(move |b| (a, b))).map(|(a, b)| term(a, b)).sum();
+        variance.max(0.0).sqrt()
+    }
+
+    fn predict(&self, path: Vec<PatchId>, view: &View) -> (Vec<PatchId>, Time) {
+        let (delay_ps, delay_sd_ps) = view.delay_ps;
+        let time = Time {
+            time_ps: time_ps(self.length_m(&path, view), view.setup) + delay_ps,
+            sd_ps: time_ps(self.length_sd_m(&path, view), view.setup).hypot(delay_sd_ps),
+        };
+        (path, time)
+    }
+
+    /// All paths of three to `bounces` bounces from `lit` to `seen` that lead over no closed pair and over no patch twice in a row.
+    fn longer(
+        &self,
+        lit: PatchId,
+        seen: PatchId,
+        bounces: i32,
+        closed: &BTreeSet<(PatchId, PatchId)>,
+    ) -> Vec<Vec<PatchId>> {
+        let is_open = |a: PatchId, b: PatchId| a != b && !closed.contains(&(a.min(b), a.max(b)));
+        let mut paths = Vec::new();
+        for &k in self.points.keys().filter(|k| is_open(lit, **k)) {
+            if is_open(k, seen) {
+                paths.push(vec![lit, k, seen]);
+            }
+            if bounces >= 4 {
+                let last = self.points.keys().filter(|l| is_open(k, **l) && is_open(**l, seen));
+                paths.extend(last.map(|&l| vec![lit, k, l, seen]));
+            }
+        }
+        paths
+    }
+}
+
+impl LabelOnsets {
+    /// For each profile of one sensor, for each onset, its labels.
+    pub(super) fn predicted(
+        &self,
+        setup: &Setup,
+        scene: &Scene,
+        delay_ps: (f64, f64),
+        profiles: &[&[Onset]],
+    ) -> Vec<Vec<Vec<Verdict>>> {
+        let Some(sensor) = profiles.first().map(|profile| &*profile[0].sensor) else {
+            return Vec::new();
+        };
+        let view =
+            View { setup, source: Point::from(setup.source_m), sensor: Point::from(setup.sensors_m[sensor]), delay_ps };
+        let mut closed = BTreeSet::new();
+        let mut labels: Vec<Vec<Vec<Verdict>>> = Vec::with_capacity(profiles.len());
+        for profile in profiles {
+            let path = direct(profile);
+            let (lit, seen) = (profile[0].lit, profile[0].seen);
+            let is_predicted = scene.knows(&path) && path.len() as i32 <= self.bounces;
+            let predictions = if is_predicted { vec![scene.predict(path, &view)] } else { Vec::new() };
+            let verdicts = self.associated(setup, profile, &(0..profile.len()).collect::<Vec<_>>(), predictions);
+            if is_predicted && lit != seen && verdicts.iter().all(|labels| is_open(labels)) {
+                closed.insert((lit.min(seen), lit.max(seen)));
+            }
+            labels.push(verdicts);
+        }
+        // A pair that was seen one way is open both ways.
+        for (profile, verdicts) in profiles.iter().zip(&labels) {
+            if !verdicts.iter().all(|labels| is_open(labels)) {
+                let (lit, seen) = (profile[0].lit, profile[0].seen);
+                closed.remove(&(lit.min(seen), lit.max(seen)));
+            }
+        }
+        if self.bounces >= 3 {
+            for (profile, verdicts) in profiles.iter().zip(&mut labels) {
+                let open: Vec<usize> = (0..profile.len()).filter(|&i| is_open(&verdicts[i])).collect();
+                let (lit, seen) = (profile[0].lit, profile[0].seen);
+                if open.is_empty() || !scene.knows(&[lit, seen]) {
+                    continue;
+                }
+                let paths = scene.longer(lit, seen, self.bounces, &closed);
+                let predictions = paths.into_iter().map(|path| scene.predict(path, &view)).collect();
+                for (i, found) in open.iter().zip(self.associated(setup, profile, &open, predictions)) {
+                    verdicts[*i] = found;
+                }
+            }
+        }
+        labels
+    }
+
+    /// Labels of the onsets `which` of a profile among predicted paths.
+    fn associated(
+        &self,
+        setup: &Setup,
+        profile: &[Onset],
+        which: &[usize],
+        paths: Vec<(Vec<PatchId>, Time)>,
+    ) -> Vec<Vec<Verdict>> {
+        let arrivals: Vec<Time> =
+            which.iter().map(|&i| Time { time_ps: profile[i].time_ps, sd_ps: sd_ps(&profile[i]) }).collect();
+        let predictions = readings(paths, setup.repetition_ps, &arrivals);
+        let times: Vec<Time> = predictions.iter().map(|prediction| prediction.time).collect();
+        let found = associate(&arrivals, &times, self.clutter_per_ns * 1e-3);
+        found.into_iter().map(|candidates| self.verdicts(&candidates, &predictions)).collect()
+    }
+
+    fn verdicts(&self, candidates: &[Candidate], predictions: &[Prediction]) -> Vec<Verdict> {
+        let verdict = |(n, candidate): (usize, &Candidate)| {
+            let Prediction { path, turns, .. } = &predictions[candidate.path];
+            Verdict {
+                turns: *turns,
+                path: Some(path.clone()),
+                residual_ps: Some(candidate.residual_ps),
+                probability: candidate.probability,
+                alternative: n as i32,
+            }
+        };
+        let is_sure = candidates.first().is_some_and(|best| best.probability >= self.probability_min);
+        if is_sure {
+            return candidates[..1].iter().enumerate().map(verdict).collect();
+        }
+        let unexplained = 1.0 - candidates.iter().map(|candidate| candidate.probability).sum::<f64>();
+        let open = Verdict { probability: unexplained.max(0.0), ..Verdict::open() };
+        let others = candidates.iter().take(ALTERNATIVES).enumerate().map(|(n, candidate)| verdict((n + 1, candidate)));
+        std::iter::once(open).chain(others).collect()
+    }
+}
+
+/// Whether an onset's best label leaves it unexplained.
+fn is_open(labels: &[Verdict]) -> bool {
+    labels.first().is_none_or(|best| best.path.is_none())
+}
+
+/// Predictions near any of the arrivals, read with the laser periods that bring them there.
+fn readings(paths: Vec<(Vec<PatchId>, Time)>, period_ps: Option<f64>, arrivals: &[Time]) -> Vec<Prediction> {
+    let reach = |arrival: &Time, time: &Time| GATE * arrival.sd_ps.hypot(time.sd_ps);
+    let mut predictions = Vec::new();
+    for (path, time) in paths {
+        let mut turns: Vec<i32> = arrivals
+            .iter()
+            .filter_map(|arrival| {
+                let late_ps = time.time_ps - arrival.time_ps;
+                let turns = period_ps.map_or(0.0, |period_ps| (late_ps / period_ps).round());
+                let off_ps = late_ps - turns * period_ps.unwrap_or(0.0);
+                (off_ps.abs() <= reach(arrival, &time)).then_some(turns as i32)
+            })
+            .collect();
+        turns.sort_unstable();
+        turns.dedup();
+        predictions.extend(turns.into_iter().map(|turns| Prediction {
+            path: path.clone(),
+            turns,
+            time: Time { time_ps: time.time_ps - f64::from(turns) * period_ps.unwrap_or(0.0), ..time },
+        }));
+    }
+    predictions
+}
