@@ -81,6 +81,15 @@ impl Bin {
         self.covered = (self.covered.0.max(whole), self.covered.1.min(whole + samples as i64));
     }
 
+    fn absorb(&mut self, mut other: Self) {
+        other.spill();
+        self.reach(other.first, other.sums.len());
+        let at = (other.first - self.first) as usize;
+        self.spilled[at..].iter_mut().zip(other.spilled).for_each(|(sum, other)| *sum += other);
+        self.shots += other.shots;
+        self.covered = (self.covered.0.max(other.covered.0), self.covered.1.min(other.covered.1));
+    }
+
     fn spill(&mut self) {
         for (total, sum) in self.spilled.iter_mut().zip(&mut self.sums) {
             *total += f64::from(std::mem::take(sum));
@@ -130,6 +139,22 @@ impl PhaseSums {
         let bin = self.bins[phase as usize].get_or_insert_with(|| Bin::new(whole, samples));
         bin.add(codes, whole, samples);
         self.shots += 1;
+    }
+
+    /// Adds all shots of other sums.
+    ///
+    /// # Panics
+    /// When these have another number of samples.
+    pub fn absorb(&mut self, other: Self) {
+        assert_eq!(self.samples, other.samples, "samples of a shot");
+        for (own, other) in self.bins.iter_mut().zip(other.bins) {
+            match (own.as_mut(), other) {
+                (Some(own), Some(other)) => own.absorb(other),
+                (None, other) => *own = other,
+                (Some(_), None) => {}
+            }
+        }
+        self.shots += other.shots;
     }
 
     /// Shots added.

@@ -228,6 +228,24 @@ fn step(record: &Record, period_ps: f64, filter: &[[f64; resample::TAPS]]) -> Op
     (information > 0.0).then(|| (product / information, information.sqrt().recip()))
 }
 
+/// Where to cut a circular record open: in the middle of its longest run of dark samples; at its first dark one, or at 0, if it has no run.
+#[must_use]
+pub fn opening(is_dark: &[bool]) -> usize {
+    let count = is_dark.len();
+    let Some(light) = is_dark.iter().position(|dark| !dark) else {
+        return 0;
+    };
+    // From a light sample once around, so that no run is cut in two.
+    let (mut longest, mut start, mut run) = (0, light, 0);
+    for k in 1..=count {
+        run = if is_dark[(light + k) % count] { run + 1 } else { 0 };
+        if run > longest {
+            (longest, start) = (run, light + k + 1 - run);
+        }
+    }
+    (start + longest / 2) % count
+}
+
 /// The response at the samples of a circular record of `len` samples every `step_ps`, sample 0 at the arrival: what precedes the arrival, or
 /// exceeds a period, wraps around.
 ///

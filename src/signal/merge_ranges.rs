@@ -136,7 +136,8 @@ struct Trace {
 }
 
 /// Samples outside of clipped stretches and their margins.
-fn valid(clipped: &[bool], before: usize, after: usize) -> Vec<bool> {
+#[must_use]
+pub fn valid(clipped: &[bool], before: usize, after: usize) -> Vec<bool> {
     let mut valid = vec![true; clipped.len()];
     for n in (0..clipped.len()).filter(|n| clipped[*n]) {
         valid[n.saturating_sub(before)..(n + after + 1).min(clipped.len())].fill(false);

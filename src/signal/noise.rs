@@ -143,6 +143,18 @@ pub fn quiet_mean(samples: &[f64], sd: f64, before: usize, after: usize) -> Opti
     Some(centre)
 }
 
+/// Start of the stretch of `width` samples that vary least.
+///
+/// # Panics
+/// If there are fewer samples than that, or `width` is 0.
+#[must_use]
+pub fn quietest(samples: &[f64], width: usize) -> usize {
+    assert!(width > 0 && samples.len() >= width, "a stretch lies within the samples");
+    let variance = |stretch: &[f64]| dot(&centred(stretch), &centred(stretch));
+    let variances = samples.windows(width).map(variance).enumerate();
+    variances.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(start, _)| start)
+}
+
 /// Sum of products in eight interleaved parts, which the processor can take side by side; the order of additions is fixed.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
@@ -247,6 +259,13 @@ mod tests {
         assert!(rms < 1.15 * 0.1 / 150_f64.sqrt(), "{rms}");
         assert_eq!(quiet_mean(&[0.0, 9.0, 0.0, 9.0], 0.1, 4, 4), None);
         assert_eq!(quiet_mean(&[], 0.1, 4, 4), None);
+    }
+
+    #[test]
+    fn the_quietest_stretch_is_where_no_light_is() {
+        let samples: Vec<f64> =
+            (0..100).map(|n| 5.0 + 30.0 * (-0.5 * ((n as f64 - 20.0) / 8.0).powi(2)).exp()).collect();
+        assert!(quietest(&samples, 20) > 60 && quietest(&samples, 100) == 0);
     }
 
     #[test]

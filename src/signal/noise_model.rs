@@ -18,6 +18,8 @@ pub const TERMS: usize = 4;
 const ROUNDS: usize = 100;
 /// The fit has settled when no coefficient changes by more than this share of its standard deviation.
 const SETTLED: f64 = 1e-6;
+/// Derivative over eight steps, exact for polynomials of order 8.
+const WIDE: [f64; 9] = [1.0 / 280.0, -4.0 / 105.0, 0.2, -0.8, 0.0, 0.8, -0.2, 4.0 / 105.0, -1.0 / 280.0];
 /// A model variance is not taken below this share of the mean variance.
 const FLOOR: f64 = 1e-6;
 
@@ -105,7 +107,7 @@ fn smooth(spread: &Spread, model: Option<&NoiseModel>, mean: f64) -> Vec<f64> {
 /// The four terms at each sample. `own` is the variance of the mean's samples.
 fn terms(spread: &Spread, own: &[f64]) -> [Vec<f64>; TERMS] {
     let mean_v = spread.mean_v;
-    // Differences over four samples follow a pulse of three samples' sd to a per cent; over two they would miss 8 % of its slope's square.
+    // Differences over eight samples follow the slope's square of a pulse of 1.5 samples' sd to 2 %; over four they would miss 8 %.
     let difference = |n: usize, weights: &[f64], before: usize| {
         let range = n.checked_sub(before)?..n + weights.len() - before;
         let (values, own) = (mean_v.get(range.clone())?, &own[range]);
@@ -114,7 +116,7 @@ fn terms(spread: &Spread, own: &[f64]) -> [Vec<f64>; TERMS] {
         Some((rise * rise - noise).max(0.0) / (spread.dt_ps * spread.dt_ps))
     };
     let slope_squared = |n: usize| {
-        let wide = difference(n, &[1.0 / 12.0, -8.0 / 12.0, 0.0, 8.0 / 12.0, -1.0 / 12.0], 2);
+        let wide = difference(n, &WIDE, WIDE.len() / 2);
         wide.or_else(|| difference(n, &[-0.5, 0.0, 0.5], 1)).unwrap_or(0.0)
     };
     [

@@ -2,6 +2,7 @@
 
 use super::average::{Mean, PHASES};
 use super::codes::Codes;
+use super::resample;
 
 /// The first shots of a capture, from which outliers are judged and the spread is taken.
 pub const HEAD_SHOTS: usize = 32;
@@ -10,10 +11,10 @@ const JUDGES_MIN: usize = 8;
 /// Largest standard deviation, in codes, of noise whose median deviation after rounding may be 0: 0.5 / 0.6745.
 const QUIET_SD: f64 = 0.741;
 
-/// Standard deviation over shots at each place of their mean, each shot's own baseline (mean of its first `baseline` samples) removed.
+/// Variance over shots at each place of their mean, in codes squared, each shot's own baseline (mean of its first `baseline` samples) removed.
 ///
-/// A shot that lies between two places of the grid is compared with the mean interpolated there. Places that fewer than two shots cover get the
-/// mean of all others.
+/// A shot that lies between two places of the grid is compared with the mean moved there by the band-limited filter that made it: a straight line
+/// between samples would add its error on fast edges to the spread. Places that fewer than two shots cover get NaN.
 ///
 /// # Panics
 /// When `baseline` is 0 or exceeds a shot.
@@ -24,44 +25,36 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f
     // Where the number of shots that cover a place changes, and by how much.
     let mut changes = vec![0_i32; count + 1];
     let floor: f64 = mean.mean[..baseline.min(count)].iter().sum::<f64>() / baseline.min(count) as f64;
-    let mut values = Vec::new();
+    let (mut values, mut moved) = (Vec::new(), vec![0.0; count]);
     for (codes, position) in shots {
         codes.read_into(&mut values);
         let own = values[..baseline].iter().sum::<f64>() / baseline as f64 - floor;
         let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
+        // The mean at a place and a fraction is that at the next place, earlier by the rest.
+        let later = i64::from(phase > 0);
+        resample::delay(&mean.mean, (later * PHASES as i64 - phase) as f64 / PHASES as f64, &mut moved);
         let offset = whole - mean.first_position;
-        let last = count as i64 - 1 - i64::from(phase > 0);
-        let (start, end) = ((-offset).max(0), (last - offset + 1).min(values.len() as i64));
+        let (start, end) = ((-offset).max(0), (count as i64 - later - offset).min(values.len() as i64));
         if start >= end {
             continue;
         }
         let (at, length) = ((offset + start) as usize, (end - start) as usize);
-        let values = &values[start as usize..end as usize];
-        let (squares, here) = (&mut squares[at..at + length], &mean.mean[at..at + length]);
-        if phase == 0 {
-            for ((square, value), here) in squares.iter_mut().zip(values).zip(here) {
-                let residual = value - own - here;
-                *square += residual * residual;
-            }
-        } else {
-            let (fraction, there) = (phase as f64 / PHASES as f64, &mean.mean[at + 1..=at + length]);
-            for (((square, value), here), there) in squares.iter_mut().zip(values).zip(here).zip(there) {
-                let residual = value - own - (here + fraction * (there - here));
-                *square += residual * residual;
-            }
+        let expected = &moved[at + later as usize..];
+        for ((square, value), expected) in
+            squares[at..at + length].iter_mut().zip(&values[start as usize..]).zip(expected)
+        {
+            let residual = value - own - expected;
+            *square += residual * residual;
         }
         changes[at] += 1;
         changes[at + length] -= 1;
     }
-    let mut covering = Vec::with_capacity(count);
-    changes[..count].iter().fold(0, |now, change| {
-        covering.push((now + change) as u32);
-        now + change
-    });
-    let sd = |(square, covering): (&f64, &u32)| (*covering >= 2).then(|| (square / f64::from(covering - 1)).sqrt());
-    let known: Vec<f64> = squares.iter().zip(&covering).filter_map(sd).collect();
-    let usual = if known.is_empty() { 0.0 } else { known.iter().sum::<f64>() / known.len() as f64 };
-    squares.iter().zip(&covering).map(|pair| sd(pair).unwrap_or(usual)).collect()
+    let mut covering = 0;
+    for (square, change) in squares.iter_mut().zip(&changes) {
+        covering += change;
+        *square = if covering >= 2 { *square / f64::from(covering - 1) } else { f64::NAN };
+    }
+    squares
 }
 
 /// Tells outlying shots: those with a sample further from the median of the first shots than noise and the rounding to whole samples explain.

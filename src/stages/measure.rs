@@ -21,7 +21,6 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::{Campaign, Role};
-use crate::signal::average::PHASES;
 use crate::signal::averaged_response::averaged_response;
 use crate::signal::echo::{self, Core};
 use crate::signal::pulse_fit::{self, Record};
@@ -56,7 +55,7 @@ pub struct Sensor {
 
 impl Stage for Measure {
     const KIND: &'static str = "measure";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
     type Input = Profile;
@@ -130,7 +129,7 @@ fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measureme
     let Some(pulse) = (noise > 0.0).then(|| pulse_fit::fit(&record, &response, &found)).flatten() else {
         return row;
     };
-    let spread = spread(profile, &response, pulse.time_ps, pulse.amplitude, noise);
+    let spread = spread(profile, &response, &pulse);
     let echo = sensor.core.as_ref().and_then(|core| echo::largest(&record, core, &seen(&core.response)));
     Measurement {
         snr: Some(pulse.amplitude.abs() / pulse.amplitude_sd),
@@ -150,10 +149,10 @@ fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measureme
     }
 }
 
-/// Standard error of the mean record, all samples together but for those that a pulse reaches: single ones come from few shots.
+/// Standard error of the mean record, all samples together but for those that a pulse reaches.
 fn noise_of_mean(profile: &Profile, pulse: &Range<usize>) -> f64 {
-    let variances = profile.se_v.iter().enumerate().filter(|(n, _)| !pulse.contains(n));
-    let (sum, count) = variances.fold((0.0, 0), |(sum, count), (_, se)| (sum + f64::from(*se).powi(2), count + 1));
+    let quiet = profile.se_v.iter().enumerate().filter(|(n, se)| !pulse.contains(n) && se.is_finite());
+    let (sum, count) = quiet.fold((0.0, 0), |(sum, count), (_, se)| (sum + f64::from(*se).powi(2), count + 1));
     if sum > 0.0 { (sum / f64::from(count)).sqrt() } else { profile.noise_v / f64::from(profile.shots).sqrt() }
 }
 
@@ -167,7 +166,7 @@ fn significant_acf(profile: &Profile) -> Vec<f64> {
     std::iter::once(1.0).chain(rest.copied()).collect()
 }
 
-/// How the shots spread where the pulse is high.
+/// How the shots spread at the height of the pulse.
 struct Spread {
     /// Standard deviation of one shot; `None` where it is not known.
     shot_v: Option<f64>,
@@ -175,41 +174,20 @@ struct Spread {
     extra_v: f64,
 }
 
-fn spread(profile: &Profile, response: &Response, time_ps: f64, amplitude_v: f64, noise_v: f64) -> Spread {
-    let height = response.height();
-    let at = |n: usize| n as f64 * profile.dt_ps - time_ps;
-    let reach = response.reach(time_ps, 0.0, profile.dt_ps, profile.se_v.len());
-    let high: Vec<usize> = reach.filter(|&n| response.value(at(n)) > HIGH_SHARE * height).collect();
-    if high.is_empty() || profile.shots < 2 {
+fn spread(profile: &Profile, response: &Response, pulse: &pulse_fit::Pulse) -> Spread {
+    let Some(&[quiet, level, energy, _]) = profile.noise_model.as_deref() else {
         return Spread { shot_v: None, extra_v: 0.0 };
-    }
+    };
+    let height_v = (pulse.amplitude * response.height()).abs();
+    // What the alignment leaves is no light that fluctuates.
+    let extra = level * height_v + energy * height_v * height_v;
+    let reach = response.reach(pulse.time_ps, 0.0, profile.dt_ps, profile.mean_v.len());
+    let is_high =
+        |n: &usize| response.value(*n as f64 * profile.dt_ps - pulse.time_ps) > HIGH_SHARE * response.height();
     let shots = f64::from(profile.shots);
-    let variance = |n: usize| {
-        // Neither the straight line between samples nor what the alignment leaves is light that fluctuates.
-        let between = between_samples(profile, response, at(n)) / shots;
-        let moved = (response.value_and_slope(at(n)).1 * profile.jitter_ps).powi(2);
-        f64::from(profile.se_v[n]).powi(2) - amplitude_v.powi(2) * (between + moved)
-    };
-    let mean = high.iter().map(|&n| variance(n)).sum::<f64>() / high.len() as f64;
-    let judged = (shots.min(HEAD_SHOTS as f64) - 1.0) * high.len() as f64;
-    let extra = mean - noise_v * noise_v;
-    let certain = extra > EXTRA_SIGMA * noise_v * noise_v * (2.0 / judged).sqrt();
-    Spread { shot_v: Some((mean.max(0.0) * shots).sqrt()), extra_v: if certain { extra.sqrt() } else { 0.0 } }
-}
-
-/// Mean square of what `average` takes for spread at a sample: it compares shots between two samples of the mean with the straight line through these.
-fn between_samples(profile: &Profile, response: &Response, time_ps: f64) -> f64 {
-    let Some(phase_shots) = &profile.phase_shots else {
-        return 0.0;
-    };
-    let shots: f64 = phase_shots.iter().copied().map(f64::from).sum();
-    let (here, there) = (response.value(time_ps), response.value(time_ps + profile.dt_ps));
-    let error = |(phase, count): (usize, &i32)| {
-        let fraction = phase as f64 / PHASES as f64;
-        let line = here + fraction * (there - here);
-        f64::from(*count) / shots * (response.value(time_ps + fraction * profile.dt_ps) - line).powi(2)
-    };
-    phase_shots.iter().enumerate().map(error).sum()
+    let judged = (shots.min(HEAD_SHOTS as f64) - 1.0) * reach.filter(is_high).count() as f64;
+    let certain = extra > EXTRA_SIGMA * quiet * (2.0 / judged).sqrt();
+    Spread { shot_v: Some((quiet + extra).sqrt()), extra_v: if certain { (extra / shots).sqrt() } else { 0.0 } }
 }
 
 /// The sample furthest from the mean of all, and how many there are.

@@ -153,12 +153,11 @@ fn unknown_keys_are_refused_with_the_nearest_known_one() {
 #[test]
 fn a_stage_that_cannot_go_on_names_itself_and_what_stood_stays() {
     let lab = Lab::tiny();
-    edit(&lab.campaign().join("campaign.toml"), "[campaign]\n", "[campaign]\nrepetition_ps = 10674.64\n");
-    let error = chain(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap_err());
-    assert!(error.contains("[labels]") && error.contains("remove repetition_ps"), "{error}");
+    let set = ["labels.bounces=4".to_owned()];
+    let error = chain(lab.run_with("out", ALL_VISIBLE, &set, &Settings::default()).unwrap_err());
+    assert!(error.contains("[labels]") && error.contains("bounces 1 to 3 are labelled"), "{error}");
     assert!(lab.path("out/onsets").exists() && !lab.path("out/labels").exists() && !lab.path("out/patches").exists());
     let before = lab.parts("out");
-    edit(&lab.campaign().join("campaign.toml"), "repetition_ps = 10674.64\n", "");
     let outcome = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     assert!(!outcome.computed.contains(&"profiles".to_owned()), "{:?}", outcome.computed);
     let after = lab.parts("out");

@@ -1,6 +1,7 @@
 //! One integration binary, a file a concern.
 
 mod accuracy;
+mod averaging;
 mod bound;
 mod characterize;
 mod check;

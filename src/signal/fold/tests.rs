@@ -144,3 +144,12 @@ fn circular_convolution_is_its_sum_and_the_response_wraps() {
         assert!((out[n] - expected).abs() < 1e-10);
     }
 }
+
+#[test]
+fn a_circle_is_cut_open_in_the_middle_of_its_darkest_part() {
+    let dark = |light: &[usize]| (0..20).map(|n| !light.contains(&n)).collect::<Vec<bool>>();
+    assert_eq!(opening(&dark(&[4, 5, 12])), 18);
+    assert_eq!(opening(&dark(&[0, 19])), 10);
+    assert_eq!(opening(&dark(&[])), 0);
+    assert_eq!(opening(&[false; 5]), 0);
+}

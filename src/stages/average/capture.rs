@@ -1,0 +1,119 @@
+//! The records of one capture, sorted by vertical range and given their time zero.
+
+use std::collections::BTreeMap;
+
+use super::record::{self, Record};
+use super::reference::ReferencePulse;
+use super::shots::{Shots, view};
+use super::{Average, Known, is_alike, rejection};
+use crate::stages::stage::{Outcome, StageError};
+use crate::tables::row::Cell;
+use crate::tables::traces::TraceColumns;
+use crate::tables::{Codes, Name, Profile, Row, Trace};
+
+/// A capture under way.
+pub struct Capture {
+    /// First signal row; until one comes, a row with its key.
+    first: Trace,
+    /// By name; the empty one where captures have but one.
+    ranges: BTreeMap<Name, Shots>,
+    /// Reference pulse of the shot whose signal comes next: shot and pulse; `None` where no pulse was found.
+    reference: Option<(i32, Option<ReferencePulse>)>,
+    /// Whether that reference pulse is cut off at the rails.
+    reference_clipped: bool,
+    /// Time of the first reference pulse: those of a train that come later are taken for the one next to it.
+    first_pulse_ps: Option<f64>,
+    missing_template: bool,
+}
+
+impl Capture {
+    /// No record yet; `first` has the key.
+    pub fn new(first: Trace) -> Self {
+        Self {
+            first,
+            ranges: BTreeMap::new(),
+            reference: None,
+            reference_clipped: false,
+            first_pulse_ps: None,
+            missing_template: false,
+        }
+    }
+
+    /// Takes the pulse that marks time zero of the next signal.
+    pub fn take_reference(&mut self, known: &Known, columns: &TraceColumns, i: usize) {
+        let Some(template) = known.template(&self.first) else {
+            self.missing_template = true;
+            return;
+        };
+        let gain_v = columns.gain_v.value(i);
+        let codes = view(columns.code_type.value(i), columns.codes.value(i));
+        let samples_v: Vec<f64> = codes.to_f64().into_iter().map(|code| code * gain_v).collect();
+        let pulse = ReferencePulse::of(&samples_v, columns.t0_ps.value(i), columns.dt_ps.value(i), template);
+        self.reference_clipped = columns.clipped.values()[i] > 0;
+        // A pulse that is cut off at the rails has its fitted time biased: such a shot is set aside.
+        let mut pulse = pulse.filter(|_| !self.reference_clipped);
+        if let Some(period_ps) = known.period_ps(&self.first) {
+            pulse = pulse.map(|pulse| pulse.of_train(period_ps, self.first_pulse_ps.unwrap_or(0.0)));
+            self.first_pulse_ps = self.first_pulse_ps.or(pulse.map(|pulse| pulse.time_ps));
+        }
+        self.reference = Some((columns.shot.value(i), pulse));
+    }
+
+    /// Takes a signal.
+    pub fn take_signal(&mut self, average: &Average, known: &Known, columns: &TraceColumns, i: usize) {
+        let reference = self.reference.take();
+        let reference_clipped = std::mem::take(&mut self.reference_clipped);
+        if self.first.is_reference {
+            self.first = Trace::read(columns, i);
+        }
+        let range = columns.range.value(i);
+        if !self.ranges.contains_key(range) {
+            self.ranges.insert(range.into(), Shots::new(average, known, Trace::read(columns, i)));
+        }
+        let shots = self.ranges.get_mut(range).expect("put there if it was not");
+        if !is_alike(&shots.first, columns, i) {
+            shots.other_scale += 1;
+            return;
+        }
+        // A reference pulse that was not found, or is of another shot, leaves a shot without time.
+        let timed = match reference {
+            None => Some(None),
+            Some((of, pulse)) => pulse.filter(|_| of == columns.shot.value(i)).map(Some),
+        };
+        let clipped = columns.clipped.values()[i].max(0) as usize;
+        let Some(reference) = timed else {
+            shots.rejected += 1;
+            shots.clipped += i32::from(clipped > 0 || reference_clipped);
+            return;
+        };
+        let codes = <Codes as Cell>::get(&columns.codes, i);
+        shots.take(average, codes, columns.t0_ps.value(i), reference, clipped);
+    }
+
+    /// The capture's profile.
+    pub fn finish(self, average: &Average, known: &Known) -> Result<Outcome<Profile>, StageError> {
+        let Self { first, ranges, missing_template, .. } = self;
+        if missing_template {
+            let sensor = &first.sensor;
+            return Err(StageError::Refused(format!(
+                "captures of sensor `{sensor}` have a reference channel, but its calibration has no reference template; \
+                 give `with = {{ calibration = ... }}` from response captures with the same reference channel"
+            )));
+        }
+        let several = ranges.len() > 1;
+        let place = |name: &Name| if several { format!("in its vertical range {name} ") } else { String::new() };
+        let record = |(name, shots): (Name, Shots)| {
+            shots.finish(average, several).map_err(|why| format!("{}{why}", place(&name)))
+        };
+        let records: Result<Vec<Record>, String> = ranges.into_iter().map(record).collect();
+        let record = records.and_then(|mut records| match records.len() {
+            0 => Err(format!("has no signal, but needs {} valid shots", average.shots_needed())),
+            1 => Ok(records.remove(0)),
+            _ => record::merged(records),
+        });
+        Ok(match record {
+            Ok(record) => Outcome::rows(vec![record.into_profile(known.period_ps(&first))]),
+            Err(why) => rejection(&first, &why),
+        })
+    }
+}
