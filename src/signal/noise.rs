@@ -116,7 +116,7 @@ pub fn autoregressive(acf: &[f64], samples: usize) -> Vec<f64> {
     smooth
 }
 
-/// Mean of the samples that no light reaches, given their noise `sd`: those that lie within [`LOUD_SIGMA`] standard deviations of the median, without the
+/// Mean of the samples that no light reaches, given their noise `sd`: those that lie within 4 standard deviations of the median, without the
 /// `before` samples ahead of a louder one and the `after` samples behind it. `None` where less than a tenth of the record is left.
 ///
 /// # Panics

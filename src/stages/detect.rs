@@ -15,8 +15,8 @@
 //! certain, and how light divides between them is not. `aic` has no standard deviation of its own:
 //! given is that of rounding to a sample and of noise over the mean slope up to the maximum.
 //!
-//! Takes `stir`; writes `onsets`. Flags: `blended` (its time is strongly correlated with a neighbour's), `misfit` (the fit of its profile
-//! leaves more than noise), `at-edge` (near an end of the record), `extended` (its light is spread in time: `earliest_ps` is where it would begin if it
+//! Takes `stir`; writes `onsets`. Flags: `blended` (its time is strongly correlated with a neighbour's), `misfit` (the fit leaves
+//! more than noise of the samples that it reaches), `at-edge` (near an end of the record), `extended` (its light is spread in time: `earliest_ps` is where it would begin if it
 //! were spread evenly, as by one flat patch; after two patches it begins up to 0.7 widths before that). Not modelled yet: saturated arrivals.
 //!
 //! ```toml
@@ -37,8 +37,8 @@ use crate::tables::{Name, Onset, Stir};
 
 /// Correlation of two times beyond which both are called blended.
 const BLENDED: f64 = 0.5;
-/// Chi-square per degree of freedom beyond which a fit is called a misfit.
-const MISFIT: f64 = 1.5;
+/// An impulse whose chi-square exceeds what noise makes it by so many standard deviations is called a misfit.
+const MISFIT_SIGMA: f64 = 3.0;
 /// Light that is spread evenly begins this many standard deviations before its centroid: the root of 3.
 const EARLIEST_WIDTHS: f64 = 1.732_050_807_568_877_2;
 /// An onset closer to an end of the record than this many samples is at its edge.
@@ -149,7 +149,7 @@ impl Detect {
             let margin_ps = EDGE_SAMPLES * stir.dt_ps;
             let at_edge = impulse.time_ps < stir.t0_ps + margin_ps || impulse.time_ps > end_ps - margin_ps;
             let extended = impulse.width_ps > 0.0;
-            let misfit = stir.chi2_dof.is_some_and(|chi2_dof| chi2_dof > MISFIT);
+            let misfit = impulse.misfit_sigma > MISFIT_SIGMA;
             Onset {
                 rank: rank as i32 + 1,
                 time_ps: impulse.time_ps,

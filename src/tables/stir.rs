@@ -24,13 +24,24 @@ pub struct Impulse {
     pub width_ps: f64,
     /// Chi-square that leaving the impulse out would cost.
     pub evidence: f64,
+    /// By how many standard deviations chi-square of the samples that the impulse reaches exceeds what noise makes it.
+    pub misfit_sigma: f64,
 }
 
-const IMPULSE_FIELDS: [&str; 6] = ["time_ps", "time_sd_ps", "amplitude_v", "amplitude_sd_v", "width_ps", "evidence"];
+const IMPULSE_FIELDS: [&str; 7] =
+    ["time_ps", "time_sd_ps", "amplitude_v", "amplitude_sd_v", "width_ps", "evidence", "misfit_sigma"];
 
 impl Impulse {
-    fn cells(&self) -> [f64; 6] {
-        [self.time_ps, self.time_sd_ps, self.amplitude_v, self.amplitude_sd_v, self.width_ps, self.evidence]
+    fn cells(&self) -> [f64; 7] {
+        [
+            self.time_ps,
+            self.time_sd_ps,
+            self.amplitude_v,
+            self.amplitude_sd_v,
+            self.width_ps,
+            self.evidence,
+            self.misfit_sigma,
+        ]
     }
 
     fn fields() -> Fields {
@@ -51,7 +62,7 @@ impl Cell for Vec<Impulse> {
     }
 
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
-        let mut columns: [Vec<f64>; 6] = Default::default();
+        let mut columns: [Vec<f64>; 7] = Default::default();
         let lengths: Vec<_> = cells
             .map(|impulses| {
                 for impulse in impulses {
@@ -70,7 +81,7 @@ impl Cell for Vec<Impulse> {
         let items = array.value(i);
         let columns = items.as_struct().columns();
         let column = |c: usize| columns[c].as_primitive::<Float64Type>().values().clone();
-        let columns: [_; 6] = std::array::from_fn(column);
+        let columns: [_; 7] = std::array::from_fn(column);
         (0..items.len())
             .map(|k| Impulse {
                 time_ps: columns[0][k],
@@ -79,6 +90,7 @@ impl Cell for Vec<Impulse> {
                 amplitude_sd_v: columns[3][k],
                 width_ps: columns[4][k],
                 evidence: columns[5][k],
+                misfit_sigma: columns[6][k],
             })
             .collect()
     }

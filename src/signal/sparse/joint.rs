@@ -83,6 +83,7 @@ fn describe(fitter: &Fitter, state: &State, r: usize, evidences: &[f64], evidenc
             amplitude_sd_v: sd(amplitude),
             evidence: evidences[k],
             chi2_per_dof: fitter.misfit(state, Some(r), Some(k)).per_dof(),
+            misfit_sigma: fitter.misfit(state, Some(r), Some(k)).sigma(),
         }
     };
     let pulses = order.iter().zip(&inflations).map(pulse).collect();

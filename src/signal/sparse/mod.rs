@@ -105,6 +105,8 @@ pub struct Pulse {
     pub evidence: f64,
     /// Chi2 over degrees of freedom of the samples that this pulse reaches.
     pub chi2_per_dof: f64,
+    /// By how many standard deviations that exceeds what noise alone makes it: beyond three something else than noise is left.
+    pub misfit_sigma: f64,
 }
 
 impl Pulse {

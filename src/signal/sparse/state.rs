@@ -43,9 +43,12 @@ impl Misfit {
     /// Factor of a standard deviation: the root of chi2 per degree of freedom, where noise alone does not explain it. (Multiplying by whatever
     /// exceeds 1 would widen every second interval of a right model.)
     pub(super) fn inflation(&self) -> f64 {
-        let freedom = self.freedom.max(1.0);
-        let most = 1.0 + MISFIT_SIGMA * self.variance.max(2.0).sqrt() / freedom;
-        if self.per_dof() > most { self.per_dof().sqrt() } else { 1.0 }
+        if self.sigma() > MISFIT_SIGMA { self.per_dof().sqrt() } else { 1.0 }
+    }
+
+    /// By how many of its standard deviations chi2 exceeds its degrees of freedom.
+    pub(super) fn sigma(&self) -> f64 {
+        (self.chi2 - self.freedom.max(1.0)) / self.variance.max(2.0).sqrt()
     }
 }
 

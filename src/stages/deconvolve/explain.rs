@@ -83,6 +83,7 @@ impl Explained {
             // A Gaussian and the tail behind it together.
             width_ps: pulse.width_ps.hypot(pulse.tail_ps),
             evidence: pulse.evidence,
+            misfit_sigma: pulse.misfit_sigma,
         };
         let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
         Self { impulses, covariance_ps2: fit.covariance_ps2.clone(), chi2_dof: fit.chi2_per_dof }
@@ -161,6 +162,7 @@ fn explained(pulses: &Pulses, record: &sparse::Profile, response: &Response) -> 
         let variances: Vec<f64> = (0..count).map(alone_ps2).collect();
         (0..count * count).map(|e| if e / count == e % count { variances[e / count] } else { 0.0 }).collect()
     });
+    let dof = record.mean_v.len().saturating_sub(2 * count + 1).max(1) as f64;
     let impulse = |(k, (amplitude_sd_v, evidence)): (usize, (f64, f64))| Impulse {
         time_ps: pulses.times_ps[k],
         time_sd_ps: covariance_ps2[k * count + k].sqrt(),
@@ -168,8 +170,8 @@ fn explained(pulses: &Pulses, record: &sparse::Profile, response: &Response) -> 
         amplitude_sd_v,
         width_ps: 0.0,
         evidence,
+        misfit_sigma: (pulses.chi2 - dof) / (2.0 * dof).sqrt(),
     };
     let impulses = pulses.judged(record, response).into_iter().enumerate().map(impulse).collect();
-    let dof = record.mean_v.len().saturating_sub(2 * count + 1).max(1) as f64;
     Explained { impulses, covariance_ps2, chi2_dof: pulses.chi2 / dof }
 }

@@ -34,6 +34,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         amplitude_sd_v: fit.pulses[k].amplitude_sd_v,
         width_ps: 0.0,
         evidence: fit.pulses[k].evidence,
+        misfit_sigma: fit.pulses[k].misfit_sigma,
     };
     Stir {
         campaign: "c".into(),
