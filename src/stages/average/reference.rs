@@ -5,6 +5,7 @@ use crate::signal::response::Response;
 
 /// The reference pulse of one shot.
 #[derive(Clone, Copy, Debug)]
+#[expect(clippy::struct_field_names, reason = "picoseconds are a unit, not part of the names")]
 pub struct ReferencePulse {
     /// Its time after the trigger.
     pub time_ps: f64,
