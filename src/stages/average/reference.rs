@@ -1,6 +1,6 @@
 //! The reference pulses of a capture: when they came, and how strong they were.
 
-use crate::signal::reference::fit_pulse;
+use crate::signal::reference::{fit_pulse, integral};
 use crate::signal::response::Response;
 
 /// The reference pulse of one shot.
@@ -19,8 +19,7 @@ impl ReferencePulse {
     /// Fits the pulse of a record, V, whose sample 0 lies at `t0_ps`.
     pub fn of(samples_v: &[f64], t0_ps: f64, dt_ps: f64, template: &Response) -> Option<Self> {
         let fit = fit_pulse(samples_v, dt_ps, template)?;
-        let reach = template.reach(fit.time_ps, 0.0, dt_ps, samples_v.len());
-        let v_ps = samples_v[reach].iter().map(|sample| sample - fit.offset).sum::<f64>() * dt_ps;
+        let v_ps = integral(samples_v, dt_ps, template, &fit);
         Some(Self { time_ps: t0_ps + fit.time_ps, time_sd_ps: fit.time_sd_ps, v_ps })
     }
 
