@@ -1,7 +1,13 @@
-//! Dense symmetric systems and eigenproblems: the calls into faer that the other kernels share.
+//! Dense symmetric systems and eigenproblems: the calls into faer that the other kernels share, on one thread, since the order of faer's sums
+//! depends on how many share them.
 
-use faer::linalg::solvers::{DenseSolveCore, Solve};
-use faer::{Mat, Side};
+use faer::diag::Diag;
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt;
+use faer::linalg::evd::{self, ComputeEigenvectors};
+use faer::linalg::matmul::matmul;
+use faer::linalg::svd::{self, ComputeSvdVectors};
+use faer::{Accum, Mat, MatRef, Par, Spec};
 
 /// Eigenvalues in ascending order, with their vectors as columns.
 ///
@@ -9,34 +15,97 @@ use faer::{Mat, Side};
 /// When the matrix is not square, or holds what is not finite.
 #[must_use]
 pub fn symmetric_eigen(matrix: &Mat<f64>) -> (Vec<f64>, Mat<f64>) {
-    let eigen =
-        matrix.self_adjoint_eigen(Side::Lower).expect("the eigenproblem of a finite symmetric matrix converges");
-    (eigen.S().column_vector().iter().copied().collect(), eigen.U().to_owned())
+    let size = matrix.nrows();
+    let (mut values, mut vectors) = (Diag::zeros(size), Mat::zeros(size, size));
+    let params = Spec::default();
+    let mut memory =
+        MemBuffer::new(evd::self_adjoint_evd_scratch::<f64>(size, ComputeEigenvectors::Yes, Par::Seq, params));
+    let stack = MemStack::new(&mut memory);
+    evd::self_adjoint_evd(matrix.as_ref(), values.as_mut(), Some(vectors.as_mut()), Par::Seq, stack, params)
+        .expect("the eigenproblem of a finite symmetric matrix converges");
+    (values.column_vector().iter().copied().collect(), vectors)
 }
 
 /// Singular values in descending order, with the right singular vectors as columns.
 ///
 /// # Panics
-/// When the matrix holds what is not finite.
+/// When the matrix is not square, or holds what is not finite.
 #[must_use]
 pub fn singular_values(matrix: &Mat<f64>) -> (Vec<f64>, Mat<f64>) {
-    let svd = matrix.svd().expect("the singular value decomposition of a finite matrix converges");
-    (svd.S().column_vector().iter().copied().collect(), svd.V().to_owned())
+    let size = matrix.nrows();
+    assert!(size == matrix.ncols(), "singular values of a square matrix");
+    let (mut values, mut left, mut right) = (Diag::zeros(size), Mat::zeros(size, size), Mat::zeros(size, size));
+    let (full, params) = (ComputeSvdVectors::Full, Spec::default());
+    let mut memory = MemBuffer::new(svd::svd_scratch::<f64>(size, size, full, full, Par::Seq, params));
+    let stack = MemStack::new(&mut memory);
+    let (u, v) = (Some(left.as_mut()), Some(right.as_mut()));
+    svd::svd(matrix.as_ref(), values.as_mut(), u, v, Par::Seq, stack, params)
+        .expect("the singular value decomposition of a finite matrix converges");
+    (values.column_vector().iter().copied().collect(), right)
+}
+
+/// Product of two matrices.
+#[must_use]
+pub fn product(left: MatRef<f64>, right: MatRef<f64>) -> Mat<f64> {
+    let mut out = Mat::zeros(left.nrows(), right.ncols());
+    matmul(out.as_mut(), Accum::Replace, left, right, 1.0, Par::Seq);
+    out
+}
+
+/// A positive definite matrix, factored: `L L'`.
+pub struct Definite {
+    lower: Mat<f64>,
+}
+
+impl Definite {
+    /// Factors the lower triangle of a symmetric matrix; `None` if it is not positive definite.
+    #[must_use]
+    pub fn new(matrix: &Mat<f64>) -> Option<Self> {
+        let (mut lower, params) = (matrix.clone(), Spec::default());
+        let mut memory = MemBuffer::new(llt::factor::cholesky_in_place_scratch::<f64>(lower.nrows(), Par::Seq, params));
+        let stack = MemStack::new(&mut memory);
+        llt::factor::cholesky_in_place(
+            lower.as_mut(),
+            llt::factor::LltRegularization::default(),
+            Par::Seq,
+            stack,
+            params,
+        )
+        .ok()?;
+        Some(Self { lower })
+    }
+
+    /// Solutions for several right-hand sides, as columns.
+    pub fn solve(&self, right: &mut Mat<f64>) {
+        let mut memory =
+            MemBuffer::new(llt::solve::solve_in_place_scratch::<f64>(right.nrows(), right.ncols(), Par::Seq));
+        llt::solve::solve_in_place(self.lower.as_ref(), right.as_mut(), Par::Seq, MemStack::new(&mut memory));
+    }
+
+    /// The inverse.
+    #[must_use]
+    pub fn inverse(&self) -> Mat<f64> {
+        let size = self.lower.nrows();
+        let mut inverse = Mat::zeros(size, size);
+        let mut memory = MemBuffer::new(llt::inverse::inverse_scratch::<f64>(size, Par::Seq));
+        llt::inverse::inverse(inverse.as_mut(), self.lower.as_ref(), Par::Seq, MemStack::new(&mut memory));
+        // Only the lower triangle is computed.
+        Mat::from_fn(size, size, |i, j| inverse[(i.max(j), i.min(j))])
+    }
 }
 
 /// Solution of a positive definite system; `None` if it is not positive definite.
 #[must_use]
 pub fn solve(matrix: &Mat<f64>, right: &[f64]) -> Option<Vec<f64>> {
-    let factor = matrix.llt(Side::Lower).ok()?;
-    let right = Mat::from_fn(right.len(), 1, |i, _| right[i]);
-    let solution = factor.solve(&right);
-    Some((0..solution.nrows()).map(|i| solution[(i, 0)]).collect())
+    let mut solution = Mat::from_fn(right.len(), 1, |i, _| right[i]);
+    Definite::new(matrix)?.solve(&mut solution);
+    Some(solution.col(0).iter().copied().collect())
 }
 
 /// Inverse of a positive definite matrix; `None` if it is not positive definite.
 #[must_use]
 pub fn inverse(matrix: &Mat<f64>) -> Option<Mat<f64>> {
-    Some(matrix.llt(Side::Lower).ok()?.inverse())
+    Some(Definite::new(matrix)?.inverse())
 }
 
 /// Pseudo-inverse of a semidefinite matrix whose null space is spanned by the orthonormal columns `nulls`; `None` if it has further nulls.
@@ -46,7 +115,7 @@ pub fn inverse(matrix: &Mat<f64>) -> Option<Mat<f64>> {
 pub fn pseudo_inverse(matrix: &Mat<f64>, nulls: &Mat<f64>) -> Option<Mat<f64>> {
     let size = matrix.nrows();
     let scale = (0..size).map(|i| matrix[(i, i)]).fold(0.0, f64::max);
-    let projector = nulls * nulls.transpose();
+    let projector = product(nulls.as_ref(), nulls.transpose());
     let full = Mat::from_fn(size, size, |i, j| matrix[(i, j)] + scale * projector[(i, j)]);
     let inverse = inverse(&full)?;
     Some(Mat::from_fn(size, size, |i, j| inverse[(i, j)] - projector[(i, j)] / scale))

@@ -270,10 +270,27 @@ fn normal_equations(problem: &Problem, place: &Place) -> (Mat<f64>, Vec<f64>) {
 /// When an observation has fewer than two nodes or no standard deviation, or names a delay without prior.
 pub fn solve(problem: &Problem) -> Result<Solution, Unsolved> {
     problem.check();
+    let (place, _, settled) = descend(problem, STEPS, SETTLED_M);
+    if settled { finish(problem, place) } else { Err(Unsolved::NotSettled) }
+}
+
+/// Where at most `steps` steps lead, with the objective there, without covariance: to judge many starts by.
+///
+/// # Panics
+/// As [`solve`].
+#[must_use]
+pub fn approach(problem: &Problem, steps: usize, settled_m: f64) -> (Vec<Point>, f64) {
+    problem.check();
+    let (place, cost, _) = descend(problem, steps, settled_m);
+    (place.points, cost)
+}
+
+/// Levenberg-Marquardt: the place reached, the objective there, and whether it has settled.
+fn descend(problem: &Problem, steps: usize, settled_m: f64) -> (Place, f64, bool) {
     let mut place = Place { points: problem.start.clone(), delays_m: vec![0.0; problem.delay_sd_m.len()] };
     let mut now = cost(problem, &place);
     let mut damping = 1e-3;
-    for _ in 0..STEPS {
+    for _ in 0..steps {
         let (normal, right) = normal_equations(problem, &place);
         let scale = (0..normal.nrows()).map(|i| normal[(i, i)]).fold(0.0, f64::max);
         let damped = Mat::from_fn(normal.nrows(), normal.nrows(), |i, j| {
@@ -291,16 +308,16 @@ pub fn solve(problem: &Problem) -> Result<Solution, Unsolved> {
             place = trial;
             now = then;
             damping = (damping * 0.1).max(1e-12);
-            if longest < SETTLED_M {
-                return finish(problem, place);
+            if longest < settled_m {
+                return (place, now, true);
             }
-        } else if longest < SETTLED_M || damping > 1e12 {
-            return finish(problem, place);
+        } else if longest < settled_m || damping > 1e12 {
+            return (place, now, true);
         } else {
             damping *= 10.0;
         }
     }
-    Err(Unsolved::NotSettled)
+    (place, now, false)
 }
 
 fn finish(problem: &Problem, place: Place) -> Result<Solution, Unsolved> {
@@ -361,14 +378,14 @@ fn free_rotations(problem: &Problem, place: &Place, fisher: &Mat<f64>) -> Mat<f6
     let generators: Vec<Vec<f64>> = axes.iter().map(generator).collect();
     let columns = Mat::from_fn(fisher.nrows(), axes.len(), |i, k| generators[k][i]);
     // In the span of the generators: how much motion, and how much stiffness.
-    let motion = columns.transpose() * &columns;
+    let motion = dense::product(columns.transpose(), columns.as_ref());
     let (sizes, turns) = dense::symmetric_eigen(&motion);
     let largest = sizes.last().copied().unwrap_or(0.0);
     let kept: Vec<usize> = (0..axes.len()).filter(|&k| sizes[k] > 1e-12 * largest && largest > 0.0).collect();
     let basis = Mat::from_fn(fisher.nrows(), kept.len(), |i, k| {
         (0..axes.len()).map(|a| columns[(i, a)] * turns[(a, kept[k])]).sum::<f64>() / sizes[kept[k]].sqrt()
     });
-    let stiffness = basis.transpose() * fisher * &basis;
+    let stiffness = dense::product(basis.transpose(), dense::product(fisher.as_ref(), basis.as_ref()).as_ref());
     if kept.is_empty() {
         return Mat::zeros(fisher.nrows(), 0);
     }

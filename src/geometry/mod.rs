@@ -1,4 +1,5 @@
-//! Kernels on points and distances: from path lengths to coordinates. No file, no table, no thread. Lengths in metres.
+//! Kernels on points and distances: from path lengths to coordinates. No file, no table, no thread of their own ([`many_pairs`] shares its
+//! sums out to rayon's, in chunks that the data define). Lengths in metres.
 //!
 //! Convention: patch 0 is `p0`, source and camera in one (paper section 3). Paths are written in the order light meets the patches.
 
@@ -7,10 +8,20 @@ pub mod classical;
 pub mod completion;
 pub mod dense;
 pub mod detours;
+pub mod few_pairs;
 pub mod frame;
 pub mod iso_embed;
+pub mod landmark;
+pub mod many_pairs;
 pub mod maximum_likelihood;
+pub mod multilateration;
+pub mod planes;
 pub mod procrustes;
+pub mod reestimate;
+#[cfg(test)]
+mod room;
+pub mod semidefinite;
+pub mod smacof;
 pub mod t2;
 
 /// A point in space; in flatland z = 0.

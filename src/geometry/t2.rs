@@ -10,6 +10,13 @@
 //! cancels in every `d_ij` and stays in `d_0i`. The matrix that the paper prints has its fourth row wrong (it says 2 `d_23` for `O_2`); so are the
 //! labels `O_1^2` and `O_1^3` of its right-hand side. A distance may come out negative or against the triangle inequality; it is kept, since
 //! clipping would bias what follows.
+//!
+//! Any pattern of onsets will do: `d_0i` needs `O_i`, `d_ij` needs `O_ij` (or `O_ji`), `O_i` and `O_j`. Nothing else gives them: as many unknowns as onsets
+//! are left, so a pair without one of its first bounces is skipped here, and a fit to coordinates ([`super::maximum_likelihood`]) still uses it.
+//! Distances with variances and covariances hold all that the onsets said; [`lengths`] takes them back.
+//!
+//! With source and sensor apart, c `O_i` = `|s - p_i| + |p_i - k|` is a sum that no first bounce takes apart, and T2 does not close: what is known are
+//! path lengths, an ellipsoid a patch, and they go to the fit as they are.
 
 use std::collections::BTreeMap;
 
@@ -120,6 +127,26 @@ pub fn invert(first: &[(PatchId, Length)], second: &[((PatchId, PatchId), Length
     result
 }
 
+/// T2 itself: path lengths of first bounces, and of second bounces with both their first, that distances from [`invert`] were made of. A second bounce's variance
+/// is what its distance's has beyond the first bounces'; where that is nothing, since the distance was not made by T2, it is the distance's.
+#[must_use]
+pub fn lengths(distances: &[Distance]) -> (Vec<(PatchId, Length)>, Vec<((PatchId, PatchId), Length)>) {
+    let to_p0 = distances.iter().filter(|distance| distance.a == 0);
+    let ranges: BTreeMap<PatchId, Length> =
+        to_p0.map(|d| (d.b, Length { length_m: d.distance_m, variance_m2: d.variance_m2 })).collect();
+    let twice = |range: &Length| Length { length_m: 2.0 * range.length_m, variance_m2: 4.0 * range.variance_m2 };
+    let first = ranges.iter().map(|(patch, range)| (*patch, twice(range))).collect();
+    let path = |distance: &Distance| {
+        let (i, j) = (ranges.get(&distance.a)?, ranges.get(&distance.b)?);
+        let own = distance.variance_m2 - i.variance_m2 - j.variance_m2;
+        // What rounding leaves of a difference is not a variance.
+        let variance_m2 = if own > 1e-9 * distance.variance_m2 { own } else { distance.variance_m2 };
+        let length_m = distance.distance_m + i.length_m + j.length_m;
+        Some(((distance.a, distance.b), Length { length_m, variance_m2 }))
+    };
+    (first, distances.iter().filter_map(path).collect())
+}
+
 /// Distances that share the first onset `O_i`: `d_0i` enters with weight 1/2, every `d_ij` with -1/2.
 fn covariances(distances: &[Distance], first: &BTreeMap<PatchId, Length>) -> Vec<(usize, usize, f64)> {
     let mut users: BTreeMap<PatchId, Vec<(usize, f64)>> = BTreeMap::new();
@@ -147,7 +174,7 @@ mod tests {
     use super::*;
     use crate::geometry::dense;
     use faer::Mat;
-    use rand::SeedableRng;
+    use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution as _, StandardNormal};
 
@@ -160,7 +187,7 @@ mod tests {
         [0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
         [0.0, 0.0, 0.0, 0.0, 0.0, 2.0],
     ];
-    /// Row four as the paper prints it.
+    /// Row four as the paper prints it: twice `d_23` for the first bounce of patch 2.
     const PRINTED_ROW_4: [f64; 6] = [0.0, 0.0, 0.0, 0.0, 2.0, 0.0];
     const TRUTH: [f64; 6] = [1.9, 0.8, 1.1, 2.3, 0.7, 2.6];
 
@@ -260,5 +287,88 @@ mod tests {
         assert!(apart.distances.last().unwrap().variance_m2 > 0.1 * 0.1);
         let lonely = invert(&first[..1], &[((1, 2), length(3.0, 1e-6))]);
         assert_eq!((lonely.skipped, lonely.distances.len()), (vec![(1, 2)], 1));
+    }
+
+    /// Any pattern of onsets, some of them twice or both ways: the weighted least-squares solution of the rows of T2 that are there.
+    #[test]
+    fn any_pattern_of_onsets_gives_the_weighted_least_squares_solution_and_its_covariance() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        for _ in 0..30 {
+            let length = |rng: &mut ChaCha8Rng| Length {
+                length_m: rng.random_range(4.0..4.0001),
+                variance_m2: rng.random_range(1e-6..4e-6),
+            };
+            let (mut first, mut second) = (Vec::new(), Vec::new());
+            for i in 1..=5 {
+                for _ in 0..rng.random_range(0..3) {
+                    first.push((i, length(&mut rng)));
+                }
+                for j in (1..=5).filter(|j| *j != i) {
+                    if rng.random_bool(0.5) {
+                        second.push(((i, j), length(&mut rng)));
+                    }
+                }
+            }
+            let found = invert(&first, &second);
+            let column =
+                |a: PatchId, b: PatchId| found.distances.iter().position(|d| (d.a, d.b) == (a.min(b), a.max(b)));
+            // Rows of T2: coefficients by distance, right-hand side.
+            let mut rows: Vec<(Vec<(usize, f64)>, Length)> =
+                first.iter().map(|(i, length)| (vec![(column(0, *i).unwrap(), 2.0)], *length)).collect();
+            for ((i, j), length) in &second {
+                let Some(across) = column(*i, *j) else {
+                    assert!(found.skipped.contains(&(*i.min(j), *i.max(j))));
+                    assert!(column(0, *i).is_none() || column(0, *j).is_none());
+                    continue;
+                };
+                rows.push((vec![(column(0, *i).unwrap(), 1.0), (across, 1.0), (column(0, *j).unwrap(), 1.0)], *length));
+            }
+            let size = found.distances.len();
+            let (mut normal, mut right) = (Mat::zeros(size, size), vec![0.0; size]);
+            for (row, length) in &rows {
+                for (i, a) in row {
+                    right[*i] += a * length.length_m / length.variance_m2;
+                    for (j, b) in row {
+                        normal[(*i, *j)] += a * b / length.variance_m2;
+                    }
+                }
+            }
+            if size == 0 {
+                continue;
+            }
+            let (solution, covariance) = (dense::solve(&normal, &right).unwrap(), dense::inverse(&normal).unwrap());
+            let mut claimed =
+                Mat::from_fn(size, size, |i, j| if i == j { found.distances[i].variance_m2 } else { 0.0 });
+            for &(i, j, value) in &found.covariances {
+                (claimed[(i, j)], claimed[(j, i)]) = (value, value);
+            }
+            for i in 0..size {
+                assert!((found.distances[i].distance_m - solution[i]).abs() < 1e-9);
+                for j in 0..size {
+                    assert!((claimed[(i, j)] - covariance[(i, j)]).abs() < 1e-12, "{i} {j}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn lengths_are_those_that_the_distances_were_made_of() {
+        let o = onsets(&TRUTH);
+        let distances = closed(&o, 1e-6);
+        let (first, second) = lengths(&distances.distances);
+        let expected = [(1, o[0]), (2, o[3]), (3, o[5])];
+        for ((patch, length), (expected_patch, expected_m)) in first.iter().zip(expected) {
+            assert!(*patch == expected_patch && (length.length_m - expected_m).abs() < 1e-12);
+            assert!((length.variance_m2 - 1e-6).abs() < 1e-15);
+        }
+        let expected = [((1, 2), o[1]), ((1, 3), o[2]), ((2, 3), o[4])];
+        for ((pair, length), (expected_pair, expected_m)) in second.iter().zip(expected) {
+            assert!(*pair == expected_pair && (length.length_m - expected_m).abs() < 1e-12);
+            assert!((length.variance_m2 - 1e-6).abs() < 1e-15);
+        }
+        // Not from T2: too sure for its first bounces.
+        let mut sure = distances.distances;
+        sure[4].variance_m2 = 1e-8;
+        assert_eq!(lengths(&sure).1[1].1.variance_m2, 1e-8);
     }
 }

@@ -1,25 +1,11 @@
 use super::*;
-use crate::geometry::{classical, iso_embed, procrustes};
+use crate::geometry::{classical, iso_embed, procrustes, room};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 /// Metres of path in a picosecond.
 const C: f64 = 2.997_924_58e-4;
-
-/// 49 patches on three rectangles (25 + 16 + 8), as in the paper's Fig. 4; dimensions chosen here.
-fn room() -> Vec<Point> {
-    let grid = |n: usize, m: usize, f: &dyn Fn(f64, f64) -> Point| -> Vec<Point> {
-        (0..n)
-            .flat_map(|i| (0..m).map(move |j| (i, j)))
-            .map(|(i, j)| f(i as f64 / (n - 1) as f64, j as f64 / (m - 1) as f64))
-            .collect()
-    };
-    let mut points = grid(5, 5, &|u, v| Point::new(-1.2 + 2.0 * u, 2.6, -0.8 + 1.6 * v));
-    points.extend(grid(4, 4, &|u, v| Point::new(1.1, 1.0 + 1.4 * u, -0.8 + 1.6 * v)));
-    points.extend(grid(4, 2, &|u, v| Point::new(-1.0 + 1.8 * u, 1.6 + 0.7 * v, -0.9)));
-    points
-}
 
 fn observations(points: &[Point], sd_m: f64, rng: &mut ChaCha8Rng) -> Vec<Observation> {
     let origin = Node::Station(Point::origin());
@@ -102,7 +88,7 @@ fn errors(found: &[Point], truth: &[Point]) -> Vec<f64> {
 
 #[test]
 fn noiseless_lengths_give_the_room_back() {
-    let (truth, mut rng) = (room(), ChaCha8Rng::seed_from_u64(1));
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(1));
     let start = truth.iter().map(|p| p + Vector3::from_fn(|_, _| rng.random_range(-0.05..0.05))).collect();
     let solution = solve(&problem(start, observations(&truth, 0.0, &mut rng), 1e-3)).unwrap();
     assert!(errors(&solution.points, &truth).iter().all(|e| e.abs() < 1e-8));
@@ -111,7 +97,7 @@ fn noiseless_lengths_give_the_room_back() {
 
 #[test]
 fn it_attains_the_bound_where_the_papers_method_does_not() {
-    let (truth, mut rng) = (room(), ChaCha8Rng::seed_from_u64(2));
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(2));
     let seeds = 60;
     for sd_ps in [100.0, 25.0] {
         let sd_m = sd_ps * C;
@@ -140,7 +126,7 @@ fn it_attains_the_bound_where_the_papers_method_does_not() {
 
 #[test]
 fn its_covariance_is_the_bound() {
-    let (truth, mut rng) = (room(), ChaCha8Rng::seed_from_u64(3));
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(3));
     let sd_m = 10.0 * C;
     let solution = solve(&problem(truth.clone(), observations(&truth, sd_m, &mut rng), 1e-6)).unwrap();
     let trace: f64 = (0..3 * truth.len()).map(|i| solution.covariance[(i, i)]).sum();
@@ -150,7 +136,7 @@ fn its_covariance_is_the_bound() {
 
 #[test]
 fn permuting_patches_permutes_the_answer_and_a_rerun_is_the_same_to_a_bit() {
-    let (truth, mut rng) = (room(), ChaCha8Rng::seed_from_u64(4));
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(4));
     let straight = problem(truth.clone(), observations(&truth, 0.003, &mut rng), 0.01);
     let flip = |node: &Node| {
         if let Node::Patch(p) = node { Node::Patch(truth.len() - 1 - p) } else { *node }
@@ -167,7 +153,7 @@ fn permuting_patches_permutes_the_answer_and_a_rerun_is_the_same_to_a_bit() {
 
 #[test]
 fn a_gross_outlier_hardly_moves_a_robust_solution() {
-    let (truth, mut rng) = (room(), ChaCha8Rng::seed_from_u64(5));
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(5));
     let clean = problem(truth.clone(), observations(&truth, 0.003, &mut rng), 1e-6);
     let mut spoilt = clean.clone();
     spoilt.observations[700].length_m += 1.0;
@@ -183,7 +169,7 @@ fn a_gross_outlier_hardly_moves_a_robust_solution() {
 
 #[test]
 fn a_delay_is_held_by_its_prior_and_found_where_the_prior_is_wide() {
-    let (truth, mut rng) = (room(), ChaCha8Rng::seed_from_u64(6));
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(6));
     let sd_m = 0.1 * C;
     let delayed = |mut observations: Vec<Observation>| {
         observations.iter_mut().for_each(|o| o.length_m += 250.0 * C);
@@ -198,7 +184,7 @@ fn a_delay_is_held_by_its_prior_and_found_where_the_prior_is_wide() {
 
 #[test]
 fn separate_stations_leave_one_rotation_or_none_and_anchors_none() {
-    let (truth, mut rng) = (room(), ChaCha8Rng::seed_from_u64(7));
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(7));
     let mut problem = problem(truth.clone(), observations(&truth, 0.0, &mut rng), 1e-6);
     let ends = [
         Node::Station(Point::origin()),
@@ -226,7 +212,7 @@ fn separate_stations_leave_one_rotation_or_none_and_anchors_none() {
 
 #[test]
 fn too_few_paths_are_refused_and_the_poorest_patch_is_named() {
-    let (truth, mut rng) = (room(), ChaCha8Rng::seed_from_u64(8));
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(8));
     let mut problem = problem(truth.clone(), observations(&truth, 0.001, &mut rng), 1e-6);
     problem.observations.retain(|o| !o.nodes.contains(&Node::Patch(7)) || o.nodes.len() == 3);
     let Err(Unsolved::Undetermined(poorest)) = solve(&problem) else { panic!("should be undetermined") };
@@ -236,7 +222,8 @@ fn too_few_paths_are_refused_and_the_poorest_patch_is_named() {
 #[test]
 fn flatland_stays_flat() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
-    let truth: Vec<Point> = room().iter().take(10).map(|p| Point::new(p.x + 0.3 * p.z, p.y + p.z * p.x, 0.0)).collect();
+    let truth: Vec<Point> =
+        room::rectangles().iter().take(10).map(|p| Point::new(p.x + 0.3 * p.z, p.y + p.z * p.x, 0.0)).collect();
     let mut problem = problem(truth.clone(), observations(&truth, 0.0, &mut rng), 1e-6);
     problem.dimensions = 2;
     problem.start.iter_mut().for_each(|p| p.x += rng.random_range(-0.02..0.02));
@@ -248,7 +235,7 @@ fn flatland_stays_flat() {
 
 #[test]
 fn derivatives_are_those_of_the_lengths() {
-    let (truth, mut rng) = (room(), ChaCha8Rng::seed_from_u64(10));
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(10));
     let problem = problem(truth.clone(), observations(&truth, 0.0, &mut rng), 1.0);
     let place = Place { points: truth, delays_m: vec![0.1] };
     let mut terms = Vec::new();
