@@ -2,11 +2,19 @@
 //!
 //! | method | |
 //! |---|---|
+//! | `incremental` | path lengths by maximum likelihood from many starts, grown patch by patch; for any pattern of missing pairs ([`few_pairs`]) |
 //! | `classical` | double-centred classical scaling, p0 included |
+//! | `smacof` | least weighted stress from there; a distance that was not measured weighs nothing |
+//! | `landmark` | classical scaling of `landmarks` patches, the others by their distances to these; for thousands |
 //! | `iso-embed` | the paper's Algorithm 1, to compare with: centred on the one noisy point p0, singular values in place of eigenvalues |
+//! | `reestimate` | the paper's iterative re-estimation of distances, to compare with |
+//! | `semidefinite` | convex, to compare with; up to 60 patches |
 //!
-//! Distances that were not measured are filled with shortest paths over those that were. The frame: p0 at its station; with three or more anchors
+//! All but `incremental`, `smacof` and `semidefinite` need every distance: those not measured are filled with the shortest paths over those that were. How
+//! exact each is, and how slow, stands in docs/geometry.md. The frame: p0 at its station; with three or more anchors
 //! (patches with `position_m`) turned onto them; else canonical, see [`crate::geometry::frame`].
+//!
+//! `incremental` names places that the lengths do not tell from the chosen ones (a patch with two neighbours and its mirror image) as alternatives.
 //!
 //! Takes `distances`; writes `patches`. Positions have no covariance here (null): it is `refine` that knows it. Not yet: patches known beforehand and
 //! multilateration of hidden ones.
@@ -15,33 +23,53 @@
 //! [start]
 //! stage = "embed"
 //! from = "distances"
-//! params = { method = "classical" }
+//! params = { method = "incremental" }
 //! ```
 
 use std::collections::BTreeMap;
 
+use faer::Mat;
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::geometry::{Point, classical, completion, frame, iso_embed, procrustes};
+use crate::geometry::few_pairs::{self, Lengths};
+use crate::geometry::t2::Length;
+use crate::geometry::{
+    Point, classical, completion, frame, iso_embed, landmark, procrustes, reestimate, semidefinite, smacof,
+};
 use crate::tables::{Distance, Patch};
 use crate::units::PatchId;
 
+/// Most patches of `semidefinite`.
+const SEMIDEFINITE_MAX: usize = 60;
+
 /// Parameters of `embed`.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Embed {
     method: Method,
+    /// Patches that the others are placed by, for `landmark`.
+    landmarks: usize,
+}
+
+impl Default for Embed {
+    fn default() -> Self {
+        Self { method: Method::Classical, landmarks: 100 }
+    }
 }
 
 /// How coordinates come from distances.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Method {
-    #[default]
+    Incremental,
     Classical,
+    Smacof,
+    Landmark,
     IsoEmbed,
+    Reestimate,
+    Semidefinite,
 }
 
 /// What a campaign says of the frame.
@@ -54,7 +82,7 @@ pub struct Frame {
 
 impl Stage for Embed {
     const KIND: &'static str = "embed";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     type Input = Distance;
     type Output = Patch;
@@ -86,11 +114,6 @@ impl Apply for Embed {
         let ids: Vec<PatchId> = group.iter().filter(|distance| distance.a == 0).map(|distance| distance.b).collect();
         let known: BTreeMap<(PatchId, PatchId), &Distance> =
             group.iter().map(|distance| ((distance.a, distance.b), distance)).collect();
-        let id = |i: usize| if i == 0 { 0 } else { ids[i - 1] };
-        // Noise may push a short distance below zero.
-        let length = |i: usize, j: usize| {
-            known.get(&(id(i).min(id(j)), id(i).max(id(j)))).map(|distance| distance.distance_m.max(0.0))
-        };
         let dimensions = usize::from(frame.dimensions);
         if ids.len() < dimensions {
             return Err(StageError::Refused(format!(
@@ -98,12 +121,8 @@ impl Apply for Embed {
                 ids.len()
             )));
         }
-        let distances =
-            completion::complete(ids.len() + 1, length).expect("every patch here has a distance to patch 0");
-        let points = match self.method {
-            Method::Classical => classical::embed(&distances, dimensions),
-            Method::IsoEmbed => iso_embed::embed(&distances, dimensions),
-        };
+        let measured = Measured { ids: &ids, known: &known, dimensions };
+        let (points, twins) = self.points(&measured)?;
         let onsets = |patch: PatchId| {
             group
                 .iter()
@@ -111,8 +130,8 @@ impl Apply for Embed {
                 .map(|distance| distance.onsets)
                 .sum()
         };
-        let rows = frame.turned(&ids, &points).into_iter().zip(&ids).map(|(point, &patch)| Patch {
-            patch,
+        let row = |place: usize, point: Point, alternative: i32, log_likelihood: Option<f64>| Patch {
+            patch: ids[place],
             kind: "visible".into(),
             x_m: point.x,
             y_m: point.y,
@@ -124,18 +143,117 @@ impl Apply for Embed {
             cov_yz_m2: None,
             cov_zz_m2: None,
             sd_m: None,
-            onsets: onsets(patch),
+            onsets: onsets(ids[place]),
             chi2_dof: None,
-            alternative: 0,
-            log_likelihood: None,
-        });
-        Ok(Outcome::rows(rows.collect()))
+            alternative,
+            log_likelihood,
+        };
+        let turn = frame.turn(&ids, &points);
+        let mut rows: Vec<Patch> =
+            points.iter().enumerate().map(|(place, point)| row(place, turn(*point), 0, None)).collect();
+        for (n, (place, point, log_likelihood)) in twins.into_iter().enumerate() {
+            rows.push(row(place, turn(point), n as i32 + 1, Some(log_likelihood)));
+        }
+        Ok(Outcome::rows(rows))
+    }
+}
+
+/// Place of a patch that the lengths do not tell from the chosen one, and its log-likelihood relative to that.
+type Twin = (usize, Point, f64);
+
+/// Distances as measured, patch 0 being p0.
+struct Measured<'a> {
+    ids: &'a [PatchId],
+    known: &'a BTreeMap<(PatchId, PatchId), &'a Distance>,
+    dimensions: usize,
+}
+
+impl Measured<'_> {
+    fn count(&self) -> usize {
+        self.ids.len() + 1
+    }
+
+    fn distance(&self, i: usize, j: usize) -> Option<&Distance> {
+        let id = |i: usize| if i == 0 { 0 } else { self.ids[i - 1] };
+        self.known.get(&(id(i).min(id(j)), id(i).max(id(j)))).copied()
+    }
+
+    /// All distances, those not measured by shortest paths. Noise may push a short distance below zero.
+    fn complete(&self) -> Mat<f64> {
+        let length = |i: usize, j: usize| self.distance(i, j).map(|distance| distance.distance_m.max(0.0));
+        completion::complete(self.count(), length).expect("every patch here has a distance to patch 0")
+    }
+
+    /// One over the variance of each distance; 0 for one that was not measured.
+    fn weights(&self) -> Mat<f64> {
+        let weight = |i: usize, j: usize| match self.distance(i, j) {
+            Some(distance) if i != j => distance.sd_m.powi(-2),
+            _ => 0.0,
+        };
+        Mat::from_fn(self.count(), self.count(), weight)
+    }
+
+    /// Path lengths whose T2 the distances are.
+    fn lengths(&self) -> (Vec<Length>, Vec<(usize, usize, Length)>) {
+        let first = |n: usize| {
+            let distance = self.distance(0, n + 1).expect("every patch here has a distance to patch 0");
+            Length { length_m: 2.0 * distance.distance_m, variance_m2: 4.0 * distance.sd_m * distance.sd_m }
+        };
+        let first: Vec<Length> = (0..self.ids.len()).map(first).collect();
+        let pairs = (0..first.len()).flat_map(|i| (i + 1..first.len()).map(move |j| (i, j)));
+        let second = |(i, j): (usize, usize)| {
+            let distance = self.distance(i + 1, j + 1)?;
+            let own = distance.sd_m * distance.sd_m;
+            // The first bounces' share of the distance's variance is not the second one's; rounding must not leave less than nothing.
+            let variance_m2 = (own - 0.25 * (first[i].variance_m2 + first[j].variance_m2)).max(1e-6 * own);
+            let length_m = distance.distance_m + 0.5 * (first[i].length_m + first[j].length_m);
+            Some((i, j, Length { length_m, variance_m2 }))
+        };
+        let second = pairs.filter_map(second).collect();
+        (first, second)
+    }
+}
+
+impl Embed {
+    /// Points about the origin, and twins.
+    fn points(&self, measured: &Measured) -> Result<(Vec<Point>, Vec<Twin>), StageError> {
+        let dimensions = measured.dimensions;
+        let points = match self.method {
+            Method::Incremental => {
+                let (first, second) = measured.lengths();
+                let placed = few_pairs::place(&Lengths { first: &first, second: &second, dimensions });
+                let twins = placed.twins.iter().map(|twin| (twin.patch, twin.point, -0.5 * twin.more)).collect();
+                return Ok((placed.points, twins));
+            }
+            Method::Classical => classical::embed(&measured.complete(), dimensions),
+            Method::Smacof => {
+                let distances = measured.complete();
+                let start = classical::embed(&distances, dimensions);
+                smacof::scale(&start, &distances, &measured.weights()).expect("every patch has a distance to p0").points
+            }
+            Method::Landmark => {
+                let distances = measured.complete();
+                let (count, distance) = (measured.count(), |i: usize, j: usize| distances[(i, j)]);
+                let landmarks = landmark::spread(count, self.landmarks.clamp(dimensions + 2, count), distance);
+                landmark::embed(count, &landmarks, distance, dimensions)
+            }
+            Method::IsoEmbed => iso_embed::embed(&measured.complete(), dimensions),
+            Method::Reestimate => reestimate::embed(&measured.complete(), dimensions).0,
+            Method::Semidefinite if measured.ids.len() > SEMIDEFINITE_MAX => {
+                let count = measured.ids.len();
+                return Err(StageError::Refused(format!(
+                    "method `semidefinite` is for {SEMIDEFINITE_MAX} patches at most, not {count}; take `smacof` or `incremental`"
+                )));
+            }
+            Method::Semidefinite => semidefinite::embed(&measured.complete(), &measured.weights(), dimensions),
+        };
+        Ok((points, Vec::new()))
     }
 }
 
 impl Frame {
-    /// Points about the origin, brought to p0's station and onto the anchors, or into the canonical frame.
-    fn turned(&self, ids: &[PatchId], points: &[Point]) -> Vec<Point> {
+    /// What brings points about the origin to p0's station, and onto the anchors or into the canonical frame.
+    fn turn(&self, ids: &[PatchId], points: &[Point]) -> impl Fn(Point) -> Point {
         let centre = Point::from(self.source_m);
         let there: Vec<Point> = points.iter().map(|point| centre + point.coords).collect();
         let anchored =
@@ -146,6 +264,6 @@ impl Frame {
         } else {
             frame::canonical(&there, centre)
         };
-        there.iter().map(|point| procrustes::turn(&matrix, centre, *point)).collect()
+        move |point| procrustes::turn(&matrix, centre, centre + point.coords)
     }
 }

@@ -171,7 +171,8 @@ fn every_range_is_calibrated() {
 /// A photon counter from its histograms to onsets: calibrated, freed of pile-up, timed as its standard deviations say.
 #[test]
 fn photon_counts_are_timed() {
-    let counts = "[instrument.counts]\nefficiency = 6e-5\ndark_hz = 2e5\ndead_time_ps = 40000.0\n[captures]\nshots = 20000000";
+    let counts =
+        "[instrument.counts]\nefficiency = 6e-5\ndark_hz = 2e5\ndead_time_ps = 40000.0\n[captures]\nshots = 20000000";
     let scene = PHOTODIODE
         .replace("latency_ps = 1250.0", "latency_ps = 1250.0\nkind = 'counts'")
         .replace("[captures]\nshots = 400", counts)
