@@ -3,10 +3,10 @@
 //! Where most pairs are missing, a descent from one start ends in a wrong minimum: a patch lies mirrored in the plane of its neighbours, or a group
 //! is folded over. Hence, until the lengths are explained as well as their noise lets expect:
 //!
-//! 1. a start: shortest paths and classical scaling; the same and SMACOF; growth patch by patch from the triples of patches that span space best ([`growth`]);
+//! 1. a start: shortest paths and classical scaling; the same and SMACOF; growth patch by patch from the triples of patches that span space best (`growth`);
 //! 2. maximum likelihood of all from there ([`maximum_likelihood`], with Huber's loss);
 //! 3. moves: each patch is multilaterated from its neighbours; a place other than its own (a mirror image among them) is taken where the loss of all
-//!    patches, settled again, falls ([`mending`]).
+//!    patches, settled again, falls (`mending`).
 //!
 //! The lowest loss wins. What is left are ambiguities that no loss decides: a patch with two neighbours and its mirror image. They are named as twins.
 //! A patch with fewer neighbours (in flatland, with none) stays somewhere on its sphere.

@@ -26,7 +26,7 @@
 //! params = { method = "incremental" }
 //! ```
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use faer::Mat;
 use serde::{Deserialize, Serialize};
@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 use super::stage::{Apply, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::few_pairs::{self, Lengths};
-use crate::geometry::t2::Length;
+use crate::geometry::t2::{self, Length};
 use crate::geometry::{
     Point, classical, completion, frame, iso_embed, landmark, procrustes, reestimate, semidefinite, smacof,
 };
@@ -111,7 +111,9 @@ impl Stage for Embed {
 
 impl Apply for Embed {
     fn apply(&self, frame: &Frame, group: Vec<Distance>) -> Result<Outcome<Patch>, StageError> {
-        let ids: Vec<PatchId> = group.iter().filter(|distance| distance.a == 0).map(|distance| distance.b).collect();
+        let ids: BTreeSet<PatchId> =
+            group.iter().filter(|distance| distance.a == 0).map(|distance| distance.b).collect();
+        let ids: Vec<PatchId> = ids.into_iter().collect();
         let known: BTreeMap<(PatchId, PatchId), &Distance> =
             group.iter().map(|distance| ((distance.a, distance.b), distance)).collect();
         let dimensions = usize::from(frame.dimensions);
@@ -193,24 +195,23 @@ impl Measured<'_> {
         Mat::from_fn(self.count(), self.count(), weight)
     }
 
-    /// Path lengths whose T2 the distances are.
+    /// Path lengths whose T2 the distances are, by the places of their patches.
     fn lengths(&self) -> (Vec<Length>, Vec<(usize, usize, Length)>) {
-        let first = |n: usize| {
-            let distance = self.distance(0, n + 1).expect("every patch here has a distance to patch 0");
-            Length { length_m: 2.0 * distance.distance_m, variance_m2: 4.0 * distance.sd_m * distance.sd_m }
+        let plain = |distance: &&Distance| t2::Distance {
+            a: distance.a,
+            b: distance.b,
+            distance_m: distance.distance_m,
+            variance_m2: distance.sd_m * distance.sd_m,
+            bounces: distance.bounces,
+            onsets: distance.onsets,
         };
-        let first: Vec<Length> = (0..self.ids.len()).map(first).collect();
-        let pairs = (0..first.len()).flat_map(|i| (i + 1..first.len()).map(move |j| (i, j)));
-        let second = |(i, j): (usize, usize)| {
-            let distance = self.distance(i + 1, j + 1)?;
-            let own = distance.sd_m * distance.sd_m;
-            // The first bounces' share of the distance's variance is not the second one's; rounding must not leave less than nothing.
-            let variance_m2 = (own - 0.25 * (first[i].variance_m2 + first[j].variance_m2)).max(1e-6 * own);
-            let length_m = distance.distance_m + 0.5 * (first[i].length_m + first[j].length_m);
-            Some((i, j, Length { length_m, variance_m2 }))
+        let distances: Vec<t2::Distance> = self.known.values().map(plain).collect();
+        let (first, second) = t2::lengths(&distances);
+        let place = |patch: PatchId| {
+            first.iter().position(|(of, _)| *of == patch).expect("lengths are between patches with a first bounce")
         };
-        let second = pairs.filter_map(second).collect();
-        (first, second)
+        let second = second.into_iter().map(|((a, b), length)| (place(a), place(b), length)).collect();
+        (first.iter().map(|(_, length)| *length).collect(), second)
     }
 }
 
