@@ -24,5 +24,8 @@ pub mod semidefinite;
 pub mod smacof;
 pub mod t2;
 
+/// A dense matrix.
+pub type Matrix = faer::Mat<f64>;
+
 /// A point in space; in flatland z = 0.
 pub type Point = nalgebra::Point3<f64>;

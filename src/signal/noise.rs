@@ -264,7 +264,7 @@ mod tests {
     #[test]
     fn the_quietest_stretch_is_where_no_light_is() {
         let samples: Vec<f64> =
-            (0..100).map(|n| 5.0 + 30.0 * (-0.5 * ((n as f64 - 20.0) / 8.0).powi(2)).exp()).collect();
+            (0..100).map(|n| 5.0 + 30.0 * (-0.5 * ((f64::from(n) - 20.0) / 8.0).powi(2)).exp()).collect();
         assert!(quietest(&samples, 20) > 60 && quietest(&samples, 100) == 0);
     }
 

@@ -342,10 +342,10 @@ mod tests {
     /// A diffusion tail of nanoseconds and an echo at -40 dB are part of the response.
     #[test]
     fn tails_and_echoes_belong_to_the_shape() {
-        let decay = |t: f64| if t > 0.0 { 0.02 * (-t / 1000.0).exp() } else { 0.0 };
         fn pulse(t: f64) -> f64 {
             g250(t) + 0.01 * g250(t - 1800.0)
         }
+        let decay = |t: f64| if t > 0.0 { 0.02 * (-t / 1000.0).exp() } else { 0.0 };
         let mut shots = shots(pulse, 4000, 70.0, 30.0);
         let (shape, _) = shape_and_times(&shots, 50.0).unwrap();
         let response = shape.response();
@@ -365,7 +365,7 @@ mod tests {
         let tail: Vec<f64> = (0..10).map(|i| response.value(600.0 + 50.0 * f64::from(i))).collect();
         let truth: Vec<f64> = (0..10).map(|i| decay(600.0 + 50.0 * f64::from(i))).collect();
         let (sum, true_sum) = (tail.iter().sum::<f64>(), truth.iter().sum::<f64>());
-        eprintln!("tail: {:.4} of {:.4}", sum, true_sum);
+        eprintln!("tail: {sum:.4} of {true_sum:.4}");
         assert!((sum / true_sum - 1.0).abs() < 0.1, "{tail:?}");
     }
 

@@ -28,7 +28,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use faer::Mat;
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, BesideTables, Grain, Outcome, Stage, StageError};
@@ -36,7 +35,7 @@ use crate::campaign::Campaign;
 use crate::geometry::few_pairs::{self, Lengths};
 use crate::geometry::t2::{self, Length};
 use crate::geometry::{
-    Point, classical, completion, frame, iso_embed, landmark, procrustes, reestimate, semidefinite, smacof,
+    Matrix, Point, classical, completion, frame, iso_embed, landmark, procrustes, reestimate, semidefinite, smacof,
 };
 use crate::tables::{Distance, Patch};
 use crate::units::PatchId;
@@ -181,18 +180,18 @@ impl Measured<'_> {
     }
 
     /// All distances, those not measured by shortest paths. Noise may push a short distance below zero.
-    fn complete(&self) -> Mat<f64> {
+    fn complete(&self) -> Matrix {
         let length = |i: usize, j: usize| self.distance(i, j).map(|distance| distance.distance_m.max(0.0));
         completion::complete(self.count(), length).expect("every patch here has a distance to patch 0")
     }
 
     /// One over the variance of each distance; 0 for one that was not measured.
-    fn weights(&self) -> Mat<f64> {
+    fn weights(&self) -> Matrix {
         let weight = |i: usize, j: usize| match self.distance(i, j) {
             Some(distance) if i != j => distance.sd_m.powi(-2),
             _ => 0.0,
         };
-        Mat::from_fn(self.count(), self.count(), weight)
+        Matrix::from_fn(self.count(), self.count(), weight)
     }
 
     /// Path lengths whose T2 the distances are, by the places of their patches.

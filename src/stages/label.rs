@@ -154,7 +154,12 @@ impl Stage for LabelOnsets {
                 "params.bounces = {bounces}: {known} bounces 1 to {most} are labelled"
             )));
         }
-        if !(0.0..=1.0).contains(&self.probability_min) || !(self.clutter_per_ns > 0.0) || !(self.near_m >= 0.0) {
+        if !(0.0..=1.0).contains(&self.probability_min)
+            || self.clutter_per_ns.is_nan()
+            || self.clutter_per_ns <= 0.0
+            || self.near_m.is_nan()
+            || self.near_m < 0.0
+        {
             return Err(StageError::Refused(
                 "params: probability_min must lie between 0 and 1, clutter_per_ns be positive, near_m not negative"
                     .to_owned(),

@@ -10,8 +10,6 @@ use super::state::{Misfit, State};
 
 /// Pulses farther apart than this many widths of the response are refined separately while candidates are compared.
 const CLUSTER_WIDTHS: f64 = 2.5;
-/// Largest move of a pulse in one step, in widths of the response.
-const STEP_WIDTHS: f64 = 0.32;
 /// A pulse is tried as two if the first-order drop of chi2 by widening it exceeds this part of the evidence asked for.
 const WIDENED: f64 = 0.25;
 /// Drop of chi2 that the width, or the tail, of a pulse far from others must be worth: it makes no new pulse and costs the time little, and
@@ -24,7 +22,7 @@ const FREEDOM_MIN: f64 = 4.0;
 
 /// What stays fixed during a fit.
 pub(super) struct Fitter<'a> {
-    model: Model<'a>,
+    pub(super) model: Model<'a>,
     /// The records, whitened.
     data: Vec<Vec<f64>>,
     filter: MatchedFilter,
@@ -61,7 +59,7 @@ impl<'a> Fitter<'a> {
 
     /// Refines all pulses together from the given places. `None` if two of them cannot be told apart.
     fn solve(&self, places: Vec<Place>) -> Option<State> {
-        let fit = self.refine(&self.data, places)?;
+        let fit = refine(&self.model, &self.data, places)?;
         let mut residuals = self.data.clone();
         for (group, range) in fit.groups.iter().zip(&self.model.groups) {
             for (columns, residual) in group.columns.iter().zip(&mut residuals[range.clone()]) {
@@ -73,10 +71,6 @@ impl<'a> Fitter<'a> {
         let both = self.model.records.iter().zip(&mut residuals);
         let baselines_v = both.map(|(record, residual)| record.take_baseline(residual)).collect();
         Some(State { factor: fit.factor()?, fit, residuals, baselines_v })
-    }
-
-    fn refine(&self, data: &[Vec<f64>], places: Vec<Place>) -> Option<Projection> {
-        refine(&self.model, data, places, STEP_WIDTHS * self.model.width_ps)
     }
 
     /// The state with one more pulse or a wider one, if that is worth its evidence.
@@ -164,13 +158,7 @@ impl<'a> Fitter<'a> {
     /// Pulse `k` replaced by the best pair in its place.
     fn pair(&self, state: &State, k: usize) -> Option<Change> {
         let time_ps = state.time_ps(k);
-        let mut alone = state.residuals.clone();
-        for (group, range) in state.fit.groups.iter().zip(&self.model.groups) {
-            for (columns, residual) in group.columns.iter().zip(&mut alone[range.clone()]) {
-                columns[k].add_to(residual, group.amplitudes[k]);
-            }
-        }
-        let pair = best_pair(&self.model, &alone, time_ps)?;
+        let pair = best_pair(&self.model, &self.alone(state, &[k]), time_ps)?;
         self.change(state, &[k], time_ps, &pair.map(Place::point))
     }
 
@@ -202,24 +190,35 @@ impl<'a> Fitter<'a> {
         chi2 - freedom + EXCESS_SIGMA * variance.sqrt()
     }
 
-    /// Takes the pulses `out` away, puts pulses at `into` in, and refines them with the pulses near `center_ps`; the others stay. The last places are
-    /// those put in.
-    fn change(&self, state: &State, out: &[usize], center_ps: f64, into: &[Place]) -> Option<Change> {
-        let near = |k: &usize| self.is_near(state.time_ps(*k), center_ps);
-        let (cluster, others): (Vec<usize>, Vec<usize>) = (0..state.pulses()).partition(near);
+    /// The pulses near `center_ps`, and whitened records of them alone.
+    pub(super) fn cluster(&self, state: &State, center_ps: f64) -> (Vec<usize>, Vec<Vec<f64>>) {
+        let cluster: Vec<usize> = (0..state.pulses()).filter(|k| self.is_near(state.time_ps(*k), center_ps)).collect();
+        (cluster.clone(), self.alone(state, &cluster))
+    }
+
+    /// Whitened records of the pulses `kept` alone.
+    fn alone(&self, state: &State, kept: &[usize]) -> Vec<Vec<f64>> {
         let mut data = state.residuals.clone();
         for (group, range) in state.fit.groups.iter().zip(&self.model.groups) {
-            for (columns, residual) in group.columns.iter().zip(&mut data[range.clone()]) {
-                for k in &cluster {
-                    columns[*k].add_to(residual, group.amplitudes[*k]);
+            for (columns, record) in group.columns.iter().zip(&mut data[range.clone()]) {
+                for k in kept {
+                    columns[*k].add_to(record, group.amplitudes[*k]);
                 }
             }
         }
+        data
+    }
+
+    /// Takes the pulses `out` away, puts pulses at `into` in, and refines them with the pulses near `center_ps`; the others stay. The last places are
+    /// those put in.
+    fn change(&self, state: &State, out: &[usize], center_ps: f64, into: &[Place]) -> Option<Change> {
+        let (cluster, data) = self.cluster(state, center_ps);
+        let others = (0..state.pulses()).filter(|k| !cluster.contains(k));
         let places = &state.fit.places;
         let old = Projection::new(&self.model, &data, cluster.iter().map(|k| places[*k]).collect())?;
         let kept = cluster.iter().filter(|k| !out.contains(k)).map(|k| places[*k]);
-        let new = self.refine(&data, kept.chain(into.iter().copied()).collect())?;
-        let others = others.iter().map(|k| places[*k]);
+        let new = refine(&self.model, &data, kept.chain(into.iter().copied()).collect())?;
+        let others = others.map(|k| places[k]);
         Some(Change {
             drop: new.energy - old.energy,
             places: others.chain(new.places).collect(),

@@ -45,7 +45,8 @@ pub(super) fn run(fitter: &Fitter, evidence_min: f64) -> Vec<SparseFit> {
         state = grown;
     }
     let (state, evidences) = fitter.prune(state);
-    (0..fitter.records()).map(|r| describe(fitter, &state, r, &evidences, evidence_min)).collect()
+    let widenings = fitter.widenings(&state);
+    (0..fitter.records()).map(|r| describe(fitter, &state, r, (&evidences, &widenings), evidence_min)).collect()
 }
 
 fn check(profile: &Profile) {
@@ -59,8 +60,14 @@ fn check(profile: &Profile) {
     assert!(positive, "the sds must be positive");
 }
 
-/// The fit as record `r` sees it, pulses in order of time.
-fn describe(fitter: &Fitter, state: &State, r: usize, evidences: &[f64], evidence_min: f64) -> SparseFit {
+/// The fit as record `r` sees it, pulses in order of time; of each pulse of the state the evidence, and the factor of the first-order sd of its time.
+fn describe(
+    fitter: &Fitter,
+    state: &State,
+    r: usize,
+    (evidences, widenings): (&[f64], &[f64]),
+    evidence_min: f64,
+) -> SparseFit {
     let mut order: Vec<usize> = (0..state.pulses()).collect();
     order.sort_by(|i, j| state.time_ps(*i).total_cmp(&state.time_ps(*j)));
     let (all, unknowns) = state.covariance();
@@ -89,9 +96,8 @@ fn describe(fitter: &Fitter, state: &State, r: usize, evidences: &[f64], evidenc
     let pulses = order.iter().zip(&inflations).map(pulse).collect();
     let covariance_ps2 = order
         .iter()
-        .zip(&inflations)
-        .flat_map(|(&i, p)| order.iter().zip(&inflations).map(move |(&j, q)| (i, j, p * q)))
-        .map(|(i, j, inflation)| covariance(state.time_unknown(i), state.time_unknown(j)) * inflation)
+        .flat_map(|&i| order.iter().map(move |&j| (i, j)))
+        .map(|(i, j)| covariance(state.time_unknown(i), state.time_unknown(j)) * widenings[i] * widenings[j])
         .collect();
     SparseFit {
         pulses,

@@ -9,8 +9,9 @@
 //! 4. at the end, pulses that turn out to be worth less than that are taken out again.
 //!
 //! Times then scatter at the Cramer-Rao bound `(J^T J)^-1` (J: whitened derivatives), and two equal pulses are told apart down to a
-//! distance that falls with the square root of the SNR, far below the response's width. Sources: alternating descent (Boyd, Schiebinger and
-//! Recht, SIAM J. Optim. 27, 616 (2017)) without its l1 penalty; resolution limit as in Smith, IEEE Trans. Signal Process. 53, 1597 (2005).
+//! distance that falls with the square root of the SNR, far below the response's width. Where pulses are so close that first order does not hold,
+//! the sds of their times come from the profile likelihood. Sources: alternating descent (Boyd, Schiebinger and Recht, SIAM J. Optim. 27,
+//! 616 (2017)) without its l1 penalty; resolution limit as in Smith, IEEE Trans. Signal Process. 53, 1597 (2005).
 //!
 //! Light that extended patches spread in time is modelled where [`SparseOptions::extent_max_ps`] allows it. Several records of the same pulses
 //! are fitted together by [`fit_joint`]; histograms of single photons by [`fit_counts`].
@@ -23,6 +24,7 @@ mod column;
 mod counts;
 mod evidence;
 mod greedy;
+mod interval;
 mod joint;
 mod linear;
 mod model;
@@ -135,7 +137,8 @@ pub struct SparseFit {
     /// Pulses by rising time.
     pub pulses: Vec<Pulse>,
     /// Covariance of the times, ps^2, row-major: `(J^T J)^-1`, each pulse's sd multiplied by the square root of its `chi2_per_dof`
-    /// where that exceeds 1 by more than three of its standard deviations.
+    /// where that exceeds 1 by more than three of its standard deviations. Where an sd exceeds 1/20 of the distance of two pulses,
+    /// that of either is half the 95 % interval of its profile likelihood over 1.96, if that is more; rows and columns grow alike.
     pub covariance_ps2: Vec<f64>,
     /// Constant under the pulses, V; 0 if none is fitted.
     pub baseline_v: f64,

@@ -29,6 +29,8 @@ pub(super) struct Place {
     pub(super) tail_ps: f64,
     /// Number of shape parameters that are free: none (a point), the variance, or both.
     pub(super) shapes: usize,
+    /// Whether the time is held where it is.
+    pub(super) is_pinned: bool,
 }
 
 /// Nodes of a kernel: time after the centroid, weight, and its weight in the derivative by the tail's constant, which takes slopes.
@@ -37,18 +39,23 @@ pub(super) type Node = (f64, f64, f64);
 impl Place {
     /// A point.
     pub(super) fn point(time_ps: f64) -> Self {
-        Self { time_ps, variance_ps2: 0.0, tail_ps: 0.0, shapes: 0 }
+        Self { time_ps, variance_ps2: 0.0, tail_ps: 0.0, shapes: 0, is_pinned: false }
     }
 
     /// A Gaussian.
     pub(super) fn widened(time_ps: f64, variance_ps2: f64) -> Self {
-        Self { time_ps, variance_ps2, tail_ps: 0.0, shapes: 1 }
+        Self { variance_ps2, shapes: 1, ..Self::point(time_ps) }
     }
 
     /// Where a fitted pulse is.
     pub(super) fn of(pulse: &super::Pulse) -> Self {
         let shapes = if pulse.tail_ps > 0.0 { 2 } else { usize::from(pulse.width_ps > 0.0) };
-        Self { time_ps: pulse.time_ps, variance_ps2: pulse.width_ps * pulse.width_ps, tail_ps: pulse.tail_ps, shapes }
+        Self {
+            variance_ps2: pulse.width_ps * pulse.width_ps,
+            tail_ps: pulse.tail_ps,
+            shapes,
+            ..Self::point(pulse.time_ps)
+        }
     }
 
     /// Samples of a record of `len` that the response reaches when it is spread over `nodes`.
@@ -89,10 +96,10 @@ impl Place {
         self
     }
 
-    /// Whether parameter `p`, pulled along `gradient`, is held back by its limit.
+    /// Whether parameter `p`, pulled along `gradient`, is held back: a time that is pinned, a shape at its limit.
     pub(super) fn is_held(&self, p: usize, gradient: f64, extent_max_ps: f64) -> bool {
         let (value, least, most) = match p {
-            0 => return false,
+            0 => return self.is_pinned,
             1 => (self.variance_ps2, 0.0, extent_max_ps * extent_max_ps),
             _ => (self.tail_ps, TAIL_MIN * extent_max_ps, extent_max_ps),
         };

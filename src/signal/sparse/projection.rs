@@ -155,8 +155,13 @@ impl Projection {
         products
     }
 
+    /// Whether pulse `k` has an amplitude.
+    pub(super) fn has_amplitude(&self, k: usize) -> bool {
+        self.groups.iter().any(|group| group.amplitudes[k] != 0.0)
+    }
+
     /// Number of unknowns: amplitudes of each group, then the parameters of the places.
-    fn unknowns(&self) -> usize {
+    pub(super) fn unknowns(&self) -> usize {
         self.groups.len() * self.places.len() + self.layout.slopes.len()
     }
 
@@ -171,8 +176,7 @@ impl Projection {
     fn basis(&self, g: usize) -> Vec<(usize, usize, f64)> {
         let k = self.places.len();
         let amplitude = |pulse: usize| {
-            let any = self.groups.iter().any(|group| group.amplitudes[pulse] != 0.0);
-            if any { self.groups[g].amplitudes[pulse] } else { 1.0 }
+            if self.has_amplitude(pulse) { self.groups[g].amplitudes[pulse] } else { 1.0 }
         };
         let values = self.layout.values.iter().enumerate().map(|(i, value)| (g * k + i, *value, 1.0));
         let slopes = self.layout.slopes.iter().enumerate();

@@ -10,11 +10,14 @@ use super::projection::Projection;
 /// Steps that promise less chi2 than this end the refinement: they move a time by less than a thousandth of its sd.
 const PROMISE: f64 = 1e-6;
 const STEPS: usize = 60;
+/// Largest move of a pulse in one step, in widths of the response.
+const STEP_WIDTHS: f64 = 0.32;
 
-/// Pulses that fit whitened `data` best, near `places`; no step moves a pulse by more than `step_max_ps`. `None` if the start is
-/// degenerate (two pulses coincide, or one is outside of a record).
-pub(super) fn refine(model: &Model, data: &[Vec<f64>], places: Vec<Place>, step_max_ps: f64) -> Option<Projection> {
+/// Pulses that fit whitened `data` best, near `places`. `None` if the start is degenerate (two pulses coincide, or one is outside of a
+/// record).
+pub(super) fn refine(model: &Model, data: &[Vec<f64>], places: Vec<Place>) -> Option<Projection> {
     let mut best = Projection::new(model, data, places)?;
+    let step_max_ps = STEP_WIDTHS * model.width_ps;
     let mut damping = 1e-4;
     for _ in 0..STEPS {
         let Some((step, promised)) = best.step(damping, model.extent_max_ps) else {

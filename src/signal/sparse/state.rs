@@ -87,9 +87,15 @@ impl State {
 
     /// Covariance of all unknowns, row-major, and their number: amplitude of pulse k in group g at `g * K + k`, then the parameters of the places.
     pub(super) fn covariance(&self) -> (Vec<f64>, usize) {
-        let all = self.factor.inverse();
-        let unknowns = (all.len() as f64).sqrt().round() as usize;
-        (all, unknowns)
+        (self.factor.inverse(), self.fit.unknowns())
+    }
+
+    /// Standard deviation of the time of pulse `k`, to first order.
+    pub(super) fn time_sd_ps(&self, k: usize) -> f64 {
+        let mut column = vec![0.0; self.fit.unknowns()];
+        column[self.time_unknown(k)] = 1.0;
+        self.factor.solve_lower(&mut column);
+        column.iter().map(|v| v * v).sum::<f64>().sqrt()
     }
 
     /// Place of the time of pulse `k` among the unknowns; those of its shape follow it.

@@ -1,5 +1,6 @@
 //! Accuracy against bounds computed here from the responses' formulas, resolution, false pulses.
 
+mod blended;
 mod correlated;
 mod counts;
 mod extended;

@@ -6,7 +6,7 @@ use rand_distr::{Binomial, Poisson};
 const BINS: usize = 120;
 
 /// Mean counts of pulses `(time, photons)` on a background a bin.
-fn means(shape: &Shape, pulses: &[(f64, f64)], background: f64) -> Vec<f64> {
+pub(super) fn means(shape: &Shape, pulses: &[(f64, f64)], background: f64) -> Vec<f64> {
     let value = |n: usize, at: f64| shape.response.value(T0_PS + DT_PS * n as f64 - at);
     let area: f64 = (0..BINS).map(|n| value(n, 3000.0)).sum();
     let mean = |n: usize| pulses.iter().map(|(at, photons)| photons / area * value(n, *at)).sum::<f64>() + background;

@@ -3,7 +3,7 @@
 use super::*;
 
 /// A second record of the same pulses: other noise, sampling offset, response and amplitudes.
-fn two_records(shape: &Shape, pulses: &[(f64, f64)], sd: f64, rng: &mut ChaCha8Rng) -> [(Vec<f64>, f64); 2] {
+pub(super) fn two_records(shape: &Shape, pulses: &[(f64, f64)], sd: f64, rng: &mut ChaCha8Rng) -> [(Vec<f64>, f64); 2] {
     let mut record = |t0_ps: f64, factor: f64| {
         let sample = |n: usize| {
             let t = t0_ps + DT_PS * n as f64;
@@ -15,7 +15,7 @@ fn two_records(shape: &Shape, pulses: &[(f64, f64)], sd: f64, rng: &mut ChaCha8R
     [record(T0_PS, 1.0), record(T0_PS - 61.0, 1.0)]
 }
 
-fn profile<'a>(record: &'a (Vec<f64>, f64), sd_v: &'a [f64]) -> Profile<'a> {
+pub(super) fn profile<'a>(record: &'a (Vec<f64>, f64), sd_v: &'a [f64]) -> Profile<'a> {
     Profile { mean_v: &record.0, sd_v, acf: &[], t0_ps: record.1, dt_ps: DT_PS }
 }
 
