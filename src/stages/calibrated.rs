@@ -3,7 +3,7 @@
 use crate::signal::averaged_response::averaged_response;
 use crate::signal::noise;
 use crate::signal::response::Response;
-use crate::tables::{Calibration, Profile};
+use crate::tables::{Calibration, Name, Profile};
 
 /// Share of a record whose samples tell the noise, where the profile does not say.
 const BASELINE_SHARE: f64 = 0.1;
@@ -38,11 +38,24 @@ impl Calibrated {
 
     /// What averaging leaves of the response in a profile.
     pub fn averaged(&self, profile: &Profile) -> Response {
-        match &profile.phase_shots {
-            Some(phase_shots) => averaged_response(&self.response, profile.dt_ps, phase_shots),
-            None => self.response.clone(),
-        }
+        averaged(&self.response, profile)
     }
+}
+
+/// What averaging leaves of a response, or of a part of one, in a profile.
+pub fn averaged(response: &Response, profile: &Profile) -> Response {
+    match &profile.phase_shots {
+        Some(phase_shots) => averaged_response(response, profile.dt_ps, phase_shots),
+        None => response.clone(),
+    }
+}
+
+/// Campaign, sensor and range of a calibration.
+pub type Key = (Name, Name, Option<Name>);
+
+/// What a row is the calibration of.
+pub fn key_of(row: &Calibration) -> Key {
+    (row.campaign.clone(), row.sensor.clone(), row.range.clone())
 }
 
 /// The calibration of a profile: that of its sensor and range, or the only one of its sensor.

@@ -49,14 +49,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
-use super::calibrated::{self, Calibrated};
+use super::calibrated::{self, Calibrated, Key, key_of};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::signal::fft::RealFft;
 use crate::signal::response::Response;
 use crate::signal::sparse::Unpiled;
 use crate::signal::wiener::{Transfer, Wiener};
-use crate::tables::{Calibration, Name, Profile, Session, Stir};
+use crate::tables::{Calibration, Profile, Session, Stir};
 use explain::{Asked, Explained, Method, Record};
 use session::Correction;
 
@@ -118,9 +118,6 @@ pub struct Sensors {
     setups: BTreeMap<String, Setup>,
     tools: Mutex<Vec<Tools>>,
 }
-
-/// Campaign, sensor, range.
-type Key = (Name, Name, Option<Name>);
 
 /// What one worker has prepared, kept because captures of a campaign are mostly alike.
 #[derive(Default)]
@@ -224,10 +221,6 @@ impl Apply for Deconvolve {
         }
         Ok(outcome)
     }
-}
-
-fn key_of(row: &Calibration) -> Key {
-    (row.campaign.clone(), row.sensor.clone(), row.range.clone())
 }
 
 fn rejection(profile: &Profile, why: &str) -> Rejection {

@@ -19,15 +19,15 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
+use super::calibrated::{self, Calibrated, Key};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::{Campaign, Role};
-use crate::signal::averaged_response::averaged_response;
 use crate::signal::echo::{self, Core};
 use crate::signal::pulse_fit::{self, Record};
 use crate::signal::reference::fit_pulse;
 use crate::signal::response::Response;
 use crate::signal::shot_spread::HEAD_SHOTS;
-use crate::tables::{Calibration, Measurement, Name, Profile};
+use crate::tables::{Calibration, Measurement, Profile};
 
 /// Share of a record whose samples tell the noise, for the significance of its autocorrelation, where the profile does not say.
 const BASELINE_SHARE: f64 = 0.1;
@@ -44,13 +44,16 @@ const EXTRA_SIGMA: f64 = 2.0;
 pub struct Measure {}
 
 /// The response of one sensor.
-pub struct Sensor {
-    /// Turned upwards.
-    response: Response,
-    /// -1 for a sensor whose pulses go down.
-    polarity: f64,
+struct Sensor {
+    calibrated: Calibrated,
     core: Option<Core>,
     width_ps: f64,
+}
+
+/// The calibrated sensors.
+pub struct Sensors {
+    rows: Vec<Calibration>,
+    sensors: BTreeMap<Key, Sensor>,
 }
 
 impl Stage for Measure {
@@ -61,25 +64,22 @@ impl Stage for Measure {
     type Input = Profile;
     type Output = Measurement;
     type Fields = ();
-    type Context = BTreeMap<(Name, Name), Sensor>;
+    type Context = Sensors;
 
     fn fields(&self, _: &[Campaign]) {}
 
     fn context(&self, (): (), beside: &BesideTables) -> Result<Self::Context, StageError> {
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
-        Ok(rows.into_iter().map(|row| ((row.campaign.clone(), row.sensor.clone()), Sensor::of(&row))).collect())
+        let sensors = rows.iter().map(|row| (calibrated::key_of(row), Sensor::of(row))).collect();
+        Ok(Sensors { rows, sensors })
     }
 }
 
 impl Sensor {
     fn of(row: &Calibration) -> Self {
-        let mut values = row.response.to_f64();
-        let extremum = values.iter().fold(0.0_f64, |most, value| if value.abs() > most.abs() { *value } else { most });
-        let polarity = extremum.signum();
-        values.iter_mut().for_each(|value| *value *= polarity);
-        let response = Response::new(row.response_t0_ps, row.step_ps, &values);
-        let core = Core::of(&response, row.step_ps);
-        Self { response, polarity, core, width_ps: row.width_ps }
+        let calibrated = Calibrated::new(row);
+        let core = Core::of(&calibrated.response, row.step_ps);
+        Self { calibrated, core, width_ps: row.width_ps }
     }
 }
 
@@ -87,8 +87,8 @@ impl Apply for Measure {
     fn apply(&self, sensors: &Self::Context, group: Vec<Profile>) -> Result<Outcome<Measurement>, StageError> {
         // A sensor without calibration has its noise measured all the same; `calibrate` has said why it has none.
         let measure = |profile: &Profile| {
-            let sensor = sensors.get(&(profile.campaign.clone(), profile.sensor.clone()));
-            measurement(profile, sensor)
+            let row = calibrated::row_of(&sensors.rows, profile);
+            measurement(profile, row.map(|row| &sensors.sensors[&calibrated::key_of(row)]))
         };
         Ok(Outcome::rows(group.iter().map(measure).collect()))
     }
@@ -114,12 +114,8 @@ fn measurement(profile: &Profile, sensor: Option<&Sensor>) -> Measurement {
 
 /// Fills in the columns of the pulse, if there is one.
 fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measurement {
-    let samples: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.polarity).collect();
-    let seen = |response: &Response| match &profile.phase_shots {
-        Some(phase_shots) => averaged_response(response, profile.dt_ps, phase_shots),
-        None => response.clone(),
-    };
-    let response = seen(&sensor.response);
+    let samples: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.calibrated.polarity).collect();
+    let response = sensor.calibrated.averaged(profile);
     let Some(found) = fit_pulse(&samples, profile.dt_ps, &response) else {
         return row;
     };
@@ -130,7 +126,10 @@ fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measureme
         return row;
     };
     let spread = spread(profile, &response, &pulse);
-    let echo = sensor.core.as_ref().and_then(|core| echo::largest(&record, core, &seen(&core.response)));
+    let echo = sensor
+        .core
+        .as_ref()
+        .and_then(|core| echo::largest(&record, core, &calibrated::averaged(&core.response, profile)));
     Measurement {
         snr: Some(pulse.amplitude.abs() / pulse.amplitude_sd),
         amplitude_v: Some(pulse.amplitude),

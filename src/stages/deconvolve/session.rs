@@ -1,6 +1,6 @@
 //! What a session says of one profile: drift of its delay, and pick-up.
 
-use super::Key;
+use crate::stages::calibrated::Key;
 use crate::stages::moment;
 use crate::tables::{Profile, Session};
 
