@@ -76,23 +76,18 @@ impl Measured {
     }
 
     fn problem(&self, start: Vec<Point>, delay_sd_m: f64) -> Problem {
-        let origin = Node::Station(Point::origin());
+        let origin = Node::Station(0);
         let observation = |patches: &[usize], length: &Length| Observation {
             nodes: std::iter::once(origin).chain(patches.iter().map(|&p| Node::Patch(p))).chain([origin]).collect(),
             length_m: length.length_m,
             sd_m: length.variance_m2.sqrt(),
-            delay: (delay_sd_m > 0.0).then_some(0),
+            delay: None,
+            turns: 0,
         };
         let first = self.first.iter().enumerate().map(|(i, length)| observation(&[i], length));
         let second = self.second.iter().map(|(a, b, length)| observation(&[*a, *b], length));
-        Problem {
-            start,
-            dimensions: 3,
-            observations: first.chain(second).collect(),
-            anchors: Vec::new(),
-            delay_sd_m: if delay_sd_m > 0.0 { vec![delay_sd_m] } else { Vec::new() },
-            robust: true,
-        }
+        let problem = Problem::new(start, 3, &[Point::origin()], first.chain(second).collect());
+        if delay_sd_m > 0.0 { problem.with_common_delay(delay_sd_m) } else { problem }
     }
 
     fn placed(&self) -> Placed {

@@ -7,6 +7,7 @@ use faer::linalg::cholesky::llt;
 use faer::linalg::evd::{self, ComputeEigenvectors};
 use faer::linalg::matmul::matmul;
 use faer::linalg::svd::{self, ComputeSvdVectors};
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, Mat, MatRef, Par, Spec};
 
 /// Eigenvalues in ascending order, with their vectors as columns.
@@ -80,6 +81,11 @@ impl Definite {
         let mut memory =
             MemBuffer::new(llt::solve::solve_in_place_scratch::<f64>(right.nrows(), right.ncols(), Par::Seq));
         llt::solve::solve_in_place(self.lower.as_ref(), right.as_mut(), Par::Seq, MemStack::new(&mut memory));
+    }
+
+    /// Takes columns of this covariance to columns of covariance 1: they are multiplied by the inverse of `L`.
+    pub fn whiten(&self, columns: &mut Mat<f64>) {
+        solve_lower_triangular_in_place(self.lower.as_ref(), columns.as_mut(), Par::Seq);
     }
 
     /// The inverse.

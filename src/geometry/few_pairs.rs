@@ -172,25 +172,19 @@ impl<'a> Scene<'a> {
     fn settle_placed(&self, places: &mut [Option<Point>], steps: usize) -> f64 {
         let mut start = Vec::new();
         let at: Vec<usize> = places.iter().map(|place| (start.len(), start.extend(*place)).0).collect();
-        let origin = Node::Station(Point::origin());
+        let origin = Node::Station(0);
         let observation = |patches: &[usize], length: &Length| Observation {
             nodes: std::iter::once(origin).chain(patches.iter().map(|&p| Node::Patch(at[p]))).chain([origin]).collect(),
             length_m: length.length_m,
             sd_m: length.variance_m2.sqrt(),
             delay: None,
+            turns: 0,
         };
         let has = |patch: usize| places[patch].is_some();
         let first = (0..self.count()).filter(|&a| has(a)).map(|a| observation(&[a], &self.lengths.first[a]));
         let second = self.lengths.second.iter().filter(|(a, b, _)| has(*a) && has(*b));
         let observations = first.chain(second.map(|(a, b, length)| observation(&[*a, *b], length))).collect();
-        let problem = Problem {
-            start,
-            dimensions: self.lengths.dimensions,
-            observations,
-            anchors: Vec::new(),
-            delay_sd_m: Vec::new(),
-            robust: true,
-        };
+        let problem = Problem::new(start, self.lengths.dimensions, &[Point::origin()], observations);
         let (points, loss) = maximum_likelihood::approach(&problem, steps, SETTLED_M);
         places.iter_mut().filter(|place| place.is_some()).zip(points).for_each(|(place, point)| *place = Some(point));
         loss

@@ -1,120 +1,142 @@
-//! Maximum likelihood on path lengths: all patches and delays at once, what photogrammetry calls bundle adjustment.
+//! Maximum likelihood on path lengths: patches, stations, delays and the laser's period at once, what photogrammetry calls bundle adjustment.
 //!
-//! Minimises over patch positions `z` and delays `t`
+//! Minimises over patches `z`, stations `w`, delays `t` and the period's error `p`
 //!
 //! ```text
-//! sum_n rho((l_n - |path_n(z)| - t_n) / s_n) + sum_d (t_d / s_d)^2 + sum_a |z_a - anchor_a|^2 / s_a^2
+//! sum_n rho((l_n - |path_n(z, w)| - t_n + turns_n p) / s_n)
+//!   + sum_a |z_a - anchor_a|^2 / s_a^2 + sum_r |direction(z_r - w_r) - ray_r|^2 / s_r^2
+//!   + sum_k |w_k - station_k|^2 / s_k^2 + t' C^-1 t + (p / s_p)^2
 //! ```
 //!
-//! by Levenberg-Marquardt with Huber's `rho` (quadratic to 3 standard deviations, then linear). The covariance is the pseudo-inverse of the Fisher
-//! matrix without the rotations that no path length sees, so it is the Cramer-Rao bound at the solution. Delays have priors because first and
-//! second bounces alone hardly determine a common delay. Not modelled: uncertainty of station positions, errors that onsets of one profile share.
+//! by Levenberg-Marquardt with Huber's `rho` (quadratic to 3 standard deviations, then linear). Up to [`DENSE_MAX`] patches the normal matrix is in
+//! memory; beyond, its products are passes over the observations (`matrix_free`). The covariance is the pseudo-inverse of the Fisher matrix without the
+//! rotations that no path length sees, so it is the Cramer-Rao bound at the solution; of a matrix-free solution it is blocks ([`Solution::is_exact`]).
+//!
+//! What nothing determines is told, not guessed: parts that share no path, rotations, and patches that can move freely. A mirror image or another minimum that
+//! explains the lengths as well is not seen from here. Not modelled: errors that onsets of one profile share.
+
+mod dense_steps;
+mod freedom;
+mod matrix_free;
+mod problem;
+mod rows;
 
 use faer::Mat;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 
-use super::{Point, dense};
+use super::Point;
+pub use problem::{Anchor, Node, Observation, Problem, Ray, Station};
+use rows::{Layout, Place, Rows};
 
+/// Most patches for which the normal matrix is held in memory.
+pub const DENSE_MAX: usize = 1000;
 /// Steps after which a solution that has not settled is given up.
 const STEPS: usize = 200;
-/// A solution has settled when no coordinate moves further.
+/// A solution has settled when no unknown moves further.
 const SETTLED_M: f64 = 1e-11;
-/// Standard deviations beyond which a residual counts linearly.
-const HUBER: f64 = 3.0;
-/// A rotation that changes no path by more than this (squared, relative to the stiffest direction) is free.
-const FREE: f64 = 1e-10;
-
-/// A point of a path.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Node {
-    /// A station: known.
-    Station(Point),
-    /// A patch, by its position among the unknowns.
-    Patch(usize),
-}
-
-/// A measured path length.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Observation {
-    /// Source, patches in the order light meets them, sensor.
-    pub nodes: Vec<Node>,
-    /// Measured length.
-    pub length_m: f64,
-    /// Its standard deviation.
-    pub sd_m: f64,
-    /// Delay that adds to it, by its position.
-    pub delay: Option<usize>,
-}
-
-/// A patch whose position is known beforehand.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Anchor {
-    /// Patch, by its position among the unknowns.
-    pub patch: usize,
-    /// Where it is.
-    pub position: Point,
-    /// Standard deviation of each coordinate.
-    pub sd_m: f64,
-}
-
-/// What is to be solved.
-#[derive(Clone, Debug)]
-pub struct Problem {
-    /// Where each patch is searched from.
-    pub start: Vec<Point>,
-    /// 3, or 2 for flatland, where z stays.
-    pub dimensions: usize,
-    /// Measurements.
-    pub observations: Vec<Observation>,
-    /// Known patches.
-    pub anchors: Vec<Anchor>,
-    /// Prior standard deviation of each delay, as a length; its mean is 0.
-    pub delay_sd_m: Vec<f64>,
-    /// Whether large residuals count linearly.
-    pub robust: bool,
-}
+/// The same without the normal matrix, whose steps are inexact.
+const SETTLED_MATRIX_FREE_M: f64 = 1e-8;
 
 /// The solution.
 #[derive(Clone, Debug)]
 pub struct Solution {
     /// Positions of the patches.
     pub points: Vec<Point>,
+    /// Positions of the stations.
+    pub stations: Vec<Point>,
     /// Delays, as lengths.
     pub delays_m: Vec<f64>,
-    /// Covariance of all coordinates (`dimensions` a patch, in order), then of the delays.
-    pub covariance: Mat<f64>,
+    /// What the laser's period is longer than its nominal length.
+    pub period_m: f64,
     /// Residual of each observation: measured minus predicted length.
     pub residuals_m: Vec<f64>,
     /// Sum of squared standardised residuals, priors included.
     pub chi2: f64,
-    /// Measurements and priors less unknowns, free rotations given back.
+    /// The same with large residuals counted linearly where the problem asked for it: what was minimised.
+    pub loss: f64,
+    /// Measurements and priors less unknowns, what nothing determines given back.
     pub degrees_of_freedom: i64,
-    /// Rotations that no measurement determines.
-    pub free_rotations: usize,
-    /// Dimensions of space.
-    pub dimensions: usize,
+    /// Patches that are joined by paths, largest part first.
+    pub parts: Vec<Vec<usize>>,
+    /// Rotations of each part that no measurement determines.
+    pub free_rotations: Vec<usize>,
+    /// Patches that can move freely, rotations of their part apart; they have no covariance.
+    pub open: Vec<usize>,
+    layout: Layout,
+    covariance: Covariance,
+}
+
+#[derive(Clone, Debug)]
+enum Covariance {
+    /// Of all unknowns.
+    Exact(Mat<f64>),
+    /// Of each patch, and of all unknowns that are no coordinates of patches.
+    Blocks(Vec<Matrix3<f64>>, Mat<f64>),
 }
 
 impl Solution {
-    /// Covariance of the coordinates of two patches; in flatland z has none.
+    /// Covariance of the coordinates of two patches; in flatland z has none. Of two patches of a matrix-free solution it is not known, and zero here.
     #[must_use]
     pub fn patch_covariance_m2(&self, a: usize, b: usize) -> Matrix3<f64> {
-        let dimensions = self.dimensions;
-        Matrix3::from_fn(|i, k| {
-            if i < dimensions && k < dimensions {
-                self.covariance[(a * dimensions + i, b * dimensions + k)]
-            } else {
-                0.0
+        match &self.covariance {
+            Covariance::Exact(covariance) => {
+                let (a, b) = (self.layout.patch(a).start, self.layout.patch(b).start);
+                block(covariance, a, b, self.layout.dimensions)
             }
-        })
+            Covariance::Blocks(blocks, _) if a == b => blocks[a],
+            Covariance::Blocks(..) => Matrix3::zeros(),
+        }
+    }
+
+    /// Covariance of a station's coordinates; zero for an exact one.
+    #[must_use]
+    pub fn station_covariance_m2(&self, station: usize) -> Matrix3<f64> {
+        let Some(at) = self.layout.stations[station] else {
+            return Matrix3::zeros();
+        };
+        match &self.covariance {
+            Covariance::Exact(covariance) => block(covariance, at, at, self.layout.dimensions),
+            Covariance::Blocks(_, others) => {
+                let at = at - self.layout.coordinates;
+                block(others, at, at, self.layout.dimensions)
+            }
+        }
     }
 
     /// Variance of a delay.
     #[must_use]
     pub fn delay_variance_m2(&self, delay: usize) -> f64 {
-        let at = self.points.len() * self.dimensions + delay;
-        self.covariance[(at, at)]
+        self.variance_m2(self.layout.delays + delay)
     }
+
+    /// Variance of the laser's period; `None` where it was exact or no observation depends on it.
+    #[must_use]
+    pub fn period_variance_m2(&self) -> Option<f64> {
+        self.layout.period.map(|at| self.variance_m2(at))
+    }
+
+    fn variance_m2(&self, at: usize) -> f64 {
+        match &self.covariance {
+            Covariance::Exact(covariance) => covariance[(at, at)],
+            Covariance::Blocks(_, others) => others[(at - self.layout.coordinates, at - self.layout.coordinates)],
+        }
+    }
+
+    /// Whether covariances are those of the whole Fisher matrix, not of its blocks.
+    #[must_use]
+    pub fn is_exact(&self) -> bool {
+        matches!(self.covariance, Covariance::Exact(_))
+    }
+
+    /// Number of unknowns.
+    #[must_use]
+    pub fn unknowns(&self) -> usize {
+        self.layout.size
+    }
+}
+
+fn block(matrix: &Mat<f64>, a: usize, b: usize, dimensions: usize) -> Matrix3<f64> {
+    Matrix3::from_fn(|i, k| if i < dimensions && k < dimensions { matrix[(a + i, b + k)] } else { 0.0 })
 }
 
 /// Why there is no solution.
@@ -122,7 +144,7 @@ impl Solution {
 pub enum Unsolved {
     /// Too few measurements.
     #[error(
-        "the path lengths leave more than rotations undetermined; the patches with the fewest (position among the unknowns, count) are {0:?}"
+        "the path lengths leave positions undetermined; the patches with the fewest (position among the unknowns, count) are {0:?}"
     )]
     Undetermined(Vec<(usize, usize)>),
     /// No minimum was reached.
@@ -130,148 +152,49 @@ pub enum Unsolved {
     NotSettled,
 }
 
-impl Problem {
-    fn coordinates(&self) -> usize {
-        self.start.len() * self.dimensions
-    }
-
-    fn unknowns(&self) -> usize {
-        self.coordinates() + self.delay_sd_m.len()
-    }
-
-    fn check(&self) {
-        assert!(self.dimensions == 2 || self.dimensions == 3, "space has 2 or 3 dimensions");
-        for observation in &self.observations {
-            assert!(
-                observation.nodes.len() >= 2 && observation.sd_m > 0.0,
-                "a path has two ends and a standard deviation"
-            );
-            assert!(observation.delay.is_none_or(|delay| delay < self.delay_sd_m.len()), "a delay has a prior");
-        }
-    }
+/// How steps are computed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Means {
+    Dense,
+    MatrixFree,
 }
 
-/// Unknowns at one place.
-#[derive(Clone)]
-struct Place {
-    points: Vec<Point>,
-    delays_m: Vec<f64>,
-}
+impl Means {
+    fn of(problem: &Problem) -> Self {
+        if problem.start.len() <= DENSE_MAX { Self::Dense } else { Self::MatrixFree }
+    }
 
-impl Place {
-    fn position(&self, node: Node) -> Point {
-        match node {
-            Node::Station(point) => point,
-            Node::Patch(patch) => self.points[patch],
+    fn step(self, rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
+        match self {
+            Self::Dense => dense_steps::step(rows, place, damping),
+            Self::MatrixFree => matrix_free::step(rows, place, damping),
         }
     }
 
-    fn moved(&self, step: &[f64], dimensions: usize) -> Self {
-        let mut place = self.clone();
-        for (patch, point) in place.points.iter_mut().enumerate() {
-            for k in 0..dimensions {
-                point[k] += step[patch * dimensions + k];
-            }
-        }
-        let first = self.points.len() * dimensions;
-        place.delays_m.iter_mut().zip(&step[first..]).for_each(|(delay, step)| *delay += step);
-        place
-    }
-}
-
-/// Predicted length of an observation.
-fn predicted_m(observation: &Observation, place: &Place) -> f64 {
-    let lengths = observation.nodes.windows(2).map(|ends| (place.position(ends[1]) - place.position(ends[0])).norm());
-    lengths.sum::<f64>() + observation.delay.map_or(0.0, |delay| place.delays_m[delay])
-}
-
-/// Derivative of an observation's length: unknown, value; an unknown may come twice.
-fn gradient(observation: &Observation, place: &Place, problem: &Problem, out: &mut Vec<(usize, f64)>) {
-    out.clear();
-    for ends in observation.nodes.windows(2) {
-        let arm: Vector3<f64> = place.position(ends[1]) - place.position(ends[0]);
-        // Ends that coincide pull nowhere.
-        let direction = arm.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
-        for (node, sign) in [(ends[0], -1.0), (ends[1], 1.0)] {
-            if let Node::Patch(patch) = node {
-                out.extend((0..problem.dimensions).map(|k| (patch * problem.dimensions + k, sign * direction[k])));
-            }
+    fn cost(self, rows: &Rows, place: &Place) -> f64 {
+        match self {
+            Self::Dense => rows.cost(place, 0..rows.count),
+            Self::MatrixFree => matrix_free::cost(rows, place),
         }
     }
-    out.extend(observation.delay.map(|delay| (problem.coordinates() + delay, 1.0)));
-}
-
-/// Huber's loss of a standardised residual, and the weight of its square.
-fn loss(residual: f64, robust: bool) -> (f64, f64) {
-    let size = residual.abs();
-    if robust && size > HUBER { (HUBER * (2.0 * size - HUBER), HUBER / size) } else { (size * size, 1.0) }
-}
-
-/// Objective, and where asked for the normal matrix and its right-hand side.
-fn cost(problem: &Problem, place: &Place) -> f64 {
-    let measured = problem
-        .observations
-        .iter()
-        .map(|o| loss((o.length_m - predicted_m(o, place)) / o.sd_m, problem.robust).0)
-        .sum::<f64>();
-    measured + prior_cost(problem, place)
-}
-
-fn prior_cost(problem: &Problem, place: &Place) -> f64 {
-    let delays: f64 = place.delays_m.iter().zip(&problem.delay_sd_m).map(|(delay, sd)| (delay / sd).powi(2)).sum();
-    let anchors: f64 = problem
-        .anchors
-        .iter()
-        .map(|anchor| {
-            (0..problem.dimensions)
-                .map(|k| ((place.points[anchor.patch][k] - anchor.position[k]) / anchor.sd_m).powi(2))
-                .sum::<f64>()
-        })
-        .sum();
-    delays + anchors
-}
-
-fn normal_equations(problem: &Problem, place: &Place) -> (Mat<f64>, Vec<f64>) {
-    let size = problem.unknowns();
-    let (mut normal, mut right) = (Mat::zeros(size, size), vec![0.0; size]);
-    let mut terms = Vec::new();
-    for observation in &problem.observations {
-        let residual = (observation.length_m - predicted_m(observation, place)) / observation.sd_m;
-        let weight = loss(residual, problem.robust).1 / (observation.sd_m * observation.sd_m);
-        gradient(observation, place, problem, &mut terms);
-        for &(i, a) in &terms {
-            right[i] += weight * a * residual * observation.sd_m;
-            for &(j, b) in &terms {
-                normal[(i, j)] += weight * a * b;
-            }
-        }
-    }
-    for (d, sd_m) in problem.delay_sd_m.iter().enumerate() {
-        let i = problem.coordinates() + d;
-        normal[(i, i)] += 1.0 / (sd_m * sd_m);
-        right[i] -= place.delays_m[d] / (sd_m * sd_m);
-    }
-    for anchor in &problem.anchors {
-        for k in 0..problem.dimensions {
-            let i = anchor.patch * problem.dimensions + k;
-            normal[(i, i)] += 1.0 / (anchor.sd_m * anchor.sd_m);
-            right[i] += (anchor.position[k] - place.points[anchor.patch][k]) / (anchor.sd_m * anchor.sd_m);
-        }
-    }
-    (normal, right)
 }
 
 /// Solves the problem.
 ///
 /// # Errors
-/// When the measurements leave more than rotations open, or no minimum is reached.
+/// When no minimum is reached; when positions are undetermined and the scene is too large to find out which.
 ///
 /// # Panics
-/// When an observation has fewer than two nodes or no standard deviation, or names a delay without prior.
+/// When the problem contradicts itself: a path of fewer than two nodes, a standard deviation that is not positive, a station or delay that is not there.
 pub fn solve(problem: &Problem) -> Result<Solution, Unsolved> {
-    problem.check();
-    let (place, _, settled) = descend(problem, STEPS, SETTLED_M);
-    if settled { finish(problem, place) } else { Err(Unsolved::NotSettled) }
+    solve_by(problem, Means::of(problem))
+}
+
+fn solve_by(problem: &Problem, means: Means) -> Result<Solution, Unsolved> {
+    let rows = Rows::new(problem);
+    let settled_m = if means == Means::Dense { SETTLED_M } else { SETTLED_MATRIX_FREE_M };
+    let (place, loss, settled) = descend(&rows, means, STEPS, settled_m);
+    if settled { finish(&rows, means, place, loss) } else { Err(Unsolved::NotSettled) }
 }
 
 /// Where at most `steps` steps lead, with the objective there, without covariance: to judge many starts by.
@@ -280,29 +203,22 @@ pub fn solve(problem: &Problem) -> Result<Solution, Unsolved> {
 /// As [`solve`].
 #[must_use]
 pub fn approach(problem: &Problem, steps: usize, settled_m: f64) -> (Vec<Point>, f64) {
-    problem.check();
-    let (place, cost, _) = descend(problem, steps, settled_m);
+    let (place, cost, _) = descend(&Rows::new(problem), Means::of(problem), steps, settled_m);
     (place.points, cost)
 }
 
 /// Levenberg-Marquardt: the place reached, the objective there, and whether it has settled.
-fn descend(problem: &Problem, steps: usize, settled_m: f64) -> (Place, f64, bool) {
-    let mut place = Place { points: problem.start.clone(), delays_m: vec![0.0; problem.delay_sd_m.len()] };
-    let mut now = cost(problem, &place);
+fn descend(rows: &Rows, means: Means, steps: usize, settled_m: f64) -> (Place, f64, bool) {
+    let mut place = Place::start(rows.problem);
+    let mut now = means.cost(rows, &place);
     let mut damping = 1e-3;
     for _ in 0..steps {
-        let (normal, right) = normal_equations(problem, &place);
-        let scale = (0..normal.nrows()).map(|i| normal[(i, i)]).fold(0.0, f64::max);
-        let damped = Mat::from_fn(normal.nrows(), normal.nrows(), |i, j| {
-            // The floor keeps rotations, which have no stiffness of their own, from blowing up.
-            normal[(i, j)] + if i == j { damping * normal[(i, i)] + 1e-9 * damping.max(1e-3) * scale } else { 0.0 }
-        });
-        let Some(step) = dense::solve(&damped, &right) else {
+        let Some(step) = means.step(rows, &place, damping) else {
             damping *= 10.0;
             continue;
         };
-        let trial = place.moved(&step, problem.dimensions);
-        let then = cost(problem, &trial);
+        let trial = place.moved(&step, &rows.layout);
+        let then = means.cost(rows, &trial);
         let longest = step.iter().fold(0.0, |most: f64, step| most.max(step.abs()));
         if then <= now {
             place = trial;
@@ -320,26 +236,67 @@ fn descend(problem: &Problem, steps: usize, settled_m: f64) -> (Place, f64, bool
     (place, now, false)
 }
 
-fn finish(problem: &Problem, place: Place) -> Result<Solution, Unsolved> {
-    let (fisher, _) = normal_equations(problem, &place);
-    let nulls = free_rotations(problem, &place, &fisher);
-    let covariance = dense::pseudo_inverse(&fisher, &nulls)
-        .filter(|covariance| (0..covariance.nrows()).all(|i| covariance[(i, i)].is_finite()));
-    let covariance = covariance.ok_or_else(|| undetermined(problem))?;
-    let residuals_m: Vec<f64> = problem.observations.iter().map(|o| o.length_m - predicted_m(o, &place)).collect();
-    let measured: f64 =
-        residuals_m.iter().zip(&problem.observations).map(|(residual, o)| (residual / o.sd_m).powi(2)).sum();
-    let data = problem.observations.len() + problem.delay_sd_m.len() + problem.dimensions * problem.anchors.len();
+fn finish(rows: &Rows, means: Means, place: Place, loss: f64) -> Result<Solution, Unsolved> {
+    let problem = rows.problem;
+    let parts = freedom::parts(problem);
+    let stiffest = stiffest(rows, &place);
+    let turns: Vec<Vec<Vec<f64>>> =
+        parts.iter().map(|part| freedom::free_rotations(rows, &place, part, stiffest)).collect();
+    let nulls: Vec<Vec<f64>> = turns.iter().flatten().cloned().collect();
+    let (mut open, mut loose) = (Vec::new(), 0);
+    let covariance = match means {
+        Means::MatrixFree => {
+            let (blocks, others) = matrix_free::covariance(rows, &place).ok_or_else(|| undetermined(problem))?;
+            Covariance::Blocks(blocks, others)
+        }
+        Means::Dense => loop {
+            let nulls = freedom::without(&nulls, rows, &open);
+            let columns = Mat::from_fn(rows.layout.size, nulls.len(), |i, k| nulls[k][i]);
+            match dense_steps::covariance(rows, &place, &columns, &open) {
+                Ok(covariance) => break Covariance::Exact(covariance),
+                Err(found) => {
+                    let (more, free) = found.ok_or_else(|| undetermined(problem))?;
+                    let new = freedom::open(rows, &free, &nulls);
+                    if open.is_empty() {
+                        loose = more;
+                    }
+                    let before = open.len();
+                    open.extend(new);
+                    open.sort_unstable();
+                    open.dedup();
+                    if open.len() == before {
+                        return Err(undetermined(problem));
+                    }
+                }
+            }
+        },
+    };
+    let squares = (0..rows.count).map(|n| rows.residual(&place, n, None).powi(2));
     Ok(Solution {
-        chi2: measured + prior_cost(problem, &place),
-        degrees_of_freedom: data as i64 - problem.unknowns() as i64 + nulls.ncols() as i64,
-        free_rotations: nulls.ncols(),
-        dimensions: problem.dimensions,
+        chi2: squares.sum(),
+        loss,
+        residuals_m: (0..problem.observations.len()).map(|n| rows.residual_m(&place, n)).collect(),
+        degrees_of_freedom: rows.data as i64 - rows.layout.size as i64 + (nulls.len() + loose) as i64,
+        free_rotations: turns.iter().map(Vec::len).collect(),
+        parts,
+        open,
         points: place.points,
+        stations: place.stations,
         delays_m: place.delays_m,
+        period_m: place.period_m,
+        layout: rows.layout.clone(),
         covariance,
-        residuals_m,
     })
+}
+
+/// About the largest stiffness of a single unknown.
+fn stiffest(rows: &Rows, place: &Place) -> f64 {
+    let (mut diagonal, mut terms) = (vec![0.0; rows.layout.size], Vec::new());
+    for n in 0..rows.count {
+        rows.residual(place, n, Some(&mut terms));
+        terms.iter().for_each(|&(i, a)| diagonal[i] += a * a);
+    }
+    diagonal.into_iter().take(rows.layout.coordinates).fold(0.0, f64::max)
 }
 
 /// Patches that the fewest paths touch.
@@ -349,52 +306,6 @@ fn undetermined(problem: &Problem) -> Unsolved {
     counts.sort_by_key(|&(patch, count)| (count, patch));
     counts.truncate(5);
     Unsolved::Undetermined(counts)
-}
-
-/// Orthonormal directions of the unknowns that rotate all patches about the first station and change no path: three for stations in one point, one about
-/// their line, none otherwise.
-fn free_rotations(problem: &Problem, place: &Place, fisher: &Mat<f64>) -> Mat<f64> {
-    let stations = problem.observations.iter().flat_map(|o| &o.nodes).find_map(|node| match node {
-        Node::Station(point) => Some(*point),
-        Node::Patch(_) => None,
-    });
-    let Some(centre) = stations else {
-        return Mat::zeros(fisher.nrows(), 0);
-    };
-    let axes: &[Vector3<f64>] = if problem.dimensions == 3 {
-        &[Vector3::new(1.0, 0.0, 0.0), Vector3::new(0.0, 1.0, 0.0), Vector3::new(0.0, 0.0, 1.0)]
-    } else {
-        &[Vector3::new(0.0, 0.0, 1.0)]
-    };
-    let generator = |axis: &Vector3<f64>| -> Vec<f64> {
-        let mut direction = vec![0.0; fisher.nrows()];
-        for (patch, point) in place.points.iter().enumerate() {
-            let motion = axis.cross(&(point - centre));
-            direction[patch * problem.dimensions..(patch + 1) * problem.dimensions]
-                .copy_from_slice(&motion.as_slice()[..problem.dimensions]);
-        }
-        direction
-    };
-    let generators: Vec<Vec<f64>> = axes.iter().map(generator).collect();
-    let columns = Mat::from_fn(fisher.nrows(), axes.len(), |i, k| generators[k][i]);
-    // In the span of the generators: how much motion, and how much stiffness.
-    let motion = dense::product(columns.transpose(), columns.as_ref());
-    let (sizes, turns) = dense::symmetric_eigen(&motion);
-    let largest = sizes.last().copied().unwrap_or(0.0);
-    let kept: Vec<usize> = (0..axes.len()).filter(|&k| sizes[k] > 1e-12 * largest && largest > 0.0).collect();
-    let basis = Mat::from_fn(fisher.nrows(), kept.len(), |i, k| {
-        (0..axes.len()).map(|a| columns[(i, a)] * turns[(a, kept[k])]).sum::<f64>() / sizes[kept[k]].sqrt()
-    });
-    let stiffness = dense::product(basis.transpose(), dense::product(fisher.as_ref(), basis.as_ref()).as_ref());
-    if kept.is_empty() {
-        return Mat::zeros(fisher.nrows(), 0);
-    }
-    let (values, vectors) = dense::symmetric_eigen(&stiffness);
-    let scale = (0..fisher.nrows()).map(|i| fisher[(i, i)]).fold(0.0, f64::max);
-    let free: Vec<usize> = (0..kept.len()).filter(|&k| values[k] < FREE * scale).collect();
-    Mat::from_fn(fisher.nrows(), free.len(), |i, k| {
-        (0..kept.len()).map(|b| basis[(i, b)] * vectors[(b, free[k])]).sum()
-    })
 }
 
 #[cfg(test)]

@@ -50,7 +50,7 @@ impl Measured {
 
     /// The same by the dense method, from a start.
     fn exactly(&self, start: &[Point], delay_sd_m: f64) -> exact::Solution {
-        let origin = exact::Node::Station(Point::origin());
+        let origin = exact::Node::Station(0);
         let observation = |patches: &[usize], length_m: f64| exact::Observation {
             nodes: std::iter::once(origin)
                 .chain(patches.iter().map(|&p| exact::Node::Patch(p)))
@@ -58,21 +58,16 @@ impl Measured {
                 .collect(),
             length_m,
             sd_m: SD_M,
-            delay: (delay_sd_m > 0.0).then_some(0),
+            delay: None,
+            turns: 0,
         };
         let first = self.first_m.iter().enumerate().map(|(i, length_m)| observation(&[i], *length_m));
         let second = room::all_pairs(start.len()).into_iter().zip(self.second_m.iter().zip(&self.sds));
         let second = second.filter(|(_, (_, sd_m))| sd_m.is_finite());
         let observations =
             first.chain(second.map(|((j, i), (length_m, _))| observation(&[i, j], f64::from(*length_m))));
-        exact::solve(&exact::Problem {
-            start: start.to_vec(),
-            dimensions: 3,
-            observations: observations.collect(),
-            anchors: Vec::new(),
-            delay_sd_m: if delay_sd_m > 0.0 { vec![delay_sd_m] } else { Vec::new() },
-            robust: true,
-        })
+        let problem = exact::Problem::new(start.to_vec(), 3, &[Point::origin()], observations.collect());
+        exact::solve(&if delay_sd_m > 0.0 { problem.with_common_delay(delay_sd_m) } else { problem })
         .unwrap()
     }
 }
@@ -87,7 +82,7 @@ fn it_agrees_with_the_dense_method() {
         let found = solve(&measured.lengths(delay_sd_m)).unwrap();
         let exact = measured.exactly(&found.points, delay_sd_m);
         let apart = procrustes::rotation(&found.points, &exact.points, Point::origin(), true).rms_m;
-        let sd_m = ((0..300).map(|i| exact.covariance[(i, i)]).sum::<f64>() / 100.0).sqrt();
+        let sd_m = ((0..100).map(|i| exact.patch_covariance_m2(i, i).trace()).sum::<f64>() / 100.0).sqrt();
         eprintln!("apart {apart:.2e} m of {sd_m:.2e} m, {} passes", found.passes);
         assert!(apart < 0.03 * sd_m);
         assert_eq!(found.degrees_of_freedom, exact.degrees_of_freedom);

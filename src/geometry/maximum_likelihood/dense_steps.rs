@@ -1,0 +1,87 @@
+//! Steps and covariances with the normal matrix in memory: for up to some thousand unknowns.
+
+use faer::Mat;
+
+use super::problem::Node;
+use super::rows::{Place, Rows};
+use crate::geometry::dense;
+
+/// A coordinate whose variance is this many times what it would be with all others held is not determined.
+const UNDETERMINED: f64 = 1e9;
+/// Of a normal matrix scaled to ones on its diagonal, eigenvalues below this belong to directions that nothing determines.
+const NULL: f64 = 1e-9;
+/// Unknowns beyond which directions that nothing determines are not searched for.
+const SEARCHED_MAX: usize = 1500;
+
+/// Normal matrix and its right-hand side.
+fn normal_equations(rows: &Rows, place: &Place) -> (Mat<f64>, Vec<f64>) {
+    sums(rows, place, |_| true)
+}
+
+/// The same of some terms.
+fn sums(rows: &Rows, place: &Place, counts: impl Fn(usize) -> bool) -> (Mat<f64>, Vec<f64>) {
+    let size = rows.layout.size;
+    let (mut normal, mut right) = (Mat::zeros(size, size), vec![0.0; size]);
+    let mut terms = Vec::new();
+    for n in (0..rows.count).filter(|n| counts(*n)) {
+        let residual = rows.residual(place, n, Some(&mut terms));
+        let weight = rows.loss(n, residual).1;
+        for &(i, a) in &terms {
+            right[i] += weight * a * residual;
+            for &(j, b) in &terms {
+                normal[(i, j)] += weight * a * b;
+            }
+        }
+    }
+    (normal, right)
+}
+
+/// A damped Gauss-Newton step; `None` if the matrix is not definite.
+pub fn step(rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
+    let (normal, right) = normal_equations(rows, place);
+    let scale = (0..normal.nrows()).map(|i| normal[(i, i)]).fold(0.0, f64::max);
+    let damped = Mat::from_fn(normal.nrows(), normal.nrows(), |i, j| {
+        // The floor keeps rotations, which have no stiffness of their own, from blowing up.
+        normal[(i, j)] + if i == j { damping * normal[(i, i)] + 1e-9 * damping.max(1e-3) * scale } else { 0.0 }
+    });
+    dense::solve(&damped, &right)
+}
+
+/// Pseudo-inverse of the normal matrix of all paths that avoid the patches `open`, without `nulls` (orthonormal columns that avoid them too). Open
+/// patches have no covariance here.
+///
+/// # Errors
+/// When more is undetermined than `nulls`: how much, and orthonormal columns that span it together with them. `None` where there are too many unknowns
+/// to search.
+pub fn covariance(
+    rows: &Rows,
+    place: &Place,
+    nulls: &Mat<f64>,
+    open: &[usize],
+) -> Result<Mat<f64>, Option<(usize, Mat<f64>)>> {
+    let is_open = |node: &Node| matches!(node, Node::Patch(patch) if open.contains(patch));
+    let avoids = |n: usize| rows.problem.observations.get(n).is_none_or(|o| !o.nodes.iter().any(is_open));
+    let (mut normal, _) = sums(rows, place, avoids);
+    let size = normal.nrows();
+    let stiff = (0..size).map(|i| normal[(i, i)]).fold(0.0, f64::max);
+    open.iter().flat_map(|&patch| rows.layout.patch(patch)).for_each(|i| normal[(i, i)] += stiff);
+    let is_determined = |covariance: &Mat<f64>| {
+        (0..size).all(|i| {
+            let inflation = covariance[(i, i)] * normal[(i, i)];
+            inflation.is_finite() && inflation < UNDETERMINED
+        })
+    };
+    if let Some(covariance) = dense::pseudo_inverse(&normal, nulls).filter(is_determined) {
+        return Ok(covariance);
+    }
+    if size > SEARCHED_MAX {
+        return Err(None);
+    }
+    let scale: Vec<f64> =
+        (0..size).map(|i| if normal[(i, i)] > 0.0 { normal[(i, i)].powf(-0.5) } else { 1.0 }).collect();
+    let (values, vectors) =
+        dense::symmetric_eigen(&Mat::from_fn(size, size, |i, j| scale[i] * normal[(i, j)] * scale[j]));
+    let count = values.iter().take_while(|value| **value < NULL).count();
+    let spanned = Mat::from_fn(size, count, |i, k| scale[i] * vectors[(i, k)]);
+    Err(Some((count.saturating_sub(nulls.ncols()), spanned)))
+}

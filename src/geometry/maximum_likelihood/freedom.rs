@@ -1,0 +1,150 @@
+//! Rotations that no path length sees.
+//!
+//! Patches that share a path form a part. With all stations in one point a part turns freely about it; with stations in line, about that line. A second part,
+//! which shares no path with the first, turns on its own. What else is free belongs to single patches that have too few paths.
+
+use faer::Mat;
+use nalgebra::Vector3;
+
+use super::matrix_free;
+use super::problem::{Node, Problem};
+use super::rows::{Place, Rows};
+use crate::geometry::dense;
+
+/// Rounds of weights in which motions are told apart from rotations, and the size of what is left of a patch's motion, relative to the largest, that makes
+/// it open.
+const ROUNDS: usize = 40;
+const OPEN: f64 = 1e-3;
+/// What is left of a direction of length 1 below this is nothing.
+const GONE: f64 = 1e-6;
+/// A rotation that changes no path by more than this (squared, relative to the stiffest direction) is free.
+const FREE: f64 = 1e-10;
+
+/// Groups of patches that are joined by paths, largest first.
+pub fn parts(problem: &Problem) -> Vec<Vec<usize>> {
+    let mut root: Vec<usize> = (0..problem.start.len()).collect();
+    fn find(root: &mut [usize], mut patch: usize) -> usize {
+        while root[patch] != patch {
+            root[patch] = root[root[patch]];
+            patch = root[patch];
+        }
+        patch
+    }
+    for observation in &problem.observations {
+        let mut patches = observation.nodes.iter().filter_map(|node| match node {
+            Node::Patch(patch) => Some(*patch),
+            Node::Station(_) => None,
+        });
+        let Some(first) = patches.next() else { continue };
+        for patch in patches {
+            let (a, b) = (find(&mut root, first), find(&mut root, patch));
+            root[a.max(b)] = a.min(b);
+        }
+    }
+    let mut parts: Vec<Vec<usize>> = vec![Vec::new(); problem.start.len()];
+    for patch in 0..problem.start.len() {
+        parts[find(&mut root, patch)].push(patch);
+    }
+    parts.retain(|part| !part.is_empty());
+    parts.sort_by_key(|part| (std::cmp::Reverse(part.len()), part[0]));
+    parts
+}
+
+/// Orthonormal directions of the unknowns that turn a part about the first station of its paths and change no path.
+pub fn free_rotations(rows: &Rows, place: &Place, part: &[usize], stiffest: f64) -> Vec<Vec<f64>> {
+    let problem = rows.problem;
+    let of_part = |node: &Node| matches!(node, Node::Patch(patch) if part.binary_search(patch).is_ok());
+    let path = problem.observations.iter().find(|observation| observation.nodes.iter().any(of_part));
+    let centre = path.and_then(|observation| match observation.nodes[0] {
+        Node::Station(station) => Some(place.stations[station]),
+        Node::Patch(_) => None,
+    });
+    let Some(centre) = centre else {
+        return Vec::new();
+    };
+    let axes: &[Vector3<f64>] = if problem.dimensions == 3 {
+        &[Vector3::new(1.0, 0.0, 0.0), Vector3::new(0.0, 1.0, 0.0), Vector3::new(0.0, 0.0, 1.0)]
+    } else {
+        &[Vector3::new(0.0, 0.0, 1.0)]
+    };
+    let generator = |axis: &Vector3<f64>| -> Vec<f64> {
+        let mut direction = vec![0.0; rows.layout.size];
+        for &patch in part {
+            let motion = axis.cross(&(place.points[patch] - centre));
+            direction[rows.layout.patch(patch)].copy_from_slice(&motion.as_slice()[..problem.dimensions]);
+        }
+        direction
+    };
+    let generators: Vec<Vec<f64>> = axes.iter().map(generator).collect();
+    let gram = |a: &[Vec<f64>], b: &[Vec<f64>]| {
+        Mat::from_fn(a.len(), b.len(), |i, k| a[i].iter().zip(&b[k]).map(|(a, b)| a * b).sum::<f64>())
+    };
+    let combined = |vectors: &[Vec<f64>], matrix: &Mat<f64>, column: usize, scale: f64| -> Vec<f64> {
+        (0..rows.layout.size)
+            .map(|i| (0..vectors.len()).map(|k| vectors[k][i] * matrix[(k, column)] * scale).sum())
+            .collect()
+    };
+    // In the span of the generators: how much motion, and how much stiffness.
+    let (sizes, turns) = dense::symmetric_eigen(&gram(&generators, &generators));
+    let largest = sizes.last().copied().unwrap_or(0.0);
+    let basis: Vec<Vec<f64>> = (0..axes.len())
+        .filter(|&k| sizes[k] > 1e-12 * largest && largest > 0.0)
+        .map(|k| combined(&generators, &turns, k, 1.0 / sizes[k].sqrt()))
+        .collect();
+    if basis.is_empty() {
+        return Vec::new();
+    }
+    let moved: Vec<Vec<f64>> = basis.iter().map(|vector| matrix_free::product(rows, place, vector)).collect();
+    let (values, vectors) = dense::symmetric_eigen(&gram(&basis, &moved));
+    (0..basis.len()).filter(|&k| values[k] < FREE * stiffest).map(|k| combined(&basis, &vectors, k, 1.0)).collect()
+}
+
+/// The part of orthonormal directions that does not move the patches `open`, orthonormal again.
+pub fn without(directions: &[Vec<f64>], rows: &Rows, open: &[usize]) -> Vec<Vec<f64>> {
+    let mut kept: Vec<Vec<f64>> = Vec::new();
+    for direction in directions {
+        let mut rest = direction.clone();
+        open.iter().for_each(|&patch| rest[rows.layout.patch(patch)].fill(0.0));
+        for other in &kept {
+            let along: f64 = rest.iter().zip(other).map(|(a, b)| a * b).sum();
+            rest.iter_mut().zip(other).for_each(|(a, b)| *a -= along * b);
+        }
+        let size = rest.iter().map(|x| x * x).sum::<f64>().sqrt();
+        if size > GONE {
+            rest.iter_mut().for_each(|x| *x /= size);
+            kept.push(rest);
+        }
+    }
+    kept
+}
+
+/// Patches that move in any of the directions `free` (columns) by more than a rotation of all patches: rotations, in the span of `turns`, are fitted by least
+/// absolute values, so that the few patches that move on their own do not count.
+pub fn open(rows: &Rows, free: &Mat<f64>, turns: &[Vec<f64>]) -> Vec<usize> {
+    let patches = rows.problem.start.len();
+    let mut moves = vec![0.0_f64; patches];
+    for column in 0..free.ncols() {
+        let mut weights = vec![1.0; patches];
+        let mut left: Vec<f64> = (0..rows.layout.coordinates).map(|i| free[(i, column)]).collect();
+        for _ in 0..ROUNDS {
+            let weight = |i: usize| weights[i / rows.layout.dimensions];
+            let dot = |a: &dyn Fn(usize) -> f64, b: &[f64]| -> f64 {
+                (0..rows.layout.coordinates).map(|i| weight(i) * a(i) * b[i]).sum()
+            };
+            let gram = Mat::from_fn(turns.len(), turns.len(), |i, k| dot(&|n| turns[i][n], &turns[k]));
+            let right: Vec<f64> = turns.iter().map(|turn| dot(&|n| free[(n, column)], turn)).collect();
+            let Some(shares) = dense::solve(&gram, &right) else { break };
+            for (i, left) in left.iter_mut().enumerate() {
+                *left = free[(i, column)] - turns.iter().zip(&shares).map(|(turn, share)| share * turn[i]).sum::<f64>();
+            }
+            let size = |patch: usize| left[rows.layout.patch(patch)].iter().map(|x| x * x).sum::<f64>().sqrt();
+            let largest = (0..patches).map(size).fold(f64::MIN_POSITIVE, f64::max);
+            weights = (0..patches).map(|patch| 1.0 / (size(patch) / largest).max(1e-6)).collect();
+        }
+        for (patch, most) in moves.iter_mut().enumerate() {
+            *most = most.max(left[rows.layout.patch(patch)].iter().map(|x| x * x).sum::<f64>().sqrt());
+        }
+    }
+    let largest = moves.iter().copied().fold(0.0, f64::max);
+    (0..patches).filter(|&patch| moves[patch] > OPEN * largest).collect()
+}

@@ -1,0 +1,236 @@
+//! The objective as a list of squared terms, each with its gradient.
+
+use std::ops::Range;
+
+use faer::Mat;
+use nalgebra::Vector3;
+
+use super::problem::{Node, Problem};
+use crate::geometry::{Point, dense};
+
+/// Standard deviations beyond which a residual counts linearly.
+const HUBER: f64 = 3.0;
+
+/// Positions of the unknowns in a vector: coordinates of the patches, of the stations that are not exact, delays, the laser's period.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    pub dimensions: usize,
+    /// Coordinates of the patches.
+    pub coordinates: usize,
+    /// First coordinate of each station that is not exact.
+    pub stations: Vec<Option<usize>>,
+    /// First delay.
+    pub delays: usize,
+    pub period: Option<usize>,
+    /// Number of unknowns.
+    pub size: usize,
+}
+
+impl Layout {
+    fn new(problem: &Problem) -> Self {
+        let dimensions = problem.dimensions;
+        let coordinates = problem.start.len() * dimensions;
+        let mut next = coordinates;
+        let mut take = |is_unknown: bool| {
+            is_unknown.then(|| {
+                next += dimensions;
+                next - dimensions
+            })
+        };
+        let stations = problem.stations.iter().map(|station| take(station.sd_m > 0.0)).collect();
+        let delays = next;
+        let end = delays + problem.delays();
+        let has_period = problem.period_sd_m > 0.0 && problem.observations.iter().any(|o| o.turns != 0);
+        let period = has_period.then_some(end);
+        Self { dimensions, coordinates, stations, delays, period, size: end + usize::from(has_period) }
+    }
+
+    /// Coordinates of a patch.
+    pub fn patch(&self, patch: usize) -> Range<usize> {
+        patch * self.dimensions..(patch + 1) * self.dimensions
+    }
+}
+
+/// Values of all unknowns.
+#[derive(Clone)]
+pub struct Place {
+    pub points: Vec<Point>,
+    pub stations: Vec<Point>,
+    pub delays_m: Vec<f64>,
+    /// What one laser period is longer than its nominal length.
+    pub period_m: f64,
+}
+
+impl Place {
+    pub fn start(problem: &Problem) -> Self {
+        Self {
+            points: problem.start.clone(),
+            stations: problem.stations.iter().map(|station| station.position).collect(),
+            delays_m: vec![0.0; problem.delays()],
+            period_m: 0.0,
+        }
+    }
+
+    fn position(&self, node: Node) -> Point {
+        match node {
+            Node::Station(station) => self.stations[station],
+            Node::Patch(patch) => self.points[patch],
+        }
+    }
+
+    pub fn moved(&self, step: &[f64], layout: &Layout) -> Self {
+        let mut place = self.clone();
+        let shift = |point: &mut Point, at: usize| (0..layout.dimensions).for_each(|k| point[k] += step[at + k]);
+        place.points.iter_mut().enumerate().for_each(|(patch, point)| shift(point, patch * layout.dimensions));
+        let stations = place.stations.iter_mut().zip(&layout.stations);
+        stations.for_each(|(point, at)| at.iter().for_each(|at| shift(point, *at)));
+        place.delays_m.iter_mut().zip(&step[layout.delays..]).for_each(|(delay, step)| *delay += step);
+        place.period_m += layout.period.map_or(0.0, |at| step[at]);
+        place
+    }
+}
+
+/// Derivatives of a residual: unknown, value; an unknown may come twice.
+pub type Terms = Vec<(usize, f64)>;
+
+/// The squared terms: observations, then priors of anchors, rays, stations, delays and period. All in standard deviations.
+pub struct Rows<'a> {
+    pub problem: &'a Problem,
+    pub layout: Layout,
+    /// Takes delays to independent numbers of variance 1.
+    whitener: Mat<f64>,
+    /// Number of terms.
+    pub count: usize,
+    /// Measurements and priors, the length of a direction not counted.
+    pub data: usize,
+}
+
+impl<'a> Rows<'a> {
+    /// # Panics
+    /// When the problem contradicts itself, or the prior covariance of the delays is not positive definite.
+    pub fn new(problem: &'a Problem) -> Self {
+        problem.check();
+        let layout = Layout::new(problem);
+        let delays = problem.delays();
+        let mut whitener = Mat::identity(delays, delays);
+        if delays > 0 {
+            dense::Definite::new(&problem.delay_covariance_m2)
+                .expect("the prior covariance of the delays is positive definite")
+                .whiten(&mut whitener);
+        }
+        let vectors = problem.anchors.len() + problem.rays.len() + layout.stations.iter().flatten().count();
+        let scalars = problem.observations.len() + delays + usize::from(layout.period.is_some());
+        let count = scalars + layout.dimensions * vectors;
+        Self { problem, whitener, count, data: count - problem.rays.len(), layout }
+    }
+
+    /// Residual of an observation: measured less predicted length.
+    pub fn residual_m(&self, place: &Place, n: usize) -> f64 {
+        let observation = &self.problem.observations[n];
+        let legs = observation.nodes.windows(2);
+        let path_m: f64 = legs.map(|ends| (place.position(ends[1]) - place.position(ends[0])).norm()).sum();
+        let delay_m = observation.delay.map_or(0.0, |delay| place.delays_m[delay]);
+        observation.length_m - path_m - delay_m + f64::from(observation.turns) * place.period_m
+    }
+
+    /// Sum of the losses of some terms.
+    pub fn cost(&self, place: &Place, which: Range<usize>) -> f64 {
+        which.map(|n| self.loss(n, self.residual(place, n, None)).0).sum()
+    }
+
+    /// Huber's loss of a term (a prior's is its square), and the weight of its square.
+    pub fn loss(&self, n: usize, residual: f64) -> (f64, f64) {
+        let size = residual.abs();
+        if self.problem.robust && size > HUBER && n < self.problem.observations.len() {
+            (HUBER * (2.0 * size - HUBER), HUBER / size)
+        } else {
+            (size * size, 1.0)
+        }
+    }
+
+    /// A term's residual, and where asked for the derivatives of what is predicted there.
+    pub fn residual(&self, place: &Place, n: usize, mut terms: Option<&mut Terms>) -> f64 {
+        if let Some(terms) = &mut terms {
+            terms.clear();
+        }
+        let Problem { observations, anchors, rays, .. } = self.problem;
+        let dimensions = self.layout.dimensions;
+        let Some(n) = n.checked_sub(observations.len()) else {
+            if let Some(terms) = terms {
+                self.path(place, n, terms);
+            }
+            return self.residual_m(place, n) / observations[n].sd_m;
+        };
+        let Some(n) = n.checked_sub(anchors.len() * dimensions) else {
+            let (anchor, k) = (&anchors[n / dimensions], n % dimensions);
+            push(terms, self.layout.patch(anchor.patch).start + k, 1.0 / anchor.sd_m);
+            return (anchor.position[k] - place.points[anchor.patch][k]) / anchor.sd_m;
+        };
+        let Some(n) = n.checked_sub(rays.len() * dimensions) else {
+            return self.direction(place, n / dimensions, n % dimensions, terms);
+        };
+        let uncertain = || self.layout.stations.iter().enumerate().filter_map(|(station, at)| Some((station, (*at)?)));
+        let Some(n) = n.checked_sub(uncertain().count() * dimensions) else {
+            let (station, at) = uncertain().nth(n / dimensions).expect("counted");
+            let (prior, k) = (&self.problem.stations[station], n % dimensions);
+            push(terms, at + k, 1.0 / prior.sd_m);
+            return (prior.position[k] - place.stations[station][k]) / prior.sd_m;
+        };
+        if n < place.delays_m.len() {
+            if let Some(terms) = terms {
+                terms.extend((0..=n).map(|k| (self.layout.delays + k, self.whitener[(n, k)])));
+            }
+            return -(0..=n).map(|k| self.whitener[(n, k)] * place.delays_m[k]).sum::<f64>();
+        }
+        push(terms, self.layout.period.expect("the last term is its prior"), 1.0 / self.problem.period_sd_m);
+        -place.period_m / self.problem.period_sd_m
+    }
+
+    /// Derivatives of a path's length over its standard deviation.
+    fn path(&self, place: &Place, n: usize, terms: &mut Terms) {
+        let (observation, layout) = (&self.problem.observations[n], &self.layout);
+        let scale = 1.0 / observation.sd_m;
+        for ends in observation.nodes.windows(2) {
+            let arm = place.position(ends[1]) - place.position(ends[0]);
+            // Ends that coincide pull nowhere.
+            let direction = arm.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros) * scale;
+            for (node, sign) in [(ends[0], -1.0), (ends[1], 1.0)] {
+                if let Some(at) = self.at(node) {
+                    terms.extend((0..layout.dimensions).map(|k| (at + k, sign * direction[k])));
+                }
+            }
+        }
+        terms.extend(observation.delay.map(|delay| (layout.delays + delay, scale)));
+        if observation.turns != 0 {
+            terms.extend(layout.period.map(|at| (at, -scale * f64::from(observation.turns))));
+        }
+    }
+
+    /// First coordinate of a node that is not exact.
+    fn at(&self, node: Node) -> Option<usize> {
+        match node {
+            Node::Station(station) => self.layout.stations[station],
+            Node::Patch(patch) => Some(self.layout.patch(patch).start),
+        }
+    }
+
+    /// Component k of a ray less the direction in which its patch lies. Unlike two angles this also knows which way the ray goes.
+    fn direction(&self, place: &Place, ray: usize, k: usize, terms: Option<&mut Terms>) -> f64 {
+        let ray = &self.problem.rays[ray];
+        let (patch, station) = (Node::Patch(ray.patch), Node::Station(ray.from));
+        let arm = place.position(patch) - place.position(station);
+        let range_m = arm.norm().max(f64::MIN_POSITIVE);
+        let along = arm / range_m;
+        if let Some(terms) = terms {
+            for (at, sign) in [(self.at(patch), 1.0), (self.at(station), -1.0)] {
+                let slope = |i: usize| (f64::from(u8::from(i == k)) - along[i] * along[k]) / (range_m * ray.sd_rad);
+                terms.extend(at.iter().flat_map(|at| (0..self.layout.dimensions).map(move |i| (at + i, sign * slope(i)))));
+            }
+        }
+        (ray.direction[k] - along[k]) / ray.sd_rad
+    }
+}
+
+fn push(terms: Option<&mut Terms>, at: usize, value: f64) {
+    terms.into_iter().for_each(|terms| terms.push((at, value)));
+}
