@@ -18,6 +18,7 @@ pub fn campaign(campaign: &Campaign) -> Result<(), Fault> {
         format!("group_index = {index} is not a number from 1 up; air has 1.000277")
     })?;
     at.positive("repetition_ps", campaign.repetition_ps)?;
+    at.positive("repetition_sd_ps", campaign.repetition_sd_ps)?;
     for (id, view) in &campaign.views {
         let place = format!("[views.{id}]");
         let at = At(&place);

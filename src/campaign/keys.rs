@@ -27,6 +27,8 @@ pub struct Campaign {
     pub group_index: f64,
     /// Laser period, if profiles wrap around it.
     pub repetition_ps: Option<f64>,
+    /// Standard deviation of that period.
+    pub repetition_sd_ps: Option<f64>,
     /// 3, or 2 for flatland.
     pub dimensions: u8,
     /// Where light leaves and arrives; holds at least [`LASER`].

@@ -68,6 +68,7 @@ struct Heading {
     #[serde(default = "index_of_air")]
     group_index: f64,
     repetition_ps: Option<f64>,
+    repetition_sd_ps: Option<f64>,
     #[serde(default = "space")]
     dimensions: u8,
 }
@@ -104,6 +105,7 @@ impl Campaign {
             name: keys.campaign.name,
             group_index: keys.campaign.group_index,
             repetition_ps: keys.campaign.repetition_ps,
+            repetition_sd_ps: keys.campaign.repetition_sd_ps,
             dimensions: keys.campaign.dimensions,
             stations: keys.stations,
             sensors: keys.sensors,

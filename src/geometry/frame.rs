@@ -3,6 +3,10 @@
 //! With source and camera in one point p0, path lengths are the same for any rotation about p0 and for the mirror image. The canonical frame is:
 //! p0 where its station lies, the first patch on the +x axis, the next that is not in line with it in the xy plane with y > 0, the next that is not in
 //! that plane at z > 0. That also picks one of the two mirror images: the data do not say which is the true one.
+//!
+//! With stations in line, path lengths are the same for any rotation about that line, and for the mirror image in any plane through it. There the first patch
+//! off the line lies in the half plane through the line and +y (for a line along y: +z), the next off that plane on the side of the line's direction
+//! crossed with that half plane's.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -25,6 +29,25 @@ pub fn canonical(points: &[Point], centre: Point) -> Matrix3<f64> {
         arms.iter().map(|arm| (arm.dot(&z), arm.norm())).find(|(height, length)| height.abs() > IN_LINE * length);
     let z = if off_plane.is_some_and(|(height, _)| height < 0.0) { -z } else { z };
     Matrix3::from_rows(&[x.transpose(), y.transpose(), z.transpose()])
+}
+
+/// Orthogonal matrix that turns points about the line through `centre` along `axis` into the frame of stations in line; a reflection where need be.
+#[must_use]
+pub fn about(points: &[Point], centre: Point, axis: Vector3<f64>) -> Matrix3<f64> {
+    let Some(along) = axis.try_normalize(f64::MIN_POSITIVE) else {
+        return Matrix3::identity();
+    };
+    let off_line = |arm: &Vector3<f64>| (arm - along * arm.dot(&along)).try_normalize(IN_LINE * arm.norm());
+    let arms = || points.iter().map(|point| point - centre);
+    let Some(from) = arms().find_map(|arm| off_line(&arm)) else {
+        return Matrix3::identity();
+    };
+    let to = [Vector3::y(), Vector3::z()].into_iter().find_map(|up| (up - along * up.dot(&along)).try_normalize(0.1));
+    let to = to.expect("a line is not along both y and z");
+    let (side_from, side_to) = (along.cross(&from), along.cross(&to));
+    let first_off = arms().map(|arm| (arm.dot(&side_from), arm.norm())).find(|(height, length)| height.abs() > IN_LINE * length);
+    let sign = if first_off.is_some_and(|(height, _)| height < 0.0) { -1.0 } else { 1.0 };
+    along * along.transpose() + to * from.transpose() + sign * side_to * side_from.transpose()
 }
 
 /// Some unit vector at a right angle to `x`.
@@ -66,6 +89,25 @@ mod tests {
             let turned: Vec<Point> = points.iter().map(|point| turn(&by, centre, *point)).collect();
             let found = in_frame(&turned);
             assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-12));
+        }
+    }
+
+    #[test]
+    fn every_turn_about_a_line_and_mirror_image_through_it_gives_the_same_points() {
+        let (centre, axis) = (Point::new(0.3, 0.1, -0.2), Vector3::new(0.8, 0.1, 0.0));
+        let points = [Point::new(1.0, 2.0, 0.5), Point::new(-1.0, 0.3, 0.8), Point::new(0.4, -0.7, 1.9)];
+        let in_frame = |points: &[Point]| -> Vec<Point> {
+            let matrix = about(points, centre, axis);
+            points.iter().map(|point| turn(&matrix, centre, *point)).collect()
+        };
+        let expected = in_frame(&points);
+        let along = axis.normalize();
+        assert!(points.iter().zip(&expected).all(|(a, b)| ((a - b).dot(&along)).abs() < 1e-12));
+        let mirror = Matrix3::identity() - 2.0 * along.cross(&Vector3::z()) * along.cross(&Vector3::z()).transpose();
+        let rotation = Rotation3::new(along * 1.3).into_inner();
+        for by in [rotation, rotation * mirror] {
+            let turned: Vec<Point> = points.iter().map(|point| turn(&by, centre, *point)).collect();
+            assert!(in_frame(&turned).iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-12));
         }
     }
 

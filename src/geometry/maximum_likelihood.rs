@@ -50,6 +50,9 @@ pub struct Solution {
     pub period_m: f64,
     /// Residual of each observation: measured minus predicted length.
     pub residuals_m: Vec<f64>,
+    /// Of each observation, the variance of its predicted length: near its own variance, nothing else checks it. Not known without the normal matrix,
+    /// and for paths over open patches infinite.
+    pub predicted_variance_m2: Option<Vec<f64>>,
     /// Sum of squared standardised residuals, priors included.
     pub chi2: f64,
     /// The same with large residuals counted linearly where the problem asked for it: what was minimised.
@@ -271,10 +274,15 @@ fn finish(rows: &Rows, means: Means, place: Place, loss: f64) -> Result<Solution
             }
         },
     };
+    let predicted_variance_m2 = match &covariance {
+        Covariance::Exact(covariance) => Some(predicted_variances_m2(rows, &place, covariance, &open)),
+        Covariance::Blocks(..) => None,
+    };
     let squares = (0..rows.count).map(|n| rows.residual(&place, n, None).powi(2));
     Ok(Solution {
         chi2: squares.sum(),
         loss,
+        predicted_variance_m2,
         residuals_m: (0..problem.observations.len()).map(|n| rows.residual_m(&place, n)).collect(),
         degrees_of_freedom: rows.data as i64 - rows.layout.size as i64 + (nulls.len() + loose) as i64,
         free_rotations: turns.iter().map(Vec::len).collect(),
@@ -287,6 +295,20 @@ fn finish(rows: &Rows, means: Means, place: Place, loss: f64) -> Result<Solution
         layout: rows.layout.clone(),
         covariance,
     })
+}
+
+fn predicted_variances_m2(rows: &Rows, place: &Place, covariance: &Mat<f64>, open: &[usize]) -> Vec<f64> {
+    let mut terms = Vec::new();
+    let mut variance = |(n, observation): (usize, &Observation)| {
+        if observation.nodes.iter().any(|node| matches!(node, Node::Patch(patch) if open.contains(patch))) {
+            return f64::INFINITY;
+        }
+        rows.residual(place, n, Some(&mut terms));
+        let pairs = terms.iter().flat_map(|a| terms.iter().map(move |b| (a, b)));
+        let sum: f64 = pairs.map(|(&(i, a), &(j, b))| a * covariance[(i, j)] * b).sum();
+        sum * observation.sd_m * observation.sd_m
+    };
+    rows.problem.observations.iter().enumerate().map(&mut variance).collect()
 }
 
 /// About the largest stiffness of a single unknown.

@@ -9,6 +9,7 @@ pub mod completion;
 pub mod dense;
 pub mod detours;
 pub mod few_pairs;
+pub mod footprint;
 pub mod frame;
 pub mod iso_embed;
 pub mod landmark;

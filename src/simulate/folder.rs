@@ -6,6 +6,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::Path;
 
+use super::known::Telling;
 use super::scene::Scene;
 use super::session::Shooting;
 use super::{Format, SimulateError, Truth};
@@ -38,9 +39,15 @@ pub(super) fn create(path: &Path) -> Result<BufWriter<File>, SimulateError> {
 }
 
 /// Writes campaign.toml: what a lab would know, which the truth is not.
-pub fn write_campaign(out: &Path, scene: &Scene, format: Format, shootings: &[Shooting]) -> Result<(), SimulateError> {
+pub fn write_campaign(
+    out: &Path,
+    scene: &Scene,
+    seed: u64,
+    format: Format,
+    shootings: &[Shooting],
+) -> Result<(), SimulateError> {
     let path = out.join("campaign.toml");
-    written(&path, fs::write(&path, campaign_text(scene, format, shootings)))?;
+    written(&path, fs::write(&path, campaign_text(scene, seed, format, shootings)))?;
     if shootings.iter().any(|shooting| shooting.role == Role::Fiducial) {
         let path = out.join(FIDUCIALS);
         written(&path, fs::write(&path, fiducials_text(scene, format, shootings)))?;
@@ -48,7 +55,7 @@ pub fn write_campaign(out: &Path, scene: &Scene, format: Format, shootings: &[Sh
     Ok(())
 }
 
-fn campaign_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> String {
+fn campaign_text(scene: &Scene, seed: u64, format: Format, shootings: &[Shooting]) -> String {
     let mut text = String::from("# A simulated campaign. What is true lies in truth/, which no stage reads.\n");
     let mut line = |line: String| writeln!(text, "{line}").expect("a String takes all text");
     line(format!(
@@ -58,8 +65,9 @@ fn campaign_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> Strin
     if let Some(repetition_ps) = scene.repetition_ps().filter(|_| scene.wraps()) {
         line(format!("repetition_ps = {repetition_ps:?}"));
     }
-    for (name, station) in &scene.stations {
-        line(format!("\n[stations.{name}]\nposition_m = {:?}", station.position_m));
+    let mut telling = Telling::new(scene, seed);
+    for name in scene.stations.keys() {
+        line(format!("\n[stations.{name}]\n{}", telling.station(name)));
     }
     for (name, sensor) in &scene.sensors {
         line(format!("\n[sensors.{name}]"));
@@ -76,8 +84,10 @@ fn campaign_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> Strin
     line(String::new());
     for (patch, disk) in &scene.patches {
         match disk.role {
-            PatchRole::Visible => line(format!("[patches.{patch}]\nrole = \"visible\"")),
-            PatchRole::Mirror => line(format!("[patches.{patch}]\nrole = \"mirror\"")),
+            PatchRole::Visible => {
+                line(format!("[patches.{patch}]\nrole = \"visible\"{}", telling.patch(*patch)));
+            }
+            PatchRole::Mirror => line(format!("[patches.{patch}]\nrole = \"mirror\"{}", telling.patch(*patch))),
             PatchRole::Hidden => {}
         }
     }

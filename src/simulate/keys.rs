@@ -26,6 +26,21 @@ pub struct SceneFile {
     pub optics: Option<Optics>,
     pub instrument: Instrument,
     pub captures: Captures,
+    #[serde(default)]
+    pub known: Known,
+}
+
+/// `[known]`: what campaign.toml tells beforehand.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Known {
+    pub size: bool,
+    pub normal: bool,
+    pub anchors: Vec<PatchId>,
+    pub anchor_sd_m: f64,
+    pub rays: Vec<PatchId>,
+    pub ray_sd_rad: f64,
+    pub station_sd_m: f64,
 }
 
 /// `[campaign]`.

@@ -72,6 +72,7 @@ impl Scene {
             optics: keys.optics,
             instrument: keys.instrument,
             captures: keys.captures,
+            known: keys.known,
             text: text.to_owned(),
         };
         check_setup(&scene).map_err(|fault| SceneError::Setup { file: file.to_owned(), fault })?;

@@ -94,6 +94,14 @@
 //! shots = 100
 //! runs = 10
 //! every_s = 600.0
+//! [known]                            # optional: what campaign.toml tells beforehand, true but for errors of these standard deviations
+//! size = true                        # of all patches, like `normal`
+//! normal = true
+//! anchors = [1, 2, 3]                # patches of known position
+//! anchor_sd_m = 0.001
+//! rays = [4, 5]                      # patches of known direction from the laser
+//! ray_sd_rad = 0.002
+//! station_sd_m = 0.0005              # of all stations but the laser's
 //! ```
 //!
 //! A shortcut for studies of kernels: `snr = 20.0` in `[instrument]` (of one shot, all captures amplified to the same height) in place of `[laser]`,
@@ -107,6 +115,7 @@ mod check_scene;
 mod counts;
 mod folder;
 pub mod keys;
+mod known;
 mod laboratory;
 mod load_scene;
 mod pulse;
@@ -219,7 +228,7 @@ pub fn simulate(scene: &Scene, seed: u64, out: &Path, format: Format) -> Result<
         raw_files::write_shots(out, scene, chain, format, shooting, &shots)
     })?;
     let truth = laboratory.truth();
-    folder::write_campaign(out, scene, format, &laboratory.shootings)?;
+    folder::write_campaign(out, scene, seed, format, &laboratory.shootings)?;
     folder::write_truth(out, scene, seed, &truth)?;
     Ok(truth)
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::keys::{Captures, Disk, Instrument, Laser, Optics, Rectangle, Sensor};
+use super::keys::{Captures, Disk, Instrument, Known, Laser, Optics, Rectangle, Sensor};
 use crate::campaign::keys::{LASER, PatchRole, Station, View};
 use crate::units::PatchId;
 
@@ -36,6 +36,8 @@ pub struct Scene {
     pub instrument: Instrument,
     /// What is captured.
     pub captures: Captures,
+    /// What campaign.toml tells beforehand.
+    pub known: Known,
     /// The file as it was.
     pub text: String,
 }

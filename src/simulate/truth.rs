@@ -85,6 +85,7 @@ impl Scene {
             reference: None,
             latency_ps: latency_ps + setting.latency_ps,
             latency_sd_ps: 0.0,
+            latency_common_sd_ps: None,
             width_ps: chain.pulse.width_ps(),
             width_sd_ps: None,
             acquired_at: None,

@@ -105,7 +105,7 @@ struct Reference {
 
 impl Stage for Calibrate {
     const KIND: &'static str = "calibrate";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::Sensor;
     type Input = Trace;
     type Output = Calibration;
@@ -252,12 +252,17 @@ impl Shots {
             None => analog::found(self, template)?,
         };
         let (arrival_ps, arrival_sd_ps) = found.arrival_ps;
-        let (latency_ps, latency_sd_ps) = match (self.first.path_m, prior.latency_ps) {
+        let (latency_ps, latency_sd_ps, latency_common_sd_ps) = match (self.first.path_m, prior.latency_ps) {
             (Some(path_m), _) => {
                 let path_sd_ps = units::time_ps(self.first.path_sd_m.unwrap_or(0.0), prior.group_index);
-                (arrival_ps - units::time_ps(path_m, prior.group_index), arrival_sd_ps.hypot(path_sd_ps))
+                let latency_ps = arrival_ps - units::time_ps(path_m, prior.group_index);
+                (latency_ps, arrival_sd_ps.hypot(path_sd_ps), path_sd_ps)
             }
-            (None, Some(latency_ps)) => (latency_ps, prior.latency_sd_ps.unwrap_or(0.0)),
+            // One prior for the sensor, whatever the range.
+            (None, Some(latency_ps)) => {
+                let sd_ps = prior.latency_sd_ps.unwrap_or(0.0);
+                (latency_ps, sd_ps, sd_ps)
+            }
             (None, None) => {
                 return Err("its latency is unknown: give the response captures a `path_m` in campaign.toml, or the sensor a `latency_ps`".to_owned());
             }
@@ -276,6 +281,7 @@ impl Shots {
             reference: reference.as_ref().map(|reference| upward(&reference.shape)),
             latency_ps,
             latency_sd_ps,
+            latency_common_sd_ps: Some(latency_common_sd_ps),
             acquired_at: self.first.acquired_at.clone(),
             reference_v_ps: reference.as_ref().map(|reference| reference.integral_v_ps),
             noise_model: found.noise_model,

@@ -1,36 +1,61 @@
 //! `refine`: all patches and delays at once, by maximum likelihood on onset times (beyond the paper, whose Algorithm 1 embeds distances).
 //!
-//! Every labelled onset is the length of a path; positions and the sensors' left-over delays are what explains all of them best. Each delay has as prior
-//! the standard deviation that calibration gives its latency. Anchors (patches with `position_m`) enter with their `sd_m`. Residuals beyond three
-//! standard deviations count linearly, so that a wrong label does little harm; those beyond four are marked.
+//! Every labelled onset is the length of a path, of first, second and later bounces alike, weighted by its own standard deviation. Unknown beside the
+//! patches are:
+//! - a delay for each sensor and vertical range, with what calibration leaves open as prior; ranges of one sensor share the error of the known path;
+//! - stations with an `sd_m` in campaign.toml;
+//! - the laser's period, where onsets lie in several (`repetition_sd_ps`; else a ten-thousandth).
 //!
-//! Takes `labels`; writes `patches` and, beside it, `patch_covariances`, `delays`, `residuals`. Beside it: `patches` to start from (required), and
-//! `calibration`; without it the sensors' latencies are taken as exact. Not modelled: uncertain stations, onsets of one profile that share an
-//! error (each profile gives one onset up to second bounces), mirror images as alternatives.
+//! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation; they and stations apart fix the frame. Where nothing does, the
+//! frame of `patches` is a convention (table `fits`), and what else is open stands in `ambiguities`: parts that share no path, patches that can move, mirror
+//! images and flips that explain the onsets about as well, each with its likelihood and as an alternative in `patches`.
+//!
+//! The light of a large patch does not come from its centre. Where patches have a `size_m`, and a normal from `planes` beside (of `surface`) or, in a fixed frame, from
+//! campaign.toml, the shift is predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays.
+//!
+//! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm; those beyond four of their own are in `suspects`, as are
+//! onsets that nothing checks. Beyond 1,000 patches covariances are of each patch alone (`fits.covariance`), and alternatives are not searched for.
+//!
+//! Takes `labels`; writes `patches` and, beside it, `patch_covariances`, `delays`, `stations`, `residuals`, `suspects`, `fits`, `ambiguities`. Beside it, all
+//! optional: `patches` to start from (without, or where one is missing, patches are placed from nothing, [`crate::geometry::placement`]); `calibration`, without which
+//! latencies are taken as exact; `planes`. Not modelled: errors that onsets of one profile share.
 //!
 //! ```toml
 //! [patches]
 //! stage = "refine"
 //! from = "labels"
-//! with = { patches = "start", calibration = "calibration" }
+//! with = { patches = "first", calibration = "calibration", planes = "first_planes" }
 //! ```
 
-use std::collections::{BTreeMap, BTreeSet};
+mod known;
+mod model;
+mod written;
 
-use nalgebra::Matrix3;
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
+use super::footprints::Footprints;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::geometry::maximum_likelihood::{self, Anchor, Node, Observation, Problem, Solution, Unsolved};
-use crate::geometry::{Point, frame, procrustes};
-use crate::tables::{Calibration, Delay, Label, Name, Patch, PatchCovariance, Residual, Row};
-use crate::units::{self, PatchId};
+use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Problem, Solution};
+use crate::geometry::placement::{self, Kind};
+use crate::tables::{
+    Ambiguity, Calibration, Delay, Fit, Label, Patch, PatchCovariance, Plane, Residual, Row, Station, Suspect,
+};
+use known::{Known, Setup};
+use model::Model;
+use written::{Other, Written};
 
-/// Residuals beyond this many standard deviations are marked.
-const SUSPECT: f64 = 4.0;
-/// Standard deviation of an anchor that gives none: exact, as far as numbers go.
-const EXACT_M: f64 = 1e-6;
+/// Footprints are predicted anew until no path changes by more, for at most so many rounds.
+const SHIFTED_M: f64 = 1e-6;
+const ROUNDS: usize = 6;
+/// Other solutions whose loss is higher by less than this (a likelihood ratio of 3,000) are alternatives.
+const LIKELY: f64 = 16.0;
+/// Most alternatives that are told.
+const ALTERNATIVES: usize = 16;
+/// A loss that is lower by less is the same.
+const LOWER: f64 = 1e-3;
 
 /// Parameters of `refine`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -46,298 +71,132 @@ impl Default for Refine {
     }
 }
 
-/// What a campaign says that paths depend on.
-#[derive(Clone, Debug, Serialize)]
-pub struct Setup {
-    dimensions: u8,
-    group_index: f64,
-    source_m: [f64; 3],
-    sensors_m: BTreeMap<String, [f64; 3]>,
-    /// Position and standard deviation of each anchor.
-    anchors_m: BTreeMap<PatchId, ([f64; 3], Option<f64>)>,
-}
-
-/// Setups, start, and priors of the delays.
-pub struct Known {
-    setups: BTreeMap<String, Setup>,
-    start: BTreeMap<PatchId, Patch>,
-    /// Standard deviation of each sensor's latency.
-    latency_sd_ps: BTreeMap<(Name, Name), f64>,
+/// What is known beforehand, with the planes of an earlier solution.
+pub struct Context {
+    known: Known,
+    planes: Vec<Plane>,
 }
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
-        Beside { name: "patches", table: "patches", required: true },
+        Beside { name: "patches", table: "patches", required: false },
         Beside { name: "calibration", table: "calibration", required: false },
+        Beside { name: "planes", table: "planes", required: false },
     ];
     const SIDES: &'static [Side] = &[
         Side { name: PatchCovariance::TABLE, schema: PatchCovariance::schema },
         Side { name: Delay::TABLE, schema: Delay::schema },
+        Side { name: Station::TABLE, schema: Station::schema },
         Side { name: Residual::TABLE, schema: Residual::schema },
+        Side { name: Suspect::TABLE, schema: Suspect::schema },
+        Side { name: Fit::TABLE, schema: Fit::schema },
+        Side { name: Ambiguity::TABLE, schema: Ambiguity::schema },
     ];
     type Input = Label;
     type Output = Patch;
     type Fields = BTreeMap<String, Setup>;
-    type Context = Known;
+    type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let station =
-            |campaign: &Campaign, sensor: &String| Some((sensor.clone(), campaign.station_of(sensor)?.position_m));
-        let setup = |campaign: &Campaign| Setup {
-            dimensions: campaign.dimensions,
-            group_index: campaign.group_index,
-            source_m: campaign.source().position_m,
-            sensors_m: campaign.sensors.keys().filter_map(|sensor| station(campaign, sensor)).collect(),
-            anchors_m: campaign
-                .patches
-                .iter()
-                .filter_map(|(id, patch)| Some((*id, (patch.position_m?, patch.sd_m))))
-                .collect(),
-        };
-        campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
+        campaigns.iter().map(|campaign| (campaign.name.clone(), Setup::new(campaign))).collect()
     }
 
-    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
+    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
         let start = beside.rows::<Patch>("patches")?.unwrap_or_default();
         let calibration = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
-        Ok(Known {
-            setups,
-            start: start.into_iter().filter(|patch| patch.alternative == 0).map(|patch| (patch.patch, patch)).collect(),
-            latency_sd_ps: calibration
-                .into_iter()
-                .map(|row| ((row.campaign, row.sensor), row.latency_sd_ps))
-                .filter(|(_, sd)| *sd > 0.0)
-                .collect(),
-        })
+        let planes = beside.rows::<Plane>("planes")?.unwrap_or_default();
+        Ok(Context { known: Known::new(setups, start, calibration), planes })
     }
 }
 
 impl Apply for Refine {
-    fn apply(&self, known: &Known, group: Vec<Label>) -> Result<Outcome<Patch>, StageError> {
-        let (labels, lost): (Vec<Label>, Vec<Label>) = group
-            .into_iter()
-            .filter(|label| label.alternative == 0 && label.path.is_some())
-            .partition(|label| label.path.iter().flatten().all(|patch| known.start.contains_key(patch)));
-        let model = Model::new(known, &labels);
-        let problem = model.problem(self.robust);
-        let solution = maximum_likelihood::solve(&problem).map_err(|unsolved| model.refused(&unsolved))?;
-        let turn = model.frame(&solution);
+    fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Patch>, StageError> {
+        let labels: Vec<Label> =
+            group.into_iter().filter(|label| label.alternative == 0 && label.path.is_some()).collect();
+        if labels.is_empty() {
+            let text = "no onset has a path; look at the tables `labels` and `onsets`";
+            return Err(StageError::Refused(text.to_owned()));
+        }
+        let model = Model::new(&context.known, &labels);
+        let mut problem = model.problem(self.robust);
+        let solve = |problem: &Problem| {
+            maximum_likelihood::solve(problem).map_err(|unsolved| StageError::Refused(model.refused(&unsolved)))
+        };
+        let mut solution = solve(&problem)?;
+        let is_fixed = solution.free_rotations.first() == Some(&0);
+        let footprints = Footprints::new(&context.known.first().patches, &context.planes, is_fixed);
+        let mut shifts_m = vec![0.0; labels.len()];
+        for _ in 0..if footprints.is_empty() { 0 } else { ROUNDS } {
+            let next_m = model.shifts_m(&footprints, &problem, &solution.points, &solution.stations);
+            let moved_m = next_m.iter().zip(&shifts_m).fold(0.0, |most: f64, (next, last)| most.max((next - last).abs()));
+            for ((observation, next), last) in problem.observations.iter_mut().zip(&next_m).zip(&shifts_m) {
+                observation.length_m -= next - last;
+            }
+            shifts_m = next_m;
+            problem.start.clone_from(&solution.points);
+            solution = solve(&problem)?;
+            if moved_m < SHIFTED_M {
+                break;
+            }
+        }
+        let (solution, others) = alternatives(&problem, solution);
+        let written = Written::new(&model, &solution, &others, &shifts_m);
+        let residuals = written.residuals();
         Ok(Outcome {
-            rows: model.patches(&solution, &turn),
+            rows: written.patches(),
             sides: vec![
-                PatchCovariance::to_batch(&model.patch_covariances(&solution, &turn)),
-                Delay::to_batch(&model.delays(&solution)),
-                Residual::to_batch(&model.residuals(&solution)),
+                PatchCovariance::to_batch(&written.patch_covariances()),
+                Delay::to_batch(&written.delays()),
+                Station::to_batch(&written.stations()),
+                Residual::to_batch(&residuals),
+                Suspect::to_batch(&written.suspects(&residuals)),
+                Fit::to_batch(&written.fits()),
+                Ambiguity::to_batch(&written.ambiguities()),
             ],
-            rejections: lost_patches(known, &lost),
+            rejections: unused_normals(context, is_fixed, &labels),
         })
     }
 }
 
-/// Patches that onsets speak of, but that have no place to start from.
-fn lost_patches(known: &Known, lost: &[Label]) -> Vec<Rejection> {
-    let mut patches: BTreeMap<PatchId, (usize, Name)> = BTreeMap::new();
-    for label in lost {
-        for patch in label.path.iter().flatten().filter(|patch| !known.start.contains_key(patch)) {
-            patches.entry(*patch).or_insert_with(|| (0, label.campaign.clone())).0 += 1;
-        }
+/// The likeliest solution, and others that are about as likely.
+fn alternatives(problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>) {
+    if problem.start.len() > DENSE_MAX {
+        return (best, Vec::new());
     }
-    let reject = |(patch, (onsets, campaign)): (PatchId, (usize, Name))| Rejection {
-        campaign,
+    // A turn or mirror image of a scene that nothing turns is no other solution.
+    let is_turned = |kind: &Kind, best: &Solution| *kind == Kind::Mirror && best.free_rotations.first() != Some(&0);
+    let mut others: Vec<Other> = Vec::new();
+    for _ in 0..ROUNDS {
+        let found = placement::alternatives(problem, &best.points).into_iter();
+        let solved = found.filter(|found| !is_turned(&found.kind, &best)).filter_map(|found| {
+            let solution = maximum_likelihood::solve(&Problem { start: found.points, ..problem.clone() }).ok()?;
+            Some(Other { patches: found.patches, is_mirror_image: found.kind == Kind::Mirror, solution })
+        });
+        others = solved.filter(|other| other.solution.loss < best.loss + LIKELY).take(ALTERNATIVES).collect();
+        let Some(better) = others.iter().position(|other| other.solution.loss < best.loss - LOWER) else { break };
+        best = others.swap_remove(better).solution;
+        others.clear();
+    }
+    others.sort_by(|a, b| a.solution.loss.total_cmp(&b.solution.loss));
+    (best, others)
+}
+
+/// Says so where normals stand in campaign.toml, but in a frame that nothing ties to that of the patches.
+fn unused_normals(context: &Context, is_fixed: bool, labels: &[Label]) -> Vec<Rejection> {
+    let has_footprint = |patch: &crate::campaign::keys::Patch| patch.normal.is_some() && patch.size_m.is_some();
+    if is_fixed || !context.planes.is_empty() || !context.known.first().patches.values().any(has_footprint) {
+        return Vec::new();
+    }
+    vec![Rejection {
+        campaign: labels[0].campaign.clone(),
         file: None,
         segment: None,
         byte_offset: None,
-        reason: format!(
-            "patch {patch} has {onsets} labelled onsets but no place to start from, so they are left out: its first bounce is missing"
-        ),
-    };
-    patches.into_iter().map(reject).collect()
-}
-
-/// The labelled onsets as a problem, and its unknowns by their names.
-struct Model<'a> {
-    known: &'a Known,
-    labels: &'a [Label],
-    patches: Vec<PatchId>,
-    sensors: Vec<(Name, Name)>,
-}
-
-impl<'a> Model<'a> {
-    fn new(known: &'a Known, labels: &'a [Label]) -> Self {
-        let patches: BTreeSet<PatchId> = labels.iter().flat_map(|label| label.path.iter().flatten().copied()).collect();
-        let sensors: BTreeSet<(Name, Name)> =
-            labels.iter().map(|label| (label.campaign.clone(), label.sensor.clone())).collect();
-        let sensors = sensors.into_iter().filter(|sensor| known.latency_sd_ps.contains_key(sensor)).collect();
-        Self { known, labels, patches: patches.into_iter().collect(), sensors }
-    }
-
-    fn setup(&self, label: &Label) -> &Setup {
-        &self.known.setups[&*label.campaign]
-    }
-
-    /// The setup whose frame holds: that of the first campaign.
-    fn first(&self) -> &Setup {
-        self.known.setups.values().next().expect("a run has a campaign")
-    }
-
-    fn place(&self, patch: PatchId) -> usize {
-        self.patches.binary_search(&patch).expect("all patches of the labels are unknowns")
-    }
-
-    fn problem(&self, robust: bool) -> Problem {
-        let start = |patch: &PatchId| {
-            let row = &self.known.start[patch];
-            Point::new(row.x_m, row.y_m, row.z_m)
-        };
-        let anchor = |(patch, (position_m, sd_m)): (&PatchId, &([f64; 3], Option<f64>))| {
-            let patch = self.patches.binary_search(patch).ok()?;
-            Some(Anchor { patch, position: Point::from(*position_m), sd_m: sd_m.unwrap_or(EXACT_M) })
-        };
-        Problem {
-            start: self.patches.iter().map(start).collect(),
-            dimensions: usize::from(self.first().dimensions),
-            observations: self.labels.iter().map(|label| self.observation(label)).collect(),
-            anchors: self.first().anchors_m.iter().filter_map(anchor).collect(),
-            delay_sd_m: self
-                .sensors
-                .iter()
-                .map(|sensor| units::path_m(self.known.latency_sd_ps[sensor], self.index(sensor)))
-                .collect(),
-            robust,
-        }
-    }
-
-    fn index(&self, sensor: &(Name, Name)) -> f64 {
-        self.known.setups[&*sensor.0].group_index
-    }
-
-    fn observation(&self, label: &Label) -> Observation {
-        let setup = self.setup(label);
-        let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
-        let source = Node::Station(Point::from(setup.source_m));
-        let sensor = Node::Station(Point::from(setup.sensors_m[&*label.sensor]));
-        Observation {
-            nodes: std::iter::once(source).chain(path).chain([sensor]).collect(),
-            length_m: units::path_m(label.time_ps, setup.group_index),
-            sd_m: units::path_m(label.time_sd_ps, setup.group_index),
-            delay: self.sensors.binary_search(&(label.campaign.clone(), label.sensor.clone())).ok(),
-        }
-    }
-
-    fn refused(&self, unsolved: &Unsolved) -> StageError {
-        StageError::Refused(match unsolved {
-            Unsolved::Undetermined(fewest) => {
-                let list: Vec<String> =
-                    fewest.iter().map(|(place, count)| format!("{} ({count} onsets)", self.patches[*place])).collect();
-                format!(
-                    "the onsets leave positions undetermined; patches with the fewest: {}; capture more pairs with them, or exclude them",
-                    list.join(", ")
-                )
-            }
-            Unsolved::NotSettled => format!(
-                "{unsolved}; look at the table `residuals` of a run with fewer patches, or start from other patches"
-            ),
-        })
-    }
-
-    /// The canonical frame where all rotations are free; the solution's own otherwise.
-    fn frame(&self, solution: &Solution) -> Matrix3<f64> {
-        let all = if self.first().dimensions == 2 { 1 } else { 3 };
-        if solution.free_rotations == all {
-            frame::canonical(&solution.points, self.centre())
-        } else {
-            Matrix3::identity()
-        }
-    }
-
-    fn centre(&self) -> Point {
-        Point::from(self.first().source_m)
-    }
-
-    fn patches(&self, solution: &Solution, turn: &Matrix3<f64>) -> Vec<Patch> {
-        let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
-        let row = |(place, &patch): (usize, &PatchId)| {
-            let point = procrustes::turn(turn, self.centre(), solution.points[place]);
-            let cov = turn * solution.patch_covariance_m2(place, place) * turn.transpose();
-            Patch {
-                patch,
-                kind: self.known.start[&patch].kind.clone(),
-                x_m: point.x,
-                y_m: point.y,
-                z_m: point.z,
-                cov_xx_m2: Some(cov[(0, 0)]),
-                cov_xy_m2: Some(cov[(0, 1)]),
-                cov_xz_m2: Some(cov[(0, 2)]),
-                cov_yy_m2: Some(cov[(1, 1)]),
-                cov_yz_m2: Some(cov[(1, 2)]),
-                cov_zz_m2: Some(cov[(2, 2)]),
-                sd_m: Some(cov.trace().sqrt()),
-                onsets: self.labels.iter().filter(|label| label.path.iter().flatten().any(|of| *of == patch)).count()
-                    as i32,
-                chi2_dof,
-                alternative: 0,
-                log_likelihood: Some(-0.5 * solution.chi2),
-            }
-        };
-        self.patches.iter().enumerate().map(row).collect()
-    }
-
-    fn patch_covariances(&self, solution: &Solution, turn: &Matrix3<f64>) -> Vec<PatchCovariance> {
-        let count = self.patches.len();
-        let pairs = (0..count).flat_map(|a| (a + 1..count).map(move |b| (a, b)));
-        let row = |(a, b): (usize, usize)| {
-            let cov = turn * solution.patch_covariance_m2(a, b) * turn.transpose();
-            PatchCovariance {
-                a: self.patches[a],
-                b: self.patches[b],
-                cov_xx_m2: cov[(0, 0)],
-                cov_xy_m2: cov[(0, 1)],
-                cov_xz_m2: cov[(0, 2)],
-                cov_yx_m2: cov[(1, 0)],
-                cov_yy_m2: cov[(1, 1)],
-                cov_yz_m2: cov[(1, 2)],
-                cov_zx_m2: cov[(2, 0)],
-                cov_zy_m2: cov[(2, 1)],
-                cov_zz_m2: cov[(2, 2)],
-            }
-        };
-        pairs.map(row).collect()
-    }
-
-    fn delays(&self, solution: &Solution) -> Vec<Delay> {
-        let row = |(n, sensor): (usize, &(Name, Name))| {
-            let time = |length_m| units::time_ps(length_m, self.index(sensor));
-            Delay {
-                campaign: sensor.0.clone(),
-                sensor: sensor.1.clone(),
-                delay_ps: time(solution.delays_m[n]),
-                sd_ps: time(solution.delay_variance_m2(n).sqrt()),
-                prior_sd_ps: self.known.latency_sd_ps[sensor],
-            }
-        };
-        self.sensors.iter().enumerate().map(row).collect()
-    }
-
-    fn residuals(&self, solution: &Solution) -> Vec<Residual> {
-        let row = |(label, residual_m): (&Label, &f64)| {
-            let residual_ps = units::time_ps(*residual_m, self.setup(label).group_index);
-            let standardised = residual_ps / label.time_sd_ps;
-            Residual {
-                campaign: label.campaign.clone(),
-                sensor: label.sensor.clone(),
-                lit: label.lit,
-                seen: label.seen,
-                rank: label.rank,
-                path: label.path.clone().expect("only labels with a path are observations"),
-                residual_ps,
-                sd_ps: label.time_sd_ps,
-                standardised,
-                suspect: standardised.abs() > SUSPECT,
-            }
-        };
-        self.labels.iter().zip(&solution.residuals_m).map(row).collect()
-    }
+        reason: "normals in campaign.toml are left aside, since no anchor, ray or station tells how the patches are turned: footprints are taken as points; give `planes` of \
+                 a stage `surface` beside, or anchors"
+            .to_owned(),
+    }]
 }

@@ -30,6 +30,8 @@ table! {
         latency_ps: f64,
         /// Standard deviation of the latency; common to all arrivals of the sensor.
         latency_sd_ps: f64,
+        /// The part of it that all vertical ranges of the sensor share: the error of the known path's length.
+        latency_common_sd_ps: Option<f64>,
         /// Wall-clock time of the first response shot (ISO 8601, zone of the instrument).
         acquired_at: Option<Name>,
         /// Mean integral of the reference pulse in the response captures, which goes with the laser's energy. Null without reference channel.

@@ -30,7 +30,7 @@ pub use profiles::Profile;
 pub use rejects::Reject;
 pub use row::{Codes, Name, Row, Samples, SchemaError};
 pub use session::Session;
-pub use solution::{Delay, Residual};
+pub use solution::{Ambiguity, Delay, Fit, Residual, Station, Suspect};
 pub use stir::{Impulse, Stir};
 pub use traces::Trace;
 pub use truth::{TrueCapture, TrueCentroid, TruePath};
@@ -59,7 +59,11 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Patch>(),
         of::<PatchCovariance>(),
         of::<Delay>(),
+        of::<Station>(),
         of::<Residual>(),
+        of::<Suspect>(),
+        of::<Fit>(),
+        of::<Ambiguity>(),
         of::<Reject>(),
         of::<TruePath>(),
         of::<TrueCentroid>(),

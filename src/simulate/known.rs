@@ -1,0 +1,73 @@
+//! What a lab would know of a scene beforehand: `[known]` of a scene file, as lines of campaign.toml.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::scene::Scene;
+use crate::campaign::keys::LASER;
+use crate::units::PatchId;
+
+/// Stream of random numbers for errors of what is known; captures have their own.
+const STREAM: u64 = u64::MAX;
+
+/// Draws what campaign.toml tells, in the order of the file.
+pub struct Telling<'a> {
+    scene: &'a Scene,
+    rng: ChaCha8Rng,
+}
+
+impl<'a> Telling<'a> {
+    pub fn new(scene: &'a Scene, seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(STREAM);
+        Self { scene, rng }
+    }
+
+    fn drawn(&mut self, truth: [f64; 3], sd: f64) -> [f64; 3] {
+        // In flatland nothing leaves the plane.
+        let dimensions = usize::from(self.scene.dimensions);
+        std::array::from_fn(|k| {
+            let error: f64 = if k < dimensions { StandardNormal.sample(&mut self.rng) } else { 0.0 };
+            truth[k] + sd * error
+        })
+    }
+
+    /// Keys of a station.
+    pub fn station(&mut self, name: &str) -> String {
+        let position_m = self.scene.stations[name].position_m;
+        let sd_m = self.scene.known.station_sd_m;
+        if name == LASER || sd_m == 0.0 {
+            return format!("position_m = {position_m:?}");
+        }
+        format!("position_m = {:?}\nsd_m = {sd_m:?}", self.drawn(position_m, sd_m))
+    }
+
+    /// Keys of a patch, beyond its role.
+    pub fn patch(&mut self, patch: PatchId) -> String {
+        let (known, disk) = (&self.scene.known, &self.scene.patches[&patch]);
+        let mut lines = String::new();
+        if known.size {
+            lines += &format!("\nsize_m = {:?}", disk.size_m);
+        }
+        if known.normal {
+            lines += &format!("\nnormal = {:?}", disk.normal);
+        }
+        if known.anchors.contains(&patch) {
+            let position_m = self.drawn(disk.position_m, known.anchor_sd_m);
+            lines += &format!("\nposition_m = {position_m:?}");
+            if known.anchor_sd_m > 0.0 {
+                lines += &format!("\nsd_m = {:?}", known.anchor_sd_m);
+            }
+        }
+        if known.rays.contains(&patch) {
+            let laser_m = self.scene.stations[LASER].position_m;
+            let arm: [f64; 3] = std::array::from_fn(|k| disk.position_m[k] - laser_m[k]);
+            let length = arm.iter().map(|x| x * x).sum::<f64>().sqrt();
+            let direction = self.drawn(arm.map(|x| x / length), known.ray_sd_rad);
+            let sd = if known.ray_sd_rad > 0.0 { format!(", sd_rad = {:?}", known.ray_sd_rad) } else { String::new() };
+            lines += &format!("\nray = {{ from = {LASER:?}, direction = {direction:?}{sd} }}");
+        }
+        lines
+    }
+}

@@ -1,0 +1,202 @@
+//! Labelled onsets as a maximum-likelihood problem, and its unknowns by their names.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use faer::Mat;
+use nalgebra::Vector3;
+
+use super::known::{DelayKey, Known, Setup};
+use crate::campaign::keys::{self, LASER};
+use crate::geometry::Point;
+use crate::geometry::maximum_likelihood::{Anchor, Node, Observation, Problem, Ray, Solution, Station, Unsolved};
+use crate::geometry::placement;
+use crate::stages::footprints::Footprints;
+use crate::tables::{Label, Name};
+use crate::units::{self, PatchId};
+
+/// Standard deviation of what campaign.toml gives as exact, as far as numbers go.
+const EXACT_M: f64 = 1e-6;
+const EXACT_RAD: f64 = 1e-6;
+
+/// A station of a campaign: two campaigns that agree on one share it.
+pub struct Place {
+    pub campaign: Name,
+    pub name: String,
+    pub station: keys::Station,
+}
+
+/// The unknowns by their names.
+pub struct Model<'a> {
+    pub known: &'a Known,
+    pub labels: &'a [Label],
+    pub patches: Vec<PatchId>,
+    pub delays: Vec<DelayKey>,
+    pub stations: Vec<Place>,
+    /// Station of a campaign, by its position in `stations`.
+    station_at: BTreeMap<(Name, String), usize>,
+}
+
+impl<'a> Model<'a> {
+    pub fn new(known: &'a Known, labels: &'a [Label]) -> Self {
+        let patches: BTreeSet<PatchId> = labels.iter().flat_map(|label| label.path.iter().flatten().copied()).collect();
+        let delay = |label: &Label| known.delay_of(&label.campaign, &label.sensor, &label.range);
+        let delays: BTreeSet<DelayKey> = labels.iter().filter_map(delay).collect();
+        let (mut stations, mut station_at) = (Vec::<Place>::new(), BTreeMap::new());
+        for (campaign, setup) in &known.setups {
+            // The laser comes first: about it the frame is turned.
+            let laser = setup.stations.iter().filter(|(name, _)| *name == LASER);
+            for (name, station) in laser.chain(setup.stations.iter().filter(|(name, _)| *name != LASER)) {
+                let same = |place: &Place| place.name == *name && place.station == *station;
+                let at = stations.iter().position(same).unwrap_or(stations.len());
+                if at == stations.len() {
+                    let campaign = Name::from(campaign.as_str());
+                    stations.push(Place { campaign, name: name.clone(), station: station.clone() });
+                }
+                station_at.insert((Name::from(campaign.as_str()), name.clone()), at);
+            }
+        }
+        Self {
+            known,
+            labels,
+            patches: patches.into_iter().collect(),
+            delays: delays.into_iter().collect(),
+            stations,
+            station_at,
+        }
+    }
+
+    pub fn setup(&self, label: &Label) -> &Setup {
+        &self.known.setups[&*label.campaign]
+    }
+
+    /// Position of a patch among the unknowns.
+    fn place(&self, patch: PatchId) -> usize {
+        self.patches.binary_search(&patch).expect("all patches of the labels are unknowns")
+    }
+
+    pub fn index(&self, delay: &DelayKey) -> f64 {
+        self.known.setups[&*delay.0].group_index
+    }
+
+    /// Where each patch is searched from; `None` if one has no place to start from.
+    fn start(&self) -> Option<Vec<Point>> {
+        let start = |patch: &PatchId| {
+            let row = self.known.start.get(patch)?;
+            Some(Point::new(row.x_m, row.y_m, row.z_m))
+        };
+        self.patches.iter().map(start).collect()
+    }
+
+    /// The problem with patches as points, from the start that is given, else placed from nothing.
+    pub fn problem(&self, robust: bool) -> Problem {
+        let first = self.known.first();
+        let station = |place: &Place| Station {
+            position: Point::from(place.station.position_m),
+            sd_m: place.station.sd_m.unwrap_or(0.0),
+        };
+        let length_m2 = |a: &DelayKey, b: &DelayKey| {
+            units::path_m(1.0, self.index(a)) * units::path_m(1.0, self.index(b)) * self.known.covariance_ps2(a, b)
+        };
+        let count = self.delays.len();
+        let mut problem = Problem {
+            start: vec![Point::origin(); self.patches.len()],
+            dimensions: usize::from(first.dimensions),
+            stations: self.stations.iter().map(station).collect(),
+            observations: self.labels.iter().map(|label| self.observation(label)).collect(),
+            anchors: self.anchors(first),
+            rays: self.rays(first),
+            delay_covariance_m2: Mat::from_fn(count, count, |i, k| length_m2(&self.delays[i], &self.delays[k])),
+            period_sd_m: self.period_sd_m(),
+            robust,
+        };
+        problem.start = match self.start() {
+            Some(start) => start,
+            None => placement::place(&problem).points,
+        };
+        problem
+    }
+
+    /// Patches of known position.
+    fn anchors(&self, setup: &Setup) -> Vec<Anchor> {
+        let anchor = |(patch, known): (&PatchId, &keys::Patch)| {
+            let patch = self.patches.binary_search(patch).ok()?;
+            Some(Anchor { patch, position: Point::from(known.position_m?), sd_m: known.sd_m.unwrap_or(EXACT_M) })
+        };
+        setup.patches.iter().filter_map(anchor).collect()
+    }
+
+    /// Patches of known direction.
+    fn rays(&self, setup: &Setup) -> Vec<Ray> {
+        let campaign = Name::from(self.known.setups.keys().next().expect("a run has a campaign").as_str());
+        let ray = |(patch, known): (&PatchId, &keys::Patch)| {
+            let (patch, ray) = (self.patches.binary_search(patch).ok()?, known.ray.as_ref()?);
+            Some(Ray {
+                patch,
+                from: self.station_at[&(campaign.clone(), ray.from.clone())],
+                direction: Vector3::from(ray.direction).normalize(),
+                sd_rad: ray.sd_rad.unwrap_or(EXACT_RAD),
+            })
+        };
+        setup.patches.iter().filter_map(ray).collect()
+    }
+
+    /// Of all campaigns together; exact where they differ in it.
+    fn period_sd_m(&self) -> f64 {
+        let first = self.known.first();
+        if self.known.setups.values().any(|setup| setup.repetition_ps != first.repetition_ps) {
+            return 0.0;
+        }
+        first.period_sd_ps().map_or(0.0, |sd_ps| units::path_m(sd_ps, first.group_index))
+    }
+
+    fn observation(&self, label: &Label) -> Observation {
+        let setup = self.setup(label);
+        let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
+        let station = |name: &str| Node::Station(self.station_at[&(label.campaign.clone(), name.to_owned())]);
+        let delay = self.known.delay_of(&label.campaign, &label.sensor, &label.range);
+        Observation {
+            nodes: std::iter::once(station(LASER)).chain(path).chain([station(&setup.sensors[&*label.sensor])]).collect(),
+            length_m: units::path_m(label.time_ps, setup.group_index),
+            sd_m: units::path_m(label.time_sd_ps, setup.group_index),
+            delay: delay.and_then(|delay| self.delays.binary_search(&delay).ok()),
+            turns: label.turns,
+        }
+    }
+
+    /// What each onset is later than light over the centres of its patches.
+    pub fn shifts_m(&self, footprints: &Footprints, problem: &Problem, points: &[Point], stations: &[Point]) -> Vec<f64> {
+        let shift = |(label, observation): (&Label, &Observation)| {
+            let station = |node: &Node| match node {
+                Node::Station(station) => stations[*station],
+                Node::Patch(_) => unreachable!("paths end at stations"),
+            };
+            let ends = (&observation.nodes[0], observation.nodes.last().expect("a path has two ends"));
+            let path = label.path.as_deref().expect("only labels with a path are observations");
+            let at = |patch: &PatchId| points[self.place(*patch)];
+            footprints.shift_m(station(ends.0), path, at, station(ends.1))
+        };
+        self.labels.iter().zip(&problem.observations).map(shift).collect()
+    }
+
+    pub fn refused(&self, unsolved: &Unsolved) -> String {
+        match unsolved {
+            Unsolved::Undetermined(fewest) => {
+                let list: Vec<String> =
+                    fewest.iter().map(|(place, count)| format!("{} ({count} onsets)", self.patches[*place])).collect();
+                format!(
+                    "the onsets leave positions undetermined; patches with the fewest: {}; capture more pairs with them, or exclude them",
+                    list.join(", ")
+                )
+            }
+            Unsolved::NotSettled => format!(
+                "{unsolved}; look at the table `residuals` of a run with fewer patches, or start from other patches"
+            ),
+        }
+    }
+
+    /// Whether nothing but conventions fixes how the patches are turned about the stations.
+    pub fn all_rotations_free(&self, solution: &Solution) -> bool {
+        let all = if self.known.first().dimensions == 2 { 1 } else { 3 };
+        solution.free_rotations.first() == Some(&all)
+    }
+}

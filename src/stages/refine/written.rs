@@ -1,0 +1,306 @@
+//! A solution as rows of tables.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::model::Model;
+use crate::geometry::maximum_likelihood::Solution;
+use crate::geometry::{Point, frame, procrustes};
+use crate::tables::{Ambiguity, Delay, Fit, Name, Patch, PatchCovariance, Residual, Station, Suspect};
+use crate::units::{self, PatchId};
+
+/// Residuals beyond this many of their own standard deviations are doubtful.
+const FAR_OFF: f64 = 4.0;
+/// An onset of which others check no more than this share is not checked.
+const UNCHECKED: f64 = 0.01;
+/// A patch is weak where its largest principal standard deviation is this many times that of the middle patch.
+const WEAK: f64 = 5.0;
+
+/// Another solution that the onsets do not rule out.
+pub struct Other {
+    /// Positions of the patches that it moves, by their places.
+    pub patches: Vec<usize>,
+    pub is_mirror_image: bool,
+    pub solution: Solution,
+}
+
+/// The best solution with what stands beside it.
+pub struct Written<'a> {
+    pub model: &'a Model<'a>,
+    pub solution: &'a Solution,
+    pub others: &'a [Other],
+    /// What each onset is late by its patches' footprints.
+    pub shifts_m: &'a [f64],
+    turn: Matrix3<f64>,
+    frame: &'static str,
+}
+
+impl<'a> Written<'a> {
+    pub fn new(model: &'a Model<'a>, solution: &'a Solution, others: &'a [Other], shifts_m: &'a [f64]) -> Self {
+        let (turn, frame) = if model.all_rotations_free(solution) {
+            (frame::canonical(&solution.points, centre(solution)), "canonical")
+        } else if solution.free_rotations.first() == Some(&1) {
+            (frame::about(&solution.points, centre(solution), station_line(solution)), "stations")
+        } else {
+            (Matrix3::identity(), "fixed")
+        };
+        Self { model, solution, others, shifts_m, turn, frame }
+    }
+
+    fn turned(&self, point: Point) -> Point {
+        procrustes::turn(&self.turn, centre(self.solution), point)
+    }
+
+    pub fn patches(&self) -> Vec<Patch> {
+        let all: Vec<usize> = (0..self.model.patches.len()).collect();
+        let of = |(n, solution, patches): (usize, &Solution, &[usize])| {
+            patches.iter().map(|&place| self.patch(place, solution, n as i32)).collect::<Vec<_>>()
+        };
+        let others = self.others.iter().enumerate().map(|(n, other)| (n + 1, &other.solution, other.patches.as_slice()));
+        std::iter::once((0, self.solution, all.as_slice())).chain(others).flat_map(of).collect()
+    }
+
+    fn patch(&self, place: usize, solution: &Solution, alternative: i32) -> Patch {
+        let patch = self.model.patches[place];
+        let point = self.turned(solution.points[place]);
+        let cov = self.turn * solution.patch_covariance_m2(place, place) * self.turn.transpose();
+        let known = (!solution.open.contains(&place)).then_some(cov);
+        let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
+        let touches = |label: &&crate::tables::Label| label.path.iter().flatten().any(|of| *of == patch);
+        Patch {
+            patch,
+            kind: self.model.known.start.get(&patch).map_or_else(|| "visible".into(), |start| start.kind.clone()),
+            x_m: point.x,
+            y_m: point.y,
+            z_m: point.z,
+            cov_xx_m2: known.map(|cov| cov[(0, 0)]),
+            cov_xy_m2: known.map(|cov| cov[(0, 1)]),
+            cov_xz_m2: known.map(|cov| cov[(0, 2)]),
+            cov_yy_m2: known.map(|cov| cov[(1, 1)]),
+            cov_yz_m2: known.map(|cov| cov[(1, 2)]),
+            cov_zz_m2: known.map(|cov| cov[(2, 2)]),
+            sd_m: known.map(|cov| cov.trace().sqrt()),
+            onsets: self.model.labels.iter().filter(touches).count() as i32,
+            chi2_dof,
+            alternative,
+            log_likelihood: Some(-0.5 * solution.loss),
+        }
+    }
+
+    /// Of all pairs whose covariance is known.
+    pub fn patch_covariances(&self) -> Vec<PatchCovariance> {
+        let has = |place: &usize| !self.solution.open.contains(place);
+        let known: Vec<usize> = (0..self.model.patches.len()).filter(has).collect();
+        let pairs = known.iter().enumerate().flat_map(|(n, &a)| known[n + 1..].iter().map(move |&b| (a, b)));
+        let row = |(a, b): (usize, usize)| {
+            let cov = self.turn * self.solution.patch_covariance_m2(a, b) * self.turn.transpose();
+            PatchCovariance {
+                a: self.model.patches[a],
+                b: self.model.patches[b],
+                cov_xx_m2: cov[(0, 0)],
+                cov_xy_m2: cov[(0, 1)],
+                cov_xz_m2: cov[(0, 2)],
+                cov_yx_m2: cov[(1, 0)],
+                cov_yy_m2: cov[(1, 1)],
+                cov_yz_m2: cov[(1, 2)],
+                cov_zx_m2: cov[(2, 0)],
+                cov_zy_m2: cov[(2, 1)],
+                cov_zz_m2: cov[(2, 2)],
+            }
+        };
+        if self.solution.is_exact() { pairs.map(row).collect() } else { Vec::new() }
+    }
+
+    pub fn delays(&self) -> Vec<Delay> {
+        let row = |(n, key): (usize, &super::known::DelayKey)| {
+            let time = |length_m| units::time_ps(length_m, self.model.index(key));
+            Delay {
+                campaign: key.0.clone(),
+                sensor: key.1.clone(),
+                range: key.2.clone(),
+                delay_ps: time(self.solution.delays_m[n]),
+                sd_ps: time(self.solution.delay_variance_m2(n).sqrt()),
+                prior_sd_ps: self.model.known.latency(key).sd_ps,
+            }
+        };
+        self.model.delays.iter().enumerate().map(row).collect()
+    }
+
+    pub fn stations(&self) -> Vec<Station> {
+        let row = |(n, place): (usize, &super::model::Place)| {
+            let prior_sd_m = place.station.sd_m?;
+            let point = self.turned(self.solution.stations[n]);
+            Some(Station {
+                campaign: place.campaign.clone(),
+                station: place.name.as_str().into(),
+                x_m: point.x,
+                y_m: point.y,
+                z_m: point.z,
+                sd_m: self.solution.station_covariance_m2(n).trace().sqrt(),
+                moved_m: (self.solution.stations[n] - Point::from(place.station.position_m)).norm(),
+                prior_sd_m,
+            })
+        };
+        self.model.stations.iter().enumerate().filter_map(row).collect()
+    }
+
+    pub fn residuals(&self) -> Vec<Residual> {
+        let row = |(n, label): (usize, &crate::tables::Label)| {
+            let time = |length_m: f64| units::time_ps(length_m, self.model.setup(label).group_index);
+            let residual_ps = time(self.solution.residuals_m[n]);
+            let standardised = residual_ps / label.time_sd_ps;
+            let redundancy = self.redundancy(n);
+            let studentised = redundancy.filter(|share| *share > UNCHECKED).map(|share| standardised / share.sqrt());
+            Residual {
+                campaign: label.campaign.clone(),
+                sensor: label.sensor.clone(),
+                lit: label.lit,
+                seen: label.seen,
+                rank: label.rank,
+                path: label.path.clone().expect("only labels with a path are observations"),
+                residual_ps,
+                sd_ps: label.time_sd_ps,
+                standardised,
+                studentised,
+                footprint_ps: time(self.shifts_m[n]),
+                suspect: studentised.unwrap_or(standardised).abs() > FAR_OFF,
+            }
+        };
+        self.model.labels.iter().enumerate().map(row).collect()
+    }
+
+    /// Share of an observation's information that others check.
+    fn redundancy(&self, n: usize) -> Option<f64> {
+        let predicted_m2 = self.solution.predicted_variance_m2.as_ref()?[n];
+        let sd_m = units::path_m(self.model.labels[n].time_sd_ps, self.model.setup(&self.model.labels[n]).group_index);
+        Some((1.0 - predicted_m2 / (sd_m * sd_m)).clamp(0.0, 1.0))
+    }
+
+    pub fn suspects(&self, residuals: &[Residual]) -> Vec<Suspect> {
+        let row = |(n, residual): (usize, &Residual)| {
+            let redundancy = self.redundancy(n);
+            let reason = if residual.suspect {
+                "far-off"
+            } else if redundancy.is_some_and(|share| share <= UNCHECKED) {
+                "unchecked"
+            } else {
+                return None;
+            };
+            Some(Suspect {
+                campaign: residual.campaign.clone(),
+                sensor: residual.sensor.clone(),
+                lit: residual.lit,
+                seen: residual.seen,
+                rank: residual.rank,
+                path: residual.path.clone(),
+                reason: reason.into(),
+                residual_ps: residual.residual_ps,
+                studentised: residual.studentised.or(redundancy.is_none().then_some(residual.standardised)),
+                redundancy,
+            })
+        };
+        let mut suspects: Vec<Suspect> = residuals.iter().enumerate().filter_map(row).collect();
+        let size = |suspect: &Suspect| suspect.studentised.map_or(0.0, f64::abs);
+        suspects.sort_by(|a, b| size(b).total_cmp(&size(a)));
+        suspects
+    }
+
+    pub fn fits(&self) -> Vec<Fit> {
+        let solutions = std::iter::once(self.solution).chain(self.others.iter().map(|other| &other.solution));
+        let setup = self.model.known.first();
+        let time = |length_m: f64| units::time_ps(length_m, setup.group_index);
+        let row = |(n, solution): (usize, &Solution)| {
+            let period_sd_ps = solution.period_variance_m2().map(|variance_m2| time(variance_m2.sqrt()));
+            let repetition_ps = setup.repetition_ps.filter(|_| period_sd_ps.is_some());
+            Fit {
+                alternative: n as i32,
+                frame: self.frame.into(),
+                free_rotations: solution.free_rotations.first().copied().unwrap_or(0) as i32,
+                covariance: if solution.is_exact() { "exact".into() } else { "blocks".into() },
+                onsets: self.model.labels.len() as i32,
+                unknowns: solution.unknowns() as i32,
+                chi2: solution.chi2,
+                degrees_of_freedom: solution.degrees_of_freedom as i32,
+                log_likelihood: -0.5 * solution.loss,
+                repetition_ps: repetition_ps.map(|period_ps| period_ps + time(solution.period_m)),
+                repetition_sd_ps: period_sd_ps,
+            }
+        };
+        solutions.enumerate().map(row).collect()
+    }
+
+    pub fn ambiguities(&self) -> Vec<Ambiguity> {
+        let plain = |kind: &str, places: &[usize], meaning: &str| Ambiguity {
+            kind: kind.into(),
+            patches: self.ids(places),
+            alternative: None,
+            log_likelihood: None,
+            sd_m: None,
+            meaning: meaning.into(),
+        };
+        let mut rows = Vec::new();
+        match self.frame {
+            "canonical" => rows.push(plain("rotation", &[], "nothing tells how the whole is turned about the laser, nor which of two mirror images it is: the frame is a convention; anchors, rays or a sensor elsewhere would tell")),
+            "stations" => rows.push(plain("rotation", &[], "nothing tells how the whole is turned about the line of the stations, nor which of two mirror images it is: the frame is a convention; an anchor, a ray or a sensor off the line would tell")),
+            _ => {}
+        }
+        for (part, free) in self.solution.parts.iter().zip(&self.solution.free_rotations).skip(1).filter(|(_, free)| **free > 0) {
+            let meaning = format!("no onset joins these patches to the others: {free} rotations of them against the rest are open; capture pairs across");
+            rows.push(plain("part", part, &meaning));
+        }
+        if !self.solution.open.is_empty() {
+            rows.push(plain("open", &self.solution.open, "these patches can move without changing any path: they have too few onsets; capture more pairs with them"));
+        }
+        rows.extend(self.weak());
+        for (n, other) in self.others.iter().enumerate() {
+            let (kind, meaning) = if other.is_mirror_image {
+                ("mirror", "the mirror image of the whole explains the onsets as well; an anchor or a ray off the mirror's plane would decide")
+            } else {
+                ("flip", "these patches explain the onsets as well on the other side of their neighbours; a pair with one more neighbour would decide")
+            };
+            rows.push(Ambiguity {
+                alternative: Some(n as i32 + 1),
+                log_likelihood: Some(-0.5 * (other.solution.loss - self.solution.loss)),
+                ..plain(kind, &other.patches, meaning)
+            });
+        }
+        rows
+    }
+
+    fn ids(&self, places: &[usize]) -> Vec<PatchId> {
+        places.iter().map(|&place| self.model.patches[place]).collect()
+    }
+
+    /// Patches that are known much worse than the others.
+    fn weak(&self) -> Option<Ambiguity> {
+        let sd_m = |place: usize| {
+            let covariance = self.solution.patch_covariance_m2(place, place);
+            covariance.symmetric_eigenvalues().max().max(0.0).sqrt()
+        };
+        let known = |place: &usize| !self.solution.open.contains(place);
+        let sds_m: Vec<(usize, f64)> =
+            (0..self.model.patches.len()).filter(known).map(|place| (place, sd_m(place))).collect();
+        let mut sorted: Vec<f64> = sds_m.iter().map(|(_, sd_m)| *sd_m).collect();
+        sorted.sort_by(f64::total_cmp);
+        let middle = *sorted.get(sorted.len() / 2)?;
+        let weak: Vec<(usize, f64)> = sds_m.into_iter().filter(|(_, sd_m)| *sd_m > WEAK * middle).collect();
+        let most = weak.iter().map(|(_, sd_m)| *sd_m).fold(0.0, f64::max);
+        (!weak.is_empty()).then(|| Ambiguity {
+            kind: "weak".into(),
+            patches: self.ids(&weak.iter().map(|(place, _)| *place).collect::<Vec<_>>()),
+            alternative: None,
+            log_likelihood: None,
+            sd_m: Some(most),
+            meaning: Name::from("these patches are known several times worse than the others, along one direction at least; capture more pairs with them"),
+        })
+    }
+}
+
+fn centre(solution: &Solution) -> Point {
+    solution.stations[0]
+}
+
+/// Direction from the first station to the one farthest from it.
+fn station_line(solution: &Solution) -> Vector3<f64> {
+    let arms = solution.stations.iter().map(|station| station - solution.stations[0]);
+    arms.max_by(|a, b| a.norm().total_cmp(&b.norm())).unwrap_or_else(Vector3::x)
+}
