@@ -132,7 +132,7 @@ impl<'a> Laboratory<'a> {
         };
         for shooting in &self.shootings {
             let paths = scene.true_paths(&self.chain, shooting);
-            truth.onsets.extend(true_onsets(&paths, shooting.role, scene.instrument.snr.is_some()));
+            truth.onsets.extend(true_onsets(&paths, shooting, scene.instrument.snr.is_some()));
             truth.paths.extend(paths);
             truth.captures.push(scene.true_capture(&self.chain, shooting, &shooting.stem));
         }

@@ -182,13 +182,15 @@ impl Scene {
 }
 
 /// Arrivals of a capture that stand above its averaged noise.
-pub(super) fn true_onsets(paths: &[TruePath], role: Role, snr_was_set: bool) -> Vec<Onset> {
-    let strong = paths.iter().filter(|path| role == Role::Scene && path.recorded && path.snr >= ONSET_SNR);
+pub(super) fn true_onsets(paths: &[TruePath], shooting: &Shooting, snr_was_set: bool) -> Vec<Onset> {
+    let is_scene = shooting.role == Role::Scene;
+    let strong = paths.iter().filter(|path| is_scene && path.recorded && path.snr >= ONSET_SNR);
     let onset = |(rank, path): (usize, &TruePath)| Onset {
         campaign: path.campaign.clone(),
         sensor: path.sensor.clone(),
         lit: path.lit,
         seen: path.seen,
+        range: shooting.setting.name.as_deref().map(Into::into),
         rank: rank as i32 + 1,
         time_ps: path.time_ps,
         time_sd_ps: 0.0,

@@ -31,7 +31,8 @@
 //! worse than the noise is (`chi2_dof` well above 1) and a single shot tells the noise, its estimate weighs the misfit otherwise in every record:
 //! `correlated = false` keeps times comparable there.
 //!
-//! Not modelled: light that wraps around the end of a record (`average` cuts circular profiles open where they are quiet), counts explained jointly.
+//! Not modelled: light that wraps around the end of a record (`average` cuts circular profiles open where they are quiet), counts explained jointly, the delay
+//! between two vertical ranges in a pair that is explained jointly.
 //!
 //! ```toml
 //! [stir]
@@ -149,7 +150,7 @@ struct Ready {
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::Pair;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
@@ -246,6 +247,7 @@ fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
         sensor: profile.sensor.clone(),
         lit: profile.lit,
         seen: profile.seen,
+        range: profile.range.clone(),
         t0_ps: ready.t0_ps,
         dt_ps: ready.dt_ps,
         profile: ready.light.into_iter().collect(),

@@ -87,7 +87,7 @@ impl Default for Detect {
 
 impl Stage for Detect {
     const KIND: &'static str = "detect";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::Capture;
     type Input = Stir;
     type Output = Onset;
@@ -287,6 +287,7 @@ fn blank(stir: &Stir) -> Onset {
         sensor: stir.sensor.clone(),
         lit: stir.lit,
         seen: stir.seen,
+        range: stir.range.clone(),
         rank: 0,
         time_ps: 0.0,
         time_sd_ps: 0.0,

@@ -108,7 +108,7 @@ impl Verdict {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -213,6 +213,7 @@ fn row(onset: &Onset, verdict: Verdict, setup: &Setup) -> Label {
         sensor: onset.sensor.clone(),
         lit: onset.lit,
         seen: onset.seen,
+        range: onset.range.clone(),
         rank: onset.rank,
         time_ps: onset.time_ps + turns_ps,
         time_sd_ps: sd_ps(onset),

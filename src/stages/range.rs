@@ -4,9 +4,10 @@
 //! onsets, and those of several sensors and campaigns, are averaged by their variances. See [`crate::geometry::t2`] for what is wrong in the
 //! paper's printed matrix.
 //!
-//! Takes `labels`; writes `distances` and, beside it, `covariances`. Sensors must stand where the laser is (paper section 3); for separate
-//! stations there is no closed form: `refine` takes them as they are. Third and later bounces are not used yet. A sensor's latency is common to all
-//! `d_0i` and cancels in every `d_ij`; here it is taken as known, `refine` gives it a prior.
+//! Takes `labels`; writes `distances` and, beside it, `covariances`. Used are onsets of sensors that stand where the laser is (paper section 3). The path
+//! lengths of sensors that stand apart are sums that T2 cannot take apart; so are second bounces of a patch without a first bounce: `rejects` says
+//! which, and `refine` takes them as they are. Third and later bounces are not used yet. A sensor's latency is common to all `d_0i` and cancels in
+//! every `d_ij`; here it is taken as known, `refine` gives it a prior.
 //!
 //! ```toml
 //! [distances]
@@ -22,7 +23,7 @@ use super::stage::{Apply, BesideTables, Grain, Outcome, Rejection, Side, Stage, 
 use crate::campaign::Campaign;
 use crate::campaign::keys::PatchRole;
 use crate::geometry::t2::{self, Distances, Length};
-use crate::tables::{Covariance, Distance, Label, Row};
+use crate::tables::{Covariance, Distance, Label, Name, Row};
 use crate::units::{self, PatchId};
 
 /// Stations closer than this are one.
@@ -37,15 +38,15 @@ pub struct Range {}
 #[derive(Clone, Debug, Serialize)]
 pub struct Setup {
     group_index: f64,
-    /// Sensors that do not stand where the laser is.
-    apart: Vec<String>,
+    /// Whether each sensor stands where the laser is.
+    with_laser: BTreeMap<String, bool>,
     /// Patches that campaign.toml lists as visible.
     visible: Vec<PatchId>,
 }
 
 impl Stage for Range {
     const KIND: &'static str = "range";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     const SIDES: &'static [Side] = &[Side { name: Covariance::TABLE, schema: Covariance::schema }];
     type Input = Label;
@@ -57,14 +58,14 @@ impl Stage for Range {
         let gap_m = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
         let setup = |campaign: &Campaign| {
             let source_m = campaign.source().position_m;
-            let apart = |sensor: &&String| {
-                campaign.station_of(sensor).is_none_or(|station| gap_m(station.position_m, source_m) > ONE_STATION_M)
+            let with_laser = |sensor: &String| {
+                campaign.station_of(sensor).is_some_and(|station| gap_m(station.position_m, source_m) <= ONE_STATION_M)
             };
             let visible =
                 campaign.patches.iter().filter(|(_, patch)| patch.role == PatchRole::Visible).map(|(id, _)| *id);
             Setup {
                 group_index: campaign.group_index,
-                apart: campaign.sensors.keys().filter(apart).cloned().collect(),
+                with_laser: campaign.sensors.keys().map(|sensor| (sensor.clone(), with_laser(sensor))).collect(),
                 visible: visible.collect(),
             }
         };
@@ -72,13 +73,14 @@ impl Stage for Range {
     }
 
     fn context(&self, fields: Self::Fields, _: &BesideTables) -> Result<Self::Context, StageError> {
-        for (campaign, setup) in &fields {
-            if let Some(sensor) = setup.apart.first() {
-                return Err(StageError::Refused(format!(
-                    "sensor `{sensor}` of campaign `{campaign}` does not stand where the laser is: its path lengths have no closed form; \
-                     leave out `range` and `embed`, and start `refine` from known patches (stage `import`)"
-                )));
-            }
+        let mut sensors =
+            fields.iter().flat_map(|(campaign, setup)| setup.with_laser.keys().map(move |s| (campaign, s)));
+        let is_any_with_laser = fields.values().any(|setup| setup.with_laser.values().any(|with_laser| *with_laser));
+        if let Some((campaign, sensor)) = sensors.next().filter(|_| !is_any_with_laser) {
+            return Err(StageError::Refused(format!(
+                "sensor `{sensor}` of campaign `{campaign}` does not stand where the laser is, and no other does: path lengths have no closed \
+                 form; leave out `range` and `embed`; `refine` finds a start by itself from the labels"
+            )));
         }
         Ok(fields)
     }
@@ -87,10 +89,19 @@ impl Stage for Range {
 impl Apply for Range {
     fn apply(&self, setups: &Self::Context, group: Vec<Label>) -> Result<Outcome<Distance>, StageError> {
         let (mut first, mut second) = (Vec::new(), Vec::new());
-        for label in group.iter().filter(|label| label.alternative == 0) {
-            let index = setups[&*label.campaign].group_index;
-            let sd_m = units::path_m(label.time_sd_ps, index);
-            let length = Length { length_m: units::path_m(label.time_ps, index), variance_m2: sd_m * sd_m };
+        let mut apart: BTreeMap<(Name, Name), usize> = BTreeMap::new();
+        for label in group.iter().filter(|label| label.alternative == 0 && label.path.is_some()) {
+            let setup = &setups[&*label.campaign];
+            match setup.with_laser.get(&*label.sensor) {
+                Some(true) => {}
+                Some(false) => {
+                    *apart.entry((label.campaign.clone(), label.sensor.clone())).or_default() += 1;
+                    continue;
+                }
+                None => return Err(unknown_sensor(label)),
+            }
+            let sd_m = units::path_m(label.time_sd_ps, setup.group_index);
+            let length = Length { length_m: units::path_m(label.time_ps, setup.group_index), variance_m2: sd_m * sd_m };
             match label.path.as_deref() {
                 Some([patch]) => first.push((*patch, length)),
                 Some([lit, seen]) => second.push(((*lit, *seen), length)),
@@ -109,7 +120,7 @@ impl Apply for Range {
         Ok(Outcome {
             rows: rows.collect(),
             sides: vec![covariances(&found)],
-            rejections: rejections(setups, &group, &found),
+            rejections: left_out(apart).chain(rejections(setups, &group, &found)).collect(),
         })
     }
 }
@@ -122,25 +133,54 @@ fn covariances(found: &Distances) -> arrow::array::RecordBatch {
     Covariance::to_batch(&found.covariances.iter().map(row).collect::<Vec<_>>())
 }
 
+fn unknown_sensor(label: &Label) -> StageError {
+    let Label { campaign, sensor, .. } = label;
+    StageError::Refused(format!(
+        "the labels speak of sensor `{sensor}`, which campaign `{campaign}` does not have: add [sensors.{sensor}] to its campaign.toml"
+    ))
+}
+
+/// Sensors that stand apart from the laser, with the onsets that are left out.
+fn left_out(apart: BTreeMap<(Name, Name), usize>) -> impl Iterator<Item = Rejection> {
+    apart.into_iter().map(|((campaign, sensor), onsets)| {
+        about(campaign, format!(
+            "sensor {sensor} stands apart from the laser: the path lengths of its {onsets} onsets are sums that T2 cannot take apart, so they are \
+             left out here; `refine` takes them as they are"
+        ))
+    })
+}
+
+fn about(campaign: Name, reason: String) -> Rejection {
+    Rejection { campaign, file: None, segment: None, byte_offset: None, reason }
+}
+
 /// What a user should know: distances that could not be had, or that contradict themselves.
 fn rejections(setups: &BTreeMap<String, Setup>, labels: &[Label], found: &Distances) -> Vec<Rejection> {
-    let campaign = || labels.first().map_or_else(|| "".into(), |label| label.campaign.clone());
-    let about =
-        |reason: String| Rejection { campaign: campaign(), file: None, segment: None, byte_offset: None, reason };
-    let seen: BTreeSet<PatchId> = found.distances.iter().map(|distance| distance.b).collect();
-    let listed: BTreeSet<PatchId> = setups.values().flat_map(|setup| setup.visible.iter().copied()).collect();
-    let unseen = listed.difference(&seen).map(|patch| {
-        about(format!(
-            "patch {patch} stands in campaign.toml, but no first bounce of it was found, so it has no distance: capture lit {patch}, seen {patch}, or take it out"
-        ))
-    });
-    let skipped = found.skipped.iter().map(|(a, b)| {
-        about(format!("the second bounce between patches {a} and {b} has no first bounces to go with it: capture ({a}, {a}) and ({b}, {b})"))
+    let campaign = labels.first().map_or_else(|| "".into(), |label| label.campaign.clone());
+    let has_first: BTreeSet<PatchId> = found.distances.iter().map(|distance| distance.b).collect();
+    let listed = setups.values().flat_map(|setup| setup.visible.iter().copied());
+    let mut lost: BTreeMap<PatchId, usize> = listed.map(|patch| (patch, 0)).collect();
+    for patch in found.skipped.iter().flat_map(|(a, b)| [*a, *b]) {
+        *lost.entry(patch).or_default() += 1;
+    }
+    lost.retain(|patch, _| !has_first.contains(patch));
+    let lost = lost.into_iter().map(|(patch, pairs)| match pairs {
+        0 => format!(
+            "patch {patch} stands in campaign.toml, but no bounce of it was found where the laser is, so it has no distance: capture lit {patch}, \
+             seen {patch}, or take it out"
+        ),
+        _ => format!(
+            "patch {patch} has no first bounce, so it has no distance, nor do its second bounces give any (pairs lost: {pairs}); `refine` still uses \
+             them; for distances, capture lit {patch}, seen {patch}"
+        ),
     });
     let disagreeing = found.disagreeing.iter().map(|(a, b, sigma)| {
-        about(format!(
+        format!(
             "reciprocal onsets of patches {a} and {b} differ by {sigma:.1} standard deviations; their distance is kept with a variance that covers it: look at both profiles"
-        ))
+        )
     });
-    unseen.chain(skipped).chain(disagreeing).collect()
+    lost.chain(disagreeing).map(|reason| about(campaign.clone(), reason)).collect()
 }
+
+#[cfg(test)]
+mod tests;

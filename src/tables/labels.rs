@@ -14,6 +14,8 @@ table! {
         lit: i32,
         /// Patch that the sensor saw.
         seen: i32,
+        /// Vertical range whose delay the times have, where captures were taken at several.
+        range: Option<Name>,
         /// Rank of the onset in its profile.
         rank: i32,
         /// Time of flight, laser periods added.

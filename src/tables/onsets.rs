@@ -14,6 +14,8 @@ table! {
         lit: i32,
         /// Patch that the sensor saw.
         seen: i32,
+        /// Vertical range whose delay the times have, where captures were taken at several.
+        range: Option<Name>,
         /// Order of arrival within its profile, from 1.
         rank: i32,
         /// Time of flight of the arrival.

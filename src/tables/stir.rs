@@ -107,6 +107,8 @@ table! {
         lit: i32,
         /// Patch that the sensor saw.
         seen: i32,
+        /// Vertical range whose delay the times have, where captures were taken at several.
+        range: Option<Name>,
         /// Time of sample 0 since the reference pulse, latency removed.
         t0_ps: f64,
         /// Time between samples.

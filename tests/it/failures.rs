@@ -10,12 +10,13 @@ use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::{self, RunError, Settings};
 use periscope::pipeline::spec::{Spec, Step};
+use periscope::simulate::Format;
 use periscope::stages::Node;
 use periscope::stages::stage::{Apply, BesideTables, Grain, Outcome, Stage, StageError};
 use periscope::store::Shelf;
-use periscope::tables::{Patch, Profile, Reject, Stir};
+use periscope::tables::{Distance, Patch, Profile, Reject, Stir};
 
-use crate::lab::{ALL_VISIBLE, Lab, chain};
+use crate::lab::{ALL_VISIBLE, Lab, TINY, chain};
 
 fn rejects(lab: &Lab) -> Vec<String> {
     lab.rows::<Reject>("out", "rejects")
@@ -102,6 +103,27 @@ fn a_capture_with_no_valid_shot_is_set_aside() {
         rejects.iter().any(|row| row.contains("lit 2, seen 2") && row.contains("0 valid shots of the 16")),
         "{rejects:#?}"
     );
+}
+
+/// A second sensor 30 cm aside: distances come from the first alone, and the table of rejects says so. With the second alone there are none.
+#[test]
+fn distances_are_those_of_sensors_at_the_laser() {
+    let aside = |sensors: &str| {
+        let stations = format!("[stations.aside]\nposition_m = [0.3, 0.0, 0.0]\n{sensors}");
+        Lab::of(&TINY.replace("[sensors.s1]\n", &stations), 1, Format::Trc)
+    };
+    let (pipeline, _) = ALL_VISIBLE.split_once("[patches]").unwrap();
+    let lab = aside("[sensors.s2]\nstation = 'aside'\nlatency_ps = 900.0\n[sensors.s1]\n");
+    let outcome = lab.run("out", pipeline, &Settings::default()).unwrap();
+    assert_eq!((outcome.tables["labels"].rows("labels"), outcome.tables["start"].rows("patches")), (32, 4));
+    let distances: Vec<Distance> = lab.rows("out", "distances");
+    assert_eq!(distances.iter().map(|row| row.onsets).sum::<i32>(), 4 + 6 * 4);
+    let rejects = rejects(&lab);
+    let of_range: Vec<&String> = rejects.iter().filter(|row| row.starts_with("distances ")).collect();
+    assert!(of_range.len() == 1 && of_range[0].contains("sensor s2 stands apart from the laser"), "{rejects:#?}");
+    let refused =
+        chain(aside("[sensors.s1]\nstation = 'aside'\n").run("out", pipeline, &Settings::default()).unwrap_err());
+    assert!(refused.contains("`s1`") && refused.contains("leave out `range` and `embed`"), "{refused}");
 }
 
 #[test]

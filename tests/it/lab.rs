@@ -17,7 +17,8 @@ use periscope::tables::Row;
 pub const ALL_VISIBLE: &str = include_str!("../../pipelines/all-visible.toml");
 /// Averages and no more.
 pub const AVERAGES: &str = "[traces]\nstage = 'ingest'\n[profiles]\nstage = 'average'\nfrom = 'traces'\n";
-const TINY: &str = include_str!("../../pipelines/scenes/tiny.toml");
+/// Four patches that see one another.
+pub const TINY: &str = include_str!("../../pipelines/scenes/tiny.toml");
 
 /// A simulated campaign in a folder of its own.
 pub struct Lab {

@@ -2,7 +2,7 @@
 
 use periscope::pipeline::run::Settings;
 use periscope::simulate::Format;
-use periscope::tables::{Calibration, Onset, Session, Stir};
+use periscope::tables::{Calibration, Label, Onset, Session, Stir, TrueCapture};
 
 use crate::accuracy::PHOTODIODE;
 use crate::lab::{ALL_VISIBLE, Lab};
@@ -139,14 +139,18 @@ fn pairs_are_explained_together() {
     assert!((1.3..1.5).contains(&gain), "{gain}");
 }
 
+/// The photodiode's scene at two vertical ranges, each capture at that which suits it.
+fn two_ranges() -> String {
+    PHOTODIODE.replace(
+        "full_scale_v = 0.04\nnoise_v = 0.0003",
+        "full_scale_v = 0.04\nnoise_v = 0.0003\nranges.fine = { full_scale_v = 0.02, noise_v = 0.0002, latency_ps = 7.0 }\nranges.coarse = { full_scale_v = 0.2, noise_v = 0.001 }",
+    )
+}
+
 /// Two vertical ranges have a response and a latency each.
 #[test]
 fn every_range_is_calibrated() {
-    let scene = PHOTODIODE.replace(
-        "full_scale_v = 0.04\nnoise_v = 0.0003",
-        "full_scale_v = 0.04\nnoise_v = 0.0003\nranges.fine = { full_scale_v = 0.02, noise_v = 0.0002, latency_ps = 7.0 }\nranges.coarse = { full_scale_v = 0.2, noise_v = 0.001 }",
-    );
-    let lab = Lab::of(&scene, 9, Format::Trc);
+    let lab = Lab::of(&two_ranges(), 9, Format::Trc);
     let pipeline = up_to_onsets().split("[session_traces]").next().unwrap();
     lab.run("out", pipeline, &Settings::default()).unwrap();
     let mut found: Vec<Calibration> = lab.rows("out", "calibration");
@@ -166,6 +170,32 @@ fn every_range_is_calibrated() {
     }
     let difference = found[1].latency_ps - found[0].latency_ps;
     assert!((difference - 7.0).abs() < 0.5, "{difference}");
+}
+
+/// Every onset and label says at which range its capture was taken, also where a pair was explained together.
+#[test]
+fn the_range_goes_with_the_onset_to_its_label() {
+    // First bounces as high as 0.1 V, second ones of half a millivolt.
+    let lab = Lab::of(&two_ranges().replace("first_bounce_od = 4.8", "first_bounce_od = 3.0"), 9, Format::Trc);
+    let (pipeline, _) = ALL_VISIBLE.split_once("[distances]").unwrap();
+    let captures: Vec<TrueCapture> = lab.truth();
+    for joint in [false, true] {
+        let out = format!("joint-{joint}");
+        lab.run_with(&out, pipeline, &[format!("stir.joint={joint}")], &Settings::default()).unwrap();
+        let labels: Vec<Label> = lab.rows(&out, "labels");
+        assert!(labels.len() >= if joint { 21 } else { 36 }, "{} labels", labels.len());
+        for label in &labels {
+            let is_of = |capture: &&TrueCapture| (capture.lit, capture.seen) == (label.lit, label.seen);
+            assert_eq!(label.range, captures.iter().find(is_of).unwrap().range, "{} {}", label.lit, label.seen);
+        }
+        let fine = labels.iter().filter(|label| label.range.as_deref() == Some("fine")).count();
+        assert!(fine > 0 && fine < labels.len(), "{fine} of {}: the scene is not what it should be", labels.len());
+    }
+    // The truth has it too.
+    for onset in lab.truth::<Onset>() {
+        let is_of = |capture: &&TrueCapture| (capture.lit, capture.seen) == (onset.lit, onset.seen);
+        assert_eq!(onset.range, captures.iter().find(is_of).unwrap().range, "{} {}", onset.lit, onset.seen);
+    }
 }
 
 /// A photon counter from its histograms to onsets: calibrated, freed of pile-up, timed as its standard deviations say.

@@ -41,6 +41,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         sensor: "s".into(),
         lit: 1,
         seen: 2,
+        range: Some("fine".into()),
         t0_ps: 0.0,
         dt_ps: DT_PS,
         profile: mean_v.iter().copied().collect(),

@@ -1,0 +1,93 @@
+use super::*;
+use std::path::Path;
+
+/// Labels of one sensor over these paths, source and sensor at the origin or the sensor `apart_m` aside along x; patch i at (0, 0, i) m.
+fn labels(sensor: &str, apart_m: f64, paths: &[&[PatchId]]) -> Vec<Label> {
+    let label = |path: &&[PatchId]| {
+        let (lit, seen) = (path[0], path[path.len() - 1]);
+        let legs: f64 = path.windows(2).map(|leg| f64::from((leg[0] - leg[1]).abs())).sum();
+        Label {
+            campaign: "c".into(),
+            sensor: sensor.into(),
+            lit,
+            seen,
+            range: None,
+            rank: 1,
+            time_ps: units::time_ps(f64::from(lit) + legs + f64::from(seen).hypot(apart_m), 1.0),
+            time_sd_ps: 1.0,
+            turns: 0,
+            bounces: path.len() as i32,
+            path: Some(path.to_vec()),
+            residual_ps: None,
+            probability: 1.0,
+            alternative: 0,
+        }
+    };
+    paths.iter().map(label).collect()
+}
+
+/// What the campaign of these sensors, by station, and of visible patches 1 to 4 tells `range`.
+fn context(sensors: &[(&str, &str)]) -> Result<BTreeMap<String, Setup>, StageError> {
+    let mut text = "[campaign]\nname = 'c'\ngroup_index = 1.0\n\
+        [stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [0.3, 0.0, 0.0]\n"
+        .to_owned();
+    (1..=4).for_each(|patch| text += &format!("[patches.{patch}]\nrole = 'visible'\n"));
+    sensors.iter().for_each(|(name, station)| text += &format!("[sensors.{name}]\nstation = '{station}'\n"));
+    let range = Range::default();
+    range.context(range.fields(&[Campaign::parse(Path::new("c"), &text).unwrap()]), &BesideTables::default())
+}
+
+fn reasons(outcome: &Outcome<Distance>) -> Vec<&str> {
+    outcome.rejections.iter().map(|rejection| rejection.reason.as_str()).collect()
+}
+
+#[test]
+fn sensors_apart_from_the_laser_are_left_out_and_told_of() {
+    let paths: [&[PatchId]; 9] = [&[1], &[2], &[3], &[4], &[1, 2], &[2, 3], &[4, 3], &[4, 1, 2], &[1, 4]];
+    let alone = labels("near", 0.0, &paths);
+    let both = [alone.clone(), labels("aside", 0.3, &paths)].concat();
+    let context = context(&[("aside", "aside"), ("near", "laser")]).unwrap();
+    let (alone, both) = (Range {}.apply(&context, alone).unwrap(), Range {}.apply(&context, both).unwrap());
+    assert_eq!((&alone.rows, alone.rows.len()), (&both.rows, 8));
+    for row in &both.rows {
+        assert!((row.distance_m - f64::from(row.b - row.a)).abs() < 1e-9, "{row:?}");
+    }
+    assert!(reasons(&alone).is_empty(), "{:?}", reasons(&alone));
+    let [reason] = reasons(&both)[..] else { panic!("{:?}", reasons(&both)) };
+    assert!(
+        reason.contains("sensor aside") && reason.contains("its 9 onsets") && reason.contains("`refine`"),
+        "{reason}"
+    );
+}
+
+#[test]
+fn a_campaign_without_a_sensor_at_the_laser_is_refused() {
+    let refused = context(&[("left", "aside"), ("right", "aside")]).unwrap_err().to_string();
+    assert!(
+        refused.contains("`left` of campaign `c`") && refused.contains("leave out `range` and `embed`"),
+        "{refused}"
+    );
+    let stranger = Range {}.apply(&context(&[("near", "laser")]).unwrap(), labels("other", 0.0, &[&[1]]));
+    let refused = stranger.err().unwrap().to_string();
+    assert!(refused.contains("`other`") && refused.contains("add [sensors.other]"), "{refused}");
+}
+
+/// Patches 1 and 2 lit, 2 to 4 seen: only 2 has a first bounce.
+#[test]
+fn every_patch_without_first_bounce_is_told_of_once() {
+    let paths: [&[PatchId]; 5] = [&[2], &[1, 2], &[1, 3], &[2, 3], &[2, 5]];
+    let context = context(&[("near", "laser")]).unwrap();
+    let outcome = Range {}.apply(&context, labels("near", 0.0, &paths)).unwrap();
+    assert_eq!(outcome.rows.iter().map(|row| (row.a, row.b)).collect::<Vec<_>>(), [(0, 2)]);
+    let expected = [
+        ["patch 1 has no first bounce", "pairs lost: 2", "`refine` still uses them"],
+        ["patch 3 has no first bounce", "pairs lost: 2", "capture lit 3, seen 3"],
+        ["patch 4 stands in campaign.toml, but no bounce", "capture lit 4, seen 4", "or take it out"],
+        ["patch 5 has no first bounce", "pairs lost: 1", "`refine` still uses them"],
+    ];
+    let reasons = reasons(&outcome);
+    assert_eq!(reasons.len(), expected.len(), "{reasons:?}");
+    for (reason, parts) in reasons.iter().zip(expected) {
+        assert!(parts.iter().all(|part| reason.contains(part)), "{reason}");
+    }
+}
