@@ -1,8 +1,9 @@
 //! The frame of a solution that path lengths leave free.
 //!
 //! With source and camera in one point p0, path lengths are the same for any rotation about p0 and for the mirror image. The canonical frame is:
-//! p0 where its station lies, the first patch on the +x axis, the next that is not in line with it in the xy plane with y > 0, the next that is not in
-//! that plane at z > 0. That also picks one of the two mirror images: the data do not say which is the true one.
+//! p0 where its station lies, the first patch on the +x axis, the next that is clearly not in line with it in the xy plane with y > 0, the next that is clearly not
+//! in that plane at z > 0. That also picks one of the two mirror images: the data do not say which is the true one. Clearly: by more than a tenth of its range,
+//! so that noise does not choose; where no patch is, the one that is farthest off.
 //!
 //! With stations in line, path lengths are the same for any rotation about that line, and for the mirror image in any plane through it. There the first patch
 //! off the line lies in the half plane through the line and +y (for a line along y: +z), the next off that plane on the side of the line's direction
@@ -12,8 +13,24 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::Point;
 
-/// Directions closer than this (as a sine) count as in line, or in plane.
-const IN_LINE: f64 = 1e-6;
+/// Directions closer than this (as a sine) count as in line, or in plane, while there are others.
+const IN_LINE: f64 = 0.1;
+/// Closer than this they always do.
+const EXACTLY: f64 = 1e-9;
+
+/// The first direction that is off by more than [`IN_LINE`], else the one that is farthest off; `None` if none is off at all. `off` gives what of it is off.
+fn first_off<T>(arms: &[Vector3<f64>], off: impl Fn(&Vector3<f64>) -> (f64, T)) -> Option<T> {
+    let all: Vec<(f64, T)> =
+        arms.iter().filter(|arm| arm.norm() > 0.0).map(|arm| (off(arm).0.abs() / arm.norm(), off(arm).1)).collect();
+    let most = all.iter().map(|(sine, _)| *sine).fold(0.0, f64::max);
+    all.into_iter().find(|(sine, _)| *sine > EXACTLY && *sine >= most.min(IN_LINE)).map(|(_, value)| value)
+}
+
+/// What of a direction is at a right angle to `axis`: its length, and its direction.
+fn aside(arm: &Vector3<f64>, axis: &Vector3<f64>) -> (f64, Vector3<f64>) {
+    let off = arm - axis * arm.dot(axis);
+    (off.norm(), off.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros))
+}
 
 /// Orthogonal matrix that turns points (in order of their ids) about `centre` into the canonical frame; a reflection where need be.
 #[must_use]
@@ -22,12 +39,10 @@ pub fn canonical(points: &[Point], centre: Point) -> Matrix3<f64> {
     let Some(x) = arms.iter().find_map(|arm| arm.try_normalize(f64::MIN_POSITIVE)) else {
         return Matrix3::identity();
     };
-    let off_line = |arm: &Vector3<f64>| (arm - x * arm.dot(&x)).try_normalize(IN_LINE * arm.norm());
-    let y = arms.iter().find_map(off_line).unwrap_or_else(|| any_normal(x));
+    let y = first_off(&arms, |arm| aside(arm, &x)).unwrap_or_else(|| any_normal(x));
     let z = x.cross(&y);
-    let off_plane =
-        arms.iter().map(|arm| (arm.dot(&z), arm.norm())).find(|(height, length)| height.abs() > IN_LINE * length);
-    let z = if off_plane.is_some_and(|(height, _)| height < 0.0) { -z } else { z };
+    let height = first_off(&arms, |arm| (arm.dot(&z), arm.dot(&z)));
+    let z = if height.is_some_and(|height| height < 0.0) { -z } else { z };
     Matrix3::from_rows(&[x.transpose(), y.transpose(), z.transpose()])
 }
 
@@ -37,16 +52,15 @@ pub fn about(points: &[Point], centre: Point, axis: Vector3<f64>) -> Matrix3<f64
     let Some(along) = axis.try_normalize(f64::MIN_POSITIVE) else {
         return Matrix3::identity();
     };
-    let off_line = |arm: &Vector3<f64>| (arm - along * arm.dot(&along)).try_normalize(IN_LINE * arm.norm());
-    let arms = || points.iter().map(|point| point - centre);
-    let Some(from) = arms().find_map(|arm| off_line(&arm)) else {
+    let arms: Vec<Vector3<f64>> = points.iter().map(|point| point - centre).collect();
+    let Some(from) = first_off(&arms, |arm| aside(arm, &along)) else {
         return Matrix3::identity();
     };
     let to = [Vector3::y(), Vector3::z()].into_iter().find_map(|up| (up - along * up.dot(&along)).try_normalize(0.1));
     let to = to.expect("a line is not along both y and z");
     let (side_from, side_to) = (along.cross(&from), along.cross(&to));
-    let first_off = arms().map(|arm| (arm.dot(&side_from), arm.norm())).find(|(height, length)| height.abs() > IN_LINE * length);
-    let sign = if first_off.is_some_and(|(height, _)| height < 0.0) { -1.0 } else { 1.0 };
+    let height = first_off(&arms, |arm| (arm.dot(&side_from), arm.dot(&side_from)));
+    let sign = if height.is_some_and(|height| height < 0.0) { -1.0 } else { 1.0 };
     along * along.transpose() + to * from.transpose() + sign * side_to * side_from.transpose()
 }
 

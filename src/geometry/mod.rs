@@ -16,6 +16,7 @@ pub mod landmark;
 pub mod many_pairs;
 pub mod maximum_likelihood;
 pub mod multilateration;
+pub mod placement;
 pub mod planes;
 pub mod procrustes;
 pub mod reestimate;

@@ -32,6 +32,10 @@ pub fn check(scene: &Scene) -> Result<(), String> {
     range("is not from 0 to 1", shares(scene), |value| (0.0..=1.0).contains(&value))?;
     surfaces(scene)?;
     instrument(scene)?;
+    let known = &scene.known;
+    if let Some(patch) = known.anchors.iter().chain(&known.rays).find(|patch| !scene.patches.contains_key(patch)) {
+        return Err(format!("[known]: there is no patch {patch}; anchors and rays name patches of the scene"));
+    }
     captures(scene)
 }
 
@@ -101,6 +105,9 @@ fn not_negative(scene: &Scene) -> Vec<Entry> {
         ("[captures]: response_od", captures.response_od),
         ("[captures]: first_bounce_od", captures.first_bounce_od),
         ("[captures]: overhead_s", captures.overhead_s),
+        ("[known]: anchor_sd_m", scene.known.anchor_sd_m),
+        ("[known]: ray_sd_rad", scene.known.ray_sd_rad),
+        ("[known]: station_sd_m", scene.known.station_sd_m),
     ];
     entries.extend(scene.laser.map(|laser| ("[laser]: power_sd", laser.power_sd)));
     entries.extend(scene.optics.map(|optics| ("[optics]: ambient_w", optics.ambient_w)));

@@ -15,7 +15,9 @@
 //! as predicted.
 //!
 //! Takes `onsets`; writes `labels`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
-//! prediction `covariances` (`patch_covariances` of the same stage) and `delays`.
+//! prediction `covariances` (`patch_covariances` of the same stage) and `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the
+//! light's centroid over large patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that the frame is fixed,
+//! also by the normals of campaign.toml. Patches without covariance are not predicted from.
 //!
 //! Not modelled: amplitudes, which could tell paths of equal length apart; onsets of one profile whose errors are correlated.
 //!
@@ -23,7 +25,7 @@
 //! [labels]
 //! stage = "label"
 //! from = "onsets"
-//! with = { patches = "visible", covariances = "visible.patch_covariances", delays = "visible.delays" }
+//! with = { patches = "visible", covariances = "visible.patch_covariances", delays = "visible.delays", planes = "planes" }
 //! params = { bounces = 3 }
 //! ```
 
@@ -34,9 +36,11 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::footprints::Footprints;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::tables::{Delay, Label, Name, Onset, Patch, PatchCovariance};
+use crate::campaign::keys;
+use crate::tables::{Delay, Fit, Label, Name, Onset, Patch, PatchCovariance, Plane};
 use crate::units::{self, PatchId};
 use predicted::Scene;
 
@@ -70,6 +74,7 @@ pub struct Setup {
     repetition_ps: Option<f64>,
     source_m: [f64; 3],
     sensors_m: BTreeMap<String, [f64; 3]>,
+    patches: BTreeMap<PatchId, keys::Patch>,
 }
 
 impl Setup {
@@ -84,7 +89,19 @@ impl Setup {
 pub struct Known {
     setups: BTreeMap<String, Setup>,
     scene: Option<Scene>,
-    delays_ps: BTreeMap<(Name, Name), (f64, f64)>,
+    /// Delay that calibration left, and its standard deviation, by campaign, sensor and range.
+    delays_ps: BTreeMap<(Name, Name, Option<Name>), (f64, f64)>,
+}
+
+impl Known {
+    /// Delay of a profile: that of its range, or the only one of its sensor.
+    fn delay_ps(&self, onset: &Onset) -> (f64, f64) {
+        let key = (onset.campaign.clone(), onset.sensor.clone(), onset.range.clone());
+        let of_range = self.delays_ps.get(&key);
+        let mut of_sensor = self.delays_ps.iter().filter(|(of, _)| (&of.0, &of.1) == (&key.0, &key.1));
+        let only = || of_sensor.next().filter(|_| of_sensor.next().is_none()).map(|(_, delay)| delay);
+        of_range.or_else(only).copied().unwrap_or_default()
+    }
 }
 
 /// What became of one onset.
@@ -108,12 +125,14 @@ impl Verdict {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
         Beside { name: "covariances", table: "patch_covariances", required: false },
         Beside { name: "delays", table: "delays", required: false },
+        Beside { name: "planes", table: "planes", required: false },
+        Beside { name: "fits", table: "fits", required: false },
     ];
     type Input = Onset;
     type Output = Label;
@@ -130,6 +149,12 @@ impl Stage for LabelOnsets {
                 .keys()
                 .filter_map(|sensor| Some((sensor.clone(), campaign.station_of(sensor)?.position_m)))
                 .collect(),
+            // What is written for people changes no label.
+            patches: campaign
+                .patches
+                .iter()
+                .map(|(id, patch)| (*id, keys::Patch { label: None, ..patch.clone() }))
+                .collect(),
         };
         campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
     }
@@ -139,10 +164,14 @@ impl Stage for LabelOnsets {
             None => None,
             Some(patches) => {
                 let covariances = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
-                Some(Scene::new(&patches, &covariances).map_err(|patch| {
-                    StageError::Refused(format!(
-                        "with patches: patch {patch} has no covariance, so nobody knows how far off its onsets may be; give patches from `refine`"
-                    ))
+                let planes = beside.rows::<Plane>("planes")?.unwrap_or_default();
+                let first = setups.values().next().map(|setup| &setup.patches);
+                let fits = beside.rows::<Fit>("fits")?.unwrap_or_default();
+                let is_fixed = fits.iter().any(|fit| fit.alternative == 0 && &*fit.frame == "fixed");
+                let footprints = first.map(|known| Footprints::new(known, &planes, is_fixed)).unwrap_or_default();
+                Some(Scene::new(&patches, &covariances, footprints).ok_or_else(|| {
+                    let text = "with patches: no patch has a covariance, so nobody knows how far off its onsets may be; give patches from `refine`";
+                    StageError::Refused(text.to_owned())
                 })?)
             }
         };
@@ -166,7 +195,8 @@ impl Stage for LabelOnsets {
             ));
         }
         let delays = beside.rows::<Delay>("delays")?.unwrap_or_default();
-        let delays_ps = delays.into_iter().map(|row| ((row.campaign, row.sensor), (row.delay_ps, row.sd_ps))).collect();
+        let delay = |row: Delay| ((row.campaign, row.sensor, row.range), (row.delay_ps, row.sd_ps));
+        let delays_ps = delays.into_iter().map(delay).collect();
         Ok(Known { setups, scene, delays_ps })
     }
 }
@@ -181,10 +211,7 @@ impl Apply for LabelOnsets {
             let setup = &known.setups[&*of_sensor[0].campaign];
             let verdicts = match &known.scene {
                 None => self.blind(setup, &profiles),
-                Some(scene) => {
-                    let key = (of_sensor[0].campaign.clone(), of_sensor[0].sensor.clone());
-                    self.predicted(setup, scene, known.delays_ps.get(&key).copied().unwrap_or_default(), &profiles)
-                }
+                Some(scene) => self.predicted(setup, scene, |onset| known.delay_ps(onset), &profiles),
             };
             for (profile, verdicts) in profiles.iter().zip(verdicts) {
                 for (onset, verdicts) in profile.iter().zip(verdicts) {

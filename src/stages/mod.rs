@@ -4,9 +4,11 @@ pub mod average;
 pub mod calibrate;
 mod calibrated;
 pub mod characterize;
+mod covariances;
 pub mod deconvolve;
 pub mod detect;
 pub mod embed;
+mod footprints;
 pub mod import;
 pub mod ingest;
 pub mod label;
@@ -17,6 +19,7 @@ pub mod range;
 pub mod refine;
 pub mod source;
 pub mod stage;
+pub mod surface;
 pub mod track;
 
 use serde::de::DeserializeOwned;
@@ -54,7 +57,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 13] = [
+pub const KINDS: [&str; 14] = [
     "ingest",
     "calibrate",
     "average",
@@ -67,6 +70,7 @@ pub const KINDS: [&str; 13] = [
     "range",
     "embed",
     "refine",
+    "surface",
     "import",
 ];
 
@@ -95,6 +99,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "range" => Node::Operator(params_of::<range::Range>(params)?),
         "embed" => Node::Operator(params_of::<embed::Embed>(params)?),
         "refine" => Node::Operator(params_of::<refine::Refine>(params)?),
+        "surface" => Node::Operator(params_of::<surface::Surface>(params)?),
         _ => return Err(suggest::unknown("stage", kind, &KINDS)),
     })
 }

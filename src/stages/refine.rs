@@ -131,7 +131,8 @@ impl Apply for Refine {
         let mut shifts_m = vec![0.0; labels.len()];
         for _ in 0..if footprints.is_empty() { 0 } else { ROUNDS } {
             let next_m = model.shifts_m(&footprints, &problem, &solution.points, &solution.stations);
-            let moved_m = next_m.iter().zip(&shifts_m).fold(0.0, |most: f64, (next, last)| most.max((next - last).abs()));
+            let moved_m =
+                next_m.iter().zip(&shifts_m).fold(0.0, |most: f64, (next, last)| most.max((next - last).abs()));
             for ((observation, next), last) in problem.observations.iter_mut().zip(&next_m).zip(&shifts_m) {
                 observation.length_m -= next - last;
             }

@@ -8,6 +8,7 @@ pub mod labels;
 pub mod measurements;
 pub mod onsets;
 pub mod patches;
+pub mod planes;
 pub mod profiles;
 pub mod rejects;
 pub mod row;
@@ -26,6 +27,7 @@ pub use labels::Label;
 pub use measurements::Measurement;
 pub use onsets::Onset;
 pub use patches::{Patch, PatchCovariance};
+pub use planes::Plane;
 pub use profiles::Profile;
 pub use rejects::Reject;
 pub use row::{Codes, Name, Row, Samples, SchemaError};
@@ -58,6 +60,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Covariance>(),
         of::<Patch>(),
         of::<PatchCovariance>(),
+        of::<Plane>(),
         of::<Delay>(),
         of::<Station>(),
         of::<Residual>(),

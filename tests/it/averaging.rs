@@ -2,7 +2,6 @@
 
 use std::f64::consts::PI;
 use std::fs;
-use std::path::Path;
 
 use nalgebra::{DMatrix, DVector};
 use periscope::campaign::Campaign;
@@ -13,14 +12,13 @@ use periscope::signal::codes::Codes;
 use periscope::signal::reference::fit_pulse;
 use periscope::signal::response::Response;
 use periscope::simulate::Format;
-use periscope::store::TableWriter;
-use periscope::tables::{Calibration, Onset, Patch, PatchCovariance, Profile, Reject, Row, Stir, TruePath};
+use periscope::tables::{Calibration, Onset, Patch, PatchCovariance, Profile, Reject, Stir, TruePath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::accuracy::{PHOTODIODE, SCENE, study};
-use crate::lab::{ALL_VISIBLE, AVERAGES, Lab, chain};
+use crate::lab::{ALL_VISIBLE, AVERAGES, Lab, chain, write_table};
 use crate::missed;
 
 const NO_REFERENCE: &str = include_str!("../../pipelines/scenes/no-reference.toml");
@@ -77,7 +75,7 @@ fn positions_without_reference_know_their_jitter() {
         let rows: Vec<Calibration> = lab.rows("first", "calibration");
         let told = rows.into_iter().map(|row| Calibration { noise_model: Some(vec![0.0, 0.0, 0.0, 16.0]), ..row });
         let path = lab.path("calibration.parquet");
-        write(&path, &told.collect::<Vec<_>>());
+        write_table(&path, &told.collect::<Vec<_>>());
         let import =
             format!("[calibration]\nstage = 'import'\nparams = {{ table = 'calibration', path = {path:?} }}\n");
         let scene = ALL_VISIBLE.split_once("[traces]").unwrap().1.replace(", session = \"session\"", "");
@@ -90,12 +88,6 @@ fn positions_without_reference_know_their_jitter() {
     }
     eprintln!("NSE/dof {normalised:.3}");
     assert!((0.6..1.5).contains(&normalised), "{normalised}");
-}
-
-fn write<R: Row>(path: &Path, rows: &[R]) {
-    let mut writer = TableWriter::create(path, &R::schema()).unwrap();
-    writer.write(&R::to_batch(rows)).unwrap();
-    writer.finish(&[]).unwrap();
 }
 
 /// Mean time and integral of the reference pulses scatter as their standard errors say; the simulator's stand at the trigger.

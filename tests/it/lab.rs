@@ -10,7 +10,7 @@ use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::{self, Outcome, RunError, Settings};
 use periscope::pipeline::spec::Spec;
 use periscope::simulate::{self, Format, Scene};
-use periscope::store::Shelf;
+use periscope::store::{Shelf, TableWriter};
 use periscope::tables::Row;
 
 /// The pipeline that most tests run.
@@ -135,6 +135,13 @@ impl Lab {
         }
         parts
     }
+}
+
+/// Writes a table as Parquet, for `import`.
+pub fn write_table<R: Row>(path: &Path, rows: &[R]) {
+    let mut writer = TableWriter::create(path, &R::schema()).unwrap();
+    writer.write(&R::to_batch(rows)).unwrap();
+    writer.finish(&[]).unwrap();
 }
 
 /// Runs `body` in a pool of so many threads.

@@ -25,4 +25,5 @@ mod schema;
 mod scope_samples;
 mod session;
 mod simulate;
+mod surface;
 mod version;

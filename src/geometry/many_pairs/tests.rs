@@ -67,8 +67,7 @@ impl Measured {
         let observations =
             first.chain(second.map(|((j, i), (length_m, _))| observation(&[i, j], f64::from(*length_m))));
         let problem = exact::Problem::new(start.to_vec(), 3, &[Point::origin()], observations.collect());
-        exact::solve(&if delay_sd_m > 0.0 { problem.with_common_delay(delay_sd_m) } else { problem })
-        .unwrap()
+        exact::solve(&if delay_sd_m > 0.0 { problem.with_common_delay(delay_sd_m) } else { problem }).unwrap()
     }
 }
 

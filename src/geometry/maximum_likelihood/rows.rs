@@ -224,7 +224,9 @@ impl<'a> Rows<'a> {
         if let Some(terms) = terms {
             for (at, sign) in [(self.at(patch), 1.0), (self.at(station), -1.0)] {
                 let slope = |i: usize| (f64::from(u8::from(i == k)) - along[i] * along[k]) / (range_m * ray.sd_rad);
-                terms.extend(at.iter().flat_map(|at| (0..self.layout.dimensions).map(move |i| (at + i, sign * slope(i)))));
+                terms.extend(
+                    at.iter().flat_map(|at| (0..self.layout.dimensions).map(move |i| (at + i, sign * slope(i)))),
+                );
             }
         }
         (ray.direction[k] - along[k]) / ray.sd_rad

@@ -4,9 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{LabelOnsets, Setup, Verdict, direct, sd_ps, time_ps};
+use super::{Footprints, LabelOnsets, Setup, Verdict, direct, sd_ps, time_ps};
 use crate::geometry::Point;
 use crate::geometry::association::{Candidate, GATE, Time, associate};
+use crate::stages::covariances;
 use crate::tables::{Onset, Patch, PatchCovariance};
 use crate::units::PatchId;
 
@@ -17,6 +18,7 @@ const ALTERNATIVES: usize = 4;
 pub(super) struct Scene {
     points: BTreeMap<PatchId, Point>,
     covariances: BTreeMap<(PatchId, PatchId), Matrix3<f64>>,
+    footprints: Footprints,
 }
 
 /// A predicted path, read some laser periods earlier.
@@ -36,46 +38,34 @@ struct View<'a> {
 }
 
 impl Scene {
-    /// Of the best alternative; the patch without covariance as error.
-    pub(super) fn new(patches: &[Patch], covariances: &[PatchCovariance]) -> Result<Self, PatchId> {
+    /// Of the best alternative, those with a covariance; `None` if none has.
+    pub(super) fn new(patches: &[Patch], between: &[PatchCovariance], footprints: Footprints) -> Option<Self> {
         let (mut points, mut blocks) = (BTreeMap::new(), BTreeMap::new());
         for row in patches.iter().filter(|patch| patch.alternative == 0) {
-            let own = [row.cov_xx_m2, row.cov_xy_m2, row.cov_xz_m2, row.cov_yy_m2, row.cov_yz_m2, row.cov_zz_m2];
-            let [Some(xx), Some(xy), Some(xz), Some(yy), Some(yz), Some(zz)] = own else {
-                return Err(row.patch);
-            };
+            let Some(own) = covariances::of_patch(row) else { continue };
             points.insert(row.patch, Point::new(row.x_m, row.y_m, row.z_m));
-            blocks.insert((row.patch, row.patch), Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
+            blocks.insert((row.patch, row.patch), own);
         }
-        for row in covariances {
-            let block = Matrix3::new(
-                row.cov_xx_m2,
-                row.cov_xy_m2,
-                row.cov_xz_m2,
-                row.cov_yx_m2,
-                row.cov_yy_m2,
-                row.cov_yz_m2,
-                row.cov_zx_m2,
-                row.cov_zy_m2,
-                row.cov_zz_m2,
-            );
+        for row in between {
+            let block = covariances::between(row);
             blocks.insert((row.a, row.b), block);
             blocks.insert((row.b, row.a), block.transpose());
         }
-        Ok(Self { points, covariances: blocks })
+        (!points.is_empty()).then_some(Self { points, covariances: blocks, footprints })
     }
 
     fn knows(&self, path: &[PatchId]) -> bool {
         path.iter().all(|patch| self.points.contains_key(patch))
     }
 
-    /// Length of a path.
+    /// Mean length of a path over the footprints of its patches.
     fn length_m(&self, path: &[PatchId], view: &View) -> f64 {
         let (end, length_m) = path.iter().fold((view.source, 0.0), |(at, length_m), patch| {
             let point = self.points[patch];
             (point, length_m + (point - at).norm())
         });
-        length_m + (view.sensor - end).norm()
+        let shift_m = self.footprints.shift_m(view.source, path, |patch| self.points[patch], view.sensor);
+        length_m + (view.sensor - end).norm() + shift_m
     }
 
     /// Standard deviation of a path's length from the errors of its patches.
@@ -134,21 +124,25 @@ impl LabelOnsets {
         &self,
         setup: &Setup,
         scene: &Scene,
-        delay_ps: (f64, f64),
+        delay_ps: impl Fn(&Onset) -> (f64, f64),
         profiles: &[&[Onset]],
     ) -> Vec<Vec<Vec<Verdict>>> {
         let Some(sensor) = profiles.first().map(|profile| &*profile[0].sensor) else {
             return Vec::new();
         };
-        let view =
-            View { setup, source: Point::from(setup.source_m), sensor: Point::from(setup.sensors_m[sensor]), delay_ps };
+        let view = |profile: &[Onset]| View {
+            setup,
+            source: Point::from(setup.source_m),
+            sensor: Point::from(setup.sensors_m[sensor]),
+            delay_ps: delay_ps(&profile[0]),
+        };
         let mut closed = BTreeSet::new();
         let mut labels: Vec<Vec<Vec<Verdict>>> = Vec::with_capacity(profiles.len());
         for profile in profiles {
             let path = direct(profile);
             let (lit, seen) = (profile[0].lit, profile[0].seen);
             let is_predicted = scene.knows(&path) && path.len() as i32 <= self.bounces;
-            let predictions = if is_predicted { vec![scene.predict(path, &view)] } else { Vec::new() };
+            let predictions = if is_predicted { vec![scene.predict(path, &view(profile))] } else { Vec::new() };
             let verdicts = self.associated(setup, profile, &(0..profile.len()).collect::<Vec<_>>(), predictions);
             if is_predicted && lit != seen && verdicts.iter().all(|labels| is_open(labels)) {
                 closed.insert((lit.min(seen), lit.max(seen)));
@@ -170,6 +164,7 @@ impl LabelOnsets {
                     continue;
                 }
                 let paths = scene.longer(lit, seen, self.bounces, &closed);
+                let view = view(profile);
                 let predictions = paths.into_iter().map(|path| scene.predict(path, &view)).collect();
                 for (i, found) in open.iter().zip(self.associated(setup, profile, &open, predictions)) {
                     verdicts[*i] = found;

@@ -28,11 +28,12 @@ fn labels(sensor: &str, apart_m: f64, paths: &[&[PatchId]]) -> Vec<Label> {
 
 /// What the campaign of these sensors, by station, and of visible patches 1 to 4 tells `range`.
 fn context(sensors: &[(&str, &str)]) -> Result<BTreeMap<String, Setup>, StageError> {
-    let mut text = "[campaign]\nname = 'c'\ngroup_index = 1.0\n\
-        [stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [0.3, 0.0, 0.0]\n"
-        .to_owned();
-    (1..=4).for_each(|patch| text += &format!("[patches.{patch}]\nrole = 'visible'\n"));
-    sensors.iter().for_each(|(name, station)| text += &format!("[sensors.{name}]\nstation = '{station}'\n"));
+    let sensor = |(name, station): &(&str, &str)| format!("[sensors.{name}]\nstation = '{station}'\n");
+    let text = format!(
+        "[campaign]\nname = 'c'\ngroup_index = 1.0\n[stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [0.3, 0.0, 0.0]\n{}{}",
+        [1, 2, 3, 4].map(|patch| format!("[patches.{patch}]\nrole = 'visible'\n")).concat(),
+        sensors.iter().map(sensor).collect::<String>()
+    );
     let range = Range::default();
     range.context(range.fields(&[Campaign::parse(Path::new("c"), &text).unwrap()]), &BesideTables::default())
 }

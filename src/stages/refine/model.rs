@@ -155,7 +155,10 @@ impl<'a> Model<'a> {
         let station = |name: &str| Node::Station(self.station_at[&(label.campaign.clone(), name.to_owned())]);
         let delay = self.known.delay_of(&label.campaign, &label.sensor, &label.range);
         Observation {
-            nodes: std::iter::once(station(LASER)).chain(path).chain([station(&setup.sensors[&*label.sensor])]).collect(),
+            nodes: std::iter::once(station(LASER))
+                .chain(path)
+                .chain([station(&setup.sensors[&*label.sensor])])
+                .collect(),
             length_m: units::path_m(label.time_ps, setup.group_index),
             sd_m: units::path_m(label.time_sd_ps, setup.group_index),
             delay: delay.and_then(|delay| self.delays.binary_search(&delay).ok()),
@@ -164,7 +167,13 @@ impl<'a> Model<'a> {
     }
 
     /// What each onset is later than light over the centres of its patches.
-    pub fn shifts_m(&self, footprints: &Footprints, problem: &Problem, points: &[Point], stations: &[Point]) -> Vec<f64> {
+    pub fn shifts_m(
+        &self,
+        footprints: &Footprints,
+        problem: &Problem,
+        points: &[Point],
+        stations: &[Point],
+    ) -> Vec<f64> {
         let shift = |(label, observation): (&Label, &Observation)| {
             let station = |node: &Node| match node {
                 Node::Station(station) => stations[*station],

@@ -55,7 +55,8 @@ impl<'a> Written<'a> {
         let of = |(n, solution, patches): (usize, &Solution, &[usize])| {
             patches.iter().map(|&place| self.patch(place, solution, n as i32)).collect::<Vec<_>>()
         };
-        let others = self.others.iter().enumerate().map(|(n, other)| (n + 1, &other.solution, other.patches.as_slice()));
+        let others =
+            self.others.iter().enumerate().map(|(n, other)| (n + 1, &other.solution, other.patches.as_slice()));
         std::iter::once((0, self.solution, all.as_slice())).chain(others).flat_map(of).collect()
     }
 
@@ -243,8 +244,12 @@ impl<'a> Written<'a> {
             "stations" => rows.push(plain("rotation", &[], "nothing tells how the whole is turned about the line of the stations, nor which of two mirror images it is: the frame is a convention; an anchor, a ray or a sensor off the line would tell")),
             _ => {}
         }
-        for (part, free) in self.solution.parts.iter().zip(&self.solution.free_rotations).skip(1).filter(|(_, free)| **free > 0) {
-            let meaning = format!("no onset joins these patches to the others: {free} rotations of them against the rest are open; capture pairs across");
+        for (part, free) in
+            self.solution.parts.iter().zip(&self.solution.free_rotations).skip(1).filter(|(_, free)| **free > 0)
+        {
+            let meaning = format!(
+                "no onset joins these patches to the others: {free} rotations of them against the rest are open; capture pairs across"
+            );
             rows.push(plain("part", part, &meaning));
         }
         if !self.solution.open.is_empty() {
@@ -253,9 +258,15 @@ impl<'a> Written<'a> {
         rows.extend(self.weak());
         for (n, other) in self.others.iter().enumerate() {
             let (kind, meaning) = if other.is_mirror_image {
-                ("mirror", "the mirror image of the whole explains the onsets as well; an anchor or a ray off the mirror's plane would decide")
+                (
+                    "mirror",
+                    "the mirror image of the whole explains the onsets as well; an anchor or a ray off the mirror's plane would decide",
+                )
             } else {
-                ("flip", "these patches explain the onsets as well on the other side of their neighbours; a pair with one more neighbour would decide")
+                (
+                    "flip",
+                    "these patches explain the onsets as well on the other side of their neighbours; a pair with one more neighbour would decide",
+                )
             };
             rows.push(Ambiguity {
                 alternative: Some(n as i32 + 1),

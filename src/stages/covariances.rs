@@ -1,0 +1,27 @@
+//! Covariances of patches, from their tables, as matrices.
+
+use nalgebra::Matrix3;
+
+use crate::tables::{Patch, PatchCovariance};
+
+/// Covariance of a patch's position, in m^2; `None` for a start value.
+pub fn of_patch(row: &Patch) -> Option<Matrix3<f64>> {
+    let [xx, xy, xz] = [row.cov_xx_m2?, row.cov_xy_m2?, row.cov_xz_m2?];
+    let [yy, yz, zz] = [row.cov_yy_m2?, row.cov_yz_m2?, row.cov_zz_m2?];
+    Some(Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz))
+}
+
+/// Covariance of the positions of patch `a` (rows) and patch `b` (columns), in m^2.
+pub fn between(row: &PatchCovariance) -> Matrix3<f64> {
+    Matrix3::new(
+        row.cov_xx_m2,
+        row.cov_xy_m2,
+        row.cov_xz_m2,
+        row.cov_yx_m2,
+        row.cov_yy_m2,
+        row.cov_yz_m2,
+        row.cov_zx_m2,
+        row.cov_zy_m2,
+        row.cov_zz_m2,
+    )
+}

@@ -1,0 +1,237 @@
+//! `surface`: planes through groups of patches (paper Figs. 4d and 6d: surface fitting, near co-planarity).
+//!
+//! Which patches lie on one plane is searched for ([`crate::geometry::planes`]): the plane with most patches within 3.5 standard deviations, then
+//! the same with those that are left, as long as `least` are found. Or it is given by hand, in `groups`; a patch may then be in several. Distances at right angles
+//! to the plane are what is minimised, each over its variance. The errors of a plane follow from those of its patches, those of the angle between
+//! two planes from what their patches do not share. `roughness_m` is how far patches may lie off a plane beyond their errors: real walls are not flat, and of a
+//! first solution that does not know footprints the errors are larger than stated.
+//!
+//! Takes `patches` (of `refine`, with their covariances; best alternative only); writes `planes`. Beside it, optional: `covariances`
+//! (`patch_covariances` of the same stage); without them the errors of patches count as independent, which makes those of planes too small or
+//! too large. Not modelled: edges, curved walls, flatland.
+//!
+//! ```toml
+//! [planes]
+//! stage = "surface"
+//! from = "patches"
+//! with = { covariances = "patches.patch_covariances" }
+//! params = { least = 5 }                                # or: groups = [[1, 2, 3, 4], [5, 6, 7]]
+//! ```
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
+
+use super::covariances;
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
+use crate::campaign::Campaign;
+use crate::geometry::{Point, planes};
+use crate::tables::{Patch, PatchCovariance, Plane};
+use crate::units::PatchId;
+
+/// Any so many patches have a plane.
+const EXACT: usize = 3;
+
+/// Parameters of `surface`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Surface {
+    /// Least patches of a plane that is searched for.
+    least: usize,
+    /// Standard deviation of the patches' own distance from their plane.
+    roughness_m: f64,
+    /// Patches of each plane, in place of the search.
+    groups: Option<Vec<Vec<PatchId>>>,
+}
+
+impl Default for Surface {
+    fn default() -> Self {
+        Self { least: EXACT + 1, roughness_m: 0.0, groups: None }
+    }
+}
+
+/// What a campaign says that matters here.
+#[derive(Clone, Debug, Serialize)]
+pub struct Setup {
+    campaign: String,
+    dimensions: u8,
+}
+
+/// Whose patches they are, and the covariances between them.
+pub struct Known {
+    campaign: String,
+    between: BTreeMap<(PatchId, PatchId), Matrix3<f64>>,
+}
+
+impl Stage for Surface {
+    const KIND: &'static str = "surface";
+    const VERSION: u32 = 1;
+    const GRAIN: Grain = Grain::All;
+    const BESIDE: &'static [Beside] = &[Beside { name: "covariances", table: "patch_covariances", required: false }];
+    type Input = Patch;
+    type Output = Plane;
+    type Fields = Vec<Setup>;
+    type Context = Known;
+
+    fn fields(&self, campaigns: &[Campaign]) -> Vec<Setup> {
+        let setup = |campaign: &Campaign| Setup { campaign: campaign.name.clone(), dimensions: campaign.dimensions };
+        campaigns.iter().map(setup).collect()
+    }
+
+    fn context(&self, setups: Vec<Setup>, beside: &BesideTables) -> Result<Known, StageError> {
+        if let Some(flat) = setups.iter().find(|setup| setup.dimensions < 3) {
+            let campaign = &flat.campaign;
+            return Err(StageError::Refused(format!(
+                "campaign `{campaign}` is in flatland, where all patches lie in one plane; leave out `surface`"
+            )));
+        }
+        if self.least <= EXACT {
+            let least = self.least;
+            return Err(StageError::Refused(format!(
+                "params.least = {least}: any {EXACT} patches have a plane, so it must be at least {}",
+                EXACT + 1
+            )));
+        }
+        if !self.roughness_m.is_finite() || self.roughness_m < 0.0 {
+            let text = format!("params.roughness_m = {} is not a number from 0 up", self.roughness_m);
+            return Err(StageError::Refused(text));
+        }
+        for (n, group) in self.groups.iter().flatten().enumerate() {
+            let of = format!("params.groups: group {}", n + 1);
+            let different: BTreeSet<&PatchId> = group.iter().collect();
+            if different.len() < group.len() {
+                return Err(StageError::Refused(format!("{of} names a patch twice; name each once")));
+            }
+            if group.len() < EXACT {
+                return Err(StageError::Refused(format!("{of} has fewer than {EXACT} patches, too few for a plane")));
+            }
+        }
+        let rows = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
+        let mut between = BTreeMap::new();
+        for row in &rows {
+            between.insert((row.a, row.b), covariances::between(row));
+            between.insert((row.b, row.a), covariances::between(row).transpose());
+        }
+        let campaign = setups.into_iter().next().map_or_else(String::new, |setup| setup.campaign);
+        Ok(Known { campaign, between })
+    }
+}
+
+impl Apply for Surface {
+    fn apply(&self, known: &Known, group: Vec<Patch>) -> Result<Outcome<Plane>, StageError> {
+        let (placed, mut reasons) = Placed::new(known, &group, self.roughness_m);
+        let found = match &self.groups {
+            None => planes::find(&placed.points, self.least, |a, b| placed.covariance_m2(a, b)),
+            Some(groups) => placed.through(groups, &mut reasons),
+        };
+        if self.groups.is_none() && found.is_empty() {
+            reasons.push(format!(
+                "no {} of the {} patches lie within {} standard deviations of a plane; name those that should in `groups`: their row tells how far off they are",
+                self.least,
+                placed.points.len(),
+                planes::NEAR
+            ));
+        }
+        let reject = |reason: String| Rejection {
+            campaign: known.campaign.as_str().into(),
+            file: None,
+            segment: None,
+            byte_offset: None,
+            reason,
+        };
+        let rows = found.iter().enumerate().map(|(n, plane)| placed.row(n, plane, &found[0])).collect();
+        Ok(Outcome { rows, sides: Vec::new(), rejections: reasons.into_iter().map(reject).collect() })
+    }
+}
+
+/// Patches that a plane can be laid through, by their places in the table.
+struct Placed<'a> {
+    ids: Vec<PatchId>,
+    points: Vec<Point>,
+    own: Vec<Matrix3<f64>>,
+    known: &'a Known,
+}
+
+impl<'a> Placed<'a> {
+    /// Patches of the best alternative, and why others are left out.
+    fn new(known: &'a Known, rows: &[Patch], roughness_m: f64) -> (Self, Vec<String>) {
+        let mut placed = Self { ids: Vec::new(), points: Vec::new(), own: Vec::new(), known };
+        let mut reasons = Vec::new();
+        for row in rows.iter().filter(|row| row.alternative == 0) {
+            // A variance of zero would be an infinite weight.
+            match covariances::of_patch(row).filter(|own| own.diagonal().min() > 0.0) {
+                Some(own) => {
+                    placed.ids.push(row.patch);
+                    placed.points.push(Point::new(row.x_m, row.y_m, row.z_m));
+                    placed.own.push(own + Matrix3::identity() * (roughness_m * roughness_m));
+                }
+                None => reasons.push(format!(
+                    "patch {} has no covariance, so nobody knows how near to a plane it should lie; give patches from `refine`",
+                    row.patch
+                )),
+            }
+        }
+        (placed, reasons)
+    }
+
+    fn covariance_m2(&self, a: usize, b: usize) -> Matrix3<f64> {
+        if a == b {
+            return self.own[a];
+        }
+        self.known.between.get(&(self.ids[a], self.ids[b])).copied().unwrap_or_else(Matrix3::zeros)
+    }
+
+    /// Planes through groups that were given by hand, and why some have none.
+    fn through(&self, groups: &[Vec<PatchId>], reasons: &mut Vec<String>) -> Vec<planes::Plane> {
+        let mut found = Vec::new();
+        for (n, group) in groups.iter().enumerate() {
+            let (here, gone): (Vec<PatchId>, Vec<PatchId>) = group.iter().partition(|patch| self.ids.contains(patch));
+            let group = n + 1;
+            reasons.extend(gone.iter().map(|patch| {
+                format!(
+                    "patch {patch} of group {group} is not among the patches with a covariance: take it out of `groups`"
+                )
+            }));
+            let mut members: Vec<usize> =
+                here.iter().filter_map(|patch| self.ids.iter().position(|id| id == patch)).collect();
+            members.sort_by_key(|place| self.ids[*place]);
+            match planes::fit(&self.points, &members, |a, b| self.covariance_m2(a, b)) {
+                Some(plane) => found.push(plane),
+                None => reasons.push(format!(
+                    "the {} patches of group {group} are fewer than {EXACT} or in line, which leaves no plane: add one aside of the others",
+                    members.len()
+                )),
+            }
+        }
+        found
+    }
+
+    /// The row of the `n`-th plane, from 0; tilted against the `first`.
+    fn row(&self, n: usize, plane: &planes::Plane, first: &planes::Plane) -> Plane {
+        let out = |place: usize| plane.normal.dot(&self.points[place].coords) - plane.offset_m;
+        let farthest = plane.members.iter().copied().max_by(|a, b| out(*a).abs().total_cmp(&out(*b).abs()));
+        let farthest = farthest.expect("a plane has patches");
+        let tilt = (n > 0).then(|| planes::tilt(first, plane, |a, b| self.covariance_m2(a, b)));
+        Plane {
+            plane: n as i32 + 1,
+            patches: plane.members.iter().map(|place| self.ids[*place]).collect(),
+            normal_x: plane.normal.x,
+            normal_y: plane.normal.y,
+            normal_z: plane.normal.z,
+            offset_m: plane.offset_m,
+            normal_sd_rad: plane.normal_covariance.symmetric_eigenvalues().max().max(0.0).sqrt(),
+            offset_sd_m: plane.offset_sd_m,
+            rms_m: plane.rms_m,
+            farthest: self.ids[farthest],
+            farthest_m: out(farthest),
+            chi2: plane.chi2,
+            degrees_of_freedom: (plane.members.len() - EXACT) as i32,
+            tilt_rad: tilt.map(|(tilt_rad, _)| tilt_rad),
+            tilt_sd_rad: tilt.map(|(_, sd_rad)| sd_rad),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
