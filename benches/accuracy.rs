@@ -1,6 +1,6 @@
 //! Study: positions over many seeds against the Cramer-Rao bound. Prints the tables of docs/accuracy.md.
 //!
-//! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer.
+//! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for the paper's Fig. 4.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/lab.rs"]
@@ -8,6 +8,9 @@ mod lab;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/missed.rs"]
 mod missed;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/rectangles.rs"]
+mod rectangles;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/accuracy.rs"]
 mod study;
@@ -18,6 +21,9 @@ use study::{SCENE, Study, study};
 
 fn main() {
     let seeds = std::env::args().skip(1).find_map(|arg| arg.parse().ok()).unwrap_or(200);
+    if std::env::args().any(|arg| arg == "rectangles") {
+        return print_rectangles(&rectangles::study(rectangles::SCENE, 1000..1000 + seeds));
+    }
     let scene = |name: &str| {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("pipelines/scenes/{name}.toml"));
         std::fs::read_to_string(path).expect("a scene of ours")
@@ -49,6 +55,47 @@ fn main() {
     for (name, study) in &studies {
         print_coverage(name, &study.pulls);
     }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Half the 95 % interval of a mean.
+fn half_95(values: &[f64]) -> f64 {
+    let centre = mean(values);
+    let squares: f64 = values.iter().map(|value| (value - centre).powi(2)).sum();
+    1.96 * (squares / (values.len() as f64 - 1.0) / values.len() as f64).sqrt()
+}
+
+/// The study of Fig. 4 as a list.
+fn print_rectangles(study: &rectangles::Study) {
+    let bound_mm = 1e3 * study.bound_m;
+    let ratio = |squares_m2: &[f64]| {
+        let (rms_mm, share) = (1e3 * mean(squares_m2).sqrt(), half_95(squares_m2) / mean(squares_m2));
+        let ratio = rms_mm / bound_mm;
+        let (low, high) = (ratio * (1.0 - share).max(0.0).sqrt(), ratio * (1.0 + share).sqrt());
+        format!("{rms_mm:.4} mm, {ratio:.3} [{low:.3}, {high:.3}] of the bound")
+    };
+    println!("- {} seeds; bound {bound_mm:.4} mm", study.squares_m2.len());
+    println!("- patches: {}", ratio(&study.squares_m2));
+    println!("- the same with footprints taken as points: {}", ratio(&study.first_m2));
+    let nse: Vec<f64> = study.normalised.iter().map(|nse| nse / study.degrees_of_freedom).collect();
+    let (low, high) = (mean(&nse) - half_95(&nse), mean(&nse) + half_95(&nse));
+    println!("- NSE / dof ({} degrees of freedom): {:.3} [{low:.3}, {high:.3}]", study.degrees_of_freedom, mean(&nse));
+    println!("- labels without known patches: {}, wrong {}", study.blind.0, study.blind.1);
+    for (bounces, (labels, wrong)) in &study.labels {
+        println!("- labels of {bounces} bounces: {labels}, wrong {wrong}");
+    }
+    println!("- distance of patches from their planes: {:.1} um rms", 1e6 * mean(&study.planarity_m));
+    let pulls: Vec<f64> = study.tilts_rad.iter().map(|(off_rad, sd_rad)| (off_rad / sd_rad).powi(2)).collect();
+    let tilts: Vec<f64> = study.tilts_rad.iter().map(|(off_rad, _)| off_rad.powi(2)).collect();
+    println!(
+        "- angles between planes less 90 degrees: {:.1} urad rms, squares over variances {:.3} +- {:.3}",
+        1e6 * mean(&tilts).sqrt(),
+        mean(&pulls),
+        half_95(&pulls)
+    );
 }
 
 /// Shares of errors within intervals that are to hold 50, 68, 95 and 99 % of them, each with its 95 % interval.

@@ -8,9 +8,9 @@ use std::process::Command;
 use std::time::Instant;
 
 use faer::Mat;
-use periscope::geometry::few_pairs::{self, Placed};
 use periscope::geometry::many_pairs::{self, Sds};
 use periscope::geometry::maximum_likelihood::{self, Node, Observation, Problem};
+use periscope::geometry::placement::{self, Alternative};
 use periscope::geometry::t2::Length;
 use periscope::geometry::{
     Point, classical, completion, dense, iso_embed, landmark, procrustes, reestimate, semidefinite, smacof,
@@ -90,8 +90,12 @@ impl Measured {
         if delay_sd_m > 0.0 { problem.with_common_delay(delay_sd_m) } else { problem }
     }
 
-    fn placed(&self) -> Placed {
-        few_pairs::place(&few_pairs::Lengths { first: &self.first, second: &self.second, dimensions: 3 })
+    /// Positions from nothing, and others that the lengths do not tell from them.
+    fn placed(&self) -> (Vec<Point>, Vec<Alternative>) {
+        let problem = self.problem(vec![Point::origin(); self.first.len()], 0.0);
+        let points = placement::place(&problem).points;
+        let alternatives = placement::alternatives(&problem, &points);
+        (points, alternatives)
     }
 }
 
@@ -214,11 +218,11 @@ fn missing(scenes: u64) {
             let measured = Measured::new(&truth, share, sd_m, 0.0, seed);
             let bound_m = room::bound_m(&truth, &measured.pairs, sds_m(sd_m), 0.0);
             let begin = Instant::now();
-            let placed = measured.placed();
+            let (points, alternatives) = measured.placed();
             let time = 1e3 * begin.elapsed().as_secs_f64();
             let start = classical::embed(&measured.distances().0, 3);
             let (descent, _) = maximum_likelihood::approach(&measured.problem(start, 0.0), 100, 1e-7);
-            (bound_m, rms_m(&placed.points, &truth), rms_m(&descent, &truth), !placed.twins.is_empty(), time)
+            (bound_m, rms_m(&points, &truth), rms_m(&descent.points, &truth), !alternatives.is_empty(), time)
         };
         let all: Vec<_> = (0..scenes).into_par_iter().map(one).collect();
         let within = |rms_m: f64, bound_m: f64| bound_m.is_finite() && rms_m < 2.0 * bound_m;
@@ -327,7 +331,7 @@ fn chi_square(scenes: u64) {
         let fisher = room::fisher(&truth, &room::all_pairs(truth.len()), sds_m(sd_m), 0.0);
         let one = |seed: u64| {
             let measured = Measured::new(&truth, 0.0, sd_m, 0.0, 10_000 + seed);
-            let points = measured.placed().points;
+            let points = measured.placed().0;
             let fit = procrustes::rotation(&points, &truth, Point::origin(), true);
             let errors: Vec<f64> = points
                 .iter()

@@ -26,7 +26,8 @@ use nalgebra::Matrix3;
 
 use super::Point;
 pub use problem::{Anchor, Node, Observation, Problem, Ray, Station};
-use rows::{Layout, Place, Rows};
+pub use rows::Place;
+use rows::{Layout, Rows};
 
 /// Most patches for which the normal matrix is held in memory.
 pub const DENSE_MAX: usize = 1000;
@@ -205,9 +206,19 @@ fn solve_by(problem: &Problem, means: Means) -> Result<Solution, Unsolved> {
 /// # Panics
 /// As [`solve`].
 #[must_use]
-pub fn approach(problem: &Problem, steps: usize, settled_m: f64) -> (Vec<Point>, f64) {
+pub fn approach(problem: &Problem, steps: usize, settled_m: f64) -> (Place, f64) {
     let (place, cost, _) = descend(&Rows::new(problem), Means::of(problem), steps, settled_m);
-    (place.points, cost)
+    (place, cost)
+}
+
+/// Measurements and priors less unknowns; what nothing determines is not given back.
+///
+/// # Panics
+/// As [`solve`].
+#[must_use]
+pub fn redundancy(problem: &Problem) -> i64 {
+    let rows = Rows::new(problem);
+    rows.data as i64 - rows.layout.size as i64
 }
 
 /// Levenberg-Marquardt: the place reached, the objective there, and whether it has settled.

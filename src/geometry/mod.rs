@@ -8,7 +8,6 @@ pub mod classical;
 pub mod completion;
 pub mod dense;
 pub mod detours;
-pub mod few_pairs;
 pub mod footprint;
 pub mod frame;
 pub mod iso_embed;

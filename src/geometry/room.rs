@@ -1,5 +1,7 @@
 //! Scenes for tests and studies, and what path lengths among their patches tell at best. Shares no code with the estimators but the linear algebra.
 
+use std::iter;
+
 use faer::Mat;
 use nalgebra::Vector3;
 
@@ -65,15 +67,87 @@ pub fn fisher(points: &[Point], pairs: &[(usize, usize)], sd_m: [f64; 2], delay_
 /// than those are open.
 #[must_use]
 pub fn bound_m(points: &[Point], pairs: &[(usize, usize)], sd_m: [f64; 2], delay_sd_m: f64) -> f64 {
-    let (values, _) = dense::symmetric_eigen(&fisher(points, pairs, sd_m, delay_sd_m));
-    if values[3] < 1e-9 * values[values.len() - 1] {
-        return f64::INFINITY;
-    }
-    (values[3..].iter().map(|value| 1.0 / value).sum::<f64>() / points.len() as f64).sqrt()
+    bound_of_m(&fisher(points, pairs, sd_m, delay_sd_m), 3)
 }
 
 /// All pairs of patches.
 #[must_use]
 pub fn all_pairs(count: usize) -> Vec<(usize, usize)> {
     (0..count).flat_map(|i| (0..i).map(move |j| (j, i))).collect()
+}
+
+/// A path from a source over patches to a sensor: positions among stations and patches.
+#[derive(Clone, Debug)]
+pub struct Way {
+    /// Station that light leaves.
+    pub source: usize,
+    /// Patches in the order light meets them.
+    pub patches: Vec<usize>,
+    /// Station where it arrives.
+    pub sensor: usize,
+}
+
+impl Way {
+    /// Stops of the path, and the patch that each is.
+    fn stops(&self, points: &[Point], stations: &[Point]) -> Vec<(Point, Option<usize>)> {
+        let inner = self.patches.iter().map(|&patch| (points[patch], Some(patch)));
+        iter::once((stations[self.source], None)).chain(inner).chain([(stations[self.sensor], None)]).collect()
+    }
+
+    /// Length of the path.
+    #[must_use]
+    pub fn length_m(&self, points: &[Point], stations: &[Point]) -> f64 {
+        self.stops(points, stations).windows(2).map(|ends| (ends[1].0 - ends[0].0).norm()).sum()
+    }
+}
+
+/// Fisher matrix of all coordinates, three a patch, of lengths with sd `sd_m` over `ways` between separate stations, for a delay common to all that is known to
+/// `delay_sd_m`; and of directions from the first station to all patches, each of two angles known to `ray_sd_rad` (infinite: no rays).
+#[must_use]
+pub fn fisher_of_ways(
+    points: &[Point],
+    stations: &[Point],
+    ways: &[Way],
+    sd_m: f64,
+    delay_sd_m: f64,
+    ray_sd_rad: f64,
+) -> Mat<f64> {
+    let size = 3 * points.len();
+    let weight = 1.0 / (sd_m * sd_m);
+    let (mut fisher, mut coupling): (Mat<f64>, _) = (Mat::zeros(size, size), vec![0.0; size]);
+    for way in ways {
+        let mut slope: Vec<(usize, f64)> = Vec::new();
+        for ends in way.stops(points, stations).windows(2) {
+            let along = (ends[1].0 - ends[0].0).normalize();
+            let mut pull = |patch: Option<usize>, sign: f64| {
+                slope.extend(patch.iter().flat_map(|patch| (0..3).map(move |k| (3 * patch + k, sign * along[k]))));
+            };
+            pull(ends[0].1, -1.0);
+            pull(ends[1].1, 1.0);
+        }
+        for &(i, u) in &slope {
+            coupling[i] += weight * u;
+            slope.iter().for_each(|&(k, v)| fisher[(i, k)] += weight * u * v);
+        }
+    }
+    let stiffness = weight * ways.len() as f64 + 1.0 / (delay_sd_m * delay_sd_m);
+    let mut fisher = Mat::from_fn(size, size, |i, k| fisher[(i, k)] - coupling[i] * coupling[k] / stiffness);
+    for (patch, point) in points.iter().enumerate() {
+        let (range, along) = ((point - stations[0]).norm(), (point - stations[0]).normalize());
+        for (i, k) in (0..3).flat_map(|i| (0..3).map(move |k| (i, k))) {
+            let across = if i == k { 1.0 } else { 0.0 } - along[i] * along[k];
+            fisher[(3 * patch + i, 3 * patch + k)] += across / (range * ray_sd_rad).powi(2);
+        }
+    }
+    fisher
+}
+
+/// Root of the mean squared error, what `free` rotations of the whole bring apart, that no estimator goes below. Infinite if more is open.
+#[must_use]
+pub fn bound_of_m(fisher: &Mat<f64>, free: usize) -> f64 {
+    let (values, _) = dense::symmetric_eigen(fisher);
+    if values[free] < 1e-9 * values[values.len() - 1] {
+        return f64::INFINITY;
+    }
+    (values[free..].iter().map(|value| 1.0 / value).sum::<f64>() / (values.len() / 3) as f64).sqrt()
 }

@@ -41,6 +41,14 @@ impl<'a> Laboratory<'a> {
         Ok(Self { scene, chain, captured, shootings })
     }
 
+    /// The same light on another day: what drifts and what is only known to an error is drawn anew.
+    #[must_use]
+    pub fn reseeded(&self, seed: u64) -> Self {
+        let (chain, captured) = (self.chain.clone(), self.captured.clone());
+        let shootings = Session::plan(self.scene, &chain, &Room::new(self.scene), &captured, seed);
+        Self { scene: self.scene, chain, captured, shootings }
+    }
+
     /// Time from the first shot to the last.
     #[must_use]
     pub fn hours(&self) -> f64 {

@@ -212,8 +212,16 @@ pub struct Truth {
 /// When the folder is in use or cannot be written, or light arrives outside the record.
 pub fn simulate(scene: &Scene, seed: u64, out: &Path, format: Format) -> Result<Truth, SimulateError> {
     folder::claim(out)?;
-    let laboratory = Laboratory::new(scene, seed)?;
-    let chain = &laboratory.chain;
+    record(&Laboratory::new(scene, seed)?, seed, out, format)
+}
+
+/// The same of a scene whose light has been followed already, with the laboratory's own seed.
+///
+/// # Errors
+/// When the folder is in use or cannot be written.
+pub fn record(laboratory: &Laboratory, seed: u64, out: &Path, format: Format) -> Result<Truth, SimulateError> {
+    folder::claim(out)?;
+    let (scene, chain) = (laboratory.scene, &laboratory.chain);
     let recorder = Recorder::new(scene, chain);
     laboratory.shootings.par_iter().try_for_each(|shooting| {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);

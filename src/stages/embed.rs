@@ -2,7 +2,7 @@
 //!
 //! | method | |
 //! |---|---|
-//! | `incremental` | path lengths by maximum likelihood from many starts, grown patch by patch; for any pattern of missing pairs ([`few_pairs`]) |
+//! | `incremental` | path lengths by maximum likelihood from many starts, grown patch by patch; for any pattern of missing pairs ([`placement`]) |
 //! | `classical` | double-centred classical scaling, p0 included |
 //! | `smacof` | least weighted stress from there; a distance that was not measured weighs nothing |
 //! | `landmark` | classical scaling of `landmarks` patches, the others by their distances to these; for thousands |
@@ -27,12 +27,14 @@
 //! ```
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::iter;
 
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::geometry::few_pairs::{self, Lengths};
+use crate::geometry::maximum_likelihood::{Node, Observation, Problem};
+use crate::geometry::placement::{self, Alternative};
 use crate::geometry::t2::{self, Length};
 use crate::geometry::{
     Matrix, Point, classical, completion, frame, iso_embed, landmark, procrustes, reestimate, semidefinite, smacof,
@@ -123,7 +125,7 @@ impl Apply for Embed {
             )));
         }
         let measured = Measured { ids: &ids, known: &known, dimensions };
-        let (points, twins) = self.points(&measured)?;
+        let (points, alternatives) = self.points(&measured)?;
         let onsets = |patch: PatchId| {
             group
                 .iter()
@@ -152,15 +154,13 @@ impl Apply for Embed {
         let turn = frame.turn(&ids, &points);
         let mut rows: Vec<Patch> =
             points.iter().enumerate().map(|(place, point)| row(place, turn(*point), 0, None)).collect();
-        for (n, (place, point, log_likelihood)) in twins.into_iter().enumerate() {
-            rows.push(row(place, turn(point), n as i32 + 1, Some(log_likelihood)));
+        for (n, Alternative { patches, points, more, .. }) in alternatives.into_iter().enumerate() {
+            let elsewhere = patches.into_iter().map(|place| (place, turn(points[place])));
+            rows.extend(elsewhere.map(|(place, point)| row(place, point, n as i32 + 1, Some(-0.5 * more))));
         }
         Ok(Outcome::rows(rows))
     }
 }
-
-/// Place of a patch that the lengths do not tell from the chosen one, and its log-likelihood relative to that.
-type Twin = (usize, Point, f64);
 
 /// Distances as measured, patch 0 being p0.
 struct Measured<'a> {
@@ -194,8 +194,8 @@ impl Measured<'_> {
         Matrix::from_fn(self.count(), self.count(), weight)
     }
 
-    /// Path lengths whose T2 the distances are, by the places of their patches.
-    fn lengths(&self) -> (Vec<Length>, Vec<(usize, usize, Length)>) {
+    /// The path lengths whose T2 the distances are, p0 at the origin.
+    fn problem(&self) -> Problem {
         let plain = |distance: &&Distance| t2::Distance {
             a: distance.a,
             b: distance.b,
@@ -209,21 +209,31 @@ impl Measured<'_> {
         let place = |patch: PatchId| {
             first.iter().position(|(of, _)| *of == patch).expect("lengths are between patches with a first bounce")
         };
-        let second = second.into_iter().map(|((a, b), length)| (place(a), place(b), length)).collect();
-        (first.iter().map(|(_, length)| *length).collect(), second)
+        let p0 = Node::Station(0);
+        let observation = |patches: &[PatchId], length: &Length| Observation {
+            nodes: iter::once(p0).chain(patches.iter().map(|&patch| Node::Patch(place(patch)))).chain([p0]).collect(),
+            length_m: length.length_m,
+            sd_m: length.variance_m2.sqrt(),
+            delay: None,
+            turns: 0,
+        };
+        let first_bounces = first.iter().map(|(patch, length)| observation(&[*patch], length));
+        let second_bounces = second.iter().map(|((a, b), length)| observation(&[*a, *b], length));
+        let observations = first_bounces.chain(second_bounces).collect();
+        Problem::new(vec![Point::origin(); first.len()], self.dimensions, &[Point::origin()], observations)
     }
 }
 
 impl Embed {
-    /// Points about the origin, and twins.
-    fn points(&self, measured: &Measured) -> Result<(Vec<Point>, Vec<Twin>), StageError> {
+    /// Points about the origin, and others that the lengths do not tell from them.
+    fn points(&self, measured: &Measured) -> Result<(Vec<Point>, Vec<Alternative>), StageError> {
         let dimensions = measured.dimensions;
         let points = match self.method {
             Method::Incremental => {
-                let (first, second) = measured.lengths();
-                let placed = few_pairs::place(&Lengths { first: &first, second: &second, dimensions });
-                let twins = placed.twins.iter().map(|twin| (twin.patch, twin.point, -0.5 * twin.more)).collect();
-                return Ok((placed.points, twins));
+                let problem = measured.problem();
+                let points = placement::place(&problem).points;
+                let alternatives = placement::alternatives(&problem, &points);
+                return Ok((points, alternatives));
             }
             Method::Classical => classical::embed(&measured.complete(), dimensions),
             Method::Smacof => {

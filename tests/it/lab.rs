@@ -9,7 +9,7 @@ use periscope::pipeline::plan::{Decision, Plan};
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::{self, Outcome, RunError, Settings};
 use periscope::pipeline::spec::Spec;
-use periscope::simulate::{self, Format, Scene};
+use periscope::simulate::{self, Format, Laboratory, Scene};
 use periscope::store::{Shelf, TableWriter};
 use periscope::tables::Row;
 
@@ -36,6 +36,13 @@ impl Lab {
         let folder = tempfile::tempdir().unwrap();
         let scene = Scene::parse(Path::new("scene.toml"), scene).unwrap();
         simulate::simulate(&scene, seed, &folder.path().join("campaign"), format).unwrap();
+        Self { folder }
+    }
+
+    /// A campaign of a scene whose light has been followed.
+    pub fn recorded(laboratory: &Laboratory, seed: u64, format: Format) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        simulate::record(laboratory, seed, &folder.path().join("campaign"), format).unwrap();
         Self { folder }
     }
 

@@ -20,6 +20,7 @@ mod monte_carlo;
 #[cfg(feature = "query")]
 mod query;
 mod real_files;
+mod rectangles;
 mod resolution;
 mod schema;
 mod scope_samples;

@@ -52,17 +52,20 @@ impl Layout {
 }
 
 /// Values of all unknowns.
-#[derive(Clone)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Place {
+    /// Positions of the patches.
     pub points: Vec<Point>,
+    /// Positions of the stations.
     pub stations: Vec<Point>,
+    /// Delays, as lengths.
     pub delays_m: Vec<f64>,
     /// What one laser period is longer than its nominal length.
     pub period_m: f64,
 }
 
 impl Place {
-    pub fn start(problem: &Problem) -> Self {
+    pub(super) fn start(problem: &Problem) -> Self {
         Self {
             points: problem.start.clone(),
             stations: problem.stations.iter().map(|station| station.position).collect(),
@@ -78,7 +81,7 @@ impl Place {
         }
     }
 
-    pub fn moved(&self, step: &[f64], layout: &Layout) -> Self {
+    pub(super) fn moved(&self, step: &[f64], layout: &Layout) -> Self {
         let mut place = self.clone();
         let shift = |point: &mut Point, at: usize| (0..layout.dimensions).for_each(|k| point[k] += step[at + k]);
         place.points.iter_mut().enumerate().for_each(|(patch, point)| shift(point, patch * layout.dimensions));

@@ -1,0 +1,65 @@
+//! Other positions that explain the lengths about as well.
+
+use super::{STEPS, Scene, State};
+use crate::geometry::Point;
+use crate::geometry::maximum_likelihood::Problem;
+
+/// A solution whose loss is higher by less than this (a log-likelihood ratio of 9) cannot be ruled out.
+const MORE: f64 = 18.0;
+
+/// How another solution differs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// All patches lie mirrored in a plane near the stations, anchors and rays.
+    Mirror,
+    /// A patch lies at its second place, the others settled with it.
+    Flip,
+}
+
+/// Another solution.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Alternative {
+    /// How it differs.
+    pub kind: Kind,
+    /// Patches that lie elsewhere.
+    pub patches: Vec<usize>,
+    /// All positions.
+    pub points: Vec<Point>,
+    /// By how much the loss is higher; minus twice the logarithm of the likelihood ratio.
+    pub more: f64,
+}
+
+/// Other solutions near in likelihood to the one at `points`, likeliest first. Where stations, anchors and rays leave a rotation free, the mirror image of the
+/// whole is a convention as the rotation is, and none.
+///
+/// # Panics
+/// As [`super::place`], and when there are not as many points as patches.
+#[must_use]
+pub fn alternatives(problem: &Problem, points: &[Point]) -> Vec<Alternative> {
+    assert!(points.len() == problem.start.len(), "{} points, {} patches", points.len(), problem.start.len());
+    let scene = Scene::new(problem);
+    let best = scene.settle(points.iter().copied().map(Some).collect(), STEPS);
+    let mirrored = scene.mirrored(&best).map(|state| (Kind::Mirror, state));
+    let flips = scene.moves(&best).into_iter().filter_map(|(patch, point)| {
+        let flipped = scene.moved(&best, patch, point);
+        scene.elsewhere(&flipped, &best).contains(&patch).then_some((Kind::Flip, flipped))
+    });
+    let alternative = |(kind, state): (Kind, State)| Alternative {
+        kind,
+        patches: scene.elsewhere(&state, &best),
+        points: state.points(),
+        more: state.loss - best.loss,
+    };
+    let mut found: Vec<Alternative> = mirrored.into_iter().chain(flips).map(alternative).collect();
+    found.retain(|alternative| alternative.more < MORE && !alternative.patches.is_empty());
+    found.sort_by(|a, b| a.more.total_cmp(&b.more).then_with(|| a.patches.cmp(&b.patches)));
+    found
+}
+
+impl Scene<'_> {
+    /// Patches whose places differ.
+    fn elsewhere(&self, a: &State, b: &State) -> Vec<usize> {
+        let places = a.points().into_iter().zip(b.points()).enumerate();
+        places.filter(|(_, (a, b))| (a - b).norm() > self.apart_m).map(|(patch, _)| patch).collect()
+    }
+}

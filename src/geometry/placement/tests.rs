@@ -1,0 +1,186 @@
+use super::*;
+use crate::geometry::{procrustes, room};
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use room::Way;
+
+const SD_M: f64 = 0.0075;
+
+/// Noisy lengths of some paths.
+fn measured(truth: &[Point], stations: &[Point], ways: &[Way], sd_m: f64, seed: u64) -> Problem {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let observation = |way: &Way| {
+        let noise: f64 = StandardNormal.sample(&mut rng);
+        let inner = way.patches.iter().map(|&patch| Node::Patch(patch));
+        let ends = [Node::Station(way.source), Node::Station(way.sensor)];
+        Observation {
+            nodes: std::iter::once(ends[0]).chain(inner).chain([ends[1]]).collect(),
+            length_m: way.length_m(truth, stations) + sd_m * noise,
+            sd_m,
+            delay: None,
+            turns: 0,
+        }
+    };
+    Problem::new(vec![Point::origin(); truth.len()], 3, stations, ways.iter().map(observation).collect())
+}
+
+/// All first bounces, and the second bounces over some pairs, each measured one way around.
+fn ways(count: usize, sensors: &[usize], pairs: &[(usize, usize)]) -> Vec<Way> {
+    let over =
+        |patches: Vec<usize>| sensors.iter().map(move |&sensor| Way { source: 0, patches: patches.clone(), sensor });
+    let first = (0..count).flat_map(|patch| over(vec![patch]));
+    first.chain(pairs.iter().flat_map(|&(a, b)| over(vec![a, b]))).collect()
+}
+
+/// Source and sensor in one point.
+fn colocated(truth: &[Point], missing: f64, sd_m: f64, seed: u64) -> (Problem, Vec<(usize, usize)>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed + 1000);
+    let mut pairs = room::all_pairs(truth.len());
+    pairs.retain(|_| !rng.random_bool(missing));
+    (measured(truth, &[Point::origin()], &ways(truth.len(), &[0], &pairs), sd_m, seed), pairs)
+}
+
+fn without(problem: &mut Problem, unwanted: impl Fn(&[usize]) -> bool) {
+    problem.observations.retain(|o| !unwanted(&patches(o).collect::<Vec<_>>()));
+}
+
+fn rms_m(found: &[Point], truth: &[Point]) -> f64 {
+    procrustes::rotation(found, truth, Point::origin(), true).rms_m
+}
+
+fn plain_rms_m(found: &[Point], truth: &[Point]) -> f64 {
+    (found.iter().zip(truth).map(|(a, b)| (a - b).norm_squared()).sum::<f64>() / truth.len() as f64).sqrt()
+}
+
+#[test]
+fn four_pairs_of_five_may_be_missing() {
+    let truth = room::rectangles();
+    let mut within = 0;
+    for seed in 0..20 {
+        let (problem, pairs) = colocated(&truth, 0.8, SD_M, seed);
+        let placed = place(&problem);
+        let bound_m = room::bound_m(&truth, &pairs, [SD_M, SD_M], 0.0);
+        within += usize::from(bound_m.is_finite() && rms_m(&placed.points, &truth) < 2.0 * bound_m);
+        assert_eq!(placed.degrees_of_freedom, 49 + pairs.len() as i64 - 144);
+    }
+    assert!(within >= 17, "{within} of 20");
+}
+
+#[test]
+fn a_patch_with_two_neighbours_has_a_twin_and_its_mirror_image_is_one_of_the_two() {
+    let truth = room::rectangles();
+    let (mut problem, _) = colocated(&truth, 0.5, 1e-4, 3);
+    let kept: Vec<Vec<usize>> = problem
+        .observations
+        .iter()
+        .map(|o| patches(o).collect())
+        .filter(|p: &Vec<_>| p.len() == 2 && p.contains(&10))
+        .take(2)
+        .collect();
+    without(&mut problem, |p| p.len() == 2 && p.contains(&10) && !kept.iter().any(|k| k == p));
+    let placed = place(&problem);
+    let others = alternatives(&problem, &placed.points);
+    assert_eq!(others.len(), 1, "{others:?}");
+    assert!(others[0].kind == Kind::Flip && others[0].patches == [10] && others[0].more.abs() < 1e-3);
+    assert!(rms_m(&placed.points, &truth).min(rms_m(&others[0].points, &truth)) < 0.001);
+}
+
+#[test]
+fn complete_lengths_need_one_start_and_permuting_patches_permutes_the_answer() {
+    let truth = room::rectangles();
+    let (problem, _) = colocated(&truth, 0.3, 0.002, 4);
+    let placed = place(&problem);
+    assert!(placed.starts == 1 && alternatives(&problem, &placed.points).is_empty());
+    let mut flipped = problem.clone();
+    for node in flipped.observations.iter_mut().flat_map(|o| &mut o.nodes) {
+        if let Node::Patch(patch) = node {
+            *patch = truth.len() - 1 - *patch;
+        }
+    }
+    let mut flipped = place(&flipped).points;
+    flipped.reverse();
+    assert!(rms_m(&flipped, &placed.points) < 1e-5);
+}
+
+#[test]
+fn growth_from_a_seed_alone_finds_the_room_and_a_patch_that_sees_none_stays_on_its_sphere() {
+    let truth = room::rectangles();
+    let (mut problem, _) = colocated(&truth, 0.6, 1e-4, 5);
+    without(&mut problem, |p| p.len() == 2 && p.contains(&7));
+    let scene = Scene::new(&problem);
+    let mut grown = scene.grow(scene.sprout(&scene.seeds()[0], 0)).points();
+    assert!((2.0 * grown[7].coords.norm() - problem.observations[7].length_m).abs() < 1e-6);
+    let mut others = truth.clone();
+    grown.remove(7);
+    others.remove(7);
+    assert!(rms_m(&grown, &others) < 0.01, "{}", rms_m(&grown, &others));
+}
+
+#[test]
+fn a_patch_at_its_mirror_image_is_moved_back() {
+    let truth = room::rectangles();
+    let (problem, _) = colocated(&truth, 0.7, 0.001, 6);
+    let scene = Scene::new(&problem);
+    let settled = |points: Vec<Point>| scene.settle(points.into_iter().map(Some).collect(), STEPS);
+    let right = settled(truth.clone());
+    let mut start = right.points();
+    // Through the plane of the origin and the vertical edge of the wall.
+    let normal = truth[0].coords.cross(&Vector3::z()).normalize();
+    let height = normal.dot(&start[30].coords);
+    start[30] -= 2.0 * normal * height;
+    assert!(scene.mend(settled(start)).loss < right.loss + 1e-3);
+}
+
+#[test]
+fn flatland_is_placed_in_its_plane() {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let truth: Vec<Point> =
+        (0..12).map(|_| Point::new(rng.random_range(-2.0..2.0), rng.random_range(1.0..3.0), 0.0)).collect();
+    let (mut problem, _) = colocated(&truth, 0.5, 1e-4, 8);
+    problem.dimensions = 2;
+    let placed = place(&problem);
+    assert!(placed.points.iter().all(|p| p.z == 0.0));
+    assert!(rms_m(&placed.points, &truth) < 0.001, "{}", rms_m(&placed.points, &truth));
+}
+
+#[test]
+fn separate_stations_that_span_space_leave_nothing_free() {
+    let truth = room::rectangles();
+    let stations = [Point::origin(), Point::new(0.5, 0.1, 0.0), Point::new(-0.5, 0.0, 0.2), Point::new(0.1, -0.2, 0.5)];
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let mut pairs = room::all_pairs(truth.len());
+    pairs.retain(|_| rng.random_bool(0.3));
+    let mut problem = measured(&truth, &stations, &ways(truth.len(), &[1, 2, 3], &pairs), 0.002, 9);
+    // Gross outliers, three in a hundred.
+    problem.observations.iter_mut().step_by(33).for_each(|o| o.length_m *= 1.05);
+    let placed = place(&problem);
+    let (right, loss) = maximum_likelihood::approach(&Problem { start: truth, ..problem.clone() }, STEPS, SETTLED_M);
+    assert!(plain_rms_m(&placed.points, &right.points) < 1e-4 && placed.loss < loss + SAME);
+    assert!(alternatives(&problem, &placed.points).is_empty());
+}
+
+#[test]
+fn stations_in_a_plane_leave_the_mirror_image_of_the_whole() {
+    let truth = room::rectangles();
+    let stations = [Point::origin(), Point::new(0.5, 0.0, 0.0), Point::new(-0.1, 0.0, 0.4)];
+    let problem = measured(&truth, &stations, &ways(truth.len(), &[1, 2], &room::all_pairs(truth.len())), 1e-4, 10);
+    let placed = place(&problem);
+    let others = alternatives(&problem, &placed.points);
+    assert_eq!(others.len(), 1, "{:?}", others.iter().map(|o| (&o.patches, o.more)).collect::<Vec<_>>());
+    assert!(others[0].kind == Kind::Mirror && others[0].patches.len() == 49 && others[0].more.abs() < 1e-6);
+    assert!(plain_rms_m(&placed.points, &truth).min(plain_rms_m(&others[0].points, &truth)) < 0.001);
+}
+
+#[test]
+fn second_bounces_alone_place_lit_and_seen_patches() {
+    let truth: Vec<Point> = room::rectangles().into_iter().step_by(3).take(16).collect();
+    let stations = [Point::origin(), Point::new(0.5, 0.0, 0.0)];
+    let over =
+        |a: usize| (0..16).filter(move |b| b % 2 == 1).map(move |b| Way { source: 0, patches: vec![a, b], sensor: 1 });
+    let ways: Vec<Way> = (0..16).step_by(2).flat_map(over).collect();
+    let problem = measured(&truth, &stations, &ways, 1e-4, 11);
+    let placed = place(&problem);
+    assert!(placed.loss < 40.0, "{}", placed.loss);
+}
