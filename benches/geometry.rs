@@ -331,7 +331,7 @@ fn chi_square(scenes: u64) {
         let fisher = room::fisher(&truth, &room::all_pairs(truth.len()), sds_m(sd_m), 0.0);
         let one = |seed: u64| {
             let measured = Measured::new(&truth, 0.0, sd_m, 0.0, 10_000 + seed);
-            let points = measured.placed().0;
+            let (points, _) = measured.placed();
             let fit = procrustes::rotation(&points, &truth, Point::origin(), true);
             let errors: Vec<f64> = points
                 .iter()

@@ -9,7 +9,8 @@
 //! 2. growth (`growth`): the other patches, one by one, by multilateration from patches and stations in place;
 //! 3. orientation (`orientation`): stations are found from the patches, and the whole is turned so that they come to lie where they are;
 //! 4. maximum likelihood of all from there, with Huber's loss;
-//! 5. moves (`mending`): each patch is multilaterated again; a place other than its own is taken where the loss of all, settled again, falls.
+//! 5. moves (`mending`): each patch is multilaterated again; a place other than its own is taken where the loss of all, settled again, falls. Patches that fit
+//!    worst are taken out and grown again.
 //!
 //! The lowest loss wins. What no loss decides is told by [`alternatives`]. A patch with too few paths stays somewhere on its sphere or circle.
 //!
@@ -31,9 +32,9 @@ pub use alternatives::{Alternative, Kind, alternatives};
 use orientation::Frame;
 
 /// Losses more than this many standard deviations above their mean are not those of a right solution.
-const UNLIKELY: f64 = 4.0;
+const UNLIKELY: f64 = 3.0;
 /// As many starts that end at the lowest loss are enough, however high it is.
-const AGREED: usize = 3;
+const AGREED: usize = 5;
 /// Losses that differ by less are the same.
 const SAME: f64 = 1e-3;
 /// Steps of a descent.
@@ -208,8 +209,7 @@ impl<'a> Scene<'a> {
         let freedom = maximum_likelihood::redundancy(&problem) + self.frame.free_rotations();
         let (place, loss) = maximum_likelihood::approach(&problem, steps, SETTLED_M);
         places.iter_mut().filter(|place| place.is_some()).zip(place.points).for_each(|(to, point)| *to = Some(point));
-        let freedom = freedom.max(1) as f64;
-        let likely_loss = freedom + UNLIKELY * (2.0 * freedom).sqrt();
+        let likely_loss = likely_loss(freedom.max(1) as f64);
         let (stations, delays_m, period_m) = (place.stations, place.delays_m, place.period_m);
         State { places, stations, delays_m, period_m, loss, likely_loss }
     }
@@ -229,6 +229,11 @@ impl<'a> Scene<'a> {
             robust: *robust,
         }
     }
+}
+
+/// The loss that a right solution with so many degrees of freedom stays below.
+fn likely_loss(freedom: f64) -> f64 {
+    freedom + UNLIKELY * (2.0 * freedom).sqrt()
 }
 
 fn patches(observation: &Observation) -> impl Iterator<Item = usize> {

@@ -101,8 +101,8 @@ impl Way {
     }
 }
 
-/// Fisher matrix of all coordinates, three a patch, of lengths with sd `sd_m` over `ways` between separate stations, for a delay common to all that is known to
-/// `delay_sd_m`; and of directions from the first station to all patches, each of two angles known to `ray_sd_rad` (infinite: no rays).
+/// Fisher matrix of all coordinates, three a patch, of lengths with sd `sd_m` over `ways` between separate stations, for a delay common to all that is
+/// known to `delay_sd_m`; and of directions from the first station to all patches, each of two angles known to `ray_sd_rad` (infinite: no rays).
 #[must_use]
 pub fn fisher_of_ways(
     points: &[Point],
@@ -135,7 +135,7 @@ pub fn fisher_of_ways(
     for (patch, point) in points.iter().enumerate() {
         let (range, along) = ((point - stations[0]).norm(), (point - stations[0]).normalize());
         for (i, k) in (0..3).flat_map(|i| (0..3).map(move |k| (i, k))) {
-            let across = if i == k { 1.0 } else { 0.0 } - along[i] * along[k];
+            let across = f64::from(u8::from(i == k)) - along[i] * along[k];
             fisher[(3 * patch + i, 3 * patch + k)] += across / (range * ray_sd_rad).powi(2);
         }
     }

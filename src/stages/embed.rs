@@ -83,7 +83,7 @@ pub struct Frame {
 
 impl Stage for Embed {
     const KIND: &'static str = "embed";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::All;
     type Input = Distance;
     type Output = Patch;

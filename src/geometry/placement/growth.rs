@@ -1,7 +1,7 @@
 //! Growth of a solution, patch by patch.
 //!
-//! The patch that comes next is the one whose best place explains its ties most clearly better than its second best, and among equals the one with most
-//! ties. Every few patches all are settled together, so that errors do not pile up.
+//! The patch that comes next is the one whose best place explains its ties most clearly better than its second best, and among equals the one with
+//! most ties. Every few patches all are settled together, so that errors do not pile up.
 
 use super::{Scene, State};
 use crate::geometry::Point;

@@ -1,6 +1,8 @@
-//! Moves of single patches to other places that their ties allow.
+//! Moves of single patches to other places that their ties allow, and of those that fit worst together.
 
-use super::{SAME, STEPS, Scene, State};
+use std::iter;
+
+use super::{SAME, STEPS, Scene, State, likely_loss};
 use crate::geometry::{Point, multilateration};
 
 /// A move that raises the loss by more than this, all other patches held, is not worth settling.
@@ -13,16 +15,28 @@ impl Scene<'_> {
     /// Moves patches while that lowers the loss of all.
     pub(super) fn mend(&self, mut now: State) -> State {
         for _ in 0..ROUNDS {
-            let better = self.moves(&now).into_iter().take(MOVES).find_map(|(patch, point)| {
-                let then = self.moved(&now, patch, point);
-                (then.loss < now.loss - SAME).then_some(then)
-            });
-            match better {
-                Some(better) => now = better,
-                None => break,
-            }
+            let moves = self.moves(&now).into_iter().take(MOVES).map(|(patch, point)| self.moved(&now, patch, point));
+            let better = moves.chain(iter::once_with(|| self.replanted(&now)).flatten());
+            let Some(better) = better.into_iter().find(|then| then.loss < now.loss - SAME) else { break };
+            now = better;
         }
         now
+    }
+
+    /// All settled with the patches that fit worst placed anew, at most a quarter of all; `None` where all fit. Patches that hold one another in wrong
+    /// places come free in this way.
+    fn replanted(&self, now: &State) -> Option<State> {
+        let misfit = |(patch, here): (usize, Point)| {
+            let ties = self.ties(patch, now);
+            multilateration::cost(&ties, here) / likely_loss(ties.len() as f64)
+        };
+        let misfits = now.points().into_iter().enumerate().map(|place| (misfit(place), place.0));
+        let mut worst: Vec<(f64, usize)> = misfits.filter(|(misfit, _)| *misfit > 1.0).collect();
+        worst.sort_by(|a, b| b.0.total_cmp(&a.0));
+        worst.truncate(self.count().div_ceil(4));
+        let mut places = now.places.clone();
+        worst.iter().for_each(|&(_, patch)| places[patch] = None);
+        (!worst.is_empty()).then(|| self.settle(self.grow(self.settle(places, STEPS)).places, STEPS))
     }
 
     /// Patch and place of all moves with some hope, most promising first.

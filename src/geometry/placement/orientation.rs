@@ -1,6 +1,6 @@
 //! How the whole lies about stations, anchors and rays.
 //!
-//! Lengths determine a scene's shape much better than how it is turned about stations that are close together, and its mirror image hardly worse than itself.
+//! Lengths determine a scene's shape much better than how it is turned about stations that are close together, and fit its mirror image hardly worse.
 //! Stations are found from the patches as patches are from stations (resection); the whole is then turned so that they come to lie where they are.
 
 use nalgebra::{Matrix3, Vector3};
@@ -21,6 +21,8 @@ pub struct Frame {
     pub centre: Point,
     /// Root of their mean squared distance from there.
     reach_m: f64,
+    /// The longest path.
+    pub longest_m: f64,
     /// Mean of all that fixes the frame, and the direction in which that is flattest.
     middle: Point,
     normal: Vector3<f64>,
@@ -55,7 +57,7 @@ impl Frame {
         let in_play = (0..3).filter(|&k| Some(k) != across);
         let flattest = in_play.min_by(|&a, &b| axes.eigenvalues[a].total_cmp(&axes.eigenvalues[b]));
         let normal = axes.eigenvectors.column(flattest.expect("space has two dimensions at least")).into_owned();
-        Self { centre, reach_m, middle, normal, rank: (0..3).filter(spans).count(), dimensions: *dimensions }
+        Self { centre, reach_m, longest_m, middle, normal, rank: (0..3).filter(spans).count(), dimensions: *dimensions }
     }
 
     /// Rotations that are left free.
@@ -104,8 +106,8 @@ impl Scene<'_> {
         loose.points.iter().map(|point| Some(procrustes::turn(&fit.matrix, self.frame.centre, *point))).collect()
     }
 
-    /// Patches and stations from the path lengths, the stations as free as the patches. Held in place they would keep the whole from turning: a patch would have
-    /// to go through places that its paths forbid.
+    /// Patches and stations from the path lengths, the stations as free as the patches. Stations in place keep a whole that is turned wrongly from turning:
+    /// the descent ends in a minimum that has the wrong way around and the wrong shape.
     fn loose(&self, state: &State) -> Place {
         let stations_m = self.resected(state);
         let observations = self.problem.observations.clone();
@@ -138,8 +140,8 @@ impl Scene<'_> {
         }
     }
 
-    /// The mirror image of the whole in the plane (in flatland the line) that stations, anchors and rays span nearly, settled; `None` where they leave a
-    /// rotation free, and with it the choice of the mirror image.
+    /// The mirror image of the whole in the plane (in flatland the line) that stations, anchors and rays nearly span, settled; `None` where they leave
+    /// a rotation free, and with it the choice of the mirror image.
     pub(super) fn mirrored(&self, state: &State) -> Option<State> {
         let Frame { middle, normal, .. } = self.frame;
         let mirror = |point: Point| point - 2.0 * normal.dot(&(point - middle)) * normal;

@@ -13,6 +13,8 @@ use crate::geometry::{Point, classical, completion, smacof};
 const SEEDS: usize = 12;
 /// Random places of a seed from which it is brought down.
 const TRIES: usize = 60;
+/// Neighbours of a patch that seeds are made of.
+const NEIGHBOURS: usize = 30;
 /// Paths that a seed without first bounces has above its unknowns.
 const SURPLUS: usize = 6;
 
@@ -78,10 +80,10 @@ impl Scene<'_> {
             return anchor.position;
         }
         let mut dice = Dice::new(patch as u64, number);
-        let paths = self.of_patch[patch].iter().map(|&n| 0.5 * self.problem.observations[n].length_m);
-        let farthest_m = paths.fold(f64::INFINITY, f64::min);
-        let range_m =
-            self.range_m(patch).unwrap_or_else(|| if farthest_m.is_finite() { farthest_m } else { 1.0 } * dice.throw());
+        // A path gets no farther from the middle of its ends than half its length.
+        let halves_m = self.of_patch[patch].iter().map(|&n| 0.5 * self.problem.observations[n].length_m);
+        let farthest_m = halves_m.fold(self.frame.longest_m, f64::min);
+        let range_m = self.range_m(patch).unwrap_or_else(|| farthest_m * dice.throw());
         if let Some(ray) = self.problem.rays.iter().find(|ray| ray.patch == patch) {
             return self.problem.stations[ray.from].position + range_m * ray.direction;
         }
@@ -89,17 +91,16 @@ impl Scene<'_> {
         self.frame.centre + range_m * direction.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::x)
     }
 
-    /// Seeds, best first: threes (in flatland twos) that all see one another and span space; without any, groups that many paths join. Each patch once as far
-    /// as there are others, then again.
+    /// Seeds, best first: threes (in flatland twos) that all see one another and span space; without any, groups that many paths join. Each patch
+    /// once as far as there are others, then again.
     pub(super) fn seeds(&self) -> Vec<Vec<usize>> {
         let mut scored: Vec<(f64, Vec<usize>)> = Vec::new();
         let mut neighbours = vec![Vec::new(); self.count()];
-        self.second_m
-            .keys()
-            .filter(|(a, b)| self.across_m(*a, *b).is_some() && a != b)
-            .for_each(|&(a, b)| neighbours[b].push(a));
+        let apart = self.second_m.keys().filter(|(a, b)| self.across_m(*a, *b).is_some());
+        apart.for_each(|&(a, b)| neighbours[b].push(a));
         for (i, of_i) in neighbours.iter().enumerate() {
-            for &j in of_i {
+            let of_i: Vec<usize> = of_i.iter().copied().step_by(of_i.len().div_ceil(NEIGHBOURS).max(1)).collect();
+            for &j in &of_i {
                 if self.problem.dimensions == 2 {
                     scored.extend(self.span(&[i, j]).map(|span| (span, vec![i, j])));
                     continue;

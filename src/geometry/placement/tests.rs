@@ -161,6 +161,56 @@ fn separate_stations_that_span_space_leave_nothing_free() {
     assert!(alternatives(&problem, &placed.points).is_empty());
 }
 
+/// Root of the mean squared error after the best turn about the x axis; `mirrored` first in the plane of x and z.
+fn rms_about_x_m(found: &[Point], truth: &[Point], mirrored: bool) -> f64 {
+    let sign = if mirrored { -1.0 } else { 1.0 };
+    let (mut sine, mut cosine) = (0.0, 0.0);
+    for (f, t) in found.iter().zip(truth) {
+        cosine += sign * f.y * t.y + f.z * t.z;
+        sine += sign * f.y * t.z - f.z * t.y;
+    }
+    let (sine, cosine) = (sine / sine.hypot(cosine), cosine / sine.hypot(cosine));
+    let turned = |p: &Point| Point::new(p.x, cosine * sign * p.y - sine * p.z, sine * sign * p.y + cosine * p.z);
+    plain_rms_m(&found.iter().map(turned).collect::<Vec<_>>(), truth)
+}
+
+#[test]
+fn one_separate_sensor_attains_the_bound() {
+    let truth = room::rectangles();
+    let stations = [Point::origin(), Point::new(0.3, 0.0, 0.0)];
+    let (mut squares, mut bounds) = (0.0, 0.0);
+    for seed in 0..30 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        // Each way around is measured or not on its own.
+        let mut pairs = room::all_pairs(truth.len());
+        pairs.extend(room::all_pairs(truth.len()).into_iter().map(|(a, b)| (b, a)));
+        pairs.retain(|_| rng.random_bool(0.5));
+        let ways = ways(truth.len(), &[1], &pairs);
+        let problem = measured(&truth, &stations, &ways, SD_M, seed);
+        let placed = place(&problem);
+        let rms_m = |mirrored| rms_about_x_m(&placed.points, &truth, mirrored);
+        squares += rms_m(false).min(rms_m(true)).powi(2);
+        let fisher = room::fisher_of_ways(&truth, &stations, &ways, SD_M, 0.0, f64::INFINITY);
+        bounds += room::bound_of_m(&fisher, 1).powi(2);
+        assert!(alternatives(&problem, &placed.points).is_empty());
+    }
+    let ratio = (squares / bounds).sqrt();
+    // Two angles make most of the error, so that a mean over 30 scenes is known to some 10 %.
+    assert!((ratio - 1.0).abs() < 0.25, "{ratio}");
+}
+
+#[test]
+fn stations_in_one_point_have_the_fisher_matrix_of_one_station() {
+    let truth = room::rectangles();
+    let pairs = room::all_pairs(truth.len());
+    let one = room::fisher(&truth, &pairs, [SD_M, SD_M], 0.003);
+    let stations = [Point::origin(), Point::origin()];
+    let ways = ways(truth.len(), &[1], &pairs);
+    let two = room::fisher_of_ways(&truth, &stations, &ways, SD_M, 0.003, f64::INFINITY);
+    let largest = (0..147).fold(0.0, |most: f64, i| most.max(one[(i, i)]));
+    assert!((0..147).all(|i| (0..147).all(|k| (one[(i, k)] - two[(i, k)]).abs() < 1e-9 * largest)));
+}
+
 #[test]
 fn stations_in_a_plane_leave_the_mirror_image_of_the_whole() {
     let truth = room::rectangles();
