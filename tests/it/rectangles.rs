@@ -1,4 +1,4 @@
-//! The paper's Fig. 4 from scope files: patches of 5 cm on three rectangles, whose coplanar pairs exchange no light; `benches/accuracy.rs` runs it over
+//! The paper's Fig. 4 from scope files: patches of 3 cm on three rectangles, whose coplanar pairs exchange no light; `benches/accuracy.rs` runs it over
 //! hundreds of seeds for docs/accuracy.md.
 
 use std::collections::BTreeMap;
@@ -56,15 +56,15 @@ fn judged(labels: &[Label], truth: &[TruePath]) -> BTreeMap<i32, (usize, usize)>
 pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
     let scene = Scene::parse(Path::new("scene.toml"), text).unwrap();
     let count = scene.patches.len() as f64;
-    let mut study = Study { bound_m: Bound::new(&scene, Use::default()).unwrap().coordinates.rms_m(), ..Study::default() };
+    let mut study =
+        Study { bound_m: Bound::new(&scene, Use::default()).unwrap().coordinates.rms_m(), ..Study::default() };
     let laboratory = Laboratory::new(&scene, 0).unwrap();
     for seed in seeds {
         let lab = Lab::recorded(&laboratory.reseeded(seed), seed, Format::Trc);
         lab.run("out", VISIBLE, &Settings::default()).unwrap();
         let truth: Vec<Patch> = lab.truth();
         let found: Vec<Patch> = lab.rows("out", "patches");
-        let missed =
-            missed::missed(&found, &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"), &truth);
+        let missed = missed::missed(&found, &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"), &truth);
         study.degrees_of_freedom = missed::degrees_of_freedom(&truth) as f64;
         study.squares_m2.push(missed.squares_m2 / count);
         study.normalised.push(missed.normalised);
@@ -102,7 +102,7 @@ fn some_patches() -> String {
 
 /// Two seeds, 96 degrees of freedom of the normalised error (one standard deviation: 14 %).
 #[test]
-fn coplanar_patches_of_five_centimetres_reach_the_bound() {
+fn coplanar_patches_of_three_centimetres_reach_the_bound() {
     let study = study(&some_patches(), 0..2);
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let ratio = mean(&study.squares_m2).sqrt() / study.bound_m;
