@@ -14,8 +14,8 @@
 //!
 //! The lowest loss wins. What no loss decides is told by [`alternatives`]. A patch with too few paths stays somewhere on its sphere or circle.
 //!
-//! Systems are dense: meant for some hundreds of patches. Not found: patches that two paths each tie to nothing else (a part of its own without first
-//! bounces), groups of patches that only fold over together. Not used to place a patch, but to settle it: paths that meet it twice.
+//! Systems are dense: meant for some hundreds of patches. Not found: a second part (patches that share no path with the first) without first bounces, and
+//! groups of patches that fold over only together. A path that meets a patch twice does not help to place it, but counts where all are settled.
 
 mod alternatives;
 mod growth;
@@ -195,7 +195,7 @@ impl<'a> Scene<'a> {
         let renumbered = |observation: &Observation| {
             let node = |node: &Node| match *node {
                 Node::Patch(patch) => Node::Patch(at[patch]),
-                station => station,
+                Node::Station(station) => Node::Station(station),
             };
             Observation { nodes: observation.nodes.iter().map(node).collect(), ..*observation }
         };

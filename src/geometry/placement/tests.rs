@@ -146,6 +146,18 @@ fn flatland_is_placed_in_its_plane() {
 }
 
 #[test]
+fn very_few_patches_are_placed_as_far_as_their_paths_allow() {
+    for count in 1..6 {
+        let truth: Vec<Point> = room::rectangles().into_iter().step_by(9).take(count).collect();
+        for stations in [[Point::origin(), Point::origin()], [Point::origin(), Point::new(0.5, 0.0, 0.0)]] {
+            let problem = measured(&truth, &stations, &ways(count, &[1], &room::all_pairs(count)), 1e-4, 12);
+            let placed = place(&problem);
+            assert!(placed.loss < 12.0, "{count} patches: {placed:?}");
+        }
+    }
+}
+
+#[test]
 fn separate_stations_that_span_space_leave_nothing_free() {
     let truth = room::rectangles();
     let stations = [Point::origin(), Point::new(0.5, 0.1, 0.0), Point::new(-0.5, 0.0, 0.2), Point::new(0.1, -0.2, 0.5)];
