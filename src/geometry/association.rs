@@ -1,12 +1,20 @@
 //! Which predicted path made which arrival, and how sure that is.
 //!
 //! An arrival at `t` of standard deviation s may be any path whose predicted time lies within the gate, or something that was not predicted. With
-//! paths equally likely beforehand and `clutter` unpredicted arrivals a picosecond, path p has the probability
-//! `N(t; t_p, s^2 + s_p^2) / (sum over paths + clutter)`. A path makes at most one arrival: it goes to the one that is most probable. Source: gated
-//! nearest-neighbour association with clutter (Bar-Shalom, Daum and Huang, IEEE Control Syst. Mag. 29, 82 (2009)).
+//! paths seen or not with equal chance and `clutter` unpredicted arrivals a picosecond, arrival and path belong together with the weight
+//! `N(t; t_p, s^2 + s_p^2) / clutter`. A path makes at most one arrival, and an arrival comes from at most one path: an association of all of them is
+//! as likely as the product of its weights, and the probability of a pair is the share of those associations that hold it. Source: joint
+//! probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8, 173 (1983)).
+//!
+//! The sums run over arrivals in order of time, forwards and backwards. What is behind matters only by the paths that it took from those ahead, which
+//! are few; of more than [`STATES`] such sets the most likely are kept.
+
+use std::collections::BTreeMap;
 
 /// Predictions further off than this many standard deviations are another path.
 pub const GATE: f64 = 5.0;
+/// Most sets of taken paths that are followed.
+const STATES: usize = 200;
 
 /// An expected time with its standard deviation, ps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,57 +37,132 @@ pub struct Candidate {
 }
 
 /// For each arrival its candidates, the most probable first. A path that is the most probable one of several arrivals stays with that of the highest
-/// probability and is taken from the others, whose other candidates share its probability.
+/// probability and is taken from the others.
 ///
 /// # Panics
 /// If `clutter_per_ps` is not positive.
 #[must_use]
 pub fn associate(arrivals: &[Time], predictions: &[Time], clutter_per_ps: f64) -> Vec<Vec<Candidate>> {
     assert!(clutter_per_ps > 0.0, "something else is always possible");
+    let edges = edges(arrivals, predictions, clutter_per_ps);
+    let mut order: Vec<usize> = (0..arrivals.len()).collect();
+    order.sort_by(|&a, &b| arrivals[a].time_ps.total_cmp(&arrivals[b].time_ps));
+    let in_order: Vec<&[Edge]> = order.iter().map(|&arrival| &edges[arrival][..]).collect();
+    let mut found: Vec<Vec<Candidate>> = vec![Vec::new(); arrivals.len()];
+    for (&arrival, probabilities) in order.iter().zip(probabilities(&in_order)) {
+        let candidate = |(edge, probability): (&Edge, f64)| Candidate {
+            path: edge.path,
+            residual_ps: edge.residual_ps,
+            probability,
+        };
+        found[arrival] = edges[arrival].iter().zip(probabilities).map(candidate).collect();
+        found[arrival].sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.path.cmp(&b.path)));
+    }
+    // The surest arrival chooses first; what it takes is gone for the others.
+    let mut open: Vec<usize> = (0..arrivals.len()).collect();
+    let sureness = |candidates: &[Candidate]| candidates.first().map_or(0.0, |best| best.probability);
+    while let Some(surest) =
+        open.iter().copied().reduce(|a, b| if sureness(&found[b]) > sureness(&found[a]) { b } else { a })
+    {
+        open.retain(|&arrival| arrival != surest);
+        if let Some(best) = found[surest].first().copied() {
+            open.iter().for_each(|&arrival| found[arrival].retain(|candidate| candidate.path != best.path));
+        }
+    }
+    found
+}
+
+/// A path that may have made an arrival.
+struct Edge {
+    path: usize,
+    residual_ps: f64,
+    weight: f64,
+}
+
+/// For each arrival the paths within the gate.
+fn edges(arrivals: &[Time], predictions: &[Time], clutter_per_ps: f64) -> Vec<Vec<Edge>> {
     let mut order: Vec<usize> = (0..predictions.len()).collect();
     order.sort_by(|&a, &b| predictions[a].time_ps.total_cmp(&predictions[b].time_ps));
     let widest_ps = predictions.iter().map(|prediction| prediction.sd_ps).fold(0.0, f64::max);
-    let mut taken: Vec<Option<usize>> = vec![None; predictions.len()];
-    let weigh = |arrival: &Time, is_free: &dyn Fn(usize) -> bool| -> Vec<Candidate> {
-        let reach_ps = GATE * arrival.sd_ps.hypot(widest_ps);
-        let from = order.partition_point(|&p| predictions[p].time_ps < arrival.time_ps - reach_ps);
-        let near = order[from..].iter().take_while(|p| predictions[**p].time_ps <= arrival.time_ps + reach_ps);
-        let candidate = |&path: &usize| {
-            let residual_ps = arrival.time_ps - predictions[path].time_ps;
-            let sd_ps = arrival.sd_ps.hypot(predictions[path].sd_ps);
+    let of_arrival = |Time { time_ps, sd_ps }: &Time| {
+        let reach_ps = GATE * sd_ps.hypot(widest_ps);
+        let from = order.partition_point(|&path| predictions[path].time_ps < time_ps - reach_ps);
+        let near = order[from..].iter().take_while(|path| predictions[**path].time_ps <= time_ps + reach_ps);
+        let edge = |&path: &usize| {
+            let residual_ps = time_ps - predictions[path].time_ps;
+            let sd_ps = sd_ps.hypot(predictions[path].sd_ps);
             let off = residual_ps / sd_ps;
             let density = (-0.5 * off * off).exp() / ((2.0 * std::f64::consts::PI).sqrt() * sd_ps);
-            (off.abs() <= GATE && is_free(path)).then_some(Candidate { path, residual_ps, probability: density })
+            (off.abs() <= GATE).then_some(Edge { path, residual_ps, weight: density / clutter_per_ps })
         };
-        let mut candidates: Vec<Candidate> = near.filter_map(candidate).collect();
-        let total = clutter_per_ps + candidates.iter().map(|candidate| candidate.probability).sum::<f64>();
-        candidates.iter_mut().for_each(|candidate| candidate.probability /= total);
-        candidates.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.path.cmp(&b.path)));
-        candidates
+        near.filter_map(edge).collect()
     };
-    // The surest arrival chooses first; what it takes is gone for the others.
-    let mut open: Vec<usize> = (0..arrivals.len()).collect();
-    let mut found = vec![Vec::new(); arrivals.len()];
-    while !open.is_empty() {
-        let weighed: Vec<(usize, Vec<Candidate>)> =
-            open.iter().map(|&a| (a, weigh(&arrivals[a], &|path| taken[path].is_none()))).collect();
-        let sureness = |candidates: &[Candidate]| candidates.first().map_or(0.0, |best| best.probability);
-        let (arrival, candidates) = weighed
-            .into_iter()
-            .reduce(|a, b| if sureness(&b.1) > sureness(&a.1) { b } else { a })
-            .expect("there are open arrivals");
-        if let Some(best) = candidates.first() {
-            taken[best.path] = Some(arrival);
+    arrivals.iter().map(of_arrival).collect()
+}
+
+/// Paths taken by arrivals behind that those ahead could take too, ascending, each set with a weight.
+type Taken = BTreeMap<Vec<usize>, f64>;
+
+/// For each arrival, in order of time, the probability of each of its edges.
+fn probabilities(arrivals: &[&[Edge]]) -> Vec<Vec<f64>> {
+    // Last arrival that each path may have made: after it nobody asks whether the path is taken.
+    let mut last: BTreeMap<usize, usize> = BTreeMap::new();
+    for (n, edges) in arrivals.iter().enumerate() {
+        last.extend(edges.iter().map(|edge| (edge.path, n)));
+    }
+    let after = |n: usize, taken: &[usize], more: Option<usize>| -> Vec<usize> {
+        let mut taken: Vec<usize> = taken.iter().copied().chain(more).filter(|path| last[path] > n).collect();
+        taken.sort_unstable();
+        taken
+    };
+    let mut forwards: Vec<Taken> = vec![Taken::from([(Vec::new(), 1.0)])];
+    for (n, edges) in arrivals.iter().enumerate() {
+        let mut next = Taken::new();
+        for (taken, weight) in &forwards[n] {
+            *next.entry(after(n, taken, None)).or_default() += weight;
+            for edge in edges.iter().filter(|edge| !taken.contains(&edge.path)) {
+                *next.entry(after(n, taken, Some(edge.path))).or_default() += weight * edge.weight;
+            }
         }
-        found[arrival] = candidates;
-        open.retain(|&a| a != arrival);
+        forwards.push(likeliest(next));
+    }
+    let mut found = vec![Vec::new(); arrivals.len()];
+    let mut ahead = Taken::from([(Vec::new(), 1.0)]);
+    for (n, edges) in arrivals.iter().enumerate().rev() {
+        let rest = |taken: &[usize], more| ahead.get(&after(n, taken, more)).copied().unwrap_or(0.0);
+        let mut sums = vec![0.0; edges.len()];
+        let (mut none, mut here) = (0.0, Taken::new());
+        for (taken, weight) in &forwards[n] {
+            let mut total = rest(taken, None);
+            none += weight * total;
+            for (edge, sum) in edges.iter().zip(&mut sums).filter(|(edge, _)| !taken.contains(&edge.path)) {
+                let share = edge.weight * rest(taken, Some(edge.path));
+                *sum += weight * share;
+                total += share;
+            }
+            here.insert(taken.clone(), total);
+        }
+        let all = none + sums.iter().sum::<f64>();
+        found[n] = sums.iter().map(|sum| sum / all).collect();
+        ahead = likeliest(here);
     }
     found
+}
+
+/// The most likely sets, weights over that of the largest.
+fn likeliest(taken: Taken) -> Taken {
+    let largest = taken.values().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let mut sets: Vec<(Vec<usize>, f64)> = taken.into_iter().map(|(paths, weight)| (paths, weight / largest)).collect();
+    sets.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+    sets.truncate(STATES);
+    sets.into_iter().collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
     const fn at(time_ps: f64, sd_ps: f64) -> Time {
         Time { time_ps, sd_ps }
@@ -107,6 +190,59 @@ mod tests {
     fn a_path_makes_one_arrival_only() {
         let found = associate(&[at(0.5, 1.0), at(0.0, 1.0)], &[at(0.0, 0.1), at(3.0, 0.1)], 1e-4);
         assert_eq!((found[1][0].path, found[0][0].path), (0, 1));
+    }
+
+    /// Two arrivals between two paths: the surer one does not make the other surer than it is itself.
+    #[test]
+    fn rivals_share_their_doubt() {
+        let found = associate(&[at(0.0, 20.0), at(10.0, 20.0)], &[at(-30.0, 0.0), at(40.0, 0.0)], 1e-6);
+        let [first, second] = [found[0][0], found[1][0]];
+        assert_eq!((first.path, second.path), (0, 1));
+        let likelihood = |a: f64, b: f64| (-0.5 * (a * a + b * b) / 400.0).exp();
+        let right = likelihood(30.0, 30.0);
+        let expected = right / (right + likelihood(40.0, 40.0));
+        for candidate in [first, second] {
+            assert!((candidate.probability - expected).abs() < 1e-3, "{found:?} {expected}");
+        }
+    }
+
+    /// Beside the sum over all associations, for a few arrivals and paths near one another.
+    #[test]
+    fn probabilities_are_those_of_all_associations() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut count = 0;
+        for _ in 0..200 {
+            let arrivals: Vec<Time> = (0..4).map(|_| at(rng.random_range(0.0..20.0), 1.0)).collect();
+            let paths: Vec<Time> = (0..5).map(|_| at(rng.random_range(0.0..20.0), 0.5)).collect();
+            let edges = edges(&arrivals, &paths, 0.01);
+            let in_order: Vec<&[Edge]> = edges.iter().map(|edges| &edges[..]).collect();
+            let all = sum(&edges, &mut Vec::new(), 0, None);
+            for (arrival, found) in probabilities(&in_order).iter().enumerate() {
+                for (edge, probability) in edges[arrival].iter().zip(found) {
+                    let exact = sum(&edges, &mut Vec::new(), 0, Some((arrival, edge.path))) / all;
+                    assert!((probability - exact).abs() < 1e-12, "{probability} {exact}");
+                    count += 1;
+                }
+            }
+        }
+        assert!(count > 1000, "{count}");
+    }
+
+    /// Sum of the products of weights over all associations of arrivals from `arrival` on; of those only that hold the pair `with`.
+    fn sum(edges: &[Vec<Edge>], used: &mut Vec<usize>, arrival: usize, with: Option<(usize, usize)>) -> f64 {
+        if arrival == edges.len() {
+            return 1.0;
+        }
+        let must = with.filter(|with| with.0 == arrival).map(|with| with.1);
+        let mut total = if must.is_some() { 0.0 } else { sum(edges, used, arrival + 1, with) };
+        for edge in edges[arrival].iter().filter(|edge| must.is_none_or(|path| path == edge.path)) {
+            if !used.contains(&edge.path) {
+                used.push(edge.path);
+                total += edge.weight * sum(edges, used, arrival + 1, with);
+                used.pop();
+            }
+        }
+        total
     }
 
     /// What is no predicted path is told by a low probability, the lower the more clutter there is.

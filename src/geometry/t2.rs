@@ -8,8 +8,8 @@
 //!
 //! T2 is square: once reciprocal onsets are averaged, this is also the weighted least-squares solution. A delay common to all onsets
 //! cancels in every `d_ij` and stays in `d_0i`. The matrix that the paper prints has its fourth row wrong (2 `d_23` for `O_2`), which swaps
-//! `d_02` and `d_23` and puts `d_12` off by their difference; the labels `O_1^2` and `O_1^3` of its right-hand side must read `O_2^1` and `O_3^1`. A distance may come out negative or against the triangle inequality; it is kept, since
-//! clipping would bias what follows.
+//! `d_02` and `d_23` and puts `d_12` off by their difference; the labels `O_1^2` and `O_1^3` of its right-hand side must read `O_2^1` and
+//! `O_3^1`. A distance may come out negative or against the triangle inequality; it is kept, since clipping would bias what follows.
 //!
 //! Any pattern of onsets will do: `d_0i` needs `O_i`, `d_ij` needs `O_ij` (or `O_ji`), `O_i` and `O_j`. Nothing else gives them: as many unknowns as onsets
 //! are left, so a pair without one of its first bounces is skipped here, and a fit to coordinates ([`super::maximum_likelihood`]) still uses it.
@@ -66,7 +66,8 @@ pub struct Distances {
 
 /// Inverse-variance mean of measurements of one length, and the largest deviation of two of them in standard deviations. When they disagree beyond
 /// [`RECIPROCITY_SIGMA`], the variance of the mean is raised to the disagreement's square.
-fn mean(lengths: &[Length]) -> (Length, f64) {
+#[must_use]
+pub fn mean(lengths: &[Length]) -> (Length, f64) {
     let weight: f64 = lengths.iter().map(|length| 1.0 / length.variance_m2).sum();
     let length_m = lengths.iter().map(|length| length.length_m / length.variance_m2).sum::<f64>() / weight;
     let pairs = lengths.iter().enumerate().flat_map(|(i, a)| lengths[i + 1..].iter().map(move |b| (a, b)));

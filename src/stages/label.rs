@@ -3,23 +3,27 @@
 //! Without known patches, the first light tells:
 //! - With patch i lit and seen it is the first bounce 0-i-0.
 //! - With i lit and j seen it is the second bounce 0-i-j-0, or, where the two exchange no light (coplanar, occluded and specular pairs), a third
-//!   bounce over some k: [`crate::geometry::detours`] tells, from path lengths alone. No second bounce is shorter than both first bounces nor
-//!   longer than their sum, which sets false onsets aside.
+//!   bounce over some k: [`crate::geometry::detours`] tells, from path lengths alone. Such a pair is left open, unless k is certain and `bounces` 3.
+//!   So is a second bounce that passes another patch too closely to be told from a detour over it.
+//! - No second bounce is shorter than both first bounces nor longer than their sum, and where laser and sensor stand together, (j, i) has the same
+//!   first light as (i, j): that sets false onsets aside.
 //!
-//! With `patches` beside it, every path of up to `bounces` bounces is predicted and every onset associated
-//! ([`crate::geometry::association`]): the direct path first; where a pair's direct light is missing, no path leads over that pair; then all
-//! longer paths. A label less probable than `probability_min` is left open (path null), its candidates told as alternatives.
+//! With `patches` beside it, every path of up to `bounces` bounces is predicted, but for those over a pair whose direct light is missing, and every
+//! onset associated ([`crate::geometry::association`]). A label less probable than `probability_min` is left open (path null), its candidates told
+//! as alternatives.
 //!
 //! Onsets of a laser that repeats are known modulo its period (`repetition_ps` in campaign.toml). `turns` is how many periods were added: without
-//! known patches such that first bounces lie within one period beyond `near_m`, and second bounces where their first bounces leave one choice; with them,
-//! as predicted.
+//! known patches such that first bounces (then the strongest onset, since later light may come before it) lie within one period beyond `near_m`,
+//! and second bounces where their first bounces leave one choice; with them, as predicted.
 //!
 //! Takes `onsets`; writes `labels`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
 //! prediction `covariances` (`patch_covariances` of the same stage) and `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the
 //! light's centroid over large patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that the frame is fixed,
 //! also by the normals of campaign.toml. Patches without covariance are not predicted from.
 //!
-//! Not modelled: amplitudes, which could tell paths of equal length apart; onsets of one profile whose errors are correlated.
+//! Not modelled: amplitudes, which could tell paths of equal length apart; onsets of one profile whose errors are correlated. Not found without
+//! known patches: false onsets before a first bounce, and most detours over patches whose pairs are missing (not captured, or left open): they pass
+//! for second bounces.
 //!
 //! ```toml
 //! [labels]
@@ -262,3 +266,6 @@ fn direct(profile: &[Onset]) -> Vec<PatchId> {
 fn time_ps(length_m: f64, setup: &Setup) -> f64 {
     units::time_ps(length_m, setup.group_index)
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,10 +4,10 @@
 //! onsets, and those of several sensors and campaigns, are averaged by their variances. See [`crate::geometry::t2`] for what is wrong in the
 //! paper's printed matrix.
 //!
-//! Takes `labels`; writes `distances` and, beside it, `covariances`. Used are onsets of sensors that stand where the laser is (paper section 3). The path
-//! lengths of sensors that stand apart are sums that T2 cannot take apart; so are second bounces of a patch without a first bounce: `rejects` says
-//! which, and `refine` takes them as they are. Third and later bounces are not used yet. A sensor's latency is common to all `d_0i` and cancels in
-//! every `d_ij`; here it is taken as known, `refine` gives it a prior.
+//! Takes `labels`; writes `distances` and, beside it, `covariances`. Used are onsets of sensors that stand where the laser is (paper section 3).
+//! The path lengths of sensors that stand apart are sums that T2 cannot take apart; so are second bounces of a patch without a first bounce:
+//! `rejects` says which, and `refine` takes them as they are. Third and later bounces are not used yet. A sensor's latency is common to all `d_0i`
+//! and cancels in every `d_ij`; here it is taken as known, `refine` gives it a prior.
 //!
 //! ```toml
 //! [distances]
@@ -176,7 +176,8 @@ fn rejections(setups: &BTreeMap<String, Setup>, labels: &[Label], found: &Distan
     });
     let disagreeing = found.disagreeing.iter().map(|(a, b, sigma)| {
         format!(
-            "reciprocal onsets of patches {a} and {b} differ by {sigma:.1} standard deviations; their distance is kept with a variance that covers it: look at both profiles"
+            "reciprocal onsets of patches {a} and {b} differ by {sigma:.1} standard deviations; their distance is kept with a variance that \
+             covers it: look at both profiles"
         )
     });
     lost.chain(disagreeing).map(|reason| about(campaign.clone(), reason)).collect()

@@ -201,3 +201,6 @@ fn unused_normals(context: &Context, is_fixed: bool, labels: &[Label]) -> Vec<Re
             .to_owned(),
     }]
 }
+
+#[cfg(test)]
+mod tests;

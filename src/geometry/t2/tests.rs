@@ -75,8 +75,8 @@ fn the_closed_form_is_the_solution_of_t2() {
     }
 }
 
-/// An onset of n bounces names n patches; two of the printed ones do not. With the right onsets the printed matrix, invertible too, swaps `d02` and `d23`, which
-/// puts `d12` off by their difference.
+/// An onset of n bounces names n patches; two of the printed ones do not. With the right onsets the printed matrix, invertible too, swaps `d02` and
+/// `d23`, which puts `d12` off by their difference.
 #[test]
 fn the_printed_matrix_gives_three_wrong_distances() {
     let misprinted = |onsets: [(i32, &[PatchId]); 6]| -> Vec<usize> {
@@ -89,7 +89,8 @@ fn the_printed_matrix_gives_three_wrong_distances() {
     assert!(wrong.iter().zip(expected).all(|(wrong, expected)| (wrong - expected).abs() < 1e-9), "{wrong:?}");
 }
 
-/// Some pattern of onsets among `count` patches, some twice or both ways, each missing with this chance: lengths that agree, with variances of their own.
+/// Some pattern of onsets among `count` patches, some twice or both ways, each missing with this chance: lengths that agree, with variances of
+/// their own.
 fn pattern(
     rng: &mut ChaCha8Rng,
     count: PatchId,

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 
 use super::{LabelOnsets, ONE_STATION_M, Setup, Verdict, direct, light, sd_ps, time_ps};
 use crate::geometry::detours::detours;
-use crate::geometry::t2::Length;
+use crate::geometry::t2::{self, Length};
 use crate::tables::Onset;
 use crate::units::{self, PatchId};
 
-/// Bounds on a second bounce are kept this many standard deviations wide.
+/// Bounds on a second bounce are kept this many standard deviations wide, and light of reciprocal profiles agrees within as many.
 const GATE: f64 = 5.0;
+/// Delays of reciprocal captures differ by less than this, whatever their vertical ranges and attenuators.
+const DELAYS_PS: f64 = 100.0;
 
 /// An onset that may be a profile's first light.
 #[derive(Clone, Copy, Debug)]
@@ -34,9 +36,14 @@ impl LabelOnsets {
         for profile in profiles.iter().filter(|profile| profile[0].lit == profile[0].seen) {
             let near_ps = time_ps(2.0 * self.near_m, setup);
             let far_ps = setup.repetition_ps.map_or(f64::INFINITY, |period_ps| near_ps + period_ps);
-            if let Some(first) = readings(profile, setup.repetition_ps, (near_ps, far_ps)).into_iter().next() {
-                firsts.insert((profile[0].lit, profile[0].seen), first);
-            }
+            let readings = readings(profile, setup.repetition_ps, (near_ps, far_ps));
+            // The laser's period may put later light before the first bounce, which is by far the strongest.
+            let first = if setup.repetition_ps.is_some() {
+                readings.into_iter().max_by(|a, b| profile[a.onset].snr.total_cmp(&profile[b.onset].snr))
+            } else {
+                readings.into_iter().next()
+            };
+            firsts.extend(first.map(|first| ((profile[0].lit, profile[0].seen), first)));
         }
         let seconds: Vec<((PatchId, PatchId), First)> = profiles
             .iter()
@@ -47,10 +54,12 @@ impl LabelOnsets {
             })
             .collect();
         firsts.extend(seconds);
-        let closed = closed(setup, sensor, &firsts);
+        let is_one_station = setup.apart_m(sensor) < ONE_STATION_M;
+        let closed = detours(&arrivals(setup, &firsts, is_one_station), is_one_station);
         let labels = |profile: &&[Onset]| {
             let pair = (profile[0].lit, profile[0].seen);
-            let first = firsts.get(&pair);
+            let other = firsts.get(&(pair.1, pair.0)).filter(|_| is_one_station);
+            let first = firsts.get(&pair).filter(|first| other.is_none_or(|other| first.agrees(other)));
             let label = |(i, onset): (usize, &Onset)| {
                 let Some(first) = first.filter(|first| first.onset == i) else {
                     return vec![Verdict::open()];
@@ -76,19 +85,26 @@ impl LabelOnsets {
         let known = || own.iter().flatten();
         let near_ps = time_ps(2.0 * self.near_m, setup);
         let least_ps = known().map(|first| first.time_ps - GATE * first.sd_ps).fold(near_ps, f64::max);
-        let most_ps = if let [Some(a), Some(b)] = own {
-            // Stations apart leave each leg as much longer.
-            let apart_ps = time_ps(2.0 * setup.apart_m(sensor), setup);
-            a.time_ps + b.time_ps + apart_ps + GATE * a.sd_ps.hypot(b.sd_ps)
-        } else {
-            setup.repetition_ps.map_or(f64::INFINITY, |period_ps| least_ps + period_ps)
+        let most_ps = match own {
+            [Some(a), Some(b)] => {
+                // Stations apart leave each leg as much longer.
+                let apart_ps = time_ps(2.0 * setup.apart_m(sensor), setup);
+                a.time_ps + b.time_ps + apart_ps + GATE * a.sd_ps.hypot(b.sd_ps)
+            }
+            _ if setup.repetition_ps.is_some() => return None,
+            _ => f64::INFINITY,
         };
         let readings = readings(profile, setup.repetition_ps, (least_ps, most_ps));
-        // A detour is longer than any second bounce may be: where nothing lies within the bounds, the first light beyond them is looked at.
         let first = readings.first().copied()?;
-        let is_sure =
-            setup.repetition_ps.is_none_or(|period_ps| most_ps - least_ps <= period_ps || readings.len() == 1);
-        is_sure.then_some(first)
+        // Later light, read some periods earlier, may lie within the bounds too.
+        (setup.repetition_ps.is_none() || readings.len() == 1).then_some(first)
+    }
+}
+
+impl First {
+    /// Whether light of the reciprocal profile is the same: a false onset comes in one of them.
+    fn agrees(&self, other: &Self) -> bool {
+        (self.time_ps - other.time_ps).abs() <= (GATE * self.sd_ps.hypot(other.sd_ps)).max(DELAYS_PS)
     }
 }
 
@@ -112,19 +128,25 @@ fn readings(profile: &[Onset], period_ps: Option<f64>, (least_ps, most_ps): (f64
     readings
 }
 
-/// Pairs whose first light took a detour, and over which patch if that is known. Where laser and sensor stand together, a pair that was captured one
-/// way only counts for both.
-fn closed(setup: &Setup, sensor: &str, firsts: &Firsts) -> BTreeMap<(PatchId, PatchId), Option<PatchId>> {
+/// Lengths of first light. Where laser and sensor stand together, both directions of a pair are one: their mean, or if they disagree, the longer,
+/// which may hide a detour but makes none up.
+fn arrivals(setup: &Setup, firsts: &Firsts, is_one_station: bool) -> BTreeMap<(PatchId, PatchId), Length> {
     let length = |first: &First| Length {
         length_m: units::path_m(first.time_ps, setup.group_index),
         variance_m2: units::path_m(first.sd_ps, setup.group_index).powi(2),
     };
-    let mut arrivals: BTreeMap<(PatchId, PatchId), Length> =
-        firsts.iter().map(|(pair, first)| (*pair, length(first))).collect();
-    if setup.apart_m(sensor) < ONE_STATION_M {
-        for (&(lit, seen), first) in firsts {
-            arrivals.entry((seen, lit)).or_insert_with(|| length(first));
+    let mut arrivals = BTreeMap::new();
+    for (&(lit, seen), first) in firsts {
+        let other = firsts.get(&(seen, lit)).filter(|_| is_one_station && lit != seen);
+        let both = match other {
+            None => length(first),
+            Some(other) if first.agrees(other) => t2::mean(&[length(first), length(other)]).0,
+            Some(other) => length(if first.time_ps > other.time_ps { first } else { other }),
+        };
+        arrivals.insert((lit, seen), both);
+        if is_one_station {
+            arrivals.insert((seen, lit), both);
         }
     }
-    detours(&arrivals).into_iter().map(|(pair, detour)| (pair, detour.via)).collect()
+    arrivals
 }

@@ -136,58 +136,59 @@ impl LabelOnsets {
             sensor: Point::from(setup.sensors_m[sensor]),
             delay_ps: delay_ps(&profile[0]),
         };
-        let mut closed = BTreeSet::new();
-        let mut labels: Vec<Vec<Vec<Verdict>>> = Vec::with_capacity(profiles.len());
-        for profile in profiles {
-            let path = direct(profile);
-            let (lit, seen) = (profile[0].lit, profile[0].seen);
-            let is_predicted = scene.knows(&path) && path.len() as i32 <= self.bounces;
-            let predictions = if is_predicted { vec![scene.predict(path, &view(profile))] } else { Vec::new() };
-            let verdicts = self.associated(setup, profile, &(0..profile.len()).collect::<Vec<_>>(), predictions);
-            if is_predicted && lit != seen && verdicts.iter().all(|labels| is_open(labels)) {
-                closed.insert((lit.min(seen), lit.max(seen)));
-            }
-            labels.push(verdicts);
-        }
-        // A pair that was seen one way is open both ways.
-        for (profile, verdicts) in profiles.iter().zip(&labels) {
-            if !verdicts.iter().all(|labels| is_open(labels)) {
-                let (lit, seen) = (profile[0].lit, profile[0].seen);
-                closed.remove(&(lit.min(seen), lit.max(seen)));
-            }
-        }
-        if self.bounces >= 3 {
-            for (profile, verdicts) in profiles.iter().zip(&mut labels) {
-                let open: Vec<usize> = (0..profile.len()).filter(|&i| is_open(&verdicts[i])).collect();
-                let (lit, seen) = (profile[0].lit, profile[0].seen);
-                if open.is_empty() || !scene.knows(&[lit, seen]) {
-                    continue;
-                }
-                let paths = scene.longer(lit, seen, self.bounces, &closed);
-                let view = view(profile);
-                let predictions = paths.into_iter().map(|path| scene.predict(path, &view)).collect();
-                for (i, found) in open.iter().zip(self.associated(setup, profile, &open, predictions)) {
-                    verdicts[*i] = found;
-                }
-            }
-        }
-        labels
+        let closed = self.closed(scene, &view, profiles);
+        let labels = |profile: &&[Onset]| -> Vec<Vec<Verdict>> {
+            let (predictions, found) = self.associated(scene, &view(profile), profile, self.bounces, &closed);
+            found.into_iter().map(|candidates| self.verdicts(&candidates, &predictions)).collect()
+        };
+        profiles.iter().map(labels).collect()
     }
 
-    /// Labels of the onsets `which` of a profile among predicted paths.
+    /// Pairs whose direct light is more likely missing than seen, both ways. Third bounces may lie where it would be: they are predicted too.
+    fn closed<'a>(
+        &self,
+        scene: &Scene,
+        view: &dyn Fn(&[Onset]) -> View<'a>,
+        profiles: &[&[Onset]],
+    ) -> BTreeSet<(PatchId, PatchId)> {
+        let (mut closed, mut open) = (BTreeSet::new(), BTreeSet::new());
+        for profile in profiles.iter().filter(|profile| profile[0].lit != profile[0].seen && self.bounces >= 3) {
+            let (lit, seen) = (profile[0].lit, profile[0].seen);
+            let (predictions, found) = self.associated(scene, &view(profile), profile, 3, &BTreeSet::new());
+            let is_direct = |candidate: &&Candidate| predictions[candidate.path].path.len() == 2;
+            let direct: f64 = found.iter().flatten().filter(is_direct).map(|candidate| candidate.probability).sum();
+            if direct > 0.5 {
+                open.insert((lit.min(seen), lit.max(seen)));
+            } else if scene.knows(&[lit, seen]) {
+                closed.insert((lit.min(seen), lit.max(seen)));
+            }
+        }
+        closed.retain(|pair| !open.contains(pair));
+        closed
+    }
+
+    /// Predicted paths of a profile that lead over no closed pair, the direct one in any case, and for each onset those that may have made it.
     fn associated(
         &self,
-        setup: &Setup,
+        scene: &Scene,
+        view: &View,
         profile: &[Onset],
-        which: &[usize],
-        paths: Vec<(Vec<PatchId>, Time)>,
-    ) -> Vec<Vec<Verdict>> {
+        bounces: i32,
+        closed: &BTreeSet<(PatchId, PatchId)>,
+    ) -> (Vec<Prediction>, Vec<Vec<Candidate>>) {
+        let (lit, seen) = (profile[0].lit, profile[0].seen);
+        let mut paths = vec![direct(profile)];
+        if bounces >= 3 {
+            paths.extend(scene.longer(lit, seen, bounces, closed));
+        }
+        paths.retain(|path| scene.knows(path) && path.len() as i32 <= bounces);
+        let paths = paths.into_iter().map(|path| scene.predict(path, view)).collect();
         let arrivals: Vec<Time> =
-            which.iter().map(|&i| Time { time_ps: profile[i].time_ps, sd_ps: sd_ps(&profile[i]) }).collect();
-        let predictions = readings(paths, setup.repetition_ps, &arrivals);
+            profile.iter().map(|onset| Time { time_ps: onset.time_ps, sd_ps: sd_ps(onset) }).collect();
+        let predictions = readings(paths, view.setup.repetition_ps, &arrivals);
         let times: Vec<Time> = predictions.iter().map(|prediction| prediction.time).collect();
         let found = associate(&arrivals, &times, self.clutter_per_ns * 1e-3);
-        found.into_iter().map(|candidates| self.verdicts(&candidates, &predictions)).collect()
+        (predictions, found)
     }
 
     fn verdicts(&self, candidates: &[Candidate], predictions: &[Prediction]) -> Vec<Verdict> {
@@ -210,11 +211,6 @@ impl LabelOnsets {
         let others = candidates.iter().take(ALTERNATIVES).enumerate().map(|(n, candidate)| verdict((n + 1, candidate)));
         std::iter::once(open).chain(others).collect()
     }
-}
-
-/// Whether an onset's best label leaves it unexplained.
-fn is_open(labels: &[Verdict]) -> bool {
-    labels.first().is_none_or(|best| best.path.is_none())
 }
 
 /// Predictions near any of the arrivals, read with the laser periods that bring them there.

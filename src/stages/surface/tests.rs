@@ -163,7 +163,8 @@ fn walls_are_found_with_errors_as_large_as_stated() {
         let largest = normals.map(|(drawn, stated)| (drawn.symmetric_eigenvalues().max() / stated).sqrt());
         let (offset, tilt) = (rms(&offsets), rms(&tilts));
         eprintln!(
-            "common turn {turn_sd_rad} rad: {whole} of {draws} whole; errors over stated: normals {largest:.2?}, offset {offset:.2}, tilt {tilt:.2}; chi2/dof {chi2:.2}"
+            "common turn {turn_sd_rad} rad: {whole} of {draws} whole; errors over stated: normals {largest:.2?}, offset {offset:.2}, tilt {tilt:.2}; \
+             chi2/dof {chi2:.2}"
         );
         assert!(whole > draws as usize * 9 / 10, "{whole}");
         assert!(largest.iter().all(|ratio| (0.85..1.2).contains(ratio)), "{largest:?}");

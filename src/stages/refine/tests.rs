@@ -1,0 +1,249 @@
+use std::path::Path;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::*;
+use crate::geometry::{Point, procrustes};
+use crate::tables::Name;
+use crate::units::{PatchId, time_ps};
+
+/// Standard deviation of an onset.
+const SD_PS: f64 = 2.0;
+const CAMPAIGN: &str = "[campaign]\nname = 'c'\ngroup_index = 1.0\n[sensors.s1]\n";
+
+/// Twelve patches all around the stations' front, none coplanar with three others.
+fn room() -> Vec<Point> {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let mut place = || Point::new(rng.random_range(-1.0..1.0), rng.random_range(0.6..2.2), rng.random_range(-0.9..0.9));
+    (0..12).map(|_| place()).collect()
+}
+
+struct Day<'a> {
+    points: &'a [Point],
+    source: Point,
+    sensor: Point,
+    rng: ChaCha8Rng,
+    labels: Vec<Label>,
+}
+
+impl<'a> Day<'a> {
+    fn new(points: &'a [Point], seed: u64) -> Self {
+        let rng = ChaCha8Rng::seed_from_u64(seed);
+        Self { points, source: Point::origin(), sensor: Point::origin(), rng, labels: Vec::new() }
+    }
+
+    /// An onset of this path, late by so much.
+    fn add(&mut self, path: &[PatchId], sensor: &str, range: Option<&str>, late_ps: f64) {
+        let at = |patch: &PatchId| self.points[*patch as usize - 1];
+        let (end, way_m) =
+            path.iter().fold((self.source, 0.0), |(from, way_m), patch| (at(patch), way_m + (at(patch) - from).norm()));
+        let noise: f64 = StandardNormal.sample(&mut self.rng);
+        self.labels.push(Label {
+            campaign: "c".into(),
+            sensor: sensor.into(),
+            lit: path[0],
+            seen: path[path.len() - 1],
+            range: range.map(Name::from),
+            rank: 1,
+            time_ps: time_ps(way_m + (self.sensor - end).norm(), 1.0) + late_ps + SD_PS * noise,
+            time_sd_ps: SD_PS,
+            turns: 0,
+            bounces: path.len() as i32,
+            path: Some(path.to_vec()),
+            residual_ps: None,
+            probability: 1.0,
+            alternative: 0,
+        });
+    }
+
+    /// First bounces, and second bounces of those pairs that are `open`.
+    fn all(mut self, open: impl Fn(PatchId, PatchId) -> bool) -> Self {
+        let count = self.points.len() as PatchId;
+        for a in 1..=count {
+            self.add(&[a], "s1", None, 0.0);
+            (1..=count).filter(|&b| b != a && open(a, b)).for_each(|b| self.add(&[a, b], "s1", None, 0.0));
+        }
+        self
+    }
+}
+
+fn context(campaign: &str, calibration: Vec<Calibration>) -> Context {
+    let campaign = Campaign::parse(Path::new("c"), campaign).unwrap();
+    let setups = BTreeMap::from([(campaign.name.clone(), Setup::new(&campaign))]);
+    Context { known: Known::new(setups, Vec::new(), calibration), planes: Vec::new() }
+}
+
+fn latency(range: Option<&str>, sd_ps: f64, common_sd_ps: f64) -> Calibration {
+    Calibration {
+        campaign: "c".into(),
+        sensor: "s1".into(),
+        range: range.map(Name::from),
+        shots: 1,
+        rejected: 0,
+        step_ps: 1.0,
+        response_t0_ps: 0.0,
+        response: vec![1.0_f32].into(),
+        reference_t0_ps: None,
+        reference: None,
+        latency_ps: 0.0,
+        latency_sd_ps: sd_ps,
+        latency_common_sd_ps: Some(common_sd_ps),
+        acquired_at: None,
+        reference_v_ps: None,
+        noise_model: None,
+        noise_acf: None,
+        width_ps: 1.0,
+        width_sd_ps: None,
+    }
+}
+
+/// What the stage writes, as rows.
+struct Written {
+    patches: Vec<Patch>,
+    delays: Vec<Delay>,
+    stations: Vec<Station>,
+    suspects: Vec<Suspect>,
+    fit: Fit,
+    ambiguities: Vec<Ambiguity>,
+}
+
+fn refined(context: &Context, labels: Vec<Label>) -> Written {
+    let outcome = Refine::default().apply(context, labels).unwrap();
+    assert!(outcome.rejections.is_empty());
+    let [_, delays, stations, _, suspects, fits, ambiguities] = &outcome.sides[..] else { panic!("seven side tables") };
+    Written {
+        patches: outcome.rows,
+        delays: Delay::rows(delays).unwrap(),
+        stations: Station::rows(stations).unwrap(),
+        suspects: Suspect::rows(suspects).unwrap(),
+        fit: Fit::rows(fits).unwrap().remove(0),
+        ambiguities: Ambiguity::rows(ambiguities).unwrap(),
+    }
+}
+
+fn points(patches: &[Patch], alternative: i32) -> Vec<Point> {
+    let rows = patches.iter().filter(|patch| patch.alternative == alternative);
+    rows.map(|patch| Point::new(patch.x_m, patch.y_m, patch.z_m)).collect()
+}
+
+#[test]
+fn from_nothing_a_room_is_found_in_the_canonical_frame_which_is_said() {
+    let room = room();
+    let written = refined(&context(CAMPAIGN, Vec::new()), Day::new(&room, 1).all(|_, _| true).labels);
+    let found = points(&written.patches, 0);
+    assert!(procrustes::rotation(&found, &room, Point::origin(), true).rms_m < 1e-3);
+    assert!(found[0].y.abs() < 1e-9 && found[0].z.abs() < 1e-9 && found[1].z.abs() < 1e-9);
+    assert_eq!((&*written.fit.frame, written.fit.free_rotations, &*written.fit.covariance), ("canonical", 3, "exact"));
+    assert_eq!(written.ambiguities.iter().map(|row| &*row.kind).collect::<Vec<_>>(), ["rotation"]);
+    assert!(written.suspects.is_empty() && written.stations.is_empty());
+    assert!((written.patches[0].chi2_dof.unwrap() - 1.0).abs() < 0.5);
+}
+
+#[test]
+fn every_range_has_its_own_delay_and_ranges_share_the_error_of_the_known_path() {
+    let room = room();
+    let mut day = Day::new(&room, 2);
+    for a in 1..=12 {
+        day.add(&[a], "s1", Some("coarse"), 30.0);
+        (1..=12).filter(|&b| b != a).for_each(|b| day.add(&[a, b], "s1", Some("fine"), 36.0));
+    }
+    let calibration = vec![latency(Some("coarse"), 41.0, 40.0), latency(Some("fine"), 41.0, 40.0)];
+    let written = refined(&context(CAMPAIGN, calibration), day.labels.clone());
+    let [coarse, fine] = &written.delays[..] else { panic!("two delays") };
+    assert_eq!((coarse.range.as_deref(), fine.range.as_deref()), (Some("coarse"), Some("fine")));
+    for (delay, truth_ps) in [(coarse, 30.0), (fine, 36.0)] {
+        assert!((delay.delay_ps - truth_ps).abs() < 4.0 * delay.sd_ps && delay.sd_ps < 41.0, "{delay:?}");
+    }
+    // The common part hardly shows in times, the difference does.
+    let apart_ps = fine.delay_ps - coarse.delay_ps;
+    assert!((apart_ps - 6.0).abs() < 6.0, "{apart_ps}");
+    // One row of calibration without a range stands for all.
+    let written = refined(&context(CAMPAIGN, vec![latency(None, 50.0, 0.0)]), day.labels);
+    assert_eq!((written.delays.len(), written.delays[0].range.as_deref()), (1, None));
+}
+
+#[test]
+fn a_sensor_apart_needs_no_start_and_anchors_rays_and_stations_fix_the_frame() {
+    let room = room();
+    let sensor = Point::new(0.4, 0.1, 0.2);
+    let told = sensor + nalgebra::Vector3::new(0.003, -0.002, 0.004);
+    let ray = room[4].coords.normalize();
+    let campaign = format!(
+        "[campaign]\nname = 'c'\ngroup_index = 1.0\n[stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [{}, {}, {}]\nsd_m = 0.004\n\
+         [sensors.s1]\nstation = 'aside'\n[patches.1]\nposition_m = [{}, {}, {}]\nsd_m = 0.001\n[patches.5]\nray = {{ from = 'laser', direction = [{}, {}, {}], sd_rad = 0.001 }}\n",
+        told.x, told.y, told.z, room[0].x, room[0].y, room[0].z, ray.x, ray.y, ray.z
+    );
+    let mut day = Day::new(&room, 3);
+    day.sensor = sensor;
+    let written = refined(&context(&campaign, Vec::new()), day.all(|_, _| true).labels);
+    assert_eq!((&*written.fit.frame, written.fit.free_rotations), ("fixed", 0));
+    let off_m = points(&written.patches, 0).iter().zip(&room).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+    assert!(off_m < 0.01, "{off_m}");
+    let [station] = &written.stations[..] else { panic!("one station is uncertain") };
+    let left_m = (Point::new(station.x_m, station.y_m, station.z_m) - sensor).norm();
+    assert!(left_m < 3.0 * station.sd_m && station.sd_m < 0.004 * 3_f64.sqrt() && station.moved_m > 0.0);
+    assert!(!written.ambiguities.iter().any(|row| &*row.kind == "rotation"), "{:?}", written.ambiguities);
+}
+
+#[test]
+fn what_is_not_determined_is_told_with_its_patches() {
+    let room = room();
+    // 1 to 5 see one another, as do 6 to 10; 11 sees but two of the second group, 12 but one.
+    let open = |a: PatchId, b: PatchId| match (a.min(b), a.max(b)) {
+        (a, 11) => a == 6 || a == 7,
+        (a, 12) => a == 6,
+        (a, b) => (a <= 5) == (b <= 5),
+    };
+    let written = refined(&context(CAMPAIGN, Vec::new()), Day::new(&room, 4).all(open).labels);
+    let of_kind =
+        |kind: &str| -> Vec<&Ambiguity> { written.ambiguities.iter().filter(|row| &*row.kind == kind).collect() };
+    assert_eq!(of_kind("part").iter().map(|row| row.patches.clone()).collect::<Vec<_>>(), [vec![1, 2, 3, 4, 5]]);
+    assert_eq!(of_kind("open")[0].patches, [12]);
+    let flip = of_kind("flip").into_iter().find(|row| row.patches.contains(&11)).expect("11 has two places");
+    assert!(flip.log_likelihood.unwrap().abs() < 3.0);
+    let n = flip.alternative.unwrap();
+    let places: Vec<&Patch> = written.patches.iter().filter(|patch| patch.patch == 11).collect();
+    assert!(places.iter().any(|patch| patch.alternative == n) && places.iter().any(|patch| patch.alternative == 0));
+    let row = |patch: PatchId| written.patches.iter().find(|row| row.patch == patch && row.alternative == 0).unwrap();
+    assert!(row(12).sd_m.is_none() && row(11).sd_m.is_some() && row(3).sd_m.unwrap() < 0.01);
+}
+
+#[test]
+fn a_wrong_label_leads_the_suspects_and_an_unchecked_onset_is_among_them() {
+    let room = room();
+    // 12 has three neighbours and a first bounce: four onsets for three coordinates. 11 has two: nothing checks them.
+    let open = |a: PatchId, b: PatchId| (a < b) && (b < 11 || (b == 11 && a <= 2) || (b == 12 && a <= 3));
+    let mut labels = Day::new(&room, 5).all(open).labels;
+    let wrong = labels.iter().position(|label| label.path.as_deref() == Some(&[2, 7])).unwrap();
+    labels[wrong].time_ps += 400.0;
+    let written = refined(&context(CAMPAIGN, Vec::new()), labels);
+    let worst = &written.suspects[0];
+    assert_eq!((worst.path.as_slice(), &*worst.reason), ([2, 7].as_slice(), "far-off"));
+    assert!(worst.studentised.unwrap().abs() > 50.0);
+    let unchecked: Vec<&Suspect> = written.suspects.iter().filter(|row| &*row.reason == "unchecked").collect();
+    assert!(unchecked.iter().any(|row| row.path == [11]) && unchecked.iter().all(|row| row.path.contains(&11)));
+}
+
+#[test]
+fn the_laser_period_is_refined_where_light_arrives_in_several() {
+    let room = room();
+    let (nominal_ps, true_ps) = (5000.0, 5000.4);
+    // Ranges that grow with their turns would do for a longer period, were it not for anchors.
+    let anchor = |patch: usize| {
+        let Point { coords } = room[patch - 1];
+        format!("[patches.{patch}]\nposition_m = [{}, {}, {}]\nsd_m = 0.0002\n", coords.x, coords.y, coords.z)
+    };
+    let anchors: String = (1..=5).map(anchor).collect();
+    let campaign = CAMPAIGN.replace("[sensors", "repetition_ps = 5000.0\nrepetition_sd_ps = 0.5\n[sensors") + &anchors;
+    let mut labels = Day::new(&room, 6).all(|_, _| true).labels;
+    for label in &mut labels {
+        label.turns = (label.time_ps / true_ps).floor() as i32;
+        label.time_ps += f64::from(label.turns) * (nominal_ps - true_ps);
+    }
+    assert!(labels.iter().any(|label| label.turns != labels[0].turns));
+    let written = refined(&context(&campaign, Vec::new()), labels);
+    let (found_ps, sd_ps) = (written.fit.repetition_ps.unwrap(), written.fit.repetition_sd_ps.unwrap());
+    assert!((found_ps - true_ps).abs() < 4.0 * sd_ps && sd_ps < 0.4, "{found_ps} {sd_ps}");
+}
