@@ -7,7 +7,7 @@
 //! probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8, 173 (1983)).
 //!
 //! The sums run over arrivals in order of time, forwards and backwards. What is behind matters only by the paths that it took from those ahead, which
-//! are few; of more than [`STATES`] such sets the most likely are kept.
+//! are few; of more than 200 such sets the most likely are kept.
 
 use std::collections::BTreeMap;
 

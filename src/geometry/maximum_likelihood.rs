@@ -8,7 +8,7 @@
 //!   + sum_k |w_k - station_k|^2 / s_k^2 + t' C^-1 t + (p / s_p)^2
 //! ```
 //!
-//! by Levenberg-Marquardt with Huber's `rho` (quadratic to 3 standard deviations, then linear). Up to [`DENSE_MAX`] patches the normal matrix is in
+//! by Levenberg-Marquardt with a robust `rho` ([`super::loss`]; Huber's as a rule). Up to [`DENSE_MAX`] patches the normal matrix is in
 //! memory; beyond, its products are passes over the observations (`matrix_free`). The covariance is the pseudo-inverse of the Fisher matrix without the
 //! rotations that no path length sees, so it is the Cramer-Rao bound at the solution; of a matrix-free solution it is blocks ([`Solution::is_exact`]).
 //!
@@ -18,6 +18,7 @@
 mod dense_steps;
 mod freedom;
 mod matrix_free;
+mod outliers;
 mod problem;
 mod rows;
 
@@ -25,6 +26,7 @@ use faer::Mat;
 use nalgebra::Matrix3;
 
 use super::Point;
+pub use outliers::outliers;
 pub use problem::{Anchor, Node, Observation, Problem, Ray, Station};
 pub use rows::Place;
 use rows::{Layout, Rows};
@@ -33,6 +35,9 @@ use rows::{Layout, Rows};
 pub const DENSE_MAX: usize = 1000;
 /// Steps after which a solution that has not settled is given up.
 const STEPS: usize = 200;
+/// Steps that lower the objective by less than this share of it lead nowhere; after so many of them a solution has settled too, in a flat valley.
+const IDLE: f64 = 1e-12;
+const IDLE_STEPS: usize = 10;
 /// A solution has settled when no unknown moves further.
 const SETTLED_M: f64 = 1e-11;
 /// The same without the normal matrix, whose steps are inexact.
@@ -104,6 +109,21 @@ impl Solution {
                 let at = at - self.layout.coordinates;
                 block(others, at, at, self.layout.dimensions)
             }
+        }
+    }
+
+    /// Measured less predicted length of an observation of the same stations, patches and delays.
+    #[must_use]
+    pub fn residual_m(&self, observation: &Observation) -> f64 {
+        self.place().residual_m(observation)
+    }
+
+    fn place(&self) -> Place {
+        Place {
+            points: self.points.clone(),
+            stations: self.stations.clone(),
+            delays_m: self.delays_m.clone(),
+            period_m: self.period_m,
         }
     }
 
@@ -225,7 +245,7 @@ pub fn redundancy(problem: &Problem) -> i64 {
 fn descend(rows: &Rows, means: Means, steps: usize, settled_m: f64) -> (Place, f64, bool) {
     let mut place = Place::start(rows.problem);
     let mut now = means.cost(rows, &place);
-    let mut damping = 1e-3;
+    let (mut damping, mut idle) = (1e-3, 0);
     for _ in 0..steps {
         let Some(step) = means.step(rows, &place, damping) else {
             damping *= 10.0;
@@ -235,10 +255,11 @@ fn descend(rows: &Rows, means: Means, steps: usize, settled_m: f64) -> (Place, f
         let then = means.cost(rows, &trial);
         let longest = step.iter().fold(0.0, |most: f64, step| most.max(step.abs()));
         if then <= now {
+            idle = if now - then <= IDLE * now { idle + 1 } else { 0 };
             place = trial;
             now = then;
             damping = (damping * 0.1).max(1e-12);
-            if longest < settled_m {
+            if longest < settled_m || idle >= IDLE_STEPS {
                 return (place, now, true);
             }
         } else if longest < settled_m || damping > 1e12 {

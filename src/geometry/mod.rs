@@ -12,6 +12,7 @@ pub mod footprint;
 pub mod frame;
 pub mod iso_embed;
 pub mod landmark;
+pub mod loss;
 pub mod many_pairs;
 pub mod maximum_likelihood;
 pub mod multilateration;

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! Three of them (in flatland two) leave a line in `(x, r)`, and `|x| = r` two points of it: often mirror images. Every three of the ellipsoids about a
-//! focus propose their two, a ray proposes its crossings with them, an anchor itself. The best of all proposals, judged on all ties by Huber's loss, are
+//! focus propose their two, a ray proposes its crossings with them, an anchor itself. The best of all proposals, judged on all ties by a robust loss, are
 //! refined by Gauss-Newton, and those that remain apart are kept. A wrong length or a wrongly placed neighbour is thus outvoted, and a mirror image
 //! that the lengths can hardly tell from the patch comes out beside it. Source of the closed form: Bancroft, IEEE Trans. AES-21, 56 (1985).
 //! Not modelled: the errors of the points that are in place.
@@ -18,9 +18,8 @@ mod proposals;
 use nalgebra::{Matrix3, Vector3};
 
 use super::Point;
+use super::loss::Loss;
 
-/// Standard deviations beyond which a residual counts linearly.
-const HUBER: f64 = 3.0;
 /// Proposals in closed form that are refined.
 const REFINED: usize = 6;
 /// Gauss-Newton steps.
@@ -87,7 +86,7 @@ fn length_and_direction(arm: Vector3<f64>) -> (f64, Vector3<f64>) {
     (length, if length > 0.0 { arm / length } else { Vector3::zeros() })
 }
 
-/// A position with Huber's loss of all its ties.
+/// A position with the loss of all its ties.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     /// Position.
@@ -97,56 +96,51 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    fn new(ties: &[Tie], point: Point) -> Self {
-        Self { point, cost: cost(ties, point) }
+    fn new(ties: &[Tie], point: Point, loss: Loss) -> Self {
+        Self { point, cost: cost(ties, point, loss) }
     }
 }
 
-/// Huber's loss of a patch at `point`.
+/// Loss of a patch at `point`.
 #[must_use]
-pub fn cost(ties: &[Tie], point: Point) -> f64 {
+pub fn cost(ties: &[Tie], point: Point, loss: Loss) -> f64 {
     let mut sum = 0.0;
-    ties.iter().for_each(|tie| tie.rows(point, |residual, _| sum += loss(residual)));
+    ties.iter().for_each(|tie| tie.rows(point, |residual, _| sum += loss.of(residual).0));
     sum
-}
-
-fn loss(residual: f64) -> f64 {
-    let size = residual.abs();
-    if size > HUBER { HUBER * (2.0 * size - HUBER) } else { size * size }
 }
 
 /// Positions that explain a patch's ties, best first, further apart than `apart_m`. Empty where the ties are too few to determine any.
 #[must_use]
-pub fn candidates(ties: &[Tie], dimensions: usize, apart_m: f64) -> Vec<Candidate> {
+pub fn candidates(ties: &[Tie], dimensions: usize, apart_m: f64, loss: Loss) -> Vec<Candidate> {
     let proposed =
-        proposals::crossings(ties, dimensions).into_iter().map(|point| Candidate::new(ties, point)).collect();
+        proposals::crossings(ties, dimensions).into_iter().map(|point| Candidate::new(ties, point, loss)).collect();
     let mut starts = distinct(proposed, apart_m);
     starts.truncate(REFINED);
-    let found = refined(ties, &starts, dimensions, apart_m);
+    let found = refined(ties, &starts, dimensions, apart_m, loss);
     if !found.is_empty() || ties.len() < dimensions {
         return found;
     }
-    let mut found = anywhere(ties, dimensions, apart_m);
-    found.retain(|candidate| is_determined(ties, candidate.point, dimensions));
+    let mut found = anywhere(ties, dimensions, apart_m, loss);
+    found.retain(|candidate| is_determined(ties, candidate.point, dimensions, loss));
     found
 }
 
 /// A position that explains a patch's ties, one of many where they are too few; `None` without a path.
 #[must_use]
-pub fn somewhere(ties: &[Tie], dimensions: usize) -> Option<Point> {
-    anywhere(ties, dimensions, 0.0).first().map(|candidate| candidate.point)
+pub fn somewhere(ties: &[Tie], dimensions: usize, loss: Loss) -> Option<Point> {
+    anywhere(ties, dimensions, 0.0, loss).first().map(|candidate| candidate.point)
 }
 
 /// Minima found from all directions.
-fn anywhere(ties: &[Tie], dimensions: usize, apart_m: f64) -> Vec<Candidate> {
+fn anywhere(ties: &[Tie], dimensions: usize, apart_m: f64, loss: Loss) -> Vec<Candidate> {
     let starts: Vec<Candidate> =
-        proposals::around(ties, dimensions).into_iter().map(|point| Candidate::new(ties, point)).collect();
-    refined(ties, &starts, dimensions, apart_m)
+        proposals::around(ties, dimensions).into_iter().map(|point| Candidate::new(ties, point, loss)).collect();
+    refined(ties, &starts, dimensions, apart_m, loss)
 }
 
 /// The minima that some places lead to.
-fn refined(ties: &[Tie], starts: &[Candidate], dimensions: usize, apart_m: f64) -> Vec<Candidate> {
-    let refined = starts.iter().map(|start| refine(ties, *start, dimensions)).collect();
+fn refined(ties: &[Tie], starts: &[Candidate], dimensions: usize, apart_m: f64, loss: Loss) -> Vec<Candidate> {
+    let refined = starts.iter().map(|start| refine(ties, *start, dimensions, loss)).collect();
     distinct(refined, apart_m)
 }
 
@@ -163,11 +157,11 @@ fn distinct(mut candidates: Vec<Candidate>, apart_m: f64) -> Vec<Candidate> {
 }
 
 /// Normal matrix and right-hand side of a Gauss-Newton step.
-fn normal_equations(ties: &[Tie], at: Point) -> (Matrix3<f64>, Vector3<f64>) {
+fn normal_equations(ties: &[Tie], at: Point, loss: Loss) -> (Matrix3<f64>, Vector3<f64>) {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for tie in ties {
         tie.rows(at, |residual, gradient| {
-            let weight = if residual.abs() > HUBER { HUBER / residual.abs() } else { 1.0 };
+            let weight = loss.of(residual).1;
             normal += weight * gradient * gradient.transpose();
             right += weight * residual * gradient;
         });
@@ -176,8 +170,8 @@ fn normal_equations(ties: &[Tie], at: Point) -> (Matrix3<f64>, Vector3<f64>) {
 }
 
 /// Whether all directions have some stiffness.
-fn is_determined(ties: &[Tie], at: Point, dimensions: usize) -> bool {
-    let (mut normal, _) = normal_equations(ties, at);
+fn is_determined(ties: &[Tie], at: Point, dimensions: usize, loss: Loss) -> bool {
+    let (mut normal, _) = normal_equations(ties, at, loss);
     if dimensions == 2 {
         normal[(2, 2)] = normal.trace();
     }
@@ -185,12 +179,12 @@ fn is_determined(ties: &[Tie], at: Point, dimensions: usize) -> bool {
     values.min() > STIFF * values.max()
 }
 
-/// The minimum of Huber's loss nearest to a start, by damped Gauss-Newton.
-fn refine(ties: &[Tie], start: Candidate, dimensions: usize) -> Candidate {
+/// The minimum of the loss nearest to a start, by damped Gauss-Newton.
+fn refine(ties: &[Tie], start: Candidate, dimensions: usize, loss: Loss) -> Candidate {
     let mut now = start;
     let mut damping = 1e-6;
     for _ in 0..STEPS {
-        let (mut normal, mut right) = normal_equations(ties, now.point);
+        let (mut normal, mut right) = normal_equations(ties, now.point, loss);
         normal += Matrix3::identity() * (damping * normal.trace());
         if dimensions == 2 {
             // Nothing moves along z.
@@ -198,7 +192,7 @@ fn refine(ties: &[Tie], start: Candidate, dimensions: usize) -> Candidate {
             right.z = 0.0;
         }
         let Some(inverse) = normal.try_inverse() else { break };
-        let trial = Candidate::new(ties, now.point + inverse * right);
+        let trial = Candidate::new(ties, now.point + inverse * right, loss);
         if trial.cost < now.cost {
             let settled = now.cost - trial.cost < 1e-6 * now.cost;
             now = trial;

@@ -26,6 +26,7 @@ mod starts;
 use std::collections::BTreeMap;
 
 use super::Point;
+use super::loss::Loss;
 use super::maximum_likelihood::{self, Node, Observation, Problem};
 use super::multilateration::Tie;
 pub use alternatives::{Alternative, Kind, alternatives};
@@ -49,7 +50,7 @@ const APART: f64 = 4.0;
 pub struct Placed {
     /// Positions; what stations, anchors and rays leave free of frame and mirror image is arbitrary.
     pub points: Vec<Point>,
-    /// Huber's loss of all lengths, with the squares of the priors.
+    /// Loss of all lengths, with the squares of the priors; the redescending one where that explained more.
     pub loss: f64,
     /// Lengths and priors less unknowns, free rotations given back.
     pub degrees_of_freedom: i64,
@@ -57,12 +58,26 @@ pub struct Placed {
     pub starts: usize,
 }
 
-/// Places all patches; the problem's `start` is not used.
+/// Places all patches; the problem's `start` is not used. Where its lengths contradict one another under Huber's loss, places under the redescending loss
+/// are tried too, which bear many wrong lengths, and the better explanation is taken.
 ///
 /// # Panics
 /// Without patches or observations, and as [`maximum_likelihood::solve`].
 #[must_use]
 pub fn place(problem: &Problem) -> Placed {
+    let placed = placed(problem);
+    if problem.loss != Loss::Huber || placed.loss < likely_loss(placed.degrees_of_freedom.max(1) as f64) {
+        return placed;
+    }
+    let redescending = Problem { loss: Loss::Redescending, ..problem.clone() };
+    let other = self::placed(&redescending);
+    let start = Problem { start: placed.points.clone(), ..redescending };
+    let (_, loss) = maximum_likelihood::approach(&start, STEPS, SETTLED_M);
+    if other.loss < loss { other } else { placed }
+}
+
+/// The place with the lowest loss of many starts.
+fn placed(problem: &Problem) -> Placed {
     let scene = Scene::new(problem);
     let mut best: Option<State> = None;
     let (mut starts, mut agreed) = (0, 0);
@@ -215,8 +230,7 @@ impl<'a> Scene<'a> {
     }
 
     fn problem_without_observations(&self) -> Problem {
-        let Problem { dimensions, stations, anchors, rays, delay_covariance_m2, period_sd_m, robust, .. } =
-            self.problem;
+        let Problem { dimensions, stations, anchors, rays, delay_covariance_m2, period_sd_m, loss, .. } = self.problem;
         Problem {
             start: Vec::new(),
             dimensions: *dimensions,
@@ -226,7 +240,7 @@ impl<'a> Scene<'a> {
             rays: rays.clone(),
             delay_covariance_m2: delay_covariance_m2.clone(),
             period_sd_m: *period_sd_m,
-            robust: *robust,
+            loss: *loss,
         }
     }
 }

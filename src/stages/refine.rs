@@ -13,8 +13,8 @@
 //! The light of a large patch does not come from its centre. Where patches have a `size_m`, and a normal from `planes` beside (of `surface`) or, in a fixed frame, from
 //! campaign.toml, the shift is predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays.
 //!
-//! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm; those beyond four of their own are in `suspects`, as are
-//! onsets that nothing checks. Beyond 1,000 patches covariances are of each patch alone (`fits.covariance`), and alternatives are not searched for.
+//! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm; where labels are wrong in larger part, onsets that contradict the others are
+//! left out ([`maximum_likelihood::outliers`]). These, residuals beyond four of their own standard deviations, and onsets that nothing checks are in `suspects`. Beyond 1,000 patches covariances are of each patch alone (`fits.covariance`), and alternatives are not searched for.
 //!
 //! Takes `labels`; writes `patches` and, beside it, `patch_covariances`, `delays`, `stations`, `residuals`, `suspects`, `fits`, `ambiguities`. Beside it, all
 //! optional: `patches` to start from (without, or where one is missing, patches are placed from nothing, [`crate::geometry::placement`]); `calibration`, without which
@@ -38,6 +38,7 @@ use serde::{Deserialize, Serialize};
 use super::footprints::Footprints;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Problem, Solution};
 use crate::geometry::placement::{self, Kind};
 use crate::tables::{
@@ -45,13 +46,15 @@ use crate::tables::{
 };
 use known::{Known, Setup};
 use model::Model;
-use written::{Other, Written};
+use written::{Fitted, Other, Written};
 
 /// Footprints are predicted anew until no path changes by more, for at most so many rounds.
 const SHIFTED_M: f64 = 1e-6;
 const ROUNDS: usize = 6;
 /// Other solutions whose loss is higher by less than this (a likelihood ratio of 3,000) are alternatives.
 const LIKELY: f64 = 16.0;
+/// A loss this many standard deviations above its mean is not that of right labels.
+const UNLIKELY: f64 = 4.0;
 /// Most alternatives that are told.
 const ALTERNATIVES: usize = 16;
 /// A loss that is lower by less is the same.
@@ -61,7 +64,7 @@ const LOWER: f64 = 1e-3;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Refine {
-    /// Whether large residuals count linearly instead of squared.
+    /// Whether large residuals count linearly instead of squared, and onsets that contradict the others are left out.
     robust: bool,
 }
 
@@ -121,7 +124,8 @@ impl Apply for Refine {
             return Err(StageError::Refused(text.to_owned()));
         }
         let model = Model::new(&context.known, &labels);
-        let mut problem = model.problem(self.robust);
+        let mut problem = model.problem(if self.robust { Loss::Huber } else { Loss::Squared });
+        let start = problem.start.clone();
         let solve = |problem: &Problem| {
             maximum_likelihood::solve(problem).map_err(|unsolved| StageError::Refused(model.refused(&unsolved)))
         };
@@ -143,8 +147,21 @@ impl Apply for Refine {
                 break;
             }
         }
+        let observations = problem.observations.clone();
+        let mut used: Vec<Option<usize>> = (0..observations.len()).map(Some).collect();
+        if self.robust && !is_explained(&solution) {
+            let places = [solution.points.as_slice(), start.as_slice()];
+            if let Some((out, points)) = maximum_likelihood::outliers(&problem, &solution.points, &places) {
+                let kept = observations.iter().zip(&out).filter(|(_, out)| !**out).map(|(kept, _)| kept.clone());
+                problem = Problem { start: points, observations: kept.collect(), ..problem };
+                solution = solve(&problem)?;
+                let mut next = 0..;
+                used = out.iter().map(|out| if *out { None } else { next.next() }).collect();
+            }
+        }
         let (solution, others) = alternatives(&problem, solution);
-        let written = Written::new(&model, &solution, &others, &shifts_m);
+        let fitted = Fitted { solution, others, observations, used };
+        let written = Written::new(&model, &fitted, &shifts_m);
         let residuals = written.residuals();
         Ok(Outcome {
             rows: written.patches(),
@@ -160,6 +177,12 @@ impl Apply for Refine {
             rejections: unused_normals(context, is_fixed, &labels),
         })
     }
+}
+
+/// Whether a solution's loss is what noise lets expect.
+fn is_explained(solution: &Solution) -> bool {
+    let freedom = solution.degrees_of_freedom.max(1) as f64;
+    solution.loss < freedom + UNLIKELY * (2.0 * freedom).sqrt()
 }
 
 /// The likeliest solution, and others that are about as likely.

@@ -69,13 +69,15 @@ table! {
         studentised: Option<f64>,
         /// What the light of the path arrives later than over the centres of its patches, as predicted from their footprints.
         footprint_ps: f64,
+        /// Whether the solution rests on it; not if it contradicts the others.
+        used: bool,
         /// Beyond four standard deviations: a label to doubt.
         suspect: bool,
     }
 }
 
 table! {
-    /// A labelled onset to look at, the worst first: it lies far off, or nothing checks it.
+    /// A labelled onset to look at, the worst first: it contradicts the others, lies far off, or nothing checks it.
     "suspects": Suspect, SuspectColumns {
         /// Campaign.
         campaign: Name,
@@ -89,7 +91,7 @@ table! {
         rank: i32,
         /// Path of the label.
         path: Vec<i32>,
-        /// far-off or unchecked.
+        /// left-out (the solution does not rest on it), far-off or unchecked.
         reason: Name,
         /// Measured minus predicted time.
         residual_ps: f64,

@@ -22,6 +22,7 @@ mod query;
 mod real_files;
 mod rectangles;
 mod resolution;
+mod rooms;
 mod schema;
 mod scope_samples;
 mod session;

@@ -79,6 +79,9 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
             sum.0 += labels;
             sum.1 += wrong;
         }
+        let (rms_mm, nse) = (1e3 * (missed.squares_m2 / count).sqrt(), missed.normalised / study.degrees_of_freedom);
+        let labels = (study.blind, &study.labels);
+        eprintln!("seed {seed}: {rms_mm:.4} mm, NSE / dof {nse:.3}; labels and wrong ones so far {labels:?}");
         let planes: Vec<Plane> = lab.rows("out", "surfaces");
         assert_eq!(planes.len(), 3, "seed {seed}");
         let squares: f64 = planes.iter().map(|plane| plane.rms_m.powi(2) * plane.patches.len() as f64).sum();

@@ -4,6 +4,7 @@ use faer::Mat;
 use nalgebra::Vector3;
 
 use crate::geometry::Point;
+use crate::geometry::loss::Loss;
 
 /// A point of a path, by its position among the stations or the patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,8 +82,8 @@ pub struct Problem {
     pub delay_covariance_m2: Mat<f64>,
     /// Prior standard deviation of the laser's period, as a length; 0: exact.
     pub period_sd_m: f64,
-    /// Whether large residuals count linearly.
-    pub robust: bool,
+    /// Loss of the observations' residuals; priors always cost their squares.
+    pub loss: Loss,
 }
 
 impl Problem {
@@ -98,7 +99,7 @@ impl Problem {
             rays: Vec::new(),
             delay_covariance_m2: Mat::zeros(0, 0),
             period_sd_m: 0.0,
-            robust: true,
+            loss: Loss::Huber,
         }
     }
 

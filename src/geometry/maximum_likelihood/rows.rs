@@ -5,11 +5,9 @@ use std::ops::Range;
 use faer::Mat;
 use nalgebra::Vector3;
 
-use super::problem::{Node, Problem};
+use super::problem::{Node, Observation, Problem};
+use crate::geometry::loss::Loss;
 use crate::geometry::{Point, dense};
-
-/// Standard deviations beyond which a residual counts linearly.
-const HUBER: f64 = 3.0;
 
 /// Positions of the unknowns in a vector: coordinates of the patches, of the stations that are not exact, delays, the laser's period.
 #[derive(Clone, Debug)]
@@ -81,6 +79,14 @@ impl Place {
         }
     }
 
+    /// Measured less predicted length.
+    pub(super) fn residual_m(&self, observation: &Observation) -> f64 {
+        let legs = observation.nodes.windows(2);
+        let path_m: f64 = legs.map(|ends| (self.position(ends[1]) - self.position(ends[0])).norm()).sum();
+        let delay_m = observation.delay.map_or(0.0, |delay| self.delays_m[delay]);
+        observation.length_m - path_m - delay_m + f64::from(observation.turns) * self.period_m
+    }
+
     pub(super) fn moved(&self, step: &[f64], layout: &Layout) -> Self {
         let mut place = self.clone();
         let shift = |point: &mut Point, at: usize| (0..layout.dimensions).for_each(|k| point[k] += step[at + k]);
@@ -129,11 +135,7 @@ impl<'a> Rows<'a> {
 
     /// Residual of an observation: measured less predicted length.
     pub fn residual_m(&self, place: &Place, n: usize) -> f64 {
-        let observation = &self.problem.observations[n];
-        let legs = observation.nodes.windows(2);
-        let path_m: f64 = legs.map(|ends| (place.position(ends[1]) - place.position(ends[0])).norm()).sum();
-        let delay_m = observation.delay.map_or(0.0, |delay| place.delays_m[delay]);
-        observation.length_m - path_m - delay_m + f64::from(observation.turns) * place.period_m
+        place.residual_m(&self.problem.observations[n])
     }
 
     /// Sum of the losses of some terms.
@@ -141,14 +143,10 @@ impl<'a> Rows<'a> {
         which.map(|n| self.loss(n, self.residual(place, n, None)).0).sum()
     }
 
-    /// Huber's loss of a term (a prior's is its square), and the weight of its square.
+    /// Loss of a term (a prior's is its square), and the weight of its square.
     pub fn loss(&self, n: usize, residual: f64) -> (f64, f64) {
-        let size = residual.abs();
-        if self.problem.robust && size > HUBER && n < self.problem.observations.len() {
-            (HUBER * (2.0 * size - HUBER), HUBER / size)
-        } else {
-            (size * size, 1.0)
-        }
+        let is_observation = n < self.problem.observations.len();
+        if is_observation { self.problem.loss.of(residual) } else { Loss::Squared.of(residual) }
     }
 
     /// A term's residual, and where asked for the derivatives of what is predicted there.

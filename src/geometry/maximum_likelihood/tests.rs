@@ -1,4 +1,5 @@
 use super::*;
+use crate::geometry::loss::Loss;
 use crate::geometry::{classical, dense, iso_embed, procrustes, room};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -171,7 +172,7 @@ fn a_gross_outlier_hardly_moves_a_robust_solution() {
         errors(&solve(problem).unwrap().points, &clean.points).iter().fold(0.0_f64, |most, e| most.max(e.abs()))
     };
     let robust = moved(&spoilt);
-    spoilt.robust = false;
+    spoilt.loss = Loss::Squared;
     let plain = moved(&spoilt);
     assert!(robust < 0.003 && plain > 10.0 * robust, "robust {robust}, plain {plain}");
 }

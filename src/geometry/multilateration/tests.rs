@@ -19,10 +19,10 @@ fn ties(points: &[Point], over: &[usize]) -> Vec<Tie> {
 fn three_neighbours_place_a_patch_and_two_leave_its_mirror_image() {
     let points = room::rectangles();
     let truth = points[48];
-    let three = candidates(&ties(&points, &[0, 27, 44]), 3, 0.05);
+    let three = candidates(&ties(&points, &[0, 27, 44]), 3, 0.05, Loss::Huber);
     assert!((three[0].point - truth).norm() < 1e-6 && three[0].cost < 1e-9);
     assert!(three[1..].iter().all(|other| other.cost > 10.0));
-    let two = candidates(&ties(&points, &[0, 27]), 3, 0.05);
+    let two = candidates(&ties(&points, &[0, 27]), 3, 0.05, Loss::Huber);
     assert!(two.len() == 2 && two.iter().all(|candidate| candidate.cost < 1e-9));
     let mirrored = {
         let normal = points[0].coords.cross(&points[27].coords).normalize();
@@ -30,15 +30,15 @@ fn three_neighbours_place_a_patch_and_two_leave_its_mirror_image() {
     };
     assert!(two.iter().any(|candidate| (candidate.point - truth).norm() < 1e-6));
     assert!(two.iter().any(|candidate| (candidate.point - mirrored).norm() < 1e-6));
-    assert!(candidates(&ties(&points, &[0]), 3, 0.05).is_empty());
+    assert!(candidates(&ties(&points, &[0]), 3, 0.05, Loss::Huber).is_empty());
     let one = ties(&points, &[0]);
-    assert!(cost(&one, somewhere(&one, 3).unwrap()) < 1e-6);
+    assert!(cost(&one, somewhere(&one, 3, Loss::Huber).unwrap(), Loss::Huber) < 1e-6);
 }
 
 #[test]
 fn without_a_first_bounce_four_neighbours_place_a_patch() {
     let points = room::rectangles();
-    let found = candidates(&ties(&points, &[0, 27, 30, 44])[1..], 3, 0.05);
+    let found = candidates(&ties(&points, &[0, 27, 30, 44])[1..], 3, 0.05, Loss::Huber);
     assert!((found[0].point - points[48]).norm() < 1e-6 && found[0].cost < 1e-9);
 }
 
@@ -47,7 +47,7 @@ fn first_bounces_to_separate_sensors_place_a_patch() {
     let truth = Point::new(0.4, 2.0, 0.7);
     let source = Point::new(0.1, 0.0, 0.0);
     let sensors = [Point::new(1.0, 0.0, 0.0), Point::new(-1.0, 0.1, 0.0), Point::new(0.0, 0.2, 1.0)];
-    let found = candidates(&sensors.map(|sensor| path(source, truth, sensor)), 3, 0.05);
+    let found = candidates(&sensors.map(|sensor| path(source, truth, sensor)), 3, 0.05, Loss::Huber);
     assert!(found.iter().any(|candidate| (candidate.point - truth).norm() < 1e-6), "{found:?}");
 }
 
@@ -60,7 +60,7 @@ fn paths_without_a_common_focus_place_a_patch() {
         path(at(-1.0, 0.0, 0.2), truth, at(2.0, 2.0, 1.0)),
         path(at(0.0, 0.0, 1.0), truth, at(-2.0, 2.0, -1.0)),
     ];
-    let found = candidates(&ties, 3, 0.05);
+    let found = candidates(&ties, 3, 0.05, Loss::Huber);
     assert!(found.iter().any(|candidate| (candidate.point - truth).norm() < 1e-6), "{found:?}");
 }
 
@@ -69,9 +69,9 @@ fn a_ray_and_a_path_place_a_patch_and_so_does_an_anchor() {
     let truth = Point::new(0.4, 2.0, 0.7);
     let (from, sensor) = (Point::new(0.0, 0.0, 0.1), Point::new(1.0, 0.0, 0.0));
     let ray = Tie::Ray { from, direction: (truth - from).normalize(), sd_rad: 1e-3 };
-    let found = candidates(&[path(from, truth, sensor), path(sensor, truth, sensor), ray], 3, 0.05);
+    let found = candidates(&[path(from, truth, sensor), path(sensor, truth, sensor), ray], 3, 0.05, Loss::Huber);
     assert!((found[0].point - truth).norm() < 1e-6 && found[0].cost < 1e-6);
-    let found = candidates(&[Tie::Anchor { position: truth, sd_m: 0.01 }], 3, 0.05);
+    let found = candidates(&[Tie::Anchor { position: truth, sd_m: 0.01 }], 3, 0.05, Loss::Huber);
     assert!(found.len() == 1 && found[0].point == truth);
 }
 
@@ -81,7 +81,7 @@ fn a_neighbour_in_a_wrong_place_is_outvoted() {
     let mut ties = ties(&points, &[3, 11, 20, 27, 33, 44]);
     let Tie::Path { to, .. } = &mut ties[4] else { panic!("a path") };
     *to = Point::new(0.0, 1.0, 1.0);
-    let found = candidates(&ties, 3, 0.05);
+    let found = candidates(&ties, 3, 0.05, Loss::Huber);
     assert!((found[0].point - points[48]).norm() < 0.01, "{:?}", found[0]);
 }
 
@@ -89,7 +89,10 @@ fn a_neighbour_in_a_wrong_place_is_outvoted() {
 fn in_flatland_one_neighbour_leaves_two_points_and_two_one() {
     let points: Vec<Point> =
         room::rectangles().iter().map(|p| Point::new(p.x + 0.3 * p.z, p.y + 0.2 * p.z, 0.0)).collect();
-    let (one, two) = (candidates(&ties(&points, &[0]), 2, 0.05), candidates(&ties(&points, &[0, 27]), 2, 0.05));
+    let (one, two) = (
+        candidates(&ties(&points, &[0]), 2, 0.05, Loss::Huber),
+        candidates(&ties(&points, &[0, 27]), 2, 0.05, Loss::Huber),
+    );
     assert!(one.len() == 2 && one.iter().all(|candidate| candidate.cost < 1e-9 && candidate.point.z.abs() < 1e-12));
     assert!((two[0].point - points[48]).norm() < 1e-6 && two[1..].iter().all(|other| other.cost > 10.0));
 }

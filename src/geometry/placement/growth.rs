@@ -49,7 +49,7 @@ impl Scene<'_> {
         let dimensions = self.problem.dimensions;
         let of = |patch: usize| -> Option<Next> {
             let ties = self.ties(patch, state);
-            let found = multilateration::candidates(&ties, dimensions, self.apart_m);
+            let found = multilateration::candidates(&ties, dimensions, self.apart_m, self.problem.loss);
             let gap = |best: &Candidate, second: &Candidate| ((second.cost - best.cost) / (1.0 + best.cost)).min(SAFE);
             let best = found.first()?;
             // Mirror images have no loss to be told apart by.
@@ -69,7 +69,7 @@ impl Scene<'_> {
         let tied = unplaced.map(|patch| (patch, self.ties(patch, state)));
         // Of equals the first.
         let (patch, ties) = tied.rev().max_by_key(|(_, ties)| ties.len())?;
-        let point = multilateration::somewhere(&ties, self.problem.dimensions);
+        let point = multilateration::somewhere(&ties, self.problem.dimensions, self.problem.loss);
         Some((patch, point.unwrap_or_else(|| self.guess(patch, patch as u64))))
     }
 }

@@ -28,7 +28,7 @@ impl Scene<'_> {
     fn replanted(&self, now: &State) -> Option<State> {
         let misfit = |(patch, here): (usize, Point)| {
             let ties = self.ties(patch, now);
-            multilateration::cost(&ties, here) / likely_loss(ties.len() as f64)
+            multilateration::cost(&ties, here, self.problem.loss) / likely_loss(ties.len() as f64)
         };
         let misfits = now.points().into_iter().enumerate().map(|place| (misfit(place), place.0));
         let mut worst: Vec<(f64, usize)> = misfits.filter(|(misfit, _)| *misfit > 1.0).collect();
@@ -44,8 +44,8 @@ impl Scene<'_> {
         let mut moves = Vec::new();
         for (patch, here) in now.points().into_iter().enumerate() {
             let ties = self.ties(patch, now);
-            let cost = multilateration::cost(&ties, here);
-            let found = multilateration::candidates(&ties, self.problem.dimensions, self.apart_m);
+            let cost = multilateration::cost(&ties, here, self.problem.loss);
+            let found = multilateration::candidates(&ties, self.problem.dimensions, self.apart_m, self.problem.loss);
             let elsewhere = found.into_iter().filter(|candidate| (candidate.point - here).norm() > self.apart_m);
             moves.extend(elsewhere.map(|candidate| (candidate.cost - cost, patch, candidate.point)));
         }

@@ -246,3 +246,62 @@ fn second_bounces_alone_place_lit_and_seen_patches() {
     let placed = place(&problem);
     assert!(placed.loss < 40.0, "{}", placed.loss);
 }
+
+/// The rectangles with pairs of one wall closed and a third of all pairs missing: where the captured pairs do not give it away, the shortest detour is
+/// taken for the direct path.
+fn with_hidden_detours(truth: &[Point], seed: u64) -> (Problem, Vec<bool>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let wall = |patch: usize| {
+        if patch < 25 {
+            0
+        } else if patch < 41 {
+            1
+        } else {
+            2
+        }
+    };
+    let captured: std::collections::BTreeSet<(usize, usize)> =
+        room::all_pairs(truth.len()).into_iter().filter(|_| !rng.random_bool(1.0 / 3.0)).collect();
+    let is_open = |a: usize, b: usize| wall(a) != wall(b);
+    let has = |a: usize, b: usize| captured.contains(&(a.min(b), a.max(b)));
+    let (mut all, mut wrong) = (ways(truth.len(), &[0], &[]), vec![false; truth.len()]);
+    let mut problem_ways = Vec::new();
+    for &(a, b) in &captured {
+        if is_open(a, b) {
+            problem_ways.push((vec![a, b], vec![a, b]));
+            continue;
+        }
+        let over = (0..truth.len()).filter(|&k| is_open(a, k) && is_open(k, b));
+        let length = |k: usize| (truth[a] - truth[k]).norm() + (truth[k] - truth[b]).norm();
+        let via = over.min_by(|&k, &l| length(k).total_cmp(&length(l))).expect("another wall");
+        if !(has(a, via) && has(via, b)) {
+            problem_ways.push((vec![a, b], vec![a, via, b]));
+        }
+    }
+    let taken = |(told, true_path): &(Vec<usize>, Vec<usize>)| (told.clone(), true_path.clone());
+    let told: Vec<(Vec<usize>, Vec<usize>)> = problem_ways.iter().map(taken).collect();
+    all.extend(told.iter().map(|(_, path)| Way { source: 0, patches: path.clone(), sensor: 0 }));
+    wrong.extend(told.iter().map(|(told, path)| told != path));
+    let mut problem = measured(truth, &[Point::origin()], &all, SD_M, seed);
+    for (observation, (told, _)) in problem.observations[truth.len()..].iter_mut().zip(&told) {
+        observation.nodes = vec![Node::Station(0), Node::Patch(told[0]), Node::Patch(told[1]), Node::Station(0)];
+    }
+    (problem, wrong)
+}
+
+/// A quarter of the lengths are too long. A few patches whose wrong lengths happen to agree may end elsewhere.
+#[test]
+fn hidden_detours_are_outvoted() {
+    let truth = room::rectangles();
+    for seed in 0..3 {
+        let (problem, wrong) = with_hidden_detours(&truth, seed);
+        let count = wrong.iter().filter(|wrong| **wrong).count();
+        assert!(count > 140, "{count} of {}", wrong.len());
+        let placed = place(&problem);
+        let fit = procrustes::rotation(&placed.points, &truth, Point::origin(), true);
+        let off_m = |n: usize| (procrustes::turn(&fit.matrix, Point::origin(), placed.points[n]) - truth[n]).norm();
+        let far = (0..truth.len()).filter(|&n| off_m(n) > 0.15).count();
+        eprintln!("seed {seed}: {count} of {} wrong, {far} patches far off, rms {:.3} m", wrong.len(), fit.rms_m);
+        assert!(far <= 5, "seed {seed}: {far}");
+    }
+}

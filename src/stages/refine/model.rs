@@ -8,6 +8,7 @@ use nalgebra::Vector3;
 use super::known::{DelayKey, Known, Setup};
 use crate::campaign::keys::{self, LASER};
 use crate::geometry::Point;
+use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{Anchor, Node, Observation, Problem, Ray, Solution, Station, Unsolved};
 use crate::geometry::placement;
 use crate::stages::footprints::Footprints;
@@ -88,7 +89,7 @@ impl<'a> Model<'a> {
     }
 
     /// The problem with patches as points, from the start that is given, else placed from nothing.
-    pub fn problem(&self, robust: bool) -> Problem {
+    pub fn problem(&self, loss: Loss) -> Problem {
         let first = self.known.first();
         let station = |place: &Place| Station {
             position: Point::from(place.station.position_m),
@@ -107,7 +108,7 @@ impl<'a> Model<'a> {
             rays: self.rays(first),
             delay_covariance_m2: Mat::from_fn(count, count, |i, k| length_m2(&self.delays[i], &self.delays[k])),
             period_sd_m: self.period_sd_m(),
-            robust,
+            loss,
         };
         problem.start = match self.start() {
             Some(start) => start,

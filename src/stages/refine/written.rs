@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::model::Model;
-use crate::geometry::maximum_likelihood::Solution;
+use crate::geometry::maximum_likelihood::{Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
 use crate::tables::{Ambiguity, Delay, Fit, Name, Patch, PatchCovariance, Residual, Station, Suspect};
 use crate::units::{self, PatchId};
@@ -23,6 +23,16 @@ pub struct Other {
     pub solution: Solution,
 }
 
+/// What was solved.
+pub struct Fitted {
+    pub solution: Solution,
+    pub others: Vec<Other>,
+    /// All onsets, shifts by footprints taken off.
+    pub observations: Vec<Observation>,
+    /// Of each its place among those that the solution rests on.
+    pub used: Vec<Option<usize>>,
+}
+
 /// The best solution with what stands beside it.
 pub struct Written<'a> {
     pub model: &'a Model<'a>,
@@ -30,12 +40,16 @@ pub struct Written<'a> {
     pub others: &'a [Other],
     /// What each onset is late by its patches' footprints.
     pub shifts_m: &'a [f64],
+    /// All onsets, their shifts taken off, and of each its place among those that the solution rests on.
+    pub observations: &'a [Observation],
+    pub used: &'a [Option<usize>],
     turn: Matrix3<f64>,
     frame: &'static str,
 }
 
 impl<'a> Written<'a> {
-    pub fn new(model: &'a Model<'a>, solution: &'a Solution, others: &'a [Other], shifts_m: &'a [f64]) -> Self {
+    pub fn new(model: &'a Model<'a>, fitted: &'a Fitted, shifts_m: &'a [f64]) -> Self {
+        let Fitted { solution, others, observations, used } = fitted;
         let (turn, frame) = if model.all_rotations_free(solution) {
             (frame::canonical(&solution.points, centre(solution)), "canonical")
         } else if solution.free_rotations.first() == Some(&1) {
@@ -43,7 +57,7 @@ impl<'a> Written<'a> {
         } else {
             (Matrix3::identity(), "fixed")
         };
-        Self { model, solution, others, shifts_m, turn, frame }
+        Self { model, solution, others, shifts_m, observations, used, turn, frame }
     }
 
     fn turned(&self, point: Point) -> Point {
@@ -147,7 +161,7 @@ impl<'a> Written<'a> {
     pub fn residuals(&self) -> Vec<Residual> {
         let row = |(n, label): (usize, &crate::tables::Label)| {
             let time = |length_m: f64| units::time_ps(length_m, self.model.setup(label).group_index);
-            let residual_ps = time(self.solution.residuals_m[n]);
+            let residual_ps = time(self.solution.residual_m(&self.observations[n]));
             let standardised = residual_ps / label.time_sd_ps;
             let redundancy = self.redundancy(n);
             let studentised = redundancy.filter(|share| *share > UNCHECKED).map(|share| standardised / share.sqrt());
@@ -163,15 +177,19 @@ impl<'a> Written<'a> {
                 standardised,
                 studentised,
                 footprint_ps: time(self.shifts_m[n]),
+                used: self.used[n].is_some(),
                 suspect: studentised.unwrap_or(standardised).abs() > FAR_OFF,
             }
         };
         self.model.labels.iter().enumerate().map(row).collect()
     }
 
-    /// Share of an observation's information that others check.
+    /// Share of an observation's information that others check: all of one that was left out.
     fn redundancy(&self, n: usize) -> Option<f64> {
-        let predicted_m2 = self.solution.predicted_variance_m2.as_ref()?[n];
+        let Some(at) = self.used[n] else {
+            return Some(1.0);
+        };
+        let predicted_m2 = self.solution.predicted_variance_m2.as_ref()?[at];
         let sd_m = units::path_m(self.model.labels[n].time_sd_ps, self.model.setup(&self.model.labels[n]).group_index);
         Some((1.0 - predicted_m2 / (sd_m * sd_m)).clamp(0.0, 1.0))
     }
@@ -179,7 +197,9 @@ impl<'a> Written<'a> {
     pub fn suspects(&self, residuals: &[Residual]) -> Vec<Suspect> {
         let row = |(n, residual): (usize, &Residual)| {
             let redundancy = self.redundancy(n);
-            let reason = if residual.suspect {
+            let reason = if !residual.used {
+                "left-out"
+            } else if residual.suspect {
                 "far-off"
             } else if redundancy.is_some_and(|share| share <= UNCHECKED) {
                 "unchecked"
