@@ -101,45 +101,74 @@ impl Way {
     }
 }
 
-/// Fisher matrix of all coordinates, three a patch, of lengths with sd `sd_m` over `ways` between separate stations, for a delay common to all that is
-/// known to `delay_sd_m`; and of directions from the first station to all patches, each of two angles known to `ray_sd_rad` (infinite: no rays).
-#[must_use]
-pub fn fisher_of_ways(
-    points: &[Point],
-    stations: &[Point],
-    ways: &[Way],
-    sd_m: f64,
-    delay_sd_m: f64,
-    ray_sd_rad: f64,
-) -> Mat<f64> {
-    let size = 3 * points.len();
-    let weight = 1.0 / (sd_m * sd_m);
-    let (mut fisher, mut coupling): (Mat<f64>, _) = (Mat::zeros(size, size), vec![0.0; size]);
-    for way in ways {
-        let mut slope: Vec<(usize, f64)> = Vec::new();
-        for ends in way.stops(points, stations).windows(2) {
-            let along = (ends[1].0 - ends[0].0).normalize();
-            let mut pull = |patch: Option<usize>, sign: f64| {
-                slope.extend(patch.iter().flat_map(|patch| (0..3).map(move |k| (3 * patch + k, sign * along[k]))));
-            };
-            pull(ends[0].1, -1.0);
-            pull(ends[1].1, 1.0);
+/// What lengths tell of all coordinates, three a patch, and of a delay common to all: the blocks of their Fisher matrix.
+#[derive(Clone, Debug)]
+pub struct Information {
+    positions: Mat<f64>,
+    coupling: Vec<f64>,
+    delay: f64,
+}
+
+impl Information {
+    /// Of the lengths of `ways` with sds `sds_m`, for a delay that is known to `delay_sd_m` beforehand (0: exactly).
+    ///
+    /// # Panics
+    /// When there is not one sd a way.
+    #[must_use]
+    pub fn of_ways(points: &[Point], stations: &[Point], ways: &[Way], sds_m: &[f64], delay_sd_m: f64) -> Self {
+        assert_eq!(ways.len(), sds_m.len(), "a length has an sd");
+        let size = 3 * points.len();
+        let (mut positions, mut coupling): (Mat<f64>, _) = (Mat::zeros(size, size), vec![0.0; size]);
+        let mut delay = 1.0 / (delay_sd_m * delay_sd_m);
+        for (way, sd_m) in ways.iter().zip(sds_m) {
+            let weight = 1.0 / (sd_m * sd_m);
+            // A patch that is met twice stands here twice.
+            let mut slope: Vec<(usize, f64)> = Vec::new();
+            for ends in way.stops(points, stations).windows(2) {
+                let along = (ends[1].0 - ends[0].0).normalize();
+                let mut pull = |patch: Option<usize>, sign: f64| {
+                    slope.extend(patch.iter().flat_map(|patch| (0..3).map(move |k| (3 * patch + k, sign * along[k]))));
+                };
+                pull(ends[0].1, -1.0);
+                pull(ends[1].1, 1.0);
+            }
+            for &(i, u) in &slope {
+                coupling[i] += weight * u;
+                slope.iter().for_each(|&(k, v)| positions[(i, k)] += weight * u * v);
+            }
+            delay += weight;
         }
-        for &(i, u) in &slope {
-            coupling[i] += weight * u;
-            slope.iter().for_each(|&(k, v)| fisher[(i, k)] += weight * u * v);
-        }
+        Self { positions, coupling, delay }
     }
-    let stiffness = weight * ways.len() as f64 + 1.0 / (delay_sd_m * delay_sd_m);
-    let mut fisher = Mat::from_fn(size, size, |i, k| fisher[(i, k)] - coupling[i] * coupling[k] / stiffness);
-    for (patch, point) in points.iter().enumerate() {
-        let (range, along) = ((point - stations[0]).norm(), (point - stations[0]).normalize());
-        for (i, k) in (0..3).flat_map(|i| (0..3).map(move |k| (i, k))) {
-            let across = f64::from(u8::from(i == k)) - along[i] * along[k];
-            fisher[(3 * patch + i, 3 * patch + k)] += across / (range * ray_sd_rad).powi(2);
+
+    /// With directions from a station to all patches, each of two angles known to `sd_rad`.
+    #[must_use]
+    pub fn with_rays(mut self, points: &[Point], from: Point, sd_rad: f64) -> Self {
+        for (patch, point) in points.iter().enumerate() {
+            let (range_m, along) = ((point - from).norm(), (point - from).normalize());
+            for (i, k) in (0..3).flat_map(|i| (0..3).map(move |k| (i, k))) {
+                let across = f64::from(u8::from(i == k)) - along[i] * along[k];
+                self.positions[(3 * patch + i, 3 * patch + k)] += across / (range_m * sd_rad).powi(2);
+            }
         }
+        self
     }
-    fisher
+
+    /// Fisher matrix of all coordinates, what the delay takes taken off.
+    #[must_use]
+    pub fn of_positions(&self) -> Mat<f64> {
+        let (size, coupling) = (self.coupling.len(), &self.coupling);
+        Mat::from_fn(size, size, |i, k| self.positions[(i, k)] - coupling[i] * coupling[k] / self.delay)
+    }
+
+    /// Standard deviation of the delay that no estimator goes below, with `free` rotations of the whole that no length depends on.
+    #[must_use]
+    pub fn delay_sd_m(&self, free: usize) -> f64 {
+        let (values, vectors) = dense::symmetric_eigen(&self.positions);
+        let along = |k: usize| self.coupling.iter().enumerate().map(|(i, c)| c * vectors[(i, k)]).sum::<f64>();
+        let taken: f64 = (free..values.len()).map(|k| along(k).powi(2) / values[k]).sum();
+        1.0 / (self.delay - taken).sqrt()
+    }
 }
 
 /// Root of the mean squared error, what `free` rotations of the whole bring apart, that no estimator goes below. Infinite if more is open.

@@ -39,7 +39,7 @@ use super::footprints::Footprints;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::loss::Loss;
-use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Problem, Solution};
+use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Problem, Solution, Unsolved};
 use crate::geometry::placement::{self, Kind};
 use crate::tables::{
     Ambiguity, Calibration, Delay, Fit, Label, Patch, PatchCovariance, Plane, Residual, Row, Station, Suspect,
@@ -126,10 +126,16 @@ impl Apply for Refine {
         let model = Model::new(&context.known, &labels);
         let mut problem = model.problem(if self.robust { Loss::Huber } else { Loss::Squared });
         let start = problem.start.clone();
-        let solve = |problem: &Problem| {
-            maximum_likelihood::solve(problem).map_err(|unsolved| StageError::Refused(model.refused(&unsolved)))
+        let refused = |unsolved: &Unsolved| StageError::Refused(model.refused(unsolved));
+        let solve = |problem: &Problem| maximum_likelihood::solve(problem).map_err(|unsolved| refused(&unsolved));
+        let mut solution = match maximum_likelihood::solve(&problem) {
+            // Huber's loss settles slowly where many lengths contradict one another.
+            Err(Unsolved::NotSettled) if self.robust => {
+                problem.loss = Loss::Redescending;
+                solve(&problem)?
+            }
+            solved => solved.map_err(|unsolved| refused(&unsolved))?,
         };
-        let mut solution = solve(&problem)?;
         let is_fixed = solution.free_rotations.first() == Some(&0);
         let footprints = Footprints::new(&context.known.first().patches, &context.planes, is_fixed);
         let mut shifts_m = vec![0.0; labels.len()];
@@ -153,7 +159,8 @@ impl Apply for Refine {
             let places = [solution.points.as_slice(), start.as_slice()];
             if let Some((out, points)) = maximum_likelihood::outliers(&problem, &solution.points, &places) {
                 let kept = observations.iter().zip(&out).filter(|(_, out)| !**out).map(|(kept, _)| kept.clone());
-                problem = Problem { start: points, observations: kept.collect(), ..problem };
+                let (observations, loss) = (kept.collect(), Loss::Huber);
+                problem = Problem { start: points, observations, loss, ..problem };
                 solution = solve(&problem)?;
                 let mut next = 0..;
                 used = out.iter().map(|out| if *out { None } else { next.next() }).collect();

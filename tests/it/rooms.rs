@@ -188,7 +188,7 @@ fn wrong_first_labels_are_found_out_by_prediction() {
     for (name, room) in rooms() {
         let found = found(room, 1);
         eprintln!("{name}: {found:?}");
-        assert!(found.direct.0 > 1000, "{name}: {found:?}");
+        assert!(found.direct.0 > 900, "{name}: {found:?}");
         assert!(found.direct.1 * 200 <= found.direct.0, "{name}: {found:?}");
         assert!(found.thirds.0 > 500 && found.thirds.1 * 50 <= found.thirds.0, "{name}: {found:?}");
         assert!(found.first.0 > 300 && found.first_ratio < 100.0, "{name}: {found:?}");

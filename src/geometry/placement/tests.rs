@@ -1,10 +1,11 @@
 use super::*;
+use crate::geometry::maximum_likelihood::Ray;
 use crate::geometry::{procrustes, room};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use room::Way;
+use room::{Information, Way};
 
 const SD_M: f64 = 0.0075;
 
@@ -202,8 +203,8 @@ fn one_separate_sensor_attains_the_bound() {
         let placed = place(&problem);
         let rms_m = |mirrored| rms_about_x_m(&placed.points, &truth, mirrored);
         squares += rms_m(false).min(rms_m(true)).powi(2);
-        let fisher = room::fisher_of_ways(&truth, &stations, &ways, SD_M, 0.0, f64::INFINITY);
-        bounds += room::bound_of_m(&fisher, 1).powi(2);
+        let told = Information::of_ways(&truth, &stations, &ways, &vec![SD_M; ways.len()], 0.0);
+        bounds += room::bound_of_m(&told.of_positions(), 1).powi(2);
         assert!(alternatives(&problem, &placed.points).is_empty());
     }
     let ratio = (squares / bounds).sqrt();
@@ -218,7 +219,7 @@ fn stations_in_one_point_have_the_fisher_matrix_of_one_station() {
     let one = room::fisher(&truth, &pairs, [SD_M, SD_M], 0.003);
     let stations = [Point::origin(), Point::origin()];
     let ways = ways(truth.len(), &[1], &pairs);
-    let two = room::fisher_of_ways(&truth, &stations, &ways, SD_M, 0.003, f64::INFINITY);
+    let two = Information::of_ways(&truth, &stations, &ways, &vec![SD_M; ways.len()], 0.003).of_positions();
     let largest = (0..147).fold(0.0, |most: f64, i| most.max(one[(i, i)]));
     assert!((0..147).all(|i| (0..147).all(|k| (one[(i, k)] - two[(i, k)]).abs() < 1e-9 * largest)));
 }
@@ -304,4 +305,58 @@ fn hidden_detours_are_outvoted() {
         eprintln!("seed {seed}: {count} of {} wrong, {far} patches far off, rms {:.3} m", wrong.len(), fit.rms_m);
         assert!(far <= 5, "seed {seed}: {far}");
     }
+}
+
+#[test]
+fn weak_third_bounces_beside_the_others_attain_the_bound() {
+    let (truth, origin, delay_sd_m) = (room::rectangles(), [Point::origin()], 0.3);
+    let (mut squares, mut normalised) = (0.0, 0.0);
+    for seed in 0..10 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut ways = ways(truth.len(), &[0], &room::all_pairs(truth.len()));
+        let mut sds_m = vec![SD_M; ways.len()];
+        // Also back to the patch that was lit.
+        let third = |_| [0; 3].map(|_: usize| rng.random_range(0..truth.len()));
+        let thirds = (0..2000).map(third).filter(|[a, b, c]| a != b && b != c);
+        ways.extend(thirds.map(|patches| Way { source: 0, patches: patches.to_vec(), sensor: 0 }));
+        sds_m.resize(ways.len(), 10.0 * SD_M);
+        let mut problem = measured(&truth, &origin, &ways, 0.0, seed).with_common_delay(delay_sd_m);
+        let delay_m = delay_sd_m * rng.sample::<f64, _>(StandardNormal);
+        for (observation, sd_m) in problem.observations.iter_mut().zip(&sds_m) {
+            observation.length_m += delay_m + sd_m * rng.sample::<f64, _>(StandardNormal);
+            observation.sd_m = *sd_m;
+        }
+        let start = place(&problem).points;
+        let solution = maximum_likelihood::solve(&Problem { start, ..problem }).unwrap();
+        let fit = procrustes::rotation(&solution.points, &truth, Point::origin(), true);
+        let told = Information::of_ways(&truth, &origin, &ways, &sds_m, delay_sd_m);
+        let delay_ratio = solution.delay_variance_m2(0).sqrt() / told.delay_sd_m(3);
+        assert!((delay_ratio - 1.0).abs() < 0.05, "{delay_ratio}");
+        let fisher = told.of_positions();
+        squares += (fit.rms_m / room::bound_of_m(&fisher, 3)).powi(2) / 10.0;
+        let turned = solution.points.iter().map(|point| procrustes::turn(&fit.matrix, Point::origin(), *point));
+        let errors: Vec<f64> = turned.zip(&truth).flat_map(|(a, b)| <[f64; 3]>::from(a - b)).collect();
+        let row = |i: usize| (0..errors.len()).map(|k| fisher[(i, k)] * errors[k]).sum::<f64>();
+        normalised += (0..errors.len()).map(|i| errors[i] * row(i)).sum::<f64>() / 144.0 / 10.0;
+    }
+    // The delay makes most of the error of positions, hence the wide margin; all 144 degrees of freedom together are known to 4 %.
+    assert!((0.8..1.25).contains(&squares.sqrt()), "{}", squares.sqrt());
+    assert!((normalised - 1.0).abs() < 0.12, "{normalised}");
+}
+
+#[test]
+fn rays_fix_the_frame_and_the_covariance_is_the_bound() {
+    let (truth, origin, sd_rad) = (room::rectangles(), [Point::origin()], 0.002);
+    let ways = ways(truth.len(), &[0], &room::all_pairs(truth.len()));
+    let mut problem = measured(&truth, &origin, &ways, 1e-3, 14);
+    let ray = |(patch, point): (usize, &Point)| Ray { patch, from: 0, direction: point.coords.normalize(), sd_rad };
+    problem.rays = truth.iter().enumerate().map(ray).collect();
+    let start = place(&problem).points;
+    let solution = maximum_likelihood::solve(&Problem { start, ..problem }).unwrap();
+    let told = Information::of_ways(&truth, &origin, &ways, &vec![1e-3; ways.len()], 0.0);
+    let bound_m = room::bound_of_m(&told.with_rays(&truth, origin[0], sd_rad).of_positions(), 0);
+    let trace_m2: f64 = (0..truth.len()).map(|i| solution.patch_covariance_m2(i, i).trace()).sum();
+    let ratio = (trace_m2 / truth.len() as f64).sqrt() / bound_m;
+    assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+    assert!(plain_rms_m(&solution.points, &truth) < 2.0 * bound_m);
 }
