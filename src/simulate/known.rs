@@ -46,18 +46,19 @@ impl<'a> Telling<'a> {
     /// Keys of a patch, beyond its role.
     pub fn patch(&mut self, patch: PatchId) -> String {
         let (known, disk) = (&self.scene.known, &self.scene.patches[&patch]);
-        let mut lines = String::new();
+        // The first one ends the line before.
+        let mut lines = vec![String::new()];
         if known.size {
-            lines += &format!("\nsize_m = {:?}", disk.size_m);
+            lines.push(format!("size_m = {:?}", disk.size_m));
         }
         if known.normal {
-            lines += &format!("\nnormal = {:?}", disk.normal);
+            lines.push(format!("normal = {:?}", disk.normal));
         }
         if known.anchors.contains(&patch) {
             let position_m = self.drawn(disk.position_m, known.anchor_sd_m);
-            lines += &format!("\nposition_m = {position_m:?}");
+            lines.push(format!("position_m = {position_m:?}"));
             if known.anchor_sd_m > 0.0 {
-                lines += &format!("\nsd_m = {:?}", known.anchor_sd_m);
+                lines.push(format!("sd_m = {:?}", known.anchor_sd_m));
             }
         }
         if known.rays.contains(&patch) {
@@ -66,8 +67,8 @@ impl<'a> Telling<'a> {
             let length = arm.iter().map(|x| x * x).sum::<f64>().sqrt();
             let direction = self.drawn(arm.map(|x| x / length), known.ray_sd_rad);
             let sd = if known.ray_sd_rad > 0.0 { format!(", sd_rad = {:?}", known.ray_sd_rad) } else { String::new() };
-            lines += &format!("\nray = {{ from = {LASER:?}, direction = {direction:?}{sd} }}");
+            lines.push(format!("ray = {{ from = {LASER:?}, direction = {direction:?}{sd} }}"));
         }
-        lines
+        lines.join("\n")
     }
 }

@@ -3,12 +3,33 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
+use serde::Serialize;
 
-use crate::campaign::keys;
+use crate::campaign::Campaign;
 use crate::geometry::Point;
 use crate::geometry::footprint::{self, Footprint};
 use crate::tables::Plane;
 use crate::units::PatchId;
+
+/// What a campaign says of a patch's footprint.
+#[derive(Clone, Debug, Serialize)]
+pub struct Told {
+    size_m: f64,
+    normal: Option<[f64; 3]>,
+}
+
+impl Told {
+    /// Whether campaign.toml gives its normal.
+    pub fn has_normal(&self) -> bool {
+        self.normal.is_some()
+    }
+}
+
+/// Of all patches with a size.
+pub fn told(campaign: &Campaign) -> BTreeMap<PatchId, Told> {
+    let patches = campaign.patches.iter();
+    patches.filter_map(|(id, patch)| Some((*id, Told { size_m: patch.size_m?, normal: patch.normal }))).collect()
+}
 
 /// Footprints by patch; a patch without one is a point.
 #[derive(Clone, Debug, Default)]
@@ -17,16 +38,16 @@ pub struct Footprints(BTreeMap<PatchId, Footprint>);
 impl Footprints {
     /// Of patches with a known size that lie on one of the `planes`, whose normals hold in the frame of the patches they were fitted to; where campaign.toml's
     /// frame `is_fixed`, also of others with a normal there.
-    pub fn new(patches: &BTreeMap<PatchId, keys::Patch>, planes: &[Plane], is_fixed: bool) -> Self {
+    pub fn new(told: &BTreeMap<PatchId, Told>, planes: &[Plane], is_fixed: bool) -> Self {
         let found = |patch: PatchId| {
             let plane = planes.iter().find(|plane| plane.patches.contains(&patch))?;
             Some(Vector3::new(plane.normal_x, plane.normal_y, plane.normal_z))
         };
-        let footprint = |(patch, known): (&PatchId, &keys::Patch)| {
-            let normal = found(*patch).or_else(|| known.normal.filter(|_| is_fixed).map(Vector3::from))?;
-            Some((*patch, Footprint { normal: normal.try_normalize(f64::MIN_POSITIVE)?, size_m: known.size_m? }))
+        let footprint = |(patch, told): (&PatchId, &Told)| {
+            let normal = found(*patch).or_else(|| told.normal.filter(|_| is_fixed).map(Vector3::from))?;
+            Some((*patch, Footprint { normal: normal.try_normalize(f64::MIN_POSITIVE)?, size_m: told.size_m }))
         };
-        Self(patches.iter().filter_map(footprint).collect())
+        Self(told.iter().filter_map(footprint).collect())
     }
 
     /// Whether all patches are points.

@@ -40,10 +40,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::footprints::Footprints;
+use super::footprints::{self, Footprints, Told};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::campaign::keys;
 use crate::tables::{Delay, Fit, Label, Name, Onset, Patch, PatchCovariance, Plane};
 use crate::units::{self, PatchId};
 use predicted::Scene;
@@ -78,7 +77,7 @@ pub struct Setup {
     repetition_ps: Option<f64>,
     source_m: [f64; 3],
     sensors_m: BTreeMap<String, [f64; 3]>,
-    patches: BTreeMap<PatchId, keys::Patch>,
+    footprints: BTreeMap<PatchId, Told>,
 }
 
 impl Setup {
@@ -153,12 +152,7 @@ impl Stage for LabelOnsets {
                 .keys()
                 .filter_map(|sensor| Some((sensor.clone(), campaign.station_of(sensor)?.position_m)))
                 .collect(),
-            // What is written for people changes no label.
-            patches: campaign
-                .patches
-                .iter()
-                .map(|(id, patch)| (*id, keys::Patch { label: None, ..patch.clone() }))
-                .collect(),
+            footprints: footprints::told(campaign),
         };
         campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
     }
@@ -169,7 +163,7 @@ impl Stage for LabelOnsets {
             Some(patches) => {
                 let covariances = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
                 let planes = beside.rows::<Plane>("planes")?.unwrap_or_default();
-                let first = setups.values().next().map(|setup| &setup.patches);
+                let first = setups.values().next().map(|setup| &setup.footprints);
                 let fits = beside.rows::<Fit>("fits")?.unwrap_or_default();
                 let is_fixed = fits.iter().any(|fit| fit.alternative == 0 && &*fit.frame == "fixed");
                 let footprints = first.map(|known| Footprints::new(known, &planes, is_fixed)).unwrap_or_default();

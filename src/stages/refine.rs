@@ -35,7 +35,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::footprints::Footprints;
+use super::footprints::{Footprints, Told};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::loss::Loss;
@@ -137,7 +137,7 @@ impl Apply for Refine {
             solved => solved.map_err(|unsolved| refused(&unsolved))?,
         };
         let is_fixed = solution.free_rotations.first() == Some(&0);
-        let footprints = Footprints::new(&context.known.first().patches, &context.planes, is_fixed);
+        let footprints = Footprints::new(&context.known.first().footprints, &context.planes, is_fixed);
         let mut shifts_m = vec![0.0; labels.len()];
         for _ in 0..if footprints.is_empty() { 0 } else { ROUNDS } {
             let next_m = model.shifts_m(&footprints, &problem, &solution.points, &solution.stations);
@@ -217,8 +217,8 @@ fn alternatives(problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>)
 
 /// Says so where normals stand in campaign.toml, but in a frame that nothing ties to that of the patches.
 fn unused_normals(context: &Context, is_fixed: bool, labels: &[Label]) -> Vec<Rejection> {
-    let has_footprint = |patch: &crate::campaign::keys::Patch| patch.normal.is_some() && patch.size_m.is_some();
-    if is_fixed || !context.planes.is_empty() || !context.known.first().patches.values().any(has_footprint) {
+    let has_normal = context.known.first().footprints.values().any(Told::has_normal);
+    if is_fixed || !context.planes.is_empty() || !has_normal {
         return Vec::new();
     }
     vec![Rejection {

@@ -117,7 +117,7 @@ fn stages_never_import_one_another() {
         for other in stages.iter().filter(|other| {
             !other.contains('/')
                 && *other != own
-                && !["stage", "operator", "source", "mod", "calibrated", "covariances", "moment"]
+                && !["stage", "operator", "source", "mod", "calibrated", "covariances", "footprints", "moment"]
                     .contains(&other.as_str())
         }) {
             for form in [format!("super::{other}::"), format!("stages::{other}::")] {

@@ -92,9 +92,9 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
     study
 }
 
-/// Of the 49 patches those on a coarser grid: 9, 4 and 4. Coplanar pairs are there as in the whole.
+/// Of the 49 patches those on a coarser grid: 9, 5 and 5. Coplanar pairs are there as in the whole.
 fn some_patches() -> String {
-    let kept = [1, 3, 5, 11, 13, 15, 21, 23, 25, 26, 29, 38, 41, 42, 43, 48, 49];
+    let kept = [1, 3, 5, 11, 13, 15, 21, 23, 25, 26, 29, 32, 38, 41, 42, 43, 45, 48, 49];
     let (patches, rest) = SCENE.split_at(SCENE.find("\n# The hardware").expect("it follows the patches"));
     let (head, patches) = patches.split_at(patches.find("[patches.1]").expect("there are patches"));
     let is_kept = |block: &&str| kept.iter().any(|patch| block.starts_with(&format!("{patch}]")));
@@ -103,7 +103,7 @@ fn some_patches() -> String {
     format!("{head}{}{rest}", blocks.concat())
 }
 
-/// Two seeds, 96 degrees of freedom of the normalised error (one standard deviation: 14 %).
+/// Two seeds, 108 degrees of freedom of the normalised error (one standard deviation: 14 %).
 #[test]
 fn coplanar_patches_of_three_centimetres_reach_the_bound() {
     let study = study(&some_patches(), 0..2);
@@ -117,9 +117,9 @@ fn coplanar_patches_of_three_centimetres_reach_the_bound() {
         study.labels,
         1e6 * mean(&study.planarity_m)
     );
-    assert!(ratio < 1.6 && first > 3.0, "rms over bound {ratio}, as points {first}");
+    assert!(ratio < 1.6 && first > 1.1 * ratio, "rms over bound {ratio}, as points {first}");
     assert!((0.5..1.6).contains(&nse), "normalised squared error over degrees of freedom {nse}");
     assert_eq!(study.blind.1, 0, "wrong labels without known patches");
-    assert!(study.labels[&2].0 > 300 && study.labels[&1].1 + study.labels[&2].1 == 0);
+    assert!(study.labels[&2].0 > 400 && study.labels[&1].1 + study.labels[&2].1 == 0);
     assert!(study.tilts_rad.iter().all(|(off, sd)| off.abs() < 4.0 * sd), "{:?}", study.tilts_rad);
 }

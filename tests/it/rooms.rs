@@ -133,9 +133,9 @@ pub fn found(room: Room, seed: u64) -> Found {
         )
     };
     let pipeline = format!(
-        "[onsets]\nstage = 'import'\nparams = {{ table = 'onsets', path = {:?} }}\n\
+        "[onsets]\nstage = 'import'\nparams = {{ table = 'onsets', path = '{}' }}\n\
          [first_labels]\nstage = 'label'\nfrom = 'onsets'\n[first]\nstage = 'refine'\nfrom = 'first_labels'\n{}{}",
-        lab.path("onsets.parquet"),
+        lab.path("onsets.parquet").display(),
         pass("second", "first"),
         pass("last", "second"),
     );

@@ -20,16 +20,18 @@ const GONE: f64 = 1e-6;
 /// A rotation that changes no path by more than this (squared, relative to the stiffest direction) is free.
 const FREE: f64 = 1e-10;
 
+/// The patch that stands for all of a group.
+fn find(root: &mut [usize], mut patch: usize) -> usize {
+    while root[patch] != patch {
+        root[patch] = root[root[patch]];
+        patch = root[patch];
+    }
+    patch
+}
+
 /// Groups of patches that are joined by paths, largest first.
 pub fn parts(problem: &Problem) -> Vec<Vec<usize>> {
     let mut root: Vec<usize> = (0..problem.start.len()).collect();
-    fn find(root: &mut [usize], mut patch: usize) -> usize {
-        while root[patch] != patch {
-            root[patch] = root[root[patch]];
-            patch = root[patch];
-        }
-        patch
-    }
     for observation in &problem.observations {
         let mut patches = observation.nodes.iter().filter_map(|node| match node {
             Node::Patch(patch) => Some(*patch),

@@ -31,6 +31,9 @@ struct Slope {
     others: Mat<f64>,
 }
 
+/// Sums on the way to a slope: right-hand side, blocks, others, and room for a row's terms.
+type Sums = (Vec<f64>, Vec<f64>, Vec<f64>, Vec<(usize, f64)>);
+
 /// Sum over all rows, in chunks.
 fn summed<T: Send>(
     rows: &Rows,
@@ -83,7 +86,6 @@ impl Slope {
             let others = vec![0.0; size * (size - coordinates)];
             (vec![0.0; size], vec![0.0; 9 * patches], others, Vec::new())
         };
-        type Sums = (Vec<f64>, Vec<f64>, Vec<f64>, Vec<(usize, f64)>);
         let add_row = |(right, blocks, others, terms): &mut Sums, n: usize| {
             let residual = rows.residual(place, n, Some(terms));
             let weight = rows.loss(n, residual).1;

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::campaign::Campaign;
 use crate::campaign::keys::{self, LASER};
+use crate::stages::footprints::{self, Told};
 use crate::tables::{Calibration, Name, Patch};
 use crate::units::PatchId;
 
@@ -25,12 +26,15 @@ pub struct Setup {
     /// Station of each sensor.
     pub sensors: BTreeMap<String, String>,
     pub patches: BTreeMap<PatchId, keys::Patch>,
+    pub footprints: BTreeMap<PatchId, Told>,
 }
 
 impl Setup {
     pub fn new(campaign: &Campaign) -> Self {
-        // What is written for people changes no position.
-        let silent = |(id, patch): (&PatchId, &keys::Patch)| (*id, keys::Patch { label: None, ..patch.clone() });
+        // What is written for people changes no position; footprints stand apart.
+        let silent = |(id, patch): (&PatchId, &keys::Patch)| {
+            (*id, keys::Patch { label: None, size_m: None, normal: None, ..patch.clone() })
+        };
         let station = |sensor: &keys::Sensor| sensor.station.clone().unwrap_or_else(|| LASER.to_owned());
         Self {
             dimensions: campaign.dimensions,
@@ -40,6 +44,7 @@ impl Setup {
             stations: campaign.stations.clone(),
             sensors: campaign.sensors.iter().map(|(name, sensor)| (name.clone(), station(sensor))).collect(),
             patches: campaign.patches.iter().map(silent).collect(),
+            footprints: footprints::told(campaign),
         }
     }
 
@@ -86,8 +91,8 @@ impl Known {
     }
 
     /// The calibrated delay of a sensor at a range: that of the range, or the only one of the sensor. `None` where latencies are exact.
-    pub fn delay_of(&self, campaign: &Name, sensor: &Name, range: &Option<Name>) -> Option<DelayKey> {
-        let key = (campaign.clone(), sensor.clone(), range.clone());
+    pub fn delay_of(&self, campaign: &Name, sensor: &Name, range: Option<&Name>) -> Option<DelayKey> {
+        let key = (campaign.clone(), sensor.clone(), range.cloned());
         if self.latencies.contains_key(&key) {
             return Some(key);
         }

@@ -2,15 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use faer::Mat;
 use nalgebra::Vector3;
 
 use super::known::{DelayKey, Known, Setup};
 use crate::campaign::keys::{self, LASER};
-use crate::geometry::Point;
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{Anchor, Node, Observation, Problem, Ray, Solution, Station, Unsolved};
 use crate::geometry::placement;
+use crate::geometry::{Matrix, Point};
 use crate::stages::footprints::Footprints;
 use crate::tables::{Label, Name};
 use crate::units::{self, PatchId};
@@ -40,7 +39,7 @@ pub struct Model<'a> {
 impl<'a> Model<'a> {
     pub fn new(known: &'a Known, labels: &'a [Label]) -> Self {
         let patches: BTreeSet<PatchId> = labels.iter().flat_map(|label| label.path.iter().flatten().copied()).collect();
-        let delay = |label: &Label| known.delay_of(&label.campaign, &label.sensor, &label.range);
+        let delay = |label: &Label| known.delay_of(&label.campaign, &label.sensor, label.range.as_ref());
         let delays: BTreeSet<DelayKey> = labels.iter().filter_map(delay).collect();
         let (mut stations, mut station_at) = (Vec::<Place>::new(), BTreeMap::new());
         for (campaign, setup) in &known.setups {
@@ -106,7 +105,7 @@ impl<'a> Model<'a> {
             observations: self.labels.iter().map(|label| self.observation(label)).collect(),
             anchors: self.anchors(first),
             rays: self.rays(first),
-            delay_covariance_m2: Mat::from_fn(count, count, |i, k| length_m2(&self.delays[i], &self.delays[k])),
+            delay_covariance_m2: Matrix::from_fn(count, count, |i, k| length_m2(&self.delays[i], &self.delays[k])),
             period_sd_m: self.period_sd_m(),
             loss,
         };
@@ -154,7 +153,7 @@ impl<'a> Model<'a> {
         let setup = self.setup(label);
         let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
         let station = |name: &str| Node::Station(self.station_at[&(label.campaign.clone(), name.to_owned())]);
-        let delay = self.known.delay_of(&label.campaign, &label.sensor, &label.range);
+        let delay = self.known.delay_of(&label.campaign, &label.sensor, label.range.as_ref());
         Observation {
             nodes: std::iter::once(station(LASER))
                 .chain(path)

@@ -220,7 +220,7 @@ fn a_wrong_label_leads_the_suspects_and_an_unchecked_onset_is_among_them() {
     labels[wrong].time_ps += 400.0;
     let written = refined(&context(CAMPAIGN, Vec::new()), labels);
     let worst = &written.suspects[0];
-    assert_eq!((worst.path.as_slice(), &*worst.reason), ([2, 7].as_slice(), "far-off"));
+    assert_eq!((worst.path.as_slice(), &*worst.reason), ([2, 7].as_slice(), "left-out"));
     assert!(worst.studentised.unwrap().abs() > 50.0);
     let unchecked: Vec<&Suspect> = written.suspects.iter().filter(|row| &*row.reason == "unchecked").collect();
     assert!(unchecked.iter().any(|row| row.path == [11]) && unchecked.iter().all(|row| row.path.contains(&11)));
