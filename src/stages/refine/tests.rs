@@ -247,3 +247,19 @@ fn the_laser_period_is_refined_where_light_arrives_in_several() {
     let (found_ps, sd_ps) = (written.fit.repetition_ps.unwrap(), written.fit.repetition_sd_ps.unwrap());
     assert!((found_ps - true_ps).abs() < 4.0 * sd_ps && sd_ps < 0.4, "{found_ps} {sd_ps}");
 }
+
+#[test]
+fn a_station_that_no_sensor_stands_at_leaves_the_frame_of_stations_in_line() {
+    let room = room();
+    let sensor = Point::new(0.5, 0.0, 0.0);
+    let campaign = "[campaign]\nname = 'c'\ngroup_index = 1.0\n[stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [0.5, 0.0, 0.0]\n\
+                    [stations.door]\nposition_m = [0.0, 3.0, 1.0]\n[sensors.s1]\nstation = 'aside'\n";
+    let mut day = Day::new(&room, 8);
+    day.sensor = sensor;
+    let written = refined(&context(campaign, Vec::new()), day.all(|_, _| true).labels);
+    assert_eq!((&*written.fit.frame, written.fit.free_rotations), ("stations", 1));
+    // Turning about the line keeps every distance from both stations.
+    for (found, truth) in points(&written.patches, 0).iter().zip(&room) {
+        assert!(((found - sensor).norm() - (truth - sensor).norm()).abs() < 0.02, "{found} {truth}");
+    }
+}

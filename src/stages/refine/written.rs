@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::model::Model;
-use crate::geometry::maximum_likelihood::{Observation, Solution};
+use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
 use crate::tables::{Ambiguity, Delay, Fit, Name, Patch, PatchCovariance, Residual, Station, Suspect};
 use crate::units::{self, PatchId};
@@ -53,7 +53,7 @@ impl<'a> Written<'a> {
         let (turn, frame) = if model.all_rotations_free(solution) {
             (frame::canonical(&solution.points, centre(solution)), "canonical")
         } else if solution.free_rotations.first() == Some(&1) {
-            (frame::about(&solution.points, centre(solution), station_line(solution)), "stations")
+            (frame::about(&solution.points, centre(solution), station_line(solution, observations)), "stations")
         } else {
             (Matrix3::identity(), "fixed")
         };
@@ -80,7 +80,9 @@ impl<'a> Written<'a> {
         let cov = self.turn * solution.patch_covariance_m2(place, place) * self.turn.transpose();
         let known = (!solution.open.contains(&place)).then_some(cov);
         let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
-        let touches = |label: &&crate::tables::Label| label.path.iter().flatten().any(|of| *of == patch);
+        let rests_on = |(label, used): &(&crate::tables::Label, &Option<usize>)| {
+            used.is_some() && label.path.iter().flatten().any(|of| *of == patch)
+        };
         Patch {
             patch,
             kind: self.model.known.start.get(&patch).map_or_else(|| "visible".into(), |start| start.kind.clone()),
@@ -94,7 +96,7 @@ impl<'a> Written<'a> {
             cov_yz_m2: known.map(|cov| cov[(1, 2)]),
             cov_zz_m2: known.map(|cov| cov[(2, 2)]),
             sd_m: known.map(|cov| cov.trace().sqrt()),
-            onsets: self.model.labels.iter().filter(touches).count() as i32,
+            onsets: self.model.labels.iter().zip(self.used).filter(rests_on).count() as i32,
             chi2_dof,
             alternative,
             log_likelihood: Some(-0.5 * solution.loss),
@@ -330,8 +332,12 @@ fn centre(solution: &Solution) -> Point {
     solution.stations[0]
 }
 
-/// Direction from the first station to the one farthest from it.
-fn station_line(solution: &Solution) -> Vector3<f64> {
-    let arms = solution.stations.iter().map(|station| station - solution.stations[0]);
+/// Direction from the first station to the one farthest from it, of those that light was timed at.
+fn station_line(solution: &Solution, observations: &[Observation]) -> Vector3<f64> {
+    let sensors = observations.iter().filter_map(|observation| match observation.nodes.last() {
+        Some(Node::Station(station)) => Some(solution.stations[*station]),
+        _ => None,
+    });
+    let arms = sensors.map(|sensor| sensor - solution.stations[0]);
     arms.max_by(|a, b| a.norm().total_cmp(&b.norm())).unwrap_or_else(Vector3::x)
 }
