@@ -10,6 +10,7 @@ pub mod dense;
 pub mod detours;
 pub mod footprint;
 pub mod frame;
+pub mod hidden;
 pub mod iso_embed;
 pub mod landmark;
 pub mod loss;

@@ -15,6 +15,8 @@
 
 mod proposals;
 
+pub use proposals::meet;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::Point;

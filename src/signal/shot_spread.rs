@@ -98,8 +98,9 @@ impl OutlierTest {
         // A median deviation of 0 codes says only that half of the normal noise lies within half a code.
         let scale = (1.4826 * middle(&mut deviations)).max(QUIET_SD);
         let slope = |n: usize| {
-            let neighbour = |m: usize| (median[m.min(count - 1)] - median[n]).abs();
-            neighbour(n + 1).max(neighbour(n.saturating_sub(1)))
+            // Two samples on either side: between samples a fast pulse rises above its neighbours.
+            let neighbours = n.saturating_sub(2)..(n + 3).min(count);
+            neighbours.map(|m| (median[m] - median[n]).abs()).fold(0.0, f64::max)
         };
         let margin: Vec<f64> = (0..count).map(|n| sigma * scale + slope(n)).collect();
         let low = median.iter().zip(&margin).map(|(median, margin)| median - margin).collect();
@@ -167,5 +168,25 @@ mod tests {
             }
             assert!(wrong <= 1, "noise {noise}: {wrong} of 1000");
         }
+    }
+
+    /// A pulse hardly wider than a sample, thousands of times its noise, at any phase of the samples.
+    #[test]
+    fn good_shots_of_a_fast_and_strong_pulse_are_not_rejected() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut shot = || -> (Vec<u8>, i64) {
+            let phase = rng.random_range(0..PHASES as i64);
+            let mut code = |n: usize| -> [u8; 2] {
+                let late = (n as f64 + phase as f64 / PHASES as f64 - 100.0) / 0.8;
+                let normal: f64 = StandardNormal.sample(&mut rng);
+                ((3000.0 * (-0.5 * late * late).exp() + normal).round() as i16).to_le_bytes()
+            };
+            ((0..200).flat_map(&mut code).collect(), phase)
+        };
+        let head: Vec<(Vec<u8>, i64)> = (0..HEAD_SHOTS).map(|_| shot()).collect();
+        let views: Vec<(Codes<'_>, i64)> = head.iter().map(|(bytes, at)| (Codes::I16(bytes), *at)).collect();
+        let test = OutlierTest::new(&views, 32, 6.0).expect("enough shots");
+        let wrong = (0..1000).map(|_| shot()).filter(|(bytes, at)| test.is_outlier(Codes::I16(bytes), *at)).count();
+        assert!(wrong <= 2, "{wrong} of 1000");
     }
 }

@@ -127,7 +127,7 @@ impl Known {
 
 impl Stage for Average {
     const KIND: &'static str = "average";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
     type Input = Trace;

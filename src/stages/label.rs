@@ -16,7 +16,17 @@
 //! known patches such that first bounces (then the strongest onset, since later light may come before it) lie within one period beyond `near_m`,
 //! and second bounces where their first bounces leave one choice; with them, as predicted.
 //!
-//! Takes `onsets`; writes `labels`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
+//! Hidden patches, which neither laser nor sensor sees, show in third bounces over visible ones (paper section 4.3). With `bounces` of 3 or more:
+//!
+//! | hidden | |
+//! |---|---|
+//! | `search` | places whose third bounces explain onsets in so many profiles that chance does not ([`crate::geometry::hidden`]); table `hypotheses` |
+//! | `rank` | the paper's: the n-th onset that visible patches do not explain is hidden patch n in every profile |
+//! | `none` | not looked for |
+//!
+//! They are numbered on from the largest patch, as many as there are, or `[hidden] count` of campaign.toml at most.
+//!
+//! Takes `onsets`; writes `labels` and, beside it, `hypotheses`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
 //! prediction `covariances` (`patch_covariances` of the same stage) and `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the
 //! light's centroid over large patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that the frame is fixed,
 //! also by the normals of campaign.toml. Patches without covariance are not predicted from.
@@ -34,18 +44,23 @@
 //! ```
 
 mod blind;
+mod hidden;
 mod predicted;
+mod rank;
+mod scene;
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
 use super::footprints::{self, Footprints, Told};
-use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::tables::{Delay, Fit, Label, Name, Onset, Patch, PatchCovariance, Plane};
+use crate::geometry::Point;
+use crate::tables::{Delay, Fit, Hypothesis, Label, Name, Onset, Patch, PatchCovariance, Plane, Row};
 use crate::units::{self, PatchId};
-use predicted::Scene;
+use predicted::Pairs;
+use scene::{Scene, View};
 
 /// Stations closer than this are one.
 const ONE_STATION_M: f64 = 1e-6;
@@ -62,12 +77,29 @@ pub struct LabelOnsets {
     clutter_per_ns: f64,
     /// No patch is nearer to laser and sensor than this; matters where the laser's period is given and patches are not known.
     near_m: f64,
+    /// Which patches that nothing shows directly are looked for, with known patches and `bounces` of 3 or more.
+    hidden: HiddenPatches,
+    /// Probability that `search` finds a hidden patch where there is none.
+    false_alarm: f64,
 }
 
 impl Default for LabelOnsets {
     fn default() -> Self {
-        Self { bounces: 2, probability_min: 0.95, clutter_per_ns: 0.05, near_m: 0.0 }
+        let (clutter_per_ns, hidden, false_alarm) = (0.05, HiddenPatches::Search, 1e-3);
+        Self { bounces: 2, probability_min: 0.95, clutter_per_ns, near_m: 0.0, hidden, false_alarm }
     }
+}
+
+/// How hidden patches are found among onsets that known ones do not explain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum HiddenPatches {
+    /// Not at all.
+    None,
+    /// By their likelihood over all profiles, their number unknown.
+    Search,
+    /// By order of arrival in each profile, as in the paper.
+    Rank,
 }
 
 /// What a campaign says that paths depend on.
@@ -78,13 +110,37 @@ pub struct Setup {
     source_m: [f64; 3],
     sensors_m: BTreeMap<String, [f64; 3]>,
     footprints: BTreeMap<PatchId, Told>,
+    dimensions: usize,
+    /// Largest number of a patch.
+    largest_patch: PatchId,
+    /// Number of hidden patches, where it is known.
+    hidden_count: Option<u32>,
 }
 
-impl Setup {
-    /// Distance between laser and a sensor.
-    fn apart_m(&self, sensor: &str) -> f64 {
-        let sensor_m = self.sensors_m[sensor];
-        self.source_m.iter().zip(sensor_m).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+/// The profiles of one sensor.
+struct OfSensor<'a> {
+    known: &'a Known,
+    setup: &'a Setup,
+    source: Point,
+    sensor: Point,
+    profiles: Vec<&'a [Onset]>,
+}
+
+impl<'a> OfSensor<'a> {
+    fn new(known: &'a Known, onsets: &'a [Onset]) -> Self {
+        let setup = &known.setups[&*onsets[0].campaign];
+        let profiles = onsets.chunk_by(|a, b| (a.lit, a.seen) == (b.lit, b.seen)).collect();
+        let sensor = Point::from(setup.sensors_m[&*onsets[0].sensor]);
+        Self { known, setup, source: Point::from(setup.source_m), sensor, profiles }
+    }
+
+    fn view(&self, profile: &[Onset]) -> View<'_> {
+        View { setup: self.setup, source: self.source, sensor: self.sensor, delay_ps: self.known.delay_ps(&profile[0]) }
+    }
+
+    /// Distance between laser and sensor.
+    fn apart_m(&self) -> f64 {
+        (self.source - self.sensor).norm()
     }
 }
 
@@ -128,7 +184,7 @@ impl Verdict {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -137,6 +193,7 @@ impl Stage for LabelOnsets {
         Beside { name: "planes", table: "planes", required: false },
         Beside { name: "fits", table: "fits", required: false },
     ];
+    const SIDES: &'static [Side] = &[Side { name: Hypothesis::TABLE, schema: Hypothesis::schema }];
     type Input = Onset;
     type Output = Label;
     type Fields = BTreeMap<String, Setup>;
@@ -153,6 +210,9 @@ impl Stage for LabelOnsets {
                 .filter_map(|sensor| Some((sensor.clone(), campaign.station_of(sensor)?.position_m)))
                 .collect(),
             footprints: footprints::told(campaign),
+            dimensions: usize::from(campaign.dimensions),
+            largest_patch: campaign.patches.keys().copied().max().unwrap_or(0),
+            hidden_count: campaign.hidden.count,
         };
         campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
     }
@@ -186,9 +246,10 @@ impl Stage for LabelOnsets {
             || self.clutter_per_ns <= 0.0
             || self.near_m.is_nan()
             || self.near_m < 0.0
+            || !(self.false_alarm > 0.0 && self.false_alarm < 1.0)
         {
             return Err(StageError::Refused(
-                "params: probability_min must lie between 0 and 1, clutter_per_ns be positive, near_m not negative"
+                "params: probability_min and false_alarm must lie between 0 and 1, clutter_per_ns be positive, near_m not negative"
                     .to_owned(),
             ));
         }
@@ -202,22 +263,45 @@ impl Stage for LabelOnsets {
 impl Apply for LabelOnsets {
     fn apply(&self, known: &Known, group: Vec<Onset>) -> Result<Outcome<Label>, StageError> {
         let of_one_sensor = |a: &Onset, b: &Onset| (&a.campaign, &a.sensor) == (&b.campaign, &b.sensor);
-        let of_one_profile = |a: &Onset, b: &Onset| (a.lit, a.seen) == (b.lit, b.seen);
+        let sensors: Vec<OfSensor> = group.chunk_by(of_one_sensor).map(|onsets| OfSensor::new(known, onsets)).collect();
+        let (verdicts, hypotheses) = match &known.scene {
+            None => (sensors.iter().map(|sensor| self.blind(sensor)).collect(), Vec::new()),
+            Some(scene) => self.with_known(scene, &sensors),
+        };
         let mut rows = Vec::new();
-        for of_sensor in group.chunk_by(of_one_sensor) {
-            let profiles: Vec<&[Onset]> = of_sensor.chunk_by(of_one_profile).collect();
-            let setup = &known.setups[&*of_sensor[0].campaign];
-            let verdicts = match &known.scene {
-                None => self.blind(setup, &profiles),
-                Some(scene) => self.predicted(setup, scene, |onset| known.delay_ps(onset), &profiles),
-            };
-            for (profile, verdicts) in profiles.iter().zip(verdicts) {
-                for (onset, verdicts) in profile.iter().zip(verdicts) {
-                    rows.extend(verdicts.into_iter().map(|verdict| row(onset, verdict, setup)));
-                }
+        for (sensor, verdicts) in sensors.iter().zip(verdicts) {
+            for (onset, verdicts) in sensor.profiles.iter().copied().flatten().zip(verdicts.into_iter().flatten()) {
+                rows.extend(verdicts.into_iter().map(|verdict| row(onset, verdict, sensor.setup)));
             }
         }
-        Ok(Outcome::rows(rows))
+        Ok(Outcome { rows, sides: vec![Hypothesis::to_batch(&hypotheses)], rejections: Vec::new() })
+    }
+}
+
+/// For each profile of a sensor, for each onset, its labels.
+type Verdicts = Vec<Vec<Vec<Verdict>>>;
+
+impl LabelOnsets {
+    /// With known patches, and hidden ones that are found on the way.
+    fn with_known(&self, scene: &Scene, sensors: &[OfSensor]) -> (Vec<Verdicts>, Vec<Hypothesis>) {
+        let closed: Vec<Pairs> = sensors.iter().map(|sensor| self.closed(scene, sensor)).collect();
+        let predicted = |scene: &Scene| -> Vec<Verdicts> {
+            sensors.iter().zip(&closed).map(|(sensor, closed)| self.predicted(scene, sensor, closed)).collect()
+        };
+        match self.hidden {
+            HiddenPatches::Search if self.bounces >= 3 => {
+                let search = hidden::Search::new(scene, sensors, &closed, self.false_alarm);
+                (predicted(&scene.with(&search.patches)), search.hypotheses())
+            }
+            HiddenPatches::Rank if self.bounces >= 3 => {
+                let mut verdicts = predicted(scene);
+                for (sensor, verdicts) in sensors.iter().zip(&mut verdicts) {
+                    rank::label(sensor, verdicts);
+                }
+                (verdicts, Vec::new())
+            }
+            _ => (predicted(scene), Vec::new()),
+        }
     }
 }
 

@@ -4,6 +4,7 @@ pub mod calibration;
 pub mod checks;
 pub mod contract;
 pub mod distances;
+pub mod hypotheses;
 pub mod labels;
 pub mod measurements;
 pub mod onsets;
@@ -23,6 +24,7 @@ use arrow::datatypes::SchemaRef;
 pub use calibration::Calibration;
 pub use checks::Check;
 pub use distances::{Covariance, Distance};
+pub use hypotheses::Hypothesis;
 pub use labels::Label;
 pub use measurements::Measurement;
 pub use onsets::Onset;
@@ -56,6 +58,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Stir>(),
         of::<Onset>(),
         of::<Label>(),
+        of::<Hypothesis>(),
         of::<Distance>(),
         of::<Covariance>(),
         of::<Patch>(),

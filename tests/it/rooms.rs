@@ -127,7 +127,7 @@ pub fn found(room: Room, seed: u64) -> Found {
     write_table(&lab.path("onsets.parquet"), &rows);
     let pass = |name: &str, before: &str| {
         format!(
-            "[{name}_labels]\nstage = 'label'\nfrom = 'onsets'\nparams = {{ bounces = 3 }}\n\
+            "[{name}_labels]\nstage = 'label'\nfrom = 'onsets'\nparams = {{ bounces = 3, hidden = 'none' }}\n\
              with = {{ patches = '{before}', covariances = '{before}.patch_covariances' }}\n\
              [{name}]\nstage = 'refine'\nfrom = '{name}_labels'\nwith = {{ patches = '{before}' }}\n"
         )

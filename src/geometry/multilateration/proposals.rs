@@ -109,8 +109,9 @@ fn meetings(focus: Point, about: &[Path], dimensions: usize) -> Vec<Point> {
     points
 }
 
-/// The points `x` with `|x| = r` on the line in `(x, r)` that three linear conditions leave; where the line passes the cone, the nearest.
-fn meet(rows: [(Vector4<f64>, f64); 3]) -> [Option<Vector3<f64>>; 2] {
+/// The points `x` with `|x| = r` on the line in `(x, r)` that three linear conditions leave, each with a row of norm 1; where the line passes the cone, the nearest.
+#[must_use]
+pub fn meet(rows: [(Vector4<f64>, f64); 3]) -> [Option<Vector3<f64>>; 2] {
     let minor = |skip: usize| {
         let column = |k: usize| if k < skip { k } else { k + 1 };
         Matrix3::from_fn(|i, k| rows[i].0[column(k)]).determinant()

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{LabelOnsets, ONE_STATION_M, Setup, Verdict, direct, light, sd_ps, time_ps};
+use super::{LabelOnsets, ONE_STATION_M, OfSensor, Setup, Verdict, Verdicts, direct, light, sd_ps, time_ps};
 use crate::geometry::detours::detours;
 use crate::geometry::t2::{self, Length};
 use crate::tables::Onset;
@@ -28,10 +28,8 @@ type Firsts = BTreeMap<(PatchId, PatchId), First>;
 
 impl LabelOnsets {
     /// For each profile of one sensor, for each onset, its labels.
-    pub(super) fn blind(&self, setup: &Setup, profiles: &[&[Onset]]) -> Vec<Vec<Vec<Verdict>>> {
-        let Some(sensor) = profiles.first().map(|profile| &*profile[0].sensor) else {
-            return Vec::new();
-        };
+    pub(super) fn blind(&self, sensor: &OfSensor) -> Verdicts {
+        let OfSensor { setup, profiles, .. } = sensor;
         let mut firsts = Firsts::new();
         for profile in profiles.iter().filter(|profile| profile[0].lit == profile[0].seen) {
             let near_ps = time_ps(2.0 * self.near_m, setup);
@@ -50,11 +48,11 @@ impl LabelOnsets {
             .filter(|profile| profile[0].lit != profile[0].seen)
             .filter_map(|profile| {
                 let pair = (profile[0].lit, profile[0].seen);
-                Some((pair, self.second(setup, sensor, &firsts, profile)?))
+                Some((pair, self.second(sensor, &firsts, profile)?))
             })
             .collect();
         firsts.extend(seconds);
-        let is_one_station = setup.apart_m(sensor) < ONE_STATION_M;
+        let is_one_station = sensor.apart_m() < ONE_STATION_M;
         let closed = detours(&arrivals(setup, &firsts, is_one_station), is_one_station);
         let labels = |profile: &&[Onset]| {
             let pair = (profile[0].lit, profile[0].seen);
@@ -80,7 +78,8 @@ impl LabelOnsets {
     }
 
     /// First light of a pair, between the longer of its two first bounces and their sum; `None` where the laser's period leaves a choice.
-    fn second(&self, setup: &Setup, sensor: &str, firsts: &Firsts, profile: &[Onset]) -> Option<First> {
+    fn second(&self, sensor: &OfSensor, firsts: &Firsts, profile: &[Onset]) -> Option<First> {
+        let setup = sensor.setup;
         let own = [profile[0].lit, profile[0].seen].map(|patch| firsts.get(&(patch, patch)));
         let known = || own.iter().flatten();
         let near_ps = time_ps(2.0 * self.near_m, setup);
@@ -88,7 +87,7 @@ impl LabelOnsets {
         let most_ps = match own {
             [Some(a), Some(b)] => {
                 // Stations apart leave each leg as much longer.
-                let apart_ps = time_ps(2.0 * setup.apart_m(sensor), setup);
+                let apart_ps = time_ps(2.0 * sensor.apart_m(), setup);
                 a.time_ps + b.time_ps + apart_ps + GATE * a.sd_ps.hypot(b.sd_ps)
             }
             _ if setup.repetition_ps.is_some() => return None,

@@ -1,0 +1,136 @@
+//! A hidden patch's likelihood at a place, and the nearest place where it is largest.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::Profile;
+use crate::geometry::Point;
+
+/// Arrivals further off than this many standard deviations were not made by the patch.
+pub const GATE: f64 = 5.0;
+/// Steps at most, and how little they move in the end, in standard deviations.
+const STEPS: usize = 25;
+const SETTLED: f64 = 1e-3;
+/// First steps see all errors this much larger, so that a start some standard deviations off is no worse.
+const WIDENED: [f64; 3] = [2.5, 1.8, 1.3];
+
+/// What one patch is held against.
+#[derive(Clone, Copy)]
+pub struct View<'a> {
+    pub foci: &'a [Point],
+    pub profiles: &'a [Profile],
+    /// For each arrival of each profile what other paths leave of it.
+    pub left: &'a [Vec<f64>],
+    /// Clutter per metre.
+    pub clutter_per_m: f64,
+    /// Share of profiles in which the patch makes an arrival.
+    pub seen: f64,
+    pub dimensions: usize,
+}
+
+/// A place with what speaks for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    pub point: Point,
+    /// Log-likelihood ratio: a patch here over none.
+    pub likelihood: f64,
+    /// Inverse of its covariance.
+    pub information: Matrix3<f64>,
+    /// Arrivals that it makes, expected.
+    pub arrivals: f64,
+}
+
+impl View<'_> {
+    /// The patch at `point`, and where its arrivals would rather have it.
+    fn at(&self, point: Point, widened: f64) -> (Place, Vector3<f64>) {
+        let arms: Vec<(f64, Vector3<f64>)> = self
+            .foci
+            .iter()
+            .map(|focus| {
+                let arm = point - focus;
+                let length_m = arm.norm().max(f64::MIN_POSITIVE);
+                (length_m, arm / length_m)
+            })
+            .collect();
+        let mut place = Place { point, likelihood: 0.0, information: Matrix3::zeros(), arrivals: 0.0 };
+        let mut right = Vector3::zeros();
+        let missed = 1.0 - self.seen;
+        let scale = self.seen / ((2.0 * std::f64::consts::PI).sqrt() * self.clutter_per_m);
+        let mut near: Vec<(f64, f64, f64)> = Vec::new();
+        for (profile, left) in self.profiles.iter().zip(self.left) {
+            let [a, b] = profile.foci;
+            let length_m = arms[a].0 + arms[b].0;
+            if !(profile.span_m[0]..=profile.span_m[1]).contains(&length_m) {
+                continue;
+            }
+            near.clear();
+            let reach_m = GATE * widened * profile.widest_m;
+            let from = profile.arrivals.partition_point(|arrival| arrival.length_m < length_m - reach_m);
+            let mut sum = missed;
+            for (arrival, left) in profile.arrivals.iter().zip(left).skip(from) {
+                let off_m = arrival.length_m - length_m;
+                if off_m > reach_m {
+                    break;
+                }
+                let sd_m = widened * arrival.sd_m;
+                let weight = scale * left / sd_m * (-0.5 * (off_m / sd_m).powi(2)).exp();
+                sum += weight;
+                near.push((weight, off_m, sd_m));
+            }
+            place.likelihood += sum.ln();
+            let slope = arms[a].1 + arms[b].1;
+            for &(weight, off_m, sd_m) in &near {
+                let share = weight / sum;
+                place.arrivals += share;
+                place.information += slope * slope.transpose() * (share / (sd_m * sd_m));
+                right += slope * (share * off_m / (sd_m * sd_m));
+            }
+        }
+        (place, right)
+    }
+
+    /// The patch at `point`.
+    #[must_use]
+    pub fn place(&self, point: Point) -> Place {
+        self.at(point, 1.0).0
+    }
+
+    /// The likeliest place near `start`, by expectation and maximization with a Gauss-Newton step as the latter.
+    #[must_use]
+    pub fn climb(&self, start: Point) -> Place {
+        let mut point = start;
+        for widened in WIDENED {
+            point = self.step(point, widened).map_or(point, |(_, step)| point + step);
+        }
+        let mut best = self.place(point);
+        for _ in 0..STEPS {
+            let Some((place, step)) = self.step(point, 1.0) else { break };
+            if place.likelihood >= best.likelihood {
+                best = place;
+            }
+            point += step;
+            if step.dot(&(place.information * step)) < SETTLED * SETTLED {
+                break;
+            }
+        }
+        let last = self.place(point);
+        if last.likelihood >= best.likelihood { last } else { best }
+    }
+
+    /// The place at a point, and the step from there.
+    fn step(&self, point: Point, widened: f64) -> Option<(Place, Vector3<f64>)> {
+        let (place, mut right) = self.at(point, widened);
+        let mut information = place.information;
+        let stiffness = information.trace();
+        if self.dimensions == 2 {
+            // Nothing moves along z.
+            information[(2, 2)] += 1e6 * stiffness;
+            right.z = 0.0;
+        }
+        information += Matrix3::identity() * (1e-6 * stiffness);
+        let step = information.try_inverse()? * right;
+        // Where few arrivals are near the step may go far: no further than what is seen of them.
+        let longest_m = 3.0 * widened * self.profiles.iter().map(|profile| profile.widest_m).fold(0.0, f64::max);
+        let length_m = step.norm();
+        Some((place, if length_m > longest_m { step * (longest_m / length_m) } else { step }))
+    }
+}

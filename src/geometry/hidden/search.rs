@@ -1,0 +1,158 @@
+//! Where in space a sum of functions of path lengths is large: branch and bound over an octree (in flatland a quadtree).
+//!
+//! The sum is a log-likelihood ratio `L(q) = sum_ab l_ab(|q - a| + |q - b|)`. Within a cube of half diagonal r a path over q changes by at most 2 r, so
+//! with every curve replaced by its maximum over that reach the sum at the centre bounds the sum everywhere in the cube. Cubes whose bound is too low are left
+//! behind, the others cut. Nothing is sampled and nothing is missed, with one exception that is stated: the sum over curves ends early once it is
+//! below `-SURE`. A true patch's sum comes that low on its way with a probability of `exp(-SURE)` at most (Ville's inequality: under a true patch `exp(-L)` of
+//! the curves so far is a martingale of mean 1, and a bound lies above it).
+
+use std::collections::VecDeque;
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use crate::geometry::Point;
+
+/// Partial sums below minus this are given up.
+const SURE: f32 = 14.0;
+/// Cubes that one task cuts.
+const CHUNK: usize = 256;
+
+/// A function of a path's length.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// Length at the first value.
+    pub low_m: f64,
+    /// Distance of two values.
+    pub step_m: f64,
+    /// Values; beyond them the curve is 0.
+    pub values: Vec<f32>,
+}
+
+impl Curve {
+    /// The largest value within `reach_m` of each length, on steps of at least that.
+    fn widened(&self, reach_m: f64) -> Self {
+        let bins = ((reach_m / self.step_m).floor() as usize).max(1);
+        let reach = (reach_m / self.step_m).ceil() as usize + 1;
+        let value = |k: i64| usize::try_from(k).ok().and_then(|k| self.values.get(k)).copied().unwrap_or(0.0);
+        // One bin covers the lengths from its first value up to the next bin's; bins begin early enough for the reach.
+        let before = reach.div_ceil(bins) * bins;
+        let count = (before + self.values.len() + reach).div_ceil(bins);
+        let mut window: VecDeque<(i64, f32)> = VecDeque::new();
+        let mut next = -(before as i64) - reach as i64;
+        let values = (0..count).map(|bin| {
+            let first = (bin * bins) as i64 - before as i64;
+            let last = first + (bins + reach) as i64;
+            while next <= last {
+                let value = value(next);
+                while window.back().is_some_and(|(_, other)| *other <= value) {
+                    window.pop_back();
+                }
+                window.push_back((next, value));
+                next += 1;
+            }
+            while window.front().is_some_and(|(k, _)| *k < first - reach as i64) {
+                window.pop_front();
+            }
+            window[0].1
+        });
+        Self { low_m: self.low_m - before as f64 * self.step_m, step_m: bins as f64 * self.step_m, values: values.collect() }
+    }
+}
+
+/// Paths that come from one point and go on to another, and what a length of theirs is worth.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Legs {
+    /// Positions of both points among the foci, the smaller first.
+    pub foci: [usize; 2],
+    /// Log-likelihood ratio by length.
+    pub curve: Curve,
+}
+
+/// Part of space: a cube, in front of some planes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Domain {
+    /// Middle of the cube.
+    pub centre: Point,
+    /// Half an edge.
+    pub half_m: f64,
+    /// 3, or 2 for flatland, where z stays that of the centre.
+    pub dimensions: usize,
+    /// Points of planes and their normals: only what lies in front of all of them counts.
+    pub fronts: Vec<(Point, Vector3<f64>)>,
+}
+
+impl Domain {
+    /// Whether a point, or one nearer to it than `slack_m`, may lie in it.
+    #[must_use]
+    pub fn holds(&self, point: Point, slack_m: f64) -> bool {
+        let reach_m = self.half_m + slack_m;
+        (0..self.dimensions).all(|k| (point[k] - self.centre[k]).abs() <= reach_m)
+            && self.fronts.iter().all(|(on, normal)| normal.dot(&(point - on)) > -slack_m)
+    }
+
+    fn half_diagonal_m(&self) -> f64 {
+        self.half_m * (self.dimensions as f64).sqrt()
+    }
+}
+
+/// Centres of cubes with a half diagonal of at most `fine_m` in which the sum may exceed `least`, with the bound of each, best first.
+#[must_use]
+pub fn search(foci: &[Point], legs: &[Legs], domain: &Domain, fine_m: f64, least: f32) -> Vec<(Point, f32)> {
+    // Paths among few foci first: early ends need few distances.
+    let mut order: Vec<&Legs> = legs.iter().collect();
+    order.sort_by_key(|legs| (legs.foci[1], legs.foci[0]));
+    let mut cubes = vec![(domain.centre, 0.0_f32)];
+    let (mut radius_m, mut half_m) = (domain.half_diagonal_m(), domain.half_m);
+    loop {
+        let level: Vec<Legs> =
+            order.par_iter().map(|legs| Legs { foci: legs.foci, curve: legs.curve.widened(2.0 * radius_m) }).collect();
+        let is_last = radius_m <= fine_m;
+        let cut = |chunk: &[(Point, f32)]| -> Vec<(Point, f32)> {
+            let mut distances_m = vec![0.0; foci.len()];
+            let bound = |cube: &(Point, f32)| Some((cube.0, bound(&level, foci, cube.0, &mut distances_m)?));
+            let kept = chunk.iter().filter(|cube| domain.holds(cube.0, radius_m)).filter_map(bound);
+            let kept = kept.filter(|(_, bound)| *bound > least);
+            if is_last { kept.collect() } else { kept.flat_map(|cube| children(cube.0, half_m, domain.dimensions)).collect() }
+        };
+        cubes = cubes.par_chunks(CHUNK).flat_map_iter(cut).collect();
+        if is_last {
+            break;
+        }
+        radius_m /= 2.0;
+        half_m /= 2.0;
+    }
+    cubes.sort_by(|a, b| b.1.total_cmp(&a.1));
+    cubes
+}
+
+/// The parts of a cube cut once along each axis.
+fn children(centre: Point, half_m: f64, dimensions: usize) -> impl Iterator<Item = (Point, f32)> {
+    (0..1 << dimensions).map(move |octant: usize| {
+        let side = |k: usize| match (k < dimensions, octant >> k & 1) {
+            (false, _) => 0.0,
+            (true, 0) => -half_m / 2.0,
+            (true, _) => half_m / 2.0,
+        };
+        (centre + Vector3::new(side(0), side(1), side(2)), 0.0)
+    })
+}
+
+/// The sum at a point; `None` once it is below what a true patch reaches.
+fn bound(order: &[Legs], foci: &[Point], at: Point, distances_m: &mut [f64]) -> Option<f32> {
+    let (mut sum, mut known) = (0.0_f32, 0);
+    for Legs { foci: [a, b], curve } in order {
+        while known <= *b {
+            distances_m[known] = (at - foci[known]).norm();
+            known += 1;
+        }
+        let bin = (distances_m[*a] + distances_m[*b] - curve.low_m) / curve.step_m;
+        // A negative bin becomes one that is not there.
+        let value = if bin >= 0.0 { curve.values.get(bin as usize).copied().unwrap_or(0.0) } else { 0.0 };
+        sum += value;
+        if sum < -SURE {
+            return None;
+        }
+    }
+    Some(sum)
+}

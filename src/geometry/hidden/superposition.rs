@@ -1,0 +1,76 @@
+//! Which of several paths made which arrival of a profile, by belief propagation.
+//!
+//! A path is seen with probability p and then makes one arrival; an arrival comes from one path or from none (clutter of density `lambda`). With
+//! `psi = p / (1 - p) N(arrival - path) / lambda`, the messages
+//!
+//! ```text
+//! to_arrival = psi / (1 + sum of psi to_path over the path's other arrivals)
+//! to_path    = 1 / (1 + sum of to_arrival over the arrival's other paths)
+//! ```
+//!
+//! settle where each says how much the rest leaves of the pair; exact where pairs form a tree. Source: Williams and Lau, IEEE Trans. AES-50, 2942 (2014). Where
+//! [`super::super::association`] sums over all associations of a few arrivals, this serves hundreds of profiles again and again.
+
+/// Rounds of messages at most.
+const ROUNDS: usize = 30;
+/// Messages that change by less have settled.
+const SETTLED: f64 = 1e-4;
+
+/// A path that may have made an arrival.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pair {
+    /// Path.
+    pub path: usize,
+    /// Arrival.
+    pub arrival: usize,
+    /// `psi`.
+    pub odds: f64,
+    /// What other paths leave of the arrival for this one: 1 all, 0 nothing.
+    pub left: f64,
+    /// What the path tells the arrival.
+    told: f64,
+}
+
+impl Pair {
+    /// Before any message.
+    #[must_use]
+    pub const fn new(path: usize, arrival: usize, odds: f64) -> Self {
+        Self { path, arrival, odds, left: 1.0, told: 0.0 }
+    }
+}
+
+/// Lets messages settle.
+///
+/// # Panics
+/// When a pair names a path or an arrival beyond their counts.
+pub fn settle(pairs: &mut [Pair], paths: usize, arrivals: usize) {
+    let (mut of_path, mut of_arrival) = (vec![0.0; paths], vec![0.0; arrivals]);
+    for _ in 0..ROUNDS {
+        of_path.fill(0.0);
+        for pair in &*pairs {
+            of_path[pair.path] += pair.odds * pair.left;
+        }
+        of_arrival.fill(0.0);
+        for pair in &mut *pairs {
+            pair.told = pair.odds / (1.0 + of_path[pair.path] - pair.odds * pair.left);
+            of_arrival[pair.arrival] += pair.told;
+        }
+        let mut change = 0.0_f64;
+        for pair in &mut *pairs {
+            let left = 1.0 / (1.0 + of_arrival[pair.arrival] - pair.told);
+            change = change.max((left - pair.left).abs());
+            pair.left = left;
+        }
+        if change < SETTLED {
+            break;
+        }
+    }
+}
+
+/// What all paths, or all but one, leave of each arrival.
+#[must_use]
+pub fn left_over(pairs: &[Pair], arrivals: usize, but: Option<usize>) -> Vec<f64> {
+    let mut told = vec![1.0; arrivals];
+    pairs.iter().filter(|pair| Some(pair.path) != but).for_each(|pair| told[pair.arrival] += pair.told);
+    told.into_iter().map(|told| 1.0 / told).collect()
+}

@@ -1,0 +1,41 @@
+//! Table `hypotheses`: places where hidden patches were looked for.
+
+use crate::table;
+
+table! {
+    /// A hidden patch that was found among onsets which nothing else explains, or the likeliest place for one more that was not sure enough.
+    "hypotheses": Hypothesis, HypothesisColumns {
+        /// Number, from 1: the surest first.
+        hypothesis: i32,
+        /// Number of the patch; null: declined.
+        patch: Option<i32>,
+        /// Position, x, in the frame of the patches beside.
+        x_m: f64,
+        /// Position, y.
+        y_m: f64,
+        /// Position, z.
+        z_m: f64,
+        /// Variance of x, visible patches taken as they are.
+        cov_xx_m2: f64,
+        /// Covariance of x and y.
+        cov_xy_m2: f64,
+        /// Covariance of x and z.
+        cov_xz_m2: f64,
+        /// Variance of y.
+        cov_yy_m2: f64,
+        /// Covariance of y and z.
+        cov_yz_m2: f64,
+        /// Variance of z.
+        cov_zz_m2: f64,
+        /// Root of the sum of the three variances.
+        sd_m: f64,
+        /// Natural log of the Bayes factor of this patch over none.
+        evidence: f64,
+        /// What it must exceed: minus the log of `false_alarm`.
+        evidence_needed: f64,
+        /// Share of the profiles in which the patch is seen.
+        seen: f64,
+        /// Onsets that it makes, expected.
+        onsets: f64,
+    }
+}
