@@ -26,6 +26,7 @@ mod room;
 pub mod semidefinite;
 pub mod smacof;
 pub mod t2;
+pub mod t3;
 
 /// A dense matrix.
 pub type Matrix = faer::Mat<f64>;
