@@ -8,7 +8,7 @@
 //! ```
 //!
 //! Three of them (in flatland two) leave a line in `(x, r)`, and `|x| = r` two points of it: often mirror images. Every three of the ellipsoids about a
-//! focus propose their two, a ray proposes its crossings with them, an anchor itself. The best of all proposals, judged on all ties by a robust loss, are
+//! focus propose their two, as do every three spheres, a ray proposes its crossings with them, an anchor itself. The best of all proposals, judged on all ties by a robust loss, are
 //! refined by Gauss-Newton, and those that remain apart are kept. A wrong length or a wrongly placed neighbour is thus outvoted, and a mirror image
 //! that the lengths can hardly tell from the patch comes out beside it. Source of the closed form: Bancroft, IEEE Trans. AES-21, 56 (1985).
 //! Not modelled: the errors of the points that are in place.

@@ -122,6 +122,25 @@ fn weighted<'a>(
     members.iter().zip(weights).map(|(&member, weight)| points[member].coords * *weight)
 }
 
+/// The plane (in flatland the line) of least squared distances to some points, all counted alike: a point of it and its unit normal. Arbitrary where points lie in
+/// line (in flatland in one place).
+///
+/// # Panics
+/// Without points.
+#[must_use]
+pub fn nearest(points: &[Point], dimensions: usize) -> (Point, Vector3<f64>) {
+    assert!(!points.is_empty(), "a plane through no points");
+    let middle = points.iter().map(|point| point.coords).sum::<Vector3<f64>>() / points.len() as f64;
+    let mut scatter: Matrix3<f64> =
+        points.iter().map(|point| (point.coords - middle) * (point.coords - middle).transpose()).sum();
+    if dimensions == 2 {
+        // The normal lies in the plane z = 0.
+        scatter[(2, 2)] = 1.0 + scatter.trace();
+    }
+    let eigen = scatter.symmetric_eigen();
+    (Point::from(middle), eigen.eigenvectors.column(eigen.eigenvalues.imin()).into())
+}
+
 /// Planes with at least `least` patches, largest first; a patch belongs to one at most.
 ///
 /// # Panics
@@ -266,6 +285,18 @@ mod tests {
         assert!((offset.sqrt() / exact.offset_sd_m - 1.0).abs() < 0.06, "{} {}", offset.sqrt(), exact.offset_sd_m);
         assert!((angle.sqrt() / sd - 1.0).abs() < 0.06, "{} {sd}", angle.sqrt());
         assert!((chi2 / 22.0 - 1.0).abs() < 0.05, "{chi2}");
+    }
+
+    #[test]
+    fn the_nearest_plane_and_line_are_those_that_points_lie_on() {
+        let normal = Vector3::new(0.6, -0.8, 0.0);
+        let on = |u: f64, v: f64| Point::from(0.5 * normal + Vector3::new(0.8, 0.6, 0.0) * u + Vector3::z() * v);
+        let wall: Vec<Point> = (0..12).map(|n| on(0.3 * f64::from(n % 4), 0.2 * f64::from(n / 4))).collect();
+        let line: Vec<Point> = (0..3).map(|n| on(0.001 * f64::from(n), 0.0)).collect();
+        for (points, dimensions) in [(wall, 3), (line, 2)] {
+            let (middle, found) = nearest(&points, dimensions);
+            assert!((found.dot(&normal).abs() - 1.0).abs() < 1e-9 && (normal.dot(&middle.coords) - 0.5).abs() < 1e-9);
+        }
     }
 
     #[test]

@@ -16,22 +16,32 @@
 //!
 //! `incremental` names places that the lengths do not tell from the chosen ones (a patch with two neighbours and its mirror image) as alternatives.
 //!
-//! Takes `distances`; writes `patches`. Positions have no covariance here (null): it is `refine` that knows it. Not yet: patches known beforehand and
-//! multilateration of hidden ones.
+//! With `patches` beside, those are known: their rows are passed on as they are, and no method is used. Patches that the distances name beyond them, and in either case
+//! patches without a distance to p0, which are hidden, are placed by [multilateration] from their distances to known ones. Where several places explain these about
+//! equally, as both sides of a wall do, the one on the laser's side of the plane (in flatland the line) through these known patches is chosen, since a wall reflects only
+//! to there; the others are alternatives with their log-likelihood less its own. Patches with too few distances stand in `rejects`.
+//!
+//! Takes `distances`; writes `patches`. Positions have no covariance here (null) but those passed on: it is `refine` that knows it. Not modelled: errors of known patches,
+//! and covariances of distances.
 //!
 //! ```toml
 //! [start]
 //! stage = "embed"
 //! from = "distances"
-//! params = { method = "incremental" }
+//! params = { method = "incremental" } # without `patches` beside
+//! with = { patches = "visible" }
 //! ```
+//!
+//! [multilateration]: crate::geometry::multilateration
+
+mod hidden;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter;
 
 use serde::{Deserialize, Serialize};
 
-use super::stage::{Apply, BesideTables, Grain, Outcome, Stage, StageError};
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::maximum_likelihood::{Node, Observation, Problem};
 use crate::geometry::placement::{self, Alternative};
@@ -81,84 +91,77 @@ pub struct Frame {
     anchors_m: BTreeMap<PatchId, [f64; 3]>,
 }
 
+/// Frame and patches that are known beforehand, with the campaign to name in `rejects`.
+pub struct Context {
+    campaign: String,
+    frame: Frame,
+    known: Option<Vec<Patch>>,
+}
+
 impl Stage for Embed {
     const KIND: &'static str = "embed";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::All;
+    const BESIDE: &'static [Beside] = &[Beside { name: "patches", table: "patches", required: false }];
     type Input = Distance;
     type Output = Patch;
-    type Fields = Vec<Frame>;
-    type Context = Frame;
+    type Fields = Vec<(String, Frame)>;
+    type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let frame = |campaign: &Campaign| Frame {
-            dimensions: campaign.dimensions,
-            source_m: campaign.source().position_m,
-            anchors_m: campaign.patches.iter().filter_map(|(id, patch)| Some((*id, patch.position_m?))).collect(),
+        let frame = |campaign: &Campaign| {
+            let frame = Frame {
+                dimensions: campaign.dimensions,
+                source_m: campaign.source().position_m,
+                anchors_m: campaign.patches.iter().filter_map(|(id, patch)| Some((*id, patch.position_m?))).collect(),
+            };
+            (campaign.name.clone(), frame)
         };
         campaigns.iter().map(frame).collect()
     }
 
-    fn context(&self, fields: Self::Fields, _: &BesideTables) -> Result<Frame, StageError> {
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
         let mut frames = fields.into_iter();
-        let first = frames.next().ok_or_else(|| StageError::Refused("no campaign is given".to_owned()))?;
-        if frames.any(|frame| frame != first) {
+        let (campaign, frame) = frames.next().ok_or_else(|| StageError::Refused("no campaign is given".to_owned()))?;
+        if frames.any(|(_, other)| other != frame) {
             let text = "the campaigns differ in dimensions, in the laser's station or in anchors: campaigns of one scene must share them";
             return Err(StageError::Refused(text.to_owned()));
         }
-        Ok(first)
+        Ok(Context { campaign, frame, known: beside.rows::<Patch>("patches")? })
     }
 }
 
 impl Apply for Embed {
-    fn apply(&self, frame: &Frame, group: Vec<Distance>) -> Result<Outcome<Patch>, StageError> {
-        let ids: BTreeSet<PatchId> =
-            group.iter().filter(|distance| distance.a == 0).map(|distance| distance.b).collect();
-        let ids: Vec<PatchId> = ids.into_iter().collect();
-        let known: BTreeMap<(PatchId, PatchId), &Distance> =
-            group.iter().map(|distance| ((distance.a, distance.b), distance)).collect();
-        let dimensions = usize::from(frame.dimensions);
-        if ids.len() < dimensions {
-            return Err(StageError::Refused(format!(
-                "{} patches have a first bounce, too few for coordinates in {dimensions} dimensions; see the table `rejects`",
-                ids.len()
-            )));
-        }
-        let measured = Measured { ids: &ids, known: &known, dimensions };
-        let (points, alternatives) = self.points(&measured)?;
-        let onsets = |patch: PatchId| {
-            group
-                .iter()
-                .filter(|distance| distance.a == patch || distance.b == patch)
-                .map(|distance| distance.onsets)
-                .sum()
+    fn apply(&self, context: &Context, group: Vec<Distance>) -> Result<Outcome<Patch>, StageError> {
+        let mut rows = match &context.known {
+            Some(known) => known.clone(),
+            None => self.visible(&context.frame, &group)?,
         };
-        let row = |place: usize, point: Point, alternative: i32, log_likelihood: Option<f64>| Patch {
-            patch: ids[place],
-            kind: "visible".into(),
-            x_m: point.x,
-            y_m: point.y,
-            z_m: point.z,
-            cov_xx_m2: None,
-            cov_xy_m2: None,
-            cov_xz_m2: None,
-            cov_yy_m2: None,
-            cov_yz_m2: None,
-            cov_zz_m2: None,
-            sd_m: None,
-            onsets: onsets(ids[place]),
-            chi2_dof: None,
-            alternative,
-            log_likelihood,
-        };
-        let turn = frame.turn(&ids, &points);
-        let mut rows: Vec<Patch> =
-            points.iter().enumerate().map(|(place, point)| row(place, turn(*point), 0, None)).collect();
-        for (n, Alternative { patches, points, more, .. }) in alternatives.into_iter().enumerate() {
-            let elsewhere = patches.into_iter().map(|place| (place, turn(points[place])));
-            rows.extend(elsewhere.map(|(place, point)| row(place, point, n as i32 + 1, Some(-0.5 * more))));
-        }
-        Ok(Outcome::rows(rows))
+        let (hidden, rejections) = hidden::place(context, &rows, &group);
+        rows.extend(hidden);
+        Ok(Outcome { rows, sides: Vec::new(), rejections })
+    }
+}
+
+/// A position to start from.
+fn start(patch: PatchId, kind: &str, point: Point, onsets: i32) -> Patch {
+    Patch {
+        patch,
+        kind: kind.into(),
+        x_m: point.x,
+        y_m: point.y,
+        z_m: point.z,
+        cov_xx_m2: None,
+        cov_xy_m2: None,
+        cov_xz_m2: None,
+        cov_yy_m2: None,
+        cov_yz_m2: None,
+        cov_zz_m2: None,
+        sd_m: None,
+        onsets,
+        chi2_dof: None,
+        alternative: 0,
+        log_likelihood: None,
     }
 }
 
@@ -225,6 +228,37 @@ impl Measured<'_> {
 }
 
 impl Embed {
+    /// Patches with a distance to p0, by the method.
+    fn visible(&self, frame: &Frame, group: &[Distance]) -> Result<Vec<Patch>, StageError> {
+        let ids: BTreeSet<PatchId> =
+            group.iter().filter(|distance| distance.a == 0).map(|distance| distance.b).collect();
+        let ids: Vec<PatchId> = ids.into_iter().collect();
+        let is_visible = |patch: PatchId| patch == 0 || ids.binary_search(&patch).is_ok();
+        let among = group.iter().filter(|distance| is_visible(distance.a) && is_visible(distance.b));
+        let known: BTreeMap<(PatchId, PatchId), &Distance> =
+            among.map(|distance| ((distance.a, distance.b), distance)).collect();
+        let dimensions = usize::from(frame.dimensions);
+        if ids.len() < dimensions {
+            return Err(StageError::Refused(format!(
+                "{} patches have a first bounce, too few for coordinates in {dimensions} dimensions; see the table `rejects`",
+                ids.len()
+            )));
+        }
+        let (points, alternatives) = self.points(&Measured { ids: &ids, known: &known, dimensions })?;
+        let row = |place: usize, point: Point| {
+            let of_patch = known.values().filter(|distance| distance.a == ids[place] || distance.b == ids[place]);
+            start(ids[place], "visible", point, of_patch.map(|distance| distance.onsets).sum())
+        };
+        let turn = frame.turn(&ids, &points);
+        let mut rows: Vec<Patch> = points.iter().enumerate().map(|(place, point)| row(place, turn(*point))).collect();
+        for (n, Alternative { patches, points, more, .. }) in alternatives.into_iter().enumerate() {
+            let (alternative, log_likelihood) = (n as i32 + 1, Some(-0.5 * more));
+            let elsewhere = patches.into_iter().map(|place| row(place, turn(points[place])));
+            rows.extend(elsewhere.map(|row| Patch { alternative, log_likelihood, ..row }));
+        }
+        Ok(rows)
+    }
+
     /// Points about the origin, and others that the lengths do not tell from them.
     fn points(&self, measured: &Measured) -> Result<(Vec<Point>, Vec<Alternative>), StageError> {
         let dimensions = measured.dimensions;

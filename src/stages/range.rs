@@ -1,30 +1,42 @@
-//! `range`: path lengths of labelled onsets become distances (paper section 4.1: the inverse of the distance transform T2).
+//! `range`: path lengths of labelled onsets become distances (paper sections 4.1 and 4.3: the inverses of the distance transforms T2 and T3).
 //!
-//! In closed form: `d_0i = c O_i / 2`, `d_ij = c (O_ij - (O_i + O_j) / 2)`, with the covariances of distances that share onsets. Reciprocal
-//! onsets, and those of several sensors and campaigns, are averaged by their variances. See [`crate::geometry::t2`] for what is wrong in the
-//! paper's printed matrix.
+//! Among visible patches, in closed form: `d_0i = c O_i / 2`, `d_ij = c (O_ij - (O_i + O_j) / 2)`, with the covariances of distances that share onsets.
+//! Reciprocal onsets, and those of several sensors and campaigns, are averaged by their variances. See [`crate::geometry::t2`] for what is wrong in
+//! the paper's printed matrix. Used are onsets of sensors that stand where the laser is (paper section 3): the path lengths of sensors that stand apart
+//! are sums that T2 cannot take apart; so are second bounces of a patch without a first bounce. `rejects` says which, and `refine` takes them as they are. A
+//! sensor's latency is common to all `d_0i` and cancels in every `d_ij`; here it is taken as known, `refine` gives it a prior.
 //!
-//! Takes `labels`; writes `distances` and, beside it, `covariances`. Used are onsets of sensors that stand where the laser is (paper section 3).
-//! The path lengths of sensors that stand apart are sums that T2 cannot take apart; so are second bounces of a patch without a first bounce:
-//! `rejects` says which, and `refine` takes them as they are. Third and later bounces are not used yet. A sensor's latency is common to all `d_0i`
-//! and cancels in every `d_ij`; here it is taken as known, `refine` gives it a prior.
+//! A hidden patch is one that third bounces lead over, while no label has it as lit or seen, nor `patches` as visible. Third bounces less their legs between stations and
+//! visible patches are sums of two ranges, which weighted least squares take apart ([`crate::geometry::t3`]). The legs come from `patches` beside,
+//! for sensors apart from the laser too; without, from first bounces (`c O_i / 2`, a latency cancels), of sensors at the laser. Their errors, which many sums share,
+//! travel as covariances, also between ranges of different hidden patches. Ranges that the sums leave open, as with disjoint sets of lit and seen patches, are told in
+//! `rejects`; so are sums that contradict one another.
+//!
+//! Takes `labels`; writes `distances` and, beside it, `covariances`. Beside it, all optional: `patches` (of `refine`, with their standard deviations), and
+//! for the full error of the legs `covariances` (`patch_covariances` of the same stage) and `delays`. Not used: third bounces among visible patches, and over a
+//! mirror, which they meet in another point each time. Not modelled: errors that `patches` share with the second bounces of these labels or
+//! with `delays`, which makes standard deviations too large where a delay is not well known; errors of stations; footprints.
 //!
 //! ```toml
 //! [distances]
 //! stage = "range"
 //! from = "labels"
+//! with = { patches = "visible", covariances = "visible.patch_covariances", delays = "visible.delays" }
 //! ```
+
+mod hidden;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
-use super::stage::{Apply, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::campaign::keys::PatchRole;
 use crate::geometry::t2::{self, Distances, Length};
 use crate::tables::{Covariance, Distance, Label, Name, Row};
 use crate::units::{self, PatchId};
+use hidden::{Places, Thirds};
 
 /// Stations closer than this are one.
 const ONE_STATION_M: f64 = 1e-6;
@@ -42,17 +54,32 @@ pub struct Setup {
     with_laser: BTreeMap<String, bool>,
     /// Patches that campaign.toml lists as visible.
     visible: Vec<PatchId>,
+    /// Patches that it lists as mirrors.
+    mirrors: Vec<PatchId>,
+    source_m: [f64; 3],
+    sensors_m: BTreeMap<String, [f64; 3]>,
+}
+
+/// Setups of the campaigns, and patches in known places.
+pub struct Context {
+    setups: BTreeMap<String, Setup>,
+    places: Option<Places>,
 }
 
 impl Stage for Range {
     const KIND: &'static str = "range";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::All;
+    const BESIDE: &'static [Beside] = &[
+        Beside { name: "patches", table: "patches", required: false },
+        Beside { name: "covariances", table: "patch_covariances", required: false },
+        Beside { name: "delays", table: "delays", required: false },
+    ];
     const SIDES: &'static [Side] = &[Side { name: Covariance::TABLE, schema: Covariance::schema }];
     type Input = Label;
     type Output = Distance;
     type Fields = BTreeMap<String, Setup>;
-    type Context = BTreeMap<String, Setup>;
+    type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
         let gap_m = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
@@ -61,50 +88,61 @@ impl Stage for Range {
             let with_laser = |sensor: &String| {
                 campaign.station_of(sensor).is_some_and(|station| gap_m(station.position_m, source_m) <= ONE_STATION_M)
             };
-            let visible =
-                campaign.patches.iter().filter(|(_, patch)| patch.role == PatchRole::Visible).map(|(id, _)| *id);
+            let station_m = |sensor: &String| Some((sensor.clone(), campaign.station_of(sensor)?.position_m));
+            let of_role = |role: PatchRole| {
+                campaign.patches.iter().filter(move |(_, patch)| patch.role == role).map(|(id, _)| *id).collect()
+            };
             Setup {
                 group_index: campaign.group_index,
                 with_laser: campaign.sensors.keys().map(|sensor| (sensor.clone(), with_laser(sensor))).collect(),
-                visible: visible.collect(),
+                visible: of_role(PatchRole::Visible),
+                mirrors: of_role(PatchRole::Mirror),
+                source_m,
+                sensors_m: campaign.sensors.keys().filter_map(station_m).collect(),
             }
         };
         campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
     }
 
-    fn context(&self, fields: Self::Fields, _: &BesideTables) -> Result<Self::Context, StageError> {
+    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Self::Context, StageError> {
+        let places = Places::new(beside)?;
         let mut sensors =
-            fields.iter().flat_map(|(campaign, setup)| setup.with_laser.keys().map(move |s| (campaign, s)));
-        let is_any_with_laser = fields.values().any(|setup| setup.with_laser.values().any(|with_laser| *with_laser));
-        if let Some((campaign, sensor)) = sensors.next().filter(|_| !is_any_with_laser) {
+            setups.iter().flat_map(|(campaign, setup)| setup.with_laser.keys().map(move |s| (campaign, s)));
+        let is_any_with_laser = setups.values().any(|setup| setup.with_laser.values().any(|with_laser| *with_laser));
+        if let Some((campaign, sensor)) = sensors.next().filter(|_| !is_any_with_laser && places.is_none()) {
             return Err(StageError::Refused(format!(
                 "sensor `{sensor}` of campaign `{campaign}` does not stand where the laser is, and no other does: path lengths have no closed \
                  form; leave out `range` and `embed`; `refine` finds a start by itself from the labels"
             )));
         }
-        Ok(fields)
+        Ok(Context { setups, places })
     }
 }
 
 impl Apply for Range {
-    fn apply(&self, setups: &Self::Context, group: Vec<Label>) -> Result<Outcome<Distance>, StageError> {
-        let (mut first, mut second) = (Vec::new(), Vec::new());
+    fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Distance>, StageError> {
+        let (setups, places) = (&context.setups, context.places.as_ref());
+        let is_over_hidden = hidden::over_hidden(setups, places, &group);
+        let (mut first, mut second, mut thirds) = (Vec::new(), Vec::new(), Thirds::new());
         let mut apart: BTreeMap<(Name, Name), usize> = BTreeMap::new();
         for label in group.iter().filter(|label| label.alternative == 0 && label.path.is_some()) {
             let setup = &setups[&*label.campaign];
+            let sd_m = units::path_m(label.time_sd_ps, setup.group_index);
+            let length = Length { length_m: units::path_m(label.time_ps, setup.group_index), variance_m2: sd_m * sd_m };
+            let is_over_hidden = is_over_hidden(label);
             match setup.with_laser.get(&*label.sensor) {
                 Some(true) => {}
+                Some(false) if is_over_hidden && places.is_some() => {}
                 Some(false) => {
                     *apart.entry((label.campaign.clone(), label.sensor.clone())).or_default() += 1;
                     continue;
                 }
                 None => return Err(unknown_sensor(label)),
             }
-            let sd_m = units::path_m(label.time_sd_ps, setup.group_index);
-            let length = Length { length_m: units::path_m(label.time_ps, setup.group_index), variance_m2: sd_m * sd_m };
             match label.path.as_deref() {
                 Some([patch]) => first.push((*patch, length)),
                 Some([lit, seen]) => second.push(((*lit, *seen), length)),
+                _ if is_over_hidden => thirds.add(setup, places, label, length),
                 _ => {}
             }
         }
@@ -117,20 +155,24 @@ impl Apply for Range {
             bounces: distance.bounces,
             onsets: distance.onsets,
         });
+        let hidden = thirds.solve(setups, places, &found);
+        let campaign = group.first().map_or_else(|| "".into(), |label| label.campaign.clone());
+        let told =
+            rejections(&campaign, setups, &found).into_iter().chain(hidden.rejections(&campaign, places.is_some()));
         Ok(Outcome {
-            rows: rows.collect(),
-            sides: vec![covariances(&found)],
-            rejections: left_out(apart).chain(rejections(setups, &group, &found)).collect(),
+            rejections: left_out(apart).chain(told).collect(),
+            rows: rows.chain(hidden.distances).collect(),
+            sides: vec![Covariance::to_batch(&[covariances(&found), hidden.covariances].concat())],
         })
     }
 }
 
-fn covariances(found: &Distances) -> arrow::array::RecordBatch {
+fn covariances(found: &Distances) -> Vec<Covariance> {
     let row = |&(first, second, cov_m2): &(usize, usize, f64)| {
         let (first, second) = (&found.distances[first], &found.distances[second]);
         Covariance { a1: first.a, b1: first.b, a2: second.a, b2: second.b, cov_m2 }
     };
-    Covariance::to_batch(&found.covariances.iter().map(row).collect::<Vec<_>>())
+    found.covariances.iter().map(row).collect()
 }
 
 fn unknown_sensor(label: &Label) -> StageError {
@@ -155,10 +197,11 @@ fn about(campaign: Name, reason: String) -> Rejection {
 }
 
 /// What a user should know: distances that could not be had, or that contradict themselves.
-fn rejections(setups: &BTreeMap<String, Setup>, labels: &[Label], found: &Distances) -> Vec<Rejection> {
-    let campaign = labels.first().map_or_else(|| "".into(), |label| label.campaign.clone());
+fn rejections(campaign: &Name, setups: &BTreeMap<String, Setup>, found: &Distances) -> Vec<Rejection> {
     let has_first: BTreeSet<PatchId> = found.distances.iter().map(|distance| distance.b).collect();
-    let listed = setups.values().flat_map(|setup| setup.visible.iter().copied());
+    // Where no sensor stands at the laser, no patch can have a first bounce there.
+    let with_laser = setups.values().filter(|setup| setup.with_laser.values().any(|with_laser| *with_laser));
+    let listed = with_laser.flat_map(|setup| setup.visible.iter().copied());
     let mut lost: BTreeMap<PatchId, usize> = listed.map(|patch| (patch, 0)).collect();
     for patch in found.skipped.iter().flat_map(|(a, b)| [*a, *b]) {
         *lost.entry(patch).or_default() += 1;

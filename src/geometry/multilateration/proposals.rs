@@ -43,7 +43,7 @@ fn spread<T: Copy>(items: &[T], most: usize) -> Vec<T> {
     (0..count).map(|k| items[k * items.len() / count]).collect()
 }
 
-/// Anchors, crossings of rays with paths, and points where paths about one focus meet.
+/// Anchors, crossings of rays with paths, and points where paths about one focus or spheres about several meet.
 pub fn crossings(ties: &[Tie], dimensions: usize) -> Vec<Point> {
     let paths = paths(ties);
     let mut proposals = Vec::new();
@@ -71,6 +71,8 @@ pub fn crossings(ties: &[Tie], dimensions: usize) -> Vec<Point> {
     }
     foci.sort_by_key(|(_, about)| std::cmp::Reverse(about.len()));
     foci.iter().take(FOCI).for_each(|(focus, about)| proposals.extend(meetings(*focus, about, dimensions)));
+    let spheres: Vec<Path> = paths.into_iter().filter(|path| path.from == path.to).collect();
+    proposals.extend(trilaterations(&spheres, dimensions));
     if dimensions == 2 {
         proposals.iter_mut().for_each(|point| point.z = 0.0);
     }
@@ -104,6 +106,32 @@ fn meetings(focus: Point, about: &[Path], dimensions: usize) -> Vec<Point> {
             [a, b] => add([a, b, rows[i]]),
             [a] => (0..i).for_each(|k| add([a, rows[k], rows[i]])),
             _ => (0..i).for_each(|k| (0..k).for_each(|j| add([rows[j], rows[k], rows[i]]))),
+        }
+    }
+    points
+}
+
+/// Points where spheres meet: with the range from one of them, each of the others leaves a plane.
+fn trilaterations(spheres: &[Path], dimensions: usize) -> Vec<Point> {
+    let mut points = Vec::new();
+    for first in spread(spheres, FOCI) {
+        let range_m = 0.5 * first.length_m;
+        let row = |sphere: &Path| {
+            let c = sphere.from - first.from;
+            let right = 0.5 * (range_m * range_m + c.norm_squared() - 0.25 * sphere.length_m * sphere.length_m);
+            (Vector4::new(c.x, c.y, c.z, 0.0) / c.norm(), right / c.norm())
+        };
+        let others: Vec<Path> = spheres.iter().filter(|sphere| sphere.from != first.from).copied().collect();
+        let rows: Vec<_> = spread(&others, BY_TWOS).iter().map(row).collect();
+        let range = (Vector4::w(), range_m);
+        let mut add = |second, third| {
+            points.extend(meet([range, second, third]).into_iter().flatten().map(|x| first.from + x));
+        };
+        for i in 0..rows.len() {
+            match dimensions {
+                2 => add((Vector4::z(), 0.0), rows[i]),
+                _ => (0..i).for_each(|k| add(rows[k], rows[i])),
+            }
         }
     }
     points

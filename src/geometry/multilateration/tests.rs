@@ -96,3 +96,29 @@ fn in_flatland_one_neighbour_leaves_two_points_and_two_one() {
     assert!(one.len() == 2 && one.iter().all(|candidate| candidate.cost < 1e-9 && candidate.point.z.abs() < 1e-12));
     assert!((two[0].point - points[48]).norm() < 1e-6 && two[1..].iter().all(|other| other.cost > 10.0));
 }
+
+#[test]
+fn ranges_place_a_patch_and_from_one_plane_its_mirror_image_too() {
+    let points = room::rectangles();
+    let truth = Point::new(0.3, 1.1, 0.2);
+    let range = |&n: &usize| path(points[n], truth, points[n]);
+    let two_walls: Vec<Tie> = [0, 4, 22, 27, 40].iter().map(range).collect();
+    let found = candidates(&two_walls, 3, 0.05, Loss::Huber);
+    assert!((found[0].point - truth).norm() < 1e-6 && found[0].cost < 1e-9);
+    assert!(found[1..].iter().all(|other| other.cost > 10.0));
+    // The wall of patches 0 to 24 stands at y = 2.6 m.
+    let wall: Vec<Tie> = [0, 4, 22, 12].iter().map(range).collect();
+    let found = candidates(&wall, 3, 0.05, Loss::Huber);
+    assert!(found.len() == 2 && found.iter().all(|candidate| candidate.cost < 1e-9), "{found:?}");
+    for place in [truth, Point::new(truth.x, 5.2 - truth.y, truth.z)] {
+        assert!(found.iter().any(|candidate| (candidate.point - place).norm() < 1e-6));
+    }
+    // Patches 0 to 4 stand in line.
+    let line: Vec<Tie> = [0, 1, 2, 4].iter().map(range).collect();
+    assert!(candidates(&line, 3, 0.05, Loss::Huber).is_empty());
+    // In flatland two patches leave two places.
+    let truth = Point::new(0.3, 1.1, 0.0);
+    let flat = [Point::new(-1.0, 2.0, 0.0), Point::new(1.0, 2.0, 0.0)].map(|end| path(end, truth, end));
+    let found = candidates(&flat, 2, 0.05, Loss::Huber);
+    assert!(found.len() == 2 && found.iter().all(|candidate| candidate.point.z == 0.0 && candidate.cost < 1e-9));
+}

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::Vector3;
 
 use super::known::{DelayKey, Known, Setup};
-use crate::campaign::keys::{self, LASER};
+use crate::campaign::keys::{self, LASER, PatchRole};
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{Anchor, Node, Observation, Problem, Ray, Solution, Station, Unsolved};
 use crate::geometry::placement;
@@ -67,6 +67,18 @@ impl<'a> Model<'a> {
 
     pub fn setup(&self, label: &Label) -> &Setup {
         &self.known.setups[&*label.campaign]
+    }
+
+    /// How light reaches a patch.
+    pub fn kind(&self, patch: PatchId) -> &'static str {
+        let is_mirror = |setup: &Setup| setup.patches.get(&patch).is_some_and(|known| known.role == PatchRole::Mirror);
+        if self.known.setups.values().any(is_mirror) {
+            "mirror"
+        } else if self.labels.iter().any(|label| label.lit == patch || label.seen == patch) {
+            "visible"
+        } else {
+            "hidden"
+        }
     }
 
     /// Position of a patch among the unknowns.

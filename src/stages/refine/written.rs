@@ -85,7 +85,7 @@ impl<'a> Written<'a> {
         };
         Patch {
             patch,
-            kind: self.model.known.start.get(&patch).map_or_else(|| "visible".into(), |start| start.kind.clone()),
+            kind: self.model.kind(patch).into(),
             x_m: point.x,
             y_m: point.y,
             z_m: point.z,

@@ -1,0 +1,102 @@
+//! Patches from their distances to patches in known places.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::{Context, start};
+use crate::geometry::loss::Loss;
+use crate::geometry::multilateration::{self, Candidate, Tie};
+use crate::geometry::{Point, planes};
+use crate::stages::stage::Rejection;
+use crate::tables::{Distance, Patch};
+use crate::units::PatchId;
+
+/// Places nearer than this many standard deviations of a distance are one.
+const APART: f64 = 4.0;
+/// A place whose loss is higher than the best by less than this (a log-likelihood ratio of 9) cannot be ruled out.
+const LIKELY: f64 = 18.0;
+
+/// Places for all patches that the distances name beyond the `known` ones, as rows, and those that have none.
+pub fn place(context: &Context, known: &[Patch], distances: &[Distance]) -> (Vec<Patch>, Vec<Rejection>) {
+    let best = known.iter().filter(|patch| patch.alternative == 0);
+    let mut points: BTreeMap<PatchId, Point> =
+        best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
+    points.insert(0, Point::from(context.frame.source_m));
+    let named = distances.iter().flat_map(|distance| [distance.a, distance.b]);
+    let unknown: BTreeSet<PatchId> = named.filter(|patch| !points.contains_key(patch)).collect();
+    let mut next_alternative = 1 + known.iter().map(|patch| patch.alternative).max().unwrap_or(0);
+    let (mut rows, mut rejections) = (Vec::new(), Vec::new());
+    for patch in unknown {
+        let seen_from = |distance: &Distance| {
+            let other = if distance.a == patch { distance.b } else { distance.a };
+            let point = (distance.a == patch || distance.b == patch).then(|| points.get(&other))??;
+            Some((distance.clone(), *point))
+        };
+        let neighbours: Vec<(Distance, Point)> = distances.iter().filter_map(seen_from).collect();
+        let places = places(&neighbours, context);
+        let Some(first) = places.first() else {
+            rejections.push(left_out(context, patch, &neighbours));
+            continue;
+        };
+        let is_hidden = neighbours.iter().all(|(distance, _)| distance.bounces >= 3);
+        let kind = if is_hidden { "hidden" } else { "visible" };
+        let onsets = neighbours.iter().map(|(distance, _)| distance.onsets).sum();
+        rows.push(start(patch, kind, first.point, onsets));
+        for other in &places[1..] {
+            let (alternative, log_likelihood) = (next_alternative, Some(0.5 * (first.cost - other.cost)));
+            rows.push(Patch { alternative, log_likelihood, ..start(patch, kind, other.point, onsets) });
+            next_alternative += 1;
+        }
+    }
+    (rows, rejections)
+}
+
+/// Places that the distances to neighbours do not rule out, the chosen one first. Where several do, the light tells: patches reflect to the side from which
+/// they are lit, so a patch that they show lies on the laser's side of the plane through them.
+fn places(neighbours: &[(Distance, Point)], context: &Context) -> Vec<Candidate> {
+    let dimensions = usize::from(context.frame.dimensions);
+    let mut sds_m: Vec<f64> = neighbours.iter().map(|(distance, _)| distance.sd_m).collect();
+    sds_m.sort_by(f64::total_cmp);
+    let Some(middle_m) = sds_m.get(sds_m.len() / 2) else { return Vec::new() };
+    // A distance is half the way there and back.
+    let there_and_back = |(distance, point): &(Distance, Point)| Tie::Path {
+        from: *point,
+        to: *point,
+        length_m: 2.0 * distance.distance_m,
+        sd_m: 2.0 * distance.sd_m,
+    };
+    let ties: Vec<Tie> = neighbours.iter().map(there_and_back).collect();
+    let mut likely = multilateration::candidates(&ties, dimensions, APART * middle_m, Loss::Huber);
+    let most = likely.first().map_or(0.0, |best| best.cost + LIKELY);
+    likely.retain(|place| place.cost < most);
+    let points: Vec<Point> = neighbours.iter().map(|(_, point)| *point).collect();
+    let (middle, normal) = planes::nearest(&points, dimensions);
+    let side = |point: Point| normal.dot(&(point - middle));
+    let laser = side(Point::from(context.frame.source_m));
+    if let Some(lit) = likely.iter().position(|place| side(place.point) * laser > 0.0) {
+        likely[..=lit].rotate_right(1);
+    }
+    likely
+}
+
+fn left_out(context: &Context, patch: PatchId, neighbours: &[(Distance, Point)]) -> Rejection {
+    let dimensions = context.frame.dimensions;
+    let to: Vec<String> = neighbours
+        .iter()
+        .map(|(distance, _)| if distance.a == patch { distance.b } else { distance.a }.to_string())
+        .collect();
+    let reason = if to.len() < usize::from(dimensions) {
+        format!(
+            "patch {patch} has distances to {} patches in known places ({}), too few for a place in {dimensions} dimensions, and is left out \
+             here: capture more pairs over which its third bounces come",
+            to.len(),
+            to.join(", ")
+        )
+    } else {
+        format!(
+            "the distances of patch {patch} to patches {} leave its place open, since these lie in line, and it is left out here: capture pairs \
+             with patches off that line",
+            to.join(", ")
+        )
+    };
+    Rejection { campaign: context.campaign.as_str().into(), file: None, segment: None, byte_offset: None, reason }
+}
