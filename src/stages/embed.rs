@@ -311,3 +311,6 @@ impl Frame {
         move |point| procrustes::turn(&matrix, centre, centre + point.coords)
     }
 }
+
+#[cfg(test)]
+mod tests;

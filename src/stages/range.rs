@@ -61,6 +61,7 @@ pub struct Setup {
 }
 
 /// Setups of the campaigns, and patches in known places.
+#[derive(Debug)]
 pub struct Context {
     setups: BTreeMap<String, Setup>,
     places: Option<Places>,
@@ -122,17 +123,17 @@ impl Stage for Range {
 impl Apply for Range {
     fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Distance>, StageError> {
         let (setups, places) = (&context.setups, context.places.as_ref());
-        let is_over_hidden = hidden::over_hidden(setups, places, &group);
+        let over_hidden = hidden::over_hidden(setups, places, &group);
         let (mut first, mut second, mut thirds) = (Vec::new(), Vec::new(), Thirds::new());
         let mut apart: BTreeMap<(Name, Name), usize> = BTreeMap::new();
         for label in group.iter().filter(|label| label.alternative == 0 && label.path.is_some()) {
             let setup = &setups[&*label.campaign];
             let sd_m = units::path_m(label.time_sd_ps, setup.group_index);
             let length = Length { length_m: units::path_m(label.time_ps, setup.group_index), variance_m2: sd_m * sd_m };
-            let is_over_hidden = is_over_hidden(label);
+            let over_hidden = over_hidden(label);
             match setup.with_laser.get(&*label.sensor) {
                 Some(true) => {}
-                Some(false) if is_over_hidden && places.is_some() => {}
+                Some(false) if over_hidden.is_some() && places.is_some() => {}
                 Some(false) => {
                     *apart.entry((label.campaign.clone(), label.sensor.clone())).or_default() += 1;
                     continue;
@@ -142,8 +143,11 @@ impl Apply for Range {
             match label.path.as_deref() {
                 Some([patch]) => first.push((*patch, length)),
                 Some([lit, seen]) => second.push(((*lit, *seen), length)),
-                _ if is_over_hidden => thirds.add(setup, places, label, length),
-                _ => {}
+                _ => {
+                    if let Some(path) = over_hidden {
+                        thirds.add(path, setup, places, label, length);
+                    }
+                }
             }
         }
         let found = t2::invert(&first, &second);

@@ -6,6 +6,8 @@
 //! - stations with an `sd_m` in campaign.toml;
 //! - the laser's period, where onsets lie in several (`repetition_sd_ps`; else a ten-thousandth).
 //!
+//! Patches that no label has as lit or seen are `hidden`: third bounces over them place them. `kind` says so, or `mirror` where campaign.toml does.
+//!
 //! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation; they and stations apart fix the frame. Where nothing does, the
 //! frame of `patches` is a convention (table `fits`), and what else is open stands in `ambiguities`: parts that share no path, patches that can move, mirror
 //! images and flips that explain the onsets about as well, each with its likelihood and as an alternative in `patches`.
@@ -82,7 +84,7 @@ pub struct Context {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

@@ -9,6 +9,7 @@ mod cli;
 mod determinism;
 mod failures;
 mod formats;
+mod hidden;
 mod house;
 mod ingest;
 mod lab;

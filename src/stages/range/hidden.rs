@@ -22,6 +22,7 @@ const UNLIKELY: f64 = 6.0;
 type DelayKey = (Name, Name, Option<Name>);
 
 /// Patches in known places, and delays.
+#[derive(Debug)]
 pub struct Places {
     points: BTreeMap<PatchId, Point>,
     covariances_m2: BTreeMap<(PatchId, PatchId), Matrix3<f64>>,
@@ -90,19 +91,19 @@ pub struct Thirds {
     stations: Vec<Point>,
 }
 
-/// Whether a label's path leads over a patch that laser and sensor do not reach.
+/// The path of a label whose light comes from a lit patch, meets one that laser and sensor do not reach, and goes on to a seen one.
 pub fn over_hidden<'a>(
     setups: &'a BTreeMap<String, Setup>,
     places: Option<&'a Places>,
     labels: &[Label],
-) -> impl Fn(&Label) -> bool + use<'a> {
+) -> impl Fn(&Label) -> Option<[PatchId; 3]> + use<'a> {
     let reached: BTreeSet<PatchId> = labels.iter().flat_map(|label| [label.lit, label.seen]).collect();
     let is_hidden = move |patch: PatchId| {
         let is_visible = places.is_some_and(|places| places.visible.contains(&patch));
         let is_mirror = setups.values().any(|setup| setup.mirrors.contains(&patch));
         !reached.contains(&patch) && !is_visible && !is_mirror
     };
-    move |label| matches!(label.path.as_deref(), Some([_, patch, _]) if is_hidden(*patch))
+    move |label| <[PatchId; 3]>::try_from(label.path.as_deref()?).ok().filter(|path| is_hidden(path[1]))
 }
 
 impl Thirds {
@@ -111,14 +112,14 @@ impl Thirds {
         Self { thirds: Vec::new(), stations: Vec::new() }
     }
 
-    /// Adds a label over a hidden patch.
-    pub fn add(&mut self, setup: &Setup, places: Option<&Places>, label: &Label, length: Length) {
-        let Some([lit, hidden, seen]) = label.path.as_deref() else { return };
+    /// Adds a label with such a path.
+    pub fn add(&mut self, path: [PatchId; 3], setup: &Setup, places: Option<&Places>, label: &Label, length: Length) {
+        let [lit, hidden, seen] = path;
         let stations = [setup.source_m, setup.sensors_m[&*label.sensor]].map(|station_m| self.station(station_m));
         let delay = places.and_then(|places| places.delay_of(label));
         let delay_ps = delay.as_ref().zip(places).map_or(0.0, |(key, places)| places.delays_ps[key].0);
         let length = Length { length_m: length.length_m - units::path_m(delay_ps, setup.group_index), ..length };
-        self.thirds.push(Third { lit: *lit, hidden: *hidden, seen: *seen, stations, length, delay });
+        self.thirds.push(Third { lit, hidden, seen, stations, length, delay });
     }
 
     fn station(&mut self, station_m: [f64; 3]) -> usize {
@@ -319,3 +320,6 @@ impl Solved {
         lost.chain(open).chain(unlikely).map(|reason| about(campaign.clone(), reason)).collect()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -263,3 +263,23 @@ fn a_station_that_no_sensor_stands_at_leaves_the_frame_of_stations_in_line() {
         assert!(((found - sensor).norm() - (truth - sensor).norm()).abs() < 0.02, "{found} {truth}");
     }
 }
+
+#[test]
+fn hidden_patches_are_placed_from_nothing_by_third_bounces_and_kinds_are_told() {
+    let room = room();
+    let mut day = Day::new(&room, 9);
+    for a in 1..=9 {
+        day.add(&[a], "s1", None, 0.0);
+        (1..=9).filter(|&b| b != a).for_each(|b| day.add(&[a, b], "s1", None, 0.0));
+        for hidden in 10..=12 {
+            (a..=9).step_by(2).for_each(|b| day.add(&[a, hidden, b], "s1", None, 0.0));
+        }
+    }
+    let campaign = CAMPAIGN.to_owned() + "[patches.12]\nrole = 'mirror'\n";
+    let written = refined(&context(&campaign, Vec::new()), day.labels);
+    let kinds: Vec<&str> = written.patches.iter().map(|patch| &*patch.kind).collect();
+    assert_eq!((&kinds[..9], &kinds[9..]), (["visible"; 9].as_slice(), ["hidden", "hidden", "mirror"].as_slice()));
+    let found = points(&written.patches, 0);
+    assert!(procrustes::rotation(&found, &room, Point::origin(), true).rms_m < 1e-3);
+    assert!(written.patches[9..].iter().all(|patch| patch.sd_m.unwrap() < 0.002));
+}
