@@ -27,7 +27,7 @@ fn labels(sensor: &str, apart_m: f64, paths: &[&[PatchId]]) -> Vec<Label> {
 }
 
 /// What the campaign of these sensors, by station, and of visible patches 1 to 4 tells `range`.
-fn context(sensors: &[(&str, &str)]) -> Result<BTreeMap<String, Setup>, StageError> {
+fn context(sensors: &[(&str, &str)]) -> Result<Context, StageError> {
     let sensor = |(name, station): &(&str, &str)| format!("[sensors.{name}]\nstation = '{station}'\n");
     let text = format!(
         "[campaign]\nname = 'c'\ngroup_index = 1.0\n[stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [0.3, 0.0, 0.0]\n{}{}",
