@@ -148,13 +148,12 @@ fn parts(sums: &[Sum]) -> Vec<Part> {
             next += 1;
             let side = sides[&patch];
             for &neighbour in &neighbours[&patch] {
-                match sides.get(&neighbour) {
-                    // Two neighbours on one side close an odd cycle.
-                    Some(&other) => is_closed |= other == side,
-                    None => {
-                        sides.insert(neighbour, !side);
-                        patches.push(neighbour);
-                    }
+                // Two neighbours on one side close an odd cycle.
+                if let Some(&other) = sides.get(&neighbour) {
+                    is_closed |= other == side;
+                } else {
+                    sides.insert(neighbour, !side);
+                    patches.push(neighbour);
                 }
             }
         }

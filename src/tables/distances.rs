@@ -21,7 +21,7 @@ table! {
 }
 
 table! {
-    /// Covariance of two distances that share onsets.
+    /// Covariance of two distances that share onsets, or the places of known patches.
     "covariances": Covariance, CovarianceColumns {
         /// First distance: smaller patch number.
         a1: i32,

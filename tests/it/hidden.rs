@@ -75,7 +75,7 @@ fn labels(sensor_m: [f64; 3], rng: &mut ChaCha8Rng) -> Vec<Label> {
 fn import(lab: &Lab, heading: &str, rows: &[Label]) -> String {
     let path = lab.path(&format!("{heading}.parquet"));
     write_table(&path, rows);
-    format!("[{heading}]\nstage = 'import'\nparams = {{ table = 'labels', path = {path:?} }}\n")
+    format!("[{heading}]\nstage = 'import'\nparams = {{ table = 'labels', path = '{}' }}\n", path.display())
 }
 
 /// A campaign with its sensor there, its labels, and the pipeline's headings that hold those of up to two bounces, and all.
