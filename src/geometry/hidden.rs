@@ -193,7 +193,8 @@ struct Scene<'a> {
 impl<'a> Scene<'a> {
     /// Without any patch; `None` without arrivals.
     fn new(profiles: &'a [Profile], room: &'a Room) -> Option<Self> {
-        let mut sds: Vec<f64> = profiles.iter().flat_map(|profile| &profile.arrivals).map(|arrival| arrival.sd_m).collect();
+        let mut sds: Vec<f64> =
+            profiles.iter().flat_map(|profile| &profile.arrivals).map(|arrival| arrival.sd_m).collect();
         sds.sort_by(f64::total_cmp);
         let sd_m = *sds.get(sds.len() / 2)?;
         let middle = room.foci.iter().map(|focus| focus.coords).sum::<Vector3<f64>>() / room.foci.len() as f64;
@@ -234,7 +235,8 @@ impl<'a> Scene<'a> {
         };
         let depth = if flat { 1 } else { n };
         let grid = (0..n).flat_map(|i| (0..n).flat_map(move |j| (0..depth).map(move |k| (i, j, k))));
-        let points = grid.map(|(i, j, k)| self.domain.centre + Vector3::new(at(i), at(j), if flat { 0.0 } else { at(k) }));
+        let points =
+            grid.map(|(i, j, k)| self.domain.centre + Vector3::new(at(i), at(j), if flat { 0.0 } else { at(k) }));
         let count = points.filter(is_recorded).count().max(1);
         count as f64 * step_m.powi(self.domain.dimensions as i32)
     }
@@ -281,7 +283,8 @@ impl<'a> Scene<'a> {
 
     /// What all paths leave of each arrival.
     fn left(&self) -> Vec<Vec<f64>> {
-        let of_profile = |(profile, pairs): (&Profile, &Vec<Pair>)| superposition::left_over(pairs, profile.arrivals.len(), None);
+        let of_profile =
+            |(profile, pairs): (&Profile, &Vec<Pair>)| superposition::left_over(pairs, profile.arrivals.len(), None);
         self.profiles.iter().zip(&self.pairs).map(of_profile).collect()
     }
 
@@ -342,7 +345,9 @@ impl<'a> Scene<'a> {
     fn add(&mut self, starts: &[Point]) -> bool {
         let before = self.patches.len();
         let mut places = self.tops(starts);
-        while let Some(next) = places.iter().position(|place| self.hidden(*place, SEEN).is_some_and(|hidden| self.is_sure(&hidden))) {
+        while let Some(next) =
+            places.iter().position(|place| self.hidden(*place, SEEN).is_some_and(|hidden| self.is_sure(&hidden)))
+        {
             // What came before it was not sure and will not become so by more patches.
             let place = places.swap_remove(next);
             places.drain(..next.min(places.len()));
@@ -399,7 +404,8 @@ impl<'a> Scene<'a> {
     fn seeds(&self) -> Vec<Point> {
         let pairs = self.unexplained();
         let bases = seeds::bases(&self.room.foci, &pairs, &self.domain, BASES);
-        let mut found: Vec<Seed> = bases.iter().flat_map(|base| seeds::seeds(&self.room.foci, &pairs, base, &self.domain)).collect();
+        let mut found: Vec<Seed> =
+            bases.iter().flat_map(|base| seeds::seeds(&self.room.foci, &pairs, base, &self.domain)).collect();
         found.sort_by(|a, b| b.likelihood.total_cmp(&a.likelihood));
         self.thinned(found.into_iter().map(|seed| seed.point))
     }
@@ -418,10 +424,14 @@ impl<'a> Scene<'a> {
             let mut merged: Vec<(f64, f64)> = Vec::new();
             let mut is_single = false;
             for next in lengths_m {
-                match merged.last_mut().filter(|last| is_single && next.0 - last.0 < TOGETHER_SD * last.1.hypot(next.1)) {
+                match merged.last_mut().filter(|last| is_single && next.0 - last.0 < TOGETHER_SD * last.1.hypot(next.1))
+                {
                     Some(last) => {
                         let weights = (last.1.powi(-2), next.1.powi(-2));
-                        *last = ((last.0 * weights.0 + next.0 * weights.1) / (weights.0 + weights.1), (weights.0 + weights.1).sqrt().recip());
+                        *last = (
+                            (last.0 * weights.0 + next.0 * weights.1) / (weights.0 + weights.1),
+                            (weights.0 + weights.1).sqrt().recip(),
+                        );
                         is_single = false;
                     }
                     None => {
@@ -520,7 +530,8 @@ impl<'a> Scene<'a> {
     fn polish(&mut self) {
         for _ in 0..POLISH {
             let moved = self.climb_all();
-            let worst = (0..self.patches.len()).min_by(|&a, &b| self.patches[a].evidence.total_cmp(&self.patches[b].evidence));
+            let worst =
+                (0..self.patches.len()).min_by(|&a, &b| self.patches[a].evidence.total_cmp(&self.patches[b].evidence));
             if let Some(worst) = worst.filter(|&worst| !self.is_sure(&self.patches[worst])) {
                 self.patches.remove(worst);
                 self.settle();

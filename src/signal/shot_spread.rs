@@ -8,7 +8,7 @@ use super::resample;
 pub const HEAD_SHOTS: usize = 32;
 /// Fewer shots say nothing about outliers.
 const JUDGES_MIN: usize = 8;
-/// Largest standard deviation, in codes, of noise whose median deviation after rounding may be 0: 0.5 / 0.6745.
+/// Largest standard deviation, in steps of the converter, of noise whose median deviation after rounding may be 0: 0.5 / 0.6745.
 const QUIET_SD: f64 = 0.741;
 
 /// Variance over shots at each place of their mean, in codes squared, each shot's own baseline (mean of its first `baseline` samples) removed.
@@ -95,8 +95,8 @@ impl OutlierTest {
             column.iter_mut().for_each(|value| *value = (*value - *median).abs());
             deviations.push(middle(&mut column));
         }
-        // A median deviation of 0 codes says only that half of the normal noise lies within half a code.
-        let scale = (1.4826 * middle(&mut deviations)).max(QUIET_SD);
+        // A median deviation of 0 says only that half of the normal noise lies within half a step.
+        let scale = (1.4826 * middle(&mut deviations)).max(QUIET_SD * step(shots));
         let slope = |n: usize| {
             // Two samples on either side: between samples a fast pulse rises above its neighbours.
             let neighbours = n.saturating_sub(2)..(n + 3).min(count);
@@ -120,6 +120,17 @@ impl OutlierTest {
         let bounds = self.low[at..].iter().zip(&self.high[at..]);
         values[from..].iter().zip(bounds).any(|(value, (low, high))| value < low || value > high)
     }
+}
+
+/// Smallest difference of neighbouring samples: converters of fewer bits than their codes have count in steps of several codes.
+fn step(shots: &[(Codes<'_>, i64)]) -> f64 {
+    let (mut values, mut least) = (Vec::new(), f64::INFINITY);
+    for (codes, _) in shots {
+        codes.read_into(&mut values);
+        let changes = values.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+        least = changes.filter(|change| *change > 0.0).fold(least, f64::min);
+    }
+    if least.is_finite() { least } else { 0.0 }
 }
 
 /// The whole place next to a position in phases.
@@ -148,17 +159,17 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// Noise of a code or less, at any level between two codes: its median deviation is 0 or 1 code, whatever its sd.
+    /// Noise of a step or less, at any level between two: its median deviation is 0 or 1 step, whatever its sd. Steps are of one code, or of 16.
     #[test]
     fn good_shots_with_little_noise_are_not_rejected() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        for noise in [0.3, 0.5, 0.65, 0.74, 1.0] {
+        for (noise, step) in [(0.3, 1.0), (0.5, 1.0), (0.65, 1.0), (0.74, 1.0), (1.0, 1.0), (0.5, 16.0), (0.7, 16.0)] {
             let mut wrong = 0;
             for _ in 0..10 {
                 let level = rng.random_range(-0.5..0.5);
                 let mut code = || -> [u8; 2] {
                     let normal: f64 = StandardNormal.sample(&mut rng);
-                    ((level + noise * normal).round() as i16).to_le_bytes()
+                    ((step * (level + noise * normal).round()) as i16).to_le_bytes()
                 };
                 let mut shot = || -> Vec<u8> { (0..500).flat_map(|_| code()).collect() };
                 let head: Vec<Vec<u8>> = (0..HEAD_SHOTS).map(|_| shot()).collect();

@@ -56,7 +56,11 @@ impl Curve {
             }
             window[0].1
         });
-        Self { low_m: self.low_m - before as f64 * self.step_m, step_m: bins as f64 * self.step_m, values: values.collect() }
+        Self {
+            low_m: self.low_m - before as f64 * self.step_m,
+            step_m: bins as f64 * self.step_m,
+            values: values.collect(),
+        }
     }
 }
 
@@ -113,7 +117,11 @@ pub fn search(foci: &[Point], legs: &[Legs], domain: &Domain, fine_m: f64, least
             let bound = |cube: &(Point, f32)| Some((cube.0, bound(&level, foci, cube.0, &mut distances_m)?));
             let kept = chunk.iter().filter(|cube| domain.holds(cube.0, radius_m)).filter_map(bound);
             let kept = kept.filter(|(_, bound)| *bound > least);
-            if is_last { kept.collect() } else { kept.flat_map(|cube| children(cube.0, half_m, domain.dimensions)).collect() }
+            if is_last {
+                kept.collect()
+            } else {
+                kept.flat_map(|cube| children(cube.0, half_m, domain.dimensions)).collect()
+            }
         };
         cubes = cubes.par_chunks(CHUNK).flat_map_iter(cut).collect();
         if is_last {

@@ -77,7 +77,9 @@ pub fn bases(foci: &[Point], pairs: &[Lengths], domain: &Domain, most: usize) ->
 fn typical_points(foci: &[Point], domain: &Domain) -> Vec<Point> {
     let reach_m = foci.iter().map(|focus| (focus - domain.centre).norm()).fold(0.0, f64::max);
     let z = if domain.dimensions == 2 { [0.0].as_slice() } else { [-1.0, 0.0, 1.0].as_slice() };
-    let corners = [-1.0, 0.0, 1.0].into_iter().flat_map(|x| [-1.0, 0.0, 1.0].into_iter().flat_map(move |y| z.iter().map(move |z| (x, y, *z))));
+    let corners = [-1.0, 0.0, 1.0]
+        .into_iter()
+        .flat_map(|x| [-1.0, 0.0, 1.0].into_iter().flat_map(move |y| z.iter().map(move |z| (x, y, *z))));
     let all: Vec<Point> = corners.map(|(x, y, z)| domain.centre + Vector3::new(x, y, z) * reach_m).collect();
     let inside: Vec<Point> = all.iter().copied().filter(|point| domain.holds(*point, 0.0)).collect();
     if inside.is_empty() { all } else { inside }
@@ -91,7 +93,10 @@ fn slope(foci: &[Point], pair: &Lengths, at: Point) -> Vector3<f64> {
 fn spread(foci: &[Point], pairs: &[Lengths], base: &[usize], typical: &[Point], dimensions: usize) -> f64 {
     let mut errors: Vec<f64> = typical
         .iter()
-        .map(|at| covariance(base.iter().map(|&pair| slope(foci, &pairs[pair], *at)), 1.0, dimensions).map_or(f64::INFINITY, |c| c.trace()))
+        .map(|at| {
+            covariance(base.iter().map(|&pair| slope(foci, &pairs[pair], *at)), 1.0, dimensions)
+                .map_or(f64::INFINITY, |c| c.trace())
+        })
         .collect();
     errors.sort_by(f64::total_cmp);
     errors[errors.len() / 2]
@@ -124,8 +129,10 @@ pub fn seeds(foci: &[Point], pairs: &[Lengths], base: &[usize], domain: &Domain)
         let [a, b] = pairs[pair].foci;
         ellipsoid(foci[if a == focus { b } else { a }] - foci[focus], length_m)
     };
-    let rows: Vec<Vec<(Vector4<f64>, f64)>> =
-        base.iter().map(|&pair| pairs[pair].lengths_m.iter().map(|(length_m, _)| condition(pair, *length_m)).collect()).collect();
+    let rows: Vec<Vec<(Vector4<f64>, f64)>> = base
+        .iter()
+        .map(|&pair| pairs[pair].lengths_m.iter().map(|(length_m, _)| condition(pair, *length_m)).collect())
+        .collect();
     let flat = vec![(Vector4::z(), 0.0)];
     let (first, second, third) = (&rows[0], &rows[1], rows.get(2).unwrap_or(&flat));
     let variance_m2 = base.iter().map(|&pair| pairs[pair].lengths_m[0].1.powi(2)).sum::<f64>() / base.len() as f64;
@@ -164,13 +171,21 @@ fn checks(foci: &[Point], pairs: &[Lengths], base: &[usize], domain: &Domain) ->
     let typical = typical_points(foci, domain);
     let mut known: Vec<(Point, Matrix3<f64>)> = typical
         .into_iter()
-        .filter_map(|at| Some((at, covariance(base.iter().map(|&pair| slope(foci, &pairs[pair], at)), 1.0, domain.dimensions)?)))
+        .filter_map(|at| {
+            Some((at, covariance(base.iter().map(|&pair| slope(foci, &pairs[pair], at)), 1.0, domain.dimensions)?))
+        })
         .collect();
     let mut rest: Vec<usize> = (0..pairs.len()).filter(|pair| !base.contains(pair)).collect();
     let mut order = Vec::new();
     while order.len() < CHECKS && !rest.is_empty() {
         let error = |&pair: &usize| {
-            let mut errors: Vec<f64> = known.iter().map(|(at, c)| { let g = slope(foci, &pairs[pair], *at); g.dot(&(c * g)) }).collect();
+            let mut errors: Vec<f64> = known
+                .iter()
+                .map(|(at, c)| {
+                    let g = slope(foci, &pairs[pair], *at);
+                    g.dot(&(c * g))
+                })
+                .collect();
             errors.sort_by(f64::total_cmp);
             errors.get(errors.len() / 2).copied().unwrap_or(0.0)
         };
@@ -201,9 +216,12 @@ fn follow(foci: &[Point], pairs: &[Lengths], order: &[usize], at: Point, covaria
         let nearest = lengths_m[next.saturating_sub(1)..(next + 1).min(lengths_m.len())]
             .iter()
             .min_by(|x, y| (x.0 - length_m).abs().total_cmp(&(y.0 - length_m).abs()));
-        let hit = nearest.map(|(other, sd_m)| (other - length_m, own_m2 + sd_m * sd_m)).filter(|(off_m, m2)| off_m * off_m < GATE * GATE * m2);
+        let hit = nearest
+            .map(|(other, sd_m)| (other - length_m, own_m2 + sd_m * sd_m))
+            .filter(|(off_m, m2)| off_m * off_m < GATE * GATE * m2);
         if let Some((off_m, variance_m2)) = hit {
-            let density = (-0.5 * off_m * off_m / variance_m2).exp() / (2.0 * std::f64::consts::PI * variance_m2).sqrt();
+            let density =
+                (-0.5 * off_m * off_m / variance_m2).exp() / (2.0 * std::f64::consts::PI * variance_m2).sqrt();
             likelihood += (1.0 - seen + seen * density / density_per_m).ln();
             point += spread * (off_m / variance_m2);
             covariance -= spread * spread.transpose() / variance_m2;

@@ -85,7 +85,8 @@ fn cells() {
     }
     cells.push(Cell { visible: 24, hidden: 64, noise_ps: 5.0, missing: 0.1, spurious: 1 });
     for cell in &cells {
-        let name = format!("V{} H{} {} ps {}/{}", cell.visible, cell.hidden, cell.noise_ps, cell.missing, cell.spurious);
+        let name =
+            format!("V{} H{} {} ps {}/{}", cell.visible, cell.hidden, cell.noise_ps, cell.missing, cell.spurious);
         if only.as_ref().is_some_and(|only| !name.contains(only.as_str())) {
             continue;
         }
@@ -100,7 +101,13 @@ fn cells() {
             if std::env::var("TRUTH").is_ok() {
                 let mut scene = Scene::new(&profiles, &room).unwrap();
                 for q in &hidden {
-                    scene.patches.push(Hidden { point: *q, covariance: Matrix3::identity(), evidence: 0.0, seen: SEEN, arrivals: 0.0 });
+                    scene.patches.push(Hidden {
+                        point: *q,
+                        covariance: Matrix3::identity(),
+                        evidence: 0.0,
+                        seen: SEEN,
+                        arrivals: 0.0,
+                    });
                 }
                 scene.settle();
                 for _ in 0..5 {
@@ -111,7 +118,12 @@ fn cells() {
                     }
                     scene.settle();
                 }
-                let list: Vec<String> = scene.patches.iter().zip(&hidden).map(|(h, q)| format!("{:.0}:{:.1}", h.evidence, (h.point - q).norm() * 100.0)).collect();
+                let list: Vec<String> = scene
+                    .patches
+                    .iter()
+                    .zip(&hidden)
+                    .map(|(h, q)| format!("{:.0}:{:.1}", h.evidence, (h.point - q).norm() * 100.0))
+                    .collect();
                 eprintln!("  truth {}, lambda {:.2}", list.join(" "), scene.clutter_per_m);
                 scene.polish();
                 eprintln!("  kept {}", scene.patches.len());

@@ -99,13 +99,23 @@ fn front(visible: &[Point], source: Point, dimensions: usize) -> Vec<(Point, Vec
     let normal: Vector3<f64> = axes.eigenvectors.column(least).into();
     let side = normal.dot(&(source - middle));
     let thickness = (axes.eigenvalues[least].max(0.0) / most).sqrt();
-    if thickness > FLAT || side.abs() <= FLAT * most.sqrt() { Vec::new() } else { vec![(middle, normal * side.signum())] }
+    if thickness > FLAT || side.abs() <= FLAT * most.sqrt() {
+        Vec::new()
+    } else {
+        vec![(middle, normal * side.signum())]
+    }
 }
 
 /// Profiles of all sensors as lengths over hidden patches.
 fn profiles(scene: &Scene, sensors: &[OfSensor], closed: &[Pairs], visible: &[PatchId]) -> Vec<Profile> {
-    let views = || sensors.iter().zip(closed).flat_map(|(sensor, closed)| sensor.profiles.iter().map(move |profile| (sensor, closed, *profile)));
-    let legs: Vec<Option<Legs>> = views().map(|(sensor, _, profile)| Legs::new(scene, sensor.view(profile), profile)).collect();
+    let views = || {
+        sensors
+            .iter()
+            .zip(closed)
+            .flat_map(|(sensor, closed)| sensor.profiles.iter().map(move |profile| (sensor, closed, *profile)))
+    };
+    let legs: Vec<Option<Legs>> =
+        views().map(|(sensor, _, profile)| Legs::new(scene, sensor.view(profile), profile)).collect();
     let latest = |(legs, (.., profile)): (&Option<Legs>, (_, _, &[Onset]))| {
         let legs = legs.as_ref()?;
         profile.iter().map(|onset| legs.length_m(onset)).reduce(f64::max)
@@ -174,9 +184,17 @@ impl<'a> Legs<'a> {
     }
 
     /// Paths over known patches that may have made one of the arrivals.
-    fn known(&self, scene: &Scene, profile: &[Onset], arrivals: &[Arrival], closed: &Pairs, fourth: bool) -> Vec<Known> {
+    fn known(
+        &self,
+        scene: &Scene,
+        profile: &[Onset],
+        arrivals: &[Arrival],
+        closed: &Pairs,
+        fourth: bool,
+    ) -> Vec<Known> {
         let (lit, seen) = (profile[0].lit, profile[0].seen);
-        let paths = std::iter::once(super::direct(profile)).chain(scene.longer(lit, seen, if fourth { 4 } else { 3 }, closed));
+        let paths =
+            std::iter::once(super::direct(profile)).chain(scene.longer(lit, seen, if fourth { 4 } else { 3 }, closed));
         let index = self.view.setup.group_index;
         let known = |path: Vec<PatchId>| {
             let length_m = scene.length_m(&path, &self.view) - self.known_m;

@@ -26,7 +26,9 @@ pub(super) fn label(sensor: &OfSensor, verdicts: &mut Verdicts) {
 /// Onsets after the direct light that have no label.
 fn left_open(profile: &[Onset], verdicts: &[Vec<Verdict>]) -> Vec<usize> {
     let is_direct = |verdicts: &Vec<Verdict>| verdicts[0].path.as_ref().is_some_and(|path| path.len() <= 2);
-    let direct_ps = profile.iter().zip(verdicts).find(|(_, verdicts)| is_direct(verdicts)).map(|(onset, _)| onset.time_ps);
-    let is_open = |&n: &usize| verdicts[n][0].path.is_none() && direct_ps.is_none_or(|direct_ps| profile[n].time_ps > direct_ps);
+    let direct_ps =
+        profile.iter().zip(verdicts).find(|(_, verdicts)| is_direct(verdicts)).map(|(onset, _)| onset.time_ps);
+    let is_open =
+        |&n: &usize| verdicts[n][0].path.is_none() && direct_ps.is_none_or(|direct_ps| profile[n].time_ps > direct_ps);
     (0..profile.len()).filter(is_open).collect()
 }
