@@ -20,7 +20,7 @@ pub struct Coordinates {
     pub patches: Vec<PatchId>,
     /// Coordinates of a patch.
     pub dimensions: usize,
-    /// Covariance in square metres, without turns that path lengths say nothing of.
+    /// Covariance in square metres, without turns of the visible patches that path lengths say nothing of.
     pub covariance: DMatrix<f64>,
     /// Turns about the stations that path lengths say nothing of.
     pub turns: usize,
@@ -183,8 +183,16 @@ impl Unknowns {
                 *loose |= vector.rows(place * self.dimensions, self.dimensions).norm() > 1e-3;
             }
         }
-        let free = DMatrix::identity(size, size) - &gauge * gauge.transpose();
-        let covariance = &free * covariance * &free;
+        // The frame turns with the visible patches: errors of hidden ones do not turn it.
+        let mut shown = gauge.clone();
+        for (place, patch) in self.patches.iter().enumerate() {
+            if laboratory.scene.patches[patch].role == PatchRole::Hidden {
+                shown.rows_mut(place * self.dimensions, self.dimensions).fill(0.0);
+            }
+        }
+        let share = (shown.transpose() * &gauge).try_inverse().unwrap_or_else(|| DMatrix::identity(turns, turns));
+        let free = DMatrix::identity(size, size) - &gauge * share * shown.transpose();
+        let covariance = &free * covariance * free.transpose();
         let onsets = self.patches.iter().map(|patch| onsets[patch]).collect();
         Coordinates { patches: self.patches, dimensions: self.dimensions, covariance, turns, loose, onsets }
     }

@@ -18,17 +18,26 @@ use periscope::tables::{Patch, Row};
 use super::run::{execute, use_threads};
 
 /// Demonstrations: name, scene, pipeline.
-const DEMOS: [(&str, &str, &str); 1] = [(
-    "all-visible",
-    include_str!("../../pipelines/scenes/all-visible.toml"),
-    include_str!("../../pipelines/all-visible.toml"),
-)];
+const DEMOS: [(&str, &str, &str); 2] = [
+    (
+        "around-the-corner",
+        include_str!("../../pipelines/scenes/around-the-corner.toml"),
+        include_str!("../../pipelines/around-the-corner.toml"),
+    ),
+    (
+        "all-visible",
+        include_str!("../../pipelines/scenes/all-visible.toml"),
+        include_str!("../../pipelines/all-visible.toml"),
+    ),
+];
+/// Kind of patches that neither laser nor sensor sees.
+const HIDDEN: &str = "hidden";
 
 /// Arguments of `demo`.
 #[derive(Args)]
 pub struct Demo {
-    /// Which: all-visible
-    #[arg(default_value = "all-visible")]
+    /// Which: around-the-corner (hidden patches, from third bounces) or all-visible
+    #[arg(default_value = "around-the-corner")]
     name: String,
     /// Folder for campaign and results; what an earlier demo left there is replaced
     #[arg(long, value_name = "DIR", default_value = "periscope-demo")]
@@ -101,46 +110,93 @@ fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
     Ok(rows)
 }
 
-/// Found beside true positions. Path lengths say nothing of rotations about the laser, so what was found is turned onto the truth first.
+/// A patch that was found, turned onto the truth, with the true one.
+struct Pair<'a> {
+    found: &'a Patch,
+    point: Point,
+    truth: &'a Patch,
+}
+
+impl Pair<'_> {
+    fn error_m(&self) -> f64 {
+        (self.point - at(self.truth)).norm()
+    }
+}
+
+/// Found beside true positions.
 fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) -> Result<String> {
     let centre = Point::from(scene.stations["laser"].position_m);
-    let (turned, rms_m) = turned_onto(found, truth, centre)?;
-    let mut text =
-        String::from("patch      found (x, y, z) in m                  true                          error     sd\n");
-    for ((patch, point), row) in turned.iter().zip(found) {
-        let truth =
-            truth.iter().find(|truth| truth.patch == *patch).context("a patch was found that is not in the scene")?;
-        let error_mm = 1e3 * (point - Point::new(truth.x_m, truth.y_m, truth.z_m)).norm();
-        let sd_mm = 1e3 * row.sd_m.context("refined patches have a standard deviation")?;
+    let (pairs, lost) = pairs(found, truth, centre)?;
+    let mut text = String::from(
+        "patch           found (x, y, z) in m                  true                          error     sd\n",
+    );
+    for Pair { found, point, truth } in &pairs {
+        let error_mm = 1e3 * (point - at(truth)).norm();
+        let sd_mm = 1e3 * found.sd_m.context("refined patches have a standard deviation")?;
         writeln!(
             text,
-            "{patch:>5}  ({:9.5}, {:9.5}, {:9.5})  ({:7.4}, {:7.4}, {:7.4})  {error_mm:6.3} mm {sd_mm:6.3} mm",
-            point.x, point.y, point.z, truth.x_m, truth.y_m, truth.z_m
+            "{:>3} {:8} ({:9.5}, {:9.5}, {:9.5})  ({:7.4}, {:7.4}, {:7.4})  {error_mm:6.3} mm {sd_mm:6.3} mm",
+            found.patch, found.kind, point.x, point.y, point.z, truth.x_m, truth.y_m, truth.z_m
         )?;
     }
-    let sd_m =
-        (found.iter().filter_map(|row| row.sd_m).map(|sd_m| sd_m * sd_m).sum::<f64>() / found.len() as f64).sqrt();
-    let paper_m = turned_onto(paper, truth, centre)?.1;
-    writeln!(
-        text,
-        "\nrms error {:.3} mm, expected from the standard deviations {:.3} mm; the paper's Algorithm 1 on the same onsets: {:.3} mm",
-        rms_m * 1e3,
-        sd_m * 1e3,
-        paper_m * 1e3
-    )?;
+    lost.iter().try_for_each(|patch| writeln!(text, "{patch:>3} was not found"))?;
+    let (of_paper, lost_by_paper) = self::pairs(paper, truth, centre)?;
+    for kind in ["visible", HIDDEN] {
+        let of_kind = |pair: &&Pair| &*pair.truth.kind == kind;
+        let errors_m = |pairs: &[Pair]| rms(pairs.iter().filter(of_kind).map(Pair::error_m));
+        let sds_m = pairs.iter().filter(of_kind).filter_map(|pair| pair.found.sd_m);
+        let (Some(rms_m), Some(sd_m)) = (errors_m(&pairs), rms(sds_m)) else { continue };
+        write!(
+            text,
+            "\n{kind}: rms error {:.3} mm, expected from the standard deviations {:.3} mm",
+            rms_m * 1e3,
+            sd_m * 1e3
+        )?;
+        let is_lost = kind == HIDDEN && !lost_by_paper.is_empty();
+        match errors_m(&of_paper) {
+            Some(_) if is_lost => {
+                write!(text, "; the paper's way on the same onsets loses {} of them", lost_by_paper.len())?
+            }
+            Some(paper_m) => write!(text, "; the paper's way on the same onsets: {:.3} mm", paper_m * 1e3)?,
+            None => write!(text, "; the paper's way on the same onsets finds none")?,
+        }
+    }
+    writeln!(text)?;
     Ok(text)
 }
 
-fn turned_onto(found: &[Patch], truth: &[Patch], centre: Point) -> Result<(Vec<(i32, Point)>, f64)> {
-    let at = |patch: &Patch| Point::new(patch.x_m, patch.y_m, patch.z_m);
-    let target = |patch: &Patch| truth.iter().find(|truth| truth.patch == patch.patch).map(at);
-    let targets: Option<Vec<Point>> = found.iter().map(target).collect();
-    let targets = targets.context("a patch was found that is not in the scene")?;
-    if found.is_empty() {
+fn at(patch: &Patch) -> Point {
+    Point::new(patch.x_m, patch.y_m, patch.z_m)
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let squares: Vec<f64> = values.map(|value| value * value).collect();
+    (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+}
+
+/// Found patches with the true ones, and true ones that were not found. Path lengths say nothing of rotations about the laser, so what was found is turned onto the
+/// truth by the visible patches first; hidden patches have the numbers that they were found by, and go with the nearest true one.
+fn pairs<'a>(found: &'a [Patch], truth: &'a [Patch], centre: Point) -> Result<(Vec<Pair<'a>>, Vec<i32>)> {
+    let best = found.iter().filter(|patch| patch.alternative == 0);
+    let (visible, hidden): (Vec<&Patch>, Vec<&Patch>) = best.partition(|patch| &*patch.kind != HIDDEN);
+    let named = |patch: &&'a Patch| truth.iter().find(|truth| truth.patch == patch.patch).map(|truth| (*patch, truth));
+    let named: Option<Vec<_>> = visible.iter().map(named).collect();
+    let named = named.context("a visible patch was found that is not in the scene")?;
+    if named.is_empty() {
         bail!("no patch was found; see the table `rejects`");
     }
-    let points: Vec<Point> = found.iter().map(at).collect();
-    let fit = procrustes::rotation(&points, &targets, centre, true);
-    let turned = found.iter().map(|patch| (patch.patch, procrustes::turn(&fit.matrix, centre, at(patch)))).collect();
-    Ok((turned, fit.rms_m))
+    let (from, onto): (Vec<Point>, Vec<Point>) = named.iter().map(|(patch, truth)| (at(patch), at(truth))).unzip();
+    let matrix = procrustes::rotation(&from, &onto, centre, true).matrix;
+    let turned =
+        |found: &'a Patch, truth: &'a Patch| Pair { found, point: procrustes::turn(&matrix, centre, at(found)), truth };
+    let mut pairs: Vec<Pair> = named.into_iter().map(|(found, truth)| turned(found, truth)).collect();
+    let mut open: Vec<&Patch> = truth.iter().filter(|patch| &*patch.kind == HIDDEN).collect();
+    for found in hidden {
+        let gap_m = |truth: &'a Patch| turned(found, truth).error_m();
+        let nearest = (0..open.len()).min_by(|&a, &b| gap_m(open[a]).total_cmp(&gap_m(open[b])));
+        pairs.extend(nearest.map(|nearest| turned(found, open.remove(nearest))));
+    }
+    let lost =
+        truth.iter().map(|truth| truth.patch).filter(|id| pairs.iter().all(|pair| pair.truth.patch != *id)).collect();
+    Ok((pairs, lost))
 }

@@ -288,7 +288,7 @@ fn finish(rows: &Rows, means: Means, place: Place, loss: f64) -> Result<Solution
             let nulls = freedom::without(&nulls, rows, &open);
             let columns = Mat::from_fn(rows.layout.size, nulls.len(), |i, k| nulls[k][i]);
             match dense_steps::covariance(rows, &place, &columns, &open) {
-                Ok(covariance) => break Covariance::Exact(covariance),
+                Ok(covariance) => break Covariance::Exact(freedom::about_visible(rows, covariance, &columns)),
                 Err(found) => {
                     let (more, free) = found.ok_or_else(|| undetermined(problem))?;
                     let new = freedom::open(rows, &free, &nulls);

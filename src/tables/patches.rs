@@ -7,7 +7,7 @@ table! {
     /// Position of one patch with its covariance. Frame (table `fits` says which): source and camera at their stations, turned as anchors, rays and stations
     /// apart tell; where nothing does, the canonical frame: first patch on +x from the laser, the next that is clearly off that line in the xy plane at y > 0, the
     /// next that is clearly off that plane at z > 0 (which of two mirror images is true the data do not say), and covariances without the three
-    /// rotations about the laser; with stations in line, the first patch off it towards +y (else +z), and covariances without the rotation about the line.
+    /// rotations of the visible patches about the laser; with stations in line, the first patch off it towards +y (else +z), and covariances without the rotation about the line.
     "patches": Patch, PatchColumns {
         /// Patch.
         patch: i32,

@@ -120,6 +120,32 @@ pub fn without(directions: &[Vec<f64>], rows: &Rows, open: &[usize]) -> Vec<Vec<
     kept
 }
 
+/// A covariance without the rotations `nulls` of all patches, without those of the patches instead that laser or sensor sees: the frame turns with them, and errors of
+/// hidden patches do not turn it. (An S-transformation, Baarda 1973.)
+pub fn about_visible(rows: &Rows, covariance: Mat<f64>, nulls: &Mat<f64>) -> Mat<f64> {
+    let mut is_visible = vec![false; rows.problem.start.len()];
+    for observation in &rows.problem.observations {
+        for ends in observation.nodes.windows(2) {
+            if let [Node::Station(_), Node::Patch(patch)] | [Node::Patch(patch), Node::Station(_)] = ends {
+                is_visible[*patch] = true;
+            }
+        }
+    }
+    if nulls.ncols() == 0 || is_visible.iter().all(|visible| *visible) {
+        return covariance;
+    }
+    let visible: Vec<usize> =
+        (0..is_visible.len()).filter(|&patch| is_visible[patch]).flat_map(|patch| rows.layout.patch(patch)).collect();
+    let mut shown: Mat<f64> = Mat::zeros(nulls.nrows(), nulls.ncols());
+    for (&i, k) in visible.iter().flat_map(|i| (0..nulls.ncols()).map(move |k| (i, k))) {
+        shown[(i, k)] = nulls[(i, k)];
+    }
+    let Some(share) = dense::inverse(&(shown.transpose() * nulls)) else { return covariance };
+    let turn = nulls * share * shown.transpose();
+    let free = Mat::from_fn(turn.nrows(), turn.ncols(), |i, k| f64::from(u8::from(i == k)) - turn[(i, k)]);
+    &free * covariance * free.transpose()
+}
+
 /// Patches that move in any of the directions `free` (columns) by more than a rotation of all patches: rotations, in the span of `turns`, are fitted by least
 /// absolute values, so that the few patches that move on their own do not count.
 pub fn open(rows: &Rows, free: &Mat<f64>, turns: &[Vec<f64>]) -> Vec<usize> {
