@@ -21,6 +21,8 @@
 //! Not modelled: errors that profiles share (of known legs, of delays), arrivals that are two unresolved ones, amplitudes.
 
 mod climb;
+#[cfg(test)]
+mod scene;
 pub mod search;
 mod seeds;
 mod superposition;

@@ -164,3 +164,31 @@ fn bound(order: &[Legs], foci: &[Point], at: Point, distances_m: &mut [f64]) -> 
     }
     Some(sum)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Beside the largest of all values near, at many lengths and reaches.
+    #[test]
+    fn a_widened_curve_holds_what_is_near() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for _ in 0..200 {
+            let values: Vec<f32> = (0..rng.random_range(1..60)).map(|_| rng.random_range(-3.0..3.0)).collect();
+            let curve = Curve { low_m: rng.random_range(-1.0..1.0), step_m: 0.1, values };
+            let value = |at: &Curve, length_m: f64| {
+                let bin = (length_m - at.low_m) / at.step_m;
+                if bin >= 0.0 { at.values.get(bin as usize).copied().unwrap_or(0.0) } else { 0.0 }
+            };
+            let reach_m = rng.random_range(0.01..2.0);
+            let wide = curve.widened(reach_m);
+            for _ in 0..100 {
+                let length_m = rng.random_range(-4.0..9.0);
+                let near_m: f64 = length_m + rng.random_range(-reach_m..reach_m);
+                assert!(value(&wide, length_m) >= value(&curve, near_m), "{length_m} {near_m} {reach_m}");
+            }
+        }
+    }
+}

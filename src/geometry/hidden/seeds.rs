@@ -234,3 +234,35 @@ fn follow(foci: &[Point], pairs: &[Lengths], order: &[usize], at: Point, covaria
     }
     (likelihood > KEPT).then_some(Seed { point, likelihood })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Without noise and without rivals, some seed of every base is the patch.
+    #[test]
+    fn every_base_leads_to_the_patch() {
+        for dimensions in [2, 3] {
+            let z = |height_m: f64| if dimensions == 2 { 0.0 } else { height_m };
+            let foci = [(0.0, 0.3, 0.2), (0.1, 1.2, -0.4), (0.7, 0.0, 0.5), (1.4, 0.1, -0.1), (0.4, 0.2, -0.6)];
+            let foci: Vec<Point> = foci.into_iter().map(|(x, y, height_m)| Point::new(x, y, z(height_m))).collect();
+            let patch = Point::new(1.3, 1.1, z(0.2));
+            let domain = Domain { centre: Point::new(0.7, 0.7, 0.0), half_m: 2.0, dimensions, fronts: Vec::new() };
+            // No pair of a focus with itself.
+            let pairs = (0..foci.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
+            let lengths = |[a, b]: [usize; 2]| Lengths {
+                foci: [a, b],
+                lengths_m: vec![((patch - foci[a]).norm() + (patch - foci[b]).norm(), 1e-3)],
+                density_per_m: 0.3,
+                seen: 0.9,
+            };
+            let pairs: Vec<Lengths> = pairs.map(lengths).collect();
+            let bases = bases(&foci, &pairs, &domain, 3);
+            assert!(bases.len() > 1 && bases.iter().all(|base| base.len() == dimensions), "{bases:?}");
+            for base in &bases {
+                let seeds = seeds(&foci, &pairs, base, &domain);
+                assert!(seeds.iter().any(|seed| (seed.point - patch).norm() < 1e-6), "{base:?} {seeds:?}");
+            }
+        }
+    }
+}

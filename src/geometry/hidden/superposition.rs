@@ -74,3 +74,56 @@ pub fn left_over(pairs: &[Pair], arrivals: usize, but: Option<usize>) -> Vec<f64
     pairs.iter().filter(|pair| Some(pair.path) != but).for_each(|pair| told[pair.arrival] += pair.told);
     told.into_iter().map(|told| 1.0 / told).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Weight of all associations, each path and arrival used once at most; of those only that hold the pair `with`.
+    fn sum(pairs: &[Pair], from: usize, used: &mut Vec<(usize, usize)>, with: Option<usize>) -> f64 {
+        let Some(pair) = pairs.get(from) else { return 1.0 };
+        let is_free = used.iter().all(|(path, arrival)| *path != pair.path && *arrival != pair.arrival);
+        let mut total = if with == Some(from) { 0.0 } else { sum(pairs, from + 1, used, with) };
+        if is_free {
+            used.push((pair.path, pair.arrival));
+            total += pair.odds * sum(pairs, from + 1, used, with);
+            used.pop();
+        }
+        total
+    }
+
+    /// Probability of each pair, from the messages.
+    fn probabilities(pairs: &[Pair], paths: usize) -> Vec<f64> {
+        let mut all = vec![1.0; paths];
+        pairs.iter().for_each(|pair| all[pair.path] += pair.odds * pair.left);
+        pairs.iter().map(|pair| pair.odds * pair.left / all[pair.path]).collect()
+    }
+
+    #[test]
+    fn a_chain_of_rivals_is_exact() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for _ in 0..50 {
+            // Path n may have made arrivals n and n + 1.
+            let pair = |n: usize, k: usize, rng: &mut ChaCha8Rng| Pair::new(n, n + k, rng.random_range(0.1_f64..20.0));
+            let mut pairs: Vec<Pair> =
+                (0..4).flat_map(|n| [(n, 0), (n, 1)]).map(|(n, k)| pair(n, k, &mut rng)).collect();
+            let all = sum(&pairs, 0, &mut Vec::new(), None);
+            let exact: Vec<f64> = (0..pairs.len()).map(|n| sum(&pairs, 0, &mut Vec::new(), Some(n)) / all).collect();
+            settle(&mut pairs, 4, 5);
+            for (found, exact) in probabilities(&pairs, 4).iter().zip(&exact) {
+                assert!((found - exact).abs() < 1e-3, "{found} {exact}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_one_path_explains_is_gone_for_others() {
+        let mut pairs = vec![Pair::new(0, 0, 1e6)];
+        settle(&mut pairs, 1, 2);
+        let left = left_over(&pairs, 2, None);
+        assert!(left[0] < 1e-5 && (left[1] - 1.0).abs() < 1e-12);
+        assert_eq!(left_over(&pairs, 2, Some(0)), [1.0, 1.0]);
+    }
+}

@@ -1,157 +1,173 @@
+use super::scene::{Clutter, Pattern, Setting, Walls, draw, score};
 use super::*;
+use crate::units;
+use nalgebra::Rotation3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, Normal};
-use std::time::Instant;
 
-/// Visible patches on two walls at right angles, hidden ones in a box before them.
-fn scene(visible: usize, hidden: usize, rng: &mut ChaCha8Rng) -> (Vec<Point>, Vec<Point>) {
-    let foci = (0..visible)
-        .map(|k| {
-            let (u, z) = (rng.random_range(0.0..1.6), rng.random_range(-0.8..0.8));
-            if k % 2 == 0 { Point::new(u, 0.0, z) } else { Point::new(0.0, u, z) }
-        })
-        .collect();
-    let mut patches: Vec<Point> = Vec::new();
-    while patches.len() < hidden {
-        let point = Point::new(rng.random_range(0.8..2.0), rng.random_range(0.8..1.8), rng.random_range(-0.4..0.4));
-        let apart = if hidden > 16 { 0.05 } else { 0.15 };
-        if patches.iter().all(|other: &Point| (other - point).norm() > apart) {
-            patches.push(point);
-        }
-    }
-    (foci, patches)
+/// Of an onset timed to so many picoseconds.
+fn sd_m(sd_ps: f64) -> f64 {
+    units::path_m(sd_ps, 1.0)
 }
 
-struct Cell {
-    visible: usize,
-    hidden: usize,
-    noise_ps: f64,
-    missing: f64,
-    spurious: usize,
+fn points(found: &Found) -> Vec<Point> {
+    found.patches.iter().map(|hidden| hidden.point).collect()
 }
 
-fn profiles(foci: &[Point], hidden: &[Point], cell: &Cell, rng: &mut ChaCha8Rng) -> (Vec<Profile>, f64) {
-    let sd_m = cell.noise_ps * 1e-12 * 299_792_458.0 * 1.5_f64.sqrt();
-    let normal = Normal::new(0.0, sd_m).unwrap();
-    let mut profiles = Vec::new();
-    let window_m = 2.4;
-    let earliest = |a: usize, b: usize| {
-        let of = |q: &Point| (q - foci[a]).norm() + (q - foci[b]).norm();
-        (hidden.iter().map(of).fold(f64::INFINITY, f64::min), hidden.iter().map(of).fold(0.0, f64::max))
-    };
-    for a in 0..foci.len() {
-        for b in 0..foci.len() {
-            let (first, last) = earliest(a, b);
-            let low = (0.5 * (first + last) - 0.5 * window_m).max((foci[a] - foci[b]).norm());
-            let mut arrivals = Vec::new();
-            for q in hidden {
-                if rng.random_range(0.0..1.0) >= cell.missing {
-                    let length_m = (q - foci[a]).norm() + (q - foci[b]).norm() + normal.sample(rng);
-                    arrivals.push(Arrival { length_m, sd_m });
-                }
-            }
-            for _ in 0..cell.spurious {
-                arrivals.push(Arrival { length_m: rng.random_range(low..low + window_m), sd_m });
-            }
-            profiles.push(Profile::new([a, b], arrivals, Vec::new(), [low, low + window_m]));
+/// The short version of `cargo bench --bench corner`.
+#[test]
+fn all_are_found_and_nothing_else() {
+    let base = Setting::new(8, 4, sd_m(25.0), 0.3, 4);
+    let settings = [
+        base,
+        Setting { hidden: 8, onset_sd_m: sd_m(5.0), ..base },
+        Setting { pattern: Pattern::NoneOwn, ..base },
+        Setting { visible: 20, hidden: 8, pattern: Pattern::Disjoint(16), missing: 0.1, spurious: 1, ..base },
+        Setting { walls: Walls::One, ..base },
+        Setting { walls: Walls::Flatland, missing: 0.1, spurious: 1, ..base },
+        Setting { clutter: Clutter::Echo, missing: 0.1, spurious: 1, ..base },
+        Setting { onset_sd_m: sd_m(100.0), missing: 0.1, spurious: 1, ..base },
+    ];
+    for setting in settings {
+        for seed in 0..3 {
+            let drawn = draw(&setting, seed);
+            let result = score(&drawn, &points(&find(&drawn.profiles, &drawn.room)));
+            assert!(result.is_right(), "{setting:?}, seed {seed}: {result:?}");
         }
     }
-    (profiles, sd_m)
 }
 
-fn bound_m(foci: &[Point], q: Point, sd_m: f64) -> f64 {
-    let mut information = Matrix3::zeros();
-    for a in foci {
-        for b in foci {
-            let slope = (q - a).normalize() + (q - b).normalize();
-            information += slope * slope.transpose() / (sd_m * sd_m);
+/// The search's own error bars, visible patches exact.
+#[test]
+fn covariances_are_as_large_as_the_errors() {
+    let (mut squares, mut count) = (0.0, 0.0);
+    for seed in 0..20 {
+        let drawn = draw(&Setting::new(8, 4, sd_m(5.0), 0.1, 1), seed);
+        for hidden in find(&drawn.profiles, &drawn.room).patches {
+            let error = drawn.hidden.iter().map(|q| q - hidden.point).min_by(|a, b| a.norm().total_cmp(&b.norm()));
+            let error = error.expect("there are hidden patches");
+            squares += error.dot(&(hidden.covariance.try_inverse().expect("positions are determined") * error));
+            count += 3.0;
         }
     }
-    information.try_inverse().unwrap().trace().sqrt()
+    // 80 patches: an rms of 1 is known to 5 %.
+    let rms = f64::sqrt(squares / count);
+    eprintln!("errors over their standard deviations: {rms:.3} ({count} coordinates)");
+    assert!((rms - 1.0).abs() < 0.15, "{rms}");
+}
+
+/// Markov's bound on the Bayes factor holds where nothing is hidden.
+#[test]
+fn where_nothing_is_hidden_nothing_is_found() {
+    let setting = Setting::new(8, 0, sd_m(25.0), 0.0, 8);
+    let found = (0..30).filter(|&seed| {
+        let drawn = draw(&setting, seed);
+        let room = Room { false_alarm: 0.1, ..drawn.room };
+        !find(&drawn.profiles, &room).patches.is_empty()
+    });
+    let found = found.count();
+    // At most 3 are expected; 8 or more have a probability of 1 %.
+    assert!(found < 8, "{found} of 30");
 }
 
 #[test]
-fn cells() {
-    let seeds: u64 = std::env::var("SEEDS").map_or(10, |s| s.parse().unwrap());
-    let only = std::env::var("ONLY").ok();
-    let mut cells = Vec::new();
-    for hidden in [1, 2, 4, 8] {
-        for noise_ps in [5.0, 25.0, 100.0] {
-            for (missing, spurious) in [(0.0, 0), (0.1, 1), (0.3, 4)] {
-                cells.push(Cell { visible: 8, hidden, noise_ps, missing, spurious });
+fn a_known_path_leaves_nothing_to_find() {
+    let drawn = draw(&Setting::new(8, 2, sd_m(25.0), 0.0, 0), 1);
+    let known = |profile: &Profile| -> Profile {
+        let of_first = {
+            let [a, b] = profile.foci.map(|focus| drawn.room.foci[focus]);
+            (drawn.hidden[0] - a).norm() + (drawn.hidden[0] - b).norm()
+        };
+        let known = vec![Known { length_m: of_first, sd_m: 1e-4, seen: 0.9 }];
+        Profile::new(profile.foci, profile.arrivals.clone(), known, profile.span_m)
+    };
+    let profiles: Vec<Profile> = drawn.profiles.iter().map(known).collect();
+    let found = find(&profiles, &drawn.room).patches;
+    assert!(found.len() == 1 && (found[0].point - drawn.hidden[1]).norm() < 0.02, "{found:?}");
+}
+
+/// Numbers of profiles and the order of arrivals do not matter, nor how the scene lies in the frame.
+#[test]
+fn a_turned_scene_gives_the_turned_answer() {
+    let drawn = draw(&Setting::new(8, 3, sd_m(25.0), 0.1, 1), 4);
+    let rotation = Rotation3::from_euler_angles(0.3, -0.7, 1.1);
+    let mut room = drawn.room.clone();
+    room.foci.iter_mut().for_each(|focus| *focus = rotation * *focus);
+    room.fronts.iter_mut().for_each(|(point, normal)| (*point, *normal) = (rotation * *point, rotation * *normal));
+    let mut profiles = drawn.profiles.clone();
+    profiles.reverse();
+    let (found, turned) = (find(&drawn.profiles, &drawn.room).patches, find(&profiles, &room).patches);
+    assert_eq!(found.len(), 3);
+    for hidden in &found {
+        let gaps = turned.iter().map(|other| (other.point - rotation * hidden.point).norm());
+        assert!(gaps.fold(f64::INFINITY, f64::min) < 1e-4, "{found:?} {turned:?}");
+    }
+}
+
+/// Beside a scan of all space.
+#[test]
+fn branch_and_bound_finds_the_largest_sum() {
+    let drawn = draw(&Setting::new(5, 3, sd_m(100.0), 0.2, 2), 2);
+    let scene = Scene::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
+    let legs = scene.legs(&scene.left());
+    let sum = |point: Point| -> f32 {
+        let of_legs = |legs: &Legs| {
+            let length_m: f64 = legs.foci.iter().map(|focus| (point - drawn.room.foci[*focus]).norm()).sum();
+            let bin = ((length_m - legs.curve.low_m) / legs.curve.step_m) as usize;
+            legs.curve.values.get(bin).copied().unwrap_or(0.0)
+        };
+        legs.iter().map(of_legs).sum()
+    };
+    let (mut best, mut at) = (f32::NEG_INFINITY, Point::origin());
+    for i in 0..60 {
+        for (j, k) in (0..60).flat_map(|j| (0..60).map(move |k| (j, k))) {
+            let step = |n: i32| (f64::from(n) + 0.5) / 60.0 * 2.0 * scene.domain.half_m - scene.domain.half_m;
+            let point = scene.domain.centre + Vector3::new(step(i), step(j), step(k));
+            let value = sum(point);
+            if scene.domain.holds(point, 0.0) && value > best {
+                (best, at) = (value, point);
             }
         }
     }
-    cells.push(Cell { visible: 24, hidden: 64, noise_ps: 5.0, missing: 0.1, spurious: 1 });
-    for cell in &cells {
-        let name =
-            format!("V{} H{} {} ps {}/{}", cell.visible, cell.hidden, cell.noise_ps, cell.missing, cell.spurious);
-        if only.as_ref().is_some_and(|only| !name.contains(only.as_str())) {
-            continue;
-        }
-        let (mut good, mut missed, mut extra, mut error2, mut bound2, mut count) = (0, 0, 0, 0.0, 0.0, 0);
-        let mut seconds = 0.0;
-        for seed in 0..seeds {
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let (foci, hidden) = scene(cell.visible, cell.hidden, &mut rng);
-            let (profiles, sd_m) = profiles(&foci, &hidden, cell, &mut rng);
-            let fronts = vec![(Point::origin(), Vector3::x()), (Point::origin(), Vector3::y())];
-            let room = Room { foci: foci.clone(), dimensions: 3, fronts, false_alarm: 1e-3, count: None };
-            if std::env::var("TRUTH").is_ok() {
-                let mut scene = Scene::new(&profiles, &room).unwrap();
-                for q in &hidden {
-                    scene.patches.push(Hidden {
-                        point: *q,
-                        covariance: Matrix3::identity(),
-                        evidence: 0.0,
-                        seen: SEEN,
-                        arrivals: 0.0,
-                    });
-                }
-                scene.settle();
-                for _ in 0..5 {
-                    for n in 0..scene.patches.len() {
-                        let left = scene.left_for(n);
-                        let place = scene.view(&left, scene.patches[n].seen).climb(scene.patches[n].point);
-                        scene.patches[n] = scene.hidden(place, 0.7).unwrap();
-                    }
-                    scene.settle();
-                }
-                let list: Vec<String> = scene
-                    .patches
-                    .iter()
-                    .zip(&hidden)
-                    .map(|(h, q)| format!("{:.0}:{:.1}", h.evidence, (h.point - q).norm() * 100.0))
-                    .collect();
-                eprintln!("  truth {}, lambda {:.2}", list.join(" "), scene.clutter_per_m);
-                scene.polish();
-                eprintln!("  kept {}", scene.patches.len());
-            }
-            let start = Instant::now();
-            let found = find(&profiles, &room).patches;
-            seconds += start.elapsed().as_secs_f64();
-            let mut lost = 0;
-            for q in &hidden {
-                let bound = bound_m(&foci, *q, sd_m);
-                let nearest = found.iter().map(|f| (f.point - q).norm()).fold(f64::INFINITY, f64::min);
-                if nearest > (5.0 * bound).max(0.005) {
-                    lost += 1;
-                } else {
-                    error2 += nearest * nearest;
-                    bound2 += bound * bound;
-                    count += 1;
-                }
-            }
-            missed += lost;
-            extra += (found.len() + lost).saturating_sub(cell.hidden);
-            good += usize::from(lost == 0 && found.len() == cell.hidden);
-        }
-        eprintln!(
-            "{name}: good {good}/{seeds}, missed {missed}, extra {extra}, rms/bound {:.2}, bound {:.3} cm, {:.0} ms",
-            (error2 / bound2).sqrt(),
-            (bound2 / f64::from(count)).sqrt() * 100.0,
-            1e3 * seconds / seeds as f64
-        );
+    let fine_m = 0.02;
+    let cubes = search::search(&drawn.room.foci, &legs, &scene.domain, fine_m, best * 0.8);
+    assert!(cubes.iter().any(|(centre, bound)| (centre - at).norm() <= fine_m && *bound >= best), "{best} {at}");
+}
+
+/// Beside the formula, written out.
+#[test]
+fn the_likelihood_is_that_of_the_formula() {
+    let drawn = draw(&Setting::new(4, 2, sd_m(50.0), 0.2, 2), 3);
+    let scene = Scene::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
+    let left = scene.left();
+    let view = scene.view(&left, 0.7);
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    for _ in 0..20 {
+        let q = drawn.hidden[0] + Vector3::from_fn(|_, _| rng.random_range(-0.03..0.03));
+        let of_profile = |profile: &Profile| -> f64 {
+            let length_m: f64 = profile.foci.iter().map(|focus| (q - drawn.room.foci[*focus]).norm()).sum();
+            let density = |arrival: &Arrival| {
+                let off = (arrival.length_m - length_m) / arrival.sd_m;
+                (-0.5 * off * off).exp() / (arrival.sd_m * (2.0 * std::f64::consts::PI).sqrt())
+            };
+            let sum: f64 = profile.arrivals.iter().map(density).sum();
+            (0.3 + 0.7 * sum / scene.clutter_per_m).ln()
+        };
+        let expected: f64 = drawn.profiles.iter().map(of_profile).sum();
+        assert!((view.place(q).likelihood - expected).abs() < 1e-3, "{} {expected}", view.place(q).likelihood);
+    }
+}
+
+#[test]
+fn a_climb_ends_where_nothing_is_higher() {
+    let drawn = draw(&Setting::new(8, 2, sd_m(25.0), 0.1, 1), 5);
+    let scene = Scene::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
+    let left = scene.left();
+    let view = scene.view(&left, SEEN);
+    let top = view.climb(drawn.hidden[0] + Vector3::new(0.01, -0.01, 0.01));
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    for _ in 0..200 {
+        let near = top.point + Vector3::from_fn(|_, _| rng.random_range(-0.003..0.003));
+        assert!(view.place(near).likelihood <= top.likelihood + 1e-6);
     }
 }
