@@ -27,13 +27,12 @@ pub mod search;
 mod seeds;
 mod superposition;
 
-use nalgebra::{Matrix3, Vector3};
-
-use super::Point;
 use std::collections::BTreeMap;
 
+use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
+use super::Point;
 use climb::{GATE, Place, View};
 use search::{Curve, Domain, Legs};
 use seeds::{Lengths, Seed};
@@ -57,7 +56,9 @@ const UNEXPLAINED: f64 = 0.5;
 const TOGETHER_SD: f64 = 2.5;
 /// Places nearer than this many standard deviations of a length are one.
 const APART: f64 = 1.0;
-/// Rounds of climbing all patches.
+/// A patch that moves by more standard deviations explains other arrivals than before.
+const FAR: f64 = 0.5;
+/// Rounds of climbing all patches, beside one for each that is dropped.
 const POLISH: usize = 12;
 /// Searches at most.
 const SEARCHES: usize = 12;
@@ -517,11 +518,15 @@ impl<'a> Scene<'a> {
             let place = self.view(&left, seen).climb(self.patches[n].point);
             let share = (place.arrivals + 2.0 * SEEN) / (self.profiles.len() as f64 + 2.0);
             let seen = share.clamp(SEEN_RANGE[0], SEEN_RANGE[1]);
-            moved = moved.max((place.point - self.patches[n].point).norm() / self.sd_m);
-            if let Some(hidden) = self.hidden(place, seen) {
-                self.patches[n] = hidden;
-            } else {
-                self.patches[n].evidence = f64::NEG_INFINITY;
+            let step = (place.point - self.patches[n].point).norm() / self.sd_m;
+            moved = moved.max(step);
+            match self.hidden(place, seen) {
+                Some(hidden) => self.patches[n] = hidden,
+                None => self.patches[n].evidence = f64::NEG_INFINITY,
+            }
+            if step > FAR {
+                // Else others that compete for the same arrivals would all follow.
+                self.settle();
             }
         }
         self.settle();
@@ -530,7 +535,7 @@ impl<'a> Scene<'a> {
 
     /// Climbs all patches again, each with what the others leave, and drops those without evidence, the least first.
     fn polish(&mut self) {
-        for _ in 0..POLISH {
+        for _ in 0..POLISH + self.patches.len() {
             let moved = self.climb_all();
             let worst =
                 (0..self.patches.len()).min_by(|&a, &b| self.patches[a].evidence.total_cmp(&self.patches[b].evidence));
