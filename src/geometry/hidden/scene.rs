@@ -183,7 +183,7 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
     };
     let dimensions = if flat { 2 } else { 3 };
     Drawn {
-        room: Room { foci, dimensions, fronts, false_alarm: 1e-3, count: None },
+        room: Room { foci, dimensions, fronts, false_alarm: 1e-2, count: None },
         profiles,
         bounds_m: information.iter().map(bound_m).collect(),
         hidden,

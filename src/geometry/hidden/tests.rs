@@ -1,4 +1,5 @@
 use super::scene::{Clutter, Pattern, Setting, Walls, draw, score};
+use super::search::Legs;
 use super::*;
 use crate::units;
 use nalgebra::Rotation3;
@@ -108,7 +109,7 @@ fn a_turned_scene_gives_the_turned_answer() {
 #[test]
 fn branch_and_bound_finds_the_largest_sum() {
     let drawn = draw(&Setting::new(5, 3, sd_m(100.0), 0.2, 2), 2);
-    let scene = Scene::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
+    let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
     let legs = scene.legs(&scene.left());
     let sum = |point: Point| -> f32 {
         let of_legs = |legs: &Legs| {
@@ -138,7 +139,7 @@ fn branch_and_bound_finds_the_largest_sum() {
 #[test]
 fn the_likelihood_is_that_of_the_formula() {
     let drawn = draw(&Setting::new(4, 2, sd_m(50.0), 0.2, 2), 3);
-    let scene = Scene::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
+    let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
     let left = scene.left();
     let view = scene.view(&left, 0.7);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
@@ -161,7 +162,7 @@ fn the_likelihood_is_that_of_the_formula() {
 #[test]
 fn a_climb_ends_where_nothing_is_higher() {
     let drawn = draw(&Setting::new(8, 2, sd_m(25.0), 0.1, 1), 5);
-    let scene = Scene::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
+    let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
     let left = scene.left();
     let view = scene.view(&left, SEEN);
     let top = view.climb(drawn.hidden[0] + Vector3::new(0.01, -0.01, 0.01));

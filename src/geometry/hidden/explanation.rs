@@ -1,0 +1,177 @@
+//! Which paths explain which arrivals, and what that leaves for one more hidden patch.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use super::climb::{GATE, Place, View};
+use super::search::Domain;
+use super::superposition::{self, Pair};
+use super::{Hidden, Known, Profile, Room};
+use crate::geometry::Point;
+
+/// Points along each axis that the volume is counted by.
+const VOLUME_POINTS: i32 = 24;
+
+/// Known paths and hidden patches that were found, and the arrivals that they explain.
+pub(super) struct Explanation<'a> {
+    pub(super) profiles: &'a [Profile],
+    pub(super) room: &'a Room,
+    pub(super) domain: Domain,
+    /// Log of the domain's volume (in flatland its area).
+    pub(super) log_volume: f64,
+    /// Usual standard deviation of an arrival.
+    pub(super) sd_m: f64,
+    pub(super) clutter_per_m: f64,
+    pub(super) patches: Vec<Hidden>,
+    /// For each profile its paths and arrivals that may belong together; paths are the known ones, then the patches.
+    pairs: Vec<Vec<Pair>>,
+}
+
+impl<'a> Explanation<'a> {
+    /// Without any patch; `None` without arrivals.
+    pub(super) fn new(profiles: &'a [Profile], room: &'a Room) -> Option<Self> {
+        let mut sds: Vec<f64> =
+            profiles.iter().flat_map(|profile| &profile.arrivals).map(|arrival| arrival.sd_m).collect();
+        sds.sort_by(f64::total_cmp);
+        let sd_m = *sds.get(sds.len() / 2)?;
+        let middle = room.foci.iter().map(|focus| focus.coords).sum::<Vector3<f64>>() / room.foci.len() as f64;
+        // Of a patch further out than that every path would be longer than any record.
+        let longest_m = profiles.iter().map(|profile| profile.span_m[1]).fold(0.0, f64::max);
+        let domain = Domain {
+            centre: Point::from(middle),
+            half_m: 0.5 * longest_m,
+            dimensions: room.dimensions,
+            fronts: room.fronts.clone(),
+        };
+        let span_m: f64 = profiles.iter().map(|profile| profile.span_m[1] - profile.span_m[0]).sum();
+        let arrivals: usize = profiles.iter().map(|profile| profile.arrivals.len()).sum();
+        let mut all = Self {
+            profiles,
+            room,
+            log_volume: 0.0,
+            domain,
+            sd_m,
+            clutter_per_m: (arrivals + 1) as f64 / span_m,
+            patches: Vec::new(),
+            pairs: Vec::new(),
+        };
+        all.log_volume = all.volume().ln();
+        // Known paths leave less clutter than all arrivals would be.
+        (0..2).for_each(|_| all.settle());
+        Some(all)
+    }
+
+    /// Volume of the places that more than half of the profiles could have recorded.
+    fn volume(&self) -> f64 {
+        let n = VOLUME_POINTS;
+        let (step_m, flat) = (2.0 * self.domain.half_m / f64::from(n), self.domain.dimensions == 2);
+        let at = |k: i32| (f64::from(k) + 0.5) * step_m - self.domain.half_m;
+        let is_recorded = |point: &Point| {
+            let is_in = |profile: &&Profile| {
+                let length_m: f64 = profile.foci.iter().map(|focus| (point - self.room.foci[*focus]).norm()).sum();
+                length_m <= profile.span_m[1]
+            };
+            self.domain.holds(*point, 0.0) && 2 * self.profiles.iter().filter(is_in).count() > self.profiles.len()
+        };
+        let depth = if flat { 1 } else { n };
+        let grid = (0..n).flat_map(|i| (0..n).flat_map(move |j| (0..depth).map(move |k| (i, j, k))));
+        let points =
+            grid.map(|(i, j, k)| self.domain.centre + Vector3::new(at(i), at(j), if flat { 0.0 } else { at(k) }));
+        let count = points.filter(is_recorded).count().max(1);
+        count as f64 * step_m.powi(self.domain.dimensions as i32)
+    }
+
+    /// Which path made which arrival, and how much clutter that leaves.
+    pub(super) fn settle(&mut self) {
+        self.pairs = self.profiles.par_iter().map(|profile| self.pairs_of(profile)).collect();
+        let span_m: f64 = self.profiles.iter().map(|profile| profile.span_m[1] - profile.span_m[0]).sum();
+        let unexplained: f64 = self.left().iter().flatten().sum();
+        self.clutter_per_m = (unexplained + 1.0) / span_m;
+    }
+
+    fn pairs_of(&self, profile: &Profile) -> Vec<Pair> {
+        let [a, b] = profile.foci.map(|focus| self.room.foci[focus]);
+        let hidden = self.patches.iter().map(|patch| Known {
+            length_m: (patch.point - a).norm() + (patch.point - b).norm(),
+            sd_m: 0.0,
+            seen: patch.seen,
+        });
+        let mut pairs = Vec::new();
+        for (path, known) in profile.known.iter().copied().chain(hidden).enumerate() {
+            let reach_m = GATE * profile.widest_m.hypot(known.sd_m);
+            let from = profile.arrivals.partition_point(|arrival| arrival.length_m < known.length_m - reach_m);
+            for (arrival, at) in profile.arrivals.iter().enumerate().skip(from) {
+                let off_m = at.length_m - known.length_m;
+                if off_m > reach_m {
+                    break;
+                }
+                let sd_m = at.sd_m.hypot(known.sd_m);
+                let density = (-0.5 * (off_m / sd_m).powi(2)).exp() / ((2.0 * std::f64::consts::PI).sqrt() * sd_m);
+                let odds = known.seen / (1.0 - known.seen) * density / self.clutter_per_m;
+                pairs.push(Pair::new(path, arrival, odds));
+            }
+        }
+        superposition::settle(&mut pairs, profile.known.len() + self.patches.len(), profile.arrivals.len());
+        pairs
+    }
+
+    /// What all paths leave of each arrival.
+    pub(super) fn left(&self) -> Vec<Vec<f64>> {
+        let of_profile =
+            |(profile, pairs): (&Profile, &Vec<Pair>)| superposition::left_over(pairs, profile.arrivals.len(), None);
+        self.profiles.iter().zip(&self.pairs).map(of_profile).collect()
+    }
+
+    /// What all paths but those of one patch leave of each arrival.
+    pub(super) fn left_for(&self, patch: usize) -> Vec<Vec<f64>> {
+        let of_profile = |(profile, pairs): (&Profile, &Vec<Pair>)| {
+            superposition::left_over(pairs, profile.arrivals.len(), Some(profile.known.len() + patch))
+        };
+        self.profiles.iter().zip(&self.pairs).map(of_profile).collect()
+    }
+
+    pub(super) fn view<'b>(&'b self, left: &'b [Vec<f64>], seen: f64) -> View<'b> {
+        View {
+            foci: &self.room.foci,
+            profiles: self.profiles,
+            left,
+            clutter_per_m: self.clutter_per_m,
+            seen,
+            dimensions: self.room.dimensions,
+        }
+    }
+
+    /// Bayes factor of a place over none, as its log.
+    pub(super) fn hidden(&self, place: Place, seen: f64) -> Option<Hidden> {
+        let mut information = place.information;
+        if self.room.dimensions == 2 {
+            for k in 0..2 {
+                information[(2, k)] = 0.0;
+                information[(k, 2)] = 0.0;
+            }
+            information[(2, 2)] = 1.0;
+        }
+        let mut covariance = information.try_inverse()?;
+        let determinant = covariance.determinant();
+        if !(determinant > 0.0) {
+            return None;
+        }
+        if self.room.dimensions == 2 {
+            covariance[(2, 2)] = 0.0;
+        }
+        let width = 0.5 * (determinant.ln() + self.room.dimensions as f64 * (2.0 * std::f64::consts::PI).ln());
+        let evidence = place.likelihood + width - self.log_volume;
+        Some(Hidden { point: place.point, covariance, evidence, seen, arrivals: place.arrivals })
+    }
+
+    /// No patch is sure below this likelihood, however well its arrivals determine it.
+    pub(super) fn least_likelihood(&self) -> f64 {
+        let stiffest = 4.0 * self.profiles.len() as f64 / (self.sd_m * self.sd_m);
+        let width = 0.5 * self.room.dimensions as f64 * (2.0 * std::f64::consts::PI / stiffest).ln();
+        self.log_volume - width - self.room.false_alarm.ln()
+    }
+
+    pub(super) fn is_sure(&self, hidden: &Hidden) -> bool {
+        hidden.evidence > -self.room.false_alarm.ln() && self.domain.holds(hidden.point, 0.0)
+    }
+}

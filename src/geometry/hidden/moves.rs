@@ -1,0 +1,118 @@
+//! Adding, moving and dropping hidden patches.
+
+use rayon::prelude::*;
+
+use super::explanation::Explanation;
+use super::{Hidden, SEEN};
+use crate::geometry::Point;
+
+/// Least and largest share of profiles in which a patch is taken to be seen.
+const SEEN_RANGE: [f64; 2] = [0.3, 0.98];
+/// A patch that moves by more standard deviations explains other arrivals than before.
+const FAR: f64 = 0.5;
+/// Rounds of climbing all patches, beside one for each that is dropped, and the move in standard deviations that ends them.
+const POLISH: usize = 12;
+const SETTLED: f64 = 1e-3;
+/// Patches that are tried together, and the evidence that they must bring.
+const TOGETHER: usize = 4;
+const GAIN: f64 = 1.0;
+
+impl Explanation<'_> {
+    /// Adds the sure patches among the tops near some starts, and says whether there are more then.
+    pub(super) fn add(&mut self, starts: &[Point]) -> bool {
+        let before = self.patches.len();
+        let mut places = self.tops(starts);
+        while let Some(next) =
+            places.iter().position(|place| self.hidden(*place, SEEN).is_some_and(|hidden| self.is_sure(&hidden)))
+        {
+            // What came before it was not sure and will not become so by more patches.
+            let place = places.swap_remove(next);
+            places.drain(..next.min(places.len()));
+            let left = self.left();
+            let place = self.view(&left, SEEN).climb(place.point);
+            if let Some(hidden) = self.hidden(place, SEEN).filter(|hidden| self.is_sure(hidden)) {
+                self.patches.push(hidden);
+                self.settle();
+            }
+        }
+        self.polish();
+        self.patches.len() > before
+    }
+
+    /// Adds patches that are not sure alone, but may be together: what one explains is no longer clutter to the others.
+    pub(super) fn add_together(&mut self) -> bool {
+        let before = (self.patches.clone(), self.total());
+        for _ in 0..TOGETHER {
+            let Some(hidden) = self.likeliest() else { break };
+            self.patches.push(hidden);
+            self.settle();
+            for _ in 0..3 {
+                self.climb_all();
+            }
+        }
+        if self.patches.len() > before.0.len() {
+            self.polish();
+            if self.total() > before.1 + GAIN {
+                return true;
+            }
+            self.patches = before.0;
+            self.settle();
+        }
+        false
+    }
+
+    /// The likeliest place for one more patch, sure or not.
+    pub(super) fn likeliest(&self) -> Option<Hidden> {
+        self.hidden(*self.tops(&self.cubes()).first()?, SEEN)
+    }
+
+    /// Evidence of all patches.
+    fn total(&self) -> f64 {
+        self.patches.iter().map(|patch| patch.evidence).sum()
+    }
+
+    /// Climbs all patches again, each with what the others leave; the longest move in standard deviations.
+    fn climb_all(&mut self) -> f64 {
+        let mut moved = 0.0_f64;
+        let climbed: Vec<Hidden> = (0..self.patches.len()).into_par_iter().map(|n| self.climbed(n)).collect();
+        for (n, next) in climbed.into_iter().enumerate() {
+            let step = |next: &Hidden, now: &Hidden| (next.point - now.point).norm() / self.sd_m;
+            let far = step(&next, &self.patches[n]);
+            moved = moved.max(far);
+            if far > FAR {
+                // Others that compete for the same arrivals would all follow.
+                self.settle();
+                self.patches[n] = self.climbed(n);
+                self.settle();
+            } else {
+                self.patches[n] = next;
+            }
+        }
+        self.settle();
+        moved
+    }
+
+    /// A patch where it is likeliest near its place.
+    fn climbed(&self, n: usize) -> Hidden {
+        let (left, now) = (self.left_for(n), self.patches[n]);
+        let place = self.view(&left, now.seen).climb(now.point);
+        let share = (place.arrivals + 2.0 * SEEN) / (self.profiles.len() as f64 + 2.0);
+        let seen = share.clamp(SEEN_RANGE[0], SEEN_RANGE[1]);
+        self.hidden(place, seen).unwrap_or(Hidden { evidence: f64::NEG_INFINITY, ..now })
+    }
+
+    /// Climbs all patches again, each with what the others leave, and drops those without evidence, the least first.
+    fn polish(&mut self) {
+        for _ in 0..POLISH + self.patches.len() {
+            let moved = self.climb_all();
+            let worst =
+                (0..self.patches.len()).min_by(|&a, &b| self.patches[a].evidence.total_cmp(&self.patches[b].evidence));
+            if let Some(worst) = worst.filter(|&worst| !self.is_sure(&self.patches[worst])) {
+                self.patches.remove(worst);
+                self.settle();
+            } else if moved < SETTLED {
+                break;
+            }
+        }
+    }
+}
