@@ -9,7 +9,7 @@ use periscope::geometry::hidden::{Arrival, Profile, Room, find};
 use periscope::units;
 
 #[allow(dead_code, reason = "the tests use more of it")]
-#[path = "../src/geometry/hidden/scene.rs"]
+#[path = "../src/geometry/hidden/tests/scene.rs"]
 mod scene;
 #[allow(dead_code, reason = "other studies use more of it")]
 #[path = "resolution/score.rs"]

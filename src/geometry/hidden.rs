@@ -23,8 +23,6 @@
 mod climb;
 mod explanation;
 mod moves;
-#[cfg(test)]
-mod scene;
 pub mod search;
 mod seeds;
 mod starts;

@@ -98,9 +98,8 @@ impl OutlierTest {
         // A median deviation of 0 says only that half of the normal noise lies within half a step.
         let scale = (1.4826 * middle(&mut deviations)).max(QUIET_SD * step(shots));
         let slope = |n: usize| {
-            // Two samples on either side: between samples a fast pulse rises above its neighbours.
-            let neighbours = n.saturating_sub(2)..(n + 3).min(count);
-            neighbours.map(|m| (median[m] - median[n]).abs()).fold(0.0, f64::max)
+            let neighbour = |m: usize| (median[m.min(count - 1)] - median[n]).abs();
+            neighbour(n + 1).max(neighbour(n.saturating_sub(1)))
         };
         let margin: Vec<f64> = (0..count).map(|n| sigma * scale + slope(n)).collect();
         let low = median.iter().zip(&margin).map(|(median, margin)| median - margin).collect();

@@ -66,7 +66,7 @@ fn without_tests(text: &str) -> &str {
 
 /// A file of tests alone.
 fn is_tests(file: &str) -> bool {
-    file.ends_with("/tests.rs")
+    file.ends_with("/tests.rs") || file.contains("/tests/")
 }
 
 /// Rooms that a file names after `crate::`.

@@ -153,7 +153,7 @@ impl<'a> Explanation<'a> {
         }
         let mut covariance = information.try_inverse()?;
         let determinant = covariance.determinant();
-        if !(determinant > 0.0) {
+        if determinant.is_nan() || determinant <= 0.0 {
             return None;
         }
         if self.room.dimensions == 2 {

@@ -30,8 +30,8 @@ const BASE_FOCI: usize = 16;
 pub struct Lengths {
     /// Positions of both among the foci, the smaller first.
     pub foci: [usize; 2],
-    /// Length and standard deviation.
-    pub lengths_m: Vec<(f64, f64)>,
+    /// Each with its standard deviation.
+    pub values_m: Vec<(f64, f64)>,
     /// Arrivals per metre.
     pub density_per_m: f64,
     /// Probability that a patch makes an arrival.
@@ -47,7 +47,7 @@ pub fn bases(foci: &[Point], pairs: &[Lengths], domain: &Domain, most: usize) ->
     let mut scored: Vec<(f64, Vec<usize>)> = Vec::new();
     for focus in (0..foci.len()).step_by(step) {
         let about: Vec<usize> = (0..pairs.len())
-            .filter(|&pair| pairs[pair].foci.contains(&focus) && !pairs[pair].lengths_m.is_empty())
+            .filter(|&pair| pairs[pair].foci.contains(&focus) && !pairs[pair].values_m.is_empty())
             .filter(|&pair| pairs[pair].foci.iter().all(|other| other % step == 0))
             .collect();
         for (i, &a) in about.iter().enumerate() {
@@ -131,11 +131,11 @@ pub fn seeds(foci: &[Point], pairs: &[Lengths], base: &[usize], domain: &Domain)
     };
     let rows: Vec<Vec<(Vector4<f64>, f64)>> = base
         .iter()
-        .map(|&pair| pairs[pair].lengths_m.iter().map(|(length_m, _)| condition(pair, *length_m)).collect())
+        .map(|&pair| pairs[pair].values_m.iter().map(|(length_m, _)| condition(pair, *length_m)).collect())
         .collect();
     let flat = vec![(Vector4::z(), 0.0)];
     let (first, second, third) = (&rows[0], &rows[1], rows.get(2).unwrap_or(&flat));
-    let variance_m2 = base.iter().map(|&pair| pairs[pair].lengths_m[0].1.powi(2)).sum::<f64>() / base.len() as f64;
+    let variance_m2 = base.iter().map(|&pair| pairs[pair].values_m[0].1.powi(2)).sum::<f64>() / base.len() as f64;
     let from_first = |a: &(Vector4<f64>, f64)| {
         let mut found = Vec::new();
         for b in second {
@@ -206,14 +206,14 @@ fn checks(foci: &[Point], pairs: &[Lengths], base: &[usize], domain: &Domain) ->
 fn follow(foci: &[Point], pairs: &[Lengths], order: &[usize], at: Point, covariance: Matrix3<f64>) -> Option<Seed> {
     let (mut point, mut covariance, mut likelihood) = (at, covariance, 0.0);
     for &pair in order {
-        let Lengths { foci: [a, b], lengths_m, density_per_m, seen } = &pairs[pair];
+        let Lengths { foci: [a, b], values_m, density_per_m, seen } = &pairs[pair];
         let (near, far) = (point - foci[*a], point - foci[*b]);
         let (near_m, far_m) = (near.norm(), far.norm());
         let (length_m, slope) = (near_m + far_m, near / near_m + far / far_m);
         let spread = covariance * slope;
         let own_m2 = slope.dot(&spread);
-        let next = lengths_m.partition_point(|(other, _)| *other < length_m);
-        let nearest = lengths_m[next.saturating_sub(1)..(next + 1).min(lengths_m.len())]
+        let next = values_m.partition_point(|(other, _)| *other < length_m);
+        let nearest = values_m[next.saturating_sub(1)..(next + 1).min(values_m.len())]
             .iter()
             .min_by(|x, y| (x.0 - length_m).abs().total_cmp(&(y.0 - length_m).abs()));
         let hit = nearest
@@ -252,7 +252,7 @@ mod tests {
             let pairs = (0..foci.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
             let lengths = |[a, b]: [usize; 2]| Lengths {
                 foci: [a, b],
-                lengths_m: vec![((patch - foci[a]).norm() + (patch - foci[b]).norm(), 1e-3)],
+                values_m: vec![((patch - foci[a]).norm() + (patch - foci[b]).norm(), 1e-3)],
                 density_per_m: 0.3,
                 seen: 0.9,
             };

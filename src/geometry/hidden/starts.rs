@@ -60,25 +60,20 @@ impl Explanation<'_> {
             let mut merged: Vec<(f64, f64)> = Vec::new();
             let mut is_single = false;
             for next in lengths_m {
-                match merged.last_mut().filter(|last| is_single && next.0 - last.0 < TOGETHER_SD * last.1.hypot(next.1))
-                {
-                    Some(last) => {
-                        let weights = (last.1.powi(-2), next.1.powi(-2));
-                        *last = (
-                            (last.0 * weights.0 + next.0 * weights.1) / (weights.0 + weights.1),
-                            (weights.0 + weights.1).sqrt().recip(),
-                        );
-                        is_single = false;
-                    }
-                    None => {
-                        merged.push(next);
-                        is_single = true;
-                    }
+                let near = |last: &&mut (f64, f64)| is_single && next.0 - last.0 < TOGETHER_SD * last.1.hypot(next.1);
+                if let Some(last) = merged.last_mut().filter(near) {
+                    let weights = (last.1.powi(-2), next.1.powi(-2));
+                    let sum = weights.0 + weights.1;
+                    *last = ((last.0 * weights.0 + next.0 * weights.1) / sum, sum.sqrt().recip());
+                    is_single = false;
+                } else {
+                    merged.push(next);
+                    is_single = true;
                 }
             }
             let seen = 1.0 - (1.0 - SEEN).powi(profiles as i32);
             let density_per_m = (merged.len() + 1) as f64 / (2.0 * self.domain.half_m);
-            Lengths { foci, lengths_m: merged, density_per_m, seen }
+            Lengths { foci, values_m: merged, density_per_m, seen }
         };
         pairs.into_iter().map(of_pair).collect()
     }
