@@ -2,14 +2,14 @@
 //!
 //! A patch q that neither laser nor sensor sees is met by light between visible patches: lit a, then q, then seen b. Each profile holds the length
 //! `|q - a| + |q - b|` of every hidden patch among others, unlabelled: bounces among visible patches, later bounces, false onsets; and some are missing. With
-//! clutter of density `lambda`, a patch seen with probability p, and `left` what other paths leave of an arrival ([`superposition`]),
+//! clutter of density `lambda`, a patch seen with probability p, and `left` what other paths leave of an arrival (`superposition`),
 //!
 //! ```text
 //! L(q) = sum over profiles of log(1 - p + p sum over arrivals of N(arrival; |q - a| + |q - b|, sd^2) left / lambda)
 //! ```
 //!
 //! is the log-likelihood ratio of one more patch at q. It needs no minimal set of arrivals, no (i,i) profile, and no number of patches. Patches are found one after the other:
-//! the place where L is largest in all of space ([`search`]), climbed to its top ([`climb`]), is a patch if the evidence
+//! the place where L is largest in all of space ([`search`]), climbed to its top (`climb`), is a patch if the evidence
 //!
 //! ```text
 //! log B = L + log(sqrt((2 pi)^d |Cov|) / volume)
