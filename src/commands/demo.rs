@@ -141,6 +141,10 @@ fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) 
         )?;
     }
     lost.iter().try_for_each(|patch| writeln!(text, "{patch:>3} was not found"))?;
+    let best = found.iter().filter(|patch| patch.alternative == 0);
+    for patch in best.filter(|patch| pairs.iter().all(|pair| pair.found.patch != patch.patch)) {
+        writeln!(text, "{:>3} {:8} was found where the scene has none", patch.patch, patch.kind)?;
+    }
     let of_paper = if paper.is_empty() { Vec::new() } else { self::pairs(paper, truth, centre)?.0 };
     for kind in ["visible", HIDDEN] {
         let of_kind = |pair: &&Pair| &*pair.truth.kind == kind;

@@ -26,10 +26,10 @@ impl Explanation<'_> {
             places.iter().position(|place| self.hidden(*place, SEEN).is_some_and(|hidden| self.is_sure(&hidden)))
         {
             // What came before it was not sure and will not become so by more patches.
-            let place = places.swap_remove(next);
-            places.drain(..next.min(places.len()));
+            let start = places[next].point;
+            places.drain(..=next);
             let left = self.left();
-            let place = self.view(&left, SEEN).climb(place.point);
+            let place = self.view(&left, SEEN).climb(start);
             if let Some(hidden) = self.hidden(place, SEEN).filter(|hidden| self.is_sure(hidden)) {
                 self.patches.push(hidden);
                 self.settle();
