@@ -5,7 +5,7 @@
 use std::time::Instant;
 
 use periscope::geometry::Point;
-use periscope::geometry::hidden::{Arrival, Profile, Room, find};
+use periscope::geometry::hidden::{Arrival, Focus, Profile, Room, find};
 use periscope::units;
 
 #[allow(dead_code, reason = "the tests use more of it")]

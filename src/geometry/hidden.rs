@@ -23,6 +23,7 @@
 mod climb;
 mod explanation;
 mod moves;
+mod rivals;
 pub mod search;
 mod seeds;
 mod starts;
@@ -79,15 +80,30 @@ impl Profile {
     }
 }
 
+/// A visible patch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Focus {
+    /// Position.
+    pub point: Point,
+    /// Normal of its wall on the side that is lit, where it is known: the patch exchanges light with nothing behind it.
+    pub normal: Option<Vector3<f64>>,
+}
+
+impl Focus {
+    /// Whether a point, or one nearer to it than `slack_m`, is not behind the patch's wall.
+    #[must_use]
+    pub fn faces(&self, point: Point, slack_m: f64) -> bool {
+        self.normal.is_none_or(|normal| normal.dot(&(point - self.point)) > -slack_m)
+    }
+}
+
 /// What hidden patches are searched in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Room {
     /// Visible patches.
-    pub foci: Vec<Point>,
+    pub foci: Vec<Focus>,
     /// 3, or 2 for flatland.
     pub dimensions: usize,
-    /// Points of walls and their normals: hidden patches lie in front of all of them.
-    pub fronts: Vec<(Point, Vector3<f64>)>,
     /// Probability that a patch is found where there is none.
     pub false_alarm: f64,
     /// Number of hidden patches, where it is known.
@@ -114,6 +130,8 @@ pub struct Hidden {
 pub struct Found {
     /// Patches that explain arrivals which nothing else does, the surest first.
     pub patches: Vec<Hidden>,
+    /// For each its mirror image in the plane nearest to the visible patches, where the arrivals do not rule it out.
+    pub rivals: Vec<Option<Hidden>>,
     /// The likeliest place for one more that is not sure enough, if there is any.
     pub declined: Option<Hidden>,
 }
@@ -146,10 +164,11 @@ pub fn find(profiles: &[Profile], room: &Room) -> Found {
         }
     }
     let declined = if is_open { all.likeliest().filter(|hidden| !all.is_sure(hidden)) } else { None };
-    let mut patches = all.patches;
-    patches.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
-    patches.truncate(room.count.unwrap_or(usize::MAX));
-    Found { patches, declined }
+    let mut found: Vec<(Hidden, Option<Hidden>)> = (0..all.patches.len()).map(|n| (all.patches[n], all.rival(n))).collect();
+    found.sort_by(|a, b| b.0.evidence.total_cmp(&a.0.evidence));
+    found.truncate(room.count.unwrap_or(usize::MAX));
+    let (patches, rivals) = found.into_iter().unzip();
+    Found { patches, rivals, declined }
 }
 
 #[cfg(test)]

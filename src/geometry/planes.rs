@@ -141,6 +141,17 @@ pub fn nearest(points: &[Point], dimensions: usize) -> (Point, Vector3<f64>) {
     (Point::from(middle), eigen.eigenvectors.column(eigen.eigenvalues.imin()).into())
 }
 
+/// Whether a point lies on the other side of the plane (in flatland the line) nearest to some points than another does, as what a wall's patches see never does
+/// of the laser that lights them.
+///
+/// # Panics
+/// Without points.
+#[must_use]
+pub fn is_across(points: &[Point], dimensions: usize, one: Point, other: Point) -> bool {
+    let (middle, normal) = nearest(points, dimensions);
+    normal.dot(&(one - middle)) * normal.dot(&(other - middle)) < 0.0
+}
+
 /// Planes with at least `least` patches, largest first; a patch belongs to one at most.
 ///
 /// # Panics

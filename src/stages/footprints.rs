@@ -1,4 +1,4 @@
-//! Footprints of the patches: sizes from campaign.toml, normals from planes that were found, else from campaign.toml.
+//! Normals and footprints of the patches: sizes from campaign.toml, normals from planes that were found, else from campaign.toml.
 
 use std::collections::BTreeMap;
 
@@ -11,24 +11,35 @@ use crate::geometry::footprint::{self, Footprint};
 use crate::tables::Plane;
 use crate::units::PatchId;
 
-/// What a campaign says of a patch's footprint.
+/// What a campaign says of how a patch lies.
 #[derive(Clone, Debug, Serialize)]
 pub struct Told {
-    size_m: f64,
+    size_m: Option<f64>,
     normal: Option<[f64; 3]>,
 }
 
 impl Told {
-    /// Whether campaign.toml gives its normal.
-    pub fn has_normal(&self) -> bool {
-        self.normal.is_some()
+    /// Whether campaign.toml gives both its size and its normal.
+    pub fn is_whole(&self) -> bool {
+        self.size_m.is_some() && self.normal.is_some()
     }
 }
 
-/// Of all patches with a size.
+/// Of all patches.
 pub fn told(campaign: &Campaign) -> BTreeMap<PatchId, Told> {
-    let patches = campaign.patches.iter();
-    patches.filter_map(|(id, patch)| Some((*id, Told { size_m: patch.size_m?, normal: patch.normal }))).collect()
+    campaign.patches.iter().map(|(id, patch)| (*id, Told { size_m: patch.size_m, normal: patch.normal })).collect()
+}
+
+/// Unit normals of patches that lie on one of the `planes`, which hold in the frame of the patches they were fitted to; where campaign.toml's frame `is_fixed`, also of
+/// others with a normal there.
+pub fn normals(told: &BTreeMap<PatchId, Told>, planes: &[Plane], is_fixed: bool) -> BTreeMap<PatchId, Vector3<f64>> {
+    let from_file = told.iter().filter(|_| is_fixed).filter_map(|(patch, told)| Some((*patch, Vector3::from(told.normal?))));
+    let of_plane = |plane: &Plane| {
+        let normal = Vector3::new(plane.normal_x, plane.normal_y, plane.normal_z);
+        plane.patches.iter().map(|patch| (*patch, normal)).collect::<Vec<_>>()
+    };
+    let all = from_file.chain(planes.iter().flat_map(of_plane));
+    all.filter_map(|(patch, normal)| Some((patch, normal.try_normalize(f64::MIN_POSITIVE)?))).collect()
 }
 
 /// Footprints by patch; a patch without one is a point.
@@ -36,18 +47,12 @@ pub fn told(campaign: &Campaign) -> BTreeMap<PatchId, Told> {
 pub struct Footprints(BTreeMap<PatchId, Footprint>);
 
 impl Footprints {
-    /// Of patches with a known size that lie on one of the `planes`, whose normals hold in the frame of the patches they were fitted to; where campaign.toml's
-    /// frame `is_fixed`, also of others with a normal there.
-    pub fn new(told: &BTreeMap<PatchId, Told>, planes: &[Plane], is_fixed: bool) -> Self {
-        let found = |patch: PatchId| {
-            let plane = planes.iter().find(|plane| plane.patches.contains(&patch))?;
-            Some(Vector3::new(plane.normal_x, plane.normal_y, plane.normal_z))
+    /// Of patches with a known size and one of the [`normals`].
+    pub fn new(told: &BTreeMap<PatchId, Told>, normals: &BTreeMap<PatchId, Vector3<f64>>) -> Self {
+        let footprint = |(patch, normal): (&PatchId, &Vector3<f64>)| {
+            Some((*patch, Footprint { normal: *normal, size_m: told.get(patch)?.size_m? }))
         };
-        let footprint = |(patch, told): (&PatchId, &Told)| {
-            let normal = found(*patch).or_else(|| told.normal.filter(|_| is_fixed).map(Vector3::from))?;
-            Some((*patch, Footprint { normal: normal.try_normalize(f64::MIN_POSITIVE)?, size_m: told.size_m }))
-        };
-        Self(told.iter().filter_map(footprint).collect())
+        Self(normals.iter().filter_map(footprint).collect())
     }
 
     /// Whether all patches are points.

@@ -44,6 +44,7 @@
 //! ```
 
 mod blind;
+mod facing;
 mod hidden;
 mod predicted;
 mod rank;
@@ -54,7 +55,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::footprints::{self, Footprints, Told};
-use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::Point;
 use crate::tables::{Delay, Fit, Hypothesis, Label, Name, Onset, Patch, PatchCovariance, Plane, Row};
@@ -184,7 +185,7 @@ impl Verdict {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -226,8 +227,9 @@ impl Stage for LabelOnsets {
                 let first = setups.values().next().map(|setup| &setup.footprints);
                 let fits = beside.rows::<Fit>("fits")?.unwrap_or_default();
                 let is_fixed = fits.iter().any(|fit| fit.alternative == 0 && &*fit.frame == "fixed");
-                let footprints = first.map(|known| Footprints::new(known, &planes, is_fixed)).unwrap_or_default();
-                Some(Scene::new(&patches, &covariances, footprints).ok_or_else(|| {
+                let normals = first.map(|told| footprints::normals(told, &planes, is_fixed)).unwrap_or_default();
+                let footprints = first.map(|told| Footprints::new(told, &normals)).unwrap_or_default();
+                Some(Scene::new(&patches, &covariances, footprints, normals).ok_or_else(|| {
                     let text = "with patches: no patch has a covariance, so nobody knows how far off its onsets may be; give patches from `refine`";
                     StageError::Refused(text.to_owned())
                 })?)
@@ -264,8 +266,8 @@ impl Apply for LabelOnsets {
     fn apply(&self, known: &Known, group: Vec<Onset>) -> Result<Outcome<Label>, StageError> {
         let of_one_sensor = |a: &Onset, b: &Onset| (&a.campaign, &a.sensor) == (&b.campaign, &b.sensor);
         let sensors: Vec<OfSensor> = group.chunk_by(of_one_sensor).map(|onsets| OfSensor::new(known, onsets)).collect();
-        let (verdicts, hypotheses) = match &known.scene {
-            None => (sensors.iter().map(|sensor| self.blind(sensor)).collect(), Vec::new()),
+        let (verdicts, hypotheses, rejections) = match &known.scene {
+            None => (sensors.iter().map(|sensor| self.blind(sensor)).collect(), Vec::new(), Vec::new()),
             Some(scene) => self.with_known(scene, &sensors),
         };
         let mut rows = Vec::new();
@@ -274,7 +276,7 @@ impl Apply for LabelOnsets {
                 rows.extend(verdicts.into_iter().map(|verdict| row(onset, verdict, sensor.setup)));
             }
         }
-        Ok(Outcome { rows, sides: vec![Hypothesis::to_batch(&hypotheses)], rejections: Vec::new() })
+        Ok(Outcome { rows, sides: vec![Hypothesis::to_batch(&hypotheses)], rejections })
     }
 }
 
@@ -283,7 +285,7 @@ type Verdicts = Vec<Vec<Vec<Verdict>>>;
 
 impl LabelOnsets {
     /// With known patches, and hidden ones that are found on the way.
-    fn with_known(&self, scene: &Scene, sensors: &[OfSensor]) -> (Vec<Verdicts>, Vec<Hypothesis>) {
+    fn with_known(&self, scene: &Scene, sensors: &[OfSensor]) -> (Vec<Verdicts>, Vec<Hypothesis>, Vec<Rejection>) {
         let closed: Vec<Pairs> = sensors.iter().map(|sensor| self.closed(scene, sensor)).collect();
         let predicted = |scene: &Scene| -> Vec<Verdicts> {
             sensors.iter().zip(&closed).map(|(sensor, closed)| self.predicted(scene, sensor, closed)).collect()
@@ -291,16 +293,16 @@ impl LabelOnsets {
         match self.hidden {
             HiddenPatches::Search if self.bounces >= 3 => {
                 let search = hidden::Search::new(scene, sensors, &closed, self.false_alarm);
-                (predicted(&scene.with(&search.patches)), search.hypotheses())
+                (predicted(&scene.with(search.patches())), search.hypotheses(), search.rejections())
             }
             HiddenPatches::Rank if self.bounces >= 3 => {
                 let mut verdicts = predicted(scene);
                 for (sensor, verdicts) in sensors.iter().zip(&mut verdicts) {
                     rank::label(sensor, verdicts);
                 }
-                (verdicts, Vec::new())
+                (verdicts, Vec::new(), Vec::new())
             }
-            _ => (predicted(scene), Vec::new()),
+            _ => (predicted(scene), Vec::new(), Vec::new()),
         }
     }
 }

@@ -10,7 +10,8 @@
 //!
 //! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation; they and stations apart fix the frame. Where nothing does, the
 //! frame of `patches` is a convention (table `fits`), and what else is open stands in `ambiguities`: parts that share no path, patches that can move, mirror
-//! images and flips that explain the onsets about as well, each with its likelihood and as an alternative in `patches`.
+//! images and flips that explain the onsets about as well, each with its likelihood and as an alternative in `patches`. Of a hidden patch's two places on either side of
+//! the wall that shows it, where the onsets leave both, the one on the laser's side is chosen.
 //!
 //! The light of a large patch does not come from its centre. Where patches have a `size_m`, and a normal from `planes` beside (of `surface`) or, in a fixed frame, from
 //! campaign.toml, the shift is predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays.
@@ -33,11 +34,12 @@ mod known;
 mod model;
 mod written;
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::footprints::{Footprints, Told};
+use super::footprints::{self, Footprints, Told};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::loss::Loss;
@@ -84,7 +86,7 @@ pub struct Context {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -139,7 +141,8 @@ impl Apply for Refine {
             solved => solved.map_err(|unsolved| refused(&unsolved))?,
         };
         let is_fixed = solution.free_rotations.first() == Some(&0);
-        let footprints = Footprints::new(&context.known.first().footprints, &context.planes, is_fixed);
+        let told = &context.known.first().footprints;
+        let footprints = Footprints::new(told, &footprints::normals(told, &context.planes, is_fixed));
         let mut shifts_m = vec![0.0; labels.len()];
         for _ in 0..if footprints.is_empty() { 0 } else { ROUNDS } {
             let next_m = model.shifts_m(&footprints, &problem, &solution.points, &solution.stations);
@@ -168,7 +171,7 @@ impl Apply for Refine {
                 used = out.iter().map(|out| if *out { None } else { next.next() }).collect();
             }
         }
-        let (solution, others) = alternatives(&problem, solution);
+        let (solution, others) = alternatives(&model, &problem, solution);
         let fitted = Fitted { solution, others, observations, used };
         let written = Written::new(&model, &fitted, &shifts_m);
         let residuals = written.residuals();
@@ -194,8 +197,8 @@ fn is_explained(solution: &Solution) -> bool {
     solution.loss < freedom + UNLIKELY * (2.0 * freedom).sqrt()
 }
 
-/// The likeliest solution, and others that are about as likely.
-fn alternatives(problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>) {
+/// The likeliest solution, and others that are about as likely. Among these, one with hidden patches in front of the wall that shows them comes before one with them behind.
+fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>) {
     if problem.start.len() > DENSE_MAX {
         return (best, Vec::new());
     }
@@ -209,7 +212,15 @@ fn alternatives(problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>)
             Some(Other { patches: found.patches, is_mirror_image: found.kind == Kind::Mirror, solution })
         });
         others = solved.filter(|other| other.solution.loss < best.loss + LIKELY).take(ALTERNATIVES).collect();
-        let Some(better) = others.iter().position(|other| other.solution.loss < best.loss - LOWER) else { break };
+        let is_better = |other: &Other| {
+            let behind = |solution: &Solution| model.behind(problem, solution, &other.patches);
+            match behind(&other.solution).cmp(&behind(&best)) {
+                Ordering::Less => true,
+                Ordering::Equal => other.solution.loss < best.loss - LOWER,
+                Ordering::Greater => false,
+            }
+        };
+        let Some(better) = others.iter().position(is_better) else { break };
         best = others.swap_remove(better).solution;
         others.clear();
     }
@@ -219,7 +230,7 @@ fn alternatives(problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>)
 
 /// Says so where normals stand in campaign.toml, but in a frame that nothing ties to that of the patches.
 fn unused_normals(context: &Context, is_fixed: bool, labels: &[Label]) -> Vec<Rejection> {
-    let has_normal = context.known.first().footprints.values().any(Told::has_normal);
+    let has_normal = context.known.first().footprints.values().any(Told::is_whole);
     if is_fixed || !context.planes.is_empty() || !has_normal {
         return Vec::new();
     }

@@ -9,6 +9,8 @@ table! {
         hypothesis: i32,
         /// Number of the patch; null: declined.
         patch: Option<i32>,
+        /// 0: the chosen place; 1: its mirror image in the visible patches' wall, which the onsets do not rule out.
+        alternative: i32,
         /// Position, x, in the frame of the patches beside.
         x_m: f64,
         /// Position, y.

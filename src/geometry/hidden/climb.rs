@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::Profile;
+use super::{Focus, Profile};
 use crate::geometry::Point;
 
 /// Arrivals further off than this many standard deviations were not made by the patch.
@@ -16,7 +16,7 @@ const WIDENED: [f64; 3] = [2.5, 1.8, 1.3];
 /// What one patch is held against.
 #[derive(Clone, Copy)]
 pub struct View<'a> {
-    pub foci: &'a [Point],
+    pub foci: &'a [Focus],
     pub profiles: &'a [Profile],
     /// For each arrival of each profile what other paths leave of it.
     pub left: &'a [Vec<f64>],
@@ -37,31 +37,36 @@ pub struct Place {
     pub information: Matrix3<f64>,
     /// Arrivals that it makes, expected.
     pub arrivals: f64,
+    /// Profiles that could have recorded it.
+    pub profiles: usize,
 }
 
 impl View<'_> {
     /// The patch at `point`, and where its arrivals would rather have it.
     fn at(&self, point: Point, widened: f64) -> (Place, Vector3<f64>) {
-        let arms: Vec<(f64, Vector3<f64>)> = self
+        // Length and direction from each focus; none to what lies behind it.
+        let arms: Vec<Option<(f64, Vector3<f64>)>> = self
             .foci
             .iter()
             .map(|focus| {
-                let arm = point - focus;
+                let arm = point - focus.point;
                 let length_m = arm.norm().max(f64::MIN_POSITIVE);
-                (length_m, arm / length_m)
+                focus.faces(point, 0.0).then(|| (length_m, arm / length_m))
             })
             .collect();
-        let mut place = Place { point, likelihood: 0.0, information: Matrix3::zeros(), arrivals: 0.0 };
+        let mut place = Place { point, likelihood: 0.0, information: Matrix3::zeros(), arrivals: 0.0, profiles: 0 };
         let mut right = Vector3::zeros();
         let missed = 1.0 - self.seen;
         let scale = self.seen / ((2.0 * std::f64::consts::PI).sqrt() * self.clutter_per_m);
         let mut near: Vec<(f64, f64, f64)> = Vec::new();
         for (profile, left) in self.profiles.iter().zip(self.left) {
             let [a, b] = profile.foci;
-            let length_m = arms[a].0 + arms[b].0;
+            let (Some(a), Some(b)) = (arms[a], arms[b]) else { continue };
+            let length_m = a.0 + b.0;
             if !(profile.span_m[0]..=profile.span_m[1]).contains(&length_m) {
                 continue;
             }
+            place.profiles += 1;
             near.clear();
             let reach_m = GATE * widened * profile.widest_m;
             let from = profile.arrivals.partition_point(|arrival| arrival.length_m < length_m - reach_m);
@@ -77,7 +82,7 @@ impl View<'_> {
                 near.push((weight, off_m, sd_m));
             }
             place.likelihood += sum.ln();
-            let slope = arms[a].1 + arms[b].1;
+            let slope = a.1 + b.1;
             for &(weight, off_m, sd_m) in &near {
                 let share = weight / sum;
                 place.arrivals += share;

@@ -34,14 +34,13 @@ impl<'a> Explanation<'a> {
             profiles.iter().flat_map(|profile| &profile.arrivals).map(|arrival| arrival.sd_m).collect();
         sds.sort_by(f64::total_cmp);
         let sd_m = *sds.get(sds.len() / 2)?;
-        let middle = room.foci.iter().map(|focus| focus.coords).sum::<Vector3<f64>>() / room.foci.len() as f64;
+        let middle = room.foci.iter().map(|focus| focus.point.coords).sum::<Vector3<f64>>() / room.foci.len() as f64;
         // Of a patch further out than that every path would be longer than any record.
         let longest_m = profiles.iter().map(|profile| profile.span_m[1]).fold(0.0, f64::max);
         let domain = Domain {
             centre: Point::from(middle),
             half_m: 0.5 * longest_m,
             dimensions: room.dimensions,
-            fronts: room.fronts.clone(),
         };
         let span_m: f64 = profiles.iter().map(|profile| profile.span_m[1] - profile.span_m[0]).sum();
         let arrivals: usize = profiles.iter().map(|profile| profile.arrivals.len()).sum();
@@ -68,8 +67,9 @@ impl<'a> Explanation<'a> {
         let at = |k: i32| (f64::from(k) + 0.5) * step_m - self.domain.half_m;
         let is_recorded = |point: &Point| {
             let is_in = |profile: &&Profile| {
-                let length_m: f64 = profile.foci.iter().map(|focus| (point - self.room.foci[*focus]).norm()).sum();
-                length_m <= profile.span_m[1]
+                let foci = profile.foci.map(|focus| &self.room.foci[focus]);
+                let length_m: f64 = foci.iter().map(|focus| (point - focus.point).norm()).sum();
+                length_m <= profile.span_m[1] && foci.iter().all(|focus| focus.faces(*point, 0.0))
             };
             self.domain.holds(*point, 0.0) && 2 * self.profiles.iter().filter(is_in).count() > self.profiles.len()
         };
@@ -90,11 +90,11 @@ impl<'a> Explanation<'a> {
     }
 
     fn pairs_of(&self, profile: &Profile) -> Vec<Pair> {
-        let [a, b] = profile.foci.map(|focus| self.room.foci[focus]);
+        let foci = profile.foci.map(|focus| self.room.foci[focus]);
         let hidden = self.patches.iter().map(|patch| Known {
-            length_m: (patch.point - a).norm() + (patch.point - b).norm(),
+            length_m: foci.iter().map(|focus| (patch.point - focus.point).norm()).sum(),
             sd_m: 0.0,
-            seen: patch.seen,
+            seen: if foci.iter().all(|focus| focus.faces(patch.point, 0.0)) { patch.seen } else { 0.0 },
         });
         let mut pairs = Vec::new();
         for (path, known) in profile.known.iter().copied().chain(hidden).enumerate() {
@@ -141,8 +141,11 @@ impl<'a> Explanation<'a> {
         }
     }
 
-    /// Bayes factor of a place over none, as its log.
+    /// Bayes factor of a place over none, as its log; `None` outside the volume and where arrivals leave it open.
     pub(super) fn hidden(&self, place: Place, seen: f64) -> Option<Hidden> {
+        if 2 * place.profiles <= self.profiles.len() {
+            return None;
+        }
         let mut information = place.information;
         if self.room.dimensions == 2 {
             for k in 0..2 {
@@ -159,8 +162,9 @@ impl<'a> Explanation<'a> {
         if self.room.dimensions == 2 {
             covariance[(2, 2)] = 0.0;
         }
+        // Where visible patches are nearly in line, the arrivals leave a long arc: no more of it than there is room.
         let width = 0.5 * (determinant.ln() + self.room.dimensions as f64 * (2.0 * std::f64::consts::PI).ln());
-        let evidence = place.likelihood + width - self.log_volume;
+        let evidence = place.likelihood + (width - self.log_volume).min(0.0);
         Some(Hidden { point: place.point, covariance, evidence, seen, arrivals: place.arrivals })
     }
 

@@ -11,6 +11,7 @@ use std::collections::VecDeque;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use super::Focus;
 use crate::geometry::Point;
 
 /// Partial sums below minus this are given up.
@@ -73,7 +74,7 @@ pub struct Legs {
     pub curve: Curve,
 }
 
-/// Part of space: a cube, in front of some planes.
+/// Part of space: a cube.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Domain {
     /// Middle of the cube.
@@ -82,8 +83,6 @@ pub struct Domain {
     pub half_m: f64,
     /// 3, or 2 for flatland, where z stays that of the centre.
     pub dimensions: usize,
-    /// Points of planes and their normals: only what lies in front of all of them counts.
-    pub fronts: Vec<(Point, Vector3<f64>)>,
 }
 
 impl Domain {
@@ -92,7 +91,6 @@ impl Domain {
     pub fn holds(&self, point: Point, slack_m: f64) -> bool {
         let reach_m = self.half_m + slack_m;
         (0..self.dimensions).all(|k| (point[k] - self.centre[k]).abs() <= reach_m)
-            && self.fronts.iter().all(|(on, normal)| normal.dot(&(point - on)) > -slack_m)
     }
 
     fn half_diagonal_m(&self) -> f64 {
@@ -102,7 +100,7 @@ impl Domain {
 
 /// Centres of cubes with a half diagonal of at most `fine_m` in which the sum may exceed `least`, with the bound of each, best first.
 #[must_use]
-pub fn search(foci: &[Point], legs: &[Legs], domain: &Domain, fine_m: f64, least: f32) -> Vec<(Point, f32)> {
+pub fn search(foci: &[Focus], legs: &[Legs], domain: &Domain, fine_m: f64, least: f32) -> Vec<(Point, f32)> {
     // Paths among few foci first: early ends need few distances.
     let mut order: Vec<&Legs> = legs.iter().collect();
     order.sort_by_key(|legs| (legs.foci[1], legs.foci[0]));
@@ -113,8 +111,8 @@ pub fn search(foci: &[Point], legs: &[Legs], domain: &Domain, fine_m: f64, least
             order.par_iter().map(|legs| Legs { foci: legs.foci, curve: legs.curve.widened(2.0 * radius_m) }).collect();
         let is_last = radius_m <= fine_m;
         let cut = |chunk: &[(Point, f32)]| -> Vec<(Point, f32)> {
-            let mut distances_m = vec![0.0; foci.len()];
-            let bound = |cube: &(Point, f32)| Some((cube.0, bound(&level, foci, cube.0, &mut distances_m)?));
+            let mut seen = vec![Seen::default(); foci.len()];
+            let bound = |cube: &(Point, f32)| Some((cube.0, bound(&level, foci, cube.0, radius_m, &mut seen)?));
             let kept = chunk.iter().filter(|cube| domain.holds(cube.0, radius_m)).filter_map(bound);
             let kept = kept.filter(|(_, bound)| *bound > least);
             if is_last {
@@ -146,18 +144,34 @@ fn children(centre: Point, half_m: f64, dimensions: usize) -> impl Iterator<Item
     })
 }
 
-/// The sum at a point; `None` once it is below what a true patch reaches.
-fn bound(order: &[Legs], foci: &[Point], at: Point, distances_m: &mut [f64]) -> Option<f32> {
+/// A cube as seen from a focus.
+#[derive(Clone, Copy, Default)]
+struct Seen {
+    distance_m: f64,
+    /// Whether any of it, and all of it, is in front of the focus.
+    any: bool,
+    all: bool,
+}
+
+/// The largest sum within some radius of a point; `None` once it is below what a true patch reaches.
+fn bound(order: &[Legs], foci: &[Focus], at: Point, radius_m: f64, seen: &mut [Seen]) -> Option<f32> {
     let (mut sum, mut known) = (0.0_f32, 0);
     for Legs { foci: [a, b], curve } in order {
         while known <= *b {
-            distances_m[known] = (at - foci[known]).norm();
+            let focus = &foci[known];
+            let (any, all) = (focus.faces(at, radius_m), focus.faces(at, -radius_m));
+            seen[known] = Seen { distance_m: (at - focus.point).norm(), any, all };
             known += 1;
         }
-        let bin = (distances_m[*a] + distances_m[*b] - curve.low_m) / curve.step_m;
+        let (a, b) = (&seen[*a], &seen[*b]);
+        if !(a.any && b.any) {
+            continue;
+        }
+        let bin = (a.distance_m + b.distance_m - curve.low_m) / curve.step_m;
         // A negative bin becomes one that is not there.
         let value = if bin >= 0.0 { curve.values.get(bin as usize).copied().unwrap_or(0.0) } else { 0.0 };
-        sum += value;
+        // What lies behind loses nothing.
+        sum += if a.all && b.all { value } else { value.max(0.0) };
         if sum < -SURE {
             return None;
         }

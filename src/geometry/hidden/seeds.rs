@@ -12,6 +12,7 @@
 use nalgebra::{Matrix3, Vector3, Vector4};
 use rayon::prelude::*;
 
+use super::Focus;
 use super::search::Domain;
 use crate::geometry::Point;
 use crate::geometry::multilateration::meet;
@@ -40,7 +41,7 @@ pub struct Lengths {
 
 /// Sets of pairs of foci whose arrivals are crossed, the best determined first.
 #[must_use]
-pub fn bases(foci: &[Point], pairs: &[Lengths], domain: &Domain, most: usize) -> Vec<Vec<usize>> {
+pub fn bases(foci: &[Focus], pairs: &[Lengths], domain: &Domain, most: usize) -> Vec<Vec<usize>> {
     let arity = domain.dimensions;
     let typical = typical_points(foci, domain);
     let step = pairs.iter().map(|pair| pair.foci[1] + 1).max().unwrap_or(0).div_ceil(BASE_FOCI).max(1);
@@ -74,23 +75,24 @@ pub fn bases(foci: &[Point], pairs: &[Lengths], domain: &Domain, most: usize) ->
 }
 
 /// Points that stand for where patches may be.
-fn typical_points(foci: &[Point], domain: &Domain) -> Vec<Point> {
-    let reach_m = foci.iter().map(|focus| (focus - domain.centre).norm()).fold(0.0, f64::max);
+fn typical_points(foci: &[Focus], domain: &Domain) -> Vec<Point> {
+    let reach_m = foci.iter().map(|focus| (focus.point - domain.centre).norm()).fold(0.0, f64::max);
     let z = if domain.dimensions == 2 { [0.0].as_slice() } else { [-1.0, 0.0, 1.0].as_slice() };
     let corners = [-1.0, 0.0, 1.0]
         .into_iter()
         .flat_map(|x| [-1.0, 0.0, 1.0].into_iter().flat_map(move |y| z.iter().map(move |z| (x, y, *z))));
     let all: Vec<Point> = corners.map(|(x, y, z)| domain.centre + Vector3::new(x, y, z) * reach_m).collect();
-    let inside: Vec<Point> = all.iter().copied().filter(|point| domain.holds(*point, 0.0)).collect();
+    let is_seen = |point: &Point| 2 * foci.iter().filter(|focus| focus.faces(*point, 0.0)).count() > foci.len();
+    let inside: Vec<Point> = all.iter().copied().filter(is_seen).collect();
     if inside.is_empty() { all } else { inside }
 }
 
-fn slope(foci: &[Point], pair: &Lengths, at: Point) -> Vector3<f64> {
-    pair.foci.iter().map(|focus| (at - foci[*focus]).try_normalize(1e-9).unwrap_or_else(Vector3::zeros)).sum()
+fn slope(foci: &[Focus], pair: &Lengths, at: Point) -> Vector3<f64> {
+    pair.foci.iter().map(|focus| (at - foci[*focus].point).try_normalize(1e-9).unwrap_or_else(Vector3::zeros)).sum()
 }
 
 /// Median over typical points of the error that a base leaves, per error of a length.
-fn spread(foci: &[Point], pairs: &[Lengths], base: &[usize], typical: &[Point], dimensions: usize) -> f64 {
+fn spread(foci: &[Focus], pairs: &[Lengths], base: &[usize], typical: &[Point], dimensions: usize) -> f64 {
     let mut errors: Vec<f64> = typical
         .iter()
         .map(|at| {
@@ -121,18 +123,19 @@ pub struct Seed {
 
 /// Places that the arrivals of a base and those of further pairs agree on, in no order of merit.
 #[must_use]
-pub fn seeds(foci: &[Point], pairs: &[Lengths], base: &[usize], domain: &Domain) -> Vec<Seed> {
+pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) -> Vec<Seed> {
     let order = checks(foci, pairs, base, domain);
     let shared = |focus: &usize| base.iter().all(|&pair| pairs[pair].foci.contains(focus));
     let Some(focus) = pairs[base[0]].foci.into_iter().find(shared) else { return Vec::new() };
     let condition = |pair: usize, length_m: f64| -> (Vector4<f64>, f64) {
         let [a, b] = pairs[pair].foci;
-        ellipsoid(foci[if a == focus { b } else { a }] - foci[focus], length_m)
+        ellipsoid(foci[if a == focus { b } else { a }].point - foci[focus].point, length_m)
     };
     let rows: Vec<Vec<(Vector4<f64>, f64)>> = base
         .iter()
         .map(|&pair| pairs[pair].values_m.iter().map(|(length_m, _)| condition(pair, *length_m)).collect())
         .collect();
+    let is_in_front = |at: Point| base.iter().flat_map(|&pair| pairs[pair].foci).all(|focus| foci[focus].faces(at, 0.0));
     let flat = vec![(Vector4::z(), 0.0)];
     let (first, second, third) = (&rows[0], &rows[1], rows.get(2).unwrap_or(&flat));
     let variance_m2 = base.iter().map(|&pair| pairs[pair].values_m[0].1.powi(2)).sum::<f64>() / base.len() as f64;
@@ -141,8 +144,8 @@ pub fn seeds(foci: &[Point], pairs: &[Lengths], base: &[usize], domain: &Domain)
         for b in second {
             for c in third {
                 for arm in meet([*a, *b, *c]).into_iter().flatten() {
-                    let at = foci[focus] + arm;
-                    if domain.holds(at, 0.0) {
+                    let at = foci[focus].point + arm;
+                    if domain.holds(at, 0.0) && is_in_front(at) {
                         let slopes = base.iter().map(|&pair| slope(foci, &pairs[pair], at));
                         let covariance = covariance(slopes, variance_m2, domain.dimensions);
                         found.extend(covariance.and_then(|covariance| follow(foci, pairs, &order, at, covariance)));
@@ -167,7 +170,7 @@ fn ellipsoid(to_other: Vector3<f64>, length_m: f64) -> (Vector4<f64>, f64) {
 }
 
 /// Pairs beside a base, that which is predicted best first.
-fn checks(foci: &[Point], pairs: &[Lengths], base: &[usize], domain: &Domain) -> Vec<usize> {
+fn checks(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) -> Vec<usize> {
     let typical = typical_points(foci, domain);
     let mut known: Vec<(Point, Matrix3<f64>)> = typical
         .into_iter()
@@ -203,11 +206,14 @@ fn checks(foci: &[Point], pairs: &[Lengths], base: &[usize], domain: &Domain) ->
 }
 
 /// Holds a seed against further pairs.
-fn follow(foci: &[Point], pairs: &[Lengths], order: &[usize], at: Point, covariance: Matrix3<f64>) -> Option<Seed> {
+fn follow(foci: &[Focus], pairs: &[Lengths], order: &[usize], at: Point, covariance: Matrix3<f64>) -> Option<Seed> {
     let (mut point, mut covariance, mut likelihood) = (at, covariance, 0.0);
     for &pair in order {
         let Lengths { foci: [a, b], values_m, density_per_m, seen } = &pairs[pair];
-        let (near, far) = (point - foci[*a], point - foci[*b]);
+        if !(foci[*a].faces(point, 0.0) && foci[*b].faces(point, 0.0)) {
+            continue;
+        }
+        let (near, far) = (point - foci[*a].point, point - foci[*b].point);
         let (near_m, far_m) = (near.norm(), far.norm());
         let (length_m, slope) = (near_m + far_m, near / near_m + far / far_m);
         let spread = covariance * slope;
@@ -245,14 +251,15 @@ mod tests {
         for dimensions in [2, 3] {
             let z = |height_m: f64| if dimensions == 2 { 0.0 } else { height_m };
             let foci = [(0.0, 0.3, 0.2), (0.1, 1.2, -0.4), (0.7, 0.0, 0.5), (1.4, 0.1, -0.1), (0.4, 0.2, -0.6)];
-            let foci: Vec<Point> = foci.into_iter().map(|(x, y, height_m)| Point::new(x, y, z(height_m))).collect();
+            let focus = |(x, y, height_m)| Focus { point: Point::new(x, y, z(height_m)), normal: None };
+            let foci: Vec<Focus> = foci.into_iter().map(focus).collect();
             let patch = Point::new(1.3, 1.1, z(0.2));
-            let domain = Domain { centre: Point::new(0.7, 0.7, 0.0), half_m: 2.0, dimensions, fronts: Vec::new() };
+            let domain = Domain { centre: Point::new(0.7, 0.7, 0.0), half_m: 2.0, dimensions };
             // No pair of a focus with itself.
             let pairs = (0..foci.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
             let lengths = |[a, b]: [usize; 2]| Lengths {
                 foci: [a, b],
-                values_m: vec![((patch - foci[a]).norm() + (patch - foci[b]).norm(), 1e-3)],
+                values_m: vec![((patch - foci[a].point).norm() + (patch - foci[b].point).norm(), 1e-3)],
                 density_per_m: 0.3,
                 seen: 0.9,
             };

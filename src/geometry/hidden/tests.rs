@@ -78,7 +78,7 @@ fn a_known_path_leaves_nothing_to_find() {
     let drawn = draw(&Setting::new(8, 2, sd_m(25.0), 0.0, 0), 1);
     let known = |profile: &Profile| -> Profile {
         let of_first = {
-            let [a, b] = profile.foci.map(|focus| drawn.room.foci[focus]);
+            let [a, b] = profile.foci.map(|focus| drawn.room.foci[focus].point);
             (drawn.hidden[0] - a).norm() + (drawn.hidden[0] - b).norm()
         };
         let known = vec![Known { length_m: of_first, sd_m: 1e-4, seen: 0.9 }];
@@ -95,8 +95,9 @@ fn a_turned_scene_gives_the_turned_answer() {
     let drawn = draw(&Setting::new(8, 3, sd_m(25.0), 0.1, 1), 4);
     let rotation = Rotation3::from_euler_angles(0.3, -0.7, 1.1);
     let mut room = drawn.room.clone();
-    room.foci.iter_mut().for_each(|focus| *focus = rotation * *focus);
-    room.fronts.iter_mut().for_each(|(point, normal)| (*point, *normal) = (rotation * *point, rotation * *normal));
+    for focus in &mut room.foci {
+        *focus = Focus { point: rotation * focus.point, normal: focus.normal.map(|normal| rotation * normal) };
+    }
     let mut profiles = drawn.profiles.clone();
     profiles.reverse();
     let (found, turned) = (find(&drawn.profiles, &drawn.room).patches, find(&profiles, &room).patches);
@@ -115,7 +116,11 @@ fn branch_and_bound_finds_the_largest_sum() {
     let legs = scene.legs(&scene.left());
     let sum = |point: Point| -> f32 {
         let of_legs = |legs: &Legs| {
-            let length_m: f64 = legs.foci.iter().map(|focus| (point - drawn.room.foci[*focus]).norm()).sum();
+            let foci = legs.foci.map(|focus| &drawn.room.foci[focus]);
+            if !foci.iter().all(|focus| focus.faces(point, 0.0)) {
+                return 0.0;
+            }
+            let length_m: f64 = foci.iter().map(|focus| (point - focus.point).norm()).sum();
             let bin = ((length_m - legs.curve.low_m) / legs.curve.step_m) as usize;
             legs.curve.values.get(bin).copied().unwrap_or(0.0)
         };
@@ -148,7 +153,7 @@ fn the_likelihood_is_that_of_the_formula() {
     for _ in 0..20 {
         let q = drawn.hidden[0] + Vector3::from_fn(|_, _| rng.random_range(-0.03..0.03));
         let of_profile = |profile: &Profile| -> f64 {
-            let length_m: f64 = profile.foci.iter().map(|focus| (q - drawn.room.foci[*focus]).norm()).sum();
+            let length_m: f64 = profile.foci.iter().map(|focus| (q - drawn.room.foci[*focus].point).norm()).sum();
             let density = |arrival: &Arrival| {
                 let off = (arrival.length_m - length_m) / arrival.sd_m;
                 (-0.5 * off * off).exp() / (arrival.sd_m * (2.0 * std::f64::consts::PI).sqrt())

@@ -69,10 +69,8 @@ fn places(neighbours: &[(Distance, Point)], context: &Context) -> Vec<Candidate>
     let most = likely.first().map_or(0.0, |best| best.cost + LIKELY);
     likely.retain(|place| place.cost < most);
     let points: Vec<Point> = neighbours.iter().map(|(_, point)| *point).collect();
-    let (middle, normal) = planes::nearest(&points, dimensions);
-    let side = |point: Point| normal.dot(&(point - middle));
-    let laser = side(Point::from(context.frame.source_m));
-    if let Some(lit) = likely.iter().position(|place| side(place.point) * laser > 0.0) {
+    let laser = Point::from(context.frame.source_m);
+    if let Some(lit) = likely.iter().position(|place| !planes::is_across(&points, dimensions, place.point, laser)) {
         likely[..=lit].rotate_right(1);
     }
     likely

@@ -1,14 +1,16 @@
 //! Hidden patches among the onsets that known ones do not explain.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
+use super::facing::{foci, in_line, spans};
 use super::predicted::Pairs;
 use super::scene::{Scene, View};
 use super::{OfSensor, sd_ps};
-use crate::geometry::Point;
 use crate::geometry::hidden::{self, Arrival, Found, Hidden, Known, Profile, Room};
+use crate::geometry::{Point, planes};
+use crate::stages::stage::Rejection;
 use crate::tables::{Hypothesis, Onset};
 use crate::units::{self, PatchId};
 
@@ -18,16 +20,23 @@ const SEEN: [f64; 4] = [0.95, 0.95, 0.7, 0.2];
 const FOURTH_MAX: usize = 12;
 /// Standard deviations between where a path is expected and the last onset that it may have made.
 const REACH: f64 = 5.0;
-/// A plane through points that are off it by less than this share of its extent has two sides, and so has a line.
-const FLAT: f64 = 1e-3;
+/// A hidden patch that was found.
+struct Placed {
+    patch: PatchId,
+    place: Hidden,
+    /// Its mirror image in the visible patches' wall, where the onsets do not rule it out.
+    rival: Option<Hidden>,
+}
 
 /// What a search for hidden patches came to.
 pub(super) struct Search {
-    /// Patches by their numbers, on from the largest that is known.
-    pub(super) patches: BTreeMap<PatchId, Hidden>,
+    /// Numbered on from the largest patch that is known.
+    found: Vec<Placed>,
     declined: Option<Hidden>,
     /// Evidence that a patch needs.
     needed: f64,
+    /// Why nothing was searched.
+    refused: Option<Rejection>,
 }
 
 impl Search {
@@ -41,31 +50,53 @@ impl Search {
             .collect();
         let visible: Vec<PatchId> = visible.into_iter().collect();
         let setup = sensors[0].setup;
+        let source = Point::from(setup.source_m);
+        let points: Vec<Point> = visible.iter().map(|patch| scene.points[patch]).collect();
+        let mut search = Self { found: Vec::new(), declined: None, needed: -false_alarm.ln(), refused: None };
+        if !spans(&points, setup.dimensions) {
+            search.refused = Some(in_line(&sensors[0].profiles[0][0], &visible, setup.dimensions));
+            return search;
+        }
         let profiles = profiles(scene, sensors, closed, &visible);
-        let foci: Vec<Point> = visible.iter().map(|patch| scene.points[patch]).collect();
         let hidden_already = scene.points.len() - visible.len();
         let room = Room {
-            fronts: front(&foci, Point::from(setup.source_m), setup.dimensions),
-            foci,
+            foci: foci(scene, &visible, source, setup.dimensions),
             dimensions: setup.dimensions,
             false_alarm,
             count: setup.hidden_count.map(|count| (count as usize).saturating_sub(hidden_already)),
         };
-        let Found { patches, declined } = hidden::find(&profiles, &room);
+        let Found { patches, rivals, declined } = hidden::find(&profiles, &room);
+        search.declined = declined;
         let largest = sensors.iter().map(|sensor| sensor.setup.largest_patch).chain(scene.points.keys().copied()).max();
         let numbers = largest.unwrap_or(0) + 1..;
-        Self { patches: numbers.zip(patches).collect(), declined, needed: -false_alarm.ln() }
+        let behind = |place: &Hidden| planes::is_across(&points, setup.dimensions, place.point, source);
+        let placed = |(patch, (place, rival)): (PatchId, (Hidden, Option<Hidden>))| match rival {
+            // What a wall shows lies on the side that it is lit from.
+            Some(rival) if behind(&place) && !behind(&rival) => Placed { patch, place: rival, rival: Some(place) },
+            rival => Placed { patch, place, rival },
+        };
+        search.found = numbers.zip(patches.into_iter().zip(rivals)).map(placed).collect();
+        search
     }
 
-    /// What was found, and the likeliest place that was not sure enough.
+    /// Patches by their numbers.
+    pub(super) fn patches(&self) -> impl Iterator<Item = (PatchId, Hidden)> {
+        self.found.iter().map(|found| (found.patch, found.place))
+    }
+
+    /// What was found, each with its other place, and the likeliest place that was not sure enough.
     pub(super) fn hypotheses(&self) -> Vec<Hypothesis> {
-        let found = self.patches.iter().map(|(patch, hidden)| (Some(*patch), hidden));
-        let all = found.chain(self.declined.iter().map(|hidden| (None, hidden)));
-        let row = |(n, (patch, hidden)): (usize, (Option<PatchId>, &Hidden))| {
+        let found = self.found.iter().enumerate().flat_map(|(n, found)| {
+            let rival = found.rival.as_ref().map(|rival| (n, Some(found.patch), 1, rival));
+            std::iter::once((n, Some(found.patch), 0, &found.place)).chain(rival)
+        });
+        let all = found.chain(self.declined.iter().map(|hidden| (self.found.len(), None, 0, hidden)));
+        let row = |(n, patch, alternative, hidden): (usize, Option<PatchId>, i32, &Hidden)| {
             let (point, cov) = (hidden.point, hidden.covariance);
             Hypothesis {
                 hypothesis: n as i32 + 1,
                 patch,
+                alternative,
                 x_m: point.x,
                 y_m: point.y,
                 z_m: point.z,
@@ -82,27 +113,12 @@ impl Search {
                 onsets: hidden.arrivals,
             }
         };
-        all.enumerate().map(row).collect()
+        all.map(row).collect()
     }
-}
 
-/// Half-space in front of visible patches that lie on one plane (in flatland on one line): the side of the laser, since a wall throws light back to that side only.
-fn front(visible: &[Point], source: Point, dimensions: usize) -> Vec<(Point, Vector3<f64>)> {
-    let middle = Point::from(visible.iter().map(|point| point.coords).sum::<Vector3<f64>>() / visible.len() as f64);
-    let mut spread: Matrix3<f64> = visible.iter().map(|point| (point - middle) * (point - middle).transpose()).sum();
-    if dimensions == 2 {
-        // Not across flatland.
-        spread[(2, 2)] = 10.0 * spread.trace();
-    }
-    let axes = spread.symmetric_eigen();
-    let (least, most) = (axes.eigenvalues.imin(), axes.eigenvalues.max());
-    let normal: Vector3<f64> = axes.eigenvectors.column(least).into();
-    let side = normal.dot(&(source - middle));
-    let thickness = (axes.eigenvalues[least].max(0.0) / most).sqrt();
-    if thickness > FLAT || side.abs() <= FLAT * most.sqrt() {
-        Vec::new()
-    } else {
-        vec![(middle, normal * side.signum())]
+    /// What stood in the way of a search.
+    pub(super) fn rejections(&self) -> Vec<Rejection> {
+        self.refused.iter().cloned().collect()
     }
 }
 

@@ -18,6 +18,8 @@ pub(super) struct Scene {
     pub(super) points: BTreeMap<PatchId, Point>,
     covariances: BTreeMap<(PatchId, PatchId), Matrix3<f64>>,
     footprints: Footprints,
+    /// Of patches whose walls are known.
+    pub(super) normals: BTreeMap<PatchId, Vector3<f64>>,
 }
 
 /// Where a profile's light comes from and goes to.
@@ -31,7 +33,12 @@ pub(super) struct View<'a> {
 
 impl Scene {
     /// Of the best alternative, those with a covariance; `None` if none has.
-    pub(super) fn new(patches: &[Patch], between: &[PatchCovariance], footprints: Footprints) -> Option<Self> {
+    pub(super) fn new(
+        patches: &[Patch],
+        between: &[PatchCovariance],
+        footprints: Footprints,
+        normals: BTreeMap<PatchId, Vector3<f64>>,
+    ) -> Option<Self> {
         let (mut points, mut blocks) = (BTreeMap::new(), BTreeMap::new());
         for row in patches.iter().filter(|patch| patch.alternative == 0) {
             let Some(own) = covariances::of_patch(row) else { continue };
@@ -43,15 +50,15 @@ impl Scene {
             blocks.insert((row.a, row.b), block);
             blocks.insert((row.b, row.a), block.transpose());
         }
-        (!points.is_empty()).then_some(Self { points, covariances: blocks, footprints })
+        (!points.is_empty()).then_some(Self { points, covariances: blocks, footprints, normals })
     }
 
     /// With hidden patches that were found.
-    pub(super) fn with(&self, hidden: &BTreeMap<PatchId, Hidden>) -> Self {
+    pub(super) fn with(&self, hidden: impl Iterator<Item = (PatchId, Hidden)>) -> Self {
         let mut scene = self.clone();
         for (patch, found) in hidden {
-            scene.points.insert(*patch, found.point);
-            scene.covariances.insert((*patch, *patch), found.covariance);
+            scene.points.insert(patch, found.point);
+            scene.covariances.insert((patch, patch), found.covariance);
         }
         scene
     }

@@ -9,7 +9,7 @@ use crate::campaign::keys::{self, LASER, PatchRole};
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{Anchor, Node, Observation, Problem, Ray, Solution, Station, Unsolved};
 use crate::geometry::placement;
-use crate::geometry::{Matrix, Point};
+use crate::geometry::{Matrix, Point, planes};
 use crate::stages::footprints::Footprints;
 use crate::tables::{Label, Name};
 use crate::units::{self, PatchId};
@@ -79,6 +79,26 @@ impl<'a> Model<'a> {
         } else {
             "hidden"
         }
+    }
+
+    /// How many of some patches are hidden and lie behind the wall that shows them: across the plane nearest to the visible patches that they share a leg with
+    /// from the laser, which lights these from the front. Said of patches by their positions among the unknowns.
+    pub fn behind(&self, problem: &Problem, solution: &Solution, patches: &[usize]) -> usize {
+        let is_visible = |place: usize| self.kind(self.patches[place]) == "visible";
+        let is_behind = |&&patch: &&usize| {
+            let legs = problem.observations.iter().flat_map(|observation| observation.nodes.windows(2));
+            let seen_from: BTreeSet<usize> = legs
+                .filter_map(|leg| match leg {
+                    [Node::Patch(a), Node::Patch(b)] if *a == patch && is_visible(*b) => Some(*b),
+                    [Node::Patch(a), Node::Patch(b)] if *b == patch && is_visible(*a) => Some(*a),
+                    _ => None,
+                })
+                .collect();
+            let wall: Vec<Point> = seen_from.into_iter().map(|place| solution.points[place]).collect();
+            let (laser, point) = (solution.stations[0], solution.points[patch]);
+            !wall.is_empty() && planes::is_across(&wall, problem.dimensions, point, laser)
+        };
+        patches.iter().filter(|&&patch| self.kind(self.patches[patch]) == "hidden").filter(is_behind).count()
     }
 
     /// Position of a patch among the unknowns.

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{Arrival, Point, Profile, Room};
+use super::{Arrival, Focus, Point, Profile, Room};
 
 /// Least range of lengths that a record holds: 8 ns. It holds all hidden patches, and this much before and after.
 const WINDOW_M: f64 = 2.4;
@@ -177,13 +177,13 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
         }
         information.try_inverse().map_or(f64::INFINITY, |covariance| covariance.trace().sqrt())
     };
-    let fronts = match setting.walls {
-        Walls::One => vec![(Point::origin(), Vector3::y())],
-        Walls::Two | Walls::Flatland => vec![(Point::origin(), Vector3::x()), (Point::origin(), Vector3::y())],
+    let focus = |(k, point): (usize, &Point)| {
+        let on_first = k % 2 == 0 || setting.walls == Walls::One;
+        Focus { point: *point, normal: Some(if on_first { Vector3::y() } else { Vector3::x() }) }
     };
     let dimensions = if flat { 2 } else { 3 };
     Drawn {
-        room: Room { foci, dimensions, fronts, false_alarm: 1e-2, count: None },
+        room: Room { foci: foci.iter().enumerate().map(focus).collect(), dimensions, false_alarm: 1e-2, count: None },
         profiles,
         bounds_m: information.iter().map(bound_m).collect(),
         hidden,
