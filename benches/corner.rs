@@ -1,6 +1,6 @@
 //! Study: hidden patches from unlabelled third bounces. Prints the tables of docs/accuracy.md, "Around the corner".
 //!
-//! `cargo bench --bench corner` for all, `cargo bench --bench corner -- cells` for one of cells, patterns, clutter, large; a number sets the scenes.
+//! `cargo bench --bench corner` for all, `cargo bench --bench corner -- cells` for one of cells, patterns, relief, clutter, large; a number sets the scenes.
 
 use std::time::Instant;
 
@@ -28,6 +28,9 @@ fn main() {
     }
     if asked("patterns") {
         patterns(scenes.unwrap_or(100));
+    }
+    if asked("relief") {
+        relief(scenes.unwrap_or(100));
     }
     if asked("clutter") {
         clutter(scenes.unwrap_or(100));
@@ -133,6 +136,34 @@ fn patterns(scenes: u64) {
                 let name = format!("{name}; {hidden} hidden, {:.0} % / {spurious}", 100.0 * missing);
                 print(&name, &row(&setting, scenes));
             }
+        }
+    }
+}
+
+/// One wall that the search does not know the front of, with relief to either side: how often the mirror image of a patch is told, and how often it is the likelier one.
+fn relief(scenes: u64) {
+    println!(
+        "\n| relief (mm) | noise (ps) | patches found | mirror image told | likelier than the patch | neither place right |\n|---|---|---|---|---|---|"
+    );
+    for noise_ps in [5.0, 25.0] {
+        for relief_mm in [0.0, 1.0, 3.0, 10.0, 30.0, 100.0] {
+            let base = Setting::new(8, 4, sd_m(noise_ps), 0.1, 1);
+            let (mut count, mut told, mut behind, mut wrong) = (0, 0, 0, 0);
+            for seed in 0..scenes {
+                let drawn = draw(&Setting { walls: Walls::Rough(1e-3 * relief_mm), ..base }, seed);
+                let found = find(&drawn.profiles, &drawn.room);
+                count += found.patches.len();
+                told += found.rivals.iter().flatten().count();
+                // The wall is y = 0, its front y > 0.
+                behind += found.patches.iter().filter(|patch| patch.point.y < 0.0).count();
+                let in_front = found.patches.iter().zip(&found.rivals).map(|(patch, rival)| match rival {
+                    Some(rival) if patch.point.y < 0.0 => rival.point,
+                    _ => patch.point,
+                });
+                let score = scene::score(&drawn, &in_front.collect::<Vec<Point>>());
+                wrong += score.missed + score.extra;
+            }
+            println!("| {relief_mm} | {noise_ps} | {count} of {} | {told} | {behind} | {wrong} |", 4 * scenes);
         }
     }
 }

@@ -164,7 +164,8 @@ pub fn find(profiles: &[Profile], room: &Room) -> Found {
         }
     }
     let declined = if is_open { all.likeliest().filter(|hidden| !all.is_sure(hidden)) } else { None };
-    let mut found: Vec<(Hidden, Option<Hidden>)> = (0..all.patches.len()).map(|n| (all.patches[n], all.rival(n))).collect();
+    let mut found: Vec<(Hidden, Option<Hidden>)> =
+        (0..all.patches.len()).map(|n| (all.patches[n], all.rival(n))).collect();
     found.sort_by(|a, b| b.0.evidence.total_cmp(&a.0.evidence));
     found.truncate(room.count.unwrap_or(usize::MAX));
     let (patches, rivals) = found.into_iter().unzip();

@@ -33,7 +33,8 @@ pub fn told(campaign: &Campaign) -> BTreeMap<PatchId, Told> {
 /// Unit normals of patches that lie on one of the `planes`, which hold in the frame of the patches they were fitted to; where campaign.toml's frame `is_fixed`, also of
 /// others with a normal there.
 pub fn normals(told: &BTreeMap<PatchId, Told>, planes: &[Plane], is_fixed: bool) -> BTreeMap<PatchId, Vector3<f64>> {
-    let from_file = told.iter().filter(|_| is_fixed).filter_map(|(patch, told)| Some((*patch, Vector3::from(told.normal?))));
+    let from_file =
+        told.iter().filter(|_| is_fixed).filter_map(|(patch, told)| Some((*patch, Vector3::from(told.normal?))));
     let of_plane = |plane: &Plane| {
         let normal = Vector3::new(plane.normal_x, plane.normal_y, plane.normal_z);
         plane.patches.iter().map(|patch| (*patch, normal)).collect::<Vec<_>>()

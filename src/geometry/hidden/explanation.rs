@@ -37,11 +37,7 @@ impl<'a> Explanation<'a> {
         let middle = room.foci.iter().map(|focus| focus.point.coords).sum::<Vector3<f64>>() / room.foci.len() as f64;
         // Of a patch further out than that every path would be longer than any record.
         let longest_m = profiles.iter().map(|profile| profile.span_m[1]).fold(0.0, f64::max);
-        let domain = Domain {
-            centre: Point::from(middle),
-            half_m: 0.5 * longest_m,
-            dimensions: room.dimensions,
-        };
+        let domain = Domain { centre: Point::from(middle), half_m: 0.5 * longest_m, dimensions: room.dimensions };
         let span_m: f64 = profiles.iter().map(|profile| profile.span_m[1] - profile.span_m[0]).sum();
         let arrivals: usize = profiles.iter().map(|profile| profile.arrivals.len()).sum();
         let mut all = Self {

@@ -135,7 +135,8 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain)
         .iter()
         .map(|&pair| pairs[pair].values_m.iter().map(|(length_m, _)| condition(pair, *length_m)).collect())
         .collect();
-    let is_in_front = |at: Point| base.iter().flat_map(|&pair| pairs[pair].foci).all(|focus| foci[focus].faces(at, 0.0));
+    let is_in_front =
+        |at: Point| base.iter().flat_map(|&pair| pairs[pair].foci).all(|focus| foci[focus].faces(at, 0.0));
     let flat = vec![(Vector4::z(), 0.0)];
     let (first, second, third) = (&rows[0], &rows[1], rows.get(2).unwrap_or(&flat));
     let variance_m2 = base.iter().map(|&pair| pairs[pair].values_m[0].1.powi(2)).sum::<f64>() / base.len() as f64;

@@ -142,6 +142,28 @@ fn branch_and_bound_finds_the_largest_sum() {
     assert!(cubes.iter().any(|(centre, bound)| (centre - at).norm() <= fine_m && *bound >= best), "{best} {at}");
 }
 
+/// Through a flat wall that may face either way the mirror image of each patch is as likely; through a rough one it is not.
+#[test]
+fn a_flat_wall_leaves_two_places() {
+    for seed in 0..4 {
+        let base = Setting::new(8, 2, sd_m(25.0), 0.1, 1);
+        let drawn = draw(&Setting { walls: Walls::Rough(0.0), ..base }, seed);
+        let found = find(&drawn.profiles, &drawn.room);
+        assert_eq!((found.patches.len(), found.rivals.len()), (2, 2));
+        for (hidden, rival) in found.patches.iter().zip(&found.rivals) {
+            let rival = rival.expect("nothing tells the sides apart");
+            let image = Point::new(hidden.point.x, -hidden.point.y, hidden.point.z);
+            assert!(
+                (rival.point - image).norm() < 1e-4 && (rival.evidence - hidden.evidence).abs() < 1e-3,
+                "{rival:?} {hidden:?}"
+            );
+        }
+        let rough = draw(&Setting { walls: Walls::Rough(0.3), ..base }, seed);
+        let found = find(&rough.profiles, &rough.room);
+        assert!(found.rivals.iter().all(Option::is_none) && score(&rough, &points(&found)).is_right(), "{found:?}");
+    }
+}
+
 /// Beside the formula, written out.
 #[test]
 fn the_likelihood_is_that_of_the_formula() {

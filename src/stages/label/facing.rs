@@ -32,8 +32,11 @@ pub(super) fn spans(points: &[Point], dimensions: usize) -> bool {
 }
 
 pub(super) fn in_line(onset: &Onset, visible: &[PatchId], dimensions: usize) -> Rejection {
-    let (line, turn, wanted) =
-        if dimensions == 2 { ("in one point", "that point", "another place") } else { ("in one line", "that line", "off that line") };
+    let (line, turn, wanted) = if dimensions == 2 {
+        ("in one point", "that point", "another place")
+    } else {
+        ("in one line", "that line", "off that line")
+    };
     let reason = format!(
         "the {} visible patches with known places lie {line}: hidden patches are known but for a turn about {turn}, and are not looked for;          light and see a patch in {wanted}",
         visible.len()

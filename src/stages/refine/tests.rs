@@ -264,6 +264,30 @@ fn a_station_that_no_sensor_stands_at_leaves_the_frame_of_stations_in_line() {
     }
 }
 
+/// A wall as good as flat leaves two places for a hidden patch.
+#[test]
+fn a_hidden_patch_lies_on_the_laser_s_side_of_its_wall_and_the_other_place_is_told() {
+    let at = [(-0.8, -0.5), (-0.5, 0.6), (-0.1, -0.2), (0.2, 0.5), (0.5, -0.6), (0.8, 0.1), (1.1, 0.7), (1.2, -0.3)];
+    let side = |n: usize| if n.is_multiple_of(2) { 1e-4 } else { -1e-4 };
+    let mut room: Vec<Point> = at.iter().enumerate().map(|(n, (x, z))| Point::new(*x, 2.0 + side(n), *z)).collect();
+    room.push(Point::new(0.3, 1.0, 0.2));
+    for seed in 0..4 {
+        let mut day = Day::new(&room, seed);
+        for a in 1..=8 {
+            day.add(&[a], "s1", None, 0.0);
+            (1..=8).filter(|&b| b != a).for_each(|b| day.add(&[a, b], "s1", None, 0.0));
+            (a..=8).for_each(|b| day.add(&[a, 9, b], "s1", None, 0.0));
+        }
+        let written = refined(&context(CAMPAIGN, Vec::new()), day.labels);
+        let found = points(&written.patches, 0);
+        let turned = procrustes::rotation(&found, &room, Point::origin(), true);
+        assert!(turned.rms_m < 2e-3, "{} {found:?}", turned.rms_m);
+        let other: Vec<&Patch> = written.patches.iter().filter(|row| row.alternative > 0 && row.patch == 9).collect();
+        assert!(other.len() == 1 && written.ambiguities.iter().any(|row| &*row.kind == "flip"), "{other:?}");
+        assert!((Point::new(other[0].x_m, other[0].y_m, other[0].z_m) - found[8]).norm() > 1.5);
+    }
+}
+
 #[test]
 fn hidden_patches_are_placed_from_nothing_by_third_bounces_and_kinds_are_told() {
     let room = room();

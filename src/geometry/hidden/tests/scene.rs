@@ -14,12 +14,14 @@ const MARGIN_M: f64 = 0.1;
 const ECHO_M: f64 = 1.9;
 
 /// Where visible patches are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Walls {
     /// On two walls at right angles.
     Two,
     /// On one wall: the search knows its front only.
     One,
+    /// On one wall with so much relief to either side; the search does not know which way it faces.
+    Rough(f64),
     /// On two walls of flatland.
     Flatland,
 }
@@ -102,11 +104,13 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let sd_m = setting.onset_sd_m * 1.5_f64.sqrt();
     let flat = setting.walls == Walls::Flatland;
+    let is_on_first = |k: usize| k.is_multiple_of(2) || matches!(setting.walls, Walls::One | Walls::Rough(_));
     let foci: Vec<Point> = (0..setting.visible)
         .map(|k| {
             let (along, z) = (rng.random_range(0.0..1.6), if flat { 0.0 } else { rng.random_range(-0.8..0.8) });
-            let on_first = k % 2 == 0 || setting.walls == Walls::One;
-            if on_first { Point::new(along, 0.0, z) } else { Point::new(0.0, along, z) }
+            let off_m =
+                if let Walls::Rough(relief_m) = setting.walls { rng.random_range(-1.0..1.0) * relief_m } else { 0.0 };
+            if is_on_first(k) { Point::new(along, off_m, z) } else { Point::new(0.0, along, z) }
         })
         .collect();
     let mut place = || {
@@ -178,8 +182,8 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
         information.try_inverse().map_or(f64::INFINITY, |covariance| covariance.trace().sqrt())
     };
     let focus = |(k, point): (usize, &Point)| {
-        let on_first = k % 2 == 0 || setting.walls == Walls::One;
-        Focus { point: *point, normal: Some(if on_first { Vector3::y() } else { Vector3::x() }) }
+        let normal = if is_on_first(k) { Vector3::y() } else { Vector3::x() };
+        Focus { point: *point, normal: (!matches!(setting.walls, Walls::Rough(_))).then_some(normal) }
     };
     let dimensions = if flat { 2 } else { 3 };
     Drawn {
