@@ -2,8 +2,8 @@
 //!
 //! The sum is a log-likelihood ratio `L(q) = sum_ab l_ab(|q - a| + |q - b|)`. Within a cube of half diagonal r a path over q changes by at most 2 r, so
 //! with every curve replaced by its maximum over that reach the sum at the centre bounds the sum everywhere in the cube. Cubes whose bound is too low are left
-//! behind, the others cut. Nothing is sampled and nothing is missed, with one exception that is stated: the sum over curves ends early once it is
-//! below `-SURE`. A true patch's sum comes that low on its way with a probability of `exp(-SURE)` at most (Ville's inequality: under a true patch `exp(-L)` of
+//! behind, the others cut. Nothing is sampled and nothing is missed, with two exceptions that are stated: a place right behind the plane of one wall may be given up with what
+//! lies before it, and the sum over curves ends early once it is below `-SURE`. A true patch's sum comes that low on its way with a probability of `exp(-SURE)` at most (Ville's inequality: under a true patch `exp(-L)` of
 //! the curves so far is a martingale of mean 1, and a bound lies above it).
 
 use std::collections::VecDeque;
@@ -70,6 +70,8 @@ impl Curve {
 pub struct Legs {
     /// Positions of both points among the foci, the smaller first.
     pub foci: [usize; 2],
+    /// Profiles that the curve stands for.
+    pub profiles: usize,
     /// Log-likelihood ratio by length.
     pub curve: Curve,
 }
@@ -98,21 +100,25 @@ impl Domain {
     }
 }
 
-/// Centres of cubes with a half diagonal of at most `fine_m` in which the sum may exceed `least`, with the bound of each, best first.
+/// Centres of cubes with a half diagonal of at most `fine_m` in which the sum may exceed `least`, with the bound of each, best first. Places that half
+/// of the profiles cannot have seen, since they lie behind a wall, do not count.
 #[must_use]
 pub fn search(foci: &[Focus], legs: &[Legs], domain: &Domain, fine_m: f64, least: f32) -> Vec<(Point, f32)> {
     // Paths among few foci first: early ends need few distances.
     let mut order: Vec<&Legs> = legs.iter().collect();
     order.sort_by_key(|legs| (legs.foci[1], legs.foci[0]));
     let mut cubes = vec![(domain.centre, 0.0_f32)];
+    let profiles: usize = legs.iter().map(|legs| legs.profiles).sum();
     let (mut radius_m, mut half_m) = (domain.half_diagonal_m(), domain.half_m);
     loop {
         let level: Vec<Legs> =
-            order.par_iter().map(|legs| Legs { foci: legs.foci, curve: legs.curve.widened(2.0 * radius_m) }).collect();
+            order.par_iter().map(|legs| Legs { curve: legs.curve.widened(2.0 * radius_m), ..**legs }).collect();
         let is_last = radius_m <= fine_m;
         let cut = |chunk: &[(Point, f32)]| -> Vec<(Point, f32)> {
-            let mut seen = vec![Seen::default(); foci.len()];
-            let bound = |cube: &(Point, f32)| Some((cube.0, bound(&level, foci, cube.0, radius_m, &mut seen)?));
+            let mut distances_m = vec![None; foci.len()];
+            let bound = |cube: &(Point, f32)| {
+                Some((cube.0, bound(&level, profiles.div_ceil(2), foci, cube.0, radius_m, &mut distances_m)?))
+            };
             let kept = chunk.iter().filter(|cube| domain.holds(cube.0, radius_m)).filter_map(bound);
             let kept = kept.filter(|(_, bound)| *bound > least);
             if is_last {
@@ -144,34 +150,33 @@ fn children(centre: Point, half_m: f64, dimensions: usize) -> impl Iterator<Item
     })
 }
 
-/// A cube as seen from a focus.
-#[derive(Clone, Copy, Default)]
-struct Seen {
-    distance_m: f64,
-    /// Whether any of it, and all of it, is in front of the focus.
-    any: bool,
-    all: bool,
-}
-
-/// The largest sum within some radius of a point; `None` once it is below what a true patch reaches.
-fn bound(order: &[Legs], foci: &[Focus], at: Point, radius_m: f64, seen: &mut [Seen]) -> Option<f32> {
-    let (mut sum, mut known) = (0.0_f32, 0);
-    for Legs { foci: [a, b], curve } in order {
+/// The largest sum within some radius of a point; `None` once it is below what a true patch reaches, or `most` profiles cannot have seen it. What a wall's plane cuts
+/// counts as in front of it.
+fn bound(
+    order: &[Legs],
+    most: usize,
+    foci: &[Focus],
+    at: Point,
+    radius_m: f64,
+    distances_m: &mut [Option<f64>],
+) -> Option<f32> {
+    let (mut sum, mut known, mut blind) = (0.0_f32, 0, 0);
+    for Legs { foci: [a, b], profiles, curve } in order {
         while known <= *b {
-            let focus = &foci[known];
-            let (any, all) = (focus.faces(at, radius_m), focus.faces(at, -radius_m));
-            seen[known] = Seen { distance_m: (at - focus.point).norm(), any, all };
+            distances_m[known] = foci[known].faces(at, radius_m).then(|| (at - foci[known].point).norm());
             known += 1;
         }
-        let (a, b) = (&seen[*a], &seen[*b]);
-        if !(a.any && b.any) {
+        let (Some(a), Some(b)) = (distances_m[*a], distances_m[*b]) else {
+            blind += profiles;
+            if blind >= most {
+                return None;
+            }
             continue;
-        }
-        let bin = (a.distance_m + b.distance_m - curve.low_m) / curve.step_m;
+        };
+        let bin = (a + b - curve.low_m) / curve.step_m;
         // A negative bin becomes one that is not there.
         let value = if bin >= 0.0 { curve.values.get(bin as usize).copied().unwrap_or(0.0) } else { 0.0 };
-        // What lies behind loses nothing.
-        sum += if a.all && b.all { value } else { value.max(0.0) };
+        sum += value;
         if sum < -SURE {
             return None;
         }

@@ -111,7 +111,10 @@ impl Explanation<'_> {
             of_foci.entry(profile.foci).or_default().push(n);
         }
         let of_foci: Vec<_> = of_foci.into_iter().collect();
-        of_foci.into_par_iter().map(|(foci, profiles)| Legs { foci, curve: self.curve(&profiles, left) }).collect()
+        of_foci
+            .into_par_iter()
+            .map(|(foci, profiles)| Legs { foci, profiles: profiles.len(), curve: self.curve(&profiles, left) })
+            .collect()
     }
 
     /// What a length is worth in some profiles together.
