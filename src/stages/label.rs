@@ -26,6 +26,10 @@
 //!
 //! They are numbered on from the largest patch, as many as there are, or `[hidden] count` of campaign.toml at most.
 //!
+//! A wall throws light back to the side that it is lit from only. Patches whose normal is known (`planes`, or campaign.toml in a fixed frame), and all if they lie on one plane,
+//! show nothing behind them. Where onsets leave both a place and its mirror image in a wall that is nearly flat, the one on the laser's side is taken and the other told
+//! (`hypotheses.alternative`). About visible patches in one line nothing is looked for: their onsets leave a circle.
+//!
 //! Takes `onsets`; writes `labels` and, beside it, `hypotheses`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
 //! prediction `covariances` (`patch_covariances` of the same stage) and `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the
 //! light's centroid over large patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that the frame is fixed,
