@@ -18,21 +18,27 @@
 //! says so. B is the Bayes factor of a patch somewhere in the volume over none: without a patch its mean is 1, so that it exceeds 1 / alpha with a probability of at most alpha
 //! (Markov's inequality), whatever the geometry. With a patch more, all patches are climbed again and those without evidence dropped, until nothing is found and nothing dropped.
 //!
+//! A continuous floor or wall throws light back too, over the shortest way between each two patches ([`Surface::Plane`]). Left alone it would pass for many patches, one for each few profiles;
+//! so planes are looked for in the same way (`plane_seeds`), by the same evidence.
+//!
 //! Not modelled: errors that profiles share (of known legs, of delays), arrivals that are two unresolved ones, amplitudes.
 
 mod climb;
 mod explanation;
 mod moves;
+mod plane_seeds;
 mod rivals;
 pub mod search;
 mod seeds;
 mod starts;
 mod superposition;
+mod surface;
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::Point;
 use explanation::Explanation;
+pub use surface::Surface;
 
 /// Share of profiles in which a patch is taken to be seen before anything is known of it.
 const SEEN: f64 = 0.8;
@@ -110,14 +116,16 @@ pub struct Room {
     pub count: Option<usize>,
 }
 
-/// A hidden patch.
+/// A hidden surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hidden {
-    /// Position.
+    /// A patch, or a plane.
+    pub surface: Surface,
+    /// Position; of a plane the foot of the perpendicular from the middle of the visible patches.
     pub point: Point,
     /// Covariance, visible patches taken as exact but for what stands in the arrivals' errors. In flatland the third row and column are 0.
     pub covariance: Matrix3<f64>,
-    /// Log of the Bayes factor of this patch over none.
+    /// Log of the Bayes factor of this surface over none.
     pub evidence: f64,
     /// Share of the profiles in which it is seen.
     pub seen: f64,
@@ -132,7 +140,9 @@ pub struct Found {
     pub patches: Vec<Hidden>,
     /// For each its mirror image in the plane nearest to the visible patches, where the arrivals do not rule it out.
     pub rivals: Vec<Option<Hidden>>,
-    /// The likeliest place for one more that is not sure enough, if there is any.
+    /// Planes that explain arrivals which nothing else does.
+    pub planes: Vec<Hidden>,
+    /// The likeliest place for one more patch that is not sure enough, if there is any.
     pub declined: Option<Hidden>,
 }
 
@@ -145,7 +155,8 @@ pub fn find(profiles: &[Profile], room: &Room) -> Found {
     let Some(mut all) = Explanation::new(profiles, room) else { return Found::default() };
     // Minimal sets find most, cheaply; a search of all space finds the others among what is left.
     for _ in 0..ROUNDS {
-        let starts = all.seeds();
+        let mut starts = all.seeds();
+        starts.extend(all.plane_seeds());
         if !all.add(&starts) {
             break;
         }
@@ -164,12 +175,14 @@ pub fn find(profiles: &[Profile], room: &Room) -> Found {
         }
     }
     let declined = if is_open { all.likeliest().filter(|hidden| !all.is_sure(hidden)) } else { None };
-    let mut found: Vec<(Hidden, Option<Hidden>)> =
-        (0..all.patches.len()).map(|n| (all.patches[n], all.rival(n))).collect();
-    found.sort_by(|a, b| b.0.evidence.total_cmp(&a.0.evidence));
-    found.truncate(room.count.unwrap_or(usize::MAX));
-    let (patches, rivals) = found.into_iter().unzip();
-    Found { patches, rivals, declined }
+    let (patches, planes): (Vec<usize>, Vec<usize>) =
+        (0..all.found.len()).partition(|&n| all.found[n].surface == Surface::Patch);
+    let mut patches: Vec<(Hidden, Option<Hidden>)> =
+        patches.into_iter().map(|n| (all.found[n], all.rival(n))).collect();
+    patches.sort_by(|a, b| b.0.evidence.total_cmp(&a.0.evidence));
+    patches.truncate(room.count.unwrap_or(usize::MAX));
+    let (patches, rivals) = patches.into_iter().unzip();
+    Found { patches, rivals, planes: planes.into_iter().map(|n| all.found[n]).collect(), declined }
 }
 
 #[cfg(test)]

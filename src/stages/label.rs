@@ -30,6 +30,9 @@
 //! show nothing behind them. Where onsets leave both a place and its mirror image in a wall that is nearly flat, the one on the laser's side is taken and the other told
 //! (`hypotheses.alternative`). About visible patches in one line nothing is looked for: their onsets leave a circle.
 //!
+//! A floor or a wall that nobody declared throws light on too, by the shortest way over it. Such planes are looked for along with the patches and are told (`hypotheses.kind`), since they
+//! would pass for many patches; their onsets stay without a path.
+//!
 //! Takes `onsets`; writes `labels` and, beside it, `hypotheses`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
 //! prediction `covariances` (`patch_covariances` of the same stage) and `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the
 //! light's centroid over large patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that the frame is fixed,
@@ -189,7 +192,7 @@ impl Verdict {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

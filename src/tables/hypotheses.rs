@@ -1,17 +1,20 @@
-//! Table `hypotheses`: places where hidden patches were looked for.
+//! Table `hypotheses`: hidden patches and planes that were looked for.
 
+use super::row::Name;
 use crate::table;
 
 table! {
-    /// A hidden patch that was found among onsets which nothing else explains, or the likeliest place for one more that was not sure enough.
+    /// A hidden patch or plane that was found among onsets which nothing else explains, or the likeliest place for one more patch that was not sure enough.
     "hypotheses": Hypothesis, HypothesisColumns {
         /// Number, from 1: the surest first.
         hypothesis: i32,
-        /// Number of the patch; null: declined.
+        /// `patch`, or `plane`: a floor, a wall or a mirror that throws light on from one visible patch to the other.
+        kind: Name,
+        /// Number of the patch; null: declined, or a plane.
         patch: Option<i32>,
         /// 0: the chosen place; 1: its mirror image in the visible patches' wall, which the onsets do not rule out.
         alternative: i32,
-        /// Position, x, in the frame of the patches beside.
+        /// Position, x, in the frame of the patches beside; of a plane the foot of the perpendicular from the middle of the visible patches.
         x_m: f64,
         /// Position, y.
         y_m: f64,
@@ -31,11 +34,17 @@ table! {
         cov_zz_m2: f64,
         /// Root of the sum of the three variances.
         sd_m: f64,
-        /// Natural log of the Bayes factor of this patch over none.
+        /// Unit normal of a plane towards the visible patches, x; null for a patch.
+        normal_x: Option<f64>,
+        /// Unit normal, y.
+        normal_y: Option<f64>,
+        /// Unit normal, z.
+        normal_z: Option<f64>,
+        /// Natural log of the Bayes factor of this patch or plane over none.
         evidence: f64,
         /// What it must exceed: minus the log of `false_alarm`.
         evidence_needed: f64,
-        /// Share of the profiles in which the patch is seen.
+        /// Share of the profiles in which it is seen.
         seen: f64,
         /// Onsets that it makes, expected.
         onsets: f64,

@@ -1,7 +1,8 @@
-//! A hidden patch's likelihood at a place, and the nearest place where it is largest.
+//! A hidden surface's likelihood at a place, and the nearest place where it is largest.
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::surface::Surface;
 use super::{Focus, Profile};
 use crate::geometry::Point;
 
@@ -13,7 +14,7 @@ const SETTLED: f64 = 1e-3;
 /// First steps see all errors this much larger, so that a start some standard deviations off is no worse.
 const WIDENED: [f64; 3] = [2.5, 1.8, 1.3];
 
-/// What one patch is held against.
+/// What one surface is held against.
 #[derive(Clone, Copy)]
 pub struct View<'a> {
     pub foci: &'a [Focus],
@@ -22,16 +23,18 @@ pub struct View<'a> {
     pub left: &'a [Vec<f64>],
     /// Clutter per metre.
     pub clutter_per_m: f64,
-    /// Share of profiles in which the patch makes an arrival.
+    /// Share of profiles in which the surface makes an arrival.
     pub seen: f64,
     pub dimensions: usize,
+    pub surface: Surface,
 }
 
 /// A place with what speaks for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
+    pub surface: Surface,
     pub point: Point,
-    /// Log-likelihood ratio: a patch here over none.
+    /// Log-likelihood ratio: the surface here over none.
     pub likelihood: f64,
     /// Inverse of its covariance.
     pub information: Matrix3<f64>,
@@ -42,9 +45,9 @@ pub struct Place {
 }
 
 impl View<'_> {
-    /// The patch at `point`, and where its arrivals would rather have it.
+    /// The surface at `point`, and where its arrivals would rather have it.
     fn at(&self, point: Point, widened: f64) -> (Place, Vector3<f64>) {
-        // Length and direction from each focus; none to what lies behind it.
+        // Length and direction from each focus to a patch; none to what lies behind it.
         let arms: Vec<Option<(f64, Vector3<f64>)>> = self
             .foci
             .iter()
@@ -54,15 +57,22 @@ impl View<'_> {
                 focus.faces(point, 0.0).then(|| (length_m, arm / length_m))
             })
             .collect();
-        let mut place = Place { point, likelihood: 0.0, information: Matrix3::zeros(), arrivals: 0.0, profiles: 0 };
+        let surface = self.surface;
+        let mut place =
+            Place { surface, point, likelihood: 0.0, information: Matrix3::zeros(), arrivals: 0.0, profiles: 0 };
         let mut right = Vector3::zeros();
         let missed = 1.0 - self.seen;
         let scale = self.seen / ((2.0 * std::f64::consts::PI).sqrt() * self.clutter_per_m);
         let mut near: Vec<(f64, f64, f64)> = Vec::new();
         for (profile, left) in self.profiles.iter().zip(self.left) {
-            let [a, b] = profile.foci;
-            let (Some(a), Some(b)) = (arms[a], arms[b]) else { continue };
-            let length_m = a.0 + b.0;
+            let way = match surface {
+                Surface::Patch => {
+                    let [a, b] = profile.foci.map(|focus| arms[focus]);
+                    a.zip(b).map(|(a, b)| (a.0 + b.0, a.1 + b.1))
+                }
+                Surface::Plane { .. } => surface.way(profile.foci.map(|focus| &self.foci[focus]), point),
+            };
+            let Some((length_m, slope)) = way else { continue };
             if !(profile.span_m[0]..=profile.span_m[1]).contains(&length_m) {
                 continue;
             }
@@ -82,7 +92,6 @@ impl View<'_> {
                 near.push((weight, off_m, sd_m));
             }
             place.likelihood += sum.ln();
-            let slope = a.1 + b.1;
             for &(weight, off_m, sd_m) in &near {
                 let share = weight / sum;
                 place.arrivals += share;
@@ -93,7 +102,7 @@ impl View<'_> {
         (place, right)
     }
 
-    /// The patch at `point`.
+    /// The surface at `point`.
     #[must_use]
     pub fn place(&self, point: Point) -> Place {
         self.at(point, 1.0).0

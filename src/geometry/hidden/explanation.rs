@@ -6,24 +6,26 @@ use rayon::prelude::*;
 use super::climb::{GATE, Place, View};
 use super::search::Domain;
 use super::superposition::{self, Pair};
+use super::surface::Surface;
 use super::{Hidden, Known, Profile, Room};
 use crate::geometry::Point;
 
 /// Points along each axis that the volume is counted by.
-const VOLUME_POINTS: i32 = 24;
+const VOLUME_POINTS: i32 = 16;
 
-/// Known paths and hidden patches that were found, and the arrivals that they explain.
+/// Known paths and hidden surfaces that were found, and the arrivals that they explain.
 pub(super) struct Explanation<'a> {
     pub(super) profiles: &'a [Profile],
     pub(super) room: &'a Room,
     pub(super) domain: Domain,
-    /// Log of the domain's volume (in flatland its area).
-    pub(super) log_volume: f64,
+    /// Log of the volume (in flatland area) of the places of patches, and of planes.
+    log_volumes: [f64; 2],
     /// Usual standard deviation of an arrival.
     pub(super) sd_m: f64,
     pub(super) clutter_per_m: f64,
-    pub(super) patches: Vec<Hidden>,
-    /// For each profile its paths and arrivals that may belong together; paths are the known ones, then the patches.
+    /// Surfaces that were found, patches and planes.
+    pub(super) found: Vec<Hidden>,
+    /// For each profile its paths and arrivals that may belong together; paths are the known ones, then those over what was found.
     pairs: Vec<Vec<Pair>>,
 }
 
@@ -43,31 +45,36 @@ impl<'a> Explanation<'a> {
         let mut all = Self {
             profiles,
             room,
-            log_volume: 0.0,
+            log_volumes: [0.0; 2],
             domain,
             sd_m,
             clutter_per_m: (arrivals + 1) as f64 / span_m,
-            patches: Vec::new(),
+            found: Vec::new(),
             pairs: Vec::new(),
         };
-        all.log_volume = all.volume().ln();
+        all.log_volumes = [Surface::Patch, all.plane()].map(|surface| all.volume(surface).ln());
         // Known paths leave less clutter than all arrivals would be.
         (0..2).for_each(|_| all.settle());
         Some(all)
     }
 
-    /// Volume of the places that more than half of the profiles could have recorded.
-    fn volume(&self) -> f64 {
+    /// Any plane.
+    pub(super) const fn plane(&self) -> Surface {
+        Surface::Plane { middle: self.domain.centre }
+    }
+
+    /// Volume of the places of a surface that enough profiles could have recorded.
+    fn volume(&self, surface: Surface) -> f64 {
         let n = VOLUME_POINTS;
         let (step_m, flat) = (2.0 * self.domain.half_m / f64::from(n), self.domain.dimensions == 2);
         let at = |k: i32| (f64::from(k) + 0.5) * step_m - self.domain.half_m;
+        let least = surface.share() * self.profiles.len() as f64;
         let is_recorded = |point: &Point| {
             let is_in = |profile: &&Profile| {
-                let foci = profile.foci.map(|focus| &self.room.foci[focus]);
-                let length_m: f64 = foci.iter().map(|focus| (point - focus.point).norm()).sum();
-                length_m <= profile.span_m[1] && foci.iter().all(|focus| focus.faces(*point, 0.0))
+                let way = surface.way(profile.foci.map(|focus| &self.room.foci[focus]), *point);
+                way.is_some_and(|(length_m, _)| length_m <= profile.span_m[1])
             };
-            self.domain.holds(*point, 0.0) && 2 * self.profiles.iter().filter(is_in).count() > self.profiles.len()
+            self.domain.holds(*point, 0.0) && self.profiles.iter().filter(is_in).count() as f64 > least
         };
         let depth = if flat { 1 } else { n };
         let grid = (0..n).flat_map(|i| (0..n).flat_map(move |j| (0..depth).map(move |k| (i, j, k))));
@@ -86,11 +93,10 @@ impl<'a> Explanation<'a> {
     }
 
     fn pairs_of(&self, profile: &Profile) -> Vec<Pair> {
-        let foci = profile.foci.map(|focus| self.room.foci[focus]);
-        let hidden = self.patches.iter().map(|patch| Known {
-            length_m: foci.iter().map(|focus| (patch.point - focus.point).norm()).sum(),
-            sd_m: 0.0,
-            seen: if foci.iter().all(|focus| focus.faces(patch.point, 0.0)) { patch.seen } else { 0.0 },
+        let foci = profile.foci.map(|focus| &self.room.foci[focus]);
+        let hidden = self.found.iter().map(|hidden| match hidden.surface.way(foci, hidden.point) {
+            Some((length_m, _)) => Known { length_m, sd_m: 0.0, seen: hidden.seen },
+            None => Known { length_m: 0.0, sd_m: 0.0, seen: 0.0 },
         });
         let mut pairs = Vec::new();
         for (path, known) in profile.known.iter().copied().chain(hidden).enumerate() {
@@ -107,7 +113,7 @@ impl<'a> Explanation<'a> {
                 pairs.push(Pair::new(path, arrival, odds));
             }
         }
-        superposition::settle(&mut pairs, profile.known.len() + self.patches.len(), profile.arrivals.len());
+        superposition::settle(&mut pairs, profile.known.len() + self.found.len(), profile.arrivals.len());
         pairs
     }
 
@@ -118,15 +124,15 @@ impl<'a> Explanation<'a> {
         self.profiles.iter().zip(&self.pairs).map(of_profile).collect()
     }
 
-    /// What all paths but those of one patch leave of each arrival.
-    pub(super) fn left_for(&self, patch: usize) -> Vec<Vec<f64>> {
+    /// What all paths but those over one surface leave of each arrival.
+    pub(super) fn left_for(&self, found: usize) -> Vec<Vec<f64>> {
         let of_profile = |(profile, pairs): (&Profile, &Vec<Pair>)| {
-            superposition::left_over(pairs, profile.arrivals.len(), Some(profile.known.len() + patch))
+            superposition::left_over(pairs, profile.arrivals.len(), Some(profile.known.len() + found))
         };
         self.profiles.iter().zip(&self.pairs).map(of_profile).collect()
     }
 
-    pub(super) fn view<'b>(&'b self, left: &'b [Vec<f64>], seen: f64) -> View<'b> {
+    pub(super) fn view<'b>(&'b self, surface: Surface, left: &'b [Vec<f64>], seen: f64) -> View<'b> {
         View {
             foci: &self.room.foci,
             profiles: self.profiles,
@@ -134,12 +140,13 @@ impl<'a> Explanation<'a> {
             clutter_per_m: self.clutter_per_m,
             seen,
             dimensions: self.room.dimensions,
+            surface,
         }
     }
 
     /// Bayes factor of a place over none, as its log; `None` outside the volume and where arrivals leave it open.
     pub(super) fn hidden(&self, place: Place, seen: f64) -> Option<Hidden> {
-        if 2 * place.profiles <= self.profiles.len() {
+        if place.profiles as f64 <= place.surface.share() * self.profiles.len() as f64 {
             return None;
         }
         let mut information = place.information;
@@ -160,15 +167,29 @@ impl<'a> Explanation<'a> {
         }
         // Where visible patches are nearly in line, the arrivals leave a long arc: no more of it than there is room.
         let width = 0.5 * (determinant.ln() + self.room.dimensions as f64 * (2.0 * std::f64::consts::PI).ln());
-        let evidence = place.likelihood + (width - self.log_volume).min(0.0);
-        Some(Hidden { point: place.point, covariance, evidence, seen, arrivals: place.arrivals })
+        let evidence = place.likelihood + (width - self.log_volume(place.surface)).min(0.0);
+        Some(Hidden {
+            surface: place.surface,
+            point: place.point,
+            covariance,
+            evidence,
+            seen,
+            arrivals: place.arrivals,
+        })
+    }
+
+    const fn log_volume(&self, surface: Surface) -> f64 {
+        match surface {
+            Surface::Patch => self.log_volumes[0],
+            Surface::Plane { .. } => self.log_volumes[1],
+        }
     }
 
     /// No patch is sure below this likelihood, however well its arrivals determine it.
     pub(super) fn least_likelihood(&self) -> f64 {
         let stiffest = 4.0 * self.profiles.len() as f64 / (self.sd_m * self.sd_m);
         let width = 0.5 * self.room.dimensions as f64 * (2.0 * std::f64::consts::PI / stiffest).ln();
-        self.log_volume - width - self.room.false_alarm.ln()
+        self.log_volume(Surface::Patch) - width - self.room.false_alarm.ln()
     }
 
     pub(super) fn is_sure(&self, hidden: &Hidden) -> bool {

@@ -1,8 +1,10 @@
-//! Adding, moving and dropping hidden patches.
+//! Adding, moving and dropping hidden surfaces.
 
 use rayon::prelude::*;
 
+use super::climb::Place;
 use super::explanation::Explanation;
+use super::surface::Surface;
 use super::{Hidden, SEEN};
 use crate::geometry::Point;
 
@@ -18,44 +20,44 @@ const TOGETHER: usize = 4;
 const GAIN: f64 = 1.0;
 
 impl Explanation<'_> {
-    /// Adds the sure patches among the tops near some starts, and says whether there are more then.
-    pub(super) fn add(&mut self, starts: &[Point]) -> bool {
-        let before = self.patches.len();
+    /// Adds the sure ones among the tops near some starts, and says whether there are more then.
+    pub(super) fn add(&mut self, starts: &[(Surface, Point)]) -> bool {
+        let before = self.found.len();
         let mut places = self.tops(starts);
         while let Some(next) =
             places.iter().position(|place| self.hidden(*place, SEEN).is_some_and(|hidden| self.is_sure(&hidden)))
         {
             // What came before it was not sure and will not become so by more patches.
-            let start = places[next].point;
+            let Place { surface, point, .. } = places[next];
             places.drain(..=next);
             let left = self.left();
-            let place = self.view(&left, SEEN).climb(start);
+            let place = self.view(surface, &left, SEEN).climb(point);
             if let Some(hidden) = self.hidden(place, SEEN).filter(|hidden| self.is_sure(hidden)) {
-                self.patches.push(hidden);
+                self.found.push(hidden);
                 self.settle();
             }
         }
         self.polish();
-        self.patches.len() > before
+        self.found.len() > before
     }
 
     /// Adds patches that are not sure alone, but may be together: what one explains is no longer clutter to the others.
     pub(super) fn add_together(&mut self) -> bool {
-        let before = (self.patches.clone(), self.total());
+        let before = (self.found.clone(), self.total());
         for _ in 0..TOGETHER {
             let Some(hidden) = self.likeliest() else { break };
-            self.patches.push(hidden);
+            self.found.push(hidden);
             self.settle();
             for _ in 0..3 {
                 self.climb_all();
             }
         }
-        if self.patches.len() > before.0.len() {
+        if self.found.len() > before.0.len() {
             self.polish();
             if self.total() > before.1 + GAIN {
                 return true;
             }
-            self.patches = before.0;
+            self.found = before.0;
             self.settle();
         }
         false
@@ -66,49 +68,49 @@ impl Explanation<'_> {
         self.hidden(*self.tops(&self.cubes()).first()?, SEEN)
     }
 
-    /// Evidence of all patches.
+    /// Evidence of all.
     fn total(&self) -> f64 {
-        self.patches.iter().map(|patch| patch.evidence).sum()
+        self.found.iter().map(|patch| patch.evidence).sum()
     }
 
-    /// Climbs all patches again, each with what the others leave; the longest move in standard deviations.
+    /// Climbs all again, each with what the others leave; the longest move in standard deviations.
     fn climb_all(&mut self) -> f64 {
         let mut moved = 0.0_f64;
-        let climbed: Vec<Hidden> = (0..self.patches.len()).into_par_iter().map(|n| self.climbed(n)).collect();
+        let climbed: Vec<Hidden> = (0..self.found.len()).into_par_iter().map(|n| self.climbed(n)).collect();
         for (n, next) in climbed.into_iter().enumerate() {
             let step = |next: &Hidden, now: &Hidden| (next.point - now.point).norm() / self.sd_m;
-            let far = step(&next, &self.patches[n]);
+            let far = step(&next, &self.found[n]);
             moved = moved.max(far);
             if far > FAR {
                 // Others that compete for the same arrivals would all follow.
                 self.settle();
-                self.patches[n] = self.climbed(n);
+                self.found[n] = self.climbed(n);
                 self.settle();
             } else {
-                self.patches[n] = next;
+                self.found[n] = next;
             }
         }
         self.settle();
         moved
     }
 
-    /// A patch where it is likeliest near its place.
+    /// A surface where it is likeliest near its place.
     fn climbed(&self, n: usize) -> Hidden {
-        let (left, now) = (self.left_for(n), self.patches[n]);
-        let place = self.view(&left, now.seen).climb(now.point);
+        let (left, now) = (self.left_for(n), self.found[n]);
+        let place = self.view(now.surface, &left, now.seen).climb(now.point);
         let share = (place.arrivals + 2.0 * SEEN) / (place.profiles as f64 + 2.0);
         let seen = share.clamp(SEEN_RANGE[0], SEEN_RANGE[1]);
         self.hidden(place, seen).unwrap_or(Hidden { evidence: f64::NEG_INFINITY, ..now })
     }
 
-    /// Climbs all patches again, each with what the others leave, and drops those without evidence, the least first.
+    /// Climbs all again, each with what the others leave, and drops those without evidence, the least first.
     fn polish(&mut self) {
-        for _ in 0..POLISH + self.patches.len() {
+        for _ in 0..POLISH + self.found.len() {
             let moved = self.climb_all();
             let worst =
-                (0..self.patches.len()).min_by(|&a, &b| self.patches[a].evidence.total_cmp(&self.patches[b].evidence));
-            if let Some(worst) = worst.filter(|&worst| !self.is_sure(&self.patches[worst])) {
-                self.patches.remove(worst);
+                (0..self.found.len()).min_by(|&a, &b| self.found[a].evidence.total_cmp(&self.found[b].evidence));
+            if let Some(worst) = worst.filter(|&worst| !self.is_sure(&self.found[worst])) {
+                self.found.remove(worst);
                 self.settle();
             } else if moved < SETTLED {
                 break;

@@ -31,9 +31,9 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// The largest value within `reach_m` of each length, on steps of at least that.
+    /// The largest value within `reach_m` of each length, on steps of half of that.
     fn widened(&self, reach_m: f64) -> Self {
-        let bins = ((reach_m / self.step_m).floor() as usize).max(1);
+        let bins = ((0.5 * reach_m / self.step_m).floor() as usize).max(1);
         let reach = (reach_m / self.step_m).ceil() as usize + 1;
         let value = |k: i64| usize::try_from(k).ok().and_then(|k| self.values.get(k)).copied().unwrap_or(0.0);
         // One bin covers the lengths from its first value up to the next bin's; bins begin early enough for the reach.

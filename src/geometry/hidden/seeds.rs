@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use super::Focus;
 use super::search::Domain;
+use super::surface::{Surface, covariance};
 use crate::geometry::Point;
 use crate::geometry::multilateration::meet;
 
@@ -33,6 +34,8 @@ pub struct Lengths {
     pub foci: [usize; 2],
     /// Each with its standard deviation.
     pub values_m: Vec<(f64, f64)>,
+    /// Lengths that the records hold.
+    pub span_m: [f64; 2],
     /// Arrivals per metre.
     pub density_per_m: f64,
     /// Probability that a patch makes an arrival.
@@ -104,14 +107,6 @@ fn spread(foci: &[Focus], pairs: &[Lengths], base: &[usize], typical: &[Point], 
     errors[errors.len() / 2]
 }
 
-fn covariance(slopes: impl Iterator<Item = Vector3<f64>>, variance_m2: f64, dimensions: usize) -> Option<Matrix3<f64>> {
-    let mut information: Matrix3<f64> = slopes.map(|slope| slope * slope.transpose() / variance_m2).sum();
-    if dimensions == 2 {
-        information[(2, 2)] = 1e12 * information.trace();
-    }
-    information.try_inverse().filter(|covariance| covariance.iter().all(|value| value.is_finite()))
-}
-
 /// A place and what speaks for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seed {
@@ -149,7 +144,10 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain)
                     if domain.holds(at, 0.0) && is_in_front(at) {
                         let slopes = base.iter().map(|&pair| slope(foci, &pairs[pair], at));
                         let covariance = covariance(slopes, variance_m2, domain.dimensions);
-                        found.extend(covariance.and_then(|covariance| follow(foci, pairs, &order, at, covariance)));
+                        found.extend(
+                            covariance
+                                .and_then(|covariance| follow(&Surface::Patch, foci, pairs, &order, at, covariance)),
+                        );
                     }
                 }
             }
@@ -207,16 +205,20 @@ fn checks(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) ->
 }
 
 /// Holds a seed against further pairs.
-fn follow(foci: &[Focus], pairs: &[Lengths], order: &[usize], at: Point, covariance: Matrix3<f64>) -> Option<Seed> {
+pub(super) fn follow(
+    surface: &Surface,
+    foci: &[Focus],
+    pairs: &[Lengths],
+    order: &[usize],
+    at: Point,
+    covariance: Matrix3<f64>,
+) -> Option<Seed> {
     let (mut point, mut covariance, mut likelihood) = (at, covariance, 0.0);
     for &pair in order {
-        let Lengths { foci: [a, b], values_m, density_per_m, seen } = &pairs[pair];
-        if !(foci[*a].faces(point, 0.0) && foci[*b].faces(point, 0.0)) {
-            continue;
-        }
-        let (near, far) = (point - foci[*a].point, point - foci[*b].point);
-        let (near_m, far_m) = (near.norm(), far.norm());
-        let (length_m, slope) = (near_m + far_m, near / near_m + far / far_m);
+        let Lengths { foci: ends, values_m, span_m, density_per_m, seen } = &pairs[pair];
+        let way = surface.way(ends.map(|focus| &foci[focus]), point);
+        let is_recorded = |way: &(f64, Vector3<f64>)| (span_m[0]..=span_m[1]).contains(&way.0);
+        let Some((length_m, slope)) = way.filter(is_recorded) else { continue };
         let spread = covariance * slope;
         let own_m2 = slope.dot(&spread);
         let next = values_m.partition_point(|(other, _)| *other < length_m);
@@ -261,6 +263,7 @@ mod tests {
             let lengths = |[a, b]: [usize; 2]| Lengths {
                 foci: [a, b],
                 values_m: vec![((patch - foci[a].point).norm() + (patch - foci[b].point).norm(), 1e-3)],
+                span_m: [0.0, 10.0],
                 density_per_m: 0.3,
                 seen: 0.9,
             };

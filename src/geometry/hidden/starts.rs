@@ -7,8 +7,10 @@ use rayon::prelude::*;
 use super::SEEN;
 use super::climb::{GATE, Place};
 use super::explanation::Explanation;
+use super::plane_seeds;
 use super::search::{self, Curve, Legs};
 use super::seeds::{self, Lengths, Seed};
+use super::surface::Surface;
 use crate::geometry::Point;
 
 /// Values of curves per standard deviation.
@@ -29,33 +31,44 @@ const APART: f64 = 1.0;
 
 impl Explanation<'_> {
     /// Middles of cubes where the likelihood may be high enough, those of one top thinned out.
-    pub(super) fn cubes(&self) -> Vec<Point> {
+    pub(super) fn cubes(&self) -> Vec<(Surface, Point)> {
         let legs = self.legs(&self.left());
         let least = PROMISING * self.least_likelihood();
         let cubes = search::search(&self.room.foci, &legs, &self.domain, 0.5 * FINE * self.sd_m, least as f32);
-        self.thinned(cubes.into_iter().map(|(centre, _)| centre))
+        self.thinned(Surface::Patch, cubes.into_iter().map(|(centre, _)| centre))
     }
 
-    /// Places that minimal sets of arrivals agree on.
-    pub(super) fn seeds(&self) -> Vec<Point> {
-        let pairs = self.unexplained();
-        let bases = seeds::bases(&self.room.foci, &pairs, &self.domain, BASES);
-        let mut found: Vec<Seed> =
-            bases.iter().flat_map(|base| seeds::seeds(&self.room.foci, &pairs, base, &self.domain)).collect();
-        found.sort_by(|a, b| b.likelihood.total_cmp(&a.likelihood));
-        self.thinned(found.into_iter().map(|seed| seed.point))
+    /// Patches that minimal sets of arrivals agree on.
+    pub(super) fn seeds(&self) -> Vec<(Surface, Point)> {
+        let (foci, pairs) = (&self.room.foci, self.unexplained());
+        let bases = seeds::bases(foci, &pairs, &self.domain, BASES);
+        let seeds = bases.iter().flat_map(|base| seeds::seeds(foci, &pairs, base, &self.domain));
+        self.best(Surface::Patch, seeds.collect())
+    }
+
+    /// Planes that minimal sets of arrivals agree on.
+    pub(super) fn plane_seeds(&self) -> Vec<(Surface, Point)> {
+        self.best(self.plane(), plane_seeds::seeds(&self.room.foci, &self.unexplained(), &self.domain))
+    }
+
+    fn best(&self, surface: Surface, mut seeds: Vec<Seed>) -> Vec<(Surface, Point)> {
+        seeds.sort_by(|a, b| b.likelihood.total_cmp(&a.likelihood));
+        self.thinned(surface, seeds.into_iter().map(|seed| seed.point))
     }
 
     /// Arrivals that paths leave, profiles of the same two patches together: two within their errors are one.
     fn unexplained(&self) -> Vec<Lengths> {
-        let mut pairs: BTreeMap<[usize; 2], (usize, Vec<(f64, f64)>)> = BTreeMap::new();
+        type OfPair = (usize, [f64; 2], Vec<(f64, f64)>);
+        let mut pairs: BTreeMap<[usize; 2], OfPair> = BTreeMap::new();
         for (profile, left) in self.profiles.iter().zip(self.left()) {
-            let (profiles, lengths_m) = pairs.entry(profile.foci).or_default();
+            let (profiles, span_m, lengths_m) =
+                pairs.entry(profile.foci).or_insert_with(|| (0, profile.span_m, Vec::new()));
             *profiles += 1;
+            *span_m = [span_m[0].max(profile.span_m[0]), span_m[1].min(profile.span_m[1])];
             let free = profile.arrivals.iter().zip(left).filter(|(_, left)| *left > UNEXPLAINED);
             lengths_m.extend(free.map(|(arrival, _)| (arrival.length_m, arrival.sd_m)));
         }
-        let of_pair = |(foci, (profiles, mut lengths_m)): ([usize; 2], (usize, Vec<(f64, f64)>))| {
+        let of_pair = |(foci, (profiles, span_m, mut lengths_m)): ([usize; 2], OfPair)| {
             lengths_m.sort_by(|a, b| a.0.total_cmp(&b.0));
             let mut merged: Vec<(f64, f64)> = Vec::new();
             let mut is_single = false;
@@ -73,31 +86,34 @@ impl Explanation<'_> {
             }
             let seen = 1.0 - (1.0 - SEEN).powi(profiles as i32);
             let density_per_m = (merged.len() + 1) as f64 / (2.0 * self.domain.half_m);
-            Lengths { foci, values_m: merged, density_per_m, seen }
+            Lengths { foci, values_m: merged, span_m, density_per_m, seen }
         };
         pairs.into_iter().map(of_pair).collect()
     }
 
     /// At most so many places, none near another that comes before it.
-    fn thinned(&self, places: impl Iterator<Item = Point>) -> Vec<Point> {
+    fn thinned(&self, surface: Surface, places: impl Iterator<Item = Point>) -> Vec<(Surface, Point)> {
         let mut kept: Vec<Point> = Vec::new();
         for place in places {
             if kept.len() < CLIMBS && kept.iter().all(|other| (other - place).norm() > FINE * self.sd_m) {
                 kept.push(place);
             }
         }
-        kept
+        kept.into_iter().map(|point| (surface, point)).collect()
     }
 
     /// Tops of the likelihood near some starts, the highest first.
-    pub(super) fn tops(&self, starts: &[Point]) -> Vec<Place> {
+    pub(super) fn tops(&self, starts: &[(Surface, Point)]) -> Vec<Place> {
         let left = self.left();
-        let view = self.view(&left, SEEN);
-        let mut places: Vec<Place> = Vec::new();
-        let mut climbed: Vec<Place> = starts.par_iter().map(|start| view.climb(*start)).collect();
+        let climb = |(surface, point): &(Surface, Point)| self.view(*surface, &left, SEEN).climb(*point);
+        let mut climbed: Vec<Place> = starts.par_iter().map(climb).collect();
         climbed.sort_by(|a, b| b.likelihood.total_cmp(&a.likelihood));
+        let mut places: Vec<Place> = Vec::new();
         for place in climbed {
-            if places.iter().all(|other| (other.point - place.point).norm() > APART * self.sd_m) {
+            let is_one = |other: &Place| {
+                other.surface == place.surface && (other.point - place.point).norm() <= APART * self.sd_m
+            };
+            if !places.iter().any(is_one) {
                 places.push(place);
             }
         }

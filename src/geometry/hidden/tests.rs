@@ -29,6 +29,8 @@ fn all_are_found_and_nothing_else() {
         Setting { walls: Walls::One, ..base },
         Setting { walls: Walls::Flatland, missing: 0.1, spurious: 1, ..base },
         Setting { clutter: Clutter::Echo, missing: 0.1, spurious: 1, ..base },
+        Setting { clutter: Clutter::Floor, missing: 0.1, spurious: 1, ..base },
+        Setting { clutter: Clutter::Floor, hidden: 0, ..base },
         Setting { onset_sd_m: sd_m(100.0), missing: 0.1, spurious: 1, ..base },
     ];
     for setting in settings {
@@ -170,7 +172,7 @@ fn the_likelihood_is_that_of_the_formula() {
     let drawn = draw(&Setting::new(4, 2, sd_m(50.0), 0.2, 2), 3);
     let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
     let left = scene.left();
-    let view = scene.view(&left, 0.7);
+    let view = scene.view(Surface::Patch, &left, 0.7);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for _ in 0..20 {
         let q = drawn.hidden[0] + Vector3::from_fn(|_, _| rng.random_range(-0.03..0.03));
@@ -193,7 +195,7 @@ fn a_climb_ends_where_nothing_is_higher() {
     let drawn = draw(&Setting::new(8, 2, sd_m(25.0), 0.1, 1), 5);
     let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
     let left = scene.left();
-    let view = scene.view(&left, SEEN);
+    let view = scene.view(Surface::Patch, &left, SEEN);
     let top = view.climb(drawn.hidden[0] + Vector3::new(0.01, -0.01, 0.01));
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     for _ in 0..200 {

@@ -8,7 +8,7 @@ use super::facing::{foci, in_line, spans};
 use super::predicted::Pairs;
 use super::scene::{Scene, View};
 use super::{OfSensor, sd_ps};
-use crate::geometry::hidden::{self, Arrival, Found, Hidden, Known, Profile, Room};
+use crate::geometry::hidden::{self, Arrival, Found, Hidden, Known, Profile, Room, Surface};
 use crate::geometry::{Point, planes};
 use crate::stages::stage::Rejection;
 use crate::tables::{Hypothesis, Onset};
@@ -32,6 +32,7 @@ struct Placed {
 pub(super) struct Search {
     /// Numbered on from the largest patch that is known.
     found: Vec<Placed>,
+    planes: Vec<Hidden>,
     declined: Option<Hidden>,
     /// Evidence that a patch needs.
     needed: f64,
@@ -52,7 +53,8 @@ impl Search {
         let setup = sensors[0].setup;
         let source = Point::from(setup.source_m);
         let points: Vec<Point> = visible.iter().map(|patch| scene.points[patch]).collect();
-        let mut search = Self { found: Vec::new(), declined: None, needed: -false_alarm.ln(), refused: None };
+        let needed = -false_alarm.ln();
+        let mut search = Self { found: Vec::new(), planes: Vec::new(), declined: None, needed, refused: None };
         if !spans(&points, setup.dimensions) {
             search.refused = Some(in_line(&sensors[0].profiles[0][0], &visible, setup.dimensions));
             return search;
@@ -65,8 +67,8 @@ impl Search {
             false_alarm,
             count: setup.hidden_count.map(|count| (count as usize).saturating_sub(hidden_already)),
         };
-        let Found { patches, rivals, declined } = hidden::find(&profiles, &room);
-        search.declined = declined;
+        let Found { patches, rivals, planes, declined } = hidden::find(&profiles, &room);
+        (search.planes, search.declined) = (planes, declined);
         let largest = sensors.iter().map(|sensor| sensor.setup.largest_patch).chain(scene.points.keys().copied()).max();
         let numbers = largest.unwrap_or(0) + 1..;
         let behind = |place: &Hidden| planes::is_across(&points, setup.dimensions, place.point, source);
@@ -84,17 +86,21 @@ impl Search {
         self.found.iter().map(|found| (found.patch, found.place))
     }
 
-    /// What was found, each with its other place, and the likeliest place that was not sure enough.
+    /// What was found, each patch with its other place, then planes, and the likeliest place that was not sure enough.
     pub(super) fn hypotheses(&self) -> Vec<Hypothesis> {
         let found = self.found.iter().enumerate().flat_map(|(n, found)| {
             let rival = found.rival.as_ref().map(|rival| (n, Some(found.patch), 1, rival));
             std::iter::once((n, Some(found.patch), 0, &found.place)).chain(rival)
         });
-        let all = found.chain(self.declined.iter().map(|hidden| (self.found.len(), None, 0, hidden)));
+        let others = self.planes.iter().chain(&self.declined).enumerate();
+        let all = found.chain(others.map(|(n, hidden)| (self.found.len() + n, None, 0, hidden)));
         let row = |(n, patch, alternative, hidden): (usize, Option<PatchId>, i32, &Hidden)| {
             let (point, cov) = (hidden.point, hidden.covariance);
+            let kind = if hidden.surface == Surface::Patch { "patch" } else { "plane" };
+            let normal = hidden.surface.normal(point);
             Hypothesis {
                 hypothesis: n as i32 + 1,
+                kind: kind.into(),
                 patch,
                 alternative,
                 x_m: point.x,
@@ -107,6 +113,9 @@ impl Search {
                 cov_yz_m2: cov[(1, 2)],
                 cov_zz_m2: cov[(2, 2)],
                 sd_m: cov.trace().sqrt(),
+                normal_x: normal.map(|normal| normal.x),
+                normal_y: normal.map(|normal| normal.y),
+                normal_z: normal.map(|normal| normal.z),
                 evidence: hidden.evidence,
                 evidence_needed: self.needed,
                 seen: hidden.seen,

@@ -95,3 +95,31 @@ fn about_visible_patches_in_line_nothing_is_looked_for_and_that_is_said() {
     let direct = labels.iter().filter(|label| label.path.as_ref().is_some_and(|path| path.len() <= 2)).count();
     assert!(direct > 50, "{direct} of 64");
 }
+
+/// A floor that nobody declared throws light from each patch to each other.
+#[test]
+fn a_floor_is_a_plane_and_no_patches() {
+    let points = wall(0.3);
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let capture = Capture { sd_ps: SD_PS, ..PLAIN };
+    let mut onsets = Vec::new();
+    for lit in 1..=points.len() {
+        for seen in 1..=points.len() {
+            let (a, b) = (points[lit - 1], points[seen - 1]);
+            let below = Point::new(a.x, a.y, -3.0 - a.z);
+            for (n, between_m) in [(a - b).norm(), (below - b).norm()].into_iter().enumerate() {
+                let noise: f64 = StandardNormal.sample(&mut rng);
+                let time_ps = units::time_ps(a.coords.norm() + between_m + b.coords.norm(), 1.0) + SD_PS * noise;
+                onsets.push(capture.onset((lit as i32, seen as i32), n as i32 + 1, time_ps, 10.0));
+            }
+        }
+    }
+    let stage = LabelOnsets { bounces: 3, ..LabelOnsets::default() };
+    let known = stage.context(stage.fields(&[PLAIN.campaign()]), &beside(&points)).unwrap();
+    let outcome = stage.apply(&known, onsets).unwrap();
+    let hypotheses = Hypothesis::rows(&outcome.sides[0]).unwrap();
+    let planes: Vec<&Hypothesis> = hypotheses.iter().filter(|row| &*row.kind == "plane").collect();
+    assert!(planes.len() == 1 && hypotheses.iter().all(|row| row.patch.is_none()), "{hypotheses:?}");
+    let (height_m, up) = (planes[0].z_m, planes[0].normal_z.expect("a plane has a normal"));
+    assert!((height_m + 1.5).abs() < 0.02 && up > 0.999, "{planes:?}");
+}
