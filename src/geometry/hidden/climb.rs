@@ -23,7 +23,7 @@ pub struct View<'a> {
     pub left: &'a [Vec<f64>],
     /// Clutter per metre.
     pub clutter_per_m: f64,
-    /// Share of profiles in which the surface makes an arrival.
+    /// Share of ways on which the surface makes an arrival.
     pub seen: f64,
     pub dimensions: usize,
     pub surface: Surface,
@@ -40,8 +40,8 @@ pub struct Place {
     pub information: Matrix3<f64>,
     /// Arrivals that it makes, expected.
     pub arrivals: f64,
-    /// Profiles that could have recorded it.
-    pub profiles: usize,
+    /// Ways that could have recorded it.
+    pub ways: usize,
 }
 
 impl View<'_> {
@@ -59,44 +59,54 @@ impl View<'_> {
             .collect();
         let surface = self.surface;
         let mut place =
-            Place { surface, point, likelihood: 0.0, information: Matrix3::zeros(), arrivals: 0.0, profiles: 0 };
+            Place { surface, point, likelihood: 0.0, information: Matrix3::zeros(), arrivals: 0.0, ways: 0 };
         let mut right = Vector3::zeros();
         let missed = 1.0 - self.seen;
         let scale = self.seen / ((2.0 * std::f64::consts::PI).sqrt() * self.clutter_per_m);
-        let mut near: Vec<(f64, f64, f64)> = Vec::new();
+        let mut near: Vec<(usize, f64, f64, f64)> = Vec::new();
+        // Arrivals with the share of each that the profile's ways so far do not take.
+        let mut taken: Vec<(usize, f64)> = Vec::new();
         for (profile, left) in self.profiles.iter().zip(self.left) {
-            let way = match surface {
-                Surface::Patch => {
-                    let [a, b] = profile.foci.map(|focus| arms[focus]);
-                    a.zip(b).map(|(a, b)| (a.0 + b.0, a.1 + b.1))
+            taken.clear();
+            for way in &profile.ways {
+                let legs = match surface {
+                    Surface::Patch => {
+                        let [a, b] = way.foci.map(|focus| arms[focus]);
+                        a.zip(b).map(|(a, b)| (a.0 + b.0, a.1 + b.1))
+                    }
+                    Surface::Plane { .. } => surface.way(way.foci.map(|focus| &self.foci[focus]), point),
+                };
+                let Some((legs_m, slope)) = legs else { continue };
+                let length_m = way.known_m + legs_m;
+                if !profile.holds(length_m) {
+                    continue;
                 }
-                Surface::Plane { .. } => surface.way(profile.foci.map(|focus| &self.foci[focus]), point),
-            };
-            let Some((length_m, slope)) = way else { continue };
-            if !(profile.span_m[0]..=profile.span_m[1]).contains(&length_m) {
-                continue;
-            }
-            place.profiles += 1;
-            near.clear();
-            let reach_m = GATE * widened * profile.widest_m;
-            let from = profile.arrivals.partition_point(|arrival| arrival.length_m < length_m - reach_m);
-            let mut sum = missed;
-            for (arrival, left) in profile.arrivals.iter().zip(left).skip(from) {
-                let off_m = arrival.length_m - length_m;
-                if off_m > reach_m {
-                    break;
+                place.ways += 1;
+                near.clear();
+                let reach_m = GATE * widened * way.sd_m(profile.widest_m);
+                let from = profile.arrivals.partition_point(|arrival| arrival.length_m < length_m - reach_m);
+                let mut sum = missed;
+                for (n, (arrival, left)) in profile.arrivals.iter().zip(left).enumerate().skip(from) {
+                    let off_m = arrival.length_m - length_m;
+                    if off_m > reach_m {
+                        break;
+                    }
+                    let sd_m = widened * way.sd_m(arrival.sd_m);
+                    let free: f64 = taken.iter().filter(|(other, _)| *other == n).map(|(_, free)| free).product();
+                    let weight = scale * left * free / sd_m * (-0.5 * (off_m / sd_m).powi(2)).exp();
+                    sum += weight;
+                    near.push((n, weight, off_m, sd_m));
                 }
-                let sd_m = widened * arrival.sd_m;
-                let weight = scale * left / sd_m * (-0.5 * (off_m / sd_m).powi(2)).exp();
-                sum += weight;
-                near.push((weight, off_m, sd_m));
-            }
-            place.likelihood += sum.ln();
-            for &(weight, off_m, sd_m) in &near {
-                let share = weight / sum;
-                place.arrivals += share;
-                place.information += slope * slope.transpose() * (share / (sd_m * sd_m));
-                right += slope * (share * off_m / (sd_m * sd_m));
+                place.likelihood += sum.ln();
+                for &(n, weight, off_m, sd_m) in &near {
+                    let share = weight / sum;
+                    place.arrivals += share;
+                    place.information += slope * slope.transpose() * (share / (sd_m * sd_m));
+                    right += slope * (share * off_m / (sd_m * sd_m));
+                    if profile.ways.len() > 1 {
+                        taken.push((n, 1.0 - share));
+                    }
+                }
             }
         }
         (place, right)

@@ -7,7 +7,7 @@ use super::climb::{GATE, Place, View};
 use super::search::Domain;
 use super::superposition::{self, Pair};
 use super::surface::Surface;
-use super::{Hidden, Known, Profile, Room};
+use super::{Hidden, Known, Profile, Room, Way};
 use crate::geometry::Point;
 
 /// Points along each axis that the volume is counted by.
@@ -25,7 +25,7 @@ pub(super) struct Explanation<'a> {
     pub(super) clutter_per_m: f64,
     /// Surfaces that were found, patches and planes.
     pub(super) found: Vec<Hidden>,
-    /// For each profile its paths and arrivals that may belong together; paths are the known ones, then those over what was found.
+    /// For each profile its paths and arrivals that may belong together; paths are the known ones, then the ways over each surface that was found.
     pairs: Vec<Vec<Pair>>,
 }
 
@@ -38,7 +38,9 @@ impl<'a> Explanation<'a> {
         let sd_m = *sds.get(sds.len() / 2)?;
         let middle = room.foci.iter().map(|focus| focus.point.coords).sum::<Vector3<f64>>() / room.foci.len() as f64;
         // Of a patch further out than that every path would be longer than any record.
-        let longest_m = profiles.iter().map(|profile| profile.span_m[1]).fold(0.0, f64::max);
+        let longest =
+            |profile: &Profile| profile.ways.iter().map(|way| profile.span_m[1] - way.known_m).reduce(f64::max);
+        let longest_m = profiles.iter().filter_map(longest).fold(0.0, f64::max);
         let domain = Domain { centre: Point::from(middle), half_m: 0.5 * longest_m, dimensions: room.dimensions };
         let span_m: f64 = profiles.iter().map(|profile| profile.span_m[1] - profile.span_m[0]).sum();
         let arrivals: usize = profiles.iter().map(|profile| profile.arrivals.len()).sum();
@@ -63,18 +65,29 @@ impl<'a> Explanation<'a> {
         Surface::Plane { middle: self.domain.centre }
     }
 
-    /// Volume of the places of a surface that enough profiles could have recorded.
+    /// Number of ways of all profiles.
+    pub(super) fn ways(&self) -> usize {
+        self.profiles.iter().map(|profile| profile.ways.len()).sum()
+    }
+
+    /// Whether profiles have several ways, so that many of them repeat the same lengths.
+    pub(super) fn is_layered(&self) -> bool {
+        self.profiles.iter().any(|profile| profile.ways.len() > 1)
+    }
+
+    /// Volume of the places of a surface that enough ways could have recorded.
     fn volume(&self, surface: Surface) -> f64 {
         let n = VOLUME_POINTS;
         let (step_m, flat) = (2.0 * self.domain.half_m / f64::from(n), self.domain.dimensions == 2);
         let at = |k: i32| (f64::from(k) + 0.5) * step_m - self.domain.half_m;
-        let least = surface.share() * self.profiles.len() as f64;
+        let least = surface.share() * self.ways() as f64;
         let is_recorded = |point: &Point| {
-            let is_in = |profile: &&Profile| {
-                let way = surface.way(profile.foci.map(|focus| &self.room.foci[focus]), *point);
-                way.is_some_and(|(length_m, _)| length_m <= profile.span_m[1])
+            let is_in = |(profile, way): &(&Profile, &Way)| {
+                let legs = surface.way(way.foci.map(|focus| &self.room.foci[focus]), *point);
+                legs.is_some_and(|(length_m, _)| way.known_m + length_m <= profile.span_m[1])
             };
-            self.domain.holds(*point, 0.0) && self.profiles.iter().filter(is_in).count() as f64 > least
+            let all = self.profiles.iter().flat_map(|profile| profile.ways.iter().map(move |way| (profile, way)));
+            self.domain.holds(*point, 0.0) && all.filter(is_in).count() as f64 > least
         };
         let depth = if flat { 1 } else { n };
         let grid = (0..n).flat_map(|i| (0..n).flat_map(move |j| (0..depth).map(move |k| (i, j, k))));
@@ -93,10 +106,14 @@ impl<'a> Explanation<'a> {
     }
 
     fn pairs_of(&self, profile: &Profile) -> Vec<Pair> {
-        let foci = profile.foci.map(|focus| &self.room.foci[focus]);
-        let hidden = self.found.iter().map(|hidden| match hidden.surface.way(foci, hidden.point) {
-            Some((length_m, _)) => Known { length_m, sd_m: 0.0, seen: hidden.seen },
-            None => Known { length_m: 0.0, sd_m: 0.0, seen: 0.0 },
+        let hidden = self.found.iter().flat_map(|hidden| {
+            profile.ways.iter().map(|way| {
+                let foci = way.foci.map(|focus| &self.room.foci[focus]);
+                match hidden.surface.way(foci, hidden.point) {
+                    Some((legs_m, _)) => Known { length_m: way.known_m + legs_m, sd_m: way.sd_m, seen: hidden.seen },
+                    None => Known { length_m: 0.0, sd_m: 0.0, seen: 0.0 },
+                }
+            })
         });
         let mut pairs = Vec::new();
         for (path, known) in profile.known.iter().copied().chain(hidden).enumerate() {
@@ -113,21 +130,23 @@ impl<'a> Explanation<'a> {
                 pairs.push(Pair::new(path, arrival, odds));
             }
         }
-        superposition::settle(&mut pairs, profile.known.len() + self.found.len(), profile.arrivals.len());
+        let paths = profile.known.len() + self.found.len() * profile.ways.len();
+        superposition::settle(&mut pairs, paths, profile.arrivals.len());
         pairs
     }
 
     /// What all paths leave of each arrival.
     pub(super) fn left(&self) -> Vec<Vec<f64>> {
         let of_profile =
-            |(profile, pairs): (&Profile, &Vec<Pair>)| superposition::left_over(pairs, profile.arrivals.len(), None);
+            |(profile, pairs): (&Profile, &Vec<Pair>)| superposition::left_over(pairs, profile.arrivals.len(), 0..0);
         self.profiles.iter().zip(&self.pairs).map(of_profile).collect()
     }
 
     /// What all paths but those over one surface leave of each arrival.
     pub(super) fn left_for(&self, found: usize) -> Vec<Vec<f64>> {
         let of_profile = |(profile, pairs): (&Profile, &Vec<Pair>)| {
-            superposition::left_over(pairs, profile.arrivals.len(), Some(profile.known.len() + found))
+            let (first, ways) = (profile.known.len() + found * profile.ways.len(), profile.ways.len());
+            superposition::left_over(pairs, profile.arrivals.len(), first..first + ways)
         };
         self.profiles.iter().zip(&self.pairs).map(of_profile).collect()
     }
@@ -146,7 +165,7 @@ impl<'a> Explanation<'a> {
 
     /// Bayes factor of a place over none, as its log; `None` outside the volume and where arrivals leave it open.
     pub(super) fn hidden(&self, place: Place, seen: f64) -> Option<Hidden> {
-        if place.profiles as f64 <= place.surface.share() * self.profiles.len() as f64 {
+        if place.ways as f64 <= place.surface.share() * self.ways() as f64 {
             return None;
         }
         let mut information = place.information;
@@ -187,7 +206,7 @@ impl<'a> Explanation<'a> {
 
     /// No patch is sure below this likelihood, however well its arrivals determine it.
     pub(super) fn least_likelihood(&self) -> f64 {
-        let stiffest = 4.0 * self.profiles.len() as f64 / (self.sd_m * self.sd_m);
+        let stiffest = 4.0 * self.ways() as f64 / (self.sd_m * self.sd_m);
         let width = 0.5 * self.room.dimensions as f64 * (2.0 * std::f64::consts::PI / stiffest).ln();
         self.log_volume(Surface::Patch) - width - self.room.false_alarm.ln()
     }

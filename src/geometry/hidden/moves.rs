@@ -8,7 +8,7 @@ use super::surface::Surface;
 use super::{Hidden, SEEN};
 use crate::geometry::Point;
 
-/// Least and largest share of profiles in which a patch is taken to be seen.
+/// Least and largest share of ways on which a patch is taken to be seen.
 const SEEN_RANGE: [f64; 2] = [0.3, 0.98];
 /// A patch that moves by more standard deviations explains other arrivals than before.
 const FAR: f64 = 0.5;
@@ -98,7 +98,7 @@ impl Explanation<'_> {
     fn climbed(&self, n: usize) -> Hidden {
         let (left, now) = (self.left_for(n), self.found[n]);
         let place = self.view(now.surface, &left, now.seen).climb(now.point);
-        let share = (place.arrivals + 2.0 * SEEN) / (place.profiles as f64 + 2.0);
+        let share = (place.arrivals + 2.0 * SEEN) / (place.ways as f64 + 2.0);
         let seen = share.clamp(SEEN_RANGE[0], SEEN_RANGE[1]);
         self.hidden(place, seen).unwrap_or(Hidden { evidence: f64::NEG_INFINITY, ..now })
     }

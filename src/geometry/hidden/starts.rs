@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::SEEN;
 use super::climb::{GATE, Place};
 use super::explanation::Explanation;
 use super::plane_seeds;
 use super::search::{self, Curve, Legs};
 use super::seeds::{self, Lengths, Seed};
 use super::surface::Surface;
+use super::{SEEN, Way};
 use crate::geometry::Point;
 
 /// Values of curves per standard deviation.
@@ -26,6 +26,8 @@ const BASES: usize = 4;
 const UNEXPLAINED: f64 = 0.5;
 /// Reciprocal arrivals nearer than this many standard deviations are one.
 const TOGETHER_SD: f64 = 2.5;
+/// Lengths over two foci that most profiles repeat, at most.
+const TOPS: usize = 16;
 /// Places nearer than this many standard deviations of a length are one.
 const APART: f64 = 1.0;
 
@@ -40,14 +42,18 @@ impl Explanation<'_> {
 
     /// Patches that minimal sets of arrivals agree on.
     pub(super) fn seeds(&self) -> Vec<(Surface, Point)> {
-        let (foci, pairs) = (&self.room.foci, self.unexplained());
+        let foci = &self.room.foci;
+        let pairs = if self.is_layered() { self.repeated() } else { self.unexplained() };
         let bases = seeds::bases(foci, &pairs, &self.domain, BASES);
         let seeds = bases.iter().flat_map(|base| seeds::seeds(foci, &pairs, base, &self.domain));
         self.best(Surface::Patch, seeds.collect())
     }
 
-    /// Planes that minimal sets of arrivals agree on.
+    /// Planes that minimal sets of arrivals agree on; none between hidden patches.
     pub(super) fn plane_seeds(&self) -> Vec<(Surface, Point)> {
+        if self.is_layered() {
+            return Vec::new();
+        }
         self.best(self.plane(), plane_seeds::seeds(&self.room.foci, &self.unexplained(), &self.domain))
     }
 
@@ -62,7 +68,7 @@ impl Explanation<'_> {
         let mut pairs: BTreeMap<[usize; 2], OfPair> = BTreeMap::new();
         for (profile, left) in self.profiles.iter().zip(self.left()) {
             let (profiles, span_m, lengths_m) =
-                pairs.entry(profile.foci).or_insert_with(|| (0, profile.span_m, Vec::new()));
+                pairs.entry(profile.ways[0].foci).or_insert_with(|| (0, profile.span_m, Vec::new()));
             *profiles += 1;
             *span_m = [span_m[0].max(profile.span_m[0]), span_m[1].min(profile.span_m[1])];
             let free = profile.arrivals.iter().zip(left).filter(|(_, left)| *left > UNEXPLAINED);
@@ -89,6 +95,33 @@ impl Explanation<'_> {
             Lengths { foci, values_m: merged, span_m, density_per_m, seen }
         };
         pairs.into_iter().map(of_pair).collect()
+    }
+
+    /// Lengths over the same two foci that most profiles repeat.
+    fn repeated(&self) -> Vec<Lengths> {
+        let left = self.left();
+        let of_foci = |(foci, ways): ([usize; 2], Vec<(usize, Way)>)| {
+            let Curve { low_m, step_m, values } = self.curve(&ways, &left, 0.0);
+            let apart = (TOGETHER_SD * PER_SD) as usize;
+            let is_top = |&k: &usize| {
+                let near = &values[k.saturating_sub(apart)..(k + apart + 1).min(values.len())];
+                values[k] > 0.0 && near.iter().all(|other| *other <= values[k])
+            };
+            let mut tops: Vec<usize> = (0..values.len()).filter(is_top).collect();
+            tops.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
+            tops.truncate(TOPS);
+            tops.sort_unstable();
+            let way_m2 = ways.iter().map(|(_, way)| way.sd_m * way.sd_m).sum::<f64>() / ways.len() as f64;
+            let sd_m = (self.sd_m * self.sd_m + way_m2).sqrt();
+            Lengths {
+                foci,
+                values_m: tops.iter().map(|&k| (low_m + k as f64 * step_m, sd_m)).collect(),
+                span_m: [0.0, 2.0 * self.domain.half_m],
+                density_per_m: (tops.len() + 1) as f64 / (2.0 * self.domain.half_m),
+                seen: SEEN,
+            }
+        };
+        self.of_foci().into_par_iter().map(of_foci).collect()
     }
 
     /// At most so many places, none near another that comes before it.
@@ -120,39 +153,50 @@ impl Explanation<'_> {
         places
     }
 
-    /// What each length is worth to one more patch, profiles of the same two patches together.
+    /// What each length is worth to one more patch, ways over the same two foci together.
     pub(super) fn legs(&self, left: &[Vec<f64>]) -> Vec<Legs> {
-        let mut of_foci: BTreeMap<[usize; 2], Vec<usize>> = BTreeMap::new();
-        for (n, profile) in self.profiles.iter().enumerate() {
-            of_foci.entry(profile.foci).or_default().push(n);
-        }
-        let of_foci: Vec<_> = of_foci.into_iter().collect();
-        of_foci
-            .into_par_iter()
-            .map(|(foci, profiles)| Legs { foci, profiles: profiles.len(), curve: self.curve(&profiles, left) })
-            .collect()
+        let missed = (1.0 - SEEN).ln() as f32;
+        let legs = |(foci, ways): ([usize; 2], Vec<(usize, Way)>)| Legs {
+            foci,
+            profiles: ways.len(),
+            curve: self.curve(&ways, left, missed),
+        };
+        self.of_foci().into_par_iter().map(legs).collect()
     }
 
-    /// What a length is worth in some profiles together.
-    fn curve(&self, profiles: &[usize], left: &[Vec<f64>]) -> Curve {
+    /// Ways over the same two foci, each with its profile.
+    fn of_foci(&self) -> Vec<([usize; 2], Vec<(usize, Way)>)> {
+        let mut of_foci: BTreeMap<[usize; 2], Vec<(usize, Way)>> = BTreeMap::new();
+        for (n, profile) in self.profiles.iter().enumerate() {
+            profile.ways.iter().for_each(|way| of_foci.entry(way.foci).or_default().push((n, *way)));
+        }
+        of_foci.into_iter().collect()
+    }
+
+    /// What the length of both legs is worth on some ways of profiles together, `missed` on each that makes no arrival.
+    fn curve(&self, ways: &[(usize, Way)], left: &[Vec<f64>], missed: f32) -> Curve {
         let step_m = self.sd_m / PER_SD;
         let count = (2.0 * self.domain.half_m / step_m).ceil() as usize + 1;
         let mut values = vec![0.0_f32; count];
         let mut sums = vec![0.0_f64; count];
         let bin = |length_m: f64| ((length_m / step_m).max(0.0) as usize).min(count - 1);
-        for &profile in profiles {
+        for &(profile, way) in ways {
             let (of, left) = (&self.profiles[profile], &left[profile]);
-            let (first, last) = (bin(of.span_m[0]), bin(of.span_m[1]));
-            let missed = (1.0 - SEEN).ln() as f32;
+            let [low_m, high_m] = of.span_m.map(|end_m| end_m - way.known_m);
+            if high_m < 0.0 {
+                continue;
+            }
+            let (first, last) = (bin(low_m), bin(high_m));
             values[first..=last].iter_mut().for_each(|value| *value += missed);
             let mut near = Vec::new();
             for (arrival, left) in of.arrivals.iter().zip(left) {
-                let scale = SEEN / (1.0 - SEEN) * left
-                    / ((2.0 * std::f64::consts::PI).sqrt() * arrival.sd_m * self.clutter_per_m);
-                let reach_m = GATE * arrival.sd_m;
-                let bins = bin(arrival.length_m - reach_m).max(first)..=bin(arrival.length_m + reach_m).min(last);
+                let (length_m, sd_m) = (arrival.length_m - way.known_m, way.sd_m(arrival.sd_m));
+                let scale =
+                    SEEN / (1.0 - SEEN) * left / ((2.0 * std::f64::consts::PI).sqrt() * sd_m * self.clutter_per_m);
+                let reach_m = GATE * sd_m;
+                let bins = bin(length_m - reach_m).max(first)..=bin(length_m + reach_m).min(last);
                 for k in bins.clone() {
-                    let off = (k as f64 * step_m - arrival.length_m) / arrival.sd_m;
+                    let off = (k as f64 * step_m - length_m) / sd_m;
                     sums[k] += scale * (-0.5 * off * off).exp();
                 }
                 near.push(bins);

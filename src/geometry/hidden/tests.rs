@@ -1,4 +1,5 @@
 use super::search::Legs;
+mod layers;
 mod scene;
 
 use super::*;
@@ -80,11 +81,11 @@ fn a_known_path_leaves_nothing_to_find() {
     let drawn = draw(&Setting::new(8, 2, sd_m(25.0), 0.0, 0), 1);
     let known = |profile: &Profile| -> Profile {
         let of_first = {
-            let [a, b] = profile.foci.map(|focus| drawn.room.foci[focus].point);
+            let [a, b] = profile.ways[0].foci.map(|focus| drawn.room.foci[focus].point);
             (drawn.hidden[0] - a).norm() + (drawn.hidden[0] - b).norm()
         };
         let known = vec![Known { length_m: of_first, sd_m: 1e-4, seen: 0.9 }];
-        Profile::new(profile.foci, profile.arrivals.clone(), known, profile.span_m)
+        Profile::new(profile.ways[0].foci, profile.arrivals.clone(), known, profile.span_m)
     };
     let profiles: Vec<Profile> = drawn.profiles.iter().map(known).collect();
     let found = find(&profiles, &drawn.room).patches;
@@ -177,7 +178,8 @@ fn the_likelihood_is_that_of_the_formula() {
     for _ in 0..20 {
         let q = drawn.hidden[0] + Vector3::from_fn(|_, _| rng.random_range(-0.03..0.03));
         let of_profile = |profile: &Profile| -> f64 {
-            let length_m: f64 = profile.foci.iter().map(|focus| (q - drawn.room.foci[*focus].point).norm()).sum();
+            let length_m: f64 =
+                profile.ways[0].foci.iter().map(|focus| (q - drawn.room.foci[*focus].point).norm()).sum();
             let density = |arrival: &Arrival| {
                 let off = (arrival.length_m - length_m) / arrival.sd_m;
                 (-0.5 * off * off).exp() / (arrival.sd_m * (2.0 * std::f64::consts::PI).sqrt())
@@ -212,4 +214,46 @@ fn the_order_of_arrival_is_the_same_in_all_profiles_only_for_few() {
         sources.windows(2).all(|pair| pair[0] == pair[1])
     };
     assert!((0..10).all(|seed| is_same(1, seed)) && (0..10).all(|seed| !is_same(8, seed)));
+}
+
+/// Patches that only hidden ones show, from fifth bounces over these.
+#[test]
+fn a_second_layer_is_found_and_nothing_else() {
+    for seed in 0..8 {
+        let setting = layers::Setting { visible: 5, first: 5, second: 2, sd_m: sd_m(5.0), seen: 0.6, spurious: 10 };
+        let drawn = layers::draw(&setting, seed);
+        let (missed, extra, _) = layers::score(&drawn, &points(&find(&drawn.profiles, &drawn.room)));
+        assert_eq!((missed, extra), (0, 0), "seed {seed}");
+    }
+}
+
+/// Markov's bound holds for patches that only hidden ones show, too.
+#[test]
+fn where_there_is_no_second_layer_none_is_found() {
+    let setting = layers::Setting { visible: 5, first: 5, second: 0, sd_m: sd_m(25.0), seen: 0.0, spurious: 60 };
+    let found = (0..20).filter(|&seed| {
+        let drawn = layers::draw(&setting, seed);
+        let room = Room { false_alarm: 0.1, ..drawn.room };
+        !find(&drawn.profiles, &room).patches.is_empty()
+    });
+    let found = found.count();
+    // At most 2 are expected; 7 or more have a probability of 1 %.
+    assert!(found < 7, "{found} of 20");
+}
+
+/// Two ways on which a patch would make one and the same arrival do not count it twice.
+#[test]
+fn an_arrival_is_taken_once() {
+    let foci = [Point::new(0.0, 0.0, 0.0), Point::new(1.0, 0.0, 0.0)].map(|point| Focus { point, normal: None });
+    let room = Room { foci: foci.to_vec(), dimensions: 3, false_alarm: 1e-2, count: None };
+    let arrival = Arrival { length_m: 2.0, sd_m: 0.01 };
+    let at = Point::new(0.5, 0.75_f64.sqrt(), 0.0);
+    let likelihood = |ways: usize| {
+        let profiles = [Profile::over(vec![Way::new([0, 1], 0.0, 0.0); ways], vec![arrival], Vec::new(), [0.0, 3.0])];
+        let scene = Explanation::new(&profiles, &room).expect("there is an arrival");
+        let left = scene.left();
+        scene.view(Surface::Patch, &left, 0.7).place(at).likelihood.exp()
+    };
+    let weight = likelihood(1) - 0.3;
+    assert!((likelihood(2) - (0.3 * 0.3 + 2.0 * 0.3 * weight)).abs() < 1e-9);
 }
