@@ -192,16 +192,9 @@ pub struct Found {
 pub fn find(profiles: &[Profile], room: &Room) -> Found {
     let Some(mut all) = Explanation::new(profiles, room) else { return Found::default() };
     // Minimal sets find most, cheaply; a search of all space finds the others among what is left.
+    all.add_seeds();
+    let mut is_open = true;
     for _ in 0..ROUNDS {
-        let mut starts = all.seeds();
-        starts.extend(all.plane_seeds());
-        if !all.add(&starts) {
-            break;
-        }
-    }
-    // Many profiles that repeat the same lengths leave minimal sets nothing to overlook.
-    let mut is_open = !all.is_layered();
-    for _ in 0..if is_open { ROUNDS } else { 0 } {
         let starts = all.cubes();
         is_open = !starts.is_empty();
         if !all.add(&starts) {
@@ -214,14 +207,19 @@ pub fn find(profiles: &[Profile], room: &Room) -> Found {
         }
     }
     let declined = if is_open { all.likeliest().filter(|hidden| !all.is_sure(hidden)) } else { None };
-    let (patches, planes): (Vec<usize>, Vec<usize>) =
-        (0..all.found.len()).partition(|&n| all.found[n].surface == Surface::Patch);
-    let mut patches: Vec<(Hidden, Option<Hidden>)> =
-        patches.into_iter().map(|n| (all.found[n], all.rival(n))).collect();
-    patches.sort_by(|a, b| b.0.evidence.total_cmp(&a.0.evidence));
-    patches.truncate(room.count.unwrap_or(usize::MAX));
-    let (patches, rivals) = patches.into_iter().unzip();
-    Found { patches, rivals, planes: planes.into_iter().map(|n| all.found[n]).collect(), declined }
+    Found { declined, ..all.found() }
+}
+
+/// Finds those that minimal sets of arrivals lead to. Where profiles are full of later bounces, which are no chance, a search of all space would follow these
+/// without end; and lengths that many profiles repeat, as on several ways, leave minimal sets nothing to overlook.
+///
+/// # Panics
+/// When a way names a focus that is not there.
+#[must_use]
+pub fn find_by_minimal_sets(profiles: &[Profile], room: &Room) -> Found {
+    let Some(mut all) = Explanation::new(profiles, room) else { return Found::default() };
+    all.add_seeds();
+    all.found()
 }
 
 #[cfg(test)]

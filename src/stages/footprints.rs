@@ -61,6 +61,11 @@ impl Footprints {
         self.0.is_empty()
     }
 
+    /// Diameter of the largest, 0 of points.
+    pub fn largest_m(&self) -> f64 {
+        self.0.values().map(|footprint| footprint.size_m).fold(0.0, f64::max)
+    }
+
     /// What the mean way of the light over finite patches is longer than that over their centres.
     pub fn shift_m(&self, source: Point, path: &[PatchId], centre: impl Fn(&PatchId) -> Point, sensor: Point) -> f64 {
         if self.is_empty() {

@@ -51,13 +51,16 @@
 //! ```
 
 mod blind;
+mod chances;
 mod facing;
 mod hidden;
+mod legs;
+mod paths;
 mod predicted;
 mod rank;
 mod scene;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -67,6 +70,9 @@ use crate::campaign::Campaign;
 use crate::geometry::Point;
 use crate::tables::{Delay, Fit, Hypothesis, Label, Name, Onset, Patch, PatchCovariance, Plane, Row};
 use crate::units::{self, PatchId};
+use chances::Chances;
+use hidden::Search;
+use paths::{DEEP, Graph};
 use predicted::Pairs;
 use scene::{Scene, View};
 
@@ -77,7 +83,7 @@ const ONE_STATION_M: f64 = 1e-6;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LabelOnsets {
-    /// Largest order of bounces to label: to 3 without known patches, to 4 with them.
+    /// Largest order of bounces to label: to 3 without known patches, to 5 with them.
     bounces: i32,
     /// Least probability of a label, with known patches.
     probability_min: f64,
@@ -192,7 +198,7 @@ impl Verdict {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -242,7 +248,7 @@ impl Stage for LabelOnsets {
                 })?)
             }
         };
-        let most = if scene.is_some() { 4 } else { 3 };
+        let most = if scene.is_some() { 5 } else { 3 };
         if !(1..=most).contains(&self.bounces) {
             let bounces = self.bounces;
             let known = if scene.is_some() { "with known patches" } else { "without known patches" };
@@ -291,26 +297,47 @@ impl Apply for LabelOnsets {
 type Verdicts = Vec<Vec<Vec<Verdict>>>;
 
 impl LabelOnsets {
+    fn bounces(&self) -> usize {
+        self.bounces as usize
+    }
+
     /// With known patches, and hidden ones that are found on the way.
     fn with_known(&self, scene: &Scene, sensors: &[OfSensor]) -> (Vec<Verdicts>, Vec<Hypothesis>, Vec<Rejection>) {
+        let is_visible = |patch: &PatchId| scene.knows(&[*patch]);
+        let ends =
+            sensors.iter().flat_map(|sensor| &sensor.profiles).flat_map(|onsets| [onsets[0].lit, onsets[0].seen]);
+        let visible: Vec<PatchId> = ends.filter(is_visible).collect::<BTreeSet<_>>().into_iter().collect();
         let closed: Vec<Pairs> = sensors.iter().map(|sensor| self.closed(scene, sensor)).collect();
-        let predicted = |scene: &Scene| -> Vec<Verdicts> {
-            sensors.iter().zip(&closed).map(|(sensor, closed)| self.predicted(scene, sensor, closed)).collect()
+        let learned = |graphs: &[Graph]| Chances::prior(&visible).learned(graphs, sensors, self.bounces());
+        let predicted = |graphs: &[Graph], chances: &Chances| -> Vec<Verdicts> {
+            sensors.iter().zip(graphs).map(|(sensor, graph)| self.predicted(graph, sensor, chances)).collect()
         };
-        match self.hidden {
-            HiddenPatches::Search if self.bounces >= 3 => {
-                let search = hidden::Search::new(scene, sensors, &closed, self.false_alarm);
-                (predicted(&scene.with(search.patches())), search.hypotheses(), search.rejections())
+        let known = self.graphs(scene, sensors, &closed);
+        if self.hidden != HiddenPatches::Search || self.bounces < 3 {
+            let mut verdicts = predicted(&known, &learned(&known));
+            if self.hidden == HiddenPatches::Rank && self.bounces >= 3 {
+                sensors.iter().zip(&mut verdicts).for_each(|(sensor, verdicts)| rank::label(sensor, verdicts));
             }
-            HiddenPatches::Rank if self.bounces >= 3 => {
-                let mut verdicts = predicted(scene);
-                for (sensor, verdicts) in sensors.iter().zip(&mut verdicts) {
-                    rank::label(sensor, verdicts);
-                }
-                (verdicts, Vec::new(), Vec::new())
-            }
-            _ => (predicted(scene), Vec::new(), Vec::new()),
+            return (verdicts, Vec::new(), Vec::new());
         }
+        let prior = Chances::prior(&visible);
+        let is_bright = self.bounces() >= DEEP;
+        let mut search = Search::new(scene, sensors, &visible, &known, &prior, self.false_alarm, is_bright);
+        // What was found first tells once how often later bounces are seen, and what these leave for a second layer.
+        let first = search.scene();
+        let graphs = self.graphs(&first, sensors, &closed);
+        let chances = learned(&graphs);
+        if is_bright {
+            search.deeper(&graphs, &chances);
+        }
+        let all = search.scene();
+        let verdicts = predicted(&self.graphs(&all, sensors, &closed), &chances);
+        (verdicts, search.hypotheses(), search.rejections())
+    }
+
+    fn graphs<'a>(&self, scene: &'a Scene, sensors: &[OfSensor], closed: &[Pairs]) -> Vec<Graph<'a>> {
+        let graph = |(sensor, closed)| Graph::new(scene, sensor, closed, self.bounces());
+        sensors.iter().zip(closed).map(graph).collect()
     }
 }
 

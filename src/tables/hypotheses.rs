@@ -10,9 +10,11 @@ table! {
         hypothesis: i32,
         /// `patch`, or `plane`: a floor, a wall or a mirror that throws light on from one visible patch to the other.
         kind: Name,
+        /// 1: visible patches show it, in third bounces; 2: only hidden ones do, in fifth bounces.
+        layer: i32,
         /// Number of the patch; null: declined, or a plane.
         patch: Option<i32>,
-        /// 0: the chosen place; 1: its mirror image in the visible patches' wall, which the onsets do not rule out.
+        /// 0: the chosen place; 1: its mirror image in the wall that shows it, which the onsets do not rule out.
         alternative: i32,
         /// Position, x, in the frame of the patches beside; of a plane the foot of the perpendicular from the middle of the visible patches.
         x_m: f64,
@@ -20,7 +22,7 @@ table! {
         y_m: f64,
         /// Position, z.
         z_m: f64,
-        /// Variance of x, visible patches taken as they are.
+        /// Variance of x, patches that show it taken as they are.
         cov_xx_m2: f64,
         /// Covariance of x and y.
         cov_xy_m2: f64,
@@ -44,7 +46,7 @@ table! {
         evidence: f64,
         /// What it must exceed: minus the log of `false_alarm`.
         evidence_needed: f64,
-        /// Share of the profiles in which it is seen.
+        /// Share of the profiles (in layer 2 of the paths) in which it is seen.
         seen: f64,
         /// Onsets that it makes, expected.
         onsets: f64,

@@ -7,7 +7,7 @@ use super::climb::{GATE, Place, View};
 use super::search::Domain;
 use super::superposition::{self, Pair};
 use super::surface::Surface;
-use super::{Hidden, Known, Profile, Room, Way};
+use super::{Found, Hidden, Known, Profile, Room, Way};
 use crate::geometry::Point;
 
 /// Points along each axis that the volume is counted by.
@@ -209,6 +209,18 @@ impl<'a> Explanation<'a> {
         let stiffest = 4.0 * self.ways() as f64 / (self.sd_m * self.sd_m);
         let width = 0.5 * self.room.dimensions as f64 * (2.0 * std::f64::consts::PI / stiffest).ln();
         self.log_volume(Surface::Patch) - width - self.room.false_alarm.ln()
+    }
+
+    /// All patches, the surest first, each with its rival, and all planes.
+    pub(super) fn found(&self) -> Found {
+        let (patches, planes): (Vec<usize>, Vec<usize>) =
+            (0..self.found.len()).partition(|&n| self.found[n].surface == Surface::Patch);
+        let mut patches: Vec<(Hidden, Option<Hidden>)> =
+            patches.into_iter().map(|n| (self.found[n], self.rival(n))).collect();
+        patches.sort_by(|a, b| b.0.evidence.total_cmp(&a.0.evidence));
+        patches.truncate(self.room.count.unwrap_or(usize::MAX));
+        let (patches, rivals) = patches.into_iter().unzip();
+        Found { patches, rivals, planes: planes.into_iter().map(|n| self.found[n]).collect(), declined: None }
     }
 
     pub(super) fn is_sure(&self, hidden: &Hidden) -> bool {

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::climb::Place;
 use super::explanation::Explanation;
 use super::surface::Surface;
-use super::{Hidden, SEEN};
+use super::{Hidden, ROUNDS, SEEN};
 use crate::geometry::Point;
 
 /// Least and largest share of ways on which a patch is taken to be seen.
@@ -20,6 +20,17 @@ const TOGETHER: usize = 4;
 const GAIN: f64 = 1.0;
 
 impl Explanation<'_> {
+    /// Adds the sure patches and planes that minimal sets lead to, until these lead to no more.
+    pub(super) fn add_seeds(&mut self) {
+        for _ in 0..ROUNDS {
+            let mut starts = self.seeds();
+            starts.extend(self.plane_seeds());
+            if !self.add(&starts) {
+                break;
+            }
+        }
+    }
+
     /// Adds the sure ones among the tops near some starts, and says whether there are more then.
     pub(super) fn add(&mut self, starts: &[(Surface, Point)]) -> bool {
         let before = self.found.len();

@@ -222,7 +222,7 @@ fn a_second_layer_is_found_and_nothing_else() {
     for seed in 0..8 {
         let setting = layers::Setting { visible: 5, first: 5, second: 2, sd_m: sd_m(5.0), seen: 0.6, spurious: 10 };
         let drawn = layers::draw(&setting, seed);
-        let (missed, extra, _) = layers::score(&drawn, &points(&find(&drawn.profiles, &drawn.room)));
+        let (missed, extra, _) = layers::score(&drawn, &points(&find_by_minimal_sets(&drawn.profiles, &drawn.room)));
         assert_eq!((missed, extra), (0, 0), "seed {seed}");
     }
 }
@@ -234,7 +234,7 @@ fn where_there_is_no_second_layer_none_is_found() {
     let found = (0..20).filter(|&seed| {
         let drawn = layers::draw(&setting, seed);
         let room = Room { false_alarm: 0.1, ..drawn.room };
-        !find(&drawn.profiles, &room).patches.is_empty()
+        !find_by_minimal_sets(&drawn.profiles, &room).patches.is_empty()
     });
     let found = found.count();
     // At most 2 are expected; 7 or more have a probability of 1 %.

@@ -2,14 +2,20 @@
 
 use std::collections::BTreeSet;
 
+use rayon::prelude::*;
+
+use super::chances::Chances;
+use super::paths::{Graph, Paths};
 use super::scene::{Scene, View};
 use super::{LabelOnsets, OfSensor, Verdict, Verdicts, direct, sd_ps};
-use crate::geometry::association::{Candidate, GATE, Time, associate};
+use crate::geometry::association::{Candidate, Expected, GATE, Time, associate};
 use crate::tables::Onset;
 use crate::units::PatchId;
 
 /// Alternatives told of an onset that is left open.
 const ALTERNATIVES: usize = 4;
+/// Chance of light of which it is not known whether it is there at all.
+const EVEN: f64 = 0.5;
 
 /// Pairs of patches, the smaller first.
 pub(super) type Pairs = BTreeSet<(PatchId, PatchId)>;
@@ -23,20 +29,25 @@ pub(super) struct Prediction {
 
 impl LabelOnsets {
     /// For each profile of one sensor, for each onset, its labels.
-    pub(super) fn predicted(&self, scene: &Scene, sensor: &OfSensor, closed: &Pairs) -> Verdicts {
+    pub(super) fn predicted(&self, graph: &Graph, sensor: &OfSensor, chances: &Chances) -> Verdicts {
         let labels = |profile: &&[Onset]| -> Vec<Vec<Verdict>> {
-            let (predictions, found) = self.associated(scene, &sensor.view(profile), profile, self.bounces, closed);
+            let chance = |path: &[PatchId]| graph.scene.deep_chance(path).unwrap_or_else(|| chances.of(path));
+            let (predictions, found) = self.associated(graph, &sensor.view(profile), profile, self.bounces(), &chance);
             found.into_iter().map(|candidates| self.verdicts(&candidates, &predictions)).collect()
         };
-        sensor.profiles.iter().map(labels).collect()
+        sensor.profiles.par_iter().map(labels).collect()
     }
 
     /// Pairs whose direct light is more likely missing than seen, both ways. Third bounces may lie where it would be: they are predicted too.
     pub(super) fn closed(&self, scene: &Scene, sensor: &OfSensor) -> Pairs {
         let (mut closed, mut open) = (BTreeSet::new(), BTreeSet::new());
-        for profile in sensor.profiles.iter().filter(|profile| profile[0].lit != profile[0].seen && self.bounces >= 3) {
+        if self.bounces < 3 {
+            return closed;
+        }
+        let graph = Graph::new(scene, sensor, &BTreeSet::new(), 3);
+        for profile in sensor.profiles.iter().filter(|profile| profile[0].lit != profile[0].seen) {
             let (lit, seen) = (profile[0].lit, profile[0].seen);
-            let (predictions, found) = self.associated(scene, &sensor.view(profile), profile, 3, &BTreeSet::new());
+            let (predictions, found) = self.associated(&graph, &sensor.view(profile), profile, 3, &|_| EVEN);
             let is_direct = |candidate: &&Candidate| predictions[candidate.path].path.len() == 2;
             let direct: f64 = found.iter().flatten().filter(is_direct).map(|candidate| candidate.probability).sum();
             if direct > 0.5 {
@@ -49,27 +60,30 @@ impl LabelOnsets {
         closed
     }
 
-    /// Predicted paths of a profile that lead over no closed pair, the direct one in any case, and for each onset those that may have made it.
-    pub(super) fn associated(
+    /// Predicted paths of a profile that lead over no closed pair, the direct one in any case, and for each onset those that may have made it. Orders that are too dense are clutter.
+    fn associated(
         &self,
-        scene: &Scene,
+        graph: &Graph,
         view: &View,
         profile: &[Onset],
-        bounces: i32,
-        closed: &Pairs,
+        bounces: usize,
+        chance: &dyn Fn(&[PatchId]) -> f64,
     ) -> (Vec<Prediction>, Vec<Vec<Candidate>>) {
-        let (lit, seen) = (profile[0].lit, profile[0].seen);
-        let mut paths = vec![direct(profile)];
-        if bounces >= 3 {
-            paths.extend(scene.longer(lit, seen, bounces, closed));
+        let Paths { mut paths, dense } = graph.near(view, profile, bounces);
+        let direct = direct(profile);
+        if direct.len() <= bounces && graph.scene.knows(&direct) {
+            paths.insert(0, graph.scene.predict(direct, view));
         }
-        paths.retain(|path| scene.knows(path) && path.len() as i32 <= bounces);
-        let paths = paths.into_iter().map(|path| scene.predict(path, view)).collect();
         let arrivals: Vec<Time> =
             profile.iter().map(|onset| Time { time_ps: onset.time_ps, sd_ps: sd_ps(onset) }).collect();
         let predictions = readings(paths, view.setup.repetition_ps, &arrivals);
-        let times: Vec<Time> = predictions.iter().map(|prediction| prediction.time).collect();
-        let found = associate(&arrivals, &times, self.clutter_per_ns * 1e-3);
+        let expected = |prediction: &Prediction| Expected {
+            time: prediction.time,
+            seen: if prediction.path.len() <= 2 { EVEN } else { chance(&prediction.path) },
+        };
+        let expected: Vec<Expected> = predictions.iter().map(expected).collect();
+        let dense_per_ps = dense.map_or(0.0, |(bounces, per_ps)| Chances::of_order(bounces) * per_ps);
+        let found = associate(&arrivals, &expected, self.clutter_per_ns * 1e-3 + dense_per_ps);
         (predictions, found)
     }
 

@@ -1,6 +1,6 @@
 //! Known patches, and the paths of light over them.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -20,6 +20,10 @@ pub(super) struct Scene {
     footprints: Footprints,
     /// Of patches whose walls are known.
     pub(super) normals: BTreeMap<PatchId, Vector3<f64>>,
+    /// Patches that only hidden ones show, each with the chance that a path over it makes an onset.
+    deep: BTreeMap<PatchId, f64>,
+    /// The hidden patches that show these.
+    shown_by: Vec<PatchId>,
 }
 
 /// Where a profile's light comes from and goes to.
@@ -50,7 +54,8 @@ impl Scene {
             blocks.insert((row.a, row.b), block);
             blocks.insert((row.b, row.a), block.transpose());
         }
-        (!points.is_empty()).then_some(Self { points, covariances: blocks, footprints, normals })
+        let (deep, shown_by) = (BTreeMap::new(), Vec::new());
+        (!points.is_empty()).then_some(Self { points, covariances: blocks, footprints, normals, deep, shown_by })
     }
 
     /// With hidden patches that were found.
@@ -61,6 +66,41 @@ impl Scene {
             scene.covariances.insert((patch, patch), found.covariance);
         }
         scene
+    }
+
+    /// With further patches that were found, which only the hidden ones `shown_by` show.
+    pub(super) fn with_deep(&self, hidden: impl Iterator<Item = (PatchId, Hidden)>, shown_by: &[PatchId]) -> Self {
+        let found: Vec<(PatchId, Hidden)> = hidden.collect();
+        let mut scene = self.with(found.iter().copied());
+        scene.deep.extend(found.iter().map(|(patch, found)| (*patch, found.seen)));
+        scene.shown_by = shown_by.to_vec();
+        scene
+    }
+
+    /// Whether only hidden patches show this one.
+    pub(super) fn is_deep(&self, patch: PatchId) -> bool {
+        self.deep.contains_key(&patch)
+    }
+
+    /// Chance that a path over a patch that only hidden ones show makes an onset; `None` for other paths.
+    pub(super) fn deep_chance(&self, path: &[PatchId]) -> Option<f64> {
+        path.iter().find_map(|patch| self.deep.get(patch)).copied()
+    }
+
+    /// Paths over patches that only hidden ones show.
+    pub(super) fn deep_paths(&self, lit: PatchId, seen: PatchId) -> impl Iterator<Item = Vec<PatchId>> {
+        let pairs = || self.shown_by.iter().flat_map(|a| self.shown_by.iter().map(move |b| (*a, *b)));
+        self.deep.keys().flat_map(move |x| pairs().map(move |(a, b)| vec![lit, a, *x, b, seen]))
+    }
+
+    /// Sum of the variances of a patch's coordinates.
+    pub(super) fn variance_m2(&self, patch: PatchId) -> f64 {
+        self.covariances[&(patch, patch)].trace()
+    }
+
+    /// Size of the largest patch, if it is more than a point.
+    pub(super) fn largest_m(&self) -> f64 {
+        self.footprints.largest_m()
     }
 
     /// Standard deviation of a patch's position along a direction, and the mean of its variance over all directions.
@@ -108,27 +148,5 @@ impl Scene {
             sd_ps: time_ps(self.length_sd_m(&path, view), view.setup).hypot(delay_sd_ps),
         };
         (path, time)
-    }
-
-    /// All paths of three to `bounces` bounces from `lit` to `seen` that lead over no closed pair and over no patch twice in a row.
-    pub(super) fn longer(
-        &self,
-        lit: PatchId,
-        seen: PatchId,
-        bounces: i32,
-        closed: &BTreeSet<(PatchId, PatchId)>,
-    ) -> Vec<Vec<PatchId>> {
-        let is_open = |a: PatchId, b: PatchId| a != b && !closed.contains(&(a.min(b), a.max(b)));
-        let mut paths = Vec::new();
-        for &k in self.points.keys().filter(|k| is_open(lit, **k)) {
-            if is_open(k, seen) {
-                paths.push(vec![lit, k, seen]);
-            }
-            if bounces >= 4 {
-                let last = self.points.keys().filter(|l| is_open(k, **l) && is_open(**l, seen));
-                paths.extend(last.map(|&l| vec![lit, k, l, seen]));
-            }
-        }
-        paths
     }
 }

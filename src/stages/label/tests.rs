@@ -1,6 +1,7 @@
 //! Labels of onsets whose paths are known: a room of patches on three rectangles, laser and sensor in one point.
 
 mod blind;
+mod bounces;
 mod hidden;
 mod predicted;
 

@@ -1,0 +1,243 @@
+//! Fourth and fifth bounces over known patches, and patches that only hidden ones show.
+
+use super::*;
+use crate::tables::Row;
+use nalgebra::Vector3;
+
+/// Where the records end.
+const LAST_PS: f64 = 40_000.0;
+
+/// A room as light sees it: patches 1 to `visible` are lit and seen, the next `first` are shown by these, the rest by those only. The laser is at the origin.
+struct Lit {
+    points: Vec<Point>,
+    visible: usize,
+    first: usize,
+}
+
+/// Chances that light makes an onset: third, fourth and fifth bounces over visible patches and those that these show, and fifth ones over others.
+#[derive(Clone, Copy)]
+struct Seen {
+    orders: [f64; 3],
+    deep: f64,
+}
+
+impl Lit {
+    fn new(rng: &mut ChaCha8Rng, visible: usize, first: usize, deep: usize) -> Self {
+        let mut points: Vec<Point> = Vec::new();
+        while points.len() < visible + first + deep {
+            let (u, v, w) = (rng.random_range(0.0..1.0), rng.random_range(0.0..1.0), rng.random_range(-0.5..0.5));
+            let point = match points.len() {
+                n if n < visible && n % 2 == 0 => Point::new(-1.2 + 2.0 * u, 2.2, 1.6 * w),
+                n if n < visible => Point::new(1.1, 0.6 + 1.6 * v, 1.6 * w),
+                n if n < visible + first => Point::new(-1.0 + 1.2 * u, 0.7 + 1.0 * v, w),
+                _ => Point::new(-2.0 + 1.0 * u, 0.5 + 1.2 * v, w),
+            };
+            if points.iter().all(|other| (other - point).norm() > 0.2) {
+                points.push(point);
+            }
+        }
+        Self { points, visible, first }
+    }
+
+    fn is_deep(&self, patch: PatchId) -> bool {
+        patch as usize > self.visible + self.first
+    }
+
+    fn time_ps(&self, path: &[PatchId]) -> f64 {
+        let point = |patch: PatchId| self.points[patch as usize - 1];
+        let ends = point(path[0]).coords.norm() + point(path[path.len() - 1]).coords.norm();
+        units::time_ps(ends + path.windows(2).map(|leg| (point(leg[0]) - point(leg[1])).norm()).sum::<f64>(), 1.0)
+    }
+
+    /// All light of up to five bounces; of a path and its reverse that come back to the lit patch, one.
+    fn light(&self, lit: PatchId, seen: PatchId) -> Vec<Vec<PatchId>> {
+        let all = 1..=self.points.len() as PatchId;
+        let is_open = |a: PatchId, b: PatchId| {
+            let is_visible = |patch: PatchId| patch as usize <= self.visible;
+            a != b && !(self.is_deep(a) && is_visible(b)) && !(self.is_deep(b) && is_visible(a))
+        };
+        let mut found = vec![if lit == seen { vec![lit] } else { vec![lit, seen] }];
+        let mut begun = vec![vec![lit]];
+        for _ in 3..=5 {
+            let longer = |path: &Vec<PatchId>| -> Vec<Vec<PatchId>> {
+                let last = path[path.len() - 1];
+                all.clone().filter(|next| is_open(last, *next)).map(|next| [&path[..], &[next]].concat()).collect()
+            };
+            begun = begun.iter().flat_map(longer).collect();
+            let ended = begun.iter().filter(|path| is_open(path[path.len() - 1], seen));
+            let ended = ended.map(|path| [&path[..], &[seen]].concat());
+            found.extend(ended.filter(|path| lit != seen || path.iter().le(path.iter().rev())));
+        }
+        found
+    }
+
+    /// Onsets of all profiles, with errors of `sd_ps`, and `clutter` false ones in each.
+    fn made(&self, seen: Seen, sd_ps: f64, clutter: usize, rng: &mut ChaCha8Rng) -> Vec<Made> {
+        let visible = 1..=self.visible as PatchId;
+        let capture = Capture { sd_ps, ..PLAIN };
+        let mut made = Vec::new();
+        for (lit, last) in visible.clone().flat_map(|a| visible.clone().map(move |b| (a, b))) {
+            let mut arrivals: Vec<(f64, Option<Vec<PatchId>>)> = Vec::new();
+            for path in self.light(lit, last) {
+                let is_deep = path.iter().any(|patch| self.is_deep(*patch));
+                let chance = match path.len() {
+                    1 | 2 => 1.0,
+                    _ if is_deep => seen.deep,
+                    order => seen.orders[order - 3],
+                };
+                if self.time_ps(&path) < LAST_PS && rng.random_bool(chance) {
+                    let noise: f64 = StandardNormal.sample(rng);
+                    arrivals.push((self.time_ps(&path) + sd_ps * noise, Some(path)));
+                }
+            }
+            let (first_ps, last_ps) = (arrivals[0].0, LAST_PS);
+            arrivals.extend((0..clutter).map(|_| (rng.random_range(first_ps..last_ps), None)));
+            arrivals.sort_by(|a, b| a.0.total_cmp(&b.0));
+            made.extend(arrivals.into_iter().zip(1..).map(|((time_ps, path), rank)| Made {
+                onset: capture.onset((lit, last), rank, time_ps, 20.0),
+                path,
+                turns: 0,
+            }));
+        }
+        made
+    }
+
+    /// The first patches as `refine` would give them, with errors of `sd_m` in each coordinate.
+    fn beside(&self, count: usize, sd_m: f64, rng: &mut ChaCha8Rng) -> BesideTables {
+        let patch = |(n, point): (usize, &Point)| {
+            let at = point + Vector3::from_fn(|_, _| StandardNormal.sample(rng)) * sd_m;
+            Patch {
+                patch: n as i32 + 1,
+                kind: if n < self.visible { "visible" } else { "hidden" }.into(),
+                x_m: at.x,
+                y_m: at.y,
+                z_m: at.z,
+                cov_xx_m2: Some(sd_m * sd_m),
+                cov_xy_m2: Some(0.0),
+                cov_xz_m2: Some(0.0),
+                cov_yy_m2: Some(sd_m * sd_m),
+                cov_yz_m2: Some(0.0),
+                cov_zz_m2: Some(sd_m * sd_m),
+                sd_m: Some(sd_m * 3.0_f64.sqrt()),
+                onsets: 1,
+                chi2_dof: None,
+                alternative: 0,
+                log_likelihood: None,
+            }
+        };
+        let patches: Vec<Patch> = self.points.iter().take(count).enumerate().map(patch).collect();
+        BesideTables([("patches".to_owned(), vec![Patch::to_batch(&patches)])].into())
+    }
+}
+
+/// A label is wrong as often as its probability says, also where fourth and fifth bounces are most of the light.
+#[test]
+fn later_bounces_are_labelled_right_as_often_as_stated() {
+    for probability_min in [0.95, 0.5] {
+        let stage = LabelOnsets { bounces: 5, probability_min, hidden: HiddenPatches::None, ..LabelOnsets::default() };
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let (mut right, mut open, mut wrong, mut expected) = ([0; 6], [0; 6], 0.0, 0.0);
+        for _ in 0..4 {
+            let room = Lit::new(&mut rng, 5, 2, 0);
+            let seen = Seen { orders: [0.9, 0.5, 0.2], deep: 0.0 };
+            let made = room.made(seen, 5.0, 2, &mut rng);
+            let labels = PLAIN.labels(&stage, &room.beside(7, 5e-4, &mut rng), &made);
+            let best = labels.iter().filter(|label| label.alternative == 0);
+            for (Made { path, .. }, label) in made.iter().zip(best) {
+                let order = path.as_ref().map_or(0, Vec::len);
+                expected += label.path.as_ref().map_or(0.0, |_| 1.0 - label.probability);
+                match &label.path {
+                    None => open[order] += 1,
+                    found if found == path => right[order] += 1,
+                    Some(_) => wrong += 1.0,
+                }
+            }
+        }
+        eprintln!(
+            "probability_min {probability_min}: right {right:?}, open {open:?}, wrong {wrong}, expected {expected:.1}"
+        );
+        let labelled = f64::from(right.iter().sum::<i32>()) + wrong;
+        assert!((wrong - expected).abs() < 4.0 * expected.sqrt() + 1.0, "{wrong} {expected}");
+        assert!(wrong < (1.0 - probability_min) * labelled, "{wrong} of {labelled}");
+        assert!(right[4] > open[4] && 2 * right[5] > open[5], "{right:?} {open:?}");
+    }
+}
+
+/// Orders of which too many paths lie within an onset's error stand as clutter.
+#[test]
+fn dense_orders_are_left_open() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let room = Lit::new(&mut rng, 5, 2, 0);
+    let stage = LabelOnsets { bounces: 5, hidden: HiddenPatches::None, ..LabelOnsets::default() };
+    let most = |sd_ps: f64, rng: &mut ChaCha8Rng| {
+        let made = room.made(Seen { orders: [0.9, 0.5, 0.2], deep: 0.0 }, sd_ps, 2, rng);
+        let labels = PLAIN.labels(&stage, &room.beside(7, 5e-4, rng), &made);
+        labels.iter().map(|label| label.bounces).max()
+    };
+    let found = [5.0, 100.0, 400.0].map(|sd_ps| most(sd_ps, &mut rng));
+    assert!(found[0] == Some(5) && found[2] < Some(4), "{found:?}");
+}
+
+/// Labels and hypotheses of a room of which the visible patches are known.
+fn searched(room: &Lit, seen: Seen, rng: &mut ChaCha8Rng) -> (Vec<Made>, Vec<Label>, Vec<Hypothesis>) {
+    let stage = LabelOnsets { bounces: 5, ..LabelOnsets::default() };
+    let made = room.made(seen, 2.0, 1, rng);
+    let known = stage.context(stage.fields(&[PLAIN.campaign()]), &room.beside(room.visible, 1e-4, rng)).unwrap();
+    let outcome = stage.apply(&known, made.iter().map(|made| made.onset.clone()).collect()).unwrap();
+    (made, outcome.rows, Hypothesis::rows(&outcome.sides[0]).unwrap())
+}
+
+fn nearest_m(room: &Lit, row: &Hypothesis) -> (usize, f64) {
+    let off = |point: &Point| (point - Point::new(row.x_m, row.y_m, row.z_m)).norm();
+    let offs = room.points.iter().map(off).enumerate();
+    offs.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap()
+}
+
+const BRIGHT: Seen = Seen { orders: [0.9, 0.06, 0.002], deep: 0.6 };
+
+#[test]
+fn a_patch_that_only_hidden_ones_show_is_found_and_its_bounces_labelled() {
+    for seed in 0..4 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let room = Lit::new(&mut rng, 8, 4, 1);
+        let (made, labels, hypotheses) = searched(&room, BRIGHT, &mut rng);
+        let found: Vec<&Hypothesis> =
+            hypotheses.iter().filter(|row| row.patch.is_some() && row.alternative == 0).collect();
+        let places: Vec<(usize, f64)> = found.iter().map(|row| nearest_m(&room, row)).collect();
+        assert_eq!(found.iter().map(|row| row.layer).collect::<Vec<_>>(), [1, 1, 1, 1, 2], "{seed}: {hypotheses:?}");
+        assert!(places[4].0 == 12 && places.iter().all(|(_, off_m)| *off_m < 0.01), "{seed}: {places:?}");
+        // Found patches by their numbers in the room.
+        let number = |patch: &PatchId| {
+            let place = found.iter().position(|row| row.patch == Some(*patch));
+            place.map_or(*patch, |place| places[place].0 as PatchId + 1)
+        };
+        let best = labels.iter().filter(|label| label.alternative == 0);
+        let (mut right, mut wrong, mut of) = (0, 0, 0);
+        for (Made { path, onset, .. }, label) in made.iter().zip(best) {
+            let is_deep = path.as_ref().is_some_and(|path| path.contains(&13));
+            let named = label.path.as_ref().map(|path| path.iter().map(number).collect::<Vec<PatchId>>());
+            let turned =
+                named.as_ref().filter(|_| onset.lit == onset.seen).map(|path| path.iter().rev().copied().collect());
+            let is_right = named == *path || turned.is_some() && turned == *path;
+            of += usize::from(is_deep);
+            right += usize::from(is_deep && is_right);
+            wrong += usize::from(named.is_some() && !is_right);
+        }
+        eprintln!("seed {seed}: {right} of {of}, {wrong} wrong of {}", made.len());
+        assert!(2 * right > of && 50 * wrong < made.len(), "{seed}: {right} of {of}, {wrong} wrong");
+    }
+}
+
+/// Fourth and fifth bounces over what is in place are not taken for further patches.
+#[test]
+fn no_ghosts_are_made_of_later_bounces() {
+    for seed in 0..20 {
+        let mut rng = ChaCha8Rng::seed_from_u64(100 + seed);
+        let room = Lit::new(&mut rng, 8, 4, 0);
+        let (_, _, hypotheses) = searched(&room, BRIGHT, &mut rng);
+        let found = hypotheses.iter().filter(|row| row.patch.is_some() && row.alternative == 0);
+        let layers: Vec<i32> = found.clone().map(|row| row.layer).collect();
+        assert_eq!(layers, [1; 4], "{seed}: {hypotheses:?}");
+        assert!(found.clone().all(|row| nearest_m(&room, row).1 < 0.01), "{seed}: {hypotheses:?}");
+    }
+}
