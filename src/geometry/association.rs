@@ -1,7 +1,7 @@
 //! Which predicted path made which arrival, and how sure that is.
 //!
 //! An arrival at `t` of standard deviation s may be any path whose predicted time lies within the gate, or something that was not predicted. With
-//! a path seen with chance p and `clutter` unpredicted arrivals a picosecond, arrival and path belong together with the weight
+//! a path seen with chance p and `clutter` unpredicted arrivals a picosecond about the arrival, arrival and path belong together with the weight
 //! `p / (1 - p) N(t; t_p, s^2 + s_p^2) / clutter`. A path makes at most one arrival, and an arrival comes from at most one path: an association of all of them is
 //! as likely as the product of its weights, and the probability of a pair is the share of those associations that hold it. Source: joint
 //! probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8, 173 (1983)).
@@ -49,10 +49,11 @@ pub struct Candidate {
 /// probability and is taken from the others.
 ///
 /// # Panics
-/// If `clutter_per_ps` is not positive.
+/// If not every arrival has a positive `clutter_per_ps`.
 #[must_use]
-pub fn associate(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: f64) -> Vec<Vec<Candidate>> {
-    assert!(clutter_per_ps > 0.0, "something else is always possible");
+pub fn associate(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[f64]) -> Vec<Vec<Candidate>> {
+    assert_eq!(arrivals.len(), clutter_per_ps.len(), "an arrival has a density of clutter");
+    assert!(clutter_per_ps.iter().all(|clutter| *clutter > 0.0), "something else is always possible");
     let edges = edges(arrivals, predictions, clutter_per_ps);
     let mut order: Vec<usize> = (0..arrivals.len()).collect();
     order.sort_by(|&a, &b| arrivals[a].time_ps.total_cmp(&arrivals[b].time_ps));
@@ -89,11 +90,11 @@ struct Edge {
 }
 
 /// For each arrival the paths within the gate.
-fn edges(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: f64) -> Vec<Vec<Edge>> {
+fn edges(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[f64]) -> Vec<Vec<Edge>> {
     let mut order: Vec<usize> = (0..predictions.len()).collect();
     order.sort_by(|&a, &b| predictions[a].time.time_ps.total_cmp(&predictions[b].time.time_ps));
     let widest_ps = predictions.iter().map(|prediction| prediction.time.sd_ps).fold(0.0, f64::max);
-    let of_arrival = |Time { time_ps, sd_ps }: &Time| {
+    let of_arrival = |(Time { time_ps, sd_ps }, clutter_per_ps): (&Time, &f64)| {
         let reach_ps = GATE * sd_ps.hypot(widest_ps);
         let from = order.partition_point(|&path| predictions[path].time.time_ps < time_ps - reach_ps);
         let near = order[from..].iter().take_while(|path| predictions[**path].time.time_ps <= time_ps + reach_ps);
@@ -108,7 +109,7 @@ fn edges(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: f64) -> Ve
         };
         near.filter_map(edge).collect()
     };
-    arrivals.iter().map(of_arrival).collect()
+    arrivals.iter().zip(clutter_per_ps).map(of_arrival).collect()
 }
 
 /// Paths taken by arrivals behind that those ahead could take too, ascending, each set with a weight.
@@ -186,7 +187,7 @@ mod tests {
 
     #[test]
     fn the_nearest_path_is_sure_where_no_other_is_near() {
-        let found = associate(&[at(100.0, 1.0), at(500.0, 1.0)], &[path(101.0, 0.5), path(300.0, 0.5)], 1e-4);
+        let found = associate(&[at(100.0, 1.0), at(500.0, 1.0)], &[path(101.0, 0.5), path(300.0, 0.5)], &[1e-4; 2]);
         assert!(
             found[0][0].path == 0 && found[0][0].probability > 0.999 && (found[0][0].residual_ps + 1.0).abs() < 1e-12
         );
@@ -196,7 +197,7 @@ mod tests {
     /// Two paths of equal time share the probability; by Bayes' rule at unequal distances.
     #[test]
     fn paths_that_coincide_share_the_probability() {
-        let found = associate(&[at(0.0, 1.0)], &[path(0.0, 0.0), path(0.0, 0.0), path(2.0, 0.0)], 1e-9);
+        let found = associate(&[at(0.0, 1.0)], &[path(0.0, 0.0), path(0.0, 0.0), path(2.0, 0.0)], &[1e-9]);
         let expected = 1.0 / (2.0 + (-2.0_f64).exp());
         assert!((found[0][0].probability - expected).abs() < 1e-6, "{found:?}");
         assert_eq!(found[0].len(), 3);
@@ -204,14 +205,14 @@ mod tests {
 
     #[test]
     fn a_path_makes_one_arrival_only() {
-        let found = associate(&[at(0.5, 1.0), at(0.0, 1.0)], &[path(0.0, 0.1), path(3.0, 0.1)], 1e-4);
+        let found = associate(&[at(0.5, 1.0), at(0.0, 1.0)], &[path(0.0, 0.1), path(3.0, 0.1)], &[1e-4; 2]);
         assert_eq!((found[1][0].path, found[0][0].path), (0, 1));
     }
 
     /// Two arrivals between two paths: the surer one does not make the other surer than it is itself.
     #[test]
     fn rivals_share_their_doubt() {
-        let found = associate(&[at(0.0, 20.0), at(10.0, 20.0)], &[path(-30.0, 0.0), path(40.0, 0.0)], 1e-6);
+        let found = associate(&[at(0.0, 20.0), at(10.0, 20.0)], &[path(-30.0, 0.0), path(40.0, 0.0)], &[1e-6; 2]);
         let [first, second] = [found[0][0], found[1][0]];
         assert_eq!((first.path, second.path), (0, 1));
         let likelihood = |a: f64, b: f64| (-0.5 * (a * a + b * b) / 400.0).exp();
@@ -230,7 +231,7 @@ mod tests {
         for _ in 0..200 {
             let arrivals: Vec<Time> = (0..4).map(|_| at(rng.random_range(0.0..20.0), 1.0)).collect();
             let paths: Vec<Expected> = (0..5).map(|_| path(rng.random_range(0.0..20.0), 0.5)).collect();
-            let edges = edges(&arrivals, &paths, 0.01);
+            let edges = edges(&arrivals, &paths, &[0.01; 4]);
             let in_order: Vec<&[Edge]> = edges.iter().map(|edges| &edges[..]).collect();
             let all = sum(&edges, &mut Vec::new(), 0, None);
             for (arrival, found) in probabilities(&in_order).iter().enumerate() {
@@ -265,7 +266,7 @@ mod tests {
     #[test]
     fn chances_weigh_paths() {
         let seen = |seen: f64| Expected { seen, ..path(0.0, 0.0) };
-        let found = associate(&[at(0.0, 1.0)], &[seen(0.2), seen(0.8)], 1e-9);
+        let found = associate(&[at(0.0, 1.0)], &[seen(0.2), seen(0.8)], &[1e-9]);
         let share = |chance: f64| chance / (1.0 - chance) / (0.25 + 4.0);
         assert!(found[0][0].path == 1 && (found[0][0].probability - share(0.8)).abs() < 1e-6, "{found:?}");
         assert!((found[0][1].probability - share(0.2)).abs() < 1e-6, "{found:?}");
@@ -274,7 +275,7 @@ mod tests {
     /// What is no predicted path is told by a low probability, the lower the more clutter there is.
     #[test]
     fn clutter_takes_its_share() {
-        let p = |clutter| associate(&[at(4.0, 1.0)], &[path(0.0, 0.0)], clutter)[0][0].probability;
+        let p = |clutter| associate(&[at(4.0, 1.0)], &[path(0.0, 0.0)], &[clutter])[0][0].probability;
         let density = (-8.0_f64).exp() / (2.0 * std::f64::consts::PI).sqrt();
         assert!((p(1e-3) - density / (density + 1e-3)).abs() < 1e-12 && p(1e-2) < p(1e-3));
     }

@@ -21,6 +21,8 @@
 //! equally, as both sides of a wall do, the one on the laser's side of the plane (in flatland the line) through these known patches is chosen, since a wall reflects only
 //! to there; the others are alternatives with their log-likelihood less its own. Patches with too few distances stand in `rejects`.
 //!
+//! A patch that only hidden ones show has no distances: it stands where `hypotheses` of `label` beside has it, as do others that the distances do not place.
+//!
 //! Takes `distances`; writes `patches`. Positions have no covariance here (null) but those passed on: it is `refine` that knows it. Not modelled: errors of known patches,
 //! and covariances of distances.
 //!
@@ -29,7 +31,7 @@
 //! stage = "embed"
 //! from = "distances"
 //! params = { method = "incremental" } # without `patches` beside
-//! with = { patches = "visible" }
+//! with = { patches = "visible", hypotheses = "labels.hypotheses" }
 //! ```
 //!
 //! [multilateration]: crate::geometry::multilateration
@@ -49,7 +51,7 @@ use crate::geometry::t2::{self, Length};
 use crate::geometry::{
     Matrix, Point, classical, completion, frame, iso_embed, landmark, procrustes, reestimate, semidefinite, smacof,
 };
-use crate::tables::{Distance, Patch};
+use crate::tables::{Distance, Hypothesis, Patch};
 use crate::units::PatchId;
 
 /// Most patches of `semidefinite`.
@@ -91,18 +93,22 @@ pub struct Frame {
     anchors_m: BTreeMap<PatchId, [f64; 3]>,
 }
 
-/// Frame and patches that are known beforehand, with the campaign to name in `rejects`.
+/// Frame, patches that are known beforehand and places of others, with the campaign to name in `rejects`.
 pub struct Context {
     campaign: String,
     frame: Frame,
     known: Option<Vec<Patch>>,
+    hypotheses: Vec<Hypothesis>,
 }
 
 impl Stage for Embed {
     const KIND: &'static str = "embed";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::All;
-    const BESIDE: &'static [Beside] = &[Beside { name: "patches", table: "patches", required: false }];
+    const BESIDE: &'static [Beside] = &[
+        Beside { name: "patches", table: "patches", required: false },
+        Beside { name: "hypotheses", table: "hypotheses", required: false },
+    ];
     type Input = Distance;
     type Output = Patch;
     type Fields = Vec<(String, Frame)>;
@@ -127,7 +133,13 @@ impl Stage for Embed {
             let text = "the campaigns differ in dimensions, in the laser's station or in anchors: campaigns of one scene must share them";
             return Err(StageError::Refused(text.to_owned()));
         }
-        Ok(Context { campaign, frame, known: beside.rows::<Patch>("patches")? })
+        let known = beside.rows::<Patch>("patches")?;
+        let hypotheses = beside.rows::<Hypothesis>("hypotheses")?.unwrap_or_default();
+        if known.is_none() && !hypotheses.is_empty() {
+            let text = "with hypotheses, but without patches: the places of hypotheses are in the frame of the patches given to `label`; give these here too";
+            return Err(StageError::Refused(text.to_owned()));
+        }
+        Ok(Context { campaign, frame, known, hypotheses })
     }
 }
 

@@ -12,6 +12,7 @@ mod formats;
 mod hidden;
 mod house;
 mod ingest;
+mod inter_reflections;
 mod lab;
 mod laws;
 mod lineage;

@@ -7,7 +7,7 @@ use crate::geometry::loss::Loss;
 use crate::geometry::multilateration::{self, Candidate, Tie};
 use crate::geometry::{Point, planes};
 use crate::stages::stage::Rejection;
-use crate::tables::{Distance, Patch};
+use crate::tables::{Distance, Hypothesis, Patch};
 use crate::units::PatchId;
 
 /// Places nearer than this many standard deviations of a distance are one.
@@ -15,13 +15,14 @@ const APART: f64 = 4.0;
 /// A place whose loss is higher than the best by less than this (a log-likelihood ratio of 9) cannot be ruled out.
 const LIKELY: f64 = 18.0;
 
-/// Places for all patches that the distances name beyond the `known` ones, as rows, and those that have none.
+/// Places for all patches that distances or hypotheses name beyond the `known` ones, as rows, and those that have none.
 pub fn place(context: &Context, known: &[Patch], distances: &[Distance]) -> (Vec<Patch>, Vec<Rejection>) {
     let best = known.iter().filter(|patch| patch.alternative == 0);
     let mut points: BTreeMap<PatchId, Point> =
         best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
     points.insert(0, Point::from(context.frame.source_m));
-    let named = distances.iter().flat_map(|distance| [distance.a, distance.b]);
+    let of_label = context.hypotheses.iter().filter_map(|hypothesis| hypothesis.patch);
+    let named = distances.iter().flat_map(|distance| [distance.a, distance.b]).chain(of_label);
     let unknown: BTreeSet<PatchId> = named.filter(|patch| !points.contains_key(patch)).collect();
     let mut next_alternative = 1 + known.iter().map(|patch| patch.alternative).max().unwrap_or(0);
     let (mut rows, mut rejections) = (Vec::new(), Vec::new());
@@ -32,14 +33,20 @@ pub fn place(context: &Context, known: &[Patch], distances: &[Distance]) -> (Vec
             Some((distance.clone(), *point))
         };
         let neighbours: Vec<(Distance, Point)> = distances.iter().filter_map(seen_from).collect();
-        let places = places(&neighbours, context);
+        let mut places = places(&neighbours, context);
+        let mut onsets: i32 = neighbours.iter().map(|(distance, _)| distance.onsets).sum();
+        if places.is_empty() {
+            let of_patch = context.hypotheses.iter().filter(|hypothesis| hypothesis.patch == Some(patch));
+            let found: Vec<&Hypothesis> = of_patch.collect();
+            onsets = found.first().map_or(0, |best| best.onsets.round() as i32);
+            places = found.into_iter().map(of_label_at).collect();
+        }
         let Some(first) = places.first() else {
             rejections.push(left_out(context, patch, &neighbours));
             continue;
         };
         let is_hidden = neighbours.iter().all(|(distance, _)| distance.bounces >= 3);
         let kind = if is_hidden { "hidden" } else { "visible" };
-        let onsets = neighbours.iter().map(|(distance, _)| distance.onsets).sum();
         rows.push(start(patch, kind, first.point, onsets));
         for other in &places[1..] {
             let (alternative, log_likelihood) = (next_alternative, Some(0.5 * (first.cost - other.cost)));
@@ -48,6 +55,12 @@ pub fn place(context: &Context, known: &[Patch], distances: &[Distance]) -> (Vec
         }
     }
     (rows, rejections)
+}
+
+/// Where `label` has a patch; costs are twice its log-likelihood, as of distances.
+fn of_label_at(hypothesis: &Hypothesis) -> Candidate {
+    let point = Point::new(hypothesis.x_m, hypothesis.y_m, hypothesis.z_m);
+    Candidate { point, cost: -2.0 * hypothesis.evidence }
 }
 
 /// Places that the distances to neighbours do not rule out, the chosen one first. Where several do, the light tells: patches reflect to the side from which

@@ -19,7 +19,7 @@ fn known(points: &[Point]) -> Vec<Patch> {
 
 fn context(dimensions: u8, known: Option<Vec<Patch>>) -> Context {
     let frame = Frame { dimensions, source_m: [0.0; 3], anchors_m: BTreeMap::new() };
-    Context { campaign: "c".to_owned(), frame, known }
+    Context { campaign: "c".to_owned(), frame, known, hypotheses: Vec::new() }
 }
 
 /// Distances of a hidden patch to known ones.
@@ -134,4 +134,38 @@ fn without_known_patches_the_visible_are_embedded_first() {
     let outcome = Embed::default().apply(&context(3, Some(known(&points[..9]))), distances).unwrap();
     let last = outcome.rows.iter().find(|row| row.patch == 10).unwrap();
     assert!(&*last.kind == "visible" && (point(last) - points[9]).norm() < 1e-6, "{last:?}");
+}
+
+/// A patch without distances stands where `label` has it, with its mirror image as alternative; one with distances where these have it.
+#[test]
+fn hypotheses_place_what_distances_do_not() {
+    let (points, truth) = (walls(), Point::new(0.3, 1.2, 0.1));
+    let hypothesis = |patch: PatchId, alternative: i32, x_m: f64| Hypothesis {
+        hypothesis: 1,
+        layer: 2,
+        patch: Some(patch),
+        alternative,
+        x_m,
+        y_m: 0.5,
+        z_m: 0.2,
+        cov_xx_m2: 1e-6,
+        cov_xy_m2: 0.0,
+        cov_xz_m2: 0.0,
+        cov_yy_m2: 1e-6,
+        cov_yz_m2: 0.0,
+        cov_zz_m2: 1e-6,
+        sd_m: 1.7e-3,
+        evidence: 20.0 - f64::from(alternative),
+        evidence_needed: 7.0,
+        seen: 0.8,
+        onsets: 40.2,
+    };
+    let hypotheses = vec![hypothesis(21, 0, -3.0), hypothesis(22, 0, -1.0), hypothesis(22, 1, -2.0)];
+    let context = Context { hypotheses, ..context(3, Some(known(&points))) };
+    let all: Vec<PatchId> = (1..=10).collect();
+    let outcome = Embed::default().apply(&context, ranges(21, truth, &points, &all)).unwrap();
+    let [first, second, other] = &outcome.rows[10..] else { panic!("{:?}", &outcome.rows[10..]) };
+    assert!((point(first) - truth).norm() < 1e-6 && first.patch == 21, "{first:?}");
+    assert_eq!((second.patch, second.x_m, second.onsets, &*second.kind), (22, -1.0, 40, "hidden"));
+    assert_eq!((other.patch, other.x_m, other.log_likelihood), (22, -2.0, Some(-1.0)));
 }

@@ -1,11 +1,12 @@
 //! How often light over patches in place makes an onset.
 //!
 //! Each bounce takes most of the light, so that a path's chance to be seen falls with its order, and lies elsewhere for paths over hidden patches. Both are learned from the
-//! campaign, once: of the predicted paths of an order that no other comes near, how many have an onset, less those that chance would put there.
+//! campaign, once: of the predicted paths of an order that no other comes near, how many have an onset, less those that chance would put there. Of orders too dense
+//! for that, all onsets that nothing else explains are taken for theirs.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::paths::Graph;
+use super::paths::{Dense, Graph, Paths};
 use super::scene::View;
 use super::{OfSensor, sd_ps};
 use crate::geometry::association::Time;
@@ -16,10 +17,13 @@ use crate::units::PatchId;
 const PRIOR: [f64; 5] = [0.95, 0.95, 0.7, 0.2, 0.1];
 const PRIOR_COUNT: f64 = 8.0;
 /// No chance is taken to be smaller or larger.
-const RANGE: [f64; 2] = [0.01, 0.98];
+const RANGE: [f64; 2] = [1e-3, 0.98];
 /// An onset within so many standard deviations of a path may be its own; a path further from all others is told from them.
 const OWN_SD: f64 = 3.0;
 const ALONE_SD: f64 = 6.0;
+
+/// In place of a number of hidden patches: paths of a dense order, whatever they lead over.
+const ANY: usize = usize::MAX;
 
 /// Chances of paths.
 pub(super) struct Chances {
@@ -69,7 +73,7 @@ impl Chances {
         let onsets: Vec<Time> =
             profile.iter().map(|onset| Time { time_ps: folded(onset.time_ps), sd_ps: sd_ps(onset) }).collect();
         let typical_ps = onsets.iter().map(|onset| onset.sd_ps).sum::<f64>() / onsets.len() as f64;
-        let mut paths = graph.recorded(view, profile, bounces).paths;
+        let Paths { mut paths, dense } = graph.recorded(view, profile, bounces);
         paths.push(graph.scene.predict(super::direct(profile), view));
         let rest_ps = paths.iter().map(|(_, time)| graph.rest_ps(view, time.time_ps)).fold(1.0, f64::max);
         // An onset's error is part of how far it may lie from its path.
@@ -78,8 +82,15 @@ impl Chances {
         paths.sort_by(|a, b| a.1.time_ps.total_cmp(&b.1.time_ps));
         let is_own = |onset: &Time, path: &Time| (onset.time_ps - path.time_ps).abs() < OWN_SD * path.sd_ps;
         // What no path explains comes by chance, anywhere.
-        let free = onsets.iter().filter(|onset| !paths.iter().any(|(_, path)| is_own(onset, path))).count();
-        let free_per_ps = free as f64 / rest_ps;
+        let free: Vec<&Time> =
+            onsets.iter().filter(|onset| !paths.iter().any(|(_, path)| is_own(onset, path))).collect();
+        let free_per_ps = free.len() as f64 / rest_ps;
+        if let Some(Dense { bounces, paths, from_ps, .. }) = dense {
+            let late = free.iter().filter(|onset| view.setup.repetition_ps.is_some() || onset.time_ps > from_ps);
+            let count = counts.entry((bounces, ANY)).or_default();
+            count.paths += paths as f64;
+            count.seen += late.count() as f64;
+        }
         for (n, (path, time)) in paths.iter().enumerate() {
             let beside = paths[n.saturating_sub(1)..(n + 2).min(paths.len())].iter();
             let is_beside =
@@ -101,9 +112,9 @@ impl Chances {
         self.learned.get(&self.class(path)).copied().unwrap_or(PRIOR[path.len() - 1])
     }
 
-    /// Of any path of an order.
-    pub(super) fn of_order(bounces: usize) -> f64 {
-        PRIOR[bounces - 1]
+    /// Of any path of an order that is too dense.
+    pub(super) fn of_dense(&self, bounces: usize) -> f64 {
+        self.learned.get(&(bounces, ANY)).copied().unwrap_or(PRIOR[bounces - 1])
     }
 
     fn class(&self, path: &[PatchId]) -> (usize, usize) {

@@ -1,7 +1,7 @@
 //! Which paths of light over patches in place a profile may hold.
 //!
 //! Paths grow with the number of patches to the power of their bounces less two. They are counted order by order, and the count ends at the first order of which more than
-//! 0.3 lie within a standard deviation of any time: there an onset no longer tells which path made it. That order stands as a density, higher ones are as dense
+//! 0.3 lie within a standard deviation of any time: there an onset no longer tells which path made it. That order stands as a density from its first path on, higher ones are as dense
 //! and weaker. Paths that are longer than any onset of the sensor are left out on the way. Of a path back to the lit patch and its reverse, which are equally long and make one
 //! onset, one stands for both.
 
@@ -38,8 +38,18 @@ pub(super) struct Graph<'a> {
 pub(super) struct Paths {
     /// Those that were asked for.
     pub(super) paths: Vec<(Vec<PatchId>, Time)>,
-    /// Bounces of the first order that is too dense, and its paths per picosecond.
-    pub(super) dense: Option<(usize, f64)>,
+    /// The first order that is too dense.
+    pub(super) dense: Option<Dense>,
+}
+
+/// An order of more paths than labels can tell apart.
+#[derive(Clone, Copy)]
+pub(super) struct Dense {
+    pub(super) bounces: usize,
+    pub(super) paths: usize,
+    pub(super) per_ps: f64,
+    /// Time of its first path.
+    pub(super) from_ps: f64,
 }
 
 impl<'a> Graph<'a> {
@@ -117,7 +127,7 @@ impl<'a> Graph<'a> {
                 sds_ps[sds_ps.len() / 2].hypot((variances_ps2.iter().sum::<f64>() / variances_ps2.len() as f64).sqrt());
             let per_ps = count as f64 / self.rest_ps(view, first_ps).max(sd_ps);
             if per_ps * sd_ps > DENSE {
-                found.dense = Some((order, per_ps));
+                found.dense = Some(Dense { bounces: order, paths: count, per_ps, from_ps: first_ps });
                 break;
             }
             self.walk(&mut vec![lit], seen, order, ends_ps, &mut |path, path_ps| {

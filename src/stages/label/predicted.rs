@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use rayon::prelude::*;
 
 use super::chances::Chances;
-use super::paths::{Graph, Paths};
+use super::paths::{Dense, Graph, Paths};
 use super::scene::{Scene, View};
 use super::{LabelOnsets, OfSensor, Verdict, Verdicts, direct, sd_ps};
 use crate::geometry::association::{Candidate, Expected, GATE, Time, associate};
@@ -32,7 +32,9 @@ impl LabelOnsets {
     pub(super) fn predicted(&self, graph: &Graph, sensor: &OfSensor, chances: &Chances) -> Verdicts {
         let labels = |profile: &&[Onset]| -> Vec<Vec<Verdict>> {
             let chance = |path: &[PatchId]| graph.scene.deep_chance(path).unwrap_or_else(|| chances.of(path));
-            let (predictions, found) = self.associated(graph, &sensor.view(profile), profile, self.bounces(), &chance);
+            let view = sensor.view(profile);
+            let (predictions, found) =
+                self.associated(graph, &view, profile, self.bounces(), &chance, &|bounces| chances.of_dense(bounces));
             found.into_iter().map(|candidates| self.verdicts(&candidates, &predictions)).collect()
         };
         sensor.profiles.par_iter().map(labels).collect()
@@ -47,7 +49,7 @@ impl LabelOnsets {
         let graph = Graph::new(scene, sensor, &BTreeSet::new(), 3);
         for profile in sensor.profiles.iter().filter(|profile| profile[0].lit != profile[0].seen) {
             let (lit, seen) = (profile[0].lit, profile[0].seen);
-            let (predictions, found) = self.associated(&graph, &sensor.view(profile), profile, 3, &|_| EVEN);
+            let (predictions, found) = self.associated(&graph, &sensor.view(profile), profile, 3, &|_| EVEN, &|_| EVEN);
             let is_direct = |candidate: &&Candidate| predictions[candidate.path].path.len() == 2;
             let direct: f64 = found.iter().flatten().filter(is_direct).map(|candidate| candidate.probability).sum();
             if direct > 0.5 {
@@ -68,6 +70,7 @@ impl LabelOnsets {
         profile: &[Onset],
         bounces: usize,
         chance: &dyn Fn(&[PatchId]) -> f64,
+        dense_chance: &dyn Fn(usize) -> f64,
     ) -> (Vec<Prediction>, Vec<Vec<Candidate>>) {
         let Paths { mut paths, dense } = graph.near(view, profile, bounces);
         let direct = direct(profile);
@@ -82,8 +85,17 @@ impl LabelOnsets {
             seen: if prediction.path.len() <= 2 { EVEN } else { chance(&prediction.path) },
         };
         let expected: Vec<Expected> = predictions.iter().map(expected).collect();
-        let dense_per_ps = dense.map_or(0.0, |(bounces, per_ps)| Chances::of_order(bounces) * per_ps);
-        let found = associate(&arrivals, &expected, self.clutter_per_ns * 1e-3 + dense_per_ps);
+        let dense_per_ps = |arrival: &Time| match dense {
+            Some(Dense { bounces, per_ps, from_ps, .. })
+                if view.setup.repetition_ps.is_some() || arrival.time_ps > from_ps =>
+            {
+                dense_chance(bounces) * per_ps
+            }
+            _ => 0.0,
+        };
+        let clutter_per_ps: Vec<f64> =
+            arrivals.iter().map(|arrival| self.clutter_per_ns * 1e-3 + dense_per_ps(arrival)).collect();
+        let found = associate(&arrivals, &expected, &clutter_per_ps);
         (predictions, found)
     }
 
