@@ -8,8 +8,9 @@
 //! - No second bounce is shorter than both first bounces nor longer than their sum, and where laser and sensor stand together, (j, i) has the same
 //!   first light as (i, j): that sets false onsets aside.
 //!
-//! With `patches` beside it, every path of up to `bounces` bounces is predicted, but for those over a pair whose direct light is missing, and every
-//! onset associated ([`crate::geometry::association`]). A label less probable than `probability_min` is left open (path null), its candidates told
+//! With `patches` beside it, every path of up to `bounces` bounces (5 at most) is predicted, but for those over a pair whose direct light is missing, and every
+//! onset associated ([`crate::geometry::association`]). How often paths of an order are seen, with and without hidden patches among theirs, is learned from the campaign, once. The first order of
+//! which more than 0.3 paths lie within a standard deviation of a time is not labelled, nor are those above it: from its first path on it counts as clutter. A label less probable than `probability_min` is left open (path null), its candidates told
 //! as alternatives.
 //!
 //! Onsets of a laser that repeats are known modulo its period (`repetition_ps` in campaign.toml). `turns` is how many periods were added: without
@@ -23,6 +24,10 @@
 //! | `search` | places whose third bounces explain onsets in so many profiles that chance does not ([`crate::geometry::hidden`]); table `hypotheses` |
 //! | `rank` | the paper's: the n-th onset that visible patches do not explain is hidden patch n in every profile |
 //! | `none` | not looked for |
+//!
+//! With `bounces` of 5, patches that only hidden ones show are searched for next, in fifth bounces (lit, hidden, such a patch, hidden, seen), among what all paths over patches in place leave unexplained;
+//! three hidden patches that do not lie in line must show them (in flatland two). Places are then taken from minimal sets of onsets alone, since a search of all space would follow the many later
+//! bounces.
 //!
 //! They are numbered on from the largest patch, as many as there are, or `[hidden] count` of campaign.toml at most.
 //!
@@ -38,7 +43,9 @@
 //! light's centroid over large patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that the frame is fixed,
 //! also by the normals of campaign.toml. Patches without covariance are not predicted from.
 //!
-//! Not modelled: amplitudes, which could tell paths of equal length apart; onsets of one profile whose errors are correlated. Not found without
+//! Not modelled: amplitudes, which could tell paths of equal length apart; onsets of one profile whose errors are correlated; density of later bounces that grows with time, so that in a
+//! room where more than a tenth of all fourth bounces are seen before hidden patches are known a patch may be found that is none; a patch among `patches` that only hidden ones show, which is taken for one that visible
+//! ones show. Not found without
 //! known patches: false onsets before a first bounce, and most detours over patches whose pairs are missing (not captured, or left open): they pass
 //! for second bounces.
 //!
@@ -60,20 +67,16 @@ mod predicted;
 mod rank;
 mod scene;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
 use super::footprints::{self, Footprints, Told};
-use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::Point;
 use crate::tables::{Delay, Fit, Hypothesis, Label, Name, Onset, Patch, PatchCovariance, Plane, Row};
 use crate::units::{self, PatchId};
-use chances::Chances;
-use hidden::Search;
-use paths::{DEEP, Graph};
-use predicted::Pairs;
 use scene::{Scene, View};
 
 /// Stations closer than this are one.
@@ -295,51 +298,6 @@ impl Apply for LabelOnsets {
 
 /// For each profile of a sensor, for each onset, its labels.
 type Verdicts = Vec<Vec<Vec<Verdict>>>;
-
-impl LabelOnsets {
-    fn bounces(&self) -> usize {
-        self.bounces as usize
-    }
-
-    /// With known patches, and hidden ones that are found on the way.
-    fn with_known(&self, scene: &Scene, sensors: &[OfSensor]) -> (Vec<Verdicts>, Vec<Hypothesis>, Vec<Rejection>) {
-        let is_visible = |patch: &PatchId| scene.knows(&[*patch]);
-        let ends =
-            sensors.iter().flat_map(|sensor| &sensor.profiles).flat_map(|onsets| [onsets[0].lit, onsets[0].seen]);
-        let visible: Vec<PatchId> = ends.filter(is_visible).collect::<BTreeSet<_>>().into_iter().collect();
-        let closed: Vec<Pairs> = sensors.iter().map(|sensor| self.closed(scene, sensor)).collect();
-        let learned = |graphs: &[Graph]| Chances::prior(&visible).learned(graphs, sensors, self.bounces());
-        let predicted = |graphs: &[Graph], chances: &Chances| -> Vec<Verdicts> {
-            sensors.iter().zip(graphs).map(|(sensor, graph)| self.predicted(graph, sensor, chances)).collect()
-        };
-        let known = self.graphs(scene, sensors, &closed);
-        if self.hidden != HiddenPatches::Search || self.bounces < 3 {
-            let mut verdicts = predicted(&known, &learned(&known));
-            if self.hidden == HiddenPatches::Rank && self.bounces >= 3 {
-                sensors.iter().zip(&mut verdicts).for_each(|(sensor, verdicts)| rank::label(sensor, verdicts));
-            }
-            return (verdicts, Vec::new(), Vec::new());
-        }
-        let prior = Chances::prior(&visible);
-        let is_bright = self.bounces() >= DEEP;
-        let mut search = Search::new(scene, sensors, &visible, &known, &prior, self.false_alarm, is_bright);
-        // What was found first tells once how often later bounces are seen, and what these leave for a second layer.
-        let first = search.scene();
-        let graphs = self.graphs(&first, sensors, &closed);
-        let chances = learned(&graphs);
-        if is_bright {
-            search.deeper(&graphs, &chances);
-        }
-        let all = search.scene();
-        let verdicts = predicted(&self.graphs(&all, sensors, &closed), &chances);
-        (verdicts, search.hypotheses(), search.rejections())
-    }
-
-    fn graphs<'a>(&self, scene: &'a Scene, sensors: &[OfSensor], closed: &[Pairs]) -> Vec<Graph<'a>> {
-        let graph = |(sensor, closed)| Graph::new(scene, sensor, closed, self.bounces());
-        sensors.iter().zip(closed).map(graph).collect()
-    }
-}
 
 /// Standard deviation of an onset's time, what its profile shares included.
 fn sd_ps(onset: &Onset) -> f64 {

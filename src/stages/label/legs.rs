@@ -38,7 +38,7 @@ pub(super) fn layered_profiles(
         let (lit, seen) = (profile[0].lit, profile[0].seen);
         visible.binary_search(&lit).ok().and(visible.binary_search(&seen).ok())?;
         let known = legs.known(graph, profile, DEEP, chances);
-        let ways = legs.ways(graph.scene, [lit, seen], shown_by, span_m[1]);
+        let ways = ways(graph.scene, [lit, seen], shown_by, span_m[1]);
         Some(Profile::over(ways, legs.arrivals(profile, span_m), known, span_m))
     })
 }
@@ -125,24 +125,24 @@ impl<'a> Legs<'a> {
         };
         iter::once(graph.scene.predict(direct, &self.view)).chain(paths).map(known).collect()
     }
+}
 
-    /// Pairs of patches that may show one which only they do.
-    fn ways(&self, scene: &Scene, [lit, seen]: [PatchId; 2], shown_by: &[PatchId], longest_m: f64) -> Vec<Way> {
-        let leg = |visible: PatchId, hidden: PatchId| {
-            let arm = scene.points[&hidden] - scene.points[&visible];
-            let (along_m, any_m2) = scene.spread(hidden, &arm.normalize());
-            (arm.norm(), along_m * along_m + any_m2)
-        };
-        let way = |(a, b): (usize, usize)| {
-            let (out, back) = (leg(lit, shown_by[a]), leg(seen, shown_by[b]));
-            let across_m = (scene.points[&shown_by[a]] - scene.points[&shown_by[b]]).norm();
-            // The same patch twice errs twice the same way.
-            let variance_m2 = if a == b { 2.0 * (out.1 + back.1) } else { out.1 + back.1 };
-            let known_m = out.0 + back.0;
-            (known_m + across_m < longest_m).then(|| Way::new([a, b], known_m, variance_m2.sqrt()))
-        };
-        let pairs = (0..shown_by.len()).flat_map(|a| (0..shown_by.len()).map(move |b| (a, b)));
-        // Back to the lit patch both orders are one path.
-        pairs.filter(|(a, b)| lit != seen || a <= b).filter_map(way).collect()
-    }
+/// Pairs of patches that may show one which only they do.
+fn ways(scene: &Scene, [lit, seen]: [PatchId; 2], shown_by: &[PatchId], longest_m: f64) -> Vec<Way> {
+    let leg = |visible: PatchId, hidden: PatchId| {
+        let arm = scene.points[&hidden] - scene.points[&visible];
+        let (along_m, any_m2) = scene.spread(hidden, &arm.normalize());
+        (arm.norm(), along_m * along_m + any_m2)
+    };
+    let way = |(a, b): (usize, usize)| {
+        let (out, back) = (leg(lit, shown_by[a]), leg(seen, shown_by[b]));
+        let across_m = (scene.points[&shown_by[a]] - scene.points[&shown_by[b]]).norm();
+        // The same patch twice errs twice the same way.
+        let variance_m2 = if a == b { 2.0 * (out.1 + back.1) } else { out.1 + back.1 };
+        let known_m = out.0 + back.0;
+        (known_m + across_m < longest_m).then(|| Way::new([a, b], known_m, variance_m2.sqrt()))
+    };
+    let pairs = (0..shown_by.len()).flat_map(|a| (0..shown_by.len()).map(move |b| (a, b)));
+    // Back to the lit patch both orders are one path.
+    pairs.filter(|(a, b)| lit != seen || a <= b).filter_map(way).collect()
 }

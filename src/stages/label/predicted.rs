@@ -1,15 +1,17 @@
-//! Labels with known patches: every path predicted, every onset associated.
+//! Labels with known patches: hidden ones searched for, every path predicted, every onset associated.
 
 use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
 use super::chances::Chances;
-use super::paths::{Dense, Graph, Paths};
+use super::hidden::Search;
+use super::paths::{DEEP, Dense, Graph, Paths};
 use super::scene::{Scene, View};
-use super::{LabelOnsets, OfSensor, Verdict, Verdicts, direct, sd_ps};
+use super::{HiddenPatches, LabelOnsets, OfSensor, Verdict, Verdicts, direct, rank, sd_ps};
 use crate::geometry::association::{Candidate, Expected, GATE, Time, associate};
-use crate::tables::Onset;
+use crate::stages::stage::Rejection;
+use crate::tables::{Hypothesis, Onset};
 use crate::units::PatchId;
 
 /// Alternatives told of an onset that is left open.
@@ -21,15 +23,62 @@ const EVEN: f64 = 0.5;
 pub(super) type Pairs = BTreeSet<(PatchId, PatchId)>;
 
 /// A predicted path, read some laser periods earlier.
-pub(super) struct Prediction {
-    pub(super) path: Vec<PatchId>,
+struct Prediction {
+    path: Vec<PatchId>,
     turns: i32,
     time: Time,
 }
 
 impl LabelOnsets {
+    fn bounces(&self) -> usize {
+        self.bounces as usize
+    }
+
+    /// With known patches, and hidden ones that are found on the way.
+    pub(super) fn with_known(
+        &self,
+        scene: &Scene,
+        sensors: &[OfSensor],
+    ) -> (Vec<Verdicts>, Vec<Hypothesis>, Vec<Rejection>) {
+        let is_visible = |patch: &PatchId| scene.knows(&[*patch]);
+        let ends =
+            sensors.iter().flat_map(|sensor| &sensor.profiles).flat_map(|onsets| [onsets[0].lit, onsets[0].seen]);
+        let visible: Vec<PatchId> = ends.filter(is_visible).collect::<BTreeSet<_>>().into_iter().collect();
+        let closed: Vec<Pairs> = sensors.iter().map(|sensor| self.closed(scene, sensor)).collect();
+        let learned = |graphs: &[Graph]| Chances::prior(&visible).learned(graphs, sensors, self.bounces());
+        let predicted = |graphs: &[Graph], chances: &Chances| -> Vec<Verdicts> {
+            sensors.iter().zip(graphs).map(|(sensor, graph)| self.predicted(graph, sensor, chances)).collect()
+        };
+        let known = self.graphs(scene, sensors, &closed);
+        if self.hidden != HiddenPatches::Search || self.bounces < 3 {
+            let mut verdicts = predicted(&known, &learned(&known));
+            if self.hidden == HiddenPatches::Rank && self.bounces >= 3 {
+                sensors.iter().zip(&mut verdicts).for_each(|(sensor, verdicts)| rank::label(sensor, verdicts));
+            }
+            return (verdicts, Vec::new(), Vec::new());
+        }
+        let prior = Chances::prior(&visible);
+        let is_bright = self.bounces() >= DEEP;
+        let mut search = Search::new(scene, sensors, &visible, &known, &prior, self.false_alarm, is_bright);
+        // What was found first tells once how often later bounces are seen, and what these leave for a second layer.
+        let first = search.scene();
+        let graphs = self.graphs(&first, sensors, &closed);
+        let chances = learned(&graphs);
+        if is_bright {
+            search.deeper(&graphs, &chances);
+        }
+        let all = search.scene();
+        let verdicts = predicted(&self.graphs(&all, sensors, &closed), &chances);
+        (verdicts, search.hypotheses(), search.rejections())
+    }
+
+    fn graphs<'a>(&self, scene: &'a Scene, sensors: &[OfSensor], closed: &[Pairs]) -> Vec<Graph<'a>> {
+        let graph = |(sensor, closed)| Graph::new(scene, sensor, closed, self.bounces());
+        sensors.iter().zip(closed).map(graph).collect()
+    }
+
     /// For each profile of one sensor, for each onset, its labels.
-    pub(super) fn predicted(&self, graph: &Graph, sensor: &OfSensor, chances: &Chances) -> Verdicts {
+    fn predicted(&self, graph: &Graph, sensor: &OfSensor, chances: &Chances) -> Verdicts {
         let labels = |profile: &&[Onset]| -> Vec<Vec<Verdict>> {
             let chance = |path: &[PatchId]| graph.scene.deep_chance(path).unwrap_or_else(|| chances.of(path));
             let view = sensor.view(profile);
@@ -41,7 +90,7 @@ impl LabelOnsets {
     }
 
     /// Pairs whose direct light is more likely missing than seen, both ways. Third bounces may lie where it would be: they are predicted too.
-    pub(super) fn closed(&self, scene: &Scene, sensor: &OfSensor) -> Pairs {
+    fn closed(&self, scene: &Scene, sensor: &OfSensor) -> Pairs {
         let (mut closed, mut open) = (BTreeSet::new(), BTreeSet::new());
         if self.bounces < 3 {
             return closed;

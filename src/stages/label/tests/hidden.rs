@@ -1,6 +1,7 @@
 //! Hidden patches behind and in front of walls.
 
 use super::*;
+use crate::stages::stage::Rejection;
 use crate::tables::Row;
 
 const HIDDEN: [f64; 3] = [0.3, 1.0, 0.2];
