@@ -57,6 +57,7 @@
 //! params = { bounces = 3 }
 //! ```
 
+mod blends;
 mod blind;
 mod chances;
 mod facing;
@@ -81,6 +82,8 @@ use scene::{Scene, View};
 
 /// Stations closer than this are one.
 const ONE_STATION_M: f64 = 1e-6;
+/// Beyond, every profile is one onset.
+const BLEND_MAX_PS: f64 = 400.0;
 
 /// Parameters of `label`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -98,12 +101,14 @@ pub struct LabelOnsets {
     hidden: HiddenPatches,
     /// Probability that `search` finds a hidden patch where there is none.
     false_alarm: f64,
+    /// Pulses of two known paths that are nearer than this may be one onset: about as wide as the response.
+    blend_ps: f64,
 }
 
 impl Default for LabelOnsets {
     fn default() -> Self {
         let (clutter_per_ns, hidden, false_alarm) = (0.05, HiddenPatches::Search, 1e-3);
-        Self { bounces: 2, probability_min: 0.95, clutter_per_ns, near_m: 0.0, hidden, false_alarm }
+        Self { bounces: 2, probability_min: 0.95, clutter_per_ns, near_m: 0.0, hidden, false_alarm, blend_ps: 100.0 }
     }
 }
 
@@ -187,6 +192,8 @@ struct Verdict {
     /// `None`: left unexplained.
     path: Option<Vec<PatchId>>,
     residual_ps: Option<f64>,
+    /// Standard deviation that the light of other paths may add to the onset's time.
+    blend_sd_ps: f64,
     probability: f64,
     /// Place among the onset's labels, the best 0.
     alternative: i32,
@@ -195,7 +202,7 @@ struct Verdict {
 impl Verdict {
     /// Left unexplained.
     fn open() -> Self {
-        Self { turns: 0, path: None, residual_ps: None, probability: 1.0, alternative: 0 }
+        Self { turns: 0, path: None, residual_ps: None, blend_sd_ps: 0.0, probability: 1.0, alternative: 0 }
     }
 }
 
@@ -264,10 +271,11 @@ impl Stage for LabelOnsets {
             || self.clutter_per_ns <= 0.0
             || self.near_m.is_nan()
             || self.near_m < 0.0
+            || !(0.0..=BLEND_MAX_PS).contains(&self.blend_ps)
             || !(self.false_alarm > 0.0 && self.false_alarm < 1.0)
         {
             return Err(StageError::Refused(
-                "params: probability_min and false_alarm must lie between 0 and 1, clutter_per_ns be positive, near_m not negative"
+                "params: probability_min and false_alarm must lie between 0 and 1, clutter_per_ns be positive, near_m not negative, blend_ps between 0 and 400"
                     .to_owned(),
             ));
         }
@@ -319,7 +327,7 @@ fn row(onset: &Onset, verdict: Verdict, setup: &Setup) -> Label {
         range: onset.range.clone(),
         rank: onset.rank,
         time_ps: onset.time_ps + turns_ps,
-        time_sd_ps: sd_ps(onset),
+        time_sd_ps: sd_ps(onset).hypot(verdict.blend_sd_ps),
         turns: verdict.turns,
         bounces: verdict.path.as_deref().map_or(0, crate::path::bounces),
         path: verdict.path,

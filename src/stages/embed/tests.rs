@@ -141,6 +141,7 @@ fn without_known_patches_the_visible_are_embedded_first() {
 fn hypotheses_place_what_distances_do_not() {
     let (points, truth) = (walls(), Point::new(0.3, 1.2, 0.1));
     let hypothesis = |patch: PatchId, alternative: i32, x_m: f64| Hypothesis {
+        kind: "patch".into(),
         hypothesis: 1,
         layer: 2,
         patch: Some(patch),
@@ -155,6 +156,9 @@ fn hypotheses_place_what_distances_do_not() {
         cov_yz_m2: 0.0,
         cov_zz_m2: 1e-6,
         sd_m: 1.7e-3,
+        normal_x: None,
+        normal_y: None,
+        normal_z: None,
         evidence: 20.0 - f64::from(alternative),
         evidence_needed: 7.0,
         seen: 0.8,

@@ -70,7 +70,7 @@ impl LabelOnsets {
                     return vec![Verdict::open()];
                 };
                 let probability = light(onset);
-                vec![Verdict { turns: first.turns, path: Some(path), residual_ps: None, probability, alternative: 0 }]
+                vec![Verdict { turns: first.turns, path: Some(path), probability, ..Verdict::open() }]
             };
             profile.iter().enumerate().map(label).collect()
         };

@@ -117,7 +117,8 @@ impl Chances {
         self.learned.get(&(bounces, ANY)).copied().unwrap_or(PRIOR[bounces - 1])
     }
 
-    fn class(&self, path: &[PatchId]) -> (usize, usize) {
+    /// How many bounces, and how many of them at hidden patches.
+    pub(super) fn class(&self, path: &[PatchId]) -> (usize, usize) {
         (path.len(), path.iter().filter(|patch| !self.visible.contains(patch)).count())
     }
 }

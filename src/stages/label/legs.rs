@@ -117,7 +117,7 @@ impl<'a> Legs<'a> {
     /// Paths of up to `bounces` bounces over known patches that may have made one of the profile's onsets.
     fn known(&self, graph: &Graph, profile: &[Onset], bounces: usize, chances: &Chances) -> Vec<Known> {
         let (direct, index) = (super::direct(profile), self.view.setup.group_index);
-        let paths = graph.near(&self.view, profile, bounces).paths;
+        let paths = graph.near(&self.view, profile, bounces, 0.0).paths;
         let known = |(path, time): (Vec<PatchId>, Time)| Known {
             length_m: units::path_m(time.time_ps - self.view.delay_ps.0, index) - self.known_m,
             sd_m: units::path_m(time.sd_ps, index),

@@ -74,14 +74,14 @@ impl<'a> Graph<'a> {
         }
     }
 
-    /// Paths that may have made one of a profile's onsets.
-    pub(super) fn near(&self, view: &View, profile: &[Onset], bounces: usize) -> Paths {
+    /// Paths that may have made one of a profile's onsets, or come within `reach_ps` of one.
+    pub(super) fn near(&self, view: &View, profile: &[Onset], bounces: usize, reach_ps: f64) -> Paths {
         let period_ps = view.setup.repetition_ps;
         let is_near = |path_ps: f64, slack_ps: f64| {
             profile.iter().any(|onset| {
                 let late_ps = path_ps - onset.time_ps;
                 let off_ps = late_ps - period_ps.map_or(0.0, |period_ps| (late_ps / period_ps).round() * period_ps);
-                off_ps.abs() <= GATE * sd_ps(onset) + slack_ps
+                off_ps.abs() <= (GATE * sd_ps(onset)).max(reach_ps) + slack_ps
             })
         };
         let mut found = self.paths(view, profile, bounces, |time_ps, slack_ps| is_near(time_ps, GATE * slack_ps));

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
+use super::blends::Blends;
 use super::chances::Chances;
 use super::hidden::Search;
 use super::paths::{DEEP, Dense, Graph, Paths};
@@ -23,10 +24,29 @@ const EVEN: f64 = 0.5;
 pub(super) type Pairs = BTreeSet<(PatchId, PatchId)>;
 
 /// A predicted path, read some laser periods earlier.
-struct Prediction {
-    path: Vec<PatchId>,
-    turns: i32,
-    time: Time,
+pub(super) struct Prediction {
+    pub(super) path: Vec<PatchId>,
+    pub(super) turns: i32,
+    pub(super) time: Time,
+}
+
+/// What is expected of paths.
+struct Expectation<'a> {
+    /// Chance that a path makes an onset.
+    chance: &'a dyn Fn(&[PatchId]) -> f64,
+    /// The same of an order that is too dense.
+    dense_chance: &'a dyn Fn(usize) -> f64,
+    /// How other paths pull an onset; `None`: not at all.
+    blends: Option<&'a Blends<'a>>,
+}
+
+/// What may have made the onsets of a profile.
+struct Associated {
+    predictions: Vec<Prediction>,
+    /// For each onset.
+    found: Vec<Vec<Candidate>>,
+    /// Standard deviation that the light of other paths adds to each onset.
+    blend_sds_ps: Vec<f64>,
 }
 
 impl LabelOnsets {
@@ -47,7 +67,15 @@ impl LabelOnsets {
         let closed: Vec<Pairs> = sensors.iter().map(|sensor| self.closed(scene, sensor)).collect();
         let learned = |graphs: &[Graph]| Chances::prior(&visible).learned(graphs, sensors, self.bounces());
         let predicted = |graphs: &[Graph], chances: &Chances| -> Vec<Verdicts> {
-            sensors.iter().zip(graphs).map(|(sensor, graph)| self.predicted(graph, sensor, chances)).collect()
+            let all = |blends: Option<&Blends>| -> Vec<Verdicts> {
+                sensors
+                    .iter()
+                    .zip(graphs)
+                    .map(|(sensor, graph)| self.predicted(graph, sensor, chances, blends))
+                    .collect()
+            };
+            let first = all(None);
+            all(Some(&Blends::learned(chances, self.blend_ps, sensors, &first)))
         };
         let known = self.graphs(scene, sensors, &closed);
         if self.hidden != HiddenPatches::Search || self.bounces < 3 {
@@ -78,13 +106,17 @@ impl LabelOnsets {
     }
 
     /// For each profile of one sensor, for each onset, its labels.
-    fn predicted(&self, graph: &Graph, sensor: &OfSensor, chances: &Chances) -> Verdicts {
+    fn predicted(&self, graph: &Graph, sensor: &OfSensor, chances: &Chances, blends: Option<&Blends>) -> Verdicts {
         let labels = |profile: &&[Onset]| -> Vec<Vec<Verdict>> {
             let chance = |path: &[PatchId]| graph.scene.deep_chance(path).unwrap_or_else(|| chances.of(path));
-            let view = sensor.view(profile);
-            let (predictions, found) =
-                self.associated(graph, &view, profile, self.bounces(), &chance, &|bounces| chances.of_dense(bounces));
-            found.into_iter().map(|candidates| self.verdicts(&candidates, &predictions)).collect()
+            let expectation =
+                Expectation { chance: &chance, dense_chance: &|bounces| chances.of_dense(bounces), blends };
+            let Associated { predictions, found, blend_sds_ps } =
+                self.associated(graph, &sensor.view(profile), profile, self.bounces(), &expectation);
+            let of_onset = |(candidates, blend_sd_ps): (Vec<Candidate>, f64)| {
+                self.verdicts(&candidates, &predictions, blend_sd_ps)
+            };
+            found.into_iter().zip(blend_sds_ps).map(of_onset).collect()
         };
         sensor.profiles.par_iter().map(labels).collect()
     }
@@ -98,7 +130,9 @@ impl LabelOnsets {
         let graph = Graph::new(scene, sensor, &BTreeSet::new(), 3);
         for profile in sensor.profiles.iter().filter(|profile| profile[0].lit != profile[0].seen) {
             let (lit, seen) = (profile[0].lit, profile[0].seen);
-            let (predictions, found) = self.associated(&graph, &sensor.view(profile), profile, 3, &|_| EVEN, &|_| EVEN);
+            let expectation = Expectation { chance: &|_| EVEN, dense_chance: &|_| EVEN, blends: None };
+            let Associated { predictions, found, .. } =
+                self.associated(&graph, &sensor.view(profile), profile, 3, &expectation);
             let is_direct = |candidate: &&Candidate| predictions[candidate.path].path.len() == 2;
             let direct: f64 = found.iter().flatten().filter(is_direct).map(|candidate| candidate.probability).sum();
             if direct > 0.5 {
@@ -118,43 +152,53 @@ impl LabelOnsets {
         view: &View,
         profile: &[Onset],
         bounces: usize,
-        chance: &dyn Fn(&[PatchId]) -> f64,
-        dense_chance: &dyn Fn(usize) -> f64,
-    ) -> (Vec<Prediction>, Vec<Vec<Candidate>>) {
-        let Paths { mut paths, dense } = graph.near(view, profile, bounces);
+        expectation: &Expectation,
+    ) -> Associated {
+        let reach_ps = expectation.blends.map_or(0.0, |blends| blends.reach_ps);
+        let Paths { mut paths, dense } = graph.near(view, profile, bounces, reach_ps);
         let direct = direct(profile);
         if direct.len() <= bounces && graph.scene.knows(&direct) {
             paths.insert(0, graph.scene.predict(direct, view));
         }
-        let arrivals: Vec<Time> =
+        let mut arrivals: Vec<Time> =
             profile.iter().map(|onset| Time { time_ps: onset.time_ps, sd_ps: sd_ps(onset) }).collect();
-        let predictions = readings(paths, view.setup.repetition_ps, &arrivals);
+        let predictions = readings(paths, view.setup.repetition_ps, &arrivals, reach_ps);
         let expected = |prediction: &Prediction| Expected {
             time: prediction.time,
-            seen: if prediction.path.len() <= 2 { EVEN } else { chance(&prediction.path) },
+            seen: if prediction.path.len() <= 2 { EVEN } else { (expectation.chance)(&prediction.path) },
         };
         let expected: Vec<Expected> = predictions.iter().map(expected).collect();
         let dense_per_ps = |arrival: &Time| match dense {
             Some(Dense { bounces, per_ps, from_ps, .. })
                 if view.setup.repetition_ps.is_some() || arrival.time_ps > from_ps =>
             {
-                dense_chance(bounces) * per_ps
+                (expectation.dense_chance)(bounces) * per_ps
             }
             _ => 0.0,
         };
         let clutter_per_ps: Vec<f64> =
             arrivals.iter().map(|arrival| self.clutter_per_ns * 1e-3 + dense_per_ps(arrival)).collect();
-        let found = associate(&arrivals, &expected, &clutter_per_ps);
-        (predictions, found)
+        let mut found = associate(&arrivals, &expected, &clutter_per_ps);
+        let mut blend_sds_ps = vec![0.0; profile.len()];
+        if let Some(blends) = expectation.blends {
+            blend_sds_ps = blends.sds_ps(profile, &predictions, &found);
+            arrivals
+                .iter_mut()
+                .zip(&blend_sds_ps)
+                .for_each(|(arrival, sd_ps)| arrival.sd_ps = arrival.sd_ps.hypot(*sd_ps));
+            found = associate(&arrivals, &expected, &clutter_per_ps);
+        }
+        Associated { predictions, found, blend_sds_ps }
     }
 
-    fn verdicts(&self, candidates: &[Candidate], predictions: &[Prediction]) -> Vec<Verdict> {
+    fn verdicts(&self, candidates: &[Candidate], predictions: &[Prediction], blend_sd_ps: f64) -> Vec<Verdict> {
         let verdict = |(n, candidate): (usize, &Candidate)| {
             let Prediction { path, turns, .. } = &predictions[candidate.path];
             Verdict {
                 turns: *turns,
                 path: Some(path.clone()),
                 residual_ps: Some(candidate.residual_ps),
+                blend_sd_ps,
                 probability: candidate.probability,
                 alternative: n as i32,
             }
@@ -170,9 +214,14 @@ impl LabelOnsets {
     }
 }
 
-/// Predictions near any of the arrivals, read with the laser periods that bring them there.
-fn readings(paths: Vec<(Vec<PatchId>, Time)>, period_ps: Option<f64>, arrivals: &[Time]) -> Vec<Prediction> {
-    let reach = |arrival: &Time, time: &Time| GATE * arrival.sd_ps.hypot(time.sd_ps);
+/// Predictions near any of the arrivals or within `reach_ps`, read with the laser periods that bring them there.
+fn readings(
+    paths: Vec<(Vec<PatchId>, Time)>,
+    period_ps: Option<f64>,
+    arrivals: &[Time],
+    reach_ps: f64,
+) -> Vec<Prediction> {
+    let reach = |arrival: &Time, time: &Time| (GATE * arrival.sd_ps.hypot(time.sd_ps)).max(reach_ps);
     let mut predictions = Vec::new();
     for (path, time) in paths {
         let mut turns: Vec<i32> = arrivals

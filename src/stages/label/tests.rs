@@ -1,5 +1,6 @@
 //! Labels of onsets whose paths are known: a room of patches on three rectangles, laser and sensor in one point.
 
+mod blends;
 mod blind;
 mod bounces;
 mod hidden;
