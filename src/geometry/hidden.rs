@@ -29,6 +29,7 @@
 
 mod climb;
 mod explanation;
+pub mod facing;
 mod moves;
 mod plane_seeds;
 mod rivals;

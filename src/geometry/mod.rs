@@ -8,6 +8,7 @@ pub mod classical;
 pub mod completion;
 pub mod dense;
 pub mod detours;
+pub mod faint;
 pub mod footprint;
 pub mod frame;
 pub mod hidden;

@@ -43,7 +43,6 @@
 //! ```
 
 mod explain;
-mod session;
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -51,6 +50,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde::{Deserialize, Serialize};
 
 use super::calibrated::{self, Calibrated, Key, key_of};
+use super::correction::Correction;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::signal::fft::RealFft;
@@ -59,7 +59,6 @@ use crate::signal::sparse::Unpiled;
 use crate::signal::wiener::{Transfer, Wiener};
 use crate::tables::{Calibration, Profile, Session, Stir};
 use explain::{Asked, Explained, Method, Record};
-use session::Correction;
 
 /// Parameters of `deconvolve`.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -4,6 +4,7 @@ pub mod average;
 pub mod calibrate;
 mod calibrated;
 pub mod characterize;
+mod correction;
 mod covariances;
 pub mod deconvolve;
 pub mod detect;
@@ -17,6 +18,7 @@ mod moment;
 pub mod operator;
 pub mod range;
 pub mod refine;
+pub mod search;
 pub mod source;
 pub mod stage;
 pub mod surface;
@@ -57,7 +59,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 14] = [
+pub const KINDS: [&str; 15] = [
     "ingest",
     "calibrate",
     "average",
@@ -70,6 +72,7 @@ pub const KINDS: [&str; 14] = [
     "range",
     "embed",
     "refine",
+    "search",
     "surface",
     "import",
 ];
@@ -99,6 +102,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "range" => Node::Operator(params_of::<range::Range>(params)?),
         "embed" => Node::Operator(params_of::<embed::Embed>(params)?),
         "refine" => Node::Operator(params_of::<refine::Refine>(params)?),
+        "search" => Node::Operator(params_of::<search::Search>(params)?),
         "surface" => Node::Operator(params_of::<surface::Surface>(params)?),
         _ => return Err(suggest::unknown("stage", kind, &KINDS)),
     })

@@ -4,7 +4,8 @@ use super::row::Name;
 use crate::table;
 
 table! {
-    /// A hidden patch or plane that was found among onsets which nothing else explains, or the likeliest place for one more patch that was not sure enough.
+    /// A hidden patch or plane that was found in light which nothing else explains (by `label` among onsets, by `search` in whole profiles), or the likeliest place for one more patch
+    /// that was not sure enough.
     "hypotheses": Hypothesis, HypothesisColumns {
         /// Number, from 1: the surest first.
         hypothesis: i32,
@@ -50,5 +51,9 @@ table! {
         seen: f64,
         /// Onsets that it makes, expected.
         onsets: f64,
+        /// Shots a capture that would show a declined patch in nine of ten campaigns, if it is one; null for what was found, and where onsets alone were looked at.
+        shots_needed: Option<f64>,
+        /// Hours that a campaign of so many shots takes; null where the captures' times are not known.
+        hours_needed: Option<f64>,
     }
 }

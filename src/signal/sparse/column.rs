@@ -104,6 +104,15 @@ impl Column {
         sums
     }
 
+    /// Value and derivative by the time as whole whitened records.
+    pub(super) fn dense(&self, len: usize) -> [Vec<f64>; 2] {
+        let mut records = [vec![0.0; len], vec![0.0; len]];
+        for (k, record) in records.iter_mut().enumerate() {
+            record[self.range()].iter_mut().zip(&self.samples).for_each(|(z, c)| *z = c[k]);
+        }
+        records
+    }
+
     /// Adds `amplitude` times the pulse to a whitened record.
     pub(super) fn add_to(&self, record: &mut [f64], amplitude: f64) {
         for (c, z) in self.samples.iter().zip(&mut record[self.first..]) {

@@ -27,6 +27,7 @@ mod greedy;
 mod interval;
 mod joint;
 mod linear;
+mod matched;
 mod model;
 mod place;
 mod projection;
@@ -41,6 +42,7 @@ use super::whiten::Whitener;
 pub use counts::{Unpiled, fit_counts};
 pub use evidence::{evidence_min, evidence_min_of};
 pub use joint::fit_joint;
+pub use matched::{Given, Matched, Open, matched};
 use place::{Place, spread_response};
 
 /// False pulses a record of pure noise, where the caller sets no threshold.

@@ -35,7 +35,7 @@ pub(super) struct Model<'a> {
 }
 
 impl<'a> Record<'a> {
-    fn new(profile: &Profile, response: &'a Response, options: &SparseOptions) -> Self {
+    pub(super) fn new(profile: &Profile, response: &'a Response, options: &SparseOptions) -> Self {
         let whitener = Whitener::new(profile.sd_v, profile.acf);
         let constant = whitener.apply(&vec![1.0; profile.sd_v.len()]);
         let squared = constant.iter().map(|w| w * w).sum::<f64>();
@@ -51,6 +51,11 @@ impl<'a> Record<'a> {
             baseline: (options.baseline && squared > 0.0).then_some(squared),
             arrivals_ps: (first_ps, first_ps + last * profile.dt_ps),
         }
+    }
+
+    /// Whether a pulse's maximum lies inside.
+    pub(super) fn holds(&self, time_ps: f64) -> bool {
+        (self.arrivals_ps.0..=self.arrivals_ps.1).contains(&time_ps)
     }
 
     /// Number of samples.
@@ -96,7 +101,7 @@ impl<'a> Model<'a> {
 
     /// Whether a pulse's maximum lies inside of every record.
     pub(super) fn is_inside(&self, time_ps: f64) -> bool {
-        self.records.iter().all(|record| (record.arrivals_ps.0..=record.arrivals_ps.1).contains(&time_ps))
+        self.records.iter().all(|record| record.holds(time_ps))
     }
 
     /// Whether all places have their maximum inside of every record.

@@ -4,10 +4,11 @@ use nalgebra::Vector3;
 
 use super::OfSensor;
 use super::chances::Chances;
-use super::facing::{foci, in_line, spans};
+use super::facing::{foci, in_line};
 use super::legs;
 use super::paths::Graph;
 use super::scene::Scene;
+use crate::geometry::hidden::facing::spans;
 use crate::geometry::hidden::{self, Focus, Found, Hidden, Room, Surface};
 use crate::geometry::{Point, planes};
 use crate::stages::stage::Rejection;
@@ -163,6 +164,8 @@ impl<'a> Search<'a> {
                 evidence_needed: -self.false_alarm.ln(),
                 seen: hidden.seen,
                 onsets: hidden.arrivals,
+                shots_needed: None,
+                hours_needed: None,
             }
         };
         all.map(row).collect()

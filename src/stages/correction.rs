@@ -1,7 +1,7 @@
 //! What a session says of one profile: drift of its delay, and pick-up.
 
-use crate::stages::calibrated::Key;
-use crate::stages::moment;
+use super::calibrated::Key;
+use super::moment;
 use crate::tables::{Profile, Session};
 
 /// Places of profile and pick-up agree to this part of a sample.
@@ -9,15 +9,15 @@ const OFF_GRID: f64 = 1e-3;
 
 /// Drift at the time of a profile, and the pick-up in it.
 #[derive(Debug, Default)]
-pub(super) struct Correction<'a> {
-    pub(super) drift_ps: f64,
-    pub(super) drift_sd_ps: f64,
+pub struct Correction<'a> {
+    pub drift_ps: f64,
+    pub drift_sd_ps: f64,
     pickup: Option<&'a Session>,
 }
 
 impl<'a> Correction<'a> {
     /// For a profile of the sensor and range `key`, or why it cannot be corrected. None where the session says nothing.
-    pub(super) fn of(sessions: &'a [Session], key: &Key, profile: &Profile) -> Result<Self, String> {
+    pub fn of(sessions: &'a [Session], key: &Key, profile: &Profile) -> Result<Self, String> {
         let is_of = |row: &&Session| (&row.campaign, &row.sensor, &row.range) == (&key.0, &key.1, &key.2);
         let Some(row) = sessions.iter().find(is_of) else {
             return Ok(Self::default());
@@ -40,7 +40,7 @@ impl<'a> Correction<'a> {
     }
 
     /// Takes the pick-up off the samples of a profile and adds its variance to theirs; of a circular profile around its end. Or says why that cannot be.
-    pub(super) fn take_pickup_off(
+    pub fn take_pickup_off(
         &self,
         profile: &Profile,
         period_ps: Option<f64>,

@@ -1,0 +1,163 @@
+//! A hidden patch too weak for an onset in any single profile, from its light in all profiles together.
+//!
+//! For each profile a matched filter gives, by the length s of a way over a hidden point, the score z of one more pulse: its amplitude in standard deviations. A patch at q
+//! makes a pulse at `s = |q - a| + |q - b|` in the profile of visible patches a and b, of a score that is normal about its signal-to-noise ratio u with variance 1. The
+//! log-likelihood ratio of one more patch is then
+//!
+//! ```text
+//! L(q, g) = sum over profiles of log(1 - p + p sum_f w_f exp(u_f z - u_f^2 / 2)),   u_f = f g gain(s) / (|q - a|^2 |q - b|^2)
+//! ```
+//!
+//! Amplitudes are unknown, but alike: one strength g, the fall of light over both legs, and a factor f in each profile, spread by [`SPREAD`], for the cosines. Against
+//! known amplitudes that costs a few hundredths of the information; free ones in each profile would cost half. With a probability of 1 - p something stands between.
+//!
+//! A patch is sure if its evidence, the log of the Bayes factor of a patch anywhere over none, exceeds -log(alpha):
+//!
+//! ```text
+//! B = mean over the volume and the strengths of exp(L)
+//! ```
+//!
+//! Without a patch B is 1 on average, so that chance makes it exceed 1 / alpha with a probability of at most alpha (Markov's inequality), whatever the geometry. Strengths are taken as
+//! equally probable on a logarithmic scale, from a root-mean-square signal-to-noise ratio of 0.16 in a profile to 16. The integral over places is that about the best one, by
+//! importance sampling at fixed points of low discrepancy, fitted to the integrand in a few rounds (Cappé et al., J. Comput. Graph. Stat. 13, 907 (2004)); what it leaves out makes it smaller. Candidates come from
+//! [`search`](super::hidden::search::search).
+//!
+//! One patch at a time: light of known places is to be projected out of the scores before, that of a patch just found included.
+//!
+//! Not modelled: errors of the foci and of delays, which are small beside the response's width; unknown light in few profiles that is weaker than an onset.
+
+mod likelihood;
+mod sampling;
+
+use nalgebra::Matrix3;
+
+use super::Point;
+use super::hidden::Focus;
+use super::hidden::search::{Curve, Domain, Legs, search};
+use likelihood::{Likelihood, searched};
+pub use likelihood::{Profile, SPREAD};
+
+/// Root-mean-square signal-to-noise ratios for which candidates are searched: those between are found with either.
+const SEARCHED: [f64; 2] = [0.8, 2.5];
+/// Sums of log-likelihood ratios down to which places are looked at, one after the other until there are some.
+const LEAST: [f32; 5] = [200.0, 100.0, 50.0, 25.0, 14.0];
+/// Candidates that are judged by the likelihood at a point, by few samples, and by many.
+const CANDIDATES: [usize; 3] = [400, 12, 3];
+/// Half diagonal of the cubes that are searched, as a share of the response's length.
+const FINE: f64 = 0.12;
+
+/// What a patch is searched in.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Room {
+    /// Visible patches.
+    pub foci: Vec<Focus>,
+    /// 3, or 2 for flatland.
+    pub dimensions: usize,
+    /// Length that light goes in the time that the response is wide.
+    pub width_m: f64,
+}
+
+/// A place where there may be a patch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Faint {
+    /// Position.
+    pub point: Point,
+    /// Covariance. In flatland the third row and column are 0.
+    pub covariance: Matrix3<f64>,
+    /// Log of the Bayes factor of this patch over none.
+    pub evidence: f64,
+    /// Log-likelihood ratio where it is largest.
+    pub likelihood: f64,
+    /// Signal-to-noise ratio in all profiles together: the root of the sum of their squares.
+    pub snr: f64,
+    /// Share of the profiles that could have recorded it.
+    pub seen: f64,
+}
+
+/// Chance with which the shots that [`Faint::growth`] tells show the patch, as standard deviations.
+const CHANCE_SD: f64 = 1.28;
+
+impl Faint {
+    /// How many times as many shots would show this patch, if it is one, in nine of ten campaigns.
+    ///
+    /// Its log-likelihood ratio G grows with the shots n, its standard deviation as `sqrt(2 G n)`, and the share of the volume that it is known to shrinks:
+    /// `evidence + (n - 1) G - (d + 1) / 2 log n`, for d coordinates and the strength. Of the largest log-likelihood ratio chance makes half a unit for each of these.
+    #[must_use]
+    pub fn growth(&self, needed: f64, dimensions: usize) -> f64 {
+        let unknowns = (dimensions + 1) as f64;
+        let gain = (self.likelihood - 0.5 * unknowns).max(1.0);
+        let least = |n: f64| {
+            let expected = self.evidence + (n - 1.0) * gain - 0.5 * unknowns * n.ln();
+            expected - CHANCE_SD * (2.0 * gain * n).sqrt()
+        };
+        let mut high = 1.0;
+        while least(high) < needed {
+            high *= 2.0;
+        }
+        let mut low = 0.5 * high;
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if least(middle) < needed { low = middle } else { high = middle }
+        }
+        high.max(1.0)
+    }
+}
+
+/// The likeliest place of one more patch; `None` where the profiles speak for none.
+///
+/// # Panics
+/// When a profile names a focus that is not there.
+#[must_use]
+pub fn likeliest(profiles: &[Profile], room: &Room) -> Option<Faint> {
+    let longest_m = profiles.iter().map(Profile::end_m).fold(0.0, f64::max);
+    let middle = room.foci.iter().map(|focus| focus.point.coords).sum::<nalgebra::Vector3<f64>>();
+    let centre = Point::from(middle / room.foci.len() as f64);
+    // Of a patch further out than that every way would be longer than any record.
+    let domain = Domain { centre, half_m: 0.5 * longest_m, dimensions: room.dimensions };
+    let all = Likelihood::new(profiles, room, &domain);
+    let mut points: Vec<Point> = SEARCHED.iter().flat_map(|snr| candidates(profiles, room, &domain, *snr)).collect();
+    points = all.best(&points, CANDIDATES[1], FINE * room.width_m);
+    let mut places = all.sampled(&points, FINE * room.width_m, false);
+    places.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+    let starts: Vec<Point> = places.iter().take(CANDIDATES[2]).map(|place| place.point).collect();
+    let places = all.sampled(&starts, FINE * room.width_m, true);
+    places.into_iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))
+}
+
+/// Centres of cubes in which the sum of log-likelihood ratios may be large, for pulses of one signal-to-noise ratio.
+fn candidates(profiles: &[Profile], room: &Room, domain: &Domain, snr: f64) -> Vec<Point> {
+    let legs = legs(profiles, snr);
+    for least in LEAST {
+        let cubes = search(&room.foci, &legs, domain, FINE * room.width_m, least);
+        if !cubes.is_empty() {
+            return cubes.into_iter().take(CANDIDATES[0]).map(|(point, _)| point).collect();
+        }
+    }
+    Vec::new()
+}
+
+/// Log-likelihood ratios by length, reciprocal profiles together.
+fn legs(profiles: &[Profile], snr: f64) -> Vec<Legs> {
+    let curves = searched(profiles, snr);
+    let mut legs: Vec<Legs> = Vec::new();
+    for (profile, curve) in profiles.iter().zip(curves) {
+        let foci = [profile.foci[0].min(profile.foci[1]), profile.foci[0].max(profile.foci[1])];
+        match legs.iter_mut().find(|legs| legs.foci == foci && is_aligned(&legs.curve, &curve)) {
+            Some(legs) => {
+                legs.profiles += 1;
+                let length = legs.curve.values.len().max(curve.values.len());
+                legs.curve.values.resize(length, 0.0);
+                legs.curve.values.iter_mut().zip(&curve.values).for_each(|(sum, value)| *sum += value);
+            }
+            None => legs.push(Legs { foci, profiles: 1, curve }),
+        }
+    }
+    legs
+}
+
+fn is_aligned(a: &Curve, b: &Curve) -> bool {
+    a.low_m == b.low_m && a.step_m == b.step_m
+}
+
+#[cfg(test)]
+mod tests;
