@@ -29,7 +29,7 @@
 mod likelihood;
 mod sampling;
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::Point;
 use super::hidden::Focus;
@@ -40,11 +40,11 @@ pub use likelihood::{Profile, SPREAD};
 /// Root-mean-square signal-to-noise ratios for which candidates are searched: those between are found with either.
 const SEARCHED: [f64; 2] = [0.8, 2.5];
 /// Sums of log-likelihood ratios down to which places are looked at, one after the other until there are some.
-const LEAST: [f32; 5] = [200.0, 100.0, 50.0, 25.0, 14.0];
+const LEAST: [f32; 4] = [200.0, 80.0, 35.0, 18.0];
 /// Candidates that are judged by the likelihood at a point, by few samples, and by many.
 const CANDIDATES: [usize; 3] = [400, 12, 3];
 /// Half diagonal of the cubes that are searched, as a share of the response's length.
-const FINE: f64 = 0.12;
+const FINE: f64 = 0.25;
 
 /// What a patch is searched in.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,7 +110,7 @@ impl Faint {
 #[must_use]
 pub fn likeliest(profiles: &[Profile], room: &Room) -> Option<Faint> {
     let longest_m = profiles.iter().map(Profile::end_m).fold(0.0, f64::max);
-    let middle = room.foci.iter().map(|focus| focus.point.coords).sum::<nalgebra::Vector3<f64>>();
+    let middle = room.foci.iter().map(|focus| focus.point.coords).sum::<Vector3<f64>>();
     let centre = Point::from(middle / room.foci.len() as f64);
     // Of a patch further out than that every way would be longer than any record.
     let domain = Domain { centre, half_m: 0.5 * longest_m, dimensions: room.dimensions };

@@ -118,7 +118,15 @@ fn stages_never_import_one_another() {
             !other.contains('/')
                 && *other != own
                 && ![
-                    "stage", "operator", "source", "mod", "calibrated", "correction", "covariances", "footprints", "moment",
+                    "stage",
+                    "operator",
+                    "source",
+                    "mod",
+                    "calibrated",
+                    "correction",
+                    "covariances",
+                    "footprints",
+                    "moment",
                 ]
                 .contains(&other.as_str())
         }) {

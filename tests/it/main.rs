@@ -8,6 +8,7 @@ mod check;
 mod cli;
 mod determinism;
 mod failures;
+mod faint;
 mod formats;
 mod hidden;
 mod house;

@@ -1,5 +1,6 @@
 //! The likelihood of a patch at a place, by its strength.
 
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::Room;
@@ -52,7 +53,7 @@ impl Profile {
     /// Score and gain at a length; `None` outside the record.
     fn at(&self, length_m: f64) -> Option<(f64, f64)> {
         let place = (length_m - self.low_m) / self.step_m;
-        if !(place >= 0.0) {
+        if place.is_nan() || place < 0.0 {
             return None;
         }
         let (k, part) = (place as usize, place.fract());
@@ -158,7 +159,7 @@ impl<'a> Likelihood<'a> {
         let at = |k: i32| (f64::from(k) + 0.5) * step_m - self.domain.half_m;
         let row = |i: i32| {
             let points = (0..n).flat_map(|j| (0..if flat { 1 } else { n }).map(move |k| (j, k)));
-            let point = |(j, k)| self.domain.centre + nalgebra::Vector3::new(at(i), at(j), if flat { 0.0 } else { at(k) });
+            let point = |(j, k)| self.domain.centre + Vector3::new(at(i), at(j), if flat { 0.0 } else { at(k) });
             points.filter(|jk| self.signals(&point(*jk)).is_some()).count()
         };
         let count: usize = (0..n).into_par_iter().map(row).sum();

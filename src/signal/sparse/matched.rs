@@ -2,11 +2,13 @@
 
 use super::column::Column;
 use super::model::Record;
-use super::place::Place;
+use super::place::{Place, spread_response};
 use super::{Profile, Response, SparseOptions};
 
 /// A column of which others leave no larger part of its length says nothing new.
 const NEW: f64 = 0.05;
+/// Knots in the full width of a spread response.
+const SPREAD_STEPS: f64 = 20.0;
 
 /// Light whose place is known and whose amplitude is not.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,16 +17,18 @@ pub struct Given {
     pub time_ps: f64,
     /// Standard deviation of the spread of its light, ps.
     pub width_ps: f64,
-    /// What beside the amplitude is open.
+    /// What is open.
     pub open: Open,
 }
 
-/// What of a given pulse is open beside its amplitude.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What of a given pulse is open.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Open {
-    /// Nothing: it is where other light says.
+    /// Its amplitude, which makes a score of this standard deviation about 0.
+    Score(f64),
+    /// Any amplitude.
     Amplitude,
-    /// Its time, to first order: it was fitted.
+    /// The time too, to first order: it was fitted.
     Time,
     /// The spread of its light as well, as strong pulses tell it.
     Width,
@@ -39,8 +43,8 @@ pub struct Matched {
     pub gains: Vec<f64>,
 }
 
-/// The matched filter for a pulse of spread `width_ps` at each of `times_ps`, in whitened samples freed of a constant and of `given` light: what any of these could explain
-/// does not count. Amplitude and standard deviation are those of the joint least-squares fit of the pulse with all of them.
+/// The matched filter for a pulse of spread `width_ps` at each of `times_ps`, in whitened samples freed of a constant and of `given` light: what these could explain
+/// does not count. Amplitude and standard deviation are those of the joint fit of the pulse with all of them.
 ///
 /// # Panics
 /// As [`super::fit`].
@@ -54,15 +58,16 @@ pub fn matched(
 ) -> Matched {
     let record = Record::new(profile, response, &SparseOptions::default());
     let mut known = Known { axes: Vec::new() };
-    known.add(record.constant.clone());
+    known.add(record.constant.clone(), None);
     for light in given {
         known.add_light(&record, light);
     }
-    let mut residual = record.whitener.apply(profile.mean_v);
-    known.take_out(&mut residual);
+    let residual = known.without(&record.whitener.apply(profile.mean_v));
+    let spread = spread(response, width_ps);
+    let record = Record::new(profile, &spread, &SparseOptions::default());
     let mut matched = Matched::default();
     for time_ps in times_ps {
-        let column = Column::new(&record, &place(time_ps, width_ps));
+        let column = Column::new(&record, &Place::point(time_ps));
         let (norm, left) = known.left_of(&column);
         let is_told = record.holds(time_ps) && left > NEW * NEW * norm;
         let gain = if is_told { left.sqrt() } else { 0.0 };
@@ -72,49 +77,72 @@ pub fn matched(
     matched
 }
 
+/// The response to light that is spread in time.
+fn spread(response: &Response, width_ps: f64) -> Response {
+    if width_ps == 0.0 {
+        return response.clone();
+    }
+    let (first_ps, last_ps) = response.support_ps();
+    let nodes = Place::widened(0.0, width_ps * width_ps).nodes(response.width_ps());
+    let reach_ps = nodes.iter().fold(0.0_f64, |most, (x, ..)| most.max(x.abs()));
+    let step_ps = response.width_ps() / SPREAD_STEPS;
+    let count = ((last_ps - first_ps + 2.0 * reach_ps) / step_ps).ceil() as usize + 1;
+    let value = |k: usize| spread_response(response, &nodes, first_ps - reach_ps + k as f64 * step_ps)[0];
+    Response::new(first_ps - reach_ps, step_ps, &(0..count).map(value).collect::<Vec<_>>())
+}
+
 fn place(time_ps: f64, width_ps: f64) -> Place {
     if width_ps > 0.0 { Place::widened(time_ps, width_ps * width_ps) } else { Place::point(time_ps) }
 }
 
-/// An orthonormal basis of what given light may look like.
+/// What given light may look like: the inverse covariance of whitened samples is `Q = 1 - sum v v^T` over these axes v.
 struct Known {
     axes: Vec<Vec<f64>>,
 }
 
 impl Known {
-    /// Adds a direction, if it is a new one. Taken out twice: once leaves what rounding makes of nearly equal ones.
-    fn add(&mut self, mut direction: Vec<f64>) {
-        let before = squared(&direction);
-        self.take_out(&mut direction);
-        self.take_out(&mut direction);
-        let left = squared(&direction);
-        if left > NEW * NEW * before && left > 0.0 {
-            direction.iter_mut().for_each(|value| *value /= left.sqrt());
-            self.axes.push(direction);
+    /// Adds a direction in which samples may lie off: by any amount, or so many standard deviations of noise (Sherman and Morrison's formula). What others explain is not new.
+    fn add(&mut self, direction: Vec<f64>, score_sd: Option<f64>) {
+        let norm = squared(&direction);
+        let mut axis = self.without(&direction);
+        let left: f64 = axis.iter().zip(&direction).map(|(a, d)| a * d).sum();
+        if left > NEW * NEW * norm {
+            let open = score_sd.map_or(0.0, |sd| norm / (sd * sd));
+            axis.iter_mut().for_each(|value| *value /= (open + left).sqrt());
+            self.axes.push(axis);
         }
     }
 
     fn add_light(&mut self, record: &Record, light: &Given) {
         let column = Column::new(record, &place(light.time_ps, light.width_ps));
         let [value, slope] = column.dense(record.len());
-        self.add(value);
+        if let Open::Score(sd) = light.open {
+            return if sd > 0.0 {
+                self.add(value, Some(sd))
+            };
+        }
+        self.add(value, None);
         if light.open != Open::Amplitude {
-            self.add(slope);
+            self.add(slope, None);
         }
         if light.open == Open::Width {
             let [widening, _] = Column::widening(record, light.time_ps).dense(record.len());
-            self.add(widening);
+            self.add(widening, None);
         }
     }
 
-    fn take_out(&self, samples: &mut [f64]) {
+    /// `Q samples`.
+    fn without(&self, samples: &[f64]) -> Vec<f64> {
+        let along = |axis: &Vec<f64>| axis.iter().zip(samples).map(|(a, s)| a * s).sum::<f64>();
+        let mut left = samples.to_vec();
         for axis in &self.axes {
-            let along: f64 = axis.iter().zip(&*samples).map(|(a, s)| a * s).sum();
-            samples.iter_mut().zip(axis).for_each(|(s, a)| *s -= along * a);
+            let along = along(axis);
+            left.iter_mut().zip(axis).for_each(|(s, a)| *s -= along * a);
         }
+        left
     }
 
-    /// Squared norm of a column, and of what the basis leaves of it.
+    /// Squared norm of a column c, and `c^T Q c`.
     fn left_of(&self, column: &Column) -> (f64, f64) {
         let norm = column.shared(column);
         let along = |axis: &Vec<f64>| column.dot_record(axis)[0].powi(2);
@@ -124,4 +152,77 @@ impl Known {
 
 fn squared(values: &[f64]) -> f64 {
     values.iter().map(|value| value * value).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::signal::regression::least_squares;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn gaussian(sigma_ps: f64) -> Response {
+        let values: Vec<f64> = (-100..=100).map(|i| (-0.5 * (f64::from(i) * 6.0 / sigma_ps).powi(2)).exp()).collect();
+        Response::new(-600.0, 6.0, &values)
+    }
+
+    const SD_V: f64 = 0.3;
+    const COUNT: usize = 80;
+
+    fn record(seed: u64) -> Vec<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let noise = |rng: &mut ChaCha8Rng| -> f64 { StandardNormal.sample(rng) };
+        let response = gaussian(100.0);
+        let light = |time_ps: f64| 5.0 * response.value(time_ps - 1500.0) + 0.4 * response.value(time_ps - 2100.0);
+        (0..COUNT).map(|n| 0.7 + light(50.0 * n as f64) + SD_V * noise(&mut rng)).collect()
+    }
+
+    fn profile<'a>(mean_v: &'a [f64], sd_v: &'a [f64]) -> Profile<'a> {
+        Profile { mean_v, sd_v, acf: &[1.0], t0_ps: 0.0, dt_ps: 50.0 }
+    }
+
+    /// Score and gain are those of least squares with a constant, the given pulse and its slope, whatever the given pulse's amplitude.
+    #[test]
+    fn scores_are_those_of_least_squares_beside_given_light() {
+        let response = gaussian(100.0);
+        let (mean_v, sd_v) = (record(1), vec![SD_V; COUNT]);
+        let given = [Given { time_ps: 1500.0, width_ps: 0.0, open: Open::Time }];
+        let times_ps = [1700.0, 2100.0, 3000.0];
+        let found = matched(&profile(&mean_v, &sd_v), &response, &given, 0.0, times_ps.into_iter());
+        for (k, time_ps) in times_ps.into_iter().enumerate() {
+            let column = |at_ps: f64| (0..COUNT).map(|n| response.value(50.0 * n as f64 - at_ps)).collect::<Vec<f64>>();
+            let slope = (0..COUNT).map(|n| response.value_and_slope(50.0 * n as f64 - 1500.0).1).collect();
+            let columns = [column(time_ps), vec![1.0; COUNT], column(1500.0), slope];
+            let fit = least_squares(&columns, &mean_v, &sd_v).unwrap();
+            let sd = fit.covariance[0][0].sqrt();
+            assert!((found.gains[k] * sd - 1.0).abs() < 1e-9, "{} {sd}", found.gains[k]);
+            assert!((found.scores[k] - fit.values[0] / sd).abs() < 1e-8, "{} {}", found.scores[k], fit.values[0] / sd);
+        }
+    }
+
+    /// A given amplitude that is not quite open costs less than an open one, and none that is 0.
+    #[test]
+    fn an_amplitude_that_is_known_better_hides_less() {
+        let response = gaussian(100.0);
+        let (mean_v, sd_v) = (record(2), vec![SD_V; COUNT]);
+        let gain = |given: &[Given]| {
+            matched(&profile(&mean_v, &sd_v), &response, given, 0.0, std::iter::once(2150.0)).gains[0]
+        };
+        let given = |open: Open| gain(&[Given { time_ps: 2100.0, width_ps: 0.0, open }]);
+        let gains =
+            [Open::Score(0.0), Open::Score(0.5), Open::Score(2.0), Open::Score(1e4), Open::Amplitude].map(given);
+        assert!(gains.windows(2).all(|pair| pair[0] > pair[1] - 1e-6), "{gains:?}");
+        assert!((gains[0] / gain(&[]) - 1.0).abs() < 1e-12 && (gains[3] / gains[4] - 1.0).abs() < 1e-6);
+    }
+
+    /// Light that is spread is looked for with a response as wide: a Gaussian of both variances.
+    #[test]
+    fn spread_light_is_matched_as_wide_as_it_is() {
+        let wide = spread(&gaussian(80.0), 60.0);
+        for time_ps in [-210.0, -90.0, 0.0, 40.0, 155.0] {
+            let expected = 0.8 * (-0.5_f64 * (time_ps / 100.0_f64).powi(2)).exp();
+            assert!((wide.value(time_ps) - expected).abs() < 1e-4, "{time_ps}: {} {expected}", wide.value(time_ps));
+        }
+    }
 }

@@ -13,7 +13,7 @@ use crate::geometry::hidden::Focus;
 const STEP_M: f64 = 0.003;
 const RESPONSE_M: f64 = 0.032;
 /// Records end so far behind the shortest way.
-const WINDOW_M: f64 = 3.6;
+const WINDOW_M: f64 = 4.6;
 
 /// How strong the pulses of a patch are beside one another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,7 +58,13 @@ pub fn draw(visible: usize, snr: f64, strengths: Strengths, seed: u64) -> (Vec<P
                 noise + snr * light / usual * (-0.25 * off * off).exp()
             };
             let scores: Vec<f64> = scores.into_iter().enumerate().map(score).collect();
-            Profile { foci: [*a, *b], low_m: (from - to).norm(), step_m: STEP_M, gains: vec![1.0; scores.len()], scores }
+            Profile {
+                foci: [*a, *b],
+                low_m: (from - to).norm(),
+                step_m: STEP_M,
+                gains: vec![1.0; scores.len()],
+                scores,
+            }
         })
         .collect();
     (profiles, Room { foci, dimensions: 3, width_m: 2.355 * RESPONSE_M }, hidden)
@@ -71,6 +77,7 @@ fn noise(count: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
     let response: Vec<f64> =
         (0..=2 * reach).map(|k| (-0.5 * ((k as f64 - reach as f64) * STEP_M / RESPONSE_M).powi(2)).exp()).collect();
     let norm = response.iter().map(|value| value * value).sum::<f64>().sqrt();
-    let filtered = |window: &[f64]| window.iter().zip(&response).map(|(white, value)| white * value).sum::<f64>() / norm;
+    let filtered =
+        |window: &[f64]| window.iter().zip(&response).map(|(white, value)| white * value).sum::<f64>() / norm;
     white.windows(response.len()).take(count).map(filtered).collect()
 }

@@ -1,0 +1,274 @@
+//! Profiles as records of light over hidden places, and the light in them that is known.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rayon::prelude::*;
+
+use super::{Known, Open, Rejection, calibrated, rejection, sparse};
+use crate::geometry::{Point, faint};
+use crate::signal::response::Response;
+use crate::signal::sparse::Given;
+use crate::stages::correction::Correction;
+use crate::stages::stage::StageError;
+use crate::tables::{Impulse, Profile};
+use crate::units::{self, PatchId};
+
+/// Scores in the full width of a response.
+const STEPS: f64 = 12.0;
+/// A calibrated response may be wrong by this share of its value near by, and by this share of its height: under strong pulses that is more than noise.
+const WRONG_NEAR: f64 = 0.2;
+const WRONG_ANYWHERE: f64 = 5e-4;
+/// So long after its end too, in widths.
+const TAIL_WIDTHS: f64 = 4.0;
+/// The width of impulses as strong as that, in standard deviations of their amplitude, is taken as open.
+const STRONG: f64 = 30.0;
+
+/// A profile of two patches in known places, made ready: upwards, without pick-up, in lengths over hidden places.
+pub(super) struct Record {
+    pub(super) lit: PatchId,
+    pub(super) seen: PatchId,
+    pub(super) shots: i32,
+    pub(super) acquired_at: Option<String>,
+    pub(super) response: Response,
+    samples: Vec<f64>,
+    sd_v: Vec<f64>,
+    acf: Vec<f64>,
+    /// Time of the first sample after light has left for the lit patch and come from the seen one.
+    t0_ps: f64,
+    dt_ps: f64,
+    group_index: f64,
+    /// Share of the light that attenuators leave.
+    transmission: f64,
+    /// Impulses that were fitted, by the same time.
+    fitted: Vec<Given>,
+    /// Root mean square of the scores that known light too weak to be fitted makes.
+    weak_score: f64,
+}
+
+impl Known {
+    pub(super) fn first_campaign(&self) -> String {
+        self.setups.keys().next().cloned().unwrap_or_default()
+    }
+
+    /// All profiles between patches in known places that can be searched; why others cannot.
+    pub(super) fn records(
+        &self,
+        points: &BTreeMap<PatchId, Point>,
+    ) -> Result<(Vec<Record>, Vec<Rejection>), StageError> {
+        let ready: Vec<_> =
+            self.profiles.par_iter().filter_map(|profile| Some((profile, self.record(profile, points)?))).collect();
+        let (mut records, mut rejections) = (Vec::new(), Vec::new());
+        for (profile, record) in ready {
+            match record? {
+                Ok(record) => records.push(record),
+                Err(why) => {
+                    let Profile { sensor, lit, seen, .. } = profile;
+                    let text = format!("profile of sensor {sensor}, lit {lit}, seen {seen}, {why}");
+                    rejections.push(rejection(&profile.campaign, text));
+                }
+            }
+        }
+        Ok((records, rejections))
+    }
+
+    /// `None` where a patch has no place.
+    fn record(
+        &self,
+        profile: &Profile,
+        points: &BTreeMap<PatchId, Point>,
+    ) -> Option<Result<Result<Record, String>, StageError>> {
+        let (lit, seen) = (*points.get(&profile.lit)?, *points.get(&profile.seen)?);
+        let setup = &self.setups[&*profile.campaign];
+        let legs_m = (lit - Point::from(setup.source_m)).norm()
+            + (seen - Point::from(*setup.sensors_m.get(&*profile.sensor)?)).norm();
+        let Some(row) = calibrated::row_of(&self.calibration, profile) else {
+            let (sensor, campaign) = (&profile.sensor, &profile.campaign);
+            let text = format!(
+                "sensor `{sensor}` of campaign `{campaign}` is not calibrated: capture its response, or import a calibration"
+            );
+            return Some(Err(StageError::Refused(text)));
+        };
+        let key = calibrated::key_of(row);
+        let sensor = &self.calibrated[&key];
+        let ready = || {
+            if profile.counts.is_some() {
+                return Err(
+                    "holds photon counts, whose noise is not normal; they are not searched for hidden patches yet"
+                        .to_owned(),
+                );
+            }
+            let length_ps = profile.dt_ps * profile.mean_v.len() as f64;
+            if setup.repetition_ps.is_some_and(|period_ps| period_ps < length_ps * (1.0 + 1e-6)) {
+                return Err(
+                    "wraps around the laser's period; such records are not searched for hidden patches yet".to_owned()
+                );
+            }
+            let correction = Correction::of(&self.sessions, &key, profile)?;
+            let mut samples = profile.mean_v.to_f64();
+            let noise_v = profile.noise_v / f64::from(profile.shots).sqrt();
+            // Away from impulses the noise is that before the pulse. What a model of it in level and slope makes of a mean that is noise itself is larger where the
+            // sample is, and takes a quarter of the information of all weak light.
+            let quiet_v = noise_v.max(calibrated::rounding_v(profile));
+            let own_v = calibrated::sd_v(profile);
+            let mut sd_v: Vec<f64> = own_v.iter().map(|sd| if sd.is_finite() { quiet_v } else { *sd }).collect();
+            correction.take_pickup_off(profile, setup.repetition_ps, &mut samples, &mut sd_v)?;
+            samples.iter_mut().for_each(|sample| *sample *= sensor.polarity);
+            // What is no more than the rounding of the samples is white.
+            let acf =
+                if noise_v <= calibrated::rounding_v(profile) { vec![1.0] } else { calibrated::correlation(profile) };
+            let legs_ps = units::time_ps(legs_m, setup.group_index) + self.delay_ps(profile);
+            let (response, impulses) = (sensor.averaged(profile), self.impulses(profile));
+            let t0_ps = profile.t0_ps - sensor.latency_ps - correction.drift_ps;
+            for impulse in impulses {
+                add_misfit(&mut sd_v, &own_v, &response, impulse, t0_ps, profile.dt_ps);
+            }
+            Ok(Record {
+                lit: profile.lit,
+                seen: profile.seen,
+                shots: profile.shots,
+                acquired_at: profile.acquired_at.as_deref().map(str::to_owned),
+                response,
+                samples,
+                sd_v,
+                acf,
+                t0_ps: t0_ps - legs_ps,
+                dt_ps: profile.dt_ps,
+                group_index: setup.group_index,
+                transmission: 10_f64.powf(-profile.attenuation_od.unwrap_or(0.0)),
+                fitted: impulses.iter().map(|impulse| given(impulse, legs_ps)).collect(),
+                weak_score: 0.0,
+            })
+        };
+        Some(Ok(ready()))
+    }
+
+    /// Delay that calibration left: that of the profile's range, or the only one of its sensor.
+    fn delay_ps(&self, profile: &Profile) -> f64 {
+        let of_sensor =
+            || self.delays.iter().filter(|row| row.campaign == profile.campaign && row.sensor == profile.sensor);
+        let of_range = of_sensor().find(|row| row.range == profile.range);
+        let mut all = of_sensor();
+        let only = all.next().filter(|_| all.next().is_none());
+        of_range.or(only).map_or(0.0, |row| row.delay_ps)
+    }
+
+    /// Impulses of a profile, or of the reciprocal one with which it was explained.
+    fn impulses(&self, profile: &Profile) -> &[Impulse] {
+        let of = |lit: PatchId, seen: PatchId| {
+            let is_it = |row: &&crate::tables::Stir| {
+                (&row.campaign, &row.sensor, &row.range) == (&profile.campaign, &profile.sensor, &profile.range)
+                    && (row.lit, row.seen) == (lit, seen)
+            };
+            self.stir.iter().find(is_it).map_or(&[][..], |row| &row.impulses)
+        };
+        let own = of(profile.lit, profile.seen);
+        if own.is_empty() { of(profile.seen, profile.lit) } else { own }
+    }
+}
+
+/// Gives the samples under an impulse their own noise, and adds what an error of the response leaves there.
+fn add_misfit(sd_v: &mut [f64], own_v: &[f64], response: &Response, impulse: &Impulse, t0_ps: f64, dt_ps: f64) {
+    let half_ps = 0.5 * response.width_ps();
+    let reach = response.reach(impulse.time_ps, t0_ps, dt_ps, sd_v.len());
+    // Its tail goes on where the response is cut off.
+    let end = (reach.end + (TAIL_WIDTHS * response.width_ps() / dt_ps) as usize).min(sd_v.len());
+    for n in reach.start..end {
+        let after_ps = t0_ps + n as f64 * dt_ps - impulse.time_ps;
+        let near = [-half_ps, 0.0, half_ps].map(|off_ps| response.value(after_ps + off_ps).abs());
+        let share = WRONG_NEAR * near.into_iter().fold(0.0, f64::max) + WRONG_ANYWHERE;
+        sd_v[n] = sd_v[n].max(own_v[n]).hypot(share * impulse.amplitude_v);
+    }
+}
+
+fn given(impulse: &Impulse, legs_ps: f64) -> Given {
+    let is_strong = impulse.amplitude_v.abs() > STRONG * impulse.amplitude_sd_v;
+    let open = if is_strong { Open::Width } else { Open::Time };
+    Given { time_ps: impulse.time_ps - legs_ps, width_ps: impulse.width_ps, open }
+}
+
+impl Record {
+    fn profile(&self) -> sparse::Profile<'_> {
+        let Self { samples: mean_v, sd_v, acf, t0_ps, dt_ps, .. } = self;
+        sparse::Profile { mean_v, sd_v, acf, t0_ps: *t0_ps, dt_ps: *dt_ps }
+    }
+
+    fn end_ps(&self) -> f64 {
+        self.t0_ps + self.dt_ps * (self.samples.len() as f64 - 1.0) - self.response.peak_ps()
+    }
+
+    /// Scores of one more pulse by the length of its way over a hidden place.
+    pub(super) fn scores(&self, visible: &[PatchId], given: &[Given], spread_ps: f64) -> faint::Profile {
+        let step_ps = self.response.width_ps() / STEPS;
+        let count = (self.end_ps() / step_ps).max(0.0) as usize;
+        let times_ps = (0..count).map(|k| k as f64 * step_ps);
+        let matched = sparse::matched(&self.profile(), &self.response, given, spread_ps, times_ps);
+        let place = |patch| visible.binary_search(&patch).expect("a patch of a record is visible");
+        faint::Profile {
+            foci: [place(self.lit), place(self.seen)],
+            low_m: 0.0,
+            step_m: units::path_m(step_ps, self.group_index),
+            scores: matched.scores,
+            gains: matched.gains.into_iter().map(|gain| gain * self.transmission).collect(),
+        }
+    }
+}
+
+/// Which light over patches in place there may be.
+pub(super) struct Light<'a> {
+    visible: &'a [PatchId],
+    /// Pairs of visible patches that exchange no light: captured, and nothing came straight from one to the other.
+    closed: BTreeSet<(PatchId, PatchId)>,
+}
+
+impl<'a> Light<'a> {
+    pub(super) fn new(known: &Known, records: &[Record], visible: &'a [PatchId]) -> Self {
+        let pair = |a: PatchId, b: PatchId| (a.min(b), a.max(b));
+        let paths = known.labels.iter().filter(|label| label.alternative == 0).filter_map(|label| label.path.as_ref());
+        let open: BTreeSet<_> = paths.flat_map(|path| path.windows(2).map(|legs| pair(legs[0], legs[1]))).collect();
+        let captured = records.iter().map(|record| pair(record.lit, record.seen));
+        Self { visible, closed: captured.filter(|pair| !open.contains(pair)).collect() }
+    }
+
+    fn is_open(&self, a: PatchId, b: PatchId) -> bool {
+        a != b && !self.closed.contains(&(a.min(b), a.max(b)))
+    }
+
+    /// What is known of a record's light: impulses, and third bounces over patches in place.
+    pub(super) fn given(&self, record: &Record, points: &BTreeMap<PatchId, Point>) -> Vec<Given> {
+        let mut given = record.fitted.clone();
+        for (patch, point) in points {
+            if !(self.is_open(record.lit, *patch) && self.is_open(*patch, record.seen)) {
+                continue;
+            }
+            let way_m = (point - points[&record.lit]).norm() + (point - points[&record.seen]).norm();
+            let time_ps = units::time_ps(way_m, record.group_index);
+            // A hidden patch in place is as strong as it likes.
+            let is_visible = self.visible.binary_search(patch).is_ok();
+            let open = if is_visible { Open::Score(record.weak_score) } else { Open::Amplitude };
+            if time_ps < record.end_ps() {
+                given.push(Given { time_ps, width_ps: 0.0, open });
+            }
+        }
+        given
+    }
+
+    /// Learns how strong third bounces over visible patches are, where they were not fitted: noise alone makes scores of 1 in the root mean square.
+    pub(super) fn learn(&self, records: &mut [Record], points: &BTreeMap<PatchId, Point>) {
+        let scores = |record: &Record| {
+            let weak = self.given(record, points).into_iter().filter(|light| matches!(light.open, Open::Score(_)));
+            let times_ps = weak.map(|light| light.time_ps);
+            let matched = sparse::matched(&record.profile(), &record.response, &record.fitted, 0.0, times_ps);
+            let told = matched.scores.into_iter().zip(matched.gains).filter(|(_, gain)| *gain > 0.0);
+            told.map(|(score, _)| score).collect::<Vec<f64>>()
+        };
+        let scores: Vec<f64> = records.par_iter().map(scores).collect::<Vec<_>>().concat();
+        if scores.is_empty() {
+            return;
+        }
+        let count = scores.len() as f64;
+        let mean_square = scores.iter().map(|score| score * score).sum::<f64>() / count;
+        // No less than what two standard errors leave open.
+        let weak_score = (mean_square - 1.0 + 2.0 * (2.0 / count).sqrt()).max(0.0).sqrt();
+        records.iter_mut().for_each(|record| record.weak_score = weak_score);
+    }
+}
