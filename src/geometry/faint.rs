@@ -19,13 +19,14 @@
 //!
 //! Without a patch B is 1 on average, so that chance makes it exceed 1 / alpha with a probability of at most alpha (Markov's inequality), whatever the geometry. Strengths are taken as
 //! equally probable on a logarithmic scale, from a root-mean-square signal-to-noise ratio of 0.16 in a profile to 16. The integral over places is that about the best one, by
-//! importance sampling at fixed points of low discrepancy, fitted to the integrand in a few rounds (Cappé et al., J. Comput. Graph. Stat. 13, 907 (2004)); what it leaves out makes it smaller. Candidates come from
-//! [`search`](super::hidden::search::search).
+//! importance sampling at fixed points of low discrepancy, fitted to the integrand in a few rounds (Cappé et al., J. Comput. Graph. Stat. 13, 907 (2004)); what it leaves out makes it smaller. Candidates
+//! come from a grid as fine as the response is short.
 //!
 //! One patch at a time: light of known places is to be projected out of the scores before, that of a patch just found included.
 //!
 //! Not modelled: errors of the foci and of delays, which are small beside the response's width; unknown light in few profiles that is weaker than an onset.
 
+mod grid;
 mod likelihood;
 mod sampling;
 
@@ -33,18 +34,14 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::Point;
 use super::hidden::Focus;
-use super::hidden::search::{Curve, Domain, Legs, search};
-use likelihood::{Likelihood, searched};
+use super::hidden::search::Domain;
+use likelihood::Likelihood;
 pub use likelihood::{Profile, SPREAD};
 
-/// Root-mean-square signal-to-noise ratios for which candidates are searched: those between are found with either.
-const SEARCHED: [f64; 2] = [0.8, 2.5];
-/// Sums of log-likelihood ratios down to which places are looked at, one after the other until there are some.
-const LEAST: [f32; 4] = [200.0, 80.0, 35.0, 18.0];
 /// Candidates that are judged by the likelihood at a point, by few samples, and by many.
 const CANDIDATES: [usize; 3] = [400, 12, 3];
-/// Half diagonal of the cubes that are searched, as a share of the response's length.
-const FINE: f64 = 0.25;
+/// Standard deviation of the first samples about a candidate, as a share of the response's length.
+const NEAR: f64 = 0.25;
 
 /// What a patch is searched in.
 #[derive(Clone, Debug, PartialEq)]
@@ -115,48 +112,13 @@ pub fn likeliest(profiles: &[Profile], room: &Room) -> Option<Faint> {
     // Of a patch further out than that every way would be longer than any record.
     let domain = Domain { centre, half_m: 0.5 * longest_m, dimensions: room.dimensions };
     let all = Likelihood::new(profiles, room, &domain);
-    let mut points: Vec<Point> = SEARCHED.iter().flat_map(|snr| candidates(profiles, room, &domain, *snr)).collect();
-    points = all.best(&points, CANDIDATES[1], FINE * room.width_m);
-    let mut places = all.sampled(&points, FINE * room.width_m, false);
+    let near_m = NEAR * room.width_m;
+    let points = all.best(&grid::candidates(profiles, room, &domain, CANDIDATES[0]), CANDIDATES[1], near_m);
+    let mut places = all.sampled(&points, near_m, false);
     places.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
     let starts: Vec<Point> = places.iter().take(CANDIDATES[2]).map(|place| place.point).collect();
-    let places = all.sampled(&starts, FINE * room.width_m, true);
+    let places = all.sampled(&starts, near_m, true);
     places.into_iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))
-}
-
-/// Centres of cubes in which the sum of log-likelihood ratios may be large, for pulses of one signal-to-noise ratio.
-fn candidates(profiles: &[Profile], room: &Room, domain: &Domain, snr: f64) -> Vec<Point> {
-    let legs = legs(profiles, snr);
-    for least in LEAST {
-        let cubes = search(&room.foci, &legs, domain, FINE * room.width_m, least);
-        if !cubes.is_empty() {
-            return cubes.into_iter().take(CANDIDATES[0]).map(|(point, _)| point).collect();
-        }
-    }
-    Vec::new()
-}
-
-/// Log-likelihood ratios by length, reciprocal profiles together.
-fn legs(profiles: &[Profile], snr: f64) -> Vec<Legs> {
-    let curves = searched(profiles, snr);
-    let mut legs: Vec<Legs> = Vec::new();
-    for (profile, curve) in profiles.iter().zip(curves) {
-        let foci = [profile.foci[0].min(profile.foci[1]), profile.foci[0].max(profile.foci[1])];
-        match legs.iter_mut().find(|legs| legs.foci == foci && is_aligned(&legs.curve, &curve)) {
-            Some(legs) => {
-                legs.profiles += 1;
-                let length = legs.curve.values.len().max(curve.values.len());
-                legs.curve.values.resize(length, 0.0);
-                legs.curve.values.iter_mut().zip(&curve.values).for_each(|(sum, value)| *sum += value);
-            }
-            None => legs.push(Legs { foci, profiles: 1, curve }),
-        }
-    }
-    legs
-}
-
-fn is_aligned(a: &Curve, b: &Curve) -> bool {
-    a.low_m == b.low_m && a.step_m == b.step_m
 }
 
 #[cfg(test)]
