@@ -162,6 +162,8 @@ fn hypotheses_place_what_distances_do_not() {
         evidence: 20.0 - f64::from(alternative),
         evidence_needed: 7.0,
         seen: 0.8,
+        shots_needed: None,
+        hours_needed: None,
         onsets: 40.2,
     };
     let hypotheses = vec![hypothesis(21, 0, -3.0), hypothesis(22, 0, -1.0), hypothesis(22, 1, -2.0)];

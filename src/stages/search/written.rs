@@ -75,6 +75,8 @@ impl Search {
             let (point, cov) = (place.point, place.covariance);
             Hypothesis {
                 hypothesis: n as i32 + 1,
+                kind: "patch".into(),
+                layer: 1,
                 patch,
                 alternative: 0,
                 x_m: point.x,
@@ -87,6 +89,9 @@ impl Search {
                 cov_yz_m2: cov[(1, 2)],
                 cov_zz_m2: cov[(2, 2)],
                 sd_m: cov.trace().sqrt(),
+                normal_x: None,
+                normal_y: None,
+                normal_z: None,
                 evidence: place.evidence,
                 evidence_needed: self.needed,
                 seen: place.seen,
