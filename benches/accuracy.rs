@@ -1,7 +1,10 @@
 //! Study: positions over many seeds against the Cramer-Rao bound. Prints the tables of docs/accuracy.md.
 //!
-//! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for the paper's Fig. 4.
+//! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for the paper's Fig. 4, `-- corner 100` for hidden patches.
 
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/corner.rs"]
+mod corner;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/lab.rs"]
 mod lab;
@@ -11,6 +14,9 @@ mod missed;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/rectangles.rs"]
 mod rectangles;
+#[allow(dead_code, reason = "other studies use more of it")]
+#[path = "resolution/score.rs"]
+mod score;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/accuracy.rs"]
 mod study;
@@ -23,6 +29,9 @@ fn main() {
     let seeds = std::env::args().skip(1).find_map(|arg| arg.parse().ok()).unwrap_or(200);
     if std::env::args().any(|arg| arg == "rectangles") {
         return print_rectangles(&rectangles::study(rectangles::SCENE, 1000..1000 + seeds));
+    }
+    if std::env::args().any(|arg| arg == "corner") {
+        return print_corner(seeds);
     }
     let scene = |name: &str| {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("pipelines/scenes/{name}.toml"));
@@ -54,6 +63,37 @@ fn main() {
     );
     for (name, study) in &studies {
         print_coverage(name, &study.pulls);
+    }
+}
+
+/// Hidden patches at random places, from scope files.
+fn print_corner(seeds: u64) {
+    println!(
+        "| hidden | scenes | found | extra | within 2 mm of three bounds and half the patch | rms error (mm) | median (mm) | 90 % (mm) | rms bound (mm) | median error over its sd |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    for hidden in [4, 8] {
+        let scored: Vec<corner::Scored> = (1000..1000 + seeds).map(|seed| corner::scored(hidden, seed)).collect();
+        let places: Vec<corner::Place> = scored.iter().flat_map(|scored| scored.places.clone()).collect();
+        let mut errors_mm: Vec<f64> = places.iter().filter_map(|place| Some(1e3 * place.found_m?.0)).collect();
+        errors_mm.sort_by(f64::total_cmp);
+        let mut pulls: Vec<f64> =
+            places.iter().filter_map(|place| place.found_m.map(|(error, sd)| error / sd)).collect();
+        pulls.sort_by(f64::total_cmp);
+        let squares: Vec<f64> = errors_mm.iter().map(|error| error * error).collect();
+        let bounds: Vec<f64> = places.iter().map(|place| (1e3 * place.bound_m).powi(2)).collect();
+        let right = score::Rate { hits: places.iter().filter(|place| place.is_right()).count(), of: places.len() };
+        println!(
+            "| {hidden} | {seeds} | {} of {} | {} | {right} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} |",
+            errors_mm.len(),
+            places.len(),
+            scored.iter().map(|scored| scored.extra).sum::<usize>(),
+            mean(&squares).sqrt(),
+            errors_mm[errors_mm.len() / 2],
+            errors_mm[errors_mm.len() * 9 / 10],
+            mean(&bounds).sqrt(),
+            pulls[pulls.len() / 2],
+        );
     }
 }
 

@@ -6,6 +6,7 @@ mod bound;
 mod characterize;
 mod check;
 mod cli;
+mod corner;
 mod determinism;
 mod failures;
 mod faint;

@@ -28,13 +28,13 @@ pub struct Missed {
 }
 
 /// Rotation or reflection about the origin that brings points nearest to others, by the polar decomposition of their correlation.
-fn aligning(points: &[Vector3<f64>], targets: &[Vector3<f64>]) -> Matrix3<f64> {
+pub fn aligning(points: &[Vector3<f64>], targets: &[Vector3<f64>]) -> Matrix3<f64> {
     let correlation: Matrix3<f64> = points.iter().zip(targets).map(|(point, target)| target * point.transpose()).sum();
     let svd = correlation.svd(true, true);
     svd.u.expect("asked for") * svd.v_t.expect("asked for")
 }
 
-fn position(patch: &Patch) -> Vector3<f64> {
+pub fn position(patch: &Patch) -> Vector3<f64> {
     Vector3::new(patch.x_m, patch.y_m, patch.z_m)
 }
 
