@@ -72,16 +72,22 @@ fn power(scenes: u64) {
         };
         let mut shots: Vec<f64> = runs.iter().filter_map(declined).map(|shots| shots / 50.0).collect();
         shots.sort_by(f64::total_cmp);
+        let mean_m2 = found.iter().map(|(_, square_m2)| square_m2).sum::<f64>() / found.len() as f64;
         println!(
-            "| {snr} | {largest:.1} | {} | {} | {by_label} | {wrong} | {evidence:.1} | {:.1} | {} | {} | {:.1} |",
+            "| {snr} | {largest:.1} | {} | {} | {by_label} | {wrong} | {evidence:.1} | {} | {} | {} | {} |",
             runs.len(),
             Rate { hits: found.len(), of: runs.len() },
-            1e3 * (found.iter().map(|(_, square_m2)| square_m2).sum::<f64>() / found.len().max(1) as f64).sqrt(),
+            number((!found.is_empty()).then_some(1e3 * mean_m2.sqrt())),
             Estimate::mean(&found.iter().map(|(normalised, _)| *normalised).collect::<Vec<_>>()),
             Rate::of(found.iter().map(|(normalised, _)| *normalised < CHI_95)),
-            shots.get(shots.len() / 2).copied().unwrap_or(f64::NAN),
+            number(shots.get(shots.len() / 2).copied()),
         );
     }
+}
+
+/// A number of a table, where there is one.
+fn number(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}"))
 }
 
 /// No hidden patch.

@@ -90,12 +90,12 @@ impl Likelihood<'_> {
         let mut proposal = Proposal { mean: start, covariance: Matrix3::identity() * (sd_m * sd_m) };
         for _ in 0..if closely { ROUNDS } else { FEW_ROUNDS } {
             let samples = proposal.samples(self, &normals[..POINTS])?;
+            if samples.is_empty() {
+                return None;
+            }
             let mut flat = 1.0;
             while counting(&weights(&samples, flat)) < COUNTING * samples.len() as f64 {
                 flat *= 0.7;
-            }
-            if samples.is_empty() {
-                return None;
             }
             let (mean, covariance) = moments(&samples, &weights(&samples, flat));
             proposal = Proposal { mean, covariance: covariance + Matrix3::identity() * (NARROWEST * sd_m * sd_m) };
