@@ -75,8 +75,8 @@ impl<'a> Search<'a> {
         let scene = graphs[0].scene;
         let shown_by = self.shown_by(scene);
         let points: Vec<Point> = shown_by.iter().map(|patch| scene.points[patch]).collect();
-        // Of three points no two walls can be told apart; fewer are in line.
-        if shown_by.len() < dimensions || !spans(&points, dimensions) {
+        // Patches in line leave a turn about it open.
+        if !spans(&points, dimensions) {
             return;
         }
         let profiles = legs::layered_profiles(self.sensors, graphs, chances, self.visible, &shown_by);
