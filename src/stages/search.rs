@@ -122,8 +122,8 @@ impl Stage for Search {
     }
 
     fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
-        let is_share = self.false_alarm > 0.0 && self.false_alarm < 1.0;
-        if !(is_share && (0.0..f64::INFINITY).contains(&self.spread_ps)) {
+        let is_chance = self.false_alarm > 0.0 && self.false_alarm < 1.0;
+        if !is_chance || !(0.0..f64::INFINITY).contains(&self.spread_ps) {
             let text = "params: false_alarm must lie between 0 and 1, spread_ps not be negative";
             return Err(StageError::Refused(text.to_owned()));
         }
