@@ -38,6 +38,9 @@
 //! A floor or a wall that nobody declared throws light on too, by the shortest way over it. Such planes are looked for along with the patches and are told (`hypotheses.kind`), since they
 //! would pass for many patches; their onsets stay without a path.
 //!
+//! Pulses that the response does not tell apart make one onset between their times. Where another path of known patches comes within `blend_ps` of an onset and has none of its own, the
+//! label's `time_sd_ps` is as much larger as the other path's light may pull it; 0 takes every onset for single.
+//!
 //! Takes `onsets`; writes `labels` and, beside it, `hypotheses`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
 //! prediction `covariances` (`patch_covariances` of the same stage) and `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the
 //! light's centroid over large patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that the frame is fixed,
