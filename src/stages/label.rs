@@ -102,7 +102,7 @@ pub struct LabelOnsets {
     near_m: f64,
     /// Which patches that nothing shows directly are looked for, with known patches and `bounces` of 3 or more.
     hidden: HiddenPatches,
-    /// Probability that `search` finds a hidden patch where there is none.
+    /// Probability, at most, that `search` finds a hidden patch where there is none, and as much again that it finds a plane.
     false_alarm: f64,
     /// Pulses of two known paths that are nearer than this may be one onset: about as wide as the response.
     blend_ps: f64,
