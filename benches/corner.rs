@@ -1,6 +1,6 @@
 //! Study: hidden patches from unlabelled third bounces. Prints the tables of docs/accuracy.md, "Around the corner".
 //!
-//! `cargo bench --bench corner` for all, `cargo bench --bench corner -- cells` for one of cells, patterns, relief, clutter, large; a number sets the scenes.
+//! `cargo bench --bench corner` for all, `cargo bench --bench corner -- cells` for one of cells, patterns, relief, clutter, blends, large; a number sets the scenes.
 
 use std::time::Instant;
 
@@ -35,6 +35,9 @@ fn main() {
     if asked("clutter") {
         clutter(scenes.unwrap_or(100));
     }
+    if asked("blends") {
+        blends(scenes.unwrap_or(100));
+    }
     if asked("large") {
         large(scenes.unwrap_or(10));
     }
@@ -56,10 +59,16 @@ struct Row {
 }
 
 fn row(setting: &Setting, scenes: u64) -> Row {
+    row_with(setting, scenes, |_| ())
+}
+
+/// With the room changed before the search.
+fn row_with(setting: &Setting, scenes: u64, change: impl Fn(&mut Room)) -> Row {
     let (mut rights, mut ranks) = (0, 0);
     let (mut missed, mut extra, mut squares_m2, mut seconds) = (0, 0, [0.0; 2], 0.0);
     for seed in 0..scenes {
-        let drawn = draw(setting, seed);
+        let mut drawn = draw(setting, seed);
+        change(&mut drawn.room);
         let start = Instant::now();
         let found = find(&drawn.profiles, &drawn.room);
         seconds += start.elapsed().as_secs_f64();
@@ -184,6 +193,20 @@ fn clutter(scenes: u64) {
         ];
         for (name, setting) in rows {
             print(&format!("{name}; {hidden} hidden"), &row(&setting, scenes));
+        }
+    }
+}
+
+/// Pulses of hidden patches that come closer together make one arrival; at 5 ps.
+fn blends(scenes: u64) {
+    println!("\n| what | {HEAD} |\n|---|---|---|---|---|---|---|---|");
+    for hidden in [4, 8] {
+        for merged_ps in [70.0, 150.0, 250.0] {
+            let base = Setting::new(8, hidden, sd_m(5.0), 0.1, 1);
+            let setting = Setting { merged_m: sd_m(merged_ps), ..base };
+            let name = |what: &str| format!("{hidden} hidden, one within {merged_ps} ps, {what}");
+            print(&name("blends looked for"), &row(&setting, scenes));
+            print(&name("not looked for"), &row_with(&setting, scenes, |room| room.blend_m = 0.0));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Study: hidden patches too weak for an onset in any single profile. Prints the tables of docs/accuracy.md, "Too weak for an onset".
 //!
-//! `cargo bench --bench faint` for all, `cargo bench --bench faint -- power 100` or `-- none 300` for so many scenes of one.
+//! `cargo bench --bench faint` for all, `cargo bench --bench faint -- power 100` or `-- none 300` for so many scenes of one, `-- power 100 1.5` for one signal-to-noise ratio.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/faint.rs"]
@@ -16,6 +16,8 @@ use faint::{Placed, Seen, draw, run};
 use periscope::geometry::Point;
 use score::{Estimate, Rate};
 
+/// Signal-to-noise ratios of the study.
+const SNRS: [f64; 6] = [0.5, 0.75, 1.0, 1.25, 1.5, 2.0];
 /// A patch that is found is within so many of its standard deviations.
 const NEAR: f64 = 5.0;
 /// 95 % of chi-square of three degrees of freedom.
@@ -25,11 +27,13 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
     let scenes: Option<u64> = arguments.iter().find_map(|argument| argument.parse().ok());
     let asked = |name: &str| {
-        let names: Vec<&String> = arguments.iter().filter(|argument| argument.parse::<u64>().is_err()).collect();
+        let names: Vec<&String> = arguments.iter().filter(|argument| argument.parse::<f64>().is_err()).collect();
         names.is_empty() || names.iter().any(|asked| *asked == name)
     };
     if asked("power") {
-        power(scenes.unwrap_or(100));
+        let snrs: Vec<f64> =
+            arguments.iter().filter(|argument| argument.contains('.')).flat_map(|snr| snr.parse()).collect();
+        power(if snrs.is_empty() { &SNRS } else { &snrs }, scenes.unwrap_or(100));
     }
     if asked("none") {
         none(scenes.unwrap_or(300));
@@ -48,12 +52,12 @@ fn draws<T: Send>(scenes: u64, draw: impl Fn(u64) -> T + Sync) -> Vec<T> {
 }
 
 /// One hidden patch, by the signal-to-noise ratio of its light in a profile.
-fn power(scenes: u64) {
+fn power(snrs: &[f64], scenes: u64) {
     println!(
         "| SNR, rms over profiles | largest | scenes | found [95 %] | found among onsets | false | evidence | rms error (mm) | error^2 / covariance (3) | within 95 % [95 %] | shots needed / taken where declined |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
-    for snr in [0.5, 0.75, 1.0, 1.25, 1.5, 2.0] {
+    for &snr in snrs {
         let runs: Vec<(Seen, Point, f64)> = draws(scenes, |seed| {
             let drawn = draw(snr, seed);
             (run(&drawn.scene, seed), drawn.hidden, drawn.largest_snr)

@@ -25,8 +25,12 @@
 //! hidden ones q and q' shows in fifth bounces a, q, x, q', b: one way for each pair of these, on which the arrival is longer by the known `|q - a| + |b - q'|`. Each way may make an arrival of its own: the
 //! sum above runs over ways, and what one takes of an arrival is gone for the next. All profiles repeat the same sums `|x - q| + |x - q'|`.
 //!
-//! Not modelled: errors that profiles share (of known legs, of foci, of delays), arrivals that are two unresolved ones, amplitudes.
+//! Pulses of two paths nearer than `blend_m` may make one arrival between them (`blend`): where other paths claim an arrival near a way's length, one of its own is less expected there; and an
+//! arrival near which one of the patches found, or the path straight from lit to seen, has none of its own errs by up to half their distance.
+//!
+//! Not modelled: errors that profiles share (of known legs, of foci, of delays), amplitudes.
 
+mod blend;
 mod climb;
 mod explanation;
 pub mod facing;
@@ -120,6 +124,12 @@ impl Profile {
         Self { ways, arrivals, known, span_m, widest_m }
     }
 
+    /// The same with other arrivals, in order of length.
+    fn with(&self, arrivals: Vec<Arrival>) -> Self {
+        let widest_m = arrivals.iter().map(|arrival| arrival.sd_m).fold(0.0, f64::max);
+        Self { ways: self.ways.clone(), known: self.known.clone(), span_m: self.span_m, arrivals, widest_m }
+    }
+
     fn holds(&self, length_m: f64) -> bool {
         (self.span_m[0]..=self.span_m[1]).contains(&length_m)
     }
@@ -153,6 +163,8 @@ pub struct Room {
     pub false_alarm: f64,
     /// Number of hidden patches, where it is known.
     pub count: Option<usize>,
+    /// Lengths nearer than this may have one arrival together; 0: each has its own.
+    pub blend_m: f64,
 }
 
 /// A hidden surface.

@@ -39,7 +39,8 @@
 //! would pass for many patches; their onsets stay without a path.
 //!
 //! Pulses that the response does not tell apart make one onset between their times. Where another path of known patches comes within `blend_ps` of an onset and has none of its own, the
-//! label's `time_sd_ps` is as much larger as the other path's light may pull it; 0 takes every onset for single.
+//! label's `time_sd_ps` is as much larger as the other path's light may pull it; 0 takes every onset for single. The search for hidden patches expects no onset of its own from a patch where
+//! that of another path is so near.
 //!
 //! Takes `onsets`; writes `labels` and, beside it, `hypotheses`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
 //! prediction `covariances` (`patch_covariances` of the same stage) and `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the
@@ -211,7 +212,7 @@ impl Verdict {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

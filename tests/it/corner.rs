@@ -107,10 +107,10 @@ pub fn scored(hidden: usize, seed: u64) -> Scored {
     Scored { places, extra: rest.len() }
 }
 
-/// Four hidden patches. What is found beside them is counted in the study: pulses of several paths that are not told apart may pass for one more.
+/// Four hidden patches, and nothing else.
 #[test]
 fn hidden_patches_at_random_places_are_found_from_scope_files() {
     let scored = scored(4, 0);
     eprintln!("{:?}, {} more", scored.places, scored.extra);
-    assert!(scored.places.iter().all(Place::is_right), "{:?}", scored.places);
+    assert!(scored.extra == 0 && scored.places.iter().all(Place::is_right), "{:?}", scored.places);
 }

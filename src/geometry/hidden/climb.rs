@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::surface::Surface;
-use super::{Focus, Profile};
+use super::{Focus, Profile, blend};
 use crate::geometry::Point;
 
 /// Arrivals further off than this many standard deviations were not made by the patch.
@@ -27,6 +27,8 @@ pub struct View<'a> {
     pub seen: f64,
     pub dimensions: usize,
     pub surface: Surface,
+    /// Lengths nearer than this may have one arrival together.
+    pub blend_m: f64,
 }
 
 /// A place with what speaks for it.
@@ -42,6 +44,8 @@ pub struct Place {
     pub arrivals: f64,
     /// Ways that could have recorded it.
     pub ways: usize,
+    /// The same less those on which arrivals of other paths hide its own, expected.
+    pub clear: f64,
 }
 
 impl View<'_> {
@@ -58,11 +62,17 @@ impl View<'_> {
             })
             .collect();
         let surface = self.surface;
-        let mut place =
-            Place { surface, point, likelihood: 0.0, information: Matrix3::zeros(), arrivals: 0.0, ways: 0 };
+        let mut place = Place {
+            surface,
+            point,
+            likelihood: 0.0,
+            information: Matrix3::zeros(),
+            arrivals: 0.0,
+            ways: 0,
+            clear: 0.0,
+        };
         let mut right = Vector3::zeros();
-        let missed = 1.0 - self.seen;
-        let scale = self.seen / ((2.0 * std::f64::consts::PI).sqrt() * self.clutter_per_m);
+        let root = (2.0 * std::f64::consts::PI).sqrt() * self.clutter_per_m;
         let mut near: Vec<(usize, f64, f64, f64)> = Vec::new();
         // Arrivals with the share of each that the profile's ways so far do not take.
         let mut taken: Vec<(usize, f64)> = Vec::new();
@@ -82,10 +92,13 @@ impl View<'_> {
                     continue;
                 }
                 place.ways += 1;
+                let clear = 1.0 - blend::hidden(&profile.arrivals, left, length_m, self.blend_m);
+                place.clear += clear;
+                let (seen, scale) = (self.seen * clear, self.seen * clear / root);
                 near.clear();
                 let reach_m = GATE * widened * way.sd_m(profile.widest_m);
                 let from = profile.arrivals.partition_point(|arrival| arrival.length_m < length_m - reach_m);
-                let mut sum = missed;
+                let mut sum = 1.0 - seen;
                 for (n, (arrival, left)) in profile.arrivals.iter().zip(left).enumerate().skip(from) {
                     let off_m = arrival.length_m - length_m;
                     if off_m > reach_m {

@@ -7,15 +7,19 @@ use super::climb::{GATE, Place, View};
 use super::search::Domain;
 use super::superposition::{self, Pair};
 use super::surface::Surface;
-use super::{Found, Hidden, Known, Profile, Room, Way};
+use super::{Found, Hidden, Known, Profile, Room, Way, blend};
 use crate::geometry::Point;
 
+/// Where arrivals blend, a patch that shows on a smaller share of the ways that are clear is none.
+const LEAST_SEEN: f64 = 0.3;
 /// Points along each axis that the volume is counted by.
 const VOLUME_POINTS: i32 = 16;
 
 /// Known paths and hidden surfaces that were found, and the arrivals that they explain.
 pub(super) struct Explanation<'a> {
-    pub(super) profiles: &'a [Profile],
+    given: &'a [Profile],
+    /// The same; arrivals that may be blends err by more.
+    pub(super) profiles: Vec<Profile>,
     pub(super) room: &'a Room,
     pub(super) domain: Domain,
     /// Log of the volume (in flatland area) of the places of patches, and of planes.
@@ -25,7 +29,7 @@ pub(super) struct Explanation<'a> {
     pub(super) clutter_per_m: f64,
     /// Surfaces that were found, patches and planes.
     pub(super) found: Vec<Hidden>,
-    /// For each profile its paths and arrivals that may belong together; paths are the known ones, then the ways over each surface that was found.
+    /// For each profile its paths and arrivals that may belong together.
     pairs: Vec<Vec<Pair>>,
 }
 
@@ -45,7 +49,8 @@ impl<'a> Explanation<'a> {
         let span_m: f64 = profiles.iter().map(|profile| profile.span_m[1] - profile.span_m[0]).sum();
         let arrivals: usize = profiles.iter().map(|profile| profile.arrivals.len()).sum();
         let mut all = Self {
-            profiles,
+            given: profiles,
+            profiles: profiles.to_vec(),
             room,
             log_volumes: [0.0; 2],
             domain,
@@ -99,13 +104,21 @@ impl<'a> Explanation<'a> {
 
     /// Which path made which arrival, and how much clutter that leaves.
     pub(super) fn settle(&mut self) {
-        self.pairs = self.profiles.par_iter().map(|profile| self.pairs_of(profile)).collect();
+        self.pairs = self.given.par_iter().map(|profile| self.pairs_of(profile, &self.paths(profile))).collect();
+        if self.room.blend_m > 0.0 {
+            let widened = |(profile, pairs): (&Profile, &Vec<Pair>)| {
+                blend::widened(profile, &self.paths(profile), pairs, self.room.blend_m)
+            };
+            self.profiles = self.given.par_iter().zip(&self.pairs).map(widened).collect();
+            self.pairs = self.profiles.par_iter().map(|profile| self.pairs_of(profile, &self.paths(profile))).collect();
+        }
         let span_m: f64 = self.profiles.iter().map(|profile| profile.span_m[1] - profile.span_m[0]).sum();
         let unexplained: f64 = self.left().iter().flatten().sum();
         self.clutter_per_m = (unexplained + 1.0) / span_m;
     }
 
-    fn pairs_of(&self, profile: &Profile) -> Vec<Pair> {
+    /// The paths of a profile: known ones, then the ways over each surface that was found.
+    fn paths(&self, profile: &Profile) -> Vec<Known> {
         let hidden = self.found.iter().flat_map(|hidden| {
             profile.ways.iter().map(|way| {
                 let foci = way.foci.map(|focus| &self.room.foci[focus]);
@@ -115,8 +128,12 @@ impl<'a> Explanation<'a> {
                 }
             })
         });
+        profile.known.iter().copied().chain(hidden).collect()
+    }
+
+    fn pairs_of(&self, profile: &Profile, paths: &[Known]) -> Vec<Pair> {
         let mut pairs = Vec::new();
-        for (path, known) in profile.known.iter().copied().chain(hidden).enumerate() {
+        for (path, known) in paths.iter().enumerate() {
             let reach_m = GATE * profile.widest_m.hypot(known.sd_m);
             let from = profile.arrivals.partition_point(|arrival| arrival.length_m < known.length_m - reach_m);
             for (arrival, at) in profile.arrivals.iter().enumerate().skip(from) {
@@ -130,8 +147,7 @@ impl<'a> Explanation<'a> {
                 pairs.push(Pair::new(path, arrival, odds));
             }
         }
-        let paths = profile.known.len() + self.found.len() * profile.ways.len();
-        superposition::settle(&mut pairs, paths, profile.arrivals.len());
+        superposition::settle(&mut pairs, paths.len(), profile.arrivals.len());
         pairs
     }
 
@@ -154,18 +170,23 @@ impl<'a> Explanation<'a> {
     pub(super) fn view<'b>(&'b self, surface: Surface, left: &'b [Vec<f64>], seen: f64) -> View<'b> {
         View {
             foci: &self.room.foci,
-            profiles: self.profiles,
+            profiles: &self.profiles,
             left,
             clutter_per_m: self.clutter_per_m,
             seen,
             dimensions: self.room.dimensions,
             surface,
+            blend_m: self.room.blend_m,
         }
     }
 
-    /// Bayes factor of a place over none, as its log; `None` outside the volume and where arrivals leave it open.
+    /// Bayes factor of a place over none, as its log; `None` outside the volume, where arrivals leave it open, and where too few show it.
     pub(super) fn hidden(&self, place: Place, seen: f64) -> Option<Hidden> {
         if place.ways as f64 <= place.surface.share() * self.ways() as f64 {
+            return None;
+        }
+        // What blends leave unexplained is no chance: it gathers where ways are not clear and so cost nothing.
+        if self.room.blend_m > 0.0 && place.arrivals < LEAST_SEEN * place.clear {
             return None;
         }
         let mut information = place.information;

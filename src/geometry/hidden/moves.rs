@@ -109,7 +109,7 @@ impl Explanation<'_> {
     fn climbed(&self, n: usize) -> Hidden {
         let (left, now) = (self.left_for(n), self.found[n]);
         let place = self.view(now.surface, &left, now.seen).climb(now.point);
-        let share = (place.arrivals + 2.0 * SEEN) / (place.ways as f64 + 2.0);
+        let share = (place.arrivals + 2.0 * SEEN) / (place.clear + 2.0);
         let seen = share.clamp(SEEN_RANGE[0], SEEN_RANGE[1]);
         self.hidden(place, seen).unwrap_or(Hidden { evidence: f64::NEG_INFINITY, ..now })
     }

@@ -148,6 +148,8 @@ mod tests {
             let lengths = |pair: [usize; 2]| Lengths {
                 foci: pair,
                 values_m: vec![(surface.way(pair.map(|f| &foci[f]), at).expect("it faces all").0, 1e-3)],
+                claimed_m: Vec::new(),
+                blend_m: 0.0,
                 span_m: [0.0, 10.0],
                 density_per_m: 0.3,
                 seen: 0.9,

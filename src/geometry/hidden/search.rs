@@ -6,8 +6,6 @@
 //! lies before it, and the sum over curves ends early once it is below `-SURE`. A true patch's sum comes that low on its way with a probability of `exp(-SURE)` at most (Ville's inequality: under a true patch `exp(-L)` of
 //! the curves so far is a martingale of mean 1, and a bound lies above it).
 
-use std::collections::VecDeque;
-
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -31,31 +29,25 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// The largest value within `reach_m` of each length, on steps of half of that.
+    /// At least the largest value within `reach_m` of each length, on steps of about half of that. Windows begin and end on blocks of an eighth of a step.
     fn widened(&self, reach_m: f64) -> Self {
         let bins = ((0.5 * reach_m / self.step_m).floor() as usize).max(1);
+        let block = (bins / 8).max(1);
+        let bins = bins / block * block;
         let reach = (reach_m / self.step_m).ceil() as usize + 1;
-        let value = |k: i64| usize::try_from(k).ok().and_then(|k| self.values.get(k)).copied().unwrap_or(0.0);
+        let largest = |values: &[f32]| values.iter().fold(f32::NEG_INFINITY, |a, &b| if b > a { b } else { a });
+        let blocks: Vec<f32> = self.values.chunks(block).map(largest).collect();
         // One bin covers the lengths from its first value up to the next bin's; bins begin early enough for the reach.
         let before = reach.div_ceil(bins) * bins;
         let count = (before + self.values.len() + reach).div_ceil(bins);
-        let mut window: VecDeque<(i64, f32)> = VecDeque::new();
-        let mut next = -(before as i64) - reach as i64;
         let values = (0..count).map(|bin| {
-            let first = (bin * bins) as i64 - before as i64;
-            let last = first + (bins + reach) as i64;
-            while next <= last {
-                let value = value(next);
-                while window.back().is_some_and(|(_, other)| *other <= value) {
-                    window.pop_back();
-                }
-                window.push_back((next, value));
-                next += 1;
-            }
-            while window.front().is_some_and(|(k, _)| *k < first - reach as i64) {
-                window.pop_front();
-            }
-            window[0].1
+            // Both ends counted from `before` values in front of the curve, where all is 0.
+            let (first, last) = (bin * bins, (bin + 1) * bins + reach);
+            let from = first.saturating_sub(before + reach) / block;
+            let to = (last.saturating_sub(before) / block + 1).min(blocks.len());
+            let is_inside = first >= before + reach && last < before + self.values.len();
+            let inside = if last < before { f32::NEG_INFINITY } else { largest(&blocks[from.min(to)..to]) };
+            if is_inside { inside } else { inside.max(0.0) }
         });
         Self {
             low_m: self.low_m - before as f64 * self.step_m,

@@ -12,9 +12,9 @@
 use nalgebra::{Matrix3, Vector3, Vector4};
 use rayon::prelude::*;
 
-use super::Focus;
 use super::search::Domain;
 use super::surface::{Surface, covariance};
+use super::{Focus, blend};
 use crate::geometry::Point;
 use crate::geometry::multilateration::meet;
 
@@ -34,6 +34,10 @@ pub struct Lengths {
     pub foci: [usize; 2],
     /// Each with its standard deviation.
     pub values_m: Vec<(f64, f64)>,
+    /// Lengths of arrivals that other paths claim, and how near these may hide one, as in [`super::Room`].
+    pub claimed_m: Vec<f64>,
+    /// See there.
+    pub blend_m: f64,
     /// Lengths that the records hold.
     pub span_m: [f64; 2],
     /// Arrivals per metre.
@@ -215,10 +219,11 @@ pub(super) fn follow(
 ) -> Option<Seed> {
     let (mut point, mut covariance, mut likelihood) = (at, covariance, 0.0);
     for &pair in order {
-        let Lengths { foci: ends, values_m, span_m, density_per_m, seen } = &pairs[pair];
+        let Lengths { foci: ends, values_m, claimed_m, blend_m, span_m, density_per_m, seen } = &pairs[pair];
         let way = surface.way(ends.map(|focus| &foci[focus]), point);
         let is_recorded = |way: &(f64, Vector3<f64>)| (span_m[0]..=span_m[1]).contains(&way.0);
         let Some((length_m, slope)) = way.filter(is_recorded) else { continue };
+        let seen = seen * (1.0 - blend::hidden_by(claimed_m, length_m, *blend_m));
         let spread = covariance * slope;
         let own_m2 = slope.dot(&spread);
         let next = values_m.partition_point(|(other, _)| *other < length_m);
@@ -262,6 +267,8 @@ mod tests {
             let pairs = (0..foci.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
             let lengths = |[a, b]: [usize; 2]| Lengths {
                 foci: [a, b],
+                claimed_m: Vec::new(),
+                blend_m: 0.0,
                 values_m: vec![((patch - foci[a].point).norm() + (patch - foci[b].point).norm(), 1e-3)],
                 span_m: [0.0, 10.0],
                 density_per_m: 0.3,

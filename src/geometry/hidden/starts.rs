@@ -10,7 +10,7 @@ use super::plane_seeds;
 use super::search::{self, Curve, Legs};
 use super::seeds::{self, Lengths, Seed};
 use super::surface::Surface;
-use super::{SEEN, Way};
+use super::{SEEN, Way, blend};
 use crate::geometry::Point;
 
 /// Values of curves per standard deviation.
@@ -64,17 +64,20 @@ impl Explanation<'_> {
 
     /// Arrivals that paths leave, profiles of the same two patches together: two within their errors are one.
     fn unexplained(&self) -> Vec<Lengths> {
-        type OfPair = (usize, [f64; 2], Vec<(f64, f64)>);
+        type OfPair = (usize, [f64; 2], Vec<(f64, f64)>, Vec<f64>);
         let mut pairs: BTreeMap<[usize; 2], OfPair> = BTreeMap::new();
         for (profile, left) in self.profiles.iter().zip(self.left()) {
-            let (profiles, span_m, lengths_m) =
-                pairs.entry(profile.ways[0].foci).or_insert_with(|| (0, profile.span_m, Vec::new()));
+            let (profiles, span_m, lengths_m, claimed_m) =
+                pairs.entry(profile.ways[0].foci).or_insert_with(|| (0, profile.span_m, Vec::new(), Vec::new()));
             *profiles += 1;
             *span_m = [span_m[0].max(profile.span_m[0]), span_m[1].min(profile.span_m[1])];
-            let free = profile.arrivals.iter().zip(left).filter(|(_, left)| *left > UNEXPLAINED);
-            lengths_m.extend(free.map(|(arrival, _)| (arrival.length_m, arrival.sd_m)));
+            let (free, claimed): (Vec<_>, Vec<_>) =
+                profile.arrivals.iter().zip(left).partition(|(_, left)| *left > UNEXPLAINED);
+            lengths_m.extend(free.iter().map(|(arrival, _)| (arrival.length_m, arrival.sd_m)));
+            claimed_m.extend(claimed.iter().map(|(arrival, _)| arrival.length_m));
         }
-        let of_pair = |(foci, (profiles, span_m, mut lengths_m)): ([usize; 2], OfPair)| {
+        let of_pair = |(foci, (profiles, span_m, mut lengths_m, mut claimed_m)): ([usize; 2], OfPair)| {
+            claimed_m.sort_by(f64::total_cmp);
             lengths_m.sort_by(|a, b| a.0.total_cmp(&b.0));
             let mut merged: Vec<(f64, f64)> = Vec::new();
             let mut is_single = false;
@@ -92,7 +95,7 @@ impl Explanation<'_> {
             }
             let seen = 1.0 - (1.0 - SEEN).powi(profiles as i32);
             let density_per_m = (merged.len() + 1) as f64 / (2.0 * self.domain.half_m);
-            Lengths { foci, values_m: merged, span_m, density_per_m, seen }
+            Lengths { foci, values_m: merged, claimed_m, blend_m: self.room.blend_m, span_m, density_per_m, seen }
         };
         pairs.into_iter().map(of_pair).collect()
     }
@@ -116,6 +119,8 @@ impl Explanation<'_> {
             Lengths {
                 foci,
                 values_m: tops.iter().map(|&k| (low_m + k as f64 * step_m, sd_m)).collect(),
+                claimed_m: Vec::new(),
+                blend_m: 0.0,
                 span_m: [0.0, 2.0 * self.domain.half_m],
                 density_per_m: (tops.len() + 1) as f64 / (2.0 * self.domain.half_m),
                 seen: SEEN,
@@ -188,6 +193,13 @@ impl Explanation<'_> {
             }
             let (first, last) = (bin(low_m), bin(high_m));
             values[first..=last].iter_mut().for_each(|value| *value += missed);
+            if missed != 0.0 && self.room.blend_m > 0.0 {
+                for k in first..=last {
+                    let length_m = way.known_m + k as f64 * step_m;
+                    let seen = SEEN * (1.0 - blend::hidden(&of.arrivals, left, length_m, self.room.blend_m));
+                    values[k] += (1.0 - seen).ln() as f32 - missed;
+                }
+            }
             let mut near = Vec::new();
             for (arrival, left) in of.arrivals.iter().zip(left) {
                 let (length_m, sd_m) = (arrival.length_m - way.known_m, way.sd_m(arrival.sd_m));

@@ -43,6 +43,24 @@ fn all_are_found_and_nothing_else() {
     }
 }
 
+/// Where pulses up to 250 ps apart are one, most arrivals are several.
+#[test]
+fn blended_arrivals_hide_no_patch_and_make_none_up() {
+    let setting = Setting { merged_m: sd_m(250.0), ..Setting::new(8, 8, sd_m(5.0), 0.1, 1) };
+    let (mut with, mut without) = (0, 0);
+    for seed in 0..4 {
+        let drawn = draw(&setting, seed);
+        let wrong = |room: &Room| {
+            let score = score(&drawn, &points(&find(&drawn.profiles, room)));
+            score.missed + score.extra
+        };
+        with += wrong(&drawn.room);
+        without += wrong(&Room { blend_m: 0.0, ..drawn.room.clone() });
+    }
+    eprintln!("wrong patches of 32: {with}; where blends are not looked for {without}");
+    assert!(with == 0 && without >= 3, "{with} {without}");
+}
+
 /// The search's own error bars, visible patches exact.
 #[test]
 fn covariances_are_as_large_as_the_errors() {
@@ -245,7 +263,7 @@ fn where_there_is_no_second_layer_none_is_found() {
 #[test]
 fn an_arrival_is_taken_once() {
     let foci = [Point::new(0.0, 0.0, 0.0), Point::new(1.0, 0.0, 0.0)].map(|point| Focus { point, normal: None });
-    let room = Room { foci: foci.to_vec(), dimensions: 3, false_alarm: 1e-2, count: None };
+    let room = Room { foci: foci.to_vec(), dimensions: 3, false_alarm: 1e-2, count: None, blend_m: 0.0 };
     let arrival = Arrival { length_m: 2.0, sd_m: 0.01 };
     let at = Point::new(0.5, 0.75_f64.sqrt(), 0.0);
     let likelihood = |ways: usize| {

@@ -2,18 +2,18 @@
 
 use nalgebra::Vector3;
 
-use super::OfSensor;
 use super::chances::Chances;
 use super::facing::{foci, in_line};
 use super::legs;
 use super::paths::Graph;
 use super::scene::Scene;
+use super::{LabelOnsets, OfSensor};
 use crate::geometry::hidden::facing::spans;
 use crate::geometry::hidden::{self, Focus, Found, Hidden, Room, Surface};
 use crate::geometry::{Point, planes};
 use crate::stages::stage::Rejection;
 use crate::tables::Hypothesis;
-use crate::units::PatchId;
+use crate::units::{self, PatchId};
 
 /// A hidden patch that was found.
 #[derive(Clone, Copy)]
@@ -30,6 +30,8 @@ pub(super) struct Search<'a> {
     sensors: &'a [OfSensor<'a>],
     visible: &'a [PatchId],
     false_alarm: f64,
+    /// Lengths of paths nearer than this may be one onset.
+    blend_m: f64,
     /// Shown by visible patches, and shown by hidden ones only; numbered on from the largest patch that is known.
     layers: [Vec<Placed>; 2],
     planes: Vec<Hidden>,
@@ -46,13 +48,20 @@ impl<'a> Search<'a> {
         visible: &'a [PatchId],
         graphs: &[Graph],
         chances: &Chances,
-        false_alarm: f64,
-        is_bright: bool,
+        asked: &LabelOnsets,
     ) -> Self {
-        let layers = [Vec::new(), Vec::new()];
-        let mut search =
-            Self { scene, sensors, visible, false_alarm, layers, planes: Vec::new(), declined: None, refused: None };
         let setup = sensors[0].setup;
+        let mut search = Self {
+            scene,
+            sensors,
+            visible,
+            false_alarm: asked.false_alarm,
+            blend_m: units::path_m(asked.blend_ps, setup.group_index),
+            layers: [Vec::new(), Vec::new()],
+            planes: Vec::new(),
+            declined: None,
+            refused: None,
+        };
         let source = Point::from(setup.source_m);
         let points: Vec<Point> = visible.iter().map(|patch| scene.points[patch]).collect();
         if !spans(&points, setup.dimensions) {
@@ -61,8 +70,11 @@ impl<'a> Search<'a> {
         }
         let profiles = legs::profiles(sensors, graphs, chances, visible);
         let room = search.room(foci(scene, visible, source, setup.dimensions));
-        let mut found =
-            if is_bright { hidden::find_by_minimal_sets(&profiles, &room) } else { hidden::find(&profiles, &room) };
+        let mut found = if asked.is_bright() {
+            hidden::find_by_minimal_sets(&profiles, &room)
+        } else {
+            hidden::find(&profiles, &room)
+        };
         search.declined = found.declined;
         search.planes = std::mem::take(&mut found.planes);
         search.layers[0] = search.placed(found, &points, source);
@@ -81,7 +93,9 @@ impl<'a> Search<'a> {
         }
         let profiles = legs::layered_profiles(self.sensors, graphs, chances, self.visible, &shown_by);
         let foci = points.iter().map(|&point| Focus { point, normal: None }).collect();
-        let found = hidden::find_by_minimal_sets(&profiles, &self.room(foci));
+        // So many ways are there that each arrival is near some.
+        let room = Room { blend_m: 0.0, ..self.room(foci) };
+        let found = hidden::find_by_minimal_sets(&profiles, &room);
         // A hidden patch throws light back to where it has it from: the side of the visible ones.
         let visible: Vec<Vector3<f64>> = self.visible.iter().map(|patch| scene.points[patch].coords).collect();
         let middle = Point::from(visible.iter().sum::<Vector3<f64>>() / visible.len() as f64);
@@ -100,6 +114,7 @@ impl<'a> Search<'a> {
             foci,
             dimensions: setup.dimensions,
             false_alarm: self.false_alarm,
+            blend_m: self.blend_m,
             count: setup.hidden_count.map(|count| (count as usize).saturating_sub(already)),
         }
     }

@@ -75,6 +75,9 @@ impl LabelOnsets {
                     .collect()
             };
             let first = all(None);
+            if self.blend_ps == 0.0 {
+                return first;
+            }
             all(Some(&Blends::learned(chances, self.blend_ps, sensors, &first)))
         };
         let known = self.graphs(scene, sensors, &closed);
@@ -86,18 +89,22 @@ impl LabelOnsets {
             return (verdicts, Vec::new(), Vec::new());
         }
         let prior = Chances::prior(&visible);
-        let is_bright = self.bounces() >= DEEP;
-        let mut search = Search::new(scene, sensors, &visible, &known, &prior, self.false_alarm, is_bright);
+        let mut search = Search::new(scene, sensors, &visible, &known, &prior, self);
         // What was found first tells once how often later bounces are seen, and what these leave for a second layer.
         let first = search.scene();
         let graphs = self.graphs(&first, sensors, &closed);
         let chances = learned(&graphs);
-        if is_bright {
+        if self.is_bright() {
             search.deeper(&graphs, &chances);
         }
         let all = search.scene();
         let verdicts = predicted(&self.graphs(&all, sensors, &closed), &chances);
         (verdicts, search.hypotheses(), search.rejections())
+    }
+
+    /// Whether so late bounces are asked for that the room must be a bright one.
+    pub(super) const fn is_bright(&self) -> bool {
+        self.bounces as usize >= DEEP
     }
 
     fn graphs<'a>(&self, scene: &'a Scene, sensors: &[OfSensor], closed: &[Pairs]) -> Vec<Graph<'a>> {

@@ -118,7 +118,12 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
     let covariances: Vec<Matrix3<f64>> = placed.iter().map(|(_, covariance)| *covariance).collect();
     let bounds_m = slopes.iter().map(|slopes| bound_m(slopes, &covariances, setting.sd_m)).collect();
     let foci = placed.iter().map(|(point, _)| Focus { point: *point, normal: None }).collect();
-    Drawn { room: Room { foci, dimensions: 3, false_alarm: 1e-2, count: None }, profiles, hidden, bounds_m }
+    Drawn {
+        room: Room { foci, dimensions: 3, false_alarm: 1e-2, count: None, blend_m: 0.0 },
+        profiles,
+        hidden,
+        bounds_m,
+    }
 }
 
 /// Root of the sum of variances of a patch of the second layer, those of the first layer unknown beside it but for their prior.

@@ -10,6 +10,8 @@ use super::{Arrival, Focus, Point, Profile, Room};
 /// Least range of lengths that a record holds: 8 ns. It holds all hidden patches, and this much before and after.
 const WINDOW_M: f64 = 2.4;
 const MARGIN_M: f64 = 0.1;
+/// A search is told that pulses blend up to so many times the distance where they do.
+const REACH: f64 = 1.35;
 /// Delay of a cable's echo, as a length.
 const ECHO_M: f64 = 1.9;
 
@@ -71,6 +73,8 @@ pub struct Setting {
     pub clutter: Clutter,
     /// Least distance of two hidden patches.
     pub apart_m: f64,
+    /// Arrivals nearer than this are one, at their mean.
+    pub merged_m: f64,
 }
 
 impl Setting {
@@ -78,7 +82,7 @@ impl Setting {
     #[must_use]
     pub const fn new(visible: usize, hidden: usize, onset_sd_m: f64, missing: f64, spurious: usize) -> Self {
         let (walls, pattern, clutter) = (Walls::Two, Pattern::All, Clutter::None);
-        Self { visible, hidden, onset_sd_m, missing, spurious, walls, pattern, clutter, apart_m: 0.15 }
+        Self { visible, hidden, onset_sd_m, missing, spurious, walls, pattern, clutter, apart_m: 0.15, merged_m: 0.0 }
     }
 }
 
@@ -170,6 +174,7 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
         }
         lengths_m.retain(|(length_m, _)| (low_m..=high_m).contains(length_m));
         lengths_m.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let lengths_m = merged(lengths_m, setting.merged_m);
         sources.push(lengths_m.iter().map(|(_, source)| *source).collect());
         let arrivals = lengths_m.iter().map(|(length_m, _)| Arrival { length_m: *length_m, sd_m }).collect();
         profiles.push(Profile::new([a, b], arrivals, Vec::new(), [low_m, high_m]));
@@ -187,13 +192,25 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
     };
     let dimensions = if flat { 2 } else { 3 };
     Drawn {
-        room: Room { foci: foci.iter().enumerate().map(focus).collect(), dimensions, false_alarm: 1e-2, count: None },
+        room: Room {
+            foci: foci.iter().enumerate().map(focus).collect(),
+            dimensions,
+            false_alarm: 1e-2,
+            count: None,
+            blend_m: REACH * setting.merged_m,
+        },
         profiles,
         bounds_m: information.iter().map(bound_m).collect(),
         hidden,
         furniture,
         sources,
     }
+}
+
+/// Unresolved pulses, as strong as one another: each run of neighbours nearer than `merged_m` makes one arrival.
+fn merged(lengths_m: Vec<(f64, Option<usize>)>, merged_m: f64) -> Vec<(f64, Option<usize>)> {
+    let runs = lengths_m.chunk_by(|a, b| b.0 - a.0 < merged_m);
+    runs.map(|run| (run.iter().map(|(length_m, _)| length_m).sum::<f64>() / run.len() as f64, run[0].1)).collect()
 }
 
 /// How a search went.
