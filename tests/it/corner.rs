@@ -79,12 +79,17 @@ fn scene(hidden: usize, seed: u64) -> String {
     format!("{}{patches}{rest}", &SCENE[..from])
 }
 
-/// Simulates scope files of a scene, runs the pipeline and compares.
+/// Simulates scope files of a scene of this kind, runs the pipeline and compares.
 pub fn scored(hidden: usize, seed: u64) -> Scored {
-    let scene = Scene::parse(Path::new("scene.toml"), &scene(hidden, seed)).unwrap();
+    compared(&scene(hidden, seed), PIPELINE, seed).1
+}
+
+/// Simulates scope files of a scene, runs a pipeline into `out` and holds its hidden patches against the true ones, turned by the visible ones.
+pub fn compared(scene: &str, pipeline: &str, seed: u64) -> (Lab, Scored) {
+    let scene = Scene::parse(Path::new("scene.toml"), scene).unwrap();
     let laboratory = Laboratory::new(&scene, 0).unwrap();
     let lab = Lab::recorded(&laboratory, seed, Format::Trc);
-    lab.run("out", PIPELINE, &Settings::default()).unwrap();
+    lab.run("out", pipeline, &Settings::default()).unwrap();
     let truth: Vec<Patch> = lab.truth();
     let found: Vec<Patch> =
         lab.rows::<Patch>("out", "patches").into_iter().filter(|patch| patch.alternative == 0).collect();
@@ -104,7 +109,8 @@ pub fn scored(hidden: usize, seed: u64) -> Scored {
         Place { found_m, bound_m: bound.coordinates.sd_m(truth.patch).unwrap_or(f64::INFINITY) }
     };
     let places = truth.iter().filter(|patch| patch.patch > VISIBLE).map(place).collect();
-    Scored { places, extra: rest.len() }
+    let extra = rest.len();
+    (lab, Scored { places, extra })
 }
 
 /// Four hidden patches, and nothing else.

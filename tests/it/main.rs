@@ -12,6 +12,7 @@ mod failures;
 mod faint;
 mod formats;
 mod hidden;
+mod hidden_plane;
 mod house;
 mod ingest;
 mod inter_reflections;
