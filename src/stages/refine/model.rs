@@ -128,7 +128,9 @@ impl<'a> Model<'a> {
             sd_m: place.station.sd_m.unwrap_or(0.0),
         };
         let length_m2 = |a: &DelayKey, b: &DelayKey| {
-            units::path_m(1.0, self.index(a)) * units::path_m(1.0, self.index(b)) * self.known.latencies.covariance_ps2(a, b)
+            units::path_m(1.0, self.index(a))
+                * units::path_m(1.0, self.index(b))
+                * self.known.latencies.covariance_ps2(a, b)
         };
         let count = self.delays.len();
         let mut problem = Problem {
