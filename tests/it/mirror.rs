@@ -187,7 +187,7 @@ pub fn worst(found: &[Point], truth: &[Point]) -> (f64, f64) {
 }
 
 /// Squared error of a mirror point over its covariance: on average 2, its dimensions.
-fn square(row: &Patch, truth: &Point) -> f64 {
+pub fn square(row: &Patch, truth: &Point) -> f64 {
     let [xx, xy, yy] = [row.cov_xx_m2, row.cov_xy_m2, row.cov_yy_m2].map(Option::unwrap);
     let covariance_m2 = Matrix3::new(xx, xy, 0.0, xy, yy, 0.0, 0.0, 0.0, 1.0);
     let error = Point::new(row.x_m, row.y_m, row.z_m) - truth;
