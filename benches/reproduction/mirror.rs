@@ -197,18 +197,18 @@ fn draw_figure() {
         }
         picture.path(panel, &papers.iter().map(|point| cm(*point)).collect::<Vec<_>>(), "#bf2f2f");
     }
-    let wall = [diffuser[0], diffuser[SCANS - 1]].map(|point| [1e2 * point.x, 1e2 * point.y]);
-    picture.line(&whole, wall[0], wall[1], "gray", 4.0);
+    let [[x, top], [_, foot]] = [diffuser[0], diffuser[SCANS - 1]].map(|point| [1e2 * point.x, 1e2 * point.y]);
+    picture.line(&whole, [x, top + 1.0], [x, foot - 1.0], "gray", 4.0);
     picture.ring(&whole, [0.0, 0.0], 5.0, "#3f7f3f");
     picture.label(&whole, [1.0, -1.0], "laser, sensor");
-    picture.label(&whole, [-34.0, -15.0], "diffuser");
+    picture.label(&whole, [-34.0, -8.0], "diffuser");
     picture.label(&whole, [5.5, 14.0], "mirror");
     for (panel, length) in [(&whole, 10.0), (&close, 1.0)] {
         let [x, y] = [panel.x0 + 0.5 * length, panel.y0 + 0.15 * length];
         picture.line(panel, [x, y], [x + length, y], "black", 2.0);
         picture.label(panel, [x, y + 0.1 * length], &format!("{length} cm"));
     }
-    let legend = |n: f64| [1.6, 17.4 - 0.35 * n];
+    let legend = |n: f64| [1.2, 17.4 - 0.35 * n];
     picture.ring(&close, legend(0.0), 7.0, "black");
     picture.dot(&close, legend(1.0), 4.0, "#2f5fbf");
     picture.cross(&close, legend(2.0), 6.0, "#bf2f2f");

@@ -1,3 +1,4 @@
+use std::fmt::Write;
 use std::path::Path;
 
 use super::*;
@@ -23,11 +24,13 @@ fn campaign(more: &str) -> String {
     let mut text = format!("[campaign]\nname = 'c'\ngroup_index = 1.0\ndimensions = 2\n{more}[sensors.s1]\n");
     for (n, ([x, y], d)) in POINTS.iter().zip(diffuser()).enumerate() {
         let (one, ten) = (n + 1, n + 11);
-        text += &format!(
+        write!(
+            text,
             "[patches.{one}]\nrole = 'mirror'\nray = {{ from = 'laser', direction = [{x}, {y}, 0.0], sd_rad = 0.001 }}\n\
              [patches.{ten}]\nposition_m = [{}, {}, 0.0]\nsd_m = 0.0005\n",
             d.x, d.y
-        );
+        )
+        .unwrap();
     }
     text
 }
