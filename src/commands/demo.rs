@@ -18,7 +18,7 @@ use periscope::tables::{Patch, Row};
 use super::run::{execute, use_threads};
 
 /// Demonstrations: name, scene, pipeline.
-const DEMOS: [(&str, &str, &str); 2] = [
+const DEMOS: [(&str, &str, &str); 3] = [
     (
         "around-the-corner",
         include_str!("../../pipelines/scenes/around-the-corner.toml"),
@@ -29,14 +29,17 @@ const DEMOS: [(&str, &str, &str); 2] = [
         include_str!("../../pipelines/scenes/all-visible.toml"),
         include_str!("../../pipelines/all-visible.toml"),
     ),
+    ("mirror", include_str!("../../pipelines/scenes/paper-mirror.toml"), include_str!("../../pipelines/mirror.toml")),
 ];
 /// Kind of patches that neither laser nor sensor sees.
 const HIDDEN: &str = "hidden";
+/// Kind of patches that nothing comes straight back from.
+const MIRROR: &str = "mirror";
 
 /// Arguments of `demo`.
 #[derive(Args)]
 pub struct Demo {
-    /// Which: around-the-corner (hidden patches, from third bounces) or all-visible
+    /// Which: around-the-corner (hidden patches, from third bounces), all-visible, or mirror (seen only through a diffuser)
     #[arg(default_value = "around-the-corner")]
     name: String,
     /// Folder for campaign and results; what an earlier demo left there is replaced
@@ -127,7 +130,10 @@ impl Pair<'_> {
 /// Found beside true positions.
 fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) -> Result<String> {
     let centre = Point::from(scene.stations["laser"].position_m);
-    let (pairs, lost) = pairs(found, truth, centre)?;
+    let known = &scene.known;
+    // Anchors and rays fix the frame.
+    let is_fixed = !known.anchors.is_empty() || !known.rays.is_empty();
+    let (pairs, lost) = pairs(found, truth, centre, is_fixed)?;
     let mut text = String::from(
         "patch           found (x, y, z) in m                  true                          error     sd\n",
     );
@@ -145,8 +151,8 @@ fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) 
     for patch in best.filter(|patch| pairs.iter().all(|pair| pair.found.patch != patch.patch)) {
         writeln!(text, "{:>3} {:8} was found where the scene has none", patch.patch, patch.kind)?;
     }
-    let of_paper = if paper.is_empty() { Vec::new() } else { self::pairs(paper, truth, centre)?.0 };
-    for kind in ["visible", HIDDEN] {
+    let of_paper = if paper.is_empty() { Vec::new() } else { self::pairs(paper, truth, centre, is_fixed)?.0 };
+    for kind in ["visible", HIDDEN, MIRROR] {
         let of_kind = |pair: &&Pair| &*pair.truth.kind == kind;
         let errors_m = |pairs: &[Pair]| rms(pairs.iter().filter(of_kind).map(Pair::error_m));
         let sds_m = pairs.iter().filter(of_kind).filter_map(|pair| pair.found.sd_m);
@@ -154,7 +160,7 @@ fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) 
         let (rms_mm, sd_mm) = (1e3 * rms_m, 1e3 * sd_m);
         write!(text, "\n{kind}: rms error {rms_mm:.3} mm, expected from the standard deviations {sd_mm:.3} mm")?;
         if let Some(paper_m) = errors_m(&of_paper) {
-            write!(text, "; the paper's Algorithm 1 on the same onsets: {:.3} mm", paper_m * 1e3)?;
+            write!(text, "; the paper's method on the same onsets: {:.3} mm", paper_m * 1e3)?;
         }
     }
     writeln!(text)?;
@@ -170,9 +176,14 @@ fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
-/// Found patches with the true ones, and true ones that were not found. Path lengths say nothing of rotations about the laser, so what was found is turned onto the
-/// truth by the visible patches first; hidden patches have the numbers that they were found by, and go with the nearest true one.
-fn pairs<'a>(found: &'a [Patch], truth: &'a [Patch], centre: Point) -> Result<(Vec<Pair<'a>>, Vec<i32>)> {
+/// Found patches with the true ones, and true ones that were not found. Unless the frame is fixed, path lengths say nothing of rotations about the laser, so what was found is
+/// turned onto the truth by the visible patches first; hidden patches have the numbers that they were found by, and go with the nearest true one.
+fn pairs<'a>(
+    found: &'a [Patch],
+    truth: &'a [Patch],
+    centre: Point,
+    is_fixed: bool,
+) -> Result<(Vec<Pair<'a>>, Vec<i32>)> {
     let best = found.iter().filter(|patch| patch.alternative == 0);
     let (visible, hidden): (Vec<&Patch>, Vec<&Patch>) = best.partition(|patch| &*patch.kind != HIDDEN);
     let named = |patch: &&'a Patch| truth.iter().find(|truth| truth.patch == patch.patch).map(|truth| (*patch, truth));
@@ -183,8 +194,8 @@ fn pairs<'a>(found: &'a [Patch], truth: &'a [Patch], centre: Point) -> Result<(V
     }
     let (from, onto): (Vec<Point>, Vec<Point>) = named.iter().map(|(patch, truth)| (at(patch), at(truth))).unzip();
     let matrix = procrustes::rotation(&from, &onto, centre, true).matrix;
-    let turned =
-        |found: &'a Patch, truth: &'a Patch| Pair { found, point: procrustes::turn(&matrix, centre, at(found)), truth };
+    let place = |found: &Patch| if is_fixed { at(found) } else { procrustes::turn(&matrix, centre, at(found)) };
+    let turned = |found: &'a Patch, truth: &'a Patch| Pair { found, point: place(found), truth };
     let mut pairs: Vec<Pair> = named.into_iter().map(|(found, truth)| turned(found, truth)).collect();
     let mut open: Vec<&Patch> = truth.iter().filter(|patch| &*patch.kind == HIDDEN).collect();
     for found in hidden {

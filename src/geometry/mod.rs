@@ -17,6 +17,7 @@ pub mod landmark;
 pub mod loss;
 pub mod many_pairs;
 pub mod maximum_likelihood;
+pub mod mirror;
 pub mod multilateration;
 pub mod placement;
 pub mod planes;

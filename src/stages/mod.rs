@@ -13,11 +13,13 @@ mod footprints;
 pub mod import;
 pub mod ingest;
 pub mod label;
+mod latencies;
 pub mod measure;
 mod moment;
 pub mod operator;
 pub mod range;
 pub mod refine;
+pub mod reflect;
 pub mod search;
 pub mod source;
 pub mod stage;
@@ -59,7 +61,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 15] = [
+pub const KINDS: [&str; 16] = [
     "ingest",
     "calibrate",
     "average",
@@ -72,6 +74,7 @@ pub const KINDS: [&str; 15] = [
     "range",
     "embed",
     "refine",
+    "reflect",
     "search",
     "surface",
     "import",
@@ -102,6 +105,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "range" => Node::Operator(params_of::<range::Range>(params)?),
         "embed" => Node::Operator(params_of::<embed::Embed>(params)?),
         "refine" => Node::Operator(params_of::<refine::Refine>(params)?),
+        "reflect" => Node::Operator(params_of::<reflect::Reflect>(params)?),
         "search" => Node::Operator(params_of::<search::Search>(params)?),
         "surface" => Node::Operator(params_of::<surface::Surface>(params)?),
         _ => return Err(suggest::unknown("stage", kind, &KINDS)),

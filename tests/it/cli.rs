@@ -48,9 +48,11 @@ fn the_demo_prints_found_and_true_positions_and_names_the_tables() {
     let visible = periscope(folder.path(), &["demo", "all-visible"]);
     let visible = out(&visible);
     assert!(
-        visible.contains(" 12 visible") && visible.contains("Algorithm 1") && !visible.contains("hidden:"),
+        visible.contains(" 12 visible") && visible.contains("the paper's method") && !visible.contains("hidden:"),
         "{visible}"
     );
+    let mirror = out(&periscope(folder.path(), &["demo", "mirror"]));
+    assert!(mirror.contains("  3 mirror") && mirror.contains("mirror: rms error"), "{mirror}");
     let other = periscope(folder.path(), &["demo", "all-visble"]);
     assert!(other.status.code() == Some(1) && err(&other).contains("all-visible"), "{}", err(&other));
     fs::create_dir(folder.path().join("mine")).unwrap();

@@ -126,6 +126,7 @@ fn stages_never_import_one_another() {
                     "correction",
                     "covariances",
                     "footprints",
+                    "latencies",
                     "moment",
                 ]
                 .contains(&other.as_str())

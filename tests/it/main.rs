@@ -20,6 +20,7 @@ mod lab;
 mod laws;
 mod lineage;
 mod methods;
+mod mirror;
 mod missed;
 mod monte_carlo;
 #[cfg(feature = "query")]

@@ -4,13 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Vector3;
 
-use super::known::{DelayKey, Known, Setup};
+use super::known::{Known, Setup};
 use crate::campaign::keys::{self, LASER, PatchRole};
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{Anchor, Node, Observation, Problem, Ray, Solution, Station, Unsolved};
 use crate::geometry::placement;
 use crate::geometry::{Matrix, Point, planes};
 use crate::stages::footprints::Footprints;
+use crate::stages::latencies::DelayKey;
 use crate::tables::{Label, Name};
 use crate::units::{self, PatchId};
 
@@ -39,7 +40,7 @@ pub struct Model<'a> {
 impl<'a> Model<'a> {
     pub fn new(known: &'a Known, labels: &'a [Label]) -> Self {
         let patches: BTreeSet<PatchId> = labels.iter().flat_map(|label| label.path.iter().flatten().copied()).collect();
-        let delay = |label: &Label| known.delay_of(&label.campaign, &label.sensor, label.range.as_ref());
+        let delay = |label: &Label| known.latencies.delay_of(&label.campaign, &label.sensor, label.range.as_ref());
         let delays: BTreeSet<DelayKey> = labels.iter().filter_map(delay).collect();
         let (mut stations, mut station_at) = (Vec::<Place>::new(), BTreeMap::new());
         for (campaign, setup) in &known.setups {
@@ -127,7 +128,9 @@ impl<'a> Model<'a> {
             sd_m: place.station.sd_m.unwrap_or(0.0),
         };
         let length_m2 = |a: &DelayKey, b: &DelayKey| {
-            units::path_m(1.0, self.index(a)) * units::path_m(1.0, self.index(b)) * self.known.covariance_ps2(a, b)
+            units::path_m(1.0, self.index(a))
+                * units::path_m(1.0, self.index(b))
+                * self.known.latencies.covariance_ps2(a, b)
         };
         let count = self.delays.len();
         let mut problem = Problem {
@@ -185,7 +188,7 @@ impl<'a> Model<'a> {
         let setup = self.setup(label);
         let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
         let station = |name: &str| Node::Station(self.station_at[&(label.campaign.clone(), name.to_owned())]);
-        let delay = self.known.delay_of(&label.campaign, &label.sensor, label.range.as_ref());
+        let delay = self.known.latencies.delay_of(&label.campaign, &label.sensor, label.range.as_ref());
         Observation {
             nodes: std::iter::once(station(LASER))
                 .chain(path)

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::model::Model;
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
+use crate::stages::latencies::DelayKey;
 use crate::tables::{Ambiguity, Delay, Fit, Name, Patch, PatchCovariance, Residual, Station, Suspect};
 use crate::units::{self, PatchId};
 
@@ -128,7 +129,7 @@ impl<'a> Written<'a> {
     }
 
     pub fn delays(&self) -> Vec<Delay> {
-        let row = |(n, key): (usize, &super::known::DelayKey)| {
+        let row = |(n, key): (usize, &DelayKey)| {
             let time = |length_m| units::time_ps(length_m, self.model.index(key));
             Delay {
                 campaign: key.0.clone(),
@@ -136,7 +137,7 @@ impl<'a> Written<'a> {
                 range: key.2.clone(),
                 delay_ps: time(self.solution.delays_m[n]),
                 sd_ps: time(self.solution.delay_variance_m2(n).sqrt()),
-                prior_sd_ps: self.model.known.latency(key).sd_ps,
+                prior_sd_ps: self.model.known.latencies.latency(key).sd_ps,
             }
         };
         self.model.delays.iter().enumerate().map(row).collect()

@@ -1,0 +1,191 @@
+//! `reflect`: a mirror that is seen only through a diffuser (paper Fig. 8, top: missing direct reflection).
+//!
+//! The laser is aimed at patches of role `mirror`, in known directions (`ray`); nothing comes straight back from there. The reflected beam meets the diffuser in a point whose
+//! position is known (`position_m`, `sd_m`, or `patches` beside, in the frame of campaign.toml), and the sensor sees that. How long light took says where on its ray each
+//! mirror point lies ([`crate::geometry::mirror`]).
+//!
+//! | method | |
+//! |---|---|
+//! | `joint` | maximum likelihood over the mirror, rays, diffuser points, delays and stations, each known with its error; with covariances |
+//! | `virtual-source` | trilateration of the laser's mirror image from path lengths; rays choose between places that lengths leave open |
+//! | `per-ray` | each scan alone: its conic, cut by its ray |
+//! | `equal-distances` | the paper's, to compare with: the same, at one distance for all rays |
+//!
+//! Of all profiles with a mirror point lit, the strongest onset is the beam's way over the diffuser point seen there: other light has been scattered first. Where the laser repeats
+//! (`repetition_ps`), whole periods are added until the path is no shorter than the straight one from laser over diffuser point to sensor: its detour must be less than a period.
+//!
+//! Takes `onsets`; writes `patches` (mirror points, and diffuser points: of `joint` as adjusted, of the others as given) and, beside it, of `joint` alone `patch_covariances` and
+//! the mirror as one of `planes` (its points lie on it by construction: no distances from it); and `ambiguities`: points that are known badly, another place of the
+//! virtual source. Beside it, optional: `patches`; `calibration`, without which latencies are taken as exact. Scans that lack a ray or a
+//! diffuser point's position stand in `rejects`. Not modelled: several mirrors, curved ones, sensors that look into the mirror, errors of the laser's period, covariances
+//! between the given patches.
+//!
+//! ```toml
+//! [patches]
+//! stage = "reflect"
+//! from = "onsets"
+//! with = { calibration = "calibration" }
+//! params = { method = "joint" }
+//! ```
+
+mod scans;
+mod written;
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::latencies::Latencies;
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
+use crate::campaign::Campaign;
+use crate::campaign::keys::PatchRole;
+use crate::geometry::{Point, mirror};
+use crate::tables::{Ambiguity, Calibration, Name, Onset, Patch, PatchCovariance, Plane, Row};
+use scans::{Known, Scans, Setup};
+use written::Written;
+
+/// A second place of the virtual source whose contradiction is higher than the best one's by less than this (a likelihood ratio of 3,000) cannot be ruled out.
+const LIKELY: f64 = 16.0;
+
+/// Parameters of `reflect`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Reflect {
+    method: Method,
+}
+
+impl Default for Reflect {
+    fn default() -> Self {
+        Self { method: Method::Joint }
+    }
+}
+
+/// How mirror points come from scans.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Method {
+    Joint,
+    VirtualSource,
+    PerRay,
+    EqualDistances,
+}
+
+impl Stage for Reflect {
+    const KIND: &'static str = "reflect";
+    const VERSION: u32 = 1;
+    const GRAIN: Grain = Grain::All;
+    const BESIDE: &'static [Beside] = &[
+        Beside { name: "patches", table: "patches", required: false },
+        Beside { name: "calibration", table: "calibration", required: false },
+    ];
+    const SIDES: &'static [Side] = &[
+        Side { name: PatchCovariance::TABLE, schema: PatchCovariance::schema },
+        Side { name: Plane::TABLE, schema: Plane::schema },
+        Side { name: Ambiguity::TABLE, schema: Ambiguity::schema },
+    ];
+    type Input = Onset;
+    type Output = Patch;
+    type Fields = BTreeMap<String, Setup>;
+    type Context = Known;
+
+    fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
+        campaigns.iter().map(|campaign| (campaign.name.clone(), Setup::new(campaign))).collect()
+    }
+
+    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
+        let refused = |text: &str| Err(StageError::Refused(text.to_owned()));
+        let Some(first) = setups.values().next() else {
+            return refused("no campaign is given");
+        };
+        if setups.values().any(|setup| !setup.is_of_scene(first)) {
+            return refused(
+                "the campaigns differ in dimensions, stations or patches: campaigns of one scene must share them",
+            );
+        }
+        if first.patches.values().all(|patch| patch.role != PatchRole::Mirror) {
+            return refused(
+                "campaign.toml has no patch of role `mirror`; give `role = \"mirror\"` and a `ray` to those that the laser was aimed at on the mirror",
+            );
+        }
+        let patches = beside.rows::<Patch>("patches")?.unwrap_or_default();
+        let latencies = Latencies::new(beside.rows::<Calibration>("calibration")?.unwrap_or_default());
+        Ok(Known::new(setups, patches, latencies))
+    }
+}
+
+impl Apply for Reflect {
+    fn apply(&self, known: &Known, group: Vec<Onset>) -> Result<Outcome<Patch>, StageError> {
+        let (scans, mut reasons) = Scans::new(known, &group);
+        let written = if scans.experiment.scans.is_empty() {
+            reasons.push("no scan of the mirror is left: see the reasons above".to_owned());
+            Written::default()
+        } else {
+            self.solved(&scans, &mut reasons)
+        };
+        let campaign = Name::from(known.setups.keys().next().expect("a run has a campaign").as_str());
+        let reject = |reason: String| Rejection {
+            campaign: campaign.clone(),
+            file: None,
+            segment: None,
+            byte_offset: None,
+            reason,
+        };
+        Ok(Outcome {
+            rows: written.patches,
+            sides: vec![
+                PatchCovariance::to_batch(&written.covariances),
+                Plane::to_batch(&written.planes),
+                Ambiguity::to_batch(&written.ambiguities),
+            ],
+            rejections: reasons.into_iter().map(reject).collect(),
+        })
+    }
+}
+
+impl Reflect {
+    /// Rows by the method, and why there are none.
+    fn solved(&self, scans: &Scans, reasons: &mut Vec<String>) -> Written {
+        let experiment = &scans.experiment;
+        let source = experiment.stations[0].position;
+        let along = |n: usize, distance_m: f64| source + experiment.scans[n].direction * distance_m;
+        let points: Vec<Option<Point>> = match self.method {
+            Method::Joint => match mirror::solve(experiment) {
+                Ok(solution) => return Written::joint(scans, &solution),
+                Err(unsolved) => {
+                    reasons.push(format!("{unsolved}; check rays, diffuser points and latency against one another"));
+                    return Written::default();
+                }
+            },
+            Method::VirtualSource => {
+                let mirrors = mirror::virtual_source(experiment);
+                let Some(best) = mirrors.first() else {
+                    reasons.push(format!(
+                        "{} scans are too few for a virtual source; add scans until there are {}, or take method `joint`, for which one is enough",
+                        experiment.scans.len(),
+                        experiment.dimensions
+                    ));
+                    return Written::default();
+                };
+                let likely = mirrors.iter().take_while(|mirror| mirror.1 < best.1 + LIKELY);
+                let meets = |mirror: &mirror::Mirror| -> Vec<Option<Point>> {
+                    let scans = experiment.scans.iter().enumerate();
+                    scans.map(|(n, scan)| Some(along(n, mirror.meets(source, scan.direction)?))).collect()
+                };
+                let places: Vec<_> = likely.map(|(mirror, more)| (meets(mirror), more - best.1)).collect();
+                return Written::places(scans, &places, reasons);
+            }
+            Method::PerRay => {
+                let distances_m = mirror::per_ray(experiment).into_iter().enumerate();
+                distances_m.map(|(n, distance_m)| Some(along(n, distance_m?))).collect()
+            }
+            Method::EqualDistances => {
+                let distance_m = mirror::equal_distances(experiment);
+                (0..experiment.scans.len()).map(|n| Some(along(n, distance_m?))).collect()
+            }
+        };
+        Written::places(scans, &[(points, 0.0)], reasons)
+    }
+}
+
+#[cfg(test)]
+mod tests;
