@@ -23,6 +23,7 @@ pub mod source;
 pub mod stage;
 pub mod surface;
 pub mod track;
+pub mod triangulate;
 
 use serde::de::DeserializeOwned;
 
@@ -59,7 +60,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 15] = [
+pub const KINDS: [&str; 16] = [
     "ingest",
     "calibrate",
     "average",
@@ -74,6 +75,7 @@ pub const KINDS: [&str; 15] = [
     "refine",
     "search",
     "surface",
+    "triangulate",
     "import",
 ];
 
@@ -104,6 +106,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "refine" => Node::Operator(params_of::<refine::Refine>(params)?),
         "search" => Node::Operator(params_of::<search::Search>(params)?),
         "surface" => Node::Operator(params_of::<surface::Surface>(params)?),
+        "triangulate" => Node::Operator(params_of::<triangulate::Triangulate>(params)?),
         _ => return Err(suggest::unknown("stage", kind, &KINDS)),
     })
 }
