@@ -18,7 +18,7 @@ use periscope::tables::{Patch, Row};
 use super::run::{execute, use_threads};
 
 /// Demonstrations: name, scene, pipeline.
-const DEMOS: [(&str, &str, &str); 2] = [
+const DEMOS: [(&str, &str, &str); 3] = [
     (
         "around-the-corner",
         include_str!("../../pipelines/scenes/around-the-corner.toml"),
@@ -29,6 +29,7 @@ const DEMOS: [(&str, &str, &str); 2] = [
         include_str!("../../pipelines/scenes/all-visible.toml"),
         include_str!("../../pipelines/all-visible.toml"),
     ),
+    ("barcode", include_str!("../../pipelines/scenes/barcode.toml"), include_str!("../../pipelines/barcode.toml")),
 ];
 /// Kind of patches that neither laser nor sensor sees.
 const HIDDEN: &str = "hidden";
@@ -36,7 +37,7 @@ const HIDDEN: &str = "hidden";
 /// Arguments of `demo`.
 #[derive(Args)]
 pub struct Demo {
-    /// Which: around-the-corner (hidden patches, from third bounces) or all-visible
+    /// Which: around-the-corner (hidden patches, from third bounces), all-visible, or barcode (two strips around the corner in one pixel)
     #[arg(default_value = "around-the-corner")]
     name: String,
     /// Folder for campaign and results; what an earlier demo left there is replaced
@@ -126,8 +127,7 @@ impl Pair<'_> {
 
 /// Found beside true positions.
 fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) -> Result<String> {
-    let centre = Point::from(scene.stations["laser"].position_m);
-    let (pairs, lost) = pairs(found, truth, centre)?;
+    let (pairs, lost) = pairs(found, truth, scene)?;
     let mut text = String::from(
         "patch           found (x, y, z) in m                  true                          error     sd\n",
     );
@@ -145,7 +145,7 @@ fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) 
     for patch in best.filter(|patch| pairs.iter().all(|pair| pair.found.patch != patch.patch)) {
         writeln!(text, "{:>3} {:8} was found where the scene has none", patch.patch, patch.kind)?;
     }
-    let of_paper = if paper.is_empty() { Vec::new() } else { self::pairs(paper, truth, centre)?.0 };
+    let of_paper = if paper.is_empty() { Vec::new() } else { self::pairs(paper, truth, scene)?.0 };
     for kind in ["visible", HIDDEN] {
         let of_kind = |pair: &&Pair| &*pair.truth.kind == kind;
         let errors_m = |pairs: &[Pair]| rms(pairs.iter().filter(of_kind).map(Pair::error_m));
@@ -171,8 +171,10 @@ fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// Found patches with the true ones, and true ones that were not found. Path lengths say nothing of rotations about the laser, so what was found is turned onto the
-/// truth by the visible patches first; hidden patches have the numbers that they were found by, and go with the nearest true one.
-fn pairs<'a>(found: &'a [Patch], truth: &'a [Patch], centre: Point) -> Result<(Vec<Pair<'a>>, Vec<i32>)> {
+/// truth by the visible patches first, unless anchors tell how it lies; hidden patches have the numbers that they were found by, and go with the nearest true one.
+fn pairs<'a>(found: &'a [Patch], truth: &'a [Patch], scene: &Scene) -> Result<(Vec<Pair<'a>>, Vec<i32>)> {
+    let centre = Point::from(scene.stations["laser"].position_m);
+    let is_anchored = !scene.known.anchors.is_empty();
     let best = found.iter().filter(|patch| patch.alternative == 0);
     let (visible, hidden): (Vec<&Patch>, Vec<&Patch>) = best.partition(|patch| &*patch.kind != HIDDEN);
     let named = |patch: &&'a Patch| truth.iter().find(|truth| truth.patch == patch.patch).map(|truth| (*patch, truth));
@@ -183,8 +185,10 @@ fn pairs<'a>(found: &'a [Patch], truth: &'a [Patch], centre: Point) -> Result<(V
     }
     let (from, onto): (Vec<Point>, Vec<Point>) = named.iter().map(|(patch, truth)| (at(patch), at(truth))).unzip();
     let matrix = procrustes::rotation(&from, &onto, centre, true).matrix;
-    let turned =
-        |found: &'a Patch, truth: &'a Patch| Pair { found, point: procrustes::turn(&matrix, centre, at(found)), truth };
+    let turned = |found: &'a Patch, truth: &'a Patch| {
+        let point = if is_anchored { at(found) } else { procrustes::turn(&matrix, centre, at(found)) };
+        Pair { found, point, truth }
+    };
     let mut pairs: Vec<Pair> = named.into_iter().map(|(found, truth)| turned(found, truth)).collect();
     let mut open: Vec<&Patch> = truth.iter().filter(|patch| &*patch.kind == HIDDEN).collect();
     for found in hidden {
