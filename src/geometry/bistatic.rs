@@ -4,17 +4,16 @@
 //! `|D_k P| + |P E|`, so P lies on K ellipses (in space: spheroids) with foci D_k and E. Arrivals of all strips stand in one profile, and which is whose is not known: every
 //! assignment is a hypothesis.
 //!
-//! - *Start* ([`start`]): all ellipses share the focus E, which makes their equations linear in P and its distance from E (as in Bancroft, IEEE Trans. Aerosp. Electron. Syst. 21, 56
+//! - *Start*: all ellipses share the focus E, which makes their equations linear in P and its distance from E (as in Bancroft, IEEE Trans. Aerosp. Electron. Syst. 21, 56
 //!   (1985)); what is left is a quadratic equation with two roots. Where all foci lie in one line these are mirror images in it.
-//! - *Fit* ([`fit`]): maximum likelihood by Gauss and Newton. Unknown beside the strips are all anchors (diffuser points, stations) and delays that are known to a standard
+//! - *Fit*: maximum likelihood by Gauss and Newton. Unknown beside the strips are all anchors (diffuser points, stations) and delays that are known to a standard
 //!   deviation only: first bounces tell them too. Onsets of one profile are correlated, as pulses closer than the response are.
 //! - *Labels*: assignments are extended scan by scan, the likeliest first; chi-square never falls by another scan, so the first that is complete is the best of all, and no other
 //!   within [`CLOSE`] of it is missed (branch and bound).
-//! - *Glints* ([`glint`]): over a glossy strip the light's centroid moves with the lit point.
+//! - *Glints*: over a glossy strip the light's centroid moves with the lit point.
 //!
-//! With as many scans as dimensions every assignment fits exactly. What then decides is what else is known: on which side of the diffuser strips are, how far apart at most, in which
-//! order. What
-//! nothing decides comes back as another solution.
+//! With as many scans as dimensions every assignment fits exactly. What then decides is what else is known: on which side of the diffuser strips are, how far apart at
+//! most, in which order. What nothing decides comes back as another solution.
 
 mod fit;
 mod glint;

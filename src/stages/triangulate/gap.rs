@@ -10,6 +10,9 @@ use crate::stages::correction::Correction;
 use crate::tables::{Gap, Onset, Profile};
 use crate::units;
 
+/// Share of the strips' pulses that is left where another pulse would be, as their light has some extent in time and a little of it leaves over the other's exit.
+const LEFT_OVER: f64 = 0.02;
+
 /// Evidence of all profiles on light from the middle over one exit.
 #[derive(Default)]
 struct Evidence {
@@ -72,9 +75,9 @@ impl Triangulate {
             };
             let matched =
                 sparse::matched(&ready.profile(), &ready.response, &given, 0.0, strips.map(time_ps).into_iter());
-            let weaker_v = strips.map(|strip| onsets[strip].amplitude.abs()).into_iter().fold(f64::INFINITY, f64::min);
+            let heights_v = strips.map(|strip| onsets[strip].amplitude.abs());
             for (evidence, (score, gain)) in evidence.iter_mut().zip(matched.scores.iter().zip(&matched.gains)) {
-                evidence.add(*score, *gain, weaker_v, self.share_least);
+                evidence.add(*score, *gain, heights_v, self.share_least);
             }
             looked_at += 1;
         }
@@ -109,11 +112,17 @@ impl Triangulate {
 
 impl Evidence {
     /// Adds what a profile says of a pulse at the place: score and gain beside the strips' pulses. Something there has at least the least share, and its likeliest amplitude above.
-    fn add(&mut self, score: f64, gain: f64, weaker_v: f64, share_least: f64) {
-        let missing = (share_least * weaker_v * gain - score).max(0.0);
-        self.log_ratio += 0.5 * (missing * missing - score * score);
-        self.weighted += score * gain * weaker_v;
-        self.weights += (gain * weaker_v).powi(2);
+    fn add(&mut self, score: f64, gain: f64, heights_v: [f64; 2], share_least: f64) {
+        if gain == 0.0 {
+            return;
+        }
+        let weaker_v = heights_v[0].min(heights_v[1]);
+        let share = score / gain / weaker_v;
+        let variance = ((1.0 / gain).powi(2) + (LEFT_OVER * (heights_v[0] + heights_v[1])).powi(2)) / weaker_v.powi(2);
+        let missing = (share_least - share).max(0.0);
+        self.log_ratio += 0.5 * (missing * missing - share * share) / variance;
+        self.weighted += share / variance;
+        self.weights += 1.0 / variance;
     }
 }
 
