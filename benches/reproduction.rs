@@ -1,13 +1,25 @@
-//! Study: the paper's two experiments (its figure 8) from scope files, against what the paper prints. Prints the tables of docs/reproduction.md, and draws its figures.
+//! Study: the paper's experiments from scope files, against what the paper prints. Prints the tables of docs/reproduction.md, and draws its figures.
 //!
-//! `cargo bench --bench reproduction -- mirror 40` for so many campaigns of one experiment; without a name all of them.
+//! `cargo bench --bench reproduction -- hidden-plane 8`, `-- mirror 40`, `-- barcode errors 40`: so many campaigns of one experiment; of the last one part of errors, moved, gap, figure.
 
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/barcode.rs"]
+mod barcode;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/corner.rs"]
+mod corner;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/hidden_plane.rs"]
+mod hidden_plane;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/lab.rs"]
 mod lab;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/mirror.rs"]
 mod mirror;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/missed.rs"]
+mod missed;
 #[path = "reproduction/mod.rs"]
 mod reproduction;
 #[allow(dead_code, reason = "other studies use more of it")]
@@ -15,10 +27,18 @@ mod reproduction;
 mod score;
 
 fn main() {
-    let asked: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
-    let campaigns = asked.iter().find_map(|argument| argument.parse().ok()).unwrap_or(40);
-    let experiments: [(&str, fn(u64)); 1] = [("mirror", reproduction::mirror::print)];
-    let is_asked =
-        |name: &str| asked.iter().all(|asked| asked.parse::<u64>().is_ok()) || asked.iter().any(|asked| asked == name);
-    experiments.iter().filter(|(name, _)| is_asked(name)).for_each(|(_, print)| print(campaigns));
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
+    let count: Option<u64> = arguments.iter().find_map(|argument| argument.parse().ok());
+    let mut names = arguments.iter().filter(|argument| argument.parse::<u64>().is_err()).map(String::as_str);
+    let (name, part) = (names.next(), names.next());
+    let asked = |experiment: &str| name.is_none_or(|name| name == experiment);
+    if asked("hidden-plane") {
+        reproduction::hidden_plane::print(count.unwrap_or(8));
+    }
+    if asked("mirror") {
+        reproduction::mirror::print(count.unwrap_or(40));
+    }
+    if asked("barcode") {
+        reproduction::barcode::study(part, count.unwrap_or(40));
+    }
 }

@@ -1,7 +1,11 @@
 //! The experiments, one a file, and what they share.
 
+pub mod barcode;
+mod barcode_bound;
+mod barcode_figure;
+pub mod hidden_plane;
 pub mod mirror;
-pub mod svg;
+mod svg;
 
 /// One draw a seed, on all cores. Not in rayon's own threads, which the runs need.
 pub fn draws<T: Send>(count: u64, draw: impl Fn(u64) -> T + Sync) -> Vec<T> {

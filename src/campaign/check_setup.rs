@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::fault::{At, Fault};
-use super::keys::{Campaign, LASER, Patch, Sensor, SensorKind, Station};
+use super::keys::{Campaign, LASER, Patch, PatchRole, Sensor, SensorKind, Station};
 use crate::units::PatchId;
 
 /// Checks all of a campaign but its rules and exclusions.
@@ -26,6 +26,18 @@ pub fn campaign(campaign: &Campaign) -> Result<(), Fault> {
             "numbers of views and patches are positive integers; number them from 1".into()
         })?;
         at.check(!view.patches.is_empty(), || "patches is empty; list what the view covers".into())?;
+    }
+    let (at, hidden) = (At("[hidden]"), &campaign.hidden);
+    at.positive("apart_max_m", hidden.apart_max_m)?;
+    at.point("along", hidden.along, campaign.dimensions == 2)?;
+    at.check(hidden.along.is_none_or(|along| length(along) > 0.0), || {
+        "along has length 0; give the direction in which hidden patches follow one another".into()
+    })?;
+    for (id, patch) in &campaign.patches {
+        let place = format!("[patches.{id}]");
+        At(&place).check(patch.through.is_none_or(|exit| campaign.patches.contains_key(&exit)), || {
+            "through names no patch; give the visible patch over which the light reaches the sensor".into()
+        })?;
     }
     setup(&campaign.stations, &campaign.sensors, &campaign.patches, campaign.dimensions)
 }
@@ -86,6 +98,11 @@ fn patch_keys(at: &At, patch: &Patch, stations: &BTreeMap<String, Station>, flat
     at.positive("sd_m", patch.sd_m)?;
     at.needs("sd_m", patch.sd_m.is_some(), "position_m", patch.position_m.is_some())?;
     at.positive("size_m", patch.size_m)?;
+    at.positive("lobe_rad", patch.lobe_rad)?;
+    at.needs("lobe_rad", patch.lobe_rad.is_some(), "size_m", patch.size_m.is_some())?;
+    at.check(patch.through.is_none() || patch.role == PatchRole::Hidden, || {
+        "through is of hidden patches; add role = \"hidden\", or take it out".into()
+    })?;
     at.point("normal", patch.normal, flat)?;
     if let Some(normal) = patch.normal {
         let length = length(normal);

@@ -132,6 +132,12 @@ pub struct Patch {
     pub normal: Option<[f64; 3]>,
     /// Diameter.
     pub size_m: Option<f64>,
+    /// It is glossy: standard deviation of the angle about the mirror direction into which it reflects.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lobe_rad: Option<f64>,
+    /// Of a hidden patch: the visible one over which its light reaches the sensor, where a view covers several.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub through: Option<PatchId>,
     /// The line on which it lies, from the angles of a galvo or a pixel.
     pub ray: Option<Ray>,
 }
@@ -175,6 +181,12 @@ pub struct View {
 pub struct Hidden {
     /// Number of hidden patches; estimated when absent.
     pub count: Option<u32>,
+    /// No two hidden patches are farther apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub apart_max_m: Option<f64>,
+    /// Direction in which hidden patches follow one another, in the order of their numbers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub along: Option<[f64; 3]>,
 }
 
 /// `[[captures]]`: a rule that says which records are which exposures.

@@ -18,7 +18,7 @@ use periscope::tables::{Patch, Row};
 use super::run::{execute, use_threads};
 
 /// Demonstrations: name, scene, pipeline.
-const DEMOS: [(&str, &str, &str); 3] = [
+const DEMOS: [(&str, &str, &str); 6] = [
     (
         "around-the-corner",
         include_str!("../../pipelines/scenes/around-the-corner.toml"),
@@ -29,7 +29,18 @@ const DEMOS: [(&str, &str, &str); 3] = [
         include_str!("../../pipelines/scenes/all-visible.toml"),
         include_str!("../../pipelines/all-visible.toml"),
     ),
+    (
+        "rectangles",
+        include_str!("../../pipelines/scenes/rectangles.toml"),
+        include_str!("../../pipelines/visible.toml"),
+    ),
+    (
+        "hidden-plane",
+        include_str!("../../pipelines/scenes/hidden-plane.toml"),
+        include_str!("../../pipelines/hidden-plane.toml"),
+    ),
     ("mirror", include_str!("../../pipelines/scenes/paper-mirror.toml"), include_str!("../../pipelines/mirror.toml")),
+    ("barcode", include_str!("../../pipelines/scenes/barcode.toml"), include_str!("../../pipelines/barcode.toml")),
 ];
 /// Kind of patches that neither laser nor sensor sees.
 const HIDDEN: &str = "hidden";
@@ -39,7 +50,7 @@ const MIRROR: &str = "mirror";
 /// Arguments of `demo`.
 #[derive(Args)]
 pub struct Demo {
-    /// Which: around-the-corner (hidden patches, from third bounces), all-visible, or mirror (seen only through a diffuser)
+    /// Which: around-the-corner (hidden patches, from third bounces), all-visible, or one of the paper's experiments: rectangles (Fig. 4; takes minutes), hidden-plane (Figs. 5 and 6), mirror (Fig. 8 top), barcode (Fig. 8 bottom)
     #[arg(default_value = "around-the-corner")]
     name: String,
     /// Folder for campaign and results; what an earlier demo left there is replaced

@@ -84,7 +84,8 @@ fn effort(shots: f64, time_h: f64) -> String {
 
 fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Result<String, std::fmt::Error> {
     let mut text = String::new();
-    let captures = scene.lit().len() * scene.seen().len() * scene.sensors.len();
+    let seen: usize = scene.sensors.keys().map(|sensor| scene.seen_by(sensor).len()).sum();
+    let captures = scene.lit().len() * seen;
     writeln!(
         text,
         "{}: {} patches, {captures} captures of {} shots; {:.3e} pulses, {} of capture{}\n",

@@ -4,6 +4,7 @@
 //! Convention: patch 0 is `p0`, source and camera in one (paper section 3). Paths are written in the order light meets the patches.
 
 pub mod association;
+pub mod bistatic;
 pub mod classical;
 pub mod completion;
 pub mod dense;

@@ -32,7 +32,17 @@ pub fn check(scene: &Scene) -> Result<(), String> {
     range("is not from 0 to 1", shares(scene), |value| (0.0..=1.0).contains(&value))?;
     surfaces(scene)?;
     instrument(scene)?;
+    for (name, sensor) in &scene.sensors {
+        if let Some(number) = sensor.seen.iter().find(|number| !scene.seen().contains(number)) {
+            return Err(format!("[sensors.{name}]: seen names {number}, which [captures] does not list under `seen`"));
+        }
+    }
     let known = &scene.known;
+    if let Some((strip, exit)) =
+        known.strips.iter().find(|(strip, exit)| [strip, exit].iter().any(|patch| !scene.patches.contains_key(patch)))
+    {
+        return Err(format!("[known]: strips: there is no patch {strip} or {exit}; strips are patches of the scene"));
+    }
     if let Some(patch) = known.anchors.iter().chain(&known.rays).find(|patch| !scene.patches.contains_key(patch)) {
         return Err(format!("[known]: there is no patch {patch}; anchors and rays name patches of the scene"));
     }

@@ -88,11 +88,20 @@ fn campaign_text(scene: &Scene, seed: u64, format: Format, shootings: &[Shooting
                 line(format!("[patches.{patch}]\nrole = \"visible\"{}", telling.patch(*patch)));
             }
             PatchRole::Mirror => line(format!("[patches.{patch}]\nrole = \"mirror\"{}", telling.patch(*patch))),
-            PatchRole::Hidden => {}
+            PatchRole::Hidden => {
+                if let Some(exit) = scene.known.strips.get(patch) {
+                    line(format!("[patches.{patch}]\nrole = \"hidden\"\nthrough = {exit}{}", telling.patch(*patch)));
+                }
+            }
         }
     }
     for (view, covers) in &scene.views {
         line(format!("[views.{view}]\npatches = {:?}", covers.patches));
+    }
+    if scene.known.apart_max_m.is_some() || scene.known.along.is_some() {
+        line("\n[hidden]".to_owned());
+        scene.known.apart_max_m.iter().for_each(|apart_max_m| line(format!("apart_max_m = {apart_max_m:?}")));
+        scene.known.along.iter().for_each(|along| line(format!("along = {along:?}")));
     }
     let mut rules = BTreeSet::new();
     for shooting in shootings.iter().filter(|shooting| shooting.role != Role::Fiducial) {

@@ -38,6 +38,10 @@ pub struct Known {
     pub normal: bool,
     pub anchors: Vec<PatchId>,
     pub anchor_sd_m: f64,
+    pub strips: BTreeMap<PatchId, PatchId>,
+    pub lobe: bool,
+    pub apart_max_m: Option<f64>,
+    pub along: Option<[f64; 3]>,
     pub rays: Vec<PatchId>,
     pub ray_sd_rad: f64,
     pub station_sd_m: f64,
@@ -74,6 +78,9 @@ pub struct Sensor {
     /// True delay from the arrival of light to the maximum of its response.
     #[serde(default)]
     pub latency_ps: f64,
+    /// Patches and views that it watches; empty: all that are seen.
+    #[serde(default)]
+    pub seen: Vec<PatchId>,
 }
 
 /// A disk: a patch.

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::scene::Scene;
-use crate::campaign::keys::LASER;
+use crate::campaign::keys::{LASER, PatchRole};
 use crate::units::PatchId;
 
 /// Stream of random numbers for errors of what is known; captures have their own.
@@ -51,7 +51,11 @@ impl<'a> Telling<'a> {
         if known.size {
             lines.push(format!("size_m = {:?}", disk.size_m));
         }
-        if known.normal {
+        if let Some(lobe) = disk.lobe.filter(|_| known.lobe) {
+            lines.push(format!("lobe_rad = {:?}", lobe.width_rad));
+        }
+        // How a mirror around the corner is turned nobody sees.
+        if known.normal && disk.role != PatchRole::Hidden {
             lines.push(format!("normal = {:?}", disk.normal));
         }
         if known.anchors.contains(&patch) {

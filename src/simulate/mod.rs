@@ -13,6 +13,7 @@
 //! position_m = [0.0, 0.0, 0.0]
 //! [sensors.s1]
 //! station = "laser"                  # optional
+//! seen = [1, 2]                      # optional: what this sensor watches of `seen` in [captures]; else all of it
 //! kind = "analog"                    # optional; or "counts"
 //! latency_ps = 1250.0                # true delay from arrival to the response's maximum
 //! [patches.1]                        # a disk
@@ -81,7 +82,7 @@
 //! ranges = "auto"                    # optional: the most sensitive range that holds the signal; or "all", each in turn
 //! response_shots = 400
 //! response_od = 0.0                  # optional, at least; more where the response would clip
-//! first_bounce_od = 0.0              # optional: density in the beam of captures whose lit patch is seen
+//! first_bounce_od = 0.0              # optional: density in the beam of captures whose lit patch is seen, by itself or in a view
 //! path_m = 1.0                       # known path of the response captures; the true one differs by its sd
 //! path_sd_m = 0.0003
 //! dark_shots = 0                     # optional, like blocked_shots
@@ -102,6 +103,10 @@
 //! rays = [4, 5]                      # patches of known direction from the laser
 //! ray_sd_rad = 0.002
 //! station_sd_m = 0.0005              # of all stations but the laser's
+//! strips = { 21 = 4, 23 = 3 }        # hidden patches that are listed, and the visible one over which each one's light leaves
+//! lobe = true                        # of patches that have one, with `size`
+//! apart_max_m = 0.06                 # how far hidden patches are apart at most
+//! along = [1.0, 0.0, 0.0]            # in which direction they follow one another
 //! ```
 //!
 //! A shortcut for studies of kernels: `snr = 20.0` in `[instrument]` (of one shot, all captures amplified to the same height) in place of `[laser]`,

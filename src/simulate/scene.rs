@@ -65,6 +65,16 @@ impl Scene {
         if self.captures.seen.is_empty() { self.visible() } else { self.captures.seen.clone() }
     }
 
+    /// Those that one sensor watches.
+    ///
+    /// # Panics
+    /// When the scene has no such sensor.
+    #[must_use]
+    pub fn seen_by(&self, sensor: &str) -> Vec<PatchId> {
+        let own = &self.sensors[sensor].seen;
+        if own.is_empty() { self.seen() } else { own.clone() }
+    }
+
     /// Patches that laser and sensor reach.
     #[must_use]
     pub fn visible(&self) -> Vec<PatchId> {

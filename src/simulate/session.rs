@@ -115,7 +115,7 @@ impl<'a> Session<'a> {
             self.fiducial(name, number, fiducial, rng);
         }
         for lit in self.scene.lit() {
-            for seen in self.scene.seen() {
+            for seen in self.scene.seen_by(name) {
                 let paths = captured[&lit].get(&(name.to_owned(), seen)).cloned().unwrap_or_default();
                 self.capture(name, lit, seen, paths, rng);
             }
@@ -124,7 +124,9 @@ impl<'a> Session<'a> {
 
     fn capture(&mut self, name: &str, lit: PatchId, seen: PatchId, paths: PathLights, rng: &mut ChaCha8Rng) {
         let light = Light(paths.values().flat_map(|light| light.0.iter().copied()).collect());
-        let od = if lit == seen { self.scene.captures.first_bounce_od } else { 0.0 };
+        let covered = self.scene.covers(seen);
+        let is_first = self.scene.covers(lit).iter().any(|patch| covered.contains(patch));
+        let od = if is_first { self.scene.captures.first_bounce_od } else { 0.0 };
         let height_v = self.height_v(&light) * attenuation(od);
         let settings = match self.scene.captures.ranges {
             Ranges::All => self.settings(name),

@@ -7,8 +7,9 @@
 //! | `pencil` | poles of the spectrum (ESPRIT), refined and pruned the same way |
 //! | `richardson-lucy` | light on a grid by multiplicative steps until the residual is noise; an impulse for each lump, at its centroid |
 //! | `wiener` | a regularised profile for the eye and for edge methods of `detect`; no impulses |
+//! | `none` | the profile as it was measured, for edge methods of `detect`: what a reader of the oscilloscope's screen sees |
 //!
-//! The last four are there to compare with. `nnls`, `pencil` and `richardson-lucy` take noise as white and the baseline as the mean of the samples
+//! All but the first are there to compare with. `nnls`, `pencil` and `richardson-lucy` take noise as white and the baseline as the mean of the samples
 //! that no light reaches; correlated noise brings false impulses and error bars that are too small. Times of `richardson-lucy` are biased by
 //! picoseconds, and it splits pulses in strong noise: what it gives as standard deviation is that of a least-squares fit at its times, without either.
 //!
@@ -280,7 +281,7 @@ impl Deconvolve {
 
     fn explain_alone(&self, ready: &Ready) -> Option<Explained> {
         match (self.method, &ready.unpiled) {
-            (Method::Wiener, _) => None,
+            (Method::Wiener | Method::None, _) => None,
             (Method::Sparse, Some(unpiled)) => Some(ready.record().counts(unpiled, self.asked())),
             (Method::Sparse, None) => Some(explain::jointly(&[ready.record()], self.asked())),
             (Method::Nnls | Method::Pencil | Method::RichardsonLucy, _) => {
@@ -326,7 +327,10 @@ impl Deconvolve {
         // What is no more than the rounding of the samples is white.
         let is_white = !self.correlated || noise_v <= rounding_v;
         let acf = if is_white { vec![1.0] } else { calibrated::correlation(profile) };
-        let (light, light_noise_v) = self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools);
+        let (light, light_noise_v) = match self.method {
+            Method::None => (samples.clone(), noise_v),
+            _ => self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools),
+        };
         let dead_time_ps = setup.and_then(|setup| setup.dead_times_ps.get(&**sensor)).copied().unwrap_or(0.0);
         let unpiled = match unpiled(profile, dead_time_ps) {
             Ok(unpiled) => unpiled,

@@ -15,6 +15,8 @@
 //! certain, and how light divides between them is not. `aic` has no standard deviation of its own:
 //! given is that of rounding to a sample and of noise over the mean slope up to the maximum.
 //!
+//! With `sampled` edges are not interpolated between samples: what somebody reads off the screen of an oscilloscope.
+//!
 //! Takes `stir`; writes `onsets`. Flags: `blended` (its time is strongly correlated with a neighbour's), `misfit` (the fit leaves
 //! more than noise of the samples that it reaches), `at-edge` (near an end of the record), `extended` (its light is spread in time: `earliest_ps` is where it would begin if it
 //! were spread evenly, as by one flat patch; after two patches it begins up to 0.7 widths before that). Not modelled yet: saturated arrivals.
@@ -59,6 +61,15 @@ pub struct Detect {
     rearm_sigma: f64,
     /// How long before its maximum a response may begin, for `aic`.
     window_ps: f64,
+    /// Whether edges are read off at samples, as on an oscilloscope's screen: at the first one beyond the edge.
+    #[serde(skip_serializing_if = "is_false")]
+    sampled: bool,
+}
+
+/// Whether a parameter is left as it was before there was one.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 /// How onsets are found.
@@ -81,6 +92,7 @@ impl Default for Detect {
             delay_ps: 100.0,
             rearm_sigma: 2.0,
             window_ps: 1000.0,
+            sampled: false,
         }
     }
 }
@@ -217,6 +229,7 @@ impl Detect {
             Method::Aic => self.beginnings(&profile, noise, self.window_ps / stir.dt_ps),
             _ => at_maximum(onset::leading_edge(&profile, self.fraction, noise)),
         };
+        let edges: Vec<Edge> = if self.sampled { edges.into_iter().map(Edge::at_sample).collect() } else { edges };
         let count = edges.len();
         let onset = |(k, edge): (usize, &Edge)| {
             let time_ps = stir.t0_ps + edge.position * stir.dt_ps;
@@ -274,6 +287,13 @@ struct Edge {
     sd: f64,
     /// Largest sample of its response.
     height: f64,
+}
+
+impl Edge {
+    /// Read off at the first sample beyond it, which rounding makes uncertain.
+    fn at_sample(self) -> Self {
+        Self { position: self.position.ceil(), sd: self.sd.hypot((1.0_f64 / 12.0).sqrt()), ..self }
+    }
 }
 
 fn flags(flags: &[(&str, bool)]) -> Vec<Name> {

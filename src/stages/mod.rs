@@ -25,6 +25,7 @@ pub mod source;
 pub mod stage;
 pub mod surface;
 pub mod track;
+pub mod triangulate;
 
 use serde::de::DeserializeOwned;
 
@@ -61,7 +62,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 16] = [
+pub const KINDS: [&str; 17] = [
     "ingest",
     "calibrate",
     "average",
@@ -77,6 +78,7 @@ pub const KINDS: [&str; 16] = [
     "reflect",
     "search",
     "surface",
+    "triangulate",
     "import",
 ];
 
@@ -108,6 +110,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "reflect" => Node::Operator(params_of::<reflect::Reflect>(params)?),
         "search" => Node::Operator(params_of::<search::Search>(params)?),
         "surface" => Node::Operator(params_of::<surface::Surface>(params)?),
+        "triangulate" => Node::Operator(params_of::<triangulate::Triangulate>(params)?),
         _ => return Err(suggest::unknown("stage", kind, &KINDS)),
     })
 }

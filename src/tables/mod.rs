@@ -4,6 +4,7 @@ pub mod calibration;
 pub mod checks;
 pub mod contract;
 pub mod distances;
+pub mod gaps;
 pub mod hypotheses;
 pub mod labels;
 pub mod measurements;
@@ -24,6 +25,7 @@ use arrow::datatypes::SchemaRef;
 pub use calibration::Calibration;
 pub use checks::Check;
 pub use distances::{Covariance, Distance};
+pub use gaps::Gap;
 pub use hypotheses::Hypothesis;
 pub use labels::Label;
 pub use measurements::Measurement;
@@ -59,6 +61,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Onset>(),
         of::<Label>(),
         of::<Hypothesis>(),
+        of::<Gap>(),
         of::<Distance>(),
         of::<Covariance>(),
         of::<Patch>(),

@@ -45,6 +45,8 @@ impl Place {
 pub struct Scored {
     pub places: Vec<Place>,
     pub extra: usize,
+    /// Every true patch, and where it was found, turned onto the truth.
+    pub points: Vec<(Vector3<f64>, Option<Vector3<f64>>)>,
 }
 
 /// The scene's text with hidden patches at random places and a quieter instrument: third bounces have signal-to-noise ratios of some 20.
@@ -99,18 +101,20 @@ pub fn compared(scene: &str, pipeline: &str, seed: u64) -> (Lab, Scored) {
     let turn = aligning(&visible(&found), &visible(&truth));
     let mut rest: Vec<&Patch> = found.iter().filter(|patch| patch.patch > VISIBLE).collect();
     let bound = Bound::of(&laboratory, Use { bounces: 3, ..Use::default() });
+    let mut points: Vec<(Vector3<f64>, Option<Vector3<f64>>)> = Vec::new();
+    let of_visible = truth.iter().zip(&found).filter(|(truth, _)| truth.patch <= VISIBLE);
+    points.extend(of_visible.map(|(truth, found)| (position(truth), Some(turn * position(found)))));
     let place = |truth: &Patch| {
         let error_m = |found: &Patch| (turn * position(found) - position(truth)).norm();
         let nearest = (0..rest.len()).min_by(|&a, &b| error_m(rest[a]).total_cmp(&error_m(rest[b])));
-        let found_m = nearest.filter(|&n| error_m(rest[n]) < 0.5 * APART_M).map(|n| {
-            let found = rest.remove(n);
-            (error_m(found), found.sd_m.expect("refined"))
-        });
+        let found = nearest.filter(|&n| error_m(rest[n]) < 0.5 * APART_M).map(|n| rest.remove(n));
+        points.push((position(truth), found.map(|found| turn * position(found))));
+        let found_m = found.map(|found| (error_m(found), found.sd_m.expect("refined")));
         Place { found_m, bound_m: bound.coordinates.sd_m(truth.patch).unwrap_or(f64::INFINITY) }
     };
     let places = truth.iter().filter(|patch| patch.patch > VISIBLE).map(place).collect();
     let extra = rest.len();
-    (lab, Scored { places, extra })
+    (lab, Scored { places, extra, points })
 }
 
 /// Four hidden patches, and nothing else.
@@ -118,5 +122,9 @@ pub fn compared(scene: &str, pipeline: &str, seed: u64) -> (Lab, Scored) {
 fn hidden_patches_at_random_places_are_found_from_scope_files() {
     let scored = scored(4, 0);
     eprintln!("{:?}, {} more", scored.places, scored.extra);
+    let off_m = |(truth, found): &(Vector3<f64>, Option<Vector3<f64>>)| {
+        found.map_or(f64::INFINITY, |found| (found - truth).norm())
+    };
+    assert!(scored.points[..VISIBLE as usize].iter().all(|point| off_m(point) < 0.001), "{:?}", scored.points);
     assert!(scored.extra == 0 && scored.places.iter().all(Place::is_right), "{:?}", scored.places);
 }

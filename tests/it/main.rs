@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod averaging;
+mod barcode;
 mod bound;
 mod characterize;
 mod check;

@@ -27,6 +27,7 @@ pub(super) enum Method {
     Pencil,
     RichardsonLucy,
     Wiener,
+    None,
 }
 
 /// What is asked of an explanation.

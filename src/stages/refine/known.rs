@@ -32,7 +32,10 @@ impl Setup {
     pub fn new(campaign: &Campaign) -> Self {
         // What is written for people changes no position; footprints stand apart.
         let silent = |(id, patch): (&PatchId, &keys::Patch)| {
-            (*id, keys::Patch { label: None, size_m: None, normal: None, ..patch.clone() })
+            (
+                *id,
+                keys::Patch { label: None, size_m: None, normal: None, lobe_rad: None, through: None, ..patch.clone() },
+            )
         };
         let station = |sensor: &keys::Sensor| sensor.station.clone().unwrap_or_else(|| LASER.to_owned());
         Self {

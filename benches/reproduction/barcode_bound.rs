@@ -1,0 +1,90 @@
+//! The Cramer-Rao bound of a barcode's strips: what the profiles' samples say of pulse times (`bound::profile`), carried over to places by numerical derivatives. Shares no code with
+//! the estimator. Given is the response's width; unknown are strips, diffuser points, delays, and how the mirrors are turned, which moves the centroid of their light.
+
+use std::path::Path;
+
+use nalgebra::DMatrix;
+use periscope::bound::profile::ProfileBound;
+use periscope::bound::{Bound, Use};
+use periscope::simulate::{Laboratory, Scene};
+use periscope::units;
+
+use crate::barcode::{Barcode, STRIPS, TURNED_RAD};
+
+const STEP_M: f64 = 1e-6;
+
+/// Step of the mirrors' normals.
+const STEP_RAD: f64 = 0.01;
+
+/// Times of all pulses, and what each profile says of them.
+fn profiles(barcode: &Barcode) -> (Scene, Vec<ProfileBound>) {
+    let scene = Scene::parse(Path::new("barcode.toml"), &barcode.scene()).expect("a scene of ours");
+    let laboratory = Laboratory::new(&scene, 0).expect("its light is in its records");
+    let profiles = Bound::of(&laboratory, Use { bounces: 3, threshold_sigma: 5.0 }).profiles;
+    (scene, profiles)
+}
+
+/// Bounds of both strips' standard deviations (root of the summed variances), m.
+pub fn bound_m(barcode: &Barcode) -> [f64; 2] {
+    let (scene, here) = profiles(barcode);
+    let turned = [0, 1].map(|strip| {
+        let mut turned = barcode.clone();
+        turned.turned_rad[strip] += STEP_RAD;
+        profiles(&turned).1
+    });
+    // Strips, lit points, exits (two coordinates each), then the delays of both sensors, as lengths, then the mirrors' normals, rad.
+    let points: Vec<i32> = STRIPS.into_iter().chain(barcode.lit_numbers()).chain([4, 3]).collect();
+    let truth: Vec<f64> =
+        points.iter().flat_map(|patch| scene.patches[patch].position_m[..2].to_vec()).chain([0.0; 4]).collect();
+    let delays = 2 * points.len();
+    let normals = delays + 2;
+    let length_m = |path: &[i32], sensor: &str, values: &[f64]| {
+        let at = |patch: &i32| {
+            let k = points.iter().position(|other| other == patch).expect("a point of the scene");
+            [values[2 * k], values[2 * k + 1]]
+        };
+        let eye = scene.sensor_m(sensor);
+        let nodes: Vec<[f64; 2]> =
+            std::iter::once([0.0, 0.0]).chain(path.iter().map(at)).chain([[eye[0], eye[1]]]).collect();
+        let legs_m: f64 = nodes.windows(2).map(|leg| (leg[1][0] - leg[0][0]).hypot(leg[1][1] - leg[0][1])).sum();
+        legs_m + values[delays + usize::from(sensor == "s2")]
+    };
+    let mut information = DMatrix::zeros(truth.len(), truth.len());
+    for (n, profile) in here.iter().enumerate() {
+        let times = profile.detected.len();
+        let per_m = units::time_ps(1.0, scene.group_index);
+        let slope = |row: usize, column: usize| {
+            let pulse = &profile.pulses[profile.detected[row]];
+            if column >= normals {
+                let same = turned[column - normals][n].pulses.iter().find(|other| other.path == pulse.path);
+                return same.map_or(0.0, |other| (other.time_ps - pulse.time_ps) / STEP_RAD);
+            }
+            let at = |step_m: f64| {
+                let mut values = truth.clone();
+                values[column] += step_m;
+                length_m(&pulse.path, &profile.sensor, &values)
+            };
+            per_m * (at(STEP_M) - at(-STEP_M)) / (2.0 * STEP_M)
+        };
+        let jacobian = DMatrix::from_fn(times, truth.len(), slope);
+        let of_times = profile.information.view((0, 0), (times, times)).into_owned();
+        information += jacobian.transpose() * of_times * jacobian;
+    }
+    let delay_sd_m = scene.captures.path_sd_m;
+    let mut kept: Vec<usize> = (0..4).collect();
+    for k in 4..truth.len() {
+        let sd = if k < delays {
+            barcode.anchor_sd_m
+        } else if k < normals {
+            delay_sd_m
+        } else {
+            TURNED_RAD
+        };
+        if sd > 0.0 {
+            information[(k, k)] += 1.0 / (sd * sd);
+            kept.push(k);
+        }
+    }
+    let covariance = information.select_rows(&kept).select_columns(&kept).try_inverse().expect("two scans tell strips");
+    [0, 2].map(|k| (covariance[(k, k)] + covariance[(k + 1, k + 1)]).sqrt())
+}

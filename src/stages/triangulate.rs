@@ -1,0 +1,222 @@
+//! `triangulate`: hidden strips from light that goes over them from one visible diffuser point to another (paper section 6, figure 8 bottom: the 1-0-1 barcode).
+//!
+//! The beam lights diffuser points D_k in turn. A hidden strip throws the light on to its own exit, another diffuser point E, and a sensor sees the third bounce D_k, strip, E there.
+//! One pixel (`[views]`) covers the exits of all strips, so that their pulses stand in one profile. First bounces off D_k, in a pixel that covers it, mark time zero.
+//! [`crate::geometry::bistatic`] places the strips: every assignment of pulses to strips, diffuser points and delays open within their standard deviations. The laser fires again before
+//! late light is back: times are taken as the earliest that a way over anything but the straight line from D_k to E can have.
+//!
+//! What campaign.toml tells:
+//! - `position_m` (and `sd_m`) of every D_k and E; their `normal`, for the side on which strips are;
+//! - hidden patches with `through`, their exit, in the order in which they stand. Without any, one strip for each patch of the view;
+//! - of a glossy strip `size_m` and `lobe_rad`: the glint moves with the lit point, by the law of reflection, for a normal that was turned to the most light unless `normal` gives it. Of
+//!   a strip with `size_m` alone nobody knows how it reflects: its light may come from any point of it, and each onset has that error, half its size along the strip. Without both a
+//!   strip is a point;
+//! - `[hidden]`: `apart_max_m`, `along`. Where as many scans as dimensions fit with any assignment, these decide. What is not decided stands in `patches` as `alternative`.
+//!
+//! `gaps` says whether the middle between two strips is free: something there that throws back at least `share_least` of the weaker neighbour's light, over either exit, would have
+//! added a pulse. Its amplitude beside those of the strips, whose times are open, is fitted to every profile, with 2 % of theirs as error of the model; `certain` is how probable a verdict must be. Pulses much closer than
+//! the response is wide leave it open.
+//!
+//! | method | |
+//! |---|---|
+//! | `likelihood` | the above |
+//! | `ellipses` | the paper's: differences of arrival of third and first bounce, all else taken as exact, ellipses crossed |
+//!
+//! Takes `onsets`; writes `patches`: strips, and diffuser points as adjusted. Beside it: `calibration`; `profiles` for `gaps`, with `session` where `deconvolve` had one.
+//!
+//! Not modelled: footprints of diffuser points; a strip whose light leaves over several exits; pixels that cover the exits of some strips only; photon counts in `gaps`.
+//!
+//! ```toml
+//! [patches]
+//! stage = "triangulate"
+//! from = "onsets"
+//! with = { calibration = "calibration", profiles = "profiles" }
+//! ```
+
+mod gap;
+mod model;
+mod written;
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::calibrated::{self, Calibrated, Key, key_of};
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
+use crate::campaign::Campaign;
+use crate::campaign::keys;
+use crate::geometry::bistatic;
+use crate::tables::{Calibration, Gap, Label, Onset, Patch, PatchCovariance, Profile, Row, Session};
+use crate::units::PatchId;
+use model::Model;
+
+/// Parameters of `triangulate`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Triangulate {
+    method: Method,
+    /// Light of something in the middle over that of the weaker strip, from which it counts.
+    share_least: f64,
+    /// Probability that a verdict on a gap needs.
+    certain: f64,
+}
+
+/// How strips are placed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Method {
+    Likelihood,
+    Ellipses,
+}
+
+impl Default for Triangulate {
+    fn default() -> Self {
+        Self { method: Method::Likelihood, share_least: 1.0 / 3.0, certain: 0.99 }
+    }
+}
+
+/// What a campaign says that matters here.
+#[derive(Clone, Debug, Serialize)]
+pub struct Setup {
+    campaign: String,
+    dimensions: usize,
+    group_index: f64,
+    repetition_ps: Option<f64>,
+    source_m: [f64; 3],
+    /// Station of each sensor.
+    sensors: BTreeMap<String, keys::Station>,
+    patches: BTreeMap<PatchId, keys::Patch>,
+    views: BTreeMap<PatchId, keys::View>,
+    hidden: keys::Hidden,
+}
+
+/// What is known beforehand.
+pub struct Known {
+    setup: Setup,
+    calibration: Vec<Calibration>,
+    calibrated: BTreeMap<Key, Calibrated>,
+    profiles: Option<Vec<Profile>>,
+    sessions: Vec<Session>,
+}
+
+impl Known {
+    /// The patches that a number stands for.
+    fn covers(&self, number: PatchId) -> Vec<PatchId> {
+        self.setup.views.get(&number).map_or_else(|| vec![number], |view| view.patches.clone())
+    }
+
+    fn rejection(&self, reason: String) -> Rejection {
+        Rejection {
+            campaign: self.setup.campaign.as_str().into(),
+            file: None,
+            segment: None,
+            byte_offset: None,
+            reason,
+        }
+    }
+}
+
+impl Stage for Triangulate {
+    const KIND: &'static str = "triangulate";
+    const VERSION: u32 = 1;
+    const GRAIN: Grain = Grain::All;
+    const BESIDE: &'static [Beside] = &[
+        Beside { name: "calibration", table: "calibration", required: true },
+        Beside { name: "profiles", table: "profiles", required: false },
+        Beside { name: "session", table: "session", required: false },
+    ];
+    const SIDES: &'static [Side] = &[
+        Side { name: PatchCovariance::TABLE, schema: PatchCovariance::schema },
+        Side { name: Label::TABLE, schema: Label::schema },
+        Side { name: Gap::TABLE, schema: Gap::schema },
+    ];
+    type Input = Onset;
+    type Output = Patch;
+    type Fields = Vec<Setup>;
+    type Context = Known;
+
+    fn fields(&self, campaigns: &[Campaign]) -> Vec<Setup> {
+        let setup = |campaign: &Campaign| {
+            let station = |name: &String| Some((name.clone(), campaign.station_of(name)?.clone()));
+            let silent =
+                |(id, patch): (&PatchId, &keys::Patch)| (*id, keys::Patch { label: None, ray: None, ..patch.clone() });
+            Setup {
+                campaign: campaign.name.clone(),
+                dimensions: usize::from(campaign.dimensions),
+                group_index: campaign.group_index,
+                repetition_ps: campaign.repetition_ps,
+                source_m: campaign.source().position_m,
+                sensors: campaign.sensors.keys().filter_map(station).collect(),
+                patches: campaign.patches.iter().map(silent).collect(),
+                views: campaign.views.clone(),
+                hidden: campaign.hidden.clone(),
+            }
+        };
+        campaigns.iter().map(setup).collect()
+    }
+
+    fn context(&self, setups: Vec<Setup>, beside: &BesideTables) -> Result<Known, StageError> {
+        let is_share = |value: f64| value > 0.0 && value < 1.0;
+        if !(is_share(self.share_least) && self.certain > 0.5 && self.certain < 1.0) {
+            let text = "params: share_least must lie between 0 and 1, certain between 0.5 and 1";
+            return Err(StageError::Refused(text.to_owned()));
+        }
+        let count = setups.len();
+        let [setup] = <[Setup; 1]>::try_from(setups).map_err(|_| {
+            StageError::Refused(format!("{count} campaigns; strips are placed campaign by campaign, give one"))
+        })?;
+        let calibration = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
+        Ok(Known {
+            setup,
+            calibrated: calibration.iter().map(|row| (key_of(row), Calibrated::new(row))).collect(),
+            calibration,
+            profiles: beside.rows("profiles")?,
+            sessions: beside.rows("session")?.unwrap_or_default(),
+        })
+    }
+}
+
+impl Apply for Triangulate {
+    fn apply(&self, known: &Known, group: Vec<Onset>) -> Result<Outcome<Patch>, StageError> {
+        let (model, mut reasons) = match Model::new(known, group, self.method == Method::Ellipses) {
+            Ok(made) => made,
+            Err(reason) => return Ok(Outcome::rejected(known.rejection(reason))),
+        };
+        let solutions = match bistatic::solve(&model.problem) {
+            Ok(solutions) => solutions,
+            Err(unsolved) => {
+                reasons.push(format!("strips are not placed: {unsolved}; {}", mend(&unsolved)));
+                Vec::new()
+            }
+        };
+        let mut gaps = Vec::new();
+        if let Some(best) = solutions.first() {
+            for pair in 1..model.strips.len() {
+                gaps.extend(self.gap(known, &model, best, pair - 1, &mut reasons));
+            }
+        }
+        Ok(Outcome {
+            rows: model.patches(&solutions),
+            sides: vec![
+                PatchCovariance::to_batch(&model.covariances(&solutions)),
+                Label::to_batch(&model.labels(&solutions)),
+                Gap::to_batch(&gaps),
+            ],
+            rejections: reasons.into_iter().map(|reason| known.rejection(reason)).collect(),
+        })
+    }
+}
+
+/// What to add.
+fn mend(unsolved: &bistatic::Unsolved) -> &'static str {
+    match unsolved {
+        bistatic::Unsolved::TooFew { .. } => {
+            "light more diffuser points, or average more shots until every strip shows"
+        }
+        bistatic::Unsolved::InLine => "light diffuser points off that line too",
+        bistatic::Unsolved::NoPlace => {
+            "see whether positions, normals, `through`, and [hidden] `apart_max_m` and `along` in campaign.toml are right"
+        }
+        bistatic::Unsolved::TooMany => "raise threshold_sigma of `detect`, so that only the strips' pulses are left",
+    }
+}

@@ -1,0 +1,109 @@
+//! Solutions as rows.
+
+use nalgebra::Matrix3;
+
+use super::model::Model;
+use crate::geometry::Point;
+use crate::geometry::bistatic::{Bounce, Solution};
+use crate::tables::{Label, Patch, PatchCovariance};
+use crate::units::{self, PatchId};
+
+impl Model {
+    /// Diffuser points and strips of the best solution, strips of the others.
+    pub(super) fn patches(&self, solutions: &[Solution]) -> Vec<Patch> {
+        let mut rows = Vec::new();
+        for (alternative, solution) in solutions.iter().enumerate() {
+            let row = |patch: PatchId, kind: &str, at: Point, cov: Matrix3<f64>, onsets: usize| Patch {
+                patch,
+                kind: kind.into(),
+                x_m: at.x,
+                y_m: at.y,
+                z_m: at.z,
+                cov_xx_m2: Some(cov[(0, 0)]),
+                cov_xy_m2: Some(cov[(0, 1)]),
+                cov_xz_m2: Some(cov[(0, 2)]),
+                cov_yy_m2: Some(cov[(1, 1)]),
+                cov_yz_m2: Some(cov[(1, 2)]),
+                cov_zz_m2: Some(cov[(2, 2)]),
+                sd_m: Some(cov.trace().max(0.0).sqrt()),
+                onsets: onsets as i32,
+                chi2_dof: (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64),
+                alternative: alternative as i32,
+                log_likelihood: Some(-0.5 * solution.chi2),
+            };
+            if alternative == 0 {
+                rows.extend(self.points.iter().zip(&solution.anchors).enumerate().map(|(n, (patch, (at, cov)))| {
+                    let firsts = self.problem.records.iter();
+                    let onsets = firsts.filter(|record| record.bounce == Bounce::First && record.lit == n).count();
+                    row(*patch, "visible", *at, *cov, onsets)
+                }));
+            }
+            rows.extend(self.strips.iter().zip(&solution.points).enumerate().map(|(n, (patch, at))| {
+                row(*patch, "hidden", *at, solution.covariance_of(n, n), solution.labels.len())
+            }));
+        }
+        rows
+    }
+
+    /// Covariances between the strips of the best solution.
+    pub(super) fn covariances(&self, solutions: &[Solution]) -> Vec<PatchCovariance> {
+        let mut rows = Vec::new();
+        let Some(best) = solutions.first() else { return rows };
+        for a in 0..self.strips.len() {
+            for b in a + 1..self.strips.len() {
+                let cov = best.covariance_of(a, b);
+                rows.push(PatchCovariance {
+                    a: self.strips[a],
+                    b: self.strips[b],
+                    cov_xx_m2: cov[(0, 0)],
+                    cov_xy_m2: cov[(0, 1)],
+                    cov_xz_m2: cov[(0, 2)],
+                    cov_yx_m2: cov[(1, 0)],
+                    cov_yy_m2: cov[(1, 1)],
+                    cov_yz_m2: cov[(1, 2)],
+                    cov_zx_m2: cov[(2, 0)],
+                    cov_zy_m2: cov[(2, 1)],
+                    cov_zz_m2: cov[(2, 2)],
+                });
+            }
+        }
+        rows
+    }
+
+    /// What each onset is, by every solution.
+    pub(super) fn labels(&self, solutions: &[Solution]) -> Vec<Label> {
+        let weights: Vec<f64> = solutions.iter().map(|other| (-0.5 * (other.chi2 - solutions[0].chi2)).exp()).collect();
+        let total: f64 = weights.iter().sum();
+        let mut rows = Vec::new();
+        for (alternative, (solution, weight)) in solutions.iter().zip(&weights).enumerate() {
+            for (record, strips) in &solution.labels {
+                for (strip, onset) in strips.iter().enumerate() {
+                    let (onset, turns) = &self.onsets[*record][*onset];
+                    let of = &self.problem.records[*record];
+                    let exit = self.problem.strips[strip].exit;
+                    rows.push(Label {
+                        campaign: onset.campaign.clone(),
+                        sensor: onset.sensor.clone(),
+                        lit: onset.lit,
+                        seen: onset.seen,
+                        range: onset.range.clone(),
+                        rank: onset.rank,
+                        time_ps: units::time_ps(of.lengths_m[strips[strip]], self.group_index),
+                        time_sd_ps: onset.time_sd_ps.hypot(onset.jitter_ps),
+                        turns: *turns,
+                        bounces: 3,
+                        path: Some(vec![self.points[of.lit], self.strips[strip], self.points[exit]]),
+                        residual_ps: None,
+                        probability: weight / total,
+                        alternative: alternative as i32,
+                    });
+                }
+            }
+        }
+        rows.sort_by(|a, b| {
+            let key = |row: &Label| (row.alternative, row.sensor.clone(), row.lit, row.seen, row.rank);
+            key(a).cmp(&key(b))
+        });
+        rows
+    }
+}
