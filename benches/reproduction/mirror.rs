@@ -73,8 +73,7 @@ pub fn print(campaigns: u64) {
             let claims = if method == 0 { claims(&all) } else { [const { String::new() }; 2] };
             row(&[&[label.to_owned()], &cells(&all, method)[..], &claims].concat());
         }
-        let bound_cm: Vec<String> = all[0].bound_m.iter().map(|bound_m| format!("{:.3}", 1e2 * bound_m)).collect();
-        println!("\nBound of the mirror points: {} cm.", bound_cm.join(", "));
+        print_bounds(response);
     }
     heading(
         &format!("{campaigns} random geometries, joint"),
@@ -104,6 +103,26 @@ pub fn print(campaigns: u64) {
     draw_figure();
 }
 
+/// Bound of the matched geometry's mirror points, as it is and without each of the errors.
+fn print_bounds(response: &str) {
+    let geometry = Geometry::matched();
+    let scene = geometry.scene(response, 0.0005);
+    let cases = [
+        ("all errors", scene.clone(), 0.0005),
+        ("diffuser points known", scene.clone(), 0.0),
+        ("beams known", scene.replace("ray_sd_rad = 0.001", "ray_sd_rad = 1e-6"), 0.0005),
+        ("response's path known", scene.replace("path_sd_m = 0.0005", "path_sd_m = 1e-6"), 0.0005),
+    ];
+    println!();
+    for (name, scene, diffuser_sd_m) in cases {
+        let bound_cm = bound_m(&geometry, &scene, diffuser_sd_m).map(|bound_m| format!("{:.3}", 1e2 * bound_m));
+        println!("Bound of the mirror points, {name}: {} cm.", bound_cm.join(", "));
+    }
+    let scene = Scene::parse(Path::new("scene.toml"), &scene).expect("the scene was simulated");
+    let times_ps = time_sds_ps(&scene).map(|sd_ps| format!("{sd_ps:.3}"));
+    println!("Bound of the onsets: {} ps.", times_ps.join(", "));
+}
+
 /// How far errors of the joint fit are from the bound, and from what it claims.
 fn claims(all: &[Draw]) -> [String; 2] {
     let (to_bound, to_claim): (Vec<f64>, Vec<f64>) = all.iter().map(Draw::squares).unzip();
@@ -124,18 +143,22 @@ fn cells(all: &[Draw], method: usize) -> Vec<String> {
     ]
 }
 
+/// Bound of each scan's onset, from the instrument's.
+fn time_sds_ps(scene: &Scene) -> [f64; SCANS] {
+    let bound = Bound::new(scene, Use::default()).expect("the scene was simulated");
+    let pulses = || bound.profiles.iter().flat_map(|profile| &profile.pulses);
+    [0, 1, 2].map(|scan| {
+        let path = [scan + 1, scan + 11];
+        let sd_ps = pulses().find(|pulse| pulse.path == path).and_then(|pulse| pulse.time_sd_ps);
+        sd_ps.expect("the beam's light is an onset")
+    })
+}
+
 /// Cramer-Rao bound of each mirror point's position, in flatland, by finite differences of the paths leg by leg. What is measured: each path's time, with the bound of its onset
 /// from the instrument's (`periscope::bound`) and an error common to all, that of the response captures' known path; diffuser points; directions of beams.
 fn bound_m(geometry: &Geometry, scene: &str, diffuser_sd_m: f64) -> [f64; SCANS] {
     let scene = Scene::parse(Path::new("scene.toml"), scene).expect("the scene was simulated");
-    let bound = Bound::new(&scene, Use::default()).expect("the scene was simulated");
-    let pulses = || bound.profiles.iter().flat_map(|profile| &profile.pulses);
-    let time_sd_m = |scan: usize| {
-        let path = [scan as i32 + 1, scan as i32 + 11];
-        let sd_ps = pulses().find(|pulse| pulse.path == path).and_then(|pulse| pulse.time_sd_ps);
-        units::path_m(sd_ps.expect("the beam's light is an onset"), scene.group_index)
-    };
-    let time_sds_m = [0, 1, 2].map(time_sd_m);
+    let time_sds_m = time_sds_ps(&scene).map(|sd_ps| units::path_m(sd_ps, scene.group_index));
     let diffuser_sd_m = diffuser_sd_m.max(EXACT_M);
     // Unknown: tilt and offset of the mirror, angle and onward way of each beam, the common error.
     let count = 3 + 2 * SCANS;

@@ -70,24 +70,27 @@ pub struct Known {
 }
 
 impl Known {
-    pub fn new(setups: BTreeMap<String, Setup>, patches: Vec<Patch>, latencies: Latencies) -> Self {
-        let mut positions = BTreeMap::new();
-        for setup in setups.values() {
-            // In flatland nothing leaves the plane.
-            let axes = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, if setup.dimensions == 2 { 0.0 } else { 1.0 }));
-            let given = |known: &keys::Patch| {
-                let sd_m = known.sd_m.unwrap_or(0.0).max(EXACT_M);
-                Some((Point::from(known.position_m?), axes * (sd_m * sd_m)))
-            };
-            positions.extend(setup.patches.iter().filter_map(|(patch, known)| Some((*patch, given(known)?))));
-        }
+    pub fn new(setups: BTreeMap<String, Setup>, patches: &[Patch], latencies: Latencies) -> Self {
+        let scene = setups.values().next().expect("a run has a campaign");
+        // In flatland nothing leaves the plane.
+        let axes = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, if scene.dimensions == 2 { 0.0 } else { 1.0 }));
+        let given = |(patch, known): (&PatchId, &keys::Patch)| {
+            let sd_m = known.sd_m.unwrap_or(0.0).max(EXACT_M);
+            Some((*patch, (Point::from(known.position_m?), axes * (sd_m * sd_m))))
+        };
+        let found = |row: &Patch| {
+            let covariance_m2 = covariances::of_patch(row)? + axes * (EXACT_M * EXACT_M);
+            Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariance_m2)))
+        };
         // An earlier stage has used what campaign.toml says.
-        for row in patches.iter().filter(|row| row.alternative == 0) {
-            if let Some(covariance_m2) = covariances::of_patch(row) {
-                positions.insert(row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariance_m2));
-            }
-        }
+        let found = patches.iter().filter(|row| row.alternative == 0).filter_map(found);
+        let positions = scene.patches.iter().filter_map(given).chain(found).collect();
         Self { setups, positions, latencies }
+    }
+
+    /// What all campaigns share.
+    pub fn scene(&self) -> &Setup {
+        self.setups.values().next().expect("a run has a campaign")
     }
 
     fn setup(&self, onset: &Onset) -> &Setup {
@@ -118,12 +121,10 @@ pub struct Scans {
 impl Scans {
     /// Of all onsets, and why scans are left out.
     pub fn new(known: &Known, onsets: &[Onset]) -> (Self, Vec<String>) {
-        let setup = known.setups.values().next().expect("a run has a campaign");
-        let names: Vec<&String> = std::iter::once(LASER)
-            .filter_map(|laser| setup.stations.get_key_value(laser).map(|(name, _)| name))
-            .chain(setup.stations.keys().filter(|name| *name != LASER))
-            .collect();
-        let station = |name: &&String| {
+        let setup = known.scene();
+        let others = setup.stations.keys().map(String::as_str).filter(|name| *name != LASER);
+        let names: Vec<&str> = std::iter::once(LASER).chain(others).collect();
+        let station = |name: &&str| {
             let station = &setup.stations[*name];
             Station { position: Point::from(station.position_m), sd_m: station.sd_m.unwrap_or(0.0) }
         };
@@ -156,7 +157,7 @@ impl Scans {
                 Ok(used) => {
                     let stations = &scans.experiment.stations;
                     let arrivals = used.onsets.iter().map(|onset| {
-                        let sensor = names.iter().position(|name| **name == known.setup(onset).sensors[&*onset.sensor]);
+                        let sensor = names.iter().position(|name| *name == known.setup(onset).sensors[&*onset.sensor]);
                         let sensor = sensor.expect("checked: a sensor's station is there");
                         let delay = known.delay_of(onset).and_then(|delay| delays.binary_search(&delay).ok());
                         used.arrival(known.setup(onset), onset, stations, sensor, delay)
