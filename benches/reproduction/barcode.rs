@@ -83,6 +83,11 @@ fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.get(((values.len() as f64 - 1.0) * share).round() as usize).copied().unwrap_or(f64::NAN)
 }
 
+/// A number of a table, where there is one.
+fn number(value: f64) -> String {
+    if value.is_finite() { format!("{value:.2}") } else { "-".to_owned() }
+}
+
 fn print_head() {
     println!(
         "| room | response | scans | diffuser sd (mm) | seeds | both strips placed [95 %] | other places told | error median (cm) | 90 % (cm) | paper's protocol median (cm) | 90 % (cm) | ratio of medians | rms error / bound | squared error / covariance |"
@@ -100,7 +105,7 @@ fn print_row(room: &str, barcode: &Barcode, runs: &[Drawn], bounds_m2: &[f64]) {
     let over_bound = (mean_m2(squares_m2, found.len()) / mean_m2(bounds_m2.iter().sum(), bounds_m2.len())).sqrt();
     let (median_cm, paper_median_cm) = (quantile(&mut errors_cm, 0.5), quantile(&mut paper_cm, 0.5));
     println!(
-        "| {room} | {} | {} | {} | {} | {} | {} | {median_cm:.3} | {:.3} | {paper_median_cm:.2} | {:.2} | {:.1} | {:.2} | {} |",
+        "| {room} | {} | {} | {} | {} | {} | {} | {median_cm:.3} | {:.3} | {} | {} | {} | {:.2} | {} |",
         if barcode.response == SLOW { "G250" } else { "E" },
         barcode.lit.len(),
         1e3 * barcode.anchor_sd_m,
@@ -108,8 +113,9 @@ fn print_row(room: &str, barcode: &Barcode, runs: &[Drawn], bounds_m2: &[f64]) {
         Rate::of(runs.iter().map(|run| run.error_m.is_some())),
         runs.iter().filter(|run| run.alternatives).count(),
         quantile(&mut errors_cm, 0.9),
-        quantile(&mut paper_cm, 0.9),
-        paper_median_cm / median_cm,
+        number(paper_median_cm),
+        number(quantile(&mut paper_cm, 0.9)),
+        number(paper_median_cm / median_cm),
         over_bound,
         Estimate::mean(&found.iter().map(|run| run.normalised).collect::<Vec<_>>()),
     );

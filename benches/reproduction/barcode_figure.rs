@@ -62,8 +62,8 @@ pub fn write() {
     strips(&mut picture, &barcode, &seen.patches, &of_paper);
     // The strips once more, larger.
     picture
-        .add(format_args!("<rect x=\"410\" y=\"430\" width=\"290\" height=\"190\" fill=\"white\" stroke=\"#999\"/>"));
-    (picture.scale, picture.origin) = (3200.0, [555.0 - 3200.0 * 0.34, 525.0 + 3200.0 * 0.17]);
+        .add(format_args!("<rect x=\"410\" y=\"443\" width=\"290\" height=\"190\" fill=\"white\" stroke=\"#999\"/>"));
+    (picture.scale, picture.origin) = (3200.0, [555.0 - 3200.0 * 0.34, 538.0 + 3200.0 * 0.17]);
     strips(&mut picture, &barcode, &seen.patches, &of_paper);
     picture.line(&[[0.312, 0.145], [0.322, 0.145]], "stroke=\"black\" stroke-width=\"2\"");
     picture.text(0.324, 0.144, "1 cm");
@@ -72,19 +72,20 @@ pub fn write() {
             barcode.errors_m(patches, 0).iter().map(|error_m| format!("{:.2}", 1e2 * error_m)).collect();
         errors.join(" and ")
     };
-    let verdict = seen.gaps.first().map_or_else(String::new, |gap| format!("; gap between: {}", gap.verdict));
+    let verdict = seen.gaps.first().map_or_else(String::new, |gap| format!("gap between: {}", gap.verdict));
     let lines = [
         format!(
-            "circles: true strips; red: found from the sum of their pulses, with 3 sd: off by {} cm{verdict}",
+            "circles: true strips; red: found from the sum of their pulses, with 3 sd: off by {} cm",
             in_cm(&seen.patches)
         ),
         format!("crosses: the paper's protocol, one strip blocked at a time: off by {} cm", in_cm(&of_paper)),
+        verdict,
     ];
     for (k, line) in lines.iter().enumerate() {
-        picture.add(format_args!("<text x=\"20\" y=\"{}\">{line}</text>", 650 + 18 * k));
+        picture.add(format_args!("<text x=\"20\" y=\"{}\">{line}</text>", 655 + 18 * k));
     }
-    let head = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 720 680\" font-family=\"sans-serif\" font-size=\"13\">";
-    let background = "<rect width=\"720\" height=\"680\" fill=\"white\"/>";
+    let head = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 720 705\" font-family=\"sans-serif\" font-size=\"13\">";
+    let background = "<rect width=\"720\" height=\"705\" fill=\"white\"/>";
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/figures");
     std::fs::create_dir_all(&folder).expect("docs can be written");
     std::fs::write(folder.join("barcode.svg"), format!("{head}\n{background}\n{}</svg>\n", picture.text))
