@@ -50,7 +50,7 @@ const MIRROR: &str = "mirror";
 /// Arguments of `demo`.
 #[derive(Args)]
 pub struct Demo {
-    /// Which: around-the-corner (hidden patches, from third bounces), all-visible, or one of the paper's experiments: rectangles (Fig. 4; takes minutes), hidden-plane (Figs. 5 and 6), mirror (Fig. 8 top), barcode (Fig. 8 bottom)
+    /// Which: around-the-corner (hidden patches, from third bounces), all-visible, or one of the paper's experiments: rectangles (Fig. 4; half a minute), hidden-plane (Figs. 5 and 6), mirror (Fig. 8 top), barcode (Fig. 8 bottom)
     #[arg(default_value = "around-the-corner")]
     name: String,
     /// Folder for campaign and results; what an earlier demo left there is replaced
