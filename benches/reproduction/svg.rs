@@ -53,12 +53,18 @@ impl Picture {
 
     /// A dashed line through points.
     pub fn path(&mut self, panel: &Panel, points: &[[f64; 2]], colour: &str) {
+        self.through(panel, points, &format!("stroke=\"{colour}\" stroke-dasharray=\"5 4\""));
+    }
+
+    /// A line through points.
+    pub fn curve(&mut self, panel: &Panel, points: &[[f64; 2]], colour: &str, width: f64) {
+        self.through(panel, points, &format!("stroke=\"{colour}\" stroke-width=\"{width}\""));
+    }
+
+    fn through(&mut self, panel: &Panel, points: &[[f64; 2]], style: &str) {
         let points: Vec<String> =
             points.iter().map(|point| panel.at(*point)).map(|[x, y]| format!("{x:.2},{y:.2}")).collect();
-        let points = points.join(" ");
-        self.add(&format!(
-            "<polyline points=\"{points}\" fill=\"none\" stroke=\"{colour}\" stroke-dasharray=\"5 4\"/>"
-        ));
+        self.add(&format!("<polyline points=\"{}\" fill=\"none\" {style}/>", points.join(" ")));
     }
 
     /// A filled circle.
