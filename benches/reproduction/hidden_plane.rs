@@ -50,7 +50,7 @@ fn from_files(seeds: u64) {
 
 fn from_onsets(seeds: u64) {
     println!(
-        "\n| onset noise (ps) | labels | scenes | patches found | found beside them | rms error (mm) | bound (mm) | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|"
+        "\n| onset noise (ps) | labels | scenes | without solution | patches found | found beside them | rms error (mm) | bound (mm) | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|---|"
     );
     for noise_ps in NOISES_PS {
         for (labels, rank) in [("by likelihood", false), ("by order of arrival", true)] {
@@ -59,13 +59,14 @@ fn from_onsets(seeds: u64) {
                 all.iter().flat_map(|noisy| noisy.errors_m.iter().flatten()).map(|error_m| 1e3 * error_m).collect();
             let off_mm: Vec<f64> = all.iter().filter_map(|noisy| noisy.off_plane_m).map(|off_m| 1e3 * off_m).collect();
             println!(
-                "| {noise_ps} | {labels} | {seeds} | {} of {} | {} | {:.1} | {:.1} | {:.1} |",
+                "| {noise_ps} | {labels} | {seeds} | {} | {} of {} | {} | {:.1} | {:.1} | {} |",
+                all.iter().filter(|noisy| noisy.refused).count(),
                 errors_mm.len(),
                 all.iter().map(|noisy| noisy.errors_m.len()).sum::<usize>(),
                 all.iter().map(|noisy| noisy.extra).sum::<usize>(),
                 rms(&errors_mm),
                 1e3 * noisy_bound_m(noise_ps),
-                rms(&off_mm),
+                if off_mm.is_empty() { "-".to_owned() } else { format!("{:.1}", rms(&off_mm)) },
             );
         }
     }

@@ -95,15 +95,16 @@ pub fn compared(scene: &str, pipeline: &str, seed: u64) -> (Lab, Scored) {
     let truth: Vec<Patch> = lab.truth();
     let found: Vec<Patch> =
         lab.rows::<Patch>("out", "patches").into_iter().filter(|patch| patch.alternative == 0).collect();
-    let visible = |patches: &[Patch]| -> Vec<Vector3<f64>> {
-        patches.iter().filter(|patch| patch.patch <= VISIBLE).map(position).collect()
-    };
-    let turn = aligning(&visible(&found), &visible(&truth));
+    let placed = |truth: &Patch| found.iter().find(|found| found.patch == truth.patch).map(position);
+    let visible: Vec<(Vector3<f64>, Option<Vector3<f64>>)> =
+        truth.iter().filter(|truth| truth.patch <= VISIBLE).map(|truth| (position(truth), placed(truth))).collect();
+    let (targets, from): (Vec<_>, Vec<_>) =
+        visible.iter().filter_map(|(truth, found)| Some((*truth, (*found)?))).unzip();
+    let turn = aligning(&from, &targets);
     let mut rest: Vec<&Patch> = found.iter().filter(|patch| patch.patch > VISIBLE).collect();
     let bound = Bound::of(&laboratory, Use { bounces: 3, ..Use::default() });
-    let mut points: Vec<(Vector3<f64>, Option<Vector3<f64>>)> = Vec::new();
-    let of_visible = truth.iter().zip(&found).filter(|(truth, _)| truth.patch <= VISIBLE);
-    points.extend(of_visible.map(|(truth, found)| (position(truth), Some(turn * position(found)))));
+    let mut points: Vec<(Vector3<f64>, Option<Vector3<f64>>)> =
+        visible.into_iter().map(|(truth, found)| (truth, found.map(|found| turn * found))).collect();
     let place = |truth: &Patch| {
         let error_m = |found: &Patch| (turn * position(found) - position(truth)).norm();
         let nearest = (0..rest.len()).min_by(|&a, &b| error_m(rest[a]).total_cmp(&error_m(rest[b])));
