@@ -80,7 +80,7 @@ fn draw_figure(drawn: &Drawn) {
     let from_above = |point: &Vector3<f64>| [point.x, point.y];
     let from_aside = |point: &Vector3<f64>| [point.y, point.z];
     for (point, found) in &drawn.scored.points {
-        let is_hidden = found.is_some() && point.x > 0.5;
+        let is_hidden = point.x > 0.5;
         for (panel, at) in [(&above, from_above as fn(&Vector3<f64>) -> [f64; 2]), (&aside, from_aside)] {
             if is_hidden || panel.scale < 300.0 {
                 picture.ring(panel, at(point), 6.0, "black");
