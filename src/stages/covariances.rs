@@ -1,8 +1,9 @@
-//! Covariances of patches, from their tables, as matrices.
+//! Covariances of patches as matrices, from their tables and into them.
 
 use nalgebra::Matrix3;
 
 use crate::tables::{Patch, PatchCovariance};
+use crate::units::PatchId;
 
 /// Covariance of a patch's position, in m^2; `None` for a start value.
 pub fn of_patch(row: &Patch) -> Option<Matrix3<f64>> {
@@ -24,4 +25,21 @@ pub fn between(row: &PatchCovariance) -> Matrix3<f64> {
         row.cov_zy_m2,
         row.cov_zz_m2,
     )
+}
+
+/// The row of such a covariance.
+pub fn row(a: PatchId, b: PatchId, cov_m2: &Matrix3<f64>) -> PatchCovariance {
+    PatchCovariance {
+        a,
+        b,
+        cov_xx_m2: cov_m2[(0, 0)],
+        cov_xy_m2: cov_m2[(0, 1)],
+        cov_xz_m2: cov_m2[(0, 2)],
+        cov_yx_m2: cov_m2[(1, 0)],
+        cov_yy_m2: cov_m2[(1, 1)],
+        cov_yz_m2: cov_m2[(1, 2)],
+        cov_zx_m2: cov_m2[(2, 0)],
+        cov_zy_m2: cov_m2[(2, 1)],
+        cov_zz_m2: cov_m2[(2, 2)],
+    }
 }

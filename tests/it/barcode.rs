@@ -221,6 +221,7 @@ fn the_sum_tells_more_than_one_strip_at_a_time_read_off_a_screen() {
 fn something_in_the_gap_is_seen() {
     let barcode = Barcode { occupied: true, response: FAST, ..Barcode::new(5) };
     let seen = run(&barcode, 2, PIPELINE);
+    assert!(!seen.gaps.is_empty(), "{:?}", seen.rejects);
     assert!(seen.gaps.iter().all(|gap| &*gap.verdict != "free"), "{:?}", seen.gaps);
 }
 
@@ -236,6 +237,7 @@ fn profiles_superpose() {
         rows
     };
     let (both, first, second) = (profiles(vec![], 1), profiles(vec![23], 2), profiles(vec![21], 3));
+    assert_eq!([both.len(), first.len(), second.len()], [2; 3]);
     for ((both, first), second) in both.iter().zip(&first).zip(&second) {
         let at = |row: &periscope::tables::Profile, time_ps: f64| {
             let n = ((time_ps - row.t0_ps) / row.dt_ps).round();

@@ -34,7 +34,7 @@ pub fn drawn(seed: u64) -> Drawn {
     Drawn { scored, plane: planes.first().map(|plane| (plane.patches.len(), plane.rms_m)) }
 }
 
-/// A plane of nine patches 20 to 25 cm apart, for onsets with the paper's Gaussian noise, at the scale of a room: at 100 ps the bound is some 5 cm at any scale.
+/// A plane of nine patches 20 to 25 cm apart, for onsets with the paper's Gaussian noise, at the scale of a room: at 100 ps the bound is some 3 cm at any scale.
 const SCALE: f64 = 2.5;
 const PAPER_SCENE: &str = include_str!("../../pipelines/scenes/paper-hidden-plane.toml");
 const DELAY_PS: f64 = 250.0;

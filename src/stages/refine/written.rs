@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::model::Model;
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
+use crate::stages::covariances;
 use crate::stages::latencies::DelayKey;
 use crate::tables::{Ambiguity, Delay, Fit, Name, Patch, PatchCovariance, Residual, Station, Suspect};
 use crate::units::{self, PatchId};
@@ -111,19 +112,7 @@ impl<'a> Written<'a> {
         let pairs = known.iter().enumerate().flat_map(|(n, &a)| known[n + 1..].iter().map(move |&b| (a, b)));
         let row = |(a, b): (usize, usize)| {
             let cov = self.turn * self.solution.patch_covariance_m2(a, b) * self.turn.transpose();
-            PatchCovariance {
-                a: self.model.patches[a],
-                b: self.model.patches[b],
-                cov_xx_m2: cov[(0, 0)],
-                cov_xy_m2: cov[(0, 1)],
-                cov_xz_m2: cov[(0, 2)],
-                cov_yx_m2: cov[(1, 0)],
-                cov_yy_m2: cov[(1, 1)],
-                cov_yz_m2: cov[(1, 2)],
-                cov_zx_m2: cov[(2, 0)],
-                cov_zy_m2: cov[(2, 1)],
-                cov_zz_m2: cov[(2, 2)],
-            }
+            covariances::row(self.model.patches[a], self.model.patches[b], &cov)
         };
         if self.solution.is_exact() { pairs.map(row).collect() } else { Vec::new() }
     }

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::scans::Scans;
 use crate::geometry::Point;
 use crate::geometry::mirror::Solution;
+use crate::stages::covariances;
 use crate::tables::{Ambiguity, Patch, PatchCovariance, Plane};
 use crate::units::PatchId;
 
@@ -43,7 +44,7 @@ impl Written {
             fit(row(ids[place], kind, *point, Some(solution.covariance_m2(place, place)), onsets))
         };
         let pairs = (0..ids.len()).flat_map(|a| (0..ids.len()).map(move |b| (a, b))).filter(|&(a, b)| ids[a] < ids[b]);
-        let covariance = |(a, b): (usize, usize)| between(ids[a], ids[b], solution.covariance_m2(a, b));
+        let covariance = |(a, b): (usize, usize)| covariances::row(ids[a], ids[b], &solution.covariance_m2(a, b));
         let (mut patches, mut covariances): (Vec<Patch>, Vec<PatchCovariance>) =
             (places.map(row).collect(), pairs.map(covariance).collect());
         patches.sort_by_key(|row| row.patch);
@@ -113,22 +114,6 @@ fn row(patch: PatchId, kind: &str, point: Point, covariance_m2: Option<Matrix3<f
         chi2_dof: None,
         alternative: 0,
         log_likelihood: None,
-    }
-}
-
-fn between(a: PatchId, b: PatchId, cov: Matrix3<f64>) -> PatchCovariance {
-    PatchCovariance {
-        a,
-        b,
-        cov_xx_m2: cov[(0, 0)],
-        cov_xy_m2: cov[(0, 1)],
-        cov_xz_m2: cov[(0, 2)],
-        cov_yx_m2: cov[(1, 0)],
-        cov_yy_m2: cov[(1, 1)],
-        cov_yz_m2: cov[(1, 2)],
-        cov_zx_m2: cov[(2, 0)],
-        cov_zy_m2: cov[(2, 1)],
-        cov_zz_m2: cov[(2, 2)],
     }
 }
 

@@ -5,6 +5,7 @@ use nalgebra::Matrix3;
 use super::model::Model;
 use crate::geometry::Point;
 use crate::geometry::bistatic::{Bounce, Solution};
+use crate::stages::covariances;
 use crate::tables::{Label, Patch, PatchCovariance};
 use crate::units::{self, PatchId};
 
@@ -51,20 +52,7 @@ impl Model {
         let Some(best) = solutions.first() else { return rows };
         for a in 0..self.strips.len() {
             for b in a + 1..self.strips.len() {
-                let cov = best.covariance_of(a, b);
-                rows.push(PatchCovariance {
-                    a: self.strips[a],
-                    b: self.strips[b],
-                    cov_xx_m2: cov[(0, 0)],
-                    cov_xy_m2: cov[(0, 1)],
-                    cov_xz_m2: cov[(0, 2)],
-                    cov_yx_m2: cov[(1, 0)],
-                    cov_yy_m2: cov[(1, 1)],
-                    cov_yz_m2: cov[(1, 2)],
-                    cov_zx_m2: cov[(2, 0)],
-                    cov_zy_m2: cov[(2, 1)],
-                    cov_zz_m2: cov[(2, 2)],
-                });
+                rows.push(covariances::row(self.strips[a], self.strips[b], &best.covariance_of(a, b)));
             }
         }
         rows
