@@ -5,6 +5,7 @@ pub mod lineage;
 pub mod parquet;
 #[cfg(feature = "query")]
 pub mod query;
+pub mod runs;
 pub mod shelf;
 
 pub use failure::StoreError;

@@ -212,7 +212,7 @@ impl Shelf {
         Ok(PartWriter { shelf: self, stage: stage.clone(), folder, writers })
     }
 
-    fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), StoreError> {
+    pub(super) fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), StoreError> {
         let temporary = self.temporary(path.parent().expect("a record lies in a folder"));
         let text = serde_json::to_string_pretty(value).expect("records are plain data");
         fs::write(&temporary, text).at("write", &temporary)?;
