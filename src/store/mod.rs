@@ -1,12 +1,15 @@
 //! The store: tables on disk under the lineage that made them. It knows lineages, schemas and batches; it knows no stage.
 
+mod changes;
 pub mod failure;
 pub mod lineage;
 pub mod parquet;
 #[cfg(feature = "query")]
 pub mod query;
 pub mod runs;
+pub mod scan;
 pub mod shelf;
+pub mod whole;
 
 pub use failure::StoreError;
 pub use lineage::Digest;
