@@ -1,5 +1,6 @@
 //! `periscope diff`.
 
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -12,9 +13,23 @@ const NAMED: usize = 12;
 /// The folders differ.
 const DIFFERENT: u8 = 3;
 
+const EXIT_CODES: &str = "Exit codes: 0 the same; 3 different; 1 failed; 2 wrong usage.";
+/// What stands in the JSON object.
+const JSON_HELP: &str = "\
+Keys of the JSON object (differences are B - A; null: there is none to tell)
+  a, b, same             the folders, and whether all their tables are the same
+  tables                 those of both, in the order of the dataflow: table, verdict (same, same_rows: made
+                         otherwise, differs, not_compared), rows, causes
+  rows                   in_a, in_b, only_in_a, only_in_b (rows by their key columns), only_in_a_such_as,
+                         only_in_b_such_as, changed, other_columns (not compared), columns
+  columns                column, unit, rows (that differ), one_sided, other_length, largest, rms (over values that
+                         differ), largest_at, largest_in_sd, rms_in_sd
+  causes                 at (a table, or the campaign of raw files), change
+  only_in_a, only_in_b   tables of one side alone";
+
 /// Arguments of `diff`.
 #[derive(Args)]
-#[command(after_help = "Exit codes: 0 the same; 3 different; 1 failed; 2 wrong usage.")]
+#[command(after_help = EXIT_CODES, after_long_help = format!("{EXIT_CODES}\n\n{JSON_HELP}"))]
 pub struct Diff {
     /// Result folder, or the truth/ of a simulated campaign
     #[arg(value_name = "OUT_A")]
@@ -33,11 +48,8 @@ pub struct Diff {
 /// The command.
 pub fn diff(args: &Diff) -> Result<ExitCode> {
     let comparison = compare(&args.a, &args.b, args.all)?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&comparison)?);
-    } else {
-        print!("{}", text(&comparison));
-    }
+    let answer = if args.json { serde_json::to_string_pretty(&comparison)? + "\n" } else { text(&comparison) };
+    std::io::stdout().lock().write_all(answer.as_bytes())?;
     Ok(if comparison.same { ExitCode::SUCCESS } else { ExitCode::from(DIFFERENT) })
 }
 

@@ -2,6 +2,7 @@
 
 mod text;
 
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -67,11 +68,12 @@ pub enum Format {
 pub fn explain(args: &Explain) -> Result<ExitCode> {
     let shelf = Shelf::look(&args.out)?;
     let explanation = explained(&shelf, &args.target, args.table.as_deref(), &args.campaign)?;
-    match args.format {
-        Format::Text => print!("{}", text::text(&explanation, args.all)),
-        Format::Json => println!("{}", serde_json::to_string_pretty(&explanation)?),
-        Format::Sql => print!("{}", sql(&explanation)),
-    }
+    let answer = match args.format {
+        Format::Text => text::text(&explanation, args.all),
+        Format::Json => serde_json::to_string_pretty(&explanation)? + "\n",
+        Format::Sql => sql(&explanation),
+    };
+    std::io::stdout().lock().write_all(answer.as_bytes())?;
     Ok(ExitCode::SUCCESS)
 }
 

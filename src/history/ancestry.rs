@@ -271,10 +271,23 @@ impl Ancestry {
     /// # Errors
     /// When a file cannot be read, or lacks a column.
     pub fn rows<R: Row>(&self, table: &Table, wanted: impl Fn(&R) -> bool) -> Result<Vec<R>, HistoryError> {
+        self.rows_near(table, &[], wanted)
+    }
+
+    /// The same for rows that have one of these numbers in these columns: others need not be read.
+    ///
+    /// # Errors
+    /// When a file cannot be read, or lacks a column.
+    pub fn rows_near<R: Row>(
+        &self,
+        table: &Table,
+        numbers: &[(&str, &BTreeSet<i32>)],
+        wanted: impl Fn(&R) -> bool,
+    ) -> Result<Vec<R>, HistoryError> {
         let columns = R::schema();
         let mut rows = Vec::new();
         for path in self.files(table)? {
-            for batch in scan::scan(&path, |name| columns.column_with_name(name).is_some())? {
+            for batch in scan::scan_near(&path, |name| columns.column_with_name(name).is_some(), numbers)? {
                 rows.extend(R::rows(&batch?)?.into_iter().filter(&wanted));
             }
         }

@@ -68,7 +68,7 @@ impl OnsetBehind {
         }
     }
 
-    pub fn of_residual(row: &Residual) -> Self {
+    pub(super) fn of_residual(row: &Residual) -> Self {
         Self {
             path: Some(row.path.clone()),
             residual_ps: Some(row.residual_ps),
@@ -78,11 +78,11 @@ impl OnsetBehind {
         }
     }
 
-    pub fn of_label(row: &Label) -> Self {
+    pub(super) fn of_label(row: &Label) -> Self {
         Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank).labelled(row)
     }
 
-    pub fn of_onset(row: &Onset) -> Self {
+    pub(super) fn of_onset(row: &Onset) -> Self {
         Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank).detected(row)
     }
 
@@ -105,7 +105,7 @@ impl OnsetBehind {
     }
 
     /// Its capture.
-    pub fn capture(&self) -> CaptureKey {
+    pub(super) fn capture(&self) -> CaptureKey {
         (self.campaign.clone(), self.sensor.clone(), self.lit, self.seen)
     }
 
@@ -115,7 +115,7 @@ impl OnsetBehind {
 }
 
 /// Adds what `labels` and `onsets` say of these onsets, as far as these tables are there.
-pub fn complete(
+pub(super) fn complete(
     ancestry: &Ancestry,
     onsets: Vec<OnsetBehind>,
     labels: Option<&Table>,
@@ -213,13 +213,13 @@ table! {
 }
 
 /// Keys of the captures of the scene in a table `profiles`.
-pub fn scene_captures(ancestry: &Ancestry, profiles: &Table) -> Result<BTreeSet<CaptureKey>, HistoryError> {
+pub(super) fn scene_captures(ancestry: &Ancestry, profiles: &Table) -> Result<BTreeSet<CaptureKey>, HistoryError> {
     let rows = ancestry.rows(profiles, |row: &Averaged| &*row.role == "scene")?;
     Ok(rows.into_iter().map(|row| (row.campaign, row.sensor, row.lit, row.seen)).collect())
 }
 
 /// What is known of captures, in the order of the tables; `from` is the table whose ancestors tell.
-pub fn captures(
+pub(super) fn captures(
     exposures: &Exposures<'_>,
     keys: &BTreeSet<CaptureKey>,
     from: &Table,
@@ -241,7 +241,7 @@ pub fn captures(
     }
     let mut raw: BTreeMap<CaptureKey, Vec<RawRecords>> = BTreeMap::new();
     if let Some(traces) = ancestry.nearest(profiles.as_ref().unwrap_or(from), "traces") {
-        for (key, records) in exposures.of(&traces, |key| keys.contains(key), remarks)? {
+        for (key, records) in exposures.of_captures(&traces, keys, remarks)? {
             raw.entry(key).or_default().push(records);
         }
     }
@@ -269,6 +269,6 @@ pub fn captures(
 }
 
 /// A table itself, or the nearest of this name that it was made from.
-pub fn at_or_above(ancestry: &Ancestry, table: &Table, name: &str) -> Option<Table> {
+pub(super) fn at_or_above(ancestry: &Ancestry, table: &Table, name: &str) -> Option<Table> {
     if table.name == name { Some(table.clone()) } else { ancestry.nearest(table, name) }
 }

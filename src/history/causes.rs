@@ -93,10 +93,8 @@ fn raw_files(a: &Shelf, b: &Shelf) -> Result<Vec<Cause>, HistoryError> {
             if !files.is_empty() {
                 let more = if files.len() > NAMED { ", ..." } else { "" };
                 let listed = files[..files.len().min(NAMED)].join(", ");
-                causes.push(Cause {
-                    at: name.clone(),
-                    change: format!("{} raw files {what}: {listed}{more}", files.len()),
-                });
+                let change = format!("raw files {what}: {} ({listed}{more})", files.len());
+                causes.push(Cause { at: name.clone(), change });
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The raw files behind captures: from `traces` where that table is kept, else from the campaign folder.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -67,15 +67,39 @@ pub struct Exposures<'a> {
 }
 
 impl Exposures<'_> {
-    /// Raw records of the captures that are wanted, from a table `traces`, in its order. What there is to know beside them goes to `remarks`.
-    pub fn of(
+    /// Raw records of these captures, from a table `traces`, in its order. What there is to know beside them goes to `remarks`.
+    pub fn of_captures(
         &self,
         traces: &Table,
+        captures: &BTreeSet<CaptureKey>,
+        remarks: &mut Vec<String>,
+    ) -> Result<Vec<(CaptureKey, RawRecords)>, HistoryError> {
+        let lit: BTreeSet<PatchId> = captures.iter().map(|(_, _, lit, _)| *lit).collect();
+        let seen: BTreeSet<PatchId> = captures.iter().map(|(_, _, _, seen)| *seen).collect();
+        self.of(traces, &[("lit", &lit), ("seen", &seen)], |capture| captures.contains(capture), remarks)
+    }
+
+    /// Raw records of all captures of a sensor.
+    pub fn of_sensor(
+        &self,
+        traces: &Table,
+        campaign: &Name,
+        sensor: &Name,
+        remarks: &mut Vec<String>,
+    ) -> Result<Vec<RawRecords>, HistoryError> {
+        let found = self.of(traces, &[], |capture| (&capture.0, &capture.1) == (campaign, sensor), remarks)?;
+        Ok(found.into_iter().map(|(_, records)| records).collect())
+    }
+
+    fn of(
+        &self,
+        traces: &Table,
+        numbers: &[(&str, &BTreeSet<PatchId>)],
         wanted: impl Fn(&CaptureKey) -> bool,
         remarks: &mut Vec<String>,
     ) -> Result<Vec<(CaptureKey, RawRecords)>, HistoryError> {
         if self.ancestry.record(traces).is_some() {
-            return self.kept(traces, wanted);
+            return self.kept(traces, numbers, wanted);
         }
         match self.surveyed(traces) {
             Ok(captures) => {
@@ -103,12 +127,13 @@ impl Exposures<'_> {
     fn kept(
         &self,
         traces: &Table,
+        numbers: &[(&str, &BTreeSet<PatchId>)],
         wanted: impl Fn(&CaptureKey) -> bool,
     ) -> Result<Vec<(CaptureKey, RawRecords)>, HistoryError> {
         let key = |row: &Origin| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
         let mut found: Vec<(CaptureKey, RawRecords)> = Vec::new();
         let mut places: BTreeMap<(CaptureKey, Name, Option<Name>, bool), usize> = BTreeMap::new();
-        for row in self.ancestry.rows::<Origin>(traces, |row| wanted(&key(row)))? {
+        for row in self.ancestry.rows_near::<Origin>(traces, numbers, |row| wanted(&key(row)))? {
             let of_file = (key(&row), row.file.clone(), row.channel.clone(), row.is_reference);
             let place = *places.entry(of_file).or_insert_with(|| {
                 let records = RawRecords {

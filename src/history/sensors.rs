@@ -85,7 +85,7 @@ impl SensorBehind {
 }
 
 /// What stands behind the sensors of these captures; `from` is the table whose ancestors tell.
-pub fn sensors(
+pub(super) fn sensors(
     exposures: &Exposures<'_>,
     keys: &BTreeSet<CaptureKey>,
     from: &Table,
@@ -120,8 +120,7 @@ pub fn sensors(
     }
     for (table, sensor) in &mut found {
         if let Some(traces) = ancestry.nearest(table, "traces") {
-            let is_its = |key: &CaptureKey| (&key.0, &key.1) == (&sensor.campaign, &sensor.sensor);
-            sensor.raw = exposures.of(&traces, is_its, remarks)?.into_iter().map(|(_, records)| records).collect();
+            sensor.raw = exposures.of_sensor(&traces, &sensor.campaign, &sensor.sensor, remarks)?;
         }
     }
     Ok(found.into_iter().map(|(_, sensor)| sensor).collect())

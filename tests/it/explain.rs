@@ -109,7 +109,7 @@ fn tables_without_residuals_go_by_their_labels() {
 #[test]
 fn behind_an_onset_stands_its_own_capture() {
     let labels: Vec<Label> = LAB.rows("out", "labels");
-    let second = labels.iter().find(|row| row.path.as_deref() == Some(&[3, 4])).unwrap();
+    let second = labels.iter().find(|row| row.path.as_deref() == Some([3, 4].as_slice())).unwrap();
     for name in ["", "s1,", "tiny,s1,"] {
         let onset = explained("out", &format!("onset={name}3,4,{}", second.rank), None);
         let [one] = onset.onsets.as_slice() else { panic!("{:?}", onset.onsets) };
@@ -207,6 +207,33 @@ fn two_campaigns_are_told_apart() {
     assert!(several.contains("onset=monday,s1,3,4,1, onset=tuesday,s1,3,4,1"), "{several}");
     let one = explain(&shelf, &"onset=tuesday,s1,3,4,1".parse().unwrap(), None, &folders).unwrap();
     assert!(one.captures.len() == 1 && one.captures[0].raw.iter().all(|records| records.campaign == "tuesday"));
+}
+
+/// A table that is older than its inputs' views goes back to those that it was made from.
+#[test]
+fn a_campaign_that_grew_since_does_not_change_what_stood_behind() {
+    let lab = Lab::tiny();
+    let late = ["C1", "C2"].map(|channel| lab.campaign().join(format!("raw/scene/s1_L4_P3_{channel}.trc")));
+    late.iter().for_each(|file| fs::rename(file, file.with_extension("later")).unwrap());
+    lab.rows_of_patches("out");
+    late.iter().for_each(|file| fs::rename(file.with_extension("later"), file).unwrap());
+    let spec = Spec::parse("test", ALL_VISIBLE, &[]).unwrap();
+    let campaigns = [Campaign::load(&lab.campaign()).unwrap()];
+    let shelf = Shelf::open(&lab.path("out")).unwrap();
+    let mut plan = Plan::new(&spec, &campaigns, &shelf, Some("onsets")).unwrap();
+    run::run(&mut plan, &Settings::default(), &Progress::new(Style::Silent)).unwrap();
+
+    let patch = explain(&shelf, &"patch=4".parse().unwrap(), None, &[]).unwrap();
+    let found = raw(&patch);
+    assert!(found.len() == 12 && found.keys().all(|(file, _)| !file.contains("L4_P3")), "{found:?}");
+    assert!(!patch.remarks.iter().any(|remark| remark.contains("not on the shelf")), "{:?}", patch.remarks);
+    assert!(patch.queries.iter().any(|query| query.sql.contains("/.shelf/")), "{:?}", patch.queries);
+    let onset = explain(&shelf, &"onset=4,3,1".parse().unwrap(), None, &[]).unwrap();
+    assert!(
+        onset.captures.len() == 1 && onset.onsets[0].path.is_none(),
+        "nothing has labelled it yet: {:?}",
+        onset.onsets
+    );
 }
 
 #[test]
