@@ -166,7 +166,8 @@ fn raw_files_and_campaign_fields_behind_a_difference_are_named() {
     std::fs::remove_file(lab.campaign().join("raw/scene/s1_L4_P3_C1.trc")).unwrap();
     let keys = lab.campaign().join("campaign.toml");
     let text = std::fs::read_to_string(&keys).unwrap();
-    std::fs::write(&keys, text.replacen("[campaign]\n", "[campaign]\ngroup_index = 1.0003\n", 1)).unwrap();
+    let line = text.lines().find(|line| line.starts_with("group_index")).unwrap();
+    std::fs::write(&keys, text.replacen(line, "group_index = 1.0003", 1)).unwrap();
     lab.run("after", ALL_VISIBLE, &Settings::default()).unwrap();
     let comparison = compare(&lab.path("before"), &lab.path("after"), true).unwrap();
     assert_eq!(table(&comparison, "calibration_traces").verdict, Verdict::Same);

@@ -265,7 +265,7 @@ fn text_json_and_sql_say_the_same() {
     let plain = text(&periscope(&["explain", "out", "patch=3"]).stdout);
     assert!(plain.starts_with("patch 3 in `patches` (refine): visible, ("), "{plain}");
     assert!(
-        plain.contains("traces -> profiles -> stir -> onsets -> labels -> patches; with start, calibration"),
+        plain.contains("traces -> profiles -> stir -> onsets -> labels -> patches; with calibration, start, session"),
         "{plain}"
     );
     assert!(files.keys().all(|(file, _)| plain.contains(file)), "{plain}");
