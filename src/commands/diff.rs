@@ -67,11 +67,10 @@ fn text(comparison: &Comparison) -> String {
     };
     listed("same", &of(Verdict::Same));
     listed("same rows, made otherwise", &of(Verdict::SameRows));
-    fn names(names: &[String]) -> Vec<&str> {
-        names.iter().map(String::as_str).collect()
-    }
     listed("only in A", &names(&comparison.only_in_a));
     listed("only in B", &names(&comparison.only_in_b));
+    let made_otherwise = comparison.tables.iter().find(|table| table.verdict == Verdict::SameRows);
+    lines.extend(made_otherwise.map(causes).into_iter().flatten());
     for table in comparison.tables.iter().filter(|table| table.verdict == Verdict::Differs) {
         lines.extend(of_table(table));
     }
@@ -82,17 +81,24 @@ fn text(comparison: &Comparison) -> String {
     lines.join("\n") + "\n"
 }
 
+fn names(names: &[String]) -> Vec<&str> {
+    names.iter().map(String::as_str).collect()
+}
+
 fn of_table(table: &TableComparison) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(rows) = &table.rows {
         lines.push(format!("\n{} differs: {} rows in A, {} in B", table.table, rows.in_a, rows.in_b));
         lines.extend(of_rows(rows));
     }
-    if !table.causes.is_empty() {
-        lines.push("  behind it".to_owned());
-        lines.extend(table.causes.iter().map(|cause| format!("    {}: {}", cause.at, cause.change)));
-    }
+    lines.extend(causes(table));
     lines
+}
+
+fn causes(table: &TableComparison) -> Vec<String> {
+    let listed = table.causes.iter().map(|cause| format!("    {}: {}", cause.at, cause.change));
+    let heading = if table.causes.is_empty() { None } else { Some("  behind it".to_owned()) };
+    heading.into_iter().chain(listed).collect()
 }
 
 fn of_rows(rows: &RowsComparison) -> Vec<String> {

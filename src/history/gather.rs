@@ -70,9 +70,12 @@ impl Explainer<'_> {
                     if heading.is_none() && !others.is_empty() {
                         remarks.push(format!("the same in other tables: --table {}", others.join(", --table ")));
                     }
+                    remarks.extend(failure.map(|failure: HistoryError| failure.to_string()));
                     return Ok((table.clone(), gathered));
                 }
-                Err(error) => failure = failure.or(Some(error)),
+                // It may stand in a table before.
+                Err(error @ HistoryError::Refused(_)) => failure = failure.or(Some(error)),
+                Err(error) => return Err(error),
             }
         }
         Err(failure.expect("there is a candidate"))
