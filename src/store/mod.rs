@@ -2,11 +2,13 @@
 
 pub mod failure;
 pub mod lineage;
+pub mod lock;
 pub mod parquet;
 #[cfg(feature = "query")]
 pub mod query;
 pub mod runs;
 pub mod shelf;
+mod sweep;
 
 pub use failure::StoreError;
 pub use lineage::Digest;
