@@ -4,6 +4,7 @@ pub mod failure;
 pub mod lineage;
 pub mod lock;
 pub mod parquet;
+pub mod prune;
 #[cfg(feature = "query")]
 pub mod query;
 pub mod runs;

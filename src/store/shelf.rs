@@ -51,7 +51,7 @@ impl StageId {
         Digest::of(&serde_json::to_value(self).expect("a stage id is plain data"))
     }
 
-    fn folder(&self) -> String {
+    pub(super) fn folder(&self) -> String {
         format!("{}-{}", self.kind, self.recipe().short())
     }
 }
@@ -380,7 +380,7 @@ impl Shelf {
     }
 }
 
-fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<Option<T>, StoreError> {
+pub(super) fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<Option<T>, StoreError> {
     match fs::read(path) {
         Ok(bytes) => serde_json::from_slice(&bytes)
             .map(Some)
