@@ -32,6 +32,8 @@ pub struct Campaign {
     pub repetition_sd_ps: Option<f64>,
     /// 3, or 2 for flatland.
     pub dimensions: u8,
+    /// Mean size of a part, the piece in which work is done and kept, in bytes of raw files.
+    pub part_bytes: u64,
     /// Where light leaves and arrives; holds at least [`LASER`].
     pub stations: BTreeMap<String, Station>,
     /// The detectors.
