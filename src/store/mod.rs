@@ -3,12 +3,15 @@
 mod changes;
 pub mod failure;
 pub mod lineage;
+pub mod lock;
 pub mod parquet;
+pub mod prune;
 #[cfg(feature = "query")]
 pub mod query;
 pub mod runs;
 pub mod scan;
 pub mod shelf;
+mod sweep;
 pub mod whole;
 
 pub use failure::StoreError;

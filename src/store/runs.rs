@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Digest;
 use super::failure::{At, StoreError};
+use super::lock::Holder;
 use super::shelf::Shelf;
 
 /// How a run ended.
@@ -57,6 +58,38 @@ pub struct RunRecord {
 }
 
 impl RunRecord {
+    /// A run of this process that starts now. `campaigns`: name and folder of each.
+    ///
+    /// # Errors
+    /// When the folder that relative paths start from is gone.
+    pub fn start<'a>(
+        pipeline: &Path,
+        set: &[String],
+        campaigns: impl IntoIterator<Item = (&'a str, &'a Path)>,
+    ) -> io::Result<Self> {
+        let absolute = |(name, root): (&str, &Path)| Ok((name.to_owned(), std::path::absolute(root)?));
+        let Holder { host, process, started } = Holder::here();
+        Ok(Self {
+            periscope: env!("CARGO_PKG_VERSION").to_owned(),
+            pipeline: std::path::absolute(pipeline)?,
+            set: set.to_vec(),
+            campaigns: campaigns.into_iter().map(absolute).collect::<io::Result<_>>()?,
+            host,
+            process,
+            started,
+            ended: None,
+            ending: None,
+            failure: None,
+            rejects: 0,
+            tables: BTreeMap::new(),
+        })
+    }
+
+    /// It ends now.
+    pub fn end(&mut self, ending: Ending) {
+        (self.ended, self.ending) = (Some(utc(SystemTime::now())), Some(ending));
+    }
+
     fn file(&self, shelf: &Shelf) -> PathBuf {
         folder(shelf).join(format!("{}-{}.json", self.started.replace(['-', ':'], ""), self.process))
     }
