@@ -34,6 +34,8 @@ mod rooms;
 mod schema;
 mod scope_samples;
 mod session;
+mod sessions;
 mod simulate;
 mod surface;
 mod version;
+mod watch;
