@@ -3,6 +3,8 @@
 pub mod check;
 pub mod demo;
 pub mod design;
+pub mod diff;
+pub mod explain;
 pub mod inspect;
 mod interrupt;
 pub mod plan;

@@ -293,21 +293,7 @@ impl<'a> Plan<'a> {
         let Some(earlier) = self.shelf.view(&self.spec.steps[i].heading)? else {
             return Ok("no earlier result".to_owned());
         };
-        let (old, new) = (&earlier.stage, &table.id);
-        let mut reasons = Vec::new();
-        if old.kind != new.kind {
-            reasons.push(format!("stage {} -> {}", old.kind, new.kind));
-        } else if old.version != new.version {
-            reasons.push(format!("version of stage {} {} -> {}", new.kind, old.version, new.version));
-        }
-        differences("", &old.params, &new.params, &mut reasons);
-        differences("campaign: ", &old.fields, &new.fields, &mut reasons);
-        if old.schemas != new.schemas {
-            reasons.push("columns of the table".to_owned());
-        }
-        if old.arithmetic != new.arithmetic {
-            reasons.push(format!("kind of CPU: {} -> {}", old.arithmetic, new.arithmetic));
-        }
+        let mut reasons = earlier.stage.changes(&table.id);
         if reasons.is_empty() {
             let changed = self.inputs(i).into_iter().filter(|&input| {
                 let heading = &self.spec.steps[input].heading;
@@ -322,34 +308,6 @@ impl<'a> Plan<'a> {
             });
         }
         Ok(reasons.join("; "))
-    }
-}
-
-/// Differences between two JSON values, in words.
-fn differences(place: &str, old: &Value, new: &Value, out: &mut Vec<String>) {
-    match (old, new) {
-        (Value::Object(before), Value::Object(after)) => {
-            for key in before.keys().chain(after.keys().filter(|key| !before.contains_key(*key))) {
-                let place = if place.is_empty() || place.ends_with(' ') {
-                    format!("{place}{key}")
-                } else {
-                    format!("{place}.{key}")
-                };
-                differences(
-                    &place,
-                    before.get(key).unwrap_or(&Value::Null),
-                    after.get(key).unwrap_or(&Value::Null),
-                    out,
-                );
-            }
-        }
-        (Value::Array(before), Value::Array(after)) if before.len() == after.len() => {
-            for (i, (before, after)) in before.iter().zip(after).enumerate() {
-                differences(&format!("{place}[{i}]"), before, after, out);
-            }
-        }
-        _ if old != new => out.push(format!("{place} {old} -> {new}")),
-        _ => {}
     }
 }
 

@@ -9,6 +9,7 @@
 //! params = { roles = ["scene"] }
 //! ```
 
+pub mod captures;
 mod files;
 mod part;
 mod raw_file;

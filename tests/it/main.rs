@@ -9,6 +9,8 @@ mod check;
 mod cli;
 mod corner;
 mod determinism;
+mod diff;
+mod explain;
 mod failures;
 mod faint;
 mod formats;
