@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
@@ -47,6 +48,9 @@ pub struct Campaign {
     pub captures: Vec<CaptureRule>,
     /// What to leave out, and why.
     pub exclude: Vec<Exclude>,
+    /// Raw files that changed later are still being written, and wait. Not a key: set by who follows a capture that is under way.
+    #[serde(skip)]
+    pub as_of: Option<SystemTime>,
 }
 
 impl Campaign {

@@ -122,6 +122,7 @@ impl Campaign {
             hidden: keys.hidden,
             captures: keys.captures,
             exclude: keys.exclude,
+            as_of: None,
         };
         campaign.check().map_err(|fault| CampaignError::Keys { file, fault })?;
         Ok(campaign)

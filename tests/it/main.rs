@@ -21,6 +21,7 @@ mod lab;
 mod laws;
 mod lifecycle;
 mod lineage;
+mod lineage_random;
 mod many_parts;
 mod methods;
 mod mirror;
