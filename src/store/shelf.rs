@@ -424,7 +424,6 @@ impl PartWriter<'_> {
         for (table, writer) in self.writers {
             let temporary = writer.path().to_owned();
             let record = writer.finish(&footer).at("write", &temporary)?;
-            File::open(&temporary).and_then(|file| file.sync_all()).at("write", &temporary)?;
             let path = self.folder.join(format!("part-{lineage}.{table}.parquet"));
             fs::rename(&temporary, &path).at("write", &path)?;
             files.insert(table, record);
