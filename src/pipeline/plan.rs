@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use arrow::datatypes::{DataType, Field, SchemaRef};
 use serde_json::{Value, json};
 
+use super::arithmetic;
 use super::spec::Spec;
 use crate::campaign::Campaign;
 use crate::stages::Node;
@@ -319,9 +320,11 @@ fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) 
     let mut inputs: BTreeMap<String, Digest> =
         step.with.iter().map(|(name, heading)| (name.clone(), recipe(heading))).collect();
     inputs.extend(step.from.as_deref().map(|heading| ("from".to_owned(), recipe(heading))));
-    let (version, params, fields) = match &step.node {
-        Node::Source(source) => (source.version(), source.params(), source.fields(campaigns)),
-        Node::Operator(operator) => (operator.version(), operator.params(), operator.fields(campaigns)),
+    let (version, params, fields, arithmetic) = match &step.node {
+        Node::Source(source) => (source.version(), source.params(), source.fields(campaigns), arithmetic::COPIED),
+        Node::Operator(operator) => {
+            (operator.version(), operator.params(), operator.fields(campaigns), arithmetic::of_this_cpu())
+        }
     };
     let columns = |table: &WrittenTable| {
         json!([table.name, table.schema.fields().iter().map(|field| signature(field)).collect::<Vec<_>>()])
@@ -333,6 +336,7 @@ fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) 
         params,
         fields,
         schemas: Digest::of(&Value::Array(schemas)),
+        arithmetic: arithmetic.to_owned(),
         inputs,
     }
 }

@@ -6,7 +6,7 @@ use super::shelf::StageId;
 
 impl StageId {
     /// What of the stage itself another one has otherwise, a line each (`threshold_sigma 5.0 -> 6.0`): kind, version, parameters, campaign
-    /// fields, columns. Its inputs are not looked at.
+    /// fields, columns, kind of CPU. Its inputs are not looked at.
     #[must_use]
     pub fn changes(&self, to: &Self) -> Vec<String> {
         let mut changes = Vec::new();
@@ -19,6 +19,9 @@ impl StageId {
         differences("campaign: ", &self.fields, &to.fields, &mut changes);
         if self.schemas != to.schemas {
             changes.push("columns of the table".to_owned());
+        }
+        if self.arithmetic != to.arithmetic {
+            changes.push(format!("kind of CPU: {} -> {}", self.arithmetic, to.arithmetic));
         }
         changes
     }

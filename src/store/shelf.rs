@@ -40,6 +40,8 @@ pub struct StageId {
     pub fields: Value,
     /// Digest of the schemas that it writes.
     pub schemas: Digest,
+    /// On which kind of CPU it was computed.
+    pub arithmetic: String,
     /// Recipes of its inputs, by the name under which it knows them (`from`, or a name of `with`).
     pub inputs: BTreeMap<String, Digest>,
 }
@@ -422,7 +424,6 @@ impl PartWriter<'_> {
         for (table, writer) in self.writers {
             let temporary = writer.path().to_owned();
             let record = writer.finish(&footer).at("write", &temporary)?;
-            File::open(&temporary).and_then(|file| file.sync_all()).at("write", &temporary)?;
             let path = self.folder.join(format!("part-{lineage}.{table}.parquet"));
             fs::rename(&temporary, &path).at("write", &path)?;
             files.insert(table, record);
