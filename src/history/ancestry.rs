@@ -177,10 +177,7 @@ impl Ancestry {
     #[must_use]
     pub fn label(&self, table: &Table) -> String {
         let made = &self.works[table.work];
-        made.views
-            .get(&table.name)
-            .cloned()
-            .unwrap_or_else(|| format!("{} of a stage `{}`", table.name, made.stage.kind))
+        made.views.get(&table.name).cloned().unwrap_or_else(|| format!("{} of {}", table.name, made.stage.kind))
     }
 
     /// The stage that made a table.
