@@ -1,5 +1,6 @@
 //! The store: tables on disk under the lineage that made them. It knows lineages, schemas and batches; it knows no stage.
 
+mod changes;
 pub mod failure;
 pub mod lineage;
 pub mod lock;
@@ -8,8 +9,10 @@ pub mod prune;
 #[cfg(feature = "query")]
 pub mod query;
 pub mod runs;
+pub mod scan;
 pub mod shelf;
 mod sweep;
+pub mod whole;
 
 pub use failure::StoreError;
 pub use lineage::Digest;

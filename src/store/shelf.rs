@@ -40,6 +40,8 @@ pub struct StageId {
     pub fields: Value,
     /// Digest of the schemas that it writes.
     pub schemas: Digest,
+    /// On which kind of CPU it was computed.
+    pub arithmetic: String,
     /// Recipes of its inputs, by the name under which it knows them (`from`, or a name of `with`).
     pub inputs: BTreeMap<String, Digest>,
 }
