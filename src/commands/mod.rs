@@ -11,6 +11,7 @@ pub mod schema;
 pub mod seal;
 pub mod simulate;
 pub mod tables;
+pub mod verify;
 
 /// Done, but some input was set aside, or something is to be mended.
 pub const SOME_REJECTED: u8 = 3;

@@ -4,6 +4,7 @@ pub mod budget;
 pub mod pass;
 pub mod plan;
 pub mod progress;
+pub mod roots;
 pub mod run;
 pub mod settings;
 pub mod spec;

@@ -35,4 +35,5 @@ mod scope_samples;
 mod session;
 mod simulate;
 mod surface;
+mod verify;
 mod version;

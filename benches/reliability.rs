@@ -1,0 +1,28 @@
+//! Studies: what results survive. Print the tables of docs/reliability.md.
+//!
+//! `cargo bench --bench reliability` for all, `-- flips 500 200` for one with its numbers.
+
+#[path = "reliability/flips.rs"]
+mod flips;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/lab.rs"]
+mod lab;
+#[allow(dead_code, reason = "other studies use more of it")]
+#[path = "resolution/score.rs"]
+mod score;
+
+/// A study takes the numbers behind its name.
+type Study = fn(&[usize]);
+
+const STUDIES: [(&str, Study); 1] = [("flips", flips::study)];
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
+    let numbers: Vec<usize> = arguments.iter().filter_map(|argument| argument.parse().ok()).collect();
+    let names: Vec<&String> = arguments.iter().filter(|argument| argument.parse::<usize>().is_err()).collect();
+    for (name, study) in STUDIES {
+        if names.is_empty() || names.iter().any(|asked| *asked == name) {
+            study(&numbers);
+        }
+    }
+}
