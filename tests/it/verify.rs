@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 
 use periscope::campaign::{Campaign, Manifest, seal};
 use periscope::pipeline::run::Settings;
-use periscope::store::damage::Place;
+use periscope::store::damage::{Place, find};
 use periscope::store::verify::{Finding, Report, verify};
 use periscope::store::{Shelf, parquet};
 use rand::{RngExt, SeedableRng};
@@ -60,18 +60,17 @@ fn one(lab: &Lab, part_of_path: &str) -> PathBuf {
     shelf_files(lab, part_of_path).swap_remove(0)
 }
 
-/// The page with the most bytes of a column of a stored file.
+/// First byte and length of a page of a column of the table `onsets`, whose file this is.
 fn page_of(lab: &Lab, file: &Path, column: &str) -> (u64, u64) {
-    // A flip in every byte would do; the finding itself says where pages lie.
-    let bytes = fs::metadata(file).unwrap().len();
-    for byte in 4..bytes {
+    let (_, record) = Shelf::look(&lab.path("out")).unwrap().recorded("onsets").unwrap().swap_remove(0);
+    // Where pages lie is found out by damage: no page is shorter than this.
+    for byte in (4..record.bytes).step_by(16) {
         flip(file, 8 * byte);
-        let place = looked(lab).findings.into_iter().find_map(|finding| finding.damage);
+        let found = find(file, &record).unwrap().unwrap().place;
         flip(file, 8 * byte);
-        if let Some(Place::Page(page)) = place
-            && page.column.starts_with(column)
-        {
-            return (page.byte, page.bytes);
+        match found {
+            Place::Page(page) if page.column == column => return (page.byte, page.bytes),
+            _ => {}
         }
     }
     panic!("no page of {column}");

@@ -5,7 +5,6 @@
 mod chain;
 mod stage_folder;
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -16,7 +15,7 @@ use super::failure::{At, StoreError};
 use super::parquet::FileRecord;
 use super::record;
 use super::runs::RunRecord;
-use super::shelf::{REJECTS_RECORD, Shelf, StageId};
+use super::shelf::{REJECTS_RECORD, RejectsRecord, Shelf, StageId};
 use super::{Digest, TableRecord};
 use stage_folder::StageFolder;
 
@@ -197,8 +196,10 @@ fn runs(shelf: &Shelf, folder: &Path, report: &mut Report) -> Result<(), StoreEr
 fn rejects(shelf: &Shelf, folder: &Path, report: &mut Report) -> Result<(), StoreError> {
     let remove = || vec![folder.to_owned()];
     let record = folder.join(REJECTS_RECORD);
-    let files = report.record::<BTreeMap<String, FileRecord>>(shelf, &record, remove())?.unwrap_or_default();
-    for (file, recorded) in &files {
+    let Some(shown) = report.record::<RejectsRecord>(shelf, &record, remove())? else {
+        return Ok(());
+    };
+    for (file, recorded) in &shown.files {
         report.file(shelf, &folder.join(file), recorded, remove())?;
     }
     Ok(())
