@@ -4,6 +4,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -11,6 +12,7 @@ use arrow::record_batch::RecordBatch;
 use periscope::campaign::{Campaign, seal};
 use periscope::pipeline::run::{RunError, Settings};
 use periscope::simulate::Format;
+use periscope::store::lineage::table_recipe;
 use periscope::store::runs::RunRecord;
 use periscope::store::{Shelf, StageId};
 use rand::{RngExt, SeedableRng};
@@ -70,7 +72,7 @@ fn copy(from: &Path, to: &Path) {
     assert!(Command::new("cp").arg("-a").arg(from).arg(to).status().unwrap().success());
 }
 
-/// Files with anything in them, by path; the views' links to parts are those parts.
+/// Files with anything in them, by path; the views' links to parts are those parts. A lock says who held the folder last, and nobody believes it.
 fn files(folder: &Path) -> BTreeMap<String, u64> {
     let mut files = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -79,7 +81,7 @@ fn files(folder: &Path) -> BTreeMap<String, u64> {
             let (path, found) = (entry.path(), entry.metadata().unwrap());
             if found.is_dir() {
                 folders.push(path);
-            } else if found.is_file() && found.len() > 0 {
+            } else if found.is_file() && found.len() > 0 && path.file_name().is_some_and(|name| name != "lock") {
                 let name = path.strip_prefix(folder).unwrap().display().to_string();
                 if !name.contains("/table-") || name.ends_with(".json") {
                     files.insert(name, found.len());
@@ -118,8 +120,8 @@ fn verified(folder: &Path, options: &[&str], file: &str) -> bool {
 /// Takes away what was made from the tables of a stage's folder, so that a run must read them.
 fn take_consumers(out: &Path, stage: &str, stages: &BTreeMap<String, StageId>) {
     let Some(id) = stages.get(stage) else { return };
-    let made = |table: &str| periscope::store::lineage::table_recipe(table, &id.recipe());
-    let tables: Vec<_> = periscope::tables::all().into_iter().map(|(table, _)| made(table)).collect();
+    let tables: Vec<_> =
+        periscope::tables::all().into_iter().map(|(table, _)| table_recipe(table, &id.recipe())).collect();
     for (folder, consumer) in stages {
         if consumer.inputs.values().any(|input| tables.contains(input)) {
             fs::remove_dir_all(out.join(".shelf").join(folder)).unwrap();
@@ -127,81 +129,113 @@ fn take_consumers(out: &Path, stage: &str, stages: &BTreeMap<String, StageId>) {
     }
 }
 
+/// A whole result folder, and what is known of it.
+struct Whole {
+    lab: Lab,
+    files: BTreeMap<String, u64>,
+    stages: BTreeMap<String, StageId>,
+    values: BTreeMap<String, Vec<RecordBatch>>,
+    parts: BTreeMap<String, blake3::Hash>,
+}
+
+/// What came of a flip: whether `verify` found it, of reading all tables, of a run.
+type Row = (bool, Outcome, Outcome);
+
+impl Whole {
+    fn new() -> Self {
+        let lab = few_shots();
+        let out = lab.path("whole");
+        lab.run("whole", PIPELINE, &Settings::default()).unwrap();
+        let campaign = lab.campaign();
+        let run =
+            RunRecord::start(Path::new("around-the-corner.toml"), &[], [("around-the-corner", campaign.as_path())]);
+        Shelf::open(&out).unwrap().write_run(&run.unwrap()).unwrap();
+        let files = files(&out);
+        let stage = |folder: &str| {
+            let text = fs::read(out.join(".shelf").join(folder).join("stage.json")).unwrap();
+            (folder.to_owned(), serde_json::from_slice(&text).unwrap())
+        };
+        let folders = files.keys().filter_map(|file| file.strip_prefix(".shelf/")?.strip_suffix("/stage.json"));
+        let (stages, values, parts) = (folders.map(stage).collect(), values(&out).unwrap(), lab.parts("whole"));
+        Self { lab, files, stages, values, parts }
+    }
+
+    /// Flips one bit of a copy named `work`.
+    fn flip(&self, work: &str, file: &str, bit: u64) -> Row {
+        let out = self.lab.path(work);
+        copy(&self.lab.path("whole"), &out);
+        flip(&out.join(file), bit);
+        let name = Path::new(file).file_name().unwrap().to_str().unwrap();
+        let found = verified(&out, &[], name);
+        let read = match values(&out) {
+            // Tables are read by their views, whose files have names of their own.
+            Err(error) => refused(&error, "read", if name.ends_with(".parquet") { "part-" } else { name }),
+            Ok(values) if values == self.values => Outcome::Harmless,
+            Ok(_) => Outcome::Silent,
+        };
+        if file.ends_with(".parquet") {
+            take_consumers(&out, file.split('/').nth(1).unwrap_or_default(), &self.stages);
+        }
+        let run = match self.lab.run(work, PIPELINE, &Settings::default()) {
+            Err(error) => refused(&broken(error), "run", name),
+            // A table that nothing is made from is not read by a run; who reads it is refused.
+            Ok(_) if self.made_alike(work, name) => Outcome::Harmless,
+            Ok(_) => Outcome::Silent,
+        };
+        if !found || read == Outcome::Silent || run == Outcome::Silent {
+            eprintln!("{file} bit {bit}: found {found}, read {read:?}, run {run:?}");
+        }
+        (found, read, run)
+    }
+
+    /// Whether every part, that with the flip apart, has the bytes that it had.
+    fn made_alike(&self, work: &str, flipped: &str) -> bool {
+        let now = self.lab.parts(work);
+        let others = self.parts.iter().filter(|(file, _)| !file.contains("/table-") && !file.ends_with(flipped));
+        others.filter(|(file, _)| file.contains("/part-")).all(|(file, digest)| now.get(file) == Some(digest))
+    }
+}
+
+/// The scene of the demo, with fewer shots: every table has rows, and a run takes half a second.
+fn few_shots() -> Lab {
+    let scene = SCENE.replace("\nshots = 200", "\nshots = 40").replace("response_shots = 2000", "response_shots = 400");
+    assert_ne!(scene, SCENE);
+    Lab::of(&scene, 1, Format::Trc)
+}
+
 fn results(flips: usize) {
-    let lab = Lab::of(SCENE, 1, Format::Trc);
-    let whole = lab.path("whole");
-    lab.run("whole", PIPELINE, &Settings::default()).unwrap();
-    record_a_run(&lab, &whole);
-    let (baseline, parts) = (values(&whole).unwrap(), lab.parts("whole"));
-    let files = files(&whole);
-    let stages: BTreeMap<String, StageId> = files
-        .keys()
-        .filter_map(|file| file.strip_prefix(".shelf/")?.strip_suffix("/stage.json"))
-        .map(|stage| {
-            let text = fs::read(whole.join(".shelf").join(stage).join("stage.json")).unwrap();
-            (stage.to_owned(), serde_json::from_slice(&text).unwrap())
-        })
-        .collect();
-    let total: u64 = files.values().sum();
-    println!("{} files of {total} bytes in the result folder\n", files.len());
+    let whole = Whole::new();
+    let mut draws = ChaCha8Rng::seed_from_u64(9);
+    let mut drawn = Vec::new();
+    for (name, weight) in KINDS {
+        let of_kind: Vec<(&String, &u64)> = whole.files.iter().filter(|(file, _)| kind(file) == name).collect();
+        for _ in 0..flips * weight / 500 {
+            let (file, bytes) = of_kind[draws.random_range(0..of_kind.len())];
+            drawn.push((name, file, draws.random_range(0..8 * bytes)));
+        }
+    }
+    let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
+    let share = |thread: usize| -> Vec<(&str, Row)> {
+        let mine = drawn.iter().skip(thread).step_by(threads);
+        mine.map(|(name, file, bit)| (*name, whole.flip(&format!("work-{thread}"), file, *bit))).collect()
+    };
+    let rows: Vec<(&str, Row)> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|thread| scope.spawn(move || share(thread))).collect();
+        workers.into_iter().flat_map(|worker| worker.join().expect("a flip is no defect")).collect()
+    });
+    println!("{} files of {} bytes in the result folder\n", whole.files.len(), whole.files.values().sum::<u64>());
     println!(
         "| files | flips | found by `verify` [95 %] | read: refused | harmless | silent | run: refused | harmless | silent |"
     );
     println!("|---|---|---|---|---|---|---|---|---|");
-    let mut draws = ChaCha8Rng::seed_from_u64(9);
-    let mut all: Vec<(bool, Outcome, Outcome)> = Vec::new();
-    for (name, weight) in KINDS {
-        let of_kind: Vec<(&String, &u64)> = files.iter().filter(|(file, _)| kind(file) == name).collect();
-        let mut rows = Vec::new();
-        for _ in 0..flips * weight / 500 {
-            let (file, bytes) = of_kind[draws.random_range(0..of_kind.len())];
-            let bit = draws.random_range(0..8 * bytes);
-            let work = lab.path("work");
-            copy(&whole, &work);
-            flip(&work.join(file), bit);
-            let short = Path::new(file).file_name().unwrap().to_str().unwrap();
-            let found = verified(&work, &["--campaign", lab.campaign().to_str().unwrap()], short);
-            let read = match values(&work) {
-                Err(error) => refused(&error, "read", file),
-                Ok(values) if values == baseline => Outcome::Harmless,
-                Ok(_) => Outcome::Silent,
-            };
-            // The run must read the file: what was made from it is taken away.
-            let stage = file.split('/').nth(1).unwrap_or_default();
-            take_consumers(&work, stage, &stages);
-            let run = match lab.run("work", PIPELINE, &Settings::default()) {
-                Err(error) => refused(&broken(error), "run", file),
-                // A damaged table that nothing is made from is not read by a run; reading it is refused.
-                Ok(_) if made_alike(&lab, &parts, file) => Outcome::Harmless,
-                Ok(_) => Outcome::Silent,
-            };
-            if !found || read == Outcome::Silent || run == Outcome::Silent {
-                eprintln!("{file} bit {bit}: found {found}, read {read:?}, run {run:?}");
-            }
-            rows.push((found, read, run));
-        }
-        print(name, &rows);
-        all.extend(rows);
+    for (name, _) in KINDS {
+        print(name, rows.iter().filter(|(of, _)| *of == name).map(|(_, row)| *row).collect());
     }
-    print("all", &all);
+    print("all", rows.iter().map(|(_, row)| *row).collect());
 }
 
-/// Whether every part on the shelf, that with the flip apart, has the bytes that it had.
-fn made_alike(lab: &Lab, parts: &BTreeMap<String, blake3::Hash>, flipped: &str) -> bool {
-    let name = flipped.rsplit('/').next().unwrap_or_default();
-    let now = lab.parts("work");
-    parts
-        .iter()
-        .filter(|(file, _)| file.contains("/part-") && !file.contains("/table-") && !file.ends_with(name))
-        .all(|(file, digest)| now.get(file) == Some(digest))
-}
-
-fn refused(error: &str, who: &str, file: &str) -> Outcome {
-    let name = Path::new(file).file_name().unwrap().to_str().unwrap();
-    if !error.contains("damaged") {
-        eprintln!("{who}: {file}: {error}");
-    }
-    assert!(error.contains(name) || error.contains("part-"), "{who} names no file: {error}");
+fn refused(error: &str, who: &str, name: &str) -> Outcome {
+    assert!(error.contains("damaged") && error.contains(name), "{who} does not name {name}: {error}");
     Outcome::Refused
 }
 
@@ -211,43 +245,19 @@ fn broken(error: RunError) -> String {
     chain(error)
 }
 
-fn record_a_run(lab: &Lab, out: &Path) {
-    let run = RunRecord {
-        periscope: "0.1.0".to_owned(),
-        pipeline: "around-the-corner.toml".into(),
-        set: Vec::new(),
-        campaigns: BTreeMap::from([("around-the-corner".to_owned(), lab.campaign())]),
-        host: "bench".to_owned(),
-        process: 1,
-        started: "2026-03-14T09:15:00Z".to_owned(),
-        ended: None,
-        ending: None,
-        failure: None,
-        rejects: 0,
-        tables: BTreeMap::new(),
-    };
-    Shelf::open(out).unwrap().write_run(&run).unwrap();
-}
-
-fn print(name: &str, rows: &[(bool, Outcome, Outcome)]) {
+fn print(name: &str, rows: Vec<Row>) {
     let found = Rate::of(rows.iter().map(|(found, ..)| *found));
-    let count =
-        |of: fn(&(bool, Outcome, Outcome)) -> Outcome, what: Outcome| rows.iter().filter(|row| of(row) == what).count();
-    let outcomes = |of: fn(&(bool, Outcome, Outcome)) -> Outcome| {
-        [Outcome::Refused, Outcome::Harmless, Outcome::Silent].map(|what| count(of, what).to_string()).join(" | ")
+    let outcomes = |of: fn(&Row) -> Outcome| {
+        let count = |what: Outcome| rows.iter().filter(|row| of(row) == what).count().to_string();
+        [Outcome::Refused, Outcome::Harmless, Outcome::Silent].map(count).join(" | ")
     };
-    println!(
-        "| {name} | {} | {} = {found} | {} | {} |",
-        rows.len(),
-        found.hits,
-        outcomes(|row| row.1),
-        outcomes(|row| row.2)
-    );
+    let (read, run) = (outcomes(|row| row.1), outcomes(|row| row.2));
+    println!("| {name} | {} | {} = {found} | {read} | {run} |", rows.len(), found.hits);
 }
 
 /// Flips in raw files of a sealed campaign.
 fn raw_files(flips: usize) {
-    let lab = Lab::of(SCENE, 1, Format::Trc);
+    let lab = few_shots();
     let campaign = Campaign::load(&lab.campaign()).unwrap();
     seal(&campaign, &campaign.survey().unwrap(), false).unwrap();
     lab.run("whole", PIPELINE, &Settings::default()).unwrap();

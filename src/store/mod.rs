@@ -3,13 +3,16 @@
 pub mod damage;
 pub mod failure;
 pub mod lineage;
+pub mod lock;
 mod page_checksums;
 pub mod parquet;
+pub mod prune;
 #[cfg(feature = "query")]
 pub mod query;
 pub mod record;
 pub mod runs;
 pub mod shelf;
+mod sweep;
 pub mod verify;
 
 pub use failure::StoreError;

@@ -6,13 +6,14 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
 use super::Digest;
 use super::failure::{At, StoreError};
+use super::lock::Holder;
 use super::record;
 use super::shelf::Shelf;
 
@@ -58,6 +59,38 @@ pub struct RunRecord {
 }
 
 impl RunRecord {
+    /// A run of this process that starts now. `campaigns`: name and folder of each.
+    ///
+    /// # Errors
+    /// When the folder that relative paths start from is gone.
+    pub fn start<'a>(
+        pipeline: &Path,
+        set: &[String],
+        campaigns: impl IntoIterator<Item = (&'a str, &'a Path)>,
+    ) -> io::Result<Self> {
+        let absolute = |(name, root): (&str, &Path)| Ok((name.to_owned(), std::path::absolute(root)?));
+        let Holder { host, process, started } = Holder::here();
+        Ok(Self {
+            periscope: env!("CARGO_PKG_VERSION").to_owned(),
+            pipeline: std::path::absolute(pipeline)?,
+            set: set.to_vec(),
+            campaigns: campaigns.into_iter().map(absolute).collect::<io::Result<_>>()?,
+            host,
+            process,
+            started,
+            ended: None,
+            ending: None,
+            failure: None,
+            rejects: 0,
+            tables: BTreeMap::new(),
+        })
+    }
+
+    /// It ends now.
+    pub fn end(&mut self, ending: Ending) {
+        (self.ended, self.ending) = (Some(utc(SystemTime::now())), Some(ending));
+    }
+
     fn file(&self, shelf: &Shelf) -> PathBuf {
         folder(shelf).join(format!("{}-{}.json", self.started.replace(['-', ':'], ""), self.process))
     }

@@ -21,8 +21,10 @@ use serde_json::Value;
 
 use super::Digest;
 use super::failure::{At, StoreError};
+use super::lock;
 use super::parquet::{self as file, FileRecord, TableWriter};
 use super::record;
+use super::sweep;
 use crate::tables::{Reject, Row};
 
 /// Name of a [`RejectsRecord`].
@@ -123,17 +125,9 @@ impl Shelf {
             return Err(StoreError::Foreign(out.to_owned()));
         }
         fs::create_dir_all(&shelf).at("create", &shelf)?;
-        let path = shelf.join("lock");
-        let lock = File::create(&path).at("create", &path)?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(fs::TryLockError::WouldBlock) => return Err(StoreError::Busy(out.to_owned())),
-            Err(fs::TryLockError::Error(source)) => {
-                return Err(StoreError::Io { what: "lock", path, source });
-            }
-        }
+        let lock = lock::take(out, &shelf)?;
         let shelf = Self { out: out.to_owned(), _lock: Some(lock), temporary: AtomicU64::new(0) };
-        shelf.sweep()?;
+        sweep::sweep(&shelf.root())?;
         Ok(shelf)
     }
 
@@ -164,19 +158,6 @@ impl Shelf {
     #[must_use]
     pub fn notes(&self) -> PathBuf {
         self.root().join("notes")
-    }
-
-    fn sweep(&self) -> Result<(), StoreError> {
-        for folder in fs::read_dir(self.root()).at("read", &self.root())?.flatten() {
-            for entry in fs::read_dir(folder.path()).into_iter().flatten().flatten() {
-                if entry.file_name().to_string_lossy().starts_with("tmp-") {
-                    let path = entry.path();
-                    if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) }
-                        .at("remove", &path)?;
-                }
-            }
-        }
-        Ok(())
     }
 
     pub(super) fn root(&self) -> PathBuf {
@@ -269,10 +250,7 @@ impl Shelf {
                 }
             }
             self.write_json(&temporary.join("table.json"), &record)?;
-            if whole.exists() {
-                fs::remove_dir_all(&whole).at("replace", &whole)?;
-            }
-            fs::rename(&temporary, &whole).at("write", &whole)?;
+            self.replace(&temporary, &whole)?;
         }
         for (table, view) in views {
             let target = PathBuf::from(".shelf").join(stage.folder()).join(format!("table-{lineage}")).join(table);
@@ -294,9 +272,18 @@ impl Shelf {
             })
             .filter(|(.., part)| part.files.get(table).is_some_and(|file| file.rows > 0))
             .collect();
-        let digest = TableRecord::lineage_of(files.iter().map(|(.., part)| &part.lineage));
-        let name = format!("{table}-{}", digest.short());
+        let named: Vec<Digest> =
+            files.iter().map(|(heading, .., part)| Digest::join(heading, [&part.lineage])).collect();
+        let name = format!("{table}-{}", TableRecord::lineage_of(&named).short());
+        let rows = files.iter().map(|(.., part)| part.files[table].rows).sum();
         let whole = self.root().join(&name);
+        let linked = |(heading, stage, i, part): &(&str, &StageId, usize, &PartRecord)| {
+            shows(&whole.join(format!("{heading}-{i:05}.parquet")), &self.part_file(stage, &part.lineage, table))
+        };
+        if whole.exists() && files.iter().all(linked) {
+            self.show(table, &PathBuf::from(".shelf").join(name))?;
+            return Ok(rows);
+        }
         let temporary = self.temporary(&self.root());
         fs::create_dir_all(&temporary).at("create", &temporary)?;
         // An empty file keeps the view readable, with its schema, when nothing was set aside.
@@ -312,12 +299,20 @@ impl Shelf {
             shown.files.insert(name, part.files[table].clone());
         }
         self.write_json(&temporary.join(REJECTS_RECORD), &shown)?;
-        if whole.exists() {
-            fs::remove_dir_all(&whole).at("replace", &whole)?;
-        }
-        fs::rename(&temporary, &whole).at("write", &whole)?;
+        self.replace(&temporary, &whole)?;
         self.show(table, &PathBuf::from(".shelf").join(name))?;
-        Ok(files.iter().map(|(.., part)| part.files[table].rows).sum())
+        Ok(rows)
+    }
+
+    /// Puts a whole folder where perhaps another is that is not as its record says. Readers miss it for two renames, not for as long as its files take to remove.
+    fn replace(&self, temporary: &Path, whole: &Path) -> Result<(), StoreError> {
+        if whole.exists() {
+            let aside = self.temporary(&self.root());
+            fs::rename(whole, &aside).at("replace", whole)?;
+            fs::rename(temporary, whole).at("write", whole)?;
+            return fs::remove_dir_all(&aside).at("remove", &aside);
+        }
+        fs::rename(temporary, whole).at("write", whole)
     }
 
     /// Points the view `OUT/<view>` at `target` (relative to OUT) in one step.
@@ -379,7 +374,7 @@ impl Shelf {
         fs::metadata(self.out.join(target.parent()?).join("table.json")).ok()?.modified().ok()
     }
 
-    /// Files of a view, in order.
+    /// Files of a view, in order: of the table that it shows now, also when a run switches the view before they are read.
     ///
     /// # Errors
     /// When there is no such view.
@@ -393,11 +388,13 @@ impl Shelf {
     /// When there is no such view, or its record is damaged.
     pub fn recorded(&self, view: &str) -> Result<Vec<(PathBuf, FileRecord)>, StoreError> {
         let missing = || StoreError::NoTable { out: self.out.clone(), heading: view.to_owned() };
-        let folder = self.out.join(view);
+        // Of the table as it is now, also where the view is switched meanwhile.
+        let folder = fs::canonicalize(self.out.join(view)).map_err(|_| missing())?;
         if let Some(rejects) = record::read::<RejectsRecord>(&folder.join(REJECTS_RECORD))? {
             return Ok(rejects.files.into_iter().map(|(name, file)| (folder.join(name), file)).collect());
         }
-        let (table, record) = self.table_of(view).zip(self.view(view)?).ok_or_else(missing)?;
+        let table = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let record = record::read::<TableRecord>(&folder.with_file_name("table.json"))?.ok_or_else(missing)?;
         let parts = record.parts.into_iter().enumerate();
         let file = |(i, mut part): (usize, PartRecord)| {
             part.files
@@ -484,6 +481,7 @@ impl PartWriter<'_> {
         for (table, writer) in self.writers {
             let temporary = writer.path().to_owned();
             let record = writer.finish(&footer).at("write", &temporary)?;
+            File::open(&temporary).and_then(|file| file.sync_all()).at("write", &temporary)?;
             let path = self.folder.join(format!("part-{lineage}.{table}.parquet"));
             fs::rename(&temporary, &path).at("write", &path)?;
             files.insert(table, record);
