@@ -1,13 +1,16 @@
 //! `periscope verify`.
 
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use clap::Args;
+use periscope::campaign::manifest::MANIFEST_FILE;
 use periscope::campaign::{Campaign, Manifest, ManifestError};
 use periscope::pipeline::roots::{self, Root};
-use periscope::store::{Shelf, verify as store};
+use periscope::store::{Digest, Shelf, StageId, verify as store};
 use serde_json::{Value, json};
 
 /// Arguments of `verify`.
@@ -180,56 +183,72 @@ fn results(args: &Verify, said: &mut Said) -> Result<()> {
         said.findings.push(serde_json::to_value(finding)?);
     }
     let campaigns = campaigns(args, report.run.as_ref().map(|run| run.campaigns.values()), said);
-    let mut remove = Vec::new();
+    let (mut noted, damaged) = notes(&shelf, said)?;
     for campaign in &campaigns {
         // The seal decides where there is one; what runs noted of raw files stands for it where there is none.
-        let notes = shelf.notes().join(&campaign.name);
-        let noted = match Manifest::load(&notes) {
-            Ok(noted) => noted,
-            Err(error) => {
-                remove.push(notes.join("manifest.json"));
-                damaged_manifest(error, said)?;
-                None
-            }
-        };
         match Manifest::load(&campaign.root) {
             Ok(sealed) => {
-                let known = sealed.or(noted);
+                let known = sealed.or_else(|| noted.remove(&campaign.name));
                 known.map_or(Ok(()), |known| raw_files(campaign, &known, args.rehash, said))?;
             }
             Err(error) => damaged_manifest(error, said)?,
         }
     }
     // What is damaged would only be named twice.
-    let sources = if said.findings.is_empty() { &report.sources[..] } else { &[] };
-    for (id, parts) in sources {
-        match roots::follow(id, parts, &campaigns, &shelf) {
-            Root::Followed { parts, other } => {
-                said.looked_at.push(format!("{parts} parts of {} follow from the raw files", id.kind));
-                if other > 0 {
-                    said.notes.push(format!(
-                        "{other} parts of {} come from raw files that are others now, or not in the campaign any more",
-                        id.kind
-                    ));
-                }
-            }
-            Root::Unknown => said.notes.push(format!(
-                "{} parts of {}: the files that they come from were not looked at",
-                parts.len(),
-                id.kind
-            )),
-            Root::Refused(why) => {
-                said.found(&args.dir, format!("cannot be followed to its raw files: {why}"), "see there")
-            }
-        }
+    if said.findings.is_empty() {
+        report.sources.iter().for_each(|(id, parts)| root(args, id, parts, &campaigns, &shelf, said));
     }
     if args.repair {
         store::repair(&report.findings)?;
-        remove.iter().try_for_each(std::fs::remove_file)?;
-        let deleted = report.findings.iter().filter(|finding| !finding.remove.is_empty()).count() + remove.len();
+        damaged.iter().try_for_each(fs::remove_file)?;
+        let deleted = report.findings.iter().filter(|finding| !finding.remove.is_empty()).count() + damaged.len();
         said.notes.push(format!("deleted what is damaged in {deleted} findings; `periscope run` makes it again"));
     }
     Ok(())
+}
+
+/// What runs noted of raw files, by campaign; and the files of it that are damaged.
+fn notes(shelf: &Shelf, said: &mut Said) -> Result<(BTreeMap<String, Manifest>, Vec<PathBuf>)> {
+    let (mut noted, mut damaged) = (BTreeMap::new(), Vec::new());
+    let folders = fs::read_dir(shelf.notes()).into_iter().flatten().flatten();
+    for folder in folders.map(|folder| folder.path()).collect::<BTreeSet<_>>() {
+        match Manifest::load(&folder) {
+            Ok(manifest) => {
+                let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                noted.extend(manifest.map(|manifest| (name, manifest)));
+            }
+            Err(error) => {
+                damaged_manifest(error, said)?;
+                damaged.push(folder.join(MANIFEST_FILE));
+            }
+        }
+    }
+    Ok((noted, damaged))
+}
+
+/// Parts of a source against the raw files.
+fn root(args: &Verify, id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Shelf, said: &mut Said) {
+    match roots::follow(id, parts, campaigns, shelf) {
+        Root::Followed { parts, other } => {
+            said.looked_at.push(format!("{parts} parts of {} follow from the raw files", id.kind));
+            if other > 0 {
+                said.notes.push(format!(
+                    "{other} parts of {} come from raw files that are others now, or not in the campaign any more",
+                    id.kind
+                ));
+            }
+        }
+        Root::Unknown => said.notes.push(format!(
+            "{} parts of {}: the files that they come from were not looked at",
+            parts.len(),
+            id.kind
+        )),
+        Root::Refused(why) => said.found(
+            &args.dir,
+            format!("cannot be followed to its raw files: {why}"),
+            "mend the campaign, or say with --campaign where the right one is",
+        ),
+    }
 }
 
 /// The campaigns that are given, or that the last run names.
