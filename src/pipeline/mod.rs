@@ -1,5 +1,6 @@
 //! The runtime: spec -> plan -> run. It knows record batches and lineages, and no physics.
 
+pub mod arithmetic;
 pub mod budget;
 mod cut;
 pub mod pass;

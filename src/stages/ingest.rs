@@ -10,6 +10,7 @@
 //! params = { roles = ["scene"] }
 //! ```
 
+pub mod captures;
 mod files;
 mod part;
 mod raw_file;
@@ -54,9 +55,9 @@ impl Source for Ingest {
         roles.dedup();
         json!({ "roles": roles })
     }
-    fn fields(&self, campaigns: &[Campaign]) -> Value {
-        // Rules enter through what they match: each part's content names its files, exposures and keys.
-        campaigns.iter().map(|campaign| campaign.name.as_str()).collect()
+    fn fields(&self, _: &[Campaign]) -> Value {
+        // Name and rules enter through what they match: each part's content names its campaign, files, exposures and keys.
+        Value::Null
     }
     fn table(&self) -> WrittenTable {
         WrittenTable { name: Trace::TABLE.to_owned(), schema: Trace::schema() }

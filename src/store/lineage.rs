@@ -36,6 +36,12 @@ impl Digest {
         hasher.finalize().into()
     }
 
+    /// The digest that is written so; `None` for any other text.
+    #[must_use]
+    pub fn from_hex(text: &str) -> Option<Self> {
+        blake3::Hash::from_hex(text).ok().map(Self::from)
+    }
+
     /// The first 16 hexadecimal digits: enough for a folder's name, never for identity.
     #[must_use]
     pub fn short(&self) -> String {

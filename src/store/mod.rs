@@ -1,5 +1,6 @@
 //! The store: tables on disk under the lineage that made them. It knows lineages, schemas and batches; it knows no stage.
 
+mod changes;
 pub mod damage;
 pub mod failure;
 pub mod lineage;
@@ -11,9 +12,11 @@ pub mod prune;
 pub mod query;
 pub mod record;
 pub mod runs;
+pub mod scan;
 pub mod shelf;
 mod sweep;
 pub mod verify;
+pub mod whole;
 
 pub use failure::StoreError;
 pub use lineage::Digest;

@@ -50,6 +50,8 @@ pub struct StageId {
     pub fields: Value,
     /// Digest of the schemas that it writes.
     pub schemas: Digest,
+    /// On which kind of CPU it was computed.
+    pub arithmetic: String,
     /// Recipes of its inputs, by the name under which it knows them (`from`, or a name of `with`).
     pub inputs: BTreeMap<String, Digest>,
 }
@@ -440,6 +442,27 @@ impl Shelf {
     }
 }
 
+/// What is on record of a file that a view shows; `None` for files elsewhere.
+///
+/// # Errors
+/// When the record is damaged.
+pub(super) fn on_record(path: &Path) -> Result<Option<FileRecord>, StoreError> {
+    let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else {
+        return Ok(None);
+    };
+    let (folder, name) = (fs::canonicalize(folder).at("find", folder)?, name.to_string_lossy());
+    if let Some(mut rejects) = record::read::<RejectsRecord>(&folder.join(REJECTS_RECORD))? {
+        return Ok(rejects.files.remove(name.as_ref()));
+    }
+    let table: Option<TableRecord> = record::read(&folder.with_file_name("table.json"))?;
+    let part = || name.strip_prefix("part-")?.strip_suffix(".parquet")?.parse::<usize>().ok();
+    let file = |mut record: TableRecord| {
+        let part = record.parts.get_mut(part()?)?;
+        part.files.remove(folder.file_name()?.to_string_lossy().as_ref())
+    };
+    Ok(table.and_then(file))
+}
+
 /// Whether a file of a view shows its part: linked to it, or, where there are no links, copied from it. A part that was made anew is younger.
 fn shows(view: &Path, part: &Path) -> bool {
     let (Ok(view), Ok(part)) = (fs::metadata(view), fs::metadata(part)) else {
@@ -481,7 +504,6 @@ impl PartWriter<'_> {
         for (table, writer) in self.writers {
             let temporary = writer.path().to_owned();
             let record = writer.finish(&footer).at("write", &temporary)?;
-            File::open(&temporary).and_then(|file| file.sync_all()).at("write", &temporary)?;
             let path = self.folder.join(format!("part-{lineage}.{table}.parquet"));
             fs::rename(&temporary, &path).at("write", &path)?;
             files.insert(table, record);

@@ -142,6 +142,11 @@ impl Reader<'_> {
     fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Vec<Trace>, StageError> {
         let campaign = job.capture.campaign;
         for Hashed { file, digest, metadata } in done.digests {
+            // What changed while it was read is not what was hashed, and goes down in no notes.
+            let now = std::fs::metadata(self.surveyed.campaigns[campaign].path_of(&file));
+            if !now.is_ok_and(|now| now.len() == metadata.len() && now.modified().ok() == metadata.modified().ok()) {
+                continue;
+            }
             self.surveyed.hold(campaign, &file, digest)?;
             self.surveyed.record(campaign, &file, digest, &metadata);
             self.digests.insert((campaign, file), digest.into());

@@ -211,18 +211,17 @@ impl<'a> Surveyed<'a> {
                 ))
             });
             pair_bytes += capture.bytes();
-            let (key, part_campaign) = (capture.pair_key(self.campaigns), capture.campaign);
+            let (key, campaign) = (capture.pair_key(self.campaigns), capture.campaign);
             part.push(capture);
-            let pair_ends = captures.peek().is_none_or(|next| next.pair_key(self.campaigns) != key);
-            if pair_ends {
-                if closes_part(&key, pair_bytes, self.campaigns[part_campaign].part_bytes) {
+            let next = captures.peek();
+            if next.is_none_or(|next| next.pair_key(self.campaigns) != key) {
+                // No part holds two campaigns: one more in a run leaves those of the others as they are.
+                let campaign_ends = next.is_none_or(|next| next.campaign != campaign);
+                if campaign_ends || closes_part(&key, pair_bytes, self.campaigns[campaign].part_bytes) {
                     self.parts.push(std::mem::take(&mut part));
                 }
                 pair_bytes = 0;
             }
-        }
-        if !part.is_empty() {
-            self.parts.push(part);
         }
     }
 
