@@ -14,9 +14,12 @@
 //!
 //! With as many scans as dimensions every assignment fits exactly. What then decides is what else is known: on which side of the diffuser strips are, how far apart at
 //! most, in which order. What nothing decides comes back as another solution.
+//!
+//! Onsets that no strip explains may be those of something undeclared in the middle between two strips: where that explains more, strips are placed beside it.
 
 mod fit;
 mod glint;
+mod middle;
 mod start;
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
@@ -51,6 +54,8 @@ pub struct Strip {
     pub exit: usize,
     /// How it reflects.
     pub surface: Surface,
+    /// Whether it stands in the middle between the strips before and behind it, about.
+    pub is_central: bool,
 }
 
 /// Which bounces the onsets of a record are.
@@ -165,6 +170,12 @@ struct Node {
 /// # Panics
 /// When a record or strip names an anchor or delay that is not there.
 pub fn solve(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
+    let alone = solve_alone(problem);
+    middle::beside_one(problem, alone.as_ref().ok().map(|found| &found[0])).map_or(alone, Ok)
+}
+
+/// Nothing but the strips.
+fn solve_alone(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
     let needed = problem.dimensions;
     let thirds = problem.spread_out();
     if thirds.len() < needed {

@@ -10,6 +10,8 @@ const STEPS: usize = 50;
 const HALVINGS: usize = 12;
 /// A step that changes chi-square by less is the last.
 const SETTLED: f64 = 1e-9;
+/// Standard deviation of what stands in the middle between two strips from there, in each coordinate, over their distance.
+const CENTRAL: f64 = 0.1;
 /// Step of derivatives by a tilt.
 const TILT_RAD: f64 = 1e-4;
 
@@ -195,6 +197,17 @@ impl Model<'_> {
 
     fn add_priors(&self, rows: &mut Vec<(DVector<f64>, f64)>, state: &State) {
         let (problem, columns, n) = (self.problem, &self.columns, self.problem.dimensions);
+        for s in (0..problem.strips.len()).filter(|s| problem.strips[*s].is_central) {
+            let (before, behind) = (state.strips[s - 1], state.strips[s + 1]);
+            let off = state.strips[s] - nalgebra::center(&before, &behind);
+            let sd_m = CENTRAL * (behind - before).norm();
+            for k in 0..n {
+                let mut row = DVector::zeros(columns.count);
+                row[columns.strips[s] + k] = 1.0 / sd_m;
+                [s - 1, s + 1].into_iter().for_each(|other| row[columns.strips[other] + k] = -0.5 / sd_m);
+                rows.push((row, -off[k] / sd_m));
+            }
+        }
         let mut add = |column: usize, off: f64, sd: f64| {
             let mut row = DVector::zeros(columns.count);
             row[column] = 1.0 / sd;

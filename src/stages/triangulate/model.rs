@@ -52,7 +52,11 @@ impl Model {
             profiles.keys().map(|(sensor, _, _, range)| (sensor.clone(), range.clone())).collect();
         delays.dedup();
         let place = |patch: PatchId| points.binary_search(&patch).expect("all points were listed");
-        let surfaces = strips.iter().map(|(strip, exit)| Strip { exit: place(*exit), surface: surface(known, *strip) });
+        let surfaces = strips.iter().map(|(strip, exit)| Strip {
+            exit: place(*exit),
+            surface: surface(known, *strip),
+            is_central: false,
+        });
         let mut model = Self {
             problem: Problem {
                 dimensions: known.setup.dimensions,
