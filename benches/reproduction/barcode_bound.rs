@@ -1,13 +1,11 @@
 //! The Cramer-Rao bound of a barcode's strips: what the profiles' samples say of pulse times (`bound::profile`), carried over to places by numerical derivatives. Shares no code with
 //! the estimator. Given is the response's width; unknown are strips, diffuser points, delays, and how the mirrors are turned, which moves the centroid of their light.
 
-use std::path::Path;
-
 use nalgebra::{DMatrix, DVector};
 use periscope::bound::profile::ProfileBound;
 use periscope::bound::{Bound, Use};
 use periscope::campaign::Role;
-use periscope::simulate::{Laboratory, Scene};
+use periscope::simulate::Scene;
 use periscope::units;
 
 use crate::barcode::{Barcode, STRIPS, TURNED_RAD};
@@ -19,8 +17,8 @@ const STEP_RAD: f64 = 0.01;
 
 /// Times of all pulses, and what each profile says of them.
 fn profiles(barcode: &Barcode) -> (Scene, Vec<ProfileBound>) {
-    let scene = Scene::parse(Path::new("barcode.toml"), &barcode.scene()).expect("a scene of ours");
-    let laboratory = Laboratory::new(&scene, 0).expect("its light is in its records");
+    let scene = barcode.parsed();
+    let laboratory = barcode.laboratory(&scene, 0);
     let profiles = Bound::of(&laboratory, Use { bounces: 3, threshold_sigma: 5.0 }).profiles;
     (scene, profiles)
 }
@@ -93,8 +91,8 @@ pub fn bound_m(barcode: &Barcode) -> [f64; 2] {
 /// Bound of the standard deviation of what stands in the middle, over the weaker strip's light, in all profiles together: that of the exit over which it shows less. Unknown are times
 /// and amplitudes of both strips' pulses and a constant. That the times follow from four coordinates does not help: coordinates can follow the times.
 pub fn share_bound(barcode: &Barcode) -> f64 {
-    let scene = Scene::parse(Path::new("barcode.toml"), &barcode.scene()).expect("a scene of ours");
-    let laboratory = Laboratory::new(&scene, 0).expect("its light is in its records");
+    let scene = barcode.parsed();
+    let laboratory = barcode.laboratory(&scene, 0);
     let (acf, dt_ps) = (laboratory.noise_acf(), scene.instrument.dt_ps);
     let mut information = [0.0, 0.0];
     for shooting in laboratory.shootings.iter().filter(|shooting| shooting.role == Role::Scene && shooting.seen == 34) {

@@ -157,26 +157,28 @@ impl Barcode {
         [1, 2].into_iter().chain(5..).take(self.lit.len()).collect()
     }
 
-    /// The scene, with as many shots as the signal-to-noise ratio needs.
-    pub fn scene(&self) -> String {
-        self.text(self.shots())
-    }
-
-    /// Shots that bring the weakest pulse to the signal-to-noise ratio.
-    pub fn shots(&self) -> usize {
-        let scene = Scene::parse(Path::new("barcode.toml"), &self.text(1)).unwrap();
-        let laboratory = Laboratory::new(&scene, 0).unwrap();
-        let strip_of = |path: &[i32]| STRIPS.iter().position(|strip| path.len() == 3 && path[1] == *strip);
+    /// A campaign with as many shots of the scene as bring the weakest pulse to the signal-to-noise ratio.
+    pub fn laboratory<'a>(&self, scene: &'a Scene, seed: u64) -> Laboratory<'a> {
+        let mut laboratory = Laboratory::new(scene, seed).unwrap();
+        let is_own =
+            |path: &[i32]| path.len() == 3 && STRIPS.iter().zip(EXITS).any(|(s, exit)| path[1..] == [*s, exit]);
         let scenes = laboratory.shootings.iter().filter(|shooting| shooting.role == Role::Scene);
         let ratios = scenes.flat_map(|shooting| {
             let noise_v = shooting.setting.recorded_noise_v();
-            let its = shooting.paths.iter().filter(|(path, _)| strip_of(path).is_some_and(|s| path[2] == EXITS[s]));
-            its.map(|(_, light)| laboratory.signal(shooting, light).height() / noise_v).collect::<Vec<_>>()
+            let own = shooting.paths.iter().filter(|(path, _)| is_own(path));
+            own.map(|(_, light)| laboratory.signal(shooting, light).height() / noise_v).collect::<Vec<_>>()
         });
-        (self.snr / ratios.fold(f64::INFINITY, f64::min)).powi(2).ceil() as usize
+        let shots = (self.snr / ratios.fold(f64::INFINITY, f64::min)).powi(2).ceil() as usize;
+        let scenes = laboratory.shootings.iter_mut().filter(|shooting| shooting.role == Role::Scene);
+        scenes.for_each(|shooting| shooting.shots = shots);
+        laboratory
     }
 
-    fn text(&self, shots: usize) -> String {
+    pub fn parsed(&self) -> Scene {
+        Scene::parse(Path::new("barcode.toml"), &self.scene()).unwrap()
+    }
+
+    pub fn scene(&self) -> String {
         let (head, rest) = SCENE.split_once("[patches.1]").unwrap();
         let (_, hardware) = rest.split_once("[surfaces.screen]").unwrap();
         let mut text = head.to_owned();
@@ -215,7 +217,6 @@ impl Barcode {
         let height_m = self.top_m().expect("a screen fits in") + 0.05;
         text.replace("corner_m = [0.366,", &format!("corner_m = [{screen_x:?},"))
             .replace("[0.0, 0.246, 0.0]", &format!("[0.0, {height_m:?}, 0.0]"))
-            .replace("\nshots = 64\n", &format!("\nshots = {shots}\n"))
             .replace("lit = [1, 2]", &format!("lit = {numbers:?}"))
             .replace("anchors = [1, 2, 3, 4]", &format!("anchors = {anchors:?}"))
             .replace("anchor_sd_m = 0.0005", &format!("anchor_sd_m = {:?}", self.anchor_sd_m))
@@ -252,7 +253,8 @@ pub struct Seen {
 }
 
 pub fn run(barcode: &Barcode, seed: u64, pipeline: &str) -> Seen {
-    let lab = Lab::of(&barcode.scene(), seed, Format::Trc);
+    let scene = barcode.parsed();
+    let lab = Lab::recorded(&barcode.laboratory(&scene, seed), seed, Format::Trc);
     lab.run("out", pipeline, &Settings::default()).unwrap();
     Seen {
         patches: lab.rows("out", "patches"),
