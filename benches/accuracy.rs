@@ -1,6 +1,6 @@
 //! Study: positions over many seeds against the Cramer-Rao bound. Prints the tables of docs/accuracy.md.
 //!
-//! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for the paper's Fig. 4, `-- corner 100` for hidden patches.
+//! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone).
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
@@ -26,12 +26,14 @@ use std::path::Path;
 use study::{SCENE, Study, study};
 
 fn main() {
-    let seeds = std::env::args().skip(1).find_map(|arg| arg.parse().ok()).unwrap_or(200);
+    let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|arg| arg.parse().ok()).collect();
+    let seeds = numbers.first().copied().unwrap_or(200);
     if std::env::args().any(|arg| arg == "rectangles") {
         return print_rectangles(&rectangles::study(rectangles::SCENE, 1000..1000 + seeds));
     }
     if std::env::args().any(|arg| arg == "corner") {
-        return print_corner(seeds);
+        let counts = numbers.get(1).map_or(vec![4, 8], |&hidden| vec![hidden as usize]);
+        return print_corner(seeds, &counts);
     }
     let scene = |name: &str| {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("pipelines/scenes/{name}.toml"));
@@ -67,12 +69,12 @@ fn main() {
 }
 
 /// Hidden patches at random places, from scope files.
-fn print_corner(seeds: u64) {
+fn print_corner(seeds: u64, counts: &[usize]) {
     println!(
         "| hidden | scenes | found | extra | within 2 mm of three bounds and half the patch | rms error (mm) | median (mm) | 90 % (mm) | rms bound (mm) | median error over its sd |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
-    for hidden in [4, 8] {
+    for &hidden in counts {
         let scored: Vec<corner::Scored> = (1000..1000 + seeds).map(|seed| corner::scored(hidden, seed)).collect();
         let places: Vec<corner::Place> = scored.iter().flat_map(|scored| scored.places.clone()).collect();
         let mut errors_mm: Vec<f64> = places.iter().filter_map(|place| Some(1e3 * place.found_m?.0)).collect();

@@ -1,12 +1,14 @@
 //! The command line. Results go to standard output, all else to standard error.
 //!
-//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was set aside (`--strict` makes that 1), or `check` found something to mend.
+//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was set aside (`--strict` makes that 1), or `check` found something to mend;
+//! 130 ended by Ctrl-C or SIGTERM: what was finished is kept.
 
 mod commands;
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use periscope::pipeline::run::RunError;
 
 /// Where light bounced, from oscilloscope traces: positions of surfaces with error bars, also around the corner.
 #[derive(Parser)]
@@ -79,9 +81,15 @@ fn main() -> ExitCode {
         {
             ExitCode::SUCCESS
         }
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::FAILURE
-        }
+        Err(error) => match error.downcast_ref() {
+            Some(interrupted @ RunError::Interrupted { .. }) => {
+                eprintln!("interrupted: {interrupted}");
+                ExitCode::from(commands::INTERRUPTED)
+            }
+            _ => {
+                eprintln!("error: {error:#}");
+                ExitCode::FAILURE
+            }
+        },
     }
 }

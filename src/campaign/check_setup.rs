@@ -19,6 +19,9 @@ pub fn campaign(campaign: &Campaign) -> Result<(), Fault> {
     })?;
     at.positive("repetition_ps", campaign.repetition_ps)?;
     at.positive("repetition_sd_ps", campaign.repetition_sd_ps)?;
+    at.check(campaign.part_bytes > 0, || {
+        "part_bytes = 0; leave it out, or give the bytes of raw files that make a part".into()
+    })?;
     for (id, view) in &campaign.views {
         let place = format!("[views.{id}]");
         let at = At(&place);

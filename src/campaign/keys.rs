@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
@@ -31,6 +32,8 @@ pub struct Campaign {
     pub repetition_sd_ps: Option<f64>,
     /// 3, or 2 for flatland.
     pub dimensions: u8,
+    /// Mean size of a part, the piece in which work is done and kept, in bytes of raw files.
+    pub part_bytes: u64,
     /// Where light leaves and arrives; holds at least [`LASER`].
     pub stations: BTreeMap<String, Station>,
     /// The detectors.
@@ -45,6 +48,9 @@ pub struct Campaign {
     pub captures: Vec<CaptureRule>,
     /// What to leave out, and why.
     pub exclude: Vec<Exclude>,
+    /// Raw files that changed later are still being written, and wait. Not a key: set by who follows a capture that is under way.
+    #[serde(skip)]
+    pub as_of: Option<SystemTime>,
 }
 
 impl Campaign {

@@ -9,6 +9,7 @@ use super::fault::Fault;
 use super::keys::{
     Campaign, CaptureRule, Exclude, Hidden, Patch, Sensor, Station, View, exclude_place, one_station, rule_place,
 };
+use super::parts::PART_BYTES;
 use super::toml_text::{self, TomlError};
 use super::{check_captures, check_setup};
 use crate::units::PatchId;
@@ -71,6 +72,8 @@ struct Heading {
     repetition_sd_ps: Option<f64>,
     #[serde(default = "space")]
     dimensions: u8,
+    #[serde(default = "usual_part")]
+    part_bytes: u64,
 }
 
 /// Group index of air at visible wavelengths, 15 degrees Celsius, one atmosphere.
@@ -80,6 +83,10 @@ fn index_of_air() -> f64 {
 
 fn space() -> u8 {
     3
+}
+
+fn usual_part() -> u64 {
+    PART_BYTES
 }
 
 impl Campaign {
@@ -107,6 +114,7 @@ impl Campaign {
             repetition_ps: keys.campaign.repetition_ps,
             repetition_sd_ps: keys.campaign.repetition_sd_ps,
             dimensions: keys.campaign.dimensions,
+            part_bytes: keys.campaign.part_bytes,
             stations: keys.stations,
             sensors: keys.sensors,
             patches: keys.patches,
@@ -114,6 +122,7 @@ impl Campaign {
             hidden: keys.hidden,
             captures: keys.captures,
             exclude: keys.exclude,
+            as_of: None,
         };
         campaign.check().map_err(|fault| CampaignError::Keys { file, fault })?;
         Ok(campaign)

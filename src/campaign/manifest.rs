@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fs::{self, File, Metadata};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
+use std::time::{Duration, UNIX_EPOCH};
 
 use blake3::Hash;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -17,6 +17,12 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 pub const MANIFEST_FILE: &str = "manifest.json";
 
 const VERSION: u32 = 1;
+
+/// How half-written manifests begin; the number of the process that writes follows.
+const HALF: &str = ".manifest.json.";
+
+/// Age from which a half-written manifest is nobody's any more: writing one takes seconds.
+const LEFT_BEHIND: Duration = Duration::from_secs(3600);
 
 /// Bytes read at a time while hashing.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -113,18 +119,20 @@ impl Manifest {
         Ok(Some(Self { files: read.files }))
     }
 
-    /// Writes the manifest: whole under another name, then renamed, so that no reader and no crash sees half of it.
+    /// Writes the manifest: whole under another name, then renamed, so that no reader and no crash sees half of it. Halves that killed processes left
+    /// go on the way.
     ///
     /// # Errors
     /// When it cannot be written.
     pub fn save(&self, root: &Path) -> Result<(), ManifestError> {
         let file = root.join(MANIFEST_FILE);
-        let half = root.join(format!(".{MANIFEST_FILE}.{}", std::process::id()));
+        let half = root.join(format!("{HALF}{}", std::process::id()));
         let write = || -> io::Result<()> {
             let mut out = File::create(&half)?;
             out.write_all(self.text()?.as_bytes())?;
             out.sync_all()?;
-            fs::rename(&half, &file)
+            fs::rename(&half, &file)?;
+            sweep(root)
         };
         write().map_err(|source| file_error(&file, source))
     }
@@ -162,6 +170,15 @@ impl Manifest {
     /// [`Manifest::check`].
     pub fn record(&mut self, path: &Path, content: Hash, metadata: &Metadata) {
         self.files.insert(key(path), FileRecord::of(content, metadata));
+    }
+
+    /// Takes over the records of another folder's manifest.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn join(&mut self, root: &Path) -> Result<(), ManifestError> {
+        self.files.extend(Self::load(root)?.unwrap_or_default().files);
+        Ok(())
     }
 
     /// Drops the records of files that are not as recorded any more, or gone: for a campaign that is still being captured.
@@ -232,6 +249,18 @@ fn file_error(file: &Path, source: io::Error) -> ManifestError {
     ManifestError::File { file: file.to_owned(), source }
 }
 
+/// Removes the half-written manifests of processes that were killed.
+fn sweep(root: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(root)? {
+        let entry = entry?;
+        let is_half = entry.file_name().as_encoded_bytes().starts_with(HALF.as_bytes());
+        if is_half && entry.metadata()?.modified()?.elapsed().is_ok_and(|age| age > LEFT_BEHIND) {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
 fn key(path: &Path) -> String {
     let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
     parts.join("/")
@@ -249,7 +278,6 @@ fn from_hex<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hash, D::Error
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
 
     fn folder_with(text: &str) -> (tempfile::TempDir, Manifest) {
         let folder = tempfile::tempdir().unwrap();
@@ -276,6 +304,18 @@ mod tests {
         assert!(lines[3].starts_with("\"a.trc\": {\"bytes\":5,\"modified_ns\":"));
         assert!(lines[3].contains(&content.to_hex().to_string()));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing left over");
+    }
+
+    #[test]
+    fn halves_of_killed_processes_go_and_those_under_way_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let half = |process: u32| folder.path().join(format!("{HALF}{process}"));
+        fs::write(half(1), "{").unwrap();
+        fs::write(half(2), "{").unwrap();
+        let long_ago = std::time::SystemTime::now() - 2 * LEFT_BEHIND;
+        File::options().write(true).open(half(1)).unwrap().set_modified(long_ago).unwrap();
+        Manifest::default().save(folder.path()).unwrap();
+        assert!(!half(1).exists() && half(2).exists());
     }
 
     #[test]

@@ -1,20 +1,20 @@
-//! Where a part ends: content-defined cuts of a campaign's captures into runs of about [`PART_BYTES`].
+//! Where a part ends: content-defined cuts of a campaign's captures into runs of about `part_bytes`.
 //!
 //! A capture (or a reciprocal pair, which never straddles two parts) of `b` bytes closes its part when the first 64 bits of BLAKE3 of its
-//! key, as a fraction of 2^64, lie below `b / PART_BYTES`. So parts have that size in the mean where captures are far smaller (their
+//! key, as a fraction of 2^64, lie below `b / part_bytes`. So parts have that size in the mean where captures are far smaller (their
 //! sizes are spread as an exponential), and the decision is local: a capture that joins a growing campaign moves no boundary but the one where it falls.
 
-/// Mean size of a part, in bytes of raw files.
+/// Mean size of a part where the campaign says nothing else, in bytes of raw files.
 pub const PART_BYTES: u64 = 64 << 20;
 
-/// Whether the capture or pair of this key, with this many bytes of raw files, is the last of its part. The key must name it uniquely
+/// Whether the capture or pair of this key, with this many bytes of raw files, is the last of its part, where parts have `part_bytes` in the mean. The key must name it uniquely
 /// in its campaign, and be the same whenever it is asked.
 #[must_use]
-pub fn closes_part(pair_key: &str, bytes: u64) -> bool {
+pub fn closes_part(pair_key: &str, bytes: u64, part_bytes: u64) -> bool {
     let hash = blake3::hash(pair_key.as_bytes());
     let first: [u8; 8] = std::array::from_fn(|i| hash.as_bytes()[i]);
-    // In whole numbers, as a float would round: hash / 2^64 < bytes / PART_BYTES.
-    u128::from(u64::from_le_bytes(first)) * u128::from(PART_BYTES) < u128::from(bytes) << 64
+    // In whole numbers, as a float would round: hash / 2^64 < bytes / part_bytes.
+    u128::from(u64::from_le_bytes(first)) * u128::from(part_bytes) < u128::from(bytes) << 64
 }
 
 #[cfg(test)]
@@ -27,7 +27,7 @@ mod tests {
         let (mut parts, mut open) = (BTreeSet::new(), Vec::new());
         for (key, bytes) in captures {
             open.push(key.clone());
-            if closes_part(key, *bytes) {
+            if closes_part(key, *bytes, PART_BYTES) {
                 parts.insert(std::mem::take(&mut open));
             }
         }
@@ -53,8 +53,8 @@ mod tests {
     #[test]
     fn a_capture_as_large_as_a_part_closes_it_and_an_empty_one_never_does() {
         for i in 0..1000 {
-            assert!(closes_part(&format!("{i}"), PART_BYTES));
-            assert!(!closes_part(&format!("{i}"), 0));
+            assert!(closes_part(&format!("{i}"), PART_BYTES, PART_BYTES));
+            assert!(!closes_part(&format!("{i}"), 0, PART_BYTES));
         }
     }
 

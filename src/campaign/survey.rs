@@ -32,6 +32,8 @@ pub struct Survey {
     pub empty: Vec<String>,
     /// Files left out, or of which a record is left out, each with the reason.
     pub excluded: Vec<(PathBuf, String)>,
+    /// Files that changed after [`Campaign::as_of`]: they may still be being written.
+    pub waiting: Vec<PathBuf>,
 }
 
 /// An exposure without its reference.
@@ -93,7 +95,11 @@ impl Campaign {
     /// # Errors
     /// When a folder or table cannot be read, a file does not fit the rule that takes it, or two rules take the same record.
     pub fn survey(&self) -> Result<Survey, SurveyError> {
-        let mut files = walk::files(&self.root).map_err(|(folder, source)| SurveyError::Folder { folder, source })?;
+        let found = walk::files(&self.root).map_err(|(folder, source)| SurveyError::Folder { folder, source })?;
+        let is_settled = |file: &walk::Found| self.as_of.is_none_or(|as_of| file.modified <= as_of);
+        let (settled, waiting): (Vec<_>, Vec<_>) = found.into_iter().partition(is_settled);
+        let [mut files, waiting] =
+            [settled, waiting].map(|files| files.into_iter().map(|file| file.path).collect::<Vec<_>>());
         files.retain(|file| !self.captures.iter().any(|rule| rule.table.as_ref() == Some(file)));
         let mut paths: BTreeSet<&str> = files.iter().filter_map(|file| file.to_str()).collect();
         let companions: BTreeSet<PathBuf> = paths.iter().filter_map(|path| companion(Path::new(path))).collect();
@@ -108,7 +114,7 @@ impl Campaign {
             claims: Vec::new(),
             taken: BTreeSet::new(),
             excludes_used: BTreeSet::new(),
-            survey: Survey::default(),
+            survey: Survey { waiting, ..Survey::default() },
         };
         for (index, rule) in self.captures.iter().enumerate() {
             if let Some(files) = &rule.files {
@@ -251,6 +257,7 @@ mod tests {
     use super::*;
     use crate::campaign::keys::Role;
     use std::fs;
+    use std::time::{Duration, SystemTime};
 
     const SENSOR: &str = "[campaign]\nname = 'c'\n[sensors.s1]\n";
 
@@ -391,6 +398,19 @@ mod tests {
         let error = survey(&files, &(rule("channel = 'C1'") + &rule(""))).unwrap_err();
         let expected = "L1_P2.trc: taken by [[captures]] number 2 and by [[captures]] number 1;";
         assert!(error.starts_with(expected), "{error}");
+    }
+
+    #[test]
+    fn files_that_are_still_being_written_wait() {
+        let (folder, campaign) = folder(&["old.npy", "new.npy"], "[[captures]]\nrole = 'dark'\nfiles = '*.npy'\n");
+        let as_of = SystemTime::now() - Duration::from_secs(60);
+        let old = fs::File::options().write(true).open(folder.path().join("old.npy")).unwrap();
+        old.set_modified(as_of).unwrap();
+        let survey = Campaign { as_of: Some(as_of), ..campaign.clone() }.survey().unwrap();
+        assert_eq!(survey.exposures.iter().map(|exposure| &exposure.file).collect::<Vec<_>>(), [Path::new("old.npy")]);
+        assert_eq!(names(&survey.waiting), ["new.npy"]);
+        assert!(survey.unmatched.is_empty());
+        assert_eq!(campaign.survey().unwrap().exposures.len(), 2);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use super::load::CAMPAIGN_FILE;
 use super::manifest::MANIFEST_FILE;
@@ -13,15 +14,24 @@ use super::manifest::MANIFEST_FILE;
 /// Folder of tables beside a simulated campaign's raw files.
 pub const TRUTH: &str = "truth";
 
-/// All files below `root`, relative to it, sorted by path.
+/// A file of a campaign folder.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Found {
+    /// Path, relative to the folder.
+    pub path: PathBuf,
+    /// When it was last changed; 1970 where the file system has no times.
+    pub modified: SystemTime,
+}
+
+/// All files below `root`, sorted by path.
 ///
 /// # Errors
 /// A folder that cannot be read, with its path.
-pub fn files(root: &Path) -> Result<Vec<PathBuf>, (PathBuf, io::Error)> {
+pub fn files(root: &Path) -> Result<Vec<Found>, (PathBuf, io::Error)> {
     let mut files = Vec::new();
     visit(root, Path::new(""), &mut Vec::new(), &mut files)?;
-    files.retain(|file| {
-        file != Path::new(CAMPAIGN_FILE) && file != Path::new(MANIFEST_FILE) && !file.starts_with(TRUTH)
+    files.retain(|Found { path, .. }| {
+        path != Path::new(CAMPAIGN_FILE) && path != Path::new(MANIFEST_FILE) && !path.starts_with(TRUTH)
     });
     files.sort();
     Ok(files)
@@ -32,7 +42,7 @@ fn visit(
     root: &Path,
     folder: &Path,
     above: &mut Vec<PathBuf>,
-    files: &mut Vec<PathBuf>,
+    files: &mut Vec<Found>,
 ) -> Result<(), (PathBuf, io::Error)> {
     let here = root.join(folder);
     let fail = |error| (here.clone(), error);
@@ -50,7 +60,9 @@ fn visit(
         // A link that leads nowhere, or a file that vanished since, is no file.
         match root.join(&path).metadata() {
             Ok(found) if found.is_dir() => visit(root, &path, above, files)?,
-            Ok(found) if found.is_file() => files.push(path),
+            Ok(found) if found.is_file() => {
+                files.push(Found { path, modified: found.modified().unwrap_or(SystemTime::UNIX_EPOCH) });
+            }
             _ => {}
         }
     }
@@ -77,7 +89,8 @@ mod tests {
         std::os::unix::fs::symlink(root, root.join("raw/ring")).unwrap();
         let found = files(root).unwrap();
         let expected = ["b.trc", "raw/a.trc", "raw/campaign.toml", "raw/z/1.trc"];
-        assert_eq!(found, expected.map(PathBuf::from));
+        let paths: Vec<&Path> = found.iter().map(|found| found.path.as_path()).collect();
+        assert_eq!(paths, expected.map(Path::new));
         assert_eq!(files(&root.join("none")).unwrap_err().0, root.join("none"));
     }
 }

@@ -15,7 +15,7 @@ use periscope::simulate::{self, Format, Scene};
 use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
 
-use super::run::{execute, use_threads};
+use super::run::{Job, use_threads};
 
 /// Demonstrations: name, scene, pipeline.
 const DEMOS: [(&str, &str, &str); 6] = [
@@ -77,7 +77,17 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
     let spec = Spec::parse(&pipeline_file.display().to_string(), pipeline, &[])?;
     let campaigns = [Campaign::load(&campaign)?];
     let shelf = Shelf::open(&results)?;
-    let outcome = execute(&spec, &campaigns, &shelf, None, &Settings::default(), Style::auto())?;
+    let job = Job {
+        spec: &spec,
+        pipeline: &pipeline_file,
+        set: &[],
+        campaigns: &campaigns,
+        shelf: &shelf,
+        until: None,
+        settings: Settings::default(),
+        style: Style::auto(),
+    };
+    let outcome = job.execute()?;
 
     println!(
         "Simulated {} captures of {} shots each as LeCroy .trc files, and solved for {} patches from the light that bounced between them.\n",

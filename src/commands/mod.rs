@@ -4,6 +4,7 @@ pub mod check;
 pub mod demo;
 pub mod design;
 pub mod inspect;
+mod interrupt;
 pub mod plan;
 pub mod query;
 pub mod run;
@@ -14,3 +15,6 @@ pub mod tables;
 
 /// Done, but some input was set aside, or something is to be mended.
 pub const SOME_REJECTED: u8 = 3;
+
+/// Ended by Ctrl-C or SIGTERM.
+pub const INTERRUPTED: u8 = 130;

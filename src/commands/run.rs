@@ -1,18 +1,26 @@
 //! `periscope run`.
 
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use periscope::campaign::Campaign;
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
-use periscope::pipeline::run::{self as runner, Outcome, Settings};
+use periscope::pipeline::rejects::MaxRejects;
+use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
 use periscope::pipeline::spec::Spec;
-use periscope::store::Shelf;
+use periscope::store::runs::{Ending, RunRecord};
+use periscope::store::{Digest, Shelf, StoreError};
 
 use super::SOME_REJECTED;
+use super::interrupt::stop_on_signals;
+
+/// Time between two looks at a folder that another run holds.
+const LOOK_AGAIN: Duration = Duration::from_millis(200);
 
 /// Arguments of `run`.
 #[derive(Args)]
@@ -37,6 +45,12 @@ pub struct Run {
     /// Memory for raw samples under way, such as 512MiB
     #[arg(long, value_name = "SIZE", value_parser = size)]
     memory: Option<usize>,
+    /// Wait where another run holds the result folder, instead of giving up
+    #[arg(long)]
+    wait: bool,
+    /// Stop when more than so many records are set aside, or more than such a share of all, such as 5%
+    #[arg(long, value_name = "N|P%")]
+    max_rejects: Option<MaxRejects>,
     /// How to show progress
     #[arg(long, value_enum, default_value = "auto")]
     progress: ProgressKind,
@@ -125,23 +139,86 @@ pub fn use_threads(threads: Option<usize>) -> Result<()> {
         .context("cannot start the worker threads")
 }
 
-/// Plans and runs; prints warnings of the survey.
-pub fn execute(
-    spec: &Spec,
-    campaigns: &[Campaign],
-    shelf: &Shelf,
-    until: Option<&str>,
-    settings: &Settings,
-    style: Style,
-) -> Result<Outcome> {
-    let mut plan = Plan::new(spec, campaigns, shelf, until)?;
-    for warning in plan.warnings() {
-        eprintln!("warning: {warning}");
+/// What is to be run, and into which folder.
+pub struct Job<'a> {
+    /// The pipeline, parsed.
+    pub spec: &'a Spec,
+    /// Its file.
+    pub pipeline: &'a Path,
+    /// Parameters changed on the command line.
+    pub set: &'a [String],
+    /// The campaigns.
+    pub campaigns: &'a [Campaign],
+    /// The result folder, open for writing.
+    pub shelf: &'a Shelf,
+    /// Last table that is wanted.
+    pub until: Option<&'a str>,
+    /// How the run uses the machine.
+    pub settings: Settings,
+    /// How it shows progress.
+    pub style: Style,
+}
+
+impl Job<'_> {
+    /// Plans and runs; prints warnings of the survey. Beside the tables lies a record of the run, from its start on.
+    pub fn execute(&self) -> Result<Outcome> {
+        let mut record = RunRecord::start(
+            self.pipeline,
+            self.set,
+            self.campaigns.iter().map(|campaign| (campaign.name.as_str(), campaign.root.as_path())),
+        )?;
+        self.shelf.write_run(&record)?;
+        let outcome = self.compute(&mut record.tables);
+        let ending = match &outcome {
+            Ok(outcome) => {
+                record.rejects = outcome.rejects;
+                Ending::Done
+            }
+            Err(error) if matches!(error.downcast_ref(), Some(RunError::Interrupted { .. })) => Ending::Interrupted,
+            Err(error) => {
+                record.failure = Some(format!("{error:#}"));
+                Ending::Failed
+            }
+        };
+        record.end(ending);
+        let written = self.shelf.write_run(&record);
+        let outcome = outcome?;
+        written?;
+        Ok(outcome)
     }
-    let progress = Progress::new(style);
-    let outcome = runner::run(&mut plan, settings, &progress);
-    progress.finish();
-    Ok(outcome?)
+
+    /// Gives the lineages of the tables that are whole, also where it fails.
+    fn compute(&self, whole: &mut BTreeMap<String, Digest>) -> Result<Outcome> {
+        let mut plan = Plan::new(self.spec, self.campaigns, self.shelf, self.until)?;
+        for warning in plan.warnings() {
+            eprintln!("warning: {warning}");
+        }
+        stop_on_signals(&self.settings.stop)?;
+        let progress = Progress::new(self.style);
+        let outcome = runner::run(&mut plan, &self.settings, &progress);
+        progress.finish();
+        let steps = self.spec.steps.iter().zip(&plan.tables);
+        let kept = steps.filter(|(step, table)| step.keep && table.wanted && table.complete());
+        whole.extend(kept.filter_map(|(step, table)| Some((step.heading.clone(), table.lineage()?))));
+        Ok(outcome?)
+    }
+}
+
+/// Opens a result folder for writing; waits for whoever holds it, if asked to.
+fn open(out: &Path, wait: bool) -> Result<Shelf> {
+    let mut is_told = false;
+    loop {
+        match Shelf::open(out) {
+            Err(error @ StoreError::Busy { .. }) if wait => {
+                if !is_told {
+                    eprintln!("waiting: {error}");
+                    is_told = true;
+                }
+                std::thread::sleep(LOOK_AGAIN);
+            }
+            opened => return Ok(opened?),
+        }
+    }
 }
 
 /// The command.
@@ -149,16 +226,27 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     use_threads(args.threads)?;
     let spec = Spec::load(&args.pipeline, &args.set)?;
     let campaigns = campaigns(&args.campaign)?;
-    let shelf = Shelf::open(&args.out)?;
+    let shelf = open(&args.out, args.wait)?;
     let defaults = Settings::default();
     let settings = Settings {
         batch_bytes: args.batch.unwrap_or(defaults.batch_bytes),
         channel_batches: args.channel.unwrap_or(defaults.channel_batches),
+        max_rejects: args.max_rejects,
         ..defaults
     };
     let least = settings.least_memory();
     let settings = Settings { memory_bytes: args.memory.unwrap_or(settings.memory_bytes.max(least)), ..settings };
-    let outcome = execute(&spec, &campaigns, &shelf, args.until.as_deref(), &settings, args.progress.into())?;
+    let job = Job {
+        spec: &spec,
+        pipeline: &args.pipeline,
+        set: &args.set,
+        campaigns: &campaigns,
+        shelf: &shelf,
+        until: args.until.as_deref(),
+        settings,
+        style: args.progress.into(),
+    };
+    let outcome = job.execute()?;
     let out = args.out.display();
     for step in &spec.steps {
         if let Some(record) = outcome.tables.get(&step.heading) {

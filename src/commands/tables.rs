@@ -1,10 +1,11 @@
 //! `periscope tables`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::Args;
+use periscope::store::runs::{Ending, RunRecord, utc};
 use periscope::store::{Shelf, TableRecord};
 
 /// Arguments of `tables`.
@@ -12,10 +13,19 @@ use periscope::store::{Shelf, TableRecord};
 pub struct Tables {
     /// Result folder
     out: PathBuf,
+    /// Remove results that no table shows: those of earlier parameters, or of parts that have changed since
+    #[arg(long)]
+    prune: bool,
+    /// With --prune: only say what would be removed
+    #[arg(long, short = 'n', requires = "prune")]
+    dry_run: bool,
 }
 
 /// The command.
 pub fn tables(args: &Tables) -> Result<ExitCode> {
+    if args.prune {
+        return prune(&args.out, args.dry_run);
+    }
     let shelf = Shelf::look(&args.out)?;
     println!("{:28} {:12} {:>10} {:>12} {:>6}  {:16}  made", "table", "stage", "rows", "bytes", "parts", "lineage");
     for (view, record) in shelf.tables()? {
@@ -23,7 +33,7 @@ pub fn tables(args: &Tables) -> Result<ExitCode> {
         let Some(table) = shelf.table_of(&view) else {
             continue;
         };
-        let made = shelf.made(&view).map(date).unwrap_or_default();
+        let made = shelf.made(&view).map(utc).unwrap_or_default();
         let (rows, bytes) = (record.rows(&table), record.bytes(&table));
         println!(
             "{view:28} {:12} {rows:>10} {bytes:>12} {:>6}  {:16}  {made}",
@@ -32,24 +42,47 @@ pub fn tables(args: &Tables) -> Result<ExitCode> {
             lineage.short()
         );
     }
+    if let Some(run) = shelf.runs()?.last() {
+        println!("\nlast run: {}", in_words(run));
+    }
+    let unneeded = shelf.unneeded()?;
+    let bytes: u64 = unneeded.iter().map(|unneeded| unneeded.bytes).sum();
+    if bytes > 0 {
+        let out = args.out.display();
+        println!(
+            "{bytes} bytes more are of results that no table shows; `periscope tables {out} --prune` removes them"
+        );
+    }
     Ok(ExitCode::SUCCESS)
 }
 
-/// Date and time of day (UTC) of a moment, as in ISO 8601.
-fn date(moment: std::time::SystemTime) -> String {
-    let seconds = moment.duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs() as i64);
-    let (days, rest) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
-    // Civil date from days since 1970 in the proleptic Gregorian calendar, counted in years that begin in March.
-    let shifted = days + 719_468;
-    let era = shifted.div_euclid(146_097);
-    let day_of_era = shifted.rem_euclid(146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month_shifted = (5 * day_of_year + 2) / 153;
-    let (day, month) = (
-        day_of_year - (153 * month_shifted + 2) / 5 + 1,
-        if month_shifted < 10 { month_shifted + 3 } else { month_shifted - 9 },
-    );
-    let year = year_of_era + era * 400 + i64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z", rest / 3600, rest % 3600 / 60, rest % 60)
+fn in_words(run: &RunRecord) -> String {
+    let RunRecord { started, host, process, .. } = run;
+    let when = run.ended.as_deref().map_or(String::new(), |ended| format!(" at {ended}"));
+    let how = match (&run.ending, &run.failure) {
+        (Some(Ending::Done), _) => format!("done{when}"),
+        (Some(Ending::Interrupted), _) => format!("interrupted{when}; the same command goes on from there"),
+        (Some(Ending::Failed), failure) => format!("failed{when}: {}", failure.as_deref().unwrap_or_default()),
+        (None, _) => "under way, or killed".to_owned(),
+    };
+    format!("{started} by process {process} on {host}: {how}")
+}
+
+fn prune(out: &Path, is_dry: bool) -> Result<ExitCode> {
+    let shelf = if is_dry { Shelf::look(out)? } else { Shelf::look(out).and_then(|_| Shelf::open(out))? };
+    let unneeded = shelf.unneeded()?;
+    if !is_dry {
+        shelf.remove(&unneeded)?;
+    }
+    let done = if is_dry { "would remove" } else { "removed" };
+    for of_folder in &unneeded {
+        let what = if of_folder.is_whole { "all" } else { "some" };
+        println!(
+            "{done} {what:4} of {:34} {:>6} parts {:>12} bytes",
+            of_folder.folder, of_folder.parts, of_folder.bytes
+        );
+    }
+    let bytes: u64 = unneeded.iter().map(|of_folder| of_folder.bytes).sum();
+    println!("{done} {bytes} bytes of results that no table shows");
+    Ok(ExitCode::SUCCESS)
 }

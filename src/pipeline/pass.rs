@@ -6,6 +6,7 @@
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use arrow::record_batch::RecordBatch;
@@ -43,17 +44,23 @@ pub struct Pass {
     pub parts: Vec<usize>,
 }
 
-/// What a pass gives back.
-#[derive(Default)]
-pub struct PassResult {
-    /// Content digests of the source parts read: (step, part) to digest.
-    pub content: BTreeMap<(usize, usize), Digest>,
+/// How a pass ended, if nothing failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// All its tables are whole.
+    Whole,
+    /// It was to stop.
+    Interrupted,
+    /// Too much was set aside.
+    TooManyRejects,
 }
 
 /// Why a thread of the pass ended.
 enum Failure {
     /// Somebody else failed.
     Stopped,
+    /// The pass is to end here.
+    Early(Ended),
     /// This is the cause.
     Cause(RunError),
 }
@@ -64,8 +71,10 @@ struct Shared<'a> {
     settings: &'a Settings,
     progress: &'a Progress,
     budget: Arc<Budget>,
-    first: Mutex<Option<RunError>>,
+    first: Mutex<Option<Failure>>,
     content: Mutex<BTreeMap<(usize, usize), Digest>>,
+    /// Rows that may still be set aside.
+    allowed: Mutex<u64>,
 }
 
 impl Shared<'_> {
@@ -76,6 +85,11 @@ impl Shared<'_> {
         }
     }
 
+    /// Whether the run goes on: asked before each batch.
+    fn go_on(&self) -> Result<(), Failure> {
+        if self.settings.stop.load(Ordering::Relaxed) { Err(Failure::Early(Ended::Interrupted)) } else { Ok(()) }
+    }
+
     fn heading(&self, step: usize) -> String {
         self.plan.spec.steps[step].heading.clone()
     }
@@ -84,8 +98,11 @@ impl Shared<'_> {
     fn guard(&self, step: usize, body: impl FnOnce() -> Result<(), Failure>) {
         let failure = match catch_unwind(AssertUnwindSafe(body)) {
             Ok(Ok(()) | Err(Failure::Stopped)) => return,
-            Ok(Err(Failure::Cause(error))) => error,
-            Err(panic) => RunError::Panic { heading: self.heading(step), message: panic_text(panic.as_ref()) },
+            Ok(Err(failure)) => failure,
+            Err(panic) => {
+                let message = panic_text(panic.as_ref());
+                Failure::Cause(RunError::Panic { heading: self.heading(step), message })
+            }
         };
         self.first.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(failure);
         self.budget.stop();
@@ -103,18 +120,27 @@ impl From<StoreError> for Failure {
     }
 }
 
-/// Runs a pass to its end.
+/// Runs a pass to its end, or until more than `allowed` rows are set aside. Content digests of the source parts that it read join `content`, (step, part)
+/// to digest, also when it fails.
 ///
 /// # Errors
 /// The first failure of any of its threads.
-pub fn run(plan: &Plan<'_>, pass: &Pass, settings: &Settings, progress: &Progress) -> Result<PassResult, RunError> {
+pub fn run(
+    plan: &Plan<'_>,
+    pass: &Pass,
+    settings: &Settings,
+    allowed: u64,
+    progress: &Progress,
+    content: &mut BTreeMap<(usize, usize), Digest>,
+) -> Result<Ended, RunError> {
     let shared = Shared {
         plan,
         settings,
         progress,
         budget: Budget::new(settings.memory_bytes),
         first: Mutex::new(None),
-        content: Mutex::new(BTreeMap::new()),
+        content: Mutex::default(),
+        allowed: Mutex::new(allowed),
     };
     // A source's own table is a step of the pass too: it is written in a thread of its own, beside reading.
     let mut beside = BTreeMap::new();
@@ -149,9 +175,11 @@ pub fn run(plan: &Plan<'_>, pass: &Pass, settings: &Settings, progress: &Progres
         shared.guard(pass.root, || read(shared, pass, &children));
         drop(children);
     });
+    content.extend(shared.content.into_inner().unwrap_or_else(PoisonError::into_inner));
     match shared.first.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        Some(error) => Err(error),
-        None => Ok(PassResult { content: shared.content.into_inner().unwrap_or_else(PoisonError::into_inner) }),
+        Some(Failure::Cause(error)) => Err(error),
+        Some(Failure::Early(ended)) => Ok(ended),
+        Some(Failure::Stopped) | None => Ok(Ended::Whole),
     }
 }
 
@@ -184,6 +212,7 @@ fn send(children: &[Sender<Message>], message: impl Fn() -> Message) -> Result<(
 fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Result<(), Failure> {
     let plan = shared.plan;
     for &part in &pass.parts {
+        shared.go_on()?;
         if pass.steps.contains(&pass.root) {
             let source = &plan.sources[&pass.root];
             let feed = Channel { shared, children };
@@ -210,6 +239,7 @@ fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Mess
         |source| Failure::Cause(RunError::Store(StoreError::Parquet { what: "read", path: path.clone(), source }));
     for batch in parquet::read(&path, shared.settings.replay_rows).map_err(failed)? {
         let batch = batch.map_err(failed)?;
+        shared.go_on()?;
         let credit = shared
             .budget
             .reserve(batch.get_array_memory_size().min(shared.settings.memory_bytes / 2))
@@ -274,7 +304,9 @@ fn work(
     let mut inputs = Vec::new();
     let mut writer = None;
     loop {
-        match input.recv().map_err(|_| Failure::Stopped)? {
+        let message = input.recv().map_err(|_| Failure::Stopped)?;
+        shared.go_on()?;
+        match message {
             Message::Rows(batch, credit) => {
                 let written = running.push(&batch).map_err(failed)?;
                 emit(shared, step, &mut writer, written, children, credit.as_ref())?;
@@ -357,6 +389,11 @@ fn commit<'a>(
 ) -> Result<(), Failure> {
     open(shared, step, writer)?;
     let writer = writer.take().expect("opened above");
-    writer.commit(lineage)?;
+    let part = writer.commit(lineage)?;
+    // Parts that were on the shelf before are counted already: rows that are not kept are made again for whoever needs them.
+    let is_known = shared.plan.tables[step].present.iter().flatten().any(|known| known.lineage == lineage);
+    let rejects = part.files.get(Reject::TABLE).filter(|_| !is_known).map_or(0, |file| file.rows);
+    let mut allowed = shared.allowed.lock().unwrap_or_else(PoisonError::into_inner);
+    *allowed = allowed.checked_sub(rejects).ok_or(Failure::Early(Ended::TooManyRejects))?;
     Ok(())
 }

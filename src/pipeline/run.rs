@@ -2,11 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use super::pass::{self, Pass};
+use super::cut::next_pass;
+use super::pass::{self, Ended, Pass};
 use super::plan::Plan;
 use super::progress::Progress;
+use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
 use crate::store::{Digest, StoreError, TableRecord};
+use crate::tables::{Reject, Row};
 
 /// What a run did.
 #[derive(Debug, Default)]
@@ -22,7 +25,7 @@ pub struct Outcome {
 /// Runs what the plan wants and does not have. Not to be called from one of rayon's own threads: stages would wait for workers that wait for them.
 ///
 /// # Errors
-/// The first failure; parts that were finished before it are kept.
+/// The first failure, or that the run was stopped; parts that were finished before it are kept.
 pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Result<Outcome, RunError> {
     let least = settings.least_memory();
     if settings.memory_bytes < least {
@@ -30,42 +33,83 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     }
     let mut outcome = Outcome::default();
     let mut content: BTreeMap<(usize, usize), Digest> = BTreeMap::new();
-    while let Some(pass) = next_pass(plan) {
-        let headings = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str());
+    let most_rejects = settings.max_rejects.map_or(u64::MAX, |limit| limit.most(records(plan)));
+    while let Some(pass) = next_pass(plan).filter(|_| rejects(plan) <= most_rejects) {
+        let headings: Vec<&str> = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str()).collect();
         let source = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root));
         let bytes = source.map_or(0, |source| pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
-        progress.pass(&headings.clone().collect::<Vec<_>>(), bytes);
-        outcome.computed.extend(headings.map(str::to_owned));
-        let result = pass::run(plan, &pass, settings, progress);
+        progress.pass(&headings, bytes);
+        for heading in headings {
+            // A table whose parts lack different steps takes several passes.
+            if !outcome.computed.iter().any(|computed| computed == heading) {
+                outcome.computed.push(heading.to_owned());
+            }
+        }
+        let allowed = most_rejects - rejects(plan);
+        let ended = pass::run(plan, &pass, settings, allowed, progress, &mut content);
         if let Some(source) = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
             source
                 .close()
                 .map_err(|source| RunError::Stage { heading: plan.spec.steps[pass.root].heading.clone(), source })?;
         }
-        content.extend(result?.content);
+        let ended = ended?;
         plan.refresh(&content)?;
         publish(plan, &pass.steps, &mut outcome)?;
+        if ended == Ended::Interrupted {
+            return Err(RunError::Interrupted { kept: kept(plan, &pass) });
+        }
     }
     let wanted: Vec<usize> =
         (0..plan.tables.len()).filter(|&i| plan.tables[i].wanted && plan.tables[i].complete()).collect();
     publish(plan, &wanted, &mut outcome)?;
-    let rejects: Vec<_> = behind(plan)
+    let tables: Vec<_> = behind(plan)
         .into_iter()
         .map(|i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice()))
         .collect();
-    outcome.rejects = plan.shelf.publish_rejects(&rejects)?;
+    outcome.rejects = plan.shelf.publish_rejects(&tables)?;
+    if outcome.rejects > most_rejects {
+        return Err(RunError::Rejects(TooMany::of(plan.shelf, outcome.rejects, most_rejects, records(plan))?));
+    }
     Ok(outcome)
 }
 
 /// The wanted tables and all that they are made from, also where that is not kept: what was set aside on the way is part of the outcome.
 fn behind(plan: &Plan<'_>) -> Vec<usize> {
     let mut behind: Vec<bool> = plan.tables.iter().map(|table| table.wanted).collect();
-    for i in (0..behind.len()).rev().filter(|&i| plan.tables[i].complete()) {
+    for i in (0..behind.len()).rev() {
         if behind[i] {
             plan.from(i).into_iter().chain(plan.beside_steps(i)).for_each(|input| behind[input] = true);
         }
     }
-    (0..behind.len()).filter(|&i| behind[i] && plan.tables[i].complete()).collect()
+    (0..behind.len()).filter(|&i| behind[i]).collect()
+}
+
+/// Records that the campaigns have for this run.
+fn records(plan: &Plan<'_>) -> u64 {
+    let sources = behind(plan).into_iter().filter_map(|i| plan.sources.get(&i));
+    sources.flat_map(|source| source.parts()).map(|part| part.records).sum()
+}
+
+/// Rows set aside, in the parts that are on the shelf.
+fn rejects(plan: &Plan<'_>) -> u64 {
+    let parts = behind(plan).into_iter().flat_map(|i| plan.tables[i].present.iter().flatten());
+    parts.filter_map(|part| part.files.get(Reject::TABLE)).map(|file| file.rows).sum()
+}
+
+/// What an interrupted run leaves, in words.
+fn kept(plan: &Plan<'_>, pass: &Pass) -> String {
+    let wanted = || plan.tables.iter().zip(&plan.spec.steps).filter(|(table, step)| table.wanted && step.keep);
+    let whole = wanted().filter(|(table, _)| table.complete()).count();
+    let mut kept = vec![format!("{whole} of {} tables", wanted().count())];
+    for &i in &pass.steps {
+        let (parts, heading) = (&plan.tables[i].present, &plan.spec.steps[i].heading);
+        let finished = parts.iter().flatten().count();
+        if plan.spec.steps[i].keep && finished > 0 && finished < parts.len() {
+            kept.push(format!("{finished} of {} parts of {heading}", parts.len()));
+        }
+    }
+    let last = kept.pop().expect("the tables stand first");
+    if kept.is_empty() { last } else { format!("{} and {last}", kept.join(", ")) }
 }
 
 fn publish(plan: &Plan<'_>, steps: &[usize], outcome: &mut Outcome) -> Result<(), StoreError> {
@@ -88,54 +132,4 @@ fn publish(plan: &Plan<'_>, steps: &[usize], outcome: &mut Outcome) -> Result<()
         outcome.tables.insert(step.heading.clone(), record);
     }
     Ok(())
-}
-
-/// The next tree of steps that can run: all tables beside them are finished, and their root can be read.
-fn next_pass(plan: &Plan<'_>) -> Option<Pass> {
-    let missing: Vec<usize> = (0..plan.tables.len()).filter(|&i| plan.tables[i].wanted && !done(plan, i)).collect();
-    let first = *missing.iter().find(|&&i| ready(plan, i))?;
-    let mut root = first;
-    while let Some(from) = plan.from(root) {
-        root = from;
-        if plan.replayable(root) {
-            break;
-        }
-    }
-    // Steps below the root that are missing; the root itself where it is a source.
-    let mut steps = Vec::new();
-    for i in root..plan.tables.len() {
-        let below = plan.from(i).is_some_and(|from| (from == root && plan.replayable(root)) || steps.contains(&from));
-        let through = i == root && !plan.replayable(root);
-        // A stage that gathers waits for its input to be on the shelf, so that finished parts need not stream again.
-        let gathers = !plan.streams(i) && plan.from(i).is_some_and(|from| plan.spec.steps[from].keep && from != root);
-        let needed = missing.contains(&i) || (!plan.spec.steps[i].keep && plan.tables[i].wanted);
-        if (below || through) && needed && !gathers && ready(plan, i) {
-            steps.push(i);
-        }
-    }
-    let count = plan.sources.get(&root).map_or(plan.tables[root].present.len(), |source| source.parts().len());
-    let all = steps.iter().any(|&i| !plan.streams(i));
-    let lacking =
-        |part: usize| all || steps.iter().any(|&i| plan.tables[i].present.get(part).is_none_or(Option::is_none));
-    Some(Pass { root, parts: (0..count).filter(|&part| lacking(part)).collect(), steps })
-}
-
-/// Whether nothing more is to be done for a step: its table stands, or it is only passed through.
-fn done(plan: &Plan<'_>, i: usize) -> bool {
-    plan.tables[i].complete() && (plan.spec.steps[i].keep || !consumers_miss(plan, i))
-}
-
-/// Whether a consumer of an unkept step still lacks something.
-fn consumers_miss(plan: &Plan<'_>, i: usize) -> bool {
-    (0..plan.tables.len()).any(|c| plan.tables[c].wanted && plan.from(c) == Some(i) && !plan.tables[c].complete())
-}
-
-/// Whether the tables beside a step, and those beside every step between it and a table that can be read, are finished.
-fn ready(plan: &Plan<'_>, i: usize) -> bool {
-    let beside = plan.beside_steps(i).all(|step| plan.tables[step].complete());
-    let above = match plan.from(i) {
-        None => true,
-        Some(from) => plan.replayable(from) || ready(plan, from),
-    };
-    beside && above
 }

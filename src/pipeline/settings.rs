@@ -1,12 +1,16 @@
 //! How a run uses the machine, and what can stop it.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
 use thiserror::Error;
 
 use super::plan::PlanError;
+use super::rejects::{MaxRejects, TooMany};
 use crate::stages::stage::StageError;
 use crate::store::StoreError;
 
-/// How a run uses the machine. None of it changes a byte of the result.
+/// How a run uses the machine, and when it gives up. None of it changes a byte of the result.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Bytes of raw samples that may be under way.
@@ -17,11 +21,22 @@ pub struct Settings {
     pub channel_batches: usize,
     /// Rows that are read back from a stored table at a time.
     pub replay_rows: usize,
+    /// How much may be set aside; without it anything may.
+    pub max_rejects: Option<MaxRejects>,
+    /// Set from outside to end the run: what is under way is dropped, what is finished is kept.
+    pub stop: Arc<AtomicBool>,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { memory_bytes: 64 << 20, batch_bytes: 4 << 20, channel_batches: 2, replay_rows: 256 }
+        Self {
+            memory_bytes: 64 << 20,
+            batch_bytes: 4 << 20,
+            channel_batches: 2,
+            replay_rows: 256,
+            max_rejects: None,
+            stop: Arc::default(),
+        }
     }
 }
 
@@ -55,6 +70,15 @@ pub enum RunError {
         /// Message of the panic.
         message: String,
     },
+    /// Its user ended it.
+    #[error("{kept} are kept; the same command goes on from there")]
+    Interrupted {
+        /// What is finished, in words.
+        kept: String,
+    },
+    /// More was set aside than the user allows.
+    #[error(transparent)]
+    Rejects(#[from] TooMany),
     /// The result folder.
     #[error(transparent)]
     Store(#[from] StoreError),

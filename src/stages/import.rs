@@ -124,7 +124,7 @@ impl Source for Import {
             bytes += std::fs::metadata(file).map_err(|error| self.refused(error))?.len();
         }
         let content = Digest::join("import", &digests);
-        Ok(Box::new(Opened { import: self, files, parts: [SourcePart { content: Some(content), bytes }] }))
+        Ok(Box::new(Opened { import: self, files, parts: [SourcePart { content: Some(content), bytes, records: 0 }] }))
     }
 }
 

@@ -47,6 +47,8 @@ pub struct SourcePart {
     pub content: Option<Digest>,
     /// Raw bytes, for progress.
     pub bytes: u64,
+    /// Records: files, or shares of files, that may each be set aside.
+    pub records: u64,
 }
 
 /// What reading a part gave beside its rows.

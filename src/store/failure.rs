@@ -6,12 +6,19 @@ use std::path::{Path, PathBuf};
 use parquet::errors::ParquetError;
 use thiserror::Error;
 
+use super::lock::Holder;
+
 /// What can go wrong with a result folder.
 #[derive(Debug, Error)]
 pub enum StoreError {
     /// Another run holds the folder.
-    #[error("another run is writing to {0}; wait for it, or choose another --out")]
-    Busy(PathBuf),
+    #[error("another run is writing to {out}{}; wait for it (--wait), or choose another --out", named(holder.as_ref()))]
+    Busy {
+        /// Result folder.
+        out: PathBuf,
+        /// Who holds it, if that can be read.
+        holder: Option<Holder>,
+    },
     /// A folder that is not a result folder.
     #[error("{0} holds other files and no .shelf: it is no result folder of periscope; choose another --out")]
     Foreign(PathBuf),
@@ -54,6 +61,10 @@ pub enum StoreError {
         /// Cause.
         source: serde_json::Error,
     },
+}
+
+fn named(holder: Option<&Holder>) -> String {
+    holder.map_or(String::new(), |holder| format!(" ({holder})"))
 }
 
 /// What a user can do about a failed write.

@@ -2,10 +2,14 @@
 
 pub mod failure;
 pub mod lineage;
+pub mod lock;
 pub mod parquet;
+pub mod prune;
 #[cfg(feature = "query")]
 pub mod query;
+pub mod runs;
 pub mod shelf;
+mod sweep;
 
 pub use failure::StoreError;
 pub use lineage::Digest;

@@ -22,7 +22,9 @@ use serde_json::Value;
 
 use super::Digest;
 use super::failure::{At, StoreError};
+use super::lock;
 use super::parquet::{self as file, FileRecord, TableWriter};
+use super::sweep;
 use crate::tables::{Reject, Row};
 
 /// What makes a table, raw files apart: its recipe's content.
@@ -49,7 +51,7 @@ impl StageId {
         Digest::of(&serde_json::to_value(self).expect("a stage id is plain data"))
     }
 
-    fn folder(&self) -> String {
+    pub(super) fn folder(&self) -> String {
         format!("{}-{}", self.kind, self.recipe().short())
     }
 }
@@ -113,17 +115,9 @@ impl Shelf {
             return Err(StoreError::Foreign(out.to_owned()));
         }
         fs::create_dir_all(&shelf).at("create", &shelf)?;
-        let path = shelf.join("lock");
-        let lock = File::create(&path).at("create", &path)?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(fs::TryLockError::WouldBlock) => return Err(StoreError::Busy(out.to_owned())),
-            Err(fs::TryLockError::Error(source)) => {
-                return Err(StoreError::Io { what: "lock", path, source });
-            }
-        }
+        let lock = lock::take(out, &shelf)?;
         let shelf = Self { out: out.to_owned(), _lock: Some(lock), temporary: AtomicU64::new(0) };
-        shelf.sweep()?;
+        sweep::sweep(&shelf.root())?;
         Ok(shelf)
     }
 
@@ -156,20 +150,7 @@ impl Shelf {
         self.root().join("notes")
     }
 
-    fn sweep(&self) -> Result<(), StoreError> {
-        for folder in fs::read_dir(self.root()).at("read", &self.root())?.flatten() {
-            for entry in fs::read_dir(folder.path()).into_iter().flatten().flatten() {
-                if entry.file_name().to_string_lossy().starts_with("tmp-") {
-                    let path = entry.path();
-                    if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) }
-                        .at("remove", &path)?;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn root(&self) -> PathBuf {
+    pub(super) fn root(&self) -> PathBuf {
         self.out.join(".shelf")
     }
 
@@ -212,7 +193,7 @@ impl Shelf {
         Ok(PartWriter { shelf: self, stage: stage.clone(), folder, writers })
     }
 
-    fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), StoreError> {
+    pub(super) fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), StoreError> {
         let temporary = self.temporary(path.parent().expect("a record lies in a folder"));
         let text = serde_json::to_string_pretty(value).expect("records are plain data");
         fs::write(&temporary, text).at("write", &temporary)?;
@@ -249,10 +230,7 @@ impl Shelf {
                 }
             }
             self.write_json(&temporary.join("table.json"), &record)?;
-            if whole.exists() {
-                fs::remove_dir_all(&whole).at("replace", &whole)?;
-            }
-            fs::rename(&temporary, &whole).at("write", &whole)?;
+            self.replace(&temporary, &whole)?;
         }
         for (table, view) in views {
             let target = PathBuf::from(".shelf").join(stage.folder()).join(format!("table-{lineage}")).join(table);
@@ -274,9 +252,15 @@ impl Shelf {
             })
             .filter(|(.., part)| part.files.get(table).is_some_and(|file| file.rows > 0))
             .collect();
-        let digest = TableRecord::lineage_of(files.iter().map(|(.., part)| &part.lineage));
-        let name = format!("{table}-{}", digest.short());
+        let named: Vec<Digest> =
+            files.iter().map(|(heading, .., part)| Digest::join(heading, [&part.lineage])).collect();
+        let name = format!("{table}-{}", TableRecord::lineage_of(&named).short());
+        let rows = files.iter().map(|(.., part)| part.files[table].rows).sum();
         let whole = self.root().join(&name);
+        if whole.exists() {
+            self.show(table, &PathBuf::from(".shelf").join(name))?;
+            return Ok(rows);
+        }
         let temporary = self.temporary(&self.root());
         fs::create_dir_all(&temporary).at("create", &temporary)?;
         // An empty file keeps the view readable, with its schema, when nothing was set aside.
@@ -287,12 +271,20 @@ impl Shelf {
             let target = temporary.join(format!("{heading}-{i:05}.parquet"));
             fs::hard_link(&source, &target).or_else(|_| fs::copy(&source, &target).map(drop)).at("link", &target)?;
         }
-        if whole.exists() {
-            fs::remove_dir_all(&whole).at("replace", &whole)?;
-        }
         fs::rename(&temporary, &whole).at("write", &whole)?;
         self.show(table, &PathBuf::from(".shelf").join(name))?;
-        Ok(files.iter().map(|(.., part)| part.files[table].rows).sum())
+        Ok(rows)
+    }
+
+    /// Puts a whole folder where perhaps another is that is not as its record says. Readers miss it for two renames, not for as long as its files take to remove.
+    fn replace(&self, temporary: &Path, whole: &Path) -> Result<(), StoreError> {
+        if whole.exists() {
+            let aside = self.temporary(&self.root());
+            fs::rename(whole, &aside).at("replace", whole)?;
+            fs::rename(temporary, whole).at("write", whole)?;
+            return fs::remove_dir_all(&aside).at("remove", &aside);
+        }
+        fs::rename(temporary, whole).at("write", whole)
     }
 
     /// Points the view `OUT/<view>` at `target` (relative to OUT) in one step.
@@ -354,13 +346,13 @@ impl Shelf {
         fs::metadata(self.out.join(target.parent()?).join("table.json")).ok()?.modified().ok()
     }
 
-    /// Files of a view, in order.
+    /// Files of a view, in order: of the table that it shows now, also when a run switches the view before they are read.
     ///
     /// # Errors
     /// When there is no such view.
     pub fn files(&self, view: &str) -> Result<Vec<PathBuf>, StoreError> {
-        let folder = self.out.join(view);
         let missing = || StoreError::NoTable { out: self.out.clone(), heading: view.to_owned() };
+        let folder = fs::canonicalize(self.out.join(view)).map_err(|_| missing())?;
         let mut files: Vec<_> =
             fs::read_dir(&folder).map_err(|_| missing())?.flatten().map(|entry| entry.path()).collect();
         files.sort();
@@ -388,7 +380,7 @@ impl Shelf {
     }
 }
 
-fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<Option<T>, StoreError> {
+pub(super) fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<Option<T>, StoreError> {
     match fs::read(path) {
         Ok(bytes) => serde_json::from_slice(&bytes)
             .map(Some)
@@ -430,6 +422,7 @@ impl PartWriter<'_> {
         for (table, writer) in self.writers {
             let temporary = writer.path().to_owned();
             let record = writer.finish(&footer).at("write", &temporary)?;
+            File::open(&temporary).and_then(|file| file.sync_all()).at("write", &temporary)?;
             let path = self.folder.join(format!("part-{lineage}.{table}.parquet"));
             fs::rename(&temporary, &path).at("write", &path)?;
             files.insert(table, record);

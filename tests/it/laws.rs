@@ -73,7 +73,7 @@ fn a_campaign_that_grows_recomputes_only_the_part_where_it_grew() {
 fn the_narrowest_channels_do_not_deadlock() {
     let lab = Lab::tiny();
     with_threads(1, || {
-        let narrow = Settings { channel_batches: 1, batch_bytes: 1, replay_rows: 1, memory_bytes: 0 };
+        let narrow = Settings { channel_batches: 1, batch_bytes: 1, replay_rows: 1, ..Settings::default() };
         let narrow = Settings { memory_bytes: narrow.least_memory(), ..narrow };
         let outcome = lab.run("out", ALL_VISIBLE, &narrow).unwrap();
         assert_eq!(outcome.tables["patches"].rows("patches"), 4);

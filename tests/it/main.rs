@@ -20,6 +20,7 @@ mod inter_reflections;
 mod lab;
 mod laws;
 mod lineage;
+mod lineage_random;
 mod methods;
 mod mirror;
 mod missed;

@@ -1,14 +1,14 @@
 //! Reading a part: its files in batches within the memory budget, small ones side by side, large ones in pieces.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
 use super::files::Files;
 use super::raw_file::Hashed;
-use super::survey::{Capture, Item, Job, Surveyed};
-use crate::campaign::hash_file;
+use super::survey::{Capture, Item, Job, Surveyed, chain};
+use crate::campaign::{Campaign, hash_file};
 use crate::stages::source::{Feed, PartRead};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
@@ -164,16 +164,22 @@ impl Reader<'_> {
                 if let Some(digest) = self.surveyed.known(capture.campaign, file) {
                     self.digests.insert(key, digest);
                 } else if !self.digests.contains_key(&key) {
-                    let path = self.surveyed.campaigns[capture.campaign].path_of(file);
-                    return Err(StageError::Refused(format!(
-                        "{} changed while it was read; run again when the capture has ended",
-                        path.display()
-                    )));
+                    return Err(unread(&self.surveyed.campaigns[capture.campaign], file));
                 }
             }
         }
+        self.surveyed.save_slips()?;
         Ok(PartRead { content: self.surveyed.content(captures, &self.digests), rejections: self.rejections })
     }
+}
+
+/// Why a file has no digest after its part was read: without one, nothing that is made of it has a lineage.
+fn unread(campaign: &Campaign, file: &Path) -> StageError {
+    let path = campaign.path_of(file);
+    StageError::Refused(match hash_file(&path) {
+        Ok(_) => format!("{} changed while it was read; run again when the capture has ended", path.display()),
+        Err(error) => chain(&campaign.root, &error),
+    })
 }
 
 fn read_whole(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Done {

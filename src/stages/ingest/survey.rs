@@ -111,6 +111,22 @@ struct Record {
     noted: Mutex<Noted>,
 }
 
+/// How the folders of notes begin that a part left.
+const SLIP: &str = "part-";
+
+/// The slips in a folder of notes.
+fn slips(notes: &Path) -> Result<Vec<PathBuf>, ManifestError> {
+    let failed = |source| ManifestError::File { file: notes.to_owned(), source };
+    let entries = match std::fs::read_dir(notes) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(failed)?,
+    };
+    let mut slips =
+        entries.map(|entry| Ok(entry.map_err(failed)?.path())).collect::<Result<Vec<_>, ManifestError>>()?;
+    slips.retain(|path| path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(SLIP.as_bytes())));
+    Ok(slips)
+}
+
 /// Notes: those that were written down, and new ones that are not yet.
 struct Noted {
     manifest: Manifest,
@@ -120,7 +136,9 @@ struct Noted {
 impl Record {
     fn load(campaign: &Campaign, notes: &Path) -> Result<Self, ManifestError> {
         let notes = notes.join(&campaign.name);
-        let noted = Mutex::new(Noted { manifest: Manifest::load(&notes)?.unwrap_or_default(), new: Vec::new() });
+        let mut manifest = Manifest::load(&notes)?.unwrap_or_default();
+        slips(&notes)?.iter().try_for_each(|slip| manifest.join(slip))?;
+        let noted = Mutex::new(Noted { manifest, new: Vec::new() });
         Ok(Self { seal: Manifest::load(&campaign.root)?, notes, noted })
     }
 
@@ -186,11 +204,11 @@ impl<'a> Surveyed<'a> {
                 ))
             });
             pair_bytes += capture.bytes();
-            let key = capture.pair_key(self.campaigns);
+            let (key, part_campaign) = (capture.pair_key(self.campaigns), capture.campaign);
             part.push(capture);
             let pair_ends = captures.peek().is_none_or(|next| next.pair_key(self.campaigns) != key);
             if pair_ends {
-                if closes_part(&key, pair_bytes) {
+                if closes_part(&key, pair_bytes, self.campaigns[part_campaign].part_bytes) {
                     self.parts.push(std::mem::take(&mut part));
                 }
                 pair_bytes = 0;
@@ -245,22 +263,42 @@ impl<'a> Surveyed<'a> {
         noted.new.push((file.to_owned(), digest, metadata.clone()));
     }
 
-    /// Writes down the new notes, beside those that other sources of the run have written since.
-    pub fn save_notes(&self) -> Result<(), StageError> {
+    /// Writes down what was learnt since the last time, on a slip of its own: at the end of every part, so that a killed run forgets no part that it has finished.
+    pub fn save_slips(&self) -> Result<(), StageError> {
         for record in &self.records {
             let new = std::mem::take(&mut record.noted.lock().unwrap_or_else(PoisonError::into_inner).new);
-            if new.is_empty() {
+            let Some((first, ..)) = new.first() else {
                 continue;
-            }
+            };
+            // Named by a file that no other slip holds.
+            let name = Digest::of_bytes(first.as_os_str().as_encoded_bytes()).short();
+            let folder = record.notes.join(format!("{SLIP}{name}"));
+            let mut slip = Manifest::default();
+            new.iter().for_each(|(file, digest, metadata)| slip.record(file, *digest, metadata));
             let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&record.notes, error));
-            let mut manifest = Manifest::load(&record.notes).map_err(|error| refused(&error))?.unwrap_or_default();
-            for (file, digest, metadata) in new {
-                manifest.record(&file, digest, &metadata);
-            }
-            std::fs::create_dir_all(&record.notes).map_err(|error| refused(&error))?;
-            manifest.save(&record.notes).map_err(|error| refused(&error))?;
+            std::fs::create_dir_all(&folder).map_err(|error| refused(&error))?;
+            slip.save(&folder).map_err(|error| refused(&error))?;
         }
         Ok(())
+    }
+
+    /// Gathers the slips in one file, also those that other sources of the run have written, or an earlier run that was killed.
+    pub fn save_notes(&self) -> Result<(), StageError> {
+        self.save_slips()?;
+        self.records.iter().try_for_each(|record| {
+            let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&record.notes, error));
+            let gather = || -> Result<Vec<PathBuf>, ManifestError> {
+                let slips = slips(&record.notes)?;
+                if !slips.is_empty() {
+                    let mut manifest = Manifest::load(&record.notes)?.unwrap_or_default();
+                    slips.iter().try_for_each(|slip| manifest.join(slip))?;
+                    manifest.save(&record.notes)?;
+                }
+                Ok(slips)
+            };
+            let gathered = gather().map_err(|error| refused(&error))?;
+            gathered.iter().try_for_each(std::fs::remove_dir_all).map_err(|error| refused(&error))
+        })
     }
 
     fn source_part(&self, part: &[Capture]) -> SourcePart {
@@ -270,7 +308,8 @@ impl<'a> Surveyed<'a> {
             .map(|(campaign, file)| self.known(campaign, &file).map(|digest| ((campaign, file), digest)))
             .collect();
         let content = digests.map(|digests| self.content(part, &digests));
-        SourcePart { content, bytes: part.iter().map(Capture::bytes).sum() }
+        let records = part.iter().map(|capture| capture.items.len() as u64).sum();
+        SourcePart { content, bytes: part.iter().map(Capture::bytes).sum(), records }
     }
 
     /// Digest of a part from the digests of its files.
@@ -283,7 +322,7 @@ impl<'a> Surveyed<'a> {
 }
 
 /// An error with its causes, and the folder that it is about.
-fn chain(root: &Path, error: &dyn std::error::Error) -> String {
+pub fn chain(root: &Path, error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(Some(error), |error| error.source());
     let texts: Vec<String> = causes.map(ToString::to_string).collect();
     format!("campaign {}: {}", root.display(), texts.join(": "))

@@ -1,0 +1,134 @@
+//! When too much is set aside: a run that goes wrong everywhere is stopped, and says by what.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use thiserror::Error;
+
+use crate::store::{Shelf, StoreError};
+use crate::tables::{Reject, Row};
+
+/// How much may be set aside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MaxRejects {
+    /// So many rows of `rejects`.
+    Rows(u64),
+    /// As many as this share of the campaigns' records, from 0 to 1.
+    Share(f64),
+}
+
+impl MaxRejects {
+    /// The same in rows, for campaigns of so many records.
+    #[must_use]
+    pub fn most(self, records: u64) -> u64 {
+        match self {
+            Self::Rows(rows) => rows,
+            Self::Share(share) => (share * records as f64) as u64,
+        }
+    }
+}
+
+impl FromStr for MaxRejects {
+    type Err = String;
+
+    /// Reads `20` and `5%`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let refused =
+            || format!("`{text}` is neither a number of records, such as 20, nor a share of them, such as 5%");
+        let Some(percent) = text.strip_suffix('%') else {
+            return text.parse().map(Self::Rows).map_err(|_| refused());
+        };
+        let percent: f64 = percent.trim().parse().map_err(|_| refused())?;
+        if (0.0..=100.0).contains(&percent) { Ok(Self::Share(percent / 100.0)) } else { Err(refused()) }
+    }
+}
+
+/// More was set aside than is allowed.
+#[derive(Debug, Error)]
+#[error(
+    "{count} of {records} records were set aside, and --max-rejects allows {most}; {alike} of them alike: {example}. {rejects} lists all. \
+     Mend that, or allow more: what is finished is kept"
+)]
+pub struct TooMany {
+    /// Rows set aside so far.
+    pub count: u64,
+    /// Rows that may be.
+    pub most: u64,
+    /// Records of the campaigns.
+    pub records: u64,
+    /// How many have the commonest reason.
+    pub alike: usize,
+    /// One of these: its file and its reason.
+    pub example: String,
+    /// The view that lists them.
+    pub rejects: PathBuf,
+}
+
+impl TooMany {
+    /// With the commonest reason, from the table `rejects` as it stands.
+    pub(super) fn of(shelf: &Shelf, count: u64, most: u64, records: u64) -> Result<Self, StoreError> {
+        let mut rows: Vec<Reject> = Vec::new();
+        for batch in shelf.batches(Reject::TABLE)? {
+            rows.extend(Reject::rows(&batch).expect("the runtime itself wrote these rows"));
+        }
+        let (alike, example) = commonest(&rows);
+        Ok(Self { count, most, records, alike, example, rejects: shelf.out().join(Reject::TABLE) })
+    }
+}
+
+/// How many rows have the commonest reason, and the first of these in words.
+#[must_use]
+pub fn commonest(rows: &[Reject]) -> (usize, String) {
+    let mut kinds: BTreeMap<String, (usize, &Reject)> = BTreeMap::new();
+    for row in rows {
+        kinds.entry(kind(row)).or_insert((0, row)).0 += 1;
+    }
+    // Of equally common ones the first in the alphabet.
+    let most = kinds.into_values().rev().max_by_key(|(count, _)| *count);
+    most.map_or((0, String::new()), |(count, row)| {
+        let file = row.file.as_ref().map_or(String::new(), |file| format!("{file}: "));
+        (count, format!("{file}{}", row.reason))
+    })
+}
+
+/// A reason without what is particular to one file: its name, and numbers.
+fn kind(row: &Reject) -> String {
+    let reason = row.file.as_ref().map_or(row.reason.to_string(), |file| row.reason.replace(&**file, ""));
+    reason.chars().filter(|c| !c.is_ascii_digit()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_are_numbers_or_shares() {
+        assert_eq!("20".parse(), Ok(MaxRejects::Rows(20)));
+        assert_eq!("5%".parse(), Ok(MaxRejects::Share(0.05)));
+        assert_eq!("0.5 %".parse::<MaxRejects>().unwrap().most(1000), 5);
+        for text in ["", "%", "-1", "101%", "many", "5.5"] {
+            assert!(text.parse::<MaxRejects>().unwrap_err().contains("such as 5%"), "{text}");
+        }
+    }
+
+    #[test]
+    fn reasons_that_differ_in_names_and_numbers_are_alike() {
+        let row = |file: &str, reason: &str| Reject {
+            stage: "traces".into(),
+            campaign: "c".into(),
+            file: Some(file.into()),
+            segment: None,
+            byte_offset: None,
+            reason: reason.into(),
+        };
+        let rows = [
+            row("a.trc", "is empty"),
+            row("b1.trc", "b1.trc ends at byte 17"),
+            row("b2.trc", "b2.trc ends at byte 2304"),
+        ];
+        assert_eq!(commonest(&rows), (2, "b1.trc: b1.trc ends at byte 17".to_owned()));
+        assert_eq!(commonest(&rows[..1]), (1, "a.trc: is empty".to_owned()));
+        assert_eq!(commonest(&[]), (0, String::new()));
+    }
+}
