@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::glint::tangents;
-use super::{Bounce, Point, Problem, Solution};
+use super::{Bounce, Labels, Point, Problem, Solution};
 
 /// Steps at most, and how often one is halved.
 const STEPS: usize = 50;
@@ -261,7 +261,7 @@ fn add_path(row: &mut DVector<f64>, nodes: &[(Point, Option<usize>)], dimensions
 }
 
 impl Fit {
-    pub(super) fn solution(&self, problem: &Problem, labels: Vec<(usize, Vec<usize>)>) -> Solution {
+    pub(super) fn solution(&self, problem: &Problem, labels: Labels, cost: f64) -> Solution {
         let (n, strips) = (problem.dimensions, problem.strips.len());
         let columns = Columns::new(problem);
         let whole = self.information.clone().cholesky().expect("its fit had one").inverse();
@@ -277,6 +277,7 @@ impl Fit {
             points: self.state.strips.clone(),
             covariance_m2,
             chi2: self.chi2,
+            cost,
             degrees_of_freedom: self.onsets.saturating_sub(n * strips),
             labels,
             anchors: self.state.anchors.iter().zip(&columns.anchors).map(anchor).collect(),

@@ -2,24 +2,23 @@
 
 use nalgebra::DMatrix;
 
-use super::{Bounce, Problem, Solution, Strip, Surface, solve_alone};
-
-/// Chi-square that an onset costs which nothing explains.
-const UNEXPLAINED: f64 = 9.0;
+use super::{Bounce, Problem, Solution, Strip, Surface, UNEXPLAINED, solve_alone};
 
 /// Places of the strips beside something in the middle between two of them, over the exit of either: the likeliest such, where it explains more than `alone` does.
 pub(super) fn beside_one(problem: &Problem, alone: Option<&Solution>) -> Option<Vec<Solution>> {
-    let cost = |solution: &Solution| solution.chi2 - UNEXPLAINED * explained(solution);
-    if problem
-        .records
-        .iter()
-        .all(|record| record.bounce == Bounce::First || record.lengths_m.len() <= problem.strips.len())
-    {
+    let strips = problem.strips.len();
+    let thirds = || problem.records.iter().enumerate().filter(|(_, record)| record.bounce == Bounce::Third);
+    if thirds().all(|(_, record)| record.lengths_m.len() <= strips) {
         return None;
     }
-    let mut best = None;
-    let mut least = alone.map_or(f64::INFINITY, cost);
-    for behind in 1..problem.strips.len() {
+    // Records without an onset for everything are left out, which explains nothing of them.
+    let cost = |solution: &Solution| {
+        let is_left_out = |record: usize| solution.labels.iter().all(|(other, _)| *other != record);
+        let left_out = thirds().filter(|(n, _)| is_left_out(*n)).map(|(_, record)| record.lengths_m.len());
+        solution.cost + UNEXPLAINED * left_out.sum::<usize>() as f64
+    };
+    let (mut best, mut least) = (None, alone.map_or(f64::INFINITY, cost));
+    for behind in 1..strips {
         for neighbour in [behind - 1, behind] {
             let mut crowded = problem.clone();
             let exit = problem.strips[neighbour].exit;
@@ -32,11 +31,6 @@ pub(super) fn beside_one(problem: &Problem, alone: Option<&Solution>) -> Option<
         }
     }
     best
-}
-
-/// How many onsets it explains.
-fn explained(solution: &Solution) -> f64 {
-    solution.labels.iter().map(|(_, onsets)| onsets.len() as f64).sum()
 }
 
 impl Solution {

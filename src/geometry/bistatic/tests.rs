@@ -69,6 +69,7 @@ impl Scene {
                 bounce: Bounce::First,
                 lengths_m: vec![first],
                 covariance_m2: DMatrix::from_element(1, 1, self.onset_sd_m.powi(2)),
+                heights: vec![1.0],
             });
             // Close pulses: errors that are opposed.
             let (common, apart) = (0.5 * self.onset_sd_m * normal(), self.onset_sd_m * normal());
@@ -87,6 +88,7 @@ impl Scene {
                 bounce: Bounce::Third,
                 lengths_m: vec![length_m(0), length_m(1)],
                 covariance_m2: DMatrix::from_row_slice(2, 2, &[1.25, -0.75, -0.75, 1.25]) * variance,
+                heights: vec![1.0; 2],
             });
         }
         let strips =
@@ -203,12 +205,29 @@ fn strips_are_placed_beside_something_between() {
                 record.lengths_m.insert(rank, way_m);
                 record.covariance_m2 = record.covariance_m2.clone().insert_row(rank, 0.0).insert_column(rank, 0.0);
                 record.covariance_m2[(rank, rank)] = scene.onset_sd_m.powi(2);
+                record.heights.insert(rank, 1.0);
             }
             let solutions = solve(&problem).unwrap();
             assert!(scene.errors(&solutions[0]).amax() < 5e-3, "{scans} {through}: {:?}", solutions[0].points);
             assert!(scene.normalised(&solutions[0]) < 5.0);
             assert_eq!(solutions[0].labels[0].1.len(), 2);
         }
+    }
+}
+
+/// A weak onset of something else in one scan: two scans fit any two of three onsets exactly, and the light that is left over decides.
+#[test]
+fn a_stray_is_not_taken_for_a_strip() {
+    for later_m in [-0.015, 0.01, 0.03] {
+        let scene = Scene::flat(2);
+        let mut problem = scene.problem(None);
+        let record = problem.records.iter_mut().find(|record| record.bounce == Bounce::Third).unwrap();
+        record.lengths_m.push(record.lengths_m[0] + later_m);
+        record.covariance_m2 = record.covariance_m2.clone().insert_row(2, 0.0).insert_column(2, 0.0);
+        record.covariance_m2[(2, 2)] = scene.onset_sd_m.powi(2);
+        record.heights.push(0.2);
+        let solutions = solve(&problem).unwrap();
+        assert!(scene.errors(&solutions[0]).amax() < 1e-9, "{later_m}: {:?}", solutions[0].points);
     }
 }
 

@@ -136,8 +136,9 @@ impl Model {
             units::path_m(onset.time_ps + f64::from(*turns) * period_ps, self.group_index)
         };
         let lengths_m = onsets.iter().map(length_m).collect();
+        let heights = onsets.iter().map(|(onset, _)| onset.amplitude.abs()).collect();
         let Place { lit, station, delay, bounce } = place;
-        self.problem.records.push(Record { lit, station, delay, bounce, lengths_m, covariance_m2 });
+        self.problem.records.push(Record { lit, station, delay, bounce, lengths_m, covariance_m2, heights });
         self.onsets.push(onsets);
     }
 
