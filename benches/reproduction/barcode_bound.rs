@@ -1,7 +1,7 @@
 //! The Cramer-Rao bound of a barcode's strips: what the profiles' samples say of pulse times (`bound::profile`), carried over to places by numerical derivatives. Shares no code with
 //! the estimator. Given is the response's width; unknown are strips, diffuser points, delays, and how the mirrors are turned, which moves the centroid of their light.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector2};
 use periscope::bound::profile::ProfileBound;
 use periscope::bound::{Bound, Use};
 use periscope::campaign::Role;
@@ -88,6 +88,14 @@ pub fn bound_m(barcode: &Barcode) -> [f64; 2] {
     [0, 2].map(|k| (covariance[(k, k)] + covariance[(k + 1, k + 1)]).sqrt())
 }
 
+/// How much later than a strip's own light that of the middle comes over the strip's exit, from a lit point.
+fn middle_later_ps(barcode: &Barcode, lit: i32, strip: usize, group_index: f64) -> f64 {
+    let scan = barcode.lit_numbers().iter().position(|number| *number == lit).expect("a lit point");
+    let middle = 0.5 * (barcode.strips[0] + barcode.strips[1]);
+    let way_m = |at: Vector2<f64>| (at - barcode.lit[scan]).norm() + (barcode.exits[strip] - at).norm();
+    units::time_ps(way_m(middle) - way_m(barcode.strips[strip]), group_index)
+}
+
 /// Bound of the standard deviation of what stands in the middle, over the weaker strip's light, in all profiles together: that of the exit over which it shows less. Unknown are times
 /// and amplitudes of both strips' pulses and a constant. That the times follow from four coordinates does not help: coordinates can follow the times.
 pub fn share_bound(barcode: &Barcode) -> f64 {
@@ -114,7 +122,7 @@ pub fn share_bound(barcode: &Barcode) -> f64 {
         let noise = noise.cholesky().expect("a covariance");
         for (through, information) in information.iter_mut().enumerate() {
             let light = lights[through];
-            let later_ps = barcode.middle_later_ps(shooting.lit, through);
+            let later_ps = middle_later_ps(barcode, shooting.lit, through, scene.group_index);
             let middle = laboratory.signal(shooting, &light.moved(later_ps, weaker / light.total()));
             let columns = DMatrix::from_columns(&[
                 column(&|t| middle.value(t)),

@@ -108,14 +108,6 @@ impl Barcode {
         periscope::units::time_ps(way_m, 1.000_277)
     }
 
-    /// How much later than a strip's own light that of the middle comes over the strip's exit, from a lit point.
-    pub fn middle_later_ps(&self, lit: i32, strip: usize) -> f64 {
-        let scan = self.lit_numbers().iter().position(|number| *number == lit).expect("a lit point");
-        let middle = 0.5 * (self.strips[0] + self.strips[1]);
-        let way_m = |at: Place| (at - self.lit[scan]).norm() + (self.exits[strip] - at).norm();
-        periscope::units::time_ps(way_m(middle) - way_m(self.strips[strip]), 1.000_277)
-    }
-
     /// Upper end of the screen, halfway between what it hides and what it must not; `None` where these are closer than 3 cm.
     fn top_m(&self) -> Option<f64> {
         let x = self.strips[0].x.min(self.strips[1].x) - SCREEN_M;
