@@ -1,7 +1,7 @@
 //! The command line. Results go to standard output, all else to standard error.
 //!
-//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was set aside (`--strict` makes that 1), or `check` found something to mend;
-//! 130 ended by Ctrl-C or SIGTERM: what was finished is kept.
+//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was set aside (`--strict` makes that 1), `check` found something to mend, or
+//! `diff` a difference; 130 ended by Ctrl-C or SIGTERM: what was finished is kept.
 
 mod commands;
 
@@ -37,8 +37,14 @@ enum Command {
     Tables(commands::tables::Tables),
     /// Ask the tables of a result folder a question in SQL
     Query(commands::query::Query),
+    /// Say where a row comes from: from a patch, a distance or an onset back to the raw exposures
+    Explain(commands::explain::Explain),
+    /// Say which table of two result folders first differs, by how much, and why
+    Diff(commands::diff::Diff),
     /// Write down the content hashes of a campaign's files
     Seal(commands::seal::Seal),
+    /// Check a campaign's files against their hashes, or a result folder for damage: every byte, every lineage
+    Verify(commands::verify::Verify),
     /// Make a campaign of scope files from a scene description, with truth beside it
     Simulate(commands::simulate::Simulate),
     /// Before capturing: what a scene will show and how well, how long it takes, and what a change would bring
@@ -62,7 +68,10 @@ fn main() -> ExitCode {
         Command::Check(args) => commands::check::check(&args),
         Command::Tables(args) => commands::tables::tables(&args),
         Command::Query(args) => commands::query::query(&args),
+        Command::Explain(args) => commands::explain::explain(&args),
+        Command::Diff(args) => commands::diff::diff(&args),
         Command::Seal(args) => commands::seal::seal(&args),
+        Command::Verify(args) => commands::verify::verify(&args),
         Command::Simulate(args) => commands::simulate::simulate(&args),
         Command::Design(args) => commands::design::design(&args),
         Command::Schema(args) => commands::schema::schema(&args),

@@ -3,9 +3,9 @@
 //! A built-in pipeline measures every capture through the ordinary runtime. With `--out` its tables stay, and the next check reads only what is new;
 //! without, they go to a temporary folder that is removed. What is found is data ([`report`]), which is printed as text ([`text`]) or as JSON.
 
-mod coverage;
+pub mod coverage;
 mod quality;
-mod report;
+pub mod report;
 mod text;
 
 use std::collections::BTreeSet;
@@ -123,8 +123,8 @@ fn look(campaign: &Campaign, survey: &Survey, out: &Path) -> Result<Report> {
     Ok(report)
 }
 
-/// A file that was still being written at the last check is new to this one.
-fn forget_changed(campaign: &Campaign, shelf: &Shelf) -> Result<()> {
+/// A file that was still being written when it was last read is new to this run.
+pub fn forget_changed(campaign: &Campaign, shelf: &Shelf) -> Result<()> {
     let notes = shelf.notes().join(&campaign.name);
     if let Some(mut manifest) = Manifest::load(&notes)? {
         manifest.forget_changed(&campaign.root);

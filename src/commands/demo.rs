@@ -15,6 +15,7 @@ use periscope::simulate::{self, Format, Scene};
 use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
 
+use super::interrupt::stop_on_signals;
 use super::run::{Job, use_threads};
 
 /// Demonstrations: name, scene, pipeline.
@@ -87,7 +88,8 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
         settings: Settings::default(),
         style: Style::auto(),
     };
-    let outcome = job.execute()?;
+    stop_on_signals(&job.settings.stop)?;
+    let outcome = job.execute(&mut job.record()?)?;
 
     println!(
         "Simulated {} captures of {} shots each as LeCroy .trc files, and solved for {} patches from the light that bounced between them.\n",

@@ -3,6 +3,8 @@
 pub mod check;
 pub mod demo;
 pub mod design;
+pub mod diff;
+pub mod explain;
 pub mod inspect;
 mod interrupt;
 pub mod plan;
@@ -12,6 +14,8 @@ pub mod schema;
 pub mod seal;
 pub mod simulate;
 pub mod tables;
+pub mod verify;
+mod watch;
 
 /// Done, but some input was set aside, or something is to be mended.
 pub const SOME_REJECTED: u8 = 3;

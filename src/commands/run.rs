@@ -11,6 +11,7 @@ use periscope::campaign::Campaign;
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::rejects::MaxRejects;
+use periscope::pipeline::roots;
 use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
 use periscope::pipeline::spec::Spec;
 use periscope::store::runs::{Ending, RunRecord};
@@ -18,6 +19,7 @@ use periscope::store::{Digest, Shelf, StoreError};
 
 use super::SOME_REJECTED;
 use super::interrupt::stop_on_signals;
+use super::watch;
 
 /// Time between two looks at a folder that another run holds.
 const LOOK_AGAIN: Duration = Duration::from_millis(200);
@@ -48,12 +50,21 @@ pub struct Run {
     /// Wait where another run holds the result folder, instead of giving up
     #[arg(long)]
     wait: bool,
+    /// Follow a capture that is under way: run again whenever files have come, until Ctrl-C
+    #[arg(long)]
+    watch: bool,
+    /// With --watch: end when no file has come for so many seconds
+    #[arg(long, value_name = "SECONDS", requires = "watch")]
+    idle: Option<u64>,
     /// Stop when more than so many records are set aside, or more than such a share of all, such as 5%
     #[arg(long, value_name = "N|P%")]
     max_rejects: Option<MaxRejects>,
     /// How to show progress
     #[arg(long, value_enum, default_value = "auto")]
     progress: ProgressKind,
+    /// Read all raw files again first, also those of which size and time of change are as recorded
+    #[arg(long)]
+    rehash: bool,
     /// Exit with 1 when any input was set aside
     #[arg(long)]
     strict: bool,
@@ -140,6 +151,7 @@ pub fn use_threads(threads: Option<usize>) -> Result<()> {
 }
 
 /// What is to be run, and into which folder.
+#[derive(Clone)]
 pub struct Job<'a> {
     /// The pipeline, parsed.
     pub spec: &'a Spec,
@@ -160,14 +172,15 @@ pub struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Plans and runs; prints warnings of the survey. Beside the tables lies a record of the run, from its start on.
-    pub fn execute(&self) -> Result<Outcome> {
-        let mut record = RunRecord::start(
-            self.pipeline,
-            self.set,
-            self.campaigns.iter().map(|campaign| (campaign.name.as_str(), campaign.root.as_path())),
-        )?;
-        self.shelf.write_run(&record)?;
+    /// A record of a run that starts now.
+    pub fn record(&self) -> Result<RunRecord> {
+        let campaigns = self.campaigns.iter().map(|campaign| (campaign.name.as_str(), campaign.root.as_path()));
+        Ok(RunRecord::start(self.pipeline, self.set, campaigns)?)
+    }
+
+    /// Plans and runs; prints warnings of the survey. Beside the tables lies the record of the run, from its start on.
+    pub fn execute(&self, record: &mut RunRecord) -> Result<Outcome> {
+        self.shelf.write_run(record)?;
         let outcome = self.compute(&mut record.tables);
         let ending = match &outcome {
             Ok(outcome) => {
@@ -181,7 +194,7 @@ impl Job<'_> {
             }
         };
         record.end(ending);
-        let written = self.shelf.write_run(&record);
+        let written = self.shelf.write_run(record);
         let outcome = outcome?;
         written?;
         Ok(outcome)
@@ -193,7 +206,6 @@ impl Job<'_> {
         for warning in plan.warnings() {
             eprintln!("warning: {warning}");
         }
-        stop_on_signals(&self.settings.stop)?;
         let progress = Progress::new(self.style);
         let outcome = runner::run(&mut plan, &self.settings, &progress);
         progress.finish();
@@ -227,6 +239,9 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     let spec = Spec::load(&args.pipeline, &args.set)?;
     let campaigns = campaigns(&args.campaign)?;
     let shelf = open(&args.out, args.wait)?;
+    if args.rehash {
+        roots::rehash(&campaigns, &shelf)?;
+    }
     let defaults = Settings::default();
     let settings = Settings {
         batch_bytes: args.batch.unwrap_or(defaults.batch_bytes),
@@ -246,7 +261,12 @@ pub fn run(args: &Run) -> Result<ExitCode> {
         settings,
         style: args.progress.into(),
     };
-    let outcome = job.execute()?;
+    stop_on_signals(&job.settings.stop)?;
+    let outcome = if args.watch {
+        watch::follow(&job, &args.campaign, args.idle.map(Duration::from_secs))?
+    } else {
+        job.execute(&mut job.record()?)?
+    };
     let out = args.out.display();
     for step in &spec.steps {
         if let Some(record) = outcome.tables.get(&step.heading) {

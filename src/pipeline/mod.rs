@@ -1,11 +1,13 @@
 //! The runtime: spec -> plan -> run. It knows record batches and lineages, and no physics.
 
+pub mod arithmetic;
 pub mod budget;
 mod cut;
 pub mod pass;
 pub mod plan;
 pub mod progress;
 pub mod rejects;
+pub mod roots;
 pub mod run;
 pub mod settings;
 pub mod spec;

@@ -5,13 +5,14 @@ use std::collections::BTreeMap;
 use arrow::datatypes::{DataType, Field, SchemaRef};
 use serde_json::{Value, json};
 
+use super::arithmetic;
 use super::spec::Spec;
 use crate::campaign::Campaign;
 use crate::stages::Node;
 use crate::stages::operator::WrittenTable;
 use crate::stages::source::{OpenSource, SourcePart};
 use crate::stages::stage::StageError;
-use crate::store::{Digest, PartRecord, Shelf, StageId, StoreError, TableRecord};
+use crate::store::{Digest, PartRecord, Shelf, StageId, StoreError, TableRecord, lineage};
 use crate::tables::{Reject, Row};
 
 /// What is known of one step's table.
@@ -177,7 +178,7 @@ impl<'a> Plan<'a> {
     /// Lineage of a part of step `i` that is made from `input`, beside whole tables of these lineages.
     #[must_use]
     pub fn part_lineage(&self, i: usize, input: &Digest, beside: &[Digest]) -> Digest {
-        Digest::join("part", [&self.tables[i].recipe, input].into_iter().chain(beside))
+        lineage::part(&self.tables[i].recipe, input, beside)
     }
 
     /// Lineages of the finished tables beside step `i`, if known.
@@ -292,18 +293,7 @@ impl<'a> Plan<'a> {
         let Some(earlier) = self.shelf.view(&self.spec.steps[i].heading)? else {
             return Ok("no earlier result".to_owned());
         };
-        let (old, new) = (&earlier.stage, &table.id);
-        let mut reasons = Vec::new();
-        if old.kind != new.kind {
-            reasons.push(format!("stage {} -> {}", old.kind, new.kind));
-        } else if old.version != new.version {
-            reasons.push(format!("version of stage {} {} -> {}", new.kind, old.version, new.version));
-        }
-        differences("", &old.params, &new.params, &mut reasons);
-        differences("campaign: ", &old.fields, &new.fields, &mut reasons);
-        if old.schemas != new.schemas {
-            reasons.push("columns of the table".to_owned());
-        }
+        let mut reasons = earlier.stage.changes(&table.id);
         if reasons.is_empty() {
             let changed = self.inputs(i).into_iter().filter(|&input| {
                 let heading = &self.spec.steps[input].heading;
@@ -321,46 +311,20 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// Differences between two JSON values, in words.
-fn differences(place: &str, old: &Value, new: &Value, out: &mut Vec<String>) {
-    match (old, new) {
-        (Value::Object(before), Value::Object(after)) => {
-            for key in before.keys().chain(after.keys().filter(|key| !before.contains_key(*key))) {
-                let place = if place.is_empty() || place.ends_with(' ') {
-                    format!("{place}{key}")
-                } else {
-                    format!("{place}.{key}")
-                };
-                differences(
-                    &place,
-                    before.get(key).unwrap_or(&Value::Null),
-                    after.get(key).unwrap_or(&Value::Null),
-                    out,
-                );
-            }
-        }
-        (Value::Array(before), Value::Array(after)) if before.len() == after.len() => {
-            for (i, (before, after)) in before.iter().zip(after).enumerate() {
-                differences(&format!("{place}[{i}]"), before, after, out);
-            }
-        }
-        _ if old != new => out.push(format!("{place} {old} -> {new}")),
-        _ => {}
-    }
-}
-
 fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) -> StageId {
     let step = &spec.steps[i];
     let recipe = |heading: &str| {
         let (step, table) = spec.table(heading).expect("the pipeline was checked");
-        Digest::join(&table, [&earlier[step].recipe()])
+        lineage::table_recipe(&table, &earlier[step].recipe())
     };
     let mut inputs: BTreeMap<String, Digest> =
         step.with.iter().map(|(name, heading)| (name.clone(), recipe(heading))).collect();
     inputs.extend(step.from.as_deref().map(|heading| ("from".to_owned(), recipe(heading))));
-    let (version, params, fields) = match &step.node {
-        Node::Source(source) => (source.version(), source.params(), source.fields(campaigns)),
-        Node::Operator(operator) => (operator.version(), operator.params(), operator.fields(campaigns)),
+    let (version, params, fields, arithmetic) = match &step.node {
+        Node::Source(source) => (source.version(), source.params(), source.fields(campaigns), arithmetic::COPIED),
+        Node::Operator(operator) => {
+            (operator.version(), operator.params(), operator.fields(campaigns), arithmetic::of_this_cpu())
+        }
     };
     let columns = |table: &WrittenTable| {
         json!([table.name, table.schema.fields().iter().map(|field| signature(field)).collect::<Vec<_>>()])
@@ -372,6 +336,7 @@ fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) 
         params,
         fields,
         schemas: Digest::of(&Value::Array(schemas)),
+        arithmetic: arithmetic.to_owned(),
         inputs,
     }
 }

@@ -1,7 +1,8 @@
 //! `ingest`: raw oscilloscope files to `traces`, one row a channel and exposure. The one stage that reads raw files.
 //!
 //! Takes the campaign folder; writes `traces`. Codes stay as the converter gave them, with scale, time base and the sub-sample trigger time
-//! beside them. Files are hashed while they are first read. A file that cannot be decoded is a row in `rejects`, and the rest goes on.
+//! beside them. Files are hashed whenever they are read, and refused where another content is on record. A file that cannot be decoded is a row in
+//! `rejects`, and the rest goes on.
 //!
 //! ```toml
 //! [traces]
@@ -9,6 +10,7 @@
 //! params = { roles = ["scene"] }
 //! ```
 
+pub mod captures;
 mod files;
 mod part;
 mod raw_file;
@@ -53,9 +55,9 @@ impl Source for Ingest {
         roles.dedup();
         json!({ "roles": roles })
     }
-    fn fields(&self, campaigns: &[Campaign]) -> Value {
-        // Rules enter through what they match: each part's content names its files, exposures and keys.
-        campaigns.iter().map(|campaign| campaign.name.as_str()).collect()
+    fn fields(&self, _: &[Campaign]) -> Value {
+        // Name and rules enter through what they match: each part's content names its campaign, files, exposures and keys.
+        Value::Null
     }
     fn table(&self) -> WrittenTable {
         WrittenTable { name: Trace::TABLE.to_owned(), schema: Trace::schema() }

@@ -36,11 +36,29 @@ impl Digest {
         hasher.finalize().into()
     }
 
+    /// The digest that is written so; `None` for any other text.
+    #[must_use]
+    pub fn from_hex(text: &str) -> Option<Self> {
+        blake3::Hash::from_hex(text).ok().map(Self::from)
+    }
+
     /// The first 16 hexadecimal digits: enough for a folder's name, never for identity.
     #[must_use]
     pub fn short(&self) -> String {
         self.to_string()[..16].to_owned()
     }
+}
+
+/// Recipe of one table (main or side) of a stage of this recipe: how other stages name it as their input.
+#[must_use]
+pub fn table_recipe(table: &str, recipe: &Digest) -> Digest {
+    Digest::join(table, [recipe])
+}
+
+/// Lineage of a part of this recipe that is made from `input` (a part, a whole table, or the content of raw files), beside whole tables.
+#[must_use]
+pub fn part(recipe: &Digest, input: &Digest, beside: &[Digest]) -> Digest {
+    Digest::join("part", [recipe, input].into_iter().chain(beside))
 }
 
 impl From<blake3::Hash> for Digest {

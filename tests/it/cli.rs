@@ -66,9 +66,21 @@ fn the_demo_prints_found_and_true_positions_and_names_the_tables() {
 fn help_and_wrong_usage() {
     let folder = tempfile::tempdir().unwrap();
     let help = out(&periscope(folder.path(), &["--help"]));
-    for command in
-        ["demo", "run", "plan", "inspect", "check", "tables", "query", "seal", "simulate", "schema", "completions"]
-    {
+    for command in [
+        "demo",
+        "run",
+        "plan",
+        "inspect",
+        "check",
+        "tables",
+        "query",
+        "explain",
+        "diff",
+        "seal",
+        "simulate",
+        "schema",
+        "completions",
+    ] {
         assert!(help.contains(&format!("\n  {command}")), "{command} is not in:\n{help}");
     }
     assert_eq!(periscope(folder.path(), &[]).status.code(), Some(2));

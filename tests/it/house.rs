@@ -9,7 +9,7 @@ const FLOORS: [&[&str]; 7] = [
     &["path", "campaign", "waveform"],
     &["geometry", "tables", "formats", "signal"],
     &["stages", "simulate"],
-    &["pipeline", "report", "bound"],
+    &["pipeline", "history", "report", "bound"],
     &["lib"],
     &["main", "commands"],
 ];
@@ -26,7 +26,7 @@ const ADDRESSES: [(&str, &[&str]); 8] = [
     ("realfft", &["signal/fft.rs"]),
     ("faer", &["geometry/", "signal/"]),
     ("nalgebra", &["geometry/", "simulate/", "stages/", "bound/"]),
-    ("arrow", &["tables/", "stages/", "store/", "pipeline/"]),
+    ("arrow", &["tables/", "stages/", "store/", "pipeline/", "history/"]),
     ("parquet", &["store/"]),
     ("polars", &["store/query.rs"]),
     ("crossbeam_channel", &["pipeline/"]),

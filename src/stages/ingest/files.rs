@@ -21,7 +21,8 @@ impl Files {
     pub fn open(surveyed: &Surveyed<'_>, job: &Job<'_>, whole: bool) -> Result<Self, Bad> {
         let exposure = &job.item.exposure;
         let signal = RawFile::open(surveyed, job, &exposure.file, whole)?;
-        let bad = |reason: String| Bad { file: exposure.file.clone(), byte_offset: None, reason };
+        let segment = exposure.segment.map(|segment| segment as i32);
+        let bad = |reason: String| Bad { file: exposure.file.clone(), segment, byte_offset: None, reason };
         let signal_records = match &job.item.records {
             Some(records) => records.clone(),
             None => numbered(
@@ -37,7 +38,7 @@ impl Files {
             select(&files.signal.records, reference.channel.as_deref(), exposure.segment).map_err(bad)?
         } else {
             let file = RawFile::open(surveyed, job, &reference.file, whole)?;
-            let bad = |reason: String| Bad { file: reference.file.clone(), byte_offset: None, reason };
+            let bad = |reason: String| Bad { file: reference.file.clone(), segment, byte_offset: None, reason };
             let records = select(&file.records, reference.channel.as_deref(), exposure.segment).map_err(bad)?;
             files.reference = Some(file);
             records

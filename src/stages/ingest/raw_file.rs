@@ -28,6 +28,7 @@ pub struct Hashed {
 /// Why an item is set aside.
 pub struct Bad {
     pub file: PathBuf,
+    pub segment: Option<i32>,
     pub byte_offset: Option<i64>,
     pub reason: String,
 }
@@ -37,7 +38,7 @@ impl Bad {
         Rejection {
             campaign: surveyed.campaigns[job.capture.campaign].name.as_str().into(),
             file: Some(self.file.to_string_lossy().as_ref().into()),
-            segment: None,
+            segment: self.segment,
             byte_offset: self.byte_offset,
             reason: self.reason,
         }
@@ -52,10 +53,10 @@ pub struct RawFile {
     pub records: Vec<Record>,
     bytes: Bytes,
     metadata: Metadata,
-    /// Of the file alone; none where its digest is on record, or it has a companion: then both are hashed at the end.
+    /// Of the file alone; none where it has a companion: then both are hashed at the end.
     hasher: Option<blake3::Hasher>,
     hashed: u64,
-    /// Files whose digests are not on record and that are not hashed on the way, with size and times from before they were read.
+    /// Files that are not hashed on the way, with size and times from before they were read.
     to_hash: Vec<(PathBuf, PathBuf, Metadata)>,
 }
 
@@ -68,23 +69,28 @@ impl RawFile {
     pub fn open(surveyed: &Surveyed<'_>, job: &Job<'_>, name: &Path, whole: bool) -> Result<Self, Bad> {
         let campaign = job.capture.campaign;
         let path_of = |name: &Path| surveyed.campaigns[campaign].path_of(name);
-        let io = |error: io::Error| Bad { file: name.to_owned(), byte_offset: None, reason: error.to_string() };
+        let io = |error: io::Error| Bad {
+            file: name.to_owned(),
+            segment: None,
+            byte_offset: None,
+            reason: error.to_string(),
+        };
         let format = |error: FormatError| Bad {
             file: name.to_owned(),
+            segment: None,
             byte_offset: error.byte_offset().map(|at| at as i64),
             reason: error.to_string(),
         };
         let path = path_of(name);
         let metadata = std::fs::metadata(&path).map_err(io)?;
-        let unknown = |file: &Path| surveyed.known(campaign, file).is_none();
         let companion = companion(name).filter(|file| job.item.exposure.companions.contains(file));
         let mut to_hash = Vec::new();
         if let Some(companion) = &companion {
-            for file in [name, companion.as_path()].into_iter().filter(|file| unknown(file)) {
+            for file in [name, companion.as_path()] {
                 to_hash.push((file.to_owned(), path_of(file), std::fs::metadata(path_of(file)).map_err(io)?));
             }
         }
-        let hasher = (companion.is_none() && unknown(name)).then(blake3::Hasher::new);
+        let hasher = companion.is_none().then(blake3::Hasher::new);
         let mut source = Source::open(&path).map_err(format)?;
         let (bytes, records) = if whole {
             let mut source = source.load().map_err(format)?;
@@ -101,7 +107,12 @@ impl RawFile {
 
     /// Something about this file that keeps it from being used.
     pub fn bad(&self, reason: impl Into<String>) -> Bad {
-        Bad { file: self.name.clone(), byte_offset: None, reason: reason.into() }
+        Bad { file: self.name.clone(), segment: None, byte_offset: None, reason: reason.into() }
+    }
+
+    /// Something about one of its records that keeps the file from being used.
+    pub fn bad_record(&self, record: usize, reason: impl Into<String>) -> Bad {
+        Bad { segment: self.records[record].segment.map(|segment| segment as i32), ..self.bad(reason) }
     }
 
     /// The bytes of a stretch of the file.
@@ -139,7 +150,7 @@ impl RawFile {
         Ok(())
     }
 
-    /// Digests that were not on record.
+    /// Digests of all that was read.
     pub fn digests(&mut self) -> Result<Vec<Hashed>, Bad> {
         let mut digests = Vec::new();
         for (file, path, metadata) in &self.to_hash {
@@ -167,16 +178,17 @@ impl RawFile {
         while start < records.len() {
             let end = self.run(records, start);
             let record = &self.records[records[start]];
-            let range = match samples {
-                Some([first, last]) if first >= last || last > record.head.samples as u64 => {
-                    return Err(self.bad(format!(
+            let range =
+                match samples {
+                    Some([first, last]) if first >= last || last > record.head.samples as u64 => {
+                        return Err(self.bad_record(records[start], format!(
                         "has {} samples; samples = [{first}, {last}] in its [[captures]] rule is not among them",
                         record.head.samples
                     )));
-                }
-                Some([first, last]) => first as usize..last as usize,
-                None => 0..record.head.samples,
-            };
+                    }
+                    Some([first, last]) => first as usize..last as usize,
+                    None => 0..record.head.samples,
+                };
             if record.contiguous().is_none() || (samples.is_some() && record.code_bytes() > PIECE_BYTES) {
                 for &record in &records[start..end] {
                     codes.push(self.apart(record, range.clone())?);
@@ -220,13 +232,13 @@ impl RawFile {
         Ok(())
     }
 
-    fn apart(&mut self, record: usize, samples: Range<usize>) -> Result<Codes, Bad> {
-        let record = &self.records[record];
+    fn apart(&mut self, number: usize, samples: Range<usize>) -> Result<Codes, Bad> {
+        let record = &self.records[number];
         let read = match &mut self.bytes {
             Bytes::Memory(memory) => record.read(&mut Cursor::new(memory.as_slice()), samples),
             Bytes::Disk(file) => record.read(file, samples),
         };
-        let block = Buffer::from_vec(read.map_err(|error| self.bad(error.to_string()))?);
+        let block = Buffer::from_vec(read.map_err(|error| self.bad_record(number, error.to_string()))?);
         Ok(Codes::new(&block, 0, block.len()))
     }
 }

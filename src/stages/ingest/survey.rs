@@ -142,6 +142,13 @@ impl Record {
         Ok(Self { seal: Manifest::load(&campaign.root)?, notes, noted })
     }
 
+    /// The content that is on record.
+    fn content(&self, file: &Path) -> Option<blake3::Hash> {
+        let sealed = self.seal.as_ref().and_then(|seal| seal.get(file)).map(|record| record.blake3);
+        let noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner);
+        sealed.or_else(|| noted.manifest.get(file).map(|record| record.blake3))
+    }
+
     /// The seal decides where there is one.
     fn check(&self, root: &Path, file: &Path) -> Result<FileState, ManifestError> {
         let sealed = self.seal.as_ref().map_or(Ok(FileState::New), |seal| seal.check(root, file))?;
@@ -204,18 +211,17 @@ impl<'a> Surveyed<'a> {
                 ))
             });
             pair_bytes += capture.bytes();
-            let (key, part_campaign) = (capture.pair_key(self.campaigns), capture.campaign);
+            let (key, campaign) = (capture.pair_key(self.campaigns), capture.campaign);
             part.push(capture);
-            let pair_ends = captures.peek().is_none_or(|next| next.pair_key(self.campaigns) != key);
-            if pair_ends {
-                if closes_part(&key, pair_bytes, self.campaigns[part_campaign].part_bytes) {
+            let next = captures.peek();
+            if next.is_none_or(|next| next.pair_key(self.campaigns) != key) {
+                // No part holds two campaigns: one more in a run leaves those of the others as they are.
+                let campaign_ends = next.is_none_or(|next| next.campaign != campaign);
+                if campaign_ends || closes_part(&key, pair_bytes, self.campaigns[campaign].part_bytes) {
                     self.parts.push(std::mem::take(&mut part));
                 }
                 pair_bytes = 0;
             }
-        }
-        if !part.is_empty() {
-            self.parts.push(part);
         }
     }
 
@@ -242,10 +248,20 @@ impl<'a> Surveyed<'a> {
             return Ok(());
         }
         let changed: Vec<String> = changed.into_iter().collect();
-        Err(StageError::Refused(format!(
-            "changed since they were first read: {}; restore what was captured, or, if the change is meant, seal the campaign anew and choose a new --out",
-            changed.join(", ")
-        )))
+        Err(refused_as_changed(&changed.join(", ")))
+    }
+
+    /// Refuses a file that was read with another content than is on record.
+    ///
+    /// # Errors
+    /// When it was.
+    pub fn hold(&self, campaign: usize, file: &Path, digest: blake3::Hash) -> Result<(), StageError> {
+        match self.records[campaign].content(file) {
+            Some(recorded) if recorded != digest => {
+                Err(refused_as_changed(&self.campaigns[campaign].path_of(file).display().to_string()))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The digest of a file, if it is on record and the file still has the size and time that it had then.
@@ -315,10 +331,18 @@ impl<'a> Surveyed<'a> {
     /// Digest of a part from the digests of its files.
     pub fn content(&self, part: &[Capture], digests: &BTreeMap<(usize, PathBuf), Digest>) -> Digest {
         let captures: Vec<Value> = part.iter().map(|capture| capture.description(self.campaigns)).collect();
+        // By name: a campaign's place in the run is no part of its content.
+        let name = |campaign: usize| &self.campaigns[campaign].name;
         let files: Vec<Value> =
-            digests.iter().map(|((campaign, file), digest)| json!([campaign, file, digest])).collect();
+            digests.iter().map(|((campaign, file), digest)| json!([name(*campaign), file, digest])).collect();
         Digest::of(&json!({ "captures": captures, "files": files }))
     }
+}
+
+fn refused_as_changed(files: &str) -> StageError {
+    StageError::Refused(format!(
+        "changed since they were first read: {files}; restore what was captured, or, if the change is meant, seal the campaign anew and choose a new --out"
+    ))
 }
 
 /// An error with its causes, and the folder that it is about.

@@ -63,7 +63,7 @@ impl<'a> Template<'a> {
             Kind::Spectrum => "is a spectrum: it has no times; save the trace over time".to_owned(),
             Kind::Iq => "is an IQ record of a carrier, not a voltage over time; save the analog channel".to_owned(),
         };
-        Err(file.bad(problem))
+        Err(file.bad_record(record, problem))
     }
 
     /// Time between samples in ps; the same as the file has it, where the campaign says another.
@@ -73,11 +73,11 @@ impl<'a> Template<'a> {
         match (keys.dt_ps, keys.nominal_rate_hz, of_file) {
             (Some(dt_ps), _, of_file) => Ok((dt_ps, of_file.filter(|of_file| *of_file != dt_ps))),
             (None, None, Some(of_file)) => Ok((of_file, None)),
-            (None, _, None) => Err(missing(file, "time base", "dt_ps")),
+            (None, _, None) => Err(missing(file, record, "time base", "dt_ps")),
             (None, Some(rate_hz), Some(of_file)) => {
                 let dt_ps = 1e12 / rate_hz;
                 if (dt_ps - of_file).abs() > ROUNDED * of_file {
-                    return Err(file.bad(format!(
+                    return Err(file.bad_record(record, format!(
                         "has {of_file} ps between samples, which is no rounded {dt_ps} ps; nominal_rate_hz = {rate_hz} in its \
                          [[captures]] rule is another rate (dt_ps would overrule the file)"
                     )));
@@ -102,18 +102,19 @@ impl<'a> Template<'a> {
         let (dt_ps, file_dt_ps) = self.step(file, number)?;
         let t0_ps = keys.t0_ps.or(record.t0_s.map(|t0_s| t0_s * 1e12).filter(|_| !head.t0_nominal));
         let what = if head.t0_nominal { "time of sample 0 to better than some samples" } else { "time of sample 0" };
-        let t0_ps = t0_ps.ok_or_else(|| missing(file, what, "t0_ps"))?;
+        let t0_ps = t0_ps.ok_or_else(|| missing(file, number, what, "t0_ps"))?;
         let gain_v = keys.gain_v.or(head.scale.map(|scale| scale.gain));
-        let gain_v = gain_v.ok_or_else(|| missing(file, "scale", "gain_v"))?;
+        let gain_v = gain_v.ok_or_else(|| missing(file, number, "scale", "gain_v"))?;
         // An offset belongs to its gain: where the campaign gives volts per code, the file's own scale is out.
         let of_file = head.scale.filter(|_| keys.gain_v.is_none()).map(|scale| scale.offset);
         let offset_v = keys.offset_v.or(of_file).unwrap_or(0.0);
         let first = keys.samples.map_or(0, |[first, _]| first);
         let samples = codes.len() / head.code_type.bytes();
         let samples = i32::try_from(samples).map_err(|_| {
-            file.bad(format!(
-                "has {samples} samples in one record; name the part that counts by samples = [first, last]"
-            ))
+            file.bad_record(
+                number,
+                format!("has {samples} samples in one record; name the part that counts by samples = [first, last]"),
+            )
         })?;
         let values = Samples::of(head.code_type.name(), codes).expect("code types have one name everywhere");
         let clipped = head.rails.map(|(low, high)| values.count_at_or_beyond(low, high) as i32);
@@ -150,6 +151,6 @@ impl<'a> Template<'a> {
     }
 }
 
-fn missing(file: &RawFile, what: &str, key: &str) -> Bad {
-    file.bad(format!("has no {what}; give {key} in its [[captures]] rule"))
+fn missing(file: &RawFile, record: usize, what: &str, key: &str) -> Bad {
+    file.bad_record(record, format!("has no {what}; give {key} in its [[captures]] rule"))
 }

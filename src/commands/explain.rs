@@ -1,0 +1,84 @@
+//! `periscope explain`.
+
+mod text;
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use periscope::history::explanation::{Explanation, explain as explained};
+use periscope::history::target::Target;
+use periscope::store::Shelf;
+
+/// What stands in the JSON object.
+const JSON_HELP: &str = "\
+Keys of the JSON object (times in ps, voltages in V, lengths in m; null: no table tells)
+  target                 what was asked for
+  table, table_kind      the table that it stands in, and its kind as in `periscope schema`
+  stage                  the stage that made it
+  row                    the row by its columns, as `periscope schema` lists them
+  tables                 all that it goes back to: table, stage, lineage (null: not kept), from, with
+  onsets                 campaign, sensor, lit, seen, rank, path, time_ps, time_sd_ps, turns, residual_ps,
+                         pull (residual in standard deviations), used, probability, snr, flags
+  captures               campaign, sensor, lit, seen, shots, rejected, noise_v, jitter_ps, chi2_dof, acquired_at, raw
+  sensors                calibration and session: table, campaign, sensor, range, shots, latency_ps, latency_sd_ps,
+                         delay_ps, delay_sd_ps, raw
+  raw (in both)          campaign, file, channel, segments (null: all), exposures, is_reference
+  beside                 side tables of the same stage
+  remarks                what to know about the answer
+  queries                about, sql";
+
+/// Arguments of `explain`.
+#[derive(Args)]
+#[command(after_long_help = JSON_HELP)]
+pub struct Explain {
+    /// Result folder
+    out: PathBuf,
+    /// Row: patch=3, distance=3,4 or onset=SENSOR,LIT,SEEN,RANK (SENSOR may be left out if there is one)
+    #[arg(value_name = "ROW")]
+    target: Target,
+    /// Table, where several have such rows (default: the last one of the dataflow)
+    #[arg(long, value_name = "HEADING")]
+    table: Option<String>,
+    /// Campaign folder, where it has moved since the last run; may be given several times
+    #[arg(long, value_name = "DIR")]
+    campaign: Vec<PathBuf>,
+    /// Form of the answer
+    #[arg(long, value_enum, default_value = "text")]
+    format: Format,
+    /// All onsets and captures, also where they are many
+    #[arg(long)]
+    all: bool,
+}
+
+/// Form of an answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For the eye
+    Text,
+    /// One JSON object
+    Json,
+    /// The SQL alone, for DuckDB
+    Sql,
+}
+
+/// The command.
+pub fn explain(args: &Explain) -> Result<ExitCode> {
+    let shelf = Shelf::look(&args.out)?;
+    let explanation = explained(&shelf, &args.target, args.table.as_deref(), &args.campaign)?;
+    let answer = match args.format {
+        Format::Text => text::text(&explanation, args.all),
+        Format::Json => serde_json::to_string_pretty(&explanation)? + "\n",
+        Format::Sql => sql(&explanation),
+    };
+    std::io::stdout().lock().write_all(answer.as_bytes())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The queries, runnable as they are.
+fn sql(explanation: &Explanation) -> String {
+    let statements = explanation.queries.iter().map(|query| format!("-- {}\n{};\n", query.about, query.sql));
+    statements.collect::<Vec<_>>().join("\n")
+}

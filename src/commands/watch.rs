@@ -1,0 +1,118 @@
+//! `periscope run --watch`: follows a capture that is under way.
+//!
+//! Pass after pass. What is there when a pass begins, and has not changed for [`SETTLED`], is the campaign of that pass; what comes later joins the next one. Only
+//! parts with new files, and the tables of all patches, are computed again; what they replace is removed, so that the result folder does not grow with the passes.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::thread;
+use std::time::{Duration, Instant, SystemTime};
+
+use anyhow::{Context, Result};
+use periscope::campaign::{Campaign, walk};
+use periscope::pipeline::run::{Outcome, RunError};
+use periscope::store::Shelf;
+use periscope::store::runs::RunRecord;
+
+use super::check::report::Report;
+use super::check::{self, coverage};
+use super::run::{Job, campaigns};
+
+/// A file that changed less than this ago may still be being written.
+const SETTLED: Duration = Duration::from_secs(2);
+/// Time between two looks at the campaign folders.
+const LOOK_AGAIN: Duration = Duration::from_millis(500);
+
+/// The files of the campaign folders at a moment.
+#[derive(Default, PartialEq)]
+struct Files {
+    settled: BTreeSet<(PathBuf, SystemTime)>,
+    waiting: usize,
+}
+
+impl Files {
+    fn of(folders: &[PathBuf], as_of: SystemTime) -> Result<Self> {
+        let mut files = Self::default();
+        for folder in folders {
+            let found = walk::files(folder)
+                .map_err(|(folder, error)| error_at(&folder, error))
+                .with_context(|| format!("campaign {}", folder.display()))?;
+            for walk::Found { path, modified } in found {
+                if modified <= as_of {
+                    files.settled.insert((folder.join(path), modified));
+                } else {
+                    files.waiting += 1;
+                }
+            }
+        }
+        Ok(files)
+    }
+}
+
+fn error_at(folder: &Path, error: std::io::Error) -> anyhow::Error {
+    anyhow::Error::new(error).context(format!("cannot read {}", folder.display()))
+}
+
+/// Runs `job` over the campaigns in `folders` again whenever files have come, until Ctrl-C, or until none has come for as long as `idle`. Gives the last outcome.
+pub fn follow(job: &Job<'_>, folders: &[PathBuf], idle: Option<Duration>) -> Result<Outcome> {
+    let mut record = job.record()?;
+    let (mut seen, mut passes) = (Files::default(), 0);
+    let mut last: Option<Result<Outcome>> = None;
+    let mut changed = Instant::now();
+    loop {
+        let as_of = SystemTime::now() - SETTLED;
+        let files = Files::of(folders, as_of)?;
+        if files.waiting > 0 {
+            changed = Instant::now();
+        }
+        if last.is_none() || files.settled != seen.settled {
+            passes += 1;
+            changed = Instant::now();
+            let new = files.settled.difference(&seen.settled).count();
+            let now = campaigns(folders).map(|mut campaigns| {
+                campaigns.iter_mut().for_each(|campaign| campaign.as_of = Some(as_of));
+                campaigns
+            });
+            let outcome = now.and_then(|campaigns| pass(job, &campaigns, &mut record));
+            if let Err(error) = &outcome
+                && matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }))
+            {
+                return outcome;
+            }
+            let state = match &outcome {
+                Ok(_) => "its tables are whole".to_owned(),
+                Err(error) => format!("not yet: {error:#}"),
+            };
+            let (count, waiting) = (files.settled.len(), files.waiting);
+            eprintln!("pass {passes}: {count} files, {new} new or changed, {waiting} still being written: {state}");
+            last = Some(outcome);
+            seen = files;
+        }
+        let is_over = idle.is_some_and(|idle| changed.elapsed() >= idle);
+        if is_over || job.settings.stop.load(Ordering::Relaxed) {
+            return last.expect("there was a pass");
+        }
+        thread::sleep(LOOK_AGAIN);
+    }
+}
+
+fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result<Outcome> {
+    for campaign in campaigns {
+        check::forget_changed(campaign, job.shelf)?;
+    }
+    let outcome = Job { campaigns, ..job.clone() }.execute(record)?;
+    remove_replaced(job.shelf)?;
+    for campaign in campaigns {
+        let mut report = Report::default();
+        coverage::fill(&mut report, campaign, &campaign.survey()?, &[], &BTreeSet::new());
+        report.mend.iter().for_each(|missing| eprintln!("still missing in {}: {missing}", campaign.name));
+    }
+    Ok(outcome)
+}
+
+/// Removes parts and tables that an earlier pass showed and this one has replaced: those of recipes that views show. Results of other parameters stay.
+fn remove_replaced(shelf: &Shelf) -> Result<()> {
+    let replaced: Vec<_> = shelf.unneeded()?.into_iter().filter(|unneeded| !unneeded.is_whole).collect();
+    Ok(shelf.remove(&replaced)?)
+}

@@ -1,0 +1,296 @@
+//! The tables of a result folder, each with the tables that it was made from.
+//!
+//! A stage's recipe names the recipes of its inputs, and a part's lineage is that recipe joined with the lineages of what it was made from. So the
+//! input of a table is found by its recipe, whatever its heading is called, and where raw files changed in between the one whose lineage fits.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::path::PathBuf;
+
+use super::HistoryError;
+use crate::store::whole::WholeTable;
+use crate::store::{Digest, Shelf, StageId, TableRecord, scan};
+use crate::tables::{self, Row};
+
+/// Name under which a stage knows the input that it streams.
+const STREAMED: &str = "from";
+
+/// One table, main or side.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Table {
+    /// The work that made it.
+    work: usize,
+    /// Its name, as in `periscope schema`.
+    pub name: String,
+}
+
+/// A finished piece of a stage's work: a whole table with its side tables, or the parts of a table that is not kept.
+struct Work {
+    stage: StageId,
+    recipe: Digest,
+    parts: BTreeSet<Digest>,
+    kept: Option<WholeTable>,
+    /// Names of its tables; where it is not kept, all that it might have.
+    names: Vec<String>,
+    /// Views by table.
+    views: BTreeMap<String, String>,
+    /// By the stage's own name for it: streamed input first.
+    inputs: Vec<(String, Table)>,
+    /// Whether the lineages of inputs and parts fit.
+    fits: bool,
+    /// Longest way from a source.
+    depth: usize,
+}
+
+/// All tables of a result folder.
+pub struct Ancestry {
+    works: Vec<Work>,
+}
+
+impl Ancestry {
+    /// Reads the records of a result folder.
+    ///
+    /// # Errors
+    /// When one cannot be read.
+    pub fn of(shelf: &Shelf) -> Result<Self, HistoryError> {
+        let mut works = Vec::new();
+        for stored in shelf.stored()? {
+            let recipe = stored.stage.recipe();
+            let work = |kept: Option<WholeTable>, parts: BTreeSet<Digest>, names: Vec<String>| Work {
+                stage: stored.stage.clone(),
+                recipe,
+                parts,
+                kept,
+                names,
+                views: BTreeMap::new(),
+                inputs: Vec::new(),
+                fits: true,
+                depth: 0,
+            };
+            if stored.tables.is_empty() {
+                let names = tables::all().into_iter().map(|(name, _)| name.to_owned()).collect();
+                works.push(work(None, stored.parts, names));
+            } else {
+                for table in stored.tables {
+                    let parts = table.record.parts.iter().map(|part| part.lineage).collect();
+                    let names = table.names()?;
+                    works.push(work(Some(table), parts, names));
+                }
+            }
+        }
+        let mut ancestry = Self { works };
+        for (view, record) in shelf.tables()? {
+            if let (Some(work), Some(table)) = (ancestry.work_of(&record), shelf.table_of(&view)) {
+                ancestry.works[work].views.entry(table).or_insert(view);
+            }
+        }
+        for work in 0..ancestry.works.len() {
+            (ancestry.works[work].inputs, ancestry.works[work].fits) = ancestry.find_inputs(work);
+        }
+        for work in 0..ancestry.works.len() {
+            ancestry.works[work].depth = ancestry.find_depth(work);
+        }
+        Ok(ancestry)
+    }
+
+    fn work_of(&self, record: &TableRecord) -> Option<usize> {
+        self.works.iter().position(|work| work.kept.as_ref().is_some_and(|kept| kept.record == *record))
+    }
+
+    /// Inputs of a piece of work, and whether their lineages explain its own.
+    fn find_inputs(&self, work: usize) -> (Vec<(String, Table)>, bool) {
+        let mut choices: Vec<Vec<(String, Table)>> = vec![Vec::new()];
+        for (input, recipe) in &self.works[work].stage.inputs {
+            let tables = self.with_recipe(recipe);
+            if tables.is_empty() {
+                continue; // removed from the shelf since
+            }
+            let longer = |choice: &Vec<(String, Table)>| {
+                let added = |table: &Table| {
+                    let mut choice = choice.clone();
+                    choice.push((input.clone(), table.clone()));
+                    choice
+                };
+                tables.iter().map(added).collect::<Vec<_>>()
+            };
+            choices = choices.iter().flat_map(longer).collect();
+        }
+        let whole = |choice: &Vec<(String, Table)>| choice.len() == self.works[work].stage.inputs.len();
+        let fitting = choices.iter().position(|choice| whole(choice) && self.fits(work, choice));
+        let mut inputs = choices.swap_remove(fitting.unwrap_or(0));
+        inputs.sort_by_key(|(name, _)| name != STREAMED);
+        (inputs, fitting.is_some())
+    }
+
+    /// Tables whose recipe goes by this digest; those with a view first.
+    fn with_recipe(&self, recipe: &Digest) -> Vec<Table> {
+        let named = |(work, made): (usize, &Work)| {
+            let name = made.names.iter().find(|name| Digest::join(name, [&made.recipe]) == *recipe)?;
+            Some((made.views.is_empty(), Table { work, name: name.clone() }))
+        };
+        let mut found: Vec<(bool, Table)> = self.works.iter().enumerate().filter_map(named).collect();
+        found.sort();
+        found.into_iter().map(|(_, table)| table).collect()
+    }
+
+    /// Whether work on these inputs has the lineage that it has. Of a table that is not kept the order of its parts is not known: it fits.
+    fn fits(&self, work: usize, inputs: &[(String, Table)]) -> bool {
+        let made = &self.works[work];
+        let lineage = |table: &Table| self.works[table.work].kept.as_ref().map(|kept| kept.record.lineage);
+        let beside = inputs.iter().filter(|(name, _)| name != STREAMED).map(|(_, table)| lineage(table));
+        let Some(beside) = beside.collect::<Option<Vec<Digest>>>() else { return true };
+        let Some((_, streamed)) = inputs.iter().find(|(name, _)| name == STREAMED) else { return true };
+        let part = |input: &Digest| Digest::join("part", [&made.recipe, input].into_iter().chain(&beside));
+        let mut possible: BTreeSet<Digest> = self.works[streamed.work].parts.iter().map(part).collect();
+        match lineage(streamed) {
+            Some(whole) => possible.extend([part(&whole)]),
+            None if !made.parts.is_subset(&possible) => return true,
+            None => {}
+        }
+        made.parts.is_subset(&possible)
+    }
+
+    fn find_depth(&self, work: usize) -> usize {
+        let inputs = self.works[work].inputs.iter();
+        inputs.map(|(_, table)| self.find_depth(table.work) + 1).max().unwrap_or(0)
+    }
+
+    /// Tables with a view, in the order of the dataflow: every table comes after those that it was made from.
+    #[must_use]
+    pub fn views(&self) -> Vec<(String, Table)> {
+        let mut views: Vec<(usize, &String, Table)> = Vec::new();
+        for (work, made) in self.works.iter().enumerate() {
+            for (name, view) in &made.views {
+                views.push((made.depth, view, Table { work, name: name.clone() }));
+            }
+        }
+        views.sort();
+        views.into_iter().map(|(_, view, table)| (view.clone(), table)).collect()
+    }
+
+    /// The table that a view shows.
+    #[must_use]
+    pub fn view(&self, view: &str) -> Option<Table> {
+        self.views().into_iter().find(|(name, _)| name == view).map(|(_, table)| table)
+    }
+
+    /// What a table is called: by its view if it has one, else by its stage.
+    #[must_use]
+    pub fn label(&self, table: &Table) -> String {
+        let made = &self.works[table.work];
+        made.views
+            .get(&table.name)
+            .cloned()
+            .unwrap_or_else(|| format!("{} of a stage `{}`", table.name, made.stage.kind))
+    }
+
+    /// The stage that made a table.
+    #[must_use]
+    pub fn stage(&self, table: &Table) -> &StageId {
+        &self.works[table.work].stage
+    }
+
+    /// Record of a table, if it is kept.
+    #[must_use]
+    pub fn record(&self, table: &Table) -> Option<&TableRecord> {
+        self.works[table.work].kept.as_ref().map(|kept| &kept.record)
+    }
+
+    /// Lineages of the parts of a table, kept or not.
+    #[must_use]
+    pub fn parts(&self, table: &Table) -> &BTreeSet<Digest> {
+        &self.works[table.work].parts
+    }
+
+    /// Longest way from a source to a table: a table lies deeper than all that it was made from.
+    #[must_use]
+    pub fn depth(&self, table: &Table) -> usize {
+        self.works[table.work].depth
+    }
+
+    /// Whether the inputs that were found are those that the table was made from.
+    #[must_use]
+    pub fn inputs_fit(&self, table: &Table) -> bool {
+        self.works[table.work].fits
+    }
+
+    /// Inputs of a table by the stage's own names for them; those that are no longer on the shelf are left out.
+    #[must_use]
+    pub fn inputs(&self, table: &Table) -> &[(String, Table)] {
+        &self.works[table.work].inputs
+    }
+
+    /// A table made by the same work, main or side.
+    #[must_use]
+    pub fn beside(&self, table: &Table, name: &str) -> Option<Table> {
+        let made = &self.works[table.work];
+        let is_there = made.kept.is_some() && made.names.iter().any(|known| known == name);
+        is_there.then(|| Table { work: table.work, name: name.to_owned() })
+    }
+
+    /// All that a table was made from, nearest first, streamed inputs before those beside.
+    #[must_use]
+    pub fn upstream(&self, of: &Table) -> Vec<Table> {
+        let mut found: Vec<Table> = Vec::new();
+        let mut queue = VecDeque::from([of.clone()]);
+        while let Some(table) = queue.pop_front() {
+            for (_, input) in self.inputs(&table) {
+                if !found.contains(input) {
+                    found.push(input.clone());
+                    queue.push_back(input.clone());
+                }
+            }
+        }
+        found
+    }
+
+    /// The nearest table of this name that a table was made from.
+    #[must_use]
+    pub fn nearest(&self, of: &Table, name: &str) -> Option<Table> {
+        self.upstream(of).into_iter().find(|table| table.name == name)
+    }
+
+    /// Files of a table, in order; none where it is not kept.
+    ///
+    /// # Errors
+    /// When its folder cannot be read.
+    pub fn files(&self, table: &Table) -> Result<Vec<PathBuf>, HistoryError> {
+        let kept = self.works[table.work].kept.as_ref();
+        Ok(kept.map(|kept| kept.files(&table.name)).transpose()?.unwrap_or_default())
+    }
+
+    /// Folder of a table, as seen through its view where it has one.
+    #[must_use]
+    pub fn folder(&self, shelf: &Shelf, table: &Table) -> Option<PathBuf> {
+        let made = &self.works[table.work];
+        let view = made.views.get(&table.name).map(|view| shelf.out().join(view));
+        view.or_else(|| made.kept.as_ref().map(|kept| kept.folder.join(&table.name)))
+    }
+
+    /// Rows of a table that are wanted, with the columns of `R` alone.
+    ///
+    /// # Errors
+    /// When a file cannot be read, or lacks a column.
+    pub fn rows<R: Row>(&self, table: &Table, wanted: impl Fn(&R) -> bool) -> Result<Vec<R>, HistoryError> {
+        self.rows_near(table, &[], wanted)
+    }
+
+    /// The same for rows that have one of these numbers in these columns: others need not be read.
+    ///
+    /// # Errors
+    /// When a file cannot be read, or lacks a column.
+    pub fn rows_near<R: Row>(
+        &self,
+        table: &Table,
+        numbers: &[(&str, &BTreeSet<i32>)],
+        wanted: impl Fn(&R) -> bool,
+    ) -> Result<Vec<R>, HistoryError> {
+        let columns = R::schema();
+        let mut rows = Vec::new();
+        for path in self.files(table)? {
+            for batch in scan::scan_near(&path, |name| columns.column_with_name(name).is_some(), numbers)? {
+                rows.extend(R::rows(&batch?)?.into_iter().filter(&wanted));
+            }
+        }
+        Ok(rows)
+    }
+}

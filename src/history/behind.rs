@@ -1,0 +1,274 @@
+//! Onsets and captures behind a row.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Serialize;
+
+use super::HistoryError;
+use super::ancestry::{Ancestry, Table};
+pub use super::exposures::RawRecords;
+use super::exposures::{CaptureKey, Exposures};
+use crate::table;
+use crate::tables::{Label, Name, Onset, Residual};
+use crate::units::PatchId;
+
+/// An onset that a row rests on. What no table tells is null.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OnsetBehind {
+    /// Campaign.
+    pub campaign: Name,
+    /// Sensor.
+    pub sensor: Name,
+    /// Patch that the laser lit.
+    pub lit: PatchId,
+    /// Patch that the sensor saw.
+    pub seen: PatchId,
+    /// Rank in its profile.
+    pub rank: i32,
+    /// Path that it was labelled with; null: left unexplained.
+    pub path: Option<Vec<PatchId>>,
+    /// Time of flight, as detected.
+    pub time_ps: Option<f64>,
+    /// Its standard deviation.
+    pub time_sd_ps: Option<f64>,
+    /// Laser periods that the label adds to it.
+    pub turns: Option<i32>,
+    /// Measured minus predicted time.
+    pub residual_ps: Option<f64>,
+    /// Residual in its own standard deviations; where these are not known in those of the time.
+    pub pull: Option<f64>,
+    /// Whether the solution rests on it.
+    pub used: Option<bool>,
+    /// Probability of the label.
+    pub probability: Option<f64>,
+    /// Signal-to-noise ratio.
+    pub snr: Option<f64>,
+    /// What to know about it.
+    pub flags: Vec<Name>,
+}
+
+impl OnsetBehind {
+    fn new(campaign: &Name, sensor: &Name, lit: PatchId, seen: PatchId, rank: i32) -> Self {
+        Self {
+            campaign: campaign.clone(),
+            sensor: sensor.clone(),
+            lit,
+            seen,
+            rank,
+            path: None,
+            time_ps: None,
+            time_sd_ps: None,
+            turns: None,
+            residual_ps: None,
+            pull: None,
+            used: None,
+            probability: None,
+            snr: None,
+            flags: Vec::new(),
+        }
+    }
+
+    pub(super) fn of_residual(row: &Residual) -> Self {
+        Self {
+            path: Some(row.path.clone()),
+            residual_ps: Some(row.residual_ps),
+            pull: Some(row.studentised.unwrap_or(row.standardised)),
+            used: Some(row.used),
+            ..Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank)
+        }
+    }
+
+    pub(super) fn of_label(row: &Label) -> Self {
+        Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank).labelled(row)
+    }
+
+    pub(super) fn of_onset(row: &Onset) -> Self {
+        Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank).detected(row)
+    }
+
+    /// With what the label says, where nothing better is known.
+    fn labelled(mut self, row: &Label) -> Self {
+        self.path = self.path.or_else(|| row.path.clone());
+        self.turns = Some(row.turns);
+        self.probability = Some(row.probability);
+        self.residual_ps = self.residual_ps.or(row.residual_ps);
+        self.pull = self.pull.or_else(|| row.residual_ps.map(|residual_ps| residual_ps / row.time_sd_ps));
+        self
+    }
+
+    fn detected(mut self, row: &Onset) -> Self {
+        self.time_ps = Some(row.time_ps);
+        self.time_sd_ps = Some(row.time_sd_ps);
+        self.snr = Some(row.snr);
+        self.flags.clone_from(&row.flags);
+        self
+    }
+
+    /// Its capture.
+    pub(super) fn capture(&self) -> CaptureKey {
+        (self.campaign.clone(), self.sensor.clone(), self.lit, self.seen)
+    }
+
+    fn id(&self) -> (CaptureKey, i32) {
+        (self.capture(), self.rank)
+    }
+}
+
+/// Adds what `labels` and `onsets` say of these onsets, as far as these tables are there.
+pub(super) fn complete(
+    ancestry: &Ancestry,
+    onsets: Vec<OnsetBehind>,
+    labels: Option<&Table>,
+    detected: Option<&Table>,
+) -> Result<Vec<OnsetBehind>, HistoryError> {
+    let ids: BTreeSet<_> = onsets.iter().map(OnsetBehind::id).collect();
+    let labels = match labels {
+        None => Vec::new(),
+        Some(table) => {
+            let wanted = |row: &Label| row.alternative == 0 && ids.contains(&OnsetBehind::of_label(row).id());
+            ancestry.rows(table, wanted)?
+        }
+    };
+    let detected = match detected {
+        None => Vec::new(),
+        Some(table) => ancestry.rows(table, |row: &Onset| ids.contains(&OnsetBehind::of_onset(row).id()))?,
+    };
+    let labels: BTreeMap<_, _> = labels.iter().map(|row| (OnsetBehind::of_label(row).id(), row)).collect();
+    let detected: BTreeMap<_, _> = detected.iter().map(|row| (OnsetBehind::of_onset(row).id(), row)).collect();
+    let add = |onset: OnsetBehind| {
+        let id = onset.id();
+        let onset = labels.get(&id).map_or_else(|| onset.clone(), |row| onset.clone().labelled(row));
+        detected.get(&id).map_or_else(|| onset.clone(), |row| onset.clone().detected(row))
+    };
+    Ok(onsets.into_iter().map(add).collect())
+}
+
+/// A capture that a row rests on. What no table tells is null.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CaptureBehind {
+    /// Campaign.
+    pub campaign: Name,
+    /// Sensor.
+    pub sensor: Name,
+    /// Patch that the laser lit.
+    pub lit: PatchId,
+    /// Patch that the sensor saw.
+    pub seen: PatchId,
+    /// Shots averaged.
+    pub shots: Option<i32>,
+    /// Shots set aside.
+    pub rejected: Option<i32>,
+    /// Standard deviation of the noise of one shot.
+    pub noise_v: Option<f64>,
+    /// Time error that all arrivals of the profile share.
+    pub jitter_ps: Option<f64>,
+    /// Chi-square of the deconvolution over its degrees of freedom.
+    pub chi2_dof: Option<f64>,
+    /// Wall-clock time of the first shot.
+    pub acquired_at: Option<Name>,
+    /// Its raw records.
+    pub raw: Vec<RawRecords>,
+}
+
+table! {
+    /// What a profile says of its capture.
+    "profiles": Averaged, AveragedColumns {
+        /// Campaign.
+        campaign: Name,
+        /// Sensor.
+        sensor: Name,
+        /// Patch lit.
+        lit: i32,
+        /// Patch seen.
+        seen: i32,
+        /// Role.
+        role: Name,
+        /// Shots averaged.
+        shots: i32,
+        /// Shots set aside.
+        rejected: i32,
+        /// Noise of one shot.
+        noise_v: f64,
+        /// Time error left over.
+        jitter_ps: f64,
+        /// Time of the first shot.
+        acquired_at: Option<Name>,
+    }
+}
+
+table! {
+    /// How well a profile was explained.
+    "stir": Explained, ExplainedColumns {
+        /// Campaign.
+        campaign: Name,
+        /// Sensor.
+        sensor: Name,
+        /// Patch lit.
+        lit: i32,
+        /// Patch seen.
+        seen: i32,
+        /// Chi-square over degrees of freedom.
+        chi2_dof: Option<f64>,
+    }
+}
+
+/// Keys of the captures of the scene in a table `profiles`.
+pub(super) fn scene_captures(ancestry: &Ancestry, profiles: &Table) -> Result<BTreeSet<CaptureKey>, HistoryError> {
+    let rows = ancestry.rows(profiles, |row: &Averaged| &*row.role == "scene")?;
+    Ok(rows.into_iter().map(|row| (row.campaign, row.sensor, row.lit, row.seen)).collect())
+}
+
+/// What is known of captures, in the order of the tables; `from` is the table whose ancestors tell.
+pub(super) fn captures(
+    exposures: &Exposures<'_>,
+    keys: &BTreeSet<CaptureKey>,
+    from: &Table,
+    remarks: &mut Vec<String>,
+) -> Result<Vec<CaptureBehind>, HistoryError> {
+    let ancestry = exposures.ancestry;
+    let profiles = at_or_above(ancestry, from, "profiles");
+    let mut averaged = BTreeMap::new();
+    if let Some(table) = &profiles {
+        let key = |row: &Averaged| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
+        let rows = ancestry.rows(table, |row: &Averaged| &*row.role == "scene" && keys.contains(&key(row)))?;
+        averaged.extend(rows.into_iter().map(|row| (key(&row), row)));
+    }
+    let mut explained = BTreeMap::new();
+    if let Some(table) = at_or_above(ancestry, from, "stir") {
+        let key = |row: &Explained| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
+        let rows = ancestry.rows(&table, |row: &Explained| keys.contains(&key(row)))?;
+        explained.extend(rows.into_iter().map(|row| (key(&row), row.chi2_dof)));
+    }
+    let mut raw: BTreeMap<CaptureKey, Vec<RawRecords>> = BTreeMap::new();
+    if let Some(traces) = ancestry.nearest(profiles.as_ref().unwrap_or(from), "traces") {
+        for (key, records) in exposures.of_captures(&traces, keys, remarks)? {
+            raw.entry(key).or_default().push(records);
+        }
+    }
+    let capture = |key: &CaptureKey| {
+        let averaged = averaged.get(key);
+        CaptureBehind {
+            campaign: key.0.clone(),
+            sensor: key.1.clone(),
+            lit: key.2,
+            seen: key.3,
+            shots: averaged.map(|row| row.shots),
+            rejected: averaged.map(|row| row.rejected),
+            noise_v: averaged.map(|row| row.noise_v),
+            jitter_ps: averaged.map(|row| row.jitter_ps),
+            chi2_dof: explained.get(key).copied().flatten(),
+            acquired_at: averaged.and_then(|row| row.acquired_at.clone()),
+            raw: raw.remove(key).unwrap_or_default(),
+        }
+    };
+    let mut in_order: Vec<&CaptureKey> = keys.iter().collect();
+    in_order.sort_by_key(|(campaign, sensor, lit, seen)| {
+        (campaign.clone(), sensor.clone(), *lit.min(seen), *lit.max(seen), *lit)
+    });
+    Ok(in_order.into_iter().map(capture).collect())
+}
+
+/// A table itself, or the nearest of this name that it was made from.
+pub(super) fn at_or_above(ancestry: &Ancestry, table: &Table, name: &str) -> Option<Table> {
+    if table.name == name { Some(table.clone()) } else { ancestry.nearest(table, name) }
+}

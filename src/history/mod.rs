@@ -1,0 +1,61 @@
+//! What lies behind finished tables: from a row back to the raw exposures ([`explanation`]), and what differs between two result folders and
+//! why ([`comparison`]). Everything is read from the tables and their lineage; nothing is computed again.
+//!
+//! | file | question |
+//! |---|---|
+//! | `ancestry` | which table was made from which? |
+//! | `target` | which row is meant by `patch=3`? |
+//! | `gather`, `explanation` | which onsets does it rest on? |
+//! | `behind`, `sensors` | what is known of these onsets, of their captures and sensors? |
+//! | `exposures` | in which raw files, and which of their segments? |
+//! | `sql` | how does DuckDB answer the same? |
+//! | `side`, `comparison`, `causes` | which tables of two folders differ, and what made them differ? |
+//! | `matching`, `differences` | which rows, in which columns, by how much? |
+
+pub mod ancestry;
+pub mod behind;
+mod causes;
+pub mod comparison;
+mod differences;
+pub mod explanation;
+mod exposures;
+mod gather;
+mod matching;
+pub mod sensors;
+mod side;
+mod sql;
+pub mod target;
+mod values;
+
+use thiserror::Error;
+
+use crate::campaign::{CampaignError, ManifestError};
+use crate::stages::stage::StageError;
+use crate::store::StoreError;
+use crate::tables::SchemaError;
+
+/// Why a question has no answer; the text names the place and the mend.
+#[derive(Debug, Error)]
+pub enum HistoryError {
+    /// The result folder.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A table is not what its name says.
+    #[error(transparent)]
+    Schema(#[from] SchemaError),
+    /// Arrow refused an operation on batches.
+    #[error(transparent)]
+    Arrow(#[from] arrow::error::ArrowError),
+    /// A campaign folder.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
+    /// What is on record of raw files.
+    #[error(transparent)]
+    Manifest(#[from] ManifestError),
+    /// The raw files of a campaign.
+    #[error(transparent)]
+    Raw(#[from] StageError),
+    /// Anything else.
+    #[error("{0}")]
+    Refused(String),
+}

@@ -1,0 +1,127 @@
+//! What the sensors' own captures told of them: calibration, drift and pick-up.
+
+use std::collections::BTreeSet;
+
+use serde::Serialize;
+
+use super::HistoryError;
+use super::ancestry::Table;
+use super::exposures::{CaptureKey, Exposures, RawRecords};
+use crate::table;
+use crate::tables::{Delay, Name};
+
+/// What a sensor's captures of its own told: calibration, drift and pick-up.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SensorBehind {
+    /// Table: the view of a `calibration` or `session`.
+    pub table: String,
+    /// Campaign.
+    pub campaign: Name,
+    /// Sensor.
+    pub sensor: Name,
+    /// Vertical range, where captures were taken at several.
+    pub range: Option<Name>,
+    /// Shots, or fiducial runs, that went into it.
+    pub shots: i32,
+    /// Latency; null for a session.
+    pub latency_ps: Option<f64>,
+    /// Its standard deviation.
+    pub latency_sd_ps: Option<f64>,
+    /// Delay that the solver found beyond the latency.
+    pub delay_ps: Option<f64>,
+    /// Its standard deviation.
+    pub delay_sd_ps: Option<f64>,
+    /// Its raw records.
+    pub raw: Vec<RawRecords>,
+}
+
+table! {
+    /// What a calibration says of its sensor.
+    "calibration": Calibrated, CalibratedColumns {
+        /// Campaign.
+        campaign: Name,
+        /// Sensor.
+        sensor: Name,
+        /// Vertical range.
+        range: Option<Name>,
+        /// Shots.
+        shots: i32,
+        /// Latency.
+        latency_ps: f64,
+        /// Its standard deviation.
+        latency_sd_ps: f64,
+    }
+}
+
+table! {
+    /// What a session says of its sensor.
+    "session": Followed, FollowedColumns {
+        /// Campaign.
+        campaign: Name,
+        /// Sensor.
+        sensor: Name,
+        /// Vertical range.
+        range: Option<Name>,
+        /// Fiducial runs.
+        fiducials: i32,
+    }
+}
+
+impl SensorBehind {
+    fn new(table: String, campaign: Name, sensor: Name, range: Option<Name>, shots: i32) -> Self {
+        Self {
+            table,
+            campaign,
+            sensor,
+            range,
+            shots,
+            latency_ps: None,
+            latency_sd_ps: None,
+            delay_ps: None,
+            delay_sd_ps: None,
+            raw: Vec::new(),
+        }
+    }
+}
+
+/// What stands behind the sensors of these captures; `from` is the table whose ancestors tell.
+pub(super) fn sensors(
+    exposures: &Exposures<'_>,
+    keys: &BTreeSet<CaptureKey>,
+    from: &Table,
+    remarks: &mut Vec<String>,
+) -> Result<Vec<SensorBehind>, HistoryError> {
+    let ancestry = exposures.ancestry;
+    let wanted: BTreeSet<(&Name, &Name)> = keys.iter().map(|(campaign, sensor, ..)| (campaign, sensor)).collect();
+    let mut found = Vec::new();
+    if let Some(table) = ancestry.nearest(from, "calibration") {
+        let delays = ancestry.beside(from, "delays");
+        for row in ancestry.rows(&table, |row: &Calibrated| wanted.contains(&(&row.campaign, &row.sensor)))? {
+            let is_its = |delay: &Delay| {
+                (&delay.campaign, &delay.sensor, &delay.range) == (&row.campaign, &row.sensor, &row.range)
+            };
+            let delay = delays.as_ref().map(|delays| ancestry.rows(delays, is_its)).transpose()?;
+            let delay = delay.and_then(|mut rows| rows.pop());
+            let sensor = SensorBehind {
+                latency_ps: Some(row.latency_ps),
+                latency_sd_ps: Some(row.latency_sd_ps),
+                delay_ps: delay.as_ref().map(|delay| delay.delay_ps),
+                delay_sd_ps: delay.as_ref().map(|delay| delay.sd_ps),
+                ..SensorBehind::new(ancestry.label(&table), row.campaign, row.sensor, row.range, row.shots)
+            };
+            found.push((table.clone(), sensor));
+        }
+    }
+    if let Some(table) = ancestry.nearest(from, "session") {
+        for row in ancestry.rows(&table, |row: &Followed| wanted.contains(&(&row.campaign, &row.sensor)))? {
+            let sensor = SensorBehind::new(ancestry.label(&table), row.campaign, row.sensor, row.range, row.fiducials);
+            found.push((table.clone(), sensor));
+        }
+    }
+    for (table, sensor) in &mut found {
+        if let Some(traces) = ancestry.nearest(table, "traces") {
+            sensor.raw = exposures.of_sensor(&traces, &sensor.campaign, &sensor.sensor, remarks)?;
+        }
+    }
+    Ok(found.into_iter().map(|(_, sensor)| sensor).collect())
+}

@@ -1,0 +1,86 @@
+//! Everything whole on a shelf, with or without a view: for those who follow a table back to what it was made from.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::Digest;
+use super::failure::{At, StoreError};
+use super::record;
+use super::shelf::{Shelf, StageId, TableRecord};
+
+/// A stage's place on the shelf.
+#[derive(Clone, Debug)]
+pub struct Stored {
+    /// The stage.
+    pub stage: StageId,
+    /// Lineages of its whole parts, in no order.
+    pub parts: BTreeSet<Digest>,
+    /// Its whole tables; none where the table is not kept, several where raw files changed.
+    pub tables: Vec<WholeTable>,
+}
+
+/// A whole table: its main table and the side tables.
+#[derive(Clone, Debug)]
+pub struct WholeTable {
+    /// Its record.
+    pub record: TableRecord,
+    /// Folder with a folder of Parquet files for each of its tables.
+    pub folder: PathBuf,
+}
+
+impl WholeTable {
+    /// Names of its tables.
+    ///
+    /// # Errors
+    /// When the folder cannot be read.
+    pub fn names(&self) -> Result<Vec<String>, StoreError> {
+        let folders = entries(&self.folder)?.into_iter().filter(|path| path.is_dir());
+        Ok(folders.filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned())).collect())
+    }
+
+    /// Files of one of its tables, in order.
+    ///
+    /// # Errors
+    /// When there is no such table.
+    pub fn files(&self, table: &str) -> Result<Vec<PathBuf>, StoreError> {
+        entries(&self.folder.join(table))
+    }
+}
+
+impl Shelf {
+    /// All stages that have something whole on the shelf.
+    ///
+    /// # Errors
+    /// When the shelf cannot be read, or a record is damaged.
+    pub fn stored(&self) -> Result<Vec<Stored>, StoreError> {
+        let mut stored = Vec::new();
+        for folder in entries(&self.out().join(".shelf"))?.into_iter().filter(|folder| folder.is_dir()) {
+            let (mut parts, mut tables) = (BTreeSet::new(), Vec::new());
+            for path in entries(&folder)? {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                let part = name.strip_prefix("part-").and_then(|name| name.strip_suffix(".json"));
+                parts.extend(part.and_then(Digest::from_hex));
+                if name.starts_with("table-")
+                    && let Some(record) = record::read::<TableRecord>(&path.join("table.json"))?
+                {
+                    tables.push(WholeTable { record, folder: path });
+                }
+            }
+            // A table without parts has no record of its stage but its own.
+            let of_table = tables.first().map(|table| table.record.stage.clone());
+            if let Some(stage) = record::read(&folder.join("stage.json"))?.or(of_table) {
+                stored.push(Stored { stage, parts, tables });
+            }
+        }
+        Ok(stored)
+    }
+}
+
+/// What lies in a folder, sorted.
+fn entries(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
+    let mut entries: Vec<PathBuf> =
+        fs::read_dir(folder).at("read", folder)?.flatten().map(|entry| entry.path()).collect();
+    entries.sort();
+    Ok(entries)
+}

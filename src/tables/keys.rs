@@ -1,0 +1,44 @@
+//! Which columns name a row of each table.
+
+/// The columns that name a row, whatever its other columns say; `None` for a table that is not ours.
+#[must_use]
+pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
+    Some(match table {
+        "traces" => &["campaign", "sensor", "lit", "seen", "role", "run", "range", "shot", "is_reference"],
+        "calibration" | "session" | "delays" => &["campaign", "sensor", "range"],
+        "profiles" | "measurements" => &["campaign", "sensor", "lit", "seen", "role", "run"],
+        "checks" => &["campaign", "sensor", "check"],
+        "stir" => &["campaign", "sensor", "lit", "seen"],
+        "onsets" => &["campaign", "sensor", "lit", "seen", "rank"],
+        "labels" => &["campaign", "sensor", "lit", "seen", "rank", "alternative"],
+        "residuals" | "suspects" => &["campaign", "sensor", "lit", "seen", "rank", "path"],
+        "hypotheses" => &["hypothesis", "alternative"],
+        "gaps" | "distances" | "patch_covariances" => &["a", "b"],
+        "covariances" => &["a1", "b1", "a2", "b2"],
+        "patches" => &["patch", "alternative"],
+        "planes" => &["plane"],
+        "stations" => &["campaign", "station"],
+        "fits" => &["alternative"],
+        "ambiguities" => &["kind", "patches", "alternative"],
+        "rejects" => &["stage", "campaign", "file", "segment", "byte_offset"],
+        "true_paths" => &["campaign", "sensor", "lit", "seen", "path"],
+        "true_centroids" => &["campaign", "sensor", "patch"],
+        "true_captures" => &["campaign", "sensor", "lit", "seen", "role", "range", "file"],
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tables;
+
+    #[test]
+    fn every_table_has_a_key_of_its_own_columns() {
+        for (table, schema) in tables::all() {
+            let key = key_of(table).unwrap_or_default();
+            assert!(!key.is_empty(), "{table}");
+            assert!(key.iter().all(|column| schema.column_with_name(column).is_some()), "{table}: {key:?}");
+        }
+    }
+}
