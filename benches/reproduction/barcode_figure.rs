@@ -18,12 +18,12 @@ pub fn write() {
     let barcode = Barcode { anchor_sd_m: 5e-4, ..Barcode::new(2).turned(SEED) };
     let seen = run(&barcode, SEED, PIPELINE);
     let of_paper = paper(&barcode, SEED);
-    let mut picture = Picture::new(720.0, 705.0);
+    let mut picture = Picture::new(830.0, 705.0);
     let whole = Panel { left: 110.0, bottom: 570.0, x0: 0.0, y0: 0.0, scale: 1000.0 };
     room(&mut picture, &whole, &barcode);
     strips(&mut picture, &whole, &barcode, &seen.patches, &of_paper);
     // The strips once more, larger.
-    let close = Panel { left: 555.0, bottom: 538.0, x0: 0.415, y0: 0.18, scale: 3200.0 };
+    let close = Panel { left: 660.0, bottom: 538.0, x0: 0.415, y0: 0.18, scale: 3200.0 };
     let frame = [[0.371, 0.151], [0.46, 0.151], [0.46, 0.209], [0.371, 0.209], [0.371, 0.151]];
     picture.curve(&close, &frame, "#999999", 1.0);
     strips(&mut picture, &close, &barcode, &seen.patches, &of_paper);
