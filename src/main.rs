@@ -43,6 +43,8 @@ enum Command {
     Diff(commands::diff::Diff),
     /// Write down the content hashes of a campaign's files
     Seal(commands::seal::Seal),
+    /// Check a campaign's files against their hashes, or a result folder for damage: every byte, every lineage
+    Verify(commands::verify::Verify),
     /// Make a campaign of scope files from a scene description, with truth beside it
     Simulate(commands::simulate::Simulate),
     /// Before capturing: what a scene will show and how well, how long it takes, and what a change would bring
@@ -69,6 +71,7 @@ fn main() -> ExitCode {
         Command::Explain(args) => commands::explain::explain(&args),
         Command::Diff(args) => commands::diff::diff(&args),
         Command::Seal(args) => commands::seal::seal(&args),
+        Command::Verify(args) => commands::verify::verify(&args),
         Command::Simulate(args) => commands::simulate::simulate(&args),
         Command::Design(args) => commands::design::design(&args),
         Command::Schema(args) => commands::schema::schema(&args),

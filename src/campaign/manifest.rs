@@ -1,6 +1,6 @@
 //! The manifest of a campaign folder: size, time of change and content hash of every raw file that was read or sealed.
 //!
-//! `DIR/manifest.json`, one file a line, sorted. The hash (BLAKE3) is what lineages are made of; size and time only spare hashing a file again:
+//! `DIR/manifest.json`, one file a line, sorted, each with a check of itself: a line can be taken out, but not be read wrongly. The hash (BLAKE3) is what lineages are made of; size and time only spare hashing a file again:
 //! where they differ from what was recorded, the content decides. A file that is rewritten with equal size and equal time of change passes
 //! unseen until `verify --rehash`.
 
@@ -11,12 +11,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, UNIX_EPOCH};
 
 use blake3::Hash;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 /// Name of the manifest in a campaign folder.
 pub const MANIFEST_FILE: &str = "manifest.json";
 
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// How half-written manifests begin; the number of the process that writes follows.
 const HALF: &str = ".manifest.json.";
@@ -46,6 +46,17 @@ pub enum ManifestError {
         /// What is wrong.
         problem: String,
     },
+    /// Lines of the manifest are not as they were written.
+    #[error(
+        "{}: damaged in the lines of {}; restore it, or take these lines out, and the files are hashed anew as they are now",
+        file.display(), lines.join(", ")
+    )]
+    Damaged {
+        /// The manifest.
+        file: PathBuf,
+        /// The files of these lines, as they stand there.
+        lines: Vec<String>,
+    },
     /// Files have other content than was recorded.
     #[error(
         "changed since they were recorded: {}; restore them, or, if the change is meant, take their lines out of {} and seal anew",
@@ -60,15 +71,13 @@ pub enum ManifestError {
 }
 
 /// What is recorded of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FileRecord {
     /// Size.
     pub bytes: u64,
     /// Time of the last change, nanoseconds since 1970.
     pub modified_ns: i64,
     /// Hash of the content.
-    #[serde(serialize_with = "as_hex", deserialize_with = "from_hex")]
     pub blake3: Hash,
 }
 
@@ -97,7 +106,35 @@ pub struct Manifest {
 #[serde(deny_unknown_fields)]
 struct ManifestFile {
     version: u32,
-    files: BTreeMap<String, FileRecord>,
+    files: BTreeMap<String, Line>,
+}
+
+/// A line of it.
+#[derive(PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Line {
+    bytes: u64,
+    modified_ns: i64,
+    /// Hexadecimal, lower case.
+    blake3: String,
+    /// The first 16 hexadecimal digits of the BLAKE3 hash of path and fields.
+    check: String,
+}
+
+impl Line {
+    fn of(path: &str, record: &FileRecord) -> Self {
+        let FileRecord { bytes, modified_ns, blake3 } = record;
+        let blake3 = blake3.to_hex().to_string();
+        let check = blake3::hash(format!("{path}\0{bytes}\0{modified_ns}\0{blake3}").as_bytes());
+        Self { bytes: *bytes, modified_ns: *modified_ns, blake3, check: check.to_hex()[..16].to_owned() }
+    }
+
+    /// The record, if the line is as it was written.
+    fn record(&self, path: &str) -> Option<FileRecord> {
+        let blake3 = Hash::from_hex(&self.blake3).ok()?;
+        let record = FileRecord { bytes: self.bytes, modified_ns: self.modified_ns, blake3 };
+        (Self::of(path, &record) == *self).then_some(record)
+    }
 }
 
 impl Manifest {
@@ -116,7 +153,14 @@ impl Manifest {
         if read.version != VERSION {
             return Err(format(format!("version {}, not {VERSION}", read.version)));
         }
-        Ok(Some(Self { files: read.files }))
+        let (mut files, mut damaged) = (BTreeMap::new(), Vec::new());
+        for (path, line) in read.files {
+            match line.record(&path) {
+                Some(record) => _ = files.insert(path, record),
+                None => damaged.push(path),
+            }
+        }
+        if damaged.is_empty() { Ok(Some(Self { files })) } else { Err(ManifestError::Damaged { file, lines: damaged }) }
     }
 
     /// Writes the manifest: whole under another name, then renamed, so that no reader and no crash sees half of it. Halves that killed processes left
@@ -144,7 +188,7 @@ impl Manifest {
             text += if index > 0 { ",\n" } else { "\n" };
             text += &serde_json::to_string(path)?;
             text += ": ";
-            text += &serde_json::to_string(record)?;
+            text += &serde_json::to_string(&Line::of(path, record))?;
         }
         text += "\n}\n}\n";
         Ok(text)
@@ -266,15 +310,6 @@ fn key(path: &Path) -> String {
     parts.join("/")
 }
 
-fn as_hex<S: Serializer>(hash: &Hash, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(&hash.to_hex())
-}
-
-fn from_hex<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hash, D::Error> {
-    let text = String::deserialize(deserializer)?;
-    Hash::from_hex(text).map_err(serde::de::Error::custom)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -324,11 +359,29 @@ mod tests {
         let empty = Manifest::default();
         empty.save(folder.path()).unwrap();
         assert_eq!(Manifest::load(folder.path()).unwrap(), Some(empty));
-        for text in ["", "{}", "{\"version\": 2, \"files\": {}}"] {
+        for text in ["", "{}", "{\"version\": 1, \"files\": {}}"] {
             fs::write(folder.path().join(MANIFEST_FILE), text).unwrap();
             let error = Manifest::load(folder.path()).unwrap_err().to_string();
             assert!(error.contains("seal the folder anew"), "{error}");
         }
+    }
+
+    #[test]
+    fn every_flipped_bit_is_found_and_its_line_named() {
+        let (folder, manifest) = folder_with("light");
+        manifest.save(folder.path()).unwrap();
+        let file = folder.path().join(MANIFEST_FILE);
+        let bytes = fs::read(&file).unwrap();
+        for bit in 0..8 * bytes.len() {
+            let mut flipped = bytes.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            fs::write(&file, &flipped).unwrap();
+            assert!(Manifest::load(folder.path()).is_err(), "bit {bit}: {}", String::from_utf8_lossy(&flipped));
+        }
+        let text = String::from_utf8(bytes).unwrap();
+        fs::write(&file, text.replace("\"bytes\":5", "\"bytes\":4")).unwrap();
+        let error = Manifest::load(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("damaged in the lines of a.trc; restore it"), "{error}");
     }
 
     #[test]

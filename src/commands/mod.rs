@@ -14,6 +14,7 @@ pub mod schema;
 pub mod seal;
 pub mod simulate;
 pub mod tables;
+pub mod verify;
 mod watch;
 
 /// Done, but some input was set aside, or something is to be mended.

@@ -11,6 +11,7 @@ use periscope::campaign::Campaign;
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::rejects::MaxRejects;
+use periscope::pipeline::roots;
 use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
 use periscope::pipeline::spec::Spec;
 use periscope::store::runs::{Ending, RunRecord};
@@ -61,6 +62,9 @@ pub struct Run {
     /// How to show progress
     #[arg(long, value_enum, default_value = "auto")]
     progress: ProgressKind,
+    /// Read all raw files again first, also those of which size and time of change are as recorded
+    #[arg(long)]
+    rehash: bool,
     /// Exit with 1 when any input was set aside
     #[arg(long)]
     strict: bool,
@@ -235,6 +239,9 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     let spec = Spec::load(&args.pipeline, &args.set)?;
     let campaigns = campaigns(&args.campaign)?;
     let shelf = open(&args.out, args.wait)?;
+    if args.rehash {
+        roots::rehash(&campaigns, &shelf)?;
+    }
     let defaults = Settings::default();
     let settings = Settings {
         batch_bytes: args.batch.unwrap_or(defaults.batch_bytes),

@@ -7,6 +7,7 @@ pub mod pass;
 pub mod plan;
 pub mod progress;
 pub mod rejects;
+pub mod roots;
 pub mod run;
 pub mod settings;
 pub mod spec;

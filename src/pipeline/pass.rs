@@ -21,7 +21,7 @@ use crate::stages::operator::{Running, Written};
 use crate::stages::source::{Credit, Feed, PartRead};
 use crate::stages::stage::{BesideTables, Rejection, StageError};
 use crate::store::shelf::PartWriter;
-use crate::store::{Digest, PartRecord, StoreError, TableRecord, parquet};
+use crate::store::{Digest, PartRecord, StoreError, TableRecord};
 use crate::tables::{Reject, Row};
 
 /// What goes down a channel.
@@ -199,9 +199,7 @@ fn tables_beside(plan: &Plan<'_>, step: usize) -> Result<BesideTables, RunError>
 
 /// All batches of one table of one stored part.
 fn stored(plan: &Plan<'_>, step: usize, table: &str, part: &PartRecord) -> Result<Vec<RecordBatch>, RunError> {
-    let path = plan.shelf.part_file(&plan.tables[step].id, &part.lineage, table);
-    let failed = |source| RunError::Store(StoreError::Parquet { what: "read", path: path.clone(), source });
-    parquet::read(&path, usize::MAX >> 1).map_err(failed)?.map(|batch| batch.map_err(failed)).collect()
+    Ok(plan.shelf.read(&plan.tables[step].id, part, table, usize::MAX >> 1)?.collect::<Result<_, _>>()?)
 }
 
 fn send(children: &[Sender<Message>], message: impl Fn() -> Message) -> Result<(), Failure> {
@@ -234,11 +232,8 @@ fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Mess
     let plan = shared.plan;
     let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
     let table = &plan.written(root)[0].0;
-    let path = plan.shelf.part_file(&plan.tables[root].id, &record.lineage, table);
-    let failed =
-        |source| Failure::Cause(RunError::Store(StoreError::Parquet { what: "read", path: path.clone(), source }));
-    for batch in parquet::read(&path, shared.settings.replay_rows).map_err(failed)? {
-        let batch = batch.map_err(failed)?;
+    for batch in plan.shelf.read(&plan.tables[root].id, record, table, shared.settings.replay_rows)? {
+        let batch = batch?;
         shared.go_on()?;
         let credit = shared
             .budget

@@ -12,7 +12,7 @@ use crate::stages::Node;
 use crate::stages::operator::WrittenTable;
 use crate::stages::source::{OpenSource, SourcePart};
 use crate::stages::stage::StageError;
-use crate::store::{Digest, PartRecord, Shelf, StageId, StoreError, TableRecord};
+use crate::store::{Digest, PartRecord, Shelf, StageId, StoreError, TableRecord, lineage};
 use crate::tables::{Reject, Row};
 
 /// What is known of one step's table.
@@ -178,7 +178,7 @@ impl<'a> Plan<'a> {
     /// Lineage of a part of step `i` that is made from `input`, beside whole tables of these lineages.
     #[must_use]
     pub fn part_lineage(&self, i: usize, input: &Digest, beside: &[Digest]) -> Digest {
-        Digest::join("part", [&self.tables[i].recipe, input].into_iter().chain(beside))
+        lineage::part(&self.tables[i].recipe, input, beside)
     }
 
     /// Lineages of the finished tables beside step `i`, if known.
@@ -315,7 +315,7 @@ fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) 
     let step = &spec.steps[i];
     let recipe = |heading: &str| {
         let (step, table) = spec.table(heading).expect("the pipeline was checked");
-        Digest::join(&table, [&earlier[step].recipe()])
+        lineage::table_recipe(&table, &earlier[step].recipe())
     };
     let mut inputs: BTreeMap<String, Digest> =
         step.with.iter().map(|(name, heading)| (name.clone(), recipe(heading))).collect();

@@ -6,7 +6,11 @@ use std::path::{Path, PathBuf};
 use parquet::errors::ParquetError;
 use thiserror::Error;
 
+use super::damage::Damage;
 use super::lock::Holder;
+
+/// What a user can do about damage.
+pub const MEND: &str = "delete it, and the next `run` makes anew what is missing (`periscope verify --repair` deletes all that is damaged)";
 
 /// What can go wrong with a result folder.
 #[derive(Debug, Error)]
@@ -53,8 +57,11 @@ pub enum StoreError {
         /// Cause.
         source: ParquetError,
     },
-    /// A record of the shelf does not parse.
-    #[error("{path} is damaged; delete it, and its table is computed again")]
+    /// A table file is not as it was written.
+    #[error("{} is damaged ({}); {MEND}", .0.file.display(), .0.place)]
+    Damaged(Box<Damage>),
+    /// A record of the shelf is not as it was written.
+    #[error("{path} is damaged; {MEND}")]
     Record {
         /// File.
         path: PathBuf,

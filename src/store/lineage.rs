@@ -49,6 +49,18 @@ impl Digest {
     }
 }
 
+/// Recipe of one table (main or side) of a stage of this recipe: how other stages name it as their input.
+#[must_use]
+pub fn table_recipe(table: &str, recipe: &Digest) -> Digest {
+    Digest::join(table, [recipe])
+}
+
+/// Lineage of a part of this recipe that is made from `input` (a part, a whole table, or the content of raw files), beside whole tables.
+#[must_use]
+pub fn part(recipe: &Digest, input: &Digest, beside: &[Digest]) -> Digest {
+    Digest::join("part", [recipe, input].into_iter().chain(beside))
+}
+
 impl From<blake3::Hash> for Digest {
     fn from(hash: blake3::Hash) -> Self {
         Self(*hash.as_bytes())

@@ -1,17 +1,21 @@
 //! The store: tables on disk under the lineage that made them. It knows lineages, schemas and batches; it knows no stage.
 
 mod changes;
+pub mod damage;
 pub mod failure;
 pub mod lineage;
 pub mod lock;
+mod page_checksums;
 pub mod parquet;
 pub mod prune;
 #[cfg(feature = "query")]
 pub mod query;
+pub mod record;
 pub mod runs;
 pub mod scan;
 pub mod shelf;
 mod sweep;
+pub mod verify;
 pub mod whole;
 
 pub use failure::StoreError;

@@ -11,10 +11,12 @@ use std::sync::Arc;
 use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::compute::concat_batches;
 use arrow::datatypes::{DataType, SchemaRef};
+use bytes::Bytes;
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use parquet::arrow::arrow_writer::{ArrowColumnChunk, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
+use parquet::arrow::arrow_writer::{ArrowColumnWriter, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
 use parquet::basic::{Compression, ZstdLevel};
+use parquet::column::writer::ColumnCloseResult;
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
@@ -24,6 +26,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::Digest;
+use super::damage;
+use super::failure::{At, StoreError};
+use super::page_checksums::{ChunkPages, with_checksums};
 
 /// A row group closes with the row that brings it to this many bytes.
 pub const ROW_GROUP_BYTES: usize = 4 << 20;
@@ -39,12 +44,18 @@ pub struct FileRecord {
     pub bytes: u64,
     /// BLAKE3 of the file.
     pub digest: Digest,
+    /// Where its pages end; indexes and footer follow.
+    pub pages_end: u64,
+    /// BLAKE3 of what follows the pages.
+    pub footer: Digest,
 }
 
 /// Passes bytes on to a file and digests them on the way.
 struct Digesting {
     file: BufWriter<File>,
     hasher: blake3::Hasher,
+    /// Of what is written after the pages.
+    footer: blake3::Hasher,
     bytes: u64,
 }
 
@@ -52,6 +63,7 @@ impl Write for Digesting {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
         let written = self.file.write(buffer)?;
         self.hasher.update(&buffer[..written]);
+        self.footer.update(&buffer[..written]);
         self.bytes += written as u64;
         Ok(written)
     }
@@ -66,6 +78,8 @@ pub struct TableWriter {
     schema: SchemaRef,
     writer: SerializedFileWriter<Digesting>,
     factory: ArrowRowGroupWriterFactory,
+    /// Pages of the column chunks that are being encoded.
+    pages: Arc<ChunkPages>,
     /// Rows of the row group that is being filled.
     open: Vec<RecordBatch>,
     open_bytes: usize,
@@ -83,8 +97,10 @@ impl TableWriter {
     /// When the file cannot be created.
     pub fn create(path: &Path, schema: &SchemaRef) -> Result<Self, ParquetError> {
         let file = BufWriter::with_capacity(1 << 16, File::create(path)?);
-        let sink = Digesting { file, hasher: blake3::Hasher::new(), bytes: 0 };
-        let options = ArrowWriterOptions::new().with_properties(properties(schema));
+        let sink = Digesting { file, hasher: blake3::Hasher::new(), footer: blake3::Hasher::new(), bytes: 0 };
+        let pages = Arc::new(ChunkPages::default());
+        let options =
+            ArrowWriterOptions::new().with_properties(properties(schema)).with_page_store_factory(pages.clone());
         let (writer, factory) =
             ArrowWriter::try_new_with_options(sink, schema.clone(), options)?.into_serialized_writer()?;
         Ok(Self {
@@ -92,6 +108,7 @@ impl TableWriter {
             schema: schema.clone(),
             writer,
             factory,
+            pages,
             open: Vec::new(),
             open_bytes: 0,
             open_rows: 0,
@@ -137,19 +154,23 @@ impl TableWriter {
     }
 
     fn encode(&mut self) -> Result<(), ParquetError> {
-        let (factory, first) = (&self.factory, self.groups);
-        let encoded: Vec<_> = self
-            .whole
-            .par_iter()
-            .enumerate()
-            .map(|(i, batch)| encode_group(factory, first + i, batch))
-            .collect::<Result<_, _>>()?;
-        self.groups += encoded.len();
-        self.whole.clear();
+        let mut groups = Vec::new();
+        for batch in self.whole.drain(..) {
+            let writers = self.factory.create_column_writers(self.groups)?;
+            groups.push((batch, writers, self.pages.take()));
+            self.groups += 1;
+        }
+        let encoded: Vec<_> = groups
+            .into_par_iter()
+            .map(|(batch, writers, pages)| {
+                let chunks = encode_group(&batch, writers)?;
+                pages.iter().zip(&chunks).map(|(pages, close)| with_checksums(pages, close)).collect()
+            })
+            .collect::<Result<Vec<Vec<(Bytes, ColumnCloseResult)>>, ParquetError>>()?;
         for columns in encoded {
             let mut group = self.writer.next_row_group()?;
-            for column in columns {
-                column.append_to_row_group(&mut group)?;
+            for (bytes, close) in columns {
+                group.append_column(&bytes, close)?;
             }
             group.close()?;
         }
@@ -165,27 +186,32 @@ impl TableWriter {
             self.close_group()?;
         }
         self.encode()?;
+        self.writer.flush()?;
+        let pages_end = self.writer.bytes_written() as u64;
+        self.writer.inner_mut().footer.reset();
         for (key, value) in footer {
             self.writer.append_key_value_metadata(KeyValue::new((*key).to_owned(), value.clone()));
         }
         let mut sink = self.writer.into_inner()?;
         sink.flush()?;
-        Ok(FileRecord { rows: self.rows, bytes: sink.bytes, digest: sink.hasher.finalize().into() })
+        Ok(FileRecord {
+            rows: self.rows,
+            bytes: sink.bytes,
+            digest: sink.hasher.finalize().into(),
+            pages_end,
+            footer: sink.footer.finalize().into(),
+        })
     }
 }
 
-fn encode_group(
-    factory: &ArrowRowGroupWriterFactory,
-    index: usize,
-    batch: &RecordBatch,
-) -> Result<Vec<ArrowColumnChunk>, ParquetError> {
-    let mut writers = factory.create_column_writers(index)?.into_iter();
+fn encode_group(batch: &RecordBatch, writers: Vec<ArrowColumnWriter>) -> Result<Vec<ColumnCloseResult>, ParquetError> {
+    let mut writers = writers.into_iter();
     let mut chunks = Vec::new();
     for (field, column) in batch.schema_ref().fields().iter().zip(batch.columns()) {
         for leaf in compute_leaves(field, column)? {
             let mut writer = writers.next().expect("one writer a leaf column");
             writer.write(&leaf)?;
-            chunks.push(writer.close()?);
+            chunks.push(writer.close()?.close().clone());
         }
     }
     Ok(chunks)
@@ -220,8 +246,7 @@ fn properties(schema: &SchemaRef) -> WriterProperties {
     let mut properties = WriterProperties::builder()
         .set_created_by("periscope".to_owned())
         .set_compression(zstd)
-        .set_max_row_group_row_count(None)
-        .set_offset_index_disabled(true);
+        .set_max_row_group_row_count(None);
     for field in schema.fields() {
         let path = match field.data_type() {
             DataType::List(item) if item.data_type().is_floating() => {
@@ -250,6 +275,21 @@ pub fn read(
 ) -> Result<impl Iterator<Item = Result<RecordBatch, ParquetError>> + use<>, ParquetError> {
     let reader = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?.with_batch_size(rows).build()?;
     Ok(reader.map(|batch| batch.map_err(ParquetError::from)))
+}
+
+/// Batches of a file that is on record, of at most `rows` rows each, in order. Its bytes are held against the record first: what follows decodes
+/// what was written, or is an error.
+///
+/// # Errors
+/// When the file is missing, or is not as recorded: the error says where the damage is.
+pub fn read_recorded(
+    path: &Path,
+    record: &FileRecord,
+    rows: usize,
+) -> Result<impl Iterator<Item = Result<RecordBatch, StoreError>> + use<>, StoreError> {
+    damage::check(path, record)?;
+    let at = path.to_owned();
+    Ok(read(path, rows).at("read", path)?.map(move |batch| batch.at("read", &at)))
 }
 
 /// Schema and number of rows of a file, and its footer entries.

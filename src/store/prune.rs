@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 
 use super::failure::{At, StoreError};
 use super::runs::{Ending, utc};
-use super::shelf::{PartRecord, Shelf, StageId, read_json};
-use super::{Digest, TableRecord};
+use super::shelf::{PartRecord, Shelf, StageId};
+use super::{Digest, TableRecord, lineage, record};
 use crate::tables::{self, Reject, Row};
 
 /// What nobody needs of the tables of one recipe.
@@ -104,11 +104,12 @@ impl Shelf {
         // A stage knows its inputs by recipe and name of table.
         let mut makers: BTreeMap<Digest, String> = BTreeMap::new();
         for (folder, _) in folders(&self.root())? {
-            let Some(stage) = read_json::<StageId>(&folder.join("stage.json"))? else {
+            let Some(stage) = record::read::<StageId>(&folder.join("stage.json"))? else {
                 continue;
             };
             let recipe = stage.recipe();
-            makers.extend(tables::all().iter().map(|(table, _)| (Digest::join(table, [&recipe]), stage.folder())));
+            makers
+                .extend(tables::all().iter().map(|(table, _)| (lineage::table_recipe(table, &recipe), stage.folder())));
             stages.insert(stage.folder(), stage);
         }
         let mut behind = BTreeSet::new();
@@ -168,7 +169,7 @@ impl Contents {
         for (path, found) in &entries {
             if let Some(lineage) = part_of(path).filter(|_| path.extension().is_some_and(|ending| ending == "json")) {
                 let is_list = |part: &PartRecord| is_behind && part.files.keys().all(|table| table == Reject::TABLE);
-                if is_unfinished(found) || read_json::<PartRecord>(path)?.as_ref().is_some_and(is_list) {
+                if is_unfinished(found) || record::read::<PartRecord>(path)?.as_ref().is_some_and(is_list) {
                     needed.insert(lineage.to_owned());
                 }
             }

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::Digest;
 use super::failure::{At, StoreError};
 use super::lock::Holder;
+use super::record;
 use super::shelf::Shelf;
 
 /// How a run ended.
@@ -123,13 +124,9 @@ impl Shelf {
         let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
         files.retain(|file| file.extension().is_some_and(|extension| extension == "json"));
         files.sort();
-        files.iter().map(|file| read(file)).collect()
+        let read = files.iter().map(|file| record::read(file));
+        read.filter_map(Result::transpose).collect()
     }
-}
-
-fn read(file: &Path) -> Result<RunRecord, StoreError> {
-    let bytes = fs::read(file).at("read", file)?;
-    serde_json::from_slice(&bytes).map_err(|source| StoreError::Record { path: file.to_owned(), source })
 }
 
 /// A moment as date and time of day (UTC), ISO 8601, to the second.

@@ -12,7 +12,9 @@ use parquet::errors::ParquetError;
 use parquet::file::metadata::RowGroupMetaData;
 use parquet::file::statistics::Statistics;
 
+use super::damage;
 use super::failure::{At, StoreError};
+use super::shelf::on_record;
 
 /// Bytes of a batch, about.
 const BATCH_BYTES: i64 = 4 << 20;
@@ -39,6 +41,7 @@ pub fn scan_near<F: Fn(&str) -> bool>(
     wanted: F,
     numbers: &[(&str, &BTreeSet<i32>)],
 ) -> Result<impl Iterator<Item = Result<RecordBatch, StoreError>> + use<F>, StoreError> {
+    check(path)?;
     let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(path).at("read", path)?).at("read", path)?;
     let fields = builder.schema().fields().iter().enumerate();
     let roots: Vec<usize> = fields.filter(|(_, field)| wanted(field.name())).map(|(i, _)| i).collect();
@@ -59,6 +62,11 @@ pub fn scan_near<F: Fn(&str) -> bool>(
     Ok(reader.map(move |batch| batch.map_err(ParquetError::from).at("read", &path)))
 }
 
+/// Holds a file of a view against what is on record of it; of others nothing is known.
+fn check(path: &Path) -> Result<(), StoreError> {
+    on_record(path)?.map_or(Ok(()), |record| damage::check(path, &record))
+}
+
 /// Whether a column of a row group may hold one of these numbers, by its statistics.
 fn may_hold(group: &RowGroupMetaData, column: &str, numbers: &BTreeSet<i32>) -> bool {
     let column = group.columns().iter().find(|found| found.column_path().string() == column);
@@ -76,6 +84,7 @@ fn may_hold(group: &RowGroupMetaData, column: &str, numbers: &BTreeSet<i32>) -> 
 /// # Errors
 /// When the file is missing or is not Parquet.
 pub fn schema(path: &Path) -> Result<SchemaRef, StoreError> {
+    check(path)?;
     super::parquet::describe(path).map(|(schema, ..)| schema).at("read", path)
 }
 
@@ -84,6 +93,7 @@ pub fn schema(path: &Path) -> Result<SchemaRef, StoreError> {
 /// # Errors
 /// When the file is missing or is not Parquet.
 pub fn rows(path: &Path) -> Result<u64, StoreError> {
+    check(path)?;
     super::parquet::describe(path).map(|(_, rows, _)| rows).at("read", path)
 }
 

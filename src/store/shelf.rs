@@ -11,7 +11,6 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -24,8 +23,19 @@ use super::Digest;
 use super::failure::{At, StoreError};
 use super::lock;
 use super::parquet::{self as file, FileRecord, TableWriter};
+use super::record;
 use super::sweep;
 use crate::tables::{Reject, Row};
+
+/// Name of a [`RejectsRecord`].
+pub(super) const REJECTS_RECORD: &str = "rejects.json";
+
+/// The files of the view `rejects`, which are of many stages.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct RejectsRecord {
+    /// Files by name.
+    pub files: BTreeMap<String, FileRecord>,
+}
 
 /// What makes a table, raw files apart: its recipe's content.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -166,7 +176,7 @@ impl Shelf {
     /// When its record is damaged.
     pub fn part(&self, stage: &StageId, lineage: &Digest) -> Result<Option<PartRecord>, StoreError> {
         let folder = self.root().join(stage.folder());
-        let Some(record) = read_json::<PartRecord>(&folder.join(format!("part-{lineage}.json")))? else {
+        let Some(record) = record::read::<PartRecord>(&folder.join(format!("part-{lineage}.json")))? else {
             return Ok(None);
         };
         let present = |(table, file): (&String, &FileRecord)| {
@@ -182,11 +192,7 @@ impl Shelf {
     /// When its files cannot be created.
     pub fn begin(&self, stage: &StageId, tables: &[(String, SchemaRef)]) -> Result<PartWriter<'_>, StoreError> {
         let folder = self.root().join(stage.folder());
-        fs::create_dir_all(&folder).at("create", &folder)?;
-        let stage_file = folder.join("stage.json");
-        if !stage_file.exists() {
-            self.write_json(&stage_file, stage)?;
-        }
+        self.describe(stage)?;
         let mut writers = Vec::new();
         for (table, schema) in tables {
             let path = self.temporary(&folder);
@@ -195,10 +201,17 @@ impl Shelf {
         Ok(PartWriter { shelf: self, stage: stage.clone(), folder, writers })
     }
 
+    /// Writes down what makes the tables of a folder, if that does not stand there.
+    fn describe(&self, stage: &StageId) -> Result<(), StoreError> {
+        let folder = self.root().join(stage.folder());
+        fs::create_dir_all(&folder).at("create", &folder)?;
+        let path = folder.join("stage.json");
+        if path.exists() { Ok(()) } else { self.write_json(&path, stage) }
+    }
+
     pub(super) fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), StoreError> {
         let temporary = self.temporary(path.parent().expect("a record lies in a folder"));
-        let text = serde_json::to_string_pretty(value).expect("records are plain data");
-        fs::write(&temporary, text).at("write", &temporary)?;
+        fs::write(&temporary, record::text(value)).at("write", &temporary)?;
         fs::rename(&temporary, path).at("write", path)
     }
 
@@ -218,13 +231,20 @@ impl Shelf {
         let record = TableRecord { lineage, stage: stage.clone(), parts };
         let folder = self.root().join(stage.folder());
         let whole = folder.join(format!("table-{lineage}"));
-        if read_json::<TableRecord>(&whole.join("table.json"))?.as_ref() != Some(&record) {
+        self.describe(stage)?;
+        let part = |part: &PartRecord, table: &str| folder.join(format!("part-{}.{table}.parquet", part.lineage));
+        let linked = |i: usize, table: &str| {
+            let shown = whole.join(table).join(format!("part-{i:05}.parquet"));
+            shows(&shown, &part(&record.parts[i], table))
+        };
+        let stands = record::read::<TableRecord>(&whole.join("table.json"))?.as_ref() == Some(&record)
+            && views.iter().all(|(table, _)| (0..record.parts.len()).all(|i| linked(i, table)));
+        if !stands {
             let temporary = self.temporary(&folder);
             for (table, _) in views {
                 let tables = temporary.join(table);
                 fs::create_dir_all(&tables).at("create", &tables)?;
-                for (i, part) in record.parts.iter().enumerate() {
-                    let source = folder.join(format!("part-{}.{table}.parquet", part.lineage));
+                for (i, source) in record.parts.iter().map(|record| part(record, table)).enumerate() {
                     let target = tables.join(format!("part-{i:05}.parquet"));
                     fs::hard_link(&source, &target)
                         .or_else(|_| fs::copy(&source, &target).map(drop))
@@ -259,7 +279,10 @@ impl Shelf {
         let name = format!("{table}-{}", TableRecord::lineage_of(&named).short());
         let rows = files.iter().map(|(.., part)| part.files[table].rows).sum();
         let whole = self.root().join(&name);
-        if whole.exists() {
+        let linked = |(heading, stage, i, part): &(&str, &StageId, usize, &PartRecord)| {
+            shows(&whole.join(format!("{heading}-{i:05}.parquet")), &self.part_file(stage, &part.lineage, table))
+        };
+        if whole.exists() && files.iter().all(linked) {
             self.show(table, &PathBuf::from(".shelf").join(name))?;
             return Ok(rows);
         }
@@ -267,13 +290,18 @@ impl Shelf {
         fs::create_dir_all(&temporary).at("create", &temporary)?;
         // An empty file keeps the view readable, with its schema, when nothing was set aside.
         let none = temporary.join("none.parquet");
-        TableWriter::create(&none, &Reject::schema()).and_then(|writer| writer.finish(&[])).at("write", &none)?;
+        let empty =
+            TableWriter::create(&none, &Reject::schema()).and_then(|writer| writer.finish(&[])).at("write", &none)?;
+        let mut shown = RejectsRecord { files: BTreeMap::from([("none.parquet".to_owned(), empty)]) };
         for (heading, stage, i, part) in &files {
             let source = self.part_file(stage, &part.lineage, table);
-            let target = temporary.join(format!("{heading}-{i:05}.parquet"));
+            let name = format!("{heading}-{i:05}.parquet");
+            let target = temporary.join(&name);
             fs::hard_link(&source, &target).or_else(|_| fs::copy(&source, &target).map(drop)).at("link", &target)?;
+            shown.files.insert(name, part.files[table].clone());
         }
-        fs::rename(&temporary, &whole).at("write", &whole)?;
+        self.write_json(&temporary.join(REJECTS_RECORD), &shown)?;
+        self.replace(&temporary, &whole)?;
         self.show(table, &PathBuf::from(".shelf").join(name))?;
         Ok(rows)
     }
@@ -331,7 +359,7 @@ impl Shelf {
         let Some(whole) = target.parent() else {
             return Ok(None);
         };
-        read_json(&self.out.join(whole).join("table.json"))
+        record::read(&self.out.join(whole).join("table.json"))
     }
 
     /// Name of the table (main or side) that a view shows.
@@ -353,12 +381,30 @@ impl Shelf {
     /// # Errors
     /// When there is no such view.
     pub fn files(&self, view: &str) -> Result<Vec<PathBuf>, StoreError> {
+        Ok(self.recorded(view)?.into_iter().map(|(path, _)| path).collect())
+    }
+
+    /// Files of a view, in order, with what is on record of each.
+    ///
+    /// # Errors
+    /// When there is no such view, or its record is damaged.
+    pub fn recorded(&self, view: &str) -> Result<Vec<(PathBuf, FileRecord)>, StoreError> {
         let missing = || StoreError::NoTable { out: self.out.clone(), heading: view.to_owned() };
+        // Of the table as it is now, also where the view is switched meanwhile.
         let folder = fs::canonicalize(self.out.join(view)).map_err(|_| missing())?;
-        let mut files: Vec<_> =
-            fs::read_dir(&folder).map_err(|_| missing())?.flatten().map(|entry| entry.path()).collect();
-        files.sort();
-        Ok(files)
+        if let Some(rejects) = record::read::<RejectsRecord>(&folder.join(REJECTS_RECORD))? {
+            return Ok(rejects.files.into_iter().map(|(name, file)| (folder.join(name), file)).collect());
+        }
+        let table = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let record = record::read::<TableRecord>(&folder.with_file_name("table.json"))?.ok_or_else(missing)?;
+        let parts = record.parts.into_iter().enumerate();
+        let file = |(i, mut part): (usize, PartRecord)| {
+            part.files
+                .remove(&table)
+                .map(|file| (folder.join(format!("part-{i:05}.parquet")), file))
+                .ok_or_else(missing)
+        };
+        parts.map(file).collect()
     }
 
     /// File of one table of one part.
@@ -373,23 +419,57 @@ impl Shelf {
     /// When there is no such view, or a file cannot be read.
     pub fn batches(&self, view: &str) -> Result<Vec<RecordBatch>, StoreError> {
         let mut batches = Vec::new();
-        for path in self.files(view)? {
-            for batch in file::read(&path, 1024).at("read", &path)? {
-                batches.push(batch.at("read", &path)?);
+        for (path, record) in self.recorded(view)? {
+            for batch in file::read_recorded(&path, &record, 1024)? {
+                batches.push(batch?);
             }
         }
         Ok(batches)
     }
+
+    /// Batches of one table of one part, of at most `rows` rows each.
+    ///
+    /// # Errors
+    /// When its file is not as it was written.
+    pub fn read(
+        &self,
+        stage: &StageId,
+        part: &PartRecord,
+        table: &str,
+        rows: usize,
+    ) -> Result<impl Iterator<Item = Result<RecordBatch, StoreError>> + use<>, StoreError> {
+        file::read_recorded(&self.part_file(stage, &part.lineage, table), &part.files[table], rows)
+    }
 }
 
-pub(super) fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<Option<T>, StoreError> {
-    match fs::read(path) {
-        Ok(bytes) => serde_json::from_slice(&bytes)
-            .map(Some)
-            .map_err(|source| StoreError::Record { path: path.to_owned(), source }),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(StoreError::Io { what: "read", path: path.to_owned(), source }),
+/// What is on record of a file that a view shows; `None` for files elsewhere.
+///
+/// # Errors
+/// When the record is damaged.
+pub(super) fn on_record(path: &Path) -> Result<Option<FileRecord>, StoreError> {
+    let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else {
+        return Ok(None);
+    };
+    let (folder, name) = (fs::canonicalize(folder).at("find", folder)?, name.to_string_lossy());
+    if let Some(mut rejects) = record::read::<RejectsRecord>(&folder.join(REJECTS_RECORD))? {
+        return Ok(rejects.files.remove(name.as_ref()));
     }
+    let table: Option<TableRecord> = record::read(&folder.with_file_name("table.json"))?;
+    let part = || name.strip_prefix("part-")?.strip_suffix(".parquet")?.parse::<usize>().ok();
+    let file = |mut record: TableRecord| {
+        let part = record.parts.get_mut(part()?)?;
+        part.files.remove(folder.file_name()?.to_string_lossy().as_ref())
+    };
+    Ok(table.and_then(file))
+}
+
+/// Whether a file of a view shows its part: linked to it, or, where there are no links, copied from it. A part that was made anew is younger.
+fn shows(view: &Path, part: &Path) -> bool {
+    let (Ok(view), Ok(part)) = (fs::metadata(view), fs::metadata(part)) else {
+        return false;
+    };
+    let not_older = view.modified().ok().zip(part.modified().ok()).is_some_and(|(view, part)| view >= part);
+    view.len() == part.len() && not_older
 }
 
 /// Writes the tables of one part; nothing of it counts before [`PartWriter::commit`].

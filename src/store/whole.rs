@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use super::Digest;
 use super::failure::{At, StoreError};
-use super::shelf::{Shelf, StageId, TableRecord, read_json};
+use super::record;
+use super::shelf::{Shelf, StageId, TableRecord};
 
 /// A stage's place on the shelf.
 #[derive(Clone, Debug)]
@@ -61,14 +62,14 @@ impl Shelf {
                 let part = name.strip_prefix("part-").and_then(|name| name.strip_suffix(".json"));
                 parts.extend(part.and_then(Digest::from_hex));
                 if name.starts_with("table-")
-                    && let Some(record) = read_json::<TableRecord>(&path.join("table.json"))?
+                    && let Some(record) = record::read::<TableRecord>(&path.join("table.json"))?
                 {
                     tables.push(WholeTable { record, folder: path });
                 }
             }
             // A table without parts has no record of its stage but its own.
             let of_table = tables.first().map(|table| table.record.stage.clone());
-            if let Some(stage) = read_json(&folder.join("stage.json"))?.or(of_table) {
+            if let Some(stage) = record::read(&folder.join("stage.json"))?.or(of_table) {
                 stored.push(Stored { stage, parts, tables });
             }
         }

@@ -41,5 +41,6 @@ mod session;
 mod sessions;
 mod simulate;
 mod surface;
+mod verify;
 mod version;
 mod watch;

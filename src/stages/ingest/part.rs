@@ -84,7 +84,7 @@ impl Reader<'_> {
         let done: Vec<Done> = jobs.par_iter().map(|(_, job)| read_whole(surveyed, job)).collect();
         let mut rows = Vec::new();
         for ((index, job), done) in jobs.iter().zip(done) {
-            rows.extend(self.take(*index, job, done));
+            rows.extend(self.take(*index, job, done)?);
         }
         if !rows.is_empty() {
             self.feed.send(Trace::to_batch(&rows), credit)?;
@@ -100,11 +100,8 @@ impl Reader<'_> {
             Ok(files) => files,
             Err(error) => {
                 let digests = digests_of_bad(self.surveyed, &job);
-                self.take(
-                    index,
-                    &job,
-                    Done { rows: Vec::new(), shots: 0, digests, rejection: Some(error.rejection(self.surveyed, &job)) },
-                );
+                let rejection = Some(error.rejection(self.surveyed, &job));
+                self.take(index, &job, Done { rows: Vec::new(), shots: 0, digests, rejection })?;
                 return Ok(());
             }
         };
@@ -136,12 +133,13 @@ impl Reader<'_> {
             Ok(digests) => outcome.digests = digests,
             Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
         }
-        self.take(index, &job, outcome);
+        self.take(index, &job, outcome)?;
         Ok(())
     }
 
-    /// Notes what came of a job; numbers its exposures where the files do not.
-    fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Vec<Trace> {
+    /// Notes what came of a job; numbers its exposures where the files do not. A file of which another content is on record stops the run before
+    /// anything that was made of it counts.
+    fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Vec<Trace>, StageError> {
         let campaign = job.capture.campaign;
         for Hashed { file, digest, metadata } in done.digests {
             // What changed while it was read is not what was hashed, and goes down in no notes.
@@ -149,6 +147,7 @@ impl Reader<'_> {
             if !now.is_ok_and(|now| now.len() == metadata.len() && now.modified().ok() == metadata.modified().ok()) {
                 continue;
             }
+            self.surveyed.hold(campaign, &file, digest)?;
             self.surveyed.record(campaign, &file, digest, &metadata);
             self.digests.insert((campaign, file), digest.into());
         }
@@ -159,7 +158,7 @@ impl Reader<'_> {
             done.rows.iter_mut().for_each(|row| row.shot += *first);
             *first += done.shots;
         }
-        done.rows
+        Ok(done.rows)
     }
 
     fn finish(mut self, captures: &[Capture]) -> Result<PartRead, StageError> {

@@ -53,10 +53,10 @@ pub struct RawFile {
     pub records: Vec<Record>,
     bytes: Bytes,
     metadata: Metadata,
-    /// Of the file alone; none where its digest is on record, or it has a companion: then both are hashed at the end.
+    /// Of the file alone; none where it has a companion: then both are hashed at the end.
     hasher: Option<blake3::Hasher>,
     hashed: u64,
-    /// Files whose digests are not on record and that are not hashed on the way, with size and times from before they were read.
+    /// Files that are not hashed on the way, with size and times from before they were read.
     to_hash: Vec<(PathBuf, PathBuf, Metadata)>,
 }
 
@@ -83,15 +83,14 @@ impl RawFile {
         };
         let path = path_of(name);
         let metadata = std::fs::metadata(&path).map_err(io)?;
-        let unknown = |file: &Path| surveyed.known(campaign, file).is_none();
         let companion = companion(name).filter(|file| job.item.exposure.companions.contains(file));
         let mut to_hash = Vec::new();
         if let Some(companion) = &companion {
-            for file in [name, companion.as_path()].into_iter().filter(|file| unknown(file)) {
+            for file in [name, companion.as_path()] {
                 to_hash.push((file.to_owned(), path_of(file), std::fs::metadata(path_of(file)).map_err(io)?));
             }
         }
-        let hasher = (companion.is_none() && unknown(name)).then(blake3::Hasher::new);
+        let hasher = companion.is_none().then(blake3::Hasher::new);
         let mut source = Source::open(&path).map_err(format)?;
         let (bytes, records) = if whole {
             let mut source = source.load().map_err(format)?;
@@ -151,7 +150,7 @@ impl RawFile {
         Ok(())
     }
 
-    /// Digests that were not on record.
+    /// Digests of all that was read.
     pub fn digests(&mut self) -> Result<Vec<Hashed>, Bad> {
         let mut digests = Vec::new();
         for (file, path, metadata) in &self.to_hash {

@@ -142,6 +142,13 @@ impl Record {
         Ok(Self { seal: Manifest::load(&campaign.root)?, notes, noted })
     }
 
+    /// The content that is on record.
+    fn content(&self, file: &Path) -> Option<blake3::Hash> {
+        let sealed = self.seal.as_ref().and_then(|seal| seal.get(file)).map(|record| record.blake3);
+        let noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner);
+        sealed.or_else(|| noted.manifest.get(file).map(|record| record.blake3))
+    }
+
     /// The seal decides where there is one.
     fn check(&self, root: &Path, file: &Path) -> Result<FileState, ManifestError> {
         let sealed = self.seal.as_ref().map_or(Ok(FileState::New), |seal| seal.check(root, file))?;
@@ -241,10 +248,20 @@ impl<'a> Surveyed<'a> {
             return Ok(());
         }
         let changed: Vec<String> = changed.into_iter().collect();
-        Err(StageError::Refused(format!(
-            "changed since they were first read: {}; restore what was captured, or, if the change is meant, seal the campaign anew and choose a new --out",
-            changed.join(", ")
-        )))
+        Err(refused_as_changed(&changed.join(", ")))
+    }
+
+    /// Refuses a file that was read with another content than is on record.
+    ///
+    /// # Errors
+    /// When it was.
+    pub fn hold(&self, campaign: usize, file: &Path, digest: blake3::Hash) -> Result<(), StageError> {
+        match self.records[campaign].content(file) {
+            Some(recorded) if recorded != digest => {
+                Err(refused_as_changed(&self.campaigns[campaign].path_of(file).display().to_string()))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The digest of a file, if it is on record and the file still has the size and time that it had then.
@@ -314,10 +331,18 @@ impl<'a> Surveyed<'a> {
     /// Digest of a part from the digests of its files.
     pub fn content(&self, part: &[Capture], digests: &BTreeMap<(usize, PathBuf), Digest>) -> Digest {
         let captures: Vec<Value> = part.iter().map(|capture| capture.description(self.campaigns)).collect();
+        // By name: a campaign's place in the run is no part of its content.
+        let name = |campaign: usize| &self.campaigns[campaign].name;
         let files: Vec<Value> =
-            digests.iter().map(|((campaign, file), digest)| json!([campaign, file, digest])).collect();
+            digests.iter().map(|((campaign, file), digest)| json!([name(*campaign), file, digest])).collect();
         Digest::of(&json!({ "captures": captures, "files": files }))
     }
+}
+
+fn refused_as_changed(files: &str) -> StageError {
+    StageError::Refused(format!(
+        "changed since they were first read: {files}; restore what was captured, or, if the change is meant, seal the campaign anew and choose a new --out"
+    ))
 }
 
 /// An error with its causes, and the folder that it is about.

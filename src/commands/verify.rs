@@ -1,0 +1,275 @@
+//! `periscope verify`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use periscope::campaign::manifest::MANIFEST_FILE;
+use periscope::campaign::{Campaign, Manifest, ManifestError};
+use periscope::pipeline::roots::{self, Root};
+use periscope::store::{Digest, Shelf, StageId, verify as store};
+use serde_json::{Value, json};
+
+/// Arguments of `verify`.
+#[derive(Args)]
+pub struct Verify {
+    /// Campaign folder (raw files against its seal), or result folder (tables, records, lineages, and the raw files that they come from)
+    dir: PathBuf,
+    /// Read all raw files again, also those of which size and time of change are as recorded
+    #[arg(long)]
+    rehash: bool,
+    /// Campaign folder of a result folder, where it is not the one that the last run names; may be given several times
+    #[arg(long, value_name = "DIR")]
+    campaign: Vec<PathBuf>,
+    /// Delete what is damaged in a result folder, so that the next run makes it again
+    #[arg(long)]
+    repair: bool,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is said at the end.
+#[derive(Default)]
+struct Said {
+    /// What is wrong: file, what, mend, and more for JSON.
+    findings: Vec<Value>,
+    /// What is no fault.
+    notes: Vec<String>,
+    /// What was looked at, in words.
+    looked_at: Vec<String>,
+}
+
+impl Said {
+    fn found(&mut self, file: &Path, what: impl ToString, mend: impl ToString) {
+        let (what, mend) = (what.to_string(), mend.to_string());
+        self.findings.push(json!({ "file": file, "what": what, "mend": mend }));
+    }
+}
+
+/// The command.
+pub fn verify(args: &Verify) -> Result<ExitCode> {
+    let mut said = Said::default();
+    if args.dir.join(".shelf").is_dir() {
+        results(args, &mut said)?;
+    } else if args.dir.join("campaign.toml").is_file() {
+        campaign(args, &mut said)?;
+    } else {
+        bail!(
+            "{}: neither a campaign folder (it has no campaign.toml) nor a result folder (it has no .shelf)",
+            args.dir.display()
+        );
+    }
+    let whole = said.findings.is_empty();
+    if args.json {
+        let Said { findings, notes, looked_at } = said;
+        println!("{}", json!({ "ok": whole, "findings": findings, "notes": notes, "looked_at": looked_at }));
+    } else {
+        for finding in &said.findings {
+            let text = |key: &str| finding[key].as_str().unwrap_or_default();
+            let tables: Vec<&str> =
+                finding["tables"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+            let of = if tables.is_empty() { String::new() } else { format!(" (table {})", tables.join(", ")) };
+            println!("{}{of} {}\n    {}", text("file"), text("what"), text("mend"));
+        }
+        for note in &said.notes {
+            eprintln!("note: {note}");
+        }
+        let outcome =
+            if whole { "all is as it was written".to_owned() } else { format!("{} faults", said.findings.len()) };
+        println!("verified {}: {}: {outcome}", args.dir.display(), said.looked_at.join("; "));
+    }
+    Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// A campaign folder: its raw files against its seal.
+fn campaign(args: &Verify, said: &mut Said) -> Result<()> {
+    if args.repair || !args.campaign.is_empty() {
+        bail!("--repair and --campaign are for result folders; {} is a campaign", args.dir.display());
+    }
+    let campaign = Campaign::load(&args.dir)?;
+    let manifest = match Manifest::load(&campaign.root) {
+        Ok(manifest) => manifest,
+        Err(error) => {
+            damaged_manifest(error, said)?;
+            return Ok(());
+        }
+    };
+    let Some(manifest) = manifest else {
+        said.found(
+            Path::new("manifest.json"),
+            "is not there: the campaign is not sealed",
+            "`periscope seal` records what its files hold now",
+        );
+        return Ok(());
+    };
+    raw_files(&campaign, &manifest, args.rehash, said)?;
+    let survey = campaign.survey()?;
+    let new: Vec<String> = survey
+        .files()
+        .into_iter()
+        .filter(|file| manifest.get(file).is_none())
+        .map(|file| file.display().to_string())
+        .collect();
+    if !new.is_empty() {
+        said.notes.push(format!(
+            "{} files came since the campaign was sealed; `periscope seal --update` lets them join: {}",
+            new.len(),
+            new.join(", ")
+        ));
+    }
+    Ok(())
+}
+
+/// Raw files against what is on record of them.
+fn raw_files(campaign: &Campaign, manifest: &Manifest, rehash: bool, said: &mut Said) -> Result<()> {
+    let audit = manifest.audit(campaign, rehash)?;
+    for file in &audit.changed {
+        said.found(
+            &campaign.path_of(file),
+            "has another content than was recorded",
+            "restore it; if the change is meant, seal the campaign anew and choose a new --out",
+        );
+    }
+    for file in &audit.gone {
+        said.found(
+            &campaign.path_of(file),
+            "is gone",
+            "restore it; if it is not to come back, take its line out of the manifest",
+        );
+    }
+    if !audit.touched.is_empty() {
+        said.notes.push(format!(
+            "{} raw files of campaign {} have another time of change, and the same content",
+            audit.touched.len(),
+            campaign.name
+        ));
+    }
+    let how = if rehash { "content" } else { "size and time of change" };
+    said.looked_at.push(format!("{} raw files of campaign {} by {how}", manifest.iter().count(), campaign.name));
+    Ok(())
+}
+
+/// A manifest that is damaged is a finding; one that cannot be read is an error.
+fn damaged_manifest(error: ManifestError, said: &mut Said) -> Result<()> {
+    match &error {
+        ManifestError::Damaged { file, .. } | ManifestError::Format { file, .. } => {
+            said.found(
+                file,
+                format!("is damaged: {error}"),
+                "restore it, or take out what is damaged: raw files without a line are hashed anew",
+            );
+            Ok(())
+        }
+        _ => Err(error.into()),
+    }
+}
+
+/// A result folder.
+fn results(args: &Verify, said: &mut Said) -> Result<()> {
+    // What is deleted must not be what a run is reading.
+    let shelf = if args.repair { Shelf::open(&args.dir)? } else { Shelf::look(&args.dir)? };
+    let report = store::verify(&shelf)?;
+    let counts = report.counts;
+    said.looked_at.push(format!(
+        "{} tables, {} parts, {} files of {} bytes, {} runs; {} lineages followed",
+        counts.tables, counts.parts, counts.files, counts.bytes, counts.runs, counts.followed
+    ));
+    said.notes.extend(report.notes);
+    for finding in &report.findings {
+        said.findings.push(serde_json::to_value(finding)?);
+    }
+    let campaigns = campaigns(args, report.run.as_ref().map(|run| run.campaigns.values()), said);
+    let (mut noted, damaged) = notes(&shelf, said)?;
+    for campaign in &campaigns {
+        // The seal decides where there is one; what runs noted of raw files stands for it where there is none.
+        match Manifest::load(&campaign.root) {
+            Ok(sealed) => {
+                let known = sealed.or_else(|| noted.remove(&campaign.name));
+                known.map_or(Ok(()), |known| raw_files(campaign, &known, args.rehash, said))?;
+            }
+            Err(error) => damaged_manifest(error, said)?,
+        }
+    }
+    // What is damaged would only be named twice.
+    if said.findings.is_empty() {
+        report.sources.iter().for_each(|(id, parts)| root(args, id, parts, &campaigns, &shelf, said));
+    }
+    if args.repair {
+        store::repair(&report.findings)?;
+        damaged.iter().try_for_each(fs::remove_file)?;
+        let deleted = report.findings.iter().filter(|finding| !finding.remove.is_empty()).count() + damaged.len();
+        said.notes.push(format!("deleted what is damaged in {deleted} findings; `periscope run` makes it again"));
+    }
+    Ok(())
+}
+
+/// What runs noted of raw files, by campaign; and the files of it that are damaged.
+fn notes(shelf: &Shelf, said: &mut Said) -> Result<(BTreeMap<String, Manifest>, Vec<PathBuf>)> {
+    let (mut noted, mut damaged) = (BTreeMap::new(), Vec::new());
+    let folders = fs::read_dir(shelf.notes()).into_iter().flatten().flatten();
+    for folder in folders.map(|folder| folder.path()).collect::<BTreeSet<_>>() {
+        match Manifest::load(&folder) {
+            Ok(manifest) => {
+                let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                noted.extend(manifest.map(|manifest| (name, manifest)));
+            }
+            Err(error) => {
+                damaged_manifest(error, said)?;
+                damaged.push(folder.join(MANIFEST_FILE));
+            }
+        }
+    }
+    Ok((noted, damaged))
+}
+
+/// Parts of a source against the raw files.
+fn root(args: &Verify, id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Shelf, said: &mut Said) {
+    match roots::follow(id, parts, campaigns, shelf) {
+        Root::Followed { parts, other } => {
+            said.looked_at.push(format!("{parts} parts of {} follow from the raw files", id.kind));
+            if other > 0 {
+                said.notes.push(format!(
+                    "{other} parts of {} come from raw files that are others now, or not in the campaign any more",
+                    id.kind
+                ));
+            }
+        }
+        Root::Unknown => said.notes.push(format!(
+            "{} parts of {}: the files that they come from were not looked at",
+            parts.len(),
+            id.kind
+        )),
+        Root::Refused(why) => said.found(
+            &args.dir,
+            format!("cannot be followed to its raw files: {why}"),
+            "mend the campaign, or say with --campaign where the right one is",
+        ),
+    }
+}
+
+/// The campaigns that are given, or that the last run names.
+fn campaigns<'a>(args: &Verify, named: Option<impl Iterator<Item = &'a PathBuf>>, said: &mut Said) -> Vec<Campaign> {
+    let folders: Vec<PathBuf> = match named {
+        _ if !args.campaign.is_empty() => args.campaign.clone(),
+        Some(named) => named.cloned().collect(),
+        None => Vec::new(),
+    };
+    if folders.is_empty() {
+        said.notes.push("RAW FILES WERE NOT CHECKED: no run record names a campaign; give --campaign DIR".to_owned());
+    }
+    let mut campaigns = Vec::new();
+    for folder in folders {
+        match Campaign::load(&folder) {
+            Ok(campaign) => campaigns.push(campaign),
+            Err(error) => said.notes.push(format!(
+                "RAW FILES WERE NOT CHECKED: campaign {}: {error}; say where it is with --campaign DIR",
+                folder.display()
+            )),
+        }
+    }
+    campaigns
+}

@@ -1,0 +1,78 @@
+//! The roots of a result folder: whether its source parts are those that the raw files of the campaigns give today.
+
+use serde_json::Value;
+
+use crate::campaign::manifest::MANIFEST_FILE;
+use crate::campaign::{Campaign, Manifest, ManifestError};
+use crate::stages::stage::StageError;
+use crate::stages::{self, Node};
+use crate::store::{Digest, Shelf, StageId, lineage};
+
+/// Reads all raw files that are on record again, by the seal or by what earlier runs noted, and holds their content against it.
+///
+/// # Errors
+/// When a file has another content, or cannot be read.
+pub fn rehash(campaigns: &[Campaign], shelf: &Shelf) -> Result<(), ManifestError> {
+    for campaign in campaigns {
+        for folder in [campaign.root.clone(), shelf.notes().join(&campaign.name)] {
+            let Some(known) = Manifest::load(&folder)? else {
+                continue;
+            };
+            let changed = known.audit(campaign, true)?.changed;
+            if !changed.is_empty() {
+                let files = changed.iter().map(|file| file.display().to_string()).collect();
+                return Err(ManifestError::Changed { files, manifest: folder.join(MANIFEST_FILE) });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// How the parts of one source stage stand to the raw files.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Root {
+    /// So many parts follow from the raw files as they are on record; so many others were made of files that are others now.
+    Followed {
+        /// Parts that follow.
+        parts: usize,
+        /// Parts that do not.
+        other: usize,
+    },
+    /// It is not known from which files it was made.
+    Unknown,
+    /// The campaign refuses to be read.
+    Refused(String),
+}
+
+/// Follows the parts of a source stage from the raw files of these campaigns.
+#[must_use]
+pub fn follow(id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Shelf) -> Root {
+    let Some(Node::Source(source)) = node(id) else {
+        return Root::Unknown;
+    };
+    // The campaigns, in the order in which the run was given them.
+    let names: Vec<&str> = id.fields.as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+    let of_name = |name: &&str| campaigns.iter().find(|campaign| campaign.name == **name).cloned();
+    let campaigns: Option<Vec<Campaign>> = names.iter().map(of_name).collect();
+    let Some(campaigns) = campaigns.filter(|campaigns| source.fields(campaigns) == id.fields && !campaigns.is_empty())
+    else {
+        return Root::Unknown;
+    };
+    let made = match source.open(&campaigns, &shelf.notes()) {
+        Ok(open) => open.parts().iter().filter_map(|part| part.content).collect::<Vec<_>>(),
+        Err(StageError::Refused(why)) => return Root::Refused(why),
+        Err(error) => return Root::Refused(error.to_string()),
+    };
+    let lineages: Vec<Digest> = made.iter().map(|content| lineage::part(&id.recipe(), content, &[])).collect();
+    let followed = parts.iter().filter(|part| lineages.contains(part)).count();
+    Root::Followed { parts: followed, other: parts.len() - followed }
+}
+
+/// The stage of a recipe, where this program has it in that version.
+fn node(id: &StageId) -> Option<Node> {
+    let params = toml::Table::try_from(&id.params).ok()?;
+    stages::parse(&id.kind, params).ok().filter(|node| match node {
+        Node::Source(source) => source.version() == id.version,
+        Node::Operator(_) => false,
+    })
+}

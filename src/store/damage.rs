@@ -1,0 +1,208 @@
+//! Whether a table file is what was written, and if not, where: row group, column, page, and the records that lie in it.
+//!
+//! The digest of the whole file decides. The checksums of its pages only tell where to look, and are trusted as far as the footer's own digest is.
+
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use arrow::util::display::array_value_to_string;
+use parquet::arrow::ProjectionMask;
+use parquet::arrow::arrow_reader::{ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection, RowSelector};
+use parquet::errors::ParquetError;
+use parquet::file::metadata::{PageIndexPolicy, ParquetMetaData};
+use serde::Serialize;
+
+use super::failure::{At, StoreError};
+use super::page_checksums;
+use super::parquet::FileRecord;
+
+/// Bytes that are read at a time.
+const PIECE_BYTES: usize = 1 << 20;
+/// Columns that name a record, as far as a table has them.
+const KEYS: [&str; 8] = ["campaign", "sensor", "lit", "seen", "shot", "rank", "patch", "file"];
+
+/// A table file that is not what was written.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Damage {
+    /// The file.
+    pub file: PathBuf,
+    /// Where in it.
+    #[serde(flatten)]
+    pub place: Place,
+}
+
+/// Where in a file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "place", rename_all = "snake_case")]
+pub enum Place {
+    /// It is not there.
+    Gone,
+    /// It has another length.
+    Length {
+        /// Bytes that were written.
+        written: u64,
+        /// Bytes that are there.
+        found: u64,
+    },
+    /// In what follows the pages: indexes, footer.
+    Footer {
+        /// Where that begins.
+        byte: u64,
+    },
+    /// In a page.
+    Page(Box<Page>),
+    /// In the headers of pages, or between pages: their own bytes are sound.
+    Headers,
+}
+
+/// A page.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Page {
+    /// Row group, from 0.
+    pub row_group: usize,
+    /// Column, with the names of what it is nested in.
+    pub column: String,
+    /// First byte of the page in the file.
+    pub byte: u64,
+    /// Its length, with its header.
+    pub bytes: u64,
+    /// Rows of the file that have values in it, from 0; for a dictionary all of the row group.
+    pub rows: Range<u64>,
+    /// The first and the last of them by their key columns, as far as those are sound.
+    pub records: Option<String>,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Gone => f.write_str("it is gone"),
+            Self::Length { written, found } => write!(f, "it has {found} bytes, of {written} that were written"),
+            Self::Footer { byte } => write!(f, "in its footer, after byte {byte}"),
+            Self::Headers => f.write_str("in the header of a page"),
+            Self::Page(page) => {
+                let Page { row_group, column, byte, rows, records, .. } = page.as_ref();
+                write!(
+                    f,
+                    "row group {row_group}, column {column}, page at byte {byte}: rows {} to {}",
+                    rows.start,
+                    rows.end - 1
+                )?;
+                records.iter().try_for_each(|records| write!(f, " ({records})"))
+            }
+        }
+    }
+}
+
+/// Refuses a file that is not as it was written.
+///
+/// # Errors
+/// When it is not, with where, or cannot be read.
+pub fn check(path: &Path, record: &FileRecord) -> Result<(), StoreError> {
+    find(path, record)?.map_or(Ok(()), |damage| Err(StoreError::Damaged(damage)))
+}
+
+/// Compares a file with its record; `None` if every byte is as it was written.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn find(path: &Path, record: &FileRecord) -> Result<Option<Box<Damage>>, StoreError> {
+    let place = |place| Ok(Some(Box::new(Damage { file: path.to_owned(), place })));
+    let mut file = match File::open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return place(Place::Gone),
+        opened => opened.at("read", path)?,
+    };
+    let found = file.metadata().at("read", path)?.len();
+    if found != record.bytes {
+        return place(Place::Length { written: record.bytes, found });
+    }
+    let mut whole = blake3::Hasher::new();
+    let mut buffer = vec![0; PIECE_BYTES.min(found as usize + 1)];
+    loop {
+        match file.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(read) => _ = whole.update(&buffer[..read]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error).at("read", path),
+        }
+    }
+    if record.digest == whole.finalize().into() {
+        return Ok(None);
+    }
+    let bytes = std::fs::read(path).at("read", path)?;
+    place(locate(path, &bytes, record).at("read", path)?)
+}
+
+/// Where the bytes of a file of the recorded length are not as they were written.
+fn locate(path: &Path, bytes: &[u8], record: &FileRecord) -> Result<Place, ParquetError> {
+    let pages_end = record.pages_end as usize;
+    if bytes.get(pages_end..).is_none_or(|footer| record.footer != super::Digest::of_bytes(footer)) {
+        return Ok(Place::Footer { byte: record.pages_end });
+    }
+    let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Required);
+    let builder = ParquetRecordBatchReaderBuilder::try_new_with_options(File::open(path)?, options)?;
+    let metadata = builder.metadata();
+    let damaged: Vec<Page> = pages(metadata)
+        .into_iter()
+        .filter(|page| {
+            !bytes.get(page.byte as usize..(page.byte + page.bytes) as usize).is_some_and(page_checksums::holds)
+        })
+        .collect();
+    let Some(mut first) = damaged.first().cloned() else {
+        return Ok(Place::Headers);
+    };
+    first.records = records(path, metadata, &first, &damaged);
+    Ok(Place::Page(Box::new(first)))
+}
+
+/// All pages of a file, in order; dictionaries too.
+fn pages(metadata: &ParquetMetaData) -> Vec<Page> {
+    let mut pages = Vec::new();
+    let mut first_row = 0;
+    for (row_group, group) in metadata.row_groups().iter().enumerate() {
+        let rows = group.num_rows() as u64;
+        let index = metadata.page_index_for_row_group(row_group);
+        for (c, column) in group.columns().iter().enumerate() {
+            let mut page = |byte: u64, bytes: u64, rows: Range<u64>| {
+                let column = column.column_path().string();
+                pages.push(Page { row_group, column, byte, bytes, rows, records: None });
+            };
+            if let Some(dictionary) = column.dictionary_page_offset() {
+                let bytes = column.data_page_offset() - dictionary;
+                page(dictionary as u64, bytes as u64, first_row..first_row + rows);
+            }
+            let locations = index.offset_index(c).map_or(&[][..], |index| index.page_locations());
+            for (i, location) in locations.iter().enumerate() {
+                let end = locations.get(i + 1).map_or(rows, |next| next.first_row_index as u64);
+                let rows = first_row + location.first_row_index as u64..first_row + end;
+                page(location.offset as u64, location.compressed_page_size as u64, rows);
+            }
+        }
+        first_row += rows;
+    }
+    pages
+}
+
+/// The first and the last record of a page, by those key columns of which no page is damaged.
+fn records(path: &Path, metadata: &ParquetMetaData, page: &Page, damaged: &[Page]) -> Option<String> {
+    let schema = metadata.file_metadata().schema_descr();
+    let sound = |key: &&str| !damaged.iter().any(|page| page.column.split('.').next() == Some(*key));
+    let keys: Vec<&str> = KEYS.into_iter().filter(sound).collect();
+    let record = |row: u64| -> Option<String> {
+        let selection = RowSelection::from(vec![RowSelector::skip(row as usize), RowSelector::select(1)]);
+        let mask = ProjectionMask::columns(schema, keys.iter().copied());
+        let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(path).ok()?).ok()?;
+        let mut batches = builder.with_projection(mask).with_row_selection(selection).build().ok()?;
+        let batch = batches.next()?.ok()?;
+        let schema = batch.schema();
+        let named = schema.fields().iter().zip(batch.columns()).filter(|(_, column)| column.is_valid(0));
+        let words = named.map(|(field, column)| {
+            array_value_to_string(column, 0).map(|value| format!("{} {value}", field.name())).ok()
+        });
+        Some(words.collect::<Option<Vec<_>>>()?.join(", ")).filter(|text| !text.is_empty())
+    };
+    let (first, last) = (record(page.rows.start)?, record(page.rows.end.checked_sub(1)?)?);
+    Some(if first == last { first } else { format!("{first} to {last}") })
+}

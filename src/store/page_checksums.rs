@@ -1,0 +1,212 @@
+//! Checksums of pages, as the Parquet format has them: the CRC-32 of a page's bytes, in the page's header. Whoever reads a file can check them.
+//!
+//! The Parquet crate checks them where they stand and writes none. So the pages of a column chunk are kept here as the crate makes them, and
+//! each header gets the checksum of its page before the chunk goes into the file.
+
+use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use bytes::Bytes;
+use parquet::arrow::arrow_writer::{PageKey, PageStore, PageStoreArgs, PageStoreFactory};
+use parquet::column::writer::ColumnCloseResult;
+use parquet::errors::{ParquetError, Result};
+
+/// Head of a field of type i32 that follows the field before it, in Thrift's compact protocol.
+const NEXT_I32: u8 = 0x15;
+/// Fields of a page header before its checksum: type, uncompressed size, compressed size.
+const FIELDS_BEFORE: usize = 3;
+/// Type of a dictionary page, zigzag.
+const DICTIONARY_PAGE: u32 = 4;
+
+/// Header and bytes of each page of a chunk, as they were made.
+type Pages = Arc<Mutex<Vec<Bytes>>>;
+
+/// Keeps the pages of every column chunk that is begun.
+#[derive(Debug, Default)]
+pub struct ChunkPages(Mutex<Vec<Pages>>);
+
+impl ChunkPages {
+    /// Pages of the chunks that were begun since this was last asked, in their order.
+    pub fn take(&self) -> Vec<Pages> {
+        std::mem::take(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl PageStoreFactory for ChunkPages {
+    fn create(&self, _: &PageStoreArgs<'_>) -> Result<Box<dyn PageStore>> {
+        let pages = Pages::default();
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(pages.clone());
+        Ok(Box::new(Kept(pages)))
+    }
+}
+
+struct Kept(Pages);
+
+impl PageStore for Kept {
+    fn put(&mut self, value: Bytes) -> Result<PageKey> {
+        let mut pages = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        pages.push(value);
+        Ok(PageKey::new(pages.len() as u64 - 1))
+    }
+
+    fn take(&mut self, key: PageKey) -> Result<Bytes> {
+        Ok(self.0.lock().unwrap_or_else(PoisonError::into_inner)[key.get() as usize].clone())
+    }
+
+    fn memory_size(&self) -> usize {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).iter().map(Bytes::len).sum()
+    }
+}
+
+/// A chunk's bytes with checksums, its dictionary first, and what the crate must know of it to take it into a row group.
+///
+/// # Errors
+/// When a page header has not the form that the crate writes.
+pub fn with_checksums(pages: &Pages, close: &ColumnCloseResult) -> Result<(Bytes, ColumnCloseResult)> {
+    let pages = pages.lock().unwrap_or_else(PoisonError::into_inner);
+    let (mut dictionary, mut data, mut sizes) = (Vec::new(), Vec::new(), Vec::new());
+    let mut grown = 0;
+    for page in pages.chunks_exact(2) {
+        let (header, body) = (&page[0], &page[1]);
+        let checked = insert(header, crc32fast::hash(body))?;
+        grown += (checked.len() - header.len()) as i64;
+        let chunk = if Fields::of(header)?.kind == DICTIONARY_PAGE {
+            &mut dictionary
+        } else {
+            sizes.push(checked.len() + body.len());
+            &mut data
+        };
+        chunk.extend_from_slice(&checked);
+        chunk.extend_from_slice(body);
+    }
+    let mut close = close.clone();
+    close.bytes_written = close.bytes_written.saturating_add_signed(grown);
+    let (compressed, uncompressed) = (close.metadata.compressed_size(), close.metadata.uncompressed_size());
+    close.metadata = close
+        .metadata
+        .into_builder()
+        .set_total_compressed_size(compressed + grown)
+        .set_total_uncompressed_size(uncompressed + grown)
+        .set_dictionary_page_offset((!dictionary.is_empty()).then_some(0))
+        .set_data_page_offset(dictionary.len() as i64)
+        .build()?;
+    let mut offset = dictionary.len() as i64;
+    for (location, size) in close.offset_index.iter_mut().flat_map(|index| &mut index.page_locations).zip(sizes) {
+        (location.offset, location.compressed_page_size) = (offset, size as i32);
+        offset += size as i64;
+    }
+    dictionary.append(&mut data);
+    Ok((dictionary.into(), close))
+}
+
+/// Whether the bytes of a page are those that its header has the checksum of. `page` is header and bytes.
+pub fn holds(page: &[u8]) -> bool {
+    let Ok(fields) = Fields::of(page) else {
+        return false;
+    };
+    let body = page.len().checked_sub(fields.compressed as usize).filter(|start| *start >= fields.end);
+    body.is_some_and(|start| fields.checksum == Some(crc32fast::hash(&page[start..])))
+}
+
+/// The first fields of a page header.
+struct Fields {
+    /// Type of the page, zigzag.
+    kind: u32,
+    /// Bytes of the page after its header.
+    compressed: u32,
+    /// Where the checksum stands, or would.
+    place: Range<usize>,
+    checksum: Option<u32>,
+    /// Where what is read here ends.
+    end: usize,
+}
+
+impl Fields {
+    fn of(header: &[u8]) -> Result<Self> {
+        let mut at = 0;
+        let mut values = [0; FIELDS_BEFORE];
+        for value in &mut values {
+            *value = next_i32(header, &mut at).ok_or_else(unknown_form)?;
+        }
+        let start = at;
+        let checksum = next_i32(header, &mut at).map(unzigzag);
+        Ok(Self { kind: values[0], compressed: values[2] / 2, place: start..at, checksum, end: at })
+    }
+}
+
+/// A field of type i32 that follows the one before it, as it is written; nothing is passed over where there is none.
+fn next_i32(bytes: &[u8], at: &mut usize) -> Option<u32> {
+    if bytes.get(*at) != Some(&NEXT_I32) {
+        return None;
+    }
+    let mut value = 0_u64;
+    for (i, byte) in bytes.get(*at + 1..)?.iter().take(5).enumerate() {
+        value |= u64::from(byte & 0x7f) << (7 * i);
+        if byte & 0x80 == 0 {
+            *at += i + 2;
+            return u32::try_from(value).ok();
+        }
+    }
+    None
+}
+
+fn unzigzag(value: u32) -> u32 {
+    (value >> 1) ^ (value & 1).wrapping_neg()
+}
+
+/// The header with a checksum in its place; the field behind it counts from the checksum's number on.
+fn insert(header: &[u8], checksum: u32) -> Result<Vec<u8>> {
+    let fields = Fields::of(header)?;
+    let next =
+        header.get(fields.end).filter(|next| fields.place.is_empty() && **next >= 0x20).ok_or_else(unknown_form)?;
+    let mut out = header[..fields.end].to_vec();
+    out.push(NEXT_I32);
+    let signed = checksum as i32;
+    let mut value = ((signed << 1) ^ (signed >> 31)) as u32;
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.extend([value as u8, next - 0x10]);
+    out.extend(&header[fields.end + 1..]);
+    Ok(out)
+}
+
+fn unknown_form() -> ParquetError {
+    ParquetError::General("a page header has not the form that this program writes".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Type 0, sizes 10 and 7, then field 5.
+    const HEADER: [u8; 9] = [0x15, 0x00, 0x15, 0x14, 0x15, 0x0e, 0x2c, 0x15, 0x00];
+
+    #[test]
+    fn a_checksum_is_found_where_it_was_put() {
+        for checksum in [0, 1, 63, 64, 0x7fff_ffff, 0x8000_0000, u32::MAX, 0xdead_beef] {
+            let checked = insert(&HEADER, checksum).unwrap();
+            let fields = Fields::of(&checked).unwrap();
+            assert_eq!((fields.checksum, fields.compressed, fields.kind), (Some(checksum), 7, 0));
+            assert_eq!(checked[fields.end..], [0x1c, 0x15, 0x00]);
+            assert!(insert(&checked, checksum).is_err(), "it has one");
+        }
+    }
+
+    #[test]
+    fn a_flipped_bit_of_a_page_or_of_its_checksum_is_seen() {
+        let body = *b"echoes!";
+        let page = [insert(&HEADER, crc32fast::hash(&body)).unwrap(), body.to_vec()].concat();
+        assert!(holds(&page));
+        let header_after = 3..6; // of the field behind the checksum: not covered
+        let behind = page.len() - body.len();
+        for bit in 0..8 * page.len() {
+            let mut flipped = page.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            let uncovered = bit / 8 < 4 || (behind - header_after.len()..behind).contains(&(bit / 8));
+            assert!(uncovered || !holds(&flipped), "bit {bit}");
+        }
+        assert!(!holds(&[]) && !holds(&page[..5]));
+    }
+}

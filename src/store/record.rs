@@ -1,0 +1,78 @@
+//! Records: small JSON files beside the tables, each with a check of its own bytes, so that a flipped bit which still parses is found out.
+//!
+//! ```text
+//! {
+//!   "check": "<BLAKE3 of all bytes after this line, 64 hexadecimal digits>",
+//!   ...
+//! }
+//! ```
+
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use serde::Serialize;
+use serde::de::{DeserializeOwned, Error};
+
+use super::Digest;
+use super::failure::{At, StoreError};
+
+const BEFORE: &str = "{\n  \"check\": \"";
+const AFTER: &str = "\",\n";
+
+/// The text of a record. A record is an object with at least one field.
+pub fn text(record: &impl Serialize) -> String {
+    let plain = serde_json::to_string_pretty(record).expect("records are plain data");
+    let fields = plain.strip_prefix("{\n").expect("a record has fields");
+    format!("{BEFORE}{}{AFTER}{fields}", Digest::of_bytes(fields.as_bytes()))
+}
+
+/// Reads a record; `None` if there is none.
+///
+/// # Errors
+/// When it is damaged or cannot be read.
+pub fn read<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, StoreError> {
+    let bytes = match fs::read(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        bytes => bytes.at("read", path)?,
+    };
+    let record = checked(&bytes).and_then(|text| serde_json::from_str(text));
+    record.map(Some).map_err(|source| StoreError::Record { path: path.to_owned(), source })
+}
+
+/// The text, if its check is that of its bytes.
+fn checked(bytes: &[u8]) -> Result<&str, serde_json::Error> {
+    let parts = |text: &str| {
+        let (check, fields) = text.strip_prefix(BEFORE)?.split_at_checked(64)?;
+        Some(check == Digest::of_bytes(fields.strip_prefix(AFTER)?.as_bytes()).to_string())
+    };
+    match std::str::from_utf8(bytes) {
+        Ok(text) if parts(text) == Some(true) => Ok(text),
+        _ => Err(serde_json::Error::custom("its bytes are not those that were written")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn records_read_back_and_every_flipped_bit_is_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("record.json");
+        assert_eq!(read::<BTreeMap<String, f64>>(&path).unwrap(), None);
+        let record = BTreeMap::from([("sd_m".to_owned(), 2e-3), ("width_ps".to_owned(), 150.0)]);
+        let written = text(&record);
+        assert!(serde_json::from_str::<serde_json::Value>(&written).unwrap()["check"].is_string());
+        fs::write(&path, &written).unwrap();
+        assert_eq!(read(&path).unwrap(), Some(record));
+        for bit in 0..8 * written.len() {
+            let mut flipped = written.clone().into_bytes();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            fs::write(&path, flipped).unwrap();
+            let error = read::<BTreeMap<String, f64>>(&path).unwrap_err().to_string();
+            assert!(error.contains("record.json is damaged; delete it"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! Whether a result folder is what runs wrote into it: every byte of its tables and records, and that each lineage follows from those it was made from.
+//!
+//! Nothing is written here. What is damaged is named with its place and its mend: to delete what [`Finding::remove`] lists, and to run again.
+
+mod chain;
+mod stage_folder;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::damage::{self, Place};
+use super::failure::{At, StoreError};
+use super::parquet::FileRecord;
+use super::record;
+use super::runs::RunRecord;
+use super::shelf::{REJECTS_RECORD, RejectsRecord, Shelf, StageId};
+use super::{Digest, TableRecord};
+use stage_folder::StageFolder;
+
+/// Something that is wrong, and its mend.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Finding {
+    /// File, relative to the result folder.
+    pub file: PathBuf,
+    /// Tables that it is part of, by their views.
+    pub tables: Vec<String>,
+    /// What is wrong, in words.
+    pub what: String,
+    /// Where in the file, if it is a table.
+    pub damage: Option<Place>,
+    /// What to do.
+    pub mend: String,
+    /// What is to be deleted, so that the next run makes anew what was damaged.
+    #[serde(skip)]
+    pub remove: Vec<PathBuf>,
+}
+
+/// What was looked at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// Whole tables.
+    pub tables: usize,
+    /// Parts.
+    pub parts: usize,
+    /// Files of tables.
+    pub files: usize,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Run records.
+    pub runs: usize,
+    /// Parts of which the lineage follows from those of their inputs on the shelf.
+    pub followed: usize,
+}
+
+/// Outcome of a look at a result folder.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// What is wrong.
+    pub findings: Vec<Finding>,
+    /// What a user should know, and is no fault.
+    pub notes: Vec<String>,
+    /// What was looked at.
+    pub counts: Counts,
+    /// Stages without inputs, with the lineages of their parts: they follow from files outside of the folder.
+    pub sources: Vec<(StageId, Vec<Digest>)>,
+    /// The newest run that can be read.
+    pub run: Option<RunRecord>,
+}
+
+/// Mend of what the next run makes anew.
+const MEND: &str = "delete it (`periscope verify --repair` does), and the next `run` makes it again";
+
+impl Report {
+    /// Adds a finding; `file` is absolute.
+    fn found(&mut self, shelf: &Shelf, file: &Path, what: impl ToString, remove: Vec<PathBuf>) -> &mut Finding {
+        let file = file.strip_prefix(shelf.out()).unwrap_or(file).to_owned();
+        let mend = if remove.is_empty() { "the next `run` makes it again" } else { MEND };
+        let what = what.to_string();
+        self.findings.push(Finding { file, tables: Vec::new(), what, damage: None, mend: mend.to_owned(), remove });
+        self.findings.last_mut().expect("pushed above")
+    }
+
+    /// Compares a table file with its record.
+    fn file(
+        &mut self,
+        shelf: &Shelf,
+        path: &Path,
+        file: &FileRecord,
+        remove: Vec<PathBuf>,
+    ) -> Result<bool, StoreError> {
+        self.counts.files += 1;
+        self.counts.bytes += file.bytes;
+        let Some(damage) = damage::find(path, file)? else {
+            return Ok(true);
+        };
+        let what = format!("is damaged: {}", damage.place);
+        self.found(shelf, path, what, remove).damage = Some(damage.place);
+        Ok(false)
+    }
+
+    /// A record, or `None` and a finding.
+    fn record<T: serde::de::DeserializeOwned>(
+        &mut self,
+        shelf: &Shelf,
+        path: &Path,
+        remove: Vec<PathBuf>,
+    ) -> Result<Option<T>, StoreError> {
+        match record::read(path) {
+            Ok(Some(record)) => return Ok(Some(record)),
+            Ok(None) => self.found(shelf, path, "is gone", remove),
+            Err(StoreError::Record { source, .. }) => self.found(shelf, path, format!("is damaged: {source}"), remove),
+            Err(error) => return Err(error),
+        };
+        Ok(None)
+    }
+}
+
+/// Looks at everything on a shelf and in its views.
+///
+/// # Errors
+/// When something cannot be read; what is damaged is a finding.
+pub fn verify(shelf: &Shelf) -> Result<Report, StoreError> {
+    let mut report = Report::default();
+    let mut stages = Vec::new();
+    for path in entries(&shelf.root())? {
+        let name = name(&path);
+        match name.as_str() {
+            // What sources noted of raw files is theirs to read; a lock says nothing.
+            "lock" | "notes" => {}
+            "runs" => runs(shelf, &path, &mut report)?,
+            _ if name.starts_with("tmp-") => report.notes.push(left_over(&path)),
+            _ if path.join(REJECTS_RECORD).exists() || name.starts_with("rejects-") => {
+                rejects(shelf, &path, &mut report)?
+            }
+            _ if path.is_dir() => stages.push(StageFolder::read(shelf, path, &mut report)?),
+            _ => report.notes.push(format!("{} is none of periscope's files", path.display())),
+        }
+    }
+    views(shelf, &mut report)?;
+    chain::follow(shelf, &stages, &mut report);
+    report.sources = stages
+        .iter()
+        .filter_map(|stage| {
+            Some((stage.id.clone().filter(|id| id.inputs.is_empty())?, stage.parts.keys().copied().collect()))
+        })
+        .collect();
+    name_tables(shelf, &mut report);
+    Ok(report)
+}
+
+/// Deletes what is damaged.
+///
+/// # Errors
+/// When it cannot be deleted.
+pub fn repair(findings: &[Finding]) -> Result<(), StoreError> {
+    for path in findings.iter().flat_map(|finding| &finding.remove) {
+        let Ok(found) = fs::symlink_metadata(path) else {
+            continue; // with another finding
+        };
+        if found.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) }.at("remove", path)?;
+    }
+    Ok(())
+}
+
+/// What lies in a folder, by name; nothing in one that is not there.
+fn entries(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
+    let mut entries: Vec<PathBuf> =
+        fs::read_dir(folder).at("read", folder)?.flatten().map(|entry| entry.path()).collect();
+    entries.sort();
+    Ok(entries)
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn left_over(path: &Path) -> String {
+    format!("{} was left by a run that was killed, or is under way; the next one clears it away", path.display())
+}
+
+fn runs(shelf: &Shelf, folder: &Path, report: &mut Report) -> Result<(), StoreError> {
+    for path in entries(folder)? {
+        report.counts.runs += 1;
+        let run = report.record::<RunRecord>(shelf, &path, vec![path.clone()])?;
+        if run.is_none() {
+            "delete it: the tables do not depend on it"
+                .clone_into(&mut report.findings.last_mut().expect("found above").mend);
+        }
+        report.run = run.or(report.run.take());
+    }
+    Ok(())
+}
+
+fn rejects(shelf: &Shelf, folder: &Path, report: &mut Report) -> Result<(), StoreError> {
+    let remove = || vec![folder.to_owned()];
+    let record = folder.join(REJECTS_RECORD);
+    let Some(shown) = report.record::<RejectsRecord>(shelf, &record, remove())? else {
+        return Ok(());
+    };
+    for (file, recorded) in &shown.files {
+        report.file(shelf, &folder.join(file), recorded, remove())?;
+    }
+    Ok(())
+}
+
+/// The links by which tables are shown.
+fn views(shelf: &Shelf, report: &mut Report) -> Result<(), StoreError> {
+    for link in entries(shelf.out())?.into_iter().filter(|path| path.is_symlink()) {
+        let target = fs::read_link(&link).at("read", &link)?;
+        if !target.starts_with(".shelf") || !link.is_dir() {
+            report.found(shelf, &link, format!("leads to {}, where no table is", target.display()), vec![link.clone()]);
+        }
+    }
+    Ok(())
+}
+
+/// Says of each finding which tables show it.
+fn name_tables(shelf: &Shelf, report: &mut Report) {
+    let links: Vec<(String, PathBuf)> = entries(shelf.out())
+        .into_iter()
+        .flatten()
+        .filter_map(|link| Some((name(&link), fs::read_link(&link).ok()?)))
+        .collect();
+    for finding in &mut report.findings {
+        let (folder, file) = (finding.file.parent(), name(&finding.file));
+        let shows = |target: &PathBuf| {
+            // `.shelf/<stage>/table-<lineage>/<table>`, or `.shelf/rejects-<digest>`.
+            let stage = target.iter().take(2).collect::<PathBuf>();
+            let table = name(target);
+            let of_table = file.ends_with(&format!(".{table}.parquet")) || !file.ends_with(".parquet");
+            finding.file.starts_with(target) || (folder == Some(stage.as_path()) && of_table)
+        };
+        finding.tables = links.iter().filter(|(_, target)| shows(target)).map(|(view, _)| view.clone()).collect();
+    }
+}
+
+/// Whether two paths are links to one file.
+fn same_file(a: &Path, b: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let id = |path: &Path| fs::metadata(path).ok().map(|found| (found.dev(), found.ino()));
+    id(a).is_some() && id(a) == id(b)
+}
+
+impl TableRecord {
+    /// Whether its lineage is that of its parts.
+    fn holds(&self) -> bool {
+        self.lineage == Self::lineage_of(self.parts.iter().map(|part| &part.lineage))
+    }
+}

@@ -1,0 +1,141 @@
+//! One folder of the shelf: what one recipe made.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::{Report, entries, left_over, name, same_file};
+use crate::store::failure::{At, StoreError};
+use crate::store::shelf::{PartRecord, Shelf, StageId, TableRecord};
+use crate::store::{Digest, parquet};
+
+/// What of a folder's records can be read.
+pub struct StageFolder {
+    pub path: PathBuf,
+    /// Its recipe's content.
+    pub id: Option<StageId>,
+    pub parts: BTreeMap<Digest, PartRecord>,
+    pub tables: BTreeMap<Digest, TableRecord>,
+}
+
+impl StageFolder {
+    /// Reads and checks all that lies in it.
+    pub fn read(shelf: &Shelf, path: PathBuf, report: &mut Report) -> Result<Self, StoreError> {
+        let mut folder = Self { path, id: None, parts: BTreeMap::new(), tables: BTreeMap::new() };
+        let stage = folder.path.join("stage.json");
+        let remove = stage.exists().then(|| stage.clone()).into_iter().collect();
+        folder.id = report.record::<StageId>(shelf, &stage, remove)?;
+        if folder.id.as_ref().is_some_and(|id| id.folder() != name(&folder.path)) {
+            report.found(
+                shelf,
+                &stage,
+                "is of another folder: its recipe is not the one that this folder is named by",
+                vec![stage.clone()],
+            );
+            folder.id = None;
+        }
+        let mut tables = Vec::new();
+        for path in entries(&folder.path)? {
+            let name = name(&path);
+            if name == "stage.json" {
+            } else if name.starts_with("tmp-") {
+                report.notes.push(left_over(&path));
+            } else if name.starts_with("table-") {
+                tables.push(path);
+            } else if let Some(part) = name.strip_prefix("part-").and_then(|name| name.strip_suffix(".json")) {
+                folder.part(shelf, &path, part, report)?;
+            } else if name.starts_with("part-") && name.ends_with(".parquet") {
+                let (part, _) = name.split_once('.').expect("it ends with .parquet");
+                if !folder.path.join(format!("{part}.json")).exists() {
+                    report.notes.push(format!("{} belongs to no finished part: no table shows it", path.display()));
+                }
+            } else {
+                report.notes.push(format!("{} is none of periscope's files", path.display()));
+            }
+        }
+        for path in tables {
+            folder.table(shelf, &path, report)?;
+        }
+        Ok(folder)
+    }
+
+    /// A part: its record, and its files.
+    fn part(&mut self, shelf: &Shelf, path: &Path, lineage: &str, report: &mut Report) -> Result<(), StoreError> {
+        let files = entries(&self.path)?.into_iter().filter(|file| name(file).starts_with(&format!("part-{lineage}.")));
+        let all: Vec<PathBuf> = files.collect();
+        let Some(record) = report.record::<PartRecord>(shelf, path, all.clone())? else {
+            return Ok(());
+        };
+        if record.lineage.to_string() != lineage {
+            report.found(shelf, path, format!("is the record of another part, {}", record.lineage), all);
+            return Ok(());
+        }
+        report.counts.parts += 1;
+        for (table, file) in &record.files {
+            let path = self.path.join(format!("part-{lineage}.{table}.parquet"));
+            if report.file(shelf, &path, file, all.clone())? {
+                let (_, rows, footer) = parquet::describe(&path).at("read", &path)?;
+                let stage = self.id.as_ref().and_then(|id| serde_json::to_string(id).ok());
+                let says = |key: &str, value: &str| footer.iter().any(|(k, v)| k == key && v == value);
+                let of_this = says("periscope.lineage", lineage)
+                    && stage.is_none_or(|stage| says("periscope.stage", &stage))
+                    && rows == file.rows;
+                if !of_this {
+                    report.found(
+                        shelf,
+                        &path,
+                        "is of another part: its footer names another lineage or stage",
+                        all.clone(),
+                    );
+                }
+            }
+        }
+        self.parts.insert(record.lineage, record);
+        Ok(())
+    }
+
+    /// A whole table: its record, and the files by which its views show its parts.
+    fn table(&mut self, shelf: &Shelf, path: &Path, report: &mut Report) -> Result<(), StoreError> {
+        let remove = || vec![path.to_owned()];
+        let file = path.join("table.json");
+        let Some(record) = report.record::<TableRecord>(shelf, &file, remove())? else {
+            return Ok(());
+        };
+        let of_this = record.holds()
+            && name(path) == format!("table-{}", record.lineage)
+            && self.id.as_ref().is_none_or(|id| *id == record.stage);
+        if !of_this {
+            report.found(
+                shelf,
+                &file,
+                "is the record of another table: its lineage is not that of its parts and its folder",
+                remove(),
+            );
+            return Ok(());
+        }
+        report.counts.tables += 1;
+        for folder in entries(path)?.into_iter().filter(|entry| entry.is_dir()) {
+            let table = name(&folder);
+            for (i, part) in record.parts.iter().enumerate() {
+                let shown = folder.join(format!("part-{i:05}.parquet"));
+                let stored = self.path.join(format!("part-{}.{table}.parquet", part.lineage));
+                match part.files.get(&table) {
+                    // What is linked was looked at as a part.
+                    Some(_) if same_file(&shown, &stored) && self.parts.contains_key(&part.lineage) => {}
+                    Some(file) => _ = report.file(shelf, &shown, file, remove())?,
+                    None => {
+                        _ = report.found(shelf, &folder, format!("shows no table of part {}", part.lineage), remove())
+                    }
+                }
+            }
+        }
+        for part in record.parts.iter().filter(|part| self.parts.get(&part.lineage) != Some(part)) {
+            let path = self.path.join(format!("part-{}.json", part.lineage));
+            if path.exists() {
+                continue; // found where it lies
+            }
+            report.found(shelf, &path, "is gone, and a table needs it", Vec::new());
+        }
+        self.tables.insert(record.lineage, record);
+        Ok(())
+    }
+}
