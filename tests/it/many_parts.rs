@@ -92,8 +92,8 @@ impl ManyParts {
         }
         child.kill().unwrap();
         let text = errors(&child.wait_with_output().unwrap());
-        let passes = text.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
-        let last = passes.filter(|event| event["event"] != "read").last();
+        let mut events = text.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+        let last = events.rfind(|event| event["event"] != "read");
         let under_way = match last {
             Some(event) if event["event"] == "pass" => {
                 let tables = event["tables"].as_array().unwrap();
