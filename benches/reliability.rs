@@ -13,14 +13,24 @@ mod kill;
 mod lab;
 #[path = "../tests/it/many_parts.rs"]
 mod many_parts;
+#[path = "reliability/memory.rs"]
+mod memory;
 #[allow(dead_code, reason = "other studies use more of it")]
 #[path = "resolution/score.rs"]
 mod score;
+#[path = "reliability/watch.rs"]
+mod watch;
 
 /// A study takes the numbers behind its name.
 type Study = fn(&[usize]);
 
-const STUDIES: [(&str, Study); 3] = [("kill", kill::study), ("faults", faults::study), ("flips", flips::study)];
+const STUDIES: [(&str, Study); 5] = [
+    ("kill", kill::study),
+    ("faults", faults::study),
+    ("flips", flips::study),
+    ("memory", memory::study),
+    ("watch", watch::study),
+];
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();

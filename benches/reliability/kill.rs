@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
@@ -22,7 +23,7 @@ struct Row {
     left_over: usize,
 }
 
-/// `kill N`: N runs killed once, and a tenth as many killed again and again until they are through.
+/// `kill N`: N runs killed once, and a tenth as many killed again and again until they are through. Each kill is told on standard error.
 pub fn study(numbers: &[usize]) {
     let kills = numbers.first().copied().unwrap_or(200);
     let lab = ManyParts::new();
@@ -44,7 +45,7 @@ fn reference(lab: &ManyParts) -> f64 {
     start.elapsed().as_secs_f64()
 }
 
-fn once(lab: &ManyParts, kills: usize, seconds: f64, whole: &BTreeMap<std::path::PathBuf, blake3::Hash>) {
+fn once(lab: &ManyParts, kills: usize, seconds: f64, whole: &BTreeMap<PathBuf, blake3::Hash>) {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let mut rows: BTreeMap<String, Row> = BTreeMap::new();
     let (mut killed, mut ended_before) = (0, 0);
@@ -57,12 +58,19 @@ fn once(lab: &ManyParts, kills: usize, seconds: f64, whole: &BTreeMap<std::path:
         killed += 1;
         let run = lab.run("killed");
         assert_eq!(run.status.code(), Some(0), "{}", errors(&run));
+        let is_same = lab.files("killed") == *whole;
+        let (again, left_over) = (lab.written_again(&kill.finished, "killed"), lab.left_over("killed").len());
+        eprintln!(
+            "{killed}: {}; {} files finished, {again} again, {left_over} left, same {is_same}",
+            kill.under_way,
+            kill.finished.len()
+        );
         let row = rows.entry(kill.under_way).or_default();
         row.kills += 1;
         row.finished += kill.finished.len();
-        row.same += usize::from(lab.files("killed") == *whole);
-        row.again += lab.written_again(&kill.finished, "killed");
-        row.left_over += lab.left_over("killed").len();
+        row.same += usize::from(is_same);
+        row.again += again;
+        row.left_over += left_over;
     }
     println!(
         "\n| being made | kills | files of finished parts at the kill, mean | resumed to the same bytes | finished files written again | half-written files left |"
@@ -93,7 +101,7 @@ fn once(lab: &ManyParts, kills: usize, seconds: f64, whole: &BTreeMap<std::path:
 }
 
 /// Runs that are killed again and again until one gets through.
-fn again_and_again(lab: &ManyParts, runs: usize, seconds: f64, whole: &BTreeMap<std::path::PathBuf, blake3::Hash>) {
+fn again_and_again(lab: &ManyParts, runs: usize, seconds: f64, whole: &BTreeMap<PathBuf, blake3::Hash>) {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let (mut kills, mut most, mut same, mut again) = (0, 0, 0, 0);
     for _ in 0..runs {
@@ -109,6 +117,7 @@ fn again_and_again(lab: &ManyParts, runs: usize, seconds: f64, whole: &BTreeMap<
         let last = lab.run("killed");
         assert_eq!(last.status.code(), Some(0), "{}", errors(&last));
         same += usize::from(lab.files("killed") == *whole && lab.left_over("killed").is_empty());
+        eprintln!("{own} kills in one run, {again} files again so far, same {same}");
         kills += own;
         most = most.max(own);
     }

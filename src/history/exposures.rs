@@ -76,7 +76,9 @@ impl Exposures<'_> {
     ) -> Result<Vec<(CaptureKey, RawRecords)>, HistoryError> {
         let lit: BTreeSet<PatchId> = captures.iter().map(|(_, _, lit, _)| *lit).collect();
         let seen: BTreeSet<PatchId> = captures.iter().map(|(_, _, _, seen)| *seen).collect();
-        self.of(traces, &[("lit", &lit), ("seen", &seen)], |capture| captures.contains(capture), remarks)
+        let campaigns = captures.iter().map(|(campaign, ..)| campaign).collect();
+        let numbers = [("lit", &lit), ("seen", &seen)];
+        self.of(traces, &campaigns, &numbers, |capture| captures.contains(capture), remarks)
     }
 
     /// Raw records of all captures of a sensor.
@@ -87,13 +89,15 @@ impl Exposures<'_> {
         sensor: &Name,
         remarks: &mut Vec<String>,
     ) -> Result<Vec<RawRecords>, HistoryError> {
-        let found = self.of(traces, &[], |capture| (&capture.0, &capture.1) == (campaign, sensor), remarks)?;
+        let is_its = |capture: &CaptureKey| (&capture.0, &capture.1) == (campaign, sensor);
+        let found = self.of(traces, &BTreeSet::from([campaign]), &[], is_its, remarks)?;
         Ok(found.into_iter().map(|(_, records)| records).collect())
     }
 
     fn of(
         &self,
         traces: &Table,
+        campaigns: &BTreeSet<&Name>,
         numbers: &[(&str, &BTreeSet<PatchId>)],
         wanted: impl Fn(&CaptureKey) -> bool,
         remarks: &mut Vec<String>,
@@ -101,7 +105,7 @@ impl Exposures<'_> {
         if self.ancestry.record(traces).is_some() {
             return self.kept(traces, numbers, wanted);
         }
-        match self.surveyed(traces) {
+        match self.surveyed(traces, campaigns) {
             Ok(captures) => {
                 let parts = self.ancestry.parts(traces);
                 let recipe = self.ancestry.stage(traces).recipe();
@@ -156,13 +160,12 @@ impl Exposures<'_> {
         Ok(found)
     }
 
-    /// Captures of the campaigns that a table `traces` was made from, as their folders are now.
-    fn surveyed(&self, traces: &Table) -> Result<Vec<RawCapture>, HistoryError> {
-        let stage = self.ancestry.stage(traces);
-        let refused = |what: &str| HistoryError::Refused(format!("its record has no {what}; run the pipeline again"));
-        let names: Vec<String> = serde_json::from_value(stage.fields.clone()).map_err(|_| refused("campaigns"))?;
-        let roles: Vec<Role> = serde_json::from_value(stage.params["roles"].clone()).map_err(|_| refused("roles"))?;
-        let campaigns = names.iter().map(|name| self.campaign(name)).collect::<Result<Vec<_>, _>>()?;
+    /// Captures of these campaigns of the roles that a table `traces` holds, as the campaigns' folders are now.
+    fn surveyed(&self, traces: &Table, campaigns: &BTreeSet<&Name>) -> Result<Vec<RawCapture>, HistoryError> {
+        let roles = self.ancestry.stage(traces).params["roles"].clone();
+        let unknown = |_| HistoryError::Refused("its record names no roles; run the pipeline again".to_owned());
+        let roles: Vec<Role> = serde_json::from_value(roles).map_err(unknown)?;
+        let campaigns = campaigns.iter().map(|name| self.campaign(name)).collect::<Result<Vec<_>, _>>()?;
         Ok(raw_captures(&campaigns, &roles, &self.shelf.notes())?)
     }
 

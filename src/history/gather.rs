@@ -199,11 +199,12 @@ impl Explainer<'_> {
                 2 => format!("(bounces = 1 AND (array_contains(path, {a}) OR array_contains(path, {b})) OR {both})"),
                 _ => both,
             };
-            let mut condition = format!("alternative = 0 AND {path}");
-            if !self.ancestry.rows(&labels, |row: &Label| !counts(row))?.is_empty() {
-                let sensors: BTreeSet<String> = rows.iter().map(|row| quoted(&row.sensor)).collect();
-                condition += &format!(" AND sensor IN ({})", sensors.into_iter().collect::<Vec<_>>().join(", "));
-            }
+            let sensors: BTreeSet<String> = rows.iter().map(|row| quoted(&row.sensor)).collect();
+            let sensors: Vec<String> = sensors.into_iter().collect();
+            let some_are_left_out = !self.ancestry.rows(&labels, |row: &Label| !counts(row))?.is_empty();
+            let of_sensors =
+                if some_are_left_out { format!(" AND sensor IN ({})", sensors.join(", ")) } else { String::new() };
+            let condition = format!("alternative = 0 AND {path}{of_sensors}");
             if distance.bounces > 2 {
                 remarks.push("ranges of a hidden patch follow from all third bounces over it together; listed are those of this leg".to_owned());
             }

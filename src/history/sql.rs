@@ -61,7 +61,7 @@ impl Questions<'_> {
         let labels = labels.filter(is_other).map(|table| self.files(table)).transpose()?.flatten();
         let onsets = onsets.filter(is_other).map(|table| self.files(table)).transpose()?.flatten();
         let mut columns = vec!["p.*"];
-        let mut joins = String::new();
+        let mut joins: Vec<String> = Vec::new();
         let on =
             "p.campaign = x.campaign AND p.sensor = x.sensor AND p.lit = x.lit AND p.seen = x.seen AND p.rank = x.rank";
         for (files, name, added, only) in [
@@ -71,11 +71,11 @@ impl Questions<'_> {
             if let Some(files) = files {
                 columns.extend(added);
                 let on = on.replace("x.", &format!("{name}."));
-                joins += &format!("\nLEFT JOIN {files} AS {name} ON {on}{only}");
+                joins.push(format!("\nLEFT JOIN {files} AS {name} ON {on}{only}"));
             }
         }
         let (columns, condition) = (columns.join(", "), &picked.condition);
-        let sql = format!("SELECT {columns}\nFROM (SELECT * FROM {files} WHERE {condition}) AS p{joins}");
+        let sql = format!("SELECT {columns}\nFROM (SELECT * FROM {files} WHERE {condition}) AS p{}", joins.concat());
         Ok(Some(Query { about: "its onsets", sql }))
     }
 

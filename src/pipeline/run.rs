@@ -47,12 +47,14 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         }
         let allowed = most_rejects - rejects(plan);
         let ended = pass::run(plan, &pass, settings, allowed, progress, &mut content);
-        if let Some(source) = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
-            source
-                .close()
-                .map_err(|source| RunError::Stage { heading: plan.spec.steps[pass.root].heading.clone(), source })?;
-        }
+        let closed =
+            plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)).map_or(Ok(()), |source| {
+                let heading = plan.spec.steps[pass.root].heading.clone();
+                source.close().map_err(|source| RunError::Stage { heading, source })
+            });
+        // What stopped the pass comes first: on a full disk, say, closing fails too.
         let ended = ended?;
+        closed?;
         plan.refresh(&content)?;
         publish(plan, &pass.steps, &mut outcome)?;
         if ended == Ended::Interrupted {

@@ -83,6 +83,9 @@ fn mend(source: &io::Error) -> &'static str {
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
             "; choose a folder that can be written with --out"
         }
+        io::ErrorKind::IsADirectory | io::ErrorKind::NotADirectory | io::ErrorKind::AlreadyExists => {
+            "; what stands there was not made by periscope: move it away"
+        }
         _ => "",
     }
 }

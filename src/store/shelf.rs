@@ -495,13 +495,13 @@ impl PartWriter<'_> {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn commit(self, lineage: Digest) -> Result<PartRecord, StoreError> {
+    pub fn commit(mut self, lineage: Digest) -> Result<PartRecord, StoreError> {
         let footer = [
             ("periscope.lineage", lineage.to_string()),
             ("periscope.stage", serde_json::to_string(&self.stage).expect("a stage id is plain data")),
         ];
         let mut files = BTreeMap::new();
-        for (table, writer) in self.writers {
+        for (table, writer) in std::mem::take(&mut self.writers) {
             let temporary = writer.path().to_owned();
             let record = writer.finish(&footer).at("write", &temporary)?;
             let path = self.folder.join(format!("part-{lineage}.{table}.parquet"));
@@ -511,5 +511,14 @@ impl PartWriter<'_> {
         let record = PartRecord { lineage, files };
         self.shelf.write_json(&self.folder.join(format!("part-{lineage}.json")), &record)?;
         Ok(record)
+    }
+}
+
+impl Drop for PartWriter<'_> {
+    /// What was not committed goes; what cannot be removed now is swept away when the folder is opened next.
+    fn drop(&mut self) {
+        for (_, writer) in &self.writers {
+            let _ = fs::remove_file(writer.path());
+        }
     }
 }

@@ -51,12 +51,12 @@ impl ManyParts {
     /// `periscope run` with small batches, its progress as JSON.
     pub fn command(&self, out: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_periscope"));
-        self.arguments(&mut command, out);
+        self.arguments(&mut command, out, "100kB");
         command
     }
 
-    /// Adds these arguments to a command.
-    pub fn arguments(&self, command: &mut Command, out: &str) {
+    /// Gives a command the arguments of such a run.
+    pub fn arguments(&self, command: &mut Command, out: &str, batch: &str) {
         command.args([
             "run",
             "pipeline.toml",
@@ -65,7 +65,7 @@ impl ManyParts {
             "--progress",
             "json",
             "--batch",
-            "100kB",
+            batch,
             "--out",
             out,
         ]);

@@ -103,7 +103,7 @@ fn onsets(onsets: &[OnsetBehind], all: bool) -> Vec<String> {
         "path",
         "time_ps",
         "sd_ps",
-        "left_ps",
+        "resid_ps",
         "pull",
         "prob",
         "snr"
@@ -188,21 +188,32 @@ fn sensor(sensor: &SensorBehind) -> String {
 
 /// Raw records in a few words: a file with its segments, or how many files.
 fn raw(records: &[RawRecords]) -> String {
-    let described = |is_reference: bool| {
-        let of_kind: Vec<&RawRecords> = records.iter().filter(|records| records.is_reference == is_reference).collect();
-        match of_kind.as_slice() {
-            [] => None,
-            [one] => Some(one_file(one)),
-            [first, .., last] => Some(format!("{} files {} .. {}", of_kind.len(), first.file, last.file)),
-        }
+    let (references, signals): (Vec<&RawRecords>, Vec<&RawRecords>) =
+        records.iter().partition(|records| records.is_reference);
+    let several = |files: &[&RawRecords]| match files {
+        [first, .., last] => format!("{} files {} .. {}", files.len(), first.file, last.file),
+        _ => String::new(),
     };
-    let signal = described(false).unwrap_or_else(|| "not known".to_owned());
-    let reference = described(true).map(|reference| format!(", reference {reference}"));
-    signal + &reference.unwrap_or_default()
+    let reference = match (signals.as_slice(), references.as_slice()) {
+        (_, []) => String::new(),
+        // The same segments need not be said twice.
+        ([signal], [one]) if signal.segments == one.segments => format!(", reference {}", file(one)),
+        (_, [one]) => format!(", reference {}", one_file(one)),
+        (_, files) => format!(", reference {}", several(files)),
+    };
+    match signals.as_slice() {
+        [] => "not known".to_owned(),
+        [one] => one_file(one) + &reference,
+        files => several(files) + &reference,
+    }
+}
+
+fn file(records: &RawRecords) -> String {
+    let channel = records.channel.as_ref().map_or(String::new(), |channel| format!(" {channel}"));
+    records.file.clone() + &channel
 }
 
 fn one_file(records: &RawRecords) -> String {
-    let channel = records.channel.as_ref().map_or(String::new(), |channel| format!(" {channel}"));
     let segments = match records.segments.as_deref() {
         None => String::new(),
         Some([one]) => format!(" segment {one}"),
@@ -211,7 +222,7 @@ fn one_file(records: &RawRecords) -> String {
         }
         Some(segments) => format!(" {} segments", segments.len()),
     };
-    format!("{}{channel}{segments}", records.file)
+    file(records) + &segments
 }
 
 fn number(value: Option<f64>, digits: usize) -> String {

@@ -331,8 +331,10 @@ impl<'a> Surveyed<'a> {
     /// Digest of a part from the digests of its files.
     pub fn content(&self, part: &[Capture], digests: &BTreeMap<(usize, PathBuf), Digest>) -> Digest {
         let captures: Vec<Value> = part.iter().map(|capture| capture.description(self.campaigns)).collect();
+        // By name: a campaign's place in the run is no part of its content.
+        let name = |campaign: usize| &self.campaigns[campaign].name;
         let files: Vec<Value> =
-            digests.iter().map(|((campaign, file), digest)| json!([campaign, file, digest])).collect();
+            digests.iter().map(|((campaign, file), digest)| json!([name(*campaign), file, digest])).collect();
         Digest::of(&json!({ "captures": captures, "files": files }))
     }
 }
