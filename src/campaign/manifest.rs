@@ -22,7 +22,7 @@ const VERSION: u32 = 2;
 const HALF: &str = ".manifest.json.";
 
 /// Age from which a half-written manifest is nobody's any more: writing one takes seconds.
-const LEFT_BEHIND: Duration = Duration::from_secs(3600);
+const LEFT_BEHIND: Duration = Duration::from_hours(1);
 
 /// Bytes read at a time while hashing.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -39,7 +39,7 @@ pub enum ManifestError {
         source: io::Error,
     },
     /// The manifest is no manifest.
-    #[error("{}: is no manifest of this version ({problem}); restore it, or delete it and seal the folder anew", file.display())]
+    #[error("{}: is damaged, or no manifest of this version ({problem}); restore it, or delete it and seal the folder anew", file.display())]
     Format {
         /// The manifest.
         file: PathBuf,

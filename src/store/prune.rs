@@ -184,7 +184,7 @@ impl Contents {
             match (is_needed, found.is_dir(), name.as_str()) {
                 (true, ..) | (_, _, "stage.json") => {}
                 (_, true, _) => contents.tables.push(path),
-                _ if name.ends_with(".json") => contents.records.push(path),
+                _ if path.extension().is_some_and(|ending| ending == "json") => contents.records.push(path),
                 _ => contents.files.push((path, found)),
             }
         }
