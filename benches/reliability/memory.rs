@@ -56,11 +56,8 @@ fn record(folder: &Path, captures: usize) {
     let raw = folder.join("campaign/raw");
     std::fs::create_dir_all(&raw).expect("a folder for the raw files");
     let rule = "[[captures]]\nrole = 'scene'\nfiles = 'raw/L{lit}_P{seen}.npy'\ndt_ps = 50.0\nt0_ps = 0.0\ngain_v = 0.001\noffset_v = 0.0\n";
-    std::fs::write(
-        folder.join("campaign/campaign.toml"),
-        format!("[campaign]\nname = 'bulk'\n[sensors.s1]\n{rule}"),
-    )
-    .expect("the campaign file");
+    std::fs::write(folder.join("campaign/campaign.toml"), format!("[campaign]\nname = 'bulk'\n[sensors.s1]\n{rule}"))
+        .expect("the campaign file");
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for capture in 0..captures {
         let mut codes: Vec<i16> = (0..SHOTS * SAMPLES).map(|_| rng.random_range(-30..30)).collect();
