@@ -90,7 +90,7 @@ impl ManyParts {
         child.kill().unwrap();
         let text = errors(&child.wait_with_output().unwrap());
         let passes = text.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
-        let last = passes.filter(|event| event["event"] != "read").last();
+        let last = passes.filter(|event| event["event"] != "read").next_back();
         let under_way = match last {
             Some(event) if event["event"] == "pass" => {
                 let tables = event["tables"].as_array().unwrap();
