@@ -1,51 +1,50 @@
 //! The 1-0-1 barcode around the corner: strips out of the sum of their pulses, beside the paper's protocol and the bound.
 
-use super::{barcode_bound::bound_m, barcode_figure};
+use periscope::campaign::Role;
+
+use super::barcode_bound::{bound_m, share_bound};
+use super::{barcode_figure, draws, quantile};
 use crate::barcode::{Barcode, FAST, PIPELINE, SLOW, STRIPS, paper, run};
 use crate::score::{Estimate, Rate};
 
 /// The paper prints this as its largest error of a coordinate.
 const PRINTED_CM: f64 = 0.9574;
-/// Seeds whose bounds stand for those of all.
-const BOUNDS: u64 = 8;
-/// Seeds of the gap's rates for each of those of the errors.
-const GAP_SEEDS: u64 = 15;
+/// Of so many seeds of free gaps one has an occupied one.
+const OCCUPIED: u64 = 3;
+/// And of so many of two scans, one of what stands beside them.
+const BESIDE: u64 = 10;
+/// A signal three times as strong.
+const STRONG: f64 = 300.0;
+/// Seeds whose median bound is printed beside that of all.
+const BOUNDS: u64 = 20;
+/// A strip counts as placed within this.
+const PLACED_M: f64 = 0.02;
 
-/// All parts, or one of: errors, moved, gap, figure.
-pub fn study(part: Option<&str>, seeds: u64) {
+/// All parts, or one of: errors, moved, gap, figure; of both responses or one.
+pub fn study(part: Option<&str>, response: Option<&str>, seeds: u64) {
     let asked = |name: &str| part.is_none_or(|part| part == name);
+    let is_asked = |of: &str| response.is_none_or(|response| response == name(of));
     if asked("errors") {
-        errors(seeds);
+        errors(seeds, is_asked);
     }
     if asked("moved") {
-        moved(seeds.max(10));
+        moved(seeds, is_asked);
     }
     if asked("gap") {
-        gap(seeds * if part.is_some() { 1 } else { GAP_SEEDS });
+        gap(seeds, is_asked);
     }
     if asked("figure") {
         barcode_figure::write();
     }
 }
 
-/// A run of each seed, on all cores. Not in rayon's own threads, which the runs need.
-fn draws<T: Send>(seeds: u64, draw: impl Fn(u64) -> T + Sync) -> Vec<T> {
-    let threads = std::thread::available_parallelism().map_or(1, |count| count.get() as u64);
-    let share = |thread: u64| -> Vec<T> {
-        (0..seeds).filter(|seed| seed % threads == thread).map(|seed| draw(1000 + seed)).collect()
-    };
-    std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads).map(|thread| scope.spawn(move || share(thread))).collect();
-        workers.into_iter().flat_map(|worker| worker.join().expect("a draw does not panic")).collect()
-    })
-}
-
 /// One run.
 #[derive(Clone, Copy)]
 struct Drawn {
-    /// Larger of both strips' errors, and the squares' sum; `None` where a strip is missing.
+    /// Largest error of a coordinate; `None` where a strip is missing.
     error_m: Option<f64>,
-    squares_m2: f64,
+    /// Squared distances of both strips over the bound of their mean.
+    over_bound: f64,
     /// Squared error over covariance, a coordinate.
     normalised: f64,
     alternatives: bool,
@@ -56,7 +55,7 @@ struct Drawn {
 fn drawn(barcode: &Barcode, seed: u64) -> Drawn {
     let seen = run(barcode, seed, PIPELINE);
     let errors_m = barcode.errors_m(&seen.patches, 0);
-    let larger = |errors_m: &[f64]| (errors_m.len() == 2).then(|| errors_m[0].max(errors_m[1]));
+    let squares_m2: f64 = errors_m.iter().map(|error_m| error_m * error_m).sum();
     let normalised = seen.patches.iter().filter(|row| row.alternative == 0).filter_map(|row| {
         let s = STRIPS.iter().position(|strip| *strip == row.patch)?;
         let off = nalgebra::Vector2::new(row.x_m, row.y_m) - barcode.strips[s];
@@ -64,114 +63,124 @@ fn drawn(barcode: &Barcode, seed: u64) -> Drawn {
         Some(0.25 * off.dot(&(cov.try_inverse()? * off)))
     });
     Drawn {
-        error_m: larger(&errors_m),
-        squares_m2: errors_m.iter().map(|error_m| error_m * error_m).sum(),
+        error_m: barcode.largest_m(&seen.patches),
+        over_bound: squares_m2 / bound_m(barcode).iter().map(|sd_m| sd_m * sd_m).sum::<f64>(),
         normalised: normalised.sum(),
         alternatives: seen.patches.iter().any(|row| row.alternative > 0),
-        paper_m: if barcode.lit.len() == 2 { larger(&barcode.errors_m(&paper(barcode, seed), 0)) } else { None },
+        paper_m: if barcode.lit.len() == 2 { barcode.largest_m(&paper(barcode, seed)) } else { None },
     }
-}
-
-/// Bound of the summed variances of both strips.
-fn square_bound_m2(barcode: &Barcode) -> f64 {
-    bound_m(barcode).iter().map(|sd_m| sd_m * sd_m).sum()
-}
-
-/// Value below which so large a share lies.
-fn quantile(values: &mut [f64], share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(((values.len() as f64 - 1.0) * share).round() as usize).copied().unwrap_or(f64::NAN)
-}
-
-/// A number of a table, where there is one.
-fn number(value: f64) -> String {
-    if value.is_finite() { format!("{value:.2}") } else { "-".to_owned() }
 }
 
 fn print_head() {
     println!(
-        "| room | response | scans | diffuser sd (mm) | seeds | both strips placed [95 %] | other places told | error median (cm) | 90 % (cm) | paper's protocol median (cm) | 90 % (cm) | ratio of medians | rms error / bound | squared error / covariance |"
+        "| room | response | scans | diffuser sd (mm) | seeds | both strips placed [95 %] | other places told | error median (cm) | 90 % (cm) | paper's protocol median (cm) | 90 % (cm) | ratio of medians | rms error / bound [95 %] | squared error / covariance [95 %] |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
 }
 
-/// `bounds_m2`: of each run, or one for all.
-fn print_row(room: &str, barcode: &Barcode, runs: &[Drawn], bounds_m2: &[f64]) {
+fn print_row(room: &str, barcode: &Barcode, runs: &[Drawn]) {
     let found: Vec<&Drawn> = runs.iter().filter(|run| run.error_m.is_some()).collect();
-    let mut errors_cm: Vec<f64> = found.iter().filter_map(|run| run.error_m).map(|error_m| 1e2 * error_m).collect();
-    let mut paper_cm: Vec<f64> = runs.iter().filter_map(|run| run.paper_m).map(|error_m| 1e2 * error_m).collect();
-    let squares_m2: f64 = found.iter().map(|run| run.squares_m2).sum();
-    let mean_m2 = |sum_m2: f64, count: usize| sum_m2 / count as f64;
-    let over_bound = (mean_m2(squares_m2, found.len()) / mean_m2(bounds_m2.iter().sum(), bounds_m2.len())).sqrt();
-    let (median_cm, paper_median_cm) = (quantile(&mut errors_cm, 0.5), quantile(&mut paper_cm, 0.5));
+    let in_cm = |errors_m: Vec<f64>| -> Vec<f64> { errors_m.iter().map(|error_m| 1e2 * error_m).collect() };
+    let errors_cm = in_cm(found.iter().filter_map(|run| run.error_m).collect());
+    let paper_cm = in_cm(runs.iter().filter_map(|run| run.paper_m).collect());
+    let of_paper = if paper_cm.is_empty() {
+        "- | - | -".to_owned()
+    } else {
+        let (median_cm, most_cm) = (quantile(&paper_cm, 0.5), quantile(&paper_cm, 0.9));
+        format!("{median_cm:.2} | {most_cm:.2} | {:.1}", median_cm / quantile(&errors_cm, 0.5))
+    };
+    let over_bound = Estimate::rms(&found.iter().map(|run| run.over_bound).collect::<Vec<_>>());
     println!(
-        "| {room} | {} | {} | {} | {} | {} | {} | {median_cm:.3} | {:.3} | {} | {} | {} | {:.2} | {} |",
-        if barcode.response == SLOW { "G250" } else { "E" },
+        "| {room} | {} | {} | {} | {} | {} | {} | {:.3} | {:.3} | {of_paper} | {over_bound} | {} |",
+        name(barcode.response),
         barcode.lit.len(),
         1e3 * barcode.anchor_sd_m,
         runs.len(),
         Rate::of(runs.iter().map(|run| run.error_m.is_some())),
         runs.iter().filter(|run| run.alternatives).count(),
-        quantile(&mut errors_cm, 0.9),
-        number(paper_median_cm),
-        number(quantile(&mut paper_cm, 0.9)),
-        number(paper_median_cm / median_cm),
-        over_bound,
+        quantile(&errors_cm, 0.5),
+        quantile(&errors_cm, 0.9),
         Estimate::mean(&found.iter().map(|run| run.normalised).collect::<Vec<_>>()),
     );
 }
 
+fn name(response: &str) -> &'static str {
+    if response == SLOW { "G250" } else { "E" }
+}
+
 /// The demo's room, mirrors turned by hand anew for each seed.
-fn errors(seeds: u64) {
-    println!("Larger of both strips' errors; the paper prints {PRINTED_CM} cm for its own scene.\n");
+fn errors(seeds: u64, is_asked: impl Fn(&str) -> bool) {
+    println!("Largest error of a coordinate; the paper prints {PRINTED_CM} cm for its own scene.\n");
+    let shots: Vec<f64> = draws(seeds, |seed| {
+        let barcode = Barcode::new(2).turned(seed);
+        let scene = barcode.parsed();
+        let of_scene = barcode.laboratory(&scene, seed).shootings;
+        of_scene
+            .iter()
+            .filter(|shooting| shooting.role == Role::Scene)
+            .map(|shooting| shooting.shots as f64)
+            .fold(0.0, f64::max)
+    });
+    println!("Records a scan: median {}, 90 % {}.\n", quantile(&shots, 0.5), quantile(&shots, 0.9));
     print_head();
-    for scans in [2, 5] {
-        for response in [SLOW, FAST] {
-            for anchor_sd_m in [0.0, 5e-4, 1e-3] {
-                let room = |seed: u64| Barcode { anchor_sd_m, response, ..Barcode::new(scans).turned(seed) };
-                let bounds_m2 = draws(BOUNDS, |seed| square_bound_m2(&room(seed)));
-                print_row("demo", &room(0), &draws(seeds, |seed| drawn(&room(seed), seed)), &bounds_m2);
-            }
+    let rows = [(2, SLOW), (2, FAST), (5, SLOW), (5, FAST)];
+    for (scans, response) in rows.into_iter().filter(|(_, response)| is_asked(response)) {
+        for anchor_sd_m in [0.0, 5e-4, 1e-3] {
+            let room = |seed: u64| Barcode { anchor_sd_m, response, ..Barcode::new(scans).turned(seed) };
+            print_row("demo", &room(1), &draws(seeds, |seed| drawn(&room(seed), seed)));
         }
     }
 }
 
 /// Rooms with everything moved.
-fn moved(seeds: u64) {
+fn moved(seeds: u64, is_asked: impl Fn(&str) -> bool) {
     println!();
     print_head();
-    for scans in [2, 5] {
-        let room = |seed: u64| Barcode { anchor_sd_m: 5e-4, ..Barcode::moved(scans, seed) };
-        let bounds_m2 = draws(seeds, |seed| square_bound_m2(&room(seed)));
-        print_row("moved", &room(1000), &draws(seeds, |seed| drawn(&room(seed), seed)), &bounds_m2);
+    let rows = [(2, SLOW), (2, FAST), (5, SLOW)];
+    for (scans, response) in rows.into_iter().filter(|(_, response)| is_asked(response)) {
+        let room = |seed: u64| Barcode { anchor_sd_m: 5e-4, response, ..Barcode::moved(scans, seed) };
+        print_row("moved", &room(1), &draws(seeds, |seed| drawn(&room(seed), seed)));
     }
 }
 
 /// What is said of the gap, where nothing is there and where something is.
-fn gap(seeds: u64) {
-    println!("\n| gap | response | scans | seeds | both strips placed | free [95 %] | occupied [95 %] | open |");
-    println!("|---|---|---|---|---|---|---|---|");
-    for (scans, response) in [(2, SLOW), (2, FAST), (5, SLOW), (5, FAST)] {
+fn gap(seeds: u64, is_asked: impl Fn(&str) -> bool) {
+    println!(
+        "\n| gap | response | scans | SNR | seeds | both strips placed [95 %] | free [95 %] | occupied [95 %] | open | sd of the share, median | its bound |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    let rows = [(2, SLOW, 100.0), (2, FAST, 100.0), (5, SLOW, 100.0), (5, FAST, 100.0), (2, SLOW, STRONG)];
+    for (scans, response, snr) in rows.into_iter().filter(|(_, response, _)| is_asked(response)) {
         for occupied in [false, true] {
-            let runs = draws(seeds, |seed| {
-                let barcode = Barcode { anchor_sd_m: 5e-4, response, occupied, ..Barcode::new(scans).turned(seed) };
-                let seen = run(&barcode, seed, PIPELINE);
-                let verdict = seen.gaps.first().map_or("none", |gap| match &*gap.verdict {
-                    "free" => "free",
-                    "occupied" => "occupied",
-                    _ => "open",
-                });
-                (barcode.errors_m(&seen.patches, 0).iter().filter(|error_m| **error_m < 0.02).count() == 2, verdict)
+            let room = |seed: u64| {
+                let turned = Barcode::new(scans).turned(seed);
+                Barcode { anchor_sd_m: 5e-4, response, occupied, snr, ..turned }
+            };
+            let is_beside = scans > 2 || snr > 100.0;
+            let seeds = if is_beside { seeds.div_ceil(BESIDE) } else { seeds };
+            let runs = draws(if occupied && !is_beside { seeds.div_ceil(OCCUPIED) } else { seeds }, |seed| {
+                let seen = run(&room(seed), seed, PIPELINE);
+                let errors_m = room(seed).errors_m(&seen.patches, 0);
+                let is_placed = errors_m.iter().filter(|error_m| **error_m < PLACED_M).count() == 2;
+                let gap = seen.gaps.first();
+                (
+                    is_placed,
+                    gap.map(|gap| gap.verdict.to_string()),
+                    gap.and_then(|gap| gap.share_sd).unwrap_or(f64::NAN),
+                )
             });
-            let is = |wanted: &str| Rate::of(runs.iter().map(|(_, verdict)| *verdict == wanted));
+            let is = |wanted: &str| Rate::of(runs.iter().map(|(_, verdict, _)| verdict.as_deref() == Some(wanted)));
             println!(
-                "| {} | {} | {scans} | {seeds} | {} | {} | {} | {} |",
+                "| {} | {} | {scans} | {snr} | {} | {} | {} | {} | {} | {:.3} | {:.3} |",
                 if occupied { "a third strip" } else { "free" },
-                if response == SLOW { "G250" } else { "E" },
-                Rate::of(runs.iter().map(|(placed, _)| *placed)),
+                name(response),
+                runs.len(),
+                Rate::of(runs.iter().map(|(placed, ..)| *placed)),
                 is("free"),
                 is("occupied"),
-                runs.iter().filter(|(_, verdict)| *verdict == "open").count(),
+                is("open").hits,
+                quantile(&runs.iter().map(|(.., sd)| *sd).collect::<Vec<_>>(), 0.5),
+                quantile(&draws(BOUNDS, |seed| share_bound(&Barcode { occupied: false, ..room(seed) })), 0.5),
             );
         }
     }

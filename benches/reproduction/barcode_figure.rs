@@ -18,17 +18,17 @@ pub fn write() {
     let barcode = Barcode { anchor_sd_m: 5e-4, ..Barcode::new(2).turned(SEED) };
     let seen = run(&barcode, SEED, PIPELINE);
     let of_paper = paper(&barcode, SEED);
-    let mut picture = Picture::new(720.0, 705.0);
+    let mut picture = Picture::new(830.0, 705.0);
     let whole = Panel { left: 110.0, bottom: 570.0, x0: 0.0, y0: 0.0, scale: 1000.0 };
     room(&mut picture, &whole, &barcode);
     strips(&mut picture, &whole, &barcode, &seen.patches, &of_paper);
     // The strips once more, larger.
-    let close = Panel { left: 555.0, bottom: 538.0, x0: 0.34, y0: 0.17, scale: 3200.0 };
-    let frame = [[0.296, 0.141], [0.385, 0.141], [0.385, 0.199], [0.296, 0.199], [0.296, 0.141]];
+    let close = Panel { left: 660.0, bottom: 538.0, x0: 0.415, y0: 0.18, scale: 3200.0 };
+    let frame = [[0.371, 0.151], [0.46, 0.151], [0.46, 0.209], [0.371, 0.209], [0.371, 0.151]];
     picture.curve(&close, &frame, "#999999", 1.0);
     strips(&mut picture, &close, &barcode, &seen.patches, &of_paper);
-    picture.line(&close, [0.312, 0.145], [0.322, 0.145], "black", 2.0);
-    picture.label(&close, [0.324, 0.144], "1 cm");
+    picture.line(&close, [0.387, 0.155], [0.397, 0.155], "black", 2.0);
+    picture.label(&close, [0.399, 0.154], "1 cm");
     let in_cm = |patches: &[Patch]| {
         let errors: Vec<String> =
             barcode.errors_m(patches, 0).iter().map(|error_m| format!("{:.2}", 1e2 * error_m)).collect();
@@ -53,10 +53,10 @@ pub fn write() {
 /// Diffuser, screen, stations, and the rays of both scans.
 fn room(picture: &mut Picture, panel: &Panel, barcode: &Barcode) {
     let [p4, p3] = barcode.exits;
-    picture.line(panel, [-0.03, 0.505], [0.52, 0.505], "#999999", 4.0);
-    picture.label(panel, [0.53, 0.5], "diffuser");
-    picture.line(panel, [0.28, -0.05], [0.28, 0.19], "black", 4.0);
-    picture.label(panel, [0.22, -0.03], "screen");
+    picture.line(panel, [0.03, 0.435], [0.53, 0.435], "#999999", 4.0);
+    picture.label(panel, [0.54, 0.43], "diffuser");
+    picture.line(panel, [0.366, -0.05], [0.366, 0.196], "black", 4.0);
+    picture.label(panel, [0.306, -0.03], "screen");
     for (k, lit) in barcode.lit.iter().enumerate() {
         let colour = ["#1f77b4", "#2ca02c"][k];
         for (strip, exit) in barcode.strips.iter().zip([p4, p3]) {

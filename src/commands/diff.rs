@@ -18,12 +18,13 @@ const EXIT_CODES: &str = "Exit codes: 0 the same; 3 different; 1 failed; 2 wrong
 const JSON_HELP: &str = "\
 Keys of the JSON object (differences are B - A; null: there is none to tell)
   a, b, same             the folders, and whether all their tables are the same
-  tables                 those of both, in the order of the dataflow: table, verdict (same, same_rows: made
-                         otherwise, differs, not_compared), rows, causes
-  rows                   in_a, in_b, only_in_a, only_in_b (rows by their key columns), only_in_a_such_as,
-                         only_in_b_such_as, changed, other_columns (not compared), columns
-  columns                column, unit, rows (that differ), one_sided, other_length, largest, rms (over values that
-                         differ), largest_at, largest_in_sd, rms_in_sd
+  tables                 those of both, in the order of the dataflow: table, rows, causes, and
+                         verdict: same, same_rows (made otherwise), differs, not_compared
+  rows                   in_a, in_b; by their key columns only_in_a, only_in_a_such_as,
+                         only_in_b, only_in_b_such_as; changed, columns, other_columns
+                         (not compared)
+  columns                column, unit, rows (that differ), one_sided, other_length, largest,
+                         rms (over values that differ), largest_at, largest_in_sd, rms_in_sd
   causes                 at (a table, or the campaign of raw files), change
   only_in_a, only_in_b   tables of one side alone";
 

@@ -15,20 +15,22 @@ use periscope::store::Shelf;
 /// What stands in the JSON object.
 const JSON_HELP: &str = "\
 Keys of the JSON object (times in ps, voltages in V, lengths in m; null: no table tells)
-  target                 what was asked for
-  table, table_kind      the table that it stands in, and its kind as in `periscope schema`
-  stage                  the stage that made it
-  row                    the row by its columns, as `periscope schema` lists them
-  tables                 all that it goes back to: table, stage, lineage (null: not kept), from, with
-  onsets                 campaign, sensor, lit, seen, rank, path, time_ps, time_sd_ps, turns, residual_ps,
-                         pull (residual in standard deviations), used, probability, snr, flags
-  captures               campaign, sensor, lit, seen, shots, rejected, noise_v, jitter_ps, chi2_dof, acquired_at, raw
-  sensors                calibration and session: table, campaign, sensor, range, shots, latency_ps, latency_sd_ps,
-                         delay_ps, delay_sd_ps, raw
-  raw (in both)          campaign, file, channel, segments (null: all), exposures, is_reference
-  beside                 side tables of the same stage
-  remarks                what to know about the answer
-  queries                about, sql";
+  target             what was asked for
+  table, table_kind  the table that it stands in, and its kind as in `periscope schema`
+  stage              the stage that made it
+  row                the row by its columns, as `periscope schema` lists them
+  tables             all that it goes back to: table, stage, lineage (null: not kept), from, with
+  onsets             campaign, sensor, lit, seen, rank, path, time_ps, time_sd_ps, turns,
+                     residual_ps, pull (residual in standard deviations), used, probability,
+                     snr, flags
+  captures           campaign, sensor, lit, seen, shots, rejected, noise_v, jitter_ps, chi2_dof,
+                     acquired_at, raw
+  sensors            calibration and session: table, campaign, sensor, range, shots, latency_ps,
+                     latency_sd_ps, delay_ps, delay_sd_ps, raw
+  raw (in both)      campaign, file, channel, segments (null: all), exposures, is_reference
+  beside             side tables of the same stage
+  remarks            what to know about the answer
+  queries            about, sql";
 
 /// Arguments of `explain`.
 #[derive(Args)]

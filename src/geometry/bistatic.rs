@@ -8,15 +8,18 @@
 //!   (1985)); what is left is a quadratic equation with two roots. Where all foci lie in one line these are mirror images in it.
 //! - *Fit*: maximum likelihood by Gauss and Newton. Unknown beside the strips are all anchors (diffuser points, stations) and delays that are known to a standard
 //!   deviation only: first bounces tell them too. Onsets of one profile are correlated, as pulses closer than the response are.
-//! - *Labels*: assignments are extended scan by scan, the likeliest first; chi-square never falls by another scan, so the first that is complete is the best of all, and no other
+//! - *Labels*: assignments are extended scan by scan, the likeliest first; chi-square, and what onsets cost that are left over, never fall by another scan, so the first that is complete is the best of all, and no other
 //!   within [`CLOSE`] of it is missed (branch and bound).
 //! - *Glints*: over a glossy strip the light's centroid moves with the lit point.
 //!
 //! With as many scans as dimensions every assignment fits exactly. What then decides is what else is known: on which side of the diffuser strips are, how far apart at
 //! most, in which order. What nothing decides comes back as another solution.
+//!
+//! Onsets that no strip explains may be those of something undeclared in the middle between two strips: where that explains more, strips are placed beside it.
 
 mod fit;
 mod glint;
+mod middle;
 mod start;
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
@@ -28,6 +31,8 @@ pub use glint::Surface;
 
 /// Solutions whose chi-square is higher by less are told.
 pub const CLOSE: f64 = 9.0;
+/// Chi-square that an onset costs which nothing explains, if it is as strong as those that something does.
+const UNEXPLAINED: f64 = 9.0;
 /// Two places whose squared distance in standard deviations is less are one.
 const SAME: f64 = 9.0;
 /// Fits at most.
@@ -51,6 +56,8 @@ pub struct Strip {
     pub exit: usize,
     /// How it reflects.
     pub surface: Surface,
+    /// Whether it stands in the middle between the strips before and behind it, about.
+    pub is_central: bool,
 }
 
 /// Which bounces the onsets of a record are.
@@ -77,6 +84,8 @@ pub struct Record {
     pub lengths_m: Vec<f64>,
     /// Their covariance, m^2, delays left out.
     pub covariance_m2: DMatrix<f64>,
+    /// Their amplitudes, in any unit.
+    pub heights: Vec<f64>,
 }
 
 /// What was measured and what is known.
@@ -109,10 +118,12 @@ pub struct Solution {
     pub covariance_m2: DMatrix<f64>,
     /// Weighted squares left over, priors included.
     pub chi2: f64,
+    /// The same, and what onsets cost that no strip explains: what solutions compare by.
+    pub cost: f64,
     /// Their expected number.
     pub degrees_of_freedom: usize,
     /// Of each record of third bounces: its place among the records, and the onset of each strip.
-    pub labels: Vec<(usize, Vec<usize>)>,
+    pub labels: Labels,
     /// The anchors as adjusted, and their covariances, m^2.
     pub anchors: Vec<(Point, Matrix3<f64>)>,
     /// The delays as found, m.
@@ -151,10 +162,22 @@ impl Solution {
     }
 }
 
+/// Records, and the onset of each strip.
+pub type Labels = Vec<(usize, Vec<usize>)>;
+
 /// An assignment of the first scans, and its fit.
 struct Node {
-    labels: Vec<(usize, Vec<usize>)>,
+    labels: Labels,
     fit: Fit,
+    cost: f64,
+}
+
+impl Node {
+    fn new(problem: &Problem, labels: Labels, start: &State) -> Option<Self> {
+        let fit = fit(problem, &labels, start)?;
+        let cost = fit.chi2 + problem.unexplained(&labels);
+        Some(Self { labels, fit, cost })
+    }
 }
 
 /// All solutions that are about as likely as the best, the best first.
@@ -165,6 +188,12 @@ struct Node {
 /// # Panics
 /// When a record or strip names an anchor or delay that is not there.
 pub fn solve(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
+    let alone = solve_alone(problem);
+    middle::beside_one(problem, alone.as_ref().ok().map(|found| &found[0])).map_or(alone, Ok)
+}
+
+/// Nothing but the strips.
+fn solve_alone(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
     let needed = problem.dimensions;
     let thirds = problem.spread_out();
     if thirds.len() < needed {
@@ -179,21 +208,19 @@ pub fn solve(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
         .collect();
     let (mut open, mut fits) = (Vec::new(), 0);
     for labels in combinations(&choices[..needed]) {
-        let labels: Vec<(usize, Vec<usize>)> = thirds.iter().copied().zip(labels).collect();
+        let labels: Labels = thirds.iter().copied().zip(labels).collect();
         for points in start::places(problem, &labels) {
             fits += 1;
-            open.extend(
-                fit(problem, &labels, &State::new(problem, points)).map(|fit| Node { labels: labels.clone(), fit }),
-            );
+            open.extend(Node::new(problem, labels.clone(), &State::new(problem, points)));
         }
         if fits > FITS_MAX {
             return Err(Unsolved::TooMany);
         }
     }
     let mut found: Vec<Solution> = Vec::new();
-    while let Some(next) = (0..open.len()).min_by(|a, b| open[*a].fit.chi2.total_cmp(&open[*b].fit.chi2)) {
+    while let Some(next) = (0..open.len()).min_by(|a, b| open[*a].cost.total_cmp(&open[*b].cost)) {
         let node = open.swap_remove(next);
-        if found.first().is_some_and(|best| node.fit.chi2 > best.chi2 + CLOSE) {
+        if found.first().is_some_and(|best| node.cost > best.cost + CLOSE) {
             break;
         }
         let depth = node.labels.len();
@@ -202,13 +229,13 @@ pub fn solve(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
                 let mut labels = node.labels.clone();
                 labels.push((thirds[depth], choice.clone()));
                 fits += 1;
-                open.extend(fit(problem, &labels, &node.fit.state).map(|fit| Node { labels, fit }));
+                open.extend(Node::new(problem, labels, &node.fit.state));
             }
             if fits > FITS_MAX {
                 return Err(Unsolved::TooMany);
             }
         } else if problem.admits(&node.fit.state.strips) {
-            let solution = node.fit.solution(problem, node.labels);
+            let solution = node.fit.solution(problem, node.labels, node.cost);
             if found.iter().all(|other| !is_same_place(other, &solution, problem.dimensions)) {
                 found.push(solution);
             }
@@ -254,6 +281,17 @@ impl Problem {
             across.sort_by(f64::total_cmp);
             across[1].max(0.0).sqrt() < (3.0 * sd_m).max(1e-6 * far_m)
         })
+    }
+
+    /// What onsets of these records cost that no strip explains: the more, the more light they have beside the weakest that one does. Strays are weak.
+    fn unexplained(&self, labels: &Labels) -> f64 {
+        let of_record = |(record, onsets): &(usize, Vec<usize>)| {
+            let heights = &self.records[*record].heights;
+            let weakest = onsets.iter().map(|onset| heights[*onset]).fold(f64::INFINITY, f64::min);
+            let left = (0..heights.len()).filter(|onset| !onsets.contains(onset));
+            left.map(|onset| UNEXPLAINED * (heights[onset] / weakest).min(1.0)).sum::<f64>()
+        };
+        labels.iter().map(of_record).sum()
     }
 
     /// Whether places agree with what is known of sides, distances and order.

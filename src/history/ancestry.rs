@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use super::HistoryError;
 use crate::store::whole::WholeTable;
-use crate::store::{Digest, Shelf, StageId, TableRecord, scan};
+use crate::store::{Digest, Shelf, StageId, TableRecord, lineage, scan};
 use crate::tables::{self, Row};
 
 /// Name under which a stage knows the input that it streams.
@@ -124,7 +124,7 @@ impl Ancestry {
     /// Tables whose recipe goes by this digest; those with a view first.
     fn with_recipe(&self, recipe: &Digest) -> Vec<Table> {
         let named = |(work, made): (usize, &Work)| {
-            let name = made.names.iter().find(|name| Digest::join(name, [&made.recipe]) == *recipe)?;
+            let name = made.names.iter().find(|name| lineage::table_recipe(name, &made.recipe) == *recipe)?;
             Some((made.views.is_empty(), Table { work, name: name.clone() }))
         };
         let mut found: Vec<(bool, Table)> = self.works.iter().enumerate().filter_map(named).collect();
@@ -135,13 +135,13 @@ impl Ancestry {
     /// Whether work on these inputs has the lineage that it has. Of a table that is not kept the order of its parts is not known: it fits.
     fn fits(&self, work: usize, inputs: &[(String, Table)]) -> bool {
         let made = &self.works[work];
-        let lineage = |table: &Table| self.works[table.work].kept.as_ref().map(|kept| kept.record.lineage);
-        let beside = inputs.iter().filter(|(name, _)| name != STREAMED).map(|(_, table)| lineage(table));
+        let whole = |table: &Table| self.works[table.work].kept.as_ref().map(|kept| kept.record.lineage);
+        let beside = inputs.iter().filter(|(name, _)| name != STREAMED).map(|(_, table)| whole(table));
         let Some(beside) = beside.collect::<Option<Vec<Digest>>>() else { return true };
         let Some((_, streamed)) = inputs.iter().find(|(name, _)| name == STREAMED) else { return true };
-        let part = |input: &Digest| Digest::join("part", [&made.recipe, input].into_iter().chain(&beside));
+        let part = |input: &Digest| lineage::part(&made.recipe, input, &beside);
         let mut possible: BTreeSet<Digest> = self.works[streamed.work].parts.iter().map(part).collect();
-        match lineage(streamed) {
+        match whole(streamed) {
             Some(whole) => possible.extend([part(&whole)]),
             None if !made.parts.is_subset(&possible) => return true,
             None => {}
@@ -177,10 +177,7 @@ impl Ancestry {
     #[must_use]
     pub fn label(&self, table: &Table) -> String {
         let made = &self.works[table.work];
-        made.views
-            .get(&table.name)
-            .cloned()
-            .unwrap_or_else(|| format!("{} of a stage `{}`", table.name, made.stage.kind))
+        made.views.get(&table.name).cloned().unwrap_or_else(|| format!("{} of {}", table.name, made.stage.kind))
     }
 
     /// The stage that made a table.

@@ -13,7 +13,7 @@ use super::causes::{Cause, causes};
 use super::differences::{ColumnDifference, Differences, label};
 use super::matching::{Found, match_rows};
 use super::side::{Side, SideTable};
-use crate::store::{Digest, scan};
+use crate::store::{FileRecord, scan};
 use crate::tables::key_of;
 
 /// Rows of one side only that are named.
@@ -191,16 +191,23 @@ fn rows(in_a: &SideTable, in_b: &SideTable) -> Result<RowsComparison, HistoryErr
 }
 
 fn count(table: &SideTable) -> Result<u64, HistoryError> {
-    let rows = |(file, _): &(PathBuf, Option<Digest>)| Ok(scan::rows(file)?);
+    let rows = |(file, record): &(PathBuf, Option<FileRecord>)| match record {
+        Some(record) => Ok(record.rows),
+        None => Ok(scan::rows(file)?),
+    };
     table.files.iter().map(rows).sum()
 }
 
 /// Files whose content the other side does not have.
-fn other_parts(a: &[(PathBuf, Option<Digest>)], b: &[(PathBuf, Option<Digest>)]) -> (Vec<PathBuf>, Vec<PathBuf>) {
-    let mut b: Vec<&(PathBuf, Option<Digest>)> = b.iter().collect();
+fn other_parts(
+    a: &[(PathBuf, Option<FileRecord>)],
+    b: &[(PathBuf, Option<FileRecord>)],
+) -> (Vec<PathBuf>, Vec<PathBuf>) {
+    let digest = |record: &Option<FileRecord>| record.as_ref().map(|record| record.digest);
+    let mut b: Vec<&(PathBuf, Option<FileRecord>)> = b.iter().collect();
     let mut only_a = Vec::new();
-    for (file, digest) in a {
-        match b.iter().position(|(_, other)| digest.is_some() && other == digest) {
+    for (file, record) in a {
+        match b.iter().position(|(_, other)| record.is_some() && digest(other) == digest(record)) {
             Some(equal) => drop(b.remove(equal)),
             None => only_a.push(file.clone()),
         }

@@ -9,7 +9,7 @@ use super::HistoryError;
 use super::ancestry::{Ancestry, Table};
 use crate::campaign::{Campaign, Role};
 use crate::stages::ingest::captures::{RawCapture, raw_captures};
-use crate::store::{Digest, Shelf};
+use crate::store::{Shelf, lineage};
 use crate::table;
 use crate::tables::Name;
 use crate::units::PatchId;
@@ -110,7 +110,7 @@ impl Exposures<'_> {
                 let parts = self.ancestry.parts(traces);
                 let recipe = self.ancestry.stage(traces).recipe();
                 let is_same = |capture: &RawCapture| {
-                    capture.content.is_some_and(|content| parts.contains(&Digest::join("part", [&recipe, &content])))
+                    capture.content.is_some_and(|content| parts.contains(&lineage::part(&recipe, &content, &[])))
                 };
                 let mine: Vec<&RawCapture> = captures.iter().filter(|capture| wanted(&key(capture))).collect();
                 if !mine.iter().all(|capture| is_same(capture)) {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::HistoryError;
 use super::ancestry::{Ancestry, Table};
-use crate::store::{Digest, Shelf};
+use crate::store::{Digest, FileRecord, Shelf};
 use crate::tables::{Reject, Row};
 
 /// A side's tables.
@@ -27,8 +27,8 @@ pub struct SideTable {
     pub kind: String,
     /// Its place in the ancestry of a result folder; `None` for the rest, and for `rejects`.
     pub made: Option<Table>,
-    /// Its files in order, with the digests of their content where these are on record.
-    pub files: Vec<(PathBuf, Option<Digest>)>,
+    /// Its files in order, with what is on record of them.
+    pub files: Vec<(PathBuf, Option<FileRecord>)>,
 }
 
 impl Side {
@@ -57,8 +57,8 @@ impl Side {
         let mut tables = Vec::new();
         for (view, table) in ancestry.views() {
             let parts = ancestry.record(&table).map(|record| record.parts.as_slice()).unwrap_or_default();
-            let digests = parts.iter().map(|part| part.files.get(&table.name).map(|file| file.digest));
-            let files = ancestry.files(&table)?.into_iter().zip(digests).collect();
+            let records = parts.iter().map(|part| part.files.get(&table.name).cloned());
+            let files = ancestry.files(&table)?.into_iter().zip(records).collect();
             tables.push(SideTable { view, kind: table.name.clone(), made: Some(table), files });
         }
         let rejects = Reject::TABLE.to_owned();
@@ -73,7 +73,7 @@ impl Side {
     fn of_tables(folder: &Path) -> Result<Vec<SideTable>, HistoryError> {
         let refused =
             |error: std::io::Error| HistoryError::Refused(format!("cannot read {}: {error}", folder.display()));
-        let mut found: BTreeMap<String, Vec<(PathBuf, Option<Digest>)>> = BTreeMap::new();
+        let mut found: BTreeMap<String, Vec<(PathBuf, Option<FileRecord>)>> = BTreeMap::new();
         for entry in fs::read_dir(folder).map_err(refused)?.flatten().filter(|entry| entry.path().is_dir()) {
             let mut files: Vec<PathBuf> =
                 fs::read_dir(entry.path()).map_err(refused)?.flatten().map(|entry| entry.path()).collect();
@@ -84,7 +84,7 @@ impl Side {
                 found.insert(name, files.into_iter().map(|file| (file, None)).collect());
             }
         }
-        let table = |(view, files): (String, Vec<(PathBuf, Option<Digest>)>)| SideTable {
+        let table = |(view, files): (String, Vec<(PathBuf, Option<FileRecord>)>)| SideTable {
             kind: view.clone(),
             view,
             made: None,

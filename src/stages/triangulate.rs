@@ -14,8 +14,9 @@
 //! - `[hidden]`: `apart_max_m`, `along`. Where as many scans as dimensions fit with any assignment, these decide. What is not decided stands in `patches` as `alternative`.
 //!
 //! `gaps` says whether the middle between two strips is free: something there that throws back at least `share_least` of the weaker neighbour's light, over either exit, would have
-//! added a pulse. Its amplitude beside those of the strips, whose times are open, is fitted to every profile, with 2 % of theirs as error of the model; `certain` is how probable a verdict must be. Pulses much closer than
-//! the response is wide leave it open.
+//! added a pulse. Every profile is fitted with the strips' pulses alone and with at least that much between, times and amplitudes free ([`crate::signal::between`]); a little light over
+//! the other's exit, and light spread over some picoseconds, are allowed for. `certain` is how probable a verdict must be. Pulses closer than the response is wide leave the gap open
+//! unless the signal is strong: `share_sd` says how closely the middle is known. Strips are placed as if the gap were free; where the middle has onsets of its own, beside it.
 //!
 //! | method | |
 //! |---|---|
@@ -118,7 +119,7 @@ impl Known {
 
 impl Stage for Triangulate {
     const KIND: &'static str = "triangulate";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },

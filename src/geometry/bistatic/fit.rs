@@ -3,13 +3,15 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::glint::tangents;
-use super::{Bounce, Point, Problem, Solution};
+use super::{Bounce, Labels, Point, Problem, Solution};
 
 /// Steps at most, and how often one is halved.
 const STEPS: usize = 50;
 const HALVINGS: usize = 12;
 /// A step that changes chi-square by less is the last.
 const SETTLED: f64 = 1e-9;
+/// Standard deviation of what stands in the middle between two strips from there, in each coordinate, over their distance.
+const CENTRAL: f64 = 0.1;
 /// Step of derivatives by a tilt.
 const TILT_RAD: f64 = 1e-4;
 
@@ -195,6 +197,17 @@ impl Model<'_> {
 
     fn add_priors(&self, rows: &mut Vec<(DVector<f64>, f64)>, state: &State) {
         let (problem, columns, n) = (self.problem, &self.columns, self.problem.dimensions);
+        for s in (0..problem.strips.len()).filter(|s| problem.strips[*s].is_central) {
+            let (before, behind) = (state.strips[s - 1], state.strips[s + 1]);
+            let off = state.strips[s] - nalgebra::center(&before, &behind);
+            let sd_m = CENTRAL * (behind - before).norm();
+            for k in 0..n {
+                let mut row = DVector::zeros(columns.count);
+                row[columns.strips[s] + k] = 1.0 / sd_m;
+                [s - 1, s + 1].into_iter().for_each(|other| row[columns.strips[other] + k] = -0.5 / sd_m);
+                rows.push((row, -off[k] / sd_m));
+            }
+        }
         let mut add = |column: usize, off: f64, sd: f64| {
             let mut row = DVector::zeros(columns.count);
             row[column] = 1.0 / sd;
@@ -248,7 +261,7 @@ fn add_path(row: &mut DVector<f64>, nodes: &[(Point, Option<usize>)], dimensions
 }
 
 impl Fit {
-    pub(super) fn solution(&self, problem: &Problem, labels: Vec<(usize, Vec<usize>)>) -> Solution {
+    pub(super) fn solution(&self, problem: &Problem, labels: Labels, cost: f64) -> Solution {
         let (n, strips) = (problem.dimensions, problem.strips.len());
         let columns = Columns::new(problem);
         let whole = self.information.clone().cholesky().expect("its fit had one").inverse();
@@ -264,6 +277,7 @@ impl Fit {
             points: self.state.strips.clone(),
             covariance_m2,
             chi2: self.chi2,
+            cost,
             degrees_of_freedom: self.onsets.saturating_sub(n * strips),
             labels,
             anchors: self.state.anchors.iter().zip(&columns.anchors).map(anchor).collect(),

@@ -69,6 +69,7 @@ impl Scene {
                 bounce: Bounce::First,
                 lengths_m: vec![first],
                 covariance_m2: DMatrix::from_element(1, 1, self.onset_sd_m.powi(2)),
+                heights: vec![1.0],
             });
             // Close pulses: errors that are opposed.
             let (common, apart) = (0.5 * self.onset_sd_m * normal(), self.onset_sd_m * normal());
@@ -87,9 +88,11 @@ impl Scene {
                 bounce: Bounce::Third,
                 lengths_m: vec![length_m(0), length_m(1)],
                 covariance_m2: DMatrix::from_row_slice(2, 2, &[1.25, -0.75, -0.75, 1.25]) * variance,
+                heights: vec![1.0; 2],
             });
         }
-        let strips = (0..2).map(|s| Strip { exit: self.lit.len() + s, surface: self.surfaces[s] }).collect();
+        let strips =
+            (0..2).map(|s| Strip { exit: self.lit.len() + s, surface: self.surfaces[s], is_central: false }).collect();
         Problem {
             dimensions: self.dimensions,
             source: Point::origin(),
@@ -184,6 +187,48 @@ fn what_labels_leave_open_is_told() {
     assert!(solutions.len() > 2 && solutions.iter().all(|solution| solution.chi2 < 1e-6));
     problem.anchors.iter_mut().for_each(|anchor| anchor.normal = None);
     assert!(solve(&problem).unwrap().len() > solutions.len());
+}
+
+/// A third strip in the middle, declared by nobody: told by its onset in every profile, over either exit.
+#[test]
+fn strips_are_placed_beside_something_between() {
+    for scans in [2, 5] {
+        for through in [0, 1] {
+            let scene = Scene { anchor_sd_m: 5e-4, ..Scene::flat(scans) };
+            let middle = nalgebra::center(&scene.strips[0], &scene.strips[1]) + Vector3::new(1e-3, -1e-3, 0.0);
+            let mut problem = scene.problem(Some(&mut ChaCha8Rng::seed_from_u64(through as u64)));
+            for record in problem.records.iter_mut().filter(|record| record.bounce == Bounce::Third) {
+                let legs = [Point::origin(), scene.lit[record.lit], middle, scene.exits[through], Point::from(STATION)];
+                let way_m: f64 = legs.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
+                // Onsets in order of time.
+                let rank = record.lengths_m.iter().filter(|length_m| **length_m < way_m).count();
+                record.lengths_m.insert(rank, way_m);
+                record.covariance_m2 = record.covariance_m2.clone().insert_row(rank, 0.0).insert_column(rank, 0.0);
+                record.covariance_m2[(rank, rank)] = scene.onset_sd_m.powi(2);
+                record.heights.insert(rank, 1.0);
+            }
+            let solutions = solve(&problem).unwrap();
+            assert!(scene.errors(&solutions[0]).amax() < 5e-3, "{scans} {through}: {:?}", solutions[0].points);
+            assert!(scene.normalised(&solutions[0]) < 5.0);
+            assert_eq!(solutions[0].labels[0].1.len(), 2);
+        }
+    }
+}
+
+/// A weak onset of something else in one scan: two scans fit any two of three onsets exactly, and the light that is left over decides.
+#[test]
+fn a_stray_is_not_taken_for_a_strip() {
+    for later_m in [-0.015, 0.01, 0.03] {
+        let scene = Scene::flat(2);
+        let mut problem = scene.problem(None);
+        let record = problem.records.iter_mut().find(|record| record.bounce == Bounce::Third).unwrap();
+        record.lengths_m.push(record.lengths_m[0] + later_m);
+        record.covariance_m2 = record.covariance_m2.clone().insert_row(2, 0.0).insert_column(2, 0.0);
+        record.covariance_m2[(2, 2)] = scene.onset_sd_m.powi(2);
+        record.heights.push(0.2);
+        let solutions = solve(&problem).unwrap();
+        assert!(scene.errors(&solutions[0]).amax() < 1e-9, "{later_m}: {:?}", solutions[0].points);
+    }
 }
 
 #[test]

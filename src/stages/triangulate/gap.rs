@@ -3,15 +3,18 @@
 use super::model::Model;
 use super::{Known, Triangulate, calibrated};
 use crate::geometry::Point;
-use crate::geometry::bistatic::Solution;
+use crate::geometry::bistatic::{Record, Solution};
+use crate::signal::between::{Between, Pair, Stray, between};
 use crate::signal::response::Response;
-use crate::signal::sparse::{self, Given, Open};
+use crate::signal::sparse;
 use crate::stages::correction::Correction;
 use crate::tables::{Gap, Onset, Profile};
 use crate::units;
 
-/// Share of the strips' pulses that is left where another pulse would be, as their light has some extent in time and a little of it leaves over the other's exit.
-const LEFT_OVER: f64 = 0.02;
+/// Share of a strip's light that leaves over the other's exit.
+const STRAY: f64 = 0.02;
+/// Variance in time of the light of one pulse, as patches have some extent: that of some millimetres.
+const SPREAD_SD_PS2: f64 = 100.0;
 
 /// Evidence of all profiles on light from the middle over one exit.
 #[derive(Default)]
@@ -63,21 +66,18 @@ impl Triangulate {
                     continue;
                 }
             };
-            let given: Vec<Given> =
-                onsets.iter().map(|onset| Given { time_ps: onset.time_ps, width_ps: 0.0, open: Open::Time }).collect();
-            let lit = solution.anchors[model.problem.records[*record].lit].0;
-            // From the neighbour's own onset, so that what delays and positions have in common cancels.
-            let time_ps = |strip: usize| {
-                let exit = solution.anchors[model.problem.strips[strip].exit].0;
-                let way_m = |at: Point| (lit - at).norm() + (exit - at).norm();
-                let later_m = way_m(middle) - way_m(solution.points[strip]);
-                onsets[strip].time_ps + units::time_ps(later_m, model.group_index)
-            };
-            let matched =
-                sparse::matched(&ready.profile(), &ready.response, &given, 0.0, strips.map(time_ps).into_iter());
-            let heights_v = strips.map(|strip| onsets[strip].amplitude.abs());
-            for (evidence, (score, gain)) in evidence.iter_mut().zip(matched.scores.iter().zip(&matched.gains)) {
-                evidence.add(*score, *gain, heights_v, self.share_least);
+            let view = View { model, solution, record: &model.problem.records[*record], strips };
+            let strays = view.strays();
+            for (evidence, through) in evidence.iter_mut().zip([0, 1]) {
+                let pair = Pair {
+                    times_ps: [0, 1].map(|side| onsets[strips[side]].time_ps),
+                    heights_v: [0, 1].map(|side| onsets[strips[side]].amplitude.abs()),
+                    place: view.place([0, 1].map(|side| onsets[strips[side]].time_ps), middle, through),
+                    share_least: self.share_least,
+                    spread_sd_ps2: SPREAD_SD_PS2,
+                    strays: &strays,
+                };
+                between(&ready.profile(), &ready.response, &pair).iter().for_each(|said| evidence.add(said));
             }
             looked_at += 1;
         }
@@ -111,18 +111,46 @@ impl Triangulate {
 }
 
 impl Evidence {
-    /// Adds what a profile says of a pulse at the place: score and gain beside the strips' pulses. Something there has at least the least share, and its likeliest amplitude above.
-    fn add(&mut self, score: f64, gain: f64, heights_v: [f64; 2], share_least: f64) {
-        if gain == 0.0 {
-            return;
-        }
-        let weaker_v = heights_v[0].min(heights_v[1]);
-        let share = score / gain / weaker_v;
-        let variance = ((1.0 / gain).powi(2) + (LEFT_OVER * (heights_v[0] + heights_v[1])).powi(2)) / weaker_v.powi(2);
-        let missing = (share_least - share).max(0.0);
-        self.log_ratio += 0.5 * (missing * missing - share * share) / variance;
-        self.weighted += share / variance;
-        self.weights += 1.0 / variance;
+    fn add(&mut self, said: &Between) {
+        let weight = said.share_sd.powi(-2);
+        self.log_ratio += 0.5 * (said.occupied_chi2 - said.free_chi2);
+        self.weighted += said.share * weight;
+        self.weights += weight;
+    }
+}
+
+/// Two neighbours in one profile of third bounces.
+struct View<'a> {
+    model: &'a Model,
+    solution: &'a Solution,
+    record: &'a Record,
+    strips: [usize; 2],
+}
+
+impl View<'_> {
+    /// How much later light of one place is over one side's exit than of another over another's, ps.
+    fn later_ps(&self, [from, to]: [(Point, usize); 2]) -> f64 {
+        let anchor = |anchor: usize| self.solution.anchors[anchor].0;
+        let way_m = |(at, side): (Point, usize)| {
+            let exit = anchor(self.model.problem.strips[self.strips[side]].exit);
+            (anchor(self.record.lit) - at).norm() + (exit - at).norm() + (anchor(self.record.station) - exit).norm()
+        };
+        units::time_ps(way_m(to) - way_m(from), self.model.group_index)
+    }
+
+    /// Where between both pulses light of the middle comes. Counted from the neighbour over whose exit it leaves, so that what delays and positions have in common cancels.
+    fn place(&self, times_ps: [f64; 2], middle: Point, through: usize) -> f64 {
+        let strip = self.solution.points[self.strips[through]];
+        let time_ps = times_ps[through] + self.later_ps([(strip, through), (middle, through)]);
+        (time_ps - times_ps[0]) / (times_ps[1] - times_ps[0])
+    }
+
+    /// Light of each strip over the other's exit.
+    fn strays(&self) -> [Stray; 2] {
+        [0, 1].map(|of| {
+            let strip = self.solution.points[self.strips[of]];
+            Stray { of, later_ps: self.later_ps([(strip, of), (strip, 1 - of)]), share_sd: STRAY }
+        })
     }
 }
 

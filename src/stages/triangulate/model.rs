@@ -52,7 +52,11 @@ impl Model {
             profiles.keys().map(|(sensor, _, _, range)| (sensor.clone(), range.clone())).collect();
         delays.dedup();
         let place = |patch: PatchId| points.binary_search(&patch).expect("all points were listed");
-        let surfaces = strips.iter().map(|(strip, exit)| Strip { exit: place(*exit), surface: surface(known, *strip) });
+        let surfaces = strips.iter().map(|(strip, exit)| Strip {
+            exit: place(*exit),
+            surface: surface(known, *strip),
+            is_central: false,
+        });
         let mut model = Self {
             problem: Problem {
                 dimensions: known.setup.dimensions,
@@ -132,8 +136,9 @@ impl Model {
             units::path_m(onset.time_ps + f64::from(*turns) * period_ps, self.group_index)
         };
         let lengths_m = onsets.iter().map(length_m).collect();
+        let heights = onsets.iter().map(|(onset, _)| onset.amplitude.abs()).collect();
         let Place { lit, station, delay, bounce } = place;
-        self.problem.records.push(Record { lit, station, delay, bounce, lengths_m, covariance_m2 });
+        self.problem.records.push(Record { lit, station, delay, bounce, lengths_m, covariance_m2, heights });
         self.onsets.push(onsets);
     }
 

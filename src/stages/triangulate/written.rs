@@ -30,7 +30,7 @@ impl Model {
                 onsets: onsets as i32,
                 chi2_dof: (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64),
                 alternative: alternative as i32,
-                log_likelihood: Some(-0.5 * solution.chi2),
+                log_likelihood: Some(-0.5 * solution.cost),
             };
             if alternative == 0 {
                 rows.extend(self.points.iter().zip(&solution.anchors).enumerate().map(|(n, (patch, (at, cov)))| {
@@ -60,7 +60,7 @@ impl Model {
 
     /// What each onset is, by every solution.
     pub(super) fn labels(&self, solutions: &[Solution]) -> Vec<Label> {
-        let weights: Vec<f64> = solutions.iter().map(|other| (-0.5 * (other.chi2 - solutions[0].chi2)).exp()).collect();
+        let weights: Vec<f64> = solutions.iter().map(|other| (-0.5 * (other.cost - solutions[0].cost)).exp()).collect();
         let total: f64 = weights.iter().sum();
         let mut rows = Vec::new();
         for (alternative, (solution, weight)) in solutions.iter().zip(&weights).enumerate() {
