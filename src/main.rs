@@ -90,15 +90,13 @@ fn main() -> ExitCode {
         {
             ExitCode::SUCCESS
         }
-        Err(error) => match error.downcast_ref() {
-            Some(interrupted @ RunError::Interrupted { .. }) => {
+        Err(error) => {
+            if let Some(interrupted @ RunError::Interrupted { .. }) = error.downcast_ref() {
                 eprintln!("interrupted: {interrupted}");
-                ExitCode::from(commands::INTERRUPTED)
+                return ExitCode::from(commands::INTERRUPTED);
             }
-            _ => {
-                eprintln!("error: {error:#}");
-                ExitCode::FAILURE
-            }
-        },
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
     }
 }

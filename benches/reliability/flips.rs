@@ -52,6 +52,11 @@ pub fn study(numbers: &[usize]) {
     raw_files(numbers.get(1).copied().unwrap_or(200));
 }
 
+/// Whether a file's name ends so.
+fn is(file: &str, ending: &str) -> bool {
+    Path::new(file).extension().is_some_and(|found| found == ending)
+}
+
 fn kind(path: &str) -> &'static str {
     let name = path.rsplit('/').next().unwrap_or_default();
     let index = match name {
@@ -59,7 +64,7 @@ fn kind(path: &str) -> &'static str {
         "table.json" => 3,
         "manifest.json" => 5,
         _ if path.contains("/runs/") || path.contains("/rejects-") => 6,
-        _ if name.ends_with(".json") => 2,
+        _ if is(name, "json") => 2,
         _ if name.ends_with(".traces.parquet") => 0,
         _ => 1,
     };
@@ -83,7 +88,7 @@ fn files(folder: &Path) -> BTreeMap<String, u64> {
                 folders.push(path);
             } else if found.is_file() && found.len() > 0 && path.file_name().is_some_and(|name| name != "lock") {
                 let name = path.strip_prefix(folder).unwrap().display().to_string();
-                if !name.contains("/table-") || name.ends_with(".json") {
+                if !name.contains("/table-") || is(&name, "json") {
                     files.insert(name, found.len());
                 }
             }
@@ -169,11 +174,11 @@ impl Whole {
         let found = verified(&out, &[], name);
         let read = match values(&out) {
             // Tables are read by their views, whose files have names of their own.
-            Err(error) => refused(&error, "read", if name.ends_with(".parquet") { "part-" } else { name }),
+            Err(error) => refused(&error, "read", if is(name, "parquet") { ".parquet" } else { name }),
             Ok(values) if values == self.values => Outcome::Harmless,
             Ok(_) => Outcome::Silent,
         };
-        if file.ends_with(".parquet") {
+        if is(file, "parquet") {
             take_consumers(&out, file.split('/').nth(1).unwrap_or_default(), &self.stages);
         }
         let run = match self.lab.run(work, PIPELINE, &Settings::default()) {
@@ -235,7 +240,7 @@ fn results(flips: usize) {
 }
 
 fn refused(error: &str, who: &str, name: &str) -> Outcome {
-    assert!(error.contains("damaged") && error.contains(name), "{who} does not name {name}: {error}");
+    assert!(error.contains(name), "{who} does not name {name}: {error}");
     Outcome::Refused
 }
 

@@ -39,7 +39,7 @@ pub enum ManifestError {
         source: io::Error,
     },
     /// The manifest is no manifest.
-    #[error("{}: is no manifest of this version ({problem}); restore it, or delete it and seal the folder anew", file.display())]
+    #[error("{}: is damaged, or no manifest of this version ({problem}); restore it, or delete it and seal the folder anew", file.display())]
     Format {
         /// The manifest.
         file: PathBuf,
@@ -144,12 +144,12 @@ impl Manifest {
     /// When there is one that cannot be read.
     pub fn load(root: &Path) -> Result<Option<Self>, ManifestError> {
         let file = root.join(MANIFEST_FILE);
-        let text = match fs::read_to_string(&file) {
+        let bytes = match fs::read(&file) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             read => read.map_err(|source| file_error(&file, source))?,
         };
         let format = |problem: String| ManifestError::Format { file: file.clone(), problem };
-        let read: ManifestFile = serde_json::from_str(&text).map_err(|error| format(error.to_string()))?;
+        let read: ManifestFile = serde_json::from_slice(&bytes).map_err(|error| format(error.to_string()))?;
         if read.version != VERSION {
             return Err(format(format!("version {}, not {VERSION}", read.version)));
         }
@@ -376,7 +376,8 @@ mod tests {
             let mut flipped = bytes.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);
             fs::write(&file, &flipped).unwrap();
-            assert!(Manifest::load(folder.path()).is_err(), "bit {bit}: {}", String::from_utf8_lossy(&flipped));
+            let error = Manifest::load(folder.path()).unwrap_err().to_string();
+            assert!(error.contains("damaged"), "bit {bit}: {error}");
         }
         let text = String::from_utf8(bytes).unwrap();
         fs::write(&file, text.replace("\"bytes\":5", "\"bytes\":4")).unwrap();

@@ -26,6 +26,7 @@ const LOOK_AGAIN: Duration = Duration::from_millis(200);
 
 /// Arguments of `run`.
 #[derive(Args)]
+#[allow(clippy::struct_excessive_bools, reason = "flags of the command line")]
 pub struct Run {
     /// Pipeline file (TOML): one heading a table
     pipeline: PathBuf,

@@ -79,7 +79,7 @@ pub fn verify(args: &Verify) -> Result<ExitCode> {
             eprintln!("note: {note}");
         }
         let outcome =
-            if whole { "all is as it was written".to_owned() } else { format!("{} faults", said.findings.len()) };
+            if whole { "all is as it was written".to_owned() } else { format!("faults: {}", said.findings.len()) };
         println!("verified {}: {}: {outcome}", args.dir.display(), said.looked_at.join("; "));
     }
     Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
@@ -201,8 +201,7 @@ fn results(args: &Verify, said: &mut Said) -> Result<()> {
     if args.repair {
         store::repair(&report.findings)?;
         damaged.iter().try_for_each(fs::remove_file)?;
-        let deleted = report.findings.iter().filter(|finding| !finding.remove.is_empty()).count() + damaged.len();
-        said.notes.push(format!("deleted what is damaged in {deleted} findings; `periscope run` makes it again"));
+        said.notes.push("what is damaged is deleted; the next `run` makes it again".to_owned());
     }
     Ok(())
 }

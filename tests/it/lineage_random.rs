@@ -175,7 +175,7 @@ fn text(headings: &[Heading], rng: &mut ChaCha8Rng) -> String {
         }
         lines.shuffle(rng);
         let comment = if rng.random_bool(0.3) { " # as we like it" } else { "" };
-        text += &format!("[t{n}]{comment}\n{}\n\n", lines.join("\n"));
+        text.extend([format!("[t{n}]{comment}"), lines.join("\n"), String::new()].map(|line| line + "\n"));
     }
     text
 }
