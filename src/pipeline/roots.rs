@@ -1,7 +1,5 @@
 //! The roots of a result folder: whether its source parts are those that the raw files of the campaigns give today.
 
-use serde_json::Value;
-
 use crate::campaign::manifest::MANIFEST_FILE;
 use crate::campaign::{Campaign, Manifest, ManifestError};
 use crate::stages::stage::StageError;
@@ -50,15 +48,10 @@ pub fn follow(id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Sh
     let Some(Node::Source(source)) = node(id) else {
         return Root::Unknown;
     };
-    // The campaigns, in the order in which the run was given them.
-    let names: Vec<&str> = id.fields.as_array().into_iter().flatten().filter_map(Value::as_str).collect();
-    let of_name = |name: &&str| campaigns.iter().find(|campaign| campaign.name == **name).cloned();
-    let campaigns: Option<Vec<Campaign>> = names.iter().map(of_name).collect();
-    let Some(campaigns) = campaigns.filter(|campaigns| source.fields(campaigns) == id.fields && !campaigns.is_empty())
-    else {
+    if campaigns.is_empty() {
         return Root::Unknown;
-    };
-    let made = match source.open(&campaigns, &shelf.notes()) {
+    }
+    let made = match source.open(campaigns, &shelf.notes()) {
         Ok(open) => open.parts().iter().filter_map(|part| part.content).collect::<Vec<_>>(),
         Err(StageError::Refused(why)) => return Root::Refused(why),
         Err(error) => return Root::Refused(error.to_string()),
