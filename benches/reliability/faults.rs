@@ -21,7 +21,7 @@ use crate::many_parts::{ManyParts, PIPELINE, errors};
 use crate::score::Rate;
 
 /// A raw file in the middle of the campaign.
-const RAW_FILE: &str = "campaign/raw/scene/s1_L4_P6_C1.trc";
+const RAW_FILE: &str = "campaign/raw/scene/s1_L2_P4_C1.trc";
 
 /// The campaign, and the files of a run that nobody disturbed.
 struct Bench {

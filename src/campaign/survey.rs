@@ -403,7 +403,7 @@ mod tests {
     #[test]
     fn files_that_are_still_being_written_wait() {
         let (folder, campaign) = folder(&["old.npy", "new.npy"], "[[captures]]\nrole = 'dark'\nfiles = '*.npy'\n");
-        let as_of = SystemTime::now() - Duration::from_secs(60);
+        let as_of = SystemTime::now() - Duration::from_mins(1);
         let old = fs::File::options().write(true).open(folder.path().join("old.npy")).unwrap();
         old.set_modified(as_of).unwrap();
         let survey = Campaign { as_of: Some(as_of), ..campaign.clone() }.survey().unwrap();

@@ -167,7 +167,7 @@ impl Contents {
         let entries = entries(folder)?;
         let mut needed: BTreeSet<String> = shown.parts.iter().map(ToString::to_string).collect();
         for (path, found) in &entries {
-            if let Some(lineage) = part_of(path).filter(|_| path.extension().is_some_and(|ending| ending == "json")) {
+            if let Some(lineage) = part_of(path).filter(|_| is_record(path)) {
                 let is_list = |part: &PartRecord| is_behind && part.files.keys().all(|table| table == Reject::TABLE);
                 if is_unfinished(found) || record::read::<PartRecord>(path)?.as_ref().is_some_and(is_list) {
                     needed.insert(lineage.to_owned());
@@ -184,7 +184,7 @@ impl Contents {
             match (is_needed, found.is_dir(), name.as_str()) {
                 (true, ..) | (_, _, "stage.json") => {}
                 (_, true, _) => contents.tables.push(path),
-                _ if path.extension().is_some_and(|ending| ending == "json") => contents.records.push(path),
+                _ if is_record(&path) => contents.records.push(path),
                 _ => contents.files.push((path, found)),
             }
         }
@@ -205,6 +205,10 @@ impl Contents {
         };
         Some(Unneeded { folder: name, is_whole: !is_any_needed, parts, bytes, paths })
     }
+}
+
+fn is_record(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending == "json")
 }
 
 /// Lineage of the part that a file belongs to, by its name.
