@@ -48,7 +48,7 @@ pub fn follow(id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Sh
     let Some(Node::Source(source)) = node(id) else {
         return Root::Unknown;
     };
-    if source.fields(campaigns) != id.fields || campaigns.is_empty() {
+    if campaigns.is_empty() {
         return Root::Unknown;
     }
     let made = match source.open(campaigns, &shelf.notes()) {

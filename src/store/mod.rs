@@ -16,6 +16,7 @@ pub mod scan;
 pub mod shelf;
 mod sweep;
 pub mod verify;
+mod views;
 pub mod whole;
 
 pub use failure::StoreError;

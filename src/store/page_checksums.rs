@@ -130,7 +130,7 @@ impl Fields {
         }
         let start = at;
         let checksum = next_i32(header, &mut at).map(unzigzag);
-        Ok(Self { kind: values[0], compressed: values[2] / 2, place: start..at, checksum, end: at })
+        Ok(Self { kind: values[0], compressed: unzigzag(values[2]), place: start..at, checksum, end: at })
     }
 }
 

@@ -55,14 +55,20 @@ fn checked(bytes: &[u8]) -> Result<&str, serde_json::Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::BTreeMap;
+    use serde::Deserialize;
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct Widths {
+        sd_m: f64,
+        width_ps: f64,
+    }
 
     #[test]
     fn records_read_back_and_every_flipped_bit_is_found() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("record.json");
-        assert_eq!(read::<BTreeMap<String, f64>>(&path).unwrap(), None);
-        let record = BTreeMap::from([("sd_m".to_owned(), 2e-3), ("width_ps".to_owned(), 150.0)]);
+        assert_eq!(read::<Widths>(&path).unwrap(), None);
+        let record = Widths { sd_m: 2e-3, width_ps: 150.0 };
         let written = text(&record);
         assert!(serde_json::from_str::<serde_json::Value>(&written).unwrap()["check"].is_string());
         fs::write(&path, &written).unwrap();
@@ -71,7 +77,7 @@ mod tests {
             let mut flipped = written.clone().into_bytes();
             flipped[bit / 8] ^= 1 << (bit % 8);
             fs::write(&path, flipped).unwrap();
-            let error = read::<BTreeMap<String, f64>>(&path).unwrap_err().to_string();
+            let error = read::<Widths>(&path).unwrap_err().to_string();
             assert!(error.contains("record.json is damaged; delete it"), "{error}");
         }
     }

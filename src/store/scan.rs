@@ -14,7 +14,7 @@ use parquet::file::statistics::Statistics;
 
 use super::damage;
 use super::failure::{At, StoreError};
-use super::shelf::on_record;
+use super::views::on_record;
 
 /// Bytes of a batch, about.
 const BATCH_BYTES: i64 = 4 << 20;

@@ -15,7 +15,8 @@ use super::failure::{At, StoreError};
 use super::parquet::FileRecord;
 use super::record;
 use super::runs::RunRecord;
-use super::shelf::{REJECTS_RECORD, RejectsRecord, Shelf, StageId};
+use super::shelf::{Shelf, StageId};
+use super::views::{REJECTS_RECORD, RejectsRecord};
 use super::{Digest, TableRecord};
 use stage_folder::StageFolder;
 
