@@ -1,5 +1,6 @@
 //! The report: what the page says, that it needs nothing but itself, and that a browser draws all of it.
 
+use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -209,8 +210,8 @@ fn five_hundred(lab: &Lab) -> PathBuf {
     let mut pipeline = String::new();
     let mut import = |table: &str| {
         let path = folder.join(format!("{table}.parquet"));
-        pipeline +=
-            &format!("[{table}]\nstage = 'import'\nparams = {{ table = '{table}', path = '{}' }}\n", path.display());
+        let params = format!("{{ table = '{table}', path = '{}' }}", path.display());
+        writeln!(pipeline, "[{table}]\nstage = 'import'\nparams = {params}").unwrap();
         path
     };
     write_table(&import(Patch::TABLE), &patches);
