@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::cut::next_pass;
 use super::pass::{self, Ended, Pass};
 use super::plan::Plan;
-use super::progress::Progress;
+use super::progress::{Amount, Progress};
 use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
 use crate::store::{Digest, StoreError, TableRecord};
@@ -36,9 +36,8 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     let most_rejects = settings.max_rejects.map_or(u64::MAX, |limit| limit.most(records(plan)));
     while let Some(pass) = next_pass(plan).filter(|_| rejects(plan) <= most_rejects) {
         let headings: Vec<&str> = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str()).collect();
-        let source = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root));
-        let bytes = source.map_or(0, |source| pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
-        progress.pass(&headings, bytes);
+        let (whole, wanted) = whole(plan);
+        progress.pass(&headings, amount(plan, &pass), whole, wanted);
         for heading in headings {
             // A table whose parts lack different steps takes several passes.
             if !outcome.computed.iter().any(|computed| computed == heading) {
@@ -98,11 +97,28 @@ fn rejects(plan: &Plan<'_>) -> u64 {
     parts.filter_map(|part| part.files.get(Reject::TABLE)).map(|file| file.rows).sum()
 }
 
+/// What a pass reads: raw files, or a stored table.
+fn amount(plan: &Plan<'_>, pass: &Pass) -> Amount {
+    match plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
+        Some(source) => Amount::Bytes(pass.parts.iter().map(|&part| source.parts()[part].bytes).sum()),
+        None => {
+            let table = &plan.written(pass.root)[0].0;
+            let parts = pass.parts.iter().filter_map(|&part| plan.tables[pass.root].present[part].as_ref());
+            Amount::Rows(parts.filter_map(|part| part.files.get(table)).map(|file| file.rows).sum())
+        }
+    }
+}
+
+/// How many of the wanted tables are whole, and how many they are.
+fn whole(plan: &Plan<'_>) -> (usize, usize) {
+    let wanted = || plan.tables.iter().zip(&plan.spec.steps).filter(|(table, step)| table.wanted && step.keep);
+    (wanted().filter(|(table, _)| table.complete()).count(), wanted().count())
+}
+
 /// What an interrupted run leaves, in words.
 fn kept(plan: &Plan<'_>, pass: &Pass) -> String {
-    let wanted = || plan.tables.iter().zip(&plan.spec.steps).filter(|(table, step)| table.wanted && step.keep);
-    let whole = wanted().filter(|(table, _)| table.complete()).count();
-    let mut kept = vec![format!("{whole} of {} tables", wanted().count())];
+    let (whole, wanted) = whole(plan);
+    let mut kept = vec![format!("{whole} of {wanted} tables")];
     for &i in &pass.steps {
         let (parts, heading) = (&plan.tables[i].present, &plan.spec.steps[i].heading);
         let finished = parts.iter().flatten().count();

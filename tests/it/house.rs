@@ -10,7 +10,7 @@ const FLOORS: [&[&str]; 7] = [
     &["geometry", "tables", "formats", "signal"],
     &["stages", "simulate"],
     &["pipeline", "history", "report", "bound"],
-    &["lib"],
+    &["lib", "guide"],
     &["main", "commands"],
 ];
 
