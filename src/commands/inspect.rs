@@ -170,7 +170,7 @@ const VOLTAGE: [(&str, f64); 3] = [("V", 1.0), ("mV", 1e-3), ("uV", 1e-6)];
 
 /// A value in the largest unit of which it is at least one, else in the smallest; in as many digits as tell seven digits apart. `--json` has all of them.
 fn with_unit(value: f64, units: &[(&str, f64)]) -> String {
-    let is_enough = |(_, one): &&(&str, f64)| value == 0.0 || value.abs() >= 0.9999999 * one;
+    let is_enough = |(_, one): &&(&str, f64)| value == 0.0 || value.abs() >= (1.0 - 1e-7) * one;
     let (unit, one) = units.iter().find(is_enough).or(units.last()).expect("there are units");
     let seven: f64 = format!("{:.6e}", value / one).parse().expect("a number as it is printed");
     format!("{seven} {unit}")
@@ -184,9 +184,9 @@ mod tests {
     fn values_are_shown_in_the_unit_that_fits() {
         let time = |value| with_unit(value, &TIME);
         assert_eq!(time(50e-12), "50 ps");
-        assert_eq!(time(1.0000000187e-9), "1 ns");
-        assert_eq!(time(9.999999960041972e-13), "1 ps");
-        assert_eq!(time(-2.0073291e-6), "-2.007329 us");
+        assert_eq!(time(1e-9 * (1.0 + 2e-8)), "1 ns");
+        assert_eq!(time(1e-12 * (1.0 - 4e-9)), "1 ps");
+        assert_eq!(time(-2.007_329_1e-6), "-2.007329 us");
         assert_eq!(time(0.0), "0 s");
         assert_eq!(time(1.5e-14), "0.015 ps");
         assert_eq!(with_unit(2.5e6, &FREQUENCY), "2.5 MHz");

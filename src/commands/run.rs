@@ -207,9 +207,7 @@ impl Job<'_> {
         for warning in plan.warnings() {
             eprintln!("warning: {warning}");
         }
-        let progress = Progress::new(self.style);
-        let outcome = runner::run(&mut plan, &self.settings, &progress);
-        progress.finish();
+        let outcome = runner::run(&mut plan, &self.settings, &Progress::new(self.style));
         let steps = self.spec.steps.iter().zip(&plan.tables);
         let kept = steps.filter(|(step, table)| step.keep && table.wanted && table.complete());
         whole.extend(kept.filter_map(|(step, table)| Some((step.heading.clone(), table.lineage()?))));

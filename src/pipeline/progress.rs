@@ -9,7 +9,7 @@ use std::sync::PoisonError;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
 use serde_json::{Value, json};
 
 /// How to show progress.
@@ -97,8 +97,7 @@ impl Progress {
     }
 
     /// A pass begins that makes these tables from so much; `whole` of the `wanted` tables are there.
-    pub fn pass(&self, headings: &[&str], amount: Amount, whole: usize, wanted: usize) {
-        self.finish();
+    pub(super) fn pass(&self, headings: &[&str], amount: Amount, whole: usize, wanted: usize) {
         self.read.store(0, Ordering::Relaxed);
         self.set_aside.store(0, Ordering::Relaxed);
         let tables = headings.join(", ");
@@ -119,7 +118,7 @@ impl Progress {
     }
 
     /// So much more was read, in the unit of the pass.
-    pub fn advance(&self, by: u64) {
+    pub(super) fn advance(&self, by: u64) {
         let read = self.read.fetch_add(by, Ordering::Relaxed) + by;
         if self.style == Style::Silent {
             return;
@@ -144,20 +143,18 @@ impl Progress {
     }
 
     /// So many rows more were set aside.
-    pub fn set_aside(&self, rows: u64) {
+    pub(super) fn set_aside(&self, rows: u64) {
         self.set_aside.fetch_add(rows, Ordering::Relaxed);
     }
 
-    /// The pass, or the run, has ended.
-    pub fn finish(&self) {
+    /// All tables of the pass are whole. Of one that fails nothing is said here: its bar goes away with it.
+    pub(super) fn finish(&self) {
         let Some(pass) = self.pass.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
         let elapsed = pass.started.elapsed();
         let read = self.read.load(Ordering::Relaxed);
         let set_aside = self.set_aside.load(Ordering::Relaxed);
-        let mut said = format!("{} in {:.2} s", pass.amount.text(read as f64), elapsed.as_secs_f64());
-        if set_aside > 0 {
-            said += &format!(", {set_aside} set aside");
-        }
+        let aside = if set_aside > 0 { format!(", {set_aside} set aside") } else { String::new() };
+        let said = format!("{} in {:.2} s{aside}", pass.amount.text(read as f64), elapsed.as_secs_f64());
         match self.style {
             Style::Json => {
                 let mut done = json_line("done", &pass, read, elapsed);
@@ -203,7 +200,7 @@ fn bar(place: String, tables: String, amount: Amount) -> ProgressBar {
         Amount::Rows(_) => "{prefix} {bar:25} {human_pos} of {human_len} rows, {eta} left  {wide_msg}",
     };
     let bar = ProgressBar::new(amount.total()).with_style(style(reading));
-    let bar = bar.with_prefix(place).with_message(tables);
+    let bar = bar.with_prefix(place).with_message(tables).with_finish(ProgressFinish::AndClear);
     bar.enable_steady_tick(Duration::from_millis(100));
     bar
 }

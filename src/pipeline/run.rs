@@ -59,6 +59,9 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         if ended == Ended::Interrupted {
             return Err(RunError::Interrupted { kept: kept(plan, &pass) });
         }
+        if ended == Ended::Whole {
+            progress.finish();
+        }
     }
     let wanted: Vec<usize> =
         (0..plan.tables.len()).filter(|&i| plan.tables[i].wanted && plan.tables[i].complete()).collect();
@@ -99,14 +102,12 @@ fn rejects(plan: &Plan<'_>) -> u64 {
 
 /// What a pass reads: raw files, or a stored table.
 fn amount(plan: &Plan<'_>, pass: &Pass) -> Amount {
-    match plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
-        Some(source) => Amount::Bytes(pass.parts.iter().map(|&part| source.parts()[part].bytes).sum()),
-        None => {
-            let table = &plan.written(pass.root)[0].0;
-            let parts = pass.parts.iter().filter_map(|&part| plan.tables[pass.root].present[part].as_ref());
-            Amount::Rows(parts.filter_map(|part| part.files.get(table)).map(|file| file.rows).sum())
-        }
+    if let Some(source) = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
+        return Amount::Bytes(pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
     }
+    let table = &plan.written(pass.root)[0].0;
+    let parts = pass.parts.iter().filter_map(|&part| plan.tables[pass.root].present[part].as_ref());
+    Amount::Rows(parts.filter_map(|part| part.files.get(table)).map(|file| file.rows).sum())
 }
 
 /// How many of the wanted tables are whole, and how many they are.
