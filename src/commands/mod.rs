@@ -10,6 +10,7 @@ mod interrupt;
 pub mod man;
 pub mod plan;
 pub mod query;
+pub mod report;
 pub mod run;
 pub mod schema;
 pub mod seal;

@@ -1,6 +1,7 @@
 //! The run: pass after pass until every wanted table is whole, and the views that show them.
 
 use std::collections::BTreeMap;
+use std::time::Instant;
 
 use super::cut::next_pass;
 use super::pass::{self, Ended, Pass};
@@ -8,6 +9,7 @@ use super::plan::Plan;
 use super::progress::{Amount, Progress};
 use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
+use crate::store::runs::PassRecord;
 use crate::store::{Digest, StoreError, TableRecord};
 use crate::tables::{Reject, Row};
 
@@ -20,6 +22,8 @@ pub struct Outcome {
     pub computed: Vec<String>,
     /// Rows set aside, in all wanted tables.
     pub rejects: u64,
+    /// Passes that it took.
+    pub passes: Vec<PassRecord>,
 }
 
 /// Runs what the plan wants and does not have. Not to be called from one of rayon's own threads: stages would wait for workers that wait for them.
@@ -37,7 +41,10 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     while let Some(pass) = next_pass(plan).filter(|_| rejects(plan) <= most_rejects) {
         let headings: Vec<&str> = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str()).collect();
         let (whole, wanted) = whole(plan);
-        progress.pass(&headings, amount(plan, &pass), whole, wanted);
+        let amount = amount(plan, &pass);
+        progress.pass(&headings, amount, whole, wanted);
+        let tables = headings.iter().map(|heading| (*heading).to_owned()).collect();
+        let started = Instant::now();
         for heading in headings {
             // A table whose parts lack different steps takes several passes.
             if !outcome.computed.iter().any(|computed| computed == heading) {
@@ -56,6 +63,8 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         closed?;
         plan.refresh(&content)?;
         publish(plan, &pass.steps, &mut outcome)?;
+        let raw_bytes = if let Amount::Bytes(bytes) = amount { bytes } else { 0 };
+        outcome.passes.push(PassRecord { tables, raw_bytes, seconds: started.elapsed().as_secs_f64() });
         if ended == Ended::Interrupted {
             return Err(RunError::Interrupted { kept: kept(plan, &pass) });
         }

@@ -137,7 +137,8 @@ fn check(name: &str, text: &str) -> (Vec<String>, Vec<String>) {
     symlink(env!("CARGO_BIN_EXE_periscope"), folder.path().join("bin/periscope")).unwrap();
     // The program is built already: `cargo run` only runs it.
     let cargo = folder.path().join("bin/cargo");
-    fs::write(&cargo, "#!/bin/sh\n[ \"$1 $2 $3\" = 'run --release --' ] && shift 3 && exec periscope \"$@\"\n").unwrap();
+    fs::write(&cargo, "#!/bin/sh\n[ \"$1 $2 $3\" = 'run --release --' ] && shift 3 && exec periscope \"$@\"\n")
+        .unwrap();
     fs::set_permissions(&cargo, fs::Permissions::from_mode(0o755)).unwrap();
     for (_, commands) in ASSUMED.iter().filter(|(page, _)| *page == name) {
         run(folder.path(), commands).unwrap();
