@@ -84,6 +84,8 @@ pub enum ProgressKind {
     Auto,
     /// A bar
     Bar,
+    /// A line a pass, and now and then one in between
+    Lines,
     /// A JSON object a line
     Json,
     /// Nothing
@@ -95,6 +97,7 @@ impl From<ProgressKind> for Style {
         match kind {
             ProgressKind::Auto => Self::auto(),
             ProgressKind::Bar => Self::Bar,
+            ProgressKind::Lines => Self::Lines,
             ProgressKind::Json => Self::Json,
             ProgressKind::None => Self::Silent,
         }

@@ -149,9 +149,15 @@ fn links(page: &str) -> Vec<(String, String)> {
 }
 
 #[test]
-fn links_of_readme_and_guide_lead_to_files_that_are_there() {
+fn pages_are_in_the_library_too_and_links_lead_to_files_that_are_there() {
     let mut wrong = Vec::new();
+    let module = include_str!("../../src/guide/mod.rs");
     for page in pages() {
+        if let Ok(name) = page.strip_prefix(guide())
+            && !module.contains(&format!("\"{}\"", name.display()))
+        {
+            wrong.push(format!("{} is not in src/guide/mod.rs", page.display()));
+        }
         for (name, target) in links(&fs::read_to_string(&page).unwrap()) {
             let file = target.split('#').next().unwrap();
             let is_there =
