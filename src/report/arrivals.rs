@@ -71,7 +71,7 @@ pub fn doubt(onset: &OnsetBehind) -> f64 {
 /// A path in words: `4 > 9 > 2`.
 pub fn path_text(path: Option<&[PatchId]>) -> String {
     path.map_or_else(
-        || "unexplained".to_owned(),
+        || "no path known".to_owned(),
         |path| path.iter().map(ToString::to_string).collect::<Vec<_>>().join(" > "),
     )
 }

@@ -175,10 +175,12 @@ impl Waveforms {
 }
 
 impl Waveforms {
-    /// The profile with the most labelled onsets; the first of equals.
+    /// The profile with the most labelled onsets, or with the most onsets; the first of equals.
     pub fn telling(&self) -> Option<&Waveform> {
-        let labelled = |waveform: &&Waveform| waveform.onsets.iter().filter(|onset| onset.path.is_some()).count();
-        self.chosen.iter().rev().filter(|waveform| !waveform.points.is_empty()).max_by_key(labelled)
+        let told = |waveform: &&Waveform| {
+            (waveform.onsets.iter().filter(|onset| onset.path.is_some()).count(), waveform.onsets.len())
+        };
+        self.chosen.iter().rev().filter(|waveform| !waveform.points.is_empty()).max_by_key(told)
     }
 }
 

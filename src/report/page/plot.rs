@@ -23,7 +23,7 @@ pub fn of_bounces(bounces: usize) -> &'static str {
 
 /// What arrivals of so many bounces are called.
 pub fn bounces_text(bounces: usize) -> &'static str {
-    ["unexplained", "1st bounce", "2nd bounce", "3rd bounce", "4th bounce and later"][bounces.min(4)]
+    ["no path known", "1st bounce", "2nd bounce", "3rd bounce", "4th bounce and later"][bounces.min(4)]
 }
 
 /// A plot of some height with a caption.

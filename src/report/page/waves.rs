@@ -2,7 +2,10 @@
 
 use maud::{Markup, html};
 use plotly::common::{ColorBar, ColorScale, ColorScalePalette, Fill, Line, Marker, Mode, Pad, Title, Visible};
-use plotly::layout::{Axis, AxisType, Layout, Legend, Margin, Slider, SliderCurrentValue, SliderMethod, SliderStep};
+use plotly::layout::{
+    Axis, AxisType, Layout, Legend, Margin, Slider, SliderCurrentValue, SliderCurrentValueXAnchor, SliderMethod,
+    SliderStep,
+};
 use plotly::{HeatMap, Plot, Scatter};
 use serde_json::{Map, Value, json};
 
@@ -14,6 +17,7 @@ use crate::report::arrivals::path_text;
 use crate::report::responses::Response;
 use crate::report::stir::{Image, Stir};
 use crate::report::waveforms::Waveform;
+use crate::tables::{Impulse, Name};
 
 /// From this ratio of the largest to the smallest impulse on, a profile is first shown on a logarithmic axis.
 const LOGARITHMIC: f64 = 50.0;
@@ -64,8 +68,8 @@ fn stir_height(stir: &Stir) -> u32 {
 
 fn stir_plot(stir: &Stir) -> Plot {
     let mut plot = Plot::new();
-    let several =
-        stir.images.iter().any(|image| (&image.lit.0, &image.lit.1) != (&stir.images[0].lit.0, &stir.images[0].lit.1));
+    let differ = |of: fn(&Image) -> &Name| stir.images.iter().any(|image| of(image) != of(&stir.images[0]));
+    let named = (differ(|image| &image.lit.0), differ(|image| &image.lit.1));
     let times_ps: Vec<f64> = stir.times_ps.iter().map(|time| short(*time, DIGITS)).collect();
     let top = stir.images.iter().flat_map(|image| image.levels.iter().flatten()).copied().fold(1.0, f64::max);
     // Four traces an image: the image, and its onsets by bounces 0 to 2, 3 and more.
@@ -75,7 +79,7 @@ fn stir_plot(stir: &Stir) -> Plot {
         let seen: Vec<String> = image.seen.iter().map(ToString::to_string).collect();
         let levels: Vec<Vec<f64>> =
             image.levels.iter().map(|row| row.iter().map(|level| (level * 100.0).round() / 100.0).collect()).collect();
-        let bar = ColorBar::new().title(Title::with_text("log10(signal / noise)")).thickness(12);
+        let bar = ColorBar::new().title(Title::with_text("log10 S/N")).thickness(12);
         let heat = HeatMap::new(times_ps.clone(), seen, levels)
             .color_scale(ColorScale::Palette(ColorScalePalette::Viridis))
             .zmin(0.0)
@@ -93,10 +97,10 @@ fn stir_plot(stir: &Stir) -> Plot {
         }
     }
     let steps: Vec<SliderStep> =
-        stir.images.iter().enumerate().map(|(shown, image)| step(shown, image, &traces, several)).collect();
+        stir.images.iter().enumerate().map(|(shown, image)| step(shown, image, &traces, named)).collect();
     let slider = Slider::new()
         .active(0)
-        .current_value(SliderCurrentValue::new().prefix("lit "))
+        .current_value(SliderCurrentValue::new().prefix("lit ").x_anchor(SliderCurrentValueXAnchor::Right))
         .pad(Pad::new(45, 10, 0))
         .steps(steps);
     let x_axis = Axis::new().title("time of flight (ps)").tick_format(",~f");
@@ -129,10 +133,14 @@ fn onsets_of(image: &Image, bounces: usize) -> Option<Box<Scatter<f64, String>>>
 }
 
 /// The slider's step that shows one image alone.
-fn step(shown: usize, image: &Image, traces: &[usize], several: bool) -> SliderStep {
+fn step(shown: usize, image: &Image, traces: &[usize], (campaign, sensor): (bool, bool)) -> SliderStep {
     let visible: Vec<bool> = traces.iter().map(|of| *of == shown).collect();
-    let (campaign, sensor, lit) = &image.lit;
-    let label = if several { format!("{lit} ({campaign}, {sensor})") } else { lit.to_string() };
+    let mut label = image.lit.2.to_string();
+    for (name, is_named) in [(&image.lit.1, sensor), (&image.lit.0, campaign)] {
+        if is_named {
+            label = format!("{label}, {name}");
+        }
+    }
     SliderStep::new().label(label).method(SliderMethod::Restyle).args(json!([{ "visible": visible }]))
 }
 
@@ -227,7 +235,7 @@ fn waveform_plot(waveform: &Waveform) -> Plot {
         let x: Vec<Option<f64>> =
             of_these.iter().flat_map(|(impulse, _)| [Some(short(impulse.time_ps, 7)); 3]).collect();
         let y: Vec<Option<f64>> = of_these.iter().flat_map(|(impulse, _)| stem(impulse.amplitude_v)).collect();
-        let words = |(impulse, onset): &(&crate::tables::Impulse, Option<&OnsetBehind>)| {
+        let words = |(impulse, onset): &(&Impulse, Option<&OnsetBehind>)| {
             let path = onset.map_or_else(|| "below the threshold".to_owned(), |onset| path_text(onset.path.as_deref()));
             format!(
                 "{path}<br>{:.2} +- {} ps<br>{} V, {} times its sd",
