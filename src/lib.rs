@@ -11,6 +11,8 @@
 //! - [`pipeline`] turns a pipeline file into a plan, and a plan into finished tables; it knows no physics. [`history`] goes the other way: from a row
 //!   back to the raw files, and from two result folders to what made them differ. [`report`] draws what a result folder says.
 //!
+//! How to use the program stands in the [`guide`].
+//!
 //! ```no_run
 //! use periscope::{campaign::Campaign, pipeline::{plan::Plan, progress::{Progress, Style}, run, spec::Spec}, store::Shelf};
 //! # fn main() -> anyhow::Result<()> {
@@ -26,6 +28,8 @@ pub mod bound;
 pub mod campaign;
 pub mod formats;
 pub mod geometry;
+#[cfg(doc)]
+pub mod guide;
 pub mod history;
 pub mod path;
 pub mod pipeline;

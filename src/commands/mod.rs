@@ -7,6 +7,7 @@ pub mod diff;
 pub mod explain;
 pub mod inspect;
 mod interrupt;
+pub mod man;
 pub mod plan;
 pub mod query;
 pub mod report;

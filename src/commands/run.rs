@@ -84,6 +84,8 @@ pub enum ProgressKind {
     Auto,
     /// A bar
     Bar,
+    /// A line a pass, and now and then one in between
+    Lines,
     /// A JSON object a line
     Json,
     /// Nothing
@@ -95,6 +97,7 @@ impl From<ProgressKind> for Style {
         match kind {
             ProgressKind::Auto => Self::auto(),
             ProgressKind::Bar => Self::Bar,
+            ProgressKind::Lines => Self::Lines,
             ProgressKind::Json => Self::Json,
             ProgressKind::None => Self::Silent,
         }
@@ -208,9 +211,7 @@ impl Job<'_> {
         for warning in plan.warnings() {
             eprintln!("warning: {warning}");
         }
-        let progress = Progress::new(self.style);
-        let outcome = runner::run(&mut plan, &self.settings, &progress);
-        progress.finish();
+        let outcome = runner::run(&mut plan, &self.settings, &Progress::new(self.style));
         let steps = self.spec.steps.iter().zip(&plan.tables);
         let kept = steps.filter(|(step, table)| step.keep && table.wanted && table.complete());
         whole.extend(kept.filter_map(|(step, table)| Some((step.heading.clone(), table.lineage()?))));

@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::cut::next_pass;
 use super::pass::{self, Ended, Pass};
 use super::plan::Plan;
-use super::progress::Progress;
+use super::progress::{Amount, Progress};
 use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
 use crate::store::runs::PassRecord;
@@ -40,9 +40,9 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     let most_rejects = settings.max_rejects.map_or(u64::MAX, |limit| limit.most(records(plan)));
     while let Some(pass) = next_pass(plan).filter(|_| rejects(plan) <= most_rejects) {
         let headings: Vec<&str> = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str()).collect();
-        let source = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root));
-        let bytes = source.map_or(0, |source| pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
-        progress.pass(&headings, bytes);
+        let (whole, wanted) = whole(plan);
+        let amount = amount(plan, &pass);
+        progress.pass(&headings, amount, whole, wanted);
         let tables = headings.iter().map(|heading| (*heading).to_owned()).collect();
         let started = Instant::now();
         for heading in headings {
@@ -63,9 +63,13 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         closed?;
         plan.refresh(&content)?;
         publish(plan, &pass.steps, &mut outcome)?;
-        outcome.passes.push(PassRecord { tables, raw_bytes: bytes, seconds: started.elapsed().as_secs_f64() });
+        let raw_bytes = if let Amount::Bytes(bytes) = amount { bytes } else { 0 };
+        outcome.passes.push(PassRecord { tables, raw_bytes, seconds: started.elapsed().as_secs_f64() });
         if ended == Ended::Interrupted {
             return Err(RunError::Interrupted { kept: kept(plan, &pass) });
+        }
+        if ended == Ended::Whole {
+            progress.finish();
         }
     }
     let wanted: Vec<usize> =
@@ -105,11 +109,26 @@ fn rejects(plan: &Plan<'_>) -> u64 {
     parts.filter_map(|part| part.files.get(Reject::TABLE)).map(|file| file.rows).sum()
 }
 
+/// What a pass reads: raw files, or a stored table.
+fn amount(plan: &Plan<'_>, pass: &Pass) -> Amount {
+    if let Some(source) = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
+        return Amount::Bytes(pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
+    }
+    let table = &plan.written(pass.root)[0].0;
+    let parts = pass.parts.iter().filter_map(|&part| plan.tables[pass.root].present[part].as_ref());
+    Amount::Rows(parts.filter_map(|part| part.files.get(table)).map(|file| file.rows).sum())
+}
+
+/// How many of the wanted tables are whole, and how many they are.
+fn whole(plan: &Plan<'_>) -> (usize, usize) {
+    let wanted = || plan.tables.iter().zip(&plan.spec.steps).filter(|(table, step)| table.wanted && step.keep);
+    (wanted().filter(|(table, _)| table.complete()).count(), wanted().count())
+}
+
 /// What an interrupted run leaves, in words.
 fn kept(plan: &Plan<'_>, pass: &Pass) -> String {
-    let wanted = || plan.tables.iter().zip(&plan.spec.steps).filter(|(table, step)| table.wanted && step.keep);
-    let whole = wanted().filter(|(table, _)| table.complete()).count();
-    let mut kept = vec![format!("{whole} of {} tables", wanted().count())];
+    let (whole, wanted) = whole(plan);
+    let mut kept = vec![format!("{whole} of {wanted} tables")];
     for &i in &pass.steps {
         let (parts, heading) = (&plan.tables[i].present, &plan.spec.steps[i].heading);
         let finished = parts.iter().flatten().count();

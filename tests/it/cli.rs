@@ -81,6 +81,7 @@ fn help_and_wrong_usage() {
         "simulate",
         "schema",
         "completions",
+        "man",
     ] {
         assert!(help.contains(&format!("\n  {command}")), "{command} is not in:\n{help}");
     }
@@ -171,12 +172,34 @@ fn run_plan_tables_seal_and_schema() {
     );
     let strict = periscope(&here, &["run", "p.toml", "--campaign", "campaign", "--out", "other", "--strict"]);
     assert_eq!(strict.status.code(), Some(1));
-    let json = periscope(&here, &["run", "p.toml", "--campaign", "campaign", "--out", "third", "--progress", "json"]);
+}
+
+/// The keys that docs/guide/running.md lists.
+#[test]
+fn progress_as_json_says_what_every_pass_reads_and_makes() {
+    let lab = Lab::tiny();
+    fs::write(lab.path("p.toml"), ALL_VISIBLE).unwrap();
+    let run = ["run", "p.toml", "--campaign", "campaign", "--out", "out", "--progress", "json"];
+    let run = periscope(&lab.path(""), &run);
+    let text = err(&run);
+    let events: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let keys = |event: &Value| event.as_object().unwrap().keys().map(String::as_str).collect::<Vec<_>>().join(" ");
+    let (began, ended): (Vec<&Value>, Vec<&Value>) = events.iter().partition(|event| event["event"] == "pass");
+    assert!(began.iter().all(|pass| keys(pass) == "event of tables unit wanted whole"), "{text}");
+    assert!(ended.iter().all(|done| keys(done) == "event left_s of read seconds set_aside tables unit"), "{text}");
+    // Of the scene every byte is read once, of its onsets every row; each pass that begins ends, with all read.
+    let bytes: u64 =
+        fs::read_dir(lab.path("campaign/raw/scene")).unwrap().map(|file| file.unwrap().metadata().unwrap().len()).sum();
+    assert!(began.iter().any(|pass| pass["unit"] == "bytes" && pass["of"] == bytes), "{bytes} {text}");
     assert!(
-        err(&json).lines().filter(|line| line.starts_with('{')).all(|line| serde_json::from_str::<Value>(line).is_ok()),
-        "{}",
-        err(&json)
+        began.iter().any(|pass| pass["unit"] == "rows" && pass["of"] == 16 && pass["tables"][0] == "labels"),
+        "{text}"
     );
+    assert_eq!(began.len(), ended.len(), "{text}");
+    for (pass, done) in began.iter().zip(&ended) {
+        assert!(pass["tables"] == done["tables"] && done["read"] == pass["of"] && done["of"] == pass["of"], "{text}");
+    }
+    assert!(began.windows(2).all(|two| two[0]["whole"].as_u64() < two[1]["whole"].as_u64()), "{text}");
 }
 
 #[test]

@@ -10,7 +10,7 @@ const FLOORS: [&[&str]; 7] = [
     &["geometry", "tables", "formats", "signal"],
     &["stages", "simulate"],
     &["pipeline", "history", "bound"],
-    &["lib", "report"],
+    &["lib", "report", "guide"],
     &["main", "commands"],
 ];
 
