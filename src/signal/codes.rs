@@ -70,6 +70,17 @@ macro_rules! each {
 }
 
 impl<'a> Codes<'a> {
+    /// Whether every code is a number: floats may be infinite or none.
+    #[must_use]
+    pub fn is_finite(self) -> bool {
+        match self {
+            Self::F32(_) | Self::F64(_) => {
+                each!(self, codes => codes.into_iter().all(|code| f64::from(code).is_finite()))
+            }
+            _ => true,
+        }
+    }
+
     /// Codes of the type of this name (`i8`, `u8`, `i16`, `u16`, `i32`, `u32`, `f32`, `f64`); `None` for another.
     #[must_use]
     pub fn of(code_type: &str, bytes: &'a [u8]) -> Option<Self> {

@@ -284,7 +284,7 @@ fn text_json_and_sql_say_the_same() {
 /// The questions have the answers that the explanation gives.
 #[cfg(feature = "query")]
 #[test]
-fn the_sql_runs() {
+fn query_answers_the_sql() {
     let (onsets, files) = behind_patch_3();
     let exposures: usize = files.values().flatten().map(Vec::len).sum();
     let expected = [1, onsets.len(), files.len() / 2, exposures];
