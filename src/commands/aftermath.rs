@@ -58,6 +58,9 @@ pub fn tell_empty(spec: &Spec, outcome: &Outcome) {
         let had = had.map_or("none of the captures that it takes could be read".to_owned(), |(input, rows)| {
             format!("`{}` has {rows}", input.heading)
         });
-        eprintln!("warning: {} came out empty: `{}` has no rows, {had}", results.join(", "), at.heading);
+        // A result that was lost in its own stage need not be named twice.
+        let own = results == [format!("`{}`", at.heading)];
+        let at = if own { String::new() } else { format!("`{}` has no rows, ", at.heading) };
+        eprintln!("warning: {} came out empty: {at}{had}", results.join(", "));
     }
 }

@@ -62,7 +62,7 @@ fn neighbours(path: &Path) -> String {
 
 /// What a file is that has no headings of a pipeline, by those that it has.
 fn other_kind(table: &toml::Table) -> Option<&'static str> {
-    let has = |key: &str| table.contains_key(key);
+    let has = |key: &str| table.get(key).and_then(toml::Value::as_table).is_some_and(|of| !of.contains_key("stage"));
     match (has("instrument"), has("campaign")) {
         (true, _) => Some(
             "this is a scene, for `simulate` and `design`; a pipeline is a file such as pipelines/all-visible.toml",

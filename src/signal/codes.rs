@@ -204,6 +204,17 @@ mod tests {
     use super::*;
 
     #[test]
+    fn floats_may_be_no_numbers_and_integers_may_not() {
+        let bytes = |values: [f32; 3]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        assert!(Codes::of("f32", &bytes([0.0, -1.5, f32::MAX])).unwrap().is_finite());
+        for odd in [f32::NAN, f32::INFINITY] {
+            let bytes = bytes([0.0, odd, 1.0]);
+            assert!(!Codes::of("f32", &bytes).unwrap().is_finite());
+            assert!(Codes::of("i32", &bytes).unwrap().is_finite());
+        }
+    }
+
+    #[test]
     fn every_type_reads_back_what_was_written() {
         let values = [-3_i16, 7, 120, -128, 0];
         let i16s: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();

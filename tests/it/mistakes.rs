@@ -115,6 +115,7 @@ fn every_mistake_is_told_with_its_place_and_its_mend() {
         let told = told(&folder, command);
         assert!(told.contains(place) && told.contains(mend), "{command}: {place} and {mend} were expected in\n{told}");
         assert!(!told.contains("panicked") && !told.contains("defect"), "{told}");
+        edits.iter().for_each(|edit| writeln!(all, "# {edit:?}").unwrap());
         writeln!(all, "$ periscope {command}\n{told}\n").unwrap();
     }
     assert!(MISTAKES.len() >= 40, "{}", MISTAKES.len());

@@ -1,6 +1,7 @@
 //! The mistakes.
 
 /// What is done to the folder before the command.
+#[derive(Debug)]
 pub enum Edit {
     /// In this file, this text becomes that.
     Replace(&'static str, &'static str, &'static str),
