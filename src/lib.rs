@@ -9,7 +9,7 @@
 //! - [`stages`] are the verbs: each takes rows of one table, gives rows of another, and knows neither files nor threads. [`simulate`] makes
 //!   campaigns whose truth is known, and shares no code with them.
 //! - [`pipeline`] turns a pipeline file into a plan, and a plan into finished tables; it knows no physics. [`history`] goes the other way: from a row
-//!   back to the raw files, and from two result folders to what made them differ.
+//!   back to the raw files, and from two result folders to what made them differ. [`report`] draws what a result folder says.
 //!
 //! ```no_run
 //! use periscope::{campaign::Campaign, pipeline::{plan::Plan, progress::{Progress, Style}, run, spec::Spec}, store::Shelf};
@@ -29,6 +29,7 @@ pub mod geometry;
 pub mod history;
 pub mod path;
 pub mod pipeline;
+pub mod report;
 pub mod signal;
 pub mod simulate;
 pub mod stages;
