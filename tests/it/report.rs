@@ -39,7 +39,7 @@ fn page_of(out: &Path) -> String {
 
 /// The page without the plotting library.
 fn own(page: &str) -> String {
-    let library = page.find("<script>/**").expect("the library has its licence at its head");
+    let library = page.find("<script type=\"text/javascript\">").expect("the library is there");
     let end = library + page[library..].find("</script>").unwrap();
     page[..library].to_owned() + &page[end..]
 }
