@@ -1,6 +1,7 @@
 //! The recipes of queries/ and the examples of docs/tables.md, run as they stand by DuckDB and Polars, against what the rows say here.
 
 use std::collections::BTreeSet;
+use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -244,7 +245,7 @@ fn patches_are_held_against_points_from_elsewhere() {
     // 5 mm off each, in another direction.
     let directions = [[0.003, -0.004, 0.0], [0.0, 0.003, 0.004], [-0.004, 0.0, 0.003], [0.0, 0.0, 0.005]];
     for (patch, [x, y, z]) in patches.iter().zip(directions) {
-        points += &format!("point {},{},{},{}\n", patch.patch, patch.x_m + x, patch.y_m + y, patch.z_m + z);
+        writeln!(points, "point {},{},{},{}", patch.patch, patch.x_m + x, patch.y_m + y, patch.z_m + z).unwrap();
     }
     fs::write(LAB.path().join("points.csv"), points).unwrap();
     let Some(answer) = ask("near", &["results=results", "points=points.csv"]) else { return };
