@@ -85,10 +85,13 @@ fn the_page_has_the_numbers_of_the_tables() {
 
 #[test]
 fn a_pipeline_that_solves_nothing_has_its_page_too() {
-    let lab = Lab::tiny();
+    let lab = Lab::bulk(2);
     lab.run("out", AVERAGES, &Settings::default()).unwrap();
     let own = own(&page_of(&lab.path("out")));
-    assert!(own.contains("solved for positions") && own.contains("16 profiles"), "{own}");
+    assert!(
+        own.contains("solved for positions") && own.contains("2 profiles") && own.contains("lit 1, seen 2"),
+        "{own}"
+    );
 }
 
 #[test]
