@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use periscope::formats::{self, Input, Source};
 use periscope::signal::codes::Codes;
@@ -44,6 +44,9 @@ pub fn inspect(args: &Inspect) -> Result<ExitCode> {
 }
 
 fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> {
+    if file.is_dir() {
+        bail!("is a folder; name the files in it, such as {}", file.join("*").display());
+    }
     let mut source = Source::open(file)?;
     let records = formats::records(&mut source)?;
     if !as_json {

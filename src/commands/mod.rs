@@ -1,5 +1,6 @@
 //! The commands, a file each: arguments, what they print, and their exit codes.
 
+mod aftermath;
 pub mod check;
 pub mod demo;
 pub mod design;

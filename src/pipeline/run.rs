@@ -36,8 +36,32 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         return Err(RunError::Memory { given: settings.memory_bytes, least });
     }
     let mut outcome = Outcome::default();
-    let mut content: BTreeMap<(usize, usize), Digest> = BTreeMap::new();
     let most_rejects = settings.max_rejects.map_or(u64::MAX, |limit| limit.most(records(plan)));
+    let ended = passes(plan, settings, most_rejects, progress, &mut outcome);
+    // Also of a run that failed: what was set aside before is often the cause.
+    let tables: Vec<_> = behind(plan)
+        .into_iter()
+        .map(|i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice()))
+        .collect();
+    let rejects = plan.shelf.publish_rejects(&tables);
+    // What stopped it comes first: on a full disk, say, this fails too.
+    ended?;
+    outcome.rejects = rejects?;
+    if outcome.rejects > most_rejects {
+        return Err(RunError::Rejects(TooMany::of(plan.shelf, outcome.rejects, most_rejects, records(plan))?));
+    }
+    Ok(outcome)
+}
+
+/// One pass after the other, until all that is wanted is there, or too much was set aside.
+fn passes(
+    plan: &mut Plan<'_>,
+    settings: &Settings,
+    most_rejects: u64,
+    progress: &Progress,
+    outcome: &mut Outcome,
+) -> Result<(), RunError> {
+    let mut content: BTreeMap<(usize, usize), Digest> = BTreeMap::new();
     while let Some(pass) = next_pass(plan).filter(|_| rejects(plan) <= most_rejects) {
         let headings: Vec<&str> = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str()).collect();
         let (whole, wanted) = whole(plan);
@@ -62,7 +86,7 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         let ended = ended?;
         closed?;
         plan.refresh(&content)?;
-        publish(plan, &pass.steps, &mut outcome)?;
+        publish(plan, &pass.steps, outcome)?;
         let raw_bytes = if let Amount::Bytes(bytes) = amount { bytes } else { 0 };
         outcome.passes.push(PassRecord { tables, raw_bytes, seconds: started.elapsed().as_secs_f64() });
         if ended == Ended::Interrupted {
@@ -74,16 +98,8 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     }
     let wanted: Vec<usize> =
         (0..plan.tables.len()).filter(|&i| plan.tables[i].wanted && plan.tables[i].complete()).collect();
-    publish(plan, &wanted, &mut outcome)?;
-    let tables: Vec<_> = behind(plan)
-        .into_iter()
-        .map(|i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice()))
-        .collect();
-    outcome.rejects = plan.shelf.publish_rejects(&tables)?;
-    if outcome.rejects > most_rejects {
-        return Err(RunError::Rejects(TooMany::of(plan.shelf, outcome.rejects, most_rejects, records(plan))?));
-    }
-    Ok(outcome)
+    publish(plan, &wanted, outcome)?;
+    Ok(())
 }
 
 /// The wanted tables and all that they are made from, also where that is not kept: what was set aside on the way is part of the outcome.

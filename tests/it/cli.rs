@@ -7,6 +7,8 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 use crate::lab::{ALL_VISIBLE, Lab};
+#[cfg(not(feature = "query"))]
+use crate::python::printed;
 
 fn periscope(folder: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_periscope")).args(args).current_dir(folder).output().unwrap()
@@ -234,6 +236,16 @@ fn a_lean_build_says_how_to_query() {
     let query = periscope(&lab.path(""), &["query", "out", "SELECT patch, x_m FROM patches"]);
     assert_eq!(query.status.code(), Some(1));
     assert!(err(&query).contains("--features query") && err(&query).contains("patches/*.parquet"), "{}", err(&query));
+    // What it hands over for DuckDB is a question that DuckDB answers.
+    let sql = "SELECT count(*) AS n FROM patches.residuals r JOIN labels l ON r.lit = l.lit AND r.seen = l.seen";
+    let query = err(&periscope(&lab.path(""), &["query", "out", sql]));
+    let (_, question) = query.split_once("ask DuckDB:\n").unwrap();
+    let ask = format!("import duckdb\nprint(duckdb.sql(\"\"\"{question}\"\"\").fetchall())");
+    if let Some(answer) = printed(&lab.path(""), &["-c", &ask]) {
+        assert_eq!(answer.trim(), "[(16,)]");
+    }
+    let query = periscope(&lab.path(""), &["query", "out", "SELECT 1"]);
+    assert!(err(&query).contains("names no table of out; it has calibration"), "{}", err(&query));
 }
 
 /// The campaign that the README shows is one that is read.

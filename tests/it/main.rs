@@ -32,10 +32,13 @@ mod many_parts;
 mod methods;
 mod mirror;
 mod missed;
+mod mistakes;
 mod monte_carlo;
+mod python;
 #[cfg(feature = "query")]
 mod query;
 mod real_files;
+mod recipes;
 mod rectangles;
 mod report;
 mod resolution;
