@@ -1,10 +1,12 @@
 //! The commands, a file each: arguments, what they print, and their exit codes.
 
 pub mod check;
+pub mod convert;
 pub mod demo;
 pub mod design;
 pub mod diff;
 pub mod explain;
+pub mod export;
 pub mod inspect;
 mod interrupt;
 pub mod plan;
