@@ -19,6 +19,7 @@ mod hidden_plane;
 mod house;
 mod ingest;
 mod inter_reflections;
+mod interop;
 mod lab;
 mod laws;
 mod lifecycle;
