@@ -6,7 +6,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
-use super::{Capture, ExchangeError, Pair, Spot};
+use super::{Capture, ExchangeError, Grid, Pair, Spot};
 use crate::campaign::keys::LASER;
 use crate::campaign::load::CAMPAIGN_FILE;
 use crate::formats::npy;
@@ -108,8 +108,13 @@ struct Scene {
 impl Scene {
     fn new(capture: &Capture, pairs: &[Pair]) -> Result<Self, String> {
         let (mut patches, mut numbers) = (BTreeMap::new(), BTreeMap::new());
-        let spots = pairs.iter().map(|pair| capture.lit.spots[pair.lit]);
-        for spot in spots.chain(pairs.iter().map(|pair| capture.seen.spots[pair.seen])) {
+        let of = |grid: &Grid, place: &dyn Fn(&Pair) -> usize| -> Vec<Spot> {
+            pairs.iter().map(|pair| grid.spots[place(pair)]).collect()
+        };
+        let (lit, seen) = (of(&capture.lit, &|pair| pair.lit), of(&capture.seen, &|pair| pair.seen));
+        // The larger grid is numbered first, so that points of both are in the order of either.
+        let larger_first = if capture.lit.spots.len() > capture.seen.spots.len() { [lit, seen] } else { [seen, lit] };
+        for spot in larger_first.into_iter().flatten() {
             let next = numbers.len() as PatchId + 1;
             let number = *numbers.entry(key(&spot)).or_insert(next);
             patches.entry(number).or_insert(spot);

@@ -125,7 +125,7 @@ impl Grid {
         self.axes.iter().rev().all(|length| {
             let along = rest % length;
             rest /= length;
-            along % every == 0
+            along.is_multiple_of(every)
         })
     }
 }

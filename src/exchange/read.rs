@@ -4,9 +4,10 @@ use std::path::Path;
 
 use super::{Capture, ExchangeError, confocal_mat, y_tal, z_nlos};
 use crate::formats::array::Arrays;
-use crate::formats::{FormatError, Input, Source, hdf5, mat5};
+use crate::formats::hdf5::{self, Hdf5};
+use crate::formats::{FormatError, Input, Reader, Source, mat5};
 
-/// Bytes by which a file is known.
+/// Bytes by which a file is known; MATLAB writes so many less eight before HDF5.
 const HEAD_BYTES: u64 = 520;
 
 /// What a file may leave unsaid.
@@ -40,7 +41,7 @@ pub fn read(path: &Path, unsaid: &Unsaid) -> Result<Capture, ExchangeError> {
     } else {
         Err(format!(
             "holds {names:?}: neither a capture of y-tal (H), nor of Z-NLOS (data, cameraGridPositions), nor a confocal MAT-file (rect_data or meas); \
-             what y-tal reads, it writes as its own: tal.io.write_capture(\"new.hdf5\", tal.io.read_capture(\"old\"))"
+             write what y-tal can convert in its own format first (docs/interoperation.md)"
         ))
     };
     let capture = capture.map_err(unfit)?;
@@ -59,7 +60,13 @@ fn arrays(path: &Path) -> Result<(Arrays, Vec<String>), ExchangeError> {
     let mut source = Source::open(path).map_err(failed)?;
     let length = source.length();
     let head = source.bytes("the head", 0, length.min(HEAD_BYTES)).map_err(failed)?;
-    let found =
-        if mat5::recognises(&head) { mat5::arrays(&mut source, wanted) } else { hdf5::arrays(&mut source, wanted) };
-    found.map_err(failed)
+    if mat5::recognises(&head) {
+        return mat5::arrays(&mut source, wanted).map_err(failed);
+    }
+    if !Hdf5.recognises(&head) && !head.get(512..).is_some_and(|head| Hdf5.recognises(head)) {
+        let problem =
+            "is neither HDF5 nor a MAT-file of version 5 to 7.3; give a capture such as y-tal writes".to_owned();
+        return Err(ExchangeError::Unfit { path: path.to_owned(), problem });
+    }
+    hdf5::arrays(&mut source, wanted).map_err(failed)
 }
