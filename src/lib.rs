@@ -9,8 +9,8 @@
 //! - [`stages`] are the verbs: each takes rows of one table, gives rows of another, and knows neither files nor threads. [`simulate`] makes
 //!   campaigns whose truth is known, and shares no code with them.
 //! - [`pipeline`] turns a pipeline file into a plan, and a plan into finished tables; it knows no physics. [`history`] goes the other way: from a row
-//!   back to the raw files, and from two result folders to what made them differ. [`exchange`] turns captures of other programs into campaigns, and results into
-//!   files that other programs open.
+//!   back to the raw files, and from two result folders to what made them differ. [`report`] draws what a result folder says. [`exchange`] turns captures
+//!   of other programs into campaigns, and results into files that other programs open.
 //!
 //! ```no_run
 //! use periscope::{campaign::Campaign, pipeline::{plan::Plan, progress::{Progress, Style}, run, spec::Spec}, store::Shelf};
@@ -31,6 +31,7 @@ pub mod geometry;
 pub mod history;
 pub mod path;
 pub mod pipeline;
+pub mod report;
 pub mod signal;
 pub mod simulate;
 pub mod stages;

@@ -37,6 +37,8 @@ enum Command {
     Tables(commands::tables::Tables),
     /// Ask the tables of a result folder a question in SQL
     Query(commands::query::Query),
+    /// Draw what a result folder says: one page of HTML that needs no network, and figures for a paper
+    Report(commands::report::Report),
     /// Say where a row comes from: from a patch, a distance or an onset back to the raw exposures
     Explain(commands::explain::Explain),
     /// Say which table of two result folders first differs, by how much, and why
@@ -72,6 +74,7 @@ fn main() -> ExitCode {
         Command::Check(args) => commands::check::check(&args),
         Command::Tables(args) => commands::tables::tables(&args),
         Command::Query(args) => commands::query::query(&args),
+        Command::Report(args) => commands::report::report(&args),
         Command::Explain(args) => commands::explain::explain(&args),
         Command::Diff(args) => commands::diff::diff(&args),
         Command::Seal(args) => commands::seal::seal(&args),

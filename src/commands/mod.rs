@@ -11,6 +11,7 @@ pub mod inspect;
 mod interrupt;
 pub mod plan;
 pub mod query;
+pub mod report;
 pub mod run;
 pub mod schema;
 pub mod seal;

@@ -186,6 +186,7 @@ impl Job<'_> {
         let ending = match &outcome {
             Ok(outcome) => {
                 record.rejects = outcome.rejects;
+                record.passes.clone_from(&outcome.passes);
                 Ending::Done
             }
             Err(error) if matches!(error.downcast_ref(), Some(RunError::Interrupted { .. })) => Ending::Interrupted,

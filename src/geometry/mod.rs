@@ -9,6 +9,7 @@ pub mod classical;
 pub mod completion;
 pub mod dense;
 pub mod detours;
+pub mod ellipsoid;
 pub mod faint;
 pub mod footprint;
 pub mod frame;

@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use super::HistoryError;
 use super::ancestry::{Ancestry, Table};
-pub use super::exposures::RawRecords;
-use super::exposures::{CaptureKey, Exposures};
+use super::exposures::Exposures;
+pub use super::exposures::{CaptureKey, RawRecords};
 use crate::table;
 use crate::tables::{Label, Name, Onset, Residual};
 use crate::units::PatchId;
@@ -68,7 +68,9 @@ impl OnsetBehind {
         }
     }
 
-    pub(super) fn of_residual(row: &Residual) -> Self {
+    /// What the solution says of it.
+    #[must_use]
+    pub fn of_residual(row: &Residual) -> Self {
         Self {
             path: Some(row.path.clone()),
             residual_ps: Some(row.residual_ps),
@@ -78,16 +80,21 @@ impl OnsetBehind {
         }
     }
 
-    pub(super) fn of_label(row: &Label) -> Self {
+    /// What its label says.
+    #[must_use]
+    pub fn of_label(row: &Label) -> Self {
         Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank).labelled(row)
     }
 
-    pub(super) fn of_onset(row: &Onset) -> Self {
+    /// As it was detected.
+    #[must_use]
+    pub fn of_onset(row: &Onset) -> Self {
         Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank).detected(row)
     }
 
     /// With what the label says, where nothing better is known.
-    fn labelled(mut self, row: &Label) -> Self {
+    #[must_use]
+    pub fn labelled(mut self, row: &Label) -> Self {
         self.path = self.path.or_else(|| row.path.clone());
         self.turns = Some(row.turns);
         self.probability = Some(row.probability);
@@ -96,7 +103,9 @@ impl OnsetBehind {
         self
     }
 
-    fn detected(mut self, row: &Onset) -> Self {
+    /// With what its detection says.
+    #[must_use]
+    pub fn detected(mut self, row: &Onset) -> Self {
         self.time_ps = Some(row.time_ps);
         self.time_sd_ps = Some(row.time_sd_ps);
         self.snr = Some(row.snr);
@@ -105,11 +114,14 @@ impl OnsetBehind {
     }
 
     /// Its capture.
-    pub(super) fn capture(&self) -> CaptureKey {
+    #[must_use]
+    pub fn capture(&self) -> CaptureKey {
         (self.campaign.clone(), self.sensor.clone(), self.lit, self.seen)
     }
 
-    fn id(&self) -> (CaptureKey, i32) {
+    /// Its capture and rank.
+    #[must_use]
+    pub fn id(&self) -> (CaptureKey, i32) {
         (self.capture(), self.rank)
     }
 }

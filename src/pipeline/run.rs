@@ -1,6 +1,7 @@
 //! The run: pass after pass until every wanted table is whole, and the views that show them.
 
 use std::collections::BTreeMap;
+use std::time::Instant;
 
 use super::cut::next_pass;
 use super::pass::{self, Ended, Pass};
@@ -8,6 +9,7 @@ use super::plan::Plan;
 use super::progress::Progress;
 use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
+use crate::store::runs::PassRecord;
 use crate::store::{Digest, StoreError, TableRecord};
 use crate::tables::{Reject, Row};
 
@@ -20,6 +22,8 @@ pub struct Outcome {
     pub computed: Vec<String>,
     /// Rows set aside, in all wanted tables.
     pub rejects: u64,
+    /// Passes that it took.
+    pub passes: Vec<PassRecord>,
 }
 
 /// Runs what the plan wants and does not have. Not to be called from one of rayon's own threads: stages would wait for workers that wait for them.
@@ -39,6 +43,8 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         let source = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root));
         let bytes = source.map_or(0, |source| pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
         progress.pass(&headings, bytes);
+        let tables = headings.iter().map(|heading| (*heading).to_owned()).collect();
+        let started = Instant::now();
         for heading in headings {
             // A table whose parts lack different steps takes several passes.
             if !outcome.computed.iter().any(|computed| computed == heading) {
@@ -57,6 +63,7 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         closed?;
         plan.refresh(&content)?;
         publish(plan, &pass.steps, &mut outcome)?;
+        outcome.passes.push(PassRecord { tables, raw_bytes: bytes, seconds: started.elapsed().as_secs_f64() });
         if ended == Ended::Interrupted {
             return Err(RunError::Interrupted { kept: kept(plan, &pass) });
         }

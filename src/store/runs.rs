@@ -29,6 +29,17 @@ pub enum Ending {
     Interrupted,
 }
 
+/// One pass of a run: what it made together, in one reading of its input.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PassRecord {
+    /// Headings of the tables.
+    pub tables: Vec<String>,
+    /// Bytes of raw files read; 0 where stored tables were.
+    pub raw_bytes: u64,
+    /// Time that it took, by the clock.
+    pub seconds: f64,
+}
+
 /// One run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
@@ -56,6 +67,9 @@ pub struct RunRecord {
     pub rejects: u64,
     /// Lineages of the tables that were whole at its end, by view.
     pub tables: BTreeMap<String, Digest>,
+    /// Its passes, in order; none of a run that did not end well.
+    #[serde(default)]
+    pub passes: Vec<PassRecord>,
 }
 
 impl RunRecord {
@@ -83,6 +97,7 @@ impl RunRecord {
             failure: None,
             rejects: 0,
             tables: BTreeMap::new(),
+            passes: Vec::new(),
         })
     }
 
@@ -168,6 +183,7 @@ mod tests {
             failure: None,
             rejects: 0,
             tables: BTreeMap::new(),
+            passes: Vec::new(),
         }
     }
 

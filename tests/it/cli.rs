@@ -35,6 +35,7 @@ fn the_demo_prints_found_and_true_positions_and_names_the_tables() {
         "visible: rms error",
         "hidden: rms error",
         "periscope-demo/out/patches",
+        "periscope-demo/out/report.html",
         "periscope run",
     ] {
         assert!(text.contains(word), "{word} is not in:\n{text}");

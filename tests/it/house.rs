@@ -9,8 +9,8 @@ const FLOORS: [&[&str]; 7] = [
     &["path", "campaign", "waveform"],
     &["geometry", "tables", "formats", "signal"],
     &["stages", "simulate"],
-    &["pipeline", "history", "report", "bound", "exchange"],
-    &["lib"],
+    &["pipeline", "history", "bound", "exchange"],
+    &["lib", "report"],
     &["main", "commands"],
 ];
 
@@ -21,7 +21,7 @@ const GRANTED: [(&str, &str); 1] = [
 ];
 
 /// Packages that have few addresses: (package, files or folders under src that may name it).
-const ADDRESSES: [(&str, &[&str]); 8] = [
+const ADDRESSES: [(&str, &[&str]); 11] = [
     ("rustfft", &["signal/fft.rs"]),
     ("realfft", &["signal/fft.rs"]),
     ("faer", &["geometry/", "signal/"]),
@@ -30,6 +30,9 @@ const ADDRESSES: [(&str, &[&str]); 8] = [
     ("parquet", &["store/"]),
     ("polars", &["store/query.rs"]),
     ("crossbeam_channel", &["pipeline/"]),
+    ("plotly", &["report/page/"]),
+    ("maud", &["report/page/"]),
+    ("plotters", &["report/figures/"]),
 ];
 
 fn sources() -> Vec<(String, String)> {

@@ -1,0 +1,42 @@
+//! `periscope report`.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use periscope::report::{self, figures, page};
+
+/// Arguments of `report`.
+#[derive(Args)]
+pub struct Report {
+    /// Result folder
+    out: PathBuf,
+    /// File for the page (default: report.html in the result folder)
+    #[arg(long, value_name = "FILE")]
+    to: Option<PathBuf>,
+    /// Write figures for a paper (SVG) into this folder, instead of the page
+    #[arg(long, value_name = "DIR", conflicts_with = "to")]
+    figures: Option<PathBuf>,
+}
+
+/// The command.
+pub fn report(args: &Report) -> Result<ExitCode> {
+    let report = report::Report::of(&args.out)?;
+    if let Some(folder) = &args.figures {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+        for (name, svg) in figures::all(&report)? {
+            write(&folder.join(format!("{name}.svg")), &svg)?;
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
+    let file = args.to.clone().unwrap_or_else(|| args.out.join("report.html"));
+    write(&file, &page::page(&report))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn write(file: &Path, text: &str) -> Result<()> {
+    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))?;
+    println!("{}", file.display());
+    Ok(())
+}

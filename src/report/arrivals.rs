@@ -1,0 +1,77 @@
+//! The onsets that a solution was offered, with all that residuals, labels and onsets say of them.
+
+use std::collections::BTreeMap;
+
+use super::sources::Sources;
+use crate::history::HistoryError;
+use crate::history::behind::{CaptureKey, OnsetBehind};
+use crate::tables::{Label, Onset, Residual};
+use crate::units::PatchId;
+
+/// Onsets by capture and rank.
+#[derive(Default)]
+pub struct Arrivals {
+    /// In the order of time within each capture.
+    pub by_capture: BTreeMap<CaptureKey, Vec<OnsetBehind>>,
+    /// Heading of the table that they come from.
+    pub heading: Option<String>,
+}
+
+impl Arrivals {
+    /// All onsets behind the answer; those without a label too.
+    ///
+    /// # Errors
+    /// When a table cannot be read.
+    pub fn of(sources: &Sources<'_>) -> Result<Self, HistoryError> {
+        let mut all: BTreeMap<(CaptureKey, i32), OnsetBehind> = BTreeMap::new();
+        // What says most comes first; the others fill in what it leaves open.
+        for residual in sources.rows(|_: &Residual| true)? {
+            let onset = OnsetBehind::of_residual(&residual);
+            all.insert(onset.id(), onset);
+        }
+        for label in sources.rows(|label: &Label| label.alternative == 0)? {
+            let onset = OnsetBehind::of_label(&label);
+            let known = all.remove(&onset.id());
+            all.insert(onset.id(), known.map_or(onset, |known| known.labelled(&label)));
+        }
+        for detected in sources.rows(|_: &Onset| true)? {
+            let onset = OnsetBehind::of_onset(&detected);
+            let known = all.remove(&onset.id());
+            all.insert(onset.id(), known.map_or(onset, |known| known.detected(&detected)));
+        }
+        let mut by_capture: BTreeMap<CaptureKey, Vec<OnsetBehind>> = BTreeMap::new();
+        for ((capture, _), onset) in all {
+            by_capture.entry(capture).or_default().push(onset);
+        }
+        let heading =
+            sources.heading("residuals").or_else(|| sources.heading("labels")).or_else(|| sources.heading("onsets"));
+        Ok(Self { by_capture, heading })
+    }
+
+    /// All of them, in the order of captures.
+    pub fn iter(&self) -> impl Iterator<Item = &OnsetBehind> {
+        self.by_capture.values().flatten()
+    }
+
+    /// Those whose path meets a patch; without paths those of its own captures.
+    pub fn over(&self, patch: PatchId) -> impl Iterator<Item = &OnsetBehind> {
+        self.iter().filter(move |onset| match &onset.path {
+            Some(path) => path.contains(&patch),
+            None => onset.lit == patch || onset.seen == patch,
+        })
+    }
+}
+
+/// How far an onset lies from where the solution has it, in standard deviations; 0 where nothing tells.
+pub fn doubt(onset: &OnsetBehind) -> f64 {
+    let pull = onset.pull.map_or(0.0, f64::abs);
+    if onset.used == Some(false) { pull.max(1e3) } else { pull }
+}
+
+/// A path in words: `4 > 9 > 2`.
+pub fn path_text(path: Option<&[PatchId]>) -> String {
+    path.map_or_else(
+        || "no path known".to_owned(),
+        |path| path.iter().map(ToString::to_string).collect::<Vec<_>>().join(" > "),
+    )
+}

@@ -1,0 +1,48 @@
+//! The onsets behind each patch.
+
+use maud::{Markup, html};
+
+use super::solution::onsets;
+use super::words::count;
+use crate::report::Report;
+use crate::report::arrivals::doubt;
+
+/// Patches with a list of their own at most.
+const PATCHES: usize = 500;
+/// Onsets in all lists together at most.
+const ROWS: usize = 6000;
+/// Onsets in one list at most.
+const LONGEST: usize = 60;
+
+/// A list a patch, closed until it is asked for.
+pub fn section(report: &Report) -> Markup {
+    let Some(scene) = &report.scene else { return html! {} };
+    let shown = scene.patches.len().min(PATCHES);
+    let longest = (ROWS / shown.max(1)).clamp(4, LONGEST);
+    html! {
+        section #patches {
+            h2 { "Why each patch is where it is" }
+            @for placed in scene.patches.iter().take(PATCHES) {
+                @let patch = placed.patch.patch;
+                @let over = by_doubt(report, patch);
+                details.patch id={ "patch-" (patch) } {
+                    summary { "Patch " (patch) " (" (placed.patch.kind) "): " (count(over.len(), "onset", "onsets")) }
+                    (onsets(report, over.iter().take(longest).copied()))
+                    p.note {
+                        @if over.len() > longest { "The " (longest) " farthest off of " (over.len()) ". " }
+                        "All, back to the raw exposures: " code { "periscope explain " (report.folder) " patch=" (patch) }
+                    }
+                }
+            }
+            @if scene.patches.len() > shown {
+                p.note { "The first " (shown) " of " (scene.patches.len()) " patches; any other: " code { "periscope explain " (report.folder) " patch=NUMBER" } }
+            }
+        }
+    }
+}
+
+fn by_doubt(report: &Report, patch: crate::units::PatchId) -> Vec<&crate::history::behind::OnsetBehind> {
+    let mut over: Vec<_> = report.arrivals.over(patch).collect();
+    over.sort_by(|a, b| doubt(b).total_cmp(&doubt(a)));
+    over
+}

@@ -1,0 +1,166 @@
+//! Where the surfaces are, the paths of light that say so, and what is left open.
+
+use std::collections::BTreeMap;
+
+use super::arrivals::Arrivals;
+use super::provenance::Provenance;
+use super::sources::Sources;
+use super::spread;
+use crate::campaign::Campaign;
+use crate::campaign::keys::LASER;
+use crate::geometry::ellipsoid::semi_axes_m;
+use crate::history::HistoryError;
+use crate::tables::{Ambiguity, Fit, Gap, Hypothesis, Patch, Plane, Suspect};
+
+/// Paths drawn at most.
+const RAYS: usize = 120;
+/// Ellipsoids are drawn so much larger that the longest semi-axes, but for a tenth of the patches, are about this share of the scene.
+const ELLIPSOID_SHARE: f64 = 0.04;
+
+/// A patch with its ellipsoid.
+pub struct Placed {
+    /// Its row.
+    pub patch: Patch,
+    /// Semi-axes of one standard deviation, longest first; `None` for a start value.
+    pub semi_axes_m: Option<[[f64; 3]; 3]>,
+}
+
+impl Placed {
+    fn new(patch: Patch) -> Self {
+        let covariance = || {
+            let [xx, xy, xz] = [patch.cov_xx_m2?, patch.cov_xy_m2?, patch.cov_xz_m2?];
+            let [yy, yz, zz] = [patch.cov_yy_m2?, patch.cov_yz_m2?, patch.cov_zz_m2?];
+            Some([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        };
+        Self { semi_axes_m: covariance().map(|covariance| semi_axes_m(&covariance)), patch }
+    }
+
+    /// Its place.
+    pub fn at(&self) -> [f64; 3] {
+        [self.patch.x_m, self.patch.y_m, self.patch.z_m]
+    }
+}
+
+/// A path of light over patches that were found.
+pub struct Ray {
+    /// Bounces.
+    pub bounces: usize,
+    /// Whether it meets a patch that neither laser nor sensor sees.
+    pub is_hidden: bool,
+    /// Its corners: laser, patches, sensor.
+    pub corners_m: Vec<[f64; 3]>,
+}
+
+/// The answer.
+pub struct Scene {
+    /// Heading of the table of positions.
+    pub heading: String,
+    /// The best solution.
+    pub patches: Vec<Placed>,
+    /// Other places that the data leave.
+    pub alternatives: Vec<Patch>,
+    /// Where laser and sensors stand, by name; empty where the campaign's folder is gone.
+    pub stations: BTreeMap<String, [f64; 3]>,
+    /// Paths of light, a choice.
+    pub rays: Vec<Ray>,
+    /// The solution as a whole.
+    pub fit: Option<Fit>,
+    /// What the onsets leave undetermined.
+    pub ambiguities: Vec<Ambiguity>,
+    /// Labelled onsets to look at, worst first.
+    pub suspects: Vec<Suspect>,
+    /// Likeliest places of patches that were not sure enough.
+    pub declined: Vec<Hypothesis>,
+    /// Planes through patches.
+    pub planes: Vec<Plane>,
+    /// Middles between hidden strips.
+    pub gaps: Vec<Gap>,
+    /// Factor by which ellipsoids are drawn larger.
+    pub ellipsoid_factor: f64,
+}
+
+impl Scene {
+    /// The answer; `None` where no stage solved for positions.
+    ///
+    /// # Errors
+    /// When a table cannot be read.
+    pub fn of(
+        sources: &Sources<'_>,
+        provenance: &Provenance,
+        arrivals: &Arrivals,
+    ) -> Result<Option<Self>, HistoryError> {
+        let Some(heading) = sources.heading("patches") else { return Ok(None) };
+        let (best, alternatives): (Vec<Patch>, Vec<Patch>) =
+            sources.rows(|_: &Patch| true)?.into_iter().partition(|patch| patch.alternative == 0);
+        let patches: Vec<Placed> = best.into_iter().map(Placed::new).collect();
+        let places: BTreeMap<i32, &Placed> = patches.iter().map(|placed| (placed.patch.patch, placed)).collect();
+        let campaigns: BTreeMap<&str, Campaign> =
+            provenance.campaigns().filter_map(|(name, folder)| Some((name, Campaign::load(folder).ok()?))).collect();
+        let stations: BTreeMap<String, [f64; 3]> = campaigns
+            .values()
+            .flat_map(|campaign| campaign.stations.iter().map(|(name, station)| (name.clone(), station.position_m)))
+            .collect();
+        let ray = |onset: &crate::history::behind::OnsetBehind| {
+            let (campaign, path) = (campaigns.get(&*onset.campaign)?, onset.path.as_ref()?);
+            let on_path: Vec<&Placed> = path.iter().map(|patch| places.get(patch).copied()).collect::<Option<_>>()?;
+            let sensor = campaign.station_of(&onset.sensor)?;
+            let mut corners_m = vec![campaign.stations[LASER].position_m];
+            corners_m.extend(on_path.iter().map(|placed| placed.at()));
+            corners_m.push(sensor.position_m);
+            let is_hidden = on_path.iter().any(|placed| &*placed.patch.kind == "hidden");
+            Some(Ray { bounces: path.len(), is_hidden, corners_m })
+        };
+        let all: Vec<Ray> = arrivals.iter().filter(|onset| onset.used != Some(false)).filter_map(ray).collect();
+        let (hidden, seen): (Vec<Ray>, Vec<Ray>) = all.into_iter().partition(|ray| ray.is_hidden);
+        let mut rays = chosen(hidden);
+        rays.extend(chosen(seen));
+        Ok(Some(Self {
+            heading,
+            ellipsoid_factor: ellipsoid_factor(&patches),
+            alternatives,
+            stations,
+            rays,
+            fit: sources.rows(|fit: &Fit| fit.alternative == 0)?.pop(),
+            ambiguities: sources.rows(|_: &Ambiguity| true)?,
+            suspects: sources.rows(|_: &Suspect| true)?,
+            declined: sources.rows(|found: &Hypothesis| &*found.kind == "patch" && found.patch.is_none())?,
+            planes: sources.rows(|_: &Plane| true)?,
+            gaps: sources.rows(|_: &Gap| true)?,
+            patches,
+        }))
+    }
+}
+
+fn chosen(rays: Vec<Ray>) -> Vec<Ray> {
+    let places: Vec<usize> = (0..rays.len()).collect();
+    let kept = spread(&places, RAYS);
+    let mut kept = kept.into_iter().peekable();
+    rays.into_iter().enumerate().filter(|(place, _)| kept.next_if_eq(place).is_some()).map(|(_, ray)| ray).collect()
+}
+
+/// Factor of 1, 2 or 5 times a power of ten.
+fn ellipsoid_factor(patches: &[Placed]) -> f64 {
+    let mut longest_m: Vec<f64> =
+        patches.iter().filter_map(|placed| placed.semi_axes_m).map(|axes| norm(axes[0])).filter(|m| *m > 0.0).collect();
+    if longest_m.is_empty() {
+        return 1.0;
+    }
+    longest_m.sort_by(f64::total_cmp);
+    let extent_m = (0..3)
+        .map(|axis| {
+            let along = patches.iter().map(|placed| placed.at()[axis]);
+            along.clone().fold(f64::NEG_INFINITY, f64::max) - along.fold(f64::INFINITY, f64::min)
+        })
+        .fold(0.0, f64::max);
+    let factor = ELLIPSOID_SHARE * extent_m / longest_m[longest_m.len() * 9 / 10];
+    if factor <= 1.0 {
+        return 1.0;
+    }
+    let power = 10f64.powi(factor.log10().floor() as i32);
+    [5.0, 2.0, 1.0].into_iter().map(|step| step * power).find(|round| *round <= factor).unwrap_or(power)
+}
+
+/// Length of a vector.
+pub fn norm(vector: [f64; 3]) -> f64 {
+    vector.iter().map(|value| value * value).sum::<f64>().sqrt()
+}

@@ -1,0 +1,62 @@
+//! Which tables are shown: the answer, and what it was made from.
+
+use std::collections::BTreeSet;
+
+use crate::history::HistoryError;
+use crate::history::ancestry::{Ancestry, Table};
+use crate::tables::{Patch, Row};
+
+/// The tables of a result folder that one solution goes back to.
+pub struct Sources<'a> {
+    ancestry: &'a Ancestry,
+    /// The positions that count as the answer; `None` where no stage solved for positions.
+    answer: Option<Table>,
+}
+
+impl<'a> Sources<'a> {
+    /// The answer is the view `patches`, else the last table of positions in the dataflow.
+    pub fn of(ancestry: &'a Ancestry) -> Self {
+        let views = ancestry.views();
+        let mut solutions = views.iter().filter(|(_, table)| table.name == Patch::TABLE);
+        let named = solutions.clone().find(|(view, _)| view == Patch::TABLE);
+        let answer = named.or_else(|| solutions.next_back()).map(|(_, table)| table.clone());
+        Self { ancestry, answer }
+    }
+
+    /// The table of this name that goes with the answer: made by the same work, else the nearest that the answer was made from, else the last in the dataflow.
+    pub fn table(&self, name: &str) -> Option<Table> {
+        let of_answer = self.answer.as_ref().and_then(|answer| {
+            if answer.name == name {
+                return Some(answer.clone());
+            }
+            self.ancestry.beside(answer, name).or_else(|| self.ancestry.nearest(answer, name))
+        });
+        let last = || self.ancestry.views().into_iter().rev().map(|(_, table)| table).find(|table| table.name == name);
+        of_answer.or_else(last)
+    }
+
+    /// What the table of this name is called; `None` where there is none.
+    pub fn heading(&self, name: &str) -> Option<String> {
+        self.table(name).map(|table| self.ancestry.label(&table))
+    }
+
+    /// Rows of the table of [`Row::TABLE`] that are wanted; none where there is no such table, or it is not kept.
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn rows<R: Row>(&self, wanted: impl Fn(&R) -> bool) -> Result<Vec<R>, HistoryError> {
+        self.rows_near(&[], wanted)
+    }
+
+    /// The same for rows that have one of these numbers in these columns: others need not be read.
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn rows_near<R: Row>(
+        &self,
+        numbers: &[(&str, &BTreeSet<i32>)],
+        wanted: impl Fn(&R) -> bool,
+    ) -> Result<Vec<R>, HistoryError> {
+        self.table(R::TABLE).map_or_else(|| Ok(Vec::new()), |table| self.ancestry.rows_near(&table, numbers, wanted))
+    }
+}
