@@ -45,6 +45,10 @@ pub struct Convert {
     tof: Option<PathBuf>,
 }
 
+/// Bins across the response's width: with fewer than the first nothing can be timed, with as many as the second error bars hold.
+const COARSE_BINS: f64 = 2.0;
+const FINE_BINS: f64 = 3.0;
+
 const AFTER_HELP: &str = "Then:  periscope run pipelines/relay-wall.toml --campaign DIR --out RESULTS\nWhat is taken from each format: docs/interoperation.md";
 
 /// The command.
@@ -60,6 +64,15 @@ pub fn convert(args: &Convert) -> Result<ExitCode> {
     let unsaid =
         Unsaid { dt_ps: args.dt_ps, wall_m: args.wall_m, start_ps: args.start_ps, delays: args.tof.as_deref() };
     let capture = exchange::read(&args.capture, &unsaid)?;
+    if args.fwhm_ps < COARSE_BINS * capture.dt_ps {
+        bail!(
+            "{}: bins of {:.1} ps are too wide for a response of {} ps: times would be off by parts of a bin, far beyond their error bars; two bins \
+             across the response are the least: fold the histograms with a wider pulse",
+            args.capture.display(),
+            capture.dt_ps,
+            args.fwhm_ps
+        );
+    }
     let told = Told {
         name: name(&args.capture),
         fwhm_ps: args.fwhm_ps,
@@ -78,9 +91,9 @@ pub fn convert(args: &Convert) -> Result<ExitCode> {
         capture.bins(),
         capture.dt_ps
     );
-    if args.fwhm_ps < 2.0 * capture.dt_ps {
+    if args.fwhm_ps < FINE_BINS * capture.dt_ps {
         eprintln!(
-            "warning: a response of {} ps in bins of {:.1} ps: times will be off by parts of a bin",
+            "warning: a response of {} ps in bins of {:.1} ps: error bars will be too small; bins no wider than a third of it keep them right",
             args.fwhm_ps, capture.dt_ps
         );
     }

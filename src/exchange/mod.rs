@@ -57,6 +57,3 @@ pub enum ExchangeError {
         source: std::io::Error,
     },
 }
-
-#[cfg(test)]
-mod tests;

@@ -43,12 +43,13 @@ fn found(folder: &Path) -> Vec<Patch> {
     batches.iter().flat_map(|batch| <Patch as periscope::tables::Row>::rows(batch).unwrap()).collect()
 }
 
-/// Squared error of a hidden point in standard deviations, over three; it must have been found.
+/// Squared error of a hidden point in standard deviations, over three; it must have been found. Prints both in millimetres, for docs/interoperation.md.
 fn squared_error(patches: &[Patch], truth: [f64; 3]) -> f64 {
     let at = |patch: &&Patch| gap_m([patch.x_m, patch.y_m, patch.z_m], truth);
     let hidden = patches.iter().filter(|patch| patch.alternative == 0 && &*patch.kind == "hidden");
     let patch = hidden.min_by(|a, b| at(a).total_cmp(&at(b))).expect("a hidden patch");
     assert!(at(&patch) < 0.002, "{truth:?} is {} m from what was found", at(&patch));
+    println!("error {:.3} mm, standard deviation {:.3} mm", 1e3 * at(&patch), 1e3 * patch.sd_m.unwrap());
     let cov = |value: Option<f64>| value.unwrap();
     let (xy, xz, yz) = (cov(patch.cov_xy_m2), cov(patch.cov_xz_m2), cov(patch.cov_yz_m2));
     let (xx, yy, zz) = (cov(patch.cov_xx_m2), cov(patch.cov_yy_m2), cov(patch.cov_zz_m2));
@@ -74,10 +75,12 @@ fn hidden_points_are_found_from_captures_of_every_layout() {
         let patches = found(folder.path());
         let hidden = patches.iter().filter(|patch| patch.alternative == 0 && &*patch.kind == "hidden").count();
         assert_eq!(hidden, HIDDEN.len(), "{made:?}");
+        println!("{made:?}");
         errors.extend(HIDDEN.map(|truth| squared_error(&patches, truth)));
     }
     // Thirty coordinates: the mean lies between these in all but one of some 10,000 sets of draws.
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    println!("mean squared error {mean:.2} of what the covariances claim");
     assert!((0.3..2.2).contains(&mean), "{errors:?}");
 }
 
