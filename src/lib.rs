@@ -9,7 +9,8 @@
 //! - [`stages`] are the verbs: each takes rows of one table, gives rows of another, and knows neither files nor threads. [`simulate`] makes
 //!   campaigns whose truth is known, and shares no code with them.
 //! - [`pipeline`] turns a pipeline file into a plan, and a plan into finished tables; it knows no physics. [`history`] goes the other way: from a row
-//!   back to the raw files, and from two result folders to what made them differ. [`report`] draws what a result folder says.
+//!   back to the raw files, and from two result folders to what made them differ. [`report`] draws what a result folder says. [`exchange`] turns captures
+//!   of other programs into campaigns, and results into files that other programs open.
 //!
 //! How to use the program stands in the [`guide`].
 //!
@@ -26,6 +27,7 @@
 
 pub mod bound;
 pub mod campaign;
+pub mod exchange;
 pub mod formats;
 pub mod geometry;
 #[cfg(doc)]

@@ -57,6 +57,10 @@ enum Command {
     Verify(commands::verify::Verify),
     /// Make a campaign of scope files from a scene description, with truth beside it
     Simulate(commands::simulate::Simulate),
+    /// Make a campaign of a capture of non-line-of-sight imaging (y-tal, Z-NLOS, confocal MAT-files)
+    Convert(commands::convert::Convert),
+    /// Write results for other programs: patches as a point cloud, profiles as a capture of y-tal
+    Export(commands::export::Export),
     /// Before capturing: what a scene will show and how well, how long it takes, and what a change would bring
     Design(commands::design::Design),
     /// Show the columns of the tables, with units and meanings
@@ -86,6 +90,8 @@ fn main() -> ExitCode {
         Command::Seal(args) => commands::seal::seal(&args),
         Command::Verify(args) => commands::verify::verify(&args),
         Command::Simulate(args) => commands::simulate::simulate(&args),
+        Command::Convert(args) => commands::convert::convert(&args),
+        Command::Export(args) => commands::export::export(&args),
         Command::Design(args) => commands::design::design(&args),
         Command::Schema(args) => commands::schema::schema(&args),
         Command::Completions { shell } => {

@@ -2,10 +2,12 @@
 
 mod aftermath;
 pub mod check;
+pub mod convert;
 pub mod demo;
 pub mod design;
 pub mod diff;
 pub mod explain;
+pub mod export;
 pub mod inspect;
 mod interrupt;
 pub mod man;

@@ -1,5 +1,6 @@
 //! Scope files to records: one file a format, behind one trait. The format is found by content first, then by extension.
 
+pub mod array;
 pub mod becker_hickl_sdt;
 pub mod caen_wavedump;
 pub mod csv;
@@ -10,6 +11,7 @@ mod inflate;
 pub mod keysight_bin;
 pub mod lecroy_1_0;
 pub mod lecroy_trc;
+pub mod mat5;
 pub mod npy;
 pub mod npz;
 mod numbers;

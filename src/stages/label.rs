@@ -8,7 +8,7 @@
 //! - No second bounce is shorter than both first bounces nor longer than their sum, and where laser and sensor stand together, (j, i) has the same
 //!   first light as (i, j): that sets false onsets aside.
 //!
-//! With `patches` beside it, every path of up to `bounces` bounces (5 at most) is predicted, but for those over a pair whose direct light is missing, and every
+//! With `patches` beside it, every path of up to `bounces` bounces (5 at most) is predicted, but for those over a pair whose direct light is missing (or was not captured, where both lie on one wall), and every
 //! onset associated ([`crate::geometry::association`]). How often paths of an order are seen, with and without hidden patches among theirs, is learned from the campaign, once. The first order of
 //! which more than 0.3 paths lie within a standard deviation of a time is not labelled, nor are those above it: from its first path on it counts as clutter. A label less probable than `probability_min` is left open (path null), its candidates told
 //! as alternatives.
@@ -212,7 +212,7 @@ impl Verdict {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

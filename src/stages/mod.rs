@@ -1,5 +1,6 @@
 //! The stages: one file a verb. Adding one is a file, a line in `parse`, and a table if it makes a new kind of row.
 
+pub mod anchor;
 pub mod average;
 pub mod calibrate;
 mod calibrated;
@@ -62,8 +63,9 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 17] = [
+pub const KINDS: [&str; 18] = [
     "ingest",
+    "anchor",
     "calibrate",
     "average",
     "track",
@@ -101,6 +103,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
     }
     Ok(match kind {
         "ingest" => Node::Source(params_of::<ingest::Ingest>(params)?),
+        "anchor" => Node::Source(params_of::<anchor::AnchorPatches>(params)?),
         "import" => Node::Source(params_of::<import::Import>(params)?),
         "calibrate" => Node::Operator(params_of::<calibrate::Calibrate>(params)?),
         "average" => Node::Operator(params_of::<average::Average>(params)?),

@@ -69,7 +69,7 @@ pub struct Context {
 
 impl Stage for Range {
     const KIND: &'static str = "range";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

@@ -9,7 +9,7 @@ const FLOORS: [&[&str]; 7] = [
     &["path", "campaign", "waveform"],
     &["geometry", "tables", "formats", "signal"],
     &["stages", "simulate"],
-    &["pipeline", "history", "bound"],
+    &["pipeline", "history", "bound", "exchange"],
     &["lib", "report", "guide"],
     &["main", "commands"],
 ];

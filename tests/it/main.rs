@@ -23,6 +23,7 @@ mod house;
 mod ingest;
 mod installed;
 mod inter_reflections;
+mod interop;
 mod lab;
 mod laws;
 mod lifecycle;

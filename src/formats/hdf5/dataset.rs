@@ -26,14 +26,22 @@ pub(super) struct Dataset {
 }
 
 /// Where the data of an object are.
-enum Layout<'a> {
+pub(super) enum Layout<'a> {
     Compact(&'a [u8]),
-    Contiguous { at: u64, bytes: u64 },
-    Chunked { tree: u64, chunk: u64, element: u64 },
+    Contiguous {
+        at: u64,
+        bytes: u64,
+    },
+    /// Elements of a chunk on each axis, and bytes of an element.
+    Chunked {
+        tree: u64,
+        chunk: Vec<u64>,
+        element: u64,
+    },
 }
 
 impl<'a> Layout<'a> {
-    fn read(header: &'a Header) -> Result<Self, FormatError> {
+    pub fn read(header: &'a Header) -> Result<Self, FormatError> {
         let layout = header.need(message::LAYOUT, "data layout")?;
         let lost = || field(header.place, "the data layout is cut short; copy the file again");
         match layout {
@@ -44,12 +52,13 @@ impl<'a> Layout<'a> {
             [3, 1, rest @ ..] if rest.len() >= 16 => {
                 Ok(Self::Contiguous { at: u64_at(rest, 0), bytes: u64_at(rest, 8) })
             }
-            // One axis, and the element as a second.
-            [3, 2, 2, rest @ ..] if rest.len() >= 16 => Ok(Self::Chunked {
-                tree: u64_at(rest, 0),
-                chunk: u64::from(u32_at(rest, 8)),
-                element: u64::from(u32_at(rest, 12)),
-            }),
+            // The element stands as one axis more.
+            [3, 2, axes, rest @ ..] if *axes >= 2 && rest.len() >= 8 + 4 * usize::from(*axes) => {
+                let last = usize::from(*axes) - 1;
+                let length = |axis: usize| u64::from(u32_at(rest, 8 + 4 * axis));
+                let chunk = (0..last).map(length).collect();
+                Ok(Self::Chunked { tree: u64_at(rest, 0), chunk, element: length(last) })
+            }
             [version, class, ..] => {
                 let problem = format!(
                     "a data layout of version {version} and class {class} is not read; \
@@ -97,15 +106,18 @@ impl Dataset {
                         "a data set needs {bytes} bytes, {stored} were written; save the waveform again"
                     )));
                 }
-                file.claim(at, bytes)?;
-                Payload::File { byte_offset: at, stride: number.bytes() as u64, big_endian: number.big_endian }
+                let byte_offset = file.claim(at, bytes)?;
+                Payload::File { byte_offset, stride: number.bytes() as u64, big_endian: number.big_endian }
             }
             Layout::Chunked { tree, chunk, element } => {
-                if chunk == 0 || element != number.bytes() as u64 {
-                    return Err(refuse(format!(
-                        "chunks of {chunk} elements of {element} bytes do not fit the data type"
-                    )));
-                }
+                let chunk = match chunk[..] {
+                    [chunk] if chunk > 0 && element == number.bytes() as u64 => chunk,
+                    _ => {
+                        return Err(refuse(format!(
+                            "chunks of {chunk:?} elements of {element} bytes do not fit the data type"
+                        )));
+                    }
+                };
                 let chunk_bytes = chunk * element;
                 let chunks = chunks(file, header, tree, chunk, chunk_bytes)?;
                 if chunks.len() as u64 != bytes.div_ceil(chunk_bytes) {
@@ -177,9 +189,9 @@ fn chunks(
         let problem = format!("the chunk of sample {wrong} does not follow the one before it; save the waveform again");
         return Err(field(tree, problem));
     }
-    for Chunk { at, packed, packing } in &chunks {
+    for Chunk { at, packed, packing } in &mut chunks {
         let packed = u64::from(*packed);
-        file.claim(*at, packed)?;
+        *at = file.claim(*at, packed)?;
         if !inflate::can_hold(packed, chunk_bytes) || *packing == Packing::Stored && packed != chunk_bytes {
             let problem =
                 format!("a chunk of {packed} bytes cannot hold the {chunk_bytes} bytes it should; copy the file again");
@@ -190,7 +202,7 @@ fn chunks(
 }
 
 /// Whether chunks are deflated; any other filter is refused by its number.
-fn deflated(header: &Header) -> Result<bool, FormatError> {
+pub(super) fn deflated(header: &Header) -> Result<bool, FormatError> {
     let Some(filters) = header.find(message::FILTERS)? else {
         return Ok(false);
     };

@@ -2,6 +2,7 @@
 
 use super::super::reader::{FormatError, Input};
 use super::field;
+use crate::waveform::ReadSeek;
 
 /// The bytes with which a file begins.
 pub(super) const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
@@ -25,9 +26,14 @@ const MESSAGE: usize = 8;
 /// Bytes that may be read beyond the length of the file: an object can have two names.
 const SPARE_BYTES: u64 = 1 << 16;
 
+/// Where a file may begin with bytes of its own, which MATLAB's do, the HDF5 part starts here.
+const USER_BLOCK: u64 = 512;
+
 /// A file of which each part is read once: who refers to one part again and again has used up the file's length before it takes more time or memory.
 pub(super) struct File<'a> {
     input: &'a mut dyn Input,
+    /// What addresses count from.
+    base: u64,
     structure_left: u64,
     names_left: u64,
     samples_left: u64,
@@ -38,8 +44,15 @@ impl<'a> File<'a> {
     pub fn open(input: &'a mut dyn Input) -> Result<(Self, u64), FormatError> {
         let length = input.length();
         let most = length.saturating_add(SPARE_BYTES);
-        let mut file = Self { input, structure_left: most, names_left: most, samples_left: most };
-        let head = file.bytes("the superblock", 0, 24)?;
+        let mut file = Self { input, base: 0, structure_left: most, names_left: most, samples_left: most };
+        let mut head = file.bytes("the superblock", 0, 24)?;
+        if !head.starts_with(SIGNATURE) && length > USER_BLOCK {
+            file.base = USER_BLOCK;
+            head = file.bytes("the superblock", 0, 24)?;
+        }
+        if !head.starts_with(SIGNATURE) {
+            return Err(field(0, "is no HDF5 file; copy it again"));
+        }
         let at = match head[8] {
             0 => 24,
             1 => 28,
@@ -56,8 +69,9 @@ impl<'a> File<'a> {
         }
         let addresses = file.bytes("the superblock", at, 48)?;
         let (base, end, root) = (u64_at(&addresses, 0), u64_at(&addresses, 16), u64_at(&addresses, 40));
-        if base != 0 {
-            return Err(field(at, format!("Base Address {base} is not read, only 0; rewrite the file with h5repack")));
+        if base != file.base {
+            let problem = format!("Base Address {base} is not where the superblock is; rewrite the file with h5repack");
+            return Err(field(at, problem));
         }
         if end > length {
             let what = "all up to the End of File Address in the superblock";
@@ -74,17 +88,29 @@ impl<'a> File<'a> {
     /// Some bytes of the structure.
     pub fn bytes(&mut self, what: &'static str, at: u64, count: u64) -> Result<Vec<u8>, FormatError> {
         self.structure_left = used_up(self.structure_left, at, count)?;
-        self.input.bytes(what, at, count)
+        self.input.bytes(what, at.saturating_add(self.base), count)
     }
 
-    /// Counts samples that lie somewhere in the file.
-    pub fn claim(&mut self, at: u64, count: u64) -> Result<(), FormatError> {
+    /// Samples that lie somewhere in the file.
+    pub fn samples(&mut self, at: u64, count: u64) -> Result<Vec<u8>, FormatError> {
+        let at = self.claim(at, count)?;
+        self.input.bytes("a data set", at, count)
+    }
+
+    /// The file, for samples that have been claimed.
+    pub fn packed(&mut self) -> &mut dyn ReadSeek {
+        self.input.file()
+    }
+
+    /// Counts samples that lie somewhere in the file, and says at which byte.
+    pub fn claim(&mut self, at: u64, count: u64) -> Result<u64, FormatError> {
         let length = self.length();
+        let at = at.saturating_add(self.base);
         if at.checked_add(count).is_none_or(|end| end > length) {
             return Err(FormatError::Truncated { what: "a data set", byte_offset: at, needed: count, length });
         }
         self.samples_left = used_up(self.samples_left, at, count)?;
-        Ok(())
+        Ok(at)
     }
 
     /// The messages of an object.

@@ -4,18 +4,24 @@
 //! headers version 1, groups as symbol tables, attributes in the headers, data sets of one axis that are contiguous, compact, or chunked with or
 //! without deflate (HDF5 File Format Specification 3.0, sections II to IV). Contiguous samples stay in the file, chunks are inflated piece by piece.
 //!
-//! Not read, and refused by name: later superblocks and layouts, other filters, data sets of several axes, shared types. `h5repack -f GZIP=6` makes a
+//! Data sets of several axes are read whole, as [`arrays`]; [`write`] writes such.
+//!
+//! Not read, and refused by name: later superblocks and layouts, other filters, shared types. `h5repack -f GZIP=6` makes a
 //! file with other filters readable.
 
+mod array;
 mod dataset;
 mod file;
 mod keysight;
 mod tektronix;
 mod value;
+mod write;
 
+use super::array::{Array, Arrays};
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::Record;
 use file::{File, SIGNATURE};
+pub use write::write;
 
 /// The reader.
 pub struct Hdf5;
@@ -54,6 +60,21 @@ impl Reader for Hdf5 {
             ),
         ))
     }
+}
+
+/// The arrays of numbers in the root group that are `wanted` by name, those of null data spaces left out; and the names of all that lies there.
+///
+/// # Errors
+/// When the file contradicts the format, or what is wanted is no array of numbers.
+pub fn arrays(input: &mut dyn Input, wanted: impl Fn(&str) -> bool) -> Result<(Arrays, Vec<String>), FormatError> {
+    let (mut file, root) = File::open(input)?;
+    let entries = file.group(root)?;
+    let mut found = Arrays::new();
+    for entry in entries.iter().filter(|entry| wanted(&entry.name)) {
+        let array = Array::read(&mut file, &entry.name, entry.at)?;
+        found.extend(array.map(|array| (entry.name.clone(), array)));
+    }
+    Ok((found, entries.iter().map(|entry| entry.name.clone()).collect()))
 }
 
 fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {

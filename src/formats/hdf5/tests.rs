@@ -1,3 +1,4 @@
+mod arrays;
 mod builder;
 
 use std::io::Cursor;

@@ -13,7 +13,7 @@ const F64: [u8; 12] = [0, 0, 64, 0, 52, 11, 0, 52, 255, 3, 0, 0];
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Number {
     float: bool,
-    signed: bool,
+    pub signed: bool,
     size: u32,
     pub big_endian: bool,
 }

@@ -41,6 +41,13 @@ pub fn fronts(points: &[Point], normals: &[Option<Vector3<f64>>], source: Point,
     points.iter().zip(normals).map(|at| Focus { point: *at.0, normal: front(at) }).collect()
 }
 
+/// Whether two patches exchange light as far as their walls say: not if either lies behind the other's wall, or in its plane.
+#[must_use]
+pub fn exchange_light(a: &Focus, b: &Focus) -> bool {
+    let slack_m = -FLAT * (a.point - b.point).norm();
+    a.faces(b.point, slack_m) && b.faces(a.point, slack_m)
+}
+
 /// Normal of the plane (in flatland the line) on which all points lie.
 fn one_wall(points: &[Point], dimensions: usize) -> Option<Vector3<f64>> {
     let ([least_m, middle_m, most_m], across) = extents_m(points);

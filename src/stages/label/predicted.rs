@@ -6,11 +6,13 @@ use rayon::prelude::*;
 
 use super::blends::Blends;
 use super::chances::Chances;
+use super::facing::foci;
 use super::hidden::Search;
 use super::paths::{DEEP, Dense, Graph, Paths};
 use super::scene::{Scene, View};
 use super::{HiddenPatches, LabelOnsets, OfSensor, Verdict, Verdicts, direct, rank, sd_ps};
 use crate::geometry::association::{Candidate, Expected, GATE, Time, associate};
+use crate::geometry::hidden::facing;
 use crate::stages::stage::Rejection;
 use crate::tables::{Hypothesis, Onset};
 use crate::units::PatchId;
@@ -64,7 +66,7 @@ impl LabelOnsets {
         let ends =
             sensors.iter().flat_map(|sensor| &sensor.profiles).flat_map(|onsets| [onsets[0].lit, onsets[0].seen]);
         let visible: Vec<PatchId> = ends.filter(is_visible).collect::<BTreeSet<_>>().into_iter().collect();
-        let closed: Vec<Pairs> = sensors.iter().map(|sensor| self.closed(scene, sensor)).collect();
+        let closed: Vec<Pairs> = sensors.iter().map(|sensor| self.closed(scene, sensor, &visible)).collect();
         let learned = |graphs: &[Graph]| Chances::prior(&visible).learned(graphs, sensors, self.bounces());
         let predicted = |graphs: &[Graph], chances: &Chances| -> Vec<Verdicts> {
             let all = |blends: Option<&Blends>| -> Vec<Verdicts> {
@@ -128,11 +130,20 @@ impl LabelOnsets {
         sensor.profiles.par_iter().map(labels).collect()
     }
 
-    /// Pairs whose direct light is more likely missing than seen, both ways. Third bounces may lie where it would be: they are predicted too.
-    fn closed(&self, scene: &Scene, sensor: &OfSensor) -> Pairs {
+    /// Pairs whose direct light is more likely missing than seen, both ways, and those that were not captured and whose walls let none pass. Third bounces may
+    /// lie where it would be: they are predicted too.
+    fn closed(&self, scene: &Scene, sensor: &OfSensor, visible: &[PatchId]) -> Pairs {
         let (mut closed, mut open) = (BTreeSet::new(), BTreeSet::new());
         if self.bounces < 3 {
             return closed;
+        }
+        let foci = foci(scene, visible, sensor.source, sensor.setup.dimensions);
+        for (n, (a, focus)) in visible.iter().zip(&foci).enumerate() {
+            let others = visible.iter().zip(&foci).skip(n + 1);
+            closed.extend(others.filter(|(_, other)| !facing::exchange_light(focus, other)).map(|(b, _)| (*a, *b)));
+        }
+        for profile in &sensor.profiles {
+            closed.remove(&(profile[0].lit.min(profile[0].seen), profile[0].lit.max(profile[0].seen)));
         }
         let graph = Graph::new(scene, sensor, &BTreeSet::new(), 3);
         for profile in sensor.profiles.iter().filter(|profile| profile[0].lit != profile[0].seen) {

@@ -308,7 +308,8 @@ impl Solved {
         }));
         let unlikely = self.ranges.iter().filter(|(_, ranges)| {
             let freedom = ranges.degrees_of_freedom as f64;
-            ranges.chi2 > freedom + UNLIKELY * (2.0 * freedom).sqrt()
+            // Without any freedom what is left is rounding.
+            freedom > 0.0 && ranges.chi2 > freedom + UNLIKELY * (2.0 * freedom).sqrt()
         });
         let unlikely = unlikely.map(|(hidden, ranges)| {
             format!(

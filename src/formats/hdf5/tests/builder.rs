@@ -120,14 +120,58 @@ impl Builder {
             Storage::Chunked(elements, deflate) => {
                 let tree = self.chunks(data, elements as usize * width, elements, deflate);
                 let sizes = [elements, width as u32].map(u32::to_le_bytes).concat();
-                let filter =
-                    [[1, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 0].as_slice(), &6_u32.to_le_bytes(), &[0; 4]];
-                ([[3, 2, 2].as_slice(), &tree.to_le_bytes(), &sizes].concat(), deflate.then(|| (0x0B, filter.concat())))
+                ([[3, 2, 2].as_slice(), &tree.to_le_bytes(), &sizes].concat(), deflate.then(|| (0x0B, deflated())))
             }
         };
         let mut messages = vec![(0x01, space(length)), (0x03, datatype), (0x08, layout)];
         messages.extend(filters);
         messages.extend_from_slice(attributes);
+        self.header(&messages)
+    }
+
+    /// A data set of several axes in chunks, deflated or not.
+    pub fn chunked(&mut self, datatype: Vec<u8>, axes: &[u64], data: &[u8], chunk: &[u32], deflate: bool) -> u64 {
+        let rank = axes.len();
+        let element = data.len() / axes.iter().product::<u64>() as usize;
+        let counts: Vec<u64> = axes.iter().zip(chunk).map(|(axis, chunk)| axis.div_ceil(u64::from(*chunk))).collect();
+        let places = |lengths: &[u64]| -> Vec<Vec<u64>> {
+            lengths.iter().fold(vec![Vec::new()], |all, length| {
+                all.iter().flat_map(|start| (0..*length).map(move |i| [start.as_slice(), &[i]].concat())).collect()
+            })
+        };
+        let inside = places(&chunk.iter().map(|length| u64::from(*length)).collect::<Vec<u64>>());
+        let key = |packed: usize, start: &[u64]| {
+            let starts = start.iter().flat_map(|start| start.to_le_bytes()).chain([0; 8]);
+            [(packed as u32).to_le_bytes(), [0; 4]].concat().into_iter().chain(starts).collect::<Vec<u8>>()
+        };
+        let mut pairs = Vec::new();
+        for place in places(&counts) {
+            let start: Vec<u64> = place.iter().zip(chunk).map(|(place, chunk)| place * u64::from(*chunk)).collect();
+            let mut bytes = Vec::new();
+            for offset in &inside {
+                let at: Vec<u64> = start.iter().zip(offset).map(|(start, offset)| start + offset).collect();
+                if at.iter().zip(axes).all(|(at, axis)| at < axis) {
+                    let place = at.iter().zip(axes).fold(0, |place, (at, axis)| place * axis + at) as usize;
+                    bytes.extend(&data[place * element..(place + 1) * element]);
+                } else {
+                    bytes.extend(vec![0xEE; element]);
+                }
+            }
+            if deflate {
+                let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
+                encoder.write_all(&bytes).unwrap();
+                bytes = encoder.finish().unwrap();
+            }
+            pairs.push((key(bytes.len(), &start), self.put(&bytes)));
+        }
+        let last = key(0, axes);
+        let tree = self.tree(1, u8::from(pairs.len() > 2), &pairs, &last);
+        let sizes = chunk.iter().copied().chain([element as u32]).flat_map(u32::to_le_bytes);
+        let layout = [3, 2, rank as u8 + 1].into_iter().chain(tree.to_le_bytes()).chain(sizes).collect();
+        let space = [1, rank as u8, 0, 0, 0, 0, 0, 0].into_iter();
+        let space = space.chain(axes.iter().flat_map(|axis| axis.to_le_bytes())).collect();
+        let mut messages = vec![(0x01, space), (0x03, datatype), (0x08, layout)];
+        messages.extend(deflate.then(|| (0x0B, deflated())));
         self.header(&messages)
     }
 
@@ -160,6 +204,11 @@ impl Builder {
         self.0[..head.len()].copy_from_slice(&head);
         self.0
     }
+}
+
+/// The message that says that chunks are deflated.
+fn deflated() -> Vec<u8> {
+    [[1, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 0].as_slice(), &6_u32.to_le_bytes(), &[0; 4]].concat()
 }
 
 fn space(length: Option<u64>) -> Vec<u8> {

@@ -1,0 +1,70 @@
+//! Confocal scans as MAT-files of the light-cone transform and f-k migration: `rect_data` or `meas` (x, y, time).
+//!
+//! The points are a square on the plane z = 0 about the origin, ends included, hidden things at z > 0; `width` is half of its side. Times of `rect_data` count
+//! from the light's arrival at each point; those of `meas` from the laser's trigger, and `tofgrid` (ps) is what each point's are late.
+//! Source: the demonstration scripts of O'Toole, Lindell and Wetzstein (Nature 555:338, 2018) and of Lindell, Wetzstein and O'Toole (ACM TOG 38:116, 2019).
+
+use super::capture::{Capture, Grid, Histograms, Pair, Spot};
+use super::read::Unsaid;
+use super::y_tal::single;
+use crate::formats::array::Arrays;
+
+/// What is read.
+pub(super) const NAMES: [&str; 4] = ["rect_data", "meas", "width", "tofgrid"];
+
+/// From the arrays of a file, and those of the file with `tofgrid`.
+pub(super) fn read(mut arrays: Arrays, unsaid: &Unsaid, delays: Option<&Arrays>) -> Result<Capture, String> {
+    let is_raw = !arrays.contains_key("rect_data");
+    let data = arrays.remove(if is_raw { "meas" } else { "rect_data" }).ok_or("has no rect_data")?;
+    // MATLAB's first axis comes last.
+    let [bins, ys, xs] = data.axes[..] else {
+        return Err(format!("has {} axes of numbers; a scan has three: x, y and time", data.axes.len()));
+    };
+    if bins == 0 || xs < 2 || ys < 2 {
+        return Err(format!(
+            "is a scan of {xs} x {ys} points and {bins} bins; two points on each side and one bin are the least"
+        ));
+    }
+    let dt_ps = unsaid.dt_ps.ok_or("does not say how wide a bin is; add --dt-ps")?;
+    let half_m = match (unsaid.wall_m, single(&arrays, "width")?) {
+        (Some(wall_m), _) => 0.5 * wall_m,
+        (None, Some(width)) => width,
+        (None, None) => return Err("does not say how large the scanned square is; add --wall-m, its side".to_owned()),
+    };
+    if !(half_m > 0.0 && half_m.is_finite()) {
+        return Err(format!(
+            "has a square of half a side of {half_m} m; it must be positive: correct --wall-m, or `width`"
+        ));
+    }
+    let late_ps = match arrays.get("tofgrid").or_else(|| delays?.get("tofgrid")) {
+        Some(late) if late.axes == [ys, xs] => late.values(),
+        Some(late) => return Err(format!("has {xs} x {ys} points, but tofgrid has axes {:?}", late.axes)),
+        None if delays.is_some() => return Err("has its delays in a file without `tofgrid`; correct --tof".to_owned()),
+        None if is_raw => {
+            return Err(
+                "holds `meas`, whose times count from the laser's trigger; add --tof with the file of `tofgrid`"
+                    .to_owned(),
+            );
+        }
+        None => vec![0.0; xs * ys],
+    };
+    let along = |place: usize, count: usize| half_m * (2.0 * place as f64 / (count - 1) as f64 - 1.0);
+    let spot =
+        |y: usize, x: usize| Spot { position_m: [along(x, xs), along(y, ys), 0.0], normal: Some([0.0, 0.0, 1.0]) };
+    let spots = (0..ys).flat_map(|y| (0..xs).map(move |x| spot(y, x))).collect();
+    let grid = Grid { axes: vec![ys, xs], spots };
+    let start_ps = unsaid.start_ps.unwrap_or(0.0);
+    let pair =
+        |(place, late_ps): (usize, &f64)| Pair { lit: place, seen: place, start_ps: start_ps - late_ps, offset: place };
+    Ok(Capture {
+        format: "confocal MAT",
+        pairs: late_ps.iter().enumerate().map(pair).collect(),
+        lit: grid.clone(),
+        seen: grid,
+        dt_ps,
+        laser_m: None,
+        sensor_m: None,
+        with_legs: false,
+        histograms: Histograms { bins, stride: xs * ys, parts: vec![0], array: data },
+    })
+}

@@ -1,0 +1,72 @@
+//! Files of captures, told apart by what is in them.
+
+use std::path::Path;
+
+use super::{Capture, ExchangeError, confocal_mat, y_tal, z_nlos};
+use crate::formats::array::Arrays;
+use crate::formats::hdf5::{self, Hdf5};
+use crate::formats::{FormatError, Input, Reader, Source, mat5};
+
+/// Bytes by which a file is known; MATLAB writes so many less eight before HDF5.
+const HEAD_BYTES: u64 = 520;
+
+/// What a file may leave unsaid.
+#[derive(Clone, Debug, Default)]
+pub struct Unsaid<'a> {
+    /// Width of a bin.
+    pub dt_ps: Option<f64>,
+    /// Side of the square that was scanned.
+    pub wall_m: Option<f64>,
+    /// Time at which the first bin begins.
+    pub start_ps: Option<f64>,
+    /// File with the delay of each point, `tofgrid`.
+    pub delays: Option<&'a Path>,
+}
+
+/// Reads a capture.
+///
+/// # Errors
+/// When the file cannot be read, is of another format, or leaves something unsaid.
+pub fn read(path: &Path, unsaid: &Unsaid) -> Result<Capture, ExchangeError> {
+    let unfit = |problem: String| ExchangeError::Unfit { path: path.to_owned(), problem };
+    let (arrays, names) = arrays(path)?;
+    let has = |name: &str| arrays.contains_key(name);
+    let capture = if has("H") {
+        y_tal::read(arrays)
+    } else if has("data") && has("cameraGridPositions") {
+        z_nlos::read(arrays)
+    } else if has("rect_data") || has("meas") {
+        let delays = unsaid.delays.map(self::arrays).transpose()?.map(|(arrays, _)| arrays);
+        confocal_mat::read(arrays, unsaid, delays.as_ref())
+    } else {
+        Err(format!(
+            "holds {names:?}: neither a capture of y-tal (H), nor of Z-NLOS (data, cameraGridPositions), nor a confocal MAT-file (rect_data or meas); \
+             write what y-tal can convert in its own format first (docs/interoperation.md)"
+        ))
+    };
+    let capture = capture.map_err(unfit)?;
+    if !(capture.dt_ps.is_finite() && capture.dt_ps > 0.0)
+        || capture.pairs.iter().any(|pair| !pair.start_ps.is_finite())
+    {
+        return Err(unfit(format!("has bins of {} ps; a positive width and a finite start are needed", capture.dt_ps)));
+    }
+    Ok(capture)
+}
+
+/// The arrays that any of the formats needs, and the names of all.
+fn arrays(path: &Path) -> Result<(Arrays, Vec<String>), ExchangeError> {
+    let failed = |source: FormatError| ExchangeError::Read { path: path.to_owned(), source };
+    let wanted = |name: &str| [&y_tal::NAMES[..], &z_nlos::NAMES, &confocal_mat::NAMES].concat().contains(&name);
+    let mut source = Source::open(path).map_err(failed)?;
+    let length = source.length();
+    let head = source.bytes("the head", 0, length.min(HEAD_BYTES)).map_err(failed)?;
+    if mat5::recognises(&head) {
+        return mat5::arrays(&mut source, wanted).map_err(failed);
+    }
+    if !Hdf5.recognises(&head) && !head.get(512..).is_some_and(|head| Hdf5.recognises(head)) {
+        let problem =
+            "is neither HDF5 nor a MAT-file of version 5 to 7.3; give a capture such as y-tal writes".to_owned();
+        return Err(ExchangeError::Unfit { path: path.to_owned(), problem });
+    }
+    hdf5::arrays(&mut source, wanted).map_err(failed)
+}

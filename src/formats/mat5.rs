@@ -1,0 +1,218 @@
+//! MATLAB's MAT-files of version 5 to 7 (`save -v6`, `-v7`): arrays of real numbers by name. Version 7.3 is HDF5 and read there.
+//!
+//! A file is a list of elements behind a head of 128 bytes; an element of a variable is, since version 7, deflated as a whole. A variable holds its
+//! flags, dimensions, name and numbers, which may be stored in a narrower type than the variable has. The first dimension runs fastest: axes here stand in
+//! the reverse order, as HDF5 has those of version 7.3. Sparse, complex, text, cell and struct variables are passed over. Source: MathWorks, *MAT-File
+//! Format*.
+
+use super::array::{self, Array, Arrays};
+use super::inflate::{self, Packing, Unpacker};
+use super::reader::{FormatError, Input};
+use crate::waveform::CodeType;
+
+/// Bytes of the head, and of a tag before data.
+const HEAD: u64 = 128;
+const TAG: u64 = 8;
+/// Types of elements.
+const INT8: u32 = 1;
+const MATRIX: u32 = 14;
+const COMPRESSED: u32 = 15;
+/// Classes of variables that are arrays of numbers: double to uint64.
+const NUMERIC: std::ops::RangeInclusive<u8> = 6..=15;
+/// Flag of complex numbers.
+const COMPLEX: u8 = 8;
+/// Longest name and most dimensions that are believed.
+const NAME_BYTES: u64 = 1 << 12;
+
+/// Whether a file that begins with these bytes is one.
+#[must_use]
+pub fn recognises(head: &[u8]) -> bool {
+    head.starts_with(b"MATLAB 5.0") && head.get(124..128).is_some_and(|version| version == [0, 1, b'I', b'M'])
+}
+
+/// The arrays that are `wanted` by name, and the names of all variables.
+///
+/// # Errors
+/// When the file contradicts the format.
+pub fn arrays(input: &mut dyn Input, wanted: impl Fn(&str) -> bool) -> Result<(Arrays, Vec<String>), FormatError> {
+    let (mut found, mut names) = (Arrays::new(), Vec::new());
+    let mut at = HEAD;
+    while at + TAG <= input.length() {
+        let tag = input.bytes("a tag", at, TAG)?;
+        let (kind, bytes) = (u32_at(&tag, 0), u64::from(u32_at(&tag, 4)));
+        let (start, length) = (at + TAG, input.length());
+        if start + bytes > length {
+            return Err(FormatError::Truncated { what: "a variable", byte_offset: start, needed: bytes, length });
+        }
+        let mut stream = match kind {
+            COMPRESSED => Stream::packed(input, start, bytes)?,
+            MATRIX => Stream { unpacker: Unpacker::new(Packing::Stored, start, bytes), left: bytes, place: start },
+            _ => {
+                return Err(refuse(
+                    at,
+                    format!("element of type {kind}, where a variable should be; copy the file again"),
+                ));
+            }
+        };
+        if let Some((name, array)) = stream.variable(input, &wanted)? {
+            found.extend(array.map(|array| (name.clone(), array)));
+            names.push(name);
+        }
+        at = start + bytes;
+    }
+    Ok((found, names))
+}
+
+fn refuse(byte_offset: u64, problem: impl Into<String>) -> FormatError {
+    FormatError::Field { byte_offset, problem: problem.into() }
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"))
+}
+
+/// A variable in the course of being read.
+struct Stream {
+    unpacker: Unpacker,
+    /// Bytes of it that are left.
+    left: u64,
+    place: u64,
+}
+
+/// An element inside a variable: its type, and its bytes as far as they are read.
+struct Element {
+    kind: u32,
+    bytes: u64,
+    /// The data of a small one, which stand in the tag.
+    small: Option<Vec<u8>>,
+}
+
+impl Stream {
+    fn packed(input: &mut dyn Input, start: u64, packed: u64) -> Result<Self, FormatError> {
+        let mut stream = Self { unpacker: Unpacker::new(Packing::Zlib, start, packed), left: TAG, place: start };
+        let tag = stream.take(input, TAG)?;
+        let (kind, bytes) = (u32_at(&tag, 0), u64::from(u32_at(&tag, 4)));
+        if kind != MATRIX || !inflate::can_hold(packed, bytes) {
+            return Err(refuse(start, "is no compressed variable that fits its bytes; copy the file again"));
+        }
+        stream.left = bytes;
+        Ok(stream)
+    }
+
+    fn take(&mut self, input: &mut dyn Input, count: u64) -> Result<Vec<u8>, FormatError> {
+        let cut = || refuse(self.place, "a variable ends before its data; copy the file again");
+        self.left = self.left.checked_sub(count).ok_or_else(cut)?;
+        let mut bytes = vec![0; count as usize];
+        let read = self.unpacker.read(input.file(), &mut bytes)?;
+        if read < bytes.len() {
+            Err(refuse(self.place, "a variable ends before its data; copy the file again"))
+        } else {
+            Ok(bytes)
+        }
+    }
+
+    fn element(&mut self, input: &mut dyn Input) -> Result<Element, FormatError> {
+        let tag = self.take(input, TAG)?;
+        let first = u32_at(&tag, 0);
+        // A small element has its length where others have but zeros.
+        if first >> 16 == 0 {
+            return Ok(Element { kind: first, bytes: u64::from(u32_at(&tag, 4)), small: None });
+        }
+        let bytes = (first >> 16) as usize;
+        let small = tag[4..]
+            .get(..bytes)
+            .ok_or_else(|| refuse(self.place, "a small element is too long; copy the file again"))?;
+        Ok(Element { kind: first & 0xFFFF, bytes: bytes as u64, small: Some(small.to_vec()) })
+    }
+
+    fn data(&mut self, input: &mut dyn Input, element: Element) -> Result<Vec<u8>, FormatError> {
+        if let Some(small) = element.small {
+            return Ok(small);
+        }
+        let mut data = self.take(input, element.bytes)?;
+        let padding = element.bytes.next_multiple_of(8) - element.bytes;
+        // The last element of a variable may go without.
+        self.take(input, padding.min(self.left))?;
+        data.truncate(element.bytes as usize);
+        Ok(data)
+    }
+
+    fn short(&mut self, input: &mut dyn Input, what: &str) -> Result<Vec<u8>, FormatError> {
+        let element = self.element(input)?;
+        if element.bytes > NAME_BYTES {
+            return Err(refuse(
+                self.place,
+                format!("{what} of a variable is longer than is believed; copy the file again"),
+            ));
+        }
+        self.data(input, element)
+    }
+
+    /// Name of the variable, and its numbers if it is wanted and has such; `None` for one without a name.
+    fn variable(
+        &mut self,
+        input: &mut dyn Input,
+        wanted: &impl Fn(&str) -> bool,
+    ) -> Result<Option<(String, Option<Array>)>, FormatError> {
+        let flags = self.short(input, "the flags")?;
+        let dimensions = self.short(input, "the dimensions")?;
+        let name = self.short(input, "the name")?;
+        let name = String::from_utf8_lossy(&name).into_owned();
+        let (Some(class), Some(flag)) = (flags.first(), flags.get(1)) else {
+            return Err(refuse(self.place, "a variable has no flags; copy the file again"));
+        };
+        if name.is_empty() {
+            return Ok(None);
+        }
+        if !wanted(&name) || !NUMERIC.contains(class) || flag & COMPLEX != 0 {
+            return Ok(Some((name, None)));
+        }
+        let axes: Vec<u64> = dimensions.chunks_exact(4).rev().map(|length| u64::from(u32_at(length, 0))).collect();
+        let element = self.element(input)?;
+        let (width, long) = width(element.kind).ok_or_else(|| {
+            refuse(self.place, format!("{name} holds numbers of type {}; copy the file again", element.kind))
+        })?;
+        if array::bytes_of(&axes, width) != Some(element.bytes) {
+            let problem =
+                format!("{name} holds {} bytes, not those of its dimensions; copy the file again", element.bytes);
+            return Err(refuse(self.place, problem));
+        }
+        let kind = element.kind;
+        let mut codes = self.data(input, element)?;
+        if let Some(signed) = long {
+            codes = array::from_long(&codes, signed);
+        }
+        let array = Array { axes: array::lengths(&axes), code_type: code_type(kind), codes };
+        Ok(Some((name, Some(array))))
+    }
+}
+
+/// Bytes of a number, and of 64-bit integers whether they are signed.
+fn width(kind: u32) -> Option<(usize, Option<bool>)> {
+    match kind {
+        INT8 | 2 => Some((1, None)),
+        3 | 4 => Some((2, None)),
+        5..=7 => Some((4, None)),
+        9 => Some((8, None)),
+        12 => Some((8, Some(true))),
+        13 => Some((8, Some(false))),
+        _ => None,
+    }
+}
+
+/// Type of codes; 64-bit integers become floating numbers.
+fn code_type(kind: u32) -> CodeType {
+    match kind {
+        INT8 => CodeType::I8,
+        2 => CodeType::U8,
+        3 => CodeType::I16,
+        4 => CodeType::U16,
+        5 => CodeType::I32,
+        6 => CodeType::U32,
+        7 => CodeType::F32,
+        _ => CodeType::F64,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,128 @@
+//! `anchor`: patches whose places are known beforehand, as a table: the wall of a campaign that only looks for what is hidden.
+//!
+//! Takes campaign.toml; writes `patches`: those with a `position_m`, with its standard deviation (`sd_m`; where none is given, a micrometre). `label`, `range`
+//! and `embed` take them beside them in place of patches that `refine` found. Their errors are independent of each other.
+//!
+//! ```toml
+//! [wall]
+//! stage = "anchor"
+//! ```
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::operator::WrittenTable;
+use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
+use super::stage::StageError;
+use crate::campaign::Campaign;
+use crate::campaign::keys::{self, PatchRole};
+use crate::store::Digest;
+use crate::tables::{Patch, Row};
+use crate::units::PatchId;
+
+/// Standard deviation of a coordinate that is called exact.
+const EXACT_M: f64 = 1e-6;
+
+/// Parameters of `anchor`: none.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AnchorPatches {}
+
+impl Source for AnchorPatches {
+    fn kind(&self) -> &'static str {
+        "anchor"
+    }
+    fn version(&self) -> u32 {
+        1
+    }
+    fn params(&self) -> Value {
+        json!({})
+    }
+    fn fields(&self, campaigns: &[Campaign]) -> Value {
+        json!(campaigns.first().map(anchors))
+    }
+    fn table(&self) -> WrittenTable {
+        WrittenTable { name: Patch::TABLE.to_owned(), schema: Patch::schema() }
+    }
+
+    fn open<'a>(&'a self, campaigns: &'a [Campaign], _: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
+        let mut all = campaigns.iter().map(anchors);
+        let anchors = all.next().unwrap_or_default();
+        if anchors.is_empty() {
+            let text =
+                "no patch in campaign.toml has a `position_m`; add [patches.N] with one for each point of the wall";
+            return Err(StageError::Refused(text.to_owned()));
+        }
+        if all.any(|other| other != anchors) {
+            let text = "the campaigns differ in anchors: campaigns of one scene must share them";
+            return Err(StageError::Refused(text.to_owned()));
+        }
+        let part = SourcePart { content: Some(Digest::of(&json!(anchors))), bytes: 0, records: anchors.len() as u64 };
+        Ok(Box::new(Opened { anchors, parts: [part] }))
+    }
+}
+
+/// A patch as campaign.toml has it: role, place and standard deviation.
+type Anchor = (PatchRole, [f64; 3], Option<f64>);
+
+fn anchors(campaign: &Campaign) -> BTreeMap<PatchId, Anchor> {
+    let anchor = |(id, patch): (&PatchId, &keys::Patch)| Some((*id, (patch.role, patch.position_m?, patch.sd_m)));
+    campaign.patches.iter().filter_map(anchor).collect()
+}
+
+/// Anchors that were found.
+struct Opened {
+    anchors: BTreeMap<PatchId, Anchor>,
+    parts: [SourcePart; 1],
+}
+
+impl OpenSource for Opened {
+    fn parts(&self) -> &[SourcePart] {
+        &self.parts
+    }
+    fn warnings(&self) -> &[String] {
+        &[]
+    }
+
+    fn read(&self, _: usize, _: usize, feed: &dyn Feed) -> Result<PartRead, StageError> {
+        let rows: Vec<Patch> = self.anchors.iter().map(|(id, anchor)| row(*id, anchor)).collect();
+        let batch = Patch::to_batch(&rows);
+        let credit = feed.reserve(batch.get_array_memory_size())?;
+        feed.send(batch, credit)?;
+        Ok(PartRead { content: self.parts[0].content.expect("known when it was opened"), rejections: Vec::new() })
+    }
+
+    fn close(&self) -> Result<(), StageError> {
+        Ok(())
+    }
+}
+
+fn row(patch: PatchId, (role, [x_m, y_m, z_m], sd_m): &Anchor) -> Patch {
+    let variance_m2 = sd_m.unwrap_or(EXACT_M).powi(2);
+    let kind = match role {
+        PatchRole::Visible => "visible",
+        PatchRole::Hidden => "hidden",
+        PatchRole::Mirror => "mirror",
+    };
+    Patch {
+        patch,
+        kind: kind.into(),
+        x_m: *x_m,
+        y_m: *y_m,
+        z_m: *z_m,
+        cov_xx_m2: Some(variance_m2),
+        cov_xy_m2: Some(0.0),
+        cov_xz_m2: Some(0.0),
+        cov_yy_m2: Some(variance_m2),
+        cov_yz_m2: Some(0.0),
+        cov_zz_m2: Some(variance_m2),
+        sd_m: Some((3.0 * variance_m2).sqrt()),
+        onsets: 0,
+        chi2_dof: None,
+        alternative: 0,
+        log_likelihood: None,
+    }
+}

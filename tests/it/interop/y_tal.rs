@@ -1,0 +1,70 @@
+//! The real y-tal, SciPy and plyfile on our files, and ours on theirs.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::LazyLock;
+
+use super::{PIPELINE, done};
+
+const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/interop/y_tal.py");
+
+/// The first of these that has the packages; `None`, and said aloud, where none has.
+static PYTHON: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
+    let target = Path::new(env!("CARGO_BIN_EXE_periscope")).ancestors().nth(2).unwrap();
+    let given = std::env::var_os("PERISCOPE_PYTHON").map(PathBuf::from);
+    let venv = target.join("python-tal");
+    let mut pythons = given.into_iter().chain([venv.join("bin/python"), "python3".into()]);
+    let has_all = |python: &PathBuf| {
+        let imports = ["-c", "import plyfile, scipy.io, tal.io"];
+        Command::new(python).args(imports).output().is_ok_and(|output| output.status.success())
+    };
+    let python = pythons.find(has_all);
+    if python.is_none() {
+        // Not by `eprintln!`, which the test harness swallows: a test that looked at nothing must not pass in silence.
+        let _ = writeln!(
+            std::io::stderr(),
+            "NOT TESTED against y-tal: no Python has y-tal, scipy and plyfile; mend: python3 -m venv {0} && {0}/bin/pip install y-tal scipy plyfile",
+            venv.display()
+        );
+    }
+    python
+});
+
+/// Runs the script; `false` where there is no Python to test with.
+fn python(folder: &Path, args: &[&str]) -> bool {
+    let Some(python) = PYTHON.as_ref() else { return false };
+    let output = Command::new(python).arg(SCRIPT).args(args).current_dir(folder).output().unwrap();
+    assert!(output.status.success(), "{args:?}\n{}", String::from_utf8_lossy(&output.stderr));
+    true
+}
+
+#[test]
+fn what_y_tal_writes_is_read_and_what_is_written_y_tal_reads() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    if !python(folder, &["make"]) {
+        return;
+    }
+    for name in ["confocal", "packed", "list", "one-lit", "all", "all-list", "z-nlos", "z-nlos-confocal"] {
+        let (capture, campaign, results, back) = (
+            format!("{name}.hdf5"),
+            format!("{name}-campaign"),
+            format!("{name}-results"),
+            format!("{name}-back.hdf5"),
+        );
+        done(folder, &["convert", &capture, "--out", &campaign, "--fwhm-ps", "70"]);
+        python(folder, &["campaign", &capture, &campaign]);
+        done(folder, &["run", PIPELINE, "--campaign", &campaign, "--out", &results, "--until", "profiles"]);
+        done(folder, &["export", &results, &back, "--campaign", &campaign]);
+        python(folder, &["same", &capture, &back]);
+    }
+    for version in ["5", "5-packed"] {
+        let (capture, campaign) = (format!("scan-{version}.mat"), format!("scan-{version}"));
+        done(folder, &["convert", &capture, "--out", &campaign, "--fwhm-ps", "70", "--dt-ps", "16"]);
+        python(folder, &["scan", &campaign]);
+    }
+    done(folder, &["run", PIPELINE, "--campaign", "all-campaign", "--out", "all-results", "--until", "wall"]);
+    done(folder, &["export", "all-results", "wall.ply", "--patches", "wall"]);
+    python(folder, &["ply", "wall.ply", "all.hdf5"]);
+}
