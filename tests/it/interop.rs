@@ -174,13 +174,15 @@ fn z_nlos(axes: &[usize], lit: usize, reversed: bool) -> Arrays {
     arrays.map(|(name, array)| (name.to_owned(), array)).into()
 }
 
+/// Indices of a value in an array, from its colour, bounce and bin, and its places in the grids of seen and lit points.
+type Place = fn(usize, usize, usize, [usize; 2], [usize; 2]) -> Vec<usize>;
+
 #[test]
 fn captures_of_z_nlos_are_read_in_all_their_orders() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("z.hdf5");
     let (colours, bounces, bins) = (2, 6, 5);
-    // For each order of axes: where colour, bounce, time, first and second axis of the seen and of the lit grid are.
-    type Place = fn(usize, usize, usize, [usize; 2], [usize; 2]) -> Vec<usize>;
+    // Sizes of the axes, lit points along an axis, whether the grid's own axes are reversed, and the order.
     let orders: [(Vec<usize>, usize, bool, Place); 4] = [
         (vec![colours, bins, bounces, 2, 2], 2, true, |c, b, t, s, _| vec![c, t, b, s[1], s[0]]),
         (vec![2, 2, bounces, bins, colours], 2, false, |c, b, t, s, _| vec![s[0], s[1], b, t, c]),
