@@ -178,6 +178,7 @@ fn run_record(started: &str, campaigns: BTreeMap<String, std::path::PathBuf>) ->
         failure: None,
         rejects: 0,
         tables: BTreeMap::new(),
+        passes: Vec::new(),
     }
 }
 
