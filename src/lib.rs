@@ -12,6 +12,8 @@
 //!   back to the raw files, and from two result folders to what made them differ. [`report`] draws what a result folder says. [`exchange`] turns captures
 //!   of other programs into campaigns, and results into files that other programs open.
 //!
+//! How to use the program stands in the [`guide`].
+//!
 //! ```no_run
 //! use periscope::{campaign::Campaign, pipeline::{plan::Plan, progress::{Progress, Style}, run, spec::Spec}, store::Shelf};
 //! # fn main() -> anyhow::Result<()> {
@@ -28,6 +30,8 @@ pub mod campaign;
 pub mod exchange;
 pub mod formats;
 pub mod geometry;
+#[cfg(doc)]
+pub mod guide;
 pub mod history;
 pub mod path;
 pub mod pipeline;

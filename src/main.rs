@@ -12,14 +12,22 @@ use periscope::pipeline::run::RunError;
 
 /// Where light bounced, from oscilloscope traces: positions of surfaces with error bars, also around the corner.
 #[derive(Parser)]
-#[command(name = "periscope", version, arg_required_else_help = true, after_help = AFTER_HELP)]
+#[command(name = "periscope", version, arg_required_else_help = true, after_help = AFTER_HELP, after_long_help = format!("{AFTER_HELP}\n\n{EXIT_CODES}"))]
 struct Cli {
     #[command(subcommand)]
     command: Command,
 }
 
 const AFTER_HELP: &str =
-    "First time here:  periscope demo\nA campaign of your own:  periscope run PIPELINE --campaign DIR --out DIR";
+    "First time here:\n  periscope demo\nA campaign of your own:\n  periscope run PIPELINE --campaign DIR --out DIR";
+
+const EXIT_CODES: &str = "\
+Exit codes:
+  0    done
+  1    failed
+  2    wrong usage
+  3    done, but input was set aside, `check` found something to mend, or `diff` a difference
+  130  ended by Ctrl-C or SIGTERM; what was finished is kept";
 
 #[derive(Subcommand)]
 enum Command {
@@ -62,6 +70,8 @@ enum Command {
         /// Shell
         shell: clap_complete::Shell,
     },
+    /// Write manual pages: periscope.1 and one for each command
+    Man(commands::man::Man),
 }
 
 fn main() -> ExitCode {
@@ -88,6 +98,7 @@ fn main() -> ExitCode {
             clap_complete::generate(shell, &mut Cli::command(), "periscope", &mut std::io::stdout());
             Ok(ExitCode::SUCCESS)
         }
+        Command::Man(args) => commands::man::man(&args, Cli::command()),
     };
     match result {
         Ok(code) => code,

@@ -81,6 +81,9 @@ pub fn read(root: &Path, table: &Path, rule: &CaptureRule) -> Result<Vec<Row>, T
         let row = error.position().map(csv::Position::line);
         fail(row, format!("cannot be read as CSV with a comma between cells: {error}"))
     };
+    if !root.join(table).is_file() {
+        return Err(fail(None, "is not there; `table` is a CSV file, seen from the campaign folder".to_owned()));
+    }
     let inherited = Table::try_from(rule).map_err(|error| fail(None, error.to_string()))?;
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(root.join(table)).map_err(unreadable)?;
     let columns = reader.headers().map_err(unreadable)?.clone();
@@ -240,6 +243,6 @@ mod tests {
             read(folder.path(), Path::new(name), &rule()).unwrap_err().to_string()
         };
         assert!(error("t.parquet").contains("convert to CSV"));
-        assert!(error("none.csv").starts_with("none.csv: cannot be read"));
+        assert!(error("none.csv").starts_with("none.csv: is not there"));
     }
 }

@@ -21,7 +21,7 @@ pub const CAMPAIGN_FILE: &str = "campaign.toml";
 #[derive(Debug, thiserror::Error)]
 pub enum CampaignError {
     /// The file cannot be read.
-    #[error("{}: cannot be read; a campaign folder holds a campaign.toml that says what its raw files are", file.display())]
+    #[error("{}: cannot be read; {}", file.display(), mend(file))]
     Read {
         /// The file.
         file: PathBuf,
@@ -39,6 +39,21 @@ pub enum CampaignError {
         /// What is wrong with which key.
         fault: Fault,
     },
+}
+
+/// What to do where there is no `campaign.toml`.
+fn mend(file: &Path) -> String {
+    let folder = file.parent().unwrap_or(Path::new(""));
+    match folder.file_name() {
+        Some(name) if name == CAMPAIGN_FILE => {
+            let folder = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            format!("give the folder, {}, and not the file in it", folder.display())
+        }
+        _ if folder.is_file() => {
+            format!("{} is a file, and a campaign is a folder with a campaign.toml in it", folder.display())
+        }
+        _ => "a campaign folder holds a campaign.toml that says what its raw files are".to_owned(),
+    }
 }
 
 /// The headings of the file.

@@ -78,7 +78,7 @@ pub enum SurveyError {
         problem: String,
     },
     /// Two rules take the same record.
-    #[error("{}: taken by {first} and by {second}; narrow one of them, or name different channels", file.display())]
+    #[error("{}: taken by {first}{}; narrow one of them, or name different channels", file.display(), and_by(first, second))]
     Clash {
         /// The file, relative to the campaign folder.
         file: PathBuf,
@@ -87,6 +87,11 @@ pub enum SurveyError {
         /// The other.
         second: String,
     },
+}
+
+/// The second of two claims; a rule clashes with itself where its reference is one of its own files.
+fn and_by(first: &str, second: &str) -> String {
+    if first == second { " as signal and as reference".to_owned() } else { format!(" and by {second}") }
 }
 
 impl Campaign {

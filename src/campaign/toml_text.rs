@@ -35,7 +35,7 @@ pub fn parse<T: DeserializeOwned>(file: &Path, text: &str) -> Result<T, TomlErro
         TomlError {
             file: file.to_owned(),
             line: text[..span.start].matches('\n').count() + 1,
-            problem: problem(error.message(), &place(text, &span)),
+            problem: problem(error.message(), &place(text, &span)) + &mend(error.message(), text, &span),
         }
     })
 }
@@ -72,6 +72,24 @@ impl fmt::Display for Place {
         }
         Ok(())
     }
+}
+
+/// What helps where the text is no TOML: the line as it stands, and the commonest cause.
+fn mend(message: &str, text: &str, span: &Range<usize>) -> String {
+    if DeTable::parse(text).is_ok() {
+        return String::new();
+    }
+    let start = text[..span.start].rfind('\n').map_or(0, |at| at + 1);
+    let line = text[start..].lines().next().unwrap_or_default().trim();
+    // A word without quotes: the parser takes its first letter for that of `true`, `false`, `inf` or `nan`, or for a number.
+    let bare =
+        line.split_once('=').is_some_and(|(_, value)| value.trim().starts_with(|c: char| c.is_ascii_alphabetic()));
+    let hint = if bare && message.starts_with("invalid") || message.contains("string values must be quoted") {
+        "; put text in quotes"
+    } else {
+        ""
+    };
+    format!(", in `{line}`{hint}")
 }
 
 fn dotted(steps: &[Step]) -> String {

@@ -1,8 +1,7 @@
 //! The files of a campaign folder, in order.
 //!
 //! Hidden files and folders (`.name`), `campaign.toml` and `manifest.json` of the folder itself, and its folder `truth` (what a simulated
-//! campaign was made from), are no raw files. Links are followed; a
-//! link back to a folder that holds it is not.
+//! campaign was made from), are no raw files, nor are result folders within it. Links are followed; a link back to a folder that holds it is not.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -13,6 +12,9 @@ use super::manifest::MANIFEST_FILE;
 
 /// Folder of tables beside a simulated campaign's raw files.
 pub const TRUTH: &str = "truth";
+
+/// What a result folder has in it.
+const SHELF: &str = ".shelf";
 
 /// A file of a campaign folder.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -59,6 +61,7 @@ fn visit(
         let path = folder.join(name);
         // A link that leads nowhere, or a file that vanished since, is no file.
         match root.join(&path).metadata() {
+            Ok(found) if found.is_dir() && root.join(&path).join(SHELF).is_dir() => {}
             Ok(found) if found.is_dir() => visit(root, &path, above, files)?,
             Ok(found) if found.is_file() => {
                 files.push(Found { path, modified: found.modified().unwrap_or(SystemTime::UNIX_EPOCH) });
@@ -83,6 +86,8 @@ mod tests {
             fs::create_dir_all(root.join(file).parent().unwrap()).unwrap();
             fs::write(root.join(file), "x").unwrap();
         }
+        fs::create_dir_all(root.join("results/.shelf")).unwrap();
+        fs::write(root.join("results/part.parquet"), "x").unwrap();
         fs::write(root.join(CAMPAIGN_FILE), "").unwrap();
         fs::write(root.join(MANIFEST_FILE), "").unwrap();
         #[cfg(unix)]

@@ -138,12 +138,9 @@ fn run(campaign: &Campaign, shelf: &Shelf, until: Option<&str>) -> Result<BTreeS
     let spec = Spec::parse("check", PIPELINE, &[])?;
     let campaigns = [campaign.clone()];
     let mut plan = Plan::new(&spec, &campaigns, shelf, until)?;
-    let progress = Progress::new(Style::auto());
     let settings = Settings::default();
     let memory_bytes = settings.memory_bytes.max(settings.least_memory());
-    let outcome = runner::run(&mut plan, &Settings { memory_bytes, ..settings }, &progress);
-    progress.finish();
-    outcome?;
+    runner::run(&mut plan, &Settings { memory_bytes, ..settings }, &Progress::new(Style::auto()))?;
     let reject = |row: Reject| (row.file.map(|file| file.to_string()), row.reason.to_string());
     let rejects = shelf.batches("rejects")?.iter().map(Reject::rows).collect::<Result<Vec<_>, _>>()?;
     Ok(rejects.into_iter().flatten().map(reject).collect())

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use periscope::formats::{self, Input, Source};
 use periscope::signal::codes::Codes;
@@ -44,6 +44,9 @@ pub fn inspect(args: &Inspect) -> Result<ExitCode> {
 }
 
 fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> {
+    if file.is_dir() {
+        bail!("is a folder; name the files in it, such as {}", file.join("*").display());
+    }
     let mut source = Source::open(file)?;
     let records = formats::records(&mut source)?;
     if !as_json {
@@ -143,18 +146,53 @@ fn line(facts: &Value) -> String {
         Value::String(text) => text.clone(),
         other => other.to_string(),
     };
+    let with =
+        |key: &str, units: &[(&str, f64)]| facts[key].as_f64().map_or("-".to_owned(), |value| with_unit(value, units));
+    let step = if facts["kind"] == Kind::Spectrum.name() { &FREQUENCY[..] } else { &TIME };
+    let value = |key: &str| match facts["unit"].as_str() {
+        Some("V") => with(key, &VOLTAGE),
+        unit => format!("{} {}", text(key), unit.unwrap_or_default()).trim_end().to_owned(),
+    };
     format!(
-        "{} channel {:4} segment {:4} {:>8} samples  dt {} {}  t0 {} s  {} to {} {}  clipped {}",
+        "{} channel {:4} segment {:4} {:>8} samples  dt {}  t0 {}  {} to {}  clipped {}",
         text("kind"),
         text("channel"),
         text("segment"),
         text("samples"),
-        text("dt_s"),
-        if facts["kind"] == Kind::Spectrum.name() { "Hz" } else { "s" },
-        text("t0_s") + if facts["t0_nominal"] == true { " (nominal)" } else { "" },
-        text("min"),
-        text("max"),
-        text("unit"),
+        with("dt_s", step),
+        with("t0_s", &TIME) + if facts["t0_nominal"] == true { " (nominal)" } else { "" },
+        value("min"),
+        value("max"),
         text("clipped"),
     )
+}
+
+const TIME: [(&str, f64); 5] = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9), ("ps", 1e-12)];
+const FREQUENCY: [(&str, f64); 4] = [("GHz", 1e9), ("MHz", 1e6), ("kHz", 1e3), ("Hz", 1.0)];
+const VOLTAGE: [(&str, f64); 3] = [("V", 1.0), ("mV", 1e-3), ("uV", 1e-6)];
+
+/// A value in the largest unit of which it is at least one, else in the smallest; in as many digits as tell seven digits apart. `--json` has all of them.
+fn with_unit(value: f64, units: &[(&str, f64)]) -> String {
+    let is_enough = |(_, one): &&(&str, f64)| value == 0.0 || value.abs() >= (1.0 - 1e-7) * one;
+    let (unit, one) = units.iter().find(is_enough).or(units.last()).expect("there are units");
+    let seven: f64 = format!("{:.6e}", value / one).parse().expect("a number as it is printed");
+    format!("{seven} {unit}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_shown_in_the_unit_that_fits() {
+        let time = |value| with_unit(value, &TIME);
+        assert_eq!(time(50e-12), "50 ps");
+        assert_eq!(time(1e-9 * (1.0 + 2e-8)), "1 ns");
+        assert_eq!(time(1e-12 * (1.0 - 4e-9)), "1 ps");
+        assert_eq!(time(-2.007_329_1e-6), "-2.007329 us");
+        assert_eq!(time(0.0), "0 s");
+        assert_eq!(time(1.5e-14), "0.015 ps");
+        assert_eq!(with_unit(2.5e6, &FREQUENCY), "2.5 MHz");
+        assert_eq!(with_unit(-0.0125, &VOLTAGE), "-12.5 mV");
+    }
 }

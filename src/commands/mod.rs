@@ -1,5 +1,6 @@
 //! The commands, a file each: arguments, what they print, and their exit codes.
 
+mod aftermath;
 pub mod check;
 pub mod convert;
 pub mod demo;
@@ -9,6 +10,7 @@ pub mod explain;
 pub mod export;
 pub mod inspect;
 mod interrupt;
+pub mod man;
 pub mod plan;
 pub mod query;
 pub mod report;

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
+use periscope::store::Shelf;
 
 /// Arguments of `query`.
 #[derive(Args)]
@@ -12,6 +13,7 @@ pub struct Query {
     /// Result folder
     out: PathBuf,
     /// Question in SQL; each table has its own name, such as SELECT * FROM patches
+    #[arg(allow_hyphen_values = true)]
     sql: String,
     /// Form of the answer
     #[arg(long, value_enum, default_value = "table")]
@@ -21,9 +23,9 @@ pub struct Query {
 /// Form of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// For the eye
+    /// For the eye: all rows, on a terminal the columns that fit
     Table,
-    /// Comma-separated values
+    /// Comma-separated values; lists as JSON, bytes as hexadecimal digits
     Csv,
     /// JSON, an object a line
     Json,
@@ -36,30 +38,57 @@ pub enum Format {
 pub fn query(args: &Query) -> Result<ExitCode> {
     use periscope::store::query::{Form, answer};
     let form = match args.format {
-        Format::Table => Form::Table,
+        Format::Table => Form::Table(terminal_width()),
         Format::Csv => Form::Csv,
         Format::Json => Form::Json,
         Format::Parquet => Form::Parquet,
     };
-    let shelf = periscope::store::Shelf::look(&args.out)?;
-    answer(&shelf, &args.sql, form, &mut std::io::stdout().lock())?;
+    let shelf = Shelf::look(&args.out)?;
+    answer(&shelf, &args.sql, form, &mut std::io::stdout().lock()).map_err(mended)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Letters of a line, where a person reads.
+#[cfg(feature = "query")]
+fn terminal_width() -> Option<usize> {
+    rustix::termios::tcgetwinsize(std::io::stdout()).ok().map(|size| size.ws_col.into()).filter(|letters| *letters > 0)
+}
+
+/// A refusal with its mend.
+#[cfg(feature = "query")]
+fn mended(error: periscope::store::query::QueryError) -> anyhow::Error {
+    use periscope::campaign::suggest::hint;
+    use periscope::store::query::QueryError;
+    let mend = match &error {
+        QueryError::NoTable { name, known } | QueryError::NoColumn { name, known, .. } => {
+            hint(name, known.iter().map(String::as_str))
+        }
+        QueryError::Refused(_) => "`periscope schema` shows the columns, `periscope tables` the tables".to_owned(),
+        QueryError::Store(_) | QueryError::Io(_) => String::new(),
+    };
+    match error {
+        QueryError::Store(error) => error.into(),
+        QueryError::Io(error) => error.into(),
+        error => anyhow::anyhow!("{error}; {mend}"),
+    }
 }
 
 /// The command in a build without Polars: says how to get it, and how to ask DuckDB the same.
 #[cfg(not(feature = "query"))]
 pub fn query(args: &Query) -> Result<ExitCode> {
-    let shelf = periscope::store::Shelf::look(&args.out)?;
-    let views: Vec<String> = shelf.tables()?.into_iter().map(|(view, _)| view).collect();
-    let with: Vec<String> = views
-        .iter()
-        .filter(|view| args.sql.contains(view.as_str()))
-        .map(|view| format!("\"{view}\" AS (SELECT * FROM '{}/{view}/*.parquet')", args.out.display()))
-        .collect();
-    let with = if with.is_empty() { String::new() } else { format!("WITH {} ", with.join(", ")) };
+    use periscope::store::sql_names::{mentions, quoted};
+    let shelf = Shelf::look(&args.out)?;
+    let views = shelf.names()?;
+    let sql = quoted(&args.sql, &views);
+    let out = args.out.display().to_string().replace('\'', "''");
+    let table = |view: &&String| format!("\"{view}\" AS (FROM '{out}/{view}/*.parquet')");
+    let with: Vec<String> = views.iter().filter(|view| mentions(&sql, view)).map(|view| table(&view)).collect();
+    if with.is_empty() {
+        anyhow::bail!("the question names no table of {}; it has {}", args.out.display(), views.join(", "));
+    }
     anyhow::bail!(
-        "this build is lean and has no SQL engine (asked for: {:?}); get one with `cargo install --path . --features query`, or ask DuckDB:\n{with}{}",
+        "this build is lean and has no SQL engine (asked for: {:?}); get one with `cargo install --path . --features query`, or ask DuckDB:\nWITH {}\n{sql}",
         args.format,
-        args.sql
+        with.join(", ")
     );
 }

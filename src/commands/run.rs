@@ -18,6 +18,7 @@ use periscope::store::runs::{Ending, RunRecord};
 use periscope::store::{Digest, Shelf, StoreError};
 
 use super::SOME_REJECTED;
+use super::aftermath;
 use super::interrupt::stop_on_signals;
 use super::watch;
 
@@ -84,6 +85,8 @@ pub enum ProgressKind {
     Auto,
     /// A bar
     Bar,
+    /// A line a pass, and now and then one in between
+    Lines,
     /// A JSON object a line
     Json,
     /// Nothing
@@ -95,6 +98,7 @@ impl From<ProgressKind> for Style {
         match kind {
             ProgressKind::Auto => Self::auto(),
             ProgressKind::Bar => Self::Bar,
+            ProgressKind::Lines => Self::Lines,
             ProgressKind::Json => Self::Json,
             ProgressKind::None => Self::Silent,
         }
@@ -128,6 +132,9 @@ pub fn campaigns(folders: &[PathBuf]) -> Result<Vec<Campaign>> {
     for folder in folders {
         let campaign = Campaign::load(folder)?;
         if let Some(other) = campaigns.iter().find(|other| other.name == campaign.name) {
+            if other.root.canonicalize().ok() == folder.canonicalize().ok() {
+                bail!("--campaign {} is given twice; take one out", folder.display());
+            }
             bail!(
                 "campaigns {} and {} are both named `{}`; change `name` in one campaign.toml",
                 other.root.display(),
@@ -208,9 +215,7 @@ impl Job<'_> {
         for warning in plan.warnings() {
             eprintln!("warning: {warning}");
         }
-        let progress = Progress::new(self.style);
-        let outcome = runner::run(&mut plan, &self.settings, &progress);
-        progress.finish();
+        let outcome = runner::run(&mut plan, &self.settings, &Progress::new(self.style));
         let steps = self.spec.steps.iter().zip(&plan.tables);
         let kept = steps.filter(|(step, table)| step.keep && table.wanted && table.complete());
         whole.extend(kept.filter_map(|(step, table)| Some((step.heading.clone(), table.lineage()?))));
@@ -267,7 +272,16 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     let outcome = if args.watch {
         watch::follow(&job, &args.campaign, args.idle.map(Duration::from_secs))?
     } else {
-        job.execute(&mut job.record()?)?
+        match job.execute(&mut job.record()?) {
+            Ok(outcome) => outcome,
+            Err(error) => {
+                if matches!(error.downcast_ref(), Some(RunError::Stage { .. })) {
+                    // The failure itself is told last, whatever becomes of this.
+                    let _ = aftermath::tell_rejects(&shelf);
+                }
+                return Err(error);
+            }
+        }
     };
     let out = args.out.display();
     for step in &spec.steps {
@@ -277,8 +291,9 @@ pub fn run(args: &Run) -> Result<ExitCode> {
             println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
         }
     }
+    aftermath::tell_empty(&spec, &outcome);
     if outcome.rejects > 0 {
-        eprintln!("warning: {} records were set aside; see {out}/rejects", outcome.rejects);
+        aftermath::tell_rejects(&shelf)?;
         return Ok(if args.strict { ExitCode::FAILURE } else { ExitCode::from(SOME_REJECTED) });
     }
     Ok(ExitCode::SUCCESS)

@@ -15,7 +15,7 @@ use crate::waveform::{ReadSeek, Record};
 pub enum FormatError {
     /// It cannot be read.
     #[error("cannot be read: {0}")]
-    Io(#[from] io::Error),
+    Io(io::Error),
     /// Nothing in it.
     #[error("is empty: the capture may have been interrupted")]
     Empty,
@@ -54,6 +54,13 @@ pub enum FormatError {
         /// What, and the mend where there is one.
         problem: String,
     },
+}
+
+/// No source of the error is named beside the text, which has it already.
+impl From<io::Error> for FormatError {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
 }
 
 impl FormatError {

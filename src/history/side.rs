@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::HistoryError;
 use super::ancestry::{Ancestry, Table};
-use crate::store::{Digest, FileRecord, Shelf};
+use crate::store::{Digest, FileRecord, Shelf, StoreError};
 use crate::tables::{Reject, Row};
 
 /// A side's tables.
@@ -39,6 +39,9 @@ impl Side {
     pub fn open(folder: &Path) -> Result<Self, HistoryError> {
         if folder.join(".shelf").is_dir() {
             return Self::of_results(folder);
+        }
+        if !folder.exists() {
+            return Err(StoreError::Absent(folder.to_owned()).into());
         }
         let truth = folder.join("truth");
         let tables = Self::of_tables(if truth.is_dir() { &truth } else { folder })?;

@@ -64,14 +64,15 @@ impl Questions<'_> {
         let mut joins: Vec<String> = Vec::new();
         let on =
             "p.campaign = x.campaign AND p.sensor = x.sensor AND p.lit = x.lit AND p.seen = x.seen AND p.rank = x.rank";
-        for (files, name, added, only) in [
-            (onsets, "o", ["o.time_ps AS onset_ps", "o.time_sd_ps AS onset_sd_ps", "o.snr", "o.flags"].as_slice(), ""),
-            (labels, "l", ["l.turns", "l.probability"].as_slice(), " AND l.alternative = 0"),
+        let labels = labels.map(|files| format!("(SELECT * FROM {files} WHERE alternative = 0)"));
+        for (files, name, added) in [
+            (onsets, "o", ["o.time_ps AS onset_ps", "o.time_sd_ps AS onset_sd_ps", "o.snr", "o.flags"].as_slice()),
+            (labels, "l", ["l.turns", "l.probability"].as_slice()),
         ] {
             if let Some(files) = files {
                 columns.extend(added);
                 let on = on.replace("x.", &format!("{name}."));
-                joins.push(format!("\nLEFT JOIN {files} AS {name} ON {on}{only}"));
+                joins.push(format!("\nLEFT JOIN {files} AS {name} ON {on}"));
             }
         }
         let (columns, condition) = (columns.join(", "), &picked.condition);

@@ -240,6 +240,7 @@ fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Mess
             .reserve(batch.get_array_memory_size().min(shared.settings.memory_bytes / 2))
             .map_err(|_| Failure::Stopped)?;
         send(children, || Message::Rows(batch.clone(), Some(credit.clone())))?;
+        shared.progress.advance(batch.num_rows() as u64);
     }
     send(children, || Message::PartEnd(part, record.lineage, Vec::new()))
 }
@@ -352,7 +353,7 @@ fn emit<'a>(
     if !written.rejections.is_empty() {
         let heading = &plan.spec.steps[step].heading;
         let rows: Vec<Reject> = written.rejections.into_iter().map(|rejection| rejection.row(heading)).collect();
-        shared.progress.rejected(rows.len() as u64);
+        shared.progress.set_aside(rows.len() as u64);
         writer.write(tables - 1, &Reject::to_batch(&rows))?;
     }
     let Some(main) = written.tables.into_iter().next() else {

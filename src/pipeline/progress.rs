@@ -1,4 +1,7 @@
 //! What a person sees of a run: a bar on a terminal, plain lines elsewhere, JSON lines for programs, or nothing. On standard error.
+//!
+//! A pass reads raw files or a stored table, and how much of that is read is how far it is. Stages that gather all rows begin to work when all are read:
+//! how long they take nobody knows before, and what is shown then is the time that has gone by.
 
 use std::io::IsTerminal;
 use std::sync::Mutex;
@@ -6,17 +9,17 @@ use std::sync::PoisonError;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
-use serde_json::json;
+use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
+use serde_json::{Value, json};
 
 /// How to show progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
     /// A bar that is redrawn.
     Bar,
-    /// A line for each pass, and every few seconds.
+    /// A line for each pass, and now and then one in between.
     Lines,
-    /// The same as JSON objects.
+    /// JSON objects, one a line.
     Json,
     /// Nothing.
     Silent,
@@ -30,111 +33,192 @@ impl Style {
     }
 }
 
-/// Time between two lines.
-const LINE_EVERY: Duration = Duration::from_secs(5);
+/// What a pass reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Amount {
+    /// Raw files, in bytes.
+    Bytes(u64),
+    /// A stored table, in rows.
+    Rows(u64),
+}
+
+impl Amount {
+    fn total(self) -> u64 {
+        let (Self::Bytes(total) | Self::Rows(total)) = self;
+        total
+    }
+
+    fn unit(self) -> &'static str {
+        match self {
+            Self::Bytes(_) => "bytes",
+            Self::Rows(_) => "rows",
+        }
+    }
+
+    /// So much of it, for people: `12.5 MB`, `480 rows`.
+    fn text(self, amount: f64) -> String {
+        match self {
+            Self::Bytes(_) if amount < 1e9 => format!("{:.1} MB", amount / 1e6),
+            Self::Bytes(_) => format!("{:.2} GB", amount / 1e9),
+            Self::Rows(_) => format!("{amount:.0} rows"),
+        }
+    }
+}
+
+/// Time to the first line within a pass; each further one takes twice as long as the one before, up to [`LINE_AT_LAST`]: a log of a night stays short.
+const LINE_FIRST: Duration = Duration::from_secs(5);
+const LINE_AT_LAST: Duration = Duration::from_mins(5);
+/// Time between two JSON objects within a pass.
+const JSON_EVERY: Duration = Duration::from_secs(1);
 
 /// Progress of a run.
 pub struct Progress {
     style: Style,
-    state: Mutex<State>,
+    pass: Mutex<Option<Pass>>,
     read: AtomicU64,
-    rejected: AtomicU64,
+    set_aside: AtomicU64,
 }
 
-struct State {
-    bar: Option<ProgressBar>,
-    pass: String,
-    total: u64,
+/// The pass that is under way.
+struct Pass {
+    tables: Vec<String>,
+    amount: Amount,
     started: Instant,
     last_line: Instant,
+    next_line: Duration,
+    bar: Option<ProgressBar>,
 }
 
 impl Progress {
     /// Shows progress in this style.
     #[must_use]
     pub fn new(style: Style) -> Self {
-        let now = Instant::now();
-        let state = State { bar: None, pass: String::new(), total: 0, started: now, last_line: now };
-        Self { style, state: Mutex::new(state), read: AtomicU64::new(0), rejected: AtomicU64::new(0) }
+        Self { style, pass: Mutex::new(None), read: AtomicU64::new(0), set_aside: AtomicU64::new(0) }
     }
 
-    /// A pass begins that makes these tables from so many raw bytes (0: from stored tables).
-    pub fn pass(&self, headings: &[&str], bytes: u64) {
-        self.finish();
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let now = Instant::now();
-        (state.pass, state.total, state.started, state.last_line) = (headings.join(", "), bytes, now, now);
+    /// A pass begins that makes these tables from so much; `whole` of the `wanted` tables are there.
+    pub(super) fn pass(&self, headings: &[&str], amount: Amount, whole: usize, wanted: usize) {
         self.read.store(0, Ordering::Relaxed);
+        self.set_aside.store(0, Ordering::Relaxed);
+        let tables = headings.join(", ");
+        let place = format!("[{whole}/{wanted}]");
+        let bar = (self.style == Style::Bar).then(|| bar(place.clone(), tables.clone(), amount));
         match self.style {
-            Style::Bar => state.bar = Some(bar(&state.pass, bytes)),
-            Style::Lines => eprintln!("computing {}", state.pass),
-            Style::Json => eprintln!("{}", json!({ "event": "pass", "tables": headings, "bytes": bytes })),
-            Style::Silent => {}
+            Style::Lines => eprintln!("{place} computing {tables}"),
+            Style::Json => eprintln!(
+                "{}",
+                json!({ "event": "pass", "tables": headings, "unit": amount.unit(), "of": amount.total(), "whole": whole, "wanted": wanted })
+            ),
+            Style::Bar | Style::Silent => {}
         }
+        let tables = headings.iter().map(|&heading| heading.to_owned()).collect();
+        let (now, next_line) = (Instant::now(), if self.style == Style::Json { JSON_EVERY } else { LINE_FIRST });
+        *self.pass.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some(Pass { tables, amount, started: now, last_line: now, next_line, bar });
     }
 
-    /// So many raw bytes more were read.
-    pub fn advance(&self, bytes: u64) {
-        let read = self.read.fetch_add(bytes, Ordering::Relaxed) + bytes;
+    /// So much more was read, in the unit of the pass.
+    pub(super) fn advance(&self, by: u64) {
+        let read = self.read.fetch_add(by, Ordering::Relaxed) + by;
         if self.style == Style::Silent {
             return;
         }
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(bar) = &state.bar {
-            bar.inc(bytes);
-        } else if state.last_line.elapsed() >= LINE_EVERY {
-            state.last_line = Instant::now();
-            let seconds = state.started.elapsed().as_secs_f64();
-            let (megabytes, rate) = (read as f64 / 1e6, read as f64 / 1e6 / seconds);
-            let left_s = (state.total.saturating_sub(read)) as f64 / 1e6 / rate;
-            match self.style {
-                Style::Json => {
-                    eprintln!("{}", json!({ "event": "read", "bytes": read, "of": state.total, "seconds": seconds }))
-                }
-                _ => eprintln!(
-                    "  {megabytes:.0} of {:.0} MB, {rate:.0} MB/s, {left_s:.0} s left",
-                    state.total as f64 / 1e6
-                ),
+        let mut pass = self.pass.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(pass) = pass.as_mut() else { return };
+        if let Some(bar) = &pass.bar {
+            bar.set_position(read);
+            if read >= pass.amount.total() {
+                bar.set_style(style("{prefix} {spinner} all read, still computing, {elapsed} so far  {wide_msg}"));
+            }
+        } else if pass.last_line.elapsed() >= pass.next_line {
+            pass.last_line = Instant::now();
+            let elapsed = pass.started.elapsed();
+            if self.style == Style::Json {
+                eprintln!("{}", json_line("read", pass, read, elapsed));
+            } else {
+                pass.next_line = (2 * pass.next_line).min(LINE_AT_LAST);
+                eprintln!("  {}", line(pass.amount, read, elapsed));
             }
         }
     }
 
     /// So many rows more were set aside.
-    pub fn rejected(&self, rows: u64) {
-        self.rejected.fetch_add(rows, Ordering::Relaxed);
+    pub(super) fn set_aside(&self, rows: u64) {
+        self.set_aside.fetch_add(rows, Ordering::Relaxed);
     }
 
-    /// The pass, or the run, has ended.
-    pub fn finish(&self) {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(bar) = state.bar.take() {
-            bar.finish_and_clear();
-        }
-        if state.pass.is_empty() {
-            return;
-        }
-        let seconds = state.started.elapsed().as_secs_f64();
+    /// All tables of the pass are whole. Of one that fails nothing is said here: its bar goes away with it.
+    pub(super) fn finish(&self) {
+        let Some(pass) = self.pass.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
+        let elapsed = pass.started.elapsed();
         let read = self.read.load(Ordering::Relaxed);
+        let set_aside = self.set_aside.load(Ordering::Relaxed);
+        let aside = if set_aside > 0 { format!(", {set_aside} set aside") } else { String::new() };
+        let said = format!("{} in {:.2} s{aside}", pass.amount.text(read as f64), elapsed.as_secs_f64());
         match self.style {
             Style::Json => {
-                eprintln!("{}", json!({ "event": "done", "tables": state.pass, "bytes": read, "seconds": seconds }))
+                let mut done = json_line("done", &pass, read, elapsed);
+                done["tables"] = json!(pass.tables);
+                done["set_aside"] = json!(set_aside);
+                eprintln!("{done}");
             }
-            Style::Bar if read > 0 => eprintln!("{}: {:.1} MB in {seconds:.2} s", state.pass, read as f64 / 1e6),
-            Style::Bar => eprintln!("{}: {seconds:.2} s", state.pass),
+            Style::Bar => {
+                pass.bar.iter().for_each(ProgressBar::finish_and_clear);
+                eprintln!("{}: {said}", pass.tables.join(", "));
+            }
+            // Who reads a log wants to know what took long.
+            Style::Lines if elapsed >= LINE_FIRST || set_aside > 0 => eprintln!("  {said}"),
             Style::Lines | Style::Silent => {}
         }
-        state.pass.clear();
     }
 }
 
-fn bar(pass: &str, bytes: u64) -> ProgressBar {
-    let (bar, template) = if bytes > 0 {
-        (ProgressBar::new(bytes), "{msg}  {bar:30}  {bytes} of {total_bytes}, {bytes_per_sec}, {eta} left")
-    } else {
-        (ProgressBar::new_spinner(), "{spinner} {msg}")
+/// Seconds that the rest will take at the rate so far; none where nothing was read.
+fn left_s(total: u64, read: u64, elapsed: Duration) -> Option<f64> {
+    (read > 0).then(|| total.saturating_sub(read) as f64 / read as f64 * elapsed.as_secs_f64())
+}
+
+fn line(amount: Amount, read: u64, elapsed: Duration) -> String {
+    let rate = read as f64 / elapsed.as_secs_f64();
+    let left = left_s(amount.total(), read, elapsed).map_or(String::new(), |left_s| format!(", {left_s:.0} s left"));
+    format!("{} of {}, {}/s{left}", amount.text(read as f64), amount.text(amount.total() as f64), amount.text(rate))
+}
+
+fn json_line(event: &str, pass: &Pass, read: u64, elapsed: Duration) -> Value {
+    let (unit, of) = (pass.amount.unit(), pass.amount.total());
+    json!({
+        "event": event, "unit": unit, "read": read, "of": of,
+        "seconds": elapsed.as_secs_f64(), "left_s": left_s(of, read, elapsed),
+    })
+}
+
+fn bar(place: String, tables: String, amount: Amount) -> ProgressBar {
+    let reading = match amount {
+        Amount::Bytes(_) => {
+            "{prefix} {bar:25} {decimal_bytes} of {decimal_total_bytes}, {decimal_bytes_per_sec}, {eta} left  {wide_msg}"
+        }
+        Amount::Rows(_) => "{prefix} {bar:25} {human_pos} of {human_len} rows, {eta} left  {wide_msg}",
     };
-    let style = ProgressStyle::with_template(template).expect("the template is fixed");
-    let bar = bar.with_style(style).with_message(pass.to_owned());
+    let bar = ProgressBar::new(amount.total()).with_style(style(reading));
+    let bar = bar.with_prefix(place).with_message(tables).with_finish(ProgressFinish::AndClear);
     bar.enable_steady_tick(Duration::from_millis(100));
     bar
+}
+
+fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).expect("the templates are fixed")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_says_how_far_how_fast_and_how_long_still() {
+        let elapsed = Duration::from_secs(4);
+        let bytes = Amount::Bytes(3_000_000_000);
+        assert_eq!(line(bytes, 500_000_000, elapsed), "500.0 MB of 3.00 GB, 125.0 MB/s, 20 s left");
+        assert_eq!(line(Amount::Rows(900), 300, elapsed), "300 rows of 900 rows, 75 rows/s, 8 s left");
+        assert_eq!(line(Amount::Rows(900), 0, elapsed), "0 rows of 900 rows, 0 rows/s");
+    }
 }

@@ -68,28 +68,35 @@ pub struct TooMany {
 impl TooMany {
     /// With the commonest reason, from the table `rejects` as it stands.
     pub(super) fn of(shelf: &Shelf, count: u64, most: u64, records: u64) -> Result<Self, StoreError> {
-        let mut rows: Vec<Reject> = Vec::new();
-        for batch in shelf.batches(Reject::TABLE)? {
-            rows.extend(Reject::rows(&batch).expect("the runtime itself wrote these rows"));
-        }
-        let (alike, example) = commonest(&rows);
+        let (alike, example) = kinds(&rows(shelf)?).into_iter().next().unwrap_or_default();
         Ok(Self { count, most, records, alike, example, rejects: shelf.out().join(Reject::TABLE) })
     }
 }
 
-/// How many rows have the commonest reason, and the first of these in words.
+/// The table `rejects` as it stands.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn rows(shelf: &Shelf) -> Result<Vec<Reject>, StoreError> {
+    let batches = shelf.batches(Reject::TABLE)?;
+    Ok(batches.iter().flat_map(|batch| Reject::rows(batch).expect("the runtime itself wrote these rows")).collect())
+}
+
+/// The reasons, the commonest first: how many rows have it, and the first of these in words.
 #[must_use]
-pub fn commonest(rows: &[Reject]) -> (usize, String) {
+pub fn kinds(rows: &[Reject]) -> Vec<(usize, String)> {
     let mut kinds: BTreeMap<String, (usize, &Reject)> = BTreeMap::new();
     for row in rows {
         kinds.entry(kind(row)).or_insert((0, row)).0 += 1;
     }
-    // Of equally common ones the first in the alphabet.
-    let most = kinds.into_values().rev().max_by_key(|(count, _)| *count);
-    most.map_or((0, String::new()), |(count, row)| {
+    let mut kinds: Vec<(usize, &Reject)> = kinds.into_values().collect();
+    // Equally common ones stay in the order of the alphabet.
+    kinds.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
+    let words = |row: &Reject| {
         let file = row.file.as_ref().map_or(String::new(), |file| format!("{file}: "));
-        (count, format!("{file}{}", row.reason))
-    })
+        format!("{file}{}", row.reason)
+    };
+    kinds.into_iter().map(|(count, row)| (count, words(row))).collect()
 }
 
 /// A reason without what is particular to one file: its name, and numbers.
@@ -127,8 +134,8 @@ mod tests {
             row("b1.trc", "b1.trc ends at byte 17"),
             row("b2.trc", "b2.trc ends at byte 2304"),
         ];
-        assert_eq!(commonest(&rows), (2, "b1.trc: b1.trc ends at byte 17".to_owned()));
-        assert_eq!(commonest(&rows[..1]), (1, "a.trc: is empty".to_owned()));
-        assert_eq!(commonest(&[]), (0, String::new()));
+        let expected = [(2, "b1.trc: b1.trc ends at byte 17".to_owned()), (1, "a.trc: is empty".to_owned())];
+        assert_eq!(kinds(&rows), expected);
+        assert_eq!(kinds(&[]), []);
     }
 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::cut::next_pass;
 use super::pass::{self, Ended, Pass};
 use super::plan::Plan;
-use super::progress::Progress;
+use super::progress::{Amount, Progress};
 use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
 use crate::store::runs::PassRecord;
@@ -36,13 +36,37 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         return Err(RunError::Memory { given: settings.memory_bytes, least });
     }
     let mut outcome = Outcome::default();
-    let mut content: BTreeMap<(usize, usize), Digest> = BTreeMap::new();
     let most_rejects = settings.max_rejects.map_or(u64::MAX, |limit| limit.most(records(plan)));
+    let ended = passes(plan, settings, most_rejects, progress, &mut outcome);
+    // Also of a run that failed: what was set aside before is often the cause.
+    let tables: Vec<_> = behind(plan)
+        .into_iter()
+        .map(|i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice()))
+        .collect();
+    let rejects = plan.shelf.publish_rejects(&tables);
+    // What stopped it comes first: on a full disk, say, this fails too.
+    ended?;
+    outcome.rejects = rejects?;
+    if outcome.rejects > most_rejects {
+        return Err(RunError::Rejects(TooMany::of(plan.shelf, outcome.rejects, most_rejects, records(plan))?));
+    }
+    Ok(outcome)
+}
+
+/// One pass after the other, until all that is wanted is there, or too much was set aside.
+fn passes(
+    plan: &mut Plan<'_>,
+    settings: &Settings,
+    most_rejects: u64,
+    progress: &Progress,
+    outcome: &mut Outcome,
+) -> Result<(), RunError> {
+    let mut content: BTreeMap<(usize, usize), Digest> = BTreeMap::new();
     while let Some(pass) = next_pass(plan).filter(|_| rejects(plan) <= most_rejects) {
         let headings: Vec<&str> = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str()).collect();
-        let source = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root));
-        let bytes = source.map_or(0, |source| pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
-        progress.pass(&headings, bytes);
+        let (whole, wanted) = whole(plan);
+        let amount = amount(plan, &pass);
+        progress.pass(&headings, amount, whole, wanted);
         let tables = headings.iter().map(|heading| (*heading).to_owned()).collect();
         let started = Instant::now();
         for heading in headings {
@@ -62,24 +86,20 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
         let ended = ended?;
         closed?;
         plan.refresh(&content)?;
-        publish(plan, &pass.steps, &mut outcome)?;
-        outcome.passes.push(PassRecord { tables, raw_bytes: bytes, seconds: started.elapsed().as_secs_f64() });
+        publish(plan, &pass.steps, outcome)?;
+        let raw_bytes = if let Amount::Bytes(bytes) = amount { bytes } else { 0 };
+        outcome.passes.push(PassRecord { tables, raw_bytes, seconds: started.elapsed().as_secs_f64() });
         if ended == Ended::Interrupted {
             return Err(RunError::Interrupted { kept: kept(plan, &pass) });
+        }
+        if ended == Ended::Whole {
+            progress.finish();
         }
     }
     let wanted: Vec<usize> =
         (0..plan.tables.len()).filter(|&i| plan.tables[i].wanted && plan.tables[i].complete()).collect();
-    publish(plan, &wanted, &mut outcome)?;
-    let tables: Vec<_> = behind(plan)
-        .into_iter()
-        .map(|i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice()))
-        .collect();
-    outcome.rejects = plan.shelf.publish_rejects(&tables)?;
-    if outcome.rejects > most_rejects {
-        return Err(RunError::Rejects(TooMany::of(plan.shelf, outcome.rejects, most_rejects, records(plan))?));
-    }
-    Ok(outcome)
+    publish(plan, &wanted, outcome)?;
+    Ok(())
 }
 
 /// The wanted tables and all that they are made from, also where that is not kept: what was set aside on the way is part of the outcome.
@@ -105,11 +125,26 @@ fn rejects(plan: &Plan<'_>) -> u64 {
     parts.filter_map(|part| part.files.get(Reject::TABLE)).map(|file| file.rows).sum()
 }
 
+/// What a pass reads: raw files, or a stored table.
+fn amount(plan: &Plan<'_>, pass: &Pass) -> Amount {
+    if let Some(source) = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
+        return Amount::Bytes(pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
+    }
+    let table = &plan.written(pass.root)[0].0;
+    let parts = pass.parts.iter().filter_map(|&part| plan.tables[pass.root].present[part].as_ref());
+    Amount::Rows(parts.filter_map(|part| part.files.get(table)).map(|file| file.rows).sum())
+}
+
+/// How many of the wanted tables are whole, and how many they are.
+fn whole(plan: &Plan<'_>) -> (usize, usize) {
+    let wanted = || plan.tables.iter().zip(&plan.spec.steps).filter(|(table, step)| table.wanted && step.keep);
+    (wanted().filter(|(table, _)| table.complete()).count(), wanted().count())
+}
+
 /// What an interrupted run leaves, in words.
 fn kept(plan: &Plan<'_>, pass: &Pass) -> String {
-    let wanted = || plan.tables.iter().zip(&plan.spec.steps).filter(|(table, step)| table.wanted && step.keep);
-    let whole = wanted().filter(|(table, _)| table.complete()).count();
-    let mut kept = vec![format!("{whole} of {} tables", wanted().count())];
+    let (whole, wanted) = whole(plan);
+    let mut kept = vec![format!("{whole} of {wanted} tables")];
     for &i in &pass.steps {
         let (parts, heading) = (&plan.tables[i].present, &plan.spec.steps[i].heading);
         let finished = parts.iter().flatten().count();

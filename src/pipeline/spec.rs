@@ -14,7 +14,7 @@ use crate::stages::{self, Node};
 #[derive(Debug, Error)]
 pub enum SpecError {
     /// The file cannot be read.
-    #[error("cannot read pipeline {path}")]
+    #[error("cannot read pipeline {}{}", path.display(), neighbours(path))]
     Read {
         /// File.
         path: PathBuf,
@@ -39,6 +39,39 @@ pub enum SpecError {
         /// What, and the mend.
         message: String,
     },
+}
+
+/// What else might be meant: a folder is no pipeline, and another name may be near.
+fn neighbours(path: &Path) -> String {
+    if path.is_dir() {
+        return "; it is a folder, and a pipeline is a file such as pipelines/all-visible.toml".to_owned();
+    }
+    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut names: Vec<String> = std::fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter(|entry| entry.path().extension().is_some_and(|extension| extension == "toml"))
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .collect();
+    names.sort();
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    suggest::nearest(name, names.iter().map(String::as_str))
+        .map_or(String::new(), |near| format!("; did you mean `{}`?", path.with_file_name(near).display()))
+}
+
+/// What a file is that has no headings of a pipeline, by those that it has.
+fn other_kind(table: &toml::Table) -> Option<&'static str> {
+    let has = |key: &str| table.get(key).and_then(toml::Value::as_table).is_some_and(|of| !of.contains_key("stage"));
+    match (has("instrument"), has("campaign")) {
+        (true, _) => Some(
+            "this is a scene, for `simulate` and `design`; a pipeline is a file such as pipelines/all-visible.toml",
+        ),
+        (_, true) => Some(
+            "this is a campaign; give its folder with --campaign, and as pipeline a file such as pipelines/all-visible.toml",
+        ),
+        _ => None,
+    }
 }
 
 /// One heading of the file as it is written.
@@ -97,6 +130,9 @@ impl Spec {
         let syntax = |message: String| SpecError::Syntax { pipeline: pipeline.to_owned(), message };
         let mut table: toml::Table =
             text.parse().map_err(|error: toml::de::Error| syntax(error.to_string().trim_end().to_owned()))?;
+        if let Some(kind) = other_kind(&table) {
+            return Err(syntax(kind.to_owned()));
+        }
         for setting in settings {
             apply(&mut table, setting).map_err(|message| syntax(format!("--set {setting}: {message}")))?;
         }
@@ -106,7 +142,7 @@ impl Spec {
                 |message: String| SpecError::Heading { pipeline: pipeline.to_owned(), heading: name.clone(), message };
             check_name(&name).map_err(refused)?;
             let heading: Heading =
-                value.try_into().map_err(|error: toml::de::Error| refused(suggest::explain(error.message())))?;
+                value.try_into().map_err(|error: toml::de::Error| refused(heading_fault(error.message())))?;
             let node = stages::parse(&heading.stage, heading.params).map_err(refused)?;
             steps.push(Step { heading: name, node, from: heading.from, with: heading.with, keep: heading.keep });
         }
@@ -169,7 +205,10 @@ impl Spec {
 
     /// `heading` or `heading.side` is a table `table`.
     fn expect(&self, heading: &str, table: &str) -> Result<(), String> {
-        let (step, found) = self.table(heading).ok_or_else(|| "there is no such table in this pipeline".to_owned())?;
+        let (step, found) = self.table(heading).ok_or_else(|| {
+            let known: Vec<&str> = self.steps.iter().map(|step| step.heading.as_str()).collect();
+            format!("there is no such table in this pipeline; {}", suggest::hint(heading, known))
+        })?;
         if found == table {
             Ok(())
         } else {
@@ -188,6 +227,16 @@ impl Spec {
             Some(side) => tables.into_iter().skip(1).find(|table| table.name == side),
         };
         table.map(|table| (step, table.name))
+    }
+}
+
+/// What is wrong with a heading's own keys.
+fn heading_fault(message: &str) -> String {
+    let explained = suggest::explain(message);
+    if explained.contains("; known: ") {
+        explained + " (a parameter of the stage stands in `params = { ... }`)"
+    } else {
+        explained
     }
 }
 
@@ -239,12 +288,20 @@ fn in_order(pipeline: &str, mut steps: Vec<Step>) -> Result<Vec<Step>, SpecError
                 .map(str::to_owned)
         };
         let Some(next) = (0..steps.len()).find(|&i| waits(&steps[i], &steps).is_none()) else {
-            let message = format!("goes in a circle through `{}`", waits(&steps[0], &steps).unwrap_or_default());
-            return Err(SpecError::Heading {
-                pipeline: pipeline.to_owned(),
-                heading: steps[0].heading.clone(),
-                message,
-            });
+            // Every step that is left waits for one that is left, so following them comes back to one that was passed.
+            let mut ring = vec![steps[0].heading.clone()];
+            while let Some(next) =
+                steps.iter().find(|step| step.heading == ring[ring.len() - 1]).and_then(|step| waits(step, &steps))
+            {
+                let passed = ring.iter().position(|heading| *heading == next);
+                ring.push(next);
+                if let Some(first) = passed {
+                    ring.drain(..first);
+                    break;
+                }
+            }
+            let message = format!("waits for itself: {}; take one `from` or `with` of these out", ring.join(" needs "));
+            return Err(SpecError::Heading { pipeline: pipeline.to_owned(), heading: ring.swap_remove(0), message });
         };
         sorted.push(steps.remove(next));
     }

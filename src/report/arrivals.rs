@@ -13,6 +13,8 @@ use crate::units::PatchId;
 pub struct Arrivals {
     /// In the order of time within each capture.
     pub by_capture: BTreeMap<CaptureKey, Vec<OnsetBehind>>,
+    /// Whether a solution rests on them, so that only those with a residual of its own count.
+    is_solved: bool,
     /// Heading of the table that they come from.
     pub heading: Option<String>,
 }
@@ -29,8 +31,13 @@ impl Arrivals {
             let onset = OnsetBehind::of_residual(&residual);
             all.insert(onset.id(), onset);
         }
+        let is_solved = !all.is_empty();
         for label in sources.rows(|label: &Label| label.alternative == 0)? {
-            let onset = OnsetBehind::of_label(&label);
+            let mut onset = OnsetBehind::of_label(&label);
+            if is_solved {
+                // Told from where the patches were thought to be before.
+                (onset.residual_ps, onset.pull) = (None, None);
+            }
             let known = all.remove(&onset.id());
             all.insert(onset.id(), known.map_or(onset, |known| known.labelled(&label)));
         }
@@ -45,7 +52,7 @@ impl Arrivals {
         }
         let heading =
             sources.heading("residuals").or_else(|| sources.heading("labels")).or_else(|| sources.heading("onsets"));
-        Ok(Self { by_capture, heading })
+        Ok(Self { by_capture, is_solved, heading })
     }
 
     /// All of them, in the order of captures.
@@ -53,9 +60,10 @@ impl Arrivals {
         self.by_capture.values().flatten()
     }
 
-    /// Those whose path meets a patch; without paths those of its own captures.
+    /// Those that a patch's place rests on: whose path meets it; without paths those of its own captures.
     pub fn over(&self, patch: PatchId) -> impl Iterator<Item = &OnsetBehind> {
-        self.iter().filter(move |onset| match &onset.path {
+        let counts = |onset: &&OnsetBehind| !self.is_solved || onset.used.is_some();
+        self.iter().filter(counts).filter(move |onset| match &onset.path {
             Some(path) => path.contains(&patch),
             None => onset.lit == patch || onset.seen == patch,
         })

@@ -70,6 +70,17 @@ macro_rules! each {
 }
 
 impl<'a> Codes<'a> {
+    /// Whether every code is a number: floats may be infinite or none.
+    #[must_use]
+    pub fn is_finite(self) -> bool {
+        match self {
+            Self::F32(_) | Self::F64(_) => {
+                each!(self, codes => codes.into_iter().all(|code| f64::from(code).is_finite()))
+            }
+            _ => true,
+        }
+    }
+
     /// Codes of the type of this name (`i8`, `u8`, `i16`, `u16`, `i32`, `u32`, `f32`, `f64`); `None` for another.
     #[must_use]
     pub fn of(code_type: &str, bytes: &'a [u8]) -> Option<Self> {
@@ -191,6 +202,17 @@ impl<'a> Codes<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn floats_may_be_no_numbers_and_integers_may_not() {
+        let bytes = |values: [f32; 3]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        assert!(Codes::of("f32", &bytes([0.0, -1.5, f32::MAX])).unwrap().is_finite());
+        for odd in [f32::NAN, f32::INFINITY] {
+            let bytes = bytes([0.0, odd, 1.0]);
+            assert!(!Codes::of("f32", &bytes).unwrap().is_finite());
+            assert!(Codes::of("i32", &bytes).unwrap().is_finite());
+        }
+    }
 
     #[test]
     fn every_type_reads_back_what_was_written() {

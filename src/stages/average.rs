@@ -3,7 +3,7 @@
 //! Each shot is moved by its own sub-sample trigger time and onto its reference pulse, whose time is fitted with the calibrated template. The
 //! offset is rounded to 1/64 sample, codes are summed as integers by phase, and each phase is delayed once at the end: exact, and the same for
 //! any order and chunking. Shots at the converter's rails, outlying shots (tested against the first 32) and shots without reference pulse are
-//! set aside.
+//! set aside, as are those with a sample that is no number.
 //!
 //! The spread of the first 32 shots gives a model of a shot's variance over level and slope ([`crate::signal::noise_model`]). What a sample has for
 //! itself is its standard error; the laser's energy and jitter move all samples together, and are told where they are significant. Jitter is else
@@ -111,6 +111,22 @@ impl Known {
         self.sensor(row)?.template.as_ref()
     }
 
+    /// Why reference pulses cannot be timed, and the mend.
+    fn without_template(&self, row: &Trace) -> String {
+        let sensor = &row.sensor;
+        if self.sensor(row).is_some() {
+            return format!(
+                "the response captures of sensor `{sensor}` have no reference channel, but its {} captures have; \
+                 give the [[captures]] rule of the response the `reference` too",
+                row.role
+            );
+        }
+        format!(
+            "sensor `{sensor}` is not calibrated, so that its reference pulses cannot be timed; \
+             give `with = {{ calibration = ... }}` from response captures (role = \"response\" in campaign.toml) with the same reference channel"
+        )
+    }
+
     fn trigger_ps2(&self, row: &Trace) -> f64 {
         self.sensor(row).map_or(0.0, |sensor| sensor.jitter_ps2)
     }
@@ -127,7 +143,7 @@ impl Known {
 
 impl Stage for Average {
     const KIND: &'static str = "average";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
     type Input = Trace;

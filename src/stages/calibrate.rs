@@ -11,7 +11,7 @@
 //! own grid, interpolated: bins no wider than a third of it are needed.
 //!
 //! Takes `traces`; writes `calibration`. At most [`SHOTS_MAX`] shots a range are used, and no more than [`KEPT_BYTES`] of samples: the first ones.
-//! Clipped shots are left out. Without `path_m` the latency is the prior of campaign.toml. What changes through a session (drift, pick-up) is
+//! Clipped shots, and those with a sample that is no number, are left out; a width or latency that no sensor has is told in `rejects`. Without `path_m` the latency is the prior of campaign.toml. What changes through a session (drift, pick-up) is
 //! added by `track`.
 //!
 //! ```toml
@@ -42,6 +42,11 @@ use crate::units;
 pub const SHOTS_MAX: usize = 4096;
 /// Most bytes of samples of a sensor and range that are kept.
 pub const KEPT_BYTES: usize = 64 << 20;
+
+/// A narrower response is doubted: the fastest photodiodes take some picoseconds.
+const WIDTH_LEAST_PS: f64 = 1.0;
+/// A latency below it is doubted: the reference's way would have to be 200 m of cable longer than the signal's.
+const LATENCY_LEAST_PS: f64 = -1e6;
 
 /// Parameters of `calibrate`: none.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -105,7 +110,7 @@ struct Reference {
 
 impl Stage for Calibrate {
     const KIND: &'static str = "calibrate";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::Sensor;
     type Input = Trace;
     type Output = Calibration;
@@ -166,7 +171,8 @@ impl State {
             samples: codes.to_f64().into_iter().map(|code| code * gain_v).collect(),
             t0_ps: columns.t0_ps.value(i),
         };
-        let clipped = columns.clipped.values()[i] > 0;
+        // A shot with a sample that is no number is no better than one with a sample at the rails.
+        let clipped = columns.clipped.values()[i] > 0 || !codes.is_finite();
         if columns.is_reference.value(i) {
             self.reference = (!clipped).then(|| (columns.shot.value(i), shot()));
             return;
@@ -218,7 +224,11 @@ impl State {
         let (mut rows, mut rejections) = (Vec::new(), Vec::new());
         for range in self.ranges.values() {
             match range.row(self, prior, template.as_ref()) {
-                Ok(row) => rows.push(row),
+                Ok(row) => {
+                    let doubts = doubts(&row, range.first.path_m);
+                    rejections.extend(doubts.map(|why| Rejection { reason: why, ..self.rejection(Some(range), "") }));
+                    rows.push(row);
+                }
                 Err(why) => {
                     rejections.push(self.rejection(Some(range), &why));
                     continue;
@@ -235,6 +245,23 @@ impl State {
         }
         Outcome { rejections, ..Outcome::rows(rows) }
     }
+}
+
+/// What cannot be of a real sensor: mostly a unit that was mistaken. It is told, and the calibration used as it is.
+fn doubts(row: &Calibration, path_m: Option<f64>) -> impl Iterator<Item = String> {
+    let Calibration { sensor, width_ps, latency_ps, .. } = row;
+    let fast = (*width_ps < WIDTH_LEAST_PS).then(|| {
+        format!(
+            "the response of sensor {sensor} is {width_ps:.3} ps wide, less than of any photodiode: is `dt_ps` in ps?"
+        )
+    });
+    let early = path_m.filter(|_| *latency_ps < LATENCY_LEAST_PS).map(|path_m| {
+        format!(
+            "the response of sensor {sensor} comes {:.0} ns before light can have gone path_m = {path_m}: is it in m? is its t0_ps right?",
+            -latency_ps * 1e-3
+        )
+    });
+    fast.into_iter().chain(early)
 }
 
 impl Shots {

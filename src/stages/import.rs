@@ -59,7 +59,9 @@ impl Import {
         if self.path.is_file() {
             return Ok(vec![self.path.clone()]);
         }
-        let entries = std::fs::read_dir(&self.path).map_err(|error| self.refused(error))?;
+        let entries = std::fs::read_dir(&self.path).map_err(|error| {
+            self.refused(format!("cannot be read; `path` is a .parquet file, or a folder of them, seen from where periscope runs: {error}"))
+        })?;
         let mut files: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
         files.retain(|file| file.extension().is_some_and(|extension| extension == "parquet"));
         files.sort();

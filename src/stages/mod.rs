@@ -84,16 +84,22 @@ pub const KINDS: [&str; 18] = [
     "import",
 ];
 
+/// The key that an error is about, as `.threshold_sigma`, where the message has not named it.
+fn key_of(error: &toml::de::Error) -> String {
+    let text = error.to_string();
+    let key = text.lines().find_map(|line| line.strip_prefix("in `")?.strip_suffix('`'));
+    key.filter(|_| !error.message().starts_with("unknown field")).map_or(String::new(), |key| format!(".{key}"))
+}
+
 /// The stage of this kind with these parameters.
 ///
 /// # Errors
 /// When the kind or a parameter is unknown, or a value is refused; the text names the mend.
 pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
     fn params_of<S: DeserializeOwned>(params: toml::Table) -> Result<Box<S>, String> {
-        params
-            .try_into()
-            .map(Box::new)
-            .map_err(|error: toml::de::Error| format!("params: {}", suggest::explain(error.message())))
+        params.try_into().map(Box::new).map_err(|error: toml::de::Error| {
+            format!("params{}: {}", key_of(&error), suggest::explain(error.message()))
+        })
     }
     Ok(match kind {
         "ingest" => Node::Source(params_of::<ingest::Ingest>(params)?),

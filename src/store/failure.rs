@@ -26,6 +26,9 @@ pub enum StoreError {
     /// A folder that is not a result folder.
     #[error("{0} holds other files and no .shelf: it is no result folder of periscope; choose another --out")]
     Foreign(PathBuf),
+    /// Nothing to read there.
+    #[error("{}", absent(.0))]
+    Absent(PathBuf),
     /// A name that the views need is taken by something else.
     #[error("{0} is in the way: it is not a view made by periscope; move it away, or choose another --out")]
     InTheWay(PathBuf),
@@ -68,6 +71,21 @@ pub enum StoreError {
         /// Cause.
         source: serde_json::Error,
     },
+}
+
+/// What a folder without a shelf is, and which of its neighbours has one.
+fn absent(out: &Path) -> String {
+    let folder = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut results: Vec<PathBuf> =
+        std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path()).collect();
+    results.retain(|neighbour| neighbour.join(".shelf").is_dir());
+    results.sort();
+    let named: Vec<String> =
+        results.iter().map(|path| path.strip_prefix("./").unwrap_or(path).display().to_string()).collect();
+    let hint =
+        if named.is_empty() { String::new() } else { format!("; beside it are results in {}", named.join(", ")) };
+    let what = if out.exists() { "is no result folder: it has no .shelf" } else { "does not exist" };
+    format!("{} {what}; `periscope run ... --out DIR` makes a result folder{hint}", out.display())
 }
 
 fn named(holder: Option<&Holder>) -> String {

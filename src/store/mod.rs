@@ -14,6 +14,7 @@ pub mod record;
 pub mod runs;
 pub mod scan;
 pub mod shelf;
+pub mod sql_names;
 mod sweep;
 pub mod verify;
 mod views;

@@ -128,7 +128,7 @@ impl Shelf {
     /// When it is not a result folder.
     pub fn look(out: &Path) -> Result<Self, StoreError> {
         if !out.join(".shelf").is_dir() {
-            return Err(StoreError::Foreign(out.to_owned()));
+            return Err(StoreError::Absent(out.to_owned()));
         }
         Ok(Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0) })
     }

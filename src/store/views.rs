@@ -157,6 +157,16 @@ impl Shelf {
         Ok(tables)
     }
 
+    /// Names of all views, `rejects` among them.
+    ///
+    /// # Errors
+    /// When the folder cannot be read.
+    pub fn names(&self) -> Result<Vec<String>, StoreError> {
+        let mut names: Vec<String> = self.tables()?.into_iter().map(|(view, _)| view).collect();
+        names.extend(Some(Reject::TABLE.to_owned()).filter(|rejects| self.out().join(rejects).is_dir()));
+        Ok(names)
+    }
+
     /// Record of the table behind a view.
     ///
     /// # Errors

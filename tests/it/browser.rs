@@ -21,6 +21,9 @@ const FLAGS: [&str; 9] = [
     "--disable-sync",
 ];
 
+/// How long anything may take.
+const PATIENCE: Duration = Duration::from_secs(90);
+
 /// An open browser window.
 pub struct Browser {
     driver: Child,
@@ -48,7 +51,7 @@ impl Browser {
         let options = json!({ "args": FLAGS });
         let wanted = json!({ "goog:chromeOptions": options, "goog:loggingPrefs": { "browser": "ALL" } });
         let answer = browser.ask("POST", "/session", &json!({ "capabilities": { "alwaysMatch": wanted } }));
-        browser.session = answer["sessionId"].as_str().unwrap_or_else(|| panic!("{answer}")).to_owned();
+        answer["sessionId"].as_str().unwrap_or_else(|| panic!("{answer}")).clone_into(&mut browser.session);
         Some(browser)
     }
 
@@ -67,7 +70,7 @@ impl Browser {
     pub fn wait(&self, what: &str, script: &str) {
         let started = Instant::now();
         while self.run(&format!("return !!({script});")) != Value::Bool(true) {
-            assert!(started.elapsed() < Duration::from_secs(60), "{what}: not within a minute");
+            assert!(started.elapsed() < PATIENCE, "{what}: not within {PATIENCE:?}");
             std::thread::sleep(Duration::from_millis(100));
         }
     }
@@ -86,16 +89,28 @@ impl Browser {
     fn ask(&self, method: &str, path: &str, body: &Value) -> Value {
         let body = body.to_string();
         let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let length = body.len();
-        write!(
-            stream,
-            "{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n{body}"
-        )
-        .unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        let body = answer.split_once("\r\n\r\n").expect("an answer has a body").1;
-        let mut answer: Value = serde_json::from_str(body).unwrap_or_else(|error| panic!("{error}: {body}"));
+        write!(stream, "{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {length}\r\n\r\n{body}")
+            .unwrap();
+        // The driver keeps the connection open: the answer ends where its head says.
+        let mut answer = BufReader::new(stream);
+        let mut length = 0;
+        loop {
+            let mut line = String::new();
+            answer.read_line(&mut line).unwrap();
+            if line.trim_end().is_empty() {
+                break;
+            }
+            if let Some((name, value)) =
+                line.split_once(':').filter(|(name, _)| name.eq_ignore_ascii_case("content-length"))
+            {
+                length = value.trim().parse().unwrap_or_else(|_| panic!("{name}: {value}"));
+            }
+        }
+        let mut body = vec![0; length];
+        answer.read_exact(&mut body).unwrap();
+        let mut answer: Value = serde_json::from_slice(&body).unwrap_or_else(|error| panic!("{error}: {body:?}"));
         let value = answer["value"].take();
         assert!(value.get("error").is_none(), "{method} {path}: {value}");
         value

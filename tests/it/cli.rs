@@ -7,6 +7,8 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 use crate::lab::{ALL_VISIBLE, Lab};
+#[cfg(not(feature = "query"))]
+use crate::python::printed;
 
 fn periscope(folder: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_periscope")).args(args).current_dir(folder).output().unwrap()
@@ -81,6 +83,7 @@ fn help_and_wrong_usage() {
         "simulate",
         "schema",
         "completions",
+        "man",
     ] {
         assert!(help.contains(&format!("\n  {command}")), "{command} is not in:\n{help}");
     }
@@ -171,12 +174,34 @@ fn run_plan_tables_seal_and_schema() {
     );
     let strict = periscope(&here, &["run", "p.toml", "--campaign", "campaign", "--out", "other", "--strict"]);
     assert_eq!(strict.status.code(), Some(1));
-    let json = periscope(&here, &["run", "p.toml", "--campaign", "campaign", "--out", "third", "--progress", "json"]);
+}
+
+/// The keys that docs/guide/running.md lists.
+#[test]
+fn progress_as_json_says_what_every_pass_reads_and_makes() {
+    let lab = Lab::tiny();
+    fs::write(lab.path("p.toml"), ALL_VISIBLE).unwrap();
+    let run = ["run", "p.toml", "--campaign", "campaign", "--out", "out", "--progress", "json"];
+    let run = periscope(&lab.path(""), &run);
+    let text = err(&run);
+    let events: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let keys = |event: &Value| event.as_object().unwrap().keys().map(String::as_str).collect::<Vec<_>>().join(" ");
+    let (began, ended): (Vec<&Value>, Vec<&Value>) = events.iter().partition(|event| event["event"] == "pass");
+    assert!(began.iter().all(|pass| keys(pass) == "event of tables unit wanted whole"), "{text}");
+    assert!(ended.iter().all(|done| keys(done) == "event left_s of read seconds set_aside tables unit"), "{text}");
+    // Of the scene every byte is read once, of its onsets every row; each pass that begins ends, with all read.
+    let bytes: u64 =
+        fs::read_dir(lab.path("campaign/raw/scene")).unwrap().map(|file| file.unwrap().metadata().unwrap().len()).sum();
+    assert!(began.iter().any(|pass| pass["unit"] == "bytes" && pass["of"] == bytes), "{bytes} {text}");
     assert!(
-        err(&json).lines().filter(|line| line.starts_with('{')).all(|line| serde_json::from_str::<Value>(line).is_ok()),
-        "{}",
-        err(&json)
+        began.iter().any(|pass| pass["unit"] == "rows" && pass["of"] == 16 && pass["tables"][0] == "labels"),
+        "{text}"
     );
+    assert_eq!(began.len(), ended.len(), "{text}");
+    for (pass, done) in began.iter().zip(&ended) {
+        assert!(pass["tables"] == done["tables"] && done["read"] == pass["of"] && done["of"] == pass["of"], "{text}");
+    }
+    assert!(began.windows(2).all(|two| two[0]["whole"].as_u64() < two[1]["whole"].as_u64()), "{text}");
 }
 
 #[test]
@@ -211,6 +236,16 @@ fn a_lean_build_says_how_to_query() {
     let query = periscope(&lab.path(""), &["query", "out", "SELECT patch, x_m FROM patches"]);
     assert_eq!(query.status.code(), Some(1));
     assert!(err(&query).contains("--features query") && err(&query).contains("patches/*.parquet"), "{}", err(&query));
+    // What it hands over for DuckDB is a question that DuckDB answers.
+    let sql = "SELECT count(*) AS n FROM patches.residuals r JOIN labels l ON r.lit = l.lit AND r.seen = l.seen";
+    let query = err(&periscope(&lab.path(""), &["query", "out", sql]));
+    let (_, question) = query.split_once("ask DuckDB:\n").unwrap();
+    let ask = format!("import duckdb\nprint(duckdb.sql(\"\"\"{question}\"\"\").fetchall())");
+    if let Some(answer) = printed(&lab.path(""), &["-c", &ask]) {
+        assert_eq!(answer.trim(), "[(16,)]");
+    }
+    let query = periscope(&lab.path(""), &["query", "out", "SELECT 1"]);
+    assert!(err(&query).contains("names no table of out; it has calibration"), "{}", err(&query));
 }
 
 /// The campaign that the README shows is one that is read.

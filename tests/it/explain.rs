@@ -17,6 +17,7 @@ use periscope::store::{Shelf, runs::RunRecord};
 use periscope::tables::{Label, Residual, Trace};
 
 use crate::lab::{ALL_VISIBLE, Lab, TINY};
+use crate::python::printed;
 
 /// One campaign, analysed with and without its traces kept.
 static LAB: LazyLock<Lab> = LazyLock::new(|| {
@@ -282,15 +283,30 @@ fn text_json_and_sql_say_the_same() {
     );
 }
 
-/// The questions have the answers that the explanation gives.
-#[cfg(feature = "query")]
-#[test]
-fn the_sql_runs() {
+/// The questions behind patch 3, and how many rows the explanation gives to each.
+fn questions() -> Vec<(String, usize)> {
     let (onsets, files) = behind_patch_3();
     let exposures: usize = files.values().flatten().map(Vec::len).sum();
     let expected = [1, onsets.len(), files.len() / 2, exposures];
     let sql = text(&periscope(&["explain", "out", "patch=3", "--format", "sql"]).stdout);
-    for (statement, rows) in sql.split(";\n").filter(|statement| !statement.trim().is_empty()).zip(expected) {
+    let statements = sql.split(";\n").filter(|statement| !statement.trim().is_empty()).map(str::to_owned);
+    statements.zip(expected).collect()
+}
+
+#[test]
+fn duckdb_answers_the_sql() {
+    for (statement, rows) in questions() {
+        let ask = format!("import duckdb\nprint(len(duckdb.sql(\"\"\"{statement}\"\"\").fetchall()))");
+        let Some(answer) = printed(&LAB.path(""), &["-c", &ask]) else { return };
+        assert_eq!(answer.trim(), rows.to_string(), "{statement}");
+    }
+}
+
+#[cfg(feature = "query")]
+#[test]
+fn query_answers_the_sql() {
+    for (statement, rows) in questions() {
+        let statement = statement.as_str();
         let answer = periscope(&["query", "out", statement, "--format", "json"]);
         assert_eq!(answer.status.code(), Some(0), "{statement}: {}", text(&answer.stderr));
         assert_eq!(text(&answer.stdout).lines().count(), rows, "{statement}");

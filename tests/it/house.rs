@@ -10,7 +10,7 @@ const FLOORS: [&[&str]; 7] = [
     &["geometry", "tables", "formats", "signal"],
     &["stages", "simulate"],
     &["pipeline", "history", "bound", "exchange"],
-    &["lib", "report"],
+    &["lib", "report", "guide"],
     &["main", "commands"],
 ];
 
@@ -28,7 +28,7 @@ const ADDRESSES: [(&str, &[&str]); 11] = [
     ("nalgebra", &["geometry/", "simulate/", "stages/", "bound/"]),
     ("arrow", &["tables/", "stages/", "store/", "pipeline/", "history/"]),
     ("parquet", &["store/"]),
-    ("polars", &["store/query.rs"]),
+    ("polars", &["store/query"]),
     ("crossbeam_channel", &["pipeline/"]),
     ("plotly", &["report/page/"]),
     ("maud", &["report/page/"]),

@@ -44,7 +44,7 @@ fn view(area: &Area<'_>, scene: &Scene, [across, up]: [usize; 2]) -> Result<(), 
     for placed in &scene.patches {
         let colour = of_kind(&placed.patch.kind);
         if let Some(axes_m) = placed.semi_axes_m {
-            let corners = ellipse(axes_m.map(|axis| at(axis)), at(placed.at()), 2.0 * scene.ellipsoid_factor);
+            let corners = ellipse(axes_m.map(&at), at(placed.at()), 2.0 * scene.ellipsoid_factor);
             chart.draw_series([Polygon::new(corners, colour.mix(0.25))])?;
         }
         chart.draw_series([Circle::new(at(placed.at()), 3, colour.filled())])?;

@@ -5,6 +5,8 @@ mod patches;
 mod plot;
 mod provenance;
 mod solution;
+mod space;
+mod stir;
 mod waves;
 mod words;
 
@@ -50,7 +52,7 @@ pub fn page(report: &Report) -> String {
                 main {
                     (answer::section(report))
                     (patches::section(report))
-                    (waves::stir(report))
+                    (stir::section(report))
                     (waves::profiles(report))
                     (waves::responses(report))
                     (solution::residuals(report))

@@ -6,6 +6,7 @@ use super::record::{self, Record};
 use super::reference::ReferencePulse;
 use super::shots::{Shots, view};
 use super::{Average, Known, is_alike, rejection};
+use crate::campaign::Role;
 use crate::stages::stage::{Outcome, StageError};
 use crate::tables::row::Cell;
 use crate::tables::traces::TraceColumns;
@@ -24,6 +25,12 @@ pub struct Capture {
     /// Time of the first reference pulse: those of a train that come later are taken for the one next to it.
     first_pulse_ps: Option<f64>,
     missing_template: bool,
+    has_reference: bool,
+}
+
+/// Whether times of a capture of this role are used.
+fn needs_reference(row: &Trace) -> bool {
+    [Role::Scene, Role::Fiducial].iter().any(|role| *row.role == *role.name())
 }
 
 impl Capture {
@@ -36,11 +43,13 @@ impl Capture {
             reference_clipped: false,
             first_pulse_ps: None,
             missing_template: false,
+            has_reference: false,
         }
     }
 
     /// Takes the pulse that marks time zero of the next signal.
     pub fn take_reference(&mut self, known: &Known, columns: &TraceColumns, i: usize) {
+        self.has_reference = true;
         let Some(template) = known.template(&self.first) else {
             self.missing_template = true;
             return;
@@ -48,10 +57,12 @@ impl Capture {
         let gain_v = columns.gain_v.value(i);
         let codes = view(columns.code_type.value(i), columns.codes.value(i));
         let samples_v: Vec<f64> = codes.to_f64().into_iter().map(|code| code * gain_v).collect();
-        let pulse = ReferencePulse::of(&samples_v, columns.t0_ps.value(i), columns.dt_ps.value(i), template);
+        let whole = samples_v.iter().all(|sample| sample.is_finite());
+        let pulse =
+            whole.then(|| ReferencePulse::of(&samples_v, columns.t0_ps.value(i), columns.dt_ps.value(i), template));
         self.reference_clipped = columns.clipped.values()[i] > 0;
         // A pulse that is cut off at the rails has its fitted time biased: such a shot is set aside.
-        let mut pulse = pulse.filter(|_| !self.reference_clipped);
+        let mut pulse = pulse.flatten().filter(|_| !self.reference_clipped);
         if let Some(period_ps) = known.period_ps(&self.first) {
             pulse = pulse.map(|pulse| pulse.of_train(period_ps, self.first_pulse_ps.unwrap_or(0.0)));
             self.first_pulse_ps = self.first_pulse_ps.or(pulse.map(|pulse| pulse.time_ps));
@@ -87,18 +98,24 @@ impl Capture {
             return;
         };
         let codes = <Codes as Cell>::get(&columns.codes, i);
+        if !view(&shots.first.code_type, &codes).is_finite() {
+            shots.rejected += 1;
+            return;
+        }
         shots.take(average, codes, columns.t0_ps.value(i), reference, clipped);
     }
 
     /// The capture's profile.
     pub fn finish(self, average: &Average, known: &Known) -> Result<Outcome<Profile>, StageError> {
-        let Self { first, ranges, missing_template, .. } = self;
+        let Self { first, ranges, missing_template, has_reference, .. } = self;
         if missing_template {
-            let sensor = &first.sensor;
-            return Err(StageError::Refused(format!(
-                "captures of sensor `{sensor}` have a reference channel, but its calibration has no reference template; \
-                 give `with = {{ calibration = ... }}` from response captures with the same reference channel"
-            )));
+            return Err(StageError::Refused(known.without_template(&first)));
+        }
+        // The latency of such a sensor counts from its reference pulse; times from the trigger would be wrong by what lies between.
+        if !first.is_reference && !has_reference && needs_reference(&first) && known.template(&first).is_some() {
+            let why = "has no reference pulse, but the response captures of its sensor have; \
+                 give its [[captures]] rule the `reference` too, or take it out of both";
+            return Ok(rejection(&first, why));
         }
         let several = ranges.len() > 1;
         let place = |name: &Name| if several { format!("in its vertical range {name} ") } else { String::new() };

@@ -13,6 +13,9 @@ use crate::signal::noise;
 use crate::signal::shot_spread::{HEAD_SHOTS, OutlierTest};
 use crate::tables::{Codes, Profile, Trace};
 
+/// Records of fewer samples are hardly ever meant.
+const SAMPLES_FEW: i32 = 100;
+
 /// A record with its place on the grid.
 struct Shot {
     codes: Codes,
@@ -191,10 +194,7 @@ impl Shots {
         }
         let (shots, needed) = (self.whole.sums.shots(), average.shots_needed());
         if shots < u64::from(needed) {
-            let Self { rejected, other_scale, .. } = self;
-            return Err(format!(
-                "has {shots} valid shots of the {needed} that it needs; {rejected} were clipped, outlying or without reference pulse, {other_scale} of another scale, length or setting"
-            ));
+            return Err(self.too_few(shots, needed));
         }
         let mean = self.whole.sums.finish().zip(self.noise.take());
         let Some((mean, noise)) = mean else {
@@ -204,6 +204,28 @@ impl Shots {
             );
         };
         Ok(self.record(&mean, &noise))
+    }
+
+    /// Where the others went.
+    fn too_few(&self, shots: u64, needed: u32) -> String {
+        let Self { rejected, clipped, other_scale, .. } = *self;
+        let kinds = [
+            (clipped, "were clipped"),
+            (rejected - clipped, "were outlying, without reference pulse or not a number"),
+            (other_scale, "were of another scale, length or setting"),
+        ];
+        let gone: Vec<String> =
+            kinds.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+        let gone = if gone.is_empty() { "no others were captured".to_owned() } else { gone.join(", ") };
+        let samples = self.first.samples;
+        let axes = if samples < SAMPLES_FEW && rejected + other_scale > samples {
+            format!(
+                " (more shots than the {samples} samples of each: are the axes of the array in the order shots, samples?)"
+            )
+        } else {
+            String::new()
+        };
+        format!("has {shots} valid shots of the {needed} that it needs; {gone}{axes}")
     }
 
     fn record(self, mean: &Mean, noise: &Noise) -> Record {

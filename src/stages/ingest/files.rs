@@ -113,7 +113,10 @@ fn select(records: &[Record], channel: Option<&str>, segment: Option<u32>) -> Re
     channels.sort_unstable();
     channels.dedup();
     if let Some(channel) = channel.filter(|channel| !channels.is_empty() && !channels.contains(channel)) {
-        return Err(format!("has no channel `{channel}`; it has {}", channels.join(", ")));
+        return Err(format!(
+            "has no channel `{channel}`; it has {}: correct `channel` or `reference` in its [[captures]] rule",
+            channels.join(", ")
+        ));
     }
     if channel.is_none() && channels.len() > 1 {
         return Err(format!(

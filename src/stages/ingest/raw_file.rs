@@ -178,17 +178,16 @@ impl RawFile {
         while start < records.len() {
             let end = self.run(records, start);
             let record = &self.records[records[start]];
-            let range =
-                match samples {
-                    Some([first, last]) if first >= last || last > record.head.samples as u64 => {
-                        return Err(self.bad_record(records[start], format!(
-                        "has {} samples; samples = [{first}, {last}] in its [[captures]] rule is not among them",
+            let range = match samples {
+                Some([first, last]) if first >= last || last > record.head.samples as u64 => {
+                    return Err(self.bad_record(records[start], format!(
+                        "has {0} samples; samples = [{first}, {last}] in its [[captures]] rule reaches beyond them: end it at {0}, or take it out",
                         record.head.samples
                     )));
-                    }
-                    Some([first, last]) => first as usize..last as usize,
-                    None => 0..record.head.samples,
-                };
+                }
+                Some([first, last]) => first as usize..last as usize,
+                None => 0..record.head.samples,
+            };
             if record.contiguous().is_none() || (samples.is_some() && record.code_bytes() > PIECE_BYTES) {
                 for &record in &records[start..end] {
                     codes.push(self.apart(record, range.clone())?);

@@ -414,7 +414,7 @@ fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, I
         shape => {
             let names: Vec<&str> = axes.iter().map(|axis| axis.name()).collect();
             return Err(refused(format!(
-                "segments = {names:?} names {} axes, but the file has leading axes {:?}",
+                "segments = {names:?} names {} axes, but the file has leading axes {:?}; name one for each, such as segments = \"shot\"",
                 axes.len(),
                 shape.unwrap_or(&[])
             )));

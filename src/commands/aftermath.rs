@@ -1,0 +1,66 @@
+//! What a run tells at its end: what it set aside and why, and tables that nothing came out in.
+
+use std::collections::BTreeSet;
+
+use anyhow::Result;
+use periscope::pipeline::rejects::{kinds, rows};
+use periscope::pipeline::run::Outcome;
+use periscope::pipeline::spec::{Spec, Step};
+use periscope::store::Shelf;
+
+/// Kinds of reasons that are shown; the table has all.
+const SHOWN: usize = 5;
+
+/// The commonest reasons why records were set aside, each with an example.
+pub fn tell_rejects(shelf: &Shelf) -> Result<()> {
+    let rows = rows(shelf)?;
+    if rows.is_empty() {
+        return Ok(());
+    }
+    let kinds = kinds(&rows);
+    let all = shelf.out().join("rejects");
+    eprintln!("warning: {} records were set aside; {} has all", rows.len(), all.display());
+    for (count, example) in kinds.iter().take(SHOWN) {
+        let times = if *count > 1 { format!("{count} like ") } else { String::new() };
+        eprintln!("  {times}{example}");
+    }
+    if kinds.len() > SHOWN {
+        eprintln!("  and {} kinds more", kinds.len() - SHOWN);
+    }
+    Ok(())
+}
+
+/// Results without a row, and where the rows were lost.
+pub fn tell_empty(spec: &Spec, outcome: &Outcome) {
+    let rows = |step: &Step| Some(outcome.tables.get(&step.heading)?.rows(&step.node.tables()[0].name));
+    let from = |step: &Step| spec.steps.get(spec.table(step.from.as_deref()?)?.0);
+    let inputs: BTreeSet<usize> = spec
+        .steps
+        .iter()
+        .flat_map(|step| step.from.iter().chain(step.with.values()))
+        .filter_map(|input| Some(spec.table(input)?.0))
+        .collect();
+    let results = spec.steps.iter().enumerate().filter(|(i, _)| !inputs.contains(i)).map(|(_, step)| step);
+    let mut lost: Vec<(&Step, Vec<String>)> = Vec::new();
+    for result in results.filter(|step| rows(step) == Some(0)) {
+        let mut at = result;
+        while let Some(input) = from(at).filter(|input| rows(input) == Some(0)) {
+            at = input;
+        }
+        let named = format!("`{}`", result.heading);
+        match lost.iter_mut().find(|(other, _)| other.heading == at.heading) {
+            Some((_, results)) => results.push(named),
+            None => lost.push((at, vec![named])),
+        }
+    }
+    for (at, results) in lost {
+        let had = from(at).and_then(|input| Some((input, rows(input)?)));
+        let had = had.map_or("none of the captures that it takes could be read".to_owned(), |(input, rows)| {
+            format!("`{}` has {rows}", input.heading)
+        });
+        // A result that was lost in its own stage need not be named twice.
+        let own = results == [format!("`{}`", at.heading)];
+        let at = if own { String::new() } else { format!("`{}` has no rows, ", at.heading) };
+        eprintln!("warning: {} came out empty: {at}{had}", results.join(", "));
+    }
+}

@@ -1,0 +1,46 @@
+//! The guide: the pages of `docs/guide/`, here so that they stand beside the reference. Start at [`guide`](start).
+//!
+//! A page is Markdown that reads the same in both places. What it links to is defined twice: at its own end, as the files lie, and in `links.md`, as the modules do;
+//! the definition that comes first counts, and here that is the second.
+
+macro_rules! pages {
+    ($($name:ident = $file:literal;)*) => {$(
+        #[doc = include_str!("links.md")]
+        #[doc = include_str!(concat!("../../docs/guide/", $file))]
+        pub mod $name {}
+    )*};
+}
+
+pages! {
+    start = "README.md";
+    quick_start = "quick-start.md";
+    your_campaign = "your-campaign.md";
+    files = "files.md";
+    running = "running.md";
+    report = "report.md";
+    theory = "theory.md";
+    glossary = "glossary.md";
+}
+
+/// A page for each stage of a pipeline.
+pub mod stages {
+    pages! {
+        average = "stages/average.md";
+        calibrate = "stages/calibrate.md";
+        characterize = "stages/characterize.md";
+        deconvolve = "stages/deconvolve.md";
+        detect = "stages/detect.md";
+        embed = "stages/embed.md";
+        import = "stages/import.md";
+        ingest = "stages/ingest.md";
+        label = "stages/label.md";
+        measure = "stages/measure.md";
+        range = "stages/range.md";
+        refine = "stages/refine.md";
+        reflect = "stages/reflect.md";
+        search = "stages/search.md";
+        surface = "stages/surface.md";
+        track = "stages/track.md";
+        triangulate = "stages/triangulate.md";
+    }
+}
