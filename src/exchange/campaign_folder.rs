@@ -77,7 +77,7 @@ pub fn write(capture: &Capture, told: &Told, out: &Path) -> Result<Written, Exch
     }
     let kept = |pair: &&Pair| capture.lit.keeps(pair.lit, told.every) && capture.seen.keeps(pair.seen, told.every);
     let pairs: Vec<Pair> = capture.pairs.iter().filter(kept).copied().collect();
-    let folder = Folder { capture, told, scene: Scene::new(capture, &pairs).map_err(unfit)?, pairs };
+    let folder = Folder { capture, told, scene: Scene::new(capture, &pairs), pairs };
     let counts = folder.are_counts().map_err(unfit)?;
     let raw = out.join("raw");
     written(&raw, fs::create_dir_all(&raw))?;
@@ -106,7 +106,7 @@ struct Scene {
 }
 
 impl Scene {
-    fn new(capture: &Capture, pairs: &[Pair]) -> Result<Self, String> {
+    fn new(capture: &Capture, pairs: &[Pair]) -> Self {
         let (mut patches, mut numbers) = (BTreeMap::new(), BTreeMap::new());
         let of = |grid: &Grid, place: &dyn Fn(&Pair) -> usize| -> Vec<Spot> {
             pairs.iter().map(|pair| grid.spots[place(pair)]).collect()
@@ -119,12 +119,9 @@ impl Scene {
             let number = *numbers.entry(key(&spot)).or_insert(next);
             patches.entry(number).or_insert(spot);
         }
-        if capture.with_legs && (capture.laser_m.is_none() || capture.sensor_m.is_none()) {
-            return Err("was made of a capture whose times include the ways from the laser and to the sensor, but which does not say where these are".to_owned());
-        }
         let front = front_of(&patches);
         let laser_m = capture.laser_m.or(capture.sensor_m).unwrap_or(front);
-        Ok(Self { laser_m, sensor_m: capture.sensor_m.unwrap_or(laser_m), patches, numbers })
+        Self { laser_m, sensor_m: capture.sensor_m.unwrap_or(laser_m), patches, numbers }
     }
 
     fn number(&self, spot: &Spot) -> PatchId {

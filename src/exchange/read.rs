@@ -50,6 +50,10 @@ pub fn read(path: &Path, unsaid: &Unsaid) -> Result<Capture, ExchangeError> {
     {
         return Err(unfit(format!("has bins of {} ps; a positive width and a finite start are needed", capture.dt_ps)));
     }
+    if capture.with_legs && (capture.laser_m.is_none() || capture.sensor_m.is_none()) {
+        let problem = "has times that include the ways from the laser and to the sensor, but does not say where these are; set laser_xyz and sensor_xyz";
+        return Err(unfit(problem.to_owned()));
+    }
     Ok(capture)
 }
 

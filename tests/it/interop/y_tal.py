@@ -50,7 +50,7 @@ def make():
         "list": (tal_capture(HFormat.T_Si, points[:7], points[:7], counts((BINS, 7)), n3), 4),
         "one-lit": (tal_capture(HFormat.T_Sx_Sy, one, wall, counts(square).astype(np.uint16), xy), 1),
         "all": (tal_capture(HFormat.T_Lx_Ly_Sx_Sy, wall, wall, counts((BINS,) + (SIDE,) * 4), xy), 1),
-        "all-list": (tal_capture(HFormat.T_Li_Si, points[:5], points[3:], counts((BINS, 5, 6)), n3, False), 0),
+        "all-list": (tal_capture(HFormat.T_Li_Si, points[:4], points[:6], counts((BINS, 4, 6)), n3, False), 0),
     }
     for name, (capture, level) in captures.items():
         tal.io.write_capture(f"{name}.hdf5", capture, compression_level=level)
