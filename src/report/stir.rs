@@ -184,7 +184,7 @@ mod tests {
 
     #[test]
     fn narrow_pixels_show_the_nearest_sample() {
-        let found = levels(&row(vec![0.1, 1.0, 10.0]), 100.0, 2.0);
+        let found = levels(&row(vec![0.05, 1.0, 10.0]), 100.0, 2.0);
         assert!(found[..2].iter().all(|level| *level == 0.0));
         assert!((found[5] - 1.0).abs() < 1e-6 && (found[10] - 2.0).abs() < 1e-6);
         assert_eq!(found[COLUMNS - 1], 0.0, "after the record");
