@@ -13,7 +13,9 @@ use anyhow::{Context, Result};
 use periscope::campaign::{Campaign, walk};
 use periscope::pipeline::run::{Outcome, RunError};
 use periscope::store::Shelf;
+use periscope::store::prune::Unneeded;
 use periscope::store::runs::RunRecord;
+use periscope::tables::{Reject, Row};
 
 use super::check::report::Report;
 use super::check::{self, coverage};
@@ -111,8 +113,10 @@ fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result
     Ok(outcome)
 }
 
-/// Removes parts and tables that an earlier pass showed and this one has replaced: those of recipes that views show. Results of other parameters stay.
+/// Removes parts, tables and rejects that an earlier pass showed and this one has replaced: those of recipes that views show. Results of other parameters stay.
 fn remove_replaced(shelf: &Shelf) -> Result<()> {
-    let replaced: Vec<_> = shelf.unneeded()?.into_iter().filter(|unneeded| !unneeded.is_whole).collect();
+    let rejects = format!("{}-", Reject::TABLE);
+    let is_replaced = |unneeded: &Unneeded| !unneeded.is_whole || unneeded.folder.starts_with(&rejects);
+    let replaced: Vec<_> = shelf.unneeded()?.into_iter().filter(is_replaced).collect();
     Ok(shelf.remove(&replaced)?)
 }

@@ -25,6 +25,7 @@ pages! {
 /// A page for each stage of a pipeline.
 pub mod stages {
     pages! {
+        anchor = "stages/anchor.md";
         average = "stages/average.md";
         calibrate = "stages/calibrate.md";
         characterize = "stages/characterize.md";

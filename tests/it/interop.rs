@@ -281,10 +281,11 @@ fn faults_name_the_file_and_the_mend() {
     assert!(String::from_utf8(output.stderr).unwrap().contains("full: is not empty"));
     let output = periscope(folder.path(), &["convert", "good.hdf5", "--out", "out"]);
     assert!(String::from_utf8(output.stderr).unwrap().contains("--fwhm-ps"));
+    fs::create_dir_all(path("results/.shelf")).unwrap();
     for (args, part) in [
-        (vec!["export", "full", "a.txt"], ".ply for patches"),
-        (vec!["export", "full", "a.ply"], "no table `patches`"),
-        (vec!["export", "full", "a.hdf5"], "add --campaign DIR"),
+        (vec!["export", "results", "a.txt"], ".ply for patches"),
+        (vec!["export", "results", "a.ply"], "no table `patches`"),
+        (vec!["export", "results", "a.hdf5"], "add --campaign DIR"),
     ] {
         let error = String::from_utf8(periscope(folder.path(), &args).stderr).unwrap();
         assert!(error.contains(part), "{args:?}: {error}");

@@ -85,9 +85,14 @@ fn lab() -> Lab {
 /// What the command prints to standard error, but for what it is doing.
 fn told(folder: &Path, command: &str) -> String {
     let periscope = env!("CARGO_BIN_EXE_periscope");
-    let output = Command::new(periscope).args(command.split(' ')).current_dir(folder).output().unwrap();
+    let mut called = Command::new(periscope);
+    called.args(command.split(' ')).current_dir(folder);
+    if command.starts_with("run ") {
+        called.args(["--progress", "none"]);
+    }
+    let output = called.output().unwrap();
     let text = String::from_utf8(output.stderr).unwrap();
-    let lines = text.lines().filter(|line| !line.starts_with("computing ") && !line.is_empty());
+    let lines = text.lines().filter(|line| !line.is_empty());
     let code = output.status.code().unwrap();
     format!("[exit code {code}]\n{}", lines.collect::<Vec<_>>().join("\n"))
 }
