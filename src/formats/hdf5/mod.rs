@@ -4,7 +4,7 @@
 //! headers version 1, groups as symbol tables, attributes in the headers, data sets of one axis that are contiguous, compact, or chunked with or
 //! without deflate (HDF5 File Format Specification 3.0, sections II to IV). Contiguous samples stay in the file, chunks are inflated piece by piece.
 //!
-//! Data sets of several axes are read whole, as [`arrays`]; [`write`] writes such.
+//! Data sets of several axes are read whole, as [`arrays`]; [`write()`] writes such.
 //!
 //! Not read, and refused by name: later superblocks and layouts, other filters, shared types. `h5repack -f GZIP=6` makes a
 //! file with other filters readable.
