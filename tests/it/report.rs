@@ -13,6 +13,7 @@ use periscope::tables::{Distance, Label, Onset, Patch, Profile, Residual, Row, S
 
 use crate::browser::Browser;
 use crate::lab::{AVERAGES, Lab, write_table};
+use crate::scope_samples::samples;
 
 /// A page is at most this large.
 const MOST_BYTES: usize = 15_000_000;
@@ -222,6 +223,41 @@ fn five_hundred(lab: &Lab) -> PathBuf {
     write_table(&import(Stir::TABLE), &stirs);
     lab.run("large", &pipeline, &Settings::default()).unwrap();
     lab.path("large")
+}
+
+/// Reflections on a line: real recordings, no positions.
+#[test]
+fn real_recordings_have_their_page() {
+    let Some(samples) = samples() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let raw = folder.path().join("campaign/raw");
+    fs::create_dir_all(&raw).unwrap();
+    for name in ["campaign.toml", "captures.csv"] {
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/campaigns/tdr").join(name);
+        fs::copy(source, folder.path().join("campaign").join(name)).unwrap();
+    }
+    for entry in fs::read_dir(samples.join("campaign-tdr")).unwrap().flatten() {
+        fs::copy(entry.path(), raw.join(entry.file_name())).unwrap();
+    }
+    let run = Command::new(env!("CARGO_BIN_EXE_periscope"))
+        .args([
+            "run",
+            concat!(env!("CARGO_MANIFEST_DIR"), "/pipelines/tdr.toml"),
+            "--campaign",
+            "campaign",
+            "--out",
+            "out",
+        ])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    let page = page_of(&folder.path().join("out"));
+    assert!(own(&page).contains("262 onsets in 130 profiles"));
+    let Some(browser) = Browser::open() else { return };
+    let file = folder.path().join("tdr.html");
+    fs::write(&file, page).unwrap();
+    is_drawn_whole(&browser, &file);
 }
 
 #[test]
