@@ -33,7 +33,7 @@ pub use y_tal_file::write as write_y_tal;
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
     /// The file cannot be read, or contradicts its format.
-    #[error("{}: cannot be read", path.display())]
+    #[error("{}", path.display())]
     Read {
         /// File.
         path: PathBuf,

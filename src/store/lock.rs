@@ -40,8 +40,20 @@ impl fmt::Display for Holder {
     }
 }
 
-/// Takes the lock of the shelf of `out`; it is held while the file stays open.
-pub(super) fn take(out: &Path, shelf: &Path) -> Result<File, StoreError> {
+/// The lock, held until it is dropped.
+#[derive(Debug)]
+pub(super) struct Lock(File);
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // To close the file is not enough: a child that another thread is about to start has it open too, until it becomes another program. Where unlocking
+        // fails, the lock goes with the last of them.
+        let _ = self.0.unlock();
+    }
+}
+
+/// Takes the lock of the shelf of `out`.
+pub(super) fn take(out: &Path, shelf: &Path) -> Result<Lock, StoreError> {
     let path = shelf.join("lock");
     // Not truncated: until the lock is ours, the text is another's.
     let mut file = File::options().read(true).write(true).create(true).truncate(false).open(&path).at("open", &path)?;
@@ -56,7 +68,7 @@ pub(super) fn take(out: &Path, shelf: &Path) -> Result<File, StoreError> {
     }
     let name = serde_json::to_vec(&Holder::here()).expect("a name is plain data");
     file.set_len(0).and_then(|()| file.write_all(&name)).at("write", &path)?;
-    Ok(file)
+    Ok(Lock(file))
 }
 
 #[cfg(test)]
@@ -71,7 +83,10 @@ mod tests {
         let refused = take(Path::new("results"), folder.path()).unwrap_err().to_string();
         assert!(refused.contains(&format!("process {} on ", std::process::id())), "{refused}");
         assert!(refused.contains("--wait") && !refused.contains("earlier"), "{refused}");
+        // As a child has it that another thread is just starting.
+        let of_child = held.0.try_clone().unwrap();
         drop(held);
         take(Path::new("results"), folder.path()).unwrap();
+        drop(of_child);
     }
 }

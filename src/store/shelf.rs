@@ -10,7 +10,7 @@
 //! ```
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -100,7 +100,7 @@ impl TableRecord {
 pub struct Shelf {
     out: PathBuf,
     /// Held while the folder is written; `None` for reading.
-    _lock: Option<File>,
+    _lock: Option<lock::Lock>,
     temporary: AtomicU64,
 }
 

@@ -148,9 +148,11 @@ fn readers_see_whole_tables_while_runs_publish() {
             }
             seen
         });
-        (0..30).for_each(|i| drop(run([5.0, 6.0][i % 2])));
+        // The reader ends also where a run fails.
+        let runs = std::panic::catch_unwind(|| (0..30).for_each(|i| drop(run([5.0, 6.0][i % 2]))));
         is_over.store(true, Ordering::Relaxed);
-        reader.join().unwrap()
+        let seen = reader.join().unwrap();
+        runs.map_or_else(|panic| std::panic::resume_unwind(panic), |()| seen)
     });
     assert!(seen.iter().all(|&reads| reads > 5), "{seen:?}");
 }
