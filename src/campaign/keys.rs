@@ -161,6 +161,18 @@ pub enum PatchRole {
     Mirror,
 }
 
+impl PatchRole {
+    /// As campaign.toml and the table `patches` have it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Visible => "visible",
+            Self::Hidden => "hidden",
+            Self::Mirror => "mirror",
+        }
+    }
+}
+
 /// A half line from a station.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

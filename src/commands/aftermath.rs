@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use anyhow::Result;
-use periscope::pipeline::rejects::{kinds, rows};
+use periscope::pipeline::rejects::{kinds, rows, words};
 use periscope::pipeline::run::Outcome;
 use periscope::pipeline::spec::{Spec, Step};
 use periscope::store::Shelf;
@@ -20,9 +20,9 @@ pub fn tell_rejects(shelf: &Shelf) -> Result<()> {
     let kinds = kinds(&rows);
     let all = shelf.out().join("rejects");
     eprintln!("warning: {} records were set aside; {} has all", rows.len(), all.display());
-    for (count, example) in kinds.iter().take(SHOWN) {
+    for (count, row) in kinds.iter().take(SHOWN) {
         let times = if *count > 1 { format!("{count} like ") } else { String::new() };
-        eprintln!("  {times}{example}");
+        eprintln!("  {times}{}", words(row));
     }
     if kinds.len() > SHOWN {
         eprintln!("  and {} kinds more", kinds.len() - SHOWN);

@@ -11,12 +11,12 @@ use periscope::geometry::{Point, procrustes};
 use periscope::pipeline::progress::Style;
 use periscope::pipeline::run::Settings;
 use periscope::pipeline::spec::Spec;
-use periscope::report::{Report, page};
 use periscope::simulate::{self, Format, Scene};
 use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
 
 use super::interrupt::stop_on_signals;
+use super::report::write_page;
 use super::run::{Job, use_threads};
 
 /// Demonstrations: name, scene, pipeline.
@@ -105,10 +105,7 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
         let rows = outcome.tables.get(&step.heading).map_or(0, |record| record.rows(&step.node.tables()[0].name));
         println!("  {:20} {rows:>6} rows  {}", step.heading, results.join(&step.heading).display());
     }
-    let page = results.join("report.html");
-    std::fs::write(&page, page::page(&Report::of(&results)?))
-        .with_context(|| format!("cannot write {}", page.display()))?;
-    println!("\nThe same for the eye, in a browser: {}", page.display());
+    println!("\nThe same for the eye, in a browser: {}", write_page(&results)?.display());
     // As it was called, so that the line works where the program is not on the path.
     let program = std::env::args().next().unwrap_or_else(|| "periscope".to_owned());
     println!("\nThe same again, from the files:");

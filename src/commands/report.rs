@@ -30,9 +30,22 @@ pub fn report(args: &Report) -> Result<ExitCode> {
         }
         return Ok(ExitCode::SUCCESS);
     }
-    let file = args.to.clone().unwrap_or_else(|| args.out.join("report.html"));
+    let file = args.to.clone().unwrap_or_else(|| page_of(&args.out));
     write(&file, &page::page(&report))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Where the page of a result folder is, unless it is asked for elsewhere.
+fn page_of(out: &Path) -> PathBuf {
+    out.join("report.html")
+}
+
+/// Writes the page into its result folder, and tells where.
+pub fn write_page(out: &Path) -> Result<PathBuf> {
+    let file = page_of(out);
+    let page = page::page(&report::Report::of(out)?);
+    std::fs::write(&file, page).with_context(|| format!("cannot write {}", file.display()))?;
+    Ok(file)
 }
 
 fn write(file: &Path, text: &str) -> Result<()> {

@@ -12,10 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::{Context, Result};
 use periscope::campaign::{Campaign, walk};
 use periscope::pipeline::run::{Outcome, RunError};
-use periscope::store::Shelf;
-use periscope::store::prune::Unneeded;
 use periscope::store::runs::RunRecord;
-use periscope::tables::{Reject, Row};
 
 use super::check::report::Report;
 use super::check::{self, coverage};
@@ -104,19 +101,11 @@ fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result
         check::forget_changed(campaign, job.shelf)?;
     }
     let outcome = Job { campaigns, ..job.clone() }.execute(record)?;
-    remove_replaced(job.shelf)?;
+    job.shelf.remove(&job.shelf.replaced()?)?;
     for campaign in campaigns {
         let mut report = Report::default();
         coverage::fill(&mut report, campaign, &campaign.survey()?, &[], &BTreeSet::new());
         report.mend.iter().for_each(|missing| eprintln!("still missing in {}: {missing}", campaign.name));
     }
     Ok(outcome)
-}
-
-/// Removes parts, tables and rejects that an earlier pass showed and this one has replaced: those of recipes that views show. Results of other parameters stay.
-fn remove_replaced(shelf: &Shelf) -> Result<()> {
-    let rejects = format!("{}-", Reject::TABLE);
-    let is_replaced = |unneeded: &Unneeded| !unneeded.is_whole || unneeded.folder.starts_with(&rejects);
-    let replaced: Vec<_> = shelf.unneeded()?.into_iter().filter(is_replaced).collect();
-    Ok(shelf.remove(&replaced)?)
 }

@@ -111,13 +111,27 @@ pub fn change_anywhere(reader: &dyn Reader, bytes: &[u8], times: u64) {
 /// # Panics
 /// When reading does, or a record claims what the file does not hold.
 pub fn damage(reader: &dyn Reader, bytes: &[u8], times: u64, mend: impl Fn(&mut Vec<u8>)) -> usize {
+    let mut survived = 0;
+    each_damaged(bytes, times, |mut damaged| {
+        mend(&mut damaged);
+        survived += usize::from(read(reader, &damaged).is_ok());
+    });
+    survived
+}
+
+/// Shows `look` a file cut at every length.
+pub fn each_cut(bytes: &[u8], mut look: impl FnMut(&[u8])) {
+    (0..bytes.len()).for_each(|length| look(&bytes[..length]));
+}
+
+/// Shows `look` a file with a few bytes changed, many times over.
+pub fn each_damaged(bytes: &[u8], times: u64, mut look: impl FnMut(Vec<u8>)) {
     // Numerical Recipes' linear congruence: the same numbers in every run.
     let mut state = 0x9e37_79b9_7f4a_7c15_u64;
     let mut random = |below: usize| {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 33) as usize % below.max(1)
     };
-    let mut survived = 0;
     for _ in 0..times {
         let mut bytes = bytes.to_vec();
         for _ in 0..=random(3) {
@@ -133,10 +147,8 @@ pub fn damage(reader: &dyn Reader, bytes: &[u8], times: u64, mend: impl Fn(&mut 
                 break;
             }
         }
-        mend(&mut bytes);
-        survived += usize::from(read(reader, &bytes).is_ok());
+        look(bytes);
     }
-    survived
 }
 
 fn edit(bytes: &mut Vec<u8>, at: usize, random: &mut impl FnMut(usize) -> usize) {

@@ -68,7 +68,8 @@ pub struct TooMany {
 impl TooMany {
     /// With the commonest reason, from the table `rejects` as it stands.
     pub(super) fn of(shelf: &Shelf, count: u64, most: u64, records: u64) -> Result<Self, StoreError> {
-        let (alike, example) = kinds(&rows(shelf)?).into_iter().next().unwrap_or_default();
+        let rows = rows(shelf)?;
+        let (alike, example) = kinds(&rows).first().map(|(alike, row)| (*alike, words(row))).unwrap_or_default();
         Ok(Self { count, most, records, alike, example, rejects: shelf.out().join(Reject::TABLE) })
     }
 }
@@ -82,21 +83,24 @@ pub fn rows(shelf: &Shelf) -> Result<Vec<Reject>, StoreError> {
     Ok(batches.iter().flat_map(|batch| Reject::rows(batch).expect("the runtime itself wrote these rows")).collect())
 }
 
-/// The reasons, the commonest first: how many rows have it, and the first of these in words.
+/// The reasons of each stage, the commonest first: how many rows have it, and the first of these.
 #[must_use]
-pub fn kinds(rows: &[Reject]) -> Vec<(usize, String)> {
-    let mut kinds: BTreeMap<String, (usize, &Reject)> = BTreeMap::new();
+pub fn kinds(rows: &[Reject]) -> Vec<(usize, &Reject)> {
+    let mut kinds: BTreeMap<(&str, String), (usize, &Reject)> = BTreeMap::new();
     for row in rows {
-        kinds.entry(kind(row)).or_insert((0, row)).0 += 1;
+        kinds.entry((&row.stage, kind(row))).or_insert((0, row)).0 += 1;
     }
     let mut kinds: Vec<(usize, &Reject)> = kinds.into_values().collect();
     // Equally common ones stay in the order of the alphabet.
     kinds.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
-    let words = |row: &Reject| {
-        let file = row.file.as_ref().map_or(String::new(), |file| format!("{file}: "));
-        format!("{file}{}", row.reason)
-    };
-    kinds.into_iter().map(|(count, row)| (count, words(row))).collect()
+    kinds
+}
+
+/// A row in words: its file, and why.
+#[must_use]
+pub fn words(row: &Reject) -> String {
+    let file = row.file.as_ref().map_or(String::new(), |file| format!("{file}: "));
+    format!("{file}{}", row.reason)
 }
 
 /// A reason without what is particular to one file: its name, and numbers.
@@ -134,8 +138,11 @@ mod tests {
             row("b1.trc", "b1.trc ends at byte 17"),
             row("b2.trc", "b2.trc ends at byte 2304"),
         ];
+        let in_words = |rows: &[Reject]| -> Vec<(usize, String)> {
+            kinds(rows).into_iter().map(|(count, row)| (count, words(row))).collect()
+        };
         let expected = [(2, "b1.trc: b1.trc ends at byte 17".to_owned()), (1, "a.trc: is empty".to_owned())];
-        assert_eq!(kinds(&rows), expected);
-        assert_eq!(kinds(&[]), []);
+        assert_eq!(in_words(&rows), expected);
+        assert_eq!(in_words(&[]), []);
     }
 }

@@ -8,6 +8,9 @@ use crate::history::behind::{CaptureKey, OnsetBehind};
 use crate::tables::{Label, Onset, Residual};
 use crate::units::PatchId;
 
+/// More than any pull.
+const LEFT_OUT: f64 = 1e9;
+
 /// Onsets by capture and rank.
 #[derive(Default)]
 pub struct Arrivals {
@@ -60,20 +63,24 @@ impl Arrivals {
         self.by_capture.values().flatten()
     }
 
+    /// Those that the solution was offered; without a solution all.
+    pub fn offered(&self) -> impl Iterator<Item = &OnsetBehind> {
+        self.iter().filter(|onset| !self.is_solved || onset.used.is_some())
+    }
+
     /// Those that a patch's place rests on: whose path meets it; without paths those of its own captures.
     pub fn over(&self, patch: PatchId) -> impl Iterator<Item = &OnsetBehind> {
-        let counts = |onset: &&OnsetBehind| !self.is_solved || onset.used.is_some();
-        self.iter().filter(counts).filter(move |onset| match &onset.path {
+        self.offered().filter(move |onset| match &onset.path {
             Some(path) => path.contains(&patch),
             None => onset.lit == patch || onset.seen == patch,
         })
     }
 }
 
-/// How far an onset lies from where the solution has it, in standard deviations; 0 where nothing tells.
+/// To sort by: how far an onset lies from where the solution has it, in standard deviations; 0 where nothing tells. Those that the solution left out come first.
 pub fn doubt(onset: &OnsetBehind) -> f64 {
     let pull = onset.pull.map_or(0.0, f64::abs);
-    if onset.used == Some(false) { pull.max(1e3) } else { pull }
+    if onset.used == Some(false) { LEFT_OUT + pull } else { pull }
 }
 
 /// A path in words: `4 > 9 > 2`.

@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use crate::history::HistoryError;
 use crate::history::ancestry::Ancestry;
+use crate::pipeline::rejects;
 use crate::store::Shelf;
 use crate::store::runs::RunRecord;
 use crate::tables::{Reject, Row};
@@ -36,14 +37,10 @@ pub struct Shown {
 
 /// Records that were set aside for one reason.
 pub struct Rejected {
-    /// Heading of the stage.
-    pub stage: String,
-    /// Why, and the mend.
-    pub reason: String,
     /// How many.
     pub count: usize,
-    /// The first of them: file, and segment.
-    pub first: Option<String>,
+    /// The first of them.
+    pub first: Reject,
 }
 
 /// Where everything comes from.
@@ -71,7 +68,7 @@ impl Provenance {
     /// When one cannot be read.
     pub fn of(shelf: &Shelf, ancestry: &Ancestry) -> Result<Self, HistoryError> {
         let mut runs = shelf.runs()?;
-        let shown = |(view, table): (String, crate::history::ancestry::Table)| {
+        let table = |(view, table): (String, crate::history::ancestry::Table)| {
             let record = ancestry.record(&table)?;
             let inputs = ancestry.inputs(&table).iter();
             Some(Shown {
@@ -85,34 +82,17 @@ impl Provenance {
                 inputs: inputs.map(|(name, input)| (name.clone(), ancestry.label(input))).collect(),
             })
         };
-        let mut by_reason: BTreeMap<(String, String), (usize, Option<String>)> = BTreeMap::new();
-        let mut rejects = 0;
-        if shelf.out().join(Reject::TABLE).is_dir() {
-            for batch in shelf.batches(Reject::TABLE)? {
-                for reject in Reject::rows(&batch)? {
-                    rejects += 1;
-                    let segment = reject.segment.map_or(String::new(), |segment| format!(", segment {segment}"));
-                    let first = reject.file.map(|file| format!("{file}{segment}"));
-                    let of_reason = by_reason.entry((reject.stage.to_string(), reject.reason.to_string()));
-                    of_reason.or_insert((0, first)).0 += 1;
-                }
-            }
-        }
-        let mut rejected: Vec<Rejected> = by_reason
-            .into_iter()
-            .map(|((stage, reason), (count, first))| Rejected { stage, reason, count, first })
-            .collect();
-        rejected.sort_by_key(|rejected| std::cmp::Reverse(rejected.count));
-        let reasons = rejected.len();
-        rejected.truncate(REASONS);
+        let rejects = if shelf.out().join(Reject::TABLE).is_dir() { rejects::rows(shelf)? } else { Vec::new() };
+        let kinds = rejects::kinds(&rejects);
+        let shown = kinds.iter().take(REASONS);
         Ok(Self {
             runs: runs.len(),
             last_work: runs.iter().rev().find(|run| !run.passes.is_empty()).cloned(),
             last_run: runs.pop(),
-            tables: ancestry.views().into_iter().filter_map(shown).collect(),
-            rejected,
-            rejects,
-            reasons,
+            tables: ancestry.views().into_iter().filter_map(table).collect(),
+            rejected: shown.map(|(count, first)| Rejected { count: *count, first: (*first).clone() }).collect(),
+            reasons: kinds.len(),
+            rejects: rejects.len(),
         })
     }
 

@@ -70,7 +70,7 @@ impl Residuals {
     /// When a table cannot be read.
     pub fn of(sources: &Sources<'_>, arrivals: &Arrivals) -> Result<Option<Self>, HistoryError> {
         let with_pull: Vec<(&OnsetBehind, f64)> =
-            arrivals.iter().filter_map(|onset| onset.pull.map(|pull| (onset, pull))).collect();
+            arrivals.offered().filter_map(|onset| onset.pull.map(|pull| (onset, pull))).collect();
         let (Some(heading), false) = (arrivals.heading.clone(), with_pull.is_empty()) else { return Ok(None) };
         let mut histogram = vec![0; BINS];
         for (_, pull) in &with_pull {

@@ -59,8 +59,10 @@ pub struct Scene {
     pub patches: Vec<Placed>,
     /// Other places that the data leave.
     pub alternatives: Vec<Patch>,
-    /// Where laser and sensors stand, by name; empty where the campaign's folder is gone.
+    /// Where laser and sensors stand, by name, in campaigns whose folders can still be read.
     pub stations: BTreeMap<String, [f64; 3]>,
+    /// Why that of a campaign cannot.
+    pub unread: Vec<String>,
     /// Paths of light, a choice.
     pub rays: Vec<Ray>,
     /// The solution as a whole.
@@ -94,8 +96,13 @@ impl Scene {
             sources.rows(|_: &Patch| true)?.into_iter().partition(|patch| patch.alternative == 0);
         let patches: Vec<Placed> = best.into_iter().map(Placed::new).collect();
         let places: BTreeMap<i32, &Placed> = patches.iter().map(|placed| (placed.patch.patch, placed)).collect();
-        let campaigns: BTreeMap<&str, Campaign> =
-            provenance.campaigns().filter_map(|(name, folder)| Some((name, Campaign::load(folder).ok()?))).collect();
+        let (mut campaigns, mut unread) = (BTreeMap::new(), Vec::new());
+        for (name, folder) in provenance.campaigns() {
+            match Campaign::load(folder) {
+                Ok(campaign) => drop(campaigns.insert(name, campaign)),
+                Err(error) => unread.push(format!("campaign {name}: {error:#}")),
+            }
+        }
         let stations: BTreeMap<String, [f64; 3]> = campaigns
             .values()
             .flat_map(|campaign| campaign.stations.iter().map(|(name, station)| (name.clone(), station.position_m)))
@@ -110,7 +117,7 @@ impl Scene {
             let is_hidden = on_path.iter().any(|placed| &*placed.patch.kind == "hidden");
             Some(Ray { bounces: path.len(), is_hidden, corners_m })
         };
-        let all: Vec<Ray> = arrivals.iter().filter(|onset| onset.used != Some(false)).filter_map(ray).collect();
+        let all: Vec<Ray> = arrivals.offered().filter(|onset| onset.used != Some(false)).filter_map(ray).collect();
         let (hidden, seen): (Vec<Ray>, Vec<Ray>) = all.into_iter().partition(|ray| ray.is_hidden);
         let mut rays = chosen(hidden);
         rays.extend(chosen(seen));
@@ -119,6 +126,7 @@ impl Scene {
             ellipsoid_factor: ellipsoid_factor(&patches),
             alternatives,
             stations,
+            unread,
             rays,
             fit: sources.rows(|fit: &Fit| fit.alternative == 0)?.pop(),
             ambiguities: sources.rows(|_: &Ambiguity| true)?,

@@ -43,14 +43,9 @@ impl Scene {
         let onsets = (self.lit().len() + self.seen().len()) as i32 - 1;
         let row = |(&patch, disk): (&PatchId, &super::keys::Disk)| {
             let [x_m, y_m, z_m] = disk.position_m;
-            let kind = match disk.role {
-                PatchRole::Visible => "visible",
-                PatchRole::Hidden => "hidden",
-                PatchRole::Mirror => "mirror",
-            };
             Patch {
                 patch,
-                kind: kind.into(),
+                kind: disk.role.name().into(),
                 x_m,
                 y_m,
                 z_m,

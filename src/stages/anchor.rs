@@ -102,14 +102,9 @@ impl OpenSource for Opened {
 
 fn row(patch: PatchId, (role, [x_m, y_m, z_m], sd_m): &Anchor) -> Patch {
     let variance_m2 = sd_m.unwrap_or(EXACT_M).powi(2);
-    let kind = match role {
-        PatchRole::Visible => "visible",
-        PatchRole::Hidden => "hidden",
-        PatchRole::Mirror => "mirror",
-    };
     Patch {
         patch,
-        kind: kind.into(),
+        kind: role.name().into(),
         x_m: *x_m,
         y_m: *y_m,
         z_m: *z_m,

@@ -51,7 +51,7 @@ impl Shelf {
         let mut unneeded = Vec::new();
         for (folder, found) in folders(&self.root())? {
             let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if name.starts_with(&format!("{}-", Reject::TABLE)) {
+            if is_list_of_rejects(&name) {
                 let is_shown = fs::read_link(self.out().join(Reject::TABLE)).is_ok_and(|link| link.ends_with(&name));
                 if !is_shown && !is_unfinished(&found) {
                     // Its files are links to those of parts.
@@ -67,6 +67,16 @@ impl Shelf {
                 Contents::of(&folder, shown.get(&name).unwrap_or(&nothing), behind.contains(&name), &is_unfinished)?;
             unneeded.extend(contents.unneeded(folder, name));
         }
+        Ok(unneeded)
+    }
+
+    /// Of that, what shown tables have replaced: parts, tables and lists of rejects. Results of other parameters are left.
+    ///
+    /// # Errors
+    /// When the shelf cannot be read.
+    pub fn replaced(&self) -> Result<Vec<Unneeded>, StoreError> {
+        let mut unneeded = self.unneeded()?;
+        unneeded.retain(|unneeded| !unneeded.is_whole || is_list_of_rejects(&unneeded.folder));
         Ok(unneeded)
     }
 
@@ -205,6 +215,10 @@ impl Contents {
         };
         Some(Unneeded { folder: name, is_whole: !is_any_needed, parts, bytes, paths })
     }
+}
+
+fn is_list_of_rejects(folder: &str) -> bool {
+    folder.strip_prefix(Reject::TABLE).is_some_and(|rest| rest.starts_with('-'))
 }
 
 fn is_record(path: &Path) -> bool {

@@ -21,7 +21,16 @@ pub fn rejects(report: &Report) -> Markup {
                         thead { tr { th { "records" } th.text { "stage" } th.text { "reason, and the mend" } th.text { "the first" } } }
                         tbody {
                             @for rejected in &provenance.rejected {
-                                tr { td { (rejected.count) } td.text { (rejected.stage) } td.text { (rejected.reason) } td.text { (rejected.first.as_deref().unwrap_or("")) } }
+                                @let first = &rejected.first;
+                                tr {
+                                    td { (rejected.count) }
+                                    td.text { (first.stage) }
+                                    td.text { (first.reason) }
+                                    td.text {
+                                        (first.file.as_deref().unwrap_or(""))
+                                        @if let Some(segment) = first.segment { ", segment " (segment) }
+                                    }
+                                }
                             }
                         }
                     }

@@ -38,7 +38,7 @@ fn caption(scene: &Scene) -> Markup {
             "Ellipsoids are two standard deviations, drawn " strong { (sig(scene.ellipsoid_factor, 3)) " times" } " their size. "
         }
         @if let Some(frame) = frame { (frame) " " }
-        @if scene.stations.is_empty() { "Laser and sensors are not drawn: the campaign's folder is not where it was. " }
+        @for reason in &scene.unread { "Its laser, sensors and paths are not drawn: " (reason) ". " }
         "Table " code { (scene.heading) } "."
     }
 }
