@@ -7,17 +7,21 @@
 //! The fit is by maximum likelihood for variances of normal shots, `(N - 1) s^2 / sd^2` distributed as chi squared: a gamma regression with
 //! identity link, least squares weighted by `(N - 1) / (2 sd^4)` with sd of the model, repeated until it stays (McCullagh and Nelder,
 //! *Generalized Linear Models*, chapter 8), the coefficients not negative. Level and slope are those of the mean, whose own noise passes for
-//! slope: the expected part is taken off the square of the slope. Not modelled: variances correlated between samples, which leave the
-//! coefficients right and their errors too small; noise of other kinds, which `chi2_per_dof` shows.
+//! slope: the expected part is taken off the square of the slope, as if the noise were the same all along the samples of a difference. Not
+//! modelled: variances correlated between samples, which leave the coefficients right and their errors too small; noise of other kinds, which
+//! `chi2_per_dof` shows.
+//!
+//! Every capture has such a fit, beside sums that cost next to nothing: a round is a pass over the samples that gathers the normal equations, and
+//! allocates nothing.
 
-use super::regression::{Regression, least_squares};
+use super::regression::invert;
 
 /// Terms of the model.
 pub const TERMS: usize = 4;
 /// Rounds of reweighting after which the fit is taken as it is.
 const ROUNDS: usize = 100;
 /// The fit has settled when no coefficient changes by more than this share of its standard deviation.
-const SETTLED: f64 = 1e-6;
+const SETTLED: f64 = 1e-3;
 /// Derivative over eight steps, exact for polynomials of order 8.
 const WIDE: [f64; 9] = [1.0 / 280.0, -4.0 / 105.0, 0.2, -0.8, 0.0, 0.8, -0.2, 4.0 / 105.0, -1.0 / 280.0];
 /// A model variance is not taken below this share of the mean variance.
@@ -56,24 +60,27 @@ pub fn fit(spread: &Spread) -> Option<NoiseModel> {
     let len = spread.mean_v.len();
     assert_eq!(len, spread.variance_v2.len(), "a variance for each sample");
     assert!(spread.shots >= 2 && spread.dt_ps > 0.0, "a spread is of two shots at least, and has a step");
-    let used: Vec<usize> = (0..len).filter(|n| spread.variance_v2[*n].is_finite()).collect();
-    let variances: Vec<f64> = used.iter().map(|n| spread.variance_v2[*n]).collect();
-    let mean = variances.iter().sum::<f64>() / variances.len().max(1) as f64;
-    if used.len() < TERMS || mean <= 0.0 {
+    let used = spread.variance_v2.iter().filter(|variance| variance.is_finite()).count();
+    // A sample to be ignored is one without weight.
+    let variances: Vec<f64> = spread.variance_v2.iter().map(|v| if v.is_finite() { *v } else { 0.0 }).collect();
+    let mean = variances.iter().sum::<f64>() / used.max(1) as f64;
+    if used < TERMS || mean <= 0.0 {
         return None;
     }
-    let mut sd_model = vec![mean; used.len()];
+    let mut columns = Columns::of(spread.mean_v, spread.dt_ps);
+    let known: Vec<f64> = spread.variance_v2.iter().map(|v| f64::from(u8::from(v.is_finite()))).collect();
+    let mut weights = known.iter().map(|known| known / spread.weighing(mean)).collect::<Vec<f64>>();
     let mut model: Option<NoiseModel> = None;
     for _ in 0..ROUNDS {
-        let terms = terms(spread, &smooth(spread, model.as_ref(), mean));
-        let columns: Vec<Vec<f64>> = terms.iter().map(|term| used.iter().map(|n| term[*n]).collect()).collect();
-        let sd: Vec<f64> = sd_model.iter().map(|v| v * (2.0 / (spread.shots - 1) as f64).sqrt()).collect();
-        let next = non_negative(&columns, &variances, &sd)?;
+        let smooth =
+            model.as_ref().map_or([mean, 0.0, 0.0], |model| [model.values[0], model.values[1], model.values[2]]);
+        columns.clear_of_noise(smooth.map(|value| value / spread.shots as f64));
+        let next = Equations::of(&columns, &variances, &weights).solve(used)?;
         let settled = model.as_ref().is_some_and(|old| {
             (0..TERMS).all(|k| (next.values[k] - old.values[k]).abs() <= SETTLED * next.covariance[k][k].sqrt())
         });
-        for (i, v) in sd_model.iter_mut().enumerate() {
-            *v = (0..TERMS).map(|k| next.values[k] * columns[k][i]).sum::<f64>().max(FLOOR * mean);
+        for (n, (weight, known)) in weights.iter_mut().zip(&known).enumerate() {
+            *weight = known / spread.weighing(columns.variance(&next.values, n).max(FLOOR * mean));
         }
         model = Some(next);
         if settled {
@@ -81,6 +88,13 @@ pub fn fit(spread: &Spread) -> Option<NoiseModel> {
         }
     }
     model
+}
+
+impl Spread<'_> {
+    /// Variance of a sample's variance, where the model has it at `variance`.
+    fn weighing(&self, variance: f64) -> f64 {
+        variance * variance * 2.0 / (self.shots - 1) as f64
+    }
 }
 
 impl NoiseModel {
@@ -91,63 +105,141 @@ impl NoiseModel {
     #[must_use]
     pub fn sd_v(&self, mean_v: &[f64], shots: usize, dt_ps: f64) -> Vec<f64> {
         assert!(dt_ps > 0.0 && shots > 0, "a mean has shots and a step");
-        let spread = Spread { mean_v, variance_v2: &[], shots, dt_ps };
-        let terms = terms(&spread, &smooth(&spread, Some(self), 0.0));
-        (0..mean_v.len()).map(|n| (0..TERMS).map(|k| self.values[k] * terms[k][n]).sum::<f64>().sqrt()).collect()
+        let mut columns = Columns::of(mean_v, dt_ps);
+        columns.clear_of_noise([0, 1, 2].map(|k| self.values[k] / shots as f64));
+        (0..mean_v.len()).map(|n| columns.variance(&self.values, n).sqrt()).collect()
     }
 }
 
-/// Variance of each sample of the mean, which is what its slope and square have too much: of the model without slope, or all the same.
-fn smooth(spread: &Spread, model: Option<&NoiseModel>, mean: f64) -> Vec<f64> {
-    let variance =
-        |v: f64| model.map_or(mean, |model| model.values[0] + model.values[1] * v.abs() + model.values[2] * v * v);
-    spread.mean_v.iter().map(|v| variance(*v) / spread.shots as f64).collect()
+/// The terms at each sample, and what they are made of.
+struct Columns {
+    ones: Vec<f64>,
+    /// Size of the level, and its square with the mean's own noise in it.
+    level: Vec<f64>,
+    square: Vec<f64>,
+    /// Square of the slope with that noise in it, and how much a variance of 1 of the mean's samples adds.
+    rise: Vec<f64>,
+    gain: Vec<f64>,
+    /// Both squares without.
+    clear_square: Vec<f64>,
+    clear_rise: Vec<f64>,
 }
 
-/// The four terms at each sample. `own` is the variance of the mean's samples.
-fn terms(spread: &Spread, own: &[f64]) -> [Vec<f64>; TERMS] {
-    let mean_v = spread.mean_v;
-    // Differences over eight samples follow the slope's square of a pulse of 1.5 samples' sd to 2 %; over four they would miss 8 %.
-    let difference = |n: usize, weights: &[f64], before: usize| {
-        let range = n.checked_sub(before)?..n + weights.len() - before;
-        let (values, own) = (mean_v.get(range.clone())?, &own[range]);
-        let rise: f64 = values.iter().zip(weights).map(|(v, w)| v * w).sum();
-        let noise: f64 = own.iter().zip(weights).map(|(own, w)| own * w * w).sum();
-        Some((rise * rise - noise).max(0.0) / (spread.dt_ps * spread.dt_ps))
-    };
-    let slope_squared = |n: usize| {
-        let wide = difference(n, &WIDE, WIDE.len() / 2);
-        wide.or_else(|| difference(n, &[-0.5, 0.0, 0.5], 1)).unwrap_or(0.0)
-    };
-    [
-        vec![1.0; mean_v.len()],
-        mean_v.iter().map(|v| v.abs()).collect(),
-        mean_v.iter().zip(own).map(|(v, own)| (v * v - own).max(0.0)).collect(),
-        (0..mean_v.len()).map(slope_squared).collect(),
-    ]
-}
+impl Columns {
+    fn of(mean_v: &[f64], dt_ps: f64) -> Self {
+        let len = mean_v.len();
+        let (mut rise, mut gain) = (vec![0.0; len], vec![0.0; len]);
+        // Differences over eight samples follow the slope's square of a pulse of 1.5 samples' sd to 2 %; over four they would miss 8 %.
+        for weights in [[-0.5, 0.0, 0.5].as_slice(), &WIDE] {
+            let (before, per_ps2) = (weights.len() / 2, 1.0 / (dt_ps * dt_ps));
+            let of_noise: f64 = weights.iter().map(|w| w * w).sum();
+            for (n, values) in mean_v.windows(weights.len()).enumerate() {
+                let slope: f64 = values.iter().zip(weights).map(|(v, w)| v * w).sum();
+                (rise[n + before], gain[n + before]) = (slope * slope * per_ps2, of_noise * per_ps2);
+            }
+        }
+        let square: Vec<f64> = mean_v.iter().map(|v| v * v).collect();
+        let level = mean_v.iter().map(|v| v.abs()).collect();
+        Self { ones: vec![1.0; len], level, clear_square: square.clone(), square, clear_rise: rise.clone(), rise, gain }
+    }
 
-/// The best of all least-squares fits on a part of the columns whose values are not negative: the optimum of the bounded problem is among them.
-fn non_negative(columns: &[Vec<f64>], right: &[f64], sd: &[f64]) -> Option<NoiseModel> {
-    let mut best: Option<(Regression, Vec<usize>)> = None;
-    for set in 1..1_usize << TERMS {
-        let chosen: Vec<usize> = (0..TERMS).filter(|k| set >> k & 1 == 1).collect();
-        let part: Vec<Vec<f64>> = chosen.iter().map(|k| columns[*k].clone()).collect();
-        let Some(fit) = least_squares(&part, right, sd) else { continue };
-        let possible = fit.values.iter().all(|v| *v >= 0.0);
-        if possible && best.as_ref().is_none_or(|(best, _)| fit.chi2 < best.chi2) {
-            best = Some((fit, chosen));
+    /// Takes the mean's own variance off the squares, that of a model of constant, level and its square.
+    fn clear_of_noise(&mut self, [constant, level, square]: [f64; 3]) {
+        let made_of = self.level.iter().zip(&self.square).zip(self.rise.iter().zip(&self.gain));
+        let clear = self.clear_square.iter_mut().zip(&mut self.clear_rise);
+        for ((clear_square, clear_rise), ((v, v2), (rise, gain))) in clear.zip(made_of) {
+            let own = constant + level * v + square * v2;
+            *clear_square = (v2 - own).max(0.0);
+            *clear_rise = (rise - gain * own).max(0.0);
         }
     }
-    let (fit, chosen) = best?;
-    let (mut values, mut covariance) = ([0.0; TERMS], [[0.0; TERMS]; TERMS]);
-    for (i, &k) in chosen.iter().enumerate() {
-        values[k] = fit.values[i];
-        for (j, &l) in chosen.iter().enumerate() {
-            covariance[k][l] = fit.covariance[i][j];
+
+    fn terms(&self) -> [&[f64]; TERMS] {
+        [&self.ones, &self.level, &self.clear_square, &self.clear_rise]
+    }
+
+    /// Variance of a sample by the model.
+    fn variance(&self, values: &[f64; TERMS], n: usize) -> f64 {
+        values[0] + values[1] * self.level[n] + values[2] * self.clear_square[n] + values[3] * self.clear_rise[n]
+    }
+}
+
+/// Normal equations of one round.
+struct Equations {
+    matrix: [[f64; TERMS]; TERMS],
+    right: [f64; TERMS],
+    /// Weighted square of the right side.
+    square: f64,
+}
+
+impl Equations {
+    fn of(columns: &Columns, right: &[f64], weights: &[f64]) -> Self {
+        let terms = columns.terms();
+        Self {
+            matrix: terms.map(|a| terms.map(|b| sum_of_products(weights, a, b))),
+            right: terms.map(|term| sum_of_products(weights, term, right)),
+            square: sum_of_products(weights, right, right),
         }
     }
-    Some(NoiseModel { values, covariance, chi2_per_dof: fit.chi2 / fit.dof.max(1) as f64 })
+
+    /// The best of all least-squares fits on a part of the terms whose values are not negative: the optimum of the bounded problem is among them.
+    fn solve(&self, rows: usize) -> Option<NoiseModel> {
+        let mut best: Option<(f64, usize, NoiseModel)> = None;
+        for set in (1..1_usize << TERMS).rev() {
+            let Some((values, covariance)) = self.solve_of(set) else { continue };
+            let explained: f64 = values.iter().zip(&self.right).map(|(value, right)| value * right).sum();
+            let chi2 = (self.square - explained).max(0.0);
+            if values.iter().all(|value| *value >= 0.0) && best.as_ref().is_none_or(|(best, ..)| chi2 < *best) {
+                let dof = rows - set.count_ones() as usize;
+                best = Some((chi2, set, NoiseModel { values, covariance, chi2_per_dof: chi2 / dof.max(1) as f64 }));
+            }
+            // Nothing is better than all terms.
+            if best.as_ref().is_some_and(|(_, set, _)| *set == (1 << TERMS) - 1) {
+                break;
+            }
+        }
+        best.map(|(.., model)| model)
+    }
+
+    /// Values and covariance of the terms in `set`, the others 0; `None` where they cannot be told apart.
+    fn solve_of(&self, set: usize) -> Option<([f64; TERMS], [[f64; TERMS]; TERMS])> {
+        let is_in = |k: usize| set >> k & 1 == 1;
+        let scale: [f64; TERMS] = std::array::from_fn(|k| self.matrix[k][k].sqrt());
+        if (0..TERMS).any(|k| is_in(k) && (scale[k] == 0.0 || !scale[k].is_finite())) {
+            return None;
+        }
+        // Terms that are left out keep the row of a unit matrix.
+        let (mut scaled, mut inverse) = ([0.0; TERMS * TERMS], [0.0; TERMS * TERMS]);
+        for (at, value) in scaled.iter_mut().enumerate() {
+            let (i, j) = (at / TERMS, at % TERMS);
+            *value = if is_in(i) && is_in(j) {
+                self.matrix[i][j] / (scale[i] * scale[j])
+            } else {
+                f64::from(u8::from(i == j))
+            };
+        }
+        invert(&mut scaled, &mut inverse)?;
+        let (mut values, mut covariance) = ([0.0; TERMS], [[0.0; TERMS]; TERMS]);
+        for (i, j) in (0..TERMS * TERMS).map(|at| (at / TERMS, at % TERMS)).filter(|(i, j)| is_in(*i) && is_in(*j)) {
+            covariance[i][j] = inverse[i * TERMS + j] / (scale[i] * scale[j]);
+            values[i] += covariance[i][j] * self.right[j];
+        }
+        Some((values, covariance))
+    }
+}
+
+/// Sums side by side, added up at the end: a fixed order that the compiler may work on several at a time.
+const LANES: usize = 8;
+
+fn sum_of_products(weights: &[f64], a: &[f64], b: &[f64]) -> f64 {
+    let (w, a, b) = (weights.as_chunks::<LANES>(), a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let mut sums = [0.0; LANES];
+    for ((w, a), b) in w.0.iter().zip(a.0).zip(b.0) {
+        for lane in 0..LANES {
+            sums[lane] += w[lane] * a[lane] * b[lane];
+        }
+    }
+    sums.iter().sum::<f64>() + w.1.iter().zip(a.1).zip(b.1).map(|((w, a), b)| w * a * b).sum::<f64>()
 }
 
 #[cfg(test)]

@@ -50,14 +50,12 @@ pub fn least_squares(columns: &[Vec<f64>], right: &[f64], sd: &[f64]) -> Option<
         return None;
     }
     let size = columns.len();
-    let normal: Vec<Vec<f64>> =
-        (0..size).map(|i| (0..size).map(|j| dot(&columns[i], &columns[j]) / (scale[i] * scale[j])).collect()).collect();
-    let mut covariance = inverse(normal)?;
-    for i in 0..size {
-        for j in 0..size {
-            covariance[i][j] /= scale[i] * scale[j];
-        }
-    }
+    let pairs = || (0..size).flat_map(|i| (0..size).map(move |j| (i, j)));
+    let mut normal: Vec<f64> = pairs().map(|(i, j)| dot(&columns[i], &columns[j]) / (scale[i] * scale[j])).collect();
+    let mut inverse = vec![0.0; size * size];
+    invert(&mut normal, &mut inverse)?;
+    let scaled: Vec<f64> = pairs().zip(&inverse).map(|((i, j), value)| value / (scale[i] * scale[j])).collect();
+    let covariance: Vec<Vec<f64>> = scaled.chunks(size).map(<[f64]>::to_vec).collect();
     let products: Vec<f64> = columns.iter().map(|column| dot(column, right)).collect();
     let values: Vec<f64> =
         covariance.iter().map(|row| row.iter().zip(&products).map(|(c, product)| c * product).sum()).collect();
@@ -67,30 +65,29 @@ pub fn least_squares(columns: &[Vec<f64>], right: &[f64], sd: &[f64]) -> Option<
     Some(Regression { values, covariance, chi2, dof: rows - size })
 }
 
-/// Inverse of a positive definite matrix of unit diagonal by elimination; `None` if it is singular to rounding.
-fn inverse(mut matrix: Vec<Vec<f64>>) -> Option<Vec<Vec<f64>>> {
+/// Inverse of a positive definite matrix of unit diagonal, row by row, by elimination; what the matrix held is lost. `None` if it is singular to rounding.
+pub(super) fn invert(matrix: &mut [f64], inverse: &mut [f64]) -> Option<()> {
     const SINGULAR: f64 = 1e-12;
-    let size = matrix.len();
-    let mut inverse: Vec<Vec<f64>> =
-        (0..size).map(|i| (0..size).map(|j| f64::from(u8::from(i == j))).collect()).collect();
+    let size = matrix.len().isqrt();
+    inverse.iter_mut().enumerate().for_each(|(at, value)| *value = f64::from(u8::from(at % (size + 1) == 0)));
     for k in 0..size {
-        let pivot = matrix[k][k];
+        let pivot = matrix[k * size + k];
         if pivot <= SINGULAR {
             return None;
         }
         for j in 0..size {
-            matrix[k][j] /= pivot;
-            inverse[k][j] /= pivot;
+            matrix[k * size + j] /= pivot;
+            inverse[k * size + j] /= pivot;
         }
         for i in (0..size).filter(|&i| i != k) {
-            let factor = matrix[i][k];
+            let factor = matrix[i * size + k];
             for j in 0..size {
-                matrix[i][j] -= factor * matrix[k][j];
-                inverse[i][j] -= factor * inverse[k][j];
+                matrix[i * size + j] -= factor * matrix[k * size + j];
+                inverse[i * size + j] -= factor * inverse[k * size + j];
             }
         }
     }
-    Some(inverse)
+    Some(())
 }
 
 #[cfg(test)]
