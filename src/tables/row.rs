@@ -468,11 +468,15 @@ macro_rules! table {
             type Columns = $columns;
 
             fn schema() -> ::arrow::datatypes::SchemaRef {
-                $crate::tables::row::table_schema(
-                    $table,
-                    concat!($($meaning),+),
-                    vec![$($crate::tables::row::field::<$cell>(stringify!($name), concat!($($doc),+))),+],
-                )
+                // Made once: every batch of rows asks for it.
+                static SCHEMA: ::std::sync::LazyLock<::arrow::datatypes::SchemaRef> = ::std::sync::LazyLock::new(|| {
+                    $crate::tables::row::table_schema(
+                        $table,
+                        concat!($($meaning),+),
+                        vec![$($crate::tables::row::field::<$cell>(stringify!($name), concat!($($doc),+))),+],
+                    )
+                });
+                SCHEMA.clone()
             }
 
             fn to_batch(rows: &[Self]) -> ::arrow::record_batch::RecordBatch {
