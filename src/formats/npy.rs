@@ -1,11 +1,10 @@
 //! NumPy `.npy`: integer and floating arrays in C order. The last axis counts samples, the leading ones are for the campaign to name.
 //!
-//! The header is parsed by `npyz`; the file has neither scale nor time base. Fortran order, structured and complex types are refused.
+//! The file has neither scale nor time base. Fortran order, structured and complex types are refused. Source: NumPy Enhancement Proposal 1; the header
+//! is a Python dictionary of three known keys.
 
 use std::io::{self, Write};
 use std::sync::Arc;
-
-use npyz::{DType, NpyHeader, Order, TypeChar, WriterBuilder};
 
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Payload, Record};
@@ -69,32 +68,27 @@ pub(super) struct Array {
 impl Array {
     /// From the first bytes of an array, which has `length` bytes with its header; `None` for a single number.
     pub fn read(bytes: &[u8], length: u64) -> Result<Option<Self>, FormatError> {
-        plain_header(bytes).map_err(refuse)?;
-        let mut rest = bytes;
-        let header = NpyHeader::from_reader(&mut rest).map_err(|error| refuse(format!("header: {error}")))?;
-        let data = (bytes.len() - rest.len()) as u64;
-        let Some((&samples, axes)) = header.shape().split_last() else {
+        let (text, data) = header_text(bytes).map_err(refuse)?;
+        let Header { descr, fortran_order, shape } = Header::parse(text).map_err(refuse)?;
+        let Some((&samples, axes)) = shape.split_last() else {
             return Ok(None);
         };
-        if header.order() != Order::C && header.shape().len() > 1 {
+        if fortran_order && !axes.is_empty() {
             return Err(refuse("the array is in Fortran order; save it with numpy.ascontiguousarray"));
         }
-        let (code_type, big_endian) = code_type(&header.dtype()).ok_or_else(|| {
-            refuse(format!(
-                "numbers of type {} are not read; save them as i1, i2, i4, u1, u2, f4 or f8",
-                header.dtype().descr()
-            ))
+        let (code_type, big_endian) = code_type(descr).ok_or_else(|| {
+            refuse(format!("numbers of type {descr} are not read; save them as i1, i2, i4, u1, u2, f4 or f8"))
         })?;
-        let count = header.shape().iter().try_fold(1_u64, |product, &length| product.checked_mul(length));
+        let count = shape.iter().try_fold(1_u64, |product, &length| product.checked_mul(length));
         let needed = count.and_then(|count| count.checked_mul(code_type.bytes() as u64));
         let available = length.saturating_sub(data);
         match needed {
-            Some(0) => return Err(refuse(format!("shape {:?} holds no sample", header.shape()))),
+            Some(0) => return Err(refuse(format!("shape {:?} holds no sample", shape))),
             Some(needed) if needed <= available => {}
             _ => {
                 let problem = format!(
                     "shape {:?} does not fit the {available} bytes that follow the header; copy the file again",
-                    header.shape()
+                    shape
                 );
                 return Err(FormatError::Field { byte_offset: data, problem });
             }
@@ -137,41 +131,170 @@ impl Array {
     }
 }
 
-/// What `npyz` does not check: it allocates what the header claims, and its parser's time doubles with each nested bracket.
-fn plain_header(bytes: &[u8]) -> Result<(), String> {
+/// The text of the header, and where the numbers begin.
+fn header_text(bytes: &[u8]) -> Result<(&[u8], u64), String> {
     let (length, text) = match bytes {
         [_, _, _, _, _, _, 1, _, a, b, text @ ..] => (u32::from(u16::from_le_bytes([*a, *b])), text),
         [_, _, _, _, _, _, 2 | 3, _, a, b, c, d, text @ ..] => (u32::from_le_bytes([*a, *b, *c, *d]), text),
         _ => return Err("header: neither version 1, 2 nor 3, or cut short; save the array again".to_owned()),
     };
-    let Some(text) = text.get(..length as usize) else {
-        return Err(format!(
-            "the header claims {length} bytes, of which {} are there; copy the file again",
-            text.len()
-        ));
-    };
-    // The dictionary and the tuple of the shape.
-    if text.iter().filter(|byte| b"([{".contains(byte)).count() > 2 {
-        return Err("structured types are not read; save the numbers as a plain array".to_owned());
-    }
-    Ok(())
+    let before = (bytes.len() - text.len()) as u64;
+    let text = text.get(..length as usize).ok_or_else(|| {
+        format!("the header claims {length} bytes, of which {} are there; copy the file again", text.len())
+    })?;
+    Ok((text, before + u64::from(length)))
 }
 
-fn code_type(dtype: &DType) -> Option<(CodeType, bool)> {
-    let DType::Plain(plain) = dtype else {
-        return None;
-    };
-    let code_type = match (plain.type_char(), plain.size_field()) {
-        (TypeChar::Int, 1) => CodeType::I8,
-        (TypeChar::Uint, 1) => CodeType::U8,
-        (TypeChar::Int, 2) => CodeType::I16,
-        (TypeChar::Uint, 2) => CodeType::U16,
-        (TypeChar::Int, 4) => CodeType::I32,
-        (TypeChar::Float, 4) => CodeType::F32,
-        (TypeChar::Float, 8) => CodeType::F64,
+/// What the header's dictionary says.
+#[derive(Debug, PartialEq)]
+struct Header<'a> {
+    descr: &'a str,
+    fortran_order: bool,
+    shape: Vec<u64>,
+}
+
+impl<'a> Header<'a> {
+    fn parse(text: &'a [u8]) -> Result<Self, String> {
+        let (mut descr, mut fortran_order, mut shape) = (None, None, None);
+        let mut scanner = Scanner(text);
+        scanner.expect(b'{')?;
+        while !scanner.eat(b'}') {
+            let key = scanner.quoted()?;
+            scanner.expect(b':')?;
+            match key {
+                "descr" if scanner.peek() == Some(b'[') => {
+                    return Err("structured types are not read; save the numbers as a plain array".to_owned());
+                }
+                "descr" => descr = Some(scanner.quoted()?),
+                "fortran_order" => {
+                    fortran_order = Some(match scanner.word() {
+                        b"True" => true,
+                        b"False" => false,
+                        _ => return Err("header: fortran_order is neither True nor False".to_owned()),
+                    });
+                }
+                "shape" => shape = Some(scanner.numbers()?),
+                _ => return Err(format!("header: there is no key `{key}` in such files")),
+            }
+            if !scanner.eat(b',') && scanner.peek() != Some(b'}') {
+                return Err(scanner.problem("a comma or the end of the dictionary"));
+            }
+        }
+        if scanner.peek().is_some_and(|byte| byte != 0) {
+            return Err(scanner.problem("nothing more"));
+        }
+        match (descr, fortran_order, shape) {
+            (Some(descr), Some(fortran_order), Some(shape)) => Ok(Self { descr, fortran_order, shape }),
+            _ => Err("header: not all of descr, fortran_order and shape are given".to_owned()),
+        }
+    }
+}
+
+/// What is left of a header.
+struct Scanner<'a>(&'a [u8]);
+
+impl<'a> Scanner<'a> {
+    fn peek(&mut self) -> Option<u8> {
+        self.0 = self.0.trim_ascii_start();
+        self.0.first().copied()
+    }
+
+    fn eat(&mut self, byte: u8) -> bool {
+        let is_next = self.peek() == Some(byte);
+        self.0 = &self.0[usize::from(is_next)..];
+        is_next
+    }
+
+    fn expect(&mut self, byte: u8) -> Result<(), String> {
+        if self.eat(byte) { Ok(()) } else { Err(self.problem(&format!("`{}`", byte as char))) }
+    }
+
+    fn problem(&self, expected: &str) -> String {
+        let found = String::from_utf8_lossy(&self.0[..self.0.len().min(16)]);
+        format!("header: expected {expected}, found `{}`; save the array again", found.escape_debug())
+    }
+
+    /// Letters, digits and underscores.
+    fn word(&mut self) -> &'a [u8] {
+        self.peek();
+        let end = self.0.iter().position(|byte| !byte.is_ascii_alphanumeric() && *byte != b'_');
+        let (word, rest) = self.0.split_at(end.unwrap_or(self.0.len()));
+        self.0 = rest;
+        word
+    }
+
+    /// Text between quotes, which has no escapes where this is asked for.
+    fn quoted(&mut self) -> Result<&'a str, String> {
+        let quote = self.peek().filter(|byte| b"'\"".contains(byte)).ok_or_else(|| self.problem("a text in quotes"))?;
+        let length =
+            self.0[1..].iter().position(|byte| *byte == quote).ok_or_else(|| self.problem("an end of quotes"))?;
+        let text = std::str::from_utf8(&self.0[1..=length]).map_err(|_| self.problem("a text of letters"))?;
+        self.0 = &self.0[length + 2..];
+        Ok(text)
+    }
+
+    /// Whole numbers between brackets; Python 2 wrote an L behind long ones.
+    fn numbers(&mut self) -> Result<Vec<u64>, String> {
+        self.expect(b'(')?;
+        let mut numbers = Vec::new();
+        while !self.eat(b')') {
+            let digits = self.word();
+            let digits = digits.strip_suffix(b"L").unwrap_or(digits);
+            let number = std::str::from_utf8(digits).ok().and_then(|digits| digits.parse().ok());
+            numbers.push(number.ok_or_else(|| self.problem("the length of an axis before"))?);
+            if !self.eat(b',') && self.peek() != Some(b')') {
+                return Err(self.problem("a comma or the end of the shape"));
+            }
+        }
+        Ok(numbers)
+    }
+}
+
+fn code_type(descr: &str) -> Option<(CodeType, bool)> {
+    let (order, name) = descr.split_at_checked(1)?;
+    let code_type = match name {
+        "i1" => CodeType::I8,
+        "u1" => CodeType::U8,
+        "i2" => CodeType::I16,
+        "u2" => CodeType::U16,
+        "i4" => CodeType::I32,
+        "f4" => CodeType::F32,
+        "f8" => CodeType::F64,
         _ => return None,
     };
-    Some((code_type, plain.endianness() == npyz::Endianness::Big))
+    // One byte has no order.
+    match order {
+        "<" | "=" => Some((code_type, false)),
+        ">" => Some((code_type, true)),
+        "|" if code_type.bytes() == 1 => Some((code_type, false)),
+        _ => None,
+    }
+}
+
+/// A type of numbers that arrays are written in.
+pub trait Number: Copy {
+    /// As the header has it.
+    const DESCR: &'static str;
+    /// Its bytes, least significant first.
+    fn bytes(self) -> impl AsRef<[u8]>;
+}
+
+macro_rules! number {
+    ($($native:ty, $descr:literal;)*) => {$(
+        impl Number for $native {
+            const DESCR: &'static str = $descr;
+            fn bytes(self) -> impl AsRef<[u8]> { self.to_le_bytes() }
+        }
+    )*};
+}
+number! {
+    i8, "|i1";
+    u8, "|u1";
+    i16, "<i2";
+    u16, "<u2";
+    i32, "<i4";
+    f32, "<f4";
+    f64, "<f8";
 }
 
 /// Writes an array of `shape` in C order.
@@ -181,9 +304,88 @@ fn code_type(dtype: &DType) -> Option<(CodeType, bool)> {
 ///
 /// # Panics
 /// When there are not as many values as the shape says.
-pub fn write<T: npyz::AutoSerialize + Copy>(out: &mut impl Write, shape: &[u64], values: &[T]) -> io::Result<()> {
+pub fn write<T: Number>(out: &mut impl Write, shape: &[u64], values: &[T]) -> io::Result<()> {
     assert_eq!(shape.iter().product::<u64>(), values.len() as u64, "as many values as the shape says");
-    let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(out).begin_nd()?;
-    writer.extend(values.iter().copied())?;
-    writer.finish()
+    let lengths: String = shape.iter().map(|length| format!("{length}, ")).collect();
+    let mut text = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}", T::DESCR, lengths.trim_end());
+    // Numbers begin at a multiple of 64, behind magic, version, length and a text that ends its line.
+    while (10 + text.len() + 1) % 64 != 0 {
+        text.push(' ');
+    }
+    text.push('\n');
+    out.write_all(b"\x93NUMPY\x01\x00")?;
+    out.write_all(&u16::try_from(text.len()).expect("a shape of few axes").to_le_bytes())?;
+    out.write_all(text.as_bytes())?;
+    let mut block = Vec::new();
+    for values in values.chunks(1 << 16) {
+        block.clear();
+        values.iter().for_each(|value| block.extend_from_slice(value.bytes().as_ref()));
+        out.write_all(&block)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use npyz::WriterBuilder;
+
+    fn read(bytes: &[u8]) -> Result<Option<Array>, FormatError> {
+        Array::read(bytes, bytes.len() as u64)
+    }
+
+    #[test]
+    fn files_are_those_of_another_writer_and_its_files_are_read() {
+        for shape in [vec![], vec![7], vec![3, 4], vec![2, 1, 5]] {
+            let values: Vec<i16> = (0..shape.iter().product::<u64>() as i16).collect();
+            let mut theirs = Vec::new();
+            let mut writer =
+                npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut theirs).begin_nd().unwrap();
+            writer.extend(values.iter().copied()).unwrap();
+            writer.finish().unwrap();
+            let mut ours = Vec::new();
+            write(&mut ours, &shape, &values).unwrap();
+            let parsed = npyz::NpyFile::new(ours.as_slice()).unwrap();
+            assert_eq!(parsed.shape(), shape);
+            assert_eq!(parsed.into_vec::<i16>().unwrap(), values);
+            for bytes in [ours, theirs] {
+                let array = read(&bytes).unwrap();
+                let lengths =
+                    array.map(|array| [array.axes.iter().map(|a| *a as u64).collect(), vec![array.samples]].concat());
+                assert_eq!(lengths.unwrap_or_default(), shape);
+            }
+        }
+    }
+
+    #[test]
+    fn headers_as_python_writes_them() {
+        let parse = |text: &'static str| Header::parse(text.as_bytes());
+        let expected = Header { descr: ">u2", fortran_order: true, shape: vec![2, 30] };
+        assert_eq!(parse("{'shape': (2L, 30L), \"descr\": '>u2', 'fortran_order': True}  \n").unwrap(), expected);
+        for text in [
+            "",
+            "{",
+            "{}",
+            "{'descr': '<i2'}",
+            "{'descr': '<i2', 'fortran_order': False, 'shape': (3,), } x",
+            "{'descr': '<i2', 'fortran_order': 0, 'shape': (3,), }",
+            "{'descr': '<i2', 'fortran_order': False, 'shape': (-3,), }",
+            "{'descr': '<i2', 'fortran_order': False, 'shape': (99999999999999999999,), }",
+            "{'descr': '<i2' 'fortran_order': False, 'shape': (3,), }",
+            "{'descr': '<i2, 'fortran_order: False, shape: (3,), }",
+            "{'colour': 'red', 'descr': '<i2', 'fortran_order': False, 'shape': (3,), }",
+        ] {
+            assert!(parse(text).unwrap_err().starts_with("header: "), "{text}");
+        }
+        assert!(
+            parse("{'descr': [('a', '<i2')], 'fortran_order': False, 'shape': (3,), }")
+                .unwrap_err()
+                .contains("structured")
+        );
+        for (descr, known) in
+            [("<i2", true), ("|u1", true), ("|i2", false), ("<c8", false), ("", false), ("<u4", false)]
+        {
+            assert_eq!(code_type(descr).is_some(), known, "{descr}");
+        }
+    }
 }

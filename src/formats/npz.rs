@@ -166,7 +166,7 @@ mod tests {
         }
     }
 
-    fn array<T: npyz::AutoSerialize + Copy>(shape: &[u64], values: &[T]) -> Vec<u8> {
+    fn array<T: npy::Number>(shape: &[u64], values: &[T]) -> Vec<u8> {
         let mut bytes = Vec::new();
         npy::write(&mut bytes, shape, values).unwrap();
         bytes
@@ -243,7 +243,10 @@ mod tests {
         let one = array(&[2], &[1.0, 2.0]);
         assert!(error(&[("a.npy", &one[..one.len() - 1])]).contains("\"a.npy\": byte 128: shape [2] does not fit"));
         assert!(error(&[("a.npy", &[one.as_slice(), b"more"].concat())]).contains("has 148 bytes, its array 144"));
-        assert!(error(&[("a.npy", &array(&[1], &[1_i64]))]).contains("are not read; save them as"));
+        let mut long = array(&[2], &[1_i32, 0]);
+        let width = long.windows(3).position(|window| window == b"<i4").unwrap() + 2;
+        long[width] = b'8';
+        assert!(error(&[("a.npy", &long)]).contains("are not read; save them as"));
         let short = array(&[40_000, 1], &vec![0_u8; 40_000]);
         assert!(error(&[("a.npy", &short)]).contains("40000 records of 1 samples"));
     }

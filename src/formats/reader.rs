@@ -178,9 +178,15 @@ impl Source<Joined> {
     pub fn load(mut self) -> Result<Source<Cursor<Vec<u8>>>, FormatError> {
         let mut bytes = Vec::with_capacity(self.total as usize);
         self.file.seek(SeekFrom::Start(0))?;
-        self.file.read_to_end(&mut bytes)?;
+        // File by file: what is not asked of a file of the system itself is set to zero before it is read.
+        self.file.file.read_to_end(&mut bytes)?;
+        let length = bytes.len() as u64;
+        if let Some((companion, _)) = &mut self.file.companion {
+            companion.seek(SeekFrom::Start(0))?;
+            companion.read_to_end(&mut bytes)?;
+        }
         let total = bytes.len() as u64;
-        Ok(Source { file: Cursor::new(bytes), length: self.length.min(total), total, extension: self.extension })
+        Ok(Source { file: Cursor::new(bytes), length, total, extension: self.extension })
     }
 }
 

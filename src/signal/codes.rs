@@ -4,6 +4,8 @@
 
 use std::ops::Range;
 
+use super::widest::widest;
+
 /// Codes of one record.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Codes<'a> {
@@ -147,7 +149,36 @@ impl<'a> Codes<'a> {
     /// The codes as numbers, in place of what `values` held.
     pub fn read_into(&self, values: &mut Vec<f64>) {
         values.clear();
-        each!(*self, numbers => values.extend(numbers.map(f64::from)));
+        widest(|| each!(*self, numbers => values.extend(numbers.map(f64::from))));
+    }
+
+    /// Mean of the codes.
+    #[must_use]
+    pub fn mean(&self) -> f64 {
+        let sum = match self {
+            Self::F32(_) | Self::F64(_) => each!(*self, numbers => numbers.map(f64::from).sum::<f64>()),
+            // Whole numbers have exact sums, which the processor can take side by side.
+            _ => each!(*self, numbers => numbers.map(|number| number as i64).sum::<i64>()) as f64,
+        };
+        sum / self.len() as f64
+    }
+
+    /// Whether any code, less `level`, lies below its `low` or above its `high`; codes without bounds do not count.
+    #[must_use]
+    pub fn leaves(&self, low: &[f64], high: &[f64], level: f64) -> bool {
+        // In blocks: none is left before its end, so that the processor can compare several at a time.
+        const BLOCK: usize = 256;
+        let count = self.len().min(low.len()).min(high.len());
+        widest(|| {
+            (0..count).step_by(BLOCK).any(|start| {
+                let block = start..count.min(start + BLOCK);
+                let bounds = low[block.clone()].iter().zip(&high[block.clone()]);
+                each!(self.slice(block), numbers => numbers.map(f64::from).zip(bounds).fold(false, |out, (value, (low, high))| {
+                    let value = value - level;
+                    out | (value < *low) | (value > *high)
+                }))
+            })
+        })
     }
 
     /// Adds the codes to sums, sample by sample. Exact for whole numbers while the sums stay within `i32`.
@@ -156,7 +187,7 @@ impl<'a> Codes<'a> {
     /// When there are more codes than sums, or the codes are floating.
     pub fn add_to(&self, sums: &mut [i32]) {
         let sums = &mut sums[..self.len()];
-        match *self {
+        widest(|| match *self {
             Self::F32(_) | Self::F64(_) => panic!("floating codes are summed by add_to_f64"),
             Self::I32(_) | Self::U32(_) => panic!("32 bit codes are summed by add_to_f64"),
             Self::I8(bytes) => sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte as i8)),
@@ -171,7 +202,7 @@ impl<'a> Codes<'a> {
                     .zip(bytes.chunks_exact(2))
                     .for_each(|(sum, code)| *sum += i32::from(u16::from_le_bytes([code[0], code[1]])));
             }
-        }
+        });
     }
 
     /// Adds the codes to sums in `f64`: exact for whole numbers below 2^53, else rounded in the order of the calls.
@@ -190,7 +221,7 @@ impl<'a> Codes<'a> {
         if let Self::I16(bytes) = *self {
             let numbers = bytes.chunks_exact(2).map(|code| i16::from_le_bytes([code[0], code[1]]));
             let (least, most) =
-                numbers.fold((i16::MAX, i16::MIN), |(least, most), code| (least.min(code), most.max(code)));
+                widest(|| numbers.fold((i16::MAX, i16::MIN), |(least, most), code| (least.min(code), most.max(code))));
             if f64::from(least) > low && f64::from(most) < high {
                 return 0;
             }

@@ -29,4 +29,5 @@ pub mod sparse;
 pub mod spline_fit;
 pub mod tails;
 pub mod whiten;
+mod widest;
 pub mod wiener;

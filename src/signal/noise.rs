@@ -1,6 +1,7 @@
 //! Noise of a record: standard deviation and autocorrelation, from stretches without light.
 
 use super::whiten::Predictors;
+use super::widest::widest;
 
 /// A sample this many standard deviations off the others is light.
 const LOUD_SIGMA: f64 = 4.0;
@@ -31,7 +32,7 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
         return Noise { sd: 0.0, acf: Vec::new() };
     }
     let covariance = |lag: usize| {
-        let products: f64 = stretches.iter().map(|s| dot(&s[..s.len() - lag], &s[lag..])).sum();
+        let products: f64 = widest(|| stretches.iter().map(|s| dot(&s[..s.len() - lag], &s[lag..])).sum());
         let pairs: usize = stretches.iter().map(|s| s.len() - lag).sum();
         products / pairs as f64
     };
@@ -45,45 +46,47 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
 }
 
 /// Covariances at lags 0, 1, .. from those of stretches of `length` samples whose means were removed: the fixed point of
-/// `c = centred + loss(c)`. The loss is the smaller the shorter the correlation, so that the iteration contracts.
+/// `c = centred + loss(c)`. The loss is the smaller the shorter the correlation, so that the iteration contracts: it ends when it moves nothing any more.
 fn undo_centring(centred: &[f64], length: usize) -> Vec<f64> {
     const ROUNDS: usize = 60;
     let correlated = centred.len().min(length / 2).max(1);
     let mut covariances = centred.to_vec();
+    let (mut sums, mut with_mean) = (Vec::with_capacity(correlated + 1), Vec::with_capacity(length + 1));
     for _ in 0..ROUNDS {
-        let loss = loss_by_centring(&covariances[..correlated], length, centred.len());
-        for ((c, centred), loss) in covariances.iter_mut().zip(centred).zip(loss) {
-            *c = centred + loss;
+        // Sums of the covariances up to each lag, and from them L times cov(x_n, m).
+        running_sums(&mut sums, covariances[..correlated].iter().copied());
+        let upto = |lag: usize| sums[(lag + 1).min(correlated)];
+        let scale = 1.0 / length as f64;
+        let variance = covariances[0];
+        running_sums(&mut with_mean, (0..length).map(|n| scale * (upto(n) + upto(length - 1 - n) - variance)));
+        let mut moved = 0.0_f64;
+        for (lag, (c, centred)) in covariances.iter_mut().zip(centred).enumerate() {
+            let next = centred + loss_by_centring(&with_mean, lag);
+            moved = moved.max((next - *c).abs());
+            *c = next;
+        }
+        if moved <= f64::EPSILON * variance.abs() {
+            break;
         }
     }
     covariances
 }
 
-/// What the covariances at `lags` lags lose when a stretch's mean m is removed: the mean over n of
-/// `cov(x_n, m) + cov(x_{n + lag}, m) - var(m)`.
-fn loss_by_centring(covariances: &[f64], length: usize, lags: usize) -> Vec<f64> {
-    // Sums of the covariances up to each lag, and from them L times cov(x_n, m).
-    let sums: Vec<f64> = running_sums(covariances.iter().copied());
-    let upto = |lag: usize| sums[(lag + 1).min(covariances.len())];
-    let scale = 1.0 / length as f64;
-    let with_mean = (0..length).map(|n| scale * (upto(n) + upto(length - 1 - n) - covariances[0]));
-    let with_mean = running_sums(with_mean);
-    let of_mean = scale * with_mean[length];
-    (0..lags)
-        .map(|lag| {
-            let both = with_mean[length - lag] + with_mean[length] - with_mean[lag];
-            both / (length - lag) as f64 - of_mean
-        })
-        .collect()
+/// What the covariance at a lag loses when a stretch's mean m is removed: the mean over n of `cov(x_n, m) + cov(x_{n + lag}, m) - var(m)`, of the
+/// running sums of `cov(x_n, m)`.
+fn loss_by_centring(with_mean: &[f64], lag: usize) -> f64 {
+    let length = with_mean.len() - 1;
+    let both = with_mean[length - lag] + with_mean[length] - with_mean[lag];
+    both / (length - lag) as f64 - with_mean[length] / length as f64
 }
 
 /// Sums of the first 0, 1, 2, .. values.
-fn running_sums(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut sums = vec![0.0];
+fn running_sums(sums: &mut Vec<f64>, values: impl Iterator<Item = f64>) {
+    sums.clear();
+    sums.push(0.0);
     for value in values {
         sums.push(sums[sums.len() - 1] + value);
     }
-    sums
 }
 
 /// Autocorrelation of the autoregressive process that describes an estimated one best: always a valid one, and without the scatter of lags that
@@ -150,12 +153,21 @@ pub fn quiet_mean(samples: &[f64], sd: f64, before: usize, after: usize) -> Opti
 #[must_use]
 pub fn quietest(samples: &[f64], width: usize) -> usize {
     assert!(width > 0 && samples.len() >= width, "a stretch lies within the samples");
-    let variance = |stretch: &[f64]| dot(&centred(stretch), &centred(stretch));
-    let variances = samples.windows(width).map(variance).enumerate();
-    variances.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(start, _)| start)
+    let (mut sums, mut squares) = (Vec::with_capacity(samples.len() + 1), Vec::with_capacity(samples.len() + 1));
+    // About the mean of all: differences of sums lose nothing that counts.
+    let middle = samples.iter().sum::<f64>() / samples.len() as f64;
+    running_sums(&mut sums, samples.iter().map(|sample| sample - middle));
+    running_sums(&mut squares, samples.iter().map(|sample| (sample - middle) * (sample - middle)));
+    let variance = |start: usize| {
+        let sum = sums[start + width] - sums[start];
+        squares[start + width] - squares[start] - sum * sum / width as f64
+    };
+    (0..=samples.len() - width).min_by(|a, b| variance(*a).total_cmp(&variance(*b))).unwrap_or(0)
 }
 
 /// Sum of products in eight interleaved parts, which the processor can take side by side; the order of additions is fixed.
+#[allow(clippy::inline_always, reason = "where it is called, vectors may be wide")]
+#[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
     let mut sums = [0.0; LANES];

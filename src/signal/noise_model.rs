@@ -15,6 +15,7 @@
 //! allocates nothing.
 
 use super::regression::invert;
+use super::widest::widest;
 
 /// Terms of the model.
 pub const TERMS: usize = 4;
@@ -145,13 +146,15 @@ impl Columns {
 
     /// Takes the mean's own variance off the squares, that of a model of constant, level and its square.
     fn clear_of_noise(&mut self, [constant, level, square]: [f64; 3]) {
-        let made_of = self.level.iter().zip(&self.square).zip(self.rise.iter().zip(&self.gain));
-        let clear = self.clear_square.iter_mut().zip(&mut self.clear_rise);
-        for ((clear_square, clear_rise), ((v, v2), (rise, gain))) in clear.zip(made_of) {
-            let own = constant + level * v + square * v2;
-            *clear_square = (v2 - own).max(0.0);
-            *clear_rise = (rise - gain * own).max(0.0);
-        }
+        widest(|| {
+            let made_of = self.level.iter().zip(&self.square).zip(self.rise.iter().zip(&self.gain));
+            let clear = self.clear_square.iter_mut().zip(&mut self.clear_rise);
+            for ((clear_square, clear_rise), ((v, v2), (rise, gain))) in clear.zip(made_of) {
+                let own = constant + level * v + square * v2;
+                *clear_square = (v2 - own).max(0.0);
+                *clear_rise = (rise - gain * own).max(0.0);
+            }
+        });
     }
 
     fn terms(&self) -> [&[f64]; TERMS] {
@@ -175,11 +178,18 @@ struct Equations {
 impl Equations {
     fn of(columns: &Columns, right: &[f64], weights: &[f64]) -> Self {
         let terms = columns.terms();
-        Self {
-            matrix: terms.map(|a| terms.map(|b| sum_of_products(weights, a, b))),
-            right: terms.map(|term| sum_of_products(weights, term, right)),
-            square: sum_of_products(weights, right, right),
-        }
+        widest(|| {
+            let mut matrix = [[0.0; TERMS]; TERMS];
+            for i in 0..TERMS {
+                for j in 0..=i {
+                    matrix[i][j] = sum_of_products(weights, terms[i], terms[j]);
+                    matrix[j][i] = matrix[i][j];
+                }
+            }
+            let right_of = |i: usize| sum_of_products(weights, terms[i], right);
+            let square = sum_of_products(weights, right, right);
+            Self { matrix, right: [right_of(0), right_of(1), right_of(2), right_of(3)], square }
+        })
     }
 
     /// The best of all least-squares fits on a part of the terms whose values are not negative: the optimum of the bounded problem is among them.
@@ -231,6 +241,8 @@ impl Equations {
 /// Sums side by side, added up at the end: a fixed order that the compiler may work on several at a time.
 const LANES: usize = 8;
 
+#[allow(clippy::inline_always, reason = "where it is called, vectors may be wide")]
+#[inline(always)]
 fn sum_of_products(weights: &[f64], a: &[f64], b: &[f64]) -> f64 {
     let (w, a, b) = (weights.as_chunks::<LANES>(), a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut sums = [0.0; LANES];

@@ -3,6 +3,7 @@
 use super::average::{Mean, PHASES};
 use super::codes::Codes;
 use super::resample;
+use super::widest::widest;
 
 /// The first shots of a capture, from which outliers are judged and the spread is taken.
 pub const HEAD_SHOTS: usize = 32;
@@ -25,14 +26,18 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f
     // Where the number of shots that cover a place changes, and by how much.
     let mut changes = vec![0_i32; count + 1];
     let floor: f64 = mean.mean[..baseline.min(count)].iter().sum::<f64>() / baseline.min(count) as f64;
-    let (mut values, mut moved) = (Vec::new(), vec![0.0; count]);
+    let (mut values, mut moved, mut moved_by) = (Vec::new(), mean.mean.clone(), 0);
     for (codes, position) in shots {
         codes.read_into(&mut values);
         let own = values[..baseline].iter().sum::<f64>() / baseline as f64 - floor;
         let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
         // The mean at a place and a fraction is that at the next place, earlier by the rest.
         let later = i64::from(phase > 0);
-        resample::delay(&mean.mean, (later * PHASES as i64 - phase) as f64 / PHASES as f64, &mut moved);
+        let by = later * PHASES as i64 - phase;
+        if by != moved_by {
+            resample::delay(&mean.mean, by as f64 / PHASES as f64, &mut moved);
+            moved_by = by;
+        }
         let offset = whole - mean.first_position;
         let (start, end) = ((-offset).max(0), (count as i64 - later - offset).min(values.len() as i64));
         if start >= end {
@@ -40,12 +45,13 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f
         }
         let (at, length) = ((offset + start) as usize, (end - start) as usize);
         let expected = &moved[at + later as usize..];
-        for ((square, value), expected) in
-            squares[at..at + length].iter_mut().zip(&values[start as usize..]).zip(expected)
-        {
-            let residual = value - own - expected;
-            *square += residual * residual;
-        }
+        let squares = &mut squares[at..at + length];
+        widest(|| {
+            for ((square, value), expected) in squares.iter_mut().zip(&values[start as usize..]).zip(expected) {
+                let residual = value - own - expected;
+                *square += residual * residual;
+            }
+        });
         changes[at] += 1;
         changes[at + length] -= 1;
     }
@@ -110,14 +116,13 @@ impl OutlierTest {
     /// Whether a shot lies outside, at any sample.
     #[must_use]
     pub fn is_outlier(&self, codes: Codes<'_>, position: i64) -> bool {
-        let values = without_baseline(codes, self.baseline);
         let offset = nearest(position) - self.first;
         let (from, at) = ((-offset).max(0) as usize, offset.max(0) as usize);
-        if from >= values.len() || at >= self.low.len() {
+        if from >= codes.len() || at >= self.low.len() {
             return true;
         }
-        let bounds = self.low[at..].iter().zip(&self.high[at..]);
-        values[from..].iter().zip(bounds).any(|(value, (low, high))| value < low || value > high)
+        let own = codes.slice(0..self.baseline.clamp(1, codes.len())).mean();
+        codes.slice(from..codes.len()).leaves(&self.low[at..], &self.high[at..], own)
     }
 }
 

@@ -62,8 +62,8 @@ pub trait Row: Sized + Clone + Send + Sync + 'static {
     type Columns: Send + Sync;
     /// Arrow schema with units and meanings as field metadata.
     fn schema() -> SchemaRef;
-    /// Rows as one batch.
-    fn to_batch(rows: &[Self]) -> RecordBatch;
+    /// Rows as one batch; one that is given several times is not copied before.
+    fn to_batch_of<'a>(rows: impl Iterator<Item = &'a Self> + Clone) -> RecordBatch;
     /// Typed view of a batch; copies nothing.
     ///
     /// # Errors
@@ -71,6 +71,11 @@ pub trait Row: Sized + Clone + Send + Sync + 'static {
     fn columns(batch: &RecordBatch) -> Result<Self::Columns, SchemaError>;
     /// Row `i` of a view. Waveforms in it share the batch's buffers.
     fn read(columns: &Self::Columns, i: usize) -> Self;
+
+    /// Rows as one batch.
+    fn to_batch(rows: &[Self]) -> RecordBatch {
+        Self::to_batch_of(rows.iter())
+    }
 
     /// All rows of a batch.
     ///
@@ -185,6 +190,13 @@ impl Codes {
     pub fn slice(&self, offset: usize, length: usize) -> Self {
         assert!(offset + length <= self.len(), "bytes {offset}+{length} of {}", self.len());
         Self { block: self.block.clone(), offset: self.offset + offset as u32, length: length as u32 }
+    }
+}
+
+impl Default for Codes {
+    /// None.
+    fn default() -> Self {
+        Self { block: Buffer::from_vec(Vec::<u8>::new()), offset: 0, length: 0 }
     }
 }
 
@@ -479,9 +491,9 @@ macro_rules! table {
                 SCHEMA.clone()
             }
 
-            fn to_batch(rows: &[Self]) -> ::arrow::record_batch::RecordBatch {
+            fn to_batch_of<'a>(rows: impl Iterator<Item = &'a Self> + Clone) -> ::arrow::record_batch::RecordBatch {
                 let columns: Vec<::arrow::array::ArrayRef> =
-                    vec![$(<$cell as $crate::tables::row::Cell>::build(rows.iter().map(|row| &row.$name))),+];
+                    vec![$(<$cell as $crate::tables::row::Cell>::build(rows.clone().map(|row| &row.$name))),+];
                 ::arrow::record_batch::RecordBatch::try_new(Self::schema(), columns).expect("columns are built from their own schema")
             }
 

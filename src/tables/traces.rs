@@ -1,6 +1,8 @@
 //! Table `traces`: what the oscilloscope recorded, as raw codes with their scale and time base.
 
-use super::row::{Codes, Name};
+use arrow::array::{ArrayRef, RecordBatch};
+
+use super::row::{Cell, Codes, Name, Row};
 use crate::table;
 
 table! {
@@ -62,5 +64,79 @@ table! {
         power_w: Option<f64>,
         /// Bounces of the known path, for roles response and fiducial.
         bounces: Option<i32>,
+    }
+}
+
+/// What a record has of its own.
+pub struct OwnColumns {
+    /// Which of the rows that records share it follows.
+    pub shared: usize,
+    /// As in [`Trace`].
+    pub shot: i32,
+    /// As in [`Trace`].
+    pub segment: Option<i32>,
+    /// As in [`Trace`].
+    pub t0_ps: f64,
+    /// As in [`Trace`].
+    pub codes: Codes,
+    /// As in [`Trace`].
+    pub clipped: Option<i32>,
+}
+
+/// Rows of many records, such as the segments of a file, that have most columns in common: these are held once.
+#[derive(Default)]
+pub struct Records {
+    shared: Vec<Trace>,
+    own: Vec<OwnColumns>,
+}
+
+impl Records {
+    /// Takes a row that records share, and gives its number; its columns that are each record's own do not count.
+    pub fn share(&mut self, row: Trace) -> usize {
+        self.shared.push(row);
+        self.shared.len() - 1
+    }
+
+    /// Takes a record.
+    pub fn push(&mut self, record: OwnColumns) {
+        self.own.push(record);
+    }
+
+    /// Takes all records of others.
+    pub fn append(&mut self, other: Self) {
+        let before = self.shared.len();
+        self.shared.extend(other.shared);
+        self.own.extend(other.own.into_iter().map(|own| OwnColumns { shared: before + own.shared, ..own }));
+    }
+
+    /// Numbers the shots on from `first`.
+    pub fn number_from(&mut self, first: i32) {
+        self.own.iter_mut().for_each(|own| own.shot += first);
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.own.is_empty()
+    }
+
+    /// The rows.
+    #[must_use]
+    pub fn to_batch(&self) -> RecordBatch {
+        fn column<'a, C: Cell + 'a>(own: &'a [OwnColumns], cell: impl Fn(&'a OwnColumns) -> &'a C) -> ArrayRef {
+            C::build(own.iter().map(cell))
+        }
+        let (schema, own) = (Trace::schema(), self.own.as_slice());
+        let mut columns = Trace::to_batch_of(own.iter().map(|own| &self.shared[own.shared])).columns().to_vec();
+        for (name, array) in [
+            ("shot", column(own, |own| &own.shot)),
+            ("segment", column(own, |own| &own.segment)),
+            ("t0_ps", column(own, |own| &own.t0_ps)),
+            ("codes", column(own, |own| &own.codes)),
+            ("clipped", column(own, |own| &own.clipped)),
+        ] {
+            columns[schema.index_of(name).expect("a column of the table")] = array;
+        }
+        RecordBatch::try_new(schema, columns).expect("columns are built from their own schema")
     }
 }

@@ -21,10 +21,11 @@ const GRANTED: [(&str, &str); 1] = [
 ];
 
 /// Packages that have few addresses: (package, files or folders under src that may name it).
-const ADDRESSES: [(&str, &[&str]); 11] = [
+const ADDRESSES: [(&str, &[&str]); 12] = [
     ("rustfft", &["signal/fft.rs"]),
     ("realfft", &["signal/fft.rs"]),
     ("faer", &["geometry/", "signal/"]),
+    ("pulp", &["signal/widest.rs"]),
     ("nalgebra", &["geometry/", "simulate/", "stages/", "bound/"]),
     ("arrow", &["tables/", "stages/", "store/", "pipeline/", "history/"]),
     ("parquet", &["store/"]),

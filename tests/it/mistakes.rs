@@ -56,7 +56,7 @@ fn codes_of(file: &Path) -> Vec<i8> {
     bytes[head..].iter().map(|byte| *byte as i8).collect()
 }
 
-fn write_array<T: npyz::AutoSerialize + Copy>(file: &Path, shape: [u64; 2], values: &[T]) {
+fn write_array<T: periscope::formats::npy::Number>(file: &Path, shape: [u64; 2], values: &[T]) {
     periscope::formats::npy::write(&mut fs::File::create(file).unwrap(), &shape, values).unwrap();
 }
 

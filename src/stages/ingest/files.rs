@@ -1,12 +1,14 @@
 //! The files of one item: which of their records are its exposures, and their rows.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use super::raw_file::{Bad, Hashed, RawFile};
 use super::survey::{Job, Surveyed};
 use super::template::Template;
-use crate::tables::Trace;
-use crate::waveform::{Kind, Record};
+use crate::tables::traces::Records;
+use crate::tables::{Codes, Trace};
+use crate::waveform::{Head, Kind, Record};
 
 /// The files of an item: signal, and reference if it has one.
 pub struct Files {
@@ -79,7 +81,7 @@ impl Files {
     }
 
     /// Rows of a range of exposures: for each its reference, then its signal.
-    pub fn rows(&mut self, surveyed: &Surveyed<'_>, job: &Job<'_>, exposures: Range<usize>) -> Result<Vec<Trace>, Bad> {
+    pub fn rows(&mut self, surveyed: &Surveyed<'_>, job: &Job<'_>, exposures: Range<usize>) -> Result<Records, Bad> {
         let template = Template::new(surveyed, job);
         let samples = job.item.exposure.keys.samples;
         let signal: Vec<usize> = self.signal_records[exposures.clone()].iter().map(|(record, _)| *record).collect();
@@ -94,16 +96,39 @@ impl Files {
                 Some(file.codes(&records[exposures.clone()], samples)?)
             }
         };
-        let mut rows = Vec::with_capacity(2 * exposures.len());
+        let mut rows = Rows { template, records: Records::default(), shared: [None, None] };
         for (i, exposure) in exposures.enumerate() {
             let (record, shot) = self.signal_records[exposure];
+            let shot = shot + job.first_shot;
             if let (Some(codes), Some(records)) = (&reference_codes, &self.reference_records) {
                 let file = self.reference.as_ref().unwrap_or(&self.signal);
-                rows.push(template.row(file, records[exposure], shot + job.first_shot, true, &codes[i])?);
+                rows.push(file, records[exposure], shot, true, &codes[i])?;
             }
-            rows.push(template.row(&self.signal, record, shot + job.first_shot, false, &signal_codes[i])?);
+            rows.push(&self.signal, record, shot, false, &signal_codes[i])?;
         }
-        Ok(rows)
+        Ok(rows.records)
+    }
+}
+
+/// Rows under way.
+struct Rows<'a> {
+    template: Template<'a>,
+    records: Records,
+    /// Of signal and reference: the head of the last record, and what its records share.
+    shared: [Option<(Arc<Head>, usize, Trace)>; 2],
+}
+
+impl Rows<'_> {
+    fn push(&mut self, file: &RawFile, record: usize, shot: i32, is_reference: bool, codes: &Codes) -> Result<(), Bad> {
+        let last = &mut self.shared[usize::from(is_reference)];
+        let head = &file.records[record].head;
+        if last.as_ref().is_none_or(|(known, ..)| !Arc::ptr_eq(known, head)) {
+            let row = self.template.shared(file, record, is_reference, codes.len())?;
+            *last = Some((Arc::clone(head), self.records.share(row.clone()), row));
+        }
+        let (_, shared, row) = last.as_ref().expect("put there if it was not");
+        self.records.push(self.template.own(file, record, shot, (*shared, row), codes)?);
+        Ok(())
     }
 }
 
@@ -148,8 +173,7 @@ fn numbered(records: &[usize], shot: Option<u32>) -> Vec<(usize, i32)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::waveform::{CodeType, Head, Payload};
-    use std::sync::Arc;
+    use crate::waveform::{CodeType, Payload};
 
     #[test]
     fn an_average_beside_its_exposures_is_none_of_them() {

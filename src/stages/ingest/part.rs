@@ -12,11 +12,11 @@ use crate::campaign::{Campaign, hash_file};
 use crate::stages::source::{Feed, PartRead};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
-use crate::tables::{Row, Trace};
+use crate::tables::traces::Records;
 
 /// What came of a job.
 struct Done {
-    rows: Vec<Trace>,
+    rows: Records,
     shots: i32,
     digests: Vec<Hashed>,
     rejection: Option<Rejection>,
@@ -82,12 +82,12 @@ impl Reader<'_> {
             .collect();
         let surveyed = self.surveyed;
         let done: Vec<Done> = jobs.par_iter().map(|(_, job)| read_whole(surveyed, job)).collect();
-        let mut rows = Vec::new();
+        let mut rows = Records::default();
         for ((index, job), done) in jobs.iter().zip(done) {
-            rows.extend(self.take(*index, job, done)?);
+            rows.append(self.take(*index, job, done)?);
         }
         if !rows.is_empty() {
-            self.feed.send(Trace::to_batch(&rows), credit)?;
+            self.feed.send(rows.to_batch(), credit)?;
         }
         self.feed.read_bytes(bytes as u64);
         Ok(())
@@ -101,7 +101,7 @@ impl Reader<'_> {
             Err(error) => {
                 let digests = digests_of_bad(self.surveyed, &job);
                 let rejection = Some(error.rejection(self.surveyed, &job));
-                self.take(index, &job, Done { rows: Vec::new(), shots: 0, digests, rejection })?;
+                self.take(index, &job, Done { rows: Records::default(), shots: 0, digests, rejection })?;
                 return Ok(());
             }
         };
@@ -115,13 +115,14 @@ impl Reader<'_> {
         }
         let exposures = files.exposures();
         let per_batch = (self.batch_bytes / files.exposure_bytes(&job).max(1)).max(1);
-        let mut outcome = Done { rows: Vec::new(), shots: exposures as i32, digests: Vec::new(), rejection: None };
+        let mut outcome =
+            Done { rows: Records::default(), shots: exposures as i32, digests: Vec::new(), rejection: None };
         for start in (0..exposures).step_by(per_batch) {
             let range = start..exposures.min(start + per_batch);
             let bytes = files.exposure_bytes(&job) * range.len();
             let credit = self.feed.reserve(bytes)?;
             match files.rows(self.surveyed, &job, range) {
-                Ok(rows) => self.feed.send(Trace::to_batch(&rows), credit)?,
+                Ok(rows) => self.feed.send(rows.to_batch(), credit)?,
                 Err(error) => {
                     outcome.rejection = Some(error.rejection(self.surveyed, &job));
                     break;
@@ -139,7 +140,7 @@ impl Reader<'_> {
 
     /// Notes what came of a job; numbers its exposures where the files do not. A file of which another content is on record stops the run before
     /// anything that was made of it counts.
-    fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Vec<Trace>, StageError> {
+    fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Records, StageError> {
         let campaign = job.capture.campaign;
         for Hashed { file, digest, metadata } in done.digests {
             // What changed while it was read is not what was hashed, and goes down in no notes.
@@ -155,7 +156,7 @@ impl Reader<'_> {
         let numbered = job.item.exposure.shot.is_some() || job.item.records.is_some();
         if !numbered {
             let first = self.shots.entry(index).or_insert(0);
-            done.rows.iter_mut().for_each(|row| row.shot += *first);
+            done.rows.number_from(*first);
             *first += done.shots;
         }
         Ok(done.rows)
@@ -187,7 +188,7 @@ fn unread(campaign: &Campaign, file: &Path) -> StageError {
 }
 
 fn read_whole(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Done {
-    let mut done = Done { rows: Vec::new(), shots: 0, digests: Vec::new(), rejection: None };
+    let mut done = Done { rows: Records::default(), shots: 0, digests: Vec::new(), rejection: None };
     let read = Files::open(surveyed, job, true).and_then(|mut files| {
         done.digests = files.digests()?;
         let exposures = files.exposures();

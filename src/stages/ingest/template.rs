@@ -4,8 +4,9 @@ use super::raw_file::{Bad, RawFile};
 use super::survey::{Job, Surveyed};
 use crate::campaign::keys::SensorKind;
 use crate::signal::codes::Codes as Samples;
+use crate::tables::traces::OwnColumns;
 use crate::tables::{Codes, Name, Trace};
-use crate::waveform::{CodeType, Kind};
+use crate::waveform::Kind;
 
 /// A nominal rate may differ by this part from the step that a file rounded: a step printed with six digits is off by 5e-6 at most.
 const ROUNDED: f64 = 1e-5;
@@ -20,8 +21,6 @@ pub struct Template<'a> {
     role: Name,
     run: Option<Name>,
     range: Option<Name>,
-    /// Names of code types, in their order.
-    code_types: [Name; CodeType::ALL.len()],
 }
 
 impl<'a> Template<'a> {
@@ -35,7 +34,6 @@ impl<'a> Template<'a> {
             role: job.capture.role.name().into(),
             run: job.capture.run.as_deref().map(Into::into),
             range: job.item.exposure.range.as_deref().map(Into::into),
-            code_types: CodeType::ALL.map(|code_type| code_type.name().into()),
         }
     }
 
@@ -87,37 +85,22 @@ impl<'a> Template<'a> {
         }
     }
 
-    /// The row of a record; `codes` are those of its samples that count.
-    pub fn row(
-        &self,
-        file: &RawFile,
-        record: usize,
-        shot: i32,
-        is_reference: bool,
-        codes: &Codes,
-    ) -> Result<Trace, Bad> {
-        let number = record;
-        let record = &file.records[record];
-        let (head, keys) = (&record.head, &self.job.item.exposure.keys);
-        let (dt_ps, file_dt_ps) = self.step(file, number)?;
-        let t0_ps = keys.t0_ps.or(record.t0_s.map(|t0_s| t0_s * 1e12).filter(|_| !head.t0_nominal));
-        let what = if head.t0_nominal { "time of sample 0 to better than some samples" } else { "time of sample 0" };
-        let t0_ps = t0_ps.ok_or_else(|| missing(file, number, what, "t0_ps"))?;
+    /// The row that all records of the head of this one share; `length` is that of the codes that count.
+    pub fn shared(&self, file: &RawFile, record: usize, is_reference: bool, length: usize) -> Result<Trace, Bad> {
+        let (head, keys) = (&file.records[record].head, &self.job.item.exposure.keys);
+        let (dt_ps, file_dt_ps) = self.step(file, record)?;
         let gain_v = keys.gain_v.or(head.scale.map(|scale| scale.gain));
-        let gain_v = gain_v.ok_or_else(|| missing(file, number, "scale", "gain_v"))?;
+        let gain_v = gain_v.ok_or_else(|| missing(file, record, "scale", "gain_v"))?;
         // An offset belongs to its gain: where the campaign gives volts per code, the file's own scale is out.
         let of_file = head.scale.filter(|_| keys.gain_v.is_none()).map(|scale| scale.offset);
         let offset_v = keys.offset_v.or(of_file).unwrap_or(0.0);
-        let first = keys.samples.map_or(0, |[first, _]| first);
-        let samples = codes.len() / head.code_type.bytes();
+        let samples = length / head.code_type.bytes();
         let samples = i32::try_from(samples).map_err(|_| {
             file.bad_record(
-                number,
+                record,
                 format!("has {samples} samples in one record; name the part that counts by samples = [first, last]"),
             )
         })?;
-        let values = Samples::of(head.code_type.name(), codes).expect("code types have one name everywhere");
-        let clipped = head.rails.map(|(low, high)| values.count_at_or_beyond(low, high) as i32);
         Ok(Trace {
             campaign: self.campaign.clone(),
             sensor: self.sensor.clone(),
@@ -126,27 +109,53 @@ impl<'a> Template<'a> {
             role: self.role.clone(),
             run: self.run.clone(),
             range: self.range.clone(),
-            shot,
+            shot: 0,
             channel: head.channel.as_deref().map(Into::into),
             is_reference,
             file: file.text.clone(),
-            segment: record.segment.map(|segment| segment as i32),
-            t0_ps: t0_ps + first as f64 * dt_ps,
+            segment: None,
+            t0_ps: 0.0,
             dt_ps,
             file_dt_ps,
             samples,
-            code_type: self.code_types[head.code_type as usize].clone(),
+            code_type: head.code_type.name().into(),
             gain_v,
             offset_v,
-            codes: codes.clone(),
+            codes: Codes::default(),
             acquired_at: head.acquired_at.as_deref().map(Into::into),
-            clipped,
+            clipped: None,
             averaged_shots: keys.averaged_shots.unwrap_or(1) as i32,
             path_m: keys.path_m,
             path_sd_m: keys.path_sd_m,
             attenuation_od: keys.attenuation_od,
             power_w: keys.power_w,
             bounces: keys.bounces.map(|bounces| bounces as i32),
+        })
+    }
+
+    /// What a record has of its own beside the row `shared`; `codes` are those of its samples that count.
+    pub fn own(
+        &self,
+        file: &RawFile,
+        number: usize,
+        shot: i32,
+        (shared, row): (usize, &Trace),
+        codes: &Codes,
+    ) -> Result<OwnColumns, Bad> {
+        let record = &file.records[number];
+        let (head, keys) = (&record.head, &self.job.item.exposure.keys);
+        let t0_ps = keys.t0_ps.or(record.t0_s.map(|t0_s| t0_s * 1e12).filter(|_| !head.t0_nominal));
+        let what = if head.t0_nominal { "time of sample 0 to better than some samples" } else { "time of sample 0" };
+        let t0_ps = t0_ps.ok_or_else(|| missing(file, number, what, "t0_ps"))?;
+        let first = keys.samples.map_or(0, |[first, _]| first);
+        let values = Samples::of(head.code_type.name(), codes).expect("code types have one name everywhere");
+        Ok(OwnColumns {
+            shared,
+            shot,
+            segment: record.segment.map(|segment| segment as i32),
+            t0_ps: t0_ps + first as f64 * row.dt_ps,
+            codes: codes.clone(),
+            clipped: head.rails.map(|(low, high)| values.count_at_or_beyond(low, high) as i32),
         })
     }
 }
