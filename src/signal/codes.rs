@@ -149,7 +149,7 @@ impl<'a> Codes<'a> {
     /// The codes as numbers, in place of what `values` held.
     pub fn read_into(&self, values: &mut Vec<f64>) {
         values.clear();
-        widest(|| each!(*self, numbers => values.extend(numbers.map(f64::from))));
+        each!(*self, numbers => widest(|| values.extend(numbers.map(f64::from))));
     }
 
     /// Mean of the codes.
@@ -169,15 +169,15 @@ impl<'a> Codes<'a> {
         // In blocks: none is left before its end, so that the processor can compare several at a time.
         const BLOCK: usize = 256;
         let count = self.len().min(low.len()).min(high.len());
-        widest(|| {
-            (0..count).step_by(BLOCK).any(|start| {
-                let block = start..count.min(start + BLOCK);
-                let bounds = low[block.clone()].iter().zip(&high[block.clone()]);
-                each!(self.slice(block), numbers => numbers.map(f64::from).zip(bounds).fold(false, |out, (value, (low, high))| {
+        (0..count).step_by(BLOCK).any(|start| {
+            let block = start..count.min(start + BLOCK);
+            let bounds = low[block.clone()].iter().zip(&high[block.clone()]);
+            each!(self.slice(block), numbers => widest(|| {
+                numbers.map(f64::from).zip(bounds).fold(false, |out, (value, (low, high))| {
                     let value = value - level;
                     out | (value < *low) | (value > *high)
-                }))
-            })
+                })
+            }))
         })
     }
 
@@ -187,22 +187,24 @@ impl<'a> Codes<'a> {
     /// When there are more codes than sums, or the codes are floating.
     pub fn add_to(&self, sums: &mut [i32]) {
         let sums = &mut sums[..self.len()];
-        widest(|| match *self {
+        match *self {
             Self::F32(_) | Self::F64(_) => panic!("floating codes are summed by add_to_f64"),
             Self::I32(_) | Self::U32(_) => panic!("32 bit codes are summed by add_to_f64"),
-            Self::I8(bytes) => sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte as i8)),
-            Self::U8(bytes) => sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte)),
+            Self::I8(bytes) => {
+                widest(|| sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte as i8)));
+            }
+            Self::U8(bytes) => {
+                widest(|| sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte)));
+            }
             Self::I16(bytes) => {
-                sums.iter_mut()
-                    .zip(bytes.chunks_exact(2))
-                    .for_each(|(sum, code)| *sum += i32::from(i16::from_le_bytes([code[0], code[1]])));
+                let codes = bytes.chunks_exact(2).map(|code| i16::from_le_bytes([code[0], code[1]]));
+                widest(|| sums.iter_mut().zip(codes).for_each(|(sum, code)| *sum += i32::from(code)));
             }
             Self::U16(bytes) => {
-                sums.iter_mut()
-                    .zip(bytes.chunks_exact(2))
-                    .for_each(|(sum, code)| *sum += i32::from(u16::from_le_bytes([code[0], code[1]])));
+                let codes = bytes.chunks_exact(2).map(|code| u16::from_le_bytes([code[0], code[1]]));
+                widest(|| sums.iter_mut().zip(codes).for_each(|(sum, code)| *sum += i32::from(code)));
             }
-        });
+        }
     }
 
     /// Adds the codes to sums in `f64`: exact for whole numbers below 2^53, else rounded in the order of the calls.

@@ -32,7 +32,7 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
         return Noise { sd: 0.0, acf: Vec::new() };
     }
     let covariance = |lag: usize| {
-        let products: f64 = widest(|| stretches.iter().map(|s| dot(&s[..s.len() - lag], &s[lag..])).sum());
+        let products: f64 = stretches.iter().map(|s| dot(&s[..s.len() - lag], &s[lag..])).sum();
         let pairs: usize = stretches.iter().map(|s| s.len() - lag).sum();
         products / pairs as f64
     };
@@ -166,19 +166,16 @@ pub fn quietest(samples: &[f64], width: usize) -> usize {
 }
 
 /// Sum of products in eight interleaved parts, which the processor can take side by side; the order of additions is fixed.
-#[allow(clippy::inline_always, reason = "where it is called, vectors may be wide")]
-#[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
+    let (a, b) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut sums = [0.0; LANES];
-    let (a_parts, b_parts) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let rest: f64 = a_parts.remainder().iter().zip(b_parts.remainder()).map(|(a, b)| a * b).sum();
-    for (a, b) in a_parts.zip(b_parts) {
-        for lane in 0..LANES {
-            sums[lane] += a[lane] * b[lane];
+    widest(|| {
+        for (a, b) in a.0.iter().zip(b.0) {
+            sums.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (a, b))| *sum += a * b);
         }
-    }
-    sums.iter().sum::<f64>() + rest
+    });
+    sums.iter().sum::<f64>() + a.1.iter().zip(b.1).map(|(a, b)| a * b).sum::<f64>()
 }
 
 fn centred(stretch: &[f64]) -> Vec<f64> {

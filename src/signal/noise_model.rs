@@ -80,9 +80,13 @@ pub fn fit(spread: &Spread) -> Option<NoiseModel> {
         let settled = model.as_ref().is_some_and(|old| {
             (0..TERMS).all(|k| (next.values[k] - old.values[k]).abs() <= SETTLED * next.covariance[k][k].sqrt())
         });
-        for (n, (weight, known)) in weights.iter_mut().zip(&known).enumerate() {
-            *weight = known / spread.weighing(columns.variance(&next.values, n).max(FLOOR * mean));
-        }
+        columns.variances(&next.values, &mut weights);
+        let least = FLOOR * mean;
+        widest(|| {
+            for (weight, known) in weights.iter_mut().zip(&known) {
+                *weight = known / spread.weighing(weight.max(least));
+            }
+        });
         model = Some(next);
         if settled {
             break;
@@ -108,7 +112,10 @@ impl NoiseModel {
         assert!(dt_ps > 0.0 && shots > 0, "a mean has shots and a step");
         let mut columns = Columns::of(mean_v, dt_ps);
         columns.clear_of_noise([0, 1, 2].map(|k| self.values[k] / shots as f64));
-        (0..mean_v.len()).map(|n| columns.variance(&self.values, n).sqrt()).collect()
+        let mut sd_v = vec![0.0; mean_v.len()];
+        columns.variances(&self.values, &mut sd_v);
+        sd_v.iter_mut().for_each(|value| *value = value.sqrt());
+        sd_v
     }
 }
 
@@ -161,9 +168,15 @@ impl Columns {
         [&self.ones, &self.level, &self.clear_square, &self.clear_rise]
     }
 
-    /// Variance of a sample by the model.
-    fn variance(&self, values: &[f64; TERMS], n: usize) -> f64 {
-        values[0] + values[1] * self.level[n] + values[2] * self.clear_square[n] + values[3] * self.clear_rise[n]
+    /// Variance of each sample by the model.
+    fn variances(&self, values: &[f64; TERMS], out: &mut [f64]) {
+        let [constant, of_level, of_square, of_rise] = *values;
+        widest(|| {
+            let terms = self.level.iter().zip(&self.clear_square).zip(&self.clear_rise);
+            for (out, ((level, square), rise)) in out.iter_mut().zip(terms) {
+                *out = constant + of_level * level + of_square * square + of_rise * rise;
+            }
+        });
     }
 }
 
@@ -178,18 +191,15 @@ struct Equations {
 impl Equations {
     fn of(columns: &Columns, right: &[f64], weights: &[f64]) -> Self {
         let terms = columns.terms();
-        widest(|| {
-            let mut matrix = [[0.0; TERMS]; TERMS];
-            for i in 0..TERMS {
-                for j in 0..=i {
-                    matrix[i][j] = sum_of_products(weights, terms[i], terms[j]);
-                    matrix[j][i] = matrix[i][j];
-                }
+        let mut matrix = [[0.0; TERMS]; TERMS];
+        for i in 0..TERMS {
+            for j in 0..=i {
+                matrix[i][j] = sum_of_products(weights, terms[i], terms[j]);
+                matrix[j][i] = matrix[i][j];
             }
-            let right_of = |i: usize| sum_of_products(weights, terms[i], right);
-            let square = sum_of_products(weights, right, right);
-            Self { matrix, right: [right_of(0), right_of(1), right_of(2), right_of(3)], square }
-        })
+        }
+        let square = sum_of_products(weights, right, right);
+        Self { matrix, right: terms.map(|term| sum_of_products(weights, term, right)), square }
     }
 
     /// The best of all least-squares fits on a part of the terms whose values are not negative: the optimum of the bounded problem is among them.
@@ -241,16 +251,14 @@ impl Equations {
 /// Sums side by side, added up at the end: a fixed order that the compiler may work on several at a time.
 const LANES: usize = 8;
 
-#[allow(clippy::inline_always, reason = "where it is called, vectors may be wide")]
-#[inline(always)]
 fn sum_of_products(weights: &[f64], a: &[f64], b: &[f64]) -> f64 {
     let (w, a, b) = (weights.as_chunks::<LANES>(), a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut sums = [0.0; LANES];
-    for ((w, a), b) in w.0.iter().zip(a.0).zip(b.0) {
-        for lane in 0..LANES {
-            sums[lane] += w[lane] * a[lane] * b[lane];
+    widest(|| {
+        for ((w, a), b) in w.0.iter().zip(a.0).zip(b.0) {
+            sums.iter_mut().zip(w.iter().zip(a).zip(b)).for_each(|(sum, ((w, a), b))| *sum += w * a * b);
         }
-    }
+    });
     sums.iter().sum::<f64>() + w.1.iter().zip(a.1).zip(b.1).map(|((w, a), b)| w * a * b).sum::<f64>()
 }
 

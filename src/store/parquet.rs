@@ -14,7 +14,7 @@ use arrow::datatypes::{DataType, SchemaRef};
 use bytes::Bytes;
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use parquet::arrow::arrow_writer::{ArrowColumnWriter, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
+use parquet::arrow::arrow_writer::{ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::column::writer::ColumnCloseResult;
 use parquet::errors::ParquetError;
@@ -54,8 +54,8 @@ pub struct FileRecord {
 struct Digesting {
     file: BufWriter<File>,
     hasher: blake3::Hasher,
-    /// Of what is written after the pages.
-    footer: blake3::Hasher,
+    /// Of what is written after the pages; none before.
+    footer: Option<blake3::Hasher>,
     bytes: u64,
 }
 
@@ -63,7 +63,9 @@ impl Write for Digesting {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
         let written = self.file.write(buffer)?;
         self.hasher.update(&buffer[..written]);
-        self.footer.update(&buffer[..written]);
+        if let Some(footer) = &mut self.footer {
+            footer.update(&buffer[..written]);
+        }
         self.bytes += written as u64;
         Ok(written)
     }
@@ -97,7 +99,7 @@ impl TableWriter {
     /// When the file cannot be created.
     pub fn create(path: &Path, schema: &SchemaRef) -> Result<Self, ParquetError> {
         let file = BufWriter::with_capacity(1 << 16, File::create(path)?);
-        let sink = Digesting { file, hasher: blake3::Hasher::new(), footer: blake3::Hasher::new(), bytes: 0 };
+        let sink = Digesting { file, hasher: blake3::Hasher::new(), footer: None, bytes: 0 };
         let pages = Arc::new(ChunkPages::default());
         let options =
             ArrowWriterOptions::new().with_properties(properties(schema)).with_page_store_factory(pages.clone());
@@ -154,25 +156,34 @@ impl TableWriter {
     }
 
     fn encode(&mut self) -> Result<(), ParquetError> {
-        let mut groups = Vec::new();
-        for batch in self.whole.drain(..) {
-            let writers = self.factory.create_column_writers(self.groups)?;
-            groups.push((batch, writers, self.pages.take()));
-            self.groups += 1;
-        }
-        let encoded: Vec<_> = groups
-            .into_par_iter()
-            .map(|(batch, writers, pages)| {
-                let chunks = encode_group(&batch, writers)?;
-                pages.iter().zip(&chunks).map(|(pages, close)| with_checksums(pages, close)).collect()
-            })
-            .collect::<Result<Vec<Vec<(Bytes, ColumnCloseResult)>>, ParquetError>>()?;
-        for columns in encoded {
-            let mut group = self.writer.next_row_group()?;
-            for (bytes, close) in columns {
-                group.append_column(&bytes, close)?;
+        // Every column of every group is work of its own.
+        let mut columns = Vec::new();
+        for (group, batch) in self.whole.drain(..).enumerate() {
+            let mut writers = self.factory.create_column_writers(self.groups + group)?.into_iter();
+            let mut pages = self.pages.take().into_iter();
+            for (field, column) in batch.schema_ref().fields().iter().zip(batch.columns()) {
+                for leaf in compute_leaves(field, column)? {
+                    let writer = writers.next().expect("one writer a leaf column");
+                    columns.push((group, leaf, writer, pages.next().expect("pages of each leaf column")));
+                }
             }
-            group.close()?;
+        }
+        let encoded: Vec<(usize, Bytes, ColumnCloseResult)> = columns
+            .into_par_iter()
+            .map(|(group, leaf, mut writer, pages)| {
+                writer.write(&leaf)?;
+                let close = writer.close()?.close().clone();
+                let (bytes, close) = with_checksums(&pages, &close)?;
+                Ok((group, bytes, close))
+            })
+            .collect::<Result<_, ParquetError>>()?;
+        for group in encoded.chunk_by(|a, b| a.0 == b.0) {
+            let mut writer = self.writer.next_row_group()?;
+            for (_, bytes, close) in group {
+                writer.append_column(bytes, close.clone())?;
+            }
+            writer.close()?;
+            self.groups += 1;
         }
         Ok(())
     }
@@ -188,7 +199,7 @@ impl TableWriter {
         self.encode()?;
         self.writer.flush()?;
         let pages_end = self.writer.bytes_written() as u64;
-        self.writer.inner_mut().footer.reset();
+        self.writer.inner_mut().footer = Some(blake3::Hasher::new());
         for (key, value) in footer {
             self.writer.append_key_value_metadata(KeyValue::new((*key).to_owned(), value.clone()));
         }
@@ -199,22 +210,9 @@ impl TableWriter {
             bytes: sink.bytes,
             digest: sink.hasher.finalize().into(),
             pages_end,
-            footer: sink.footer.finalize().into(),
+            footer: sink.footer.unwrap_or_default().finalize().into(),
         })
     }
-}
-
-fn encode_group(batch: &RecordBatch, writers: Vec<ArrowColumnWriter>) -> Result<Vec<ColumnCloseResult>, ParquetError> {
-    let mut writers = writers.into_iter();
-    let mut chunks = Vec::new();
-    for (field, column) in batch.schema_ref().fields().iter().zip(batch.columns()) {
-        for leaf in compute_leaves(field, column)? {
-            let mut writer = writers.next().expect("one writer a leaf column");
-            writer.write(&leaf)?;
-            chunks.push(writer.close()?.close().clone());
-        }
-    }
-    Ok(chunks)
 }
 
 /// Bytes that each row holds in columns of variable length, plus eight for each other column.

@@ -1,0 +1,143 @@
+#!/usr/bin/env python3
+"""Times whole runs of periscope beside other programs on the same data, all in turn, and compares their onsets.
+
+usage: jobs.py avg|each INPUT PEERS PERISCOPE WORK [--runs 5] [--strax PYTHON] [--dspeed PYTHON] [--limits PROGRAM]
+INPUT: folder with raw.npy (groups x repeats x samples, int16), impulse.npy, params.json, and raw.lh5, raw_each.lh5 for dspeed; PEERS: folder with
+bench_numpy_tuned.py and the like; the interpreters of --strax and --dspeed have those packages, this one numpy, scipy and pyarrow; --limits is a
+program that reads and sums a file, `limits FILE`, and prints its rates.
+Job avg: the shots of a capture averaged, deconvolved, timed (pipelines/average.toml). Job each: every shot for itself.
+Wall, CPU and peak memory are those of the whole process (wait4). MB = 1e6 bytes of raw samples.
+"""
+import argparse, glob, json, os, shutil, statistics, subprocess, sys, time
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+parser = argparse.ArgumentParser(usage=__doc__)
+parser.add_argument("job", choices=["avg", "each"])
+for name in ("input", "peers", "periscope", "work"):
+    parser.add_argument(name, type=os.path.abspath)
+parser.add_argument("--runs", type=int, default=5)
+for name in ("strax", "dspeed", "limits"):
+    parser.add_argument(f"--{name}", type=os.path.abspath)
+args = parser.parse_args()
+p = json.load(open(f"{args.input}/params.json"))
+G, R, L = p["groups"], p["repeats"], p["samples"]
+mb = G * R * L * 2 / 1e6
+here = os.path.dirname(os.path.abspath(__file__))
+os.makedirs(args.work, exist_ok=True)
+CAMPAIGN = """[campaign]
+name = "average"
+[sensors.s1]
+[[captures]]
+role = "scene"
+files = "{files}"
+segments = {segments}
+dt_ps = 50.0
+t0_ps = 0.0
+gain_v = 1.0
+offset_v = 0.0
+"""
+
+
+def campaign(folder):
+    """A file a capture; for job each one file, of which each shot is a capture. The response is a calibration to import."""
+    if os.path.exists(f"{folder}/campaign.toml"):
+        return
+    os.makedirs(f"{folder}/raw")
+    offset = np.load(f"{args.input}/raw.npy", mmap_mode="r").offset
+    for g in range(G):
+        shots = np.fromfile(f"{args.input}/raw.npy", "<i2", count=R * L, offset=offset + g * R * L * 2).reshape(R, L)
+        np.save(f"{folder}/raw/L{g + 1}_P1.npy", shots)
+    files, segments = ("raw/L{lit}_P1.npy", '"seen"') if args.job == "each" else ("raw/L{lit}_P{seen}.npy", '"shot"')
+    open(f"{folder}/campaign.toml", "w").write(CAMPAIGN.format(files=files, segments=segments))
+    h = np.load(f"{args.input}/impulse.npy")
+    numbers = ["step_ps", "response_t0_ps", "latency_ps", "latency_sd_ps", "width_ps"]
+    row = dict(campaign=["average"], sensor=["s1"], shots=[0], rejected=[0], **{name: [0.0] for name in numbers})
+    row["step_ps"] = [50.0]
+    table = pa.table({**row, "response": pa.array([h.astype("f4")], pa.list_(pa.float32()))})
+    pq.write_table(table, f"{args.work}/calibration.parquet")
+
+
+def once(command, cwd):
+    start = time.perf_counter()
+    child = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    err = child.stderr.read().decode()
+    _, status, usage = os.wait4(child.pid, 0)
+    wall = time.perf_counter() - start
+    if status:
+        raise SystemExit(f"{command} failed:\n{err}")
+    return wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+
+
+out = f"{args.work}/out"
+text = open(os.path.join(here, "..", "pipelines", "average.toml")).read()
+for name, keep in (("plain", "keep = false"), ("kept", "keep = true")):
+    open(f"{args.work}/{name}.toml", "w").write(text.replace("keep = false", keep))
+
+
+def ours(pipeline="plain", notes=True, threads=None):
+    """A run that computes all tables; with the content hashes that an earlier run noted, or as a first run, which hashes all files."""
+    kept = f"{args.work}/notes"
+    shutil.rmtree(kept, ignore_errors=True)
+    if notes:
+        shutil.copytree(f"{out}/.shelf/notes", kept)
+    shutil.rmtree(out, ignore_errors=True)
+    if notes:
+        os.makedirs(f"{out}/.shelf")
+        shutil.copytree(kept, f"{out}/.shelf/notes")
+    command = [args.periscope, "run", f"{pipeline}.toml", "--campaign", "campaign", "--out", out, "--progress", "none"]
+    return once(command + (["--threads", str(threads)] if threads else []), args.work)
+
+
+def peer(name, python, script, *extra):
+    folder = f"{args.work}/{name}"
+    shutil.rmtree(folder, ignore_errors=True)
+    os.makedirs(folder)
+    return once([python, f"{args.peers}/{script}", args.input, folder, *extra], args.peers)
+
+
+campaign(f"{args.work}/campaign")
+with open(f"{args.input}/raw.npy", "rb") as raw:  # warm pages, in small pieces
+    while raw.read(1 << 20):
+        pass
+script = {"avg": "bench_numpy_tuned.py", "each": "bench_each_numpy.py"}[args.job]
+jobs = {
+    "numpy tuned, 2 threads": lambda: peer("numpy", sys.executable, script, "2"),
+    "periscope, first run (hashes)": lambda: ours(notes=False),
+    "periscope, hashes known": ours,
+    "periscope, hashes known, 1 thread": lambda: ours(threads=1),
+}
+if args.job == "avg":
+    jobs["periscope, hashes known, traces kept"] = lambda: ours("kept")
+script = {"avg": "bench_strax.py", "each": "bench_each_strax.py"}[args.job]
+if args.strax:
+    jobs["strax, 2 workers"] = lambda: peer("strax", args.strax, script, "2")
+script = {"avg": "bench_dspeed.py", "each": "bench_each_dspeed.py"}[args.job]
+if args.dspeed:
+    jobs["dspeed"] = lambda: peer("dspeed", args.dspeed, script)
+results = {name: [] for name in jobs}
+loads = []
+for turn in range(args.runs + 1):  # turn 0 warms up
+    for name, job in jobs.items():
+        loads.append(os.getloadavg()[0])
+        result = job()
+        if turn:
+            results[name].append(result)
+base = [wall for wall, _, _ in results["numpy tuned, 2 threads"]]
+print(f"{mb:.0f} MB, {G} captures of {R} shots of {L} samples, {args.runs} runs in turn; load average {min(loads):.1f} to {max(loads):.1f}\n")
+print("| job | wall s (min, median, max) | MB/s (median) | CPU s | peak MiB | rate over numpy (paired: min, median, max) |\n|---|---|---|---|---|---|")
+for name, result in results.items():
+    wall, cpu, rss = zip(*result)
+    ratio = [b / w for b, w in zip(base, wall)]
+    med = statistics.median
+    print(f"| {name} | {min(wall):.3f}, {med(wall):.3f}, {max(wall):.3f} | {mb / med(wall):.0f} | {med(cpu):.2f} | {max(rss):.0f} | {min(ratio):.2f}, {med(ratio):.2f}, {max(ratio):.2f} |")
+mine = pa.concat_tables([pq.read_table(f) for f in sorted(glob.glob(f"{out}/onsets/*.parquet"))]).sort_by([("lit", "ascending"), ("seen", "ascending")])
+reference = np.load(f"{args.work}/numpy/onsets.npy")
+samples = mine["time_ps"].to_numpy() / 50.0
+print(f"\nonsets: {len(samples)} of {np.isfinite(reference).sum()}")
+if len(samples) == len(reference):
+    print(f"largest difference {np.nanmax(np.abs(samples - reference)):.2e} sample")
+if args.limits:
+    print("\n" + subprocess.run([args.limits, f"{args.input}/raw.npy"], capture_output=True, text=True, check=True).stdout)
