@@ -102,21 +102,20 @@ campaign(f"{args.work}/campaign")
 with open(f"{args.input}/raw.npy", "rb") as raw:  # warm pages, in small pieces
     while raw.read(1 << 20):
         pass
-script = {"avg": "bench_numpy_tuned.py", "each": "bench_each_numpy.py"}[args.job]
+each = "each_" if args.job == "each" else ""
+tuned = "bench_each_numpy.py" if each else "bench_numpy_tuned.py"
 jobs = {
-    "numpy tuned, 2 threads": lambda: peer("numpy", sys.executable, script, "2"),
+    "numpy tuned, 2 threads": lambda: peer("numpy", sys.executable, tuned, "2"),
     "periscope, first run (hashes)": lambda: ours(notes=False),
     "periscope, hashes known": ours,
     "periscope, hashes known, 1 thread": lambda: ours(threads=1),
 }
 if args.job == "avg":
     jobs["periscope, hashes known, traces kept"] = lambda: ours("kept")
-script = {"avg": "bench_strax.py", "each": "bench_each_strax.py"}[args.job]
 if args.strax:
-    jobs["strax, 2 workers"] = lambda: peer("strax", args.strax, script, "2")
-script = {"avg": "bench_dspeed.py", "each": "bench_each_dspeed.py"}[args.job]
+    jobs["strax, 2 workers"] = lambda: peer("strax", args.strax, f"bench_{each}strax.py", "2")
 if args.dspeed:
-    jobs["dspeed"] = lambda: peer("dspeed", args.dspeed, script)
+    jobs["dspeed"] = lambda: peer("dspeed", args.dspeed, f"bench_{each}dspeed.py")
 results = {name: [] for name in jobs}
 loads = []
 for turn in range(args.runs + 1):  # turn 0 warms up

@@ -23,37 +23,41 @@ impl Files {
     pub fn open(surveyed: &Surveyed<'_>, job: &Job<'_>, whole: bool) -> Result<Self, Bad> {
         let exposure = &job.item.exposure;
         let signal = RawFile::open(surveyed, job, &exposure.file, whole)?;
+        let reference = exposure.reference.as_ref().filter(|reference| reference.file != exposure.file);
+        let reference = reference.map(|reference| RawFile::open(surveyed, job, &reference.file, whole)).transpose()?;
+        let mut files = Self { signal, signal_records: Vec::new(), reference, reference_records: None };
+        files.turn_to(job)?;
+        Ok(files)
+    }
+
+    /// Turns to another item of the same files.
+    pub fn turn_to(&mut self, job: &Job<'_>) -> Result<(), Bad> {
+        let exposure = &job.item.exposure;
         let segment = exposure.segment.map(|segment| segment as i32);
         let bad = |reason: String| Bad { file: exposure.file.clone(), segment, byte_offset: None, reason };
-        let signal_records = match &job.item.records {
+        self.signal_records = match &job.item.records {
             Some(records) => records.clone(),
             None => numbered(
-                &select(&signal.records, exposure.channel.as_deref(), exposure.segment).map_err(bad)?,
+                &select(&self.signal.records, exposure.channel.as_deref(), exposure.segment).map_err(bad)?,
                 exposure.shot,
             ),
         };
-        let mut files = Self { signal, signal_records, reference: None, reference_records: None };
         let Some(reference) = &exposure.reference else {
-            return Ok(files);
+            self.reference_records = None;
+            return Ok(());
         };
-        let records = if reference.file == exposure.file {
-            select(&files.signal.records, reference.channel.as_deref(), exposure.segment).map_err(bad)?
-        } else {
-            let file = RawFile::open(surveyed, job, &reference.file, whole)?;
-            let bad = |reason: String| Bad { file: reference.file.clone(), segment, byte_offset: None, reason };
-            let records = select(&file.records, reference.channel.as_deref(), exposure.segment).map_err(bad)?;
-            files.reference = Some(file);
-            records
-        };
-        if records.len() != files.signal_records.len() {
+        let of_file = &self.reference.as_ref().unwrap_or(&self.signal).records;
+        let bad_reference = |reason: String| Bad { file: reference.file.clone(), segment, byte_offset: None, reason };
+        let records = select(of_file, reference.channel.as_deref(), exposure.segment).map_err(bad_reference)?;
+        if records.len() != self.signal_records.len() {
             return Err(bad(format!(
                 "{} exposures, but its reference has {}; capture both channels together",
-                files.signal_records.len(),
+                self.signal_records.len(),
                 records.len()
             )));
         }
-        files.reference_records = Some(records);
-        Ok(files)
+        self.reference_records = Some(records);
+        Ok(())
     }
 
     pub fn exposures(&self) -> usize {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::files::Files;
-use super::raw_file::Hashed;
+use super::raw_file::{Bad, Hashed};
 use super::survey::{Capture, Item, Job, Surveyed, chain};
 use crate::campaign::{Campaign, hash_file};
 use crate::stages::source::{Feed, PartRead};
@@ -15,6 +15,7 @@ use crate::store::Digest;
 use crate::tables::traces::Records;
 
 /// What came of a job.
+#[derive(Default)]
 struct Done {
     rows: Records,
     shots: i32,
@@ -70,7 +71,7 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Files that fit in one batch together: read whole, in parallel.
+    /// Items that fit in one batch together: read in parallel, file by file.
     fn small(&mut self, captures: &[Capture], group: &[(usize, &Item)], bytes: usize) -> Result<(), StageError> {
         if group.is_empty() {
             return Ok(());
@@ -81,9 +82,20 @@ impl Reader<'_> {
             .map(|(index, item)| (*index, Job { capture: &captures[*index], item, first_shot: 0 }))
             .collect();
         let surveyed = self.surveyed;
-        let done: Vec<Done> = jobs.par_iter().map(|(_, job)| read_whole(surveyed, job)).collect();
+        let mut files: BTreeMap<(usize, Vec<&PathBuf>), Vec<usize>> = BTreeMap::new();
+        for (at, (_, job)) in jobs.iter().enumerate() {
+            files.entry((job.capture.campaign, job.item.exposure.files().collect())).or_default().push(at);
+        }
+        let files: Vec<Vec<usize>> = files.into_values().collect();
+        let read = |of_file: &Vec<usize>| {
+            let of_jobs: Vec<&Job<'_>> = of_file.iter().map(|at| &jobs[*at].1).collect();
+            of_file.iter().copied().zip(read_items(surveyed, &of_jobs)).collect()
+        };
+        let done: Vec<Vec<(usize, Done)>> = files.par_iter().map(read).collect();
+        let mut done: Vec<(usize, Done)> = done.into_iter().flatten().collect();
+        done.sort_by_key(|(at, _)| *at);
         let mut rows = Records::default();
-        for ((index, job), done) in jobs.iter().zip(done) {
+        for ((index, job), (_, done)) in jobs.iter().zip(done) {
             rows.append(self.take(*index, job, done)?);
         }
         if !rows.is_empty() {
@@ -130,9 +142,11 @@ impl Reader<'_> {
             }
             self.feed.read_bytes(bytes as u64);
         }
-        match files.digests() {
-            Ok(digests) => outcome.digests = digests,
-            Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
+        if !(item.is_share() && was_read(self.surveyed, &job)) {
+            match files.digests() {
+                Ok(digests) => outcome.digests = digests,
+                Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
+            }
         }
         self.take(index, &job, outcome)?;
         Ok(())
@@ -187,22 +201,47 @@ fn unread(campaign: &Campaign, file: &Path) -> StageError {
     })
 }
 
-fn read_whole(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Done {
-    let mut done = Done { rows: Records::default(), shots: 0, digests: Vec::new(), rejection: None };
-    let read = Files::open(surveyed, job, true).and_then(|mut files| {
-        done.digests = files.digests()?;
-        let exposures = files.exposures();
-        done.shots = exposures as i32;
-        done.rows = files.rows(surveyed, job, 0..exposures)?;
-        Ok(())
-    });
-    if let Err(error) = read {
-        done.rejection = Some(error.rejection(surveyed, job));
-        if done.digests.is_empty() {
-            done.digests = digests_of_bad(surveyed, job);
+/// Items of one file, with one reference: read whole where all of it is one item, else share by share, and hashed to its end unless this run has done so.
+fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
+    let first = jobs[0];
+    let is_share = jobs.len() > 1 || first.item.is_share();
+    let reject_all = |error: &Bad| -> Vec<Done> {
+        let rejected =
+            |job: &&Job<'_>| Done { rejection: Some(error.clone().rejection(surveyed, job)), ..Done::default() };
+        let mut done: Vec<Done> = jobs.iter().map(rejected).collect();
+        done[0].digests = digests_of_bad(surveyed, first);
+        done
+    };
+    let mut files = match Files::open(surveyed, first, !is_share) {
+        Ok(files) => files,
+        Err(error) => return reject_all(&error),
+    };
+    let mut done: Vec<Done> = jobs.iter().map(|job| read_item(surveyed, &mut files, job)).collect();
+    if !(is_share && was_read(surveyed, first)) {
+        match files.digests() {
+            Ok(digests) => done[0].digests = digests,
+            Err(error) => return reject_all(&error),
         }
     }
     done
+}
+
+fn read_item(surveyed: &Surveyed<'_>, files: &mut Files, job: &Job<'_>) -> Done {
+    let mut done = Done::default();
+    let rows = files.turn_to(job).and_then(|()| {
+        done.shots = files.exposures() as i32;
+        files.rows(surveyed, job, 0..files.exposures())
+    });
+    match rows {
+        Ok(rows) => done.rows = rows,
+        Err(error) => done.rejection = Some(error.rejection(surveyed, job)),
+    }
+    done
+}
+
+/// Whether this run has read all files of an item to their ends before.
+fn was_read(surveyed: &Surveyed<'_>, job: &Job<'_>) -> bool {
+    job.item.exposure.files().all(|file| surveyed.was_read(job.capture.campaign, file))
 }
 
 /// Digests of files that do not decode: they are part of the content all the same.

@@ -26,6 +26,7 @@ pub struct Hashed {
 }
 
 /// Why an item is set aside.
+#[derive(Clone)]
 pub struct Bad {
     pub file: PathBuf,
     pub segment: Option<i32>,

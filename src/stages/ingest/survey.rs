@@ -27,6 +27,13 @@ pub struct Item {
     pub bytes: u64,
 }
 
+impl Item {
+    /// Whether other items may hold the rest of its file.
+    pub fn is_share(&self) -> bool {
+        self.records.is_some() || self.exposure.segment.is_some()
+    }
+}
+
 /// One capture: a patch lit, a patch seen, by one sensor; for other roles than scene, one run of shots.
 #[derive(Clone, Debug)]
 pub struct Capture {
@@ -101,6 +108,8 @@ pub struct Surveyed<'a> {
     /// What a user should know.
     pub warnings: Vec<String>,
     records: Vec<Record>,
+    /// Files that this run has read to their end, and hashed: whoever needs another share of one need not read all of it.
+    read: Mutex<BTreeSet<(usize, PathBuf)>>,
 }
 
 /// What is on record of a campaign's raw files: its seal, if it has one, and what earlier runs into this result folder noted.
@@ -191,7 +200,8 @@ impl<'a> Surveyed<'a> {
                 }
             }
         }
-        let mut surveyed = Self { campaigns, parts: Vec::new(), source_parts: Vec::new(), warnings, records };
+        let mut surveyed =
+            Self { campaigns, parts: Vec::new(), source_parts: Vec::new(), warnings, records, read: Mutex::default() };
         surveyed.cut(captures.into_values());
         surveyed.check_files()?;
         let parts = surveyed.parts.iter().map(|part| surveyed.source_part(part)).collect();
@@ -277,6 +287,13 @@ impl<'a> Surveyed<'a> {
         let mut noted = self.records[campaign].noted.lock().unwrap_or_else(PoisonError::into_inner);
         noted.manifest.record(file, digest, metadata);
         noted.new.push((file.to_owned(), digest, metadata.clone()));
+        self.read.lock().unwrap_or_else(PoisonError::into_inner).insert((campaign, file.to_owned()));
+    }
+
+    /// Whether this run has read a file to its end before, and it is as it was then.
+    pub fn was_read(&self, campaign: usize, file: &Path) -> bool {
+        let read = self.read.lock().unwrap_or_else(PoisonError::into_inner).contains(&(campaign, file.to_owned()));
+        read && self.known(campaign, file).is_some()
     }
 
     /// Writes down what was learnt since the last time, on a slip of its own: at the end of every part, so that a killed run forgets no part that it has finished.
