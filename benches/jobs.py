@@ -73,6 +73,9 @@ def once(command, cwd):
 
 out = f"{args.work}/out"
 text = open(os.path.join(here, "..", "pipelines", "average.toml")).read()
+if args.job == "each":  # the others keep onsets only
+    for stage in ("average", "deconvolve"):
+        text = text.replace(f'stage = "{stage}"', f'stage = "{stage}"\nkeep = false')
 for name, keep in (("plain", "keep = false"), ("kept", "keep = true")):
     open(f"{args.work}/{name}.toml", "w").write(text.replace("keep = false", keep))
 
