@@ -62,7 +62,13 @@ impl Definite {
     /// Factors the lower triangle of a symmetric matrix; `None` if it is not positive definite.
     #[must_use]
     pub fn new(matrix: &Mat<f64>) -> Option<Self> {
-        let (mut lower, params) = (matrix.clone(), Spec::default());
+        Self::of(matrix.clone())
+    }
+
+    /// The same in the room of the matrix itself.
+    #[must_use]
+    pub fn of(mut lower: Mat<f64>) -> Option<Self> {
+        let params = Spec::default();
         let mut memory = MemBuffer::new(llt::factor::cholesky_in_place_scratch::<f64>(lower.nrows(), Par::Seq, params));
         let stack = MemStack::new(&mut memory);
         llt::factor::cholesky_in_place(
@@ -103,8 +109,14 @@ impl Definite {
 /// Solution of a positive definite system; `None` if it is not positive definite.
 #[must_use]
 pub fn solve(matrix: &Mat<f64>, right: &[f64]) -> Option<Vec<f64>> {
+    solve_in_place(matrix.clone(), right)
+}
+
+/// The same in the room of the matrix itself.
+#[must_use]
+pub fn solve_in_place(matrix: Mat<f64>, right: &[f64]) -> Option<Vec<f64>> {
     let mut solution = Mat::from_fn(right.len(), 1, |i, _| right[i]);
-    Definite::new(matrix)?.solve(&mut solution);
+    Definite::of(matrix)?.solve(&mut solution);
     Some(solution.col(0).iter().copied().collect())
 }
 
@@ -123,7 +135,7 @@ pub fn pseudo_inverse(matrix: &Mat<f64>, nulls: &Mat<f64>) -> Option<Mat<f64>> {
     let scale = (0..size).map(|i| matrix[(i, i)]).fold(0.0, f64::max);
     let projector = product(nulls.as_ref(), nulls.transpose());
     let full = Mat::from_fn(size, size, |i, j| matrix[(i, j)] + scale * projector[(i, j)]);
-    let inverse = inverse(&full)?;
+    let inverse = Definite::of(full)?.inverse();
     Some(Mat::from_fn(size, size, |i, j| inverse[(i, j)] - projector[(i, j)] / scale))
 }
 

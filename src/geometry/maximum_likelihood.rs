@@ -112,19 +112,16 @@ impl Solution {
         }
     }
 
-    /// Measured less predicted length of an observation of the same stations, patches and delays.
+    /// Measured less predicted lengths of observations of the same stations, patches and delays.
     #[must_use]
-    pub fn residual_m(&self, observation: &Observation) -> f64 {
-        self.place().residual_m(observation)
-    }
-
-    fn place(&self) -> Place {
-        Place {
+    pub fn residuals_of_m(&self, observations: &[Observation]) -> Vec<f64> {
+        let place = Place {
             points: self.points.clone(),
             stations: self.stations.clone(),
             delays_m: self.delays_m.clone(),
             period_m: self.period_m,
-        }
+        };
+        observations.iter().map(|observation| place.residual_m(observation)).collect()
     }
 
     /// Variance of a delay.

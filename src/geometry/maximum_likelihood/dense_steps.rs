@@ -38,13 +38,12 @@ fn sums(rows: &Rows, place: &Place, counts: impl Fn(usize) -> bool) -> (Mat<f64>
 
 /// A damped Gauss-Newton step; `None` if the matrix is not definite.
 pub fn step(rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
-    let (normal, right) = normal_equations(rows, place);
+    let (mut normal, right) = normal_equations(rows, place);
     let scale = (0..normal.nrows()).map(|i| normal[(i, i)]).fold(0.0, f64::max);
-    let damped = Mat::from_fn(normal.nrows(), normal.nrows(), |i, j| {
-        // The floor keeps rotations, which have no stiffness of their own, from blowing up.
-        normal[(i, j)] + if i == j { damping * normal[(i, i)] + 1e-9 * damping.max(1e-3) * scale } else { 0.0 }
-    });
-    dense::solve(&damped, &right)
+    // The floor keeps rotations, which have no stiffness of their own, from blowing up.
+    let floor = 1e-9 * damping.max(1e-3) * scale;
+    (0..normal.nrows()).for_each(|i| normal[(i, i)] += damping * normal[(i, i)] + floor);
+    dense::solve_in_place(normal, &right)
 }
 
 /// Pseudo-inverse of the normal matrix of all paths that avoid the patches `open`, without `nulls` (orthonormal columns that avoid them too). Open

@@ -33,6 +33,8 @@ pub struct Model<'a> {
     pub patches: Vec<PatchId>,
     pub delays: Vec<DelayKey>,
     pub stations: Vec<Place>,
+    /// Patches that laser or sensor sees.
+    visible: BTreeSet<PatchId>,
     /// Station of a campaign, by its position in `stations`.
     station_at: BTreeMap<(Name, String), usize>,
 }
@@ -62,6 +64,7 @@ impl<'a> Model<'a> {
             patches: patches.into_iter().collect(),
             delays: delays.into_iter().collect(),
             stations,
+            visible: labels.iter().flat_map(|label| [label.lit, label.seen]).collect(),
             station_at,
         }
     }
@@ -75,7 +78,7 @@ impl<'a> Model<'a> {
         let is_mirror = |setup: &Setup| setup.patches.get(&patch).is_some_and(|known| known.role == PatchRole::Mirror);
         if self.known.setups.values().any(is_mirror) {
             "mirror"
-        } else if self.labels.iter().any(|label| label.lit == patch || label.seen == patch) {
+        } else if self.visible.contains(&patch) {
             "visible"
         } else {
             "hidden"

@@ -1,5 +1,7 @@
 //! A solution as rows of tables.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::model::Model;
@@ -45,6 +47,8 @@ pub struct Written<'a> {
     /// All onsets, their shifts taken off, and of each its place among those that the solution rests on.
     pub observations: &'a [Observation],
     pub used: &'a [Option<usize>],
+    /// Onsets that each patch rests on.
+    onsets: BTreeMap<PatchId, i32>,
     turn: Matrix3<f64>,
     frame: &'static str,
 }
@@ -59,7 +63,12 @@ impl<'a> Written<'a> {
         } else {
             (Matrix3::identity(), "fixed")
         };
-        Self { model, solution, others, shifts_m, observations, used, turn, frame }
+        let mut onsets = BTreeMap::new();
+        for (label, _) in model.labels.iter().zip(used).filter(|(_, used)| used.is_some()) {
+            let patches: BTreeSet<PatchId> = label.path.iter().flatten().copied().collect();
+            patches.into_iter().for_each(|patch| *onsets.entry(patch).or_default() += 1);
+        }
+        Self { model, solution, others, shifts_m, observations, used, onsets, turn, frame }
     }
 
     fn turned(&self, point: Point) -> Point {
@@ -82,9 +91,6 @@ impl<'a> Written<'a> {
         let cov = self.turn * solution.patch_covariance_m2(place, place) * self.turn.transpose();
         let known = (!solution.open.contains(&place)).then_some(cov);
         let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
-        let rests_on = |(label, used): &(&crate::tables::Label, &Option<usize>)| {
-            used.is_some() && label.path.iter().flatten().any(|of| *of == patch)
-        };
         Patch {
             patch,
             kind: self.model.kind(patch).into(),
@@ -98,7 +104,7 @@ impl<'a> Written<'a> {
             cov_yz_m2: known.map(|cov| cov[(1, 2)]),
             cov_zz_m2: known.map(|cov| cov[(2, 2)]),
             sd_m: known.map(|cov| cov.trace().sqrt()),
-            onsets: self.model.labels.iter().zip(self.used).filter(rests_on).count() as i32,
+            onsets: self.onsets.get(&patch).copied().unwrap_or(0),
             chi2_dof,
             alternative,
             log_likelihood: Some(-0.5 * solution.loss),
@@ -151,9 +157,10 @@ impl<'a> Written<'a> {
     }
 
     pub fn residuals(&self) -> Vec<Residual> {
+        let residuals_m = self.solution.residuals_of_m(self.observations);
         let row = |(n, label): (usize, &crate::tables::Label)| {
             let time = |length_m: f64| units::time_ps(length_m, self.model.setup(label).group_index);
-            let residual_ps = time(self.solution.residual_m(&self.observations[n]));
+            let residual_ps = time(residuals_m[n]);
             let standardised = residual_ps / label.time_sd_ps;
             let redundancy = self.redundancy(n);
             let studentised = redundancy.filter(|share| *share > UNCHECKED).map(|share| standardised / share.sqrt());

@@ -1,0 +1,109 @@
+//! Stage `deconvolve`, method `sparse`: many profiles.
+
+use periscope::stages::deconvolve::Deconvolve;
+use periscope::stages::stage::{Apply, BesideTables};
+use periscope::tables::{Calibration, Profile, Row};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::curve::Curve;
+use super::{context, normal};
+
+const SAMPLES: usize = 400;
+const DT_PS: f64 = 50.0;
+const NOISE_V: f64 = 0.005;
+/// Standard deviation of the response.
+const RESPONSE_PS: f64 = 100.0;
+
+fn calibration() -> Calibration {
+    Calibration {
+        campaign: "c".into(),
+        sensor: "s1".into(),
+        range: None,
+        shots: 1000,
+        rejected: 0,
+        step_ps: 10.0,
+        response_t0_ps: -400.0,
+        response: (0..80).map(|i| (-0.5 * (10.0 * (f64::from(i) - 40.0) / RESPONSE_PS).powi(2)).exp()).collect(),
+        reference_t0_ps: None,
+        reference: None,
+        latency_ps: 0.0,
+        latency_sd_ps: 0.0,
+        latency_common_sd_ps: None,
+        acquired_at: None,
+        reference_v_ps: None,
+        noise_model: None,
+        noise_acf: None,
+        width_ps: 235.0,
+        width_sd_ps: None,
+    }
+}
+
+/// Three pulses in white noise, two of them a width of the response apart.
+fn profile(n: usize) -> Profile {
+    let mut rng = ChaCha8Rng::seed_from_u64(n as u64);
+    let first_ps = rng.random_range(4000.0..6000.0);
+    let pulses =
+        [(first_ps, 1.0), (first_ps + rng.random_range(200.0..300.0), 0.5), (rng.random_range(9000.0..15_000.0), 0.1)];
+    let height_v = |t_ps: f64| -> f64 {
+        pulses.iter().map(|(at_ps, height_v)| height_v * (-0.5 * ((t_ps - at_ps) / RESPONSE_PS).powi(2)).exp()).sum()
+    };
+    Profile {
+        campaign: "c".into(),
+        sensor: "s1".into(),
+        lit: n as i32 + 1,
+        seen: 0,
+        role: "scene".into(),
+        run: None,
+        range: None,
+        shots: 1000,
+        rejected: 0,
+        clipped: 0,
+        t0_ps: 0.0,
+        dt_ps: DT_PS,
+        mean_v: (0..SAMPLES).map(|i| height_v(i as f64 * DT_PS) + NOISE_V * normal(&mut rng)).collect(),
+        se_v: (0..SAMPLES).map(|_| NOISE_V).collect(),
+        noise_v: NOISE_V * 1000_f64.sqrt(),
+        noise_acf: vec![1.0].into(),
+        noise_model: None,
+        noise_samples: None,
+        baseline_v: 0.0,
+        phase_shots: None,
+        jitter_ps: 0.0,
+        gain_sd: 0.0,
+        reference_ps: None,
+        reference_sd_ps: None,
+        reference_v_ps: None,
+        reference_sd_v_ps: None,
+        counts: None,
+        cycles: None,
+        gain_v: 0.001,
+        path_m: None,
+        path_sd_m: None,
+        attenuation_od: None,
+        power_w: None,
+        bounces: None,
+        acquired_at: None,
+    }
+}
+
+/// Prints the table.
+pub fn print(sizes: &[usize]) {
+    println!(
+        "\n| profiles of {SAMPLES} samples, three pulses | s (min, median, max) | impulses found |\n|---|---|---|"
+    );
+    let beside = BesideTables([("calibration".to_owned(), vec![Calibration::to_batch(&[calibration()])])].into());
+    let stage = Deconvolve::default();
+    let context = context(&stage, &beside);
+    let mut curve = Curve::default();
+    for &count in sizes {
+        let profiles: Vec<Profile> = (0..count).map(profile).collect();
+        let mut found = 0;
+        let seconds = curve.time(count, || {
+            let rows = |profile: &Profile| stage.apply(&context, vec![profile.clone()]).expect("an explanation").rows;
+            found = profiles.iter().flat_map(rows).map(|row| row.impulses.len()).sum();
+        });
+        println!("| {count} | {seconds} | {found} |");
+    }
+    curve.print(sizes[0], sizes[sizes.len() - 1]);
+}
