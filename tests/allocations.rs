@@ -82,7 +82,7 @@ fn allocations(captures: usize, shots: usize) -> f64 {
     campaign(&folder.path().join("campaign"), captures, shots);
     let response = folder.path().join("calibration.parquet");
     calibration(&response);
-    let set = [format!("calibration.path={response:?}")];
+    let set = [format!("calibration.path='{}'", response.display())];
     let counted = Region::new(COUNTED);
     let spec = Spec::parse("average", include_str!("../pipelines/average.toml"), &set).unwrap();
     let campaigns = [Campaign::load(&folder.path().join("campaign")).unwrap()];
