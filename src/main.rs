@@ -35,8 +35,12 @@ enum Command {
     Demo(commands::demo::Demo),
     /// Turn campaigns into tables: the main job
     Run(commands::run::Run),
-    /// Say what `run` would reuse or compute, and why; runs nothing
+    /// Say what `run` would reuse or compute, and why; runs nothing. With --shards: deal the work out for many machines
     Plan(commands::plan::PlanArgs),
+    /// Compute one shard of a plan: on any machine that sees campaign and result folder, beside others, again if need be
+    RunShard(commands::run_shard::RunShard),
+    /// When all shards of a plan are computed: show the tables, and run what needs all captures
+    Gather(commands::gather::Gather),
     /// Decode scope files: what is in them
     Inspect(commands::inspect::Inspect),
     /// Look a campaign over, also while it is still being captured: what is missing, clipped, faint or drifting
@@ -80,6 +84,8 @@ fn main() -> ExitCode {
         Command::Demo(args) => commands::demo::demo(&args),
         Command::Run(args) => commands::run::run(&args),
         Command::Plan(args) => commands::plan::plan(&args),
+        Command::RunShard(args) => commands::run_shard::run_shard(&args),
+        Command::Gather(args) => commands::gather::gather(&args),
         Command::Inspect(args) => commands::inspect::inspect(&args),
         Command::Check(args) => commands::check::check(&args),
         Command::Tables(args) => commands::tables::tables(&args),

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::check_captures::sensor_exists;
 use super::keys::{Axis, Campaign, CaptureRule, RecordKeys, Role};
@@ -14,7 +14,7 @@ use crate::units::PatchId;
 /// One record, or all records of a file where its segments are exposures of their own.
 ///
 /// Coordinates that are `None` are not known from the campaign: they come from the segments of the file (`keys.segments`), or do not matter.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Exposure {
     /// The rule that took the file: index into `Campaign::captures`.
     pub rule: usize,
@@ -56,7 +56,7 @@ impl Exposure {
 }
 
 /// Where the reference pulse of an exposure is recorded.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct ReferenceSource {
     /// The file, relative to the campaign folder; may be the exposure's own.
     pub file: PathBuf,

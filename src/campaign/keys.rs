@@ -283,7 +283,7 @@ impl CaptureRule {
 }
 
 /// What a rule (or a row of its table) says of a record; absent: as the file has it. Meanings as in [`CaptureRule`].
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "documented in CaptureRule")]
 pub struct RecordKeys {
     pub segments: Vec<Axis>,

@@ -13,12 +13,14 @@ use std::time::{Duration, UNIX_EPOCH};
 use blake3::Hash;
 use serde::{Deserialize, Serialize};
 
+use crate::store::lock;
+
 /// Name of the manifest in a campaign folder.
 pub const MANIFEST_FILE: &str = "manifest.json";
 
 const VERSION: u32 = 2;
 
-/// How half-written manifests begin; the number of the process that writes follows.
+/// How half-written manifests begin; a mark of the process that writes follows.
 const HALF: &str = ".manifest.json.";
 
 /// Age from which a half-written manifest is nobody's any more: writing one takes seconds.
@@ -71,14 +73,28 @@ pub enum ManifestError {
 }
 
 /// What is recorded of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileRecord {
     /// Size.
     pub bytes: u64,
     /// Time of the last change, nanoseconds since 1970.
     pub modified_ns: i64,
     /// Hash of the content.
+    #[serde(with = "hexadecimal")]
     pub blake3: Hash,
+}
+
+/// Hashes as 64 hexadecimal digits.
+mod hexadecimal {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub(super) fn serialize<S: Serializer>(hash: &blake3::Hash, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(&hash.to_hex())
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<blake3::Hash, D::Error> {
+        blake3::Hash::from_hex(String::deserialize(from)?).map_err(D::Error::custom)
+    }
 }
 
 /// How a file compares with its record, by size and time of change alone.
@@ -96,7 +112,8 @@ pub enum FileState {
 }
 
 /// The records of a campaign folder, by path relative to it, with `/` between its parts.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
 pub struct Manifest {
     files: BTreeMap<String, FileRecord>,
 }
@@ -170,7 +187,7 @@ impl Manifest {
     /// When it cannot be written.
     pub fn save(&self, root: &Path) -> Result<(), ManifestError> {
         let file = root.join(MANIFEST_FILE);
-        let half = root.join(format!("{HALF}{}", std::process::id()));
+        let half = root.join(format!("{HALF}{}", lock::mark()));
         let write = || -> io::Result<()> {
             let mut out = File::create(&half)?;
             out.write_all(self.text()?.as_bytes())?;
@@ -223,6 +240,18 @@ impl Manifest {
     pub fn join(&mut self, root: &Path) -> Result<(), ManifestError> {
         self.files.extend(Self::load(root)?.unwrap_or_default().files);
         Ok(())
+    }
+
+    /// Takes over the records of another manifest.
+    pub fn take(&mut self, other: &Self) {
+        self.files.extend(other.files.iter().map(|(path, record)| (path.clone(), *record)));
+    }
+
+    /// The records of these files alone, of those that there are.
+    #[must_use]
+    pub fn of<'a>(&self, files: impl Iterator<Item = &'a Path>) -> Self {
+        let record = |file| self.files.get_key_value(&key(file)).map(|(path, record)| (path.clone(), *record));
+        Self { files: files.filter_map(record).collect() }
     }
 
     /// Drops the records of files that are not as recorded any more, or gone: for a campaign that is still being captured.

@@ -1,6 +1,7 @@
 //! What a run tells at its end: what it set aside and why, and tables that nothing came out in.
 
 use std::collections::BTreeSet;
+use std::process::ExitCode;
 
 use anyhow::Result;
 use periscope::pipeline::rejects::{kinds, rows, words};
@@ -8,8 +9,28 @@ use periscope::pipeline::run::Outcome;
 use periscope::pipeline::spec::{Spec, Step};
 use periscope::store::Shelf;
 
+use super::SOME_REJECTED;
+
 /// Kinds of reasons that are shown; the table has all.
 const SHOWN: usize = 5;
+
+/// The tables, a line each on standard output; then what is to be known of them. Gives the exit code.
+pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool) -> Result<ExitCode> {
+    let out = shelf.out().display();
+    for step in &spec.steps {
+        if let Some(record) = outcome.tables.get(&step.heading) {
+            let rows: u64 = record.rows(&step.node.tables()[0].name);
+            let made = if outcome.computed.contains(&step.heading) { "computed" } else { "reused" };
+            println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
+        }
+    }
+    tell_empty(spec, outcome);
+    if outcome.rejects > 0 {
+        tell_rejects(shelf)?;
+        return Ok(if is_strict { ExitCode::FAILURE } else { ExitCode::from(SOME_REJECTED) });
+    }
+    Ok(ExitCode::SUCCESS)
+}
 
 /// The commonest reasons why records were set aside, each with an example.
 pub fn tell_rejects(shelf: &Shelf) -> Result<()> {
@@ -31,7 +52,7 @@ pub fn tell_rejects(shelf: &Shelf) -> Result<()> {
 }
 
 /// Results without a row, and where the rows were lost.
-pub fn tell_empty(spec: &Spec, outcome: &Outcome) {
+fn tell_empty(spec: &Spec, outcome: &Outcome) {
     let rows = |step: &Step| Some(outcome.tables.get(&step.heading)?.rows(&step.node.tables()[0].name));
     let from = |step: &Step| spec.steps.get(spec.table(step.from.as_deref()?)?.0);
     let inputs: BTreeSet<usize> = spec

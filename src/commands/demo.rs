@@ -16,8 +16,9 @@ use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
 
 use super::interrupt::stop_on_signals;
+use super::machine::use_threads;
 use super::report::write_page;
-use super::run::{Job, use_threads};
+use super::run::Job;
 
 /// Demonstrations: name, scene, pipeline.
 const DEMOS: [(&str, &str, &str); 6] = [
@@ -88,6 +89,7 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
         until: None,
         settings: Settings::default(),
         style: Style::auto(),
+        shards: None,
     };
     stop_on_signals(&job.settings.stop)?;
     let outcome = job.execute(&mut job.record()?)?;

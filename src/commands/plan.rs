@@ -1,14 +1,20 @@
 //! `periscope plan`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 use periscope::pipeline::plan::{Action, Plan};
+use periscope::pipeline::progress::{Progress, Style};
+use periscope::pipeline::run::Settings;
+use periscope::pipeline::shards::{self, Job, Shard, Work};
 use periscope::pipeline::spec::Spec;
 use periscope::store::Shelf;
+use periscope::store::runs::RunRecord;
+use serde_json::json;
 
+use super::interrupt::stop_on_signals;
 use super::run::campaigns;
 
 /// Arguments of `plan`.
@@ -28,17 +34,25 @@ pub struct PlanArgs {
     /// Change a parameter of the pipeline, such as `onsets.threshold_sigma=6`
     #[arg(long, value_name = "TABLE.PARAM=VALUE")]
     set: Vec<String>,
+    /// Deal what is missing out in at most so many shards, for `run-shard` on any machines and `gather` at the end; makes what they stand beside, such
+    /// as the calibration
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    shards: Option<u32>,
+    /// With --shards: a JSON object a shard, one a line
+    #[arg(long, requires = "shards")]
+    json: bool,
 }
 
 /// The command.
 pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
     let spec = Spec::load(&args.pipeline, &args.set)?;
+    if let Some(count) = args.shards {
+        return deal(args, &spec, count as usize);
+    }
     let campaigns = campaigns(&args.campaign)?;
     let shelf = Shelf::imagine(&args.out);
     let plan = Plan::new(&spec, &campaigns, &shelf, args.until.as_deref())?;
-    for warning in plan.warnings() {
-        eprintln!("warning: {warning}");
-    }
+    tell_warnings(&plan);
     for step in 0..spec.steps.len() {
         let decision = plan.decision(step)?;
         let action = match decision.action {
@@ -50,4 +64,66 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
         println!("{action:8} {:24} {:10} {}", decision.heading, decision.stage, decision.why);
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn tell_warnings(plan: &Plan<'_>) {
+    for warning in plan.warnings() {
+        eprintln!("warning: {warning}");
+    }
+}
+
+/// Writes shards into the result folder, and lists them.
+fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
+    // Whoever makes a shard may stand in another folder.
+    let absolute = |path: &PathBuf| std::path::absolute(path);
+    let campaigns = campaigns(&args.campaign.iter().map(absolute).collect::<Result<Vec<_>, _>>()?)?;
+    let shelf = Shelf::join(&args.out)?;
+    let roots = campaigns.iter().map(|campaign| (campaign.name.as_str(), campaign.root.as_path()));
+    let run = RunRecord::start(&args.pipeline, &args.set, roots)?;
+    // As long as it has no end, `tables --prune` leaves what shards have made.
+    shelf.write_run(&run)?;
+    let mut plan = Plan::new(spec, &campaigns, &shelf, args.until.as_deref())?;
+    tell_warnings(&plan);
+    let settings = Settings::default();
+    let settings = Settings { memory_bytes: settings.memory_bytes.max(settings.least_memory()), ..settings };
+    stop_on_signals(&settings.stop)?;
+    shards::prepare(&mut plan, &settings, &Progress::new(Style::auto()))?;
+    let work = Work {
+        pipeline: absolute(&args.pipeline)?,
+        text: std::fs::read_to_string(&args.pipeline)
+            .with_context(|| format!("cannot read {}", args.pipeline.display()))?,
+        set: args.set.clone(),
+        campaigns: campaigns.iter().map(|campaign| campaign.root.clone()).collect(),
+        ..Work::default()
+    };
+    let (work, dealt) = shards::deal(&plan, work, count);
+    let keys = dealt.iter().map(|(key, _)| key.clone()).collect();
+    shelf.write_shards(&Job { work, until: args.until.clone(), run, shards: keys }, &dealt)?;
+    dealt.iter().for_each(|(key, shard)| tell(key, shard, args.json));
+    if dealt.is_empty() {
+        eprintln!(
+            "nothing is missing that shards make; `periscope gather --out {}` makes the rest",
+            args.out.display()
+        );
+    } else if dealt.len() < count {
+        eprintln!(
+            "{} shards and not {count}: a shard holds whole parts; a smaller `part_bytes` in [campaign] of campaign.toml makes more of them",
+            dealt.len()
+        );
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn tell(key: &str, shard: &Shard, is_json: bool) {
+    let tickets = || shard.tickets();
+    let captures: usize = tickets().map(|ticket| ticket.captures).sum();
+    let (parts, bytes) = (tickets().count(), tickets().map(|ticket| ticket.bytes).sum::<u64>());
+    let mut inputs: Vec<&Path> = tickets().flat_map(|ticket| &ticket.files).map(PathBuf::as_path).collect();
+    inputs.sort();
+    inputs.dedup();
+    if is_json {
+        println!("{}", json!({ "key": key, "captures": captures, "parts": parts, "bytes": bytes, "inputs": inputs }));
+    } else {
+        println!("{key}  {captures:>9} captures  {parts:>6} parts  {bytes:>14} bytes  {:>7} files", inputs.len());
+    }
 }

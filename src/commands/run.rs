@@ -5,21 +5,22 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
-use clap::{Args, ValueEnum};
+use anyhow::{Result, bail};
+use clap::Args;
 use periscope::campaign::Campaign;
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::rejects::MaxRejects;
 use periscope::pipeline::roots;
 use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
+use periscope::pipeline::shards;
 use periscope::pipeline::spec::Spec;
 use periscope::store::runs::{Ending, RunRecord};
 use periscope::store::{Digest, Shelf, StoreError};
 
-use super::SOME_REJECTED;
 use super::aftermath;
 use super::interrupt::stop_on_signals;
+use super::machine::{Machine, size};
 use super::watch;
 
 /// Time between two looks at a folder that another run holds.
@@ -43,12 +44,8 @@ pub struct Run {
     /// Change a parameter of the pipeline, such as `onsets.threshold_sigma=6`
     #[arg(long, value_name = "TABLE.PARAM=VALUE")]
     set: Vec<String>,
-    /// Worker threads (default: one a core)
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
-    /// Memory for raw samples under way, such as 512MiB
-    #[arg(long, value_name = "SIZE", value_parser = size)]
-    memory: Option<usize>,
+    #[command(flatten)]
+    machine: Machine,
     /// Wait where another run holds the result folder, instead of giving up
     #[arg(long)]
     wait: bool,
@@ -61,9 +58,6 @@ pub struct Run {
     /// Stop when more than so many records are set aside, or more than such a share of all, such as 5%
     #[arg(long, value_name = "N|P%")]
     max_rejects: Option<MaxRejects>,
-    /// How to show progress
-    #[arg(long, value_enum, default_value = "auto")]
-    progress: ProgressKind,
     /// Read all raw files again first, also those of which size and time of change are as recorded
     #[arg(long)]
     rehash: bool,
@@ -76,54 +70,6 @@ pub struct Run {
     /// Batches that a channel between two stages holds; no byte of the result depends on it
     #[arg(long, value_name = "N", help_heading = "Tuning")]
     channel: Option<usize>,
-}
-
-/// How to show progress.
-#[derive(Clone, Copy, ValueEnum)]
-pub enum ProgressKind {
-    /// A bar on a terminal, lines elsewhere
-    Auto,
-    /// A bar
-    Bar,
-    /// A line a pass, and now and then one in between
-    Lines,
-    /// A JSON object a line
-    Json,
-    /// Nothing
-    None,
-}
-
-impl From<ProgressKind> for Style {
-    fn from(kind: ProgressKind) -> Self {
-        match kind {
-            ProgressKind::Auto => Self::auto(),
-            ProgressKind::Bar => Self::Bar,
-            ProgressKind::Lines => Self::Lines,
-            ProgressKind::Json => Self::Json,
-            ProgressKind::None => Self::Silent,
-        }
-    }
-}
-
-/// Reads `512MiB`, `64M`, `1GB`, `4096`.
-pub fn size(text: &str) -> Result<usize, String> {
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let number: usize =
-        number.parse().map_err(|_| format!("`{text}` does not begin with a whole number; write 512MiB"))?;
-    let factor = match unit.trim().to_ascii_lowercase().as_str() {
-        "" | "b" => 1,
-        "k" | "kib" => 1 << 10,
-        "kb" => 1000,
-        "m" | "mib" => 1 << 20,
-        "mb" => 1_000_000,
-        "g" | "gib" => 1 << 30,
-        "gb" => 1_000_000_000,
-        _ => {
-            return Err(format!("`{unit}` is no unit of size; write KiB, MiB or GiB"));
-        }
-    };
-    number.checked_mul(factor).ok_or_else(|| format!("`{text}` is too much"))
 }
 
 /// Loads campaigns, and makes sure that their names differ: rows of equal names would mix.
@@ -147,17 +93,6 @@ pub fn campaigns(folders: &[PathBuf]) -> Result<Vec<Campaign>> {
     Ok(campaigns)
 }
 
-/// Uses so many worker threads.
-pub fn use_threads(threads: Option<usize>) -> Result<()> {
-    if threads == Some(0) {
-        bail!("--threads 0: give at least 1");
-    }
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.unwrap_or(0))
-        .build_global()
-        .context("cannot start the worker threads")
-}
-
 /// What is to be run, and into which folder.
 #[derive(Clone)]
 pub struct Job<'a> {
@@ -177,6 +112,8 @@ pub struct Job<'a> {
     pub settings: Settings,
     /// How it shows progress.
     pub style: Style,
+    /// The shards that must be finished before.
+    pub shards: Option<&'a shards::Job>,
 }
 
 impl Job<'_> {
@@ -209,11 +146,26 @@ impl Job<'_> {
         Ok(outcome)
     }
 
+    /// The same; where it fails in a stage, with what was set aside before.
+    pub fn execute_and_tell(&self, record: &mut RunRecord) -> Result<Outcome> {
+        let outcome = self.execute(record);
+        if let Err(error) = &outcome
+            && matches!(error.downcast_ref(), Some(RunError::Stage { .. }))
+        {
+            // The failure itself is told last, whatever becomes of this.
+            let _ = aftermath::tell_rejects(self.shelf);
+        }
+        outcome
+    }
+
     /// Gives the lineages of the tables that are whole, also where it fails.
     fn compute(&self, whole: &mut BTreeMap<String, Digest>) -> Result<Outcome> {
         let mut plan = Plan::new(self.spec, self.campaigns, self.shelf, self.until)?;
         for warning in plan.warnings() {
             eprintln!("warning: {warning}");
+        }
+        if let Some(shards) = self.shards {
+            shards.check(&plan)?;
         }
         let outcome = runner::run(&mut plan, &self.settings, &Progress::new(self.style));
         let steps = self.spec.steps.iter().zip(&plan.tables);
@@ -224,7 +176,7 @@ impl Job<'_> {
 }
 
 /// Opens a result folder for writing; waits for whoever holds it, if asked to.
-fn open(out: &Path, wait: bool) -> Result<Shelf> {
+pub fn open(out: &Path, wait: bool) -> Result<Shelf> {
     let mut is_told = false;
     loop {
         match Shelf::open(out) {
@@ -242,7 +194,7 @@ fn open(out: &Path, wait: bool) -> Result<Shelf> {
 
 /// The command.
 pub fn run(args: &Run) -> Result<ExitCode> {
-    use_threads(args.threads)?;
+    args.machine.start()?;
     let spec = Spec::load(&args.pipeline, &args.set)?;
     let campaigns = campaigns(&args.campaign)?;
     let shelf = open(&args.out, args.wait)?;
@@ -256,8 +208,6 @@ pub fn run(args: &Run) -> Result<ExitCode> {
         max_rejects: args.max_rejects,
         ..defaults
     };
-    let least = settings.least_memory();
-    let settings = Settings { memory_bytes: args.memory.unwrap_or(settings.memory_bytes.max(least)), ..settings };
     let job = Job {
         spec: &spec,
         pipeline: &args.pipeline,
@@ -265,36 +215,15 @@ pub fn run(args: &Run) -> Result<ExitCode> {
         campaigns: &campaigns,
         shelf: &shelf,
         until: args.until.as_deref(),
-        settings,
-        style: args.progress.into(),
+        settings: args.machine.settings(settings),
+        style: args.machine.style(),
+        shards: None,
     };
     stop_on_signals(&job.settings.stop)?;
     let outcome = if args.watch {
         watch::follow(&job, &args.campaign, args.idle.map(Duration::from_secs))?
     } else {
-        match job.execute(&mut job.record()?) {
-            Ok(outcome) => outcome,
-            Err(error) => {
-                if matches!(error.downcast_ref(), Some(RunError::Stage { .. })) {
-                    // The failure itself is told last, whatever becomes of this.
-                    let _ = aftermath::tell_rejects(&shelf);
-                }
-                return Err(error);
-            }
-        }
+        job.execute_and_tell(&mut job.record()?)?
     };
-    let out = args.out.display();
-    for step in &spec.steps {
-        if let Some(record) = outcome.tables.get(&step.heading) {
-            let rows: u64 = record.rows(&step.node.tables()[0].name);
-            let made = if outcome.computed.contains(&step.heading) { "computed" } else { "reused" };
-            println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
-        }
-    }
-    aftermath::tell_empty(&spec, &outcome);
-    if outcome.rejects > 0 {
-        aftermath::tell_rejects(&shelf)?;
-        return Ok(if args.strict { ExitCode::FAILURE } else { ExitCode::from(SOME_REJECTED) });
-    }
-    Ok(ExitCode::SUCCESS)
+    aftermath::tell(&spec, &outcome, &shelf, args.strict)
 }

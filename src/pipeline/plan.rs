@@ -2,14 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use arrow::datatypes::{DataType, Field, SchemaRef};
-use serde_json::{Value, json};
+use arrow::datatypes::SchemaRef;
 
-use super::arithmetic;
+use super::recipe::stage_id;
 use super::spec::Spec;
 use crate::campaign::Campaign;
 use crate::stages::Node;
-use crate::stages::operator::WrittenTable;
 use crate::stages::source::{OpenSource, SourcePart};
 use crate::stages::stage::StageError;
 use crate::store::{Digest, PartRecord, Shelf, StageId, StoreError, TableRecord, lineage};
@@ -56,7 +54,20 @@ pub struct Plan<'a> {
     pub sources: BTreeMap<usize, Box<dyn OpenSource + 'a>>,
     /// What is known of each step.
     pub tables: Vec<Planned>,
-    until: Option<usize>,
+    scope: Scope,
+    /// Lineages of the parts of tables that another process knows to be whole.
+    given: BTreeMap<usize, Vec<Digest>>,
+}
+
+/// Which tables a plan is about, by step.
+#[derive(Clone, Debug)]
+pub(super) enum Scope {
+    /// All that are kept.
+    All,
+    /// These, and what they are made from.
+    Until(Vec<usize>),
+    /// These alone.
+    Only(Vec<usize>),
 }
 
 /// What stops a plan.
@@ -97,7 +108,6 @@ impl<'a> Plan<'a> {
             })
             .transpose()?;
         let mut sources = BTreeMap::new();
-        let mut ids: Vec<StageId> = Vec::new();
         for (i, step) in spec.steps.iter().enumerate() {
             if let Node::Source(source) = &step.node {
                 let open = source
@@ -105,6 +115,25 @@ impl<'a> Plan<'a> {
                     .map_err(|source| PlanError::Stage { heading: step.heading.clone(), source })?;
                 sources.insert(i, open);
             }
+        }
+        let scope = until.map_or(Scope::All, |until| Scope::Until(vec![until]));
+        Ok(Self::of(spec, campaigns, shelf, sources, scope, BTreeMap::new())?)
+    }
+
+    /// Of sources that are surveyed, and tables that are `given`: lineages of their parts by step.
+    ///
+    /// # Errors
+    /// When the shelf cannot be read.
+    pub(super) fn of(
+        spec: &'a Spec,
+        campaigns: &'a [Campaign],
+        shelf: &'a Shelf,
+        sources: BTreeMap<usize, Box<dyn OpenSource + 'a>>,
+        scope: Scope,
+        given: BTreeMap<usize, Vec<Digest>>,
+    ) -> Result<Self, StoreError> {
+        let mut ids: Vec<StageId> = Vec::new();
+        for i in 0..spec.steps.len() {
             let id = stage_id(spec, i, campaigns, &ids);
             ids.push(id);
         }
@@ -115,9 +144,16 @@ impl<'a> Plan<'a> {
             present: Vec::new(),
             wanted: false,
         });
-        let mut plan = Self { spec, campaigns, shelf, sources, tables: tables.collect(), until };
+        let mut plan = Self { spec, campaigns, shelf, sources, tables: tables.collect(), scope, given };
         plan.refresh(&BTreeMap::new())?;
         Ok(plan)
+    }
+
+    /// The same plan about other tables; gives what it was about before.
+    pub(super) fn about(&mut self, scope: Scope) -> Scope {
+        let before = std::mem::replace(&mut self.scope, scope);
+        self.mark_wanted();
+        before
     }
 
     /// What a user should know of the campaigns before the run, each line once.
@@ -153,6 +189,9 @@ impl<'a> Plan<'a> {
     }
 
     fn lineages(&self, i: usize, content: &BTreeMap<(usize, usize), Digest>) -> Vec<Option<Digest>> {
+        if let Some(given) = self.given.get(&i) {
+            return given.iter().copied().map(Some).collect();
+        }
         if let Some(source) = self.sources.get(&i) {
             let known = |(part, read): (usize, &SourcePart)| content.get(&(i, part)).copied().or(read.content);
             return source
@@ -163,7 +202,9 @@ impl<'a> Plan<'a> {
                 .map(|content| Some(self.part_lineage(i, &content?, &self.beside(i)?)))
                 .collect();
         }
-        let from = self.from(i).expect("a step without source has an input");
+        let Some(from) = self.from(i) else {
+            return Vec::new(); // a source that the plan is not about
+        };
         let Some(beside) = self.beside(i) else {
             return vec![None; if self.streams(i) { self.tables[from].lineages.len() } else { 1 }];
         };
@@ -221,28 +262,33 @@ impl<'a> Plan<'a> {
         let count = self.tables.len();
         let mut wanted = vec![false; count];
         for i in (0..count).rev() {
-            let asked = match self.until {
-                None => self.spec.steps[i].keep,
-                Some(until) => i == until,
+            let asked = match &self.scope {
+                Scope::All => self.spec.steps[i].keep,
+                Scope::Until(these) | Scope::Only(these) => these.contains(&i),
             };
             wanted[i] |= asked;
+            let inputs = match &self.scope {
+                Scope::Only(_) => Vec::new(),
+                _ => self.inputs(i),
+            };
             if !wanted[i] || self.replayable(i) {
-                // Its inputs matter only if `until` is not given: every kept table is a result of its own.
-                if self.until.is_some() && wanted[i] {
-                    for input in self.inputs(i) {
+                // Its inputs matter only if `until` is given: else every kept table is a result of its own.
+                if matches!(self.scope, Scope::Until(_)) && wanted[i] {
+                    for input in inputs {
                         wanted[input] |= self.spec.steps[input].keep;
                     }
                 }
                 continue;
             }
-            for input in self.inputs(i) {
+            for input in inputs {
                 wanted[input] = true;
             }
         }
         self.tables.iter_mut().zip(wanted).for_each(|(table, wanted)| table.wanted = wanted);
     }
 
-    fn inputs(&self, i: usize) -> Vec<usize> {
+    /// Steps whose tables step `i` takes.
+    pub(super) fn inputs(&self, i: usize) -> Vec<usize> {
         self.from(i).into_iter().chain(self.beside_steps(i)).collect()
     }
 
@@ -309,46 +355,6 @@ impl<'a> Plan<'a> {
         }
         Ok(reasons.join("; "))
     }
-}
-
-fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) -> StageId {
-    let step = &spec.steps[i];
-    let recipe = |heading: &str| {
-        let (step, table) = spec.table(heading).expect("the pipeline was checked");
-        lineage::table_recipe(&table, &earlier[step].recipe())
-    };
-    let mut inputs: BTreeMap<String, Digest> =
-        step.with.iter().map(|(name, heading)| (name.clone(), recipe(heading))).collect();
-    inputs.extend(step.from.as_deref().map(|heading| ("from".to_owned(), recipe(heading))));
-    let (version, params, fields, arithmetic) = match &step.node {
-        Node::Source(source) => (source.version(), source.params(), source.fields(campaigns), arithmetic::COPIED),
-        Node::Operator(operator) => {
-            (operator.version(), operator.params(), operator.fields(campaigns), arithmetic::of_this_cpu())
-        }
-    };
-    let columns = |table: &WrittenTable| {
-        json!([table.name, table.schema.fields().iter().map(|field| signature(field)).collect::<Vec<_>>()])
-    };
-    let schemas: Vec<Value> = step.node.tables().iter().map(columns).collect();
-    StageId {
-        kind: step.node.kind().to_owned(),
-        version,
-        params,
-        fields,
-        schemas: Digest::of(&Value::Array(schemas)),
-        arithmetic: arithmetic.to_owned(),
-        inputs,
-    }
-}
-
-/// Name, type and nullability of a column, without its prose.
-fn signature(field: &Field) -> Value {
-    let inner: Vec<Value> = match field.data_type() {
-        DataType::List(item) => vec![signature(item)],
-        DataType::Struct(fields) => fields.iter().map(|field| signature(field)).collect(),
-        plain => vec![plain.to_string().into()],
-    };
-    json!([field.name(), field.is_nullable(), inner])
 }
 
 /// What the run would do with a table.

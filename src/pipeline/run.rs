@@ -31,10 +31,7 @@ pub struct Outcome {
 /// # Errors
 /// The first failure, or that the run was stopped; parts that were finished before it are kept.
 pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Result<Outcome, RunError> {
-    let least = settings.least_memory();
-    if settings.memory_bytes < least {
-        return Err(RunError::Memory { given: settings.memory_bytes, least });
-    }
+    settings.check()?;
     let mut outcome = Outcome::default();
     let most_rejects = settings.max_rejects.map_or(u64::MAX, |limit| limit.most(records(plan)));
     let ended = passes(plan, settings, most_rejects, progress, &mut outcome);
@@ -107,7 +104,7 @@ fn behind(plan: &Plan<'_>) -> Vec<usize> {
     let mut behind: Vec<bool> = plan.tables.iter().map(|table| table.wanted).collect();
     for i in (0..behind.len()).rev() {
         if behind[i] {
-            plan.from(i).into_iter().chain(plan.beside_steps(i)).for_each(|input| behind[input] = true);
+            plan.inputs(i).into_iter().for_each(|input| behind[input] = true);
         }
     }
     (0..behind.len()).filter(|&i| behind[i]).collect()
@@ -126,7 +123,7 @@ fn rejects(plan: &Plan<'_>) -> u64 {
 }
 
 /// What a pass reads: raw files, or a stored table.
-fn amount(plan: &Plan<'_>, pass: &Pass) -> Amount {
+pub(super) fn amount(plan: &Plan<'_>, pass: &Pass) -> Amount {
     if let Some(source) = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
         return Amount::Bytes(pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
     }
@@ -136,13 +133,13 @@ fn amount(plan: &Plan<'_>, pass: &Pass) -> Amount {
 }
 
 /// How many of the wanted tables are whole, and how many they are.
-fn whole(plan: &Plan<'_>) -> (usize, usize) {
+pub(super) fn whole(plan: &Plan<'_>) -> (usize, usize) {
     let wanted = || plan.tables.iter().zip(&plan.spec.steps).filter(|(table, step)| table.wanted && step.keep);
     (wanted().filter(|(table, _)| table.complete()).count(), wanted().count())
 }
 
 /// What an interrupted run leaves, in words.
-fn kept(plan: &Plan<'_>, pass: &Pass) -> String {
+pub(super) fn kept(plan: &Plan<'_>, pass: &Pass) -> String {
     let (whole, wanted) = whole(plan);
     let mut kept = vec![format!("{whole} of {wanted} tables")];
     for &i in &pass.steps {

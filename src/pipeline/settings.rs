@@ -49,6 +49,15 @@ impl Settings {
         groups * (crate::store::parquet::ROW_GROUP_BYTES + self.batch_bytes)
             + (self.channel_batches + 2) * self.batch_bytes
     }
+
+    /// Whether they give memory enough.
+    ///
+    /// # Errors
+    /// When they do not.
+    pub fn check(&self) -> Result<(), RunError> {
+        let (given, least) = (self.memory_bytes, self.least_memory());
+        if given < least { Err(RunError::Memory { given, least }) } else { Ok(()) }
+    }
 }
 
 /// What stops a run.

@@ -14,8 +14,10 @@ pub mod captures;
 mod files;
 mod part;
 mod raw_file;
+mod record;
 mod survey;
 mod template;
+mod ticket;
 
 use std::path::Path;
 
@@ -23,11 +25,11 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::operator::WrittenTable;
-use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
+use super::source::{Feed, OpenSource, PartRead, Source, SourcePart, Ticket};
 use super::stage::StageError;
 use crate::campaign::{Campaign, Role};
 use crate::tables::{Row, Trace};
-use survey::Surveyed;
+use survey::{Surveyed, chain};
 
 /// Parameters of `ingest`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -65,6 +67,14 @@ impl Source for Ingest {
     fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
         Ok(Box::new(Surveyed::new(campaigns, &self.roles, notes)?))
     }
+    fn take_up<'a>(
+        &'a self,
+        campaigns: &'a [Campaign],
+        notes: &Path,
+        tickets: &[Ticket],
+    ) -> Result<Box<dyn OpenSource + 'a>, StageError> {
+        Ok(Box::new(Surveyed::take_up(campaigns, notes, tickets)?))
+    }
 }
 
 impl OpenSource for Surveyed<'_> {
@@ -77,7 +87,12 @@ impl OpenSource for Surveyed<'_> {
     fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError> {
         part::read_part(self, part, batch_bytes, feed)
     }
+    fn ticket(&self, part: usize) -> Option<Ticket> {
+        Some(self.give(part))
+    }
     fn close(&self) -> Result<(), StageError> {
-        self.save_notes()
+        self.campaigns.iter().zip(&self.records).try_for_each(|(campaign, record)| {
+            record.save().map_err(|error| StageError::Refused(chain(&campaign.root, &error)))
+        })
     }
 }

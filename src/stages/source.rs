@@ -1,9 +1,10 @@
 //! What has no streamed input: parts that are read from elsewhere, within the memory budget.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::operator::WrittenTable;
@@ -51,6 +52,19 @@ pub struct SourcePart {
     pub records: u64,
 }
 
+/// A part for another process to read, which then need not survey the campaigns itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ticket {
+    /// Captures that it has.
+    pub captures: usize,
+    /// Raw bytes.
+    pub bytes: u64,
+    /// Its raw files, each once.
+    pub files: Vec<PathBuf>,
+    /// The part, as its source alone understands it.
+    pub part: Value,
+}
+
 /// What reading a part gave beside its rows.
 pub struct PartRead {
     /// Digest of its raw content and of what the source makes of it.
@@ -76,6 +90,18 @@ pub trait Source: Send + Sync {
     /// # Errors
     /// When a campaign folder cannot be read or is inconsistent.
     fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError>;
+    /// Takes parts up that [`OpenSource::ticket`] gave away, in this order; searches no folder.
+    ///
+    /// # Errors
+    /// When a file has changed since, or a ticket is none of this source.
+    fn take_up<'a>(
+        &'a self,
+        _campaigns: &'a [Campaign],
+        _notes: &Path,
+        _tickets: &[Ticket],
+    ) -> Result<Box<dyn OpenSource + 'a>, StageError> {
+        Err(StageError::Refused(format!("`{}` gives no parts away", self.kind())))
+    }
 }
 
 /// A source that has surveyed its parts.
@@ -89,6 +115,10 @@ pub trait OpenSource: Send + Sync {
     /// # Errors
     /// When the run must stop; a bad file is a rejection, not an error.
     fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError>;
+    /// A part for another process; `None` from a source that is not worth sharing out.
+    fn ticket(&self, _part: usize) -> Option<Ticket> {
+        None
+    }
     /// Remembers what was learnt of the raw files; called when a pass has ended, also when it has failed.
     ///
     /// # Errors

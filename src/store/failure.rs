@@ -7,7 +7,7 @@ use parquet::errors::ParquetError;
 use thiserror::Error;
 
 use super::damage::Damage;
-use super::lock::Holder;
+use super::lock::{Hold, Holder};
 
 /// What a user can do about damage.
 pub const MEND: &str = "delete it, and the next `run` makes anew what is missing (`periscope verify --repair` deletes all that is damaged)";
@@ -15,11 +15,13 @@ pub const MEND: &str = "delete it, and the next `run` makes anew what is missing
 /// What can go wrong with a result folder.
 #[derive(Debug, Error)]
 pub enum StoreError {
-    /// Another run holds the folder.
-    #[error("another run is writing to {out}{}; wait for it (--wait), or choose another --out", named(holder.as_ref()))]
+    /// Another run holds the folder, or shards do.
+    #[error("{}", busy(out, *hold, holder.as_ref()))]
     Busy {
         /// Result folder.
         out: PathBuf,
+        /// Whether a run holds it, or shards.
+        hold: Hold,
         /// Who holds it, if that can be read.
         holder: Option<Holder>,
     },
@@ -88,8 +90,15 @@ fn absent(out: &Path) -> String {
     format!("{} {what}; `periscope run ... --out DIR` makes a result folder{hint}", out.display())
 }
 
-fn named(holder: Option<&Holder>) -> String {
-    holder.map_or(String::new(), |holder| format!(" ({holder})"))
+fn busy(out: &Path, hold: Hold, holder: Option<&Holder>) -> String {
+    let out = out.display();
+    let named = |before: &str| holder.map_or(String::new(), |holder| format!(" ({before}{holder})"));
+    let (who, them) = match hold {
+        Hold::Alone => (format!("another run is writing to {out}{}", named("")), "it"),
+        // Which of them still are nobody knows.
+        Hold::Together => (format!("shards are being computed into {out}{}", named("the last began as ")), "them"),
+    };
+    format!("{who}; wait for {them} (--wait), or choose another --out")
 }
 
 /// What a user can do about a failed write.

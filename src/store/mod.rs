@@ -13,6 +13,7 @@ pub mod query;
 pub mod record;
 pub mod runs;
 pub mod scan;
+mod shards;
 pub mod shelf;
 pub mod sql_names;
 mod sweep;

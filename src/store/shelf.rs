@@ -21,7 +21,7 @@ use serde_json::Value;
 
 use super::Digest;
 use super::failure::{At, StoreError};
-use super::lock;
+use super::lock::{self, Hold};
 use super::parquet::{self as file, FileRecord, TableWriter};
 use super::record;
 use super::sweep;
@@ -110,16 +110,28 @@ impl Shelf {
     /// # Errors
     /// When another run holds it, when it holds foreign files, or when it cannot be written.
     pub fn open(out: &Path) -> Result<Self, StoreError> {
+        let shelf = Self::take(out, Hold::Alone)?;
+        sweep::sweep(&shelf.root())?;
+        Ok(shelf)
+    }
+
+    /// Opens a result folder for adding parts, together with others who do: makes it if need be. Views are not to be switched.
+    ///
+    /// # Errors
+    /// When a run holds it alone, when it holds foreign files, or when it cannot be written.
+    pub fn join(out: &Path) -> Result<Self, StoreError> {
+        Self::take(out, Hold::Together)
+    }
+
+    fn take(out: &Path, hold: Hold) -> Result<Self, StoreError> {
         let shelf = out.join(".shelf");
         let foreign = !shelf.exists() && out.exists() && fs::read_dir(out).at("read", out)?.next().is_some();
         if foreign {
             return Err(StoreError::Foreign(out.to_owned()));
         }
         fs::create_dir_all(&shelf).at("create", &shelf)?;
-        let lock = lock::take(out, &shelf)?;
-        let shelf = Self { out: out.to_owned(), _lock: Some(lock), temporary: AtomicU64::new(0) };
-        sweep::sweep(&shelf.root())?;
-        Ok(shelf)
+        let lock = lock::take(out, &shelf, hold)?;
+        Ok(Self { out: out.to_owned(), _lock: Some(lock), temporary: AtomicU64::new(0) })
     }
 
     /// Opens a result folder for reading.
@@ -156,7 +168,7 @@ impl Shelf {
     }
 
     pub(super) fn temporary(&self, folder: &Path) -> PathBuf {
-        folder.join(format!("tmp-{}", self.temporary.fetch_add(1, Ordering::Relaxed)))
+        folder.join(format!("tmp-{}-{}", lock::mark(), self.temporary.fetch_add(1, Ordering::Relaxed)))
     }
 
     /// Record of a part, if it is whole.

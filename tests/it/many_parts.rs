@@ -33,15 +33,20 @@ pub struct Killed {
 impl ManyParts {
     /// The scene of `periscope demo`, with fewer patches and a fifth of its shots.
     pub fn new() -> Self {
+        Self::of(&PATCHES, PART_BYTES)
+    }
+
+    /// The same with these patches, and parts of so many bytes of raw files in the mean.
+    pub fn of(patches: &[i32], part_bytes: u64) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let text =
             SCENE.replace("shots = 200\n", "shots = 40\n").replace("response_shots = 2000", "response_shots = 200");
         let mut scene = Scene::parse(Path::new("scene.toml"), &text).unwrap();
-        scene.patches.retain(|patch, _| PATCHES.contains(patch));
+        scene.patches.retain(|patch, _| patches.contains(patch));
         let campaign = folder.path().join("campaign");
         simulate::simulate(&scene, 1, &campaign, Format::Trc).unwrap();
         let keys = fs::read_to_string(campaign.join("campaign.toml")).unwrap();
-        let keys = keys.replacen("[campaign]\n", &format!("[campaign]\npart_bytes = {PART_BYTES}\n"), 1);
+        let keys = keys.replacen("[campaign]\n", &format!("[campaign]\npart_bytes = {part_bytes}\n"), 1);
         fs::write(campaign.join("campaign.toml"), keys).unwrap();
         fs::write(folder.path().join("pipeline.toml"), PIPELINE).unwrap();
         Self { folder }

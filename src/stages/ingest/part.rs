@@ -187,7 +187,9 @@ impl Reader<'_> {
                 }
             }
         }
-        self.surveyed.save_slips()?;
+        let campaign = captures[0].campaign;
+        let saved = self.surveyed.records[campaign].save_slip(captures);
+        saved.map_err(|error| StageError::Refused(chain(&self.surveyed.campaigns[campaign].root, &error)))?;
         Ok(PartRead { content: self.surveyed.content(captures, &self.digests), rejections: self.rejections })
     }
 }

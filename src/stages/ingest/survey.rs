@@ -5,11 +5,11 @@ use std::fs::Metadata;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::campaign::{
-    Axis, Campaign, Exposure, FileState, Manifest, ManifestError, Role, Survey, closes_part, hash_file,
-};
+use super::record::Record;
+use crate::campaign::{Axis, Campaign, Exposure, FileState, Role, Survey, closes_part, hash_file};
 use crate::formats;
 use crate::stages::source::SourcePart;
 use crate::stages::stage::StageError;
@@ -17,7 +17,7 @@ use crate::store::Digest;
 use crate::units::PatchId;
 
 /// One file's share of a capture.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Item {
     /// The exposure (or exposures) as the campaign's rules see them.
     pub exposure: Exposure,
@@ -35,7 +35,7 @@ impl Item {
 }
 
 /// One capture: a patch lit, a patch seen, by one sensor; for other roles than scene, one run of shots.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Capture {
     /// Position of the campaign in the run.
     pub campaign: usize,
@@ -66,7 +66,8 @@ pub struct Job<'a> {
 type Order = (usize, String, PatchId, PatchId, Role, Option<String>, PatchId);
 
 impl Capture {
-    fn bytes(&self) -> u64 {
+    /// Raw bytes.
+    pub fn bytes(&self) -> u64 {
         self.items.iter().map(|item| item.bytes).sum()
     }
 
@@ -107,68 +108,10 @@ pub struct Surveyed<'a> {
     pub source_parts: Vec<SourcePart>,
     /// What a user should know.
     pub warnings: Vec<String>,
-    records: Vec<Record>,
+    /// What is on record of the files of each campaign.
+    pub records: Vec<Record>,
     /// Files that this run has read to their end, and hashed: whoever needs another share of one need not read all of it.
     read: Mutex<BTreeSet<(usize, PathBuf)>>,
-}
-
-/// What is on record of a campaign's raw files: its seal, if it has one, and what earlier runs into this result folder noted.
-struct Record {
-    seal: Option<Manifest>,
-    /// Folder of the notes.
-    notes: PathBuf,
-    noted: Mutex<Noted>,
-}
-
-/// How the folders of notes begin that a part left.
-const SLIP: &str = "part-";
-
-/// The slips in a folder of notes.
-fn slips(notes: &Path) -> Result<Vec<PathBuf>, ManifestError> {
-    let failed = |source| ManifestError::File { file: notes.to_owned(), source };
-    let entries = match std::fs::read_dir(notes) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-        entries => entries.map_err(failed)?,
-    };
-    let mut slips =
-        entries.map(|entry| Ok(entry.map_err(failed)?.path())).collect::<Result<Vec<_>, ManifestError>>()?;
-    slips.retain(|path| path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(SLIP.as_bytes())));
-    Ok(slips)
-}
-
-/// Notes: those that were written down, and new ones that are not yet.
-struct Noted {
-    manifest: Manifest,
-    new: Vec<(PathBuf, blake3::Hash, Metadata)>,
-}
-
-impl Record {
-    fn load(campaign: &Campaign, notes: &Path) -> Result<Self, ManifestError> {
-        let notes = notes.join(&campaign.name);
-        let mut manifest = Manifest::load(&notes)?.unwrap_or_default();
-        slips(&notes)?.iter().try_for_each(|slip| manifest.join(slip))?;
-        let noted = Mutex::new(Noted { manifest, new: Vec::new() });
-        Ok(Self { seal: Manifest::load(&campaign.root)?, notes, noted })
-    }
-
-    /// The content that is on record.
-    fn content(&self, file: &Path) -> Option<blake3::Hash> {
-        let sealed = self.seal.as_ref().and_then(|seal| seal.get(file)).map(|record| record.blake3);
-        let noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner);
-        sealed.or_else(|| noted.manifest.get(file).map(|record| record.blake3))
-    }
-
-    /// The seal decides where there is one.
-    fn check(&self, root: &Path, file: &Path) -> Result<FileState, ManifestError> {
-        let sealed = self.seal.as_ref().map_or(Ok(FileState::New), |seal| seal.check(root, file))?;
-        let noted = self.noted.lock().unwrap_or_else(PoisonError::into_inner).manifest.check(root, file)?;
-        Ok(match (sealed, noted) {
-            (FileState::New, noted) => noted,
-            // A file whose time stamp alone changed was hashed again by an earlier run, which noted it.
-            (FileState::Touched { recorded }, FileState::Known(hash)) if hash == recorded => noted,
-            (sealed, _) => sealed,
-        })
-    }
 }
 
 impl<'a> Surveyed<'a> {
@@ -200,39 +143,25 @@ impl<'a> Surveyed<'a> {
                 }
             }
         }
+        Self::of(campaigns, cut(campaigns, captures.into_values()), warnings, records)
+    }
+
+    /// Of parts that were cut already.
+    ///
+    /// # Errors
+    /// When a file has changed since it was recorded.
+    pub fn of(
+        campaigns: &'a [Campaign],
+        parts: Vec<Vec<Capture>>,
+        warnings: Vec<String>,
+        records: Vec<Record>,
+    ) -> Result<Self, StageError> {
         let mut surveyed =
-            Self { campaigns, parts: Vec::new(), source_parts: Vec::new(), warnings, records, read: Mutex::default() };
-        surveyed.cut(captures.into_values());
+            Self { campaigns, parts, source_parts: Vec::new(), warnings, records, read: Mutex::default() };
         surveyed.check_files()?;
         let parts = surveyed.parts.iter().map(|part| surveyed.source_part(part)).collect();
         surveyed.source_parts = parts;
         Ok(surveyed)
-    }
-
-    fn cut(&mut self, captures: impl Iterator<Item = Capture>) {
-        let mut captures = captures.peekable();
-        let (mut part, mut pair_bytes) = (Vec::new(), 0);
-        while let Some(mut capture) = captures.next() {
-            capture.items.sort_by(|a, b| {
-                (&a.exposure.range, a.exposure.shot, &a.exposure.file).cmp(&(
-                    &b.exposure.range,
-                    b.exposure.shot,
-                    &b.exposure.file,
-                ))
-            });
-            pair_bytes += capture.bytes();
-            let (key, campaign) = (capture.pair_key(self.campaigns), capture.campaign);
-            part.push(capture);
-            let next = captures.peek();
-            if next.is_none_or(|next| next.pair_key(self.campaigns) != key) {
-                // No part holds two campaigns: one more in a run leaves those of the others as they are.
-                let campaign_ends = next.is_none_or(|next| next.campaign != campaign);
-                if campaign_ends || closes_part(&key, pair_bytes, self.campaigns[campaign].part_bytes) {
-                    self.parts.push(std::mem::take(&mut part));
-                }
-                pair_bytes = 0;
-            }
-        }
     }
 
     /// Files that changed since they were recorded are refused; those whose time stamp alone changed are hashed again here.
@@ -284,9 +213,7 @@ impl<'a> Surveyed<'a> {
 
     /// Notes the digest of a file that was read; `metadata` was taken before.
     pub fn record(&self, campaign: usize, file: &Path, digest: blake3::Hash, metadata: &Metadata) {
-        let mut noted = self.records[campaign].noted.lock().unwrap_or_else(PoisonError::into_inner);
-        noted.manifest.record(file, digest, metadata);
-        noted.new.push((file.to_owned(), digest, metadata.clone()));
+        self.records[campaign].note(file, digest, metadata);
         self.read.lock().unwrap_or_else(PoisonError::into_inner).insert((campaign, file.to_owned()));
     }
 
@@ -294,44 +221,6 @@ impl<'a> Surveyed<'a> {
     pub fn was_read(&self, campaign: usize, file: &Path) -> bool {
         let read = self.read.lock().unwrap_or_else(PoisonError::into_inner).contains(&(campaign, file.to_owned()));
         read && self.known(campaign, file).is_some()
-    }
-
-    /// Writes down what was learnt since the last time, on a slip of its own: at the end of every part, so that a killed run forgets no part that it has finished.
-    pub fn save_slips(&self) -> Result<(), StageError> {
-        for record in &self.records {
-            let new = std::mem::take(&mut record.noted.lock().unwrap_or_else(PoisonError::into_inner).new);
-            let Some((first, ..)) = new.first() else {
-                continue;
-            };
-            // Named by a file that no other slip holds.
-            let name = Digest::of_bytes(first.as_os_str().as_encoded_bytes()).short();
-            let folder = record.notes.join(format!("{SLIP}{name}"));
-            let mut slip = Manifest::default();
-            new.iter().for_each(|(file, digest, metadata)| slip.record(file, *digest, metadata));
-            let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&record.notes, error));
-            std::fs::create_dir_all(&folder).map_err(|error| refused(&error))?;
-            slip.save(&folder).map_err(|error| refused(&error))?;
-        }
-        Ok(())
-    }
-
-    /// Gathers the slips in one file, also those that other sources of the run have written, or an earlier run that was killed.
-    pub fn save_notes(&self) -> Result<(), StageError> {
-        self.save_slips()?;
-        self.records.iter().try_for_each(|record| {
-            let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&record.notes, error));
-            let gather = || -> Result<Vec<PathBuf>, ManifestError> {
-                let slips = slips(&record.notes)?;
-                if !slips.is_empty() {
-                    let mut manifest = Manifest::load(&record.notes)?.unwrap_or_default();
-                    slips.iter().try_for_each(|slip| manifest.join(slip))?;
-                    manifest.save(&record.notes)?;
-                }
-                Ok(slips)
-            };
-            let gathered = gather().map_err(|error| refused(&error))?;
-            gathered.iter().try_for_each(std::fs::remove_dir_all).map_err(|error| refused(&error))
-        })
     }
 
     fn source_part(&self, part: &[Capture]) -> SourcePart {
@@ -354,6 +243,31 @@ impl<'a> Surveyed<'a> {
             digests.iter().map(|((campaign, file), digest)| json!([name(*campaign), file, digest])).collect();
         Digest::of(&json!({ "captures": captures, "files": files }))
     }
+}
+
+/// Cuts captures into parts, in order.
+fn cut(campaigns: &[Campaign], captures: impl Iterator<Item = Capture>) -> Vec<Vec<Capture>> {
+    let mut captures = captures.peekable();
+    let (mut parts, mut part, mut pair_bytes) = (Vec::new(), Vec::new(), 0);
+    while let Some(mut capture) = captures.next() {
+        capture.items.sort_by(|a, b| {
+            let (a, b) = (&a.exposure, &b.exposure);
+            (&a.range, a.shot, &a.file).cmp(&(&b.range, b.shot, &b.file))
+        });
+        pair_bytes += capture.bytes();
+        let (key, campaign) = (capture.pair_key(campaigns), capture.campaign);
+        part.push(capture);
+        let next = captures.peek();
+        if next.is_none_or(|next| next.pair_key(campaigns) != key) {
+            // No part holds two campaigns: one more in a run leaves those of the others as they are.
+            let campaign_ends = next.is_none_or(|next| next.campaign != campaign);
+            if campaign_ends || closes_part(&key, pair_bytes, campaigns[campaign].part_bytes) {
+                parts.push(std::mem::take(&mut part));
+            }
+            pair_bytes = 0;
+        }
+    }
+    parts
 }
 
 fn refused_as_changed(files: &str) -> StageError {

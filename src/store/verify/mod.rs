@@ -128,8 +128,8 @@ pub fn verify(shelf: &Shelf) -> Result<Report, StoreError> {
     for path in entries(&shelf.root())? {
         let name = name(&path);
         match name.as_str() {
-            // What sources noted of raw files is theirs to read; a lock says nothing.
-            "lock" | "notes" => {}
+            // What sources noted of raw files is theirs to read, and shards are read by who makes them; a lock says nothing.
+            "lock" | "notes" | "shards" => {}
             "runs" => runs(shelf, &path, &mut report)?,
             _ if name.starts_with("tmp-") => report.notes.push(left_over(&path)),
             _ if path.join(REJECTS_RECORD).exists() || name.starts_with("rejects-") => {

@@ -1,0 +1,62 @@
+//! `periscope gather`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Result;
+use clap::Args;
+use periscope::pipeline::rejects::MaxRejects;
+use periscope::pipeline::run::Settings;
+use periscope::pipeline::shards::{Job as Dealt, ShardError};
+use periscope::store::Shelf;
+
+use super::aftermath;
+use super::interrupt::stop_on_signals;
+use super::machine::Machine;
+use super::run::{Job, campaigns, open};
+
+/// Arguments of `gather`.
+#[derive(Args)]
+pub struct Gather {
+    /// Result folder
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    machine: Machine,
+    /// Wait where shards are still being computed into the result folder, instead of giving up
+    #[arg(long)]
+    wait: bool,
+    /// Stop when more than so many records are set aside, or more than such a share of all, such as 5%
+    #[arg(long, value_name = "N|P%")]
+    max_rejects: Option<MaxRejects>,
+    /// Exit with 1 when any input was set aside
+    #[arg(long)]
+    strict: bool,
+}
+
+/// The command.
+pub fn gather(args: &Gather) -> Result<ExitCode> {
+    args.machine.start()?;
+    Shelf::look(&args.out)?;
+    let shelf = open(&args.out, args.wait)?;
+    let dealt: Dealt = shelf.job()?.ok_or_else(|| ShardError::NoJob(args.out.clone()))?;
+    let mut record = dealt.run.clone();
+    let spec = dealt.work.spec()?;
+    let campaigns = campaigns(&dealt.work.campaigns)?;
+    let settings = args.machine.settings(Settings { max_rejects: args.max_rejects, ..Settings::default() });
+    stop_on_signals(&settings.stop)?;
+    let job = Job {
+        spec: &spec,
+        pipeline: &dealt.work.pipeline,
+        set: &dealt.work.set,
+        campaigns: &campaigns,
+        shelf: &shelf,
+        until: dealt.until.as_deref(),
+        settings,
+        style: args.machine.style(),
+        shards: Some(&dealt),
+    };
+    let outcome = job.execute_and_tell(&mut record)?;
+    shelf.remove_shards()?;
+    aftermath::tell(&spec, &outcome, &shelf, args.strict)
+}

@@ -1,0 +1,97 @@
+//! How a command that computes uses the machine, and how it shows progress.
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueEnum};
+use periscope::pipeline::progress::Style;
+use periscope::pipeline::run::Settings;
+
+/// Options of every command that computes tables; no byte of them depends on these.
+#[derive(Args)]
+pub struct Machine {
+    /// Worker threads (default: one a core)
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Memory for raw samples under way, such as 512MiB
+    #[arg(long, value_name = "SIZE", value_parser = size)]
+    memory: Option<usize>,
+    /// How to show progress
+    #[arg(long, value_enum, default_value = "auto")]
+    progress: ProgressKind,
+}
+
+impl Machine {
+    /// Starts the worker threads; before anything else uses some.
+    pub fn start(&self) -> Result<()> {
+        use_threads(self.threads)
+    }
+
+    /// These settings, with the memory that is asked for, else with enough.
+    pub fn settings(&self, defaults: Settings) -> Settings {
+        let memory_bytes = self.memory.unwrap_or(defaults.memory_bytes.max(defaults.least_memory()));
+        Settings { memory_bytes, ..defaults }
+    }
+
+    /// How to show progress.
+    pub fn style(&self) -> Style {
+        self.progress.into()
+    }
+}
+
+/// How to show progress.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum ProgressKind {
+    /// A bar on a terminal, lines elsewhere
+    Auto,
+    /// A bar
+    Bar,
+    /// A line a pass, and now and then one in between
+    Lines,
+    /// A JSON object a line
+    Json,
+    /// Nothing
+    None,
+}
+
+impl From<ProgressKind> for Style {
+    fn from(kind: ProgressKind) -> Self {
+        match kind {
+            ProgressKind::Auto => Self::auto(),
+            ProgressKind::Bar => Self::Bar,
+            ProgressKind::Lines => Self::Lines,
+            ProgressKind::Json => Self::Json,
+            ProgressKind::None => Self::Silent,
+        }
+    }
+}
+
+/// Reads `512MiB`, `64M`, `1GB`, `4096`.
+pub fn size(text: &str) -> Result<usize, String> {
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let number: usize =
+        number.parse().map_err(|_| format!("`{text}` does not begin with a whole number; write 512MiB"))?;
+    let factor = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 1,
+        "k" | "kib" => 1 << 10,
+        "kb" => 1000,
+        "m" | "mib" => 1 << 20,
+        "mb" => 1_000_000,
+        "g" | "gib" => 1 << 30,
+        "gb" => 1_000_000_000,
+        _ => {
+            return Err(format!("`{unit}` is no unit of size; write KiB, MiB or GiB"));
+        }
+    };
+    number.checked_mul(factor).ok_or_else(|| format!("`{text}` is too much"))
+}
+
+/// Uses so many worker threads.
+pub fn use_threads(threads: Option<usize>) -> Result<()> {
+    if threads == Some(0) {
+        bail!("--threads 0: give at least 1");
+    }
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.unwrap_or(0))
+        .build_global()
+        .context("cannot start the worker threads")
+}

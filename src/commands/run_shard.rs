@@ -1,0 +1,43 @@
+//! `periscope run-shard`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Result;
+use clap::Args;
+use periscope::pipeline::progress::Progress;
+use periscope::pipeline::run::{RunError, Settings};
+use periscope::pipeline::shards::{Shard, ShardError, absent};
+use periscope::store::Shelf;
+
+use super::interrupt::stop_on_signals;
+use super::machine::Machine;
+
+/// Arguments of `run-shard`.
+#[derive(Args)]
+pub struct RunShard {
+    /// Key of the shard, as `plan --shards` printed it
+    key: String,
+    /// Result folder that it was planned into
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    machine: Machine,
+}
+
+/// The command.
+pub fn run_shard(args: &RunShard) -> Result<ExitCode> {
+    args.machine.start()?;
+    // What is not there is not made here: a worker that does not see the result folder is to say so.
+    Shelf::look(&args.out)?;
+    let shelf = Shelf::join(&args.out)?;
+    let shard: Shard = shelf.shard(&args.key)?.ok_or_else(|| absent(&shelf, &args.key))?;
+    let settings = args.machine.settings(Settings::default());
+    stop_on_signals(&settings.stop)?;
+    let made = match shard.make(&args.key, &shelf, &settings, &Progress::new(args.machine.style())) {
+        Err(ShardError::Run(error @ RunError::Interrupted { .. })) => return Err(error.into()),
+        made => made?,
+    };
+    println!("{}", serde_json::to_string(&made)?);
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,54 @@
+//! What makes the table of each step: the part of its lineage that is known before anything is read.
+
+use std::collections::BTreeMap;
+
+use arrow::datatypes::{DataType, Field};
+use serde_json::{Value, json};
+
+use super::arithmetic;
+use super::spec::Spec;
+use crate::campaign::Campaign;
+use crate::stages::Node;
+use crate::stages::operator::WrittenTable;
+use crate::store::{Digest, StageId, lineage};
+
+/// What makes the table of step `i`; `earlier` are those of the steps before it.
+pub(super) fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) -> StageId {
+    let step = &spec.steps[i];
+    let recipe = |heading: &str| {
+        let (step, table) = spec.table(heading).expect("the pipeline was checked");
+        lineage::table_recipe(&table, &earlier[step].recipe())
+    };
+    let mut inputs: BTreeMap<String, Digest> =
+        step.with.iter().map(|(name, heading)| (name.clone(), recipe(heading))).collect();
+    inputs.extend(step.from.as_deref().map(|heading| ("from".to_owned(), recipe(heading))));
+    let (version, params, fields, arithmetic) = match &step.node {
+        Node::Source(source) => (source.version(), source.params(), source.fields(campaigns), arithmetic::COPIED),
+        Node::Operator(operator) => {
+            (operator.version(), operator.params(), operator.fields(campaigns), arithmetic::of_this_cpu())
+        }
+    };
+    let columns = |table: &WrittenTable| {
+        json!([table.name, table.schema.fields().iter().map(|field| signature(field)).collect::<Vec<_>>()])
+    };
+    let schemas: Vec<Value> = step.node.tables().iter().map(columns).collect();
+    StageId {
+        kind: step.node.kind().to_owned(),
+        version,
+        params,
+        fields,
+        schemas: Digest::of(&Value::Array(schemas)),
+        arithmetic: arithmetic.to_owned(),
+        inputs,
+    }
+}
+
+/// Name, type and nullability of a column, without its prose.
+fn signature(field: &Field) -> Value {
+    let inner: Vec<Value> = match field.data_type() {
+        DataType::List(item) => vec![signature(item)],
+        DataType::Struct(fields) => fields.iter().map(|field| signature(field)).collect(),
+        plain => vec![plain.to_string().into()],
+    };
+    json!([field.name(), field.is_nullable(), inner])
+}

@@ -1,0 +1,301 @@
+//! Shards: sets of parts that processes on any machines make, each for itself, into one result folder.
+//!
+//! What stands beside the stages that stream is made first and once ([`prepare`]); then the parts of the tables that stream from raw files depend on nothing of
+//! one another, and are dealt out ([`deal`]). A shard holds all that its maker must know, so that no folder is searched again. Whoever makes it
+//! ([`Shard::make`]) leaves parts on the shelf, under the lineages that a run would give them; a run that follows finds them, and makes the rest. Nothing here depends
+//! on a lock: parts have the same bytes whoever makes them, and appear by a rename.
+
+mod deal;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use thiserror::Error;
+
+use super::cut::next_pass;
+use super::pass::{self, Ended};
+use super::plan::{Plan, PlanError, Scope};
+use super::progress::Progress;
+use super::run::{amount, kept, whole};
+use super::settings::{RunError, Settings};
+use super::spec::{Spec, SpecError};
+use crate::campaign::{Campaign, CampaignError};
+use crate::stages::Node;
+use crate::stages::source::{OpenSource, Ticket};
+use crate::store::runs::RunRecord;
+use crate::store::{Digest, Shelf, StageId, StoreError};
+use crate::tables::{Reject, Row};
+pub use deal::{deal, prepare};
+
+/// What stops a shard.
+#[derive(Debug, Error)]
+pub enum ShardError {
+    /// The pipeline that it carries.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// A campaign.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
+    /// The plan.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// The run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The result folder.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// This process would make other parts than those that were asked for.
+    #[error(
+        "[{heading}]: planned and made here differ: {}; shards are made by the program that planned them, with campaign.toml as it was, on one kind of CPU",
+        changes.join("; ")
+    )]
+    Unlike {
+        /// Heading.
+        heading: String,
+        /// What differs.
+        changes: Vec<String>,
+    },
+    /// No such shard.
+    #[error(
+        "{out} has no shard {key}: it was gathered already, or planned anew; `periscope plan PIPELINE --campaign DIR --out {out} --shards N` lists what is missing"
+    )]
+    Absent {
+        /// Result folder.
+        out: PathBuf,
+        /// Key that was asked for.
+        key: String,
+    },
+    /// Nothing to gather.
+    #[error("{0} has no shards to gather; `periscope plan PIPELINE --campaign DIR --out {0} --shards N` makes some")]
+    NoJob(PathBuf),
+    /// Shards are not finished.
+    #[error("{missing} of {parts} parts of {heading} are missing{}; what is finished is kept", unfinished(keys))]
+    Unfinished {
+        /// Heading of the table.
+        heading: String,
+        /// Parts that are missing.
+        missing: usize,
+        /// Parts that it has.
+        parts: usize,
+        /// Shards that are not finished.
+        keys: Vec<String>,
+    },
+}
+
+fn unfinished(keys: &[String]) -> String {
+    match keys {
+        [] => ", and belong to no shard: the campaign has changed since it was planned; plan again".to_owned(),
+        [first, ..] => format!(
+            ": {} shards are not finished ({}); run them, such as `periscope run-shard {first} --out ...`",
+            keys.len(),
+            keys.iter().take(3).map(String::as_str).collect::<Vec<_>>().join(", ")
+        ),
+    }
+}
+
+/// What all shards of a job have in common.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Work {
+    /// Pipeline file, absolute: its name in messages.
+    pub pipeline: PathBuf,
+    /// Its text.
+    pub text: String,
+    /// Parameters changed on the command line, as typed.
+    pub set: Vec<String>,
+    /// Campaign folders, absolute, in the order in which they were given.
+    pub campaigns: Vec<PathBuf>,
+    /// What makes the tables that are dealt out, by heading.
+    pub stages: BTreeMap<String, StageId>,
+    /// Lineages of the parts of the tables beside them, by heading.
+    pub beside: BTreeMap<String, Vec<Digest>>,
+}
+
+impl Work {
+    /// The pipeline, parsed.
+    ///
+    /// # Errors
+    /// When this program refuses it.
+    pub fn spec(&self) -> Result<Spec, SpecError> {
+        Spec::parse(&self.pipeline.display().to_string(), &self.text, &self.set)
+    }
+}
+
+/// What is dealt out, and what becomes of it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Job {
+    /// What its shards have in common.
+    pub work: Work,
+    /// Last table that is wanted.
+    pub until: Option<String>,
+    /// The run that planned it, which ends when the shards are gathered.
+    pub run: RunRecord,
+    /// Keys of its shards.
+    pub shards: Vec<String>,
+}
+
+/// A set of parts that one process makes.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Shard {
+    /// What to make.
+    pub work: Work,
+    /// The parts by heading of their source.
+    pub parts: BTreeMap<String, Vec<Ticket>>,
+}
+
+/// What a shard left on the shelf: the same whenever and wherever it is made, but for `computed`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Made {
+    /// Key of the shard.
+    pub key: String,
+    /// Captures that it has.
+    pub captures: usize,
+    /// Parts of tables that it was to make.
+    pub parts: usize,
+    /// Of these, those that were not there before.
+    pub computed: usize,
+    /// Rows set aside.
+    pub rejects: u64,
+    /// Rows of each table that is kept.
+    pub rows: BTreeMap<String, u64>,
+    /// Digest of all its table files.
+    pub digest: Digest,
+}
+
+/// Makes what the plan wants and lacks, and shows none of it.
+fn make(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Result<(), RunError> {
+    settings.check()?;
+    let mut content = BTreeMap::new();
+    while let Some(pass) = next_pass(plan) {
+        let headings: Vec<&str> = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str()).collect();
+        let (whole, wanted) = whole(plan);
+        progress.pass(&headings, amount(plan, &pass), whole, wanted);
+        let ended = pass::run(plan, &pass, settings, u64::MAX, progress, &mut content)?;
+        plan.refresh(&content)?;
+        if ended == Ended::Interrupted {
+            return Err(RunError::Interrupted { kept: kept(plan, &pass) });
+        }
+        progress.finish();
+    }
+    Ok(())
+}
+
+impl Shard {
+    /// Its tickets.
+    pub fn tickets(&self) -> impl Iterator<Item = &Ticket> {
+        self.parts.values().flatten()
+    }
+
+    /// The plan of its parts alone.
+    fn plan<'a>(&self, spec: &'a Spec, campaigns: &'a [Campaign], shelf: &'a Shelf) -> Result<Plan<'a>, ShardError> {
+        let mut sources: BTreeMap<usize, Box<dyn OpenSource + 'a>> = BTreeMap::new();
+        let (mut given, mut steps) = (BTreeMap::new(), Vec::new());
+        for (i, step) in spec.steps.iter().enumerate() {
+            if self.work.stages.contains_key(&step.heading) {
+                steps.push(i);
+            }
+            if let Some(lineages) = self.work.beside.get(&step.heading) {
+                given.insert(i, lineages.clone());
+            }
+            if let (Node::Source(source), Some(tickets)) = (&step.node, self.parts.get(&step.heading)) {
+                let failed = |source| PlanError::Stage { heading: step.heading.clone(), source };
+                sources.insert(i, source.take_up(campaigns, &shelf.notes(), tickets).map_err(failed)?);
+            }
+        }
+        let plan = Plan::of(spec, campaigns, shelf, sources, Scope::Only(steps.clone()), given)?;
+        for i in steps {
+            let heading = &spec.steps[i].heading;
+            let (planned, here) = (&self.work.stages[heading], &plan.tables[i].id);
+            if planned != here {
+                let mut changes = planned.changes(here);
+                if changes.is_empty() {
+                    changes.push("what it is made from".to_owned());
+                }
+                return Err(ShardError::Unlike { heading: heading.clone(), changes });
+            }
+        }
+        Ok(plan)
+    }
+
+    /// Makes what is missing of it.
+    ///
+    /// # Errors
+    /// The first failure, or that it was stopped; finished parts are kept.
+    pub fn make(&self, key: &str, shelf: &Shelf, settings: &Settings, progress: &Progress) -> Result<Made, ShardError> {
+        let spec = self.work.spec()?;
+        let campaigns = self.work.campaigns.iter().map(|root| Campaign::load(root)).collect::<Result<Vec<_>, _>>()?;
+        let mut plan = self.plan(&spec, &campaigns, shelf)?;
+        let there = |plan: &Plan<'_>| {
+            plan.tables.iter().filter(|table| table.wanted).flat_map(|table| table.present.clone()).flatten().count()
+        };
+        let before = there(&plan);
+        make(&mut plan, settings, progress)?;
+        let mut made = Made {
+            key: key.to_owned(),
+            captures: self.tickets().map(|ticket| ticket.captures).sum(),
+            parts: there(&plan),
+            computed: there(&plan) - before,
+            rejects: 0,
+            rows: BTreeMap::new(),
+            digest: Digest::of(&json!(null)),
+        };
+        let mut files = Vec::new();
+        for (step, table) in spec.steps.iter().zip(&plan.tables).filter(|(_, table)| table.wanted) {
+            for (name, file) in table.present.iter().flatten().flat_map(|part| &part.files) {
+                match name.as_str() {
+                    Reject::TABLE => made.rejects += file.rows,
+                    _ => *made.rows.entry(step.heading.clone()).or_default() += file.rows,
+                }
+                files.push(json!([step.heading, name, file]));
+            }
+        }
+        made.digest = Digest::of(&json!(files));
+        Ok(made)
+    }
+
+    /// Whether nothing is missing of it.
+    fn is_finished(&self, shelf: &Shelf) -> Result<bool, ShardError> {
+        let spec = self.work.spec()?;
+        let campaigns = self.work.campaigns.iter().map(|root| Campaign::load(root)).collect::<Result<Vec<_>, _>>()?;
+        let plan = self.plan(&spec, &campaigns, shelf)?;
+        Ok(plan.tables.iter().all(|table| !table.wanted || table.complete()))
+    }
+}
+
+impl Job {
+    /// Whether all that was dealt out is there; and gathers what was noted of raw files. The shelf must be held alone.
+    ///
+    /// # Errors
+    /// When parts are missing.
+    pub fn check(&self, plan: &Plan<'_>) -> Result<(), ShardError> {
+        for (step, table) in plan.spec.steps.iter().zip(&plan.tables) {
+            let missing = table.present.iter().filter(|part| part.is_none()).count();
+            if missing == 0 || !table.wanted || !self.work.stages.contains_key(&step.heading) {
+                continue;
+            }
+            let mut keys = Vec::new();
+            for key in &self.shards {
+                let shard: Shard = plan.shelf.shard(key)?.ok_or_else(|| absent(plan.shelf, key))?;
+                if !shard.is_finished(plan.shelf)? {
+                    keys.push(key.clone());
+                }
+            }
+            let (heading, parts) = (step.heading.clone(), table.present.len());
+            return Err(ShardError::Unfinished { heading, missing, parts, keys });
+        }
+        // Not before: who makes a shard again looks for what was noted of it alone.
+        for (&i, source) in &plan.sources {
+            let failed = |source| PlanError::Stage { heading: plan.spec.steps[i].heading.clone(), source };
+            source.close().map_err(failed)?;
+        }
+        Ok(())
+    }
+}
+
+/// That there is no shard of this key.
+#[must_use]
+pub fn absent(shelf: &Shelf, key: &str) -> ShardError {
+    ShardError::Absent { out: shelf.out().to_owned(), key: key.to_owned() }
+}
