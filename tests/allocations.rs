@@ -22,7 +22,7 @@ static COUNTED: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 /// Allocations, growth of one included, that one exposure more may cost: those of its batch, shared by all exposures of the batch.
 const EXPOSURE_MAX: f64 = 0.5;
 /// The same of one capture more.
-const CAPTURE_MAX: f64 = 3000.0;
+const CAPTURE_MAX: f64 = 1200.0;
 
 const SAMPLES: usize = 2048;
 
