@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
 
-use parquet::file::metadata::{PageIndexPolicy, ParquetMetaDataReader, RowGroupMetaData};
+use parquet::file::metadata::{ColumnChunkMetaData, PageIndexPolicy, ParquetMetaDataReader, RowGroupMetaData};
 use parquet::file::page_index::column_index::ColumnIndexMetaData;
 use parquet::file::statistics::Statistics;
 use periscope::store::{Digest, PartRecord, Shelf, StageId};
@@ -154,7 +154,7 @@ fn touched(out: &Path, pair: [i32; 2]) {
             let read: Vec<usize> = READ.iter().filter_map(|name| column(name)).chain(keys).collect();
             let size = |k: &usize| group.column(*k).compressed_size() as u64;
             let all: u64 = read.iter().map(size).sum();
-            footers += group.columns().iter().filter_map(|column| column.column_index_length()).sum::<i32>() as u64;
+            footers += group.columns().iter().filter_map(ColumnChunkMetaData::column_index_length).sum::<i32>() as u64;
             let has_group = keys.iter().zip(pair).all(|(key, value)| may_hold(group, *key, value));
             // Rows of the pages of both keys that may hold it.
             let ranges: Vec<Vec<[i64; 2]>> = keys

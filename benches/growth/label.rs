@@ -66,7 +66,7 @@ fn onsets(points: &[Point]) -> Vec<Onset> {
     for pair in (0..VISIBLE).flat_map(|a| (0..VISIBLE).map(move |b| [a, b])) {
         let [a, b] = pair.map(|patch| points[patch]);
         let ends_m = a.coords.norm() + b.coords.norm();
-        let mut times = vec![((ends_m + (a - b).norm(), 200.0))];
+        let mut times = vec![(ends_m + (a - b).norm(), 200.0)];
         for over in &points[VISIBLE..] {
             if !rng.random_bool(MISSING) {
                 times.push((ends_m + (a - over).norm() + (b - over).norm(), 40.0));

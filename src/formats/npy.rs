@@ -83,12 +83,11 @@ impl Array {
         let needed = count.and_then(|count| count.checked_mul(code_type.bytes() as u64));
         let available = length.saturating_sub(data);
         match needed {
-            Some(0) => return Err(refuse(format!("shape {:?} holds no sample", shape))),
+            Some(0) => return Err(refuse(format!("shape {shape:?} holds no sample"))),
             Some(needed) if needed <= available => {}
             _ => {
                 let problem = format!(
-                    "shape {:?} does not fit the {available} bytes that follow the header; copy the file again",
-                    shape
+                    "shape {shape:?} does not fit the {available} bytes that follow the header; copy the file again"
                 );
                 return Err(FormatError::Field { byte_offset: data, problem });
             }
@@ -306,8 +305,8 @@ number! {
 /// When there are not as many values as the shape says.
 pub fn write<T: Number>(out: &mut impl Write, shape: &[u64], values: &[T]) -> io::Result<()> {
     assert_eq!(shape.iter().product::<u64>(), values.len() as u64, "as many values as the shape says");
-    let lengths: String = shape.iter().map(|length| format!("{length}, ")).collect();
-    let mut text = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}", T::DESCR, lengths.trim_end());
+    let lengths: Vec<String> = shape.iter().map(|length| format!("{length},")).collect();
+    let mut text = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}", T::DESCR, lengths.join(" "));
     // Numbers begin at a multiple of 64, behind magic, version, length and a text that ends its line.
     while (10 + text.len() + 1) % 64 != 0 {
         text.push(' ');

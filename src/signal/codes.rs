@@ -1,6 +1,7 @@
 //! Raw codes of a converter, as they lie in a file: little-endian bytes of a number type, at any alignment.
 
 #![allow(clippy::useless_conversion, reason = "one of the eight types is f64 already")]
+#![allow(clippy::cast_lossless, reason = "what is written once for eight types casts some of them")]
 
 use std::ops::Range;
 
@@ -165,6 +166,7 @@ impl<'a> Codes<'a> {
 
     /// Whether any code, less `level`, lies below its `low` or above its `high`; codes without bounds do not count.
     #[must_use]
+    #[allow(clippy::needless_bitwise_bool, reason = "comparisons without branches go side by side")]
     pub fn leaves(&self, low: &[f64], high: &[f64], level: f64) -> bool {
         // In blocks: none is left before its end, so that the processor can compare several at a time.
         const BLOCK: usize = 256;
