@@ -22,7 +22,7 @@ import dask_run  # noqa: E402  # where it is used from
 
 PROGRAM = os.environ["PERISCOPE"]
 PIPELINE = ROOT / "pipelines/around-the-corner.toml"
-SHOTS = 1000
+SHOTS = 400
 SHARDS = 24
 MANY = 20_000
 REPEATS = 3
