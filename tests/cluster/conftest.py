@@ -1,5 +1,6 @@
 """One campaign for all tests."""
 
+import signal
 import sys
 from pathlib import Path
 
@@ -8,6 +9,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "pipelines/cluster"))  # where the driver lies
 
 from lab import Lab
+
+# What runs in the background of a shell ignores Ctrl-C, and so does all that it starts; a handler of one's own is not inherited.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
