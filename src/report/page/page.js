@@ -72,7 +72,10 @@
   }, { rootMargin: "600px" });
   plots.forEach((plot) => seen.observe(plot));
   addEventListener("hashchange", follow);
-  addEventListener("beforeprint", () => plots.forEach(draw));
+  // A sheet is narrower than the screen, and plots do not shrink with it by themselves.
+  const sheet_px = 660;
+  addEventListener("beforeprint", () => plots.forEach((plot) => { draw(plot); Plotly.relayout(plot, { width: sheet_px }); }));
+  addEventListener("afterprint", () => plots.forEach((plot) => Plotly.relayout(plot, { width: null, autosize: true })));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((figure, plot) => show(plot, figure)));
   follow();
 })();
