@@ -8,7 +8,12 @@ mod commands;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use mimalloc::MiMalloc;
 use periscope::pipeline::run::RunError;
+
+/// Blocks of a record's size come and go by the thousand: the system's allocator gives each back to the kernel, which clears its pages for the next.
+#[global_allocator]
+static ALLOCATOR: MiMalloc = MiMalloc;
 
 /// Where light bounced, from oscilloscope traces: positions of surfaces with error bars, also around the corner.
 #[derive(Parser)]

@@ -20,7 +20,9 @@ mod template;
 mod ticket;
 
 use std::path::Path;
+use std::sync::Arc;
 
+use arrow::datatypes::{Field, Schema, SchemaRef};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -28,6 +30,7 @@ use super::operator::WrittenTable;
 use super::source::{Feed, OpenSource, PartRead, Source, SourcePart, Ticket};
 use super::stage::StageError;
 use crate::campaign::{Campaign, Role};
+use crate::store::uncompressed;
 use crate::tables::{Row, Trace};
 use survey::{Surveyed, chain};
 
@@ -38,6 +41,36 @@ pub struct Ingest {
     /// Roles of the captures to read.
     #[serde(default = "scene")]
     roles: Vec<Role>,
+    /// How the table's codes lie on disk.
+    #[serde(default)]
+    compression: Compression,
+}
+
+/// How codes lie on disk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Compression {
+    /// Small: half of the raw bytes where 4 or 5 bits of a code are noise, seven tenths where 8 are.
+    #[default]
+    Zstd,
+    /// As large as the raw files, and several times faster to write and to read.
+    None,
+}
+
+impl Compression {
+    /// The schema of `traces`, its codes to be stored so.
+    fn schema(self) -> SchemaRef {
+        let schema = Trace::schema();
+        if self == Self::Zstd {
+            return schema;
+        }
+        let field = |field: &Arc<Field>| match field.name().as_str() {
+            "codes" => Arc::new(uncompressed(field)),
+            _ => Arc::clone(field),
+        };
+        let fields: Vec<_> = schema.fields().iter().map(field).collect();
+        Arc::new(Schema::new_with_metadata(fields, schema.metadata().clone()))
+    }
 }
 
 fn scene() -> Vec<Role> {
@@ -49,20 +82,20 @@ impl Source for Ingest {
         "ingest"
     }
     fn version(&self) -> u32 {
-        3
+        4
     }
     fn params(&self) -> Value {
         let mut roles = self.roles.clone();
         roles.sort();
         roles.dedup();
-        json!({ "roles": roles })
+        json!({ "roles": roles, "compression": self.compression })
     }
     fn fields(&self, _: &[Campaign]) -> Value {
         // Name and rules enter through what they match: each part's content names its campaign, files, exposures and keys.
         Value::Null
     }
     fn table(&self) -> WrittenTable {
-        WrittenTable { name: Trace::TABLE.to_owned(), schema: Trace::schema() }
+        WrittenTable { name: Trace::TABLE.to_owned(), schema: self.compression.schema() }
     }
     fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
         Ok(Box::new(Surveyed::new(campaigns, &self.roles, notes)?))

@@ -23,5 +23,5 @@ pub mod whole;
 
 pub use failure::StoreError;
 pub use lineage::Digest;
-pub use parquet::{FileRecord, TableWriter};
+pub use parquet::{FileRecord, TableWriter, uncompressed};
 pub use shelf::{PartRecord, Shelf, StageId, TableRecord};

@@ -4,16 +4,16 @@
 //! here. Groups are encoded by the worker pool and appended in order.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::compute::concat_batches;
-use arrow::datatypes::{DataType, SchemaRef};
+use arrow::datatypes::{DataType, Field, SchemaRef};
 use bytes::Bytes;
 use parquet::arrow::ArrowWriter;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder};
 use parquet::arrow::arrow_writer::{ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::column::writer::ColumnCloseResult;
@@ -50,27 +50,53 @@ pub struct FileRecord {
     pub footer: Digest,
 }
 
-/// Passes bytes on to a file and digests them on the way.
+/// Bytes that are digested and written at once: the Parquet crate hands them on in small pieces, which BLAKE3 takes one by one, where of large ones it takes
+/// sixteen kilobytes side by side.
+const BLOCK_BYTES: usize = 1 << 18;
+
+/// Passes bytes on to a file in blocks, and digests them on the way.
 struct Digesting {
-    file: BufWriter<File>,
+    file: File,
+    /// What waits for its block to be full.
+    block: Vec<u8>,
     hasher: blake3::Hasher,
     /// Of what is written after the pages; none before.
     footer: Option<blake3::Hasher>,
     bytes: u64,
 }
 
+impl Digesting {
+    fn new(file: File) -> Self {
+        let block = Vec::with_capacity(BLOCK_BYTES);
+        Self { file, block, hasher: blake3::Hasher::new(), footer: None, bytes: 0 }
+    }
+
+    /// Digests also what follows from here on for itself.
+    fn begin_footer(&mut self) -> io::Result<()> {
+        self.flush()?;
+        self.footer = Some(blake3::Hasher::new());
+        Ok(())
+    }
+}
+
 impl Write for Digesting {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        let written = self.file.write(buffer)?;
-        self.hasher.update(&buffer[..written]);
-        if let Some(footer) = &mut self.footer {
-            footer.update(&buffer[..written]);
+        let taken = buffer.len().min(BLOCK_BYTES - self.block.len());
+        self.block.extend_from_slice(&buffer[..taken]);
+        if self.block.len() == BLOCK_BYTES {
+            self.flush()?;
         }
-        self.bytes += written as u64;
-        Ok(written)
+        Ok(taken)
     }
     fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
+        self.file.write_all(&self.block)?;
+        self.hasher.update(&self.block);
+        if let Some(footer) = &mut self.footer {
+            footer.update(&self.block);
+        }
+        self.bytes += self.block.len() as u64;
+        self.block.clear();
+        Ok(())
     }
 }
 
@@ -98,8 +124,7 @@ impl TableWriter {
     /// # Errors
     /// When the file cannot be created.
     pub fn create(path: &Path, schema: &SchemaRef) -> Result<Self, ParquetError> {
-        let file = BufWriter::with_capacity(1 << 16, File::create(path)?);
-        let sink = Digesting { file, hasher: blake3::Hasher::new(), footer: None, bytes: 0 };
+        let sink = Digesting::new(File::create(path)?);
         let pages = Arc::new(ChunkPages::default());
         let options =
             ArrowWriterOptions::new().with_properties(properties(schema)).with_page_store_factory(pages.clone());
@@ -199,7 +224,7 @@ impl TableWriter {
         self.encode()?;
         self.writer.flush()?;
         let pages_end = self.writer.bytes_written() as u64;
-        self.writer.inner_mut().footer = Some(blake3::Hasher::new());
+        self.writer.inner_mut().begin_footer()?;
         for (key, value) in footer {
             self.writer.append_key_value_metadata(KeyValue::new((*key).to_owned(), value.clone()));
         }
@@ -238,7 +263,18 @@ fn row_bytes(batch: &RecordBatch) -> Vec<usize> {
     bytes
 }
 
-/// Codes are compressed; lists of floats are stored plain, since their low bits are noise; dictionaries only where texts repeat.
+/// Mark of a column that is not to be compressed, in the metadata of its field.
+const COMPRESSION: (&str, &str) = ("compression", "none");
+
+/// The same column, to be stored without compression.
+#[must_use]
+pub fn uncompressed(field: &Field) -> Field {
+    let mut metadata = field.metadata().clone();
+    metadata.insert(COMPRESSION.0.to_owned(), COMPRESSION.1.to_owned());
+    field.clone().with_metadata(metadata)
+}
+
+/// Codes are compressed, unless their field is marked; lists of floats are stored plain, since their low bits are noise; dictionaries only where texts repeat.
 fn properties(schema: &SchemaRef) -> WriterProperties {
     let zstd = Compression::ZSTD(ZstdLevel::try_new(1).expect("level 1 exists"));
     let mut properties = WriterProperties::builder()
@@ -256,14 +292,15 @@ fn properties(schema: &SchemaRef) -> WriterProperties {
         properties = properties
             .set_column_dictionary_enabled(path.clone(), false)
             .set_column_statistics_enabled(path.clone(), EnabledStatistics::None);
-        if !matches!(field.data_type(), DataType::BinaryView) {
+        let marked = field.metadata().get(COMPRESSION.0).is_some_and(|mark| mark == COMPRESSION.1);
+        if marked || !matches!(field.data_type(), DataType::BinaryView) {
             properties = properties.set_column_compression(path, Compression::UNCOMPRESSED);
         }
     }
     properties.build()
 }
 
-/// Batches of a file, of at most `rows` rows each, in order.
+/// Batches of a file, of at most `rows` rows each, in order; none has rows of two row groups. As many row groups as there are threads are decoded at a time.
 ///
 /// # Errors
 /// When the file is missing or is not Parquet.
@@ -271,8 +308,25 @@ pub fn read(
     path: &Path,
     rows: usize,
 ) -> Result<impl Iterator<Item = Result<RecordBatch, ParquetError>> + use<>, ParquetError> {
-    let reader = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?.with_batch_size(rows).build()?;
-    Ok(reader.map(|batch| batch.map_err(ParquetError::from)))
+    let metadata = ArrowReaderMetadata::load(&File::open(path)?, ArrowReaderOptions::new())?;
+    let groups = metadata.metadata().num_row_groups();
+    let path = path.to_owned();
+    let decode = move |group: usize| -> Vec<Result<RecordBatch, ParquetError>> {
+        // A file of its own each: clones of one would share its position.
+        let reader = File::open(&path).map_err(ParquetError::from).and_then(|file| {
+            let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata.clone());
+            builder.with_row_groups(vec![group]).with_batch_size(rows).build()
+        });
+        match reader {
+            Ok(reader) => reader.map(|batch| batch.map_err(ParquetError::from)).collect(),
+            Err(error) => vec![Err(error)],
+        }
+    };
+    let together = rayon::current_num_threads();
+    Ok((0..groups).step_by(together).flat_map(move |first| {
+        let decoded: Vec<_> = (first..groups.min(first + together)).into_par_iter().map(&decode).collect();
+        decoded.into_iter().flatten()
+    }))
 }
 
 /// Batches of a file that is on record, of at most `rows` rows each, in order. Its bytes are held against the record first: what follows decodes
