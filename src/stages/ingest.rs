@@ -82,7 +82,7 @@ impl Source for Ingest {
         "ingest"
     }
     fn version(&self) -> u32 {
-        4
+        3
     }
     fn params(&self) -> Value {
         let mut roles = self.roles.clone();

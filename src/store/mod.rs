@@ -2,6 +2,7 @@
 
 mod changes;
 pub mod damage;
+mod digesting;
 pub mod failure;
 pub mod lineage;
 pub mod lock;

@@ -4,7 +4,7 @@
 //! here. Groups are encoded by the worker pool and appended in order.
 
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -27,6 +27,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Digest;
 use super::damage;
+use super::digesting::Digesting;
 use super::failure::{At, StoreError};
 use super::page_checksums::{ChunkPages, with_checksums};
 
@@ -48,56 +49,6 @@ pub struct FileRecord {
     pub pages_end: u64,
     /// BLAKE3 of what follows the pages.
     pub footer: Digest,
-}
-
-/// Bytes that are digested and written at once: the Parquet crate hands them on in small pieces, which BLAKE3 takes one by one, where of large ones it takes
-/// sixteen kilobytes side by side.
-const BLOCK_BYTES: usize = 1 << 18;
-
-/// Passes bytes on to a file in blocks, and digests them on the way.
-struct Digesting {
-    file: File,
-    /// What waits for its block to be full.
-    block: Vec<u8>,
-    hasher: blake3::Hasher,
-    /// Of what is written after the pages; none before.
-    footer: Option<blake3::Hasher>,
-    bytes: u64,
-}
-
-impl Digesting {
-    fn new(file: File) -> Self {
-        let block = Vec::with_capacity(BLOCK_BYTES);
-        Self { file, block, hasher: blake3::Hasher::new(), footer: None, bytes: 0 }
-    }
-
-    /// Digests also what follows from here on for itself.
-    fn begin_footer(&mut self) -> io::Result<()> {
-        self.flush()?;
-        self.footer = Some(blake3::Hasher::new());
-        Ok(())
-    }
-}
-
-impl Write for Digesting {
-    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        let taken = buffer.len().min(BLOCK_BYTES - self.block.len());
-        self.block.extend_from_slice(&buffer[..taken]);
-        if self.block.len() == BLOCK_BYTES {
-            self.flush()?;
-        }
-        Ok(taken)
-    }
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.write_all(&self.block)?;
-        self.hasher.update(&self.block);
-        if let Some(footer) = &mut self.footer {
-            footer.update(&self.block);
-        }
-        self.bytes += self.block.len() as u64;
-        self.block.clear();
-        Ok(())
-    }
 }
 
 /// Writes one table of one part.
@@ -230,13 +181,8 @@ impl TableWriter {
         }
         let mut sink = self.writer.into_inner()?;
         sink.flush()?;
-        Ok(FileRecord {
-            rows: self.rows,
-            bytes: sink.bytes,
-            digest: sink.hasher.finalize().into(),
-            pages_end,
-            footer: sink.footer.unwrap_or_default().finalize().into(),
-        })
+        let (bytes, digest, footer) = sink.finish();
+        Ok(FileRecord { rows: self.rows, bytes, digest, pages_end, footer })
     }
 }
 
@@ -357,73 +303,4 @@ pub fn describe(path: &Path) -> Result<(SchemaRef, u64, Vec<(String, String)>), 
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::tables::{Name, Profile, Row};
-
-    fn profiles(count: i32, samples: usize) -> Vec<Profile> {
-        let name: Name = "a".into();
-        (0..count)
-            .map(|lit| Profile {
-                campaign: name.clone(),
-                sensor: name.clone(),
-                lit,
-                seen: 1,
-                role: name.clone(),
-                run: None,
-                range: None,
-                shots: 10,
-                rejected: 0,
-                clipped: 0,
-                t0_ps: 0.5,
-                dt_ps: 50.0,
-                mean_v: (0..samples).map(|i| (i as f64 * 0.1 + f64::from(lit)).sin()).collect(),
-                se_v: (0..samples).map(|_| 0.01).collect(),
-                noise_v: 0.1,
-                noise_acf: vec![1.0, 0.2].into(),
-                noise_model: None,
-                noise_samples: Some(640),
-                baseline_v: 0.0,
-                phase_shots: None,
-                jitter_ps: 0.0,
-                gain_sd: 0.0,
-                reference_ps: None,
-                reference_sd_ps: None,
-                reference_v_ps: None,
-                reference_sd_v_ps: None,
-                counts: None,
-                cycles: None,
-                gain_v: 0.001,
-                path_m: None,
-                path_sd_m: None,
-                attenuation_od: None,
-                power_w: None,
-                bounces: None,
-                acquired_at: None,
-            })
-            .collect()
-    }
-
-    #[test]
-    fn bytes_do_not_depend_on_batches_and_rows_read_back() {
-        let folder = tempfile::tempdir().unwrap();
-        let rows = profiles(900, 700);
-        let mut records = Vec::new();
-        for chunk in [1, 7, 900] {
-            let path = folder.path().join(format!("{chunk}.parquet"));
-            let mut writer = TableWriter::create(&path, &Profile::schema()).unwrap();
-            for rows in rows.chunks(chunk) {
-                writer.write(&Profile::to_batch(rows)).unwrap();
-            }
-            records.push(writer.finish(&[("lineage", "abc".to_owned())]).unwrap());
-            let read: Vec<Profile> =
-                read(&path, 64).unwrap().flat_map(|batch| Profile::rows(&batch.unwrap()).unwrap()).collect();
-            assert_eq!(read, rows);
-            let (_, count, footer) = describe(&path).unwrap();
-            assert_eq!(count, 900);
-            assert!(footer.contains(&("lineage".to_owned(), "abc".to_owned())));
-        }
-        assert!(records.windows(2).all(|pair| pair[0] == pair[1]), "{records:?}");
-        assert!(records[0].bytes > 2 * ROW_GROUP_BYTES as u64 / 2, "several row groups were meant: {records:?}");
-    }
-}
+mod tests;

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use periscope::formats::{self, Input, Source};
 use periscope::pipeline::run::Settings;
+use periscope::pipeline::spec::Spec;
 use periscope::tables::{Reject, Trace};
 
 use crate::lab::Lab;
@@ -32,6 +33,25 @@ fn a_rounded_step_is_corrected_only_when_told_and_on_record() {
     let rows: Vec<Trace> = lab.rows("out", "traces");
     assert!(!rows.is_empty() && rows.iter().all(|row| row.dt_ps == 50.0 && row.file_dt_ps == Some(rounded_ps)));
     assert!(rows.iter().zip(&plain).all(|(row, plain)| row.t0_ps == plain.t0_ps && row.codes == plain.codes));
+}
+
+#[test]
+fn codes_without_compression_are_the_same_rows() {
+    let lab = Lab::tiny();
+    let plain = "traces.compression='none'".to_owned();
+    lab.run_with("small", TRACES, &[], &Settings::default()).unwrap();
+    lab.run_with("plain", TRACES, std::slice::from_ref(&plain), &Settings::default()).unwrap();
+    let (small, rows): (Vec<Trace>, Vec<Trace>) = (lab.rows("small", "traces"), lab.rows("plain", "traces"));
+    assert!(!small.is_empty() && small == rows);
+    let bytes = |out: &str| -> u64 {
+        let files = fs::read_dir(lab.path(out).join("traces")).unwrap();
+        files.map(|file| fs::metadata(file.unwrap().path()).unwrap().len()).sum()
+    };
+    let codes: usize = rows.iter().map(|row| row.codes.len()).sum();
+    assert!(bytes("plain") > codes as u64 && bytes("small") < codes as u64, "{} {}", bytes("plain"), bytes("small"));
+    let unknown = Spec::parse("test", TRACES, &["traces.compression='lz4'".to_owned()]);
+    let error = unknown.map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("lz4") && error.contains("zstd") && error.contains("none"), "{error}");
 }
 
 #[test]
