@@ -72,11 +72,12 @@ def once(command, cwd):
 
 
 out = f"{args.work}/out"
+changes = 0
 text = open(os.path.join(here, "..", "pipelines", "average.toml")).read()
 if args.job == "each":  # the others keep onsets only
     for stage in ("average", "deconvolve"):
         text = text.replace(f'stage = "{stage}"', f'stage = "{stage}"\nkeep = false')
-for name, keep in (("plain", "keep = false"), ("kept", "keep = true")):
+for name, keep in (("plain", "keep = false"), ("kept", "keep = true"), ("open", 'keep = true\nparams = { compression = "none" }')):
     open(f"{args.work}/{name}.toml", "w").write(text.replace("keep = false", keep))
 
 
@@ -92,6 +93,14 @@ def ours(pipeline="plain", notes=True, threads=None):
         shutil.copytree(kept, f"{out}/.shelf/notes")
     command = [args.periscope, "run", f"{pipeline}.toml", "--campaign", "campaign", "--out", out, "--progress", "none"]
     return once(command + (["--threads", str(threads)] if threads else []), args.work)
+
+
+def again(pipeline):
+    """The averages and what follows, made anew in a result folder that has the traces, or else the hashes of the raw files."""
+    global changes
+    changes += 1
+    command = [args.periscope, "run", f"{pipeline}.toml", "--campaign", "campaign", "--out", out, "--progress", "none"]
+    return once(command + ["--set", f"profiles.recovery_ps={1000 + changes}"], args.work)
 
 
 def peer(name, python, script, *extra):
@@ -114,7 +123,11 @@ jobs = {
     "periscope, hashes known, 1 thread": lambda: ours(threads=1),
 }
 if args.job == "avg":
-    jobs["periscope, hashes known, traces kept"] = lambda: ours("kept")
+    jobs["periscope, analysed again from raw files"] = lambda: again("plain")
+    jobs["periscope, hashes known, traces kept, zstd"] = lambda: ours("kept")
+    jobs["periscope, analysed again from these"] = lambda: again("kept")
+    jobs["periscope, hashes known, traces kept, not compressed"] = lambda: ours("open")
+    jobs["periscope, analysed again from those"] = lambda: again("open")
 if args.strax:
     jobs["strax, 2 workers"] = lambda: peer("strax", args.strax, f"bench_{each}strax.py", "2")
 if args.dspeed:

@@ -1,7 +1,10 @@
 //! Kernels on the hot path, each beside a reference in the same run: the ratio is what counts. `cargo bench --bench kernels`.
 
 use std::hint::black_box;
+use std::sync::Arc;
 
+use arrow::array::{ArrayRef, BinaryViewArray, RecordBatch};
+use arrow::datatypes::{DataType, Field, Schema};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use periscope::signal::average::PhaseSums;
 use periscope::signal::codes::Codes;
@@ -10,6 +13,7 @@ use periscope::signal::onset;
 use periscope::signal::response::Response;
 use periscope::signal::sparse::{self, Profile, SparseOptions};
 use periscope::signal::wiener::{Transfer, Wiener};
+use periscope::store::parquet::{TableWriter, read_recorded, uncompressed};
 
 const SAMPLES: usize = 2048;
 
@@ -102,5 +106,55 @@ fn sparse_fit(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, average, deconvolve, sparse_fit);
+/// Codes of 4096 shots (16 MiB; 12 bits, noise of 6 codes) written as a table, and read back with their digest; in one thread. Reference: the same bytes written
+/// to a file, or read from it.
+fn table_of_codes(c: &mut Criterion) {
+    const SHOTS: usize = 4096;
+    let clean = shot();
+    let mut state = 1_u64;
+    let mut noise = || {
+        // The sum of twelve bytes is nearly normal.
+        let sum: u64 = (0..12)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                state >> 56
+            })
+            .sum();
+        ((sum as f64 - 1530.0) / 256.0 * 6.0) as i16
+    };
+    let shots: Vec<Vec<u8>> = (0..SHOTS)
+        .map(|_| {
+            let codes = clean.chunks_exact(2).map(|code| i16::from_le_bytes([code[0], code[1]]) / 2 + noise());
+            codes.flat_map(i16::to_le_bytes).collect()
+        })
+        .collect();
+    let all = shots.concat();
+    let array: ArrayRef = Arc::new(BinaryViewArray::from_iter_values(&shots));
+    let folder = tempfile::tempdir().unwrap();
+    let mut group = c.benchmark_group("table of codes");
+    group.throughput(Throughput::Bytes(all.len() as u64)).sample_size(20);
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let path = folder.path().join("reference");
+    group.bench_function("reference: write a file", |b| b.iter(|| std::fs::write(&path, &all).unwrap()));
+    group.bench_function("reference: read a file", |b| b.iter(|| black_box(std::fs::read(&path).unwrap())));
+    let codes = Field::new("codes", DataType::BinaryView, false);
+    for (name, field) in [("zstd", codes.clone()), ("not compressed", uncompressed(&codes))] {
+        let schema = Arc::new(Schema::new(vec![field]));
+        let batch = RecordBatch::try_new(schema.clone(), vec![array.clone()]).unwrap();
+        let path = folder.path().join(name);
+        let write = || {
+            let mut writer = TableWriter::create(&path, &schema).unwrap();
+            writer.write(&batch).unwrap();
+            writer.finish(&[]).unwrap()
+        };
+        group.bench_function(format!("write, {name}"), |b| one.install(|| b.iter(write)));
+        let record = one.install(write);
+        println!("{name}: {:.3} of the raw bytes", record.bytes as f64 / all.len() as f64);
+        let read = || read_recorded(&path, &record, 256).unwrap().map(|batch| batch.unwrap().num_rows()).sum::<usize>();
+        assert_eq!(one.install(read), SHOTS);
+        group.bench_function(format!("read, {name}"), |b| one.install(|| b.iter(read)));
+    }
+}
+
+criterion_group!(benches, average, deconvolve, sparse_fit, table_of_codes);
 criterion_main!(benches);
