@@ -6,6 +6,7 @@
 //! on a lock: parts have the same bytes whoever makes them, and appear by a rename.
 
 mod deal;
+mod pieces;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -15,7 +16,7 @@ use serde_json::json;
 use thiserror::Error;
 
 use super::cut::next_pass;
-use super::pass::{self, Ended};
+use super::pass::{self, Ended, Joined};
 use super::plan::{Plan, PlanError, Scope};
 use super::progress::Progress;
 use super::run::{amount, kept, whole};
@@ -27,7 +28,8 @@ use crate::stages::source::{OpenSource, Ticket};
 use crate::store::runs::RunRecord;
 use crate::store::{Digest, Shelf, StageId, StoreError};
 use crate::tables::{Reject, Row};
-pub use deal::{deal, prepare};
+pub use deal::{Dealt, deal, prepare};
+pub use pieces::{Cut, Whole};
 
 /// What stops a shard.
 #[derive(Debug, Error)]
@@ -67,6 +69,16 @@ pub enum ShardError {
         out: PathBuf,
         /// Key that was asked for.
         key: String,
+    },
+    /// What a piece has left is not as it was written.
+    #[error("what shard {key} has left is damaged; `periscope run-shard {key} --out {out}` makes it again")]
+    Damaged {
+        /// Key of the piece.
+        key: String,
+        /// Result folder.
+        out: PathBuf,
+        /// Where.
+        source: StoreError,
     },
     /// Nothing to gather.
     #[error("{0} has no shards to gather; `periscope plan PIPELINE --campaign DIR --out {0} --shards N` makes some")]
@@ -132,8 +144,11 @@ pub struct Job {
     pub until: Option<String>,
     /// The run that planned it, which ends when the shards are gathered.
     pub run: RunRecord,
-    /// Keys of its shards.
+    /// Keys of its shards, and of those pieces of parts that were not made before.
     pub shards: Vec<String>,
+    /// Keys of the shards of parts that are cut, and of all their pieces, in order.
+    #[serde(default)]
+    pub cut: BTreeMap<String, Vec<String>>,
 }
 
 /// A set of parts that one process makes.
@@ -164,11 +179,17 @@ pub struct Made {
     pub digest: Digest,
 }
 
-/// Makes what the plan wants and lacks, and shows none of it.
-fn make(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Result<(), RunError> {
+/// Makes what the plan wants and lacks, and shows none of it. What was joined of pieces is not read again.
+fn make(
+    plan: &mut Plan<'_>,
+    settings: &Settings,
+    progress: &Progress,
+    joined: Option<&Joined>,
+) -> Result<(), RunError> {
     settings.check()?;
     let mut content = BTreeMap::new();
-    while let Some(pass) = next_pass(plan) {
+    while let Some(mut pass) = next_pass(plan) {
+        pass.joined = joined.filter(|joined| pass.root == joined.source && pass.steps.contains(&pass.root)).cloned();
         let headings: Vec<&str> = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str()).collect();
         let (whole, wanted) = whole(plan);
         progress.pass(&headings, amount(plan, &pass), whole, wanted);
@@ -186,6 +207,10 @@ impl Shard {
     /// Its tickets.
     pub fn tickets(&self) -> impl Iterator<Item = &Ticket> {
         self.parts.values().flatten()
+    }
+
+    fn campaigns(&self) -> Result<Vec<Campaign>, CampaignError> {
+        self.work.campaigns.iter().map(|root| Campaign::load(root)).collect()
     }
 
     /// The plan of its parts alone.
@@ -225,13 +250,13 @@ impl Shard {
     /// The first failure, or that it was stopped; finished parts are kept.
     pub fn make(&self, key: &str, shelf: &Shelf, settings: &Settings, progress: &Progress) -> Result<Made, ShardError> {
         let spec = self.work.spec()?;
-        let campaigns = self.work.campaigns.iter().map(|root| Campaign::load(root)).collect::<Result<Vec<_>, _>>()?;
+        let campaigns = self.campaigns()?;
         let mut plan = self.plan(&spec, &campaigns, shelf)?;
         let there = |plan: &Plan<'_>| {
             plan.tables.iter().filter(|table| table.wanted).flat_map(|table| table.present.clone()).flatten().count()
         };
         let before = there(&plan);
-        make(&mut plan, settings, progress)?;
+        make(&mut plan, settings, progress, None)?;
         let mut made = Made {
             key: key.to_owned(),
             captures: self.tickets().map(|ticket| ticket.captures).sum(),
@@ -258,13 +283,40 @@ impl Shard {
     /// Whether nothing is missing of it.
     fn is_finished(&self, shelf: &Shelf) -> Result<bool, ShardError> {
         let spec = self.work.spec()?;
-        let campaigns = self.work.campaigns.iter().map(|root| Campaign::load(root)).collect::<Result<Vec<_>, _>>()?;
+        let campaigns = self.campaigns()?;
         let plan = self.plan(&spec, &campaigns, shelf)?;
         Ok(plan.tables.iter().all(|table| !table.wanted || table.complete()))
     }
 }
 
 impl Job {
+    /// Makes the parts whose pieces are there.
+    ///
+    /// # Errors
+    /// As [`Shard::join`].
+    pub fn join(
+        &self,
+        shelf: &Shelf,
+        settings: &Settings,
+        progress: &Progress,
+        tell: &mut dyn FnMut(&str),
+    ) -> Result<(), ShardError> {
+        for (key, pieces) in &self.cut {
+            let shard: Shard = shelf.shard(key)?.ok_or_else(|| absent(shelf, key))?;
+            // What is lacking is told with all else that is.
+            shard.join(pieces, shelf, settings, progress, tell)?;
+        }
+        Ok(())
+    }
+
+    fn is_finished(&self, key: &str, shelf: &Shelf) -> Result<bool, ShardError> {
+        if self.cut.values().flatten().any(|piece| piece == key) {
+            return Ok(shelf.piece(key)?.is_some());
+        }
+        let shard: Shard = shelf.shard(key)?.ok_or_else(|| absent(shelf, key))?;
+        shard.is_finished(shelf)
+    }
+
     /// Whether all that was dealt out is there; and gathers what was noted of raw files. The shelf must be held alone.
     ///
     /// # Errors
@@ -277,8 +329,7 @@ impl Job {
             }
             let mut keys = Vec::new();
             for key in &self.shards {
-                let shard: Shard = plan.shelf.shard(key)?.ok_or_else(|| absent(plan.shelf, key))?;
-                if !shard.is_finished(plan.shelf)? {
+                if !self.is_finished(key, plan.shelf)? {
                     keys.push(key.clone());
                 }
             }

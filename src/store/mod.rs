@@ -24,4 +24,5 @@ pub mod whole;
 pub use failure::StoreError;
 pub use lineage::Digest;
 pub use parquet::{FileRecord, TableWriter};
+pub use shards::PieceRecord;
 pub use shelf::{PartRecord, Shelf, StageId, TableRecord};
