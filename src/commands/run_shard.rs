@@ -35,12 +35,11 @@ pub fn run_shard(args: &RunShard) -> Result<ExitCode> {
     let settings = args.machine.settings(Settings::default());
     stop_on_signals(&settings.stop)?;
     let progress = Progress::new(args.machine.style());
-    let made = match cut {
-        Some(cut) => cut.make(&args.key, &shelf, &settings, &progress),
-        None => {
-            let shard: Shard = shelf.shard(&args.key)?.ok_or_else(|| absent(&shelf, &args.key))?;
-            shard.make(&args.key, &shelf, &settings, &progress)
-        }
+    let made = if let Some(cut) = cut {
+        cut.make(&args.key, &shelf, &settings, &progress)
+    } else {
+        let shard: Shard = shelf.shard(&args.key)?.ok_or_else(|| absent(&shelf, &args.key))?;
+        shard.make(&args.key, &shelf, &settings, &progress)
     };
     let made = match made {
         Err(ShardError::Run(error @ RunError::Interrupted { .. })) => return Err(error.into()),

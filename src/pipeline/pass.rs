@@ -200,7 +200,7 @@ pub fn run(
 }
 
 /// Finished tables beside a step, from the shelf.
-pub fn tables_beside(plan: &Plan<'_>, step: usize) -> Result<BesideTables, RunError> {
+pub(super) fn tables_beside(plan: &Plan<'_>, step: usize) -> Result<BesideTables, RunError> {
     let mut tables = BTreeMap::new();
     for (name, heading) in &plan.spec.steps[step].with {
         let (input, table) = plan.spec.table(heading).expect("the pipeline was checked");

@@ -6,6 +6,7 @@
 //! on a lock: parts have the same bytes whoever makes them, and appear by a rename.
 
 mod deal;
+mod failure;
 mod pieces;
 
 use std::collections::BTreeMap;
@@ -13,7 +14,6 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use thiserror::Error;
 
 use super::cut::next_pass;
 use super::pass::{self, Ended, Joined};
@@ -26,87 +26,11 @@ use crate::campaign::{Campaign, CampaignError};
 use crate::stages::Node;
 use crate::stages::source::{OpenSource, Ticket};
 use crate::store::runs::RunRecord;
-use crate::store::{Digest, Shelf, StageId, StoreError};
+use crate::store::{Digest, Shelf, StageId};
 use crate::tables::{Reject, Row};
 pub use deal::{Dealt, deal, prepare};
-pub use pieces::{Cut, Whole};
-
-/// What stops a shard.
-#[derive(Debug, Error)]
-pub enum ShardError {
-    /// The pipeline that it carries.
-    #[error(transparent)]
-    Spec(#[from] SpecError),
-    /// A campaign.
-    #[error(transparent)]
-    Campaign(#[from] CampaignError),
-    /// The plan.
-    #[error(transparent)]
-    Plan(#[from] PlanError),
-    /// The run.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// The result folder.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// This process would make other parts than those that were asked for.
-    #[error(
-        "[{heading}]: planned and made here differ: {}; shards are made by the program that planned them, with campaign.toml as it was, on one kind of CPU",
-        changes.join("; ")
-    )]
-    Unlike {
-        /// Heading.
-        heading: String,
-        /// What differs.
-        changes: Vec<String>,
-    },
-    /// No such shard.
-    #[error(
-        "{out} has no shard {key}: it was gathered already, or planned anew; `periscope plan PIPELINE --campaign DIR --out {out} --shards N` lists what is missing"
-    )]
-    Absent {
-        /// Result folder.
-        out: PathBuf,
-        /// Key that was asked for.
-        key: String,
-    },
-    /// What a piece has left is not as it was written.
-    #[error("what shard {key} has left is damaged; `periscope run-shard {key} --out {out}` makes it again")]
-    Damaged {
-        /// Key of the piece.
-        key: String,
-        /// Result folder.
-        out: PathBuf,
-        /// Where.
-        source: StoreError,
-    },
-    /// Nothing to gather.
-    #[error("{0} has no shards to gather; `periscope plan PIPELINE --campaign DIR --out {0} --shards N` makes some")]
-    NoJob(PathBuf),
-    /// Shards are not finished.
-    #[error("{missing} of {parts} parts of {heading} are missing{}; what is finished is kept", unfinished(keys))]
-    Unfinished {
-        /// Heading of the table.
-        heading: String,
-        /// Parts that are missing.
-        missing: usize,
-        /// Parts that it has.
-        parts: usize,
-        /// Shards that are not finished.
-        keys: Vec<String>,
-    },
-}
-
-fn unfinished(keys: &[String]) -> String {
-    match keys {
-        [] => ", and belong to no shard: the campaign has changed since it was planned; plan again".to_owned(),
-        [first, ..] => format!(
-            ": {} shards are not finished ({}); run them, such as `periscope run-shard {first} --out ...`",
-            keys.len(),
-            keys.iter().take(3).map(String::as_str).collect::<Vec<_>>().join(", ")
-        ),
-    }
-}
+pub use failure::{ShardError, absent};
+pub use pieces::Cut;
 
 /// What all shards of a job have in common.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -303,7 +227,7 @@ impl Job {
     ) -> Result<(), ShardError> {
         for (key, pieces) in &self.cut {
             let shard: Shard = shelf.shard(key)?.ok_or_else(|| absent(shelf, key))?;
-            // What is lacking is told with all else that is.
+            // Pieces that are not made are told with all else that is not.
             shard.join(pieces, shelf, settings, progress, tell)?;
         }
         Ok(())
@@ -343,10 +267,4 @@ impl Job {
         }
         Ok(())
     }
-}
-
-/// That there is no shard of this key.
-#[must_use]
-pub fn absent(shelf: &Shelf, key: &str) -> ShardError {
-    ShardError::Absent { out: shelf.out().to_owned(), key: key.to_owned() }
 }

@@ -55,6 +55,7 @@ use crate::tables::traces::TraceColumns;
 use crate::tables::{Calibration, Name, Profile, Trace};
 use capture::Capture;
 use histogram::Histogram;
+use piece::Extent;
 
 /// Share of a record that is its baseline where the pipeline does not say.
 const BASELINE_SHARE: f64 = 0.1;
@@ -195,7 +196,7 @@ impl Fold for Average {
     fn begin(&self, known: &Known, first: Trace) -> State {
         match known.cycles(&first) {
             Some(cycles) => State::Counts(Box::new(Histogram::new(first, cycles))),
-            None => State::Analog(Box::new(Capture::new(first, false))),
+            None => State::Analog(Box::new(Capture::new(first, Extent::Whole))),
         }
     }
 

@@ -1,5 +1,7 @@
 //! A stage as the runtime sees it: batch in, batch out, in parallel over captures, rows in input order.
 
+mod pieces;
+
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -12,6 +14,8 @@ use serde_json::Value;
 use super::stage::{Beside, BesideTables, Fold, Grain, InPieces, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::tables::Row;
+use pieces::Pieces;
+pub use pieces::{Joining, Task};
 
 /// Rows that came out of a batch: main table first, then side tables, then rejects.
 #[derive(Clone, Default)]
@@ -71,15 +75,6 @@ pub trait Operator: Send + Sync {
     ) -> Result<Box<dyn Joining + 'a>, StageError>;
 }
 
-/// What is done with pieces of groups.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Task {
-    /// Their rows are added up.
-    Save,
-    /// Their subtotals are joined.
-    Join,
-}
-
 /// A stage at work.
 pub trait Running: Send {
     /// Takes a batch; gives the rows of all groups that ended within it.
@@ -92,19 +87,6 @@ pub trait Running: Send {
     /// # Errors
     /// When the table as a whole cannot be made.
     fn flush(&mut self) -> Result<Written, StageError>;
-}
-
-/// A stage at work on groups in pieces.
-pub trait Joining: Running {
-    /// Whether all is known by which later rows of the group are judged.
-    fn is_primed(&self) -> bool;
-    /// Forgets what the head of the group has added up.
-    fn forget(&mut self);
-    /// Adds subtotals: those of the open group among them.
-    ///
-    /// # Errors
-    /// When they do not fit.
-    fn absorb(&mut self, subtotals: &RecordBatch) -> Result<(), StageError>;
 }
 
 impl<S: Fold> Operator for S {
@@ -150,7 +132,7 @@ impl<S: Fold> Operator for S {
         let context = self.context(Stage::fields(self, campaigns), beside)?;
         let pieces = self.in_pieces().expect("a stage whose groups can be computed in pieces");
         let saves = (task == Task::Save).then_some(pieces);
-        Ok(Box::new(InPiecesGroups { groups: Groups { stage: self, context, open: BTreeMap::new(), saves }, pieces }))
+        Ok(Box::new(Pieces { groups: Groups { stage: self, context, open: BTreeMap::new(), saves }, pieces }))
     }
 }
 
@@ -263,41 +245,6 @@ impl<S: Fold> Running for Groups<'_, S> {
     fn flush(&mut self) -> Result<Written, StageError> {
         let states: Vec<_> = std::mem::take(&mut self.open).into_values().collect();
         self.end(states)
-    }
-}
-
-/// Groups of which each is computed in pieces; one is open at a time.
-struct InPiecesGroups<'a, S: Fold> {
-    groups: Groups<'a, S>,
-    pieces: &'a dyn InPieces<S>,
-}
-
-impl<S: Fold> Running for InPiecesGroups<'_, S> {
-    fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError> {
-        self.groups.push(batch)
-    }
-    fn flush(&mut self) -> Result<Written, StageError> {
-        self.groups.flush()
-    }
-}
-
-impl<S: Fold> Joining for InPiecesGroups<'_, S> {
-    fn is_primed(&self) -> bool {
-        self.groups.open.values().all(|state| self.pieces.is_primed(&self.groups.context, state))
-    }
-
-    fn forget(&mut self) {
-        self.groups.open.values_mut().for_each(|state| self.pieces.forget(state));
-    }
-
-    fn absorb(&mut self, subtotals: &RecordBatch) -> Result<(), StageError> {
-        for (key, rows) in groups(subtotals, S::GRAIN) {
-            if let Some(state) = self.groups.open.get_mut(&key) {
-                let absorbed = self.pieces.absorb(state, &subtotals.slice(rows.start, rows.len()));
-                absorbed.map_err(StageError::Indivisible)?;
-            }
-        }
-        Ok(())
     }
 }
 

@@ -84,51 +84,41 @@ pub fn deal(plan: &Plan<'_>, common: Work, count: usize) -> Result<Dealt, StoreE
         beside: beside(plan, &steps).into_iter().map(|i| (heading(i), lineages(i))).collect(),
         ..common
     };
-    let lacks = |source: usize, part: usize| {
-        steps.iter().any(|&i| root(plan, i) == source && plan.tables[i].present.get(part).is_none_or(Option::is_none))
-    };
-    let sources = plan.sources.iter().filter(|(i, _)| steps.iter().any(|&step| root(plan, step) == **i));
-    let parts = sources.flat_map(|(&i, source)| (0..source.parts().len()).map(move |part| (i, part)));
-    let missing: Vec<Missing> = parts
-        .filter(|&(i, part)| lacks(i, part))
-        .map(|(source, part)| {
-            let ticket = plan.sources[&source].ticket(part).expect("only what gives tickets is dealt out");
-            Missing { source, part, ticket }
-        })
-        .collect();
-    let shard = |parts| {
-        let shard = Shard { work: work.clone(), parts };
+    let missing = missing(plan, &steps);
+    let shard = |parts: &[&Missing]| {
+        let mut of_source: BTreeMap<String, Vec<Ticket>> = BTreeMap::new();
+        parts.iter().for_each(|part| of_source.entry(heading(part.source)).or_default().push(part.ticket.clone()));
+        let shard = Shard { work: work.clone(), parts: of_source };
         (Digest::of(&json!(shard)).short(), shard)
     };
-    let alone = |missing: &Missing| shard(BTreeMap::from([(heading(missing.source), vec![missing.ticket.clone()])]));
-    let Large { mut most, uncut } = large(plan, &missing, count);
-    // Parts that were cut before keep their pieces, where some are made.
+    let Large { mut most, mut uncut } = large(plan, &missing, count);
     let mut cut: BTreeMap<usize, (String, Shard, Vec<(String, Cut)>)> = BTreeMap::new();
-    let mut hands_taken = 0;
-    for &i in most.clone().keys() {
-        let (key, shard) = alone(&missing[i]);
+    let mut taken = 0;
+    let cut_in = |i: usize, count: usize, of: &str| -> Result<Vec<(String, Cut)>, String> {
+        let parts =
+            plan.sources[&missing[i].source].divisible().expect("a source that cuts, since it was asked into how many");
+        Ok(keyed(of, parts.cut(missing[i].part, count)?))
+    };
+    // As before, where some of these pieces are made of the files as they are now.
+    for i in most.keys().copied().collect::<Vec<_>>() {
+        let (key, shard) = shard(&[&missing[i]]);
         let pieces = earlier(plan.shelf, &key)?;
         let unmade = unmade(plan.shelf, &pieces)?;
-        if unmade < pieces.len() {
+        if unmade < pieces.len() && cut_in(i, pieces.len(), &key).as_ref() == Ok(&pieces) {
             most.remove(&i);
-            hands_taken += unmade;
+            taken += unmade;
             cut.insert(i, (key, shard, pieces));
         }
     }
-    let bytes = |i: &usize| missing[*i].ticket.bytes;
+    let bytes = |i: usize| missing[i].ticket.bytes;
     let rest = (0..missing.len()).filter(|i| !cut.contains_key(i) && !most.contains_key(i));
-    let rest_bytes: u64 = rest.map(|i| bytes(&i)).sum();
-    let wanted = most.iter().map(|(i, most)| (bytes(i), *most)).collect::<Vec<_>>();
-    let shares = shares(rest_bytes, &wanted, count.saturating_sub(hands_taken));
-    let mut uncut = uncut;
-    for (&i, share) in most.keys().zip(shares) {
-        let Missing { source, part, .. } = missing[i];
-        let parts = plan.sources[&source].divisible().expect("it was asked before");
-        match if share > 1 { parts.cut(part, share) } else { Ok(Vec::new()) } {
+    let wanted: Vec<(u64, usize)> = most.iter().map(|(i, most)| (bytes(*i), *most)).collect();
+    let shares = shares(rest.map(bytes).sum(), &wanted, count.saturating_sub(taken));
+    for (&i, share) in most.keys().zip(shares).filter(|(_, share)| *share > 1) {
+        let (key, shard) = shard(&[&missing[i]]);
+        match cut_in(i, share, &key) {
             Ok(pieces) if pieces.len() > 1 => {
-                let (key, shard) = alone(&missing[i]);
-                hands_taken += pieces.len();
-                let pieces = keyed(&key, pieces);
+                taken += pieces.len();
                 cut.insert(i, (key, shard, pieces));
             }
             Ok(_) => {}
@@ -136,19 +126,25 @@ pub fn deal(plan: &Plan<'_>, common: Work, count: usize) -> Result<Dealt, StoreE
         }
     }
     let rest: Vec<&Missing> = (0..missing.len()).filter(|i| !cut.contains_key(i)).map(|i| &missing[i]).collect();
-    let hands = hands(
-        &rest.iter().map(|missing| missing.ticket.bytes).collect::<Vec<_>>(),
-        count.saturating_sub(hands_taken).max(1),
-    );
-    let mut rest = rest.into_iter();
-    let hand = |size| {
-        let mut parts: BTreeMap<String, Vec<Ticket>> = BTreeMap::new();
-        let of_hand = rest.by_ref().take(size);
-        of_hand.for_each(|missing| parts.entry(heading(missing.source)).or_default().push(missing.ticket.clone()));
-        shard(parts)
-    };
-    let shards = hands.into_iter().map(hand).collect();
+    let bytes: Vec<u64> = rest.iter().map(|missing| missing.ticket.bytes).collect();
+    let mut rest = &rest[..];
+    let hand = |size| shard(rest.split_off(..size).expect("hands hold no more than there are"));
+    let shards = hands(&bytes, count.saturating_sub(taken).max(1)).into_iter().map(hand).collect();
     Ok(Dealt { work: work.clone(), shards, cut: cut.into_values().collect(), uncut })
+}
+
+/// The parts that lack any of these steps.
+fn missing(plan: &Plan<'_>, steps: &[usize]) -> Vec<Missing> {
+    let lacks = |source: usize, part: usize| {
+        steps.iter().any(|&i| root(plan, i) == source && plan.tables[i].present.get(part).is_none_or(Option::is_none))
+    };
+    let sources = plan.sources.iter().filter(|(i, _)| steps.iter().any(|&step| root(plan, step) == **i));
+    let parts = sources.flat_map(|(&i, source)| (0..source.parts().len()).map(move |part| (i, part)));
+    let missing = parts.filter(|&(i, part)| lacks(i, part)).map(|(source, part)| {
+        let ticket = plan.sources[&source].ticket(part).expect("only what gives tickets is dealt out");
+        Missing { source, part, ticket }
+    });
+    missing.collect()
 }
 
 /// Parts that are more than a fair share, by their number among the missing ones.
@@ -164,7 +160,8 @@ fn large(plan: &Plan<'_>, missing: &[Missing], count: usize) -> Large {
     let (mut most, mut uncut) = (BTreeMap::new(), BTreeSet::new());
     for (i, Missing { source, part, ticket }) in missing.iter().enumerate() {
         let Some(parts) = plan.sources[source].divisible() else { continue };
-        if u128::from(ticket.bytes) * count as u128 <= total {
+        let shares = u128::from(ticket.bytes) * count as u128;
+        if shares <= total {
             continue;
         }
         let is_lacking = |step: &usize| plan.tables[*step].present.get(*part).is_none_or(Option::is_none);
@@ -174,9 +171,10 @@ fn large(plan: &Plan<'_>, missing: &[Missing], count: usize) -> Large {
                 // What else is missing is made of finished rows.
                 Ok(step) if is_lacking(&step) => _ = most.insert(i, pieces),
                 Ok(_) => {}
-                Err(why) => _ = uncut.insert(why),
+                // Shards are never quite even; what is said is what keeps them from being about so.
+                Err(why) => _ = (shares > 2 * total).then(|| uncut.insert(why)),
             },
-            Err(why) => _ = uncut.insert(why),
+            Err(why) => _ = (shares > 2 * total).then(|| uncut.insert(why)),
         }
     }
     Large { most, uncut: uncut.into_iter().collect() }

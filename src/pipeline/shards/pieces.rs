@@ -5,6 +5,7 @@
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
 
 use arrow::record_batch::RecordBatch;
 use serde::{Deserialize, Serialize};
@@ -13,7 +14,7 @@ use serde_json::json;
 use super::{Made, Shard, ShardError, absent, make};
 use crate::pipeline::pass::{Joined, tables_beside};
 use crate::pipeline::plan::Plan;
-use crate::pipeline::progress::Progress;
+use crate::pipeline::progress::{Amount, Progress};
 use crate::pipeline::settings::{RunError, Settings};
 use crate::stages::Node;
 use crate::stages::operator::{Joining, Operator, Task, Written};
@@ -123,7 +124,7 @@ impl Feed for Adding<'_> {
     }
 
     fn send(&self, batch: RecordBatch, _: Credit) -> Result<(), StageError> {
-        if self.settings.stop.load(std::sync::atomic::Ordering::Relaxed) {
+        if self.settings.stop.load(Ordering::Relaxed) {
             return Err(StageError::Stopped);
         }
         self.is_fed.set(true);
@@ -198,7 +199,7 @@ impl Cut {
         let step = adder(plan, source).map_err(|_| absent(plan.shelf, key))?;
         let schema = operator(plan, step).and_then(Operator::subtotals).expect("it adds up");
         let headings = [plan.spec.steps[step].heading.as_str()];
-        progress.pass(&headings, crate::pipeline::progress::Amount::Bytes(self.piece.bytes), 0, 1);
+        progress.pass(&headings, Amount::Bytes(self.piece.bytes), 0, 1);
         let adding = Adding::start(plan, step, Task::Save, settings, progress)?;
         let read = parts.read_piece(0, &self.piece, settings.batch_bytes, &adding);
         let read = read.and_then(|learnt| Ok((learnt, adding.end()?)));
@@ -218,17 +219,8 @@ fn intact(shelf: &Shelf, key: &str) -> Option<PieceRecord> {
     shelf.subtotals(key, &record).is_ok().then_some(record)
 }
 
-/// What becomes of a part whose pieces are looked at.
-#[derive(Debug, PartialEq, Eq)]
-pub enum Whole {
-    /// It is on the shelf.
-    There,
-    /// It waits for these pieces.
-    Lacks(Vec<String>),
-}
-
 impl Shard {
-    /// Makes its one part from its pieces, if they are there; whole, where one of them says that it must be: then `tell` hears why.
+    /// Makes its one part from its pieces, if all are there; whole, where one of them says that it must be: then `tell` hears why.
     ///
     /// # Errors
     /// The first failure, or that it was stopped; finished pieces are kept.
@@ -239,23 +231,24 @@ impl Shard {
         settings: &Settings,
         progress: &Progress,
         tell: &mut dyn FnMut(&str),
-    ) -> Result<Whole, ShardError> {
+    ) -> Result<(), ShardError> {
         let spec = self.work.spec()?;
         let campaigns = self.campaigns()?;
         let mut plan = self.plan(&spec, &campaigns, shelf)?;
         if plan.tables.iter().all(|table| !table.wanted || table.complete()) {
-            return Ok(Whole::There);
+            return Ok(());
         }
-        let (mut pieces, mut lacks) = (Vec::new(), Vec::new());
+        let mut pieces = Vec::new();
         for key in keys {
-            let damaged = |source| ShardError::Damaged { key: key.clone(), out: shelf.out().to_owned(), source };
+            let damaged = |source| ShardError::Damaged {
+                key: key.clone(),
+                out: shelf.out().to_owned(),
+                source: Box::new(source),
+            };
             match shelf.piece(key).map_err(damaged)?.zip(shelf.cut::<Cut>(key)?) {
                 Some((record, cut)) => pieces.push((key.as_str(), cut.piece, record)),
-                None => lacks.push(key.clone()),
+                None => return Ok(()),
             }
-        }
-        if !lacks.is_empty() {
-            return Ok(Whole::Lacks(lacks));
         }
         let joined = match joined(&plan, &pieces, settings, progress) {
             Ok(joined) => Some(joined),
@@ -268,7 +261,7 @@ impl Shard {
             Err(error) => return Err(error),
         };
         make(&mut plan, settings, progress, joined.as_ref())?;
-        Ok(Whole::There)
+        Ok(())
     }
 }
 
@@ -294,7 +287,7 @@ fn joined(
             let damaged = |source: StoreError| ShardError::Damaged {
                 key: (*key).to_owned(),
                 out: plan.shelf.out().to_owned(),
-                source,
+                source: Box::new(source),
             };
             for batch in plan.shelf.subtotals(key, record).map_err(damaged)? {
                 adding.absorb(&batch.map_err(damaged)?).map_err(run)?;

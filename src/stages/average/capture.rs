@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::piece::Extent;
 use super::record::{self, Record};
 use super::reference::ReferencePulse;
 use super::shots::{Shots, view};
@@ -26,8 +27,7 @@ pub struct Capture {
     first_pulse_ps: Option<f64>,
     missing_template: bool,
     has_reference: bool,
-    /// Whether it is a piece of a capture, and will be saved.
-    is_piece: bool,
+    extent: Extent,
 }
 
 /// Whether times of a capture of this role are used.
@@ -37,7 +37,7 @@ fn needs_reference(row: &Trace) -> bool {
 
 impl Capture {
     /// No record yet; `first` has the key. A piece can be saved.
-    pub fn new(first: Trace, is_piece: bool) -> Self {
+    pub fn new(first: Trace, extent: Extent) -> Self {
         Self {
             first,
             ranges: BTreeMap::new(),
@@ -46,7 +46,7 @@ impl Capture {
             first_pulse_ps: None,
             missing_template: false,
             has_reference: false,
-            is_piece,
+            extent,
         }
     }
 
@@ -82,7 +82,7 @@ impl Capture {
         }
         let range = columns.range.value(i);
         if !self.ranges.contains_key(range) {
-            let shots = Shots::new(average, known, Trace::read(columns, i), self.is_piece);
+            let shots = Shots::new(average, known, Trace::read(columns, i), self.extent);
             self.ranges.insert(range.into(), shots);
         }
         let shots = self.ranges.get_mut(range).expect("put there if it was not");

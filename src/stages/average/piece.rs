@@ -12,6 +12,15 @@ use crate::tables::{Row, Subtotal, Trace};
 /// Up to so many codes of 32 bits have sums below 2^53, in any order: whole numbers that `f64` holds exactly.
 const EXACT_SHOTS: u64 = 1 << 21;
 
+/// How much of a capture is added up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extent {
+    /// All of it; or pieces are joined to it.
+    Whole,
+    /// A piece, which will be saved.
+    Piece,
+}
+
 impl InPieces<Self> for Average {
     fn schema(&self) -> SchemaRef {
         Subtotal::schema()
@@ -20,7 +29,7 @@ impl InPieces<Self> for Average {
     fn begin(&self, known: &Known, first: Trace) -> State {
         match known.cycles(&first) {
             Some(cycles) => State::Counts(Box::new(Histogram::new(first, cycles))),
-            None => State::Analog(Box::new(Capture::new(first, true))),
+            None => State::Analog(Box::new(Capture::new(first, Extent::Piece))),
         }
     }
 

@@ -1,18 +1,20 @@
 //! The shots of a capture at one vertical range, under way to their mean.
 
+mod piece;
+
 use std::iter::empty;
 
 use super::clipping::Clipping;
 use super::noise::Noise;
-use super::piece::{exact, nothing};
+use super::piece::Extent;
 use super::record::Record;
 use super::reference::{ReferencePulse, References};
 use super::{Average, Known};
-use crate::signal::average::{Mean, PHASES, PhaseSum, PhaseSums};
+use crate::signal::average::{Mean, PHASES, PhaseSums};
 use crate::signal::codes::Codes as Samples;
 use crate::signal::noise;
 use crate::signal::shot_spread::{HEAD_SHOTS, OutlierTest};
-use crate::tables::{Codes, Profile, Subtotal, Trace};
+use crate::tables::{Codes, Profile, Trace};
 
 /// Records of fewer samples are hardly ever meant.
 const SAMPLES_FEW: i32 = 100;
@@ -33,8 +35,11 @@ struct Tally {
 }
 
 impl Tally {
-    fn new(samples: usize, is_piece: bool) -> Self {
-        let references = if is_piece { References::keeping() } else { References::default() };
+    fn new(samples: usize, extent: Extent) -> Self {
+        let references = match extent {
+            Extent::Whole => References::default(),
+            Extent::Piece => References::keeping(),
+        };
         Self { sums: PhaseSums::new(samples), references }
     }
 
@@ -71,8 +76,7 @@ pub struct Shots {
     /// Shots that are whole, and those with clipped samples: these count where another range has what they lack.
     whole: Tally,
     cut: Tally,
-    /// Whether these are to be saved.
-    is_piece: bool,
+    extent: Extent,
     clipping: Clipping,
     pub rejected: i32,
     /// Of these, clipped.
@@ -82,7 +86,7 @@ pub struct Shots {
 
 impl Shots {
     /// None yet; those of a piece can be saved.
-    pub fn new(average: &Average, known: &Known, first: Trace, is_piece: bool) -> Self {
+    pub fn new(average: &Average, known: &Known, first: Trace, extent: Extent) -> Self {
         let samples = first.samples as usize;
         Self {
             baseline: average.baseline_samples(&first),
@@ -92,9 +96,9 @@ impl Shots {
             head: Vec::new(),
             test: None,
             noise: None,
-            whole: Tally::new(samples, is_piece),
-            cut: Tally::new(samples, is_piece),
-            is_piece,
+            whole: Tally::new(samples, extent),
+            cut: Tally::new(samples, extent),
+            extent,
             clipping: Clipping::new(average, first.dt_ps),
             rejected: 0,
             clipped: 0,
@@ -184,87 +188,12 @@ impl Shots {
         mean.mean[start..start + count].iter().sum::<f64>() / count as f64
     }
 
-    /// Whether the first shots are there, by which others are judged.
-    pub fn is_primed(&self) -> bool {
-        self.noise.is_some()
-    }
-
-    /// Forgets what was added up, but not what others are judged by. Where the first shots are fewer than it takes, there are no others.
-    pub fn forget(&mut self, average: &Average) {
-        if !self.head.is_empty() {
-            self.close_head(average);
-        }
-        let samples = self.first.samples as usize;
-        (self.whole, self.cut) = (Tally::new(samples, self.is_piece), Tally::new(samples, self.is_piece));
-        self.clipping.forget();
-        (self.rejected, self.clipped, self.other_scale) = (0, 0, 0);
-    }
-
-    /// What a piece adds up to: for shots of either kind a row of counts, and one a phase.
-    pub fn save(mut self, average: &Average) -> Result<Vec<Subtotal>, String> {
-        if !self.head.is_empty() {
-            self.close_head(average);
-        }
-        exact(&self.first, self.whole.sums.shots() + self.cut.sums.shots())?;
-        let mut subtotals = Vec::new();
-        for (is_cut, Tally { sums, references }) in [(false, &self.whole), (true, &self.cut)] {
-            let pulses = |value: fn(&ReferencePulse) -> f64| references.kept().iter().map(value).collect();
-            let counts = Subtotal {
-                is_cut,
-                reference_ps: pulses(|pulse| pulse.time_ps),
-                reference_sd_ps: pulses(|pulse| pulse.time_sd_ps),
-                reference_v_ps: pulses(|pulse| pulse.v_ps),
-                ..nothing(&self.first)
-            };
-            subtotals.push(counts);
-            subtotals.extend(sums.phases().map(|sum| Subtotal {
-                is_cut,
-                phase: Some(sum.phase as i32),
-                shots: sum.shots as i64,
-                first: sum.first,
-                covered_from: sum.covered.0,
-                covered_to: sum.covered.1,
-                sums: sum.sums,
-                ..nothing(&self.first)
-            }));
-        }
-        // What is counted for both kinds together stands in the first row.
-        subtotals[0].clipped_places = self.clipping.places().collect();
-        subtotals[0].rejected = i64::from(self.rejected);
-        subtotals[0].clipped = i64::from(self.clipped);
-        subtotals[0].other_scale = i64::from(self.other_scale);
-        Ok(subtotals)
-    }
-
-    /// Adds a row of what the next piece adds up to.
-    pub fn absorb(&mut self, subtotal: Subtotal) -> Result<(), String> {
-        self.rejected += subtotal.rejected as i32;
-        self.clipped += subtotal.clipped as i32;
-        self.other_scale += subtotal.other_scale as i32;
-        self.clipping.absorb(subtotal.clipped_places);
-        let tally = if subtotal.is_cut { &mut self.cut } else { &mut self.whole };
-        let pulses = subtotal.reference_ps.iter().zip(&subtotal.reference_sd_ps).zip(&subtotal.reference_v_ps);
-        for ((&time_ps, &time_sd_ps), &v_ps) in pulses {
-            tally.references.add(ReferencePulse { time_ps, time_sd_ps, v_ps });
-        }
-        if let Some(phase) = subtotal.phase {
-            tally.sums.absorb_phase(PhaseSum {
-                phase: phase as usize,
-                first: subtotal.first,
-                sums: subtotal.sums,
-                shots: subtotal.shots as u64,
-                covered: (subtotal.covered_from, subtotal.covered_to),
-            });
-        }
-        exact(&self.first, self.whole.sums.shots() + self.cut.sums.shots())
-    }
-
     /// The mean of all shots; of those with clipped samples only where there are `several` ranges.
     pub fn finish(mut self, average: &Average, several: bool) -> Result<Record, String> {
         if self.noise.is_none() {
             self.close_head(average);
         }
-        let cut = std::mem::replace(&mut self.cut, Tally::new(self.first.samples as usize, false));
+        let cut = std::mem::replace(&mut self.cut, Tally::new(self.first.samples as usize, Extent::Whole));
         if several {
             self.whole.absorb(cut);
         } else {
