@@ -1,4 +1,4 @@
-"""What more than one process costs and brings, for docs/scale.md: a shard beside its work, two workers on two cores, plans of many captures, captures in pieces.
+"""What more than one process costs and brings, for docs/scale.md: a shard beside its work, two workers on two cores, many captures, captures in pieces.
 
 PERISCOPE=target/release/periscope target/python-cluster/bin/python benches/scale.py shards    # or many, or pieces
 """
@@ -149,7 +149,7 @@ def pieces(folder: Path) -> None:
         state = 0.0
         for turn in range(REPEATS):
             out = folder / f"{name}-{turn}"
-            where = [folder / f"{name}.toml", "--campaign", folder / name, "--set", "traces.keep=false", "--out"]
+            where: list[str | Path] = [folder / f"{name}.toml", "--campaign", folder / name, "--set", "traces.keep=false", "--out"]
             before = cpu_s()
             call("run", *where, folder / f"one-{name}-{turn}", "--threads", "1")
             cpu["one process"].append(cpu_s() - before)
@@ -168,7 +168,8 @@ def pieces(folder: Path) -> None:
         print(f"{name}: {size / 1e6:.0f} MB in {len(lines)} pieces; seconds of CPU, median of {REPEATS} (all):")
         for what, times in cpu.items():
             print(f"  {what:12} {middle[what]:7.4f}  ({', '.join(f'{seconds:.4f}' for seconds in times)})")
-        beside, joining = middle["piece"] - middle["one process"] / len(lines), middle["gather"] / len(lines)
+        work = (middle["one process"] - middle["plan"]) / len(lines)
+        beside, joining = middle["piece"] - work, middle["gather"] / len(lines)
         print(f"  a piece beside its work: {1000 * beside:.1f} ms; it leaves {state / 1e3:.0f} kB; to gather: {1000 * joining:.1f} ms a piece")
 
 
