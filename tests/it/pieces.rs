@@ -301,6 +301,14 @@ fn finished_pieces_are_kept_by_the_next_plan_and_a_run_does_without_them() {
     large.make_all(pieces.iter().take(2).chain(&whole), "out");
     let (left, none) = large.plan("out", "8");
     assert_eq!((left.as_slice(), none.len()), (&pieces[2..], 0), "the same pieces, though less is missing");
+    // Not of a file that is another by then: nobody could say what the first pieces have read.
+    let file = fs::File::options().append(true).open(large.raw("L2_P1.npy")).unwrap();
+    let time = file.metadata().unwrap().modified().unwrap();
+    file.set_modified(time + Duration::from_secs(1)).unwrap();
+    assert!(large.plan("touched", "8").0.len() == pieces.len() && large.plan("out", "8").0.len() > left.len());
+    file.set_modified(time).unwrap();
+    let (again, _) = large.plan("out", "8");
+    large.make_all(&again[..2], "out");
     // A run follows instead.
     large.job("run", "out", &["--set", TRACES]);
     large.job("run", "single", &["--set", TRACES]);
