@@ -1,11 +1,13 @@
-"""What more than one process costs and brings, for docs/scale.md: a shard beside its work, two workers on two cores, plans of many captures.
+"""What more than one process costs and brings, for docs/scale.md: a shard beside its work, two workers on two cores, many captures, captures in pieces.
 
-PERISCOPE=target/release/periscope target/python-cluster/bin/python benches/scale.py shards    # or many
+PERISCOPE=target/release/periscope target/python-cluster/bin/python benches/scale.py shards    # or many, or pieces
 """
 
 from __future__ import annotations
 
+import json
 import os
+import random
 import resource
 import statistics
 import subprocess
@@ -121,6 +123,56 @@ def many(folder: Path) -> None:
     print(f"plan of {MANY} captures: {seconds:.2f} s, {cpu_s() - used:.2f} s of CPU, {each}")
 
 
+def pieces(folder: Path) -> None:
+    """One capture in pieces: long records without jitter, and short ones with a reference channel."""
+    (folder / "arrays/raw").mkdir(parents=True)
+    rule = "[[captures]]\nrole = 'scene'\nfiles = 'raw/L{lit}_P{seen}.npy'\ndt_ps = 50.0\nt0_ps = 0.0\ngain_v = 0.001\noffset_v = 0.0\n"
+    (folder / "arrays/campaign.toml").write_text(f"[campaign]\nname = 'arrays'\n[sensors.s1]\n{rule}")
+    head = "{'descr': '<i2', 'fortran_order': False, 'shape': (60000, 10000), }"
+    head += " " * (118 - len(head) - 1) + "\n"
+    dice = random.Random(1)  # noqa: S311  # noise, no secret
+    light = range(5000, 5100)
+    shots = [b"".join((dice.randrange(-6, 7) + 900 * (n in light)).to_bytes(2, "little", signed=True) for n in range(10_000)) for _ in range(50)]
+    with (folder / "arrays/raw/L1_P1.npy").open("wb") as file:
+        file.write(b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head.encode())
+        file.writelines(dice.choice(shots) for _ in range(60_000))
+    (folder / "arrays.toml").write_text("[traces]\nstage = 'ingest'\n[profiles]\nstage = 'average'\nfrom = 'traces'\n")
+    scene = (ROOT / "pipelines/scenes/around-the-corner.toml").read_text()
+    (folder / "scene.toml").write_text(scene.replace("\nshots = 200\n", "\nshots = 100000\nlit = [2]\nseen = [3]\n"))
+    call("simulate", folder / "scene.toml", "--out", folder / "sequence")
+    (folder / "sequence.toml").write_text(PIPELINE.read_text().split("[visible_labels]")[0])
+    for name, part_bytes in (("arrays", 16_000_000), ("sequence", 4_000_000)):
+        keys = folder / name / "campaign.toml"
+        keys.write_text(keys.read_text().replace("[campaign]\n", f"[campaign]\npart_bytes = {part_bytes}\n", 1))
+        size = sum(file.stat().st_size for file in (folder / name / "raw").rglob("*") if file.is_file())
+        cpu: dict[str, list[float]] = {"one process": [], "plan": [], "piece": [], "gather": []}
+        state = 0.0
+        for turn in range(REPEATS):
+            out = folder / f"{name}-{turn}"
+            where: list[str | Path] = [folder / f"{name}.toml", "--campaign", folder / name, "--set", "traces.keep=false", "--out"]
+            before = cpu_s()
+            call("run", *where, folder / f"one-{name}-{turn}", "--threads", "1")
+            cpu["one process"].append(cpu_s() - before)
+            before = cpu_s()
+            lines = call("plan", *where, out, "--shards", str(SHARDS), "--json")[1].splitlines()
+            cpu["plan"].append(cpu_s() - before)
+            before = cpu_s()
+            for line in lines:
+                call("run-shard", json.loads(line)["key"], "--out", out, "--threads", "1")
+            cpu["piece"].append((cpu_s() - before) / len(lines))
+            state = statistics.mean(file.stat().st_size for file in (out / ".shelf/shards").glob("*.subtotals.parquet"))
+            before = cpu_s()
+            call("gather", "--out", out, "--threads", "1")
+            cpu["gather"].append(cpu_s() - before)
+        middle = {what: statistics.median(times) for what, times in cpu.items()}
+        print(f"{name}: {size / 1e6:.0f} MB in {len(lines)} pieces; seconds of CPU, median of {REPEATS} (all):")
+        for what, times in cpu.items():
+            print(f"  {what:12} {middle[what]:7.4f}  ({', '.join(f'{seconds:.4f}' for seconds in times)})")
+        work = (middle["one process"] - middle["plan"]) / len(lines)
+        beside, joining = middle["piece"] - work, middle["gather"] / len(lines)
+        print(f"  a piece beside its work: {1000 * beside:.1f} ms; it leaves {state / 1e3:.0f} kB; to gather: {1000 * joining:.1f} ms a piece")
+
+
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as temporary:
-        {"shards": shards, "many": many}[sys.argv[1]](Path(temporary))
+        {"shards": shards, "many": many, "pieces": pieces}[sys.argv[1]](Path(temporary))

@@ -85,14 +85,14 @@ pub struct FileRecord {
 }
 
 /// Hashes as 64 hexadecimal digits.
-mod hexadecimal {
+pub(super) mod hexadecimal {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
-    pub(super) fn serialize<S: Serializer>(hash: &blake3::Hash, to: S) -> Result<S::Ok, S::Error> {
+    pub fn serialize<S: Serializer>(hash: &blake3::Hash, to: S) -> Result<S::Ok, S::Error> {
         to.serialize_str(&hash.to_hex())
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<blake3::Hash, D::Error> {
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<blake3::Hash, D::Error> {
         blake3::Hash::from_hex(String::deserialize(from)?).map_err(D::Error::custom)
     }
 }
@@ -283,7 +283,8 @@ impl FileRecord {
 }
 
 /// Time of the last change, nanoseconds since 1970; 0 where the file system has none.
-fn modified_ns(metadata: &Metadata) -> i64 {
+#[must_use]
+pub fn modified_ns(metadata: &Metadata) -> i64 {
     let Ok(time) = metadata.modified() else {
         return 0;
     };

@@ -1,5 +1,7 @@
 //! `periscope plan`.
 
+use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -8,7 +10,7 @@ use clap::Args;
 use periscope::pipeline::plan::{Action, Plan};
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::Settings;
-use periscope::pipeline::shards::{self, Job, Shard, Work};
+use periscope::pipeline::shards::{self, Cut, Dealt, Job, Shard, Work};
 use periscope::pipeline::spec::Spec;
 use periscope::store::Shelf;
 use periscope::store::runs::RunRecord;
@@ -96,22 +98,67 @@ fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
         campaigns: campaigns.iter().map(|campaign| campaign.root.clone()).collect(),
         ..Work::default()
     };
-    let (work, dealt) = shards::deal(&plan, work, count);
-    let keys = dealt.iter().map(|(key, _)| key.clone()).collect();
-    shelf.write_shards(&Job { work, until: args.until.clone(), run, shards: keys }, &dealt)?;
-    dealt.iter().for_each(|(key, shard)| tell(key, shard, args.json));
-    if dealt.is_empty() {
+    let Dealt { work, shards, cut, uncut } = shards::deal(&plan, work, count)?;
+    for why in uncut {
+        eprintln!("a part that is more than a fair share is not cut: {why}");
+    }
+    let mut pieces = Vec::new();
+    for (key, cut) in cut.iter().flat_map(|(_, _, pieces)| pieces) {
+        if shelf.piece(key)?.is_none() {
+            pieces.push((key, cut));
+        }
+    }
+    let keys = pieces.iter().map(|(key, _)| *key).chain(shards.iter().map(|(key, _)| key)).cloned().collect();
+    let keys_of = |pieces: &[(String, Cut)]| pieces.iter().map(|(key, _)| key.clone()).collect();
+    let job = Job {
+        work,
+        until: args.until.clone(),
+        run,
+        shards: keys,
+        cut: cut.iter().map(|(key, _, pieces)| (key.clone(), keys_of(pieces))).collect(),
+    };
+    let whole = cut.iter().map(|(key, shard, _)| (key, shard));
+    let files: Vec<_> = shards.iter().map(|(key, shard)| (key, shard)).chain(whole).collect();
+    let cuts: Vec<_> = cut.iter().flat_map(|(_, _, pieces)| pieces).map(|(key, cut)| (key, cut)).collect();
+    shelf.write_shards(&job, &files, &cuts)?;
+    pieces.iter().for_each(|(key, cut)| tell_piece(key, cut, args.json));
+    shards.iter().for_each(|(key, shard)| tell(key, shard, args.json));
+    let dealt = job.shards.len();
+    if dealt == 0 {
         eprintln!(
             "nothing is missing that shards make; `periscope gather --out {}` makes the rest",
             args.out.display()
         );
-    } else if dealt.len() < count {
+    } else if dealt < count {
         eprintln!(
-            "{} shards and not {count}: a shard holds whole parts; a smaller `part_bytes` in [campaign] of campaign.toml makes more of them",
-            dealt.len()
+            "{dealt} shards and not {count}: a shard holds whole parts, or a piece of one; a smaller `part_bytes` in [campaign] of campaign.toml makes more of them"
         );
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn tell_piece(key: &str, cut: &Cut, is_json: bool) {
+    let Cut { number, count, piece, .. } = cut;
+    let shots = |shots: &Range<usize>| [shots.start, shots.end];
+    let shots: BTreeMap<&Path, [usize; 2]> =
+        piece.shots.iter().map(|(file, of_file)| (file.as_path(), shots(of_file))).collect();
+    if is_json {
+        println!(
+            "{}",
+            json!({
+                "key": key, "captures": piece.captures.len(), "parts": 0, "piece": number, "pieces": count, "shots": shots,
+                "bytes": piece.bytes, "inputs": piece.files,
+            })
+        );
+    } else {
+        let (captures, bytes, files) = (piece.captures.len(), piece.bytes, piece.files.len());
+        let shots: Vec<String> =
+            shots.iter().map(|(file, [first, end])| format!("  shots {first}..{end} of {}", file.display())).collect();
+        println!(
+            "{key}  {captures:>9} captures  piece {number} of {count}  {bytes:>14} bytes  {files:>7} files{}",
+            shots.concat()
+        );
+    }
 }
 
 fn tell(key: &str, shard: &Shard, is_json: bool) {

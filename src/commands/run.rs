@@ -160,6 +160,10 @@ impl Job<'_> {
 
     /// Gives the lineages of the tables that are whole, also where it fails.
     fn compute(&self, whole: &mut BTreeMap<String, Digest>) -> Result<Outcome> {
+        let progress = Progress::new(self.style);
+        if let Some(shards) = self.shards {
+            shards.join(self.shelf, &self.settings, &progress, &mut |warning| eprintln!("warning: {warning}"))?;
+        }
         let mut plan = Plan::new(self.spec, self.campaigns, self.shelf, self.until)?;
         for warning in plan.warnings() {
             eprintln!("warning: {warning}");
@@ -167,7 +171,7 @@ impl Job<'_> {
         if let Some(shards) = self.shards {
             shards.check(&plan)?;
         }
-        let outcome = runner::run(&mut plan, &self.settings, &Progress::new(self.style));
+        let outcome = runner::run(&mut plan, &self.settings, &progress);
         let steps = self.spec.steps.iter().zip(&plan.tables);
         let kept = steps.filter(|(step, table)| step.keep && table.wanted && table.complete());
         whole.extend(kept.filter_map(|(step, table)| Some((step.heading.clone(), table.lineage()?))));

@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::Args;
 use periscope::pipeline::progress::Progress;
 use periscope::pipeline::run::{RunError, Settings};
-use periscope::pipeline::shards::{Shard, ShardError, absent};
+use periscope::pipeline::shards::{Cut, Shard, ShardError, absent};
 use periscope::store::Shelf;
 
 use super::interrupt::stop_on_signals;
@@ -31,10 +31,17 @@ pub fn run_shard(args: &RunShard) -> Result<ExitCode> {
     // What is not there is not made here: a worker that does not see the result folder is to say so.
     Shelf::look(&args.out)?;
     let shelf = Shelf::join(&args.out)?;
-    let shard: Shard = shelf.shard(&args.key)?.ok_or_else(|| absent(&shelf, &args.key))?;
+    let cut: Option<Cut> = shelf.cut(&args.key)?;
     let settings = args.machine.settings(Settings::default());
     stop_on_signals(&settings.stop)?;
-    let made = match shard.make(&args.key, &shelf, &settings, &Progress::new(args.machine.style())) {
+    let progress = Progress::new(args.machine.style());
+    let made = if let Some(cut) = cut {
+        cut.make(&args.key, &shelf, &settings, &progress)
+    } else {
+        let shard: Shard = shelf.shard(&args.key)?.ok_or_else(|| absent(&shelf, &args.key))?;
+        shard.make(&args.key, &shelf, &settings, &progress)
+    };
+    let made = match made {
         Err(ShardError::Run(error @ RunError::Interrupted { .. })) => return Err(error.into()),
         made => made?,
     };

@@ -29,13 +29,13 @@ pub fn next_pass(plan: &Plan<'_>) -> Option<Pass> {
         if let Some(like) = trees.iter().find(|tree| makes(tree)) {
             let alike: Vec<usize> = (0..count).filter(|&part| trees[part] == *like).collect();
             if alike.len() < count {
-                return Some(Pass { root: like.0, steps: like.1.clone(), parts: alike });
+                return Some(Pass { root: like.0, steps: like.1.clone(), parts: alike, joined: None });
             }
         }
     }
     let gathers = steps.iter().any(|&i| !plan.streams(i));
     let parts = (0..count).filter(|&part| gathers || steps.iter().any(|&i| lacks(plan, i, At::Part(part)))).collect();
-    Some(Pass { root, steps, parts })
+    Some(Pass { root, steps, parts, joined: None })
 }
 
 fn parts(plan: &Plan<'_>, i: usize) -> usize {

@@ -42,6 +42,21 @@ pub struct Pass {
     pub steps: Vec<usize>,
     /// Parts of the root that are to be streamed.
     pub parts: Vec<usize>,
+    /// What pieces of its one part have joined to, where these were read and not the part.
+    pub joined: Option<Joined>,
+}
+
+/// What the pieces of a part add up to.
+#[derive(Clone)]
+pub struct Joined {
+    /// Source of the part.
+    pub source: usize,
+    /// Content of the part.
+    pub content: Digest,
+    /// Step below the source.
+    pub step: usize,
+    /// What that step makes of it.
+    pub written: Written,
 }
 
 /// How a pass ended, if nothing failed.
@@ -169,7 +184,8 @@ pub fn run(
             let receiver = receivers.remove(&step).expect("each step has one channel");
             let children = senders.remove(&step).unwrap_or_default();
             let beside = beside.remove(&step).expect("collected above");
-            scope.spawn(move || shared.guard(step, || work(shared, step, &receiver, &children, &beside)));
+            let joined = pass.joined.as_ref().filter(|joined| joined.step == step);
+            scope.spawn(move || shared.guard(step, || work(shared, step, &receiver, &children, &beside, joined)));
         }
         let children = senders.remove(&usize::MAX).unwrap_or_default();
         shared.guard(pass.root, || read(shared, pass, &children));
@@ -184,7 +200,7 @@ pub fn run(
 }
 
 /// Finished tables beside a step, from the shelf.
-fn tables_beside(plan: &Plan<'_>, step: usize) -> Result<BesideTables, RunError> {
+pub(super) fn tables_beside(plan: &Plan<'_>, step: usize) -> Result<BesideTables, RunError> {
     let mut tables = BTreeMap::new();
     for (name, heading) in &plan.spec.steps[step].with {
         let (input, table) = plan.spec.table(heading).expect("the pipeline was checked");
@@ -214,9 +230,13 @@ fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Resul
         if pass.steps.contains(&pass.root) {
             let source = &plan.sources[&pass.root];
             let feed = Channel { shared, children };
-            let PartRead { content, rejections } = source
-                .read(part, shared.settings.batch_bytes, &feed)
-                .map_err(|error| shared.failed(pass.root, error))?;
+            let PartRead { content, rejections } = match &pass.joined {
+                // What is odd about a part keeps it from being joined.
+                Some(joined) => PartRead { content: joined.content, rejections: Vec::new() },
+                None => source
+                    .read(part, shared.settings.batch_bytes, &feed)
+                    .map_err(|error| shared.failed(pass.root, error))?,
+            };
             shared.content.lock().unwrap_or_else(PoisonError::into_inner).insert((pass.root, part), content);
             let beside = plan.beside(pass.root).expect("a source has nothing beside it");
             let lineage = plan.part_lineage(pass.root, &content, &beside);
@@ -281,6 +301,18 @@ impl Running for Through {
     }
 }
 
+/// What was joined of pieces comes as the rows of a part.
+struct Given(Written);
+
+impl Running for Given {
+    fn push(&mut self, _: &RecordBatch) -> Result<Written, StageError> {
+        Ok(Written::default())
+    }
+    fn flush(&mut self) -> Result<Written, StageError> {
+        Ok(std::mem::take(&mut self.0))
+    }
+}
+
 /// The thread of one step: takes rows, writes its tables, hands its main table on.
 fn work(
     shared: &Shared<'_>,
@@ -288,13 +320,15 @@ fn work(
     input: &Receiver<Message>,
     children: &[Sender<Message>],
     beside: &BesideTables,
+    joined: Option<&Joined>,
 ) -> Result<(), Failure> {
     let plan = shared.plan;
     let streams = plan.streams(step);
     let failed = |error| shared.failed(step, error);
-    let mut running: Box<dyn Running + '_> = match &plan.spec.steps[step].node {
-        Node::Source(_) => Box::new(Through),
-        Node::Operator(operator) => operator.start(plan.campaigns, beside).map_err(failed)?,
+    let mut running: Box<dyn Running + '_> = match (joined, &plan.spec.steps[step].node) {
+        (Some(joined), _) => Box::new(Given(joined.written.clone())),
+        (_, Node::Source(_)) => Box::new(Through),
+        (_, Node::Operator(operator)) => operator.start(plan.campaigns, beside).map_err(failed)?,
     };
     let beside = plan.beside(step).expect("tables beside a step are finished before its pass");
     let mut inputs = Vec::new();

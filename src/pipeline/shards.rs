@@ -6,16 +6,17 @@
 //! on a lock: parts have the same bytes whoever makes them, and appear by a rename.
 
 mod deal;
+mod failure;
+mod pieces;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use thiserror::Error;
 
 use super::cut::next_pass;
-use super::pass::{self, Ended};
+use super::pass::{self, Ended, Joined};
 use super::plan::{Plan, PlanError, Scope};
 use super::progress::Progress;
 use super::run::{amount, kept, whole};
@@ -25,76 +26,11 @@ use crate::campaign::{Campaign, CampaignError};
 use crate::stages::Node;
 use crate::stages::source::{OpenSource, Ticket};
 use crate::store::runs::RunRecord;
-use crate::store::{Digest, Shelf, StageId, StoreError};
+use crate::store::{Digest, Shelf, StageId};
 use crate::tables::{Reject, Row};
-pub use deal::{deal, prepare};
-
-/// What stops a shard.
-#[derive(Debug, Error)]
-pub enum ShardError {
-    /// The pipeline that it carries.
-    #[error(transparent)]
-    Spec(#[from] SpecError),
-    /// A campaign.
-    #[error(transparent)]
-    Campaign(#[from] CampaignError),
-    /// The plan.
-    #[error(transparent)]
-    Plan(#[from] PlanError),
-    /// The run.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// The result folder.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// This process would make other parts than those that were asked for.
-    #[error(
-        "[{heading}]: planned and made here differ: {}; shards are made by the program that planned them, with campaign.toml as it was, on one kind of CPU",
-        changes.join("; ")
-    )]
-    Unlike {
-        /// Heading.
-        heading: String,
-        /// What differs.
-        changes: Vec<String>,
-    },
-    /// No such shard.
-    #[error(
-        "{out} has no shard {key}: it was gathered already, or planned anew; `periscope plan PIPELINE --campaign DIR --out {out} --shards N` lists what is missing"
-    )]
-    Absent {
-        /// Result folder.
-        out: PathBuf,
-        /// Key that was asked for.
-        key: String,
-    },
-    /// Nothing to gather.
-    #[error("{0} has no shards to gather; `periscope plan PIPELINE --campaign DIR --out {0} --shards N` makes some")]
-    NoJob(PathBuf),
-    /// Shards are not finished.
-    #[error("{missing} of {parts} parts of {heading} are missing{}; what is finished is kept", unfinished(keys))]
-    Unfinished {
-        /// Heading of the table.
-        heading: String,
-        /// Parts that are missing.
-        missing: usize,
-        /// Parts that it has.
-        parts: usize,
-        /// Shards that are not finished.
-        keys: Vec<String>,
-    },
-}
-
-fn unfinished(keys: &[String]) -> String {
-    match keys {
-        [] => ", and belong to no shard: the campaign has changed since it was planned; plan again".to_owned(),
-        [first, ..] => format!(
-            ": {} shards are not finished ({}); run them, such as `periscope run-shard {first} --out ...`",
-            keys.len(),
-            keys.iter().take(3).map(String::as_str).collect::<Vec<_>>().join(", ")
-        ),
-    }
-}
+pub use deal::{Dealt, deal, prepare};
+pub use failure::{ShardError, absent};
+pub use pieces::Cut;
 
 /// What all shards of a job have in common.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -132,8 +68,11 @@ pub struct Job {
     pub until: Option<String>,
     /// The run that planned it, which ends when the shards are gathered.
     pub run: RunRecord,
-    /// Keys of its shards.
+    /// Keys of its shards, and of those pieces of parts that were not made before.
     pub shards: Vec<String>,
+    /// Keys of the shards of parts that are cut, and of all their pieces, in order.
+    #[serde(default)]
+    pub cut: BTreeMap<String, Vec<String>>,
 }
 
 /// A set of parts that one process makes.
@@ -164,11 +103,17 @@ pub struct Made {
     pub digest: Digest,
 }
 
-/// Makes what the plan wants and lacks, and shows none of it.
-fn make(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Result<(), RunError> {
+/// Makes what the plan wants and lacks, and shows none of it. What was joined of pieces is not read again.
+fn make(
+    plan: &mut Plan<'_>,
+    settings: &Settings,
+    progress: &Progress,
+    joined: Option<&Joined>,
+) -> Result<(), RunError> {
     settings.check()?;
     let mut content = BTreeMap::new();
-    while let Some(pass) = next_pass(plan) {
+    while let Some(mut pass) = next_pass(plan) {
+        pass.joined = joined.filter(|joined| pass.root == joined.source && pass.steps.contains(&pass.root)).cloned();
         let headings: Vec<&str> = pass.steps.iter().map(|&step| plan.spec.steps[step].heading.as_str()).collect();
         let (whole, wanted) = whole(plan);
         progress.pass(&headings, amount(plan, &pass), whole, wanted);
@@ -186,6 +131,10 @@ impl Shard {
     /// Its tickets.
     pub fn tickets(&self) -> impl Iterator<Item = &Ticket> {
         self.parts.values().flatten()
+    }
+
+    fn campaigns(&self) -> Result<Vec<Campaign>, CampaignError> {
+        self.work.campaigns.iter().map(|root| Campaign::load(root)).collect()
     }
 
     /// The plan of its parts alone.
@@ -225,13 +174,13 @@ impl Shard {
     /// The first failure, or that it was stopped; finished parts are kept.
     pub fn make(&self, key: &str, shelf: &Shelf, settings: &Settings, progress: &Progress) -> Result<Made, ShardError> {
         let spec = self.work.spec()?;
-        let campaigns = self.work.campaigns.iter().map(|root| Campaign::load(root)).collect::<Result<Vec<_>, _>>()?;
+        let campaigns = self.campaigns()?;
         let mut plan = self.plan(&spec, &campaigns, shelf)?;
         let there = |plan: &Plan<'_>| {
             plan.tables.iter().filter(|table| table.wanted).flat_map(|table| table.present.clone()).flatten().count()
         };
         let before = there(&plan);
-        make(&mut plan, settings, progress)?;
+        make(&mut plan, settings, progress, None)?;
         let mut made = Made {
             key: key.to_owned(),
             captures: self.tickets().map(|ticket| ticket.captures).sum(),
@@ -258,13 +207,40 @@ impl Shard {
     /// Whether nothing is missing of it.
     fn is_finished(&self, shelf: &Shelf) -> Result<bool, ShardError> {
         let spec = self.work.spec()?;
-        let campaigns = self.work.campaigns.iter().map(|root| Campaign::load(root)).collect::<Result<Vec<_>, _>>()?;
+        let campaigns = self.campaigns()?;
         let plan = self.plan(&spec, &campaigns, shelf)?;
         Ok(plan.tables.iter().all(|table| !table.wanted || table.complete()))
     }
 }
 
 impl Job {
+    /// Makes the parts whose pieces are there.
+    ///
+    /// # Errors
+    /// As [`Shard::join`].
+    pub fn join(
+        &self,
+        shelf: &Shelf,
+        settings: &Settings,
+        progress: &Progress,
+        tell: &mut dyn FnMut(&str),
+    ) -> Result<(), ShardError> {
+        for (key, pieces) in &self.cut {
+            let shard: Shard = shelf.shard(key)?.ok_or_else(|| absent(shelf, key))?;
+            // Pieces that are not made are told with all else that is not.
+            shard.join(pieces, shelf, settings, progress, tell)?;
+        }
+        Ok(())
+    }
+
+    fn is_finished(&self, key: &str, shelf: &Shelf) -> Result<bool, ShardError> {
+        if self.cut.values().flatten().any(|piece| piece == key) {
+            return Ok(shelf.piece(key)?.is_some());
+        }
+        let shard: Shard = shelf.shard(key)?.ok_or_else(|| absent(shelf, key))?;
+        shard.is_finished(shelf)
+    }
+
     /// Whether all that was dealt out is there; and gathers what was noted of raw files. The shelf must be held alone.
     ///
     /// # Errors
@@ -277,8 +253,7 @@ impl Job {
             }
             let mut keys = Vec::new();
             for key in &self.shards {
-                let shard: Shard = plan.shelf.shard(key)?.ok_or_else(|| absent(plan.shelf, key))?;
-                if !shard.is_finished(plan.shelf)? {
+                if !self.is_finished(key, plan.shelf)? {
                     keys.push(key.clone());
                 }
             }
@@ -292,10 +267,4 @@ impl Job {
         }
         Ok(())
     }
-}
-
-/// That there is no shard of this key.
-#[must_use]
-pub fn absent(shelf: &Shelf, key: &str) -> ShardError {
-    ShardError::Absent { out: shelf.out().to_owned(), key: key.to_owned() }
 }

@@ -108,6 +108,21 @@ impl Bin {
     }
 }
 
+/// The shots of one phase, added up: what is handed over where the shots of a capture are added up in several places.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PhaseSum {
+    /// Which of the [`PHASES`].
+    pub phase: usize,
+    /// Place on the grid of the first sum.
+    pub first: i64,
+    /// Sums of codes that are whole numbers, below 2^53.
+    pub sums: Vec<i64>,
+    /// Shots added.
+    pub shots: u64,
+    /// Places that all shots of the phase cover: from the first to the one behind the last.
+    pub covered: (i64, i64),
+}
+
 /// Mean of the shots, in codes, on the places that all of them cover.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mean {
@@ -155,6 +170,34 @@ impl PhaseSums {
             }
         }
         self.shots += other.shots;
+    }
+
+    /// The sums phase by phase; exact where codes are whole numbers.
+    pub fn phases(&self) -> impl Iterator<Item = PhaseSum> {
+        let bins = self.bins.iter().enumerate().filter_map(|(phase, bin)| Some((phase, bin.as_ref()?)));
+        bins.map(|(phase, bin)| PhaseSum {
+            phase,
+            first: bin.first,
+            sums: bin.spilled.iter().zip(&bin.sums).map(|(total, sum)| *total as i64 + i64::from(*sum)).collect(),
+            shots: bin.shots,
+            covered: bin.covered,
+        })
+    }
+
+    /// Adds all shots of a phase of other sums.
+    ///
+    /// # Panics
+    /// When there is no such phase, or a shot of it has another number of samples.
+    pub fn absorb_phase(&mut self, other: PhaseSum) {
+        let PhaseSum { phase, first, sums, shots, covered } = other;
+        assert!(sums.len() >= self.samples, "samples of a shot");
+        let spilled: Vec<f64> = sums.into_iter().map(|sum| sum as f64).collect();
+        let bin = Bin { first, sums: vec![0; spilled.len()], spilled, since_spill: 0, shots, covered };
+        match &mut self.bins[phase] {
+            Some(own) => own.absorb(bin),
+            own => *own = Some(bin),
+        }
+        self.shots += shots;
     }
 
     /// Shots added.

@@ -36,6 +36,7 @@ mod capture;
 mod clipping;
 mod histogram;
 mod noise;
+mod piece;
 mod record;
 mod reference;
 mod shots;
@@ -45,7 +46,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::stage::{Beside, BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
+use super::stage::{Beside, BesideTables, Fold, Grain, InPieces, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::campaign::keys::SensorKind;
 use crate::signal::response::Response;
@@ -54,6 +55,7 @@ use crate::tables::traces::TraceColumns;
 use crate::tables::{Calibration, Name, Profile, Trace};
 use capture::Capture;
 use histogram::Histogram;
+use piece::Extent;
 
 /// Share of a record that is its baseline where the pipeline does not say.
 const BASELINE_SHARE: f64 = 0.1;
@@ -194,7 +196,7 @@ impl Fold for Average {
     fn begin(&self, known: &Known, first: Trace) -> State {
         match known.cycles(&first) {
             Some(cycles) => State::Counts(Box::new(Histogram::new(first, cycles))),
-            None => State::Analog(Box::new(Capture::new(first))),
+            None => State::Analog(Box::new(Capture::new(first, Extent::Whole))),
         }
     }
 
@@ -220,6 +222,10 @@ impl Fold for Average {
             State::Analog(capture) => capture.finish(self, known),
             State::Counts(histogram) => Ok(histogram.finish(self)),
         }
+    }
+
+    fn in_pieces(&self) -> Option<&dyn InPieces<Self>> {
+        Some(self)
     }
 }
 

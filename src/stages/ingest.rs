@@ -13,6 +13,7 @@
 pub mod captures;
 mod files;
 mod part;
+mod piece;
 mod raw_file;
 mod record;
 mod survey;
@@ -27,10 +28,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::operator::WrittenTable;
-use super::source::{Feed, OpenSource, PartRead, Source, SourcePart, Ticket};
+use super::source::{Divisible, Feed, OpenSource, PartRead, Piece, PieceFeed, Source, SourcePart, Ticket};
 use super::stage::StageError;
 use crate::campaign::{Campaign, Role};
-use crate::store::uncompressed;
+use crate::store::{Digest, uncompressed};
 use crate::tables::{Row, Trace};
 use survey::{Surveyed, chain};
 
@@ -123,9 +124,42 @@ impl OpenSource for Surveyed<'_> {
     fn ticket(&self, part: usize) -> Option<Ticket> {
         Some(self.give(part))
     }
+    fn divisible(&self) -> Option<&dyn Divisible> {
+        Some(self)
+    }
     fn close(&self) -> Result<(), StageError> {
         self.campaigns.iter().zip(&self.records).try_for_each(|(campaign, record)| {
             record.save().map_err(|error| StageError::Refused(chain(&campaign.root, &error)))
         })
+    }
+}
+
+impl Divisible for Surveyed<'_> {
+    fn most_pieces(&self, part: usize) -> Result<usize, String> {
+        piece::most_pieces(self, part)
+    }
+    fn cut(&self, part: usize, count: usize) -> Result<Vec<Piece>, String> {
+        piece::cut(self, part, count)
+    }
+    fn read_piece(
+        &self,
+        part: usize,
+        piece: &Piece,
+        batch_bytes: usize,
+        feed: &dyn PieceFeed,
+    ) -> Result<Value, StageError> {
+        piece::read_piece(self, part, piece, batch_bytes, feed)
+    }
+    fn read_head(
+        &self,
+        part: usize,
+        capture: usize,
+        batch_bytes: usize,
+        feed: &dyn PieceFeed,
+    ) -> Result<(), StageError> {
+        piece::read_head(self, &self.parts[part][capture], None, batch_bytes, feed)
+    }
+    fn join(&self, part: usize, learnt: &[Value]) -> Result<Digest, StageError> {
+        piece::join(self, part, learnt)
     }
 }

@@ -1,5 +1,7 @@
 //! A stage as the runtime sees it: batch in, batch out, in parallel over captures, rows in input order.
 
+mod pieces;
+
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -9,12 +11,14 @@ use arrow::datatypes::{Int32Type, SchemaRef};
 use rayon::prelude::*;
 use serde_json::Value;
 
-use super::stage::{Beside, BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
+use super::stage::{Beside, BesideTables, Fold, Grain, InPieces, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::tables::Row;
+use pieces::Pieces;
+pub use pieces::{Joining, Task};
 
 /// Rows that came out of a batch: main table first, then side tables, then rejects.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Written {
     /// One entry a table in the order of [`Operator::tables`]; tables without rows may be left out at the end.
     pub tables: Vec<Vec<RecordBatch>>,
@@ -54,6 +58,21 @@ pub trait Operator: Send + Sync {
     /// # Errors
     /// When parameters, fields and finished tables do not go together.
     fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError>;
+    /// Schema of what pieces of its groups add up to; `None` where a group must be seen in one go.
+    fn subtotals(&self) -> Option<SchemaRef>;
+    /// Gets ready for a piece of a group, whose subtotals come out as its main table; or, to join pieces, for heads and subtotals.
+    ///
+    /// # Errors
+    /// As [`Operator::start`].
+    ///
+    /// # Panics
+    /// When a group must be seen in one go.
+    fn start_in_pieces<'a>(
+        &'a self,
+        campaigns: &[Campaign],
+        beside: &BesideTables,
+        task: Task,
+    ) -> Result<Box<dyn Joining + 'a>, StageError>;
 }
 
 /// A stage at work.
@@ -99,7 +118,21 @@ impl<S: Fold> Operator for S {
     }
     fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError> {
         let context = self.context(Stage::fields(self, campaigns), beside)?;
-        Ok(Box::new(Groups { stage: self, context, open: BTreeMap::new() }))
+        Ok(Box::new(Groups { stage: self, context, open: BTreeMap::new(), saves: None }))
+    }
+    fn subtotals(&self) -> Option<SchemaRef> {
+        self.in_pieces().map(InPieces::schema)
+    }
+    fn start_in_pieces<'a>(
+        &'a self,
+        campaigns: &[Campaign],
+        beside: &BesideTables,
+        task: Task,
+    ) -> Result<Box<dyn Joining + 'a>, StageError> {
+        let context = self.context(Stage::fields(self, campaigns), beside)?;
+        let pieces = self.in_pieces().expect("a stage whose groups can be computed in pieces");
+        let saves = (task == Task::Save).then_some(pieces);
+        Ok(Box::new(Pieces { groups: Groups { stage: self, context, open: BTreeMap::new(), saves }, pieces }))
     }
 }
 
@@ -111,9 +144,49 @@ struct Groups<'a, S: Fold> {
     stage: &'a S,
     context: S::Context,
     open: BTreeMap<GroupKey, S::State>,
+    /// Where groups are pieces, which are saved and not finished.
+    saves: Option<&'a dyn InPieces<S>>,
 }
 
 impl<S: Fold> Groups<'_, S> {
+    /// What starts a group at its first row.
+    fn begin(&self) -> impl Fn(S::Input) -> S::State + Sync {
+        let (stage, context, saves) = (self.stage, &self.context, self.saves);
+        move |first| match saves {
+            Some(pieces) => pieces.begin(context, first),
+            None => stage.begin(context, first),
+        }
+    }
+
+    /// Takes the rows of each group, side by side.
+    fn steps(
+        &self,
+        work: Vec<(GroupKey, Option<Range<usize>>, Option<S::State>)>,
+        columns: &<S::Input as Row>::Columns,
+    ) -> Result<Vec<(GroupKey, S::State)>, StageError> {
+        let (stage, context, begin) = (self.stage, &self.context, self.begin());
+        let step = |(key, rows, state): (GroupKey, Option<Range<usize>>, Option<S::State>)| {
+            let Some(rows) = rows else {
+                return Ok((key, state.expect("a group without rows was open")));
+            };
+            let mut state = state.unwrap_or_else(|| begin(S::Input::read(columns, rows.start)));
+            stage.step(context, &mut state, columns, rows)?;
+            Ok((key, state))
+        };
+        work.into_par_iter().map(step).collect()
+    }
+
+    /// Ends groups.
+    fn end(&self, states: Vec<S::State>) -> Result<Written, StageError> {
+        let (stage, context) = (self.stage, &self.context);
+        let Some(pieces) = self.saves else {
+            let outcomes = states.into_par_iter().map(|state| stage.finish(context, state));
+            return Self::written(outcomes.collect::<Result<_, _>>()?);
+        };
+        let saved = states.into_iter().map(|state| pieces.save(state).map_err(StageError::Indivisible));
+        Ok(Written { tables: vec![saved.collect::<Result<_, _>>()?], rejections: Vec::new() })
+    }
+
     fn written(outcomes: Vec<Outcome<S::Output>>) -> Result<Written, StageError> {
         let mut rows = Vec::new();
         let mut sides: Vec<Vec<RecordBatch>> = vec![Vec::new(); S::SIDES.len()];
@@ -141,11 +214,10 @@ impl<S: Fold> Running for Groups<'_, S> {
         let groups = groups(batch, S::GRAIN);
         if !S::GRAIN.streams() {
             for (key, rows) in groups {
-                let state = self
-                    .open
-                    .entry(key)
-                    .or_insert_with(|| self.stage.begin(&self.context, S::Input::read(&columns, rows.start)));
-                self.stage.step(&self.context, state, &columns, rows)?;
+                let state = self.open.remove(&key);
+                let mut state = state.unwrap_or_else(|| self.begin()(S::Input::read(&columns, rows.start)));
+                self.stage.step(&self.context, &mut state, &columns, rows)?;
+                self.open.insert(key, state);
             }
             return Ok(Written::default());
         }
@@ -163,30 +235,16 @@ impl<S: Fold> Running for Groups<'_, S> {
         } else {
             work.extend(groups.into_iter().map(|(key, rows)| (key, Some(rows), None)));
         }
-        let (stage, context) = (self.stage, &self.context);
-        let mut done: Vec<(GroupKey, S::State)> = work
-            .into_par_iter()
-            .map(|(key, rows, state)| {
-                let Some(rows) = rows else {
-                    return Ok((key, state.expect("a group without rows was open")));
-                };
-                let mut state = state.unwrap_or_else(|| stage.begin(context, S::Input::read(&columns, rows.start)));
-                stage.step(context, &mut state, &columns, rows)?;
-                Ok((key, state))
-            })
-            .collect::<Result<_, StageError>>()?;
+        let mut done = self.steps(work, &columns)?;
         if done.last().map(|(key, _)| key) == last.as_ref() {
             self.open.extend(done.pop());
         }
-        let outcomes = done.into_par_iter().map(|(_, state)| stage.finish(context, state)).collect::<Result<_, _>>()?;
-        Self::written(outcomes)
+        self.end(done.into_iter().map(|(_, state)| state).collect())
     }
 
     fn flush(&mut self) -> Result<Written, StageError> {
         let states: Vec<_> = std::mem::take(&mut self.open).into_values().collect();
-        let (stage, context) = (self.stage, &self.context);
-        let outcomes = states.into_par_iter().map(|state| stage.finish(context, state)).collect::<Result<_, _>>()?;
-        Self::written(outcomes)
+        self.end(states)
     }
 }
 

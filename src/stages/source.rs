@@ -1,5 +1,7 @@
 //! What has no streamed input: parts that are read from elsewhere, within the memory budget.
 
+use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -65,6 +67,21 @@ pub struct Ticket {
     pub part: Value,
 }
 
+/// A stretch of the records of a part, for another process to read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Piece {
+    /// Captures of the part that it has records of, by their numbers there.
+    pub captures: Range<usize>,
+    /// Raw bytes.
+    pub bytes: u64,
+    /// Its raw files, each once.
+    pub files: Vec<PathBuf>,
+    /// Of files that it has a share of: its exposures, counted from 0.
+    pub shots: BTreeMap<PathBuf, Range<usize>>,
+    /// The stretch, as its source alone understands it.
+    pub stretch: Value,
+}
+
 /// What reading a part gave beside its rows.
 pub struct PartRead {
     /// Digest of its raw content and of what the source makes of it.
@@ -104,6 +121,61 @@ pub trait Source: Send + Sync {
     }
 }
 
+/// Where the records of a piece go, and those of the heads that it is judged by.
+pub trait PieceFeed: Feed {
+    /// Whether all is known by which later records of the capture are judged.
+    ///
+    /// # Errors
+    /// When the run is being stopped.
+    fn is_primed(&self) -> Result<bool, StageError>;
+    /// Ends a head: what it added up to does not count.
+    ///
+    /// # Errors
+    /// When the run is being stopped.
+    fn forget(&self) -> Result<(), StageError>;
+}
+
+/// A source whose parts can be cut between records.
+pub trait Divisible {
+    /// Into how many pieces a part can be cut.
+    ///
+    /// # Errors
+    /// Why into none.
+    fn most_pieces(&self, part: usize) -> Result<usize, String>;
+    /// Cuts a part into so many pieces of about as many bytes, or fewer, in the order of its records.
+    ///
+    /// # Errors
+    /// As [`Divisible::most_pieces`].
+    fn cut(&self, part: usize, count: usize) -> Result<Vec<Piece>, String>;
+    /// Reads a piece: the head of the capture that began before it, then its own records. Gives what it learnt of the files.
+    ///
+    /// # Errors
+    /// [`StageError::Indivisible`] when the part must be read whole; another when the run must stop, or a file has changed since the part was cut.
+    fn read_piece(
+        &self,
+        part: usize,
+        piece: &Piece,
+        batch_bytes: usize,
+        feed: &dyn PieceFeed,
+    ) -> Result<Value, StageError>;
+    /// Reads the head of one capture of a part.
+    ///
+    /// # Errors
+    /// As [`Divisible::read_piece`].
+    fn read_head(
+        &self,
+        part: usize,
+        capture: usize,
+        batch_bytes: usize,
+        feed: &dyn PieceFeed,
+    ) -> Result<(), StageError>;
+    /// The content of a part, from what reading its pieces gave, in order.
+    ///
+    /// # Errors
+    /// When a file has changed since, or another content is on record.
+    fn join(&self, part: usize, learnt: &[Value]) -> Result<Digest, StageError>;
+}
+
 /// A source that has surveyed its parts.
 pub trait OpenSource: Send + Sync {
     /// Its parts, in order.
@@ -117,6 +189,10 @@ pub trait OpenSource: Send + Sync {
     fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError>;
     /// A part for another process; `None` from a source that is not worth sharing out.
     fn ticket(&self, _part: usize) -> Option<Ticket> {
+        None
+    }
+    /// How its parts are cut between records; `None` from a source that reads parts whole.
+    fn divisible(&self) -> Option<&dyn Divisible> {
         None
     }
     /// Remembers what was learnt of the raw files; called when a pass has ended, also when it has failed.

@@ -48,6 +48,9 @@ pub enum StageError {
     /// The consumer is gone: another stage failed first.
     #[error("stopped because another stage failed")]
     Stopped,
+    /// A group that was to be computed in pieces must be computed whole; the text says why.
+    #[error("{0}")]
+    Indivisible(String),
     /// Anything else; the text names the place and the mend.
     #[error("{0}")]
     Refused(String),
@@ -210,6 +213,39 @@ pub trait Fold: Stage {
     /// # Errors
     /// When the table as a whole cannot be made.
     fn finish(&self, context: &Self::Context, state: Self::State) -> Result<Outcome<Self::Output>, StageError>;
+    /// How its groups are computed in pieces; `None` where a group must be seen in one go.
+    fn in_pieces(&self) -> Option<&dyn InPieces<Self>>
+    where
+        Self: Sized,
+    {
+        None
+    }
+}
+
+/// A fold of which a group can be computed in pieces, each a run of its rows, on different machines.
+///
+/// Later rows may be judged by the first ones, the *head* of the group. So a piece sees the head first, until it is primed, and forgets what that added
+/// up to; then it takes its own rows, and saves their subtotals. Whoever joins the pieces sees the head too, forgets, absorbs the subtotals of all pieces in
+/// order, and finishes the group: to the bit what one pass over all rows gives.
+pub trait InPieces<S: Fold>: Sync {
+    /// Schema of the subtotals; they begin with the columns that tell groups apart.
+    fn schema(&self) -> SchemaRef;
+    /// Starts a piece of a group whose first row is given: a state that can be saved.
+    fn begin(&self, context: &S::Context, first: S::Input) -> S::State;
+    /// Whether all is known by which rows of the kind seen last are judged.
+    fn is_primed(&self, context: &S::Context, state: &S::State) -> bool;
+    /// Forgets what was added up, and keeps what later rows are judged by. Of the kinds of rows seen so far, all that belongs to their heads was seen.
+    fn forget(&self, state: &mut S::State);
+    /// What a piece adds up to.
+    ///
+    /// # Errors
+    /// When its subtotals would depend on the order in which they are absorbed; the text says why.
+    fn save(&self, state: S::State) -> Result<RecordBatch, String>;
+    /// Adds the subtotals of the next piece.
+    ///
+    /// # Errors
+    /// When they do not belong to this group, or the sum would not be exact; the text says why.
+    fn absorb(&self, state: &mut S::State, subtotals: &RecordBatch) -> Result<(), String>;
 }
 
 impl<S: Apply> Fold for S {

@@ -67,6 +67,12 @@ impl From<blake3::Hash> for Digest {
     }
 }
 
+impl From<Digest> for blake3::Hash {
+    fn from(digest: Digest) -> Self {
+        Self::from_bytes(digest.0)
+    }
+}
+
 impl fmt::Display for Digest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))

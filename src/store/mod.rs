@@ -25,4 +25,5 @@ pub mod whole;
 pub use failure::StoreError;
 pub use lineage::Digest;
 pub use parquet::{FileRecord, TableWriter, uncompressed};
+pub use shards::PieceRecord;
 pub use shelf::{PartRecord, Shelf, StageId, TableRecord};

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use super::failure::{At, StoreError};
 use super::runs::{Ending, utc};
+use super::shards::SHARDS;
 use super::shelf::{PartRecord, Shelf, StageId};
 use super::{Digest, TableRecord, lineage, record};
 use crate::tables::{self, Reject, Row};
@@ -59,6 +60,10 @@ impl Shelf {
                 }
                 continue;
             }
+            if name == SHARDS {
+                unneeded.extend(self.unneeded_pieces(name, &is_unfinished)?);
+                continue;
+            }
             if !folder.join("stage.json").is_file() {
                 continue;
             }
@@ -68,6 +73,27 @@ impl Shelf {
             unneeded.extend(contents.unneeded(folder, name));
         }
         Ok(unneeded)
+    }
+
+    /// What pieces of parts add up to, where the run that they were made for is not waited for any more.
+    fn unneeded_pieces(
+        &self,
+        folder: String,
+        is_unfinished: &impl Fn(&Metadata) -> bool,
+    ) -> Result<Option<Unneeded>, StoreError> {
+        let mut unneeded = Unneeded { folder, is_whole: false, parts: 0, bytes: 0, paths: Vec::new() };
+        for (record, subtotals) in self.pieces()? {
+            if is_unfinished(&fs::metadata(&record).at("read", &record)?) {
+                continue;
+            }
+            unneeded.parts += 1;
+            unneeded.paths.push(record);
+            if let Ok(found) = fs::metadata(&subtotals) {
+                unneeded.bytes += found.size();
+                unneeded.paths.push(subtotals);
+            }
+        }
+        Ok((unneeded.parts > 0).then_some(unneeded))
     }
 
     /// Of that, what shown tables have replaced: parts, tables and lists of rejects. Results of other parameters are left.

@@ -5,6 +5,7 @@
 pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
     Some(match table {
         "traces" => &["campaign", "sensor", "lit", "seen", "role", "run", "range", "shot", "is_reference"],
+        "subtotals" => &["campaign", "sensor", "lit", "seen", "role", "run", "range", "is_cut", "phase"],
         "calibration" | "session" | "delays" => &["campaign", "sensor", "range"],
         "profiles" | "measurements" => &["campaign", "sensor", "lit", "seen", "role", "run"],
         "checks" => &["campaign", "sensor", "check"],

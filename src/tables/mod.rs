@@ -18,6 +18,7 @@ pub mod row;
 pub mod session;
 pub mod solution;
 pub mod stir;
+pub mod subtotals;
 pub mod traces;
 pub mod truth;
 
@@ -40,6 +41,7 @@ pub use row::{Codes, Name, Row, Samples, SchemaError};
 pub use session::Session;
 pub use solution::{Ambiguity, Delay, Fit, Residual, Station, Suspect};
 pub use stir::{Impulse, Stir};
+pub use subtotals::Subtotal;
 pub use traces::Trace;
 pub use truth::{TrueCapture, TrueCentroid, TruePath};
 
@@ -54,6 +56,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
     }
     vec![
         of::<Trace>(),
+        of::<Subtotal>(),
         of::<Calibration>(),
         of::<Profile>(),
         of::<Session>(),

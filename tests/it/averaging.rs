@@ -115,7 +115,7 @@ fn the_reference_pulse_is_timed_and_measured() {
 }
 
 /// First bounces off a white and a nearly black patch in one view: no range holds both.
-const TWO_RANGES: &str = r#"
+pub const TWO_RANGES: &str = r#"
 [campaign]
 name = "ranges"
 [sensors.s1]

@@ -36,6 +36,7 @@ mod mirror;
 mod missed;
 mod mistakes;
 mod monte_carlo;
+mod pieces;
 mod python;
 #[cfg(feature = "query")]
 mod query;

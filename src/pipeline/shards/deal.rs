@@ -4,12 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::json;
 
-use super::{Shard, Work, make};
+use super::pieces::adder;
+use super::{Cut, Job, Shard, Work, make};
 use crate::pipeline::plan::{Plan, Scope};
 use crate::pipeline::progress::Progress;
 use crate::pipeline::settings::{RunError, Settings};
-use crate::stages::source::Ticket;
-use crate::store::Digest;
+use crate::stages::source::{Piece, Ticket};
+use crate::store::{Digest, Shelf, StoreError};
 
 /// Steps whose parts are dealt out: those that stream from raw files, but for what the others stand beside.
 fn dealt(plan: &Plan<'_>) -> Vec<usize> {
@@ -45,15 +46,36 @@ fn beside(plan: &Plan<'_>, steps: &[usize]) -> Vec<usize> {
 pub fn prepare(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Result<(), RunError> {
     let beside = beside(plan, &dealt(plan));
     let all = plan.about(Scope::Until(beside));
-    make(plan, settings, progress)?;
+    make(plan, settings, progress, None)?;
     plan.about(all);
     Ok(())
 }
 
-/// Deals what is missing out in at most `count` shards of about as many raw bytes, in the order of the captures; gives what they have in common, completed,
-/// and the shards by key. The plan is to be prepared.
-#[must_use]
-pub fn deal(plan: &Plan<'_>, common: Work, count: usize) -> (Work, Vec<(String, Shard)>) {
+/// What was dealt out.
+pub struct Dealt {
+    /// What all shards have in common.
+    pub work: Work,
+    /// Shards of whole parts, by key.
+    pub shards: Vec<(String, Shard)>,
+    /// Shards of the parts that are cut, by key, each with the keys of its pieces and these: also of those that are made.
+    pub cut: Vec<(String, Shard, Vec<(String, Cut)>)>,
+    /// Why parts that are more than a fair share are not cut, each reason once.
+    pub uncut: Vec<String>,
+}
+
+/// A part that is missing.
+struct Missing {
+    source: usize,
+    part: usize,
+    ticket: Ticket,
+}
+
+/// Deals what is missing out in at most `count` shards of about as many raw bytes, in the order of the captures. A part that is more than a fair share is cut between its
+/// shots, if it can be; as it was before, where some of those pieces are made. The plan is to be prepared.
+///
+/// # Errors
+/// When the shelf cannot be read.
+pub fn deal(plan: &Plan<'_>, common: Work, count: usize) -> Result<Dealt, StoreError> {
     let steps = dealt(plan);
     let heading = |i: usize| plan.spec.steps[i].heading.clone();
     let lineages = |i: usize| plan.tables[i].lineages.iter().copied().flatten().collect();
@@ -62,28 +84,143 @@ pub fn deal(plan: &Plan<'_>, common: Work, count: usize) -> (Work, Vec<(String, 
         beside: beside(plan, &steps).into_iter().map(|i| (heading(i), lineages(i))).collect(),
         ..common
     };
+    let missing = missing(plan, &steps);
+    let shard = |parts: &[&Missing]| {
+        let mut of_source: BTreeMap<String, Vec<Ticket>> = BTreeMap::new();
+        parts.iter().for_each(|part| of_source.entry(heading(part.source)).or_default().push(part.ticket.clone()));
+        let shard = Shard { work: work.clone(), parts: of_source };
+        (Digest::of(&json!(shard)).short(), shard)
+    };
+    let Large { mut most, mut uncut } = large(plan, &missing, count);
+    let mut cut: BTreeMap<usize, (String, Shard, Vec<(String, Cut)>)> = BTreeMap::new();
+    let mut taken = 0;
+    let cut_in = |i: usize, count: usize, of: &str| -> Result<Vec<(String, Cut)>, String> {
+        let parts =
+            plan.sources[&missing[i].source].divisible().expect("a source that cuts, since it was asked into how many");
+        Ok(keyed(of, parts.cut(missing[i].part, count)?))
+    };
+    // As before, where some of these pieces are made of the files as they are now.
+    for i in most.keys().copied().collect::<Vec<_>>() {
+        let (key, shard) = shard(&[&missing[i]]);
+        let pieces = earlier(plan.shelf, &key)?;
+        let unmade = unmade(plan.shelf, &pieces)?;
+        if unmade < pieces.len() && cut_in(i, pieces.len(), &key).as_ref() == Ok(&pieces) {
+            most.remove(&i);
+            taken += unmade;
+            cut.insert(i, (key, shard, pieces));
+        }
+    }
+    let bytes = |i: usize| missing[i].ticket.bytes;
+    let rest = (0..missing.len()).filter(|i| !cut.contains_key(i) && !most.contains_key(i));
+    let wanted: Vec<(u64, usize)> = most.iter().map(|(i, most)| (bytes(*i), *most)).collect();
+    let shares = shares(rest.map(bytes).sum(), &wanted, count.saturating_sub(taken));
+    for (&i, share) in most.keys().zip(shares).filter(|(_, share)| *share > 1) {
+        let (key, shard) = shard(&[&missing[i]]);
+        match cut_in(i, share, &key) {
+            Ok(pieces) if pieces.len() > 1 => {
+                taken += pieces.len();
+                cut.insert(i, (key, shard, pieces));
+            }
+            Ok(_) => {}
+            Err(why) => uncut.push(why),
+        }
+    }
+    let rest: Vec<&Missing> = (0..missing.len()).filter(|i| !cut.contains_key(i)).map(|i| &missing[i]).collect();
+    let bytes: Vec<u64> = rest.iter().map(|missing| missing.ticket.bytes).collect();
+    let mut rest = &rest[..];
+    let hand = |size| shard(rest.split_off(..size).expect("hands hold no more than there are"));
+    let shards = hands(&bytes, count.saturating_sub(taken).max(1)).into_iter().map(hand).collect();
+    Ok(Dealt { work: work.clone(), shards, cut: cut.into_values().collect(), uncut })
+}
+
+/// The parts that lack any of these steps.
+fn missing(plan: &Plan<'_>, steps: &[usize]) -> Vec<Missing> {
     let lacks = |source: usize, part: usize| {
         steps.iter().any(|&i| root(plan, i) == source && plan.tables[i].present.get(part).is_none_or(Option::is_none))
     };
     let sources = plan.sources.iter().filter(|(i, _)| steps.iter().any(|&step| root(plan, step) == **i));
     let parts = sources.flat_map(|(&i, source)| (0..source.parts().len()).map(move |part| (i, part)));
-    let missing: Vec<(usize, Ticket)> = parts
-        .filter(|&(i, part)| lacks(i, part))
-        .map(|(i, part)| (i, plan.sources[&i].ticket(part).expect("only what gives tickets is dealt out")))
-        .collect();
-    let shard = |parts| {
-        let shard = Shard { work: work.clone(), parts };
-        (Digest::of(&json!(shard)).short(), shard)
+    let missing = parts.filter(|&(i, part)| lacks(i, part)).map(|(source, part)| {
+        let ticket = plan.sources[&source].ticket(part).expect("only what gives tickets is dealt out");
+        Missing { source, part, ticket }
+    });
+    missing.collect()
+}
+
+/// Parts that are more than a fair share, by their number among the missing ones.
+struct Large {
+    /// Into how many pieces they can be cut.
+    most: BTreeMap<usize, usize>,
+    /// Why others cannot be, each reason once.
+    uncut: Vec<String>,
+}
+
+fn large(plan: &Plan<'_>, missing: &[Missing], count: usize) -> Large {
+    let total: u128 = missing.iter().map(|missing| u128::from(missing.ticket.bytes)).sum();
+    let (mut most, mut uncut) = (BTreeMap::new(), BTreeSet::new());
+    for (i, Missing { source, part, ticket }) in missing.iter().enumerate() {
+        let Some(parts) = plan.sources[source].divisible() else { continue };
+        let shares = u128::from(ticket.bytes) * count as u128;
+        if shares <= total {
+            continue;
+        }
+        let is_lacking = |step: &usize| plan.tables[*step].present.get(*part).is_none_or(Option::is_none);
+        match parts.most_pieces(*part) {
+            Ok(0 | 1) => {}
+            Ok(pieces) => match adder(plan, *source) {
+                // What else is missing is made of finished rows.
+                Ok(step) if is_lacking(&step) => _ = most.insert(i, pieces),
+                Ok(_) => {}
+                // Shards are never quite even; what is said is what keeps them from being about so.
+                Err(why) => _ = (shares > 2 * total).then(|| uncut.insert(why)),
+            },
+            Err(why) => _ = (shares > 2 * total).then(|| uncut.insert(why)),
+        }
+    }
+    Large { most, uncut: uncut.into_iter().collect() }
+}
+
+/// The pieces that a part was cut into before.
+fn earlier(shelf: &Shelf, key: &str) -> Result<Vec<(String, Cut)>, StoreError> {
+    let job: Option<Job> = shelf.job().unwrap_or_default();
+    let mut pieces = Vec::new();
+    for key in job.and_then(|mut job| job.cut.remove(key)).unwrap_or_default() {
+        match shelf.cut(&key)? {
+            Some(cut) => pieces.push((key, cut)),
+            None => return Ok(Vec::new()),
+        }
+    }
+    Ok(pieces)
+}
+
+/// How many of these pieces are not made.
+fn unmade(shelf: &Shelf, pieces: &[(String, Cut)]) -> Result<usize, StoreError> {
+    pieces.iter().map(|(key, _)| Ok(usize::from(shelf.piece(key)?.is_none()))).sum()
+}
+
+fn keyed(of: &str, pieces: Vec<Piece>) -> Vec<(String, Cut)> {
+    let count = pieces.len();
+    let cut = |(i, piece)| {
+        let cut = Cut { of: of.to_owned(), number: i + 1, count, piece };
+        (Digest::of(&json!(cut)).short(), cut)
     };
-    let hands = hands(&missing.iter().map(|(_, ticket)| ticket.bytes).collect::<Vec<_>>(), count);
-    let mut missing = missing.into_iter();
-    let hand = |size| {
-        let mut parts: BTreeMap<String, Vec<Ticket>> = BTreeMap::new();
-        missing.by_ref().take(size).for_each(|(i, ticket)| parts.entry(heading(i)).or_default().push(ticket));
-        shard(parts)
-    };
-    let shards = hands.into_iter().map(hand).collect();
-    (work, shards)
+    pieces.into_iter().enumerate().map(cut).collect()
+}
+
+/// How many of `count` hands each large part gets, of so many bytes and so many pieces at most; what is left of all parts gets the others. One more goes
+/// to what has the most bytes a hand.
+fn shares(rest_bytes: u64, large: &[(u64, usize)], count: usize) -> Vec<usize> {
+    let mut shares = vec![1; large.len()];
+    let mut rest = usize::from(rest_bytes > 0);
+    for _ in shares.len() + rest..count {
+        let load = |i: usize| large[i].0 / shares[i] as u64;
+        let heaviest = (0..large.len()).filter(|&i| shares[i] < large[i].1).max_by_key(|&i| load(i));
+        match heaviest {
+            Some(i) if rest == 0 || load(i) >= rest_bytes / rest as u64 => shares[i] += 1,
+            _ => rest += 1,
+        }
+    }
+    shares
 }
 
 /// How many parts each hand gets, of parts of so many bytes: in order, at least one, and about as many bytes as are left for each hand that is left.
@@ -113,6 +250,16 @@ fn root(plan: &Plan<'_>, i: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn large_parts_get_hands_by_their_bytes() {
+        assert_eq!(shares(0, &[(1000, 99)], 8), [8]);
+        assert_eq!(shares(1000, &[(1000, 99)], 8), [4]);
+        assert_eq!(shares(100, &[(700, 99), (300, 99)], 11), [7, 3]);
+        assert_eq!(shares(100, &[(700, 3), (300, 99)], 11), [3, 6], "a part has so many pieces at most");
+        assert_eq!(shares(100, &[(700, 3)], 1), [1]);
+        assert_eq!(shares(0, &[(700, 3)], 9), [3]);
+    }
 
     #[test]
     fn each_hand_gets_a_part_and_about_as_many_bytes_as_the_others() {

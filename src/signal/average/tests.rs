@@ -109,6 +109,27 @@ fn order_does_not_matter_to_a_bit() {
     assert_eq!(sum(&mixed).finish(), mean);
 }
 
+/// Shots dealt out at random places and handed over phase by phase: the same sums, to a bit, in any order.
+#[test]
+fn sums_of_pieces_handed_over_are_those_of_one_pass() {
+    let shots = shots(300, 3.0, 20.0, 8);
+    let views = views(&shots);
+    let whole = sum(&views);
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    for pieces in [1, 2, 7, 40] {
+        let mut cuts: Vec<usize> =
+            (1..pieces).map(|_| rng.random_range(0..=views.len())).chain([0, views.len()]).collect();
+        cuts.sort_unstable();
+        let mut handed: Vec<Vec<PhaseSum>> =
+            cuts.windows(2).map(|cut| sum(&views[cut[0]..cut[1]]).phases().collect()).collect();
+        handed.rotate_left(pieces / 2);
+        let mut joined = PhaseSums::new(128);
+        handed.into_iter().flatten().for_each(|phase| joined.absorb_phase(phase));
+        assert_eq!(joined.finish(), whole.finish(), "{pieces} pieces");
+        assert_eq!((joined.shots(), joined.phase_shots()), (whole.shots(), whole.phase_shots()));
+    }
+}
+
 #[test]
 fn sums_beyond_32_bits_are_exact() {
     let codes = bytes(&[i16::MIN, i16::MAX, -1, 0]);

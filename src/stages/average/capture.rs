@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::piece::Extent;
 use super::record::{self, Record};
 use super::reference::ReferencePulse;
 use super::shots::{Shots, view};
@@ -10,7 +11,7 @@ use crate::campaign::Role;
 use crate::stages::stage::{Outcome, StageError};
 use crate::tables::row::Cell;
 use crate::tables::traces::TraceColumns;
-use crate::tables::{Codes, Name, Profile, Row, Trace};
+use crate::tables::{Codes, Name, Profile, Row, Subtotal, Trace};
 
 /// A capture under way.
 pub struct Capture {
@@ -26,6 +27,7 @@ pub struct Capture {
     first_pulse_ps: Option<f64>,
     missing_template: bool,
     has_reference: bool,
+    extent: Extent,
 }
 
 /// Whether times of a capture of this role are used.
@@ -34,8 +36,8 @@ fn needs_reference(row: &Trace) -> bool {
 }
 
 impl Capture {
-    /// No record yet; `first` has the key.
-    pub fn new(first: Trace) -> Self {
+    /// No record yet; `first` has the key. A piece can be saved.
+    pub fn new(first: Trace, extent: Extent) -> Self {
         Self {
             first,
             ranges: BTreeMap::new(),
@@ -44,6 +46,7 @@ impl Capture {
             first_pulse_ps: None,
             missing_template: false,
             has_reference: false,
+            extent,
         }
     }
 
@@ -79,7 +82,8 @@ impl Capture {
         }
         let range = columns.range.value(i);
         if !self.ranges.contains_key(range) {
-            self.ranges.insert(range.into(), Shots::new(average, known, Trace::read(columns, i)));
+            let shots = Shots::new(average, known, Trace::read(columns, i), self.extent);
+            self.ranges.insert(range.into(), shots);
         }
         let shots = self.ranges.get_mut(range).expect("put there if it was not");
         if !is_alike(&shots.first, columns, i) {
@@ -103,6 +107,40 @@ impl Capture {
             return;
         }
         shots.take(average, codes, columns.t0_ps.value(i), reference, clipped);
+    }
+
+    /// Whether all is known by which later shots of the ranges seen so far are judged: their first shots, and of a train the first pulse.
+    pub fn is_primed(&self, known: &Known) -> bool {
+        let of_train = known.period_ps(&self.first).is_some() && known.template(&self.first).is_some();
+        let is_timed = !of_train || self.first_pulse_ps.is_some();
+        is_timed && !self.ranges.is_empty() && self.ranges.values().all(Shots::is_primed)
+    }
+
+    /// Forgets what was added up; of the ranges seen so far no first shots are to come.
+    pub fn forget(&mut self, average: &Average) {
+        self.ranges.values_mut().for_each(|shots| shots.forget(average));
+        (self.has_reference, self.missing_template) = (false, false);
+    }
+
+    /// What a piece adds up to.
+    pub fn save(self, average: &Average) -> Result<Vec<Subtotal>, String> {
+        let mut subtotals = Vec::new();
+        for (_, shots) in self.ranges {
+            subtotals.extend(shots.save(average)?);
+        }
+        subtotals.iter_mut().for_each(|subtotal| {
+            (subtotal.has_reference, subtotal.missing_template) = (self.has_reference, self.missing_template);
+        });
+        Ok(subtotals)
+    }
+
+    /// Adds a row of what the next piece adds up to.
+    pub fn absorb(&mut self, subtotal: Subtotal) -> Result<(), String> {
+        self.has_reference |= subtotal.has_reference;
+        self.missing_template |= subtotal.missing_template;
+        let range = subtotal.range.clone().unwrap_or_default();
+        let shots = self.ranges.get_mut(&range);
+        shots.ok_or_else(|| format!("has shots of a vertical range {range} without first shots"))?.absorb(subtotal)
     }
 
     /// The capture's profile.

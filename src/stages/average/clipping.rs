@@ -49,6 +49,21 @@ impl Clipping {
         }
     }
 
+    /// The places, in order.
+    pub fn places(&self) -> impl Iterator<Item = i64> {
+        self.places.iter().copied()
+    }
+
+    /// Marks places that another piece of the capture has found.
+    pub fn absorb(&mut self, places: impl IntoIterator<Item = i64>) {
+        self.places.extend(places);
+    }
+
+    /// None any more.
+    pub fn forget(&mut self) {
+        self.places.clear();
+    }
+
     /// Which of `count` places from `first` on are clipped.
     pub fn at(&self, first: i64, count: usize) -> Vec<bool> {
         let mut clipped = vec![false; count];

@@ -1,10 +1,11 @@
 //! Photon histograms of a capture, added up. No shot is outlying, none is moved: detections are counted from the trigger on.
 
+use super::piece::{exact, nothing};
 use super::{Average, is_alike, rejection};
 use crate::signal::codes::Codes;
 use crate::stages::stage::Outcome;
 use crate::tables::traces::TraceColumns;
-use crate::tables::{Profile, Row, Trace};
+use crate::tables::{Profile, Row, Subtotal, Trace};
 
 /// Histograms under way to their sum.
 pub struct Histogram {
@@ -27,7 +28,7 @@ impl Histogram {
         if columns.is_reference.value(i) {
             return;
         }
-        if self.records == 0 {
+        if self.first.is_reference {
             self.first = Trace::read(columns, i);
             self.counts = vec![0.0; self.first.samples as usize];
         }
@@ -38,6 +39,33 @@ impl Histogram {
         let codes = Codes::of(columns.code_type.value(i), columns.codes.value(i));
         codes.expect("ingest writes known code types only").add_to_f64(&mut self.counts);
         self.records += 1;
+    }
+
+    /// Whether the record is known that all others must be like.
+    pub fn is_primed(&self) -> bool {
+        !self.first.is_reference
+    }
+
+    /// Forgets what was added up.
+    pub fn forget(&mut self) {
+        self.counts.fill(0.0);
+        (self.records, self.other) = (0, 0);
+    }
+
+    /// What a piece adds up to.
+    pub fn save(self) -> Result<Vec<Subtotal>, String> {
+        exact(&self.first, self.records as u64)?;
+        let sums: Vec<i64> = self.counts.iter().map(|&count| count as i64).collect();
+        let (shots, other_scale, covered_to) = (i64::from(self.records), i64::from(self.other), sums.len() as i64);
+        Ok(vec![Subtotal { phase: Some(0), shots, covered_to, sums, other_scale, ..nothing(&self.first) }])
+    }
+
+    /// Adds what the next piece adds up to.
+    pub fn absorb(&mut self, subtotal: &Subtotal) -> Result<(), String> {
+        self.records += subtotal.shots as i32;
+        self.other += subtotal.other_scale as i32;
+        self.counts.iter_mut().zip(&subtotal.sums).for_each(|(sum, count)| *sum += *count as f64);
+        exact(&self.first, self.records as u64)
     }
 
     /// The sum as a profile.

@@ -37,11 +37,26 @@ pub struct References {
     v_ps: Moments,
     /// Sum of the squared standard deviations of the times.
     variance_ps2: f64,
+    /// The pulses themselves, where they are to be handed over: rounded sums depend on the order, so that whoever joins pieces adds one by one.
+    kept: Option<Vec<ReferencePulse>>,
 }
 
 impl References {
+    /// None yet; keeps them as they come.
+    pub fn keeping() -> Self {
+        Self { kept: Some(Vec::new()), ..Self::default() }
+    }
+
+    /// The pulses, in the order of their shots, if they were kept.
+    pub fn kept(&self) -> &[ReferencePulse] {
+        self.kept.as_deref().unwrap_or_default()
+    }
+
     /// Takes one more.
     pub fn add(&mut self, pulse: ReferencePulse) {
+        if let Some(kept) = &mut self.kept {
+            kept.push(pulse);
+        }
         self.time_ps.add(pulse.time_ps);
         self.v_ps.add(pulse.v_ps);
         self.variance_ps2 += pulse.time_sd_ps * pulse.time_sd_ps;
@@ -99,5 +114,37 @@ impl Moments {
     fn mean_and_error(&self) -> (Option<f64>, Option<f64>) {
         let error = || (self.squares / (self.count - 1.0) / self.count).sqrt();
         ((self.count > 0.0).then_some(self.mean), (self.count > 1.0).then(error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn pulses_that_pieces_hand_over_add_up_to_the_bits_of_one_pass() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut pulse = |_| ReferencePulse {
+            time_ps: rng.random_range(-900.0..1100.0),
+            time_sd_ps: rng.random_range(0.1..7.0),
+            v_ps: rng.random_range(1.0..3.0),
+        };
+        let pulses: Vec<ReferencePulse> = (0..1000).map(&mut pulse).collect();
+        let told = |references: &References| (references.time_ps(), references.v_ps(), references.alignment_ps2());
+        let mut whole = References::default();
+        pulses.iter().for_each(|pulse| whole.add(*pulse));
+        for _ in 0..20 {
+            let (mut joined, mut rest) = (References::default(), &pulses[..]);
+            while !rest.is_empty() {
+                let (piece, after) = rest.split_at(rng.random_range(0..=rest.len()));
+                let mut handed = References::keeping();
+                piece.iter().for_each(|pulse| handed.add(*pulse));
+                handed.kept().iter().for_each(|pulse| joined.add(*pulse));
+                rest = after;
+            }
+            assert_eq!(told(&joined), told(&whole));
+        }
     }
 }

@@ -1,9 +1,12 @@
 //! The shots of a capture at one vertical range, under way to their mean.
 
+mod piece;
+
 use std::iter::empty;
 
 use super::clipping::Clipping;
 use super::noise::Noise;
+use super::piece::Extent;
 use super::record::Record;
 use super::reference::{ReferencePulse, References};
 use super::{Average, Known};
@@ -32,8 +35,12 @@ struct Tally {
 }
 
 impl Tally {
-    fn new(samples: usize) -> Self {
-        Self { sums: PhaseSums::new(samples), references: References::default() }
+    fn new(samples: usize, extent: Extent) -> Self {
+        let references = match extent {
+            Extent::Whole => References::default(),
+            Extent::Piece => References::keeping(),
+        };
+        Self { sums: PhaseSums::new(samples), references }
     }
 
     fn add(&mut self, codes: Samples<'_>, shot: &Shot) {
@@ -69,6 +76,7 @@ pub struct Shots {
     /// Shots that are whole, and those with clipped samples: these count where another range has what they lack.
     whole: Tally,
     cut: Tally,
+    extent: Extent,
     clipping: Clipping,
     pub rejected: i32,
     /// Of these, clipped.
@@ -77,8 +85,8 @@ pub struct Shots {
 }
 
 impl Shots {
-    /// None yet.
-    pub fn new(average: &Average, known: &Known, first: Trace) -> Self {
+    /// None yet; those of a piece can be saved.
+    pub fn new(average: &Average, known: &Known, first: Trace, extent: Extent) -> Self {
         let samples = first.samples as usize;
         Self {
             baseline: average.baseline_samples(&first),
@@ -88,8 +96,9 @@ impl Shots {
             head: Vec::new(),
             test: None,
             noise: None,
-            whole: Tally::new(samples),
-            cut: Tally::new(samples),
+            whole: Tally::new(samples, extent),
+            cut: Tally::new(samples, extent),
+            extent,
             clipping: Clipping::new(average, first.dt_ps),
             rejected: 0,
             clipped: 0,
@@ -184,7 +193,7 @@ impl Shots {
         if self.noise.is_none() {
             self.close_head(average);
         }
-        let cut = std::mem::replace(&mut self.cut, Tally::new(self.first.samples as usize));
+        let cut = std::mem::replace(&mut self.cut, Tally::new(self.first.samples as usize, Extent::Whole));
         if several {
             self.whole.absorb(cut);
         } else {

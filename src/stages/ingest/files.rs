@@ -1,9 +1,10 @@
 //! The files of one item: which of their records are its exposures, and their rows.
 
 use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::raw_file::{Bad, Hashed, RawFile};
+use super::raw_file::{Bad, Hashed, HashedStretch, RawFile, Reading};
 use super::survey::{Job, Surveyed};
 use super::template::Template;
 use crate::tables::traces::Records;
@@ -20,11 +21,12 @@ pub struct Files {
 }
 
 impl Files {
-    pub fn open(surveyed: &Surveyed<'_>, job: &Job<'_>, whole: bool) -> Result<Self, Bad> {
+    pub fn open(surveyed: &Surveyed<'_>, job: &Job<'_>, reading: Reading<'_>) -> Result<Self, Bad> {
         let exposure = &job.item.exposure;
-        let signal = RawFile::open(surveyed, job, &exposure.file, whole)?;
+        let signal = RawFile::open(surveyed, job, &exposure.file, reading)?;
         let reference = exposure.reference.as_ref().filter(|reference| reference.file != exposure.file);
-        let reference = reference.map(|reference| RawFile::open(surveyed, job, &reference.file, whole)).transpose()?;
+        let reference =
+            reference.map(|reference| RawFile::open(surveyed, job, &reference.file, reading)).transpose()?;
         let mut files = Self { signal, signal_records: Vec::new(), reference, reference_records: None };
         files.turn_to(job)?;
         Ok(files)
@@ -82,6 +84,28 @@ impl Files {
             digests.extend(reference.digests()?);
         }
         Ok(digests)
+    }
+
+    /// Stretches of the files, where they were read so.
+    pub fn stretches(self) -> Result<Vec<HashedStretch>, Bad> {
+        let stretches = [Some(self.signal), self.reference].into_iter().flatten().map(RawFile::stretch);
+        Ok(stretches.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
+    }
+
+    /// The records of all files.
+    pub fn records(&self) -> impl Iterator<Item = &Record> {
+        self.signal.records.iter().chain(self.reference.iter().flat_map(|reference| &reference.records))
+    }
+
+    /// For each file: its name, its bytes, and where an exposure begins.
+    pub fn places(&self, exposure: usize) -> Vec<(&PathBuf, u64, u64)> {
+        let (length, at) = self.signal.place(self.signal_records[exposure].0);
+        let mut places = vec![(&self.signal.name, length, at)];
+        if let (Some(reference), Some(records)) = (&self.reference, &self.reference_records) {
+            let (length, at) = reference.place(records[exposure]);
+            places.push((&reference.name, length, at));
+        }
+        places
     }
 
     /// Rows of a range of exposures: for each its reference, then its signal.

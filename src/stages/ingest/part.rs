@@ -1,12 +1,13 @@
 //! Reading a part: its files in batches within the memory budget, small ones side by side, large ones in pieces.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
 use super::files::Files;
-use super::raw_file::{Bad, Hashed};
+use super::raw_file::{Bad, Hashed, HashedStretch, Reading};
 use super::survey::{Capture, Item, Job, Surveyed, chain};
 use crate::campaign::{Campaign, hash_file};
 use crate::stages::source::{Feed, PartRead};
@@ -31,46 +32,81 @@ pub fn read_part(
     feed: &dyn Feed,
 ) -> Result<PartRead, StageError> {
     let captures = &surveyed.parts[part];
-    let mut reader = Reader {
-        surveyed,
-        batch_bytes,
-        feed,
-        digests: BTreeMap::new(),
-        rejections: Vec::new(),
-        shots: BTreeMap::new(),
-    };
-    let mut group: Vec<(usize, &Item)> = Vec::new();
-    let mut bytes = 0;
-    for (index, capture) in captures.iter().enumerate() {
-        for item in &capture.items {
-            let large = item.bytes as usize > batch_bytes;
-            if large || bytes + item.bytes as usize > batch_bytes {
-                reader.small(captures, &std::mem::take(&mut group), bytes)?;
-                bytes = 0;
-            }
-            if large {
-                reader.large(index, capture, item)?;
-            } else {
-                group.push((index, item));
-                bytes += item.bytes as usize;
-            }
-        }
-    }
-    reader.small(captures, &group, bytes)?;
-    reader.finish(captures)
+    let mut reader = Reader::new(surveyed, batch_bytes, feed);
+    reader.read(captures, items(captures).map(|(index, _, item)| Share { index, item, of_file: None }))?;
+    Ok(PartRead { content: content(surveyed, captures, reader.digests)?, rejections: reader.rejections })
 }
 
-struct Reader<'a> {
+/// The items of captures, in order: number of the capture, number of the item in it.
+pub fn items(captures: &[Capture]) -> impl Iterator<Item = (usize, usize, &Item)> {
+    captures
+        .iter()
+        .enumerate()
+        .flat_map(|(index, capture)| capture.items.iter().enumerate().map(move |(at, item)| (index, at, item)))
+}
+
+/// What is to be read of an item.
+pub struct Share<'a> {
+    /// Number of its capture.
+    pub index: usize,
+    pub item: &'a Item,
+    /// Where not all: which exposures, and which bytes of its files are hashed.
+    pub of_file: Option<(Range<usize>, &'a BTreeMap<PathBuf, Range<u64>>)>,
+}
+
+/// Reads items in batches.
+pub struct Reader<'a> {
     surveyed: &'a Surveyed<'a>,
     batch_bytes: usize,
     feed: &'a dyn Feed,
-    digests: BTreeMap<(usize, PathBuf), Digest>,
-    rejections: Vec<Rejection>,
+    pub digests: BTreeMap<(usize, PathBuf), Digest>,
+    /// Of files that were read in part.
+    pub stretches: Vec<HashedStretch>,
+    pub rejections: Vec<Rejection>,
     /// Exposures so far of each capture whose files do not number them.
     shots: BTreeMap<usize, i32>,
 }
 
+impl<'a> Reader<'a> {
+    pub fn new(surveyed: &'a Surveyed<'a>, batch_bytes: usize, feed: &'a dyn Feed) -> Self {
+        Self {
+            surveyed,
+            batch_bytes,
+            feed,
+            digests: BTreeMap::new(),
+            stretches: Vec::new(),
+            rejections: Vec::new(),
+            shots: BTreeMap::new(),
+        }
+    }
+}
+
 impl Reader<'_> {
+    /// Reads items of these captures, in order.
+    pub fn read<'i>(
+        &mut self,
+        captures: &[Capture],
+        shares: impl Iterator<Item = Share<'i>>,
+    ) -> Result<(), StageError> {
+        let mut group: Vec<(usize, &Item)> = Vec::new();
+        let mut bytes = 0;
+        for share in shares {
+            let item = share.item;
+            let large = share.of_file.is_some() || item.bytes as usize > self.batch_bytes;
+            if large || bytes + item.bytes as usize > self.batch_bytes {
+                self.small(captures, &std::mem::take(&mut group), bytes)?;
+                bytes = 0;
+            }
+            if large {
+                self.large(captures, &share)?;
+            } else {
+                group.push((share.index, item));
+                bytes += item.bytes as usize;
+            }
+        }
+        self.small(captures, &group, bytes)
+    }
+
     /// Items that fit in one batch together: read in parallel, file by file.
     fn small(&mut self, captures: &[Capture], group: &[(usize, &Item)], bytes: usize) -> Result<(), StageError> {
         if group.is_empty() {
@@ -105,10 +141,13 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// A file that is larger than a batch: read in pieces.
-    fn large(&mut self, index: usize, capture: &Capture, item: &Item) -> Result<(), StageError> {
+    /// A file that is larger than a batch, or of which not all is wanted: read in pieces.
+    fn large(&mut self, captures: &[Capture], share: &Share<'_>) -> Result<(), StageError> {
+        let Share { index, item, of_file } = share;
+        let (index, capture) = (*index, &captures[*index]);
+        let reading = of_file.as_ref().map_or(Reading::Long, |(_, hashed)| Reading::Stretch(hashed));
         let job = Job { capture, item, first_shot: self.shots.get(&index).copied().unwrap_or(0) };
-        let mut files = match Files::open(self.surveyed, &job, false) {
+        let mut files = match Files::open(self.surveyed, &job, reading) {
             Ok(files) => files,
             Err(error) => {
                 let digests = digests_of_bad(self.surveyed, &job);
@@ -125,12 +164,13 @@ impl Reader<'_> {
                 files.exposure_bytes(&job)
             )));
         }
-        let exposures = files.exposures();
+        let count = files.exposures();
+        let exposures = of_file.as_ref().map_or(0..count, |(shots, _)| shots.start..shots.end.min(count));
         let per_batch = (self.batch_bytes / files.exposure_bytes(&job).max(1)).max(1);
         let mut outcome =
-            Done { rows: Records::default(), shots: exposures as i32, digests: Vec::new(), rejection: None };
-        for start in (0..exposures).step_by(per_batch) {
-            let range = start..exposures.min(start + per_batch);
+            Done { rows: Records::default(), shots: exposures.len() as i32, digests: Vec::new(), rejection: None };
+        for start in exposures.clone().step_by(per_batch) {
+            let range = start..exposures.end.min(start + per_batch);
             let bytes = files.exposure_bytes(&job) * range.len();
             let credit = self.feed.reserve(bytes)?;
             match files.rows(self.surveyed, &job, range) {
@@ -142,7 +182,12 @@ impl Reader<'_> {
             }
             self.feed.read_bytes(bytes as u64);
         }
-        if !(item.is_share() && was_read(self.surveyed, &job)) {
+        if of_file.is_some() {
+            match files.stretches() {
+                Ok(stretches) => self.stretches.extend(stretches),
+                Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
+            }
+        } else if !(item.is_share() && was_read(self.surveyed, &job)) {
             match files.digests() {
                 Ok(digests) => outcome.digests = digests,
                 Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
@@ -175,27 +220,32 @@ impl Reader<'_> {
         }
         Ok(done.rows)
     }
+}
 
-    fn finish(mut self, captures: &[Capture]) -> Result<PartRead, StageError> {
-        for capture in captures {
-            for file in capture.files() {
-                let key = (capture.campaign, file.to_owned());
-                if let Some(digest) = self.surveyed.known(capture.campaign, file) {
-                    self.digests.insert(key, digest);
-                } else if !self.digests.contains_key(&key) {
-                    return Err(unread(&self.surveyed.campaigns[capture.campaign], file));
-                }
+/// Content of a part, from the digests of its files; notes these down.
+pub fn content(
+    surveyed: &Surveyed<'_>,
+    captures: &[Capture],
+    mut digests: BTreeMap<(usize, PathBuf), Digest>,
+) -> Result<Digest, StageError> {
+    for capture in captures {
+        for file in capture.files() {
+            let key = (capture.campaign, file.to_owned());
+            if let Some(digest) = surveyed.known(capture.campaign, file) {
+                digests.insert(key, digest);
+            } else if !digests.contains_key(&key) {
+                return Err(unread(&surveyed.campaigns[capture.campaign], file));
             }
         }
-        let campaign = captures[0].campaign;
-        let saved = self.surveyed.records[campaign].save_slip(captures);
-        saved.map_err(|error| StageError::Refused(chain(&self.surveyed.campaigns[campaign].root, &error)))?;
-        Ok(PartRead { content: self.surveyed.content(captures, &self.digests), rejections: self.rejections })
     }
+    let campaign = captures[0].campaign;
+    let saved = surveyed.records[campaign].save_slip(captures);
+    saved.map_err(|error| StageError::Refused(chain(&surveyed.campaigns[campaign].root, &error)))?;
+    Ok(surveyed.content(captures, &digests))
 }
 
 /// Why a file has no digest after its part was read: without one, nothing that is made of it has a lineage.
-fn unread(campaign: &Campaign, file: &Path) -> StageError {
+pub fn unread(campaign: &Campaign, file: &Path) -> StageError {
     let path = campaign.path_of(file);
     StageError::Refused(match hash_file(&path) {
         Ok(_) => format!("{} changed while it was read; run again when the capture has ended", path.display()),
@@ -214,7 +264,7 @@ fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
         done[0].digests = digests_of_bad(surveyed, first);
         done
     };
-    let mut files = match Files::open(surveyed, first, !is_share) {
+    let mut files = match Files::open(surveyed, first, if is_share { Reading::Long } else { Reading::Whole }) {
         Ok(files) => files,
         Err(error) => return reject_all(&error),
     };

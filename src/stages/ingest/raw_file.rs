@@ -1,5 +1,6 @@
 //! A raw file with its companion: whole in memory, or read in pieces; hashed as it is read in order.
 
+use std::collections::BTreeMap;
 use std::fs::Metadata;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::ops::Range;
@@ -10,6 +11,7 @@ use arrow::buffer::Buffer;
 use super::survey::{Job, Surveyed};
 use crate::campaign::companions::companion;
 use crate::campaign::hash_file;
+use crate::campaign::tree_hash::{StretchHasher, Subtree};
 use crate::formats::{self, FormatError, Joined, Source};
 use crate::stages::stage::Rejection;
 use crate::tables::{Codes, Name};
@@ -23,6 +25,61 @@ pub struct Hashed {
     pub file: PathBuf,
     pub digest: blake3::Hash,
     pub metadata: Metadata,
+}
+
+/// A file of which a stretch was hashed: its name, the subtrees of its hash, and its size and times from before it was read.
+pub struct HashedStretch {
+    pub file: PathBuf,
+    pub subtrees: Vec<Subtree>,
+    pub metadata: Metadata,
+}
+
+/// How a file is read, and which of its bytes are hashed.
+#[derive(Clone, Copy)]
+pub enum Reading<'a> {
+    /// Whole, in memory; all of it is hashed.
+    Whole,
+    /// In pieces; all of it is hashed.
+    Long,
+    /// In pieces; these bytes of each file are hashed.
+    Stretch(&'a BTreeMap<PathBuf, Range<u64>>),
+    /// In pieces; nothing is hashed.
+    Head,
+}
+
+/// The hash under way, and how far it has come.
+enum Hashing {
+    Whole(blake3::Hasher, u64),
+    Stretch(StretchHasher),
+    Nothing,
+}
+
+impl Hashing {
+    /// Which bytes are still to be hashed.
+    fn left(&self, length: u64) -> Range<u64> {
+        match self {
+            Self::Whole(_, at) => *at..length,
+            Self::Stretch(stretch) => stretch.at()..stretch.end(),
+            Self::Nothing => length..length,
+        }
+    }
+
+    /// Takes a stretch of the file; what is not the next to be hashed does not count.
+    fn take(&mut self, start: u64, bytes: &[u8]) {
+        let (at, end) = (self.left(u64::MAX).start, start + bytes.len() as u64);
+        if start > at || end <= at {
+            return;
+        }
+        let new = &bytes[(at - start) as usize..];
+        match self {
+            Self::Whole(hasher, at) => {
+                hasher.update(new);
+                *at = end;
+            }
+            Self::Stretch(stretch) => stretch.update(new),
+            Self::Nothing => {}
+        }
+    }
 }
 
 /// Why an item is set aside.
@@ -54,9 +111,8 @@ pub struct RawFile {
     pub records: Vec<Record>,
     bytes: Bytes,
     metadata: Metadata,
-    /// Of the file alone; none where it has a companion: then both are hashed at the end.
-    hasher: Option<blake3::Hasher>,
-    hashed: u64,
+    /// Of the file alone; nothing where it has a companion: then both are hashed at the end.
+    hashing: Hashing,
     /// Files that are not hashed on the way, with size and times from before they were read.
     to_hash: Vec<(PathBuf, PathBuf, Metadata)>,
 }
@@ -67,7 +123,7 @@ enum Bytes {
 }
 
 impl RawFile {
-    pub fn open(surveyed: &Surveyed<'_>, job: &Job<'_>, name: &Path, whole: bool) -> Result<Self, Bad> {
+    pub fn open(surveyed: &Surveyed<'_>, job: &Job<'_>, name: &Path, reading: Reading<'_>) -> Result<Self, Bad> {
         let campaign = job.capture.campaign;
         let path_of = |name: &Path| surveyed.campaigns[campaign].path_of(name);
         let io = |error: io::Error| Bad {
@@ -86,14 +142,21 @@ impl RawFile {
         let metadata = std::fs::metadata(&path).map_err(io)?;
         let companion = companion(name).filter(|file| job.item.exposure.companions.contains(file));
         let mut to_hash = Vec::new();
-        if let Some(companion) = &companion {
+        if let Some(companion) = companion.as_ref().filter(|_| !matches!(reading, Reading::Head)) {
             for file in [name, companion.as_path()] {
                 to_hash.push((file.to_owned(), path_of(file), std::fs::metadata(path_of(file)).map_err(io)?));
             }
         }
-        let hasher = companion.is_none().then(blake3::Hasher::new);
+        let hashing = match reading {
+            Reading::Stretch(stretches) => {
+                let bytes = &stretches[name];
+                Hashing::Stretch(StretchHasher::new(bytes.start, bytes.end))
+            }
+            Reading::Whole | Reading::Long if companion.is_none() => Hashing::Whole(blake3::Hasher::new(), 0),
+            _ => Hashing::Nothing,
+        };
         let mut source = Source::open(&path).map_err(format)?;
-        let (bytes, records) = if whole {
+        let (bytes, records) = if matches!(reading, Reading::Whole) {
             let mut source = source.load().map_err(format)?;
             let records = formats::records(&mut source);
             (Bytes::Memory(Buffer::from_vec(source.into_inner().into_inner())), records)
@@ -103,7 +166,7 @@ impl RawFile {
         };
         let records = records.map_err(format)?;
         let text = name.to_string_lossy().as_ref().into();
-        Ok(Self { name: name.to_owned(), text, records, bytes, metadata, hasher, hashed: 0, to_hash })
+        Ok(Self { name: name.to_owned(), text, records, bytes, metadata, hashing, to_hash })
     }
 
     /// Something about this file that keeps it from being used.
@@ -121,14 +184,12 @@ impl RawFile {
         if let Bytes::Memory(memory) = &self.bytes {
             return Ok(memory.slice_with_length(range.start as usize, (range.end - range.start) as usize));
         }
-        if self.hasher.is_some() && range.start > self.hashed {
-            self.hash_to(range.start)?;
+        let left = self.hashing.left(self.metadata.len());
+        if !left.is_empty() && range.start > left.start {
+            self.hash_to(range.start.min(left.end))?;
         }
         let bytes = self.read(range.clone())?;
-        if let Some(hasher) = self.hasher.as_mut().filter(|_| range.start <= self.hashed && range.end > self.hashed) {
-            hasher.update(&bytes[(self.hashed - range.start) as usize..]);
-            self.hashed = range.end;
-        }
+        self.hashing.take(range.start, &bytes);
         Ok(bytes)
     }
 
@@ -144,11 +205,24 @@ impl RawFile {
 
     /// Hashes on to a place in the file.
     fn hash_to(&mut self, end: u64) -> Result<(), Bad> {
-        while self.hashed < end {
-            let next = end.min(self.hashed + PIECE_BYTES as u64);
-            self.span(self.hashed..next)?;
+        loop {
+            let at = self.hashing.left(end).start;
+            if at >= end {
+                return Ok(());
+            }
+            let bytes = self.read(at..end.min(at + PIECE_BYTES as u64))?;
+            self.hashing.take(at, &bytes);
         }
-        Ok(())
+    }
+
+    /// Hashes what is left to be hashed.
+    fn hash_rest(&mut self) -> Result<(), Bad> {
+        if let Bytes::Memory(memory) = &self.bytes {
+            self.hashing.take(0, memory);
+            return Ok(());
+        }
+        let end = self.hashing.left(self.metadata.len()).end;
+        self.hash_to(end)
     }
 
     /// Digests of all that was read.
@@ -158,17 +232,26 @@ impl RawFile {
             let digest = hash_file(path).map_err(|error| self.bad(error.to_string()))?;
             digests.push(Hashed { file: file.clone(), digest, metadata: metadata.clone() });
         }
-        if let (Some(hasher), Bytes::Memory(memory)) = (&mut self.hasher, &self.bytes) {
-            hasher.update(&memory[self.hashed as usize..]);
-            self.hashed = memory.len() as u64;
-        } else if self.hasher.is_some() {
-            self.hash_to(self.metadata.len())?;
-        }
-        if let Some(hasher) = &self.hasher {
+        self.hash_rest()?;
+        if let Hashing::Whole(hasher, _) = &self.hashing {
             let metadata = self.metadata.clone();
             digests.push(Hashed { file: self.name.clone(), digest: hasher.finalize(), metadata });
         }
         Ok(digests)
+    }
+
+    /// The stretch that was hashed, where the file was read so.
+    pub fn stretch(mut self) -> Result<Option<HashedStretch>, Bad> {
+        self.hash_rest()?;
+        let Hashing::Stretch(hasher) = self.hashing else { return Ok(None) };
+        Ok(Some(HashedStretch { file: self.name, subtrees: hasher.finish(), metadata: self.metadata }))
+    }
+
+    /// Bytes of the file, and the place where a record begins; about, where it does not lie there in one run.
+    pub fn place(&self, record: usize) -> (u64, u64) {
+        let length = self.metadata.len();
+        let share = u128::from(length) * record as u128 / self.records.len() as u128;
+        (length, self.records[record].contiguous().map_or(share as u64, |(at, _)| at))
     }
 
     /// Codes of records, little-endian; of the samples `[first, last)` of each, where only those count. Records that lie one behind the other share one
