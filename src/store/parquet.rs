@@ -220,28 +220,30 @@ pub fn uncompressed(field: &Field) -> Field {
     field.clone().with_metadata(metadata)
 }
 
-/// Codes are compressed, unless their field is marked; lists of floats are stored plain, since their low bits are noise; dictionaries only where texts repeat.
+/// Columns of a table are compressed, but lists of floats are stored plain, since their low bits are noise. Beside codes, nothing else is compressed: it is a
+/// hundredth of the bytes, and each column chunk would start a compressor of its own. Dictionaries only where texts repeat.
 fn properties(schema: &SchemaRef) -> WriterProperties {
     let zstd = Compression::ZSTD(ZstdLevel::try_new(1).expect("level 1 exists"));
+    let has_codes = schema.fields().iter().any(|field| field.data_type() == &DataType::BinaryView);
     let mut properties = WriterProperties::builder()
         .set_created_by("periscope".to_owned())
-        .set_compression(zstd)
+        .set_compression(if has_codes { Compression::UNCOMPRESSED } else { zstd })
         .set_max_row_group_row_count(None);
     for field in schema.fields() {
-        let path = match field.data_type() {
+        let marked = field.metadata().get(COMPRESSION.0).is_some_and(|mark| mark == COMPRESSION.1);
+        let (path, compression) = match field.data_type() {
             DataType::List(item) if item.data_type().is_floating() => {
-                ColumnPath::from(vec![field.name().clone(), "list".into(), item.name().clone()])
+                let path = vec![field.name().clone(), "list".into(), item.name().clone()];
+                (ColumnPath::from(path), Compression::UNCOMPRESSED)
             }
-            DataType::BinaryView => ColumnPath::from(field.name().as_str()),
+            DataType::BinaryView if marked => (ColumnPath::from(field.name().as_str()), Compression::UNCOMPRESSED),
+            DataType::BinaryView => (ColumnPath::from(field.name().as_str()), zstd),
             _ => continue,
         };
         properties = properties
             .set_column_dictionary_enabled(path.clone(), false)
-            .set_column_statistics_enabled(path.clone(), EnabledStatistics::None);
-        let marked = field.metadata().get(COMPRESSION.0).is_some_and(|mark| mark == COMPRESSION.1);
-        if marked || !matches!(field.data_type(), DataType::BinaryView) {
-            properties = properties.set_column_compression(path, Compression::UNCOMPRESSED);
-        }
+            .set_column_statistics_enabled(path.clone(), EnabledStatistics::None)
+            .set_column_compression(path, compression);
     }
     properties.build()
 }
