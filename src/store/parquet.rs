@@ -259,21 +259,19 @@ pub fn read(
     let metadata = ArrowReaderMetadata::load(&File::open(path)?, ArrowReaderOptions::new())?;
     let groups = metadata.metadata().num_row_groups();
     let path = path.to_owned();
-    let decode = move |group: usize| -> Vec<Result<RecordBatch, ParquetError>> {
+    let decode = move |group: usize| -> Result<Vec<RecordBatch>, ParquetError> {
         // A file of its own each: clones of one would share its position.
-        let reader = File::open(&path).map_err(ParquetError::from).and_then(|file| {
-            let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata.clone());
-            builder.with_row_groups(vec![group]).with_batch_size(rows).build()
-        });
-        match reader {
-            Ok(reader) => reader.map(|batch| batch.map_err(ParquetError::from)).collect(),
-            Err(error) => vec![Err(error)],
-        }
+        let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(File::open(&path)?, metadata.clone());
+        let reader = builder.with_row_groups(vec![group]).with_batch_size(rows).build()?;
+        Ok(reader.collect::<Result<_, _>>()?)
     };
     let together = rayon::current_num_threads();
     Ok((0..groups).step_by(together).flat_map(move |first| {
         let decoded: Vec<_> = (first..groups.min(first + together)).into_par_iter().map(&decode).collect();
-        decoded.into_iter().flatten()
+        decoded.into_iter().flat_map(|group| match group {
+            Ok(batches) => batches.into_iter().map(Ok).collect(),
+            Err(error) => vec![Err(error)],
+        })
     }))
 }
 
