@@ -50,7 +50,7 @@ use super::stage::{Beside, BesideTables, Fold, Grain, InPieces, Outcome, Rejecti
 use crate::campaign::Campaign;
 use crate::campaign::keys::SensorKind;
 use crate::signal::response::Response;
-use crate::tables::row::Cell;
+use crate::tables::cell::Cell;
 use crate::tables::traces::TraceColumns;
 use crate::tables::{Calibration, Name, Profile, Trace};
 use capture::Capture;

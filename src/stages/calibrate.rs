@@ -33,7 +33,7 @@ use crate::campaign::keys::{Sensor, SensorKind};
 use crate::campaign::{Campaign, Role};
 use crate::signal::codes::Codes;
 use crate::signal::oversample::{Shape, Shot};
-use crate::tables::row::Cell;
+use crate::tables::cell::Cell;
 use crate::tables::traces::TraceColumns;
 use crate::tables::{Calibration, Name, Row, Trace};
 use crate::units;

@@ -1,6 +1,6 @@
 //! Table `calibration`: what the response captures say about each sensor.
 
-use super::row::{Name, Samples};
+use super::cell::{Name, Samples};
 use crate::table;
 
 table! {

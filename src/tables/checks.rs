@@ -1,6 +1,6 @@
 //! Table `checks`: what the runs of an instrument check say of the instrument.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

@@ -1,6 +1,6 @@
 //! Table `gaps`: whether something stands between two hidden strips.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

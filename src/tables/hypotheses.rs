@@ -1,6 +1,6 @@
 //! Table `hypotheses`: hidden patches and planes that were looked for.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

@@ -1,6 +1,6 @@
 //! Table `labels`: which path of light made which onset.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

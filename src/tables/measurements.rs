@@ -1,6 +1,6 @@
 //! Table `measurements`: the pulse of each run of an instrument check, or of each capture of a scene.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

@@ -1,6 +1,7 @@
 //! The tables: one file a kind of row, each declared once. `data-schema/` is the published form of these declarations.
 
 pub mod calibration;
+pub mod cell;
 pub mod checks;
 pub mod contract;
 pub mod distances;
@@ -25,6 +26,7 @@ pub mod truth;
 use arrow::datatypes::SchemaRef;
 
 pub use calibration::Calibration;
+pub use cell::{Codes, Name, Samples};
 pub use checks::Check;
 pub use distances::{Covariance, Distance};
 pub use gaps::Gap;
@@ -37,7 +39,7 @@ pub use patches::{Patch, PatchCovariance};
 pub use planes::Plane;
 pub use profiles::Profile;
 pub use rejects::Reject;
-pub use row::{Codes, Name, Row, Samples, SchemaError};
+pub use row::{Row, SchemaError};
 pub use session::Session;
 pub use solution::{Ambiguity, Delay, Fit, Residual, Station, Suspect};
 pub use stir::{Impulse, Stir};

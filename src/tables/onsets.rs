@@ -1,6 +1,6 @@
 //! Table `onsets`: arrivals of light.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

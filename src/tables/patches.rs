@@ -1,6 +1,6 @@
 //! Table `patches`: where the surfaces are.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

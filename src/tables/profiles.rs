@@ -1,6 +1,6 @@
 //! Table `profiles`: mean time profile of a capture.
 
-use super::row::{Name, Samples};
+use super::cell::{Name, Samples};
 use crate::table;
 
 table! {

@@ -1,6 +1,6 @@
 //! Table `rejects`: what was set aside, and why.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

@@ -1,6 +1,6 @@
 //! Table `session`: what changes through a session, and what every shot of it has without light.
 
-use super::row::{Name, Samples};
+use super::cell::{Name, Samples};
 use crate::table;
 
 table! {

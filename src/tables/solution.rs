@@ -1,6 +1,6 @@
 //! Tables `delays`, `stations`, `residuals`, `suspects`, `fits` and `ambiguities`: what a solver found beside the patches.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

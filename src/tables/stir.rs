@@ -6,7 +6,8 @@ use std::sync::Arc;
 use arrow::array::{Array, ArrayRef, AsArray, Float64Array, ListArray, StructArray};
 use arrow::datatypes::{DataType, Field, Fields, Float64Type};
 
-use super::row::{Cell, Name, Samples, list, unit_of};
+use super::cell::{Cell, Name, Samples, list};
+use super::row::unit_of;
 use crate::table;
 
 /// One impulse of light that explains part of a profile.

@@ -1,6 +1,6 @@
 //! Table `subtotals`: what the pieces of a large capture add up to.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

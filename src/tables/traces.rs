@@ -2,7 +2,8 @@
 
 use arrow::array::{ArrayRef, RecordBatch};
 
-use super::row::{Cell, Codes, Name, Row};
+use super::cell::{Cell, Codes, Name};
+use super::row::Row;
 use crate::table;
 
 table! {

@@ -1,6 +1,6 @@
 //! Tables of a simulation's truth that no stage writes: paths, centroids, captures.
 
-use super::row::Name;
+use super::cell::Name;
 use crate::table;
 
 table! {

@@ -9,7 +9,7 @@ use super::shots::{Shots, view};
 use super::{Average, Known, is_alike, rejection};
 use crate::campaign::Role;
 use crate::stages::stage::{Outcome, StageError};
-use crate::tables::row::Cell;
+use crate::tables::cell::Cell;
 use crate::tables::traces::TraceColumns;
 use crate::tables::{Codes, Name, Profile, Row, Subtotal, Trace};
 
