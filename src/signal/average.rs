@@ -5,6 +5,8 @@
 //! shots, a shot costs one addition a sample, and a capture without jitter has one phase and no filter at all.
 //! Source: averaging of exposures, paper section 5.
 
+use std::ops::Range;
+
 use super::codes::Codes;
 use super::resample;
 
@@ -17,16 +19,23 @@ const SPILL_SHOTS: u32 = 1 << 15;
 #[derive(Clone, Debug)]
 pub struct PhaseSums {
     samples: usize,
-    bins: Vec<Option<Bin>>,
+    /// Of the phases that occur, in the order of their first shots.
+    bins: Vec<Bin>,
+    /// Where in these a phase stands; `NONE` if no shot has it.
+    places: [u8; PHASES],
     shots: u64,
 }
+
+/// No phase stands here.
+const NONE: u8 = u8::MAX;
 
 /// Sums of the shots of one phase. Shots of one phase may still lie whole samples apart.
 #[derive(Clone, Debug)]
 struct Bin {
+    phase: usize,
     /// Place on the grid of the first sum.
     first: i64,
-    /// Sums since the last spill, and those before (whole numbers below 2^53 are exact in `f64`).
+    /// Sums since the last spill, and those before (whole numbers below 2^53 are exact in `f64`): none until the first.
     sums: Vec<i32>,
     spilled: Vec<f64>,
     since_spill: u32,
@@ -36,11 +45,12 @@ struct Bin {
 }
 
 impl Bin {
-    fn new(whole: i64, samples: usize) -> Self {
+    fn new(phase: usize, whole: i64, samples: usize) -> Self {
         Self {
+            phase,
             first: whole,
             sums: vec![0; samples],
-            spilled: vec![0.0; samples],
+            spilled: Vec::new(),
             since_spill: 0,
             shots: 0,
             covered: (whole, whole + samples as i64),
@@ -52,14 +62,24 @@ impl Bin {
         let before = (self.first - whole).max(0) as usize;
         if before > 0 {
             self.sums.splice(0..0, std::iter::repeat_n(0, before));
-            self.spilled.splice(0..0, std::iter::repeat_n(0.0, before));
+            if !self.spilled.is_empty() {
+                self.spilled.splice(0..0, std::iter::repeat_n(0.0, before));
+            }
             self.first = whole;
         }
         let needed = (whole - self.first) as usize + samples;
         if needed > self.sums.len() {
             self.sums.resize(needed, 0);
-            self.spilled.resize(needed, 0.0);
+            if !self.spilled.is_empty() {
+                self.spilled.resize(needed, 0.0);
+            }
         }
+    }
+
+    /// Sums before the last spill, with room for them.
+    fn spilled(&mut self) -> &mut [f64] {
+        self.spilled.resize(self.sums.len(), 0.0);
+        &mut self.spilled
     }
 
     fn add(&mut self, codes: Codes<'_>, whole: i64, samples: usize) {
@@ -68,7 +88,7 @@ impl Bin {
         }
         let at = (whole - self.first) as usize;
         match codes {
-            Codes::F32(_) | Codes::F64(_) | Codes::I32(_) | Codes::U32(_) => codes.add_to_f64(&mut self.spilled[at..]),
+            Codes::F32(_) | Codes::F64(_) | Codes::I32(_) | Codes::U32(_) => codes.add_to_f64(&mut self.spilled()[at..]),
             _ => {
                 codes.add_to(&mut self.sums[at..]);
                 self.since_spill += 1;
@@ -85,12 +105,13 @@ impl Bin {
         other.spill();
         self.reach(other.first, other.sums.len());
         let at = (other.first - self.first) as usize;
-        self.spilled[at..].iter_mut().zip(other.spilled).for_each(|(sum, other)| *sum += other);
+        self.spilled()[at..].iter_mut().zip(other.spilled).for_each(|(sum, other)| *sum += other);
         self.shots += other.shots;
         self.covered = (self.covered.0.max(other.covered.0), self.covered.1.min(other.covered.1));
     }
 
     fn spill(&mut self) {
+        self.spilled();
         for (total, sum) in self.spilled.iter_mut().zip(&mut self.sums) {
             *total += f64::from(std::mem::take(sum));
         }
@@ -99,12 +120,16 @@ impl Bin {
 
     /// Sums on the places that all shots cover.
     fn totals(&self) -> Vec<f64> {
-        let (start, end) = ((self.covered.0 - self.first) as usize, (self.covered.1 - self.first) as usize);
-        self.spilled[start..end]
-            .iter()
-            .zip(&self.sums[start..end])
-            .map(|(total, sum)| total + f64::from(*sum))
-            .collect()
+        let place = |whole: i64| (whole - self.first) as usize;
+        self.totals_of(place(self.covered.0)..place(self.covered.1))
+    }
+
+    fn totals_of(&self, places: Range<usize>) -> Vec<f64> {
+        let sums = self.sums[places.clone()].iter().map(|sum| f64::from(*sum));
+        if self.spilled.is_empty() {
+            return sums.collect();
+        }
+        self.spilled[places].iter().zip(sums).map(|(total, sum)| total + sum).collect()
     }
 }
 
@@ -140,7 +165,22 @@ impl PhaseSums {
     #[must_use]
     pub fn new(samples: usize) -> Self {
         assert!(samples > 0, "a shot has samples");
-        Self { samples, bins: vec![None; PHASES], shots: 0 }
+        Self { samples, bins: Vec::new(), places: [NONE; PHASES], shots: 0 }
+    }
+
+    /// The sums of a phase, if it has shots.
+    fn bin(&mut self, phase: usize) -> Option<&mut Bin> {
+        self.bins.get_mut(usize::from(self.places[phase]))
+    }
+
+    fn put(&mut self, bin: Bin) {
+        self.places[bin.phase] = self.bins.len() as u8;
+        self.bins.push(bin);
+    }
+
+    /// The sums phase by phase.
+    fn bins(&self) -> impl Iterator<Item = &Bin> {
+        self.places.iter().filter_map(|place| self.bins.get(usize::from(*place)))
     }
 
     /// Adds a shot whose sample 0 lies at `position` / 64 samples on the grid.
@@ -150,9 +190,11 @@ impl PhaseSums {
     pub fn add(&mut self, codes: Codes<'_>, position: i64) {
         assert_eq!(codes.len(), self.samples, "samples of a shot");
         let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
-        let samples = self.samples;
-        let bin = self.bins[phase as usize].get_or_insert_with(|| Bin::new(whole, samples));
-        bin.add(codes, whole, samples);
+        let (phase, samples) = (phase as usize, self.samples);
+        if self.places[phase] == NONE {
+            self.put(Bin::new(phase, whole, samples));
+        }
+        self.bins[usize::from(self.places[phase])].add(codes, whole, samples);
         self.shots += 1;
     }
 
@@ -162,23 +204,23 @@ impl PhaseSums {
     /// When these have another number of samples.
     pub fn absorb(&mut self, other: Self) {
         assert_eq!(self.samples, other.samples, "samples of a shot");
-        for (own, other) in self.bins.iter_mut().zip(other.bins) {
-            match (own.as_mut(), other) {
-                (Some(own), Some(other)) => own.absorb(other),
-                (None, other) => *own = other,
-                (Some(_), None) => {}
-            }
+        other.bins.into_iter().for_each(|bin| self.absorb_bin(bin));
+    }
+
+    fn absorb_bin(&mut self, bin: Bin) {
+        self.shots += bin.shots;
+        match self.bin(bin.phase) {
+            Some(own) => own.absorb(bin),
+            None => self.put(bin),
         }
-        self.shots += other.shots;
     }
 
     /// The sums phase by phase; exact where codes are whole numbers.
     pub fn phases(&self) -> impl Iterator<Item = PhaseSum> {
-        let bins = self.bins.iter().enumerate().filter_map(|(phase, bin)| Some((phase, bin.as_ref()?)));
-        bins.map(|(phase, bin)| PhaseSum {
-            phase,
+        self.bins().map(|bin| PhaseSum {
+            phase: bin.phase,
             first: bin.first,
-            sums: bin.spilled.iter().zip(&bin.sums).map(|(total, sum)| *total as i64 + i64::from(*sum)).collect(),
+            sums: bin.totals_of(0..bin.sums.len()).into_iter().map(|sum| sum as i64).collect(),
             shots: bin.shots,
             covered: bin.covered,
         })
@@ -192,12 +234,8 @@ impl PhaseSums {
         let PhaseSum { phase, first, sums, shots, covered } = other;
         assert!(sums.len() >= self.samples, "samples of a shot");
         let spilled: Vec<f64> = sums.into_iter().map(|sum| sum as f64).collect();
-        let bin = Bin { first, sums: vec![0; spilled.len()], spilled, since_spill: 0, shots, covered };
-        match &mut self.bins[phase] {
-            Some(own) => own.absorb(bin),
-            own => *own = Some(bin),
-        }
-        self.shots += shots;
+        assert!(phase < PHASES, "phase {phase} of {PHASES}");
+        self.absorb_bin(Bin { phase, first, sums: vec![0; spilled.len()], spilled, since_spill: 0, shots, covered });
     }
 
     /// Shots added.
@@ -209,26 +247,32 @@ impl PhaseSums {
     /// Shots of each of the [`PHASES`] phases.
     #[must_use]
     pub fn phase_shots(&self) -> Vec<u64> {
-        self.bins.iter().map(|bin| bin.as_ref().map_or(0, |bin| bin.shots)).collect()
+        let place = |place: &u8| self.bins.get(usize::from(*place)).map_or(0, |bin| bin.shots);
+        self.places.iter().map(place).collect()
     }
 
     /// The mean; `None` without shots, or when no place is covered by all of them.
     #[must_use]
     pub fn finish(&self) -> Option<Mean> {
-        let bins = || self.bins.iter().enumerate().filter_map(|(phase, bin)| Some((phase, bin.as_ref()?)));
         // A shot of phase > 0 begins between two places: the later one is the first that it covers.
-        let start = bins().map(|(phase, bin)| bin.covered.0 + i64::from(phase > 0)).max()?;
-        let end = bins().map(|(_, bin)| bin.covered.1).min()?;
-        if start >= end || bins().any(|(_, bin)| bin.covered.0 >= bin.covered.1) {
+        let start = self.bins().map(|bin| bin.covered.0 + i64::from(bin.phase > 0)).max()?;
+        let end = self.bins().map(|bin| bin.covered.1).min()?;
+        if start >= end || self.bins.iter().any(|bin| bin.covered.0 >= bin.covered.1) {
             return None;
         }
         let mut mean = vec![0.0; (end - start) as usize];
-        for (phase, bin) in bins() {
+        let mut delayed = Vec::new();
+        for bin in self.bins() {
             let totals = bin.totals();
-            let mut delayed = vec![0.0; totals.len()];
-            resample::delay(&totals, phase as f64 / PHASES as f64, &mut delayed);
             let skip = (start - bin.covered.0) as usize;
-            mean.iter_mut().zip(&delayed[skip..]).for_each(|(sum, value)| *sum += value);
+            let on_grid = if bin.phase == 0 {
+                &totals
+            } else {
+                delayed.resize(totals.len(), 0.0);
+                resample::delay(&totals, bin.phase as f64 / PHASES as f64, &mut delayed);
+                &delayed
+            };
+            mean.iter_mut().zip(&on_grid[skip..]).for_each(|(sum, value)| *sum += value);
         }
         let shots = self.shots as f64;
         mean.iter_mut().for_each(|sum| *sum /= shots);

@@ -9,6 +9,7 @@ pub mod drift;
 pub mod echo;
 pub mod fft;
 pub mod fold;
+pub mod largest;
 pub mod merge_ranges;
 pub mod nnls;
 pub mod noise;

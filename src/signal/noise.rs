@@ -46,38 +46,37 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
 }
 
 /// Covariances at lags 0, 1, .. from those of stretches of `length` samples whose means were removed: the fixed point of
-/// `c = centred + loss(c)`. The loss is the smaller the shorter the correlation, so that the iteration contracts: it ends when it moves nothing any more.
+/// `c = centred + loss(c)`. The loss is the smaller the shorter the correlation, so that the iteration contracts.
+///
+/// With m the mean of a stretch of L samples, the covariance at a lag k loses the mean over n of `cov(x_n, m) + cov(x_{n + k}, m) - var(m)`. Let
+/// `s(n)` be the sum of the covariances up to lag n, which stays as it is behind the last correlated one, and `u(n)` the sum of the first n of
+/// these: then `L cov(x_n, m) = s(n) + s(L - 1 - n) - c_0`, and the loss is `2/L ((u(L) + u(L - k) - u(k)) / (L - k) - u(L) / L) - c_0 / L`.
 fn undo_centring(centred: &[f64], length: usize) -> Vec<f64> {
     const ROUNDS: usize = 60;
+    /// Share of the variance: far less than any estimate knows.
+    const SETTLED: f64 = 1e-13;
     let correlated = centred.len().min(length / 2).max(1);
     let mut covariances = centred.to_vec();
-    let (mut sums, mut with_mean) = (Vec::with_capacity(correlated + 1), Vec::with_capacity(length + 1));
+    let (mut up_to, mut sums) = (Vec::with_capacity(correlated + 1), Vec::with_capacity(correlated + 1));
+    let samples = length as f64;
     for _ in 0..ROUNDS {
-        // Sums of the covariances up to each lag, and from them L times cov(x_n, m).
-        running_sums(&mut sums, covariances[..correlated].iter().copied());
-        let upto = |lag: usize| sums[(lag + 1).min(correlated)];
-        let scale = 1.0 / length as f64;
-        let variance = covariances[0];
-        running_sums(&mut with_mean, (0..length).map(|n| scale * (upto(n) + upto(length - 1 - n) - variance)));
+        running_sums(&mut up_to, covariances[..correlated].iter().copied());
+        running_sums(&mut sums, up_to[1..].iter().copied());
+        let u = |n: usize| sums[n.min(correlated)] + n.saturating_sub(correlated) as f64 * up_to[correlated];
+        let (variance, whole) = (covariances[0], u(length));
         let mut moved = 0.0_f64;
         for (lag, (c, centred)) in covariances.iter_mut().zip(centred).enumerate() {
-            let next = centred + loss_by_centring(&with_mean, lag);
+            let rest = length - lag;
+            let both = (whole + u(rest) - u(lag)) / rest as f64 - whole / samples;
+            let next = centred + (2.0 * both - variance) / samples;
             moved = moved.max((next - *c).abs());
             *c = next;
         }
-        if moved <= f64::EPSILON * variance.abs() {
+        if moved <= SETTLED * variance.abs() {
             break;
         }
     }
     covariances
-}
-
-/// What the covariance at a lag loses when a stretch's mean m is removed: the mean over n of `cov(x_n, m) + cov(x_{n + lag}, m) - var(m)`, of the
-/// running sums of `cov(x_n, m)`.
-fn loss_by_centring(with_mean: &[f64], lag: usize) -> f64 {
-    let length = with_mean.len() - 1;
-    let both = with_mean[length - lag] + with_mean[length] - with_mean[lag];
-    both / (length - lag) as f64 - with_mean[length] / length as f64
 }
 
 /// Sums of the first 0, 1, 2, .. values.
@@ -229,6 +228,23 @@ mod tests {
         for (lag, r) in noise.acf.iter().enumerate() {
             assert!((r - 0.7_f64.powi(lag as i32)).abs() < 0.015, "{lag}: {r}");
         }
+    }
+
+    /// Against the definition: every product of two samples about the mean of their stretch, by the covariances of samples.
+    #[test]
+    fn what_centring_takes_is_given_back() {
+        let covariances = [2.0, 1.1, -0.3, 0.2, 0.05, -0.1];
+        let length = 48;
+        let of = |a: usize, b: usize| covariances.get(a.abs_diff(b)).copied().unwrap_or(0.0);
+        let with_mean = |n: usize| (0..length).map(|k| of(n, k)).sum::<f64>() / length as f64;
+        let variance = (0..length).map(with_mean).sum::<f64>() / length as f64;
+        let centred = |lag: usize| {
+            let products = (0..length - lag).map(|n| of(n, n + lag) - with_mean(n) - with_mean(n + lag) + variance);
+            products.sum::<f64>() / (length - lag) as f64
+        };
+        let centred: Vec<f64> = (0..covariances.len()).map(centred).collect();
+        let back = undo_centring(&centred, length);
+        assert!(back.iter().zip(&covariances).all(|(a, b)| (a - b).abs() < 1e-11), "{back:?}");
     }
 
     #[test]

@@ -121,7 +121,6 @@ impl NoiseModel {
 
 /// The terms at each sample, and what they are made of.
 struct Columns {
-    ones: Vec<f64>,
     /// Size of the level, and its square with the mean's own noise in it.
     level: Vec<f64>,
     square: Vec<f64>,
@@ -148,7 +147,7 @@ impl Columns {
         }
         let square: Vec<f64> = mean_v.iter().map(|v| v * v).collect();
         let level = mean_v.iter().map(|v| v.abs()).collect();
-        Self { ones: vec![1.0; len], level, clear_square: square.clone(), square, clear_rise: rise.clone(), rise, gain }
+        Self { level, clear_square: square.clone(), square, clear_rise: rise.clone(), rise, gain }
     }
 
     /// Takes the mean's own variance off the squares, that of a model of constant, level and its square.
@@ -162,10 +161,6 @@ impl Columns {
                 *clear_rise = (rise - gain * own).max(0.0);
             }
         });
-    }
-
-    fn terms(&self) -> [&[f64]; TERMS] {
-        [&self.ones, &self.level, &self.clear_square, &self.clear_rise]
     }
 
     /// Variance of each sample by the model.
@@ -190,16 +185,32 @@ struct Equations {
 
 impl Equations {
     fn of(columns: &Columns, right: &[f64], weights: &[f64]) -> Self {
-        let terms = columns.terms();
+        let Columns { level, clear_square, clear_rise, .. } = columns;
+        let [weight, level, square, rise, right] =
+            [weights, level, clear_square, clear_rise, right].map(|column| column.as_chunks::<LANES>());
+        let mut sums = [[0.0; LANES]; SUMS];
+        widest(|| {
+            let terms = level.0.iter().zip(square.0).zip(rise.0);
+            for ((weight, right), ((level, square), rise)) in weight.0.iter().zip(right.0).zip(terms) {
+                add_products(&mut sums, weight, [&[1.0; LANES], level, square, rise], right);
+            }
+        });
+        let [weight, level, square, rise, right] = [weight.1, level.1, square.1, rise.1, right.1].map(|rest| {
+            let mut lanes = [0.0; LANES];
+            lanes[..rest.len()].copy_from_slice(rest);
+            lanes
+        });
+        add_products(&mut sums, &weight, [&[1.0; LANES], &level, &square, &rise], &right);
+        let mut sums = sums.iter().map(|lanes| lanes.iter().sum::<f64>());
+        let mut next = || sums.next().expect("as many as were added up");
         let mut matrix = [[0.0; TERMS]; TERMS];
         for i in 0..TERMS {
             for j in 0..=i {
-                matrix[i][j] = sum_of_products(weights, terms[i], terms[j]);
+                matrix[i][j] = next();
                 matrix[j][i] = matrix[i][j];
             }
         }
-        let square = sum_of_products(weights, right, right);
-        Self { matrix, right: terms.map(|term| sum_of_products(weights, term, right)), square }
+        Self { matrix, right: std::array::from_fn(|_| next()), square: next() }
     }
 
     /// The best of all least-squares fits on a part of the terms whose values are not negative: the optimum of the bounded problem is among them.
@@ -248,18 +259,35 @@ impl Equations {
     }
 }
 
-/// Sums side by side, added up at the end: a fixed order that the compiler may work on several at a time.
-const LANES: usize = 8;
+/// Sums side by side, added up at the end: a fixed order that the processor may work on several at a time.
+const LANES: usize = 4;
+/// Sums of a round: the lower half of the matrix row by row, the right side, its square.
+const SUMS: usize = TERMS * (TERMS + 1) / 2 + TERMS + 1;
 
-fn sum_of_products(weights: &[f64], a: &[f64], b: &[f64]) -> f64 {
-    let (w, a, b) = (weights.as_chunks::<LANES>(), a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
-    let mut sums = [0.0; LANES];
-    widest(|| {
-        for ((w, a), b) in w.0.iter().zip(a.0).zip(b.0) {
-            sums.iter_mut().zip(w.iter().zip(a).zip(b)).for_each(|(sum, ((w, a), b))| *sum += w * a * b);
-        }
-    });
-    sums.iter().sum::<f64>() + w.1.iter().zip(a.1).zip(b.1).map(|((w, a), b)| w * a * b).sum::<f64>()
+#[inline(always)]
+fn add_products(
+    sums: &mut [[f64; LANES]; SUMS],
+    weight: &[f64; LANES],
+    terms: [&[f64; LANES]; TERMS],
+    right: &[f64; LANES],
+) {
+    let weighted = terms.map(|term| product(weight, term));
+    let weighted_right = product(weight, right);
+    let mut at = 0;
+    let mut add = |a: &[f64; LANES], b: &[f64; LANES]| {
+        sums[at].iter_mut().zip(product(a, b)).for_each(|(sum, product)| *sum += product);
+        at += 1;
+    };
+    for i in 0..TERMS {
+        (0..=i).for_each(|j| add(&weighted[i], terms[j]));
+    }
+    terms.iter().for_each(|term| add(&weighted_right, term));
+    add(&weighted_right, right);
+}
+
+#[inline(always)]
+fn product(a: &[f64; LANES], b: &[f64; LANES]) -> [f64; LANES] {
+    std::array::from_fn(|lane| a[lane] * b[lane])
 }
 
 #[cfg(test)]

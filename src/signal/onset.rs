@@ -9,6 +9,8 @@
 //! stretch of a record that holds one pulse, baseline removed.
 //! Positions are in samples from the first one. Not modelled: overlap of pulses, noise that moves the place of the maximum.
 
+use super::largest::largest;
+
 /// An upward crossing of a level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
@@ -158,13 +160,8 @@ fn interpolate(samples: &[f64], i: usize, level: f64, sd: f64) -> Crossing {
 }
 
 fn first_maximum(samples: &[f64]) -> Option<usize> {
-    let mut best = 0;
-    for (i, v) in samples.iter().enumerate() {
-        if *v > samples[best] {
-            best = i;
-        }
-    }
-    (!samples.is_empty()).then_some(best)
+    let most = largest(samples, f64::NEG_INFINITY, |sample| sample);
+    (!samples.is_empty()).then(|| samples.iter().position(|sample| *sample == most).unwrap_or(0))
 }
 
 #[cfg(test)]

@@ -7,8 +7,14 @@
 //! Good for a look at a profile and for the plain chain (deconvolve, then threshold). Not a separator of pulses: it knows neither that
 //! light is positive nor that it comes in pulses. Records are circular: light before the first sample appears at the end.
 
+use std::f64::consts::TAU;
+
 use super::fft::{Complex, RealFft};
 use super::response::Response;
+use super::widest::widest;
+
+/// Bins that are worked on side by side; the order of additions is fixed.
+const LANES: usize = 8;
 
 /// Spectrum `H` of a response on the grid of records of one length, scaled to a largest gain of 1.
 ///
@@ -92,6 +98,10 @@ fn mean_square(spectrum: &[Complex<f64>], len: usize) -> f64 {
 pub struct Wiener {
     len: usize,
     filter: Vec<Complex<f64>>,
+    /// What white noise of power 1 leaves in each bin, as a share of the variance of a sample.
+    power: Vec<f64>,
+    /// `2 cos(2 pi k / N)` of bin k.
+    turns: Vec<f64>,
 }
 
 impl Wiener {
@@ -104,7 +114,7 @@ impl Wiener {
     pub fn new(transfer: &Transfer, noise_to_signal: f64, low_pass: Option<f64>) -> Self {
         assert!(noise_to_signal > 0.0, "the noise-to-signal ratio must be positive");
         assert!(low_pass.is_none_or(|f| f > 0.0), "the low-pass frequency must be positive");
-        let filter = transfer
+        let filter: Vec<Complex<f64>> = transfer
             .gain
             .iter()
             .enumerate()
@@ -114,27 +124,48 @@ impl Wiener {
                 h.conj() / (h.norm_sqr() + noise_to_signal) * smooth
             })
             .collect();
-        Self { len: transfer.len, filter }
+        let len = transfer.len;
+        // Bins that a real record's spectrum leaves out are conjugates.
+        let is_paired = |k: usize| k > 0 && 2 * k < len;
+        let power = |(k, w): (usize, &Complex<f64>)| w.norm_sqr() * if is_paired(k) { 2.0 } else { 1.0 } / len as f64;
+        let power = filter.iter().enumerate().map(power).collect();
+        let turns = (0..filter.len()).map(|k| 2.0 * (TAU * k as f64 / len as f64).cos()).collect();
+        Self { len, filter, power, turns }
     }
 
     /// Standard deviation of deconvolved noise of standard deviation 1 and autocorrelation `acf` (lags 0, 1, ..; `&[1.0]` or nothing: white): root of
-    /// the mean of `|W|^2` over all bins, each weighted by the noise's power in it.
+    /// the sum of `|W|^2 / N` over all bins, each weighted by the noise's power in it, `1 + 2 sum_l r_l cos(l theta)`. That is not negative but for
+    /// the lags that an estimate leaves out. (The sum by Clenshaw's recurrence: Math. Tables Aids Comput. 9, 118 (1955).)
     #[must_use]
-    pub fn noise_gain(&self, fft: &mut RealFft, acf: &[f64]) -> f64 {
-        if acf.len() <= 1 {
-            return mean_square(&self.filter, self.len).sqrt();
-        }
-        let mut circular = vec![0.0; self.len];
-        for (lag, r) in acf.iter().enumerate().take(self.len.div_ceil(2)) {
-            circular[lag] = *r;
-            circular[(self.len - lag) % self.len] = *r;
-        }
-        let mut power = vec![Complex::default(); self.filter.len()];
-        fft.forward(&circular, &mut power);
-        // The root of the power, which is not negative but for the lags that an estimate leaves out.
-        let weighted: Vec<Complex<f64>> =
-            self.filter.iter().zip(&power).map(|(w, p)| w * (p.re.max(0.0) / acf[0]).sqrt()).collect();
-        mean_square(&weighted, self.len).sqrt()
+    pub fn noise_gain(&self, acf: &[f64]) -> f64 {
+        let lags = &acf[..acf.len().min(self.len.div_ceil(2))];
+        let lags = &lags[..lags.iter().rposition(|r| *r != 0.0).map_or(0, |last| last + 1)];
+        let Some((first, later)) = lags.split_first().filter(|(_, later)| !later.is_empty()) else {
+            return self.power.iter().sum::<f64>().sqrt();
+        };
+        let (powers, turns) = (self.power.as_chunks::<LANES>(), self.turns.as_chunks::<LANES>());
+        let coloured = |power: f64, turn: f64| {
+            let (mut b, mut last) = (0.0, 0.0);
+            for r in later.iter().rev() {
+                (b, last) = (r + turn * b - last, b);
+            }
+            power * (first + turn * b - 2.0 * last).max(0.0)
+        };
+        let mut sums = [0.0; LANES];
+        widest(|| {
+            for (power, turn) in powers.0.iter().zip(turns.0) {
+                let (mut b, mut last) = ([0.0; LANES], [0.0; LANES]);
+                for r in later.iter().rev() {
+                    let next = std::array::from_fn(|i| r + turn[i] * b[i] - last[i]);
+                    (b, last) = (next, b);
+                }
+                for i in 0..LANES {
+                    sums[i] += power[i] * (first + turn[i] * b[i] - 2.0 * last[i]).max(0.0);
+                }
+            }
+        });
+        let rest = powers.1.iter().zip(turns.1).map(|(power, turn)| coloured(*power, *turn));
+        ((sums.iter().sum::<f64>() + rest.sum::<f64>()) / first).sqrt()
     }
 
     /// Deconvolves `profile` into `light`, both of the filter's length; `light` has the profile's unit, and its time 0 is the arrival.
@@ -275,7 +306,7 @@ mod tests {
                     wiener.apply(&mut fft, &noise, &mut light);
                     squares += light.iter().map(|x| x * x).sum::<f64>() / len as f64;
                 }
-                let ratio = (squares / 400.0).sqrt() / wiener.noise_gain(&mut fft, acf);
+                let ratio = (squares / 400.0).sqrt() / wiener.noise_gain(acf);
                 assert!((ratio - 1.0).abs() < 0.01, "{len} {acf:?}: {ratio}");
             }
         }

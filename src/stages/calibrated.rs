@@ -1,6 +1,7 @@
 //! A calibrated sensor as the stages behind `average` use it, and what a profile says of its noise.
 
 use crate::signal::averaged_response::averaged_response;
+use crate::signal::largest::largest;
 use crate::signal::noise;
 use crate::signal::response::Response;
 use crate::tables::{Calibration, Name, Profile};
@@ -76,8 +77,7 @@ pub fn sd_v(profile: &Profile) -> Vec<f64> {
 
 /// Rounding of a profile's f32 samples.
 pub fn rounding_v(profile: &Profile) -> f64 {
-    let most = profile.mean_v.iter().fold(f32::MIN_POSITIVE, |most, sample| most.max(sample.abs()));
-    f64::from(f32::EPSILON) * f64::from(most)
+    f64::from(f32::EPSILON) * f64::from(largest(&profile.mean_v, f32::MIN_POSITIVE, f32::abs))
 }
 
 /// Autocorrelation of a profile's noise, smoothed to that of an autoregressive process of the order that its samples can tell.

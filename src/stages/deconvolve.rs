@@ -380,7 +380,7 @@ impl Deconvolve {
         let (_, _, wiener) = filter.as_ref().expect("made above");
         let mut light = vec![0.0; samples.len()];
         wiener.apply(fft, samples, &mut light);
-        let light_noise_v = noise_v * wiener.noise_gain(fft, acf);
+        let light_noise_v = noise_v * wiener.noise_gain(acf);
         (light, light_noise_v)
     }
 }

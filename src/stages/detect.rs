@@ -34,6 +34,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::signal::largest::largest;
 use crate::signal::onset::{self, Crossing};
 use crate::tables::{Name, Onset, Stir};
 
@@ -205,7 +206,7 @@ impl Detect {
 
     fn edges(&self, stir: &Stir) -> Result<Vec<Onset>, StageError> {
         let profile = stir.profile.to_f64();
-        let peak = profile.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let peak = largest(&profile, f64::NEG_INFINITY, |sample| sample);
         // A profile without any noise still has the rounding of its f32 samples.
         let noise = stir.profile_noise.max(f64::from(f32::EPSILON) * peak);
         if !(peak > 0.0 && peak >= self.threshold_sigma * noise) {

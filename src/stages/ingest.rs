@@ -11,6 +11,7 @@
 //! ```
 
 pub mod captures;
+mod content;
 mod files;
 mod part;
 mod piece;

@@ -36,7 +36,7 @@ macro_rules! primitive_cell {
             const NULLABLE: bool = false;
             fn data_type() -> DataType { $data_type }
             fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
-                Arc::new(cells.copied().map(Some).collect::<$array>())
+                Arc::new(<$array>::from(cells.copied().collect::<Vec<_>>()))
             }
             fn get(array: &Self::Array, i: usize) -> Self { array.value(i) }
         }
@@ -212,6 +212,14 @@ pub(crate) fn list(items: ArrayRef, lengths: &[Option<usize>]) -> ArrayRef {
     Arc::new(ListArray::new(item(items.data_type().clone()), offsets, items, nulls))
 }
 
+/// The column of these waveforms: long ones, so that room for all is made before they are copied.
+fn waveforms(cells: &[Option<&Samples>]) -> ArrayRef {
+    let lengths: Vec<_> = cells.iter().map(|cell| cell.map(|samples| samples.len())).collect();
+    let mut values = Vec::with_capacity(lengths.iter().flatten().sum());
+    cells.iter().flatten().for_each(|samples| values.extend_from_slice(samples));
+    list(Arc::new(Float32Array::from(values)), &lengths)
+}
+
 impl Cell for Samples {
     type Array = ListArray;
     const NULLABLE: bool = false;
@@ -219,14 +227,7 @@ impl Cell for Samples {
         DataType::List(item(DataType::Float32))
     }
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
-        let mut values = Vec::new();
-        let lengths: Vec<_> = cells
-            .map(|cell| {
-                values.extend_from_slice(cell);
-                Some(cell.len())
-            })
-            .collect();
-        list(Arc::new(Float32Array::from(values)), &lengths)
+        waveforms(&cells.map(Some).collect::<Vec<_>>())
     }
     fn get(array: &Self::Array, i: usize) -> Self {
         Self(array.value(i).as_primitive::<Float32Type>().values().clone())
@@ -240,16 +241,7 @@ impl Cell for Option<Samples> {
         Samples::data_type()
     }
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
-        let mut values = Vec::new();
-        let lengths: Vec<_> = cells
-            .map(|cell| {
-                cell.as_ref().map(|samples| {
-                    values.extend_from_slice(samples);
-                    samples.len()
-                })
-            })
-            .collect();
-        list(Arc::new(Float32Array::from(values)), &lengths)
+        waveforms(&cells.map(Option::as_ref).collect::<Vec<_>>())
     }
     fn get(array: &Self::Array, i: usize) -> Self {
         array.is_valid(i).then(|| Samples::get(array, i))

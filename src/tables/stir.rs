@@ -79,6 +79,10 @@ impl Cell for Vec<Impulse> {
     }
 
     fn get(array: &Self::Array, i: usize) -> Self {
+        // Most methods find none, and then there is no need to look into every column.
+        if array.value_length(i) == 0 {
+            return Vec::new();
+        }
         let items = array.value(i);
         let columns = items.as_struct().columns();
         let column = |c: usize| columns[c].as_primitive::<Float64Type>().values().clone();

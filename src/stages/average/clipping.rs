@@ -75,6 +75,9 @@ impl Clipping {
 
     /// Which of `count` places from `first` on are neither clipped nor close to it.
     pub fn clear_of(&self, first: i64, count: usize) -> Vec<bool> {
+        if self.places.is_empty() {
+            return vec![true; count];
+        }
         merge_ranges::valid(&self.at(first, count), self.before, self.after)
     }
 }

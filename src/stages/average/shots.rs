@@ -73,6 +73,8 @@ pub struct Shots {
     test: Option<OutlierTest>,
     /// Known once the head is closed.
     noise: Option<Noise>,
+    /// Mean of the whole shots of the head, and how many these are.
+    head_mean: Option<(u64, Mean)>,
     /// Shots that are whole, and those with clipped samples: these count where another range has what they lack.
     whole: Tally,
     cut: Tally,
@@ -96,6 +98,7 @@ impl Shots {
             head: Vec::new(),
             test: None,
             noise: None,
+            head_mean: None,
             whole: Tally::new(samples, extent),
             cut: Tally::new(samples, extent),
             extent,
@@ -159,9 +162,15 @@ impl Shots {
         };
         let passed: Vec<(Samples<'_>, i64)> = views.into_iter().filter(is_good).collect();
         head.iter().for_each(|shot| self.add(shot));
-        let mut sums = PhaseSums::new(self.first.samples as usize);
-        passed.iter().for_each(|(codes, position)| sums.add(*codes, *position));
-        let Some(mean) = sums.finish() else {
+        // Those that passed, and no others, have been added up.
+        let mean = if clipping {
+            let mut sums = self.whole.sums.clone();
+            sums.absorb(self.cut.sums.clone());
+            sums.finish()
+        } else {
+            self.whole.sums.finish()
+        };
+        let Some(mean) = mean else {
             return;
         };
         if self.circular {
@@ -170,6 +179,7 @@ impl Shots {
         let stretches: Vec<Vec<f64>> = passed.iter().map(|(codes, position)| self.stretch(*codes, *position)).collect();
         let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
         self.noise = Some(Noise::of(&passed, &stretches, &mean, self.level(&mean), &clear, &self.first));
+        self.head_mean = (!clipping).then(|| (self.whole.sums.shots(), mean));
     }
 
     /// Samples of a shot without light.
@@ -205,7 +215,9 @@ impl Shots {
         if shots < u64::from(needed) {
             return Err(self.too_few(shots, needed));
         }
-        let mean = self.whole.sums.finish().zip(self.noise.take());
+        // Where no other shots came, the mean is there already.
+        let of_head = self.head_mean.take().filter(|(of, _)| *of == shots).map(|(_, mean)| mean);
+        let mean = of_head.or_else(|| self.whole.sums.finish()).zip(self.noise.take());
         let Some((mean, noise)) = mean else {
             return Err(
                 "has shots so far apart in time that none overlaps all others; check its reference channel and trigger"

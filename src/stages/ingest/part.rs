@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use super::content::{self, FileDigests};
 use super::files::Files;
 use super::raw_file::{Bad, Hashed, HashedStretch, Reading};
 use super::survey::{Capture, Item, Job, Surveyed, chain};
@@ -14,6 +15,9 @@ use crate::stages::source::{Feed, PartRead};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
 use crate::tables::traces::Records;
+
+/// A batch of so many items ends with a file: what is made of small ones takes many times their own bytes.
+const BATCH_ITEMS: usize = 256;
 
 /// What came of a job.
 #[derive(Default)]
@@ -59,7 +63,7 @@ pub struct Reader<'a> {
     surveyed: &'a Surveyed<'a>,
     batch_bytes: usize,
     feed: &'a dyn Feed,
-    pub digests: BTreeMap<(usize, PathBuf), Digest>,
+    pub digests: FileDigests,
     /// Of files that were read in part.
     pub stretches: Vec<HashedStretch>,
     pub rejections: Vec<Rejection>,
@@ -93,7 +97,9 @@ impl Reader<'_> {
         for share in shares {
             let item = share.item;
             let large = share.of_file.is_some() || item.bytes as usize > self.batch_bytes;
-            if large || bytes + item.bytes as usize > self.batch_bytes {
+            let is_next_file = group.last().is_some_and(|(_, last)| last.exposure.file != item.exposure.file);
+            let full = group.len() >= BATCH_ITEMS && is_next_file;
+            if large || full || bytes + item.bytes as usize > self.batch_bytes {
                 self.small(captures, &std::mem::take(&mut group), bytes)?;
                 bytes = 0;
             }
@@ -226,22 +232,20 @@ impl Reader<'_> {
 pub fn content(
     surveyed: &Surveyed<'_>,
     captures: &[Capture],
-    mut digests: BTreeMap<(usize, PathBuf), Digest>,
+    mut digests: FileDigests,
 ) -> Result<Digest, StageError> {
-    for capture in captures {
-        for file in capture.files() {
-            let key = (capture.campaign, file.to_owned());
-            if let Some(digest) = surveyed.known(capture.campaign, file) {
-                digests.insert(key, digest);
-            } else if !digests.contains_key(&key) {
-                return Err(unread(&surveyed.campaigns[capture.campaign], file));
-            }
+    for (campaign, file) in content::files(captures) {
+        let key = (campaign, file.to_owned());
+        if let Some(digest) = surveyed.known(campaign, file) {
+            digests.insert(key, digest);
+        } else if !digests.contains_key(&key) {
+            return Err(unread(&surveyed.campaigns[campaign], file));
         }
     }
     let campaign = captures[0].campaign;
     let saved = surveyed.records[campaign].save_slip(captures);
     saved.map_err(|error| StageError::Refused(chain(&surveyed.campaigns[campaign].root, &error)))?;
-    Ok(surveyed.content(captures, &digests))
+    Ok(content::digest(surveyed.campaigns, captures, &digests))
 }
 
 /// Why a file has no digest after its part was read: without one, nothing that is made of it has a lineage.

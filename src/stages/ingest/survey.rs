@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 
+use super::content::{self, FileDigests};
 use super::record::Record;
 use crate::campaign::{Axis, Campaign, Exposure, FileState, Role, Survey, closes_part, hash_file};
 use crate::formats;
@@ -76,25 +76,6 @@ impl Capture {
         let (low, high) = (self.lit.min(self.seen), self.lit.max(self.seen));
         let run = self.run.as_ref().map_or(String::new(), |run| format!("/{run}"));
         format!("{}/{}/{low}/{high}/{}{run}", campaigns[self.campaign].name, self.sensor, self.role.name())
-    }
-
-    /// All that its rows depend on, the bytes of its files apart.
-    fn description(&self, campaigns: &[Campaign]) -> Value {
-        let item = |item: &Item| {
-            let exposure = &item.exposure;
-            json!({
-                "file": exposure.file, "segment": exposure.segment, "channel": exposure.channel, "shot": exposure.shot, "range": exposure.range,
-                "reference": exposure.reference.as_ref().map(|reference| json!([reference.file, reference.channel])),
-                "keys": exposure.keys, "records": item.records,
-            })
-        };
-        let items: Vec<Value> = self.items.iter().map(item).collect();
-        json!([campaigns[self.campaign].name, self.role, self.run, self.sensor, self.lit, self.seen, items])
-    }
-
-    /// Raw files that it reads.
-    pub fn files(&self) -> BTreeSet<&Path> {
-        self.items.iter().flat_map(|item| item.exposure.files().map(PathBuf::as_path)).collect()
     }
 }
 
@@ -167,20 +148,18 @@ impl<'a> Surveyed<'a> {
     /// Files that changed since they were recorded are refused; those whose time stamp alone changed are hashed again here.
     fn check_files(&self) -> Result<(), StageError> {
         let mut changed = BTreeSet::new();
-        for capture in self.parts.iter().flatten() {
-            let root = &self.campaigns[capture.campaign].root;
+        for (campaign, file) in content::files(self.parts.iter().flatten()) {
+            let root = &self.campaigns[campaign].root;
             let refused = |error: &dyn std::error::Error| StageError::Refused(chain(root, error));
-            for file in capture.files() {
-                let state = self.records[capture.campaign].check(root, file).map_err(|error| refused(&error))?;
-                let FileState::Touched { recorded } = state else {
-                    continue;
-                };
-                let metadata = std::fs::metadata(root.join(file)).map_err(|error| refused(&error))?;
-                if hash_file(&root.join(file)).map_err(|error| refused(&error))? == recorded {
-                    self.record(capture.campaign, file, recorded, &metadata);
-                } else {
-                    changed.insert(root.join(file).display().to_string());
-                }
+            let state = self.records[campaign].check(root, file).map_err(|error| refused(&error))?;
+            let FileState::Touched { recorded } = state else {
+                continue;
+            };
+            let metadata = std::fs::metadata(root.join(file)).map_err(|error| refused(&error))?;
+            if hash_file(&root.join(file)).map_err(|error| refused(&error))? == recorded {
+                self.record(campaign, file, recorded, &metadata);
+            } else {
+                changed.insert(root.join(file).display().to_string());
             }
         }
         if changed.is_empty() {
@@ -224,24 +203,11 @@ impl<'a> Surveyed<'a> {
     }
 
     fn source_part(&self, part: &[Capture]) -> SourcePart {
-        let digests: Option<BTreeMap<(usize, PathBuf), Digest>> = part
-            .iter()
-            .flat_map(|capture| capture.files().into_iter().map(|file| (capture.campaign, file.to_owned())))
-            .map(|(campaign, file)| self.known(campaign, &file).map(|digest| ((campaign, file), digest)))
-            .collect();
-        let content = digests.map(|digests| self.content(part, &digests));
+        let known = |(campaign, file): (usize, &Path)| Some(((campaign, file.to_owned()), self.known(campaign, file)?));
+        let digests: Option<FileDigests> = content::files(part).into_iter().map(known).collect();
+        let content = digests.map(|digests| content::digest(self.campaigns, part, &digests));
         let records = part.iter().map(|capture| capture.items.len() as u64).sum();
         SourcePart { content, bytes: part.iter().map(Capture::bytes).sum(), records }
-    }
-
-    /// Digest of a part from the digests of its files.
-    pub fn content(&self, part: &[Capture], digests: &BTreeMap<(usize, PathBuf), Digest>) -> Digest {
-        let captures: Vec<Value> = part.iter().map(|capture| capture.description(self.campaigns)).collect();
-        // By name: a campaign's place in the run is no part of its content.
-        let name = |campaign: usize| &self.campaigns[campaign].name;
-        let files: Vec<Value> =
-            digests.iter().map(|((campaign, file), digest)| json!([name(*campaign), file, digest])).collect();
-        Digest::of(&json!({ "captures": captures, "files": files }))
     }
 }
 

@@ -1,10 +1,10 @@
 //! Parts that another process is to read: captures and what is on record of their files, so that it surveys nothing itself.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::content;
 use super::record::Record;
 use super::survey::{Capture, Surveyed, chain};
 use crate::campaign::{Campaign, Manifest};
@@ -25,7 +25,7 @@ impl<'a> Surveyed<'a> {
     pub fn give(&self, part: usize) -> Ticket {
         let captures = &self.parts[part];
         let campaign = captures[0].campaign;
-        let files: BTreeSet<&Path> = captures.iter().flat_map(Capture::files).collect();
+        let files: Vec<&Path> = content::files(captures).into_iter().map(|(_, file)| file).collect();
         let record = &self.records[campaign];
         let part = Part {
             captures: captures.clone(),

@@ -20,6 +20,7 @@ impl Shots {
         }
         let samples = self.first.samples as usize;
         (self.whole, self.cut) = (Tally::new(samples, self.extent), Tally::new(samples, self.extent));
+        self.head_mean = None;
         self.clipping.forget();
         (self.rejected, self.clipped, self.other_scale) = (0, 0, 0);
     }
