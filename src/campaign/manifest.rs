@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, UNIX_EPOCH};
 
 use blake3::Hash;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 use crate::store::lock;
@@ -186,12 +187,24 @@ impl Manifest {
     /// # Errors
     /// When it cannot be written.
     pub fn save(&self, root: &Path) -> Result<(), ManifestError> {
+        self.write(root, File::sync_all)
+    }
+
+    /// The same without waiting for the disk: a machine that goes down may leave it cut, which [`Manifest::join`] takes for none.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn save_without_waiting(&self, root: &Path) -> Result<(), ManifestError> {
+        self.write(root, |_| Ok(()))
+    }
+
+    fn write(&self, root: &Path, sync: impl FnOnce(&File) -> io::Result<()>) -> Result<(), ManifestError> {
         let file = root.join(MANIFEST_FILE);
         let half = root.join(format!("{HALF}{}", lock::mark()));
         let write = || -> io::Result<()> {
             let mut out = File::create(&half)?;
             out.write_all(self.text()?.as_bytes())?;
-            out.sync_all()?;
+            sync(&out)?;
             fs::rename(&half, &file)?;
             sweep(root)
         };
@@ -233,11 +246,15 @@ impl Manifest {
         self.files.insert(key(path), FileRecord::of(content, metadata));
     }
 
-    /// Takes over the records of another folder's manifest.
+    /// Takes over the records of another folder's manifest. One that is cut has none: what it recorded is hashed again.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// When it cannot be read, or is damaged otherwise.
     pub fn join(&mut self, root: &Path) -> Result<(), ManifestError> {
+        let is_cut = |bytes: &[u8]| serde_json::from_slice::<IgnoredAny>(bytes).is_err_and(|error| error.is_eof());
+        if fs::read(root.join(MANIFEST_FILE)).is_ok_and(|bytes| is_cut(&bytes)) {
+            return Ok(());
+        }
         self.files.extend(Self::load(root)?.unwrap_or_default().files);
         Ok(())
     }
@@ -352,6 +369,25 @@ mod tests {
         let content = hash_file(&file).unwrap();
         manifest.record(Path::new("a.trc"), content, &metadata(&file).unwrap());
         (folder, manifest)
+    }
+
+    #[test]
+    fn what_went_down_with_the_machine_is_recorded_again_and_what_is_damaged_is_told() {
+        let (folder, manifest) = folder_with("light");
+        manifest.save_without_waiting(folder.path()).unwrap();
+        let text = fs::read_to_string(folder.path().join(MANIFEST_FILE)).unwrap();
+        let mut joined = Manifest::default();
+        for length in 0..text.trim_end().len() {
+            fs::write(folder.path().join(MANIFEST_FILE), &text[..length]).unwrap();
+            joined.join(folder.path()).unwrap();
+            assert!(Manifest::load(folder.path()).is_err(), "a seal of {length} bytes");
+        }
+        assert_eq!(joined, Manifest::default());
+        fs::write(folder.path().join(MANIFEST_FILE), text.replace("bytes", "bites")).unwrap();
+        assert!(joined.join(folder.path()).is_err());
+        fs::write(folder.path().join(MANIFEST_FILE), text).unwrap();
+        joined.join(folder.path()).unwrap();
+        assert_eq!(joined, manifest);
     }
 
     #[test]

@@ -171,12 +171,17 @@ impl Source<Joined> {
         Ok(Self { length: file.length, total: file.total(), file, extension: extension(path) })
     }
 
-    /// The same, whole in memory.
+    /// Length in bytes, with that of its companion.
+    #[must_use]
+    pub fn total(&self) -> usize {
+        self.total as usize
+    }
+
+    /// The same, whole in memory: in `bytes`, which are empty.
     ///
     /// # Errors
     /// When it cannot be read.
-    pub fn load(mut self) -> Result<Source<Cursor<Vec<u8>>>, FormatError> {
-        let mut bytes = Vec::with_capacity(self.total as usize);
+    pub fn load(mut self, mut bytes: Vec<u8>) -> Result<Source<Cursor<Vec<u8>>>, FormatError> {
         self.file.seek(SeekFrom::Start(0))?;
         // File by file: what is not asked of a file of the system itself is set to zero before it is read.
         self.file.file.read_to_end(&mut bytes)?;

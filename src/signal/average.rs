@@ -88,7 +88,9 @@ impl Bin {
         }
         let at = (whole - self.first) as usize;
         match codes {
-            Codes::F32(_) | Codes::F64(_) | Codes::I32(_) | Codes::U32(_) => codes.add_to_f64(&mut self.spilled()[at..]),
+            Codes::F32(_) | Codes::F64(_) | Codes::I32(_) | Codes::U32(_) => {
+                codes.add_to_f64(&mut self.spilled()[at..])
+            }
             _ => {
                 codes.add_to(&mut self.sums[at..]);
                 self.since_spill += 1;

@@ -25,19 +25,16 @@ pub struct Noise {
 /// beyond `lags` and half a stretch.
 #[must_use]
 pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
-    let stretches: Vec<Vec<f64>> =
-        stretches.iter().filter(|stretch| stretch.len() >= 2).map(|stretch| centred(stretch)).collect();
-    let shortest = stretches.iter().map(Vec::len).min().unwrap_or(0);
+    let stretches: Vec<&Vec<f64>> = stretches.iter().filter(|stretch| stretch.len() >= 2).collect();
+    let shortest = stretches.iter().map(|stretch| stretch.len()).min().unwrap_or(0);
     if shortest == 0 {
         return Noise { sd: 0.0, acf: Vec::new() };
     }
-    let covariance = |lag: usize| {
-        let products: f64 = stretches.iter().map(|s| dot(&s[..s.len() - lag], &s[lag..])).sum();
-        let pairs: usize = stretches.iter().map(|s| s.len() - lag).sum();
-        products / pairs as f64
-    };
-    let centred: Vec<f64> = (0..lags.clamp(1, shortest)).map(covariance).collect();
-    let length = stretches.iter().map(Vec::len).sum::<usize>() / stretches.len();
+    let mut products = vec![0.0; lags.clamp(1, shortest)];
+    stretches.iter().for_each(|stretch| add_lagged_products(&mut products, &centred(stretch)));
+    let pairs = |lag: usize| stretches.iter().map(|stretch| stretch.len() - lag).sum::<usize>();
+    let centred: Vec<f64> = products.iter().enumerate().map(|(lag, sum)| sum / pairs(lag) as f64).collect();
+    let length = pairs(0) / stretches.len();
     let covariances = undo_centring(&centred, length);
     let variance = covariances[0].max(0.0);
     let correlation =
@@ -164,17 +161,27 @@ pub fn quietest(samples: &[f64], width: usize) -> usize {
     (0..=samples.len() - width).min_by(|a, b| variance(*a).total_cmp(&variance(*b))).unwrap_or(0)
 }
 
-/// Sum of products in eight interleaved parts, which the processor can take side by side; the order of additions is fixed.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    const LANES: usize = 8;
-    let (a, b) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
-    let mut sums = [0.0; LANES];
+/// Adds to each sum, of lag 0, 1, .., the products of all samples with those as much later.
+fn add_lagged_products(sums: &mut [f64], samples: &[f64]) {
+    /// Samples, and lags, that the processor takes side by side; the order of additions is fixed.
+    const LANES: usize = 4;
+    const LAGS: usize = 8;
+    // What lies beyond the end adds nothing.
+    let mut padded = samples.to_vec();
+    padded.resize(samples.len() + sums.len() + LAGS + LANES, 0.0);
     widest(|| {
-        for (a, b) in a.0.iter().zip(b.0) {
-            sums.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (a, b))| *sum += a * b);
+        for (group, sums) in sums.chunks_mut(LAGS).enumerate() {
+            let mut lanes = [[0.0; LANES]; LAGS];
+            for n in (0..samples.len()).step_by(LANES) {
+                let early: &[f64; LANES] = padded[n..].first_chunk().expect("padded");
+                let late: &[f64; LANES + LAGS] = padded[n + group * LAGS..].first_chunk().expect("padded");
+                for (lag, lanes) in lanes.iter_mut().enumerate() {
+                    (0..LANES).for_each(|lane| lanes[lane] += early[lane] * late[lane + lag]);
+                }
+            }
+            sums.iter_mut().zip(lanes).for_each(|(sum, lanes)| *sum += lanes.iter().sum::<f64>());
         }
     });
-    sums.iter().sum::<f64>() + a.1.iter().zip(b.1).map(|(a, b)| a * b).sum::<f64>()
 }
 
 fn centred(stretch: &[f64]) -> Vec<f64> {

@@ -145,7 +145,7 @@ impl Known {
 
 impl Stage for Average {
     const KIND: &'static str = "average";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
     type Input = Trace;

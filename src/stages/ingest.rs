@@ -10,6 +10,7 @@
 //! params = { roles = ["scene"] }
 //! ```
 
+mod blocks;
 pub mod captures;
 mod content;
 mod files;

@@ -16,8 +16,8 @@ use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
 use crate::tables::traces::Records;
 
-/// A batch of so many items ends with a file: what is made of small ones takes many times their own bytes.
-const BATCH_ITEMS: usize = 256;
+/// Items that are sent on together: what is made of small ones takes many times their own bytes.
+const ITEMS_SENT: usize = 256;
 
 /// What came of a job.
 #[derive(Default)]
@@ -97,9 +97,7 @@ impl Reader<'_> {
         for share in shares {
             let item = share.item;
             let large = share.of_file.is_some() || item.bytes as usize > self.batch_bytes;
-            let is_next_file = group.last().is_some_and(|(_, last)| last.exposure.file != item.exposure.file);
-            let full = group.len() >= BATCH_ITEMS && is_next_file;
-            if large || full || bytes + item.bytes as usize > self.batch_bytes {
+            if large || bytes + item.bytes as usize > self.batch_bytes {
                 self.small(captures, &std::mem::take(&mut group), bytes)?;
                 bytes = 0;
             }
@@ -136,12 +134,15 @@ impl Reader<'_> {
         let done: Vec<Vec<(usize, Done)>> = files.par_iter().map(read).collect();
         let mut done: Vec<(usize, Done)> = done.into_iter().flatten().collect();
         done.sort_by_key(|(at, _)| *at);
-        let mut rows = Records::default();
-        for ((index, job), (_, done)) in jobs.iter().zip(done) {
-            rows.append(self.take(*index, job, done)?);
-        }
-        if !rows.is_empty() {
-            self.feed.send(rows.to_batch(), credit)?;
+        let mut done = jobs.iter().zip(done).peekable();
+        while done.peek().is_some() {
+            let mut rows = Records::default();
+            for ((index, job), (_, done)) in done.by_ref().take(ITEMS_SENT) {
+                rows.append(self.take(*index, job, done)?);
+            }
+            if !rows.is_empty() {
+                self.feed.send(rows.to_batch(), credit.clone())?;
+            }
         }
         self.feed.read_bytes(bytes as u64);
         Ok(())
@@ -151,8 +152,13 @@ impl Reader<'_> {
     fn large(&mut self, captures: &[Capture], share: &Share<'_>) -> Result<(), StageError> {
         let Share { index, item, of_file } = share;
         let (index, capture) = (*index, &captures[*index]);
-        let reading = of_file.as_ref().map_or(Reading::Long, |(_, hashed)| Reading::Stretch(hashed));
         let job = Job { capture, item, first_shot: self.shots.get(&index).copied().unwrap_or(0) };
+        let known = item.is_share() && was_read(self.surveyed, &job);
+        let reading = match of_file {
+            Some((_, hashed)) => Reading::Stretch(hashed),
+            None if known => Reading::Unhashed,
+            None => Reading::Long,
+        };
         let mut files = match Files::open(self.surveyed, &job, reading) {
             Ok(files) => files,
             Err(error) => {
@@ -193,7 +199,7 @@ impl Reader<'_> {
                 Ok(stretches) => self.stretches.extend(stretches),
                 Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
             }
-        } else if !(item.is_share() && was_read(self.surveyed, &job)) {
+        } else if !known {
             match files.digests() {
                 Ok(digests) => outcome.digests = digests,
                 Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
@@ -229,18 +235,14 @@ impl Reader<'_> {
 }
 
 /// Content of a part, from the digests of its files; notes these down.
-pub fn content(
-    surveyed: &Surveyed<'_>,
-    captures: &[Capture],
-    mut digests: FileDigests,
-) -> Result<Digest, StageError> {
+pub fn content(surveyed: &Surveyed<'_>, captures: &[Capture], mut digests: FileDigests) -> Result<Digest, StageError> {
     for (campaign, file) in content::files(captures) {
         let key = (campaign, file.to_owned());
-        if let Some(digest) = surveyed.known(campaign, file) {
-            digests.insert(key, digest);
-        } else if !digests.contains_key(&key) {
-            return Err(unread(&surveyed.campaigns[campaign], file));
+        if digests.contains_key(&key) {
+            continue;
         }
+        let digest = surveyed.known(campaign, file).ok_or_else(|| unread(&surveyed.campaigns[campaign], file))?;
+        digests.insert(key, digest);
     }
     let campaign = captures[0].campaign;
     let saved = surveyed.records[campaign].save_slip(captures);
@@ -257,7 +259,7 @@ pub fn unread(campaign: &Campaign, file: &Path) -> StageError {
     })
 }
 
-/// Items of one file, with one reference: read whole where all of it is one item, else share by share, and hashed to its end unless this run has done so.
+/// Items of one file, with one reference: read whole where they take up most of it, else share by share, and hashed to its end unless this run has done so.
 fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
     let first = jobs[0];
     let is_share = jobs.len() > 1 || first.item.is_share();
@@ -268,18 +270,32 @@ fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
         done[0].digests = digests_of_bad(surveyed, first);
         done
     };
-    let mut files = match Files::open(surveyed, first, if is_share { Reading::Long } else { Reading::Whole }) {
+    let known = is_share && was_read(surveyed, first);
+    let reading = match is_share {
+        true if known => Reading::Unhashed,
+        true if !is_most_of_its_file(surveyed, jobs) => Reading::Long,
+        _ => Reading::Whole,
+    };
+    let mut files = match Files::open(surveyed, first, reading) {
         Ok(files) => files,
         Err(error) => return reject_all(&error),
     };
     let mut done: Vec<Done> = jobs.iter().map(|job| read_item(surveyed, &mut files, job)).collect();
-    if !(is_share && was_read(surveyed, first)) {
+    if !known {
         match files.digests() {
             Ok(digests) => done[0].digests = digests,
             Err(error) => return reject_all(&error),
         }
     }
     done
+}
+
+/// Whether items take up more than half of their file.
+fn is_most_of_its_file(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> bool {
+    let Job { capture, item, .. } = jobs[0];
+    let bytes: u64 = jobs.iter().map(|job| job.item.bytes).sum();
+    let file = std::fs::metadata(surveyed.campaigns[capture.campaign].path_of(&item.exposure.file));
+    file.is_ok_and(|file| bytes > file.len() / 2)
 }
 
 fn read_item(surveyed: &Surveyed<'_>, files: &mut Files, job: &Job<'_>) -> Done {

@@ -147,7 +147,7 @@ pub fn read_head(
             }
             let job = Job { capture, item, first_shot: 0 };
             let odd = |error: Bad| StageError::Indivisible(format!("{}: {}", error.file.display(), error.reason));
-            let mut files = Files::open(surveyed, &job, Reading::Head).map_err(odd)?;
+            let mut files = Files::open(surveyed, &job, Reading::Unhashed).map_err(odd)?;
             let (end, bytes) = (files.exposures().min(before(number)), files.exposure_bytes(&job));
             let per_batch = (batch_bytes / bytes.max(1)).clamp(1, HEAD_SHOTS);
             for start in (0..end).step_by(per_batch) {

@@ -5,9 +5,11 @@ use std::fs::Metadata;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use arrow::buffer::Buffer;
 
+use super::blocks::Blocks;
 use super::survey::{Job, Surveyed};
 use crate::campaign::companions::companion;
 use crate::campaign::hash_file;
@@ -44,7 +46,7 @@ pub enum Reading<'a> {
     /// In pieces; these bytes of each file are hashed.
     Stretch(&'a BTreeMap<PathBuf, Range<u64>>),
     /// In pieces; nothing is hashed.
-    Head,
+    Unhashed,
 }
 
 /// The hash under way, and how far it has come.
@@ -110,6 +112,7 @@ pub struct RawFile {
     pub text: Name,
     pub records: Vec<Record>,
     bytes: Bytes,
+    blocks: Arc<Blocks>,
     metadata: Metadata,
     /// Of the file alone; nothing where it has a companion: then both are hashed at the end.
     hashing: Hashing,
@@ -142,7 +145,7 @@ impl RawFile {
         let metadata = std::fs::metadata(&path).map_err(io)?;
         let companion = companion(name).filter(|file| job.item.exposure.companions.contains(file));
         let mut to_hash = Vec::new();
-        if let Some(companion) = companion.as_ref().filter(|_| !matches!(reading, Reading::Head)) {
+        if let Some(companion) = companion.as_ref().filter(|_| !matches!(reading, Reading::Unhashed)) {
             for file in [name, companion.as_path()] {
                 to_hash.push((file.to_owned(), path_of(file), std::fs::metadata(path_of(file)).map_err(io)?));
             }
@@ -156,17 +159,19 @@ impl RawFile {
             _ => Hashing::Nothing,
         };
         let mut source = Source::open(&path).map_err(format)?;
+        let blocks = Arc::clone(&surveyed.blocks);
         let (bytes, records) = if matches!(reading, Reading::Whole) {
-            let mut source = source.load().map_err(format)?;
+            let room = blocks.take(source.total());
+            let mut source = source.load(room).map_err(format)?;
             let records = formats::records(&mut source);
-            (Bytes::Memory(Buffer::from_vec(source.into_inner().into_inner())), records)
+            (Bytes::Memory(blocks.lend(source.into_inner().into_inner())), records)
         } else {
             let records = formats::records(&mut source);
             (Bytes::Disk(source.into_inner()), records)
         };
         let records = records.map_err(format)?;
         let text = name.to_string_lossy().as_ref().into();
-        Ok(Self { name: name.to_owned(), text, records, bytes, metadata, hashing, to_hash })
+        Ok(Self { name: name.to_owned(), text, records, bytes, blocks, metadata, hashing, to_hash })
     }
 
     /// Something about this file that keeps it from being used.
@@ -195,10 +200,12 @@ impl RawFile {
 
     fn read(&mut self, range: Range<u64>) -> Result<Buffer, Bad> {
         let Bytes::Disk(file) = &mut self.bytes else { unreachable!("what is in memory is not read again") };
-        let mut bytes = vec![0; (range.end - range.start) as usize];
+        let count = (range.end - range.start) as usize;
+        let mut bytes = self.blocks.take(count);
+        bytes.resize(count, 0);
         let read = file.seek(SeekFrom::Start(range.start)).and_then(|_| file.read_exact(&mut bytes));
         match read {
-            Ok(()) => Ok(Buffer::from_vec(bytes)),
+            Ok(()) => Ok(self.blocks.lend(bytes)),
             Err(error) => Err(Bad { byte_offset: Some(range.start as i64), ..self.bad(error.to_string()) }),
         }
     }

@@ -107,7 +107,7 @@ impl Record {
         let mut manifest = Manifest::default();
         new.iter().for_each(|(file, digest, metadata)| manifest.record(file, *digest, metadata));
         create(&folder)?;
-        manifest.save(&folder)
+        manifest.save_without_waiting(&folder)
     }
 
     /// Gathers in one file what was learnt and all slips, also those that other sources of the run have written, shards, or an earlier run that was killed.

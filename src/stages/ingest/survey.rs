@@ -3,10 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::Metadata;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
+use super::blocks::Blocks;
 use super::content::{self, FileDigests};
 use super::record::Record;
 use crate::campaign::{Axis, Campaign, Exposure, FileState, Role, Survey, closes_part, hash_file};
@@ -93,6 +94,8 @@ pub struct Surveyed<'a> {
     pub records: Vec<Record>,
     /// Files that this run has read to their end, and hashed: whoever needs another share of one need not read all of it.
     read: Mutex<BTreeSet<(usize, PathBuf)>>,
+    /// What files are read into.
+    pub blocks: Arc<Blocks>,
 }
 
 impl<'a> Surveyed<'a> {
@@ -137,8 +140,15 @@ impl<'a> Surveyed<'a> {
         warnings: Vec<String>,
         records: Vec<Record>,
     ) -> Result<Self, StageError> {
-        let mut surveyed =
-            Self { campaigns, parts, source_parts: Vec::new(), warnings, records, read: Mutex::default() };
+        let mut surveyed = Self {
+            campaigns,
+            parts,
+            source_parts: Vec::new(),
+            warnings,
+            records,
+            read: Mutex::default(),
+            blocks: Arc::default(),
+        };
         surveyed.check_files()?;
         let parts = surveyed.parts.iter().map(|part| surveyed.source_part(part)).collect();
         surveyed.source_parts = parts;

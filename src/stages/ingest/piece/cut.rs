@@ -35,7 +35,7 @@ pub fn most_pieces(surveyed: &Surveyed<'_>, part: usize) -> Result<usize, String
 
 /// Opens the files of an item, if their shots add up to the same in any order.
 fn open(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Result<Files, String> {
-    let files = Files::open(surveyed, job, Reading::Head);
+    let files = Files::open(surveyed, job, Reading::Unhashed);
     let files = files.map_err(|error| format!("{} {}", error.file.display(), error.reason))?;
     if files.records().any(|record| matches!(record.head.code_type, CodeType::F32 | CodeType::F64)) {
         let file = job.item.exposure.file.display();
