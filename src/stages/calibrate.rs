@@ -110,7 +110,7 @@ struct Reference {
 
 impl Stage for Calibrate {
     const KIND: &'static str = "calibrate";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::Sensor;
     type Input = Trace;
     type Output = Calibration;
