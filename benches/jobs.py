@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Times whole runs of periscope beside other programs on the same data, all in turn, and compares their onsets.
 
-usage: jobs.py avg|each INPUT PEERS PERISCOPE WORK [--runs 5] [--strax PYTHON] [--dspeed PYTHON] [--limits PROGRAM]
+usage: jobs.py avg|each INPUT PEERS PERISCOPE WORK [--runs 5] [--strax PYTHON] [--dspeed PYTHON] [--limits PROGRAM] [--without-traces]
 INPUT: folder with raw.npy (groups x repeats x samples, int16), impulse.npy, params.json, and raw.lh5, raw_each.lh5 for dspeed; PEERS: folder with
 bench_numpy_tuned.py and the like; the interpreters of --strax and --dspeed have those packages, this one numpy, scipy and pyarrow; --limits is a
-program that reads and sums a file, `limits FILE`, and prints its rates.
+program that reads and sums a file, `limits FILE`, and prints its rates; --without-traces leaves out the runs that keep as many bytes again.
 Job avg: the shots of a capture averaged, deconvolved, timed (pipelines/average.toml). Job each: every shot for itself.
 Wall, CPU and peak memory are those of the whole process (wait4). MB = 1e6 bytes of raw samples.
 """
@@ -19,6 +19,7 @@ parser.add_argument("job", choices=["avg", "each"])
 for name in ("input", "peers", "periscope", "work"):
     parser.add_argument(name, type=os.path.abspath)
 parser.add_argument("--runs", type=int, default=5)
+parser.add_argument("--without-traces", action="store_true")
 for name in ("strax", "dspeed", "limits"):
     parser.add_argument(f"--{name}", type=os.path.abspath)
 args = parser.parse_args()
@@ -124,6 +125,7 @@ jobs = {
 }
 if args.job == "avg":
     jobs["periscope, analysed again from raw files"] = lambda: again("plain")
+if args.job == "avg" and not args.without_traces:
     jobs["periscope, hashes known, traces kept, zstd"] = lambda: ours("kept")
     jobs["periscope, analysed again from these"] = lambda: again("kept")
     jobs["periscope, hashes known, traces kept, not compressed"] = lambda: ours("open")

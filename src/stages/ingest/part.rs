@@ -17,7 +17,7 @@ use crate::store::Digest;
 use crate::tables::traces::Records;
 
 /// Items that are sent on together: what is made of small ones takes many times their own bytes.
-const ITEMS_SENT: usize = 256;
+const ITEMS_SENT: usize = 64;
 
 /// What came of a job.
 #[derive(Default)]

@@ -122,8 +122,10 @@ impl<'a> Surveyed<'a> {
                     let (sensor, lit, seen) = key;
                     let (role, run) = (item.exposure.role, item.exposure.run.clone());
                     let order = (index, sensor.clone(), lit.min(seen), lit.max(seen), role, run.clone(), lit);
-                    let capture = Capture { campaign: index, role, run, sensor, lit, seen, items: Vec::new() };
-                    captures.entry(order).or_insert(capture).items.push(item);
+                    // Room for one: many captures of one item are what takes memory.
+                    let none =
+                        || Capture { campaign: index, role, run, sensor, lit, seen, items: Vec::with_capacity(1) };
+                    captures.entry(order).or_insert_with(none).items.push(item);
                 }
             }
         }
