@@ -5,7 +5,8 @@
 //! OUT/.shelf/notes/<campaign>/part-<name>/manifest.json   a slip: what was learnt while one part was read, and is not gathered yet
 //! ```
 //!
-//! A killed run forgets no part that it has finished, and processes that read other parts at the same time write no file of one another.
+//! A killed run forgets no part that it has finished, and processes that read other parts at the same time write no file of one another. No run waits
+//! until its notes are on the disk, which takes longer than a part: a machine that goes down may lose them, and files are hashed again.
 
 use std::fs::{self, Metadata};
 use std::io;
@@ -39,7 +40,8 @@ impl Record {
     /// All that is on record; `notes` is the folder of the notes of all campaigns.
     pub fn load(campaign: &Campaign, notes: &Path) -> Result<Self, ManifestError> {
         let notes = notes.join(&campaign.name);
-        let mut manifest = Manifest::load(&notes)?.unwrap_or_default();
+        let mut manifest = Manifest::default();
+        manifest.join(&notes)?;
         slips(&notes)?.iter().try_for_each(|slip| manifest.join(slip))?;
         Ok(Self::of(Manifest::load(&campaign.root)?, notes, manifest))
     }
@@ -117,11 +119,12 @@ impl Record {
         if new.is_empty() && slips.is_empty() {
             return Ok(());
         }
-        let mut manifest = Manifest::load(&self.notes)?.unwrap_or_default();
+        let mut manifest = Manifest::default();
+        manifest.join(&self.notes)?;
         slips.iter().try_for_each(|slip| manifest.join(slip))?;
         new.iter().for_each(|(file, digest, metadata)| manifest.record(file, *digest, metadata));
         create(&self.notes)?;
-        manifest.save(&self.notes)?;
+        manifest.save_without_waiting(&self.notes)?;
         slips.iter().try_for_each(|slip| fs::remove_dir_all(slip).map_err(|source| at(slip, source)))
     }
 }
