@@ -12,6 +12,7 @@ use mimalloc::MiMalloc;
 use periscope::pipeline::run::RunError;
 
 /// Blocks of a record's size come and go by the thousand: the system's allocator gives each back to the kernel, which clears its pages for the next.
+/// It is built to ask for no huge pages, which double what small runs take.
 #[global_allocator]
 static ALLOCATOR: MiMalloc = MiMalloc;
 
