@@ -264,7 +264,7 @@ const LANES: usize = 4;
 /// Sums of a round: the lower half of the matrix row by row, the right side, its square.
 const SUMS: usize = TERMS * (TERMS + 1) / 2 + TERMS + 1;
 
-#[inline(always)]
+#[inline]
 fn add_products(
     sums: &mut [[f64; LANES]; SUMS],
     weight: &[f64; LANES],
@@ -285,7 +285,7 @@ fn add_products(
     add(&weighted_right, right);
 }
 
-#[inline(always)]
+#[inline]
 fn product(a: &[f64; LANES], b: &[f64; LANES]) -> [f64; LANES] {
     std::array::from_fn(|lane| a[lane] * b[lane])
 }

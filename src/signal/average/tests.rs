@@ -157,7 +157,7 @@ fn the_spread_is_the_noise_with_and_without_jitter() {
         let views = views(&shots);
         let mean = sum(&views).finish().unwrap();
         let variances = spread(&views, &mean, 32);
-        let sd_of = |range: std::ops::Range<usize>| {
+        let sd_of = |range: Range<usize>| {
             let (count, known) = (range.len() as f64, &variances[range]);
             (known.iter().sum::<f64>() / count).sqrt()
         };
