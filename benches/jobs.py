@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
 """Times whole runs of periscope beside other programs on the same data, all in turn, and compares their onsets.
 
-usage: jobs.py avg|each INPUT PEERS PERISCOPE WORK [--runs 5] [--strax PYTHON] [--dspeed PYTHON] [--limits PROGRAM] [--without-traces]
+usage: jobs.py avg|each INPUT PEERS PERISCOPE WORK [--runs 5] [--strax PYTHON] [--dspeed PYTHON] [--limits PROGRAM] [--without-traces] [--sequences]
 INPUT: folder with raw.npy (groups x repeats x samples, int16), impulse.npy, params.json, and raw.lh5, raw_each.lh5 for dspeed; PEERS: folder with
 bench_numpy_tuned.py and the like; the interpreters of --strax and --dspeed have those packages, this one numpy, scipy and pyarrow; --limits is a
-program that reads and sums a file, `limits FILE`, and prints its rates; --without-traces leaves out the runs that keep as many bytes again.
+program that reads and sums a file, `limits FILE`, and prints its rates; --without-traces leaves out the runs that keep as many bytes again; --sequences reads the same shots from
+LeCroy sequences too, alone and with a reference channel (512 samples a shot, a pulse with noise) to which each is aligned.
 Job avg: the shots of a capture averaged, deconvolved, timed (pipelines/average.toml). Job each: every shot for itself.
 Wall, CPU and peak memory are those of the whole process (wait4). MB = 1e6 bytes of raw samples.
 """
-import argparse, glob, json, os, shutil, statistics, subprocess, sys, time
+import argparse, glob, json, os, shutil, statistics, struct, subprocess, sys, time
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +20,8 @@ parser.add_argument("job", choices=["avg", "each"])
 for name in ("input", "peers", "periscope", "work"):
     parser.add_argument(name, type=os.path.abspath)
 parser.add_argument("--runs", type=int, default=5)
-parser.add_argument("--without-traces", action="store_true")
+for name in ("without-traces", "sequences"):
+    parser.add_argument(f"--{name}", action="store_true")
 for name in ("strax", "dspeed", "limits"):
     parser.add_argument(f"--{name}", type=os.path.abspath)
 args = parser.parse_args()
@@ -34,12 +36,14 @@ name = "average"
 [[captures]]
 role = "scene"
 files = "{files}"
-segments = {segments}
 dt_ps = 50.0
+"""
+SCALE = """segments = {segments}
 t0_ps = 0.0
 gain_v = 1.0
 offset_v = 0.0
 """
+PULSE = np.exp(-0.5 * (np.arange(-12, 13) / 2.5) ** 2)
 
 
 def campaign(folder):
@@ -52,13 +56,59 @@ def campaign(folder):
         shots = np.fromfile(f"{args.input}/raw.npy", "<i2", count=R * L, offset=offset + g * R * L * 2).reshape(R, L)
         np.save(f"{folder}/raw/L{g + 1}_P1.npy", shots)
     files, segments = ("raw/L{lit}_P1.npy", '"seen"') if args.job == "each" else ("raw/L{lit}_P{seen}.npy", '"shot"')
-    open(f"{folder}/campaign.toml", "w").write(CAMPAIGN.format(files=files, segments=segments))
+    open(f"{folder}/campaign.toml", "w").write((CAMPAIGN + SCALE).format(files=files, segments=segments))
+    calibration("calibration")
+
+
+def calibration(name, **more):
     h = np.load(f"{args.input}/impulse.npy")
     numbers = ["step_ps", "response_t0_ps", "latency_ps", "latency_sd_ps", "width_ps"]
     row = dict(campaign=["average"], sensor=["s1"], shots=[0], rejected=[0], **{name: [0.0] for name in numbers})
     row["step_ps"] = [50.0]
-    table = pa.table({**row, "response": pa.array([h.astype("f4")], pa.list_(pa.float32()))})
-    pq.write_table(table, f"{args.work}/calibration.parquet")
+    table = pa.table({**row, "response": pa.array([h.astype("f4")], pa.list_(pa.float32())), **more})
+    pq.write_table(table, f"{args.work}/{name}.parquet")
+
+
+def sequence(file, shots):
+    """Shots as a LeCroy sequence (template LECROY_2_3): descriptor, a trigger time and offset of 0 for each, codes."""
+    head = bytearray(346)
+    head[0:8], head[16:26] = b"WAVEDESC", b"LECROY_2_3"
+    segments, samples = shots.shape
+    for at, kind, value in (
+        (32, "h", 1), (34, "h", 1), (36, "i", 346), (48, "i", 16 * segments), (60, "i", 2 * shots.size), (116, "i", shots.size), (128, "i", shots.size - 1),
+        (136, "i", 1), (144, "i", segments), (156, "f", 1.0), (164, "f", 32767.0), (168, "f", -32768.0), (172, "h", 12), (174, "h", segments),
+        (176, "f", 50e-12), (328, "f", 1.0),
+    ):
+        struct.pack_into(f"<{kind}", head, at, value)
+    head[76:83], head[196:197], head[244:245] = b"LECROYX", b"V", b"S"
+    struct.pack_into("<dBBBBh", head, 296, 0.0, 0, 0, 1, 1, 2026)
+    body = bytes(head) + np.stack([np.arange(segments) * 1e-3, np.zeros(segments)], 1).astype("<f8").tobytes() + shots.astype("<i2").tobytes()
+    open(file, "wb").write(b"#9%09d" % len(body) + body)
+
+
+def sequences():
+    """The same shots as sequences, and with a reference channel."""
+    rng = np.random.default_rng(1)
+    for folder in ("sequences", "aligned"):
+        folder = f"{args.work}/{folder}"
+        if os.path.exists(f"{folder}/campaign.toml"):
+            continue
+        os.makedirs(f"{folder}/raw")
+        rule = CAMPAIGN.format(files="raw/L{lit}_P{seen}.trc")
+        if folder.endswith("aligned"):
+            rule += 'reference = { files = "raw/reference_L{lit}_P{seen}.trc" }\n'
+        open(f"{folder}/campaign.toml", "w").write(rule)
+        for g in range(G):
+            sequence(f"{folder}/raw/L{g + 1}_P1.trc", np.load(f"{args.work}/campaign/raw/L{g + 1}_P1.npy"))
+            if folder.endswith("aligned"):
+                pulses = rng.normal(0, 20, (R, 512))
+                pulses[:, 88:113] += 4000 * PULSE
+                sequence(f"{folder}/raw/reference_L{g + 1}_P1.trc", np.rint(pulses))
+    calibration("aligned", reference_t0_ps=[-600.0], reference=pa.array([PULSE.astype("f4")], pa.list_(pa.float32())))
+    with_reference = 'from = "traces"\nwith = { calibration = "calibration" }'
+    plain = open(f"{args.work}/plain.toml").read()
+    aligned = plain.replace('"calibration.parquet"', '"aligned.parquet"').replace('from = "traces"', with_reference)
+    open(f"{args.work}/aligned.toml", "w").write(aligned)
 
 
 def once(command, cwd):
@@ -82,7 +132,7 @@ for name, keep in (("plain", "keep = false"), ("kept", "keep = true"), ("open", 
     open(f"{args.work}/{name}.toml", "w").write(text.replace("keep = false", keep))
 
 
-def ours(pipeline="plain", notes=True, threads=None):
+def ours(pipeline="plain", notes=True, threads=None, campaign="campaign"):
     """A run that computes all tables; with the content hashes that an earlier run noted, or as a first run, which hashes all files."""
     kept = f"{args.work}/notes"
     shutil.rmtree(kept, ignore_errors=True)
@@ -92,7 +142,7 @@ def ours(pipeline="plain", notes=True, threads=None):
     if notes:
         os.makedirs(f"{out}/.shelf")
         shutil.copytree(kept, f"{out}/.shelf/notes")
-    command = [args.periscope, "run", f"{pipeline}.toml", "--campaign", "campaign", "--out", out, "--progress", "none"]
+    command = [args.periscope, "run", f"{pipeline}.toml", "--campaign", campaign, "--out", out, "--progress", "none"]
     return once(command + (["--threads", str(threads)] if threads else []), args.work)
 
 
@@ -117,8 +167,14 @@ with open(f"{args.input}/raw.npy", "rb") as raw:  # warm pages, in small pieces
         pass
 each = "each_" if args.job == "each" else ""
 tuned = "bench_each_numpy.py" if each else "bench_numpy_tuned.py"
-jobs = {
-    "numpy tuned, 2 threads": lambda: peer("numpy", sys.executable, tuned, "2"),
+jobs = {"numpy tuned, 2 threads": lambda: peer("numpy", sys.executable, tuned, "2")}
+if args.sequences:
+    sequences()
+    jobs["periscope, sequences, first run (hashes)"] = lambda: ours(notes=False, campaign="sequences")
+    jobs["periscope, sequences, hashes known"] = lambda: ours(campaign="sequences")
+    jobs["periscope, sequences and reference channel, first run (hashes)"] = lambda: ours("aligned", notes=False, campaign="aligned")
+    jobs["periscope, sequences and reference channel, hashes known"] = lambda: ours("aligned", campaign="aligned")
+jobs |= {
     "periscope, first run (hashes)": lambda: ours(notes=False),
     "periscope, hashes known": ours,
     "periscope, hashes known, 1 thread": lambda: ours(threads=1),
