@@ -214,12 +214,14 @@ pub fn find(profiles: &[Profile], room: &Room) -> Found {
             break;
         }
     }
-    for _ in 0..if is_open { ROUNDS } else { 0 } {
-        if !all.add_together() {
-            break;
+    let mut next = if is_open { all.likeliest() } else { None };
+    for _ in 0..ROUNDS {
+        match next {
+            Some(first) if all.add_together(first) => next = all.likeliest(),
+            _ => break,
         }
     }
-    let declined = if is_open { all.likeliest().filter(|hidden| !all.is_sure(hidden)) } else { None };
+    let declined = next.filter(|hidden| !all.is_sure(hidden));
     Found { declined, ..all.found() }
 }
 

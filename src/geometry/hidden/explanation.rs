@@ -12,6 +12,8 @@ use crate::geometry::Point;
 
 /// Where arrivals blend, a patch that shows on a smaller share of the ways that are clear is none.
 const LEAST_SEEN: f64 = 0.3;
+/// A path that is seen with a larger chance is rather seen than not.
+const LIKELY: f64 = 0.5;
 /// Points along each axis that the volume is counted by.
 const VOLUME_POINTS: i32 = 16;
 
@@ -153,16 +155,25 @@ impl<'a> Explanation<'a> {
 
     /// What all paths leave of each arrival.
     pub(super) fn left(&self) -> Vec<Vec<f64>> {
-        let of_profile =
-            |(profile, pairs): (&Profile, &Vec<Pair>)| superposition::left_over(pairs, profile.arrivals.len(), 0..0);
-        self.profiles.iter().zip(&self.pairs).map(of_profile).collect()
+        self.left_by(|_, _| true)
     }
 
     /// What all paths but those over one surface leave of each arrival.
     pub(super) fn left_for(&self, found: usize) -> Vec<Vec<f64>> {
-        let of_profile = |(profile, pairs): (&Profile, &Vec<Pair>)| {
+        self.left_by(|profile, path| {
             let (first, ways) = (profile.known.len() + found * profile.ways.len(), profile.ways.len());
-            superposition::left_over(pairs, profile.arrivals.len(), first..first + ways)
+            !(first..first + ways).contains(&path)
+        })
+    }
+
+    /// What the paths that are more likely seen than not, and those over surfaces that were found, leave of each arrival.
+    pub(super) fn left_by_likely(&self) -> Vec<Vec<f64>> {
+        self.left_by(|profile, path| profile.known.get(path).is_none_or(|known| known.seen > LIKELY))
+    }
+
+    fn left_by(&self, counts: impl Fn(&Profile, usize) -> bool) -> Vec<Vec<f64>> {
+        let of_profile = |(profile, pairs): (&Profile, &Vec<Pair>)| {
+            superposition::left_over(pairs, profile.arrivals.len(), |path| counts(profile, path))
         };
         self.profiles.iter().zip(&self.pairs).map(of_profile).collect()
     }

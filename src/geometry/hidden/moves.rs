@@ -52,26 +52,26 @@ impl Explanation<'_> {
         self.found.len() > before
     }
 
-    /// Adds patches that are not sure alone, but may be together: what one explains is no longer clutter to the others.
-    pub(super) fn add_together(&mut self) -> bool {
+    /// Adds patches that are not sure alone, the likeliest first, but may be together: what one explains is no longer clutter to the others. Says whether they stay.
+    pub(super) fn add_together(&mut self, first: Hidden) -> bool {
         let before = (self.found.clone(), self.total());
-        for _ in 0..TOGETHER {
-            let Some(hidden) = self.likeliest() else { break };
+        let mut next = Some(first);
+        for left in (0..TOGETHER).rev() {
+            let Some(hidden) = next else { break };
             self.found.push(hidden);
             self.settle();
             for _ in 0..3 {
                 self.climb_all();
             }
+            next = if left > 0 { self.likeliest() } else { None };
         }
-        if self.found.len() > before.0.len() {
-            self.polish();
-            if self.total() > before.1 + GAIN {
-                return true;
-            }
+        self.polish();
+        let better = self.total() > before.1 + GAIN;
+        if !better {
             self.found = before.0;
             self.settle();
         }
-        false
+        better
     }
 
     /// The likeliest place for one more patch, sure or not.

@@ -62,11 +62,12 @@ impl Explanation<'_> {
         self.thinned(surface, seeds.into_iter().map(|seed| seed.point))
     }
 
-    /// Arrivals that paths leave, profiles of the same two patches together: two within their errors are one.
+    /// Arrivals that likely paths leave: many that are seldom seen may claim each arrival between them, and a start costs little. Profiles of the same two patches stand
+    /// together: two arrivals within their errors are one.
     fn unexplained(&self) -> Vec<Lengths> {
         type OfPair = (usize, [f64; 2], Vec<(f64, f64)>, Vec<f64>);
         let mut pairs: BTreeMap<[usize; 2], OfPair> = BTreeMap::new();
-        for (profile, left) in self.profiles.iter().zip(self.left()) {
+        for (profile, left) in self.profiles.iter().zip(self.left_by_likely()) {
             let (profiles, span_m, lengths_m, claimed_m) =
                 pairs.entry(profile.ways[0].foci).or_insert_with(|| (0, profile.span_m, Vec::new(), Vec::new()));
             *profiles += 1;

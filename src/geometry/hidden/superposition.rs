@@ -11,8 +11,6 @@
 //! settle where each says how much the rest leaves of the pair; exact where pairs form a tree. Source: Williams and Lau, IEEE Trans. AES-50, 2942 (2014). Where
 //! [`crate::geometry::association`] sums over all associations of a few arrivals, this serves hundreds of profiles again and again.
 
-use std::ops::Range;
-
 /// Rounds of messages at most.
 const ROUNDS: usize = 30;
 /// Messages that change by less have settled.
@@ -69,11 +67,11 @@ pub fn settle(pairs: &mut [Pair], paths: usize, arrivals: usize) {
     }
 }
 
-/// What all paths but some leave of each arrival.
+/// What the paths that count leave of each arrival.
 #[must_use]
-pub fn left_over(pairs: &[Pair], arrivals: usize, but: Range<usize>) -> Vec<f64> {
+pub fn left_over(pairs: &[Pair], arrivals: usize, counts: impl Fn(usize) -> bool) -> Vec<f64> {
     let mut told = vec![1.0; arrivals];
-    pairs.iter().filter(|pair| !but.contains(&pair.path)).for_each(|pair| told[pair.arrival] += pair.told);
+    pairs.iter().filter(|pair| counts(pair.path)).for_each(|pair| told[pair.arrival] += pair.told);
     told.into_iter().map(|told| 1.0 / told).collect()
 }
 
@@ -124,8 +122,8 @@ mod tests {
     fn what_one_path_explains_is_gone_for_others() {
         let mut pairs = vec![Pair::new(0, 0, 1e6)];
         settle(&mut pairs, 1, 2);
-        let left = left_over(&pairs, 2, 0..0);
+        let left = left_over(&pairs, 2, |_| true);
         assert!(left[0] < 1e-5 && (left[1] - 1.0).abs() < 1e-12);
-        assert_eq!(left_over(&pairs, 2, 0..1), [1.0, 1.0]);
+        assert_eq!(left_over(&pairs, 2, |path| path > 0), [1.0, 1.0]);
     }
 }
