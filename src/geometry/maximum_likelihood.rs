@@ -9,7 +9,7 @@
 //! ```
 //!
 //! by Levenberg-Marquardt with a robust `rho` ([`super::loss`]; Huber's as a rule). Up to [`DENSE_MAX`] patches the normal matrix is in
-//! memory; beyond, its products are passes over the observations (`matrix_free`). The covariance is the pseudo-inverse of the Fisher matrix without the
+//! memory; beyond, its products are passes over the observations (`matrix_free`), with the bending of paths where steps overshoot without it. The covariance is the pseudo-inverse of the Fisher matrix without the
 //! rotations that no path length sees, so it is the Cramer-Rao bound at the solution; of a matrix-free solution it is blocks ([`Solution::is_exact`]).
 //!
 //! What nothing determines is told, not guessed: parts that share no path, rotations, and patches that can move freely. A mirror image or another minimum that
@@ -23,6 +23,7 @@ mod problem;
 mod rows;
 
 use faer::Mat;
+use matrix_free::Matrix;
 use nalgebra::Matrix3;
 
 use super::Point;
@@ -38,6 +39,8 @@ const STEPS: usize = 200;
 /// Steps that lower the objective by less than this share of it lead nowhere; after so many of them a solution has settled too, in a flat valley.
 const IDLE: f64 = 1e-12;
 const IDLE_STEPS: usize = 10;
+/// A step that lowers the objective by less than this share is near the minimum.
+const NEAR: f64 = 0.01;
 /// A solution has settled when no unknown moves further.
 const SETTLED_M: f64 = 1e-11;
 /// The same without the normal matrix, whose steps are inexact.
@@ -174,28 +177,28 @@ pub enum Unsolved {
 }
 
 /// How steps are computed.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Means {
     Dense,
-    MatrixFree,
+    MatrixFree(Matrix),
 }
 
 impl Means {
     fn of(problem: &Problem) -> Self {
-        if problem.start.len() <= DENSE_MAX { Self::Dense } else { Self::MatrixFree }
+        if problem.start.len() <= DENSE_MAX { Self::Dense } else { Self::MatrixFree(Matrix::Normal) }
     }
 
     fn step(self, rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
         match self {
             Self::Dense => dense_steps::step(rows, place, damping),
-            Self::MatrixFree => matrix_free::step(rows, place, damping),
+            Self::MatrixFree(matrix) => matrix_free::step(rows, place, matrix, damping),
         }
     }
 
     fn cost(self, rows: &Rows, place: &Place) -> f64 {
         match self {
             Self::Dense => rows.cost(place, 0..rows.count),
-            Self::MatrixFree => matrix_free::cost(rows, place),
+            Self::MatrixFree(_) => matrix_free::cost(rows, place),
         }
     }
 }
@@ -239,10 +242,10 @@ pub fn redundancy(problem: &Problem) -> i64 {
 }
 
 /// Levenberg-Marquardt: the place reached, the objective there, and whether it has settled.
-fn descend(rows: &Rows, means: Means, steps: usize, settled_m: f64) -> (Place, f64, bool) {
+fn descend(rows: &Rows, mut means: Means, steps: usize, settled_m: f64) -> (Place, f64, bool) {
     let mut place = Place::start(rows.problem);
     let mut now = means.cost(rows, &place);
-    let (mut damping, mut idle) = (1e-3, 0);
+    let (mut damping, mut idle, mut gained) = (1e-3, 0, f64::INFINITY);
     for _ in 0..steps {
         let Some(step) = means.step(rows, &place, damping) else {
             damping *= 10.0;
@@ -253,6 +256,7 @@ fn descend(rows: &Rows, means: Means, steps: usize, settled_m: f64) -> (Place, f
         let longest = step.iter().fold(0.0, |most: f64, step| most.max(step.abs()));
         if then <= now {
             idle = if now - then <= IDLE * now { idle + 1 } else { 0 };
+            gained = (now - then) / now;
             place = trial;
             now = then;
             damping = (damping * 0.1).max(1e-12);
@@ -263,6 +267,9 @@ fn descend(rows: &Rows, means: Means, steps: usize, settled_m: f64) -> (Place, f
             return (place, now, true);
         } else {
             damping *= 10.0;
+            if gained < NEAR && means == Means::MatrixFree(Matrix::Normal) {
+                means = Means::MatrixFree(Matrix::Bent);
+            }
         }
     }
     (place, now, false)
@@ -277,7 +284,7 @@ fn finish(rows: &Rows, means: Means, place: Place, loss: f64) -> Result<Solution
     let nulls: Vec<Vec<f64>> = turns.iter().flatten().cloned().collect();
     let (mut open, mut loose) = (Vec::new(), 0);
     let covariance = match means {
-        Means::MatrixFree => {
+        Means::MatrixFree(_) => {
             let (blocks, others) = matrix_free::covariance(rows, &place).ok_or_else(|| undetermined(problem))?;
             Covariance::Blocks(blocks, others)
         }

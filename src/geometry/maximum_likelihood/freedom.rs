@@ -6,7 +6,7 @@
 use faer::Mat;
 use nalgebra::Vector3;
 
-use super::matrix_free;
+use super::matrix_free::{self, Matrix};
 use super::problem::{Node, Problem};
 use super::rows::{Place, Rows};
 use crate::geometry::dense;
@@ -96,7 +96,8 @@ pub fn free_rotations(rows: &Rows, place: &Place, part: &[usize], stiffest: f64)
     if basis.is_empty() {
         return Vec::new();
     }
-    let moved: Vec<Vec<f64>> = basis.iter().map(|vector| matrix_free::product(rows, place, vector)).collect();
+    let moved: Vec<Vec<f64>> =
+        basis.iter().map(|vector| matrix_free::product(rows, place, Matrix::Normal, vector)).collect();
     let (values, vectors) = dense::symmetric_eigen(&gram(&basis, &moved));
     (0..basis.len()).filter(|&k| values[k] < FREE * stiffest).map(|k| combined(&basis, &vectors, k, 1.0)).collect()
 }

@@ -66,13 +66,27 @@ pub fn cost(rows: &Rows, place: &Place) -> f64 {
     summed(rows, || 0.0, |sum, n| *sum += rows.cost(place, n..n + 1), |sum, other| *sum += other)
 }
 
-/// Product of the normal matrix with a vector.
-pub fn product(rows: &Rows, place: &Place, vector: &[f64]) -> Vec<f64> {
+/// Which second derivatives of the objective.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Matrix {
+    /// The normal matrix, for lengths that change in proportion: the Fisher matrix.
+    Normal,
+    /// The whole, given the residuals. Where only near patches are paired, a scene is so soft that noise times the bending of short legs counts: near the minimum steps
+    /// without it overshoot, and hundreds are needed. Far from there it need not be definite.
+    Bent,
+}
+
+/// Product of a matrix with a vector.
+pub fn product(rows: &Rows, place: &Place, matrix: Matrix, vector: &[f64]) -> Vec<f64> {
     let zero = || (vec![0.0; rows.layout.size], Vec::new());
     let add_row = |(sum, terms): &mut (Vec<f64>, Vec<(usize, f64)>), n: usize| {
         let residual = rows.residual(place, n, Some(terms));
-        let along: f64 = rows.loss(n, residual).1 * terms.iter().map(|&(i, a)| a * vector[i]).sum::<f64>();
+        let weight = rows.loss(n, residual).1;
+        let along: f64 = weight * terms.iter().map(|&(i, a)| a * vector[i]).sum::<f64>();
         terms.iter().for_each(|&(i, a)| sum[i] += a * along);
+        if matrix == Matrix::Bent {
+            rows.bend(place, n, (residual, weight), vector, sum);
+        }
     };
     summed(rows, zero, add_row, |(sum, _), (other, _)| add_to(sum, &other)).0
 }
@@ -115,17 +129,18 @@ impl Slope {
     }
 }
 
-/// The normal matrix of the patches' coordinates, damped.
+/// A matrix of the patches' coordinates, damped.
 struct Patches<'a> {
     rows: &'a Rows<'a>,
     place: &'a Place,
+    matrix: Matrix,
     extra: Vec<f64>,
     inverses: Vec<Matrix3<f64>>,
 }
 
 impl<'a> Patches<'a> {
     /// `None` if a block is not definite.
-    fn new(rows: &'a Rows<'a>, place: &'a Place, slope: &Slope, damping: f64) -> Option<Self> {
+    fn new(rows: &'a Rows<'a>, place: &'a Place, matrix: Matrix, slope: &Slope, damping: f64) -> Option<Self> {
         let dimensions = rows.layout.dimensions;
         let diagonal = |i: usize| slope.blocks[i / dimensions][(i % dimensions, i % dimensions)];
         let scale = (0..rows.layout.coordinates).map(diagonal).fold(0.0, f64::max);
@@ -137,13 +152,13 @@ impl<'a> Patches<'a> {
             (block + Matrix3::from_diagonal(&Vector3::from_fn(|i, _| at(i)))).try_inverse()
         };
         let inverses: Option<Vec<_>> = slope.blocks.iter().enumerate().map(inverse).collect();
-        Some(Self { rows, place, inverses: inverses?, extra })
+        Some(Self { rows, place, matrix, inverses: inverses?, extra })
     }
 
     fn times(&self, vector: &[f64]) -> Vec<f64> {
         let mut all = vector.to_vec();
         all.resize(self.rows.layout.size, 0.0);
-        let mut product = product(self.rows, self.place, &all);
+        let mut product = product(self.rows, self.place, self.matrix, &all);
         product.truncate(vector.len());
         product.iter_mut().zip(&self.extra).zip(vector).for_each(|((sum, extra), value)| *sum += extra * value);
         product
@@ -171,7 +186,12 @@ impl<'a> Patches<'a> {
                 break;
             }
             let turned = self.times(&direction);
-            let length = size / dot(&direction, &turned);
+            let stiffness = dot(&direction, &turned);
+            if stiffness <= 0.0 {
+                // Paths bend more than they hold: what is found so far leads down, and so does the first direction.
+                return if answer.iter().all(|value| *value == 0.0) { direction } else { answer };
+            }
+            let length = size / stiffness;
             answer.iter_mut().zip(&direction).for_each(|(sum, d)| *sum += length * d);
             residual.iter_mut().zip(&turned).for_each(|(sum, t)| *sum -= length * t);
             ahead = self.preconditioned(&residual);
@@ -196,10 +216,10 @@ impl<'a> Patches<'a> {
     }
 }
 
-/// A damped Gauss-Newton step; `None` if the matrix is not definite.
-pub fn step(rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
+/// A damped Gauss-Newton step, or Newton step; `None` if a block is not definite.
+pub fn step(rows: &Rows, place: &Place, matrix: Matrix, damping: f64) -> Option<Vec<f64>> {
     let slope = Slope::new(rows, place);
-    let patches = Patches::new(rows, place, &slope, damping)?;
+    let patches = Patches::new(rows, place, matrix, &slope, damping)?;
     let coordinates = rows.layout.coordinates;
     let mut step = patches.solve(&slope.right[..coordinates], SOLVED);
     if slope.others.ncols() == 0 {
@@ -221,7 +241,7 @@ pub fn step(rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
 /// Blocks of the patches (infinite where nothing determines one), and covariance of the other unknowns.
 pub fn covariance(rows: &Rows, place: &Place) -> Option<(Vec<Matrix3<f64>>, Mat<f64>)> {
     let slope = Slope::new(rows, place);
-    let patches = Patches::new(rows, place, &slope, 0.0)?;
+    let patches = Patches::new(rows, place, Matrix::Normal, &slope, 0.0)?;
     let (follow, left) = patches.eliminate(&slope.others);
     let others = dense::inverse(&left)?;
     let dimensions = rows.layout.dimensions;

@@ -207,6 +207,31 @@ impl<'a> Rows<'a> {
         }
     }
 
+    /// Adds what the bending of a path contributes to the product of the objective's second derivatives with a vector, given the path's residual and the weight of its square:
+    /// `-weight residual / s B (v_b - v_a)` at the end b of each leg from a, its negative at a, with `B = (I - u u') / length` for a leg along u.
+    pub fn bend(&self, place: &Place, n: usize, (residual, weight): (f64, f64), vector: &[f64], sum: &mut [f64]) {
+        let Some(observation) = self.problem.observations.get(n) else { return };
+        let of = |node: Node| {
+            let at = self.at(node);
+            Vector3::from_fn(|k, _| at.filter(|_| k < self.layout.dimensions).map_or(0.0, |at| vector[at + k]))
+        };
+        for ends in observation.nodes.windows(2) {
+            let arm = place.position(ends[1]) - place.position(ends[0]);
+            let length_m = arm.norm();
+            if length_m == 0.0 {
+                continue;
+            }
+            let along = arm / length_m;
+            let apart = of(ends[1]) - of(ends[0]);
+            let across = (apart - along * along.dot(&apart)) * (-weight * residual / (observation.sd_m * length_m));
+            for (node, sign) in [(ends[0], -1.0), (ends[1], 1.0)] {
+                if let Some(at) = self.at(node) {
+                    (0..self.layout.dimensions).for_each(|k| sum[at + k] += sign * across[k]);
+                }
+            }
+        }
+    }
+
     /// First coordinate of a node that is not exact.
     fn at(&self, node: Node) -> Option<usize> {
         match node {

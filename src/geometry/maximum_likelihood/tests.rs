@@ -307,7 +307,8 @@ fn without_the_normal_matrix_the_solution_is_the_same() {
         *o.nodes.last_mut().unwrap() = Node::Station(1);
         o.length_m = way_m(&o.nodes, &[Point::origin(), Point::new(0.2, 0.1, 0.0)], &truth);
     }
-    let (dense, free) = (solve_by(&problem, Means::Dense).unwrap(), solve_by(&problem, Means::MatrixFree).unwrap());
+    let (dense, free) =
+        (solve_by(&problem, Means::Dense).unwrap(), solve_by(&problem, Means::MatrixFree(Matrix::Normal)).unwrap());
     assert!(!free.is_exact() && (dense.loss - free.loss).abs() < 1e-6 * dense.loss);
     let turned = procrustes::rotation(&free.points, &dense.points, Point::origin(), false);
     assert!(turned.rms_m < 1e-6, "{}", turned.rms_m);
@@ -317,6 +318,63 @@ fn without_the_normal_matrix_the_solution_is_the_same() {
     let trace = |solution: &Solution| (0..49).map(|i| solution.patch_covariance_m2(i, i).trace()).sum::<f64>();
     let patches = ratio(trace(&free), trace(&dense));
     assert!((patches - 1.0).abs() < 0.15, "{patches}");
+}
+
+/// Where each patch is paired with a few near ones only, steps that take paths for straight overshoot near the minimum.
+#[test]
+fn a_scene_of_near_pairs_settles_in_few_steps() {
+    let mut rng = ChaCha8Rng::seed_from_u64(18);
+    let place = |rng: &mut ChaCha8Rng| Point::new(rng.random_range(-1.0..1.0), 2.6, rng.random_range(-0.8..0.8));
+    let truth: Vec<Point> = (0..400).map(|_| place(&mut rng)).collect();
+    let mut observations = observations(&truth, 6e-4, &mut rng);
+    let apart_m = |o: &Observation| match o.nodes[1..o.nodes.len() - 1] {
+        [Node::Patch(a), Node::Patch(b)] => nalgebra::distance(&truth[a], &truth[b]),
+        _ => 0.0,
+    };
+    observations.retain(|o| apart_m(o) < 0.15);
+    let mut problem = problem(truth.clone(), observations, 6e-4);
+    problem.start.iter_mut().flat_map(|p| p.iter_mut()).for_each(|x| *x += rng.random_range(-0.005..0.005));
+    let rows = Rows::new(&problem);
+    let (_, loss, settled) = descend(&rows, Means::MatrixFree(Matrix::Normal), 30, SETTLED_MATRIX_FREE_M);
+    assert!(settled);
+    let dense = solve_by(&problem, Means::Dense).unwrap();
+    // Patches with few neighbours turn freely about them: the objective tells.
+    assert!((dense.loss - loss).abs() < 1e-9 * dense.loss, "{} {loss}", dense.loss);
+}
+
+/// Beside differences of the slope, whose derivatives they are.
+#[test]
+fn products_are_second_derivatives() {
+    let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(17));
+    let mut problem = problem(truth.clone(), observations(&truth, 0.05, &mut rng), 1.0);
+    problem.stations.push(Station { position: Point::new(0.2, 0.1, 0.3), sd_m: 0.01 });
+    for o in problem.observations.iter_mut().step_by(3) {
+        *o.nodes.last_mut().unwrap() = Node::Station(1);
+        o.sd_m = 0.02;
+    }
+    problem.loss = Loss::Squared;
+    let rows = Rows::new(&problem);
+    let place = Place::start(&problem);
+    let vector: Vec<f64> = (0..rows.layout.size).map(|_| StandardNormal.sample(&mut rng)).collect();
+    let slope = |by: f64| {
+        let step: Vec<f64> = vector.iter().map(|value| by * value).collect();
+        let (place, mut sum, mut terms) = (place.moved(&step, &rows.layout), vec![0.0; rows.layout.size], Vec::new());
+        for n in 0..rows.count {
+            let residual = rows.residual(&place, n, Some(&mut terms));
+            terms.iter().for_each(|&(i, a)| sum[i] -= a * residual);
+        }
+        sum
+    };
+    let (up, down) = (slope(1e-6), slope(-1e-6));
+    let product = matrix_free::product(&rows, &place, Matrix::Bent, &vector);
+    let straight = matrix_free::product(&rows, &place, Matrix::Normal, &vector);
+    let largest = product.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+    let off = |product: &[f64]| {
+        let off =
+            product.iter().zip(up.iter().zip(&down)).map(|(value, (up, down))| (value - (up - down) / 2e-6).abs());
+        off.fold(0.0, f64::max) / largest
+    };
+    assert!(off(&product) < 1e-6 && off(&straight) > 1e-3, "{} {}", off(&product), off(&straight));
 }
 
 #[test]
