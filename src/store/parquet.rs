@@ -220,14 +220,23 @@ pub fn uncompressed(field: &Field) -> Field {
     field.clone().with_metadata(metadata)
 }
 
-/// Columns of a table are compressed, but lists of floats are stored plain, since their low bits are noise. Beside codes, nothing else is compressed: it is a
-/// hundredth of the bytes, and each column chunk would start a compressor of its own. Dictionaries only where texts repeat.
+/// Whether a column holds records of samples: codes, or a waveform.
+fn holds_samples(field: &Field) -> bool {
+    match field.data_type() {
+        DataType::BinaryView => true,
+        DataType::List(item) => item.data_type() == &DataType::Float32,
+        _ => false,
+    }
+}
+
+/// Columns of a table are compressed, but lists of floats are stored plain, since their low bits are noise. Beside samples, nothing but codes is compressed: the rest is a
+/// hundredth of the bytes, and each column chunk would start a compressor of its own.
 fn properties(schema: &SchemaRef) -> WriterProperties {
     let zstd = Compression::ZSTD(ZstdLevel::try_new(1).expect("level 1 exists"));
-    let has_codes = schema.fields().iter().any(|field| field.data_type() == &DataType::BinaryView);
+    let has_samples = schema.fields().iter().any(|field| holds_samples(field));
     let mut properties = WriterProperties::builder()
         .set_created_by("periscope".to_owned())
-        .set_compression(if has_codes { Compression::UNCOMPRESSED } else { zstd })
+        .set_compression(if has_samples { Compression::UNCOMPRESSED } else { zstd })
         .set_max_row_group_row_count(None);
     for field in schema.fields() {
         let marked = field.metadata().get(COMPRESSION.0).is_some_and(|mark| mark == COMPRESSION.1);
