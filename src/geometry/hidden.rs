@@ -46,7 +46,7 @@ mod surface;
 use nalgebra::{Matrix3, Vector3};
 
 use super::Point;
-use explanation::Explanation;
+use explanation::{Claims, Explanation};
 pub use surface::Surface;
 
 /// Share of ways on which a patch is taken to be seen before anything is known of it.
@@ -204,8 +204,8 @@ pub struct Found {
 #[must_use]
 pub fn find(profiles: &[Profile], room: &Room) -> Found {
     let Some(mut all) = Explanation::new(profiles, room) else { return Found::default() };
-    // Minimal sets find most, cheaply; a search of all space finds the others among what is left.
-    all.add_seeds();
+    // Minimal sets find most, cheaply; a search of all space finds the others among what is left. It would come to whatever the former make up.
+    all.add_seeds(Claims::Likely);
     let mut is_open = true;
     for _ in 0..ROUNDS {
         let starts = all.cubes();
@@ -233,7 +233,7 @@ pub fn find(profiles: &[Profile], room: &Room) -> Found {
 #[must_use]
 pub fn find_by_minimal_sets(profiles: &[Profile], room: &Room) -> Found {
     let Some(mut all) = Explanation::new(profiles, room) else { return Found::default() };
-    all.add_seeds();
+    all.add_seeds(Claims::All);
     all.found()
 }
 

@@ -17,6 +17,15 @@ const LIKELY: f64 = 0.5;
 /// Points along each axis that the volume is counted by.
 const VOLUME_POINTS: i32 = 16;
 
+/// Which paths keep an arrival from minimal sets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Claims {
+    /// All.
+    All,
+    /// Known ones that are more likely seen than not, and those over surfaces that were found: many that are seldom seen may claim each arrival between them.
+    Likely,
+}
+
 /// Known paths and hidden surfaces that were found, and the arrivals that they explain.
 pub(super) struct Explanation<'a> {
     given: &'a [Profile],
@@ -166,9 +175,14 @@ impl<'a> Explanation<'a> {
         })
     }
 
-    /// What the paths that are more likely seen than not, and those over surfaces that were found, leave of each arrival.
-    pub(super) fn left_by_likely(&self) -> Vec<Vec<f64>> {
-        self.left_by(|profile, path| profile.known.get(path).is_none_or(|known| known.seen > LIKELY))
+    /// What is left for minimal sets.
+    pub(super) fn left_of(&self, claims: Claims) -> Vec<Vec<f64>> {
+        match claims {
+            Claims::All => self.left(),
+            Claims::Likely => {
+                self.left_by(|profile, path| profile.known.get(path).is_none_or(|known| known.seen > LIKELY))
+            }
+        }
     }
 
     fn left_by(&self, counts: impl Fn(&Profile, usize) -> bool) -> Vec<Vec<f64>> {

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::climb::Place;
-use super::explanation::Explanation;
+use super::explanation::{Claims, Explanation};
 use super::surface::Surface;
 use super::{Hidden, ROUNDS, SEEN};
 use crate::geometry::Point;
@@ -21,10 +21,10 @@ const GAIN: f64 = 1.0;
 
 impl Explanation<'_> {
     /// Adds the sure patches and planes that minimal sets lead to, until these lead to no more.
-    pub(super) fn add_seeds(&mut self) {
+    pub(super) fn add_seeds(&mut self, claims: Claims) {
         for _ in 0..ROUNDS {
-            let mut starts = self.seeds();
-            starts.extend(self.plane_seeds());
+            let mut starts = self.seeds(claims);
+            starts.extend(self.plane_seeds(claims));
             if !self.add(&starts) {
                 break;
             }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use super::climb::{GATE, Place};
-use super::explanation::Explanation;
+use super::explanation::{Claims, Explanation};
 use super::plane_seeds;
 use super::search::{self, Curve, Legs};
 use super::seeds::{self, Lengths, Seed};
@@ -41,20 +41,20 @@ impl Explanation<'_> {
     }
 
     /// Patches that minimal sets of arrivals agree on.
-    pub(super) fn seeds(&self) -> Vec<(Surface, Point)> {
+    pub(super) fn seeds(&self, claims: Claims) -> Vec<(Surface, Point)> {
         let foci = &self.room.foci;
-        let pairs = if self.is_layered() { self.repeated() } else { self.unexplained() };
+        let pairs = if self.is_layered() { self.repeated() } else { self.unexplained(claims) };
         let bases = seeds::bases(foci, &pairs, &self.domain, BASES);
         let seeds = bases.iter().flat_map(|base| seeds::seeds(foci, &pairs, base, &self.domain));
         self.best(Surface::Patch, seeds.collect())
     }
 
     /// Planes that minimal sets of arrivals agree on; none between hidden patches.
-    pub(super) fn plane_seeds(&self) -> Vec<(Surface, Point)> {
+    pub(super) fn plane_seeds(&self, claims: Claims) -> Vec<(Surface, Point)> {
         if self.is_layered() {
             return Vec::new();
         }
-        self.best(self.plane(), plane_seeds::seeds(&self.room.foci, &self.unexplained(), &self.domain))
+        self.best(self.plane(), plane_seeds::seeds(&self.room.foci, &self.unexplained(claims), &self.domain))
     }
 
     fn best(&self, surface: Surface, mut seeds: Vec<Seed>) -> Vec<(Surface, Point)> {
@@ -62,12 +62,11 @@ impl Explanation<'_> {
         self.thinned(surface, seeds.into_iter().map(|seed| seed.point))
     }
 
-    /// Arrivals that likely paths leave: many that are seldom seen may claim each arrival between them, and a start costs little. Profiles of the same two patches stand
-    /// together: two arrivals within their errors are one.
-    fn unexplained(&self) -> Vec<Lengths> {
+    /// Arrivals that paths leave, profiles of the same two patches together: two within their errors are one.
+    fn unexplained(&self, claims: Claims) -> Vec<Lengths> {
         type OfPair = (usize, [f64; 2], Vec<(f64, f64)>, Vec<f64>);
         let mut pairs: BTreeMap<[usize; 2], OfPair> = BTreeMap::new();
-        for (profile, left) in self.profiles.iter().zip(self.left_by_likely()) {
+        for (profile, left) in self.profiles.iter().zip(self.left_of(claims)) {
             let (profiles, span_m, lengths_m, claimed_m) =
                 pairs.entry(profile.ways[0].foci).or_insert_with(|| (0, profile.span_m, Vec::new(), Vec::new()));
             *profiles += 1;
