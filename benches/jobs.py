@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
 """Times whole runs of periscope beside other programs on the same data, all in turn, and compares their onsets.
 
-usage: jobs.py avg|each INPUT PEERS PERISCOPE WORK [--runs 5] [--strax PYTHON] [--dspeed PYTHON] [--limits PROGRAM] [--without-traces] [--sequences]
+usage: jobs.py avg|each INPUT PEERS PERISCOPE WORK [--runs 5] [--strax PYTHON] [--dspeed PYTHON] [--limits PROGRAM] [--without-traces] [--sequences] [--cores]
 INPUT: folder with raw.npy (groups x repeats x samples, int16), impulse.npy, params.json, and raw.lh5, raw_each.lh5 for dspeed; PEERS: folder with
 bench_numpy_tuned.py and the like; the interpreters of --strax and --dspeed have those packages, this one numpy, scipy and pyarrow; --limits is a
 program that reads and sums a file, `limits FILE`, and prints its rates; --without-traces leaves out the runs that keep as many bytes again; --sequences reads the same shots from
-LeCroy sequences too, alone and with a reference channel (512 samples a shot, a pulse with noise) to which each is aligned.
+LeCroy sequences too, alone and with a reference channel (512 samples a shot, a pulse with noise) to which each is aligned; --cores confines runs to
+one core, and adds those of a job that computes more than it reads: impulses by sparse deconvolution in place of the fixed filter.
 Job avg: the shots of a capture averaged, deconvolved, timed (pipelines/average.toml). Job each: every shot for itself.
 Wall, CPU and peak memory are those of the whole process (wait4). MB = 1e6 bytes of raw samples.
 """
-import argparse, glob, json, os, shutil, statistics, struct, subprocess, sys, time
+import argparse, glob, json, os, re, shutil, statistics, struct, subprocess, sys, time
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +21,7 @@ parser.add_argument("job", choices=["avg", "each"])
 for name in ("input", "peers", "periscope", "work"):
     parser.add_argument(name, type=os.path.abspath)
 parser.add_argument("--runs", type=int, default=5)
-for name in ("without-traces", "sequences"):
+for name in ("without-traces", "sequences", "cores"):
     parser.add_argument(f"--{name}", action="store_true")
 for name in ("strax", "dspeed", "limits"):
     parser.add_argument(f"--{name}", type=os.path.abspath)
@@ -111,9 +112,11 @@ def sequences():
     open(f"{args.work}/aligned.toml", "w").write(aligned)
 
 
-def once(command, cwd):
+def once(command, cwd, cores=None):
+    """Wall s, CPU s and peak MiB of a process that may use these cores, else all."""
+    confine = (lambda: os.sched_setaffinity(0, cores)) if cores else None
     start = time.perf_counter()
-    child = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    child = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, preexec_fn=confine)
     err = child.stderr.read().decode()
     _, status, usage = os.wait4(child.pid, 0)
     wall = time.perf_counter() - start
@@ -130,9 +133,13 @@ if args.job == "each":  # the others keep onsets only
         text = text.replace(f'stage = "{stage}"', f'stage = "{stage}"\nkeep = false')
 for name, keep in (("plain", "keep = false"), ("kept", "keep = true"), ("open", 'keep = true\nparams = { compression = "none" }')):
     open(f"{args.work}/{name}.toml", "w").write(text.replace("keep = false", keep))
+text, filters = re.subn(r'params = \{ method = "wiener".*', 'params = { method = "sparse" }', text)
+text, edges = re.subn(r'params = \{ method = "leading-edge".*', 'params = { method = "impulses" }', text)
+assert filters == edges == 1
+open(f"{args.work}/sparse.toml", "w").write(text)
 
 
-def ours(pipeline="plain", notes=True, threads=None, campaign="campaign"):
+def ours(pipeline="plain", notes=True, threads=None, campaign="campaign", cores=None):
     """A run that computes all tables; with the content hashes that an earlier run noted, or as a first run, which hashes all files."""
     kept = f"{args.work}/notes"
     shutil.rmtree(kept, ignore_errors=True)
@@ -143,7 +150,7 @@ def ours(pipeline="plain", notes=True, threads=None, campaign="campaign"):
         os.makedirs(f"{out}/.shelf")
         shutil.copytree(kept, f"{out}/.shelf/notes")
     command = [args.periscope, "run", f"{pipeline}.toml", "--campaign", campaign, "--out", out, "--progress", "none"]
-    return once(command + (["--threads", str(threads)] if threads else []), args.work)
+    return once(command + (["--threads", str(threads)] if threads else []), args.work, cores)
 
 
 def again(pipeline):
@@ -179,6 +186,11 @@ jobs |= {
     "periscope, hashes known": ours,
     "periscope, hashes known, 1 thread": lambda: ours(threads=1),
 }
+if args.cores:
+    jobs["periscope, sparse deconvolution, hashes known"] = lambda: ours("sparse")
+    jobs["periscope, sparse deconvolution, hashes known, 1 thread"] = lambda: ours("sparse", threads=1)
+    jobs["periscope, sparse deconvolution, hashes known, one core"] = lambda: ours("sparse", cores={0})
+    jobs["periscope, hashes known, one core"] = lambda: ours(cores={0})
 if args.job == "avg":
     jobs["periscope, analysed again from raw files"] = lambda: again("plain")
 if args.job == "avg" and not args.without_traces:

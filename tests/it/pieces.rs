@@ -331,4 +331,39 @@ fn what_cannot_be_cut_is_said_with_its_reason() {
     assert!(errors(&output).contains("L1_P1.npy has codes in floating point"), "{}", errors(&output));
     let listed = String::from_utf8(output.stdout).unwrap();
     assert!(!listed.contains("piece"), "{listed}");
+    // A history of 2,000 acquisitions of an RTO: settings in one file, samples in another.
+    let file = large.0.campaign().join("campaign.toml");
+    fs::write(&file, fs::read_to_string(&file).unwrap().replace("{seen}.npy", "{seen}.bin")).unwrap();
+    let property = |(name, value): (&str, &str)| format!("<Prop Name=\"{name}\" Value=\"{value}\" UnitName=\"s\"/>");
+    let head: String = HISTORY.map(property).concat();
+    fs::write(large.raw("L1_P1.bin"), format!("<Database>{head}</Database>")).unwrap();
+    let codes = (0..2000 * 200).map(|n| noise(n) as u8);
+    let samples: Vec<u8> = [0_u32, 200].into_iter().flat_map(u32::to_le_bytes).chain(codes).collect();
+    fs::write(large.raw("L1_P1.Wfm.bin"), samples).unwrap();
+    let output = large.job("plan", "out", &["--set", TRACES, "--shards", "6"]);
+    assert!(errors(&output).contains("L1_P1.bin has its samples in a second file"), "{}", errors(&output));
+    let (pieces, said) = large.joins("6");
+    assert!(pieces == 0 && large.0.rows::<Profile>("out", "profiles")[0].shots == 2000, "{pieces} {said}");
 }
+
+/// What the head of a Rohde & Schwarz recording says.
+const HISTORY: [(&str, &str); 18] = [
+    ("SourceType", "eRS_SIGNAL_SOURCE_TYPE_SOURCE"),
+    ("TraceType", "eRS_TRACE_TYPE_NORMAL"),
+    ("BaseUnit", "eRS_UNIT_LEVEL_V"),
+    ("XStart", "0"),
+    ("XStop", "1e-8"),
+    ("NofQuantisationLevels", "250"),
+    ("VerticalDivisionCount", "10"),
+    ("VerticalScale", "0.5"),
+    ("VerticalOffset", "0"),
+    ("VerticalPosition", "0"),
+    ("Source", "eRS_SIGNAL_SOURCE_CH1_TR1"),
+    ("MultiChannelExport", "eRS_ONOFF_OFF"),
+    ("NumberOfAcquisitions", "2000"),
+    ("TimestampState", "eRS_ONOFF_OFF"),
+    ("SignalFormat", "eRS_SIGNAL_FORMAT_INT8BIT"),
+    ("RecordLength", "200"),
+    ("SignalHardwareRecordLength", "200"),
+    ("LeadingSettlingSamples", "0"),
+];

@@ -8,7 +8,7 @@ use crate::campaign::tree_hash::BLOCK_BYTES;
 use crate::stages::ingest::files::Files;
 use crate::stages::ingest::part::items;
 use crate::stages::ingest::raw_file::Reading;
-use crate::stages::ingest::survey::{Capture, Job, Surveyed};
+use crate::stages::ingest::survey::{Capture, Item, Job, Surveyed};
 use crate::stages::source::Piece;
 use crate::waveform::{CodeType, Payload};
 
@@ -44,15 +44,21 @@ fn open(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Result<Files, String> {
     Ok(files)
 }
 
-/// The files of an item, if it can be cut between its exposures.
-fn divisible(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Result<Option<Files>, String> {
-    let files = open(surveyed, job)?;
-    if files.records().any(|record| matches!(record.payload, Payload::Decoded(_))) {
-        return Err(format!("{} is text, which who opens it reads to its end", job.item.exposure.file.display()));
+/// Why an item is not cut between its exposures, if it is not.
+fn kept_whole(files: &Files, item: &Item) -> Option<String> {
+    let file = item.exposure.file.display();
+    if files.exposures() < 2 {
+        return Some(format!("{file} has one exposure"));
     }
-    let is_large = |(_, bytes, _): &(_, u64, _)| *bytes >= 2 * BLOCK_BYTES;
-    let is_one = !job.item.exposure.companions.is_empty() || files.exposures() < 2;
-    Ok((!is_one && files.places(0).iter().all(is_large)).then_some(files))
+    if !item.exposure.companions.is_empty() {
+        return Some(format!("{file} has its samples in a second file, which is hashed with it"));
+    }
+    if files.records().any(|record| matches!(record.payload, Payload::Decoded(_))) {
+        return Some(format!("{file} is text, which who opens it reads to its end"));
+    }
+    let is_small = |(_, bytes, _): &(_, u64, _)| *bytes < 2 * BLOCK_BYTES;
+    let is_kept = files.places(0).iter().any(is_small);
+    is_kept.then(|| format!("{file} or its reference is smaller than two blocks of its digest"))
 }
 
 /// A cut of a part, and where it cuts the files that it goes through.
@@ -63,18 +69,21 @@ fn place_of(files: &[(PathBuf, u64)], file: &Path) -> Option<u64> {
     files.iter().find(|(name, _)| name == file).map(|(_, at)| *at)
 }
 
-/// Cuts a part into so many pieces, or fewer, of about as many bytes.
+/// Cuts a part into so many pieces, or fewer, of about as many bytes: within items that are larger than a piece, if they can be, else between them.
 pub fn cut(surveyed: &Surveyed<'_>, part: usize, count: usize) -> Result<Vec<Piece>, String> {
     let captures = &surveyed.parts[part];
     let total: u64 = captures.iter().map(Capture::bytes).sum();
     let wanted = |k: usize| (u128::from(total) * k as u128 / count as u128) as u64;
     let mut cuts: Vec<Cut> = vec![(Place::default(), Vec::new())];
-    let (mut k, mut before) = (1, 0);
+    let (mut k, mut before, mut uncut) = (1, 0, None);
     for (capture, item_number, item) in items(captures) {
         let end = before + item.bytes;
         let job = Job { capture: &captures[capture], item, first_shot: 0 };
         let within = k < count && wanted(k) < end && u128::from(item.bytes) * count as u128 > u128::from(total);
-        let files = if within { divisible(surveyed, &job)? } else { None };
+        let files = if within { Some(open(surveyed, &job)?) } else { None };
+        let kept = files.as_ref().and_then(|files| kept_whole(files, item));
+        let files = files.filter(|_| kept.is_none());
+        uncut = uncut.or(kept);
         while k < count && wanted(k) < end {
             let at = wanted(k) - before;
             let cut = match &files {
@@ -112,6 +121,9 @@ pub fn cut(surveyed: &Surveyed<'_>, part: usize, count: usize) -> Result<Vec<Pie
     });
     cuts.dedup_by_key(|(place, _)| *place);
     cuts.retain(|(place, _)| *place < end);
+    if let (1, Some(why)) = (cuts.len(), uncut) {
+        return Err(why);
+    }
     cuts.push((end, Vec::new()));
     cuts.windows(2).map(|cut| piece(surveyed, captures, &cut[0], &cut[1])).collect()
 }
