@@ -349,8 +349,9 @@ fn work(
                     Node::Source(_) => lineage,
                     Node::Operator(_) => plan.part_lineage(step, &lineage, &beside),
                 };
-                commit(shared, step, &mut writer, lineage)?;
+                // What is below ends its part beside this.
                 send(children, || Message::PartEnd(part, lineage, Vec::new()))?;
+                commit(shared, step, &mut writer, lineage)?;
             }
             Message::PartEnd(_, lineage, _) => inputs.push(lineage),
             Message::End => break,
@@ -360,8 +361,8 @@ fn work(
         let written = running.flush().map_err(failed)?;
         emit(shared, step, &mut writer, written, children, None)?;
         let lineage = plan.part_lineage(step, &TableRecord::lineage_of(&inputs), &beside);
-        commit(shared, step, &mut writer, lineage)?;
         send(children, || Message::PartEnd(0, lineage, Vec::new()))?;
+        commit(shared, step, &mut writer, lineage)?;
     }
     send(children, || Message::End)
 }
