@@ -14,7 +14,7 @@ use arrow::datatypes::{DataType, Field, SchemaRef};
 use bytes::Bytes;
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder};
-use parquet::arrow::arrow_writer::{ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
+use parquet::arrow::arrow_writer::{ArrowColumnWriter, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::column::writer::ColumnCloseResult;
 use parquet::errors::ParquetError;
@@ -55,6 +55,8 @@ pub struct FileRecord {
 pub struct TableWriter {
     path: PathBuf,
     schema: SchemaRef,
+    /// Leaf columns of each field.
+    leaves: Vec<usize>,
     writer: SerializedFileWriter<Digesting>,
     factory: ArrowRowGroupWriterFactory,
     /// Pages of the column chunks that are being encoded.
@@ -81,9 +83,13 @@ impl TableWriter {
             ArrowWriterOptions::new().with_properties(properties(schema)).with_page_store_factory(pages.clone());
         let (writer, factory) =
             ArrowWriter::try_new_with_options(sink, schema.clone(), options)?.into_serialized_writer()?;
+        let mut leaves = vec![0; schema.fields().len()];
+        let columns = writer.schema_descr();
+        (0..columns.num_columns()).for_each(|leaf| leaves[columns.get_column_root_idx(leaf)] += 1);
         Ok(Self {
             path: path.to_owned(),
             schema: schema.clone(),
+            leaves,
             writer,
             factory,
             pages,
@@ -137,22 +143,26 @@ impl TableWriter {
         for (group, batch) in self.whole.drain(..).enumerate() {
             let mut writers = self.factory.create_column_writers(self.groups + group)?.into_iter();
             let mut pages = self.pages.take().into_iter();
-            for (field, column) in batch.schema_ref().fields().iter().zip(batch.columns()) {
-                for leaf in compute_leaves(field, column)? {
-                    let writer = writers.next().expect("one writer a leaf column");
-                    columns.push((group, leaf, writer, pages.next().expect("pages of each leaf column")));
-                }
+            for ((field, column), leaves) in batch.schema_ref().fields().iter().zip(batch.columns()).zip(&self.leaves) {
+                let writers: Vec<_> = writers.by_ref().zip(pages.by_ref()).take(*leaves).collect();
+                columns.push((group, Arc::clone(field), Arc::clone(column), writers));
             }
         }
-        let encoded: Vec<(usize, Bytes, ColumnCloseResult)> = columns
+        let encoded: Vec<Vec<(usize, Bytes, ColumnCloseResult)>> = columns
             .into_par_iter()
-            .map(|(group, leaf, mut writer, pages)| {
-                writer.write(&leaf)?;
-                let close = writer.close()?.close().clone();
-                let (bytes, close) = with_checksums(&pages, &close)?;
-                Ok((group, bytes, close))
+            .map(|(group, field, column, writers)| {
+                let leaves = compute_leaves(&field, &column)?;
+                assert_eq!(leaves.len(), writers.len(), "one writer a leaf column of {}", field.name());
+                let encode = |(leaf, (mut writer, pages)): (_, (ArrowColumnWriter, _))| {
+                    writer.write(&leaf)?;
+                    let close = writer.close()?.close().clone();
+                    let (bytes, close) = with_checksums(&pages, &close)?;
+                    Ok((group, bytes, close))
+                };
+                leaves.into_iter().zip(writers).map(encode).collect()
             })
             .collect::<Result<_, ParquetError>>()?;
+        let encoded: Vec<_> = encoded.into_iter().flatten().collect();
         for group in encoded.chunk_by(|a, b| a.0 == b.0) {
             let mut writer = self.writer.next_row_group()?;
             for (_, bytes, close) in group {
