@@ -28,18 +28,16 @@
 pub mod bound;
 pub mod campaign;
 pub mod exchange;
-pub mod formats;
-pub mod geometry;
 #[cfg(doc)]
 pub mod guide;
 pub mod history;
-pub mod path;
 pub mod pipeline;
 pub mod report;
-pub mod signal;
 pub mod simulate;
 pub mod stages;
 pub mod store;
 pub mod tables;
-pub mod units;
-pub mod waveform;
+
+pub use periscope_formats::{self as formats, waveform};
+pub use periscope_geometry::{self as geometry, path, units};
+pub use periscope_signal as signal;

@@ -15,7 +15,6 @@ pub mod captures_table;
 pub mod check_captures;
 pub mod check_setup;
 mod claims;
-pub mod companions;
 pub mod exclusions;
 pub mod exposure;
 pub mod fault;

@@ -10,13 +10,13 @@ use std::sync::Arc;
 use super::captures_table::{self, TableError};
 use super::check_captures;
 use super::claims::{self, Claim, Source};
-use super::companions::companion;
 use super::exclusions::Exclusions;
 use super::exposure::{Exposure, exposure};
 use super::keys::{Campaign, CaptureRule, RecordKeys, exclude_place, rule_place};
 use super::pattern::{Bound, Pattern, Reading};
 use super::references::References;
 use super::walk;
+use crate::formats::companions::companion;
 
 /// What the rules make of the files.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -179,7 +179,7 @@ mod tests {
 
     use super::super::hostile;
     use super::*;
-    use crate::formats::Source;
+    use crate::Source;
 
     fn event(board: u32, channel: u32, counter: u32, codes: &[u16]) -> Vec<u8> {
         let words = [24 + 2 * codes.len() as u32, board, 0x0006_0000, channel, counter, 0x0030_AF85];

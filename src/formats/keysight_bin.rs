@@ -14,7 +14,7 @@
 mod date;
 mod encode;
 #[cfg(test)]
-pub(in crate::formats) mod tests;
+pub(crate) mod tests;
 mod walk;
 
 use std::collections::BTreeMap;

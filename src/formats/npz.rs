@@ -146,7 +146,7 @@ mod tests {
     use super::super::hostile;
     use super::super::zip_file::tests::{Local, zip};
     use super::*;
-    use crate::formats::{Source, npy};
+    use crate::{Source, npy};
 
     /// Counts the bytes that are read.
     struct Counting<'a> {

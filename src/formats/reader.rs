@@ -7,7 +7,7 @@ use std::path::Path;
 
 use thiserror::Error;
 
-use crate::campaign::companions::companion;
+use crate::companions::companion;
 use crate::waveform::{ReadSeek, Record};
 
 /// What is wrong with a file. The file's name is added by who opened it.

@@ -36,8 +36,8 @@ impl Reader for RigolBin {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::hostile::{cut_everywhere, damage, read};
-    use crate::formats::keysight_bin::tests::{Built, Waveform};
+    use crate::hostile::{cut_everywhere, damage, read};
+    use crate::keysight_bin::tests::{Built, Waveform};
     use crate::waveform::Kind;
 
     #[test]

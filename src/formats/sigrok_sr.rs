@@ -204,7 +204,7 @@ mod tests {
     use super::super::hostile;
     use super::super::zip_file::tests::{Local, zip};
     use super::*;
-    use crate::formats::Source;
+    use crate::Source;
 
     const METADATA: &str = "[global]\r\nsigrok version=0.6\r\n# analog1=none\r\n[device 1]\r\n\
         samplerate = 12 MHz\r\ntotal analog=2\r\n\

@@ -172,7 +172,7 @@ fn curve(bytes: &[u8], at: usize) -> Result<(u64, u64), FormatError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::Source;
+    use crate::Source;
     use std::io::Cursor;
     use std::path::Path;
 

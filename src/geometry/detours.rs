@@ -98,7 +98,7 @@ fn angles(arrivals: &Pairs<Length>) -> Pairs<[f64; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Point;
+    use crate::Point;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};

@@ -74,7 +74,7 @@ fn any_normal(x: Vector3<f64>) -> Vector3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::procrustes::turn;
+    use crate::procrustes::turn;
     use nalgebra::Rotation3;
 
     #[test]

@@ -30,7 +30,7 @@ pub fn embed(distances_m: &Mat<f64>, dimensions: usize) -> Vec<Point> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::procrustes;
+    use crate::procrustes;
 
     #[test]
     fn exact_distances_give_the_points_back() {

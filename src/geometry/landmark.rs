@@ -72,7 +72,7 @@ pub fn embed(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{procrustes, room};
+    use crate::{procrustes, room};
 
     #[test]
     fn exact_distances_to_eight_landmarks_give_all_points_back() {
@@ -93,7 +93,7 @@ mod tests {
         let all: Vec<Point> = std::iter::once(Point::origin()).chain(truth.iter().copied()).collect();
         let wrong = |i: usize, j: usize| (all[i] - all[j]).norm() + 0.01 * ((i * j % 5) as f64 - 2.0);
         let distances = Mat::from_fn(all.len(), all.len(), |i, j| if i == j { 0.0 } else { wrong(i, j) });
-        let classical = crate::geometry::classical::embed(&distances, 3);
+        let classical = crate::classical::embed(&distances, 3);
         let landmarks: Vec<usize> = (0..all.len()).collect();
         let found = embed(all.len(), &landmarks, |i, j| distances[(i, j)], 3);
         assert!(procrustes::rotation(&found, &classical, Point::origin(), true).rms_m < 1e-9);

@@ -232,7 +232,7 @@ pub fn tilt(a: &Plane, b: &Plane, covariance_m2: impl Fn(usize, usize) -> Matrix
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::room;
+    use crate::room;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};

@@ -42,7 +42,7 @@ pub fn embed(distances_m: &Mat<f64>, dimensions: usize) -> (Vec<Point>, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::room;
+    use crate::room;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

@@ -146,7 +146,7 @@ impl Problem {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{procrustes, room};
+    use crate::{procrustes, room};
 
     #[test]
     fn exact_distances_give_the_points_back_though_some_are_missing() {

@@ -85,7 +85,7 @@ fn stress_of(points: &[Point], distances_m: &Mat<f64>, weights: &Mat<f64>) -> f6
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{classical, procrustes, room};
+    use crate::{classical, procrustes, room};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

@@ -171,7 +171,7 @@ fn trials(seen: &Response, core: &Core, dt_ps: f64, searched_ps: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::signal::tails;
+    use crate::tails;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};

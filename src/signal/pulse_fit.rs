@@ -133,7 +133,7 @@ fn solve(record: &Record<'_>, response: &Response, time_ps: f64, columns: &[Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::signal::reference::fit_pulse;
+    use crate::reference::fit_pulse;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};

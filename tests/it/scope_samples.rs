@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use periscope::campaign::Campaign;
-use periscope::campaign::companions::companion;
+use periscope::formats::companions::companion;
 use periscope::formats::{self, Input, Source};
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};

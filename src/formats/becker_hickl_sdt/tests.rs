@@ -4,7 +4,7 @@ use flate2::Compression;
 use flate2::write::DeflateEncoder;
 
 use super::*;
-use crate::formats::hostile::{change_anywhere, cut_everywhere, decode, refusal, source};
+use crate::hostile::{change_anywhere, cut_everywhere, decode, refusal, source};
 
 /// Bins of a curve.
 const BINS: u16 = 64;

@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use super::*;
-use crate::formats::Source;
+use crate::Source;
 
 fn read(text: impl AsRef<[u8]>) -> Result<Vec<(Record, Vec<f64>)>, String> {
     let bytes = text.as_ref().to_vec();

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::super::hostile;
 use super::*;
-use crate::formats::Source;
+use crate::Source;
 use crate::waveform::{CodeType, Kind, Scale};
 use builder::{Builder, Message, Storage, attribute, enumerated, number, numbers, text_attribute, texts};
 

@@ -1,10 +1,10 @@
 use super::walk::WAVEFORM;
 use super::*;
-use crate::formats::hostile::{cut_everywhere, damage, read};
+use crate::hostile::{cut_everywhere, damage, read};
 use crate::waveform::Kind;
 
 /// A file of Keysight's or Rigol's layout.
-pub(in crate::formats) struct Built {
+pub(crate) struct Built {
     /// `AG10` and the like; a version 03 has sizes of 64 bits.
     pub cookie: &'static str,
     pub waveforms: Vec<Waveform>,
@@ -15,7 +15,7 @@ pub(in crate::formats) struct Built {
 
 /// One waveform: fields as in its header, and its buffers with type, bytes per point and bytes.
 #[derive(Clone)]
-pub(in crate::formats) struct Waveform {
+pub(crate) struct Waveform {
     pub header_bytes: usize,
     pub kind: u32,
     pub points: u32,

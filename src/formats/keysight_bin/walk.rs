@@ -1,7 +1,7 @@
 //! The waveforms and buffers of a file, one after the other.
 
 use super::{Maker, date};
-use crate::formats::reader::{FormatError, Input};
+use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Scale};
 
 /// Bytes of a waveform header as far as it is known; newer ones may be longer.

@@ -1,6 +1,6 @@
 use super::*;
-use crate::formats::hostile::{change_anywhere, cut_everywhere, decode, refusal};
-use crate::formats::{READERS, lecroy_trc::LecroyTrc};
+use crate::hostile::{change_anywhere, cut_everywhere, decode, refusal};
+use crate::{READERS, lecroy_trc::LecroyTrc};
 
 /// A trace of words 1000, -2000, 3000, -4000, in two segments if `sequence`.
 fn file(big_endian: bool, wide: bool, sequence: bool) -> Vec<u8> {

@@ -5,7 +5,7 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 
 use super::*;
-use crate::formats::{Source, hostile};
+use crate::{Source, hostile};
 
 fn read(bytes: &[u8]) -> Result<(Arrays, Vec<String>), String> {
     let mut source = Source::new(Cursor::new(bytes), Path::new("a.mat")).unwrap();

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::formats::reader::{FormatError, Input};
+use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Scale};
 
 /// Magic and version.

@@ -1,6 +1,6 @@
 use super::tags::{DATE, FLOAT, INTEGER, TAG_BYTES, TEXT, iso};
 use super::*;
-use crate::formats::hostile::{change_anywhere, cut_everywhere, decode, refusal};
+use crate::hostile::{change_anywhere, cut_everywhere, decode, refusal};
 use crate::waveform::Kind;
 
 /// 2019-06-14 13:30:15.250 in days since 1899-12-30.

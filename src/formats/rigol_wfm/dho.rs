@@ -13,8 +13,8 @@ use std::io::Read;
 use flate2::read::ZlibDecoder;
 
 use super::{CHANNELS, FORMAT, field, record, some};
-use crate::formats::numbers::Numbers;
-use crate::formats::reader::{FormatError, Input};
+use crate::numbers::Numbers;
+use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Record, Scale};
 
 const HEAD_BYTES: u64 = 24;

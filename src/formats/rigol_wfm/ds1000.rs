@@ -10,8 +10,8 @@
 //! inverted already is not known. Rolling captures of the DS1000E end in bytes that are no samples, which are left out.
 
 use super::{FORMAT, dt_s, factor, field, record, some};
-use crate::formats::numbers::Numbers;
-use crate::formats::reader::{FormatError, Input};
+use crate::numbers::Numbers;
+use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Record, Scale};
 
 /// Where a head says what.

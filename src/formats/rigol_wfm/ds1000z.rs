@@ -11,8 +11,8 @@
 //! channels are refused by name: how they share the memory is not known. `dt_s` is 1 / (sample rate in GHz, an f32, * 1e9).
 
 use super::{CHANNELS, FORMAT, dt_s, field, record, some};
-use crate::formats::numbers::Numbers;
-use crate::formats::reader::{FormatError, Input};
+use crate::numbers::Numbers;
+use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Record};
 
 const HEAD_BYTES: u64 = 0x118;

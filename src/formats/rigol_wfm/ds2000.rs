@@ -17,8 +17,8 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use super::{CHANNELS, FORMAT, dt_s, factor, field, record, some, unit, within};
-use crate::formats::numbers::Numbers;
-use crate::formats::reader::{FormatError, Input};
+use crate::numbers::Numbers;
+use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Payload, ReadSeek, Record, Scale, Unpack};
 
 /// Where a head says what.

@@ -4,8 +4,8 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 
 use super::RigolWfm;
-use crate::formats::hostile::{change_anywhere, cut_everywhere, decode, refusal};
-use crate::formats::reader::Reader;
+use crate::hostile::{change_anywhere, cut_everywhere, decode, refusal};
+use crate::reader::Reader;
 use crate::waveform::Kind;
 
 /// A file as it is put together: bytes at their places.
@@ -222,10 +222,8 @@ fn ds2000_interwoven_memory_is_put_in_order() {
     let file = ds2000(b"DS2A1", 0).put(0x40, &[2, 1]).u32(0xFC, 8).codes(&[1, 3, 5, 7, 2, 4, 6, 8]);
     let (record, _) = decode(&RigolWfm, &file).remove(0);
     assert_eq!(record.head.channel.as_deref(), Some("CH2"));
-    let mut source = crate::formats::hostile::source(&file);
-    let read = |source: &mut crate::formats::Source<_>, range| {
-        record.read(crate::formats::Input::file(source), range).unwrap()
-    };
+    let mut source = crate::hostile::source(&file);
+    let read = |source: &mut crate::Source<_>, range| record.read(crate::Input::file(source), range).unwrap();
     assert_eq!(read(&mut source, 0..8), [1, 2, 3, 4, 5, 6, 7, 8]);
     assert_eq!(read(&mut source, 3..6), [4, 5, 6]);
     assert!(refusal(&RigolWfm, &ds2000(b"DS2A1", 0).put(0x40, &[3, 1]).codes(&[0; 8])).contains("interwoven"));

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use super::*;
-use crate::formats::Source;
+use crate::Source;
 
 /// A recording as its two files.
 struct Built {

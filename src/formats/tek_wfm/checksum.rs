@@ -3,8 +3,8 @@
 use std::io::Read;
 
 use super::{CHECKSUM, UNCOUNTED};
-use crate::formats::numbers::Numbers;
-use crate::formats::reader::{FormatError, Input};
+use crate::numbers::Numbers;
+use crate::reader::{FormatError, Input};
 
 /// Bytes that are summed at a time.
 const PIECE_BYTES: usize = 1 << 18;

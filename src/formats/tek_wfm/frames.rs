@@ -1,8 +1,8 @@
 //! The frames of a file: where their samples lie, and when each was triggered.
 
 use super::{CURVE, Header, UPDATE, field};
-use crate::formats::numbers::Numbers;
-use crate::formats::reader::{FormatError, Input};
+use crate::numbers::Numbers;
+use crate::reader::{FormatError, Input};
 use crate::waveform::CodeType;
 
 /// What is a frame's own.

@@ -1,7 +1,7 @@
 use super::checksum::sum_of_bytes;
 use super::frames::acquired_at;
 use super::*;
-use crate::formats::hostile::{cut_everywhere, damage, read};
+use crate::hostile::{cut_everywhere, damage, read};
 
 /// A file as an instrument would write it, of any version and byte order.
 #[derive(Clone)]

@@ -1,8 +1,8 @@
 //! The optional trailer behind the checksum: keys and values, as instruments of the 4, 5 and 6 Series write them.
 
 use super::CHECKSUM;
-use crate::formats::numbers::text;
-use crate::formats::reader::{FormatError, Input};
+use crate::numbers::text;
+use crate::reader::{FormatError, Input};
 
 /// Mark of a trailer.
 const TRAILER: &[u8] = b"tekmeta!";

@@ -3,7 +3,7 @@ use std::path::Path;
 
 use super::super::hostile;
 use super::*;
-use crate::formats::Source;
+use crate::Source;
 
 fn chunk(name: &str, bytes: &[u8]) -> Vec<u8> {
     let mut chunk = [name.as_bytes(), &(bytes.len() as u32).to_le_bytes(), bytes].concat();

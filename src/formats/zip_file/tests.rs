@@ -4,7 +4,7 @@ use std::path::Path;
 use flate2::{Compression, Crc, write::DeflateEncoder};
 
 use super::*;
-use crate::formats::Source;
+use crate::Source;
 
 /// What the local heads of a file say of the lengths.
 #[derive(Clone, Copy, PartialEq)]

@@ -8,8 +8,8 @@ use rayon::prelude::*;
 
 use super::likelihood::searched;
 use super::{Profile, Room};
-use crate::geometry::Point;
-use crate::geometry::hidden::search::{Curve, Domain};
+use crate::Point;
+use crate::hidden::search::{Curve, Domain};
 
 /// Distance of two points, as a share of the response's length: no place is further from one than scores remember.
 const STEP: f64 = 0.5;

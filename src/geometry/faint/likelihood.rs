@@ -4,9 +4,9 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::Room;
-use crate::geometry::Point;
-use crate::geometry::hidden::Focus;
-use crate::geometry::hidden::search::{Curve, Domain};
+use crate::Point;
+use crate::hidden::Focus;
+use crate::hidden::search::{Curve, Domain};
 
 /// Standard deviation of the log of a pulse's amplitude about the common strength over the fall of light: four cosines.
 pub const SPREAD: f64 = 0.6;

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::Faint;
 use super::likelihood::{Likelihood, Place};
-use crate::geometry::Point;
+use crate::Point;
 
 /// Points of a round, of the last one, and rounds before it.
 const POINTS: usize = 96;

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::surface::Surface;
 use super::{Focus, Profile, blend};
-use crate::geometry::Point;
+use crate::Point;
 
 /// Arrivals further off than this many standard deviations were not made by the patch.
 pub const GATE: f64 = 5.0;

@@ -8,7 +8,7 @@ use super::search::Domain;
 use super::superposition::{self, Pair};
 use super::surface::Surface;
 use super::{Found, Hidden, Known, Profile, Room, Way, blend};
-use crate::geometry::Point;
+use crate::Point;
 
 /// Where arrivals blend, a patch that shows on a smaller share of the ways that are clear is none.
 const LEAST_SEEN: f64 = 0.3;

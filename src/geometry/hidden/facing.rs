@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::Focus;
-use crate::geometry::{Point, planes};
+use crate::{Point, planes};
 
 /// A plane through points that are off it by less than this share of its extent has two sides, and so has a line.
 const FLAT: f64 = 1e-3;

@@ -6,7 +6,7 @@ use super::climb::Place;
 use super::explanation::{Claims, Explanation};
 use super::surface::Surface;
 use super::{Hidden, ROUNDS, SEEN};
-use crate::geometry::Point;
+use crate::Point;
 
 /// Least and largest share of ways on which a patch is taken to be seen.
 const SEEN_RANGE: [f64; 2] = [0.3, 0.98];

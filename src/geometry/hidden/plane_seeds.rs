@@ -11,7 +11,7 @@ use super::Focus;
 use super::search::Domain;
 use super::seeds::{Lengths, Seed, follow};
 use super::surface::{Surface, covariance};
-use crate::geometry::Point;
+use crate::Point;
 
 /// Triples of foci whose arrivals are crossed, and sets of three arrivals at most, beyond the first triple.
 const TRIPLES: usize = 12;

@@ -2,7 +2,7 @@
 
 use super::Hidden;
 use super::explanation::Explanation;
-use crate::geometry::{Point, planes};
+use crate::{Point, planes};
 
 /// Another place with a log-likelihood ratio of less than this cannot be ruled out.
 const LIKELY: f64 = 9.0;

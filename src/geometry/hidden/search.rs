@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::Focus;
-use crate::geometry::Point;
+use crate::Point;
 
 /// Partial sums below minus this are given up.
 const SURE: f32 = 14.0;

@@ -15,8 +15,8 @@ use rayon::prelude::*;
 use super::search::Domain;
 use super::surface::{Surface, covariance};
 use super::{Focus, blend};
-use crate::geometry::Point;
-use crate::geometry::multilateration::meet;
+use crate::Point;
+use crate::multilateration::meet;
 
 /// Arrivals further than this many standard deviations from where a seed has them are others.
 const GATE: f64 = 3.5;

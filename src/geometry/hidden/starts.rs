@@ -11,7 +11,7 @@ use super::search::{self, Curve, Legs};
 use super::seeds::{self, Lengths, Seed};
 use super::surface::Surface;
 use super::{SEEN, Way, blend};
-use crate::geometry::Point;
+use crate::Point;
 
 /// Values of curves per standard deviation.
 const PER_SD: f64 = 3.0;

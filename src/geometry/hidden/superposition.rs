@@ -9,7 +9,7 @@
 //! ```
 //!
 //! settle where each says how much the rest leaves of the pair; exact where pairs form a tree. Source: Williams and Lau, IEEE Trans. AES-50, 2942 (2014). Where
-//! [`crate::geometry::association`] sums over all associations of a few arrivals, this serves hundreds of profiles again and again.
+//! [`crate::association`] sums over all associations of a few arrivals, this serves hundreds of profiles again and again.
 
 /// Rounds of messages at most.
 const ROUNDS: usize = 30;

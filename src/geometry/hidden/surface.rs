@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::Focus;
-use crate::geometry::Point;
+use crate::Point;
 
 /// What lies at a place.
 #[derive(Clone, Copy, Debug, PartialEq)]

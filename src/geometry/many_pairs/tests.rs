@@ -1,5 +1,5 @@
 use super::*;
-use crate::geometry::{maximum_likelihood as exact, procrustes, room};
+use crate::{maximum_likelihood as exact, procrustes, room};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

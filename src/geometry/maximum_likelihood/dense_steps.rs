@@ -4,7 +4,7 @@ use faer::Mat;
 
 use super::problem::Node;
 use super::rows::{Place, Rows};
-use crate::geometry::dense;
+use crate::dense;
 
 /// A coordinate whose variance is this many times what it would be with all others held is not determined.
 const UNDETERMINED: f64 = 1e9;

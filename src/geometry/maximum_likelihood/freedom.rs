@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use super::matrix_free::{self, Matrix};
 use super::problem::{Node, Problem};
 use super::rows::{Place, Rows};
-use crate::geometry::dense;
+use crate::dense;
 
 /// Rounds of weights in which motions are told apart from rotations, and the size of what is left of a patch's motion, relative to the largest, that makes
 /// it open.

@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
 use super::rows::{Place, Rows};
-use crate::geometry::dense;
+use crate::dense;
 
 /// Chunks that the observations are cut into.
 const CHUNKS: usize = 32;

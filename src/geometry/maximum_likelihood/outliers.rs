@@ -7,8 +7,8 @@
 
 use super::rows::Place;
 use super::{Observation, Problem, approach};
-use crate::geometry::Point;
-use crate::geometry::loss::Loss;
+use crate::Point;
+use crate::loss::Loss;
 
 /// What `c` ends at, and the factor from round to round.
 const LAST: f64 = 3.0;

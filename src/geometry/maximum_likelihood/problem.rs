@@ -3,8 +3,8 @@
 use faer::Mat;
 use nalgebra::Vector3;
 
-use crate::geometry::Point;
-use crate::geometry::loss::Loss;
+use crate::Point;
+use crate::loss::Loss;
 
 /// A point of a path, by its position among the stations or the patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,8 +6,8 @@ use faer::Mat;
 use nalgebra::Vector3;
 
 use super::problem::{Node, Observation, Problem};
-use crate::geometry::loss::Loss;
-use crate::geometry::{Point, dense};
+use crate::loss::Loss;
+use crate::{Point, dense};
 
 /// Positions of the unknowns in a vector: coordinates of the patches, of the stations that are not exact, delays, the laser's period.
 #[derive(Clone, Debug)]

@@ -1,6 +1,6 @@
 use super::*;
-use crate::geometry::loss::Loss;
-use crate::geometry::{classical, dense, iso_embed, procrustes, room};
+use crate::loss::Loss;
+use crate::{classical, dense, iso_embed, procrustes, room};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

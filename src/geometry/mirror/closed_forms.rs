@@ -3,9 +3,9 @@
 use nalgebra::Vector3;
 
 use super::{Experiment, Mirror, Scan};
-use crate::geometry::Point;
-use crate::geometry::loss::Loss;
-use crate::geometry::multilateration::{self, Tie};
+use crate::Point;
+use crate::loss::Loss;
+use crate::multilateration::{self, Tie};
 
 /// Places nearer than this many standard deviations are one.
 const APART: f64 = 4.0;

@@ -9,8 +9,8 @@ use thiserror::Error;
 use super::closed_forms::from_beams;
 use super::unknowns::{Layout, Slopes, State};
 use super::{Experiment, Mirror};
-use crate::geometry::dense::{Definite, product};
-use crate::geometry::{Matrix, Point};
+use crate::dense::{Definite, product};
+use crate::{Matrix, Point};
 
 /// Most steps.
 const STEPS: usize = 100;

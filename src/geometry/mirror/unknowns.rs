@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Experiment, Mirror, Scan};
-use crate::geometry::dense::Definite;
-use crate::geometry::{Matrix, Point};
+use crate::dense::Definite;
+use crate::{Matrix, Point};
 
 /// Values of all unknowns.
 pub(super) struct State {

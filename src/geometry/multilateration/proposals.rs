@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
 use super::Tie;
-use crate::geometry::Point;
+use crate::Point;
 
 /// Foci whose paths propose.
 const FOCI: usize = 2;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::geometry::room;
+use crate::room;
 
 const SD_M: f64 = 0.003;
 

@@ -1,8 +1,8 @@
 //! Other positions that explain the lengths about as well.
 
 use super::{STEPS, Scene, State};
-use crate::geometry::Point;
-use crate::geometry::maximum_likelihood::Problem;
+use crate::Point;
+use crate::maximum_likelihood::Problem;
 
 /// A solution whose loss is higher by less than this (a log-likelihood ratio of 9) cannot be ruled out.
 const MORE: f64 = 18.0;

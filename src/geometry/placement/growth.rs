@@ -4,8 +4,8 @@
 //! most ties. Every few patches all are settled together, so that errors do not pile up.
 
 use super::{Scene, State};
-use crate::geometry::Point;
-use crate::geometry::multilateration::{self, Candidate};
+use crate::Point;
+use crate::multilateration::{self, Candidate};
 
 /// Patches that are placed between two settlements of all.
 const BETWEEN: usize = 6;

@@ -3,7 +3,7 @@
 use std::iter;
 
 use super::{SAME, STEPS, Scene, State, likely_loss};
-use crate::geometry::{Point, multilateration};
+use crate::{Point, multilateration};
 
 /// A move that raises the loss by more than this, all other patches held, is not worth settling.
 const HOPELESS: f64 = 300.0;

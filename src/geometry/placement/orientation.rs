@@ -6,8 +6,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{SETTLED_M, STEPS, Scene, State};
-use crate::geometry::maximum_likelihood::{self, Node, Observation, Place, Problem};
-use crate::geometry::{Point, procrustes};
+use crate::maximum_likelihood::{self, Node, Observation, Place, Problem};
+use crate::{Point, procrustes};
 
 /// What spans less than this share of the longest path spans nothing.
 const FLAT: f64 = 1e-5;

@@ -7,7 +7,7 @@ use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{SAME, STEPS, Scene, State, patches};
-use crate::geometry::{Point, classical, completion, smacof};
+use crate::{Point, classical, completion, smacof};
 
 /// Most seeds that are grown from.
 const SEEDS: usize = 12;

@@ -1,6 +1,6 @@
 use super::*;
-use crate::geometry::maximum_likelihood::Ray;
-use crate::geometry::{procrustes, room};
+use crate::maximum_likelihood::Ray;
+use crate::{procrustes, room};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::geometry::dense;
+use crate::dense;
 use faer::Mat;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -1,9 +1,9 @@
 //! Averages against the plain mean, and what is judged by them.
 
 use super::*;
-use crate::signal::averaged_response::averaged_response;
-use crate::signal::response::Response;
-use crate::signal::shot_spread::{OutlierTest, spread};
+use crate::averaged_response::averaged_response;
+use crate::response::Response;
+use crate::shot_spread::{OutlierTest, spread};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

@@ -2,9 +2,9 @@
 //! Gaussian, 250 ps wide; sampled every 50 ps). Success is two pulses, each within half the distance of its place.
 
 use super::*;
-use crate::signal::nnls::{self, NnlsOptions};
-use crate::signal::pencil::{self, PencilOptions};
-use crate::signal::richardson_lucy::{self, RichardsonLucyOptions};
+use crate::nnls::{self, NnlsOptions};
+use crate::pencil::{self, PencilOptions};
+use crate::richardson_lucy::{self, RichardsonLucyOptions};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

@@ -157,7 +157,7 @@ fn squared(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::signal::regression::least_squares;
+    use crate::regression::least_squares;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};

@@ -11,9 +11,9 @@ use arrow::buffer::Buffer;
 
 use super::blocks::Blocks;
 use super::survey::{Job, Surveyed};
-use crate::campaign::companions::companion;
 use crate::campaign::hash_file;
 use crate::campaign::tree_hash::{StretchHasher, Subtree};
+use crate::formats::companions::companion;
 use crate::formats::{self, FormatError, Joined, Source};
 use crate::stages::stage::Rejection;
 use crate::tables::{Codes, Name};

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use super::super::{Array, Arrays, arrays, write};
 use super::builder::{Builder, Storage, numbers};
-use crate::formats::{Source, hostile};
 use crate::waveform::CodeType;
+use crate::{Source, hostile};
 
 fn read(bytes: &[u8]) -> Result<(Arrays, Vec<String>), String> {
     let mut source = Source::new(Cursor::new(bytes), Path::new("a.hdf5")).unwrap();

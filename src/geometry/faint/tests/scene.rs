@@ -6,8 +6,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::super::{Profile, Room};
-use crate::geometry::Point;
-use crate::geometry::hidden::Focus;
+use crate::Point;
+use crate::hidden::Focus;
 
 /// Distance of two scores, and standard deviation of a Gaussian response, as lengths: 10 ps, and 250 ps at half maximum.
 const STEP_M: f64 = 0.003;

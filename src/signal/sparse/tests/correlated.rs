@@ -1,7 +1,7 @@
 //! Noise that is correlated from sample to sample: bound, error bars, false pulses.
 
 use super::*;
-use crate::signal::noise;
+use crate::noise;
 
 /// Noise that is white up to a single pole at 6 GHz, sampled every 25 ps: `r_l = phi^l`.
 const PHI: f64 = 0.389_66;

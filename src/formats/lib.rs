@@ -3,6 +3,7 @@
 pub mod array;
 pub mod becker_hickl_sdt;
 pub mod caen_wavedump;
+pub mod companions;
 pub mod csv;
 pub mod hdf5;
 #[cfg(test)]
@@ -24,6 +25,7 @@ pub mod sigrok_sr;
 pub mod tek_isf;
 pub mod tek_wfm;
 pub mod wav;
+pub mod waveform;
 mod zip_file;
 
 use std::io::{Read, Seek};

@@ -21,6 +21,7 @@ pub mod many_pairs;
 pub mod maximum_likelihood;
 pub mod mirror;
 pub mod multilateration;
+pub mod path;
 pub mod placement;
 pub mod planes;
 pub mod procrustes;
@@ -31,6 +32,7 @@ pub mod semidefinite;
 pub mod smacof;
 pub mod t2;
 pub mod t3;
+pub mod units;
 
 /// A dense matrix.
 pub type Matrix = faer::Mat<f64>;
