@@ -6,6 +6,7 @@
 //! - [`path`] is a path of light over patches; [`campaign`] what was captured, and in which files; [`waveform`] one record of an oscilloscope.
 //! - [`signal`] and [`geometry`] are pure kernels: samples, matrices and points in, values out. [`tables`] declares each kind of row once;
 //!   [`formats`] reads scope files.
+//! - [`priors`] is what is known before a solve: calibration, drift, delays, covariances and footprints of patches, and what campaign.toml says.
 //! - [`stages`] are the verbs: each takes rows of one table, gives rows of another, and knows neither files nor threads. [`simulate`] makes
 //!   campaigns whose truth is known, and shares no code with them.
 //! - [`pipeline`] turns a pipeline file into a plan, and a plan into finished tables; it knows no physics. [`history`] goes the other way: from a row
@@ -32,6 +33,7 @@ pub mod exchange;
 pub mod guide;
 pub mod history;
 pub mod pipeline;
+pub mod priors;
 pub mod report;
 pub mod simulate;
 pub mod stages;

@@ -50,10 +50,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
-use super::calibrated::{self, Calibrated, Key, key_of};
-use super::correction::Correction;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::priors::calibration::{self, Calibrated, Key, key_of};
+use crate::priors::corrections::Correction;
 use crate::signal::fft::RealFft;
 use crate::signal::response::Response;
 use crate::signal::sparse::Unpiled;
@@ -298,7 +298,7 @@ impl Deconvolve {
         tools: &mut Tools,
     ) -> Result<Result<Ready, String>, StageError> {
         let (campaign, sensor) = (&profile.campaign, &profile.sensor);
-        let row = calibrated::row_of(&sensors.rows, profile).ok_or_else(|| {
+        let row = calibration::row_of(&sensors.rows, profile).ok_or_else(|| {
             let range = profile.range.as_ref().map(|range| format!(" at range `{range}`")).unwrap_or_default();
             StageError::Refused(format!("sensor `{sensor}` of campaign `{campaign}` is not calibrated{range}: capture its response, or import a calibration"))
         })?;
@@ -310,7 +310,7 @@ impl Deconvolve {
             Err(why) => return Ok(Err(why)),
         };
         let mut samples: Vec<f64> = profile.mean_v.to_f64();
-        let mut sd_v = calibrated::sd_v(profile);
+        let mut sd_v = calibration::sd_v(profile);
         let period_ps = setup.and_then(|setup| setup.repetition_ps);
         if let Err(why) = correction.take_pickup_off(profile, period_ps, &mut samples, &mut sd_v) {
             return Ok(Err(why));
@@ -321,12 +321,12 @@ impl Deconvolve {
             ));
         }
         samples.iter_mut().for_each(|sample| *sample *= calibrated.polarity);
-        let rounding_v = calibrated::rounding_v(profile);
+        let rounding_v = calibration::rounding_v(profile);
         let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding_v);
         let alike = tools.take_up(key, calibrated, profile);
         // What is no more than the rounding of the samples is white.
         let is_white = !self.correlated || noise_v <= rounding_v;
-        let acf = if is_white { vec![1.0] } else { calibrated::correlation(profile) };
+        let acf = if is_white { vec![1.0] } else { calibration::correlation(profile) };
         let (light, light_noise_v) = match self.method {
             Method::None => (samples.clone(), noise_v),
             _ => self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools),

@@ -76,10 +76,10 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::footprints::{self, Footprints, Told};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::Point;
+use crate::priors::footprints::{self, Footprints, Told};
 use crate::tables::{Delay, Fit, Hypothesis, Label, Name, Onset, Patch, PatchCovariance, Plane, Row};
 use crate::units::{self, PatchId};
 use scene::{Scene, View};

@@ -19,9 +19,9 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::calibrated::{self, Calibrated, Key};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::{Campaign, Role};
+use crate::priors::calibration::{self, Calibrated, Key};
 use crate::signal::echo::{self, Core};
 use crate::signal::pulse_fit::{self, Record};
 use crate::signal::reference::fit_pulse;
@@ -70,7 +70,7 @@ impl Stage for Measure {
 
     fn context(&self, (): (), beside: &BesideTables) -> Result<Self::Context, StageError> {
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
-        let sensors = rows.iter().map(|row| (calibrated::key_of(row), Sensor::of(row))).collect();
+        let sensors = rows.iter().map(|row| (calibration::key_of(row), Sensor::of(row))).collect();
         Ok(Sensors { rows, sensors })
     }
 }
@@ -87,8 +87,8 @@ impl Apply for Measure {
     fn apply(&self, sensors: &Self::Context, group: Vec<Profile>) -> Result<Outcome<Measurement>, StageError> {
         // A sensor without calibration has its noise measured all the same; `calibrate` has said why it has none.
         let measure = |profile: &Profile| {
-            let row = calibrated::row_of(&sensors.rows, profile);
-            measurement(profile, row.map(|row| &sensors.sensors[&calibrated::key_of(row)]))
+            let row = calibration::row_of(&sensors.rows, profile);
+            measurement(profile, row.map(|row| &sensors.sensors[&calibration::key_of(row)]))
         };
         Ok(Outcome::rows(group.iter().map(measure).collect()))
     }
@@ -129,7 +129,7 @@ fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measureme
     let echo = sensor
         .core
         .as_ref()
-        .and_then(|core| echo::largest(&record, core, &calibrated::averaged(&core.response, profile)));
+        .and_then(|core| echo::largest(&record, core, &calibration::averaged(&core.response, profile)));
     Measurement {
         snr: Some(pulse.amplitude.abs() / pulse.amplitude_sd),
         amplitude_v: Some(pulse.amplitude),

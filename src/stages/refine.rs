@@ -39,12 +39,12 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::footprints::{self, Footprints, Told};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Problem, Solution, Unsolved};
 use crate::geometry::placement::{self, Kind};
+use crate::priors::footprints::{self, Footprints, Told};
 use crate::tables::{
     Ambiguity, Calibration, Delay, Fit, Label, Patch, PatchCovariance, Plane, Residual, Row, Station, Suspect,
 };

@@ -35,11 +35,11 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::latencies::Latencies;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::campaign::keys::PatchRole;
 use crate::geometry::{Point, mirror};
+use crate::priors::delays::Latencies;
 use crate::tables::{Ambiguity, Calibration, Name, Onset, Patch, PatchCovariance, Plane, Row};
 use scans::{Known, Scans, Setup};
 use written::Written;

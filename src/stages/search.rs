@@ -32,12 +32,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::calibrated::{self, Calibrated, Key, key_of};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::Point;
 use crate::geometry::faint::{self, Room};
 use crate::geometry::hidden::facing;
+use crate::priors::calibration::{self, Calibrated, Key, key_of};
 use crate::signal::sparse::{self, Open};
 use crate::tables::{Calibration, Delay, Hypothesis, Label, Patch, Profile, Row, Session, Stir};
 use crate::units::{self, PatchId};

@@ -23,10 +23,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
-use super::covariances;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::{Point, planes};
+use crate::priors::covariances;
 use crate::tables::{Patch, PatchCovariance, Plane};
 use crate::units::PatchId;
 

@@ -24,10 +24,10 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::calibrated::{self, Calibrated};
-use super::moment;
 use super::stage::{Beside, BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::{Campaign, Role};
+use crate::priors::acquisition_time;
+use crate::priors::calibration::{self, Calibrated};
 use crate::signal::drift::{self, Drift, DriftError, DriftOptions, Point};
 use crate::signal::pickup::{self, Blocked, Pickup};
 use crate::signal::sparse::{self, SparseOptions};
@@ -149,7 +149,7 @@ impl Track {
         };
         let of_sensor = |row: &&Calibration| row.campaign == state.campaign && row.sensor == state.sensor;
         let origin = calibration.iter().filter(of_sensor).find_map(|row| row.acquired_at.clone());
-        let time_s = |name: &Option<Name>| name.as_deref().and_then(moment::seconds);
+        let time_s = |name: &Option<Name>| name.as_deref().and_then(acquisition_time::seconds);
         let point =
             |run: &Run| Some(Point { time_s: time_s(&run.acquired_at)?, delay_ps: run.delay_ps, sd_ps: run.sd_ps });
         let points: Option<Vec<Point>> = runs.iter().map(point).collect();
@@ -189,7 +189,7 @@ impl State {
         let bits = |value: Option<f64>| value.map(f64::to_bits);
         let settings = [bits(profile.path_m), bits(profile.attenuation_od), bits(profile.power_w)];
         let setting = (profile.range.clone(), settings, profile.bounces);
-        let Some(calibrated) = calibrated::row_of(calibration, profile) else { return };
+        let Some(calibrated) = calibration::row_of(calibration, profile) else { return };
         if let Some((delay_ps, sd_ps)) = delay(profile, &Calibrated::new(calibrated)) {
             let run = Run { acquired_at: profile.acquired_at.clone(), delay_ps, sd_ps };
             self.fiducials.entry(setting).or_default().push(run);
@@ -238,8 +238,8 @@ impl State {
 fn delay(profile: &Profile, sensor: &Calibrated) -> Option<(f64, f64)> {
     let response = sensor.averaged(profile);
     let mean_v: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.polarity).collect();
-    let sd_v: Vec<f64> = calibrated::sd_v(profile);
-    let acf = calibrated::correlation(profile);
+    let sd_v: Vec<f64> = calibration::sd_v(profile);
+    let acf = calibration::correlation(profile);
     let record =
         sparse::Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &acf, t0_ps: profile.t0_ps, dt_ps: profile.dt_ps };
     let fit = sparse::fit(&record, &response, &SparseOptions { pulses_max: 1, ..SparseOptions::default() });

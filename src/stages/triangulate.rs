@@ -42,11 +42,11 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::calibrated::{self, Calibrated, Key, key_of};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::campaign::keys;
 use crate::geometry::bistatic;
+use crate::priors::calibration::{Calibrated, Key, key_of};
 use crate::tables::{Calibration, Gap, Label, Onset, Patch, PatchCovariance, Profile, Row, Session};
 use crate::units::PatchId;
 use model::Model;

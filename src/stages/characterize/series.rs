@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::stages::moment;
+use crate::priors::acquisition_time;
 use crate::tables::{Measurement, Name};
 
 /// Fewer settings (or runs of one setting) are no series.
@@ -85,7 +85,7 @@ pub fn time<'a>(runs: &[Run<'a>]) -> Option<TimeSeries<'a>> {
             Some(number)
         },
     )?;
-    let hours = |run: &Run<'_>| Some(moment::seconds(run.row.acquired_at.as_deref()?)? / 3600.0);
+    let hours = |run: &Run<'_>| Some(acquisition_time::seconds(run.row.acquired_at.as_deref()?)? / 3600.0);
     let hours: Option<Vec<f64>> = runs.iter().map(hours).collect();
     let hours = hours.filter(|hours| hours.iter().any(|hour| *hour != hours[0]));
     let (at, unit) = match hours {

@@ -8,7 +8,7 @@ use super::{Footprints, Setup, time_ps};
 use crate::geometry::Point;
 use crate::geometry::association::Time;
 use crate::geometry::hidden::Hidden;
-use crate::stages::covariances;
+use crate::priors::covariances;
 use crate::tables::{Patch, PatchCovariance};
 use crate::units::PatchId;
 

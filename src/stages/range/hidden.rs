@@ -8,7 +8,7 @@ use super::{ONE_STATION_M, Setup, about};
 use crate::geometry::t2::{self, Length};
 use crate::geometry::t3::{self, Ranges, Sum};
 use crate::geometry::{Matrix, Point, dense};
-use crate::stages::covariances;
+use crate::priors::covariances;
 use crate::stages::stage::{BesideTables, Rejection, StageError};
 use crate::tables::{Covariance, Delay, Distance, Label, Name, Patch, PatchCovariance};
 use crate::units::{self, PatchId};

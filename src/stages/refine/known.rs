@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use crate::campaign::Campaign;
 use crate::campaign::keys::{self, LASER};
-use crate::stages::footprints::{self, Told};
-use crate::stages::latencies::Latencies;
+use crate::priors::delays::Latencies;
+use crate::priors::footprints::{self, Told};
 use crate::tables::{Calibration, Patch};
 use crate::units::PatchId;
 

@@ -10,8 +10,8 @@ use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{Anchor, Node, Observation, Problem, Ray, Solution, Station, Unsolved};
 use crate::geometry::placement;
 use crate::geometry::{Matrix, Point, planes};
-use crate::stages::footprints::Footprints;
-use crate::stages::latencies::DelayKey;
+use crate::priors::delays::DelayKey;
+use crate::priors::footprints::Footprints;
 use crate::tables::{Label, Name};
 use crate::units::{self, PatchId};
 

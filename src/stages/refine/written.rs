@@ -7,8 +7,8 @@ use nalgebra::{Matrix3, Vector3};
 use super::model::Model;
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
-use crate::stages::covariances;
-use crate::stages::latencies::DelayKey;
+use crate::priors::covariances;
+use crate::priors::delays::DelayKey;
 use crate::tables::{Ambiguity, Delay, Fit, Name, Patch, PatchCovariance, Residual, Station, Suspect};
 use crate::units::{self, PatchId};
 

@@ -10,8 +10,8 @@ use crate::campaign::keys::{self, LASER, PatchRole};
 use crate::geometry::maximum_likelihood::Station;
 use crate::geometry::mirror::{Arrival, Experiment, Scan};
 use crate::geometry::{Matrix, Point};
-use crate::stages::covariances;
-use crate::stages::latencies::{DelayKey, Latencies};
+use crate::priors::covariances;
+use crate::priors::delays::{DelayKey, Latencies};
 use crate::tables::{Name, Onset, Patch};
 use crate::units::{self, PatchId};
 

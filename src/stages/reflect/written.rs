@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::scans::Scans;
 use crate::geometry::Point;
 use crate::geometry::mirror::Solution;
-use crate::stages::covariances;
+use crate::priors::covariances;
 use crate::tables::{Ambiguity, Patch, PatchCovariance, Plane};
 use crate::units::PatchId;
 

@@ -4,11 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 
-use super::{Known, Open, Rejection, calibrated, rejection, sparse};
+use super::{Known, Open, Rejection, calibration, rejection, sparse};
 use crate::geometry::{Point, faint};
+use crate::priors::corrections::Correction;
 use crate::signal::response::Response;
 use crate::signal::sparse::Given;
-use crate::stages::correction::Correction;
 use crate::stages::stage::StageError;
 use crate::tables::{Impulse, Profile};
 use crate::units::{self, PatchId};
@@ -81,14 +81,14 @@ impl Known {
         let setup = &self.setups[&*profile.campaign];
         let legs_m = (lit - Point::from(setup.source_m)).norm()
             + (seen - Point::from(*setup.sensors_m.get(&*profile.sensor)?)).norm();
-        let Some(row) = calibrated::row_of(&self.calibration, profile) else {
+        let Some(row) = calibration::row_of(&self.calibration, profile) else {
             let (sensor, campaign) = (&profile.sensor, &profile.campaign);
             let text = format!(
                 "sensor `{sensor}` of campaign `{campaign}` is not calibrated: capture its response, or import a calibration"
             );
             return Some(Err(StageError::Refused(text)));
         };
-        let key = calibrated::key_of(row);
+        let key = calibration::key_of(row);
         let sensor = &self.calibrated[&key];
         let ready = || {
             if profile.counts.is_some() {
@@ -108,14 +108,14 @@ impl Known {
             let noise_v = profile.noise_v / f64::from(profile.shots).sqrt();
             // Away from impulses the noise is that before the pulse. What a model of it in level and slope makes of a mean that is noise itself is larger where the
             // sample is, and takes a quarter of the information of all weak light.
-            let quiet_v = noise_v.max(calibrated::rounding_v(profile));
-            let own_v = calibrated::sd_v(profile);
+            let quiet_v = noise_v.max(calibration::rounding_v(profile));
+            let own_v = calibration::sd_v(profile);
             let mut sd_v: Vec<f64> = own_v.iter().map(|sd| if sd.is_finite() { quiet_v } else { *sd }).collect();
             correction.take_pickup_off(profile, setup.repetition_ps, &mut samples, &mut sd_v)?;
             samples.iter_mut().for_each(|sample| *sample *= sensor.polarity);
             // What is no more than the rounding of the samples is white.
             let acf =
-                if noise_v <= calibrated::rounding_v(profile) { vec![1.0] } else { calibrated::correlation(profile) };
+                if noise_v <= calibration::rounding_v(profile) { vec![1.0] } else { calibration::correlation(profile) };
             let legs_ps = units::time_ps(legs_m, setup.group_index) + self.delay_ps(profile);
             let (response, impulses) = (sensor.averaged(profile), self.impulses(profile));
             let t0_ps = profile.t0_ps - sensor.latency_ps - correction.drift_ps;

@@ -2,7 +2,7 @@
 
 use super::record::Record;
 use crate::geometry::faint::Faint;
-use crate::stages::moment;
+use crate::priors::acquisition_time;
 use crate::tables::{Hypothesis, Patch};
 use crate::units::PatchId;
 
@@ -122,7 +122,7 @@ impl Search {
 /// Hours that the captures took, from when each of them began; `None` where that is not known.
 fn hours(records: &[Record]) -> Option<f64> {
     let moments: Option<Vec<f64>> =
-        records.iter().map(|record| moment::seconds(record.acquired_at.as_deref()?)).collect();
+        records.iter().map(|record| acquisition_time::seconds(record.acquired_at.as_deref()?)).collect();
     let moments = moments?;
     let first = moments.iter().copied().fold(f64::INFINITY, f64::min);
     let last = moments.iter().copied().fold(f64::NEG_INFINITY, f64::max);

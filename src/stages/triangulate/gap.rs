@@ -1,13 +1,14 @@
 //! Whether something stands in the middle between two strips.
 
 use super::model::Model;
-use super::{Known, Triangulate, calibrated};
+use super::{Known, Triangulate};
 use crate::geometry::Point;
 use crate::geometry::bistatic::{Record, Solution};
+use crate::priors::calibration;
+use crate::priors::corrections::Correction;
 use crate::signal::between::{Between, Pair, Stray, between};
 use crate::signal::response::Response;
 use crate::signal::sparse;
-use crate::stages::correction::Correction;
 use crate::tables::{Gap, Onset, Profile};
 use crate::units;
 
@@ -158,18 +159,18 @@ fn ready(known: &Known, profile: &Profile) -> Result<Ready, String> {
     if profile.counts.is_some() {
         return Err("holds photon counts, whose noise is not normal; gaps are not judged on them yet".to_owned());
     }
-    let row = calibrated::row_of(&known.calibration, profile)
+    let row = calibration::row_of(&known.calibration, profile)
         .ok_or_else(|| "has no calibration; capture the sensor's response, or import one".to_owned())?;
-    let key = calibrated::key_of(row);
+    let key = calibration::key_of(row);
     let sensor = &known.calibrated[&key];
     let correction = Correction::of(&known.sessions, &key, profile)?;
     let mut samples = profile.mean_v.to_f64();
-    let mut sd_v = calibrated::sd_v(profile);
+    let mut sd_v = calibration::sd_v(profile);
     correction.take_pickup_off(profile, known.setup.repetition_ps, &mut samples, &mut sd_v)?;
     samples.iter_mut().for_each(|sample| *sample *= sensor.polarity);
     let noise_v = profile.noise_v / f64::from(profile.shots).sqrt();
     // What is no more than the rounding of the samples is white.
-    let acf = if noise_v <= calibrated::rounding_v(profile) { vec![1.0] } else { calibrated::correlation(profile) };
+    let acf = if noise_v <= calibration::rounding_v(profile) { vec![1.0] } else { calibration::correlation(profile) };
     Ok(Ready {
         samples,
         sd_v,

@@ -5,7 +5,7 @@ use nalgebra::Matrix3;
 use super::model::Model;
 use crate::geometry::Point;
 use crate::geometry::bistatic::{Bounce, Solution};
-use crate::stages::covariances;
+use crate::priors::covariances;
 use crate::tables::{Label, Patch, PatchCovariance};
 use crate::units::{self, PatchId};
 

@@ -10,10 +10,12 @@ const OWN: f64 = 1e-6;
 /// Campaign, sensor and vertical range whose delay is unknown.
 pub type DelayKey = (Name, Name, Option<Name>);
 
-/// Standard deviation of a latency, and the part of it that all ranges of its sensor share.
+/// Prior of a latency around its calibrated value.
 #[derive(Clone, Copy, Debug)]
 pub struct Latency {
+    /// Standard deviation.
     pub sd_ps: f64,
+    /// Part of it that all ranges of the sensor share.
     common_sd_ps: f64,
 }
 
@@ -21,6 +23,7 @@ pub struct Latency {
 pub struct Latencies(BTreeMap<DelayKey, Latency>);
 
 impl Latencies {
+    /// From the rows of `calibration`; a latency without standard deviation is exact and has no entry.
     pub fn new(calibration: Vec<Calibration>) -> Self {
         let latency = |row: Calibration| {
             let sd_ps = row.latency_sd_ps;

@@ -1,7 +1,7 @@
 //! What a session says of one profile: drift of its delay, and pick-up.
 
-use super::calibrated::Key;
-use super::moment;
+use super::acquisition_time;
+use super::calibration::Key;
 use crate::tables::{Profile, Session};
 
 /// Places of profile and pick-up agree to this part of a sample.
@@ -10,13 +10,18 @@ const OFF_GRID: f64 = 1e-3;
 /// Drift at the time of a profile, and the pick-up in it.
 #[derive(Debug, Default)]
 pub struct Correction<'a> {
+    /// Drift of the delay, ps.
     pub drift_ps: f64,
+    /// Its standard deviation, ps.
     pub drift_sd_ps: f64,
     pickup: Option<&'a Session>,
 }
 
 impl<'a> Correction<'a> {
-    /// For a profile of the sensor and range `key`, or why it cannot be corrected. None where the session says nothing.
+    /// For a profile of the sensor and range `key`; none where the session says nothing.
+    ///
+    /// # Errors
+    /// When the sensor drifts and the profile has no acquisition time; the text names the fix.
     pub fn of(sessions: &'a [Session], key: &Key, profile: &Profile) -> Result<Self, String> {
         let is_of = |row: &&Session| (&row.campaign, &row.sensor, &row.range) == (&key.0, &key.1, &key.2);
         let Some(row) = sessions.iter().find(is_of) else {
@@ -28,8 +33,8 @@ impl<'a> Correction<'a> {
         else {
             return Ok(Self { pickup, ..Self::default() });
         };
-        let time_s = profile.acquired_at.as_deref().and_then(moment::seconds);
-        let Some((time_s, from_s)) = time_s.zip(moment::seconds(from)) else {
+        let time_s = profile.acquired_at.as_deref().and_then(acquisition_time::seconds);
+        let Some((time_s, from_s)) = time_s.zip(acquisition_time::seconds(from)) else {
             return Err(
                 "does not say when it was taken, but its sensor drifts; leave `session` out of the stage's `with`"
                     .to_owned(),
@@ -39,7 +44,11 @@ impl<'a> Correction<'a> {
         Ok(Self { drift_ps, drift_sd_ps, pickup })
     }
 
-    /// Takes the pick-up off the samples of a profile and adds its variance to theirs; of a circular profile around its end. Or says why that cannot be.
+    /// Takes the pick-up off the samples of a profile and adds its variance to theirs; of a circular profile around
+    /// its end.
+    ///
+    /// # Errors
+    /// When the pick-up has other sample times than the profile; the text names the fix.
     pub fn take_pickup_off(
         &self,
         profile: &Profile,

@@ -1,0 +1,8 @@
+//! What the stages know before they solve: what calibration, sessions and earlier solutions say, in the form in which estimators take it.
+
+pub mod acquisition_time;
+pub mod calibration;
+pub mod corrections;
+pub mod covariances;
+pub mod delays;
+pub mod footprints;
