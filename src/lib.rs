@@ -40,6 +40,7 @@ pub mod stages;
 pub mod store;
 pub mod tables;
 
+pub use periscope_cancel as cancel;
 pub use periscope_formats::{self as formats, waveform};
 pub use periscope_geometry::{self as geometry, path, units};
 pub use periscope_signal as signal;

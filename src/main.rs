@@ -9,7 +9,6 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use mimalloc::MiMalloc;
-use periscope::pipeline::run::RunError;
 
 /// Blocks of a record's size come and go by the thousand: the system's allocator gives each back to the kernel, which clears its pages for the next.
 /// It is built to ask for no huge pages, which double what small runs take.
@@ -123,8 +122,8 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
         Err(error) => {
-            if let Some(interrupted @ RunError::Interrupted { .. }) = error.downcast_ref() {
-                eprintln!("interrupted: {interrupted}");
+            if commands::is_interruption(&error) {
+                eprintln!("interrupted: {error}");
                 return ExitCode::from(commands::INTERRUPTED);
             }
             eprintln!("error: {error:#}");

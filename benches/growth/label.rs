@@ -101,7 +101,7 @@ fn beside(points: &[Point]) -> BesideTables {
         log_likelihood: None,
     };
     let patches: Vec<Patch> = points.iter().enumerate().map(patch).collect();
-    BesideTables([("patches".to_owned(), vec![Patch::to_batch(&patches)])].into())
+    BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches)])])
 }
 
 /// Prints the table of labels, the hidden patches known beforehand and not.

@@ -111,7 +111,7 @@ fn start(points: &[Point], rng: &mut ChaCha8Rng) -> BesideTables {
         log_likelihood: None,
     };
     let patches: Vec<Patch> = points.iter().enumerate().map(patch).collect();
-    BesideTables([("patches".to_owned(), vec![Patch::to_batch(&patches)])].into())
+    BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches)])])
 }
 
 /// Prints the table.

@@ -92,7 +92,7 @@ pub fn print(sizes: &[usize]) {
     println!(
         "\n| profiles of {SAMPLES} samples, three pulses | s (min, median, max) | impulses found |\n|---|---|---|"
     );
-    let beside = BesideTables([("calibration".to_owned(), vec![Calibration::to_batch(&[calibration()])])].into());
+    let beside = BesideTables::from([("calibration".to_owned(), vec![Calibration::to_batch(&[calibration()])])]);
     let stage = Deconvolve::default();
     let context = context(&stage, &beside);
     let mut curve = Curve::default();

@@ -15,7 +15,7 @@ use periscope::simulate::{self, Format, Scene};
 use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
 
-use super::interrupt::stop_on_signals;
+use super::interrupt::cancel_on_signals;
 use super::machine::use_threads;
 use super::report::write_page;
 use super::run::Job;
@@ -91,7 +91,7 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
         style: Style::auto(),
         shards: None,
     };
-    stop_on_signals(&job.settings.stop)?;
+    cancel_on_signals(&job.settings.cancel)?;
     let outcome = job.execute(&mut job.record()?)?;
 
     println!(

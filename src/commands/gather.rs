@@ -11,7 +11,7 @@ use periscope::pipeline::shards::{Job as Dealt, ShardError};
 use periscope::store::Shelf;
 
 use super::aftermath;
-use super::interrupt::stop_on_signals;
+use super::interrupt::cancel_on_signals;
 use super::machine::Machine;
 use super::run::{Job, campaigns, open};
 
@@ -44,7 +44,7 @@ pub fn gather(args: &Gather) -> Result<ExitCode> {
     let spec = dealt.work.spec()?;
     let campaigns = campaigns(&dealt.work.campaigns)?;
     let settings = args.machine.settings(Settings { max_rejects: args.max_rejects, ..Settings::default() });
-    stop_on_signals(&settings.stop)?;
+    cancel_on_signals(&settings.cancel)?;
     let job = Job {
         spec: &spec,
         pipeline: &dealt.work.pipeline,

@@ -1,26 +1,34 @@
 //! Ctrl-C, and the signal that asks a process to end.
+//!
+//! Commands that leave what they finished (`run`, `demo`, `plan --shards`, `run-shard`, `gather`) cancel a token on these signals.
+//! The other commands have no handler: the signal ends them at once, and nothing half-written of them looks whole.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-
-use anyhow::{Context, Result};
+use anyhow::{Context, Error, Result};
+use periscope::cancel::{Cancel, Cancelled};
+use periscope::pipeline::run::RunError;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
 use super::INTERRUPTED;
 
-/// From now on the first Ctrl-C sets `stop`, and a second one ends the program at once: whoever watches `stop` cleans up, and if that takes too long, the
-/// next run does.
-pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> Result<()> {
+/// From now on the first Ctrl-C or SIGTERM cancels the token, and a second one ends the program at once. Whoever holds the
+/// token cleans up; if that takes too long, the next run does.
+pub fn cancel_on_signals(cancel: &Cancel) -> Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;
-    let stop = Arc::clone(stop);
+    let cancel = cancel.clone();
     std::thread::spawn(move || {
         for _ in signals.forever() {
-            if stop.swap(true, Ordering::Relaxed) {
+            if cancel.is_cancelled() {
                 std::process::exit(i32::from(INTERRUPTED));
             }
+            cancel.cancel();
             eprintln!("stopping: what is under way is dropped, what is finished is kept (once more ends at once)");
         }
     });
     Ok(())
+}
+
+/// Whether a command ended because its token was cancelled.
+pub fn is_interruption(error: &Error) -> bool {
+    error.is::<Cancelled>() || matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }))
 }

@@ -25,6 +25,8 @@ pub mod tables;
 pub mod verify;
 mod watch;
 
+pub use interrupt::is_interruption;
+
 /// Done, but some input was set aside, or something is to be mended.
 pub const SOME_REJECTED: u8 = 3;
 

@@ -16,7 +16,7 @@ use periscope::store::Shelf;
 use periscope::store::runs::RunRecord;
 use serde_json::json;
 
-use super::interrupt::stop_on_signals;
+use super::interrupt::cancel_on_signals;
 use super::run::campaigns;
 
 /// Arguments of `plan`.
@@ -88,7 +88,7 @@ fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
     tell_warnings(&plan);
     let settings = Settings::default();
     let settings = Settings { memory_bytes: settings.memory_bytes.max(settings.least_memory()), ..settings };
-    stop_on_signals(&settings.stop)?;
+    cancel_on_signals(&settings.cancel)?;
     shards::prepare(&mut plan, &settings, &Progress::new(Style::auto()))?;
     let work = Work {
         pipeline: absolute(&args.pipeline)?,

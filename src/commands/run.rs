@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use clap::Args;
 use periscope::campaign::Campaign;
+use periscope::cancel::Cancel;
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::rejects::MaxRejects;
@@ -19,7 +20,7 @@ use periscope::store::runs::{Ending, RunRecord};
 use periscope::store::{Digest, Shelf, StoreError};
 
 use super::aftermath;
-use super::interrupt::stop_on_signals;
+use super::interrupt::{cancel_on_signals, is_interruption};
 use super::machine::{Machine, size};
 use super::watch;
 
@@ -126,14 +127,14 @@ impl Job<'_> {
     /// Plans and runs; prints warnings of the survey. Beside the tables lies the record of the run, from its start on.
     pub fn execute(&self, record: &mut RunRecord) -> Result<Outcome> {
         self.shelf.write_run(record)?;
-        let outcome = self.compute(&mut record.tables);
+        let outcome = Cancel::catch(|| self.compute(&mut record.tables)).map_err(Into::into).flatten();
         let ending = match &outcome {
             Ok(outcome) => {
                 record.rejects = outcome.rejects;
                 record.passes.clone_from(&outcome.passes);
                 Ending::Done
             }
-            Err(error) if matches!(error.downcast_ref(), Some(RunError::Interrupted { .. })) => Ending::Interrupted,
+            Err(error) if is_interruption(error) => Ending::Interrupted,
             Err(error) => {
                 record.failure = Some(format!("{error:#}"));
                 Ending::Failed
@@ -223,7 +224,7 @@ pub fn run(args: &Run) -> Result<ExitCode> {
         style: args.machine.style(),
         shards: None,
     };
-    stop_on_signals(&job.settings.stop)?;
+    cancel_on_signals(&job.settings.cancel)?;
     let outcome = if args.watch {
         watch::follow(&job, &args.campaign, args.idle.map(Duration::from_secs))?
     } else {

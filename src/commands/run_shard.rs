@@ -10,7 +10,7 @@ use periscope::pipeline::run::{RunError, Settings};
 use periscope::pipeline::shards::{Cut, Shard, ShardError, absent};
 use periscope::store::Shelf;
 
-use super::interrupt::stop_on_signals;
+use super::interrupt::cancel_on_signals;
 use super::machine::Machine;
 
 /// Arguments of `run-shard`.
@@ -33,7 +33,7 @@ pub fn run_shard(args: &RunShard) -> Result<ExitCode> {
     let shelf = Shelf::join(&args.out)?;
     let cut: Option<Cut> = shelf.cut(&args.key)?;
     let settings = args.machine.settings(Settings::default());
-    stop_on_signals(&settings.stop)?;
+    cancel_on_signals(&settings.cancel)?;
     let progress = Progress::new(args.machine.style());
     let made = if let Some(cut) = cut {
         cut.make(&args.key, &shelf, &settings, &progress)

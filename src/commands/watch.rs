@@ -5,17 +5,17 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result};
 use periscope::campaign::{Campaign, walk};
-use periscope::pipeline::run::{Outcome, RunError};
+use periscope::pipeline::run::Outcome;
 use periscope::store::runs::RunRecord;
 
 use super::check::report::Report;
 use super::check::{self, coverage};
+use super::interrupt::is_interruption;
 use super::run::{Job, campaigns};
 
 /// A file that changed less than this ago may still be being written.
@@ -75,7 +75,7 @@ pub fn follow(job: &Job<'_>, folders: &[PathBuf], idle: Option<Duration>) -> Res
             });
             let outcome = now.and_then(|campaigns| pass(job, &campaigns, &mut record));
             if let Err(error) = &outcome
-                && matches!(error.downcast_ref(), Some(RunError::Interrupted { .. }))
+                && is_interruption(error)
             {
                 return outcome;
             }
@@ -89,7 +89,7 @@ pub fn follow(job: &Job<'_>, folders: &[PathBuf], idle: Option<Duration>) -> Res
             seen = files;
         }
         let is_over = idle.is_some_and(|idle| changed.elapsed() >= idle);
-        if is_over || job.settings.stop.load(Ordering::Relaxed) {
+        if is_over || job.settings.cancel.is_cancelled() {
             return last.expect("there was a pass");
         }
         thread::sleep(LOOK_AGAIN);

@@ -6,7 +6,6 @@
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use arrow::record_batch::RecordBatch;
@@ -16,6 +15,7 @@ use super::budget::Budget;
 use super::plan::Plan;
 use super::progress::Progress;
 use super::settings::{RunError, Settings};
+use crate::cancel::{Cancel, Cancelled};
 use crate::stages::Node;
 use crate::stages::operator::{Running, Written};
 use crate::stages::source::{Credit, Feed, PartRead};
@@ -102,7 +102,7 @@ impl Shared<'_> {
 
     /// Whether the run goes on: asked before each batch.
     fn go_on(&self) -> Result<(), Failure> {
-        if self.settings.stop.load(Ordering::Relaxed) { Err(Failure::Early(Ended::Interrupted)) } else { Ok(()) }
+        if self.settings.cancel.is_cancelled() { Err(Failure::Early(Ended::Interrupted)) } else { Ok(()) }
     }
 
     fn heading(&self, step: usize) -> String {
@@ -111,9 +111,10 @@ impl Shared<'_> {
 
     /// Runs the body of a thread; the first failure stops everybody.
     fn guard(&self, step: usize, body: impl FnOnce() -> Result<(), Failure>) {
-        let failure = match catch_unwind(AssertUnwindSafe(body)) {
-            Ok(Ok(()) | Err(Failure::Stopped)) => return,
-            Ok(Err(failure)) => failure,
+        let failure = match catch_unwind(AssertUnwindSafe(|| Cancel::catch(body))) {
+            Ok(Ok(Ok(()) | Err(Failure::Stopped))) => return,
+            Ok(Ok(Err(failure))) => failure,
+            Ok(Err(Cancelled)) => Failure::Early(Ended::Interrupted),
             Err(panic) => {
                 let message = panic_text(panic.as_ref());
                 Failure::Cause(RunError::Panic { heading: self.heading(step), message })
@@ -160,7 +161,7 @@ pub fn run(
     // A source's own table is a step of the pass too: it is written in a thread of its own, beside reading.
     let mut beside = BTreeMap::new();
     for &step in &pass.steps {
-        beside.insert(step, tables_beside(plan, step)?);
+        beside.insert(step, tables_beside(plan, step, &settings.cancel)?);
     }
     std::thread::scope(|scope| {
         let mut senders: BTreeMap<usize, Vec<Sender<Message>>> = BTreeMap::new();
@@ -199,8 +200,8 @@ pub fn run(
     }
 }
 
-/// Finished tables beside a step, from the shelf.
-pub(super) fn tables_beside(plan: &Plan<'_>, step: usize) -> Result<BesideTables, RunError> {
+/// Finished tables beside a step, from the shelf, and the token that ends it.
+pub(super) fn tables_beside(plan: &Plan<'_>, step: usize, cancel: &Cancel) -> Result<BesideTables, RunError> {
     let mut tables = BTreeMap::new();
     for (name, heading) in &plan.spec.steps[step].with {
         let (input, table) = plan.spec.table(heading).expect("the pipeline was checked");
@@ -210,7 +211,7 @@ pub(super) fn tables_beside(plan: &Plan<'_>, step: usize) -> Result<BesideTables
         }
         tables.insert(name.clone(), batches);
     }
-    Ok(BesideTables(tables))
+    Ok(BesideTables { tables, cancel: cancel.clone() })
 }
 
 /// All batches of one table of one stored part.

@@ -1,12 +1,10 @@
 //! How a run uses the machine, and what can stop it.
 
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-
 use thiserror::Error;
 
 use super::plan::PlanError;
 use super::rejects::{MaxRejects, TooMany};
+use crate::cancel::Cancel;
 use crate::stages::stage::StageError;
 use crate::store::StoreError;
 
@@ -23,8 +21,8 @@ pub struct Settings {
     pub replay_rows: usize,
     /// How much may be set aside; without it anything may.
     pub max_rejects: Option<MaxRejects>,
-    /// Set from outside to end the run: what is under way is dropped, what is finished is kept.
-    pub stop: Arc<AtomicBool>,
+    /// Ends the run from outside: what is under way is dropped, what is finished is kept.
+    pub cancel: Cancel,
 }
 
 impl Default for Settings {
@@ -35,7 +33,7 @@ impl Default for Settings {
             channel_batches: 2,
             replay_rows: 256,
             max_rejects: None,
-            stop: Arc::default(),
+            cancel: Cancel::new(),
         }
     }
 }

@@ -13,6 +13,7 @@ use serde_json::Value;
 
 use super::stage::{Beside, BesideTables, Fold, Grain, InPieces, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::cancel::Cancel;
 use crate::tables::Row;
 use pieces::Pieces;
 pub use pieces::{Joining, Task};
@@ -118,7 +119,7 @@ impl<S: Fold> Operator for S {
     }
     fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError> {
         let context = self.context(Stage::fields(self, campaigns), beside)?;
-        Ok(Box::new(Groups { stage: self, context, open: BTreeMap::new(), saves: None }))
+        Ok(Box::new(Groups::new(self, context, &beside.cancel, None)))
     }
     fn subtotals(&self) -> Option<SchemaRef> {
         self.in_pieces().map(InPieces::schema)
@@ -132,7 +133,7 @@ impl<S: Fold> Operator for S {
         let context = self.context(Stage::fields(self, campaigns), beside)?;
         let pieces = self.in_pieces().expect("a stage whose groups can be computed in pieces");
         let saves = (task == Task::Save).then_some(pieces);
-        Ok(Box::new(Pieces { groups: Groups { stage: self, context, open: BTreeMap::new(), saves }, pieces }))
+        Ok(Box::new(Pieces { groups: Groups::new(self, context, &beside.cancel, saves), pieces }))
     }
 }
 
@@ -143,12 +144,18 @@ type GroupKey = (String, String, i32, i32, String, String);
 struct Groups<'a, S: Fold> {
     stage: &'a S,
     context: S::Context,
+    /// Polled before each group.
+    cancel: Cancel,
     open: BTreeMap<GroupKey, S::State>,
     /// Where groups are pieces, which are saved and not finished.
     saves: Option<&'a dyn InPieces<S>>,
 }
 
-impl<S: Fold> Groups<'_, S> {
+impl<'a, S: Fold> Groups<'a, S> {
+    fn new(stage: &'a S, context: S::Context, cancel: &Cancel, saves: Option<&'a dyn InPieces<S>>) -> Self {
+        Self { stage, context, cancel: cancel.clone(), open: BTreeMap::new(), saves }
+    }
+
     /// What starts a group at its first row.
     fn begin(&self) -> impl Fn(S::Input) -> S::State + Sync {
         let (stage, context, saves) = (self.stage, &self.context, self.saves);
@@ -164,8 +171,9 @@ impl<S: Fold> Groups<'_, S> {
         work: Vec<(GroupKey, Option<Range<usize>>, Option<S::State>)>,
         columns: &<S::Input as Row>::Columns,
     ) -> Result<Vec<(GroupKey, S::State)>, StageError> {
-        let (stage, context, begin) = (self.stage, &self.context, self.begin());
+        let (stage, context, cancel, begin) = (self.stage, &self.context, &self.cancel, self.begin());
         let step = |(key, rows, state): (GroupKey, Option<Range<usize>>, Option<S::State>)| {
+            cancel.check();
             let Some(rows) = rows else {
                 return Ok((key, state.expect("a group without rows was open")));
             };
@@ -178,10 +186,13 @@ impl<S: Fold> Groups<'_, S> {
 
     /// Ends groups.
     fn end(&self, states: Vec<S::State>) -> Result<Written, StageError> {
-        let (stage, context) = (self.stage, &self.context);
+        let (stage, context, cancel) = (self.stage, &self.context, &self.cancel);
         let Some(pieces) = self.saves else {
-            let outcomes = states.into_par_iter().map(|state| stage.finish(context, state));
-            return Self::written(outcomes.collect::<Result<_, _>>()?);
+            let finish = |state| {
+                cancel.check();
+                stage.finish(context, state)
+            };
+            return Self::written(states.into_par_iter().map(finish).collect::<Result<_, _>>()?);
         };
         let saved = states.into_iter().map(|state| pieces.save(state).map_err(StageError::Indivisible));
         Ok(Written { tables: vec![saved.collect::<Result<_, _>>()?], rejections: Vec::new() })

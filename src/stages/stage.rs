@@ -13,6 +13,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 use crate::campaign::Campaign;
+use crate::cancel::{Cancel, Cancelled};
 use crate::tables::{Name, Reject, Row, SchemaError};
 
 /// Which rows a stage must see together.
@@ -45,7 +46,7 @@ pub enum StageError {
     /// Arrow refused an operation on batches.
     #[error(transparent)]
     Arrow(#[from] arrow::error::ArrowError),
-    /// The consumer is gone: another stage failed first.
+    /// The consumer is gone: another stage failed first, or the user ended the run.
     #[error("stopped because another stage failed")]
     Stopped,
     /// A group that was to be computed in pieces must be computed whole; the text says why.
@@ -54,6 +55,12 @@ pub enum StageError {
     /// Anything else; the text names the place and the mend.
     #[error("{0}")]
     Refused(String),
+}
+
+impl From<Cancelled> for StageError {
+    fn from(_: Cancelled) -> Self {
+        Self::Stopped
+    }
 }
 
 /// A finished table that stands beside a stage's streamed input.
@@ -67,9 +74,20 @@ pub struct Beside {
     pub required: bool,
 }
 
-/// The finished tables beside a stage, by their names in `with`.
+/// What a stage is started with beside its streamed input.
 #[derive(Clone, Debug, Default)]
-pub struct BesideTables(pub BTreeMap<String, Vec<RecordBatch>>);
+pub struct BesideTables {
+    /// Finished tables, by their names in `with`.
+    pub tables: BTreeMap<String, Vec<RecordBatch>>,
+    /// Ends the stage: a context keeps a clone and hands it to the kernels.
+    pub cancel: Cancel,
+}
+
+impl<const N: usize> From<[(String, Vec<RecordBatch>); N]> for BesideTables {
+    fn from(tables: [(String, Vec<RecordBatch>); N]) -> Self {
+        Self { tables: tables.into(), cancel: Cancel::never() }
+    }
+}
 
 impl BesideTables {
     /// Rows of one of them; `None` where the pipeline gives none.
@@ -77,7 +95,7 @@ impl BesideTables {
     /// # Errors
     /// When the table has other columns.
     pub fn rows<R: Row>(&self, name: &str) -> Result<Option<Vec<R>>, SchemaError> {
-        let Some(batches) = self.0.get(name) else {
+        let Some(batches) = self.tables.get(name) else {
             return Ok(None);
         };
         let mut rows = Vec::new();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 /// Rooms by floor: a file may import only from floors below its own, or from its own room.
 const FLOORS: [&[&str]; 8] = [
-    &["units", "store"],
+    &["cancel", "units", "store"],
     &["path", "campaign", "waveform"],
     &["geometry", "tables", "formats", "signal"],
     &["priors"],

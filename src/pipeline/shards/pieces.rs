@@ -5,13 +5,13 @@
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
-use std::sync::atomic::Ordering;
 
 use arrow::record_batch::RecordBatch;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::{Made, Shard, ShardError, absent, make};
+use crate::cancel::Cancel;
 use crate::pipeline::pass::{Joined, tables_beside};
 use crate::pipeline::plan::Plan;
 use crate::pipeline::progress::{Amount, Progress};
@@ -84,8 +84,9 @@ impl<'a> Adding<'a> {
         progress: &'a Progress,
     ) -> Result<Self, RunError> {
         let operator = operator(plan, step).expect("the step that adds up");
-        let running = operator.start_in_pieces(plan.campaigns, &tables_beside(plan, step)?, task);
-        let running = running.map_err(|source| failed(plan, step, source))?;
+        let beside = tables_beside(plan, step, &settings.cancel)?;
+        let running = Cancel::catch(|| operator.start_in_pieces(plan.campaigns, &beside, task));
+        let running = running.map_err(StageError::from).flatten().map_err(|source| failed(plan, step, source))?;
         let (running, written) = (RefCell::new(running), RefCell::default());
         Ok(Self { running, written, is_fed: Cell::new(false), settings, progress })
     }
@@ -107,7 +108,7 @@ impl<'a> Adding<'a> {
 
     /// Ends the last group: all that came out.
     fn end(self) -> Result<Written, StageError> {
-        let written = self.running.borrow_mut().flush()?;
+        let written = Cancel::catch(|| self.running.borrow_mut().flush())??;
         self.take(written);
         Ok(self.written.into_inner())
     }
@@ -124,11 +125,11 @@ impl Feed for Adding<'_> {
     }
 
     fn send(&self, batch: RecordBatch, _: Credit) -> Result<(), StageError> {
-        if self.settings.stop.load(Ordering::Relaxed) {
+        if self.settings.cancel.is_cancelled() {
             return Err(StageError::Stopped);
         }
         self.is_fed.set(true);
-        let written = self.running.borrow_mut().push(&batch)?;
+        let written = Cancel::catch(|| self.running.borrow_mut().push(&batch))??;
         self.take(written);
         Ok(())
     }

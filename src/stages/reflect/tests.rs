@@ -171,7 +171,7 @@ fn diffuser_points_may_come_from_an_earlier_stage() {
     let alone = Reflect::default().apply(&context(&far).unwrap(), onsets()).unwrap();
     assert!(!astray(&alone.rows).is_empty() && alone.rows[0].chi2_dof.unwrap() > 10.0);
     let earlier = Reflect::default().apply(&context(&campaign("")).unwrap(), onsets()).unwrap().rows;
-    let beside = BesideTables(BTreeMap::from([("patches".to_owned(), vec![Patch::to_batch(&earlier[3..4])])]));
+    let beside = BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&earlier[3..4])])]);
     let reflect = Reflect::default();
     let fields = reflect.fields(&[Campaign::parse(Path::new("c"), &far).unwrap()]);
     let rows = reflect.apply(&reflect.context(fields, &beside).unwrap(), onsets()).unwrap().rows;

@@ -106,7 +106,7 @@ impl Scene {
         };
         let pairs = (0..count).flat_map(|a| (a + 1..count).map(move |b| (a, b)));
         let rows: Vec<PatchCovariance> = pairs.map(row).collect();
-        BesideTables([("covariances".to_owned(), vec![PatchCovariance::to_batch(&rows)])].into())
+        BesideTables::from([("covariances".to_owned(), vec![PatchCovariance::to_batch(&rows)])])
     }
 }
 

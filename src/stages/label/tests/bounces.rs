@@ -126,7 +126,7 @@ impl Lit {
             }
         };
         let patches: Vec<Patch> = self.points.iter().take(count).enumerate().map(patch).collect();
-        BesideTables([("patches".to_owned(), vec![Patch::to_batch(&patches)])].into())
+        BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches)])])
     }
 }
 

@@ -34,7 +34,7 @@ fn beside(points: &[Point]) -> BesideTables {
         log_likelihood: None,
     };
     let patches: Vec<Patch> = points.iter().enumerate().map(patch).collect();
-    BesideTables([("patches".to_owned(), vec![Patch::to_batch(&patches)])].into())
+    BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches)])])
 }
 
 /// Labels, hypotheses and what was set aside, of a scene with one hidden patch.

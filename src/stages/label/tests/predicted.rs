@@ -62,14 +62,11 @@ fn beside(room: &Room, delay_ps: f64, rng: &mut ChaCha8Rng) -> BesideTables {
         sd_ps: DELAY_SD_PS,
         prior_sd_ps: 100.0,
     };
-    BesideTables(
-        [
-            ("patches".to_owned(), vec![Patch::to_batch(&patches)]),
-            ("covariances".to_owned(), vec![PatchCovariance::to_batch(&covariances)]),
-            ("delays".to_owned(), vec![Delay::to_batch(&[delay])]),
-        ]
-        .into(),
-    )
+    BesideTables::from([
+        ("patches".to_owned(), vec![Patch::to_batch(&patches)]),
+        ("covariances".to_owned(), vec![PatchCovariance::to_batch(&covariances)]),
+        ("delays".to_owned(), vec![Delay::to_batch(&[delay])]),
+    ])
 }
 
 /// Onsets by what is true of them and what was said.

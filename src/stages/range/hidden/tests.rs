@@ -182,11 +182,11 @@ fn places(points: &BTreeMap<PatchId, Point>, errors_m: &[[Vector3<f64>; 4]], del
         prior_sd_ps: 10.0,
     };
     let delays: Vec<Delay> = ["near", "aside"].into_iter().zip(delays_ps).map(delay).collect();
-    BesideTables(BTreeMap::from([
+    BesideTables::from([
         ("patches".to_owned(), vec![Patch::to_batch(&patches)]),
         ("covariances".to_owned(), vec![PatchCovariance::to_batch(&pairs)]),
         ("delays".to_owned(), vec![Delay::to_batch(&delays)]),
-    ]))
+    ])
 }
 
 #[test]
@@ -251,7 +251,7 @@ fn what_the_sums_leave_open_or_contradict_is_told() {
 fn patches_without_covariance_are_refused() {
     let mut start = patch(1, "visible", Point::origin(), &Matrix3::identity());
     start.cov_xx_m2 = None;
-    let beside = BesideTables(BTreeMap::from([("patches".to_owned(), vec![Patch::to_batch(&[start])])]));
+    let beside = BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&[start])])]);
     let refused = Places::new(&beside).unwrap_err().to_string();
     assert!(refused.contains("give patches from `refine`"), "{refused}");
 }
