@@ -8,7 +8,7 @@ use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use arrow::record_batch::RecordBatch;
+use arrow_array::RecordBatch;
 use periscope::campaign::{Campaign, seal};
 use periscope::pipeline::run::{RunError, Settings};
 use periscope::simulate::Format;

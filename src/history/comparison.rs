@@ -170,7 +170,7 @@ fn rows(in_a: &SideTable, in_b: &SideTable) -> Result<RowsComparison, HistoryErr
     let names: Vec<String> = key.iter().map(|name| (*name).to_owned()).collect();
     match_rows(a, b, key, |found| {
         let first = |batch| {
-            (0..NAMED.min(arrow::array::RecordBatch::num_rows(batch))).map(|row| label(batch, &names, row)).collect()
+            (0..NAMED.min(arrow_array::RecordBatch::num_rows(batch))).map(|row| label(batch, &names, row)).collect()
         };
         match found {
             Found::Pairs { a, b, pairs } => differences.add(a, b, pairs)?,

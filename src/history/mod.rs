@@ -45,7 +45,7 @@ pub enum HistoryError {
     Schema(#[from] SchemaError),
     /// Arrow refused an operation on batches.
     #[error(transparent)]
-    Arrow(#[from] arrow::error::ArrowError),
+    Arrow(#[from] arrow_schema::ArrowError),
     /// A campaign folder.
     #[error(transparent)]
     Campaign(#[from] CampaignError),

@@ -1,7 +1,9 @@
 //! Cells of any table as JSON values.
 
-use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
-use arrow::datatypes::{DataType, Float32Type, Float64Type, Int32Type, Int64Type};
+use arrow_array::cast::AsArray;
+use arrow_array::types::{Float32Type, Float64Type, Int32Type, Int64Type};
+use arrow_array::{Array, ArrayRef, RecordBatch};
+use arrow_schema::DataType;
 use serde_json::{Map, Value};
 
 /// A cell; numbers that JSON does not have (infinities, NaN) are texts, bytes their number.

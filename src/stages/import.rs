@@ -13,9 +13,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, RecordBatch, new_null_array};
-use arrow::compute::{CastOptions, cast_with_options};
-use arrow::datatypes::SchemaRef;
+use arrow_array::{ArrayRef, RecordBatch, new_null_array};
+use arrow_cast::{CastOptions, cast_with_options};
+use arrow_schema::SchemaRef;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -79,7 +79,7 @@ impl Import {
             let hint = suggest::hint(other.name(), known.iter().copied());
             return Err(place(other.name(), format!("table `{}` has none such; {hint}", self.table)));
         }
-        let column = |field: &Arc<arrow::datatypes::Field>| -> Result<ArrayRef, StageError> {
+        let column = |field: &Arc<arrow_schema::Field>| -> Result<ArrayRef, StageError> {
             match batch.column_by_name(field.name()) {
                 Some(column) => {
                     let options = CastOptions { safe: false, ..CastOptions::default() };

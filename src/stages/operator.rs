@@ -5,9 +5,11 @@ mod pieces;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use arrow::array::{AsArray, Int32Array, RecordBatch, StringArray};
-use arrow::compute::concat_batches;
-use arrow::datatypes::{Int32Type, SchemaRef};
+use arrow_array::cast::AsArray;
+use arrow_array::types::Int32Type;
+use arrow_array::{Int32Array, RecordBatch, StringArray};
+use arrow_schema::SchemaRef;
+use arrow_select::concat::concat_batches;
 use rayon::prelude::*;
 use serde_json::Value;
 

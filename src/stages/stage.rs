@@ -7,8 +7,8 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use arrow::array::RecordBatch;
-use arrow::datatypes::SchemaRef;
+use arrow_array::RecordBatch;
+use arrow_schema::SchemaRef;
 use serde::Serialize;
 use thiserror::Error;
 
@@ -45,7 +45,7 @@ pub enum StageError {
     Schema(#[from] SchemaError),
     /// Arrow refused an operation on batches.
     #[error(transparent)]
-    Arrow(#[from] arrow::error::ArrowError),
+    Arrow(#[from] arrow_schema::ArrowError),
     /// The consumer is gone: another stage failed first, or the user ended the run.
     #[error("stopped because another stage failed")]
     Stopped,

@@ -23,7 +23,7 @@ pub mod subtotals;
 pub mod traces;
 pub mod truth;
 
-use arrow::datatypes::SchemaRef;
+use arrow_schema::SchemaRef;
 
 pub use calibration::Calibration;
 pub use cell::{Codes, Name, Samples};

@@ -6,9 +6,9 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use arrow::array::Array;
-use arrow::datatypes::{Field, Schema, SchemaRef};
-use arrow::record_batch::RecordBatch;
+use arrow_array::Array;
+use arrow_array::RecordBatch;
+use arrow_schema::{Field, Schema, SchemaRef};
 use thiserror::Error;
 
 use super::cell::Cell;
@@ -175,9 +175,9 @@ macro_rules! table {
             const TABLE: &'static str = $table;
             type Columns = $columns;
 
-            fn schema() -> ::arrow::datatypes::SchemaRef {
+            fn schema() -> ::arrow_schema::SchemaRef {
                 // Made once: every batch of rows asks for it.
-                static SCHEMA: ::std::sync::LazyLock<::arrow::datatypes::SchemaRef> = ::std::sync::LazyLock::new(|| {
+                static SCHEMA: ::std::sync::LazyLock<::arrow_schema::SchemaRef> = ::std::sync::LazyLock::new(|| {
                     $crate::tables::row::table_schema(
                         $table,
                         concat!($($meaning),+),
@@ -187,13 +187,13 @@ macro_rules! table {
                 SCHEMA.clone()
             }
 
-            fn to_batch_of<'a>(rows: impl Iterator<Item = &'a Self> + Clone) -> ::arrow::record_batch::RecordBatch {
-                let columns: Vec<::arrow::array::ArrayRef> =
+            fn to_batch_of<'a>(rows: impl Iterator<Item = &'a Self> + Clone) -> ::arrow_array::RecordBatch {
+                let columns: Vec<::arrow_array::ArrayRef> =
                     vec![$(<$cell as $crate::tables::cell::Cell>::build(rows.clone().map(|row| &row.$name))),+];
-                ::arrow::record_batch::RecordBatch::try_new(Self::schema(), columns).expect("columns are built from their own schema")
+                ::arrow_array::RecordBatch::try_new(Self::schema(), columns).expect("columns are built from their own schema")
             }
 
-            fn columns(batch: &::arrow::record_batch::RecordBatch) -> Result<$columns, $crate::tables::row::SchemaError> {
+            fn columns(batch: &::arrow_array::RecordBatch) -> Result<$columns, $crate::tables::row::SchemaError> {
                 Ok($columns { $($name: $crate::tables::row::column::<$cell>(batch, $table, stringify!($name))?,)+ })
             }
 

@@ -3,8 +3,10 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use arrow::array::{Array, ArrayRef, AsArray, Float64Array, ListArray, StructArray};
-use arrow::datatypes::{DataType, Field, Fields, Float64Type};
+use arrow_array::cast::AsArray;
+use arrow_array::types::Float64Type;
+use arrow_array::{Array, ArrayRef, Float64Array, ListArray, StructArray};
+use arrow_schema::{DataType, Field, Fields};
 
 use super::cell::{Cell, Name, Samples, list};
 use super::row::unit_of;

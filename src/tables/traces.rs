@@ -1,6 +1,6 @@
 //! Table `traces`: what the oscilloscope recorded, as raw codes with their scale and time base.
 
-use arrow::array::{ArrayRef, RecordBatch};
+use arrow_array::{ArrayRef, RecordBatch};
 
 use super::cell::{Cell, Codes, Name};
 use super::row::Row;

@@ -3,8 +3,10 @@
 use std::collections::BTreeSet;
 use std::fs;
 
-use arrow::array::{AsArray, RecordBatch};
-use arrow::datatypes::{DataType, Int32Type};
+use arrow_array::RecordBatch;
+use arrow_array::cast::AsArray;
+use arrow_array::types::Int32Type;
+use arrow_schema::DataType;
 use periscope::pipeline::run::{RunError, Settings};
 use periscope::stages::{self, Node, stage::Grain};
 use periscope::store::Shelf;

@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use arrow::array::RecordBatch;
+use arrow_array::RecordBatch;
 use periscope::pipeline::rejects::MaxRejects;
 use periscope::pipeline::run::{RunError, Settings};
 use periscope::store::runs::Ending;

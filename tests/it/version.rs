@@ -6,8 +6,10 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use arrow::array::{Array, AsArray, RecordBatch};
-use arrow::datatypes::{DataType, Float32Type, Float64Type, Int32Type};
+use arrow_array::cast::AsArray;
+use arrow_array::types::{Float32Type, Float64Type, Int32Type};
+use arrow_array::{Array, RecordBatch};
+use arrow_schema::DataType;
 use periscope::pipeline::run::Settings;
 use periscope::pipeline::spec::Spec;
 use periscope::stages::Node;

@@ -1,7 +1,7 @@
 //! Captures in pieces: what is judged by their first shots, what is added up exactly, and what is handed over to be added up in order.
 
-use arrow::array::RecordBatch;
-use arrow::datatypes::SchemaRef;
+use arrow_array::RecordBatch;
+use arrow_schema::SchemaRef;
 
 use super::capture::Capture;
 use super::histogram::Histogram;

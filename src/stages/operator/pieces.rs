@@ -1,6 +1,6 @@
 //! A stage as the runtime sees it where groups are computed in pieces: rows of a piece in, subtotals out; or heads and subtotals in, rows out.
 
-use arrow::array::RecordBatch;
+use arrow_array::RecordBatch;
 
 use super::{Groups, Running, Written, groups};
 use crate::stages::stage::{Fold, InPieces, StageError};

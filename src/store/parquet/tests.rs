@@ -1,7 +1,7 @@
 //! Tables written and read.
 
-use arrow::array::{ArrayRef, BinaryViewArray};
-use arrow::datatypes::Schema;
+use arrow_array::{ArrayRef, BinaryViewArray};
+use arrow_schema::Schema;
 
 use super::*;
 use crate::tables::{Name, Profile, Row};
