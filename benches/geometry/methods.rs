@@ -4,8 +4,9 @@ use std::fmt::Write as _;
 use std::process::Command;
 use std::time::Instant;
 
-use periscope::geometry::{Point, classical, iso_embed, maximum_likelihood, reestimate, semidefinite, smacof};
+use periscope::geometry::{Point, classical, iso_embed, maximum_likelihood, reestimate, smacof};
 use periscope::units::path_m;
+use periscope_comparison::semidefinite;
 use rayon::prelude::*;
 
 use super::measured::{Measured, rms_m, sds_m};

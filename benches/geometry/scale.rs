@@ -2,9 +2,10 @@
 
 use std::time::Instant;
 
-use periscope::geometry::many_pairs::{self, Sds};
-use periscope::geometry::{Point, landmark};
+use periscope::geometry::Point;
 use periscope::units::path_m;
+use periscope_comparison::landmark;
+use periscope_comparison::many_pairs::{self, Sds};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -2,11 +2,11 @@
 
 use std::fmt;
 
-use periscope::signal::nnls::{self, NnlsOptions};
 use periscope::signal::onset;
-use periscope::signal::pencil::{self, PencilOptions};
-use periscope::signal::richardson_lucy::{self, RichardsonLucyOptions};
 use periscope::signal::sparse::{self, SparseOptions};
+use periscope_comparison::nnls::{self, NnlsOptions};
+use periscope_comparison::pencil::{self, PencilOptions};
+use periscope_comparison::richardson_lucy::{self, RichardsonLucyOptions};
 use rand::RngExt;
 
 use super::draw::{DT_PS, Effort, LEN, draws, middle_ps, noisy, profile};
@@ -17,8 +17,9 @@ use super::shape::Sensor;
 
 const SNR: f64 = 100.0;
 const APART_PS: f64 = 100.0;
-/// As the stage `deconvolve` has them.
+/// Atoms of `nnls` no more grid steps apart than this are one pulse; closer ones are left to the pruning.
 const MERGE_STEPS: f64 = 1.5;
+/// False pulses a record of noise alone, as the stage `deconvolve` has it.
 const FALSE_PULSES: f64 = 1e-4;
 
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use periscope::signal::nnls::{self, NnlsOptions};
 use periscope::signal::sparse::SparseOptions;
+use periscope_comparison::nnls::{self, NnlsOptions};
 use rand::RngExt;
 use serde_json::json;
 

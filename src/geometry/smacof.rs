@@ -1,4 +1,5 @@
-//! Weighted scaling by majorisation, SMACOF: the points whose distances come nearest to the measured ones.
+//! Weighted scaling by majorisation, SMACOF: the points whose distances come nearest to the measured ones. A start of
+//! [`super::placement`], which tries classical scaling with and without it; no method of the stage `embed`.
 //!
 //! Minimises the stress `sum_ij w_ij (d_ij - |z_i - z_j|)^2` over pairs by Guttman's transform
 //!

@@ -9,9 +9,7 @@
 //! `d = -sum w (r - mean r) e s' / sum w (r - mean r)^2 s'^2` over all samples and repetitions, the period corrected until it stays. It starts
 //! from the period at which the folded profile has most energy. Not modelled: jitter of the laser, drift of its period, aliases of the response.
 
-use super::fft::{Complex, RealFft};
 use super::resample;
-use super::response::Response;
 
 /// Steps after which a period that has not settled is none.
 const STEPS: usize = 30;
@@ -244,39 +242,6 @@ pub fn opening(is_dark: &[bool]) -> usize {
         }
     }
     (start + longest / 2) % count
-}
-
-/// The response at the samples of a circular record of `len` samples every `step_ps`, sample 0 at the arrival: what precedes the arrival, or
-/// exceeds a period, wraps around.
-///
-/// # Panics
-/// If `len` is 0 or `step_ps` not positive.
-#[must_use]
-pub fn wrapped_response(response: &Response, step_ps: f64, len: usize) -> Vec<f64> {
-    assert!(len > 0 && step_ps > 0.0, "a record has samples and a step");
-    let (first_ps, last_ps) = response.support_ps();
-    let mut wrapped = vec![0.0; len];
-    for n in (first_ps / step_ps).ceil() as i64..=(last_ps / step_ps).floor() as i64 {
-        wrapped[n.rem_euclid(len as i64) as usize] += response.value(n as f64 * step_ps);
-    }
-    wrapped
-}
-
-/// Circular convolution `out[n] = sum_m a[m] b[(n - m) mod N]` of two records of one length.
-///
-/// # Panics
-/// If lengths differ or are 0.
-#[must_use]
-pub fn convolve(fft: &mut RealFft, a: &[f64], b: &[f64]) -> Vec<f64> {
-    assert_eq!(a.len(), b.len(), "circular records have one length");
-    let mut spectrum = vec![Complex::default(); RealFft::bins(a.len())];
-    let mut other = spectrum.clone();
-    fft.forward(a, &mut spectrum);
-    fft.forward(b, &mut other);
-    spectrum.iter_mut().zip(&other).for_each(|(a, b)| *a *= b);
-    let mut out = vec![0.0; a.len()];
-    fft.inverse(&spectrum, &mut out);
-    out
 }
 
 #[cfg(test)]

@@ -3,13 +3,6 @@
 use super::whiten::Predictors;
 use super::widest::widest;
 
-/// A sample this many standard deviations off the others is light.
-const LOUD_SIGMA: f64 = 4.0;
-/// Less than this share of a record says nothing of its baseline.
-const QUIET_SHARE: f64 = 0.1;
-/// Rounds in which the quiet samples are found about their own mean.
-const QUIET_ROUNDS: usize = 3;
-
 /// What stretches of noise say.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Noise {
@@ -113,33 +106,6 @@ pub fn autoregressive(acf: &[f64], samples: usize) -> Vec<f64> {
         smooth.push(next);
     }
     smooth
-}
-
-/// Mean of the samples that no light reaches, given their noise `sd`: those that lie within 4 standard deviations of the median, without the
-/// `before` samples ahead of a louder one and the `after` samples behind it. `None` where less than a tenth of the record is left.
-///
-/// # Panics
-/// If `sd` is not positive.
-#[must_use]
-pub fn quiet_mean(samples: &[f64], sd: f64, before: usize, after: usize) -> Option<f64> {
-    assert!(sd > 0.0, "the noise must be positive");
-    let len = samples.len();
-    let mut sorted = samples.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let mut centre = *sorted.get(len / 2)?;
-    for _ in 0..QUIET_ROUNDS {
-        let mut quiet = vec![true; len];
-        for n in (0..len).filter(|n| (samples[*n] - centre).abs() > LOUD_SIGMA * sd) {
-            quiet[n.saturating_sub(before)..(n + after + 1).min(len)].fill(false);
-        }
-        let rest = || samples.iter().zip(&quiet).filter(|(_, quiet)| **quiet).map(|(sample, _)| sample);
-        let count = rest().count();
-        if (count as f64) < QUIET_SHARE * len as f64 {
-            return None;
-        }
-        centre = rest().sum::<f64>() / count as f64;
-    }
-    Some(centre)
 }
 
 /// Start of the stretch of `width` samples that vary least.
@@ -275,22 +241,6 @@ mod tests {
         assert!(autoregressive(&exact, 1000).iter().zip(&exact).all(|(a, b)| (a - b).abs() < 1e-12));
         assert_eq!(autoregressive(&[], 10), Vec::<f64>::new());
         assert_eq!(autoregressive(&[2.0, 0.2], 2), [1.0, 0.0]);
-    }
-
-    #[test]
-    fn the_quiet_part_of_a_record_has_its_baseline() {
-        let mut rng = ChaCha8Rng::seed_from_u64(4);
-        let pulse = |n: usize| 3.0 * (-0.5 * ((n as f64 - 90.0) / 4.0).powi(2)).exp();
-        let mean_square = (0..200).map(|_| {
-            let normal = |rng: &mut ChaCha8Rng| -> f64 { StandardNormal.sample(rng) };
-            let samples: Vec<f64> = (0..200).map(|n| 0.7 + pulse(n) + 0.1 * normal(&mut rng)).collect();
-            (quiet_mean(&samples, 0.1, 12, 12).expect("mostly quiet") - 0.7).powi(2)
-        });
-        let rms = (mean_square.sum::<f64>() / 200.0).sqrt();
-        // Of 200 samples about 150 are quiet.
-        assert!(rms < 1.15 * 0.1 / 150_f64.sqrt(), "{rms}");
-        assert_eq!(quiet_mean(&[0.0, 9.0, 0.0, 9.0], 0.1, 4, 4), None);
-        assert_eq!(quiet_mean(&[], 0.1, 4, 4), None);
     }
 
     #[test]

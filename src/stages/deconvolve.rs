@@ -3,15 +3,10 @@
 //! | method | result |
 //! |---|---|
 //! | `sparse` | impulses off the grid by greedy maximum likelihood, with times, amplitudes, covariance and evidence |
-//! | `nnls` | non-negative least squares on a grid, its atoms merged, refined off the grid and pruned by evidence |
-//! | `pencil` | poles of the spectrum (ESPRIT), refined and pruned the same way |
-//! | `richardson-lucy` | light on a grid by multiplicative steps until the residual is noise; an impulse for each lump, at its centroid |
 //! | `wiener` | a regularised profile for the eye and for edge methods of `detect`; no impulses |
 //! | `none` | the profile as it was measured, for edge methods of `detect`: what a reader of the oscilloscope's screen sees |
 //!
-//! All but the first are there to compare with. `nnls`, `pencil` and `richardson-lucy` take noise as white and the baseline as the mean of the samples
-//! that no light reaches; correlated noise brings false impulses and error bars that are too small. Times of `richardson-lucy` are biased by
-//! picoseconds, and it splits pulses in strong noise: what it gives as standard deviation is that of a least-squares fit at its times, without either.
+//! How `sparse` compares with other methods, which are not in the program, stands in docs/time-resolution.md.
 //!
 //! Light that an extended patch spreads in time is modelled by `sparse` where `extent_max_ps` is positive: an impulse whose samples ask for it is
 //! widened by a Gaussian, and by an exponential tail where that does not suffice; its time is that of the light's centroid, and `width_ps` the
@@ -48,8 +43,9 @@ mod explain;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
+use super::method;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::priors::calibration::{self, Calibrated, Key, key_of};
@@ -65,11 +61,12 @@ use explain::{Asked, Explained, Method, Record};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Deconvolve {
+    #[serde(deserialize_with = "method_of")]
     method: Method,
-    /// Chi-square that one impulse more must gain, for `sparse`, `nnls` and `pencil`; absent: set by the record's length, for one false impulse in
-    /// 10,000 records.
+    /// Chi-square that one impulse more must gain, for `sparse`; absent: set by the record's length, for one false
+    /// impulse in 10,000 records.
     evidence: Option<f64>,
-    /// Most impulses in a profile, for `sparse` and `pencil`.
+    /// Most impulses in a profile, for `sparse`.
     impulses_max: usize,
     /// Whether impulses may be negative, for `sparse`: reflections on a line are, light is not.
     signed: bool,
@@ -99,6 +96,11 @@ impl Default for Deconvolve {
             lowpass_ghz: None,
         }
     }
+}
+
+fn method_of<'de, D: Deserializer<'de>>(name: D) -> Result<Method, D::Error> {
+    let former = ["nnls", "pencil", "richardson-lucy"];
+    method::named(name, &former, "use `sparse` (the default); there are also `wiener` and `none`")
 }
 
 /// What campaign.toml says that matters here.
@@ -284,9 +286,6 @@ impl Deconvolve {
             (Method::Wiener | Method::None, _) => None,
             (Method::Sparse, Some(unpiled)) => Some(ready.record().counts(unpiled, self.asked())),
             (Method::Sparse, None) => Some(explain::jointly(&[ready.record()], self.asked())),
-            (Method::Nnls | Method::Pencil | Method::RichardsonLucy, _) => {
-                Some(ready.record().compared(self.method, self.asked()))
-            }
         }
     }
 
@@ -314,11 +313,6 @@ impl Deconvolve {
         let period_ps = setup.and_then(|setup| setup.repetition_ps);
         if let Err(why) = correction.take_pickup_off(profile, period_ps, &mut samples, &mut sd_v) {
             return Ok(Err(why));
-        }
-        if self.method == Method::Pencil && sd_v.iter().any(|sd| sd.is_infinite()) {
-            return Ok(Err(
-                "has samples that every range clipped, which `pencil` cannot leave out; take another method".to_owned(),
-            ));
         }
         samples.iter_mut().for_each(|sample| *sample *= calibrated.polarity);
         let rounding_v = calibration::rounding_v(profile);

@@ -4,15 +4,13 @@
 //! |---|---|
 //! | `incremental` | path lengths by maximum likelihood from many starts, grown patch by patch; for any pattern of missing pairs ([`placement`]) |
 //! | `classical` | double-centred classical scaling, p0 included |
-//! | `smacof` | least weighted stress from there; a distance that was not measured weighs nothing |
-//! | `landmark` | classical scaling of `landmarks` patches, the others by their distances to these; for thousands |
 //! | `iso-embed` | the paper's Algorithm 1, to compare with: centred on the one noisy point p0, singular values in place of eigenvalues |
 //! | `reestimate` | the paper's iterative re-estimation of distances, to compare with |
-//! | `semidefinite` | convex, to compare with; up to 60 patches |
 //!
-//! All but `incremental`, `smacof` and `semidefinite` need every distance: those not measured are filled with the shortest paths over those that were. How
-//! exact each is, and how slow, stands in docs/geometry.md. The frame: p0 at its station; with three or more anchors
-//! (patches with `position_m`) turned onto them; else canonical, see [`crate::geometry::frame`].
+//! All but `incremental` need every distance: those not measured are filled with the shortest paths over those that
+//! were. How exact each is, and how slow, stands in docs/geometry.md, next to methods that are not in the program. The
+//! frame: p0 at its station; with three or more anchors (patches with `position_m`) turned onto them; else canonical,
+//! see [`crate::geometry::frame`].
 //!
 //! `incremental` names places that the lengths do not tell from the chosen ones (a patch with two neighbours and its mirror image) as alternatives.
 //!
@@ -41,28 +39,27 @@ mod hidden;
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
+use super::method;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::maximum_likelihood::{Node, Observation, Problem};
 use crate::geometry::placement::{self, Alternative};
 use crate::geometry::t2::{self, Length};
-use crate::geometry::{
-    Matrix, Point, classical, completion, frame, iso_embed, landmark, procrustes, reestimate, semidefinite, smacof,
-};
+use crate::geometry::{Matrix, Point, classical, completion, frame, iso_embed, procrustes, reestimate};
 use crate::tables::{Distance, Hypothesis, Patch};
 use crate::units::PatchId;
-
-/// Most patches of `semidefinite`.
-const SEMIDEFINITE_MAX: usize = 60;
 
 /// Parameters of `embed`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Embed {
+    #[serde(deserialize_with = "method_of")]
     method: Method,
-    /// Patches that the others are placed by, for `landmark`.
+    /// Of the former method `landmark`, no longer read. It stays in recipes, so that stored tables remain valid, until
+    /// VERSION rises.
+    #[serde(skip_deserializing)]
     landmarks: usize,
 }
 
@@ -78,11 +75,17 @@ impl Default for Embed {
 enum Method {
     Incremental,
     Classical,
-    Smacof,
-    Landmark,
     IsoEmbed,
     Reestimate,
-    Semidefinite,
+}
+
+fn method_of<'de, D: Deserializer<'de>>(name: D) -> Result<Method, D::Error> {
+    let former = ["smacof", "landmark", "semidefinite"];
+    method::named(
+        name,
+        &former,
+        "use `incremental`; there are also `classical` (the default), `iso-embed` and `reestimate`",
+    )
 }
 
 /// What a campaign says of the frame.
@@ -200,15 +203,6 @@ impl Measured<'_> {
         completion::complete(self.count(), length).expect("every patch here has a distance to patch 0")
     }
 
-    /// One over the variance of each distance; 0 for one that was not measured.
-    fn weights(&self) -> Matrix {
-        let weight = |i: usize, j: usize| match self.distance(i, j) {
-            Some(distance) if i != j => distance.sd_m.powi(-2),
-            _ => 0.0,
-        };
-        Matrix::from_fn(self.count(), self.count(), weight)
-    }
-
     /// The path lengths whose T2 the distances are, p0 at the origin.
     fn problem(&self) -> Problem {
         let plain = |distance: &&Distance| t2::Distance {
@@ -256,7 +250,7 @@ impl Embed {
                 ids.len()
             )));
         }
-        let (points, alternatives) = self.points(&Measured { ids: &ids, known: &known, dimensions })?;
+        let (points, alternatives) = self.points(&Measured { ids: &ids, known: &known, dimensions });
         let row = |place: usize, point: Point| {
             let of_patch = known.values().filter(|distance| distance.a == ids[place] || distance.b == ids[place]);
             start(ids[place], "visible", point, of_patch.map(|distance| distance.onsets).sum())
@@ -272,38 +266,20 @@ impl Embed {
     }
 
     /// Points about the origin, and others that the lengths do not tell from them.
-    fn points(&self, measured: &Measured) -> Result<(Vec<Point>, Vec<Alternative>), StageError> {
+    fn points(&self, measured: &Measured) -> (Vec<Point>, Vec<Alternative>) {
         let dimensions = measured.dimensions;
         let points = match self.method {
             Method::Incremental => {
                 let problem = measured.problem();
                 let points = placement::place(&problem).points;
                 let alternatives = placement::alternatives(&problem, &points);
-                return Ok((points, alternatives));
+                return (points, alternatives);
             }
             Method::Classical => classical::embed(&measured.complete(), dimensions),
-            Method::Smacof => {
-                let distances = measured.complete();
-                let start = classical::embed(&distances, dimensions);
-                smacof::scale(&start, &distances, &measured.weights()).expect("every patch has a distance to p0").points
-            }
-            Method::Landmark => {
-                let distances = measured.complete();
-                let (count, distance) = (measured.count(), |i: usize, j: usize| distances[(i, j)]);
-                let landmarks = landmark::spread(count, self.landmarks.clamp(dimensions + 2, count), distance);
-                landmark::embed(count, &landmarks, distance, dimensions)
-            }
             Method::IsoEmbed => iso_embed::embed(&measured.complete(), dimensions),
             Method::Reestimate => reestimate::embed(&measured.complete(), dimensions).0,
-            Method::Semidefinite if measured.ids.len() > SEMIDEFINITE_MAX => {
-                let count = measured.ids.len();
-                return Err(StageError::Refused(format!(
-                    "method `semidefinite` is for {SEMIDEFINITE_MAX} patches at most, not {count}; take `smacof` or `incremental`"
-                )));
-            }
-            Method::Semidefinite => semidefinite::embed(&measured.complete(), &measured.weights(), dimensions),
         };
-        Ok((points, Vec::new()))
+        (points, Vec::new())
     }
 }
 

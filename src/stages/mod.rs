@@ -11,6 +11,7 @@ pub mod import;
 pub mod ingest;
 pub mod label;
 pub mod measure;
+mod method;
 pub mod operator;
 pub mod range;
 pub mod refine;

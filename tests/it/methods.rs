@@ -1,8 +1,16 @@
-//! The methods of `deconvolve` and `detect` beside one another, from files to onsets.
+//! The methods of `deconvolve` and `detect`, and those of `periscope-comparison`, next to one another, from files to onsets.
 
 use periscope::pipeline::run::Settings;
+use periscope::signal::averaged_response::averaged_response;
+use periscope::signal::response::Response;
+use periscope::signal::sparse;
 use periscope::simulate::Format;
-use periscope::tables::{Onset, Stir, TruePath};
+use periscope::tables::{Calibration, Onset, Profile, Stir, TruePath};
+use periscope_comparison::baseline;
+use periscope_comparison::nnls::{self, NnlsOptions};
+use periscope_comparison::pencil::{self, PencilOptions};
+use periscope_comparison::pulses::Pulses;
+use periscope_comparison::richardson_lucy::{self, RichardsonLucyOptions};
 
 use crate::accuracy::PHOTODIODE;
 use crate::lab::{ALL_VISIBLE, Lab};
@@ -18,13 +26,23 @@ fn onsets(lab: &Lab, out: &str, settings: &[&str]) -> Vec<Onset> {
     lab.rows(out, "onsets")
 }
 
-/// For each true onset the nearest found one: error and stated standard deviation, ps.
-fn errors(truth: &[Onset], found: &[Onset]) -> Vec<(f64, f64)> {
+/// For each true onset the nearest detected one: error and stated standard deviation, ps.
+fn errors(truth: &[Onset], detected: &[Onset]) -> Vec<(f64, f64)> {
+    let timed = |onset: &Onset| Timed {
+        capture: (onset.lit, onset.seen),
+        time_ps: onset.time_ps,
+        sd_ps: onset.time_sd_ps.hypot(onset.jitter_ps),
+        evidence: onset.evidence.unwrap_or(0.0),
+    };
+    errors_of(truth, &detected.iter().map(timed).collect::<Vec<_>>())
+}
+
+fn errors_of(truth: &[Onset], detected: &[Timed]) -> Vec<(f64, f64)> {
     let nearest = |truth: &Onset| {
-        let of_profile = found.iter().filter(|onset| (onset.lit, onset.seen) == (truth.lit, truth.seen));
-        let error = |onset: &Onset| onset.time_ps - truth.time_ps;
+        let of_profile = detected.iter().filter(|pulse| pulse.capture == (truth.lit, truth.seen));
+        let error = |pulse: &Timed| pulse.time_ps - truth.time_ps;
         let nearest = of_profile.min_by(|a, b| error(a).abs().total_cmp(&error(b).abs()))?;
-        Some((error(nearest), nearest.time_sd_ps.hypot(nearest.jitter_ps)))
+        Some((error(nearest), nearest.sd_ps))
     };
     truth.iter().filter_map(nearest).collect()
 }
@@ -40,31 +58,89 @@ fn scatter_ps(errors: &[(f64, f64)]) -> f64 {
     rms(errors.iter().map(|(error, _)| error - mean))
 }
 
-/// 36 profiles of one pulse each, signal-to-noise ratios of the mean from 50 to 600.
-#[test]
-fn every_method_finds_the_onsets_and_the_right_ones_as_well_as_sparse() {
-    let lab = Lab::of(PHOTODIODE, 3, Format::Trc);
-    let truth: Vec<Onset> = lab.truth();
-    let sparse = onsets(&lab, "sparse", &[]);
-    let best_ps = scatter_ps(&errors(&truth, &sparse));
-    for (method, most) in [("nnls", 1.15), ("pencil", 1.15), ("richardson-lucy", 8.0)] {
-        let found = onsets(&lab, method, &[&format!("stir.method={method}")]);
-        let errors = errors(&truth, &found);
-        let (scatter, stated) = (scatter_ps(&errors), rms(errors.iter().map(|(_, sd)| *sd)));
-        let profiles: Vec<Stir> = lab.rows(method, "stir");
-        let chi2 = profiles.iter().filter_map(|stir| stir.chi2_dof).sum::<f64>() / 36.0;
-        eprintln!(
-            "{method}: {} onsets, scatter {scatter:.2} ps of sparse's {best_ps:.2}, stated {stated:.2}, chi2/dof {chi2:.3}",
-            found.len()
-        );
-        assert_eq!(errors.len(), truth.len(), "{method}");
-        assert!(scatter < most * best_ps, "{method}: {scatter} ps");
-        assert!(found.iter().all(|onset| onset.evidence.is_some_and(|evidence| evidence > 20.0)), "{method}");
-        if method != "richardson-lucy" {
-            assert!(found.len() <= truth.len() + 1, "{method}: {} onsets", found.len());
-            assert!((0.7..1.4).contains(&(stated / scatter)), "{method}: {stated} stated, {scatter} found");
+/// An onset, or a pulse of a method of comparison.
+struct Timed {
+    capture: (i32, i32),
+    time_ps: f64,
+    sd_ps: f64,
+    evidence: f64,
+}
+
+/// Pulses that a method has of a record without baseline in white noise, for a threshold of chi-square.
+type Method = fn(&sparse::Profile, &Response, f64) -> Pulses;
+
+const COMPARED: [(&str, Method); 3] = [
+    ("nnls", |record, response, evidence_min| {
+        let options = NnlsOptions { merge_steps: 1.5, ..NnlsOptions::default() };
+        nnls::fit(record, response, &options).pruned(record, response, evidence_min)
+    }),
+    ("pencil", |record, response, evidence_min| {
+        pencil::fit(record, response, &PencilOptions::default()).pruned(record, response, evidence_min)
+    }),
+    ("richardson-lucy", |record, response, _| {
+        let positive = richardson_lucy::positive(response, record.dt_ps);
+        let pulses = richardson_lucy::fit(record, &positive, &RichardsonLucyOptions::default());
+        pulses.with_covariance(record, response)
+    }),
+];
+
+/// The pulses of all profiles by a method of comparison. `raw` are the profiles in times of flight, as `deconvolve` with
+/// method `none` leaves them, `profiles` what they were made of.
+fn compared(method: Method, raw: &[Stir], profiles: &[Profile], calibration: &Calibration) -> Vec<Timed> {
+    let upwards: Vec<f64> = calibration.response.iter().map(|value| f64::from(*value)).collect();
+    let whole = Response::new(calibration.response_t0_ps, calibration.step_ps, &upwards);
+    let mut all = Vec::new();
+    for (stir, profile) in raw.iter().zip(profiles) {
+        assert_eq!((stir.lit, stir.seen), (profile.lit, profile.seen));
+        let phase_shots = profile.phase_shots.as_ref().unwrap();
+        let response = averaged_response(&whole, profile.dt_ps, phase_shots);
+        let samples: Vec<f64> = stir.profile.iter().map(|sample| f64::from(*sample)).collect();
+        let sd_v: Vec<f64> = profile.se_v.iter().map(|se| f64::from(*se)).collect();
+        let record =
+            sparse::Profile { mean_v: &samples, sd_v: &sd_v, acf: &[1.0], t0_ps: stir.t0_ps, dt_ps: stir.dt_ps };
+        let samples = baseline::remove(&record, &response);
+        let record = sparse::Profile { mean_v: &samples, ..record };
+        let pulses = method(&record, &response, sparse::evidence_min_of(&record, &response, 1e-4));
+        for (k, (_, evidence)) in pulses.judged(&record, &response).into_iter().enumerate() {
+            let sd_ps = pulses.time_sd_ps(k).map_or(f64::INFINITY, |sd_ps| sd_ps.hypot(stir.jitter_ps));
+            all.push(Timed { capture: (stir.lit, stir.seen), time_ps: pulses.times_ps[k], sd_ps, evidence });
         }
     }
+    all
+}
+
+/// 36 profiles of one pulse each, signal-to-noise ratios of the mean from 50 to 600.
+#[test]
+fn methods_of_comparison_find_the_onsets_that_sparse_finds() {
+    let lab = Lab::of(PHOTODIODE, 3, Format::Trc);
+    let truth: Vec<Onset> = lab.truth();
+    let best_ps = scatter_ps(&errors(&truth, &onsets(&lab, "sparse", &[])));
+    onsets(&lab, "raw", &["stir.method=none"]);
+    let (raw, profiles, calibration) =
+        (lab.rows("raw", "stir"), lab.rows("raw", "profiles"), lab.rows("raw", "calibration"));
+    for ((name, method), most) in COMPARED.into_iter().zip([1.15, 1.15, 8.0]) {
+        let pulses = compared(method, &raw, &profiles, &calibration[0]);
+        let errors = errors_of(&truth, &pulses);
+        let (scatter, stated) = (scatter_ps(&errors), rms(errors.iter().map(|(_, sd)| *sd)));
+        eprintln!(
+            "{name}: {} pulses, scatter {scatter:.2} ps of sparse's {best_ps:.2}, stated {stated:.2}",
+            pulses.len()
+        );
+        assert_eq!(errors.len(), truth.len(), "{name}");
+        assert!(scatter < most * best_ps, "{name}: {scatter} ps");
+        if name != "richardson-lucy" {
+            assert!(pulses.iter().all(|pulse| pulse.evidence > 20.0), "{name}");
+            assert!(pulses.len() <= truth.len() + 1, "{name}: {} pulses", pulses.len());
+            assert!((0.7..1.4).contains(&(stated / scatter)), "{name}: {stated} stated, {scatter} measured");
+        }
+    }
+}
+
+/// The same profiles, by the methods of `detect` that need no impulses.
+#[test]
+fn every_method_of_detect_finds_the_onsets() {
+    let lab = Lab::of(PHOTODIODE, 3, Format::Trc);
+    let truth: Vec<Onset> = lab.truth();
     for (method, most_ps) in
         [("leading-edge", 12.0), ("constant-fraction", 12.0), ("first-response", 60.0), ("aic", 60.0)]
     {

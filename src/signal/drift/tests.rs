@@ -80,7 +80,7 @@ fn the_banded_factor_is_that_of_the_dense_matrix() {
         row[0] += 1.3;
     }
     let dense = |i: usize, j: usize| if i.abs_diff(j) < 3 { matrix.rows[i.max(j)][i.abs_diff(j)] } else { 0.0 };
-    let dense = faer::Mat::from_fn(7, 7, dense);
+    let dense = nalgebra::SMatrix::<f64, 7, 7>::from_fn(dense);
     // Second differences of the unit vectors, multiplied out.
     assert!((dense[(3, 3)] - 1.3 - 6.0 * 4.0).abs() < 1e-12 && (dense[(0, 1)] + 2.0 * 4.0).abs() < 1e-12);
     let factor = matrix.factored();

@@ -131,21 +131,6 @@ fn noise_has_no_period_and_a_single_period_tells_none() {
 }
 
 #[test]
-fn circular_convolution_is_its_sum_and_the_response_wraps() {
-    let mut rng = ChaCha8Rng::seed_from_u64(6);
-    let response = Response::new(-100.0, 10.0, &(0..120).map(|i| f64::from(i % 17)).collect::<Vec<_>>());
-    let wrapped = wrapped_response(&response, 23.0, 31);
-    let naive = |b: i64| (-10..10).map(|r| response.value(23.0 * (b + 31 * r) as f64)).sum::<f64>();
-    assert!((0..31).all(|b| (wrapped[b as usize] - naive(b)).abs() < 1e-12));
-    let light: Vec<f64> = (0..31).map(|_| rng.random_range(0.0..1.0)).collect();
-    let out = convolve(&mut RealFft::new(), &light, &wrapped);
-    for n in 0..31 {
-        let expected: f64 = (0..31).map(|m| light[m] * wrapped[(n + 31 - m) % 31]).sum();
-        assert!((out[n] - expected).abs() < 1e-10);
-    }
-}
-
-#[test]
 fn a_circle_is_cut_open_in_the_middle_of_its_darkest_part() {
     let dark = |light: &[usize]| (0..20).map(|n| !light.contains(&n)).collect::<Vec<bool>>();
     assert_eq!(opening(&dark(&[4, 5, 12])), 18);

@@ -93,6 +93,18 @@ pub const MISTAKES: &[Mistake] = &[
         "[onsets]: params.threshold_sigma",
         "expected f64",
     ),
+    Mistake(
+        &[],
+        "run pipeline.toml --campaign campaign --out new --set stir.method=nnls",
+        "[stir]: params.method: `nnls` is no longer in the program",
+        "use `sparse`",
+    ),
+    Mistake(
+        &[],
+        "run pipeline.toml --campaign campaign --out new --set patches.method=smacof",
+        "`smacof` is no longer in the program",
+        "use `incremental`",
+    ),
     Mistake(&[], "inspect campaign", "campaign", "name the files in it, such as campaign/*"),
     Mistake(&[], "inspect scene.toml", "scene.toml", "see docs/formats.md"),
     // campaign.toml

@@ -1,12 +1,14 @@
 //! Landmark scaling: coordinates of many points from their distances to a few.
 //!
-//! Classical scaling of the landmarks alone, then every point by `z = -L# (delta - mean delta) / 2`, where `delta` are its squared distances to the landmarks and
-//! L# has the landmarks' eigenvectors over the roots of their eigenvalues as rows. O(L^3 + M L). Source: de Silva and Tenenbaum, Sparse multidimensional
-//! scaling using landmark points (2004); it is a Nystrom approximation (Platt, AISTATS 2005). All other distances go unused, so its error does not fall with M: a start.
+//! Classical scaling of the landmarks alone, then every point by `z = -L# (delta - mean delta) / 2`, where `delta` are
+//! its squared distances to the landmarks and L# has the landmarks' eigenvectors over the roots of their eigenvalues as
+//! rows. O(L^3 + M L). Source: de Silva and Tenenbaum, Sparse multidimensional scaling using landmark points (2004); it
+//! is a Nystrom approximation (Platt, AISTATS 2005). All other distances go unused, so its error does not fall with M:
+//! a start.
 
 use faer::Mat;
 
-use super::{Point, dense};
+use crate::{Point, dense};
 
 /// Landmarks among points 0..count, point 0 first, each as far as can be from those before it.
 ///
@@ -72,7 +74,8 @@ pub fn embed(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{procrustes, room};
+    use crate::room;
+    use periscope_geometry::{classical, procrustes};
 
     #[test]
     fn exact_distances_to_eight_landmarks_give_all_points_back() {
@@ -93,7 +96,7 @@ mod tests {
         let all: Vec<Point> = std::iter::once(Point::origin()).chain(truth.iter().copied()).collect();
         let wrong = |i: usize, j: usize| (all[i] - all[j]).norm() + 0.01 * ((i * j % 5) as f64 - 2.0);
         let distances = Mat::from_fn(all.len(), all.len(), |i, j| if i == j { 0.0 } else { wrong(i, j) });
-        let classical = crate::classical::embed(&distances, 3);
+        let classical = classical::embed(&distances, 3);
         let landmarks: Vec<usize> = (0..all.len()).collect();
         let found = embed(all.len(), &landmarks, |i, j| distances[(i, j)], 3);
         assert!(procrustes::rotation(&found, &classical, Point::origin(), true).rms_m < 1e-9);

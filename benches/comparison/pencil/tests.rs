@@ -99,3 +99,11 @@ fn noise_has_no_pulse_and_far_pulses_are_counted() {
     }
     assert!(false_pulses <= 1 && counted >= 97, "{false_pulses} false, {counted} right, of 100 each");
 }
+
+#[test]
+fn the_response_wraps_around_the_record() {
+    let response = Response::new(-100.0, 10.0, &(0..120).map(|i| f64::from(i % 17)).collect::<Vec<_>>());
+    let wrapped = wrapped_response(&response, 23.0, 31);
+    let naive = |b: i64| (-10..10).map(|r| response.value(23.0 * (b + 31 * r) as f64)).sum::<f64>();
+    assert!((0..31).all(|b| (wrapped[b as usize] - naive(b)).abs() < 1e-12));
+}

@@ -1,4 +1,5 @@
-//! Maximum likelihood of thousands of patches from first and second bounces, matrix-free: the memory is that of the input.
+//! Maximum likelihood of thousands of patches from first and second bounces, matrix-free: the memory is that of the
+//! input.
 //!
 //! Minimises, with p0 at the origin, over positions `z` and one delay `t`
 //!
@@ -6,26 +7,28 @@
 //! sum_i rho((l_i - 2 |z_i| - t) / s_i) + sum_ij rho((l_ij - |z_i| - |z_i - z_j| - |z_j| - t) / s_ij) + (t / s_t)^2
 //! ```
 //!
-//! with Huber's `rho` (3 standard deviations), from a start by landmark scaling, by Gauss-Newton. Each step solves its normal equations by conjugate
-//! gradients, preconditioned with the 3x3 blocks of the patches; a product of the normal matrix with a vector is one pass over all pairs, whose
-//! directions are computed anew. With all pairs measured these systems are well conditioned: some 20 passes in all, whatever the number
-//! of patches, and some 50 with a delay, which is eliminated first. Positions settle to 1 % of their standard deviation. Sources: Dembo, Eisenstat and Steihaug, SIAM J. Numer. Anal. 19, 400 (1982) for
-//! inexact Newton steps; de Silva and Tenenbaum ([`landmark`]).
+//! with Huber's `rho` (3 standard deviations), from a start by landmark scaling, by Gauss-Newton. Each step solves its
+//! normal equations by conjugate gradients, preconditioned with the 3x3 blocks of the patches; a product of the normal
+//! matrix with a vector is one pass over all pairs, whose directions are computed anew. With all pairs measured these
+//! systems are well conditioned: some 20 passes in all, whatever the number of patches, and some 50 with a delay, which
+//! is eliminated first. Positions settle to 1 % of their standard deviation. Sources: Dembo, Eisenstat and Steihaug,
+//! SIAM J. Numer. Anal. 19, 400 (1982) for inexact Newton steps; de Silva and Tenenbaum ([`landmark`]).
 //!
-//! Rows of pairs are cut into chunks by their number alone, and the chunks' sums are added in order: the same bits for any number of threads.
+//! Rows of pairs are cut into chunks by their number alone, and the chunks' sums are added in order: the same bits for
+//! any number of threads.
 //!
-//! Covariances are 3x3 blocks: the inverse of a patch's block of the normal matrix, as if all other patches were held, plus the share of the delay, which
-//! is exact, without rotations. With all pairs measured this is within 2 % of the exact standard deviation for 300 patches, and nearer for more; where many are missing
-//! it is too small.
+//! Covariances are 3x3 blocks: the inverse of a patch's block of the normal matrix, as if all other patches were held,
+//! plus the share of the delay, which is exact, without rotations. With all pairs measured this is within 2 % of the
+//! exact standard deviation for 300 patches, and nearer for more; where many are missing it is too small.
 //!
-//! Not modelled: several delays, separate source and sensor, anchors, patches without first bounce; for those and for exact covariances there is
-//! [`super::maximum_likelihood`].
+//! Not modelled: several delays, separate source and sensor, anchors, patches without first bounce; for those and for
+//! exact covariances there is [`periscope_geometry::maximum_likelihood`].
 
 mod passes;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Point, landmark};
+use crate::{Point, landmark};
 
 /// Standard deviations beyond which a residual counts linearly.
 const HUBER: f64 = 3.0;
@@ -40,7 +43,8 @@ const STEPS: usize = 30;
 const DIRECTIONS: usize = 100;
 /// A step's equations are solved to this share of their right-hand side.
 const SOLVED: f64 = 0.02;
-/// The same of the delay's: moving all patches outwards nearly makes up for a delay, and what remains of its stiffness is a small difference.
+/// The same of the delay's: moving all patches outwards nearly makes up for a delay, and what remains of its stiffness
+/// is a small difference.
 const SOLVED_DELAY: f64 = 1e-5;
 /// Chunks that the rows are cut into.
 const CHUNKS: usize = 32;
@@ -95,7 +99,8 @@ pub struct Solution {
 /// Positions of all patches; `None` if no minimum is reached.
 ///
 /// # Panics
-/// When the lengths are not those of all patches and pairs, a standard deviation is not positive, there are fewer than three patches, or `dimensions` is neither 2 nor 3.
+/// When the lengths are not those of all patches and pairs, a standard deviation is not positive, there are fewer than
+/// three patches, or `dimensions` is neither 2 nor 3.
 #[must_use]
 pub fn solve(lengths: &Lengths) -> Option<Solution> {
     let scene = Scene::new(lengths);
@@ -130,7 +135,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// What was measured. Vectors over unknowns hold x of all patches, then y, z, and the delay; each of the three is padded by `LANES`.
+/// What was measured. Vectors over unknowns hold x of all patches, then y, z, and the delay; each of the three is
+/// padded by `LANES`.
 struct Scene<'a> {
     lengths: &'a Lengths<'a>,
     count: usize,
@@ -232,8 +238,9 @@ impl<'a> Scene<'a> {
         Vector3::from_fn(|k, _| vector[k * self.stride + i])
     }
 
-    /// Solves the positions' part of the normal equations for a right-hand side, from a guess, by preconditioned conjugate gradients. Rotations, which
-    /// the equations leave open, stay as they are in the guess. Gives what is left of the right-hand side.
+    /// Solves the positions' part of the normal equations for a right-hand side, from a guess, by preconditioned
+    /// conjugate gradients. Rotations, which the equations leave open, stay as they are in the guess. Gives what is
+    /// left of the right-hand side.
     fn solve_positions(
         &self,
         place: &Place,
@@ -287,7 +294,8 @@ impl<'a> Scene<'a> {
         vector
     }
 
-    /// How positions answer to the delay: the solution for its column, improved from a guess, and what stiffness of the delay that leaves.
+    /// How positions answer to the delay: the solution for its column, improved from a guess, and what stiffness of the
+    /// delay that leaves.
     fn answer(&self, place: &Place, slope: &Slope, answer: &mut [f64], passes: &mut usize) -> f64 {
         let column = self.gather(|i| slope.coupling[i]);
         let left = self.solve_positions(place, slope, &column, SOLVED_DELAY, answer, passes);
@@ -356,7 +364,8 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// Inverse of a block; in flatland, which has no stiffness along z, and of a patch without pairs, in what directions it has.
+/// Inverse of a block; in flatland, which has no stiffness along z, and of a patch without pairs, in what directions it
+/// has.
 fn definite_inverse(block: &Matrix3<f64>) -> Matrix3<f64> {
     let eigen = block.symmetric_eigen();
     let floor = 1e-12 * eigen.eigenvalues.max();

@@ -1,19 +1,24 @@
-//! Richardson-Lucy deconvolution on a grid of arrivals: a method of comparison for [`super::sparse`].
+//! Richardson-Lucy deconvolution on a grid of arrivals: a method of comparison for [`periscope_signal::sparse`].
 //!
-//! `x <- x * H^T(y / H x) / H^T 1`, from a flat start: it raises the likelihood of Poisson counts at every step and keeps `x >= 0` and
-//! the light's sum. Sources: Richardson, J. Opt. Soc. Am. 62, 55 (1972); Lucy, Astron. J. 79, 745 (1974). Iterations end when the residual is
-//! what the noise is, `sum ((y - H x) / sd)^2 <= N` (Morozov's discrepancy principle): more of them fit the noise.
+//! `x <- x * H^T(y / H x) / H^T 1`, from a flat start: it raises the likelihood of Poisson counts at every step and
+//! keeps `x >= 0` and the light's sum. Sources: Richardson, J. Opt. Soc. Am. 62, 55 (1972); Lucy, Astron. J. 79, 745
+//! (1974). Iterations end when the residual is what the noise is, `sum ((y - H x) / sd)^2 <= N` (Morozov's discrepancy
+//! principle): more of them fit the noise.
 //!
-//! Good for a look at what light there may be. As a timer it is biased by picoseconds at any SNR, since pulses stay blurred into one another, and
-//! in strong noise it splits them. Not modelled: noise that is not Poisson (negative samples are set to 0), a baseline, correlated noise.
+//! Good for a look at what light there may be. As a timer it is biased by picoseconds at any SNR, since pulses stay
+//! blurred into one another, and in strong noise it splits them. Not modelled: noise that is not Poisson (negative
+//! samples are set to 0), a baseline, correlated noise.
 
-use super::dictionary::Dictionary;
-use super::pulses::Pulses;
-use super::response::Response;
-use super::sparse::Profile;
+use periscope_signal::response::Response;
+use periscope_signal::sparse::Profile;
+
+use crate::dictionary::Dictionary;
+use crate::pulses::Pulses;
 
 /// Grid step in widths of the response where none is given.
 const STEP_WIDTHS: f64 = 0.04;
+/// Steps of a response without negative parts in a sample: fine enough for linear interpolation.
+const POSITIVE_STEPS: f64 = 16.0;
 
 /// What is asked of a deconvolution.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,10 +52,24 @@ pub struct Light {
     pub iterations: usize,
 }
 
+/// The response without the ringing below zero that averaging gives it, for [`deconvolve`] and [`fit`].
+///
+/// # Panics
+/// If `dt_ps` is not positive.
+#[must_use]
+pub fn positive(response: &Response, dt_ps: f64) -> Response {
+    let (first_ps, last_ps) = response.support_ps();
+    let step_ps = dt_ps / POSITIVE_STEPS;
+    let count = ((last_ps - first_ps) / step_ps).floor().max(1.0) as usize + 1;
+    let value = |i: usize| response.value(first_ps + i as f64 * step_ps).max(0.0);
+    Response::new(first_ps, step_ps, &(0..count).map(value).collect::<Vec<_>>())
+}
+
 /// Light of `profile`, whose baseline is removed.
 ///
 /// # Panics
-/// If the profile is empty, its slices differ in length, an sd is not positive, a step is not positive, or the response is negative somewhere.
+/// If the profile is empty, its slices differ in length, an sd is not positive, a step is not positive, or the response
+/// is negative somewhere.
 #[must_use]
 pub fn deconvolve(profile: &Profile, response: &Response, options: &RichardsonLucyOptions) -> Light {
     let dictionary = dictionary(profile, response, options);
@@ -80,7 +99,8 @@ pub fn deconvolve(profile: &Profile, response: &Response, options: &RichardsonLu
     Light { start_ps: dictionary.time_ps(0.0), step_ps: dictionary.step_ps(), values, iterations }
 }
 
-/// Pulses of `profile`, whose baseline is removed: the light between two of its minima, at its centroid. The method has no covariance.
+/// Pulses of `profile`, whose baseline is removed: the light between two of its minima, at its centroid. The method has
+/// no covariance.
 ///
 /// # Panics
 /// As [`deconvolve`].
@@ -171,7 +191,8 @@ mod tests {
 
     #[test]
     fn far_pulses_are_found_with_their_amplitudes_and_iterations_end_at_the_noise() {
-        // No noise but its claim: the residual falls below it after few iterations, the more of them the less noise is claimed.
+        // No noise but its claim: the residual falls below it after few iterations, the more of them the less noise is
+        // claimed.
         let y: Vec<f64> = (0..120)
             .map(|n| gaussian(50.0 * f64::from(n) - 2013.0) + 0.3 * gaussian(50.0 * f64::from(n) - 3477.0))
             .collect();

@@ -1,4 +1,5 @@
-//! Passes over all pairs: the objective with its slope, and the normal matrix times a vector, eight pairs at once, in chunks of rows that the data define.
+//! Passes over all pairs: the objective with its slope, and the normal matrix times a vector, eight pairs at once, in
+//! chunks of rows that the data define.
 
 use std::ops::Range;
 

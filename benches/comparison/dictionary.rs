@@ -1,11 +1,13 @@
 //! A record as a sum of pulses on a fine grid of arrival times: the matrix `H` and its products.
 //!
-//! Column `j` is the response at grid time `j`, each sample times its weight. A column is as long as the response, so the matrix is banded and a
-//! product costs grid points times samples of the response. With weights `1 / sd` of the samples, `y - H x` is the whitened residual.
+//! Column `j` is the response at grid time `j`, each sample times its weight. A column is as long as the response, so
+//! the matrix is banded and a product costs grid points times samples of the response. With weights `1 / sd` of the
+//! samples, `y - H x` is the whitened residual.
 
-use super::response::Response;
-use super::sparse::Profile;
 use std::ops::Range;
+
+use periscope_signal::response::Response;
+use periscope_signal::sparse::Profile;
 
 /// The matrix `H` of a grid of arrivals.
 #[derive(Clone, Debug)]
@@ -25,7 +27,8 @@ struct Column {
 }
 
 impl Dictionary {
-    /// Arrivals every `step_ps` whose maximum lies inside the record; `weights` are factors of the samples, 0 for one to be ignored.
+    /// Arrivals every `step_ps` whose maximum lies inside the record; `weights` are factors of the samples, 0 for one
+    /// to be ignored.
     ///
     /// # Panics
     /// If the profile is empty, there is not a weight for each sample, or a step is not positive.
@@ -72,7 +75,8 @@ impl Dictionary {
         self.start_ps + place * self.step_ps
     }
 
-    /// Norm of column `j`: a pulse of amplitude `a` there has the matched filter's signal-to-noise ratio `a` times this.
+    /// Norm of column `j`: a pulse of amplitude `a` there has the matched filter's signal-to-noise ratio `a` times
+    /// this.
     #[must_use]
     pub fn norm(&self, j: usize) -> f64 {
         self.columns[j].norm

@@ -1,5 +1,6 @@
 use super::*;
-use crate::{maximum_likelihood as exact, procrustes, room};
+use crate::room;
+use periscope_geometry::{maximum_likelihood as exact, procrustes};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

@@ -6,17 +6,19 @@
 //! sum_ij w_ij (G_ii - 2 G_ij + G_jj - d_ij^2)^2 / 2        G positive semidefinite
 //! ```
 //!
-//! with G_00 = 0 and `w` the weights of the distances carried over to their squares, and takes the directions of the largest eigenvalues. The rank, which should be that of
-//! space, is let go; that makes it convex. Sources: the paper's reference 22; Alfakih, Khandani and Wolkowicz, Comput. Optim. Appl. 12, 13
-//! (1999) for the completion of distance matrices. Solved by projected gradients with momentum that restarts when it overshoots (Beck and Teboulle, SIAM J. Imaging
-//! Sci. 2, 183 (2009); O'Donoghue and Candes, Found. Comput. Math. 15, 715 (2015)): an eigenproblem a round, hence for up to 60 patches.
+//! with G_00 = 0 and `w` the weights of the distances carried over to their squares, and takes the directions of the
+//! largest eigenvalues. The rank, which should be that of space, is let go; that makes it convex. Sources: the paper's
+//! reference 22; Alfakih, Khandani and Wolkowicz, Comput. Optim. Appl. 12, 13 (1999) for the completion of distance
+//! matrices. Solved by projected gradients with momentum that restarts when it overshoots (Beck and Teboulle, SIAM J.
+//! Imaging Sci. 2, 183 (2009); O'Donoghue and Candes, Found. Comput. Math. 15, 715 (2015)): an eigenproblem a round,
+//! hence for up to 60 patches.
 //!
-//! Measured with all pairs (docs/geometry.md): more than 100 times slower than SMACOF from classical scaling and no more exact, since noise fills the directions
-//! that space does not have.
+//! Measured with all pairs (docs/geometry.md): more than 100 times slower than SMACOF from classical scaling and no
+//! more exact, since noise fills the directions that space does not have.
 
 use faer::Mat;
 
-use super::{Point, dense};
+use crate::{Point, dense};
 
 /// Most rounds.
 const ROUNDS: usize = 2000;
@@ -25,7 +27,8 @@ const SETTLED: f64 = 1e-7;
 /// Squared distances below this share of their mean weigh as if they were it.
 const SHORT: f64 = 0.01;
 
-/// Points of patches 1..M, p0 at the origin, from distances and weights (0: not measured) over p0..pM; the frame is arbitrary.
+/// Points of patches 1..M, p0 at the origin, from distances and weights (0: not measured) over p0..pM; the frame is
+/// arbitrary.
 ///
 /// # Panics
 /// When the matrices are not square and of one size, or `dimensions` is neither 2 nor 3.
@@ -146,7 +149,8 @@ impl Problem {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{procrustes, room};
+    use crate::room;
+    use periscope_geometry::procrustes;
 
     #[test]
     fn exact_distances_give_the_points_back_though_some_are_missing() {

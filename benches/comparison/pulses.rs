@@ -1,14 +1,14 @@
-//! Pulses as the methods of comparison give them, and their refinement by least squares.
+//! Pulses as `nnls`, `pencil` and `richardson_lucy` return them, and their refinement by least squares.
 //!
-//! `nnls`, `pencil` and `richardson_lucy` stand beside [`super::sparse`] for comparison: same profile, same response, another idea of
-//! what to make of them. They take a profile without a baseline.
+//! They take the profile and the response that [`periscope_signal::sparse`] takes, but without a baseline.
 //!
-//! Refinement: Gauss-Newton on times and amplitudes, `J = [h(t - t_k), -a_k h'(t - t_k)]`, with the step halved until chi2 falls. The number
-//! of pulses stays. From a start near the optimum it ends at the maximum of the likelihood, whose covariance is `(J^T W J)^-1`.
+//! Refinement: Gauss-Newton on times and amplitudes, `J = [h(t - t_k), -a_k h'(t - t_k)]`, with the step halved until
+//! chi2 falls. The number of pulses stays. From a start near the optimum it ends at the maximum of the likelihood,
+//! whose covariance is `(J^T W J)^-1`.
 
-use super::regression::{Regression, least_squares};
-use super::response::Response;
-use super::sparse::Profile;
+use periscope_signal::regression::{Regression, least_squares};
+use periscope_signal::response::Response;
+use periscope_signal::sparse::Profile;
 
 /// Gauss-Newton steps after which a refinement ends.
 const STEPS: usize = 40;
@@ -19,8 +19,8 @@ const HALVINGS: usize = 12;
 /// A drop of chi2 below this ends the refinement.
 const PROMISE: f64 = 1e-6;
 
-/// A pulse whose amplitude is worth this many times the evidence asked for, to first order, is not tried without. (Its neighbours
-/// fitted again would make up for a part of it.)
+/// A pulse whose amplitude is worth this many times the evidence asked for, to first order, is not tried without. (Its
+/// neighbours fitted again would make up for a part of it.)
 const WALD: f64 = 4.0;
 
 /// Pulses of a profile by rising time.
@@ -37,8 +37,8 @@ pub struct Pulses {
 }
 
 impl Pulses {
-    /// Pulses at `times_ps`, sorted, their amplitudes by least squares without a bound; `covariance_ps2` is left empty. `None` if two pulses
-    /// cannot be told apart.
+    /// Pulses at `times_ps`, sorted, their amplitudes by least squares without a bound; `covariance_ps2` is left empty.
+    /// `None` if two pulses cannot be told apart.
     #[must_use]
     pub fn at(profile: &Profile, response: &Response, mut times_ps: Vec<f64>) -> Option<Self> {
         times_ps.sort_by(f64::total_cmp);
@@ -98,8 +98,9 @@ impl Pulses {
         Self { covariance_ps2, ..self }
     }
 
-    /// Of each pulse, the standard deviation of its amplitude (V) in the least-squares fit at these pulses, and its evidence: by how much chi2 rises
-    /// without it when the others are fitted again. Where two pulses cannot be told apart, each has the standard deviation that it would have alone.
+    /// Of each pulse, the standard deviation of its amplitude (V) in the least-squares fit at these pulses, and its
+    /// evidence: by how much chi2 rises without it when the others are fitted again. Where two pulses cannot be told
+    /// apart, each has the standard deviation that it would have alone.
     #[must_use]
     pub fn judged(&self, profile: &Profile, response: &Response) -> Vec<(f64, f64)> {
         let fit = self.linearised(profile, response);
@@ -126,7 +127,8 @@ impl Pulses {
         Self { times_ps, amplitudes_v, covariance_ps2: None, chi2: self.chi2 }
     }
 
-    /// The least-squares fit next to these pulses, with its covariance. `None` if two pulses coincide or an amplitude is not positive.
+    /// The least-squares fit next to these pulses, with its covariance. `None` if two pulses coincide or an amplitude
+    /// is not positive.
     #[must_use]
     pub fn refined(self, profile: &Profile, response: &Response) -> Option<Self> {
         if self.times_ps.is_empty() {
@@ -146,8 +148,9 @@ impl Pulses {
         Some(best.with_covariance(profile, response)).filter(|best| positive && best.covariance_ps2.is_some())
     }
 
-    /// Refined pulses with those taken out, or merged with their neighbour, whose loss raises chi2 by less than `evidence_min`, the least first.
-    /// Where [`Pulses::refined`] finds no fit, the two nearest pulses are merged first.
+    /// Refined pulses with those taken out, or merged with their neighbour, whose loss raises chi2 by less than
+    /// `evidence_min`, the least first. Where [`Pulses::refined`] finds no fit, the two nearest pulses are merged
+    /// first.
     #[must_use]
     pub fn pruned(mut self, profile: &Profile, response: &Response, evidence_min: f64) -> Self {
         let mut best = loop {
@@ -169,8 +172,8 @@ impl Pulses {
         }
     }
 
-    /// Times without each of the pulses whose amplitude, squared over its variance, is below `evidence_max`, and with each two neighbours within
-    /// a width of the response at their centroid.
+    /// Times without each of the pulses whose amplitude, squared over its variance, is below `evidence_max`, and with
+    /// each two neighbours within a width of the response at their centroid.
     fn with_one_less(&self, profile: &Profile, response: &Response, evidence_max: f64) -> Vec<Vec<f64>> {
         let count = self.times_ps.len();
         let fit = self.linearised(profile, response);

@@ -1,22 +1,26 @@
-//! Non-negative least squares on a grid of arrivals: a method of comparison for [`super::sparse`].
+//! Non-negative least squares on a grid of arrivals: a method of comparison for [`periscope_signal::sparse`].
 //!
-//! Minimises `|| (y - H x) / sd ||^2` over `x >= 0`, by the active set of Lawson and Hanson, *Solving Least Squares Problems*, chapter 23.
-//! Pulses farther apart than the response is long do not meet in the normal matrix, so one round frees many arrivals, one in each
-//! neighbourhood, and the Cholesky factor of the free arrivals, in order of time, keeps the band of the matrix: rows before the first change
-//! stay. A pulse between two grid points becomes two neighbouring atoms: atoms are merged to their centroid, and weak ones dropped.
+//! Minimises `|| (y - H x) / sd ||^2` over `x >= 0`, by the active set of Lawson and Hanson, *Solving Least Squares
+//! Problems*, chapter 23. Pulses farther apart than the response is long do not meet in the normal matrix, so one round
+//! frees many arrivals, one in each neighbourhood, and the Cholesky factor of the free arrivals, in order of time,
+//! keeps the band of the matrix: rows before the first change stay. A pulse between two grid points becomes two
+//! neighbouring atoms: atoms are merged to their centroid, and weak ones dropped.
 //!
-//! Needs neither a start nor a number of pulses. What it does worse than `sparse`: pulses closer than a few grid steps merge, and noise
-//! splits a strong pulse where `sparse` asks for evidence ([`Pulses::pruned`] makes up for the second). A grid finer than a quarter of a
-//! Gaussian response's sd is rank deficient to working precision. Not modelled: a baseline, correlated noise, an inexact response.
+//! Needs neither a start nor a number of pulses. What it does worse than `sparse`: pulses closer than a few grid steps
+//! merge, and noise splits a strong pulse where `sparse` asks for evidence ([`Pulses::pruned`] makes up for the
+//! second). A grid finer than a quarter of a Gaussian response's sd is rank deficient to working precision. Not
+//! modelled: a baseline, correlated noise, an inexact response.
 
-use super::dictionary::Dictionary;
-use super::pulses::Pulses;
-use super::response::Response;
-use super::sparse::Profile;
+use periscope_signal::response::Response;
+use periscope_signal::sparse::Profile;
+
+use crate::dictionary::Dictionary;
+use crate::pulses::Pulses;
 
 /// Grid step in widths of the response where none is given: a quarter of a Gaussian's sd.
 const STEP_WIDTHS: f64 = 0.1;
-/// An arrival is freed when its residual in the matched filter exceeds this many of its standard deviations: less is not worth a round.
+/// An arrival is freed when its residual in the matched filter exceeds this many of its standard deviations: less is
+/// not worth a round.
 const RESIDUAL_MIN: f64 = 1e-3;
 /// Pivots below this part of their diagonal element count as singular.
 const SINGULAR: f64 = 1e-12;
@@ -28,7 +32,8 @@ const ROUNDS: usize = 1000;
 pub struct NnlsOptions {
     /// Grid step, ps; `None` for a tenth of the response's width.
     pub step_ps: Option<f64>,
-    /// Atoms at most this many grid steps apart are one pulse. 1.5 leaves closer pairs to [`Pulses::pruned`], which mends what is split.
+    /// Atoms at most this many grid steps apart are one pulse. 1.5 leaves closer pairs to [`Pulses::pruned`], which
+    /// mends what is split.
     pub merge_steps: f64,
     /// Pulses with a smaller amplitude over `sd / ||h||` are dropped.
     pub snr_min: f64,
@@ -140,8 +145,9 @@ impl Search<'_> {
         candidates
     }
 
-    /// Frees the arrivals `added` and moves to the least squares on the free ones, binding again those that would turn negative. The
-    /// objective falls: on the way to the trial it does, and at least one new arrival has a positive trial (its descent is).
+    /// Frees the arrivals `added` and moves to the least squares on the free ones, binding again those that would turn
+    /// negative. The objective falls: on the way to the trial it does, and at least one new arrival has a positive
+    /// trial (its descent is).
     fn release(&mut self, added: &[usize]) {
         self.free.extend(added);
         self.free.sort_unstable();

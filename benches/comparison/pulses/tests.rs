@@ -1,5 +1,6 @@
-//! Two equal pulses closer than their response is wide: cells of a table that an independent prototype measured (150 draws a cell; response
-//! Gaussian, 250 ps wide; sampled every 50 ps). Success is two pulses, each within half the distance of its place.
+//! Two equal pulses closer than their response is wide: cells of a table that an independent prototype measured (150
+//! draws a cell; response Gaussian, 250 ps wide; sampled every 50 ps). Success is two pulses, each within half the
+//! distance of its place.
 
 use super::*;
 use crate::nnls::{self, NnlsOptions};
@@ -16,7 +17,8 @@ fn gaussian(t_ps: f64) -> f64 {
     (-0.5 * (t_ps / 106.165_225).powi(2)).exp()
 }
 
-/// Share of successes; among them rms error and bias of the first time, ps, and the rms of the error over the sd stated.
+/// Share of successes; among them rms error and bias of the first time, ps, and the rms of the error over the sd
+/// stated.
 struct Cell {
     separated: f64,
     rms_ps: f64,
@@ -63,7 +65,8 @@ fn cell(draws: usize, snr: f64, distance_ps: f64, method: impl Fn(&Profile, &Res
     }
 }
 
-/// Half widths of 99 % intervals of a difference between two measurements of 150 draws each, binomial, and of a ratio of rms values.
+/// Half widths of 99 % intervals of a difference between two measurements of 150 draws each, binomial, and of a ratio
+/// of rms values.
 fn agree(cell: &Cell, separated: f64, rms_ps: f64, name: &str) {
     let variance = 2.0 * separated.mul_add(1.0 - separated, 0.005) / 150.0;
     assert!((cell.separated - separated).abs() < 2.6 * variance.sqrt(), "{name}: P {} {separated}", cell.separated);
@@ -114,7 +117,8 @@ fn non_negative_least_squares_pruned_is_the_greedy_search() {
     }
 }
 
-/// How often it separates depends on when it stops, which the table does not say; that it never does below 100 ps, and its bias, do not.
+/// How often it separates depends on when it stops, which the table does not say; that it never does below 100 ps, and
+/// its bias, do not.
 #[test]
 fn richardson_lucy_is_biased_and_never_separates_close_pairs() {
     let options = RichardsonLucyOptions::default();

@@ -1,24 +1,27 @@
-//! Times of pulses as poles of a spectrum: a method of comparison for [`super::sparse`].
+//! Times of pulses as poles of a spectrum: a method of comparison for [`periscope_signal::sparse`].
 //!
-//! In the band where the response is above the noise, `S_k = Y_k / H_k = sum_j a_j z_j^k` with `z_j = exp(-2 pi i (t_j - t0) / (N dt))`: a sum of
-//! exponentials. Its Hankel matrix has rank K, and the rotation between the signal space's rows and the same rows one further has the poles as
-//! eigenvalues (ESPRIT). Sources: Roy and Kailath, IEEE Trans. Acoust. Speech Signal Process. 37, 984 (1989); Hua and Sarkar, ibid. 38, 814
-//! (1990); for pulses, Vetterli, Marziliano and Blu, IEEE Trans. Signal Process. 50, 1417 (2002).
+//! In the band where the response is above the noise, `S_k = Y_k / H_k = sum_j a_j z_j^k` with
+//! `z_j = exp(-2 pi i (t_j - t0) / (N dt))`: a sum of exponentials. Its Hankel matrix has rank K, and the rotation
+//! between the signal space's rows and the same rows one further has the poles as eigenvalues (ESPRIT). Sources: Roy
+//! and Kailath, IEEE Trans. Acoust. Speech Signal Process. 37, 984 (1989); Hua and Sarkar, ibid. 38, 814 (1990); for
+//! pulses, Vetterli, Marziliano and Blu, IEEE Trans. Signal Process. 50, 1417 (2002).
 //!
-//! It needs no start and no iteration. Every bin weighs the same although the quotient's noise grows as the response falls, so times scatter
-//! by 2 to 8 times the Cramer-Rao bound; [`Pulses::refined`] makes up for it. Not modelled: a response with power beyond half the sample rate, a
-//! baseline, samples to be ignored, noise correlated between samples; records are circular.
+//! It needs no start and no iteration. Every bin weighs the same although the quotient's noise grows as the response
+//! falls, so times scatter by 2 to 8 times the Cramer-Rao bound; [`Pulses::refined`] makes up for it. Not modelled: a
+//! response with power beyond half the sample rate, a baseline, samples to be ignored, noise correlated between
+//! samples; records are circular.
 
-use super::fft::{Complex, RealFft};
-use super::fold::wrapped_response;
-use super::pulses::Pulses;
-use super::response::Response;
-use super::sparse::Profile;
+use std::f64::consts::TAU;
+
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::{evd, svd};
 use faer::{Mat, Par, Spec, c64};
-use std::f64::consts::TAU;
+use periscope_signal::fft::{Complex, RealFft};
+use periscope_signal::response::Response;
+use periscope_signal::sparse::Profile;
+
+use crate::pulses::Pulses;
 
 /// A bin is used while the noise of its quotient is below this share of the light's sum.
 const NOISE_SHARE: f64 = 0.3;
@@ -42,8 +45,8 @@ impl Default for PencilOptions {
     }
 }
 
-/// Pulses of `profile`, whose baseline is removed, with amplitudes by least squares and the covariance of the times to first order in the noise.
-/// Fewer than asked for if the band is too narrow; none if two of them cannot be told apart.
+/// Pulses of `profile`, whose baseline is removed, with amplitudes by least squares and the covariance of the times to
+/// first order in the noise. Fewer than asked for if the band is too narrow; none if two of them cannot be told apart.
 ///
 /// # Panics
 /// If the profile is empty, its slices differ in length, an sd is not positive and finite, or a step is not positive.
@@ -121,8 +124,9 @@ impl Band {
         (reach > 0).then_some(Self { reach, quotient, gain, noise })
     }
 
-    /// What the largest singular value of a Hankel matrix of noise exceeds with a chance of [`FALSE_PULSES`] at most: it is bounded by the
-    /// largest of the Fourier sums of the noise, each of exponential power with mean `sum_m var_m`.
+    /// What the largest singular value of a Hankel matrix of noise exceeds with a chance of [`FALSE_PULSES`] at most:
+    /// it is bounded by the largest of the Fourier sums of the noise, each of exponential power with mean
+    /// `sum_m var_m`.
     fn noise_norm(&self) -> f64 {
         let total: f64 = self.bins().map(|k| self.noise / self.gain[k].norm_sqr()).sum();
         (total * (self.quotient.len() as f64 / FALSE_PULSES).ln()).sqrt()
@@ -133,8 +137,8 @@ impl Band {
         (-reach..=reach).map(|k| k.unsigned_abs() as usize)
     }
 
-    /// How much each sample of the record moves the time of a pole, to first order: `dz = alpha^T dS beta` over the Hankel matrix `dS`, and
-    /// `dS_k` is the transform of the samples' errors over `H_k`.
+    /// How much each sample of the record moves the time of a pole, to first order: `dz = alpha^T dS beta` over the
+    /// Hankel matrix `dS`, and `dS_k` is the transform of the samples' errors over `H_k`.
     fn influence(&self, fft: &mut RealFft, pole: &Pole, len: usize, period_ps: f64) -> Vec<f64> {
         let bins = self.quotient.len();
         let mut factors = vec![c64::new(0.0, 0.0); bins];
@@ -148,7 +152,8 @@ impl Band {
             let gain = self.gain[m.abs_diff(self.reach)];
             *factor /= pole.value * if m < self.reach { gain.conj() } else { gain };
         }
-        // Im(sum_k f_k exp(-i k w)), with the terms of k and -k taken together, as a real series in cos(k w) and sin(k w).
+        // Im(sum_k f_k exp(-i k w)), with the terms of k and -k taken together, as a real series in cos(k w) and sin(k
+        // w).
         let scale = -period_ps / TAU * len as f64;
         let mut series = vec![Complex::default(); self.gain.len()];
         series[0] = Complex::new(scale * factors[self.reach].im, 0.0);
@@ -179,8 +184,8 @@ struct Pole {
 impl SignalSpace {
     /// Eigenvalues of the rotation `F = U1^+ U2`, U1 and U2 the left space without its last and its first row.
     ///
-    /// With `y`, `x` the left and right eigenvectors, `dz = y^H U1^+ (dU2 - z dU1) x`, and `dU = (1 - U U^H) dX V / s`; the projector drops, since
-    /// `U1^+ (U2 - z U1) = F - z` and `y^H (F - z) = 0`.
+    /// With `y`, `x` the left and right eigenvectors, `dz = y^H U1^+ (dU2 - z dU1) x`, and `dU = (1 - U U^H) dX V / s`;
+    /// the projector drops, since `U1^+ (U2 - z U1) = F - z` and `y^H (F - z) = 0`.
     fn poles(&self) -> Vec<Pole> {
         let (rows, count) = (self.left.nrows(), self.left.ncols());
         let pseudo_inverse = pseudo_inverse(&self.left);
@@ -207,8 +212,8 @@ impl SignalSpace {
     }
 }
 
-/// Pseudo-inverse of the rows but the last of orthonormal columns U: `U1^H U1 = 1 - v v^H`, with `v^H` the last row, is inverted by Sherman and
-/// Morrison.
+/// Pseudo-inverse of the rows but the last of orthonormal columns U: `U1^H U1 = 1 - v v^H`, with `v^H` the last row, is
+/// inverted by Sherman and Morrison.
 fn pseudo_inverse(columns: &Mat<c64>) -> Mat<c64> {
     let (last, count) = (columns.nrows() - 1, columns.ncols());
     let lost: f64 = (0..count).map(|k| columns[(last, k)].norm_sqr()).sum();
@@ -218,7 +223,23 @@ fn pseudo_inverse(columns: &Mat<c64>) -> Mat<c64> {
     })
 }
 
-/// Left singular vectors, singular values and right singular vectors, on one thread: faer's sums depend on how many share them.
+/// The response at the samples of a circular record of `len` samples every `step_ps`, sample 0 at the arrival: what precedes the arrival, or
+/// exceeds a period, wraps around.
+///
+/// # Panics
+/// If `len` is 0 or `step_ps` not positive.
+fn wrapped_response(response: &Response, step_ps: f64, len: usize) -> Vec<f64> {
+    assert!(len > 0 && step_ps > 0.0, "a record has samples and a step");
+    let (first_ps, last_ps) = response.support_ps();
+    let mut wrapped = vec![0.0; len];
+    for n in (first_ps / step_ps).ceil() as i64..=(last_ps / step_ps).floor() as i64 {
+        wrapped[n.rem_euclid(len as i64) as usize] += response.value(n as f64 * step_ps);
+    }
+    wrapped
+}
+
+/// Left singular vectors, singular values and right singular vectors, on one thread: faer's sums depend on how many
+/// share them.
 fn singular_triplets(matrix: &Mat<c64>) -> (Mat<c64>, Vec<f64>, Mat<c64>) {
     let (rows, columns) = (matrix.nrows(), matrix.ncols());
     let size = rows.min(columns);
