@@ -5,7 +5,7 @@
 //! - [`units`] turns times into lengths, and is the only place that does; [`store`] keeps tables on disk under the lineage that made them.
 //! - [`path`] is a path of light over patches; [`campaign`] what was captured, and in which files; [`waveform`] one record of an oscilloscope.
 //! - [`signal`] and [`geometry`] are pure kernels: samples, matrices and points in, values out. [`tables`] declares each kind of row once;
-//!   [`formats`] reads scope files.
+//!   [`formats`] reads scope files; [`parameter`] holds the types of stage parameters.
 //! - [`priors`] is what is known before a solve: calibration, drift, delays, covariances and footprints of patches, and what campaign.toml says.
 //! - [`stages`] are the verbs: each takes rows of one table, gives rows of another, and knows neither files nor threads. [`simulate`] makes
 //!   campaigns whose truth is known, and shares no code with them.
@@ -32,6 +32,7 @@ pub mod exchange;
 #[cfg(doc)]
 pub mod guide;
 pub mod history;
+pub mod parameter;
 pub mod pipeline;
 pub mod priors;
 pub mod report;

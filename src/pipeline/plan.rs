@@ -123,7 +123,7 @@ impl<'a> Plan<'a> {
     /// Of sources that are surveyed, and tables that are `given`: lineages of their parts by step.
     ///
     /// # Errors
-    /// When the shelf cannot be read.
+    /// When the shelf cannot be read, or a campaign field is not finite.
     pub(super) fn of(
         spec: &'a Spec,
         campaigns: &'a [Campaign],
@@ -134,7 +134,7 @@ impl<'a> Plan<'a> {
     ) -> Result<Self, StoreError> {
         let mut ids: Vec<StageId> = Vec::new();
         for i in 0..spec.steps.len() {
-            let id = stage_id(spec, i, campaigns, &ids);
+            let id = stage_id(spec, i, campaigns, &ids)?;
             ids.push(id);
         }
         let tables = ids.into_iter().map(|id| Planned {

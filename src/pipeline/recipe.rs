@@ -10,10 +10,14 @@ use super::spec::Spec;
 use crate::campaign::Campaign;
 use crate::stages::Node;
 use crate::stages::operator::WrittenTable;
+use crate::store::finite::NotJson;
 use crate::store::{Digest, StageId, lineage};
 
 /// What makes the table of step `i`; `earlier` are those of the steps before it.
-pub(super) fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) -> StageId {
+///
+/// # Errors
+/// When a parameter or a campaign field is not finite.
+pub(super) fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &[StageId]) -> Result<StageId, NotJson> {
     let step = &spec.steps[i];
     let recipe = |heading: &str| {
         let (step, table) = spec.table(heading).expect("the pipeline was checked");
@@ -22,25 +26,24 @@ pub(super) fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &
     let mut inputs: BTreeMap<String, Digest> =
         step.with.iter().map(|(name, heading)| (name.clone(), recipe(heading))).collect();
     inputs.extend(step.from.as_deref().map(|heading| ("from".to_owned(), recipe(heading))));
-    let (version, params, fields, arithmetic) = match &step.node {
-        Node::Source(source) => (source.version(), source.params(), source.fields(campaigns), arithmetic::COPIED),
-        Node::Operator(operator) => {
-            (operator.version(), operator.params(), operator.fields(campaigns), arithmetic::of_this_cpu())
-        }
+    let arithmetic = match &step.node {
+        Node::Source(_) => arithmetic::COPIED,
+        Node::Operator(_) => arithmetic::of_this_cpu(),
     };
+    let at = |fault: NotJson| fault.below(format!("[{}]", step.heading));
     let columns = |table: &WrittenTable| {
         json!([table.name, table.schema.fields().iter().map(|field| signature(field)).collect::<Vec<_>>()])
     };
     let schemas: Vec<Value> = step.node.tables().iter().map(columns).collect();
-    StageId {
+    Ok(StageId {
         kind: step.node.kind().to_owned(),
-        version,
-        params,
-        fields,
+        version: step.node.version(),
+        params: step.node.params().map_err(at)?,
+        fields: step.node.fields(campaigns).map_err(at)?,
         schemas: Digest::of(&Value::Array(schemas)),
         arithmetic: arithmetic.to_owned(),
         inputs,
-    }
+    })
 }
 
 /// Name, type and nullability of a column, without its prose.
@@ -52,3 +55,6 @@ fn signature(field: &Field) -> Value {
     };
     json!([field.name(), field.is_nullable(), inner])
 }
+
+#[cfg(test)]
+mod tests;

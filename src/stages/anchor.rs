@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::operator::WrittenTable;
 use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
@@ -20,6 +20,7 @@ use super::stage::StageError;
 use crate::campaign::Campaign;
 use crate::campaign::keys::{self, PatchRole};
 use crate::store::Digest;
+use crate::store::finite::{self, NotJson};
 use crate::tables::{Patch, Row};
 use crate::units::PatchId;
 
@@ -38,11 +39,11 @@ impl Source for AnchorPatches {
     fn version(&self) -> u32 {
         1
     }
-    fn params(&self) -> Value {
-        json!({})
+    fn params(&self) -> Result<Value, NotJson> {
+        finite::to_json(self)
     }
-    fn fields(&self, campaigns: &[Campaign]) -> Value {
-        json!(campaigns.first().map(anchors))
+    fn fields(&self, campaigns: &[Campaign]) -> Result<Value, NotJson> {
+        finite::to_json(&campaigns.first().map(anchors))
     }
     fn table(&self) -> WrittenTable {
         WrittenTable { name: Patch::TABLE.to_owned(), schema: Patch::schema() }
@@ -60,7 +61,8 @@ impl Source for AnchorPatches {
             let text = "the campaigns differ in anchors: campaigns of one scene must share them";
             return Err(StageError::Refused(text.to_owned()));
         }
-        let part = SourcePart { content: Some(Digest::of(&json!(anchors))), bytes: 0, records: anchors.len() as u64 };
+        let content = finite::to_json(&anchors).map_err(|fault| StageError::Refused(fault.to_string()))?;
+        let part = SourcePart { content: Some(Digest::of(&content)), bytes: 0, records: anchors.len() as u64 };
         Ok(Box::new(Opened { anchors, parts: [part] }))
     }
 }

@@ -49,6 +49,7 @@ use serde::{Deserialize, Serialize};
 use super::stage::{Beside, BesideTables, Fold, Grain, InPieces, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::campaign::keys::SensorKind;
+use crate::parameter::{Condition, Count, NonNegative, Positive};
 use crate::signal::response::Response;
 use crate::tables::cell::Cell;
 use crate::tables::traces::TraceColumns;
@@ -65,20 +66,26 @@ const BASELINE_SHARE: f64 = 0.1;
 #[serde(deny_unknown_fields, default)]
 pub struct Average {
     /// A capture with fewer shots left is set aside.
-    shots_min: u32,
+    shots_min: Count,
     /// Length of the stretch at the start of a record that light has not reached; absent: a tenth of the record.
-    baseline_ps: Option<f64>,
+    baseline_ps: Option<Positive>,
     /// Whether outlying shots are set aside.
     reject_outliers: bool,
     /// A shot is outlying when a sample of it lies this many robust standard deviations off the median of the first shots.
-    outlier_sigma: f64,
+    outlier_sigma: Positive,
     /// Time that the amplifier needs after clipping, in captures with several vertical ranges: as long, samples of that range are left out.
-    recovery_ps: f64,
+    recovery_ps: NonNegative,
 }
 
 impl Default for Average {
     fn default() -> Self {
-        Self { shots_min: 1, baseline_ps: None, reject_outliers: true, outlier_sigma: 6.0, recovery_ps: 1000.0 }
+        Self {
+            shots_min: Count::new(1),
+            baseline_ps: None,
+            reject_outliers: true,
+            outlier_sigma: Positive::new(6.0),
+            recovery_ps: NonNegative::new(1000.0),
+        }
     }
 }
 
@@ -148,6 +155,7 @@ impl Stage for Average {
     const VERSION: u32 = 8;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
+    const CONDITIONS: &'static [Condition] = &[Condition("outlier_sigma", "reject_outliers", &["true"])];
     type Input = Trace;
     type Output = Profile;
     type Fields = BTreeMap<String, Setup>;
@@ -231,13 +239,13 @@ impl Fold for Average {
 
 impl Average {
     fn shots_needed(&self) -> u32 {
-        self.shots_min.max(1)
+        self.shots_min.get()
     }
 
     /// Samples of the stretch without light.
     fn baseline_samples(&self, first: &Trace) -> usize {
         let share = f64::from(first.samples) * BASELINE_SHARE;
-        let samples = self.baseline_ps.map_or(share, |baseline_ps| baseline_ps / first.dt_ps).round();
+        let samples = self.baseline_ps.map_or(share, |baseline_ps| baseline_ps.get() / first.dt_ps).round();
         (samples as usize).clamp(1, first.samples as usize)
     }
 }
@@ -271,6 +279,6 @@ mod tests {
     #[test]
     fn parameters_have_their_documented_defaults() {
         let parsed: Average = toml::from_str("shots_min = 16").unwrap();
-        assert!(parsed.reject_outliers && parsed.shots_min == 16 && parsed.outlier_sigma == 6.0);
+        assert!(parsed.reject_outliers && parsed.shots_min.get() == 16 && parsed.outlier_sigma.get() == 6.0);
     }
 }

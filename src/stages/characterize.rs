@@ -39,6 +39,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::{Campaign, Role};
+use crate::parameter::{NonNegative, Share};
 use crate::tables::{Check, Measurement, Name};
 use finding::Finding;
 use series::Run;
@@ -48,40 +49,40 @@ use series::Run;
 #[serde(deny_unknown_fields, default)]
 pub struct Characterize {
     /// Chance that a good instrument fails any check.
-    level: f64,
+    level: Share,
     /// Compression at the largest amplitude: optical densities are known to about 0.01.
-    linearity_tolerance: f64,
+    linearity_tolerance: NonNegative,
     /// Delay over the range of amplitudes: two millimetres of an attenuator's glass.
-    delay_tolerance_ps: f64,
+    delay_tolerance_ps: NonNegative,
     /// Deviation of the exponent from -2: real diffusers are not quite Lambertian.
-    exponent_tolerance: f64,
+    exponent_tolerance: NonNegative,
     /// Deviation of the shift per path from 1.
-    shift_tolerance: f64,
+    shift_tolerance: NonNegative,
     /// Change of the delay from the first to the last run of a time series.
-    drift_tolerance_ps: f64,
+    drift_tolerance_ps: NonNegative,
     /// Relative change of the amplitude over a time series.
-    power_tolerance: f64,
+    power_tolerance: NonNegative,
     /// Relative change of the width over a time series.
-    width_tolerance: f64,
+    width_tolerance: NonNegative,
     /// Amplitude of an echo over that of its pulse: -40 dB, a good cable.
-    echo_tolerance: f64,
+    echo_tolerance: NonNegative,
     /// Pick-up; 0: none that as many shots can show.
-    pickup_tolerance_v: f64,
+    pickup_tolerance_v: NonNegative,
 }
 
 impl Default for Characterize {
     fn default() -> Self {
         Self {
-            level: 0.05,
-            linearity_tolerance: 0.02,
-            delay_tolerance_ps: 3.0,
-            exponent_tolerance: 0.05,
-            shift_tolerance: 0.001,
-            drift_tolerance_ps: 1.0,
-            power_tolerance: 0.02,
-            width_tolerance: 0.01,
-            echo_tolerance: 0.01,
-            pickup_tolerance_v: 0.0,
+            level: Share::new(0.05),
+            linearity_tolerance: NonNegative::new(0.02),
+            delay_tolerance_ps: NonNegative::new(3.0),
+            exponent_tolerance: NonNegative::new(0.05),
+            shift_tolerance: NonNegative::new(0.001),
+            drift_tolerance_ps: NonNegative::new(1.0),
+            power_tolerance: NonNegative::new(0.02),
+            width_tolerance: NonNegative::new(0.01),
+            echo_tolerance: NonNegative::new(0.01),
+            pickup_tolerance_v: NonNegative::new(0.0),
         }
     }
 }
@@ -101,24 +102,6 @@ impl Stage for Characterize {
     }
 
     fn context(&self, fields: Self::Fields, _: &BesideTables) -> Result<Self::Context, StageError> {
-        if !(self.level > 0.0 && self.level < 1.0) {
-            return Err(StageError::Refused(format!("params.level = {} must lie between 0 and 1", self.level)));
-        }
-        for (name, value) in [
-            ("linearity_tolerance", self.linearity_tolerance),
-            ("delay_tolerance_ps", self.delay_tolerance_ps),
-            ("exponent_tolerance", self.exponent_tolerance),
-            ("shift_tolerance", self.shift_tolerance),
-            ("drift_tolerance_ps", self.drift_tolerance_ps),
-            ("power_tolerance", self.power_tolerance),
-            ("width_tolerance", self.width_tolerance),
-            ("echo_tolerance", self.echo_tolerance),
-            ("pickup_tolerance_v", self.pickup_tolerance_v),
-        ] {
-            if value.is_nan() || value < 0.0 {
-                return Err(StageError::Refused(format!("params.{name} = {value} must not be negative")));
-            }
-        }
         Ok(fields)
     }
 }
@@ -133,7 +116,7 @@ impl Apply for Characterize {
         for ((campaign, sensor), rows) in sensors {
             let findings = self.findings(&rows, indices[&*campaign]);
             let tested = findings.iter().filter(|finding| finding.chance().is_some()).count();
-            let least = self.level / tested.max(1) as f64;
+            let least = self.level.get() / tested.max(1) as f64;
             checks.extend(findings.into_iter().map(|finding| finding.row(&campaign, &sensor, least)));
         }
         Ok(Outcome::rows(checks))

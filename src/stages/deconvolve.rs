@@ -48,6 +48,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::method;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::parameter::{Condition, Count, NonNegative, Positive};
 use crate::priors::calibration::{self, Calibrated, Key, key_of};
 use crate::priors::corrections::Correction;
 use crate::signal::fft::RealFft;
@@ -65,9 +66,9 @@ pub struct Deconvolve {
     method: Method,
     /// Chi-square that one impulse more must gain, for `sparse`; absent: set by the record's length, for one false
     /// impulse in 10,000 records.
-    evidence: Option<f64>,
+    evidence: Option<Positive>,
     /// Most impulses in a profile, for `sparse`.
-    impulses_max: usize,
+    impulses_max: Count,
     /// Whether impulses may be negative, for `sparse`: reflections on a line are, light is not.
     signed: bool,
     /// Whether the noise's correlation counts.
@@ -75,11 +76,11 @@ pub struct Deconvolve {
     /// Whether reciprocal profiles are explained together, for `sparse`: where laser and sensor stand together.
     joint: bool,
     /// Largest standard deviation of the spread in time of one impulse's light, as extended patches give, for `sparse`; 0: points only.
-    extent_max_ps: f64,
+    extent_max_ps: NonNegative,
     /// Noise over signal power, for `wiener`; absent: estimated for each profile.
-    noise_to_signal: Option<f64>,
+    noise_to_signal: Option<Positive>,
     /// Where a Gaussian low-pass has fallen to exp(-1/2), for `wiener`; absent: none.
-    lowpass_ghz: Option<f64>,
+    lowpass_ghz: Option<Positive>,
 }
 
 impl Default for Deconvolve {
@@ -87,11 +88,11 @@ impl Default for Deconvolve {
         Self {
             method: Method::Sparse,
             evidence: None,
-            impulses_max: 16,
+            impulses_max: Count::new(16),
             signed: false,
             correlated: true,
             joint: false,
-            extent_max_ps: 0.0,
+            extent_max_ps: NonNegative::new(0.0),
             noise_to_signal: None,
             lowpass_ghz: None,
         }
@@ -158,6 +159,15 @@ impl Stage for Deconvolve {
         Beside { name: "calibration", table: "calibration", required: true },
         Beside { name: "session", table: "session", required: false },
     ];
+    const CONDITIONS: &'static [Condition] = &[
+        Condition("evidence", "method", &["sparse"]),
+        Condition("impulses_max", "method", &["sparse"]),
+        Condition("signed", "method", &["sparse"]),
+        Condition("joint", "method", &["sparse"]),
+        Condition("extent_max_ps", "method", &["sparse"]),
+        Condition("noise_to_signal", "method", &["wiener"]),
+        Condition("lowpass_ghz", "method", &["wiener"]),
+    ];
     type Input = Profile;
     type Output = Stir;
     type Fields = BTreeMap<String, Setup>;
@@ -182,22 +192,6 @@ impl Stage for Deconvolve {
     }
 
     fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Sensors, StageError> {
-        for (name, value) in
-            [("noise_to_signal", self.noise_to_signal), ("lowpass_ghz", self.lowpass_ghz), ("evidence", self.evidence)]
-        {
-            if let Some(value) = value.filter(|value| value.is_nan() || *value <= 0.0) {
-                return Err(StageError::Refused(format!("params.{name} = {value} must be positive")));
-            }
-        }
-        if !(0.0..f64::INFINITY).contains(&self.extent_max_ps) {
-            let extent_max_ps = self.extent_max_ps;
-            return Err(StageError::Refused(format!("params.extent_max_ps = {extent_max_ps} must not be negative")));
-        }
-        if self.method != Method::Sparse && (self.signed || self.joint || self.extent_max_ps > 0.0) {
-            return Err(StageError::Refused(
-                "params.signed, params.joint and params.extent_max_ps go with method `sparse` alone".to_owned(),
-            ));
-        }
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         let sessions = beside.rows::<Session>("session")?.unwrap_or_default();
         let calibrated = rows.iter().map(|row| (key_of(row), Calibrated::new(row))).collect();
@@ -323,7 +317,9 @@ impl Deconvolve {
         let acf = if is_white { vec![1.0] } else { calibration::correlation(profile) };
         let (light, light_noise_v) = match self.method {
             Method::None => (samples.clone(), noise_v),
-            _ => self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools),
+            Method::Sparse | Method::Nnls | Method::Pencil | Method::RichardsonLucy | Method::Wiener => {
+                self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools)
+            }
         };
         let dead_time_ps = setup.and_then(|setup| setup.dead_times_ps.get(&**sensor)).copied().unwrap_or(0.0);
         let unpiled = match unpiled(profile, dead_time_ps) {
@@ -349,7 +345,12 @@ impl Deconvolve {
 
     fn asked(&self) -> Asked {
         let Self { evidence, impulses_max, signed, extent_max_ps, .. } = *self;
-        Asked { evidence, impulses_max, signed, extent_max_ps }
+        Asked {
+            evidence: evidence.map(Positive::get),
+            impulses_max: impulses_max.get() as usize,
+            signed,
+            extent_max_ps: extent_max_ps.get(),
+        }
     }
 
     /// The Wiener estimate and the standard deviation of its noise.
@@ -363,12 +364,15 @@ impl Deconvolve {
         tools: &mut Tools,
     ) -> (Vec<f64>, f64) {
         let Tools { fft, response, filter } = tools;
-        let ready = |(of, ratio, _): &(Alike, f64, Wiener)| *of == alike && self.noise_to_signal == Some(*ratio);
+        let ready = |(of, ratio, _): &(Alike, f64, Wiener)| {
+            *of == alike && self.noise_to_signal.map(Positive::get) == Some(*ratio)
+        };
         if !filter.as_ref().is_some_and(ready) {
             let (_, response) = response.as_ref().expect("taken up before");
             let transfer = Transfer::from_response(fft, response, dt_ps, samples.len());
-            let noise_to_signal = self.noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
-            let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz * dt_ps / 1000.0);
+            let noise_to_signal = self.noise_to_signal.map(Positive::get);
+            let noise_to_signal = noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
+            let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz.get() * dt_ps / 1000.0);
             *filter = Some((alike, noise_to_signal, Wiener::new(&transfer, noise_to_signal, low_pass)));
         }
         let (_, _, wiener) = filter.as_ref().expect("made above");

@@ -34,6 +34,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::parameter::{Condition, Conflict, NonNegative, Positive, Share};
 use crate::signal::largest::largest;
 use crate::signal::onset::{self, Crossing};
 use crate::tables::{Name, Onset, Stir};
@@ -53,15 +54,15 @@ const EDGE_SAMPLES: f64 = 2.0;
 pub struct Detect {
     method: Method,
     /// Least signal-to-noise ratio.
-    threshold_sigma: f64,
+    threshold_sigma: NonNegative,
     /// Fraction of the maximum, for edge methods.
-    fraction: f64,
+    fraction: Share,
     /// Delay of the discriminator, for `constant-fraction`.
-    delay_ps: f64,
+    delay_ps: Positive,
     /// Signal-to-noise ratio below which a profile must fall between two onsets, for `first-response` and `aic`.
-    rearm_sigma: f64,
+    rearm_sigma: Positive,
     /// How long before its maximum a response may begin, for `aic`.
-    window_ps: f64,
+    window_ps: Positive,
     /// Whether edges are read off at samples, as on an oscilloscope's screen: at the first one beyond the edge.
     #[serde(skip_serializing_if = "is_false")]
     sampled: bool,
@@ -88,11 +89,11 @@ impl Default for Detect {
     fn default() -> Self {
         Self {
             method: Method::Impulses,
-            threshold_sigma: 5.0,
-            fraction: 0.5,
-            delay_ps: 100.0,
-            rearm_sigma: 2.0,
-            window_ps: 1000.0,
+            threshold_sigma: NonNegative::new(5.0),
+            fraction: Share::new(0.5),
+            delay_ps: Positive::new(100.0),
+            rearm_sigma: Positive::new(2.0),
+            window_ps: Positive::new(1000.0),
             sampled: false,
         }
     }
@@ -102,33 +103,28 @@ impl Stage for Detect {
     const KIND: &'static str = "detect";
     const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::Capture;
+    const CONDITIONS: &'static [Condition] = &[
+        Condition("fraction", "method", &["leading-edge", "constant-fraction"]),
+        Condition("delay_ps", "method", &["constant-fraction"]),
+        Condition("rearm_sigma", "method", &["first-response", "aic"]),
+        Condition("window_ps", "method", &["aic"]),
+        Condition("sampled", "method", &["leading-edge", "constant-fraction", "first-response", "aic"]),
+    ];
     type Input = Stir;
     type Output = Onset;
     type Fields = ();
     type Context = ();
 
+    fn conflict(&self) -> Option<Conflict> {
+        let rearms = self.rearm_sigma.get() <= self.threshold_sigma.get();
+        (matches!(self.method, Method::FirstResponse | Method::Aic) && !rearms).then(|| {
+            Conflict("rearm_sigma", format!("must be at most `threshold_sigma`, {}", self.threshold_sigma.get()))
+        })
+    }
+
     fn fields(&self, _: &[Campaign]) {}
 
     fn context(&self, (): (), _: &BesideTables) -> Result<(), StageError> {
-        if !(self.fraction > 0.0 && self.fraction < 1.0) {
-            return Err(StageError::Refused(format!("params.fraction = {} must lie between 0 and 1", self.fraction)));
-        }
-        if self.threshold_sigma < 0.0 || self.threshold_sigma.is_nan() {
-            return Err(StageError::Refused(format!(
-                "params.threshold_sigma = {} must not be negative",
-                self.threshold_sigma
-            )));
-        }
-        let rearms = self.rearm_sigma > 0.0 && self.rearm_sigma <= self.threshold_sigma;
-        if matches!(self.method, Method::FirstResponse | Method::Aic) && !rearms {
-            return Err(StageError::Refused(format!(
-                "params.rearm_sigma = {} must lie between 0 and threshold_sigma",
-                self.rearm_sigma
-            )));
-        }
-        if self.window_ps.is_nan() || self.window_ps <= 0.0 {
-            return Err(StageError::Refused(format!("params.window_ps = {} must be positive", self.window_ps)));
-        }
         Ok(())
     }
 }
@@ -139,7 +135,9 @@ impl Apply for Detect {
         for stir in &group {
             match self.method {
                 Method::Impulses => onsets.extend(self.impulses(stir)),
-                _ => onsets.extend(self.edges(stir)?),
+                Method::LeadingEdge | Method::ConstantFraction | Method::FirstResponse | Method::Aic => {
+                    onsets.extend(self.edges(stir)?);
+                }
             }
         }
         Ok(Outcome::rows(onsets))
@@ -151,7 +149,7 @@ impl Detect {
         let count = stir.impulses.len();
         let snr = |k: usize| stir.impulses[k].amplitude_v.abs() / stir.impulses[k].amplitude_sd_v;
         let kept: Vec<usize> =
-            (0..count).filter(|&k| snr(k) >= self.threshold_sigma || self.is_of_blended_pair(stir, k)).collect();
+            (0..count).filter(|&k| snr(k) >= self.threshold_sigma.get() || self.is_of_blended_pair(stir, k)).collect();
         let end_ps = stir.t0_ps + stir.profile.len() as f64 * stir.dt_ps;
         let onset = |(rank, &k): (usize, &usize)| {
             let impulse = &stir.impulses[k];
@@ -194,8 +192,8 @@ impl Detect {
         let misfit = stir.chi2_dof.unwrap_or(1.0).max(1.0);
         let is_vague = |k: usize| {
             let impulse = &stir.impulses[k];
-            impulse.amplitude_v.abs() < self.threshold_sigma * impulse.amplitude_sd_v
-                && impulse.evidence >= misfit * self.threshold_sigma.powi(2)
+            impulse.amplitude_v.abs() < self.threshold_sigma.get() * impulse.amplitude_sd_v
+                && impulse.evidence >= misfit * self.threshold_sigma.get().powi(2)
         };
         let variance = |k: usize| stir.impulse_cov[k * count + k];
         let is_correlated = |other: usize| {
@@ -209,7 +207,7 @@ impl Detect {
         let peak = largest(&profile, f64::NEG_INFINITY, |sample| sample);
         // A profile without any noise still has the rounding of its f32 samples.
         let noise = stir.profile_noise.max(f64::from(f32::EPSILON) * peak);
-        if !(peak > 0.0 && peak >= self.threshold_sigma * noise) {
+        if !(peak > 0.0 && peak >= self.threshold_sigma.get() * noise) {
             return Ok(Vec::new());
         }
         let at_maximum = |crossing: Option<Crossing>| {
@@ -217,18 +215,20 @@ impl Detect {
         };
         let edges: Vec<Edge> = match self.method {
             Method::ConstantFraction => {
-                let delay = self.delay_ps / stir.dt_ps;
+                let delay = self.delay_ps.get() / stir.dt_ps;
                 if delay < 1.0 {
                     return Err(StageError::Refused(format!(
                         "params.delay_ps = {} is less than one sample of {} ps",
-                        self.delay_ps, stir.dt_ps
+                        self.delay_ps.get(),
+                        stir.dt_ps
                     )));
                 }
-                at_maximum(onset::constant_fraction(&profile, self.fraction, delay, noise))
+                at_maximum(onset::constant_fraction(&profile, self.fraction.get(), delay, noise))
             }
             Method::FirstResponse => self.responses(&profile, noise).into_iter().map(|(_, edge)| edge).collect(),
-            Method::Aic => self.beginnings(&profile, noise, self.window_ps / stir.dt_ps),
-            _ => at_maximum(onset::leading_edge(&profile, self.fraction, noise)),
+            Method::Aic => self.beginnings(&profile, noise, self.window_ps.get() / stir.dt_ps),
+            Method::LeadingEdge => at_maximum(onset::leading_edge(&profile, self.fraction.get(), noise)),
+            Method::Impulses => unreachable!("impulses are no edges"),
         };
         let edges: Vec<Edge> = if self.sampled { edges.into_iter().map(Edge::at_sample).collect() } else { edges };
         let count = edges.len();
@@ -253,10 +253,10 @@ impl Detect {
 
     /// Every response: the samples from its first one to where it falls below the level of re-arming, and its edge.
     fn responses(&self, profile: &[f64], noise: f64) -> Vec<(Range<usize>, Edge)> {
-        let crossings = onset::responses(profile, self.threshold_sigma, self.rearm_sigma, noise);
+        let crossings = onset::responses(profile, self.threshold_sigma.get(), self.rearm_sigma.get(), noise);
         let response = |Crossing { position, sd, .. }: Crossing| {
             let first = position as usize;
-            let low = profile[first..].iter().position(|sample| *sample < self.rearm_sigma * noise);
+            let low = profile[first..].iter().position(|sample| *sample < self.rearm_sigma.get() * noise);
             let reach = first..low.map_or(profile.len(), |low| first + low);
             let height = profile[reach.clone()].iter().copied().fold(f64::NEG_INFINITY, f64::max);
             (reach, Edge { position, sd, height })

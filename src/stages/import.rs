@@ -23,6 +23,7 @@ use super::operator::WrittenTable;
 use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
 use super::stage::StageError;
 use crate::campaign::{Campaign, hash_file, suggest};
+use crate::store::finite::NotJson;
 use crate::store::{Digest, parquet};
 use crate::tables;
 
@@ -106,12 +107,12 @@ impl Source for Import {
     fn version(&self) -> u32 {
         1
     }
-    fn params(&self) -> Value {
+    fn params(&self) -> Result<Value, NotJson> {
         // Where the file lies does not matter, only what is in it: its digest is the part's content.
-        json!({ "table": self.table })
+        Ok(json!({ "table": self.table }))
     }
-    fn fields(&self, _: &[Campaign]) -> Value {
-        Value::Null
+    fn fields(&self, _: &[Campaign]) -> Result<Value, NotJson> {
+        Ok(Value::Null)
     }
     fn table(&self) -> WrittenTable {
         WrittenTable { name: self.table.clone(), schema: self.schema() }

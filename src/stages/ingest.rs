@@ -27,12 +27,13 @@ use std::sync::Arc;
 
 use arrow_schema::{Field, Schema, SchemaRef};
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::operator::WrittenTable;
 use super::source::{Divisible, Feed, OpenSource, PartRead, Piece, PieceFeed, Source, SourcePart, Ticket};
 use super::stage::StageError;
 use crate::campaign::{Campaign, Role};
+use crate::store::finite::{self, NotJson};
 use crate::store::{Digest, uncompressed};
 use crate::tables::{Row, Trace};
 use survey::{Surveyed, chain};
@@ -87,15 +88,15 @@ impl Source for Ingest {
     fn version(&self) -> u32 {
         3
     }
-    fn params(&self) -> Value {
+    fn params(&self) -> Result<Value, NotJson> {
         let mut roles = self.roles.clone();
         roles.sort();
         roles.dedup();
-        json!({ "roles": roles, "compression": self.compression })
+        finite::to_json(&Self { roles, ..self.clone() })
     }
-    fn fields(&self, _: &[Campaign]) -> Value {
+    fn fields(&self, _: &[Campaign]) -> Result<Value, NotJson> {
         // Name and rules enter through what they match: each part's content names its campaign, files, exposures and keys.
-        Value::Null
+        Ok(Value::Null)
     }
     fn table(&self) -> WrittenTable {
         WrittenTable { name: Trace::TABLE.to_owned(), schema: self.compression.schema() }

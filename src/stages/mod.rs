@@ -23,11 +23,16 @@ pub mod surface;
 pub mod track;
 pub mod triangulate;
 
+use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 
-use crate::campaign::suggest;
+use crate::campaign::{Campaign, suggest};
+use crate::parameter;
+use crate::store::finite::NotJson;
 use operator::{Operator, WrittenTable};
 use source::Source;
+use stage::Fold;
 
 /// A stage of either kind.
 pub enum Node {
@@ -44,6 +49,37 @@ impl Node {
         match self {
             Self::Source(source) => vec![source.table()],
             Self::Operator(operator) => operator.tables(),
+        }
+    }
+
+    /// Version.
+    #[must_use]
+    pub fn version(&self) -> u32 {
+        match self {
+            Self::Source(source) => source.version(),
+            Self::Operator(operator) => operator.version(),
+        }
+    }
+
+    /// Parameters as parsed, defaults included.
+    ///
+    /// # Errors
+    /// When one is not finite.
+    pub fn params(&self) -> Result<Value, NotJson> {
+        match self {
+            Self::Source(source) => source.params(),
+            Self::Operator(operator) => operator.params(),
+        }
+    }
+
+    /// Fields of the campaigns that it reads.
+    ///
+    /// # Errors
+    /// When one is not finite.
+    pub fn fields(&self, campaigns: &[Campaign]) -> Result<Value, NotJson> {
+        match self {
+            Self::Source(source) => source.fields(campaigns),
+            Self::Operator(operator) => operator.fields(campaigns),
         }
     }
 
@@ -79,42 +115,40 @@ pub const KINDS: [&str; 18] = [
     "import",
 ];
 
-/// The key that an error is about, as `.threshold_sigma`, where the message has not named it.
-fn key_of(error: &toml::de::Error) -> String {
-    let text = error.to_string();
-    let key = text.lines().find_map(|line| line.strip_prefix("in `")?.strip_suffix('`'));
-    key.filter(|_| !error.message().starts_with("unknown field")).map_or(String::new(), |key| format!(".{key}"))
+/// A source with these parameters.
+fn source<S: Source + Serialize + DeserializeOwned + 'static>(params: toml::Table) -> Result<Node, String> {
+    Ok(Node::Source(Box::new(parameter::read::<S>(params, &[], |_| None)?)))
+}
+
+/// An operator with these parameters.
+fn operator<S: Fold + DeserializeOwned>(params: toml::Table) -> Result<Node, String> {
+    Ok(Node::Operator(Box::new(parameter::read(params, S::CONDITIONS, S::conflict)?)))
 }
 
 /// The stage of this kind with these parameters.
 ///
 /// # Errors
-/// When the kind or a parameter is unknown, or a value is refused; the text names the mend.
+/// When the kind or a parameter is unknown, or a value is refused; the text says what is right.
 pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
-    fn params_of<S: DeserializeOwned>(params: toml::Table) -> Result<Box<S>, String> {
-        params.try_into().map(Box::new).map_err(|error: toml::de::Error| {
-            format!("params{}: {}", key_of(&error), suggest::explain(error.message()))
-        })
+    match kind {
+        "ingest" => source::<ingest::Ingest>(params),
+        "anchor" => source::<anchor::AnchorPatches>(params),
+        "import" => source::<import::Import>(params),
+        "calibrate" => operator::<calibrate::Calibrate>(params),
+        "average" => operator::<average::Average>(params),
+        "track" => operator::<track::Track>(params),
+        "measure" => operator::<measure::Measure>(params),
+        "characterize" => operator::<characterize::Characterize>(params),
+        "deconvolve" => operator::<deconvolve::Deconvolve>(params),
+        "detect" => operator::<detect::Detect>(params),
+        "label" => operator::<label::LabelOnsets>(params),
+        "range" => operator::<range::Range>(params),
+        "embed" => operator::<embed::Embed>(params),
+        "refine" => operator::<refine::Refine>(params),
+        "reflect" => operator::<reflect::Reflect>(params),
+        "search" => operator::<search::Search>(params),
+        "surface" => operator::<surface::Surface>(params),
+        "triangulate" => operator::<triangulate::Triangulate>(params),
+        _ => Err(suggest::unknown("stage", kind, &KINDS)),
     }
-    Ok(match kind {
-        "ingest" => Node::Source(params_of::<ingest::Ingest>(params)?),
-        "anchor" => Node::Source(params_of::<anchor::AnchorPatches>(params)?),
-        "import" => Node::Source(params_of::<import::Import>(params)?),
-        "calibrate" => Node::Operator(params_of::<calibrate::Calibrate>(params)?),
-        "average" => Node::Operator(params_of::<average::Average>(params)?),
-        "track" => Node::Operator(params_of::<track::Track>(params)?),
-        "measure" => Node::Operator(params_of::<measure::Measure>(params)?),
-        "characterize" => Node::Operator(params_of::<characterize::Characterize>(params)?),
-        "deconvolve" => Node::Operator(params_of::<deconvolve::Deconvolve>(params)?),
-        "detect" => Node::Operator(params_of::<detect::Detect>(params)?),
-        "label" => Node::Operator(params_of::<label::LabelOnsets>(params)?),
-        "range" => Node::Operator(params_of::<range::Range>(params)?),
-        "embed" => Node::Operator(params_of::<embed::Embed>(params)?),
-        "refine" => Node::Operator(params_of::<refine::Refine>(params)?),
-        "reflect" => Node::Operator(params_of::<reflect::Reflect>(params)?),
-        "search" => Node::Operator(params_of::<search::Search>(params)?),
-        "surface" => Node::Operator(params_of::<surface::Surface>(params)?),
-        "triangulate" => Node::Operator(params_of::<triangulate::Triangulate>(params)?),
-        _ => return Err(suggest::unknown("stage", kind, &KINDS)),
-    })
 }

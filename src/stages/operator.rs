@@ -16,6 +16,7 @@ use serde_json::Value;
 use super::stage::{Beside, BesideTables, Fold, Grain, InPieces, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
+use crate::store::finite::{self, NotJson};
 use crate::tables::Row;
 use pieces::Pieces;
 pub use pieces::{Joining, Task};
@@ -47,9 +48,15 @@ pub trait Operator: Send + Sync {
     /// Grain.
     fn grain(&self) -> Grain;
     /// Parameters as parsed, defaults included.
-    fn params(&self) -> Value;
+    ///
+    /// # Errors
+    /// When one is not finite.
+    fn params(&self) -> Result<Value, NotJson>;
     /// Fields of the campaigns that it reads.
-    fn fields(&self, campaigns: &[Campaign]) -> Value;
+    ///
+    /// # Errors
+    /// When one is not finite.
+    fn fields(&self, campaigns: &[Campaign]) -> Result<Value, NotJson>;
     /// Table that it takes.
     fn input(&self) -> &'static str;
     /// Finished tables that it takes beside.
@@ -102,11 +109,11 @@ impl<S: Fold> Operator for S {
     fn grain(&self) -> Grain {
         S::GRAIN
     }
-    fn params(&self) -> Value {
-        serde_json::to_value(self).expect("parameters are plain data")
+    fn params(&self) -> Result<Value, NotJson> {
+        finite::to_json(self)
     }
-    fn fields(&self, campaigns: &[Campaign]) -> Value {
-        serde_json::to_value(Stage::fields(self, campaigns)).expect("campaign fields are plain data")
+    fn fields(&self, campaigns: &[Campaign]) -> Result<Value, NotJson> {
+        finite::to_json(&Stage::fields(self, campaigns))
     }
     fn input(&self) -> &'static str {
         S::Input::TABLE

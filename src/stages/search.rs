@@ -37,6 +37,7 @@ use crate::campaign::Campaign;
 use crate::geometry::Point;
 use crate::geometry::faint::{self, Room};
 use crate::geometry::hidden::facing;
+use crate::parameter::{NonNegative, Share};
 use crate::priors::calibration::{self, Calibrated, Key, key_of};
 use crate::signal::sparse::{self, Open};
 use crate::tables::{Calibration, Delay, Hypothesis, Label, Patch, Profile, Row, Session, Stir};
@@ -52,14 +53,14 @@ const FOUND_MAX: usize = 32;
 #[serde(deny_unknown_fields, default)]
 pub struct Search {
     /// Probability that a patch is found where there is none.
-    false_alarm: f64,
+    false_alarm: Share,
     /// Standard deviation of the spread in time of a hidden patch's light.
-    spread_ps: f64,
+    spread_ps: NonNegative,
 }
 
 impl Default for Search {
     fn default() -> Self {
-        Self { false_alarm: 1e-3, spread_ps: 30.0 }
+        Self { false_alarm: Share::new(1e-3), spread_ps: NonNegative::new(30.0) }
     }
 }
 
@@ -122,11 +123,6 @@ impl Stage for Search {
     }
 
     fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
-        let is_chance = self.false_alarm > 0.0 && self.false_alarm < 1.0;
-        if !is_chance || !(0.0..f64::INFINITY).contains(&self.spread_ps) {
-            let text = "params: false_alarm must lie between 0 and 1, spread_ps not be negative";
-            return Err(StageError::Refused(text.to_owned()));
-        }
         let calibration = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         let mut profiles = beside.rows::<Profile>("profiles")?.unwrap_or_default();
         profiles.retain(|profile| &*profile.role == "scene");
@@ -149,7 +145,7 @@ impl Apply for Search {
         let mut points: BTreeMap<PatchId, Point> =
             best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
         let (mut records, mut rejections) = known.records(&points)?;
-        let mut written = Written::new(&records, -self.false_alarm.ln());
+        let mut written = Written::new(&records, -self.false_alarm.get().ln());
         let visible: Vec<PatchId> =
             records.iter().flat_map(|record| [record.lit, record.seen]).collect::<BTreeSet<_>>().into_iter().collect();
         let room = match room(known, &points, &visible, &records) {
@@ -171,7 +167,7 @@ impl Apply for Search {
             let Some(room) = &room else { break };
             let scores = |record: &Record| {
                 let given = light.given(record, &points);
-                record.scores(&visible, &given, self.spread_ps)
+                record.scores(&visible, &given, self.spread_ps.get())
             };
             let profiles: Vec<faint::Profile> = records.par_iter().map(scores).collect();
             let Some(place) = faint::likeliest(&profiles, room) else { break };

@@ -13,6 +13,7 @@ use super::operator::WrittenTable;
 use super::stage::{Rejection, StageError};
 use crate::campaign::Campaign;
 use crate::store::Digest;
+use crate::store::finite::NotJson;
 
 /// A hold on part of the memory budget, given back when the last clone is dropped.
 #[derive(Clone)]
@@ -97,9 +98,15 @@ pub trait Source: Send + Sync {
     /// Version.
     fn version(&self) -> u32;
     /// Parameters as parsed, defaults included.
-    fn params(&self) -> Value;
+    ///
+    /// # Errors
+    /// When one is not finite.
+    fn params(&self) -> Result<Value, NotJson>;
     /// Fields of the campaigns that it reads.
-    fn fields(&self, campaigns: &[Campaign]) -> Value;
+    ///
+    /// # Errors
+    /// When one is not finite.
+    fn fields(&self, campaigns: &[Campaign]) -> Result<Value, NotJson>;
     /// Its table.
     fn table(&self) -> WrittenTable;
     /// Surveys the campaigns: its parts, in order. What it learns of raw files it may note down in the folder `notes`.

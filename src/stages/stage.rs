@@ -14,6 +14,7 @@ use thiserror::Error;
 
 use crate::campaign::Campaign;
 use crate::cancel::{Cancel, Cancelled};
+use crate::parameter::{Condition, Conflict};
 use crate::tables::{Name, Reject, Row, SchemaError};
 
 /// Which rows a stage must see together.
@@ -181,6 +182,8 @@ pub trait Stage: Serialize + Send + Sync + 'static {
     const BESIDE: &'static [Beside] = &[];
     /// Side tables that it writes.
     const SIDES: &'static [Side] = &[];
+    /// Parameters that have an effect only with some values of another one.
+    const CONDITIONS: &'static [Condition] = &[];
     /// Row of the streamed input.
     type Input: Row;
     /// Row of the main table.
@@ -189,6 +192,11 @@ pub trait Stage: Serialize + Send + Sync + 'static {
     type Fields: Serialize;
     /// What it prepares once from fields and finished tables.
     type Context: Send + Sync;
+
+    /// A parameter whose value does not go together with the others', beyond [`Stage::CONDITIONS`].
+    fn conflict(&self) -> Option<Conflict> {
+        None
+    }
 
     /// Picks its fields out of the campaigns.
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields;

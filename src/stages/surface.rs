@@ -26,11 +26,12 @@ use serde::{Deserialize, Serialize};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::{Point, planes};
+use crate::parameter::{Condition, Conflict, Count, NonNegative};
 use crate::priors::covariances;
 use crate::tables::{Patch, PatchCovariance, Plane};
 use crate::units::PatchId;
 
-/// Any so many patches have a plane.
+/// Any so many patches have a plane, so that `least` is one more.
 const EXACT: usize = 3;
 
 /// Parameters of `surface`.
@@ -38,16 +39,16 @@ const EXACT: usize = 3;
 #[serde(deny_unknown_fields, default)]
 pub struct Surface {
     /// Least patches of a plane that is searched for.
-    least: usize,
+    least: Count<4>,
     /// Standard deviation of the patches' own distance from their plane.
-    roughness_m: f64,
+    roughness_m: NonNegative,
     /// Patches of each plane, in place of the search.
     groups: Option<Vec<Vec<PatchId>>>,
 }
 
 impl Default for Surface {
     fn default() -> Self {
-        Self { least: EXACT + 1, roughness_m: 0.0, groups: None }
+        Self { least: Count::new(4), roughness_m: NonNegative::new(0.0), groups: None }
     }
 }
 
@@ -69,10 +70,24 @@ impl Stage for Surface {
     const VERSION: u32 = 1;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[Beside { name: "covariances", table: "patch_covariances", required: false }];
+    const CONDITIONS: &'static [Condition] = &[Condition("least", "groups", &["absent"])];
     type Input = Patch;
     type Output = Plane;
     type Fields = Vec<Setup>;
     type Context = Known;
+
+    fn conflict(&self) -> Option<Conflict> {
+        let fault = |(n, group): (usize, &Vec<PatchId>)| {
+            let different: BTreeSet<&PatchId> = group.iter().collect();
+            let group_number = n + 1;
+            if different.len() < group.len() {
+                return Some(format!("group {group_number} names a patch twice; name each once"));
+            }
+            let is_small = group.len() < EXACT;
+            is_small.then(|| format!("group {group_number} has fewer than {EXACT} patches, too few for a plane"))
+        };
+        self.groups.iter().flatten().enumerate().find_map(fault).map(|why| Conflict("groups", why))
+    }
 
     fn fields(&self, campaigns: &[Campaign]) -> Vec<Setup> {
         let setup = |campaign: &Campaign| Setup { campaign: campaign.name.clone(), dimensions: campaign.dimensions };
@@ -85,27 +100,6 @@ impl Stage for Surface {
             return Err(StageError::Refused(format!(
                 "campaign `{campaign}` is in flatland, where all patches lie in one plane; leave out `surface`"
             )));
-        }
-        if self.least <= EXACT {
-            let least = self.least;
-            return Err(StageError::Refused(format!(
-                "params.least = {least}: any {EXACT} patches have a plane, so it must be at least {}",
-                EXACT + 1
-            )));
-        }
-        if !self.roughness_m.is_finite() || self.roughness_m < 0.0 {
-            let text = format!("params.roughness_m = {} is not a number from 0 up", self.roughness_m);
-            return Err(StageError::Refused(text));
-        }
-        for (n, group) in self.groups.iter().flatten().enumerate() {
-            let of = format!("params.groups: group {}", n + 1);
-            let different: BTreeSet<&PatchId> = group.iter().collect();
-            if different.len() < group.len() {
-                return Err(StageError::Refused(format!("{of} names a patch twice; name each once")));
-            }
-            if group.len() < EXACT {
-                return Err(StageError::Refused(format!("{of} has fewer than {EXACT} patches, too few for a plane")));
-            }
         }
         let rows = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
         let mut between = BTreeMap::new();
@@ -120,16 +114,16 @@ impl Stage for Surface {
 
 impl Apply for Surface {
     fn apply(&self, known: &Known, group: Vec<Patch>) -> Result<Outcome<Plane>, StageError> {
-        let (placed, mut reasons) = Placed::new(known, &group, self.roughness_m);
+        let (placed, mut reasons) = Placed::new(known, &group, self.roughness_m.get());
         let found = match &self.groups {
-            None => planes::find(&placed.points, self.least, |a, b| placed.covariance_m2(a, b)),
+            None => planes::find(&placed.points, self.least.get() as usize, |a, b| placed.covariance_m2(a, b)),
             Some(groups) => placed.through(groups, &mut reasons),
         };
         if self.groups.is_none() && found.is_empty() {
             reasons.push(format!(
                 "no {} of the {} patches lie within {} standard deviations of a plane; name those that should in `groups`: their row tells how \
                  far off they are",
-                self.least,
+                self.least.get(),
                 placed.points.len(),
                 planes::NEAR
             ));

@@ -26,6 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Beside, BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::{Campaign, Role};
+use crate::parameter::Positive;
 use crate::priors::acquisition_time;
 use crate::priors::calibration::{self, Calibrated};
 use crate::signal::drift::{self, Drift, DriftError, DriftOptions, Point};
@@ -45,14 +46,14 @@ const PICKUP_SIGMA: f64 = 3.0;
 #[serde(deny_unknown_fields, default)]
 pub struct Track {
     /// Time between the knots of the drift; absent: the median time between fiducials.
-    knots_s: Option<f64>,
+    knots_s: Option<Positive>,
     /// A jump of the delay by this many standard deviations is no drift.
-    jump_sigma: f64,
+    jump_sigma: Positive,
 }
 
 impl Default for Track {
     fn default() -> Self {
-        Self { knots_s: None, jump_sigma: 5.0 }
+        Self { knots_s: None, jump_sigma: Positive::new(5.0) }
     }
 }
 
@@ -87,9 +88,6 @@ impl Stage for Track {
     fn fields(&self, _: &[Campaign]) {}
 
     fn context(&self, (): (), beside: &BesideTables) -> Result<Vec<Calibration>, StageError> {
-        if self.knots_s.is_some_and(|knots_s| !(knots_s > 0.0 && knots_s.is_finite())) || self.jump_sigma.is_nan() {
-            return Err(StageError::Refused("params.knots_s and params.jump_sigma must be positive".to_owned()));
-        }
         Ok(beside.rows::<Calibration>("calibration")?.unwrap_or_default())
     }
 }
@@ -163,10 +161,10 @@ impl Track {
         times.sort_by(f64::total_cmp);
         let mut gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > 0.0).collect();
         gaps.sort_by(f64::total_cmp);
-        let Some(spacing_s) = self.knots_s.or_else(|| gaps.get(gaps.len() / 2).copied()) else {
+        let Some(spacing_s) = self.knots_s.map(Positive::get).or_else(|| gaps.get(gaps.len() / 2).copied()) else {
             return Err("its fiducial files all name the same time: drift is not followed".to_owned());
         };
-        match drift::fit(&points, &DriftOptions { spacing_s, step_sigma: self.jump_sigma }) {
+        match drift::fit(&points, &DriftOptions { spacing_s, step_sigma: self.jump_sigma.get() }) {
             Ok(drift) => {
                 let from = first.0.acquired_at.clone().expect("points have times");
                 Ok(Some(Followed { drift, origin_s, from, runs: runs.len() }))

@@ -46,6 +46,7 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side,
 use crate::campaign::Campaign;
 use crate::campaign::keys;
 use crate::geometry::bistatic;
+use crate::parameter::{Interval, Number, Share};
 use crate::priors::calibration::{Calibrated, Key, key_of};
 use crate::tables::{Calibration, Gap, Label, Onset, Patch, PatchCovariance, Profile, Row, Session};
 use crate::units::PatchId;
@@ -57,9 +58,19 @@ use model::Model;
 pub struct Triangulate {
     method: Method,
     /// Light of something in the middle over that of the weaker strip, from which it counts.
-    share_least: f64,
+    share_least: Share,
     /// Probability that a verdict on a gap needs.
-    certain: f64,
+    certain: Number<AboveHalf>,
+}
+
+/// Probabilities that are enough for a verdict: above 0.5 and below 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct AboveHalf;
+
+impl Interval for AboveHalf {
+    const LEAST: f64 = 0.5;
+    const MOST: f64 = 1.0;
+    const IS_CLOSED: bool = false;
 }
 
 /// How strips are placed.
@@ -72,7 +83,7 @@ enum Method {
 
 impl Default for Triangulate {
     fn default() -> Self {
-        Self { method: Method::Likelihood, share_least: 1.0 / 3.0, certain: 0.99 }
+        Self { method: Method::Likelihood, share_least: Share::new(1.0 / 3.0), certain: Number::new(0.99) }
     }
 }
 
@@ -157,11 +168,6 @@ impl Stage for Triangulate {
     }
 
     fn context(&self, setups: Vec<Setup>, beside: &BesideTables) -> Result<Known, StageError> {
-        let is_share = |value: f64| value > 0.0 && value < 1.0;
-        if !(is_share(self.share_least) && self.certain > 0.5 && self.certain < 1.0) {
-            let text = "params: share_least must lie between 0 and 1, certain between 0.5 and 1";
-            return Err(StageError::Refused(text.to_owned()));
-        }
         let count = setups.len();
         let [setup] = <[Setup; 1]>::try_from(setups).map_err(|_| {
             StageError::Refused(format!("{count} campaigns; strips are placed campaign by campaign, give one"))

@@ -7,6 +7,7 @@ use parquet::errors::ParquetError;
 use thiserror::Error;
 
 use super::damage::Damage;
+use super::finite::NotJson;
 use super::lock::{Hold, Holder};
 
 /// What a user can do about damage.
@@ -65,6 +66,9 @@ pub enum StoreError {
     /// A table file is not as it was written.
     #[error("{} is damaged ({}); {MEND}", .0.file.display(), .0.place)]
     Damaged(Box<Damage>),
+    /// A parameter or a campaign field cannot stand in a recipe.
+    #[error(transparent)]
+    Recipe(#[from] NotJson),
     /// A record of the shelf is not as it was written.
     #[error("{path} is damaged; {MEND}")]
     Record {

@@ -4,6 +4,7 @@ mod changes;
 pub mod damage;
 mod digesting;
 pub mod failure;
+pub mod finite;
 pub mod lineage;
 pub mod lock;
 mod page_checksums;

@@ -44,10 +44,14 @@ fn stage(kind: &str, params: &[(&str, toml::Value)]) -> Result<Node, String> {
 }
 
 fn params(node: &Node) -> Value {
-    match node {
-        Node::Source(source) => source.params(),
-        Node::Operator(operator) => operator.params(),
-    }
+    node.params().unwrap()
+}
+
+/// The range of a parameter that is a number.
+fn range(kind: &str, name: &str) -> Option<String> {
+    let refused = stage(kind, &[(name, value("\"no number\""))]).err()?;
+    let range = refused.split_once(": must be ")?.1.split(" (default").next()?.to_owned();
+    ["above", "or more", "number"].iter().any(|word| range.contains(word)).then_some(range)
 }
 
 /// What a stage takes and writes, as its page is to have it.
@@ -90,6 +94,13 @@ fn the_page_of_each_stage_has_its_tables_and_all_its_parameters_with_their_defau
         if names != known {
             wrong.push(format!("{kind}.md has the parameters {names:?}, the stage has {known:?}"));
             continue;
+        }
+        for row in &rows {
+            if let Some(range) = range(kind, row[0].trim_matches('`'))
+                && range != row[2]
+            {
+                wrong.push(format!("{kind}.md has the range {} of {}, the stage: {range}", row[2], row[0]));
+            }
         }
         for (name, told) in told {
             let real = params(&default);

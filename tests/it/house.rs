@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 const FLOORS: [&[&str]; 8] = [
     &["cancel", "units", "store"],
     &["path", "campaign", "waveform"],
-    &["geometry", "tables", "formats", "signal"],
+    &["geometry", "tables", "formats", "signal", "parameter"],
     &["priors"],
     &["stages", "simulate"],
     &["pipeline", "history", "bound", "exchange"],

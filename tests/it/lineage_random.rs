@@ -58,7 +58,7 @@ const KINDS: &[Kind] = &[
         table: "stir",
         beside: &[("calibration", "calibration", true), ("session", "session", false)],
         params: &[
-            ("method", &["'sparse'", "'wiener'", "'none'"]),
+            ("correlated", &["true", "false"]),
             ("joint", &["false", "true"]),
             ("extent_max_ps", &["0.0", "200.0", "200.5"]),
         ],

@@ -1,9 +1,10 @@
 //! Planes through patches of someone else's making.
 
 use periscope::pipeline::run::Settings;
+use periscope::pipeline::spec::Spec;
 use periscope::tables::{Patch, PatchCovariance, Plane, Reject};
 
-use crate::lab::{Lab, chain, write_table};
+use crate::lab::{Lab, write_table};
 
 /// Twelve patches: seven on a wall 2 m away, five on a floor 1 m below, each known to 1 mm and 0.5 mm off at most.
 fn patches() -> Vec<Patch> {
@@ -70,7 +71,6 @@ fn planes_of_imported_patches() {
         lab.rows::<Plane>("by-hand", "planes").iter().map(|plane| plane.patches.len()).collect::<Vec<_>>(),
         [3, 4]
     );
-    let refused = lab.run_with("refused", &pipeline, &["planes.least=3".to_owned()], &Settings::default()).unwrap_err();
-    let refused = chain(refused);
-    assert!(refused.contains("params.least = 3"), "{refused}");
+    let refused = Spec::parse("p", &pipeline, &["planes.least=3".to_owned()]).err().unwrap().to_string();
+    assert!(refused.contains("[planes]: params.least = 3: must be a whole number from 4"), "{refused}");
 }

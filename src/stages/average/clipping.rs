@@ -21,7 +21,7 @@ impl Clipping {
     /// None yet.
     pub fn new(average: &Average, dt_ps: f64) -> Self {
         let reach = resample::TAPS / 2;
-        let recovery = (average.recovery_ps / dt_ps).ceil().max(0.0) as usize;
+        let recovery = (average.recovery_ps.get() / dt_ps).ceil() as usize;
         Self { places: BTreeSet::new(), before: reach, after: reach + recovery }
     }
 

@@ -155,7 +155,7 @@ impl Shots {
         let views: Vec<(Samples<'_>, i64)> =
             judges.map(|shot| (view(&code_type, &shot.codes), shot.position)).collect();
         if average.reject_outliers {
-            self.test = OutlierTest::new(&views, self.baseline, average.outlier_sigma);
+            self.test = OutlierTest::new(&views, self.baseline, average.outlier_sigma.get());
         }
         let is_good = |(codes, position): &(Samples<'_>, i64)| {
             !self.test.as_ref().is_some_and(|test| test.is_outlier(*codes, *position))

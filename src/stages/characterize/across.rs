@@ -23,7 +23,7 @@ pub fn linearity(params: &Characterize, runs: &[Run<'_>]) -> Option<Finding> {
     } else {
         "the amplitude grows faster than the light: correct attenuation_od and power_w of the runs, or look for a second beam past the attenuator".to_owned()
     };
-    let good = (0.0, params.linearity_tolerance);
+    let good = (0.0, params.linearity_tolerance.get());
     Some(Finding::tested("linearity", (q, sd), good, "", Test::Normal, runs.len()).because(cause))
 }
 
@@ -35,7 +35,7 @@ pub fn signal_dependent_delay(params: &Characterize, runs: &[Run<'_>]) -> Option
     let columns = [vec![1.0; runs.len()], amplitudes().map(|amplitude| (amplitude - least) / range).collect()];
     let fit = fit(&columns, runs, |run| (run.time_ps, run.time_sd_ps))?;
     let cause = "walk: the time depends on the height of the pulse, through the amplifier's slew rate or the discriminator of the reference; capture with equal amplitudes, or lower them";
-    let good = (0.0, params.delay_tolerance_ps);
+    let good = (0.0, params.delay_tolerance_ps.get());
     let found = (fit.values[1], fit.sd(1));
     Some(Finding::tested("signal_dependent_delay", found, good, "ps", Test::Normal, runs.len()).because(cause))
 }
@@ -51,7 +51,7 @@ pub fn inverse_square(params: &Characterize, runs: &[Run<'_>]) -> Option<Finding
         (run.amplitude_v.ln(), (run.amplitude_sd_v / run.amplitude_v).hypot(2.0 * path_sd_m / path_m))
     })?;
     let cause = "the light does not fall off as from a diffuser: the patch overfills the sensor's view or the beam is not diffused (exponent nearer 0), or the near runs saturate; see `linearity`";
-    let (found, good) = ((fit.values[1], fit.sd(1)), (-2.0, params.exponent_tolerance));
+    let (found, good) = ((fit.values[1], fit.sd(1)), (-2.0, params.exponent_tolerance.get()));
     Some(Finding::tested("inverse_square", found, good, "", Test::Normal, runs.len()).because(cause))
 }
 
@@ -61,7 +61,7 @@ pub fn shift_per_path(params: &Characterize, runs: &[Run<'_>], group_index: f64)
     let columns = [vec![1.0; runs.len()], runs.iter().map(|run| flight(path(run).0)).collect()];
     let fit = fit(&columns, runs, |run| (run.time_ps, run.time_sd_ps.hypot(flight(path(run).1))))?;
     let cause = "time is not proportional to length: the oscilloscope's time base is off, or path_m, or group_index in campaign.toml; a distance is wrong by the same share";
-    let (found, good) = ((fit.values[1], fit.sd(1)), (1.0, params.shift_tolerance));
+    let (found, good) = ((fit.values[1], fit.sd(1)), (1.0, params.shift_tolerance.get()));
     let slope = Finding::tested("shift_per_path", found, good, "", Test::Normal, runs.len()).because(cause);
     let latency = Finding { sd: Some(fit.sd(0)), ..Finding::told("latency_ps", fit.values[0], "ps", runs.len()) };
     Some([slope, latency])
@@ -76,7 +76,7 @@ pub fn drifts(params: &Characterize, series: &TimeSeries<'_>) -> Vec<Finding> {
     let columns = [vec![1.0; count], series.at.iter().map(|at| at - mean).collect()];
     let mut findings = Vec::new();
     if let Some(fit) = fit(&columns, runs, |run| (run.time_ps, run.time_sd_ps)) {
-        let (found, good) = ((fit.values[1], fit.sd(1)), (0.0, params.drift_tolerance_ps / span));
+        let (found, good) = ((fit.values[1], fit.sd(1)), (0.0, params.drift_tolerance_ps.get() / span));
         let unit = format!("ps/{}", series.unit);
         let cause = "cable, amplifier or trigger is warming up: wait until this passes, and interleave fiducials with the scene";
         findings.push(Finding::tested("delay_drift", found, good, &unit, Test::Normal, count).because(cause));
@@ -90,7 +90,7 @@ pub fn drifts(params: &Characterize, series: &TimeSeries<'_>) -> Vec<Finding> {
     // A laser fluctuates beyond what single runs know of themselves, so the scatter of the runs is their standard deviation.
     if let Some(fit) = fit(&columns, runs, |run| (run.amplitude_v / level, 1.0)) {
         let sd = fit.sd(1) * (fit.chi2 / fit.dof as f64).sqrt();
-        let (unit, good) = (format!("1/{}", series.unit), (0.0, params.power_tolerance / span));
+        let (unit, good) = (format!("1/{}", series.unit), (0.0, params.power_tolerance.get() / span));
         let cause = "the laser's power or the beam's pointing drifts: let the laser warm up, and check the alignment";
         let test = Test::Student(fit.dof);
         findings.push(Finding::tested("power_drift", (fit.values[1], sd), good, &unit, test, count).because(cause));
@@ -100,7 +100,7 @@ pub fn drifts(params: &Characterize, series: &TimeSeries<'_>) -> Vec<Finding> {
     if let Some(widths) = widths {
         let (values, sds): (Vec<f64>, Vec<f64>) = widths.into_iter().unzip();
         if let Some(fit) = least_squares(&columns, &values, &sds) {
-            let (unit, good) = (format!("1/{}", series.unit), (0.0, params.width_tolerance / span));
+            let (unit, good) = (format!("1/{}", series.unit), (0.0, params.width_tolerance.get() / span));
             let cause = "the response grows wider or narrower: bias of the photodiode, focus, or temperature; calibrate again, and more often";
             let found = (fit.values[1], fit.sd(1));
             findings.push(Finding::tested("width_drift", found, good, &unit, Test::Normal, count).because(cause));

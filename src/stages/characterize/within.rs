@@ -47,7 +47,7 @@ pub fn echo(params: &Characterize, runs: &[Run<'_>]) -> Finding {
             Some([run.row.echo_ratio?, run.row.echo_ratio_sd?, run.row.echo_delay_ps?, run.row.echo_trials?])
         })
         .collect();
-    let beyond = |[ratio, sd, ..]: &[f64; 4]| (ratio.abs() - params.echo_tolerance) / sd;
+    let beyond = |[ratio, sd, ..]: &[f64; 4]| (ratio.abs() - params.echo_tolerance.get()) / sd;
     let Some([ratio, sd, delay_ps, _]) = echoes.iter().copied().max_by(|a, b| beyond(a).total_cmp(&beyond(b))) else {
         return Finding::missing(
             "echo",
@@ -60,7 +60,7 @@ pub fn echo(params: &Characterize, runs: &[Run<'_>]) -> Finding {
         100.0 * ratio
     );
     let trials = echoes.iter().map(|[.., trials]| trials).sum();
-    let good = (0.0, params.echo_tolerance);
+    let good = (0.0, params.echo_tolerance.get());
     Finding { trials, ..Finding::tested("echo", (ratio, sd), good, "", Test::Normal, echoes.len()) }.because(cause)
 }
 
@@ -69,7 +69,7 @@ pub fn pickup(params: &Characterize, rows: &[&Measurement]) -> Finding {
     let blocked = rows.iter().filter(|row| *row.role == *Role::Blocked.name());
     let pickups: Vec<[f64; 3]> =
         blocked.filter_map(|row| Some([row.pickup_v?, row.pickup_sd_v?, row.pickup_trials?])).collect();
-    let beyond = |[pickup_v, sd, _]: &[f64; 3]| (pickup_v.abs() - params.pickup_tolerance_v) / sd;
+    let beyond = |[pickup_v, sd, _]: &[f64; 3]| (pickup_v.abs() - params.pickup_tolerance_v.get()) / sd;
     let Some([pickup_v, sd, _]) = pickups.iter().copied().max_by(|a, b| beyond(a).total_cmp(&beyond(b))) else {
         return Finding::missing(
             "pickup",
@@ -78,7 +78,7 @@ pub fn pickup(params: &Characterize, rows: &[&Measurement]) -> Finding {
     };
     let cause = "synchronous pick-up: the laser's electronics reach the signal with the beam stopped; shield and ground, move cables apart, or take the mean of blocked captures off";
     let trials = pickups.iter().map(|[.., trials]| trials).sum();
-    let good = (0.0, params.pickup_tolerance_v);
+    let good = (0.0, params.pickup_tolerance_v.get());
     Finding { trials, ..Finding::tested("pickup", (pickup_v, sd), good, "V", Test::Normal, pickups.len()) }
         .because(cause)
 }

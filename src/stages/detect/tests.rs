@@ -130,6 +130,6 @@ fn responses_and_beginnings_are_found_each() {
         assert_eq!([onsets[0].amplitude, onsets[1].amplitude], [100.0, 40.0]);
         assert_eq!(onsets[1].covariance, [0.0, onsets[1].time_sd_ps.powi(2)]);
     }
-    let refused = Detect { method: Method::Aic, rearm_sigma: 6.0, ..Detect::default() };
-    assert!(refused.context((), &BesideTables::default()).is_err());
+    let refused = Detect { method: Method::Aic, rearm_sigma: Positive::new(6.0), ..Detect::default() };
+    assert_eq!(refused.conflict(), Some(Conflict("rearm_sigma", "must be at most `threshold_sigma`, 5".to_owned())));
 }

@@ -74,7 +74,7 @@ impl Triangulate {
                     times_ps: [0, 1].map(|side| onsets[strips[side]].time_ps),
                     heights_v: [0, 1].map(|side| onsets[strips[side]].amplitude.abs()),
                     place: view.place([0, 1].map(|side| onsets[strips[side]].time_ps), middle, through),
-                    share_least: self.share_least,
+                    share_least: self.share_least.get(),
                     spread_sd_ps2: SPREAD_SD_PS2,
                     strays: &strays,
                 };
@@ -85,9 +85,9 @@ impl Triangulate {
         let [first, second] = &evidence;
         let (strip, evidence) = if first.log_ratio <= second.log_ratio { (a, first) } else { (a + 1, second) };
         let free_probability = 1.0 / (1.0 + (-evidence.log_ratio).exp());
-        let verdict = if free_probability >= self.certain {
+        let verdict = if free_probability >= self.certain.get() {
             "free"
-        } else if free_probability <= 1.0 - self.certain {
+        } else if free_probability <= 1.0 - self.certain.get() {
             "occupied"
         } else {
             "open"
@@ -103,7 +103,7 @@ impl Triangulate {
             profiles: looked_at,
             share: is_told.then(|| evidence.weighted / evidence.weights),
             share_sd: is_told.then(|| evidence.weights.sqrt().recip()),
-            share_least: self.share_least,
+            share_least: self.share_least.get(),
             log_ratio: evidence.log_ratio,
             free_probability,
             verdict: verdict.into(),

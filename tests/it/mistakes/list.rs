@@ -90,8 +90,26 @@ pub const MISTAKES: &[Mistake] = &[
     Mistake(
         &[],
         "run pipeline.toml --campaign campaign --out new --set onsets.threshold_sigma=high",
-        "[onsets]: params.threshold_sigma",
-        "expected f64",
+        "[onsets]: params.threshold_sigma = \"high\"",
+        "must be 0 or more and finite (default 5)",
+    ),
+    Mistake(
+        &[],
+        "run pipeline.toml --campaign campaign --out new --set profiles.outlier_sigma=-6",
+        "[profiles]: params.outlier_sigma = -6",
+        "must be above 0 and finite (default 6)",
+    ),
+    Mistake(
+        &[],
+        "run pipeline.toml --campaign campaign --out new --set stir.evidence=inf",
+        "[stir]: params.evidence = inf",
+        "must be above 0 and finite (default absent)",
+    ),
+    Mistake(
+        &[],
+        "run pipeline.toml --campaign campaign --out new --set stir.lowpass_ghz=2",
+        "[stir]: params.lowpass_ghz = 2",
+        "only while it is `wiener`",
     ),
     Mistake(
         &[],
