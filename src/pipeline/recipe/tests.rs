@@ -182,8 +182,8 @@ fn check(kind: &str, seed: u64) -> (usize, usize) {
     let mut counts: HashMap<Digest, usize> = HashMap::new();
     for (given, recipe) in &sets {
         let meaning = meanings(&parameters, given);
-        let (same, _) = recipes.entry(meaning.clone()).or_insert((*recipe, given));
-        assert_eq!(same, recipe, "{kind}: two recipes of what means the same:\n{given}\n{}", recipes[&meaning].1);
+        let (same, earlier) = recipes.entry(meaning.clone()).or_insert((*recipe, given));
+        assert_eq!(same, recipe, "{kind}: two recipes of what means the same:\n{given}\n{earlier}");
         let (other, earlier) = others.entry(*recipe).or_insert((meaning.clone(), given));
         assert_eq!(*other, meaning, "{kind}: one recipe of\n{given}\nand of\n{earlier}");
         *counts.entry(*recipe).or_default() += 1;
