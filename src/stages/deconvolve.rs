@@ -317,9 +317,7 @@ impl Deconvolve {
         let acf = if is_white { vec![1.0] } else { calibration::correlation(profile) };
         let (light, light_noise_v) = match self.method {
             Method::None => (samples.clone(), noise_v),
-            Method::Sparse | Method::Nnls | Method::Pencil | Method::RichardsonLucy | Method::Wiener => {
-                self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools)
-            }
+            Method::Sparse | Method::Wiener => self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools),
         };
         let dead_time_ps = setup.and_then(|setup| setup.dead_times_ps.get(&**sensor)).copied().unwrap_or(0.0);
         let unpiled = match unpiled(profile, dead_time_ps) {

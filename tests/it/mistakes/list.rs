@@ -114,7 +114,7 @@ pub const MISTAKES: &[Mistake] = &[
     Mistake(
         &[],
         "run pipeline.toml --campaign campaign --out new --set stir.method=nnls",
-        "[stir]: params.method: `nnls` is no longer in the program",
+        "[stir]: params.method = \"nnls\": `nnls` is no longer in the program",
         "use `sparse`",
     ),
     Mistake(
