@@ -1,6 +1,7 @@
 //! Path lengths with source and camera in one point.
 
 use faer::Mat;
+use periscope::cancel::Cancel;
 use periscope::geometry::maximum_likelihood::{Node, Observation, Problem};
 use periscope::geometry::placement::{self, Alternative};
 use periscope::geometry::t2::Length;
@@ -58,7 +59,7 @@ impl Measured {
             set(a + 1, b + 1, across.max(0.0), 1.0);
         }
         let known = |i: usize, j: usize| Some(distances[(i, j)]).filter(|distance: &f64| !distance.is_nan());
-        (completion::complete(size, known).expect("all patches have a range"), weights)
+        (completion::complete(size, known, &Cancel::never()).expect("all patches have a range"), weights)
     }
 
     pub fn problem(&self, start: Vec<Point>, delay_sd_m: f64) -> Problem {

@@ -74,9 +74,11 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
     clear(&args.out)?;
     let (campaign, results) = (args.out.join("campaign"), args.out.join("out"));
     let scene = Scene::parse(Path::new(&format!("{name}.toml")), scene)?;
-    let truth = simulate::simulate(&scene, args.seed, &campaign, Format::Trc)?;
+    // The pipeline comes first: by it the next demo knows the folder, also where this one is ended early.
     let pipeline_file = args.out.join(format!("{name}.toml"));
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create {}", args.out.display()))?;
     std::fs::write(&pipeline_file, pipeline).with_context(|| format!("cannot write {}", pipeline_file.display()))?;
+    let truth = simulate::simulate(&scene, args.seed, &campaign, Format::Trc)?;
     let spec = Spec::parse(&pipeline_file.display().to_string(), pipeline, &[])?;
     let campaigns = [Campaign::load(&campaign)?];
     let shelf = Shelf::open(&results)?;
@@ -125,7 +127,8 @@ fn clear(out: &Path) -> Result<()> {
     if !out.exists() {
         return Ok(());
     }
-    let ours = out.join("campaign/truth").is_dir() || std::fs::read_dir(out)?.next().is_none();
+    let is_demo = DEMOS.iter().any(|(name, ..)| out.join(format!("{name}.toml")).is_file());
+    let ours = is_demo || out.join("campaign/truth").is_dir() || std::fs::read_dir(out)?.next().is_none();
     if !ours {
         bail!("{} is there and was not made by a demo; choose another folder with --out", out.display());
     }

@@ -1,8 +1,6 @@
 //! `periscope export`.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
@@ -11,6 +9,8 @@ use periscope::campaign::Campaign;
 use periscope::exchange::{self, ply};
 use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
+
+use super::whole_file;
 
 /// Arguments of `export`.
 #[derive(Args)]
@@ -41,7 +41,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
     match ending.as_deref() {
         Some("ply") => {
             let patches: Vec<Patch> = rows(&shelf, &args.patches)?;
-            let written = save(&args.file, |out| ply::write(out, &patches))?;
+            let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;
             println!("{}: {written} patches", args.file.display());
         }
         Some("hdf5" | "h5") => {
@@ -55,7 +55,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             let (profiles, calibration) = (rows(&shelf, &args.profiles)?, rows(&shelf, &args.calibration)?);
             let capture =
                 exchange::capture_of(&profiles, &patches, &calibration, &campaign).map_err(anyhow::Error::msg)?;
-            save(&args.file, |out| exchange::write_y_tal(out, &capture))?;
+            whole_file::write(&args.file, |out| exchange::write_y_tal(out, &capture))?;
             let (histograms, bins) = (capture.pairs.len(), capture.bins());
             println!("{}: {histograms} histograms of {bins} bins of {:.3} ps", args.file.display(), capture.dt_ps);
         }
@@ -80,13 +80,4 @@ fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
         rows.extend(R::rows(&batch)?);
     }
     Ok(rows)
-}
-
-fn save<T>(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<T>) -> Result<T> {
-    let saved = File::create(path).map(BufWriter::new).and_then(|mut file| {
-        let written = write(&mut file)?;
-        file.flush()?;
-        Ok(written)
-    });
-    saved.with_context(|| format!("cannot write {}", path.display()))
 }

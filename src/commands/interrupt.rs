@@ -3,6 +3,8 @@
 //! Commands that leave what they finished (`run`, `demo`, `plan --shards`, `run-shard`, `gather`) cancel a token on these signals.
 //! The other commands have no handler: the signal ends them at once, and nothing half-written of them looks whole.
 
+use std::time::Duration;
+
 use anyhow::{Context, Error, Result};
 use periscope::cancel::{Cancel, Cancelled};
 use periscope::pipeline::run::RunError;
@@ -11,8 +13,12 @@ use signal_hook::iterator::Signals;
 
 use super::INTERRUPTED;
 
-/// From now on the first Ctrl-C or SIGTERM cancels the token, and a second one ends the program at once. Whoever holds the
-/// token cleans up; if that takes too long, the next run does.
+/// A command that has not ended so long after the signal is ended by force: some call does not poll, or a disk does not answer.
+/// What it leaves is what a killed run leaves; the next run sweeps it away.
+const PATIENCE: Duration = Duration::from_millis(1700);
+
+/// From now on the first Ctrl-C or SIGTERM cancels the token. Whoever holds the token cleans up. A second signal ends the
+/// program at once, and so does the end of [`PATIENCE`].
 pub fn cancel_on_signals(cancel: &Cancel) -> Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;
     let cancel = cancel.clone();
@@ -23,6 +29,10 @@ pub fn cancel_on_signals(cancel: &Cancel) -> Result<()> {
             }
             cancel.cancel();
             eprintln!("stopping: what is under way is dropped, what is finished is kept (once more ends at once)");
+            std::thread::spawn(|| {
+                std::thread::sleep(PATIENCE);
+                std::process::exit(i32::from(INTERRUPTED));
+            });
         }
     });
     Ok(())

@@ -24,6 +24,7 @@ pub mod simulate;
 pub mod tables;
 pub mod verify;
 mod watch;
+mod whole_file;
 
 pub use interrupt::is_interruption;
 

@@ -1,11 +1,14 @@
 //! `periscope report`.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use periscope::report::{self, figures, page};
+
+use super::whole_file;
 
 /// Arguments of `report`.
 #[derive(Args)]
@@ -44,12 +47,12 @@ fn page_of(out: &Path) -> PathBuf {
 pub fn write_page(out: &Path) -> Result<PathBuf> {
     let file = page_of(out);
     let page = page::page(&report::Report::of(out)?);
-    std::fs::write(&file, page).with_context(|| format!("cannot write {}", file.display()))?;
+    whole_file::write(&file, |out| out.write_all(page.as_bytes()))?;
     Ok(file)
 }
 
 fn write(file: &Path, text: &str) -> Result<()> {
-    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))?;
+    whole_file::write(file, |out| out.write_all(text.as_bytes()))?;
     println!("{}", file.display());
     Ok(())
 }

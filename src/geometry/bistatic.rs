@@ -23,6 +23,7 @@ mod middle;
 mod start;
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
+use periscope_cancel::Cancel;
 use thiserror::Error;
 
 use super::Point;
@@ -107,6 +108,8 @@ pub struct Problem {
     pub apart_max_m: Option<f64>,
     /// Direction in which the strips follow one another in their order, where that is known.
     pub along: Option<Vector3<f64>>,
+    /// Ends the solution: polled once a step of a fit.
+    pub cancel: Cancel,
 }
 
 /// Places of all strips.

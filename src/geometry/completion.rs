@@ -3,6 +3,7 @@
 //! Source: Floyd-Warshall, as in Isomap (Tenenbaum et al., Science 290, 2319 (2000)).
 
 use faer::Mat;
+use periscope_cancel::Cancel;
 
 /// Fills what is not measured (`None`) of a symmetric distance matrix over p0 and all patches with the length of the shortest path over what is.
 /// Gives the indices that no path reaches as error.
@@ -12,10 +13,15 @@ use faer::Mat;
 ///
 /// # Panics
 /// When `distance_m(i, j)` is negative.
-pub fn complete(count: usize, distance_m: impl Fn(usize, usize) -> Option<f64>) -> Result<Mat<f64>, Vec<usize>> {
+pub fn complete(
+    count: usize,
+    distance_m: impl Fn(usize, usize) -> Option<f64>,
+    cancel: &Cancel,
+) -> Result<Mat<f64>, Vec<usize>> {
     let mut lengths =
         Mat::from_fn(count, count, |i, j| if i == j { 0.0 } else { distance_m(i, j).unwrap_or(f64::INFINITY) });
     for via in 0..count {
+        cancel.check();
         for i in 0..count {
             for j in 0..count {
                 // Only what is missing is filled: a measured distance stays, though a detour may be shorter by noise.
@@ -42,8 +48,8 @@ mod tests {
             (2, 3) => Some(0.4),
             _ => None,
         };
-        let complete = complete(4, measured).unwrap();
+        let complete = complete(4, measured, &Cancel::never()).unwrap();
         assert_eq!((complete[(0, 2)], complete[(1, 3)], complete[(0, 1)]), (1.9, 2.4, 1.0));
-        assert_eq!(super::complete(3, |i, j| (i + j == 1).then_some(1.0)), Err(vec![2]));
+        assert_eq!(super::complete(3, |i, j| (i + j == 1).then_some(1.0), &Cancel::never()), Err(vec![2]));
     }
 }

@@ -31,6 +31,7 @@ mod likelihood;
 mod sampling;
 
 use nalgebra::{Matrix3, Vector3};
+use periscope_cancel::Cancel;
 
 use super::Point;
 use super::hidden::Focus;
@@ -44,7 +45,7 @@ const CANDIDATES: [usize; 3] = [400, 12, 3];
 const NEAR: f64 = 0.25;
 
 /// What a patch is searched in.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Room {
     /// Visible patches.
     pub foci: Vec<Focus>,
@@ -52,6 +53,8 @@ pub struct Room {
     pub dimensions: usize,
     /// Length that light goes in the time that the response is wide.
     pub width_m: f64,
+    /// Ends the search: polled once a point and once a profile.
+    pub cancel: Cancel,
 }
 
 /// A place where there may be a patch.

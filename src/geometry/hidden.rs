@@ -44,6 +44,7 @@ mod superposition;
 mod surface;
 
 use nalgebra::{Matrix3, Vector3};
+use periscope_cancel::Cancel;
 
 use super::Point;
 use explanation::{Claims, Explanation};
@@ -153,7 +154,7 @@ impl Focus {
 }
 
 /// What hidden patches are searched in.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Room {
     /// Patches in place.
     pub foci: Vec<Focus>,
@@ -165,6 +166,8 @@ pub struct Room {
     pub count: Option<usize>,
     /// Lengths nearer than this may have one arrival together; 0: each has its own.
     pub blend_m: f64,
+    /// Ends the search: polled once a chunk of cubes, once a profile, and once a step of a climb.
+    pub cancel: Cancel,
 }
 
 /// A hidden surface.

@@ -37,3 +37,6 @@ pub type Matrix = faer::Mat<f64>;
 
 /// A point in space; in flatland z = 0.
 pub type Point = nalgebra::Point3<f64>;
+
+#[cfg(test)]
+mod tests;

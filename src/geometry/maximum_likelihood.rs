@@ -247,6 +247,7 @@ fn descend(rows: &Rows, mut means: Means, steps: usize, settled_m: f64) -> (Plac
     let mut now = means.cost(rows, &place);
     let (mut damping, mut idle, mut gained) = (1e-3, 0, f64::INFINITY);
     for _ in 0..steps {
+        rows.problem.cancel.check();
         let Some(step) = means.step(rows, &place, damping) else {
             damping *= 10.0;
             continue;
@@ -289,6 +290,7 @@ fn finish(rows: &Rows, means: Means, place: Place, loss: f64) -> Result<Solution
             Covariance::Blocks(blocks, others)
         }
         Means::Dense => loop {
+            problem.cancel.check();
             let nulls = freedom::without(&nulls, rows, &open);
             let columns = Mat::from_fn(rows.layout.size, nulls.len(), |i, k| nulls[k][i]);
             match dense_steps::covariance(rows, &place, &columns, &open) {
@@ -339,6 +341,7 @@ fn predicted_variances_m2(rows: &Rows, place: &Place, covariance: &Mat<f64>, ope
         if observation.nodes.iter().any(|node| matches!(node, Node::Patch(patch) if open.contains(patch))) {
             return f64::INFINITY;
         }
+        rows.problem.cancel.check();
         rows.residual(place, n, Some(&mut terms));
         let pairs = terms.iter().flat_map(|a| terms.iter().map(move |b| (a, b)));
         let sum: f64 = pairs.map(|(&(i, a), &(j, b))| a * covariance[(i, j)] * b).sum();
@@ -359,8 +362,13 @@ fn stiffest(rows: &Rows, place: &Place) -> f64 {
 
 /// Patches that the fewest paths touch.
 fn undetermined(problem: &Problem) -> Unsolved {
-    let touches = |patch: usize| problem.observations.iter().filter(|o| o.nodes.contains(&Node::Patch(patch))).count();
-    let mut counts: Vec<(usize, usize)> = (0..problem.start.len()).map(|patch| (patch, touches(patch))).collect();
+    let mut counts: Vec<(usize, usize)> = (0..problem.start.len()).map(|patch| (patch, 0)).collect();
+    for observation in &problem.observations {
+        let mut patches: Vec<usize> = observation.nodes.iter().filter_map(Node::patch).collect();
+        patches.sort_unstable();
+        patches.dedup();
+        patches.into_iter().for_each(|patch| counts[patch].1 += 1);
+    }
     counts.sort_by_key(|&(patch, count)| (count, patch));
     counts.truncate(5);
     Unsolved::Undetermined(counts)

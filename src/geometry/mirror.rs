@@ -31,6 +31,7 @@ pub use closed_forms::{equal_distances, per_ray, virtual_source};
 pub use joint::{Solution, Unsolved, solve};
 
 use nalgebra::{Matrix3, Vector3};
+use periscope_cancel::Cancel;
 
 use super::maximum_likelihood::Station;
 use super::{Matrix, Point};
@@ -74,6 +75,8 @@ pub struct Experiment {
     pub scans: Vec<Scan>,
     /// Prior covariance of the delays, as lengths; their means are 0.
     pub delay_covariance_m2: Matrix,
+    /// Ends the solution: polled once a step.
+    pub cancel: Cancel,
 }
 
 impl Experiment {

@@ -230,7 +230,8 @@ impl<'a> Scene<'a> {
     }
 
     fn problem_without_observations(&self) -> Problem {
-        let Problem { dimensions, stations, anchors, rays, delay_covariance_m2, period_sd_m, loss, .. } = self.problem;
+        let Problem { dimensions, stations, anchors, rays, delay_covariance_m2, period_sd_m, loss, cancel, .. } =
+            self.problem;
         Problem {
             start: Vec::new(),
             dimensions: *dimensions,
@@ -241,6 +242,7 @@ impl<'a> Scene<'a> {
             delay_covariance_m2: delay_covariance_m2.clone(),
             period_sd_m: *period_sd_m,
             loss: *loss,
+            cancel: cancel.clone(),
         }
     }
 }

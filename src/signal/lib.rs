@@ -27,3 +27,6 @@ pub mod tails;
 pub mod whiten;
 mod widest;
 pub mod wiener;
+
+#[cfg(test)]
+mod tests;

@@ -11,10 +11,14 @@
 //! the filter's inverse stable, and what is used is the process of largest entropy that has these lags (Burg). Where the number of samples behind an
 //! estimate is known, [`super::noise::autoregressive`] chooses the order better beforehand.
 
+use periscope_cancel::Cancel;
+
 /// Partial correlations beyond this end the recursion: noise less than 1/500 of which is new in each sample is more likely a wrong estimate.
 const PARTIAL_MAX: f64 = 0.999;
 /// Partial correlations at the end that are smaller than this are rounding: they would lengthen the filter for nothing.
 const PARTIAL_MIN: f64 = 1e-3;
+/// Samples between two looks at the token.
+const BLOCK: usize = 1 << 16;
 
 /// Predictors of orders 0, 1, .. of a stationary process of variance 1.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,6 +81,8 @@ pub struct Whitener {
     orders: Vec<usize>,
     /// Of each order: `1, -phi_1, -phi_2, ..`, over the sd of the error.
     taps: Vec<Vec<f64>>,
+    /// Polled once a block.
+    cancel: Cancel,
 }
 
 impl Whitener {
@@ -102,7 +108,13 @@ impl Whitener {
                 order
             })
             .collect();
-        Self { weights, orders, taps }
+        Self { weights, orders, taps, cancel: Cancel::never() }
+    }
+
+    /// The same, which a cancel ends while it works on a long record.
+    #[must_use]
+    pub fn ended_by(self, cancel: &Cancel) -> Self {
+        Self { cancel: cancel.clone(), ..self }
     }
 
     /// Filter taps of each order.
@@ -182,15 +194,21 @@ impl Whitener {
             return;
         }
         // From the end backwards: a sample depends on those before it only.
-        for i in (0..columns.len()).rev() {
-            let taps = &self.taps[self.orders[first + i]];
-            let mut sum = [0.0; P];
-            for (tap, column) in taps.iter().zip(columns[..=i].iter().rev()) {
-                for p in 0..P {
-                    sum[p] += tap * column[p];
+        let mut end = columns.len();
+        while end > 0 {
+            self.cancel.check();
+            let start = end.saturating_sub(BLOCK);
+            for i in (start..end).rev() {
+                let taps = &self.taps[self.orders[first + i]];
+                let mut sum = [0.0; P];
+                for (tap, column) in taps.iter().zip(columns[..=i].iter().rev()) {
+                    for p in 0..P {
+                        sum[p] += tap * column[p];
+                    }
                 }
+                columns[i] = sum;
             }
-            columns[i] = sum;
+            end = start;
         }
     }
 
@@ -205,9 +223,13 @@ impl Whitener {
             return self.scaled(whitened);
         }
         let mut record = vec![0.0; whitened.len()];
-        for (n, (value, order)) in whitened.iter().zip(&self.orders).enumerate() {
-            for (j, tap) in self.taps[*order].iter().enumerate() {
-                record[n - j] += tap * value;
+        for start in (0..whitened.len()).step_by(BLOCK) {
+            self.cancel.check();
+            let block = start..(start + BLOCK).min(whitened.len());
+            for (n, (value, order)) in block.clone().zip(whitened[block.clone()].iter().zip(&self.orders[block])) {
+                for (j, tap) in self.taps[*order].iter().enumerate() {
+                    record[n - j] += tap * value;
+                }
             }
         }
         for (value, weight) in record.iter_mut().zip(&self.weights) {

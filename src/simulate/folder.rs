@@ -46,13 +46,12 @@ pub fn write_campaign(
     format: Format,
     shootings: &[Shooting],
 ) -> Result<(), SimulateError> {
-    let path = out.join("campaign.toml");
-    written(&path, fs::write(&path, campaign_text(scene, seed, format, shootings)))?;
     if shootings.iter().any(|shooting| shooting.role == Role::Fiducial) {
         let path = out.join(FIDUCIALS);
         written(&path, fs::write(&path, fiducials_text(scene, format, shootings)))?;
     }
-    Ok(())
+    let path = out.join("campaign.toml");
+    written(&path, fs::write(&path, campaign_text(scene, seed, format, shootings)))
 }
 
 fn campaign_text(scene: &Scene, seed: u64, format: Format, shootings: &[Shooting]) -> String {

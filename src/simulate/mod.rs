@@ -241,7 +241,8 @@ pub fn record(laboratory: &Laboratory, seed: u64, out: &Path, format: Format) ->
         raw_files::write_shots(out, scene, chain, format, shooting, &shots)
     })?;
     let truth = laboratory.truth();
-    folder::write_campaign(out, scene, seed, format, &laboratory.shootings)?;
     folder::write_truth(out, scene, seed, &truth)?;
+    // Comes last: without it a folder is no campaign, so that a simulation that was ended leaves nothing that looks whole.
+    folder::write_campaign(out, scene, seed, format, &laboratory.shootings)?;
     Ok(truth)
 }

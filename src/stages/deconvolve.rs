@@ -48,6 +48,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::method;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::cancel::Cancel;
 use crate::parameter::{Condition, Count, NonNegative, Positive};
 use crate::priors::calibration::{self, Calibrated, Key, key_of};
 use crate::priors::corrections::Correction;
@@ -121,6 +122,7 @@ pub struct Sensors {
     sessions: Vec<Session>,
     setups: BTreeMap<String, Setup>,
     tools: Mutex<Vec<Tools>>,
+    cancel: Cancel,
 }
 
 /// What one worker has prepared, kept because captures of a campaign are mostly alike.
@@ -195,7 +197,8 @@ impl Stage for Deconvolve {
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         let sessions = beside.rows::<Session>("session")?.unwrap_or_default();
         let calibrated = rows.iter().map(|row| (key_of(row), Calibrated::new(row))).collect();
-        Ok(Sensors { rows, calibrated, sessions, setups, tools: Mutex::default() })
+        let cancel = beside.cancel.clone();
+        Ok(Sensors { rows, calibrated, sessions, setups, tools: Mutex::default(), cancel })
     }
 }
 
@@ -206,6 +209,7 @@ impl Apply for Deconvolve {
         let mut outcome = Outcome::rows(Vec::new());
         let mut ready: Vec<(&Profile, Ready)> = Vec::new();
         for profile in &group {
+            sensors.cancel.check();
             match self.prepare(sensors, profile, &mut tools)? {
                 Ok(prepared) => ready.push((profile, prepared)),
                 Err(why) => outcome.rejections.push(rejection(profile, &why)),
@@ -269,17 +273,18 @@ impl Deconvolve {
             && a.dt_ps == b.dt_ps
             && sensors.setups[&*first.campaign].with_laser.iter().any(|sensor| **sensor == *first.sensor)
         {
-            let together = explain::jointly(&[a.record(), b.record()], self.asked());
+            let together = explain::jointly(&[a.record(), b.record()], self.asked(&sensors.cancel));
             return if first.lit < first.seen { vec![Some(together), None] } else { vec![None, Some(together)] };
         }
-        ready.iter().map(|(_, ready)| self.explain_alone(ready)).collect()
+        ready.iter().map(|(_, ready)| self.explain_alone(sensors, ready)).collect()
     }
 
-    fn explain_alone(&self, ready: &Ready) -> Option<Explained> {
+    fn explain_alone(&self, sensors: &Sensors, ready: &Ready) -> Option<Explained> {
+        let asked = self.asked(&sensors.cancel);
         match (self.method, &ready.unpiled) {
             (Method::Wiener | Method::None, _) => None,
-            (Method::Sparse, Some(unpiled)) => Some(ready.record().counts(unpiled, self.asked())),
-            (Method::Sparse, None) => Some(explain::jointly(&[ready.record()], self.asked())),
+            (Method::Sparse, Some(unpiled)) => Some(ready.record().counts(unpiled, asked)),
+            (Method::Sparse, None) => Some(explain::jointly(&[ready.record()], asked)),
         }
     }
 
@@ -341,13 +346,14 @@ impl Deconvolve {
         }))
     }
 
-    fn asked(&self) -> Asked {
+    fn asked(&self, cancel: &Cancel) -> Asked {
         let Self { evidence, impulses_max, signed, extent_max_ps, .. } = *self;
         Asked {
             evidence: evidence.map(Positive::get),
             impulses_max: impulses_max.get() as usize,
             signed,
             extent_max_ps: extent_max_ps.get(),
+            cancel: cancel.clone(),
         }
     }
 

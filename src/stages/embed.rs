@@ -44,6 +44,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::method;
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::cancel::Cancel;
 use crate::geometry::maximum_likelihood::{Node, Observation, Problem};
 use crate::geometry::placement::{self, Alternative};
 use crate::geometry::t2::{self, Length};
@@ -102,6 +103,7 @@ pub struct Context {
     frame: Frame,
     known: Option<Vec<Patch>>,
     hypotheses: Vec<Hypothesis>,
+    cancel: Cancel,
 }
 
 impl Stage for Embed {
@@ -142,7 +144,7 @@ impl Stage for Embed {
             let text = "with hypotheses, but without patches: the places of hypotheses are in the frame of the patches given to `label`; give these here too";
             return Err(StageError::Refused(text.to_owned()));
         }
-        Ok(Context { campaign, frame, known, hypotheses })
+        Ok(Context { campaign, frame, known, hypotheses, cancel: beside.cancel.clone() })
     }
 }
 
@@ -150,7 +152,7 @@ impl Apply for Embed {
     fn apply(&self, context: &Context, group: Vec<Distance>) -> Result<Outcome<Patch>, StageError> {
         let mut rows = match &context.known {
             Some(known) => known.clone(),
-            None => self.visible(&context.frame, &group)?,
+            None => self.visible(context, &group)?,
         };
         let (hidden, rejections) = hidden::place(context, &rows, &group);
         rows.extend(hidden);
@@ -185,6 +187,7 @@ struct Measured<'a> {
     ids: &'a [PatchId],
     known: &'a BTreeMap<(PatchId, PatchId), &'a Distance>,
     dimensions: usize,
+    cancel: &'a Cancel,
 }
 
 impl Measured<'_> {
@@ -200,7 +203,7 @@ impl Measured<'_> {
     /// All distances, those not measured by shortest paths. Noise may push a short distance below zero.
     fn complete(&self) -> Matrix {
         let length = |i: usize, j: usize| self.distance(i, j).map(|distance| distance.distance_m.max(0.0));
-        completion::complete(self.count(), length).expect("every patch here has a distance to patch 0")
+        completion::complete(self.count(), length, self.cancel).expect("every patch here has a distance to patch 0")
     }
 
     /// The path lengths whose T2 the distances are, p0 at the origin.
@@ -229,13 +232,16 @@ impl Measured<'_> {
         let first_bounces = first.iter().map(|(patch, length)| observation(&[*patch], length));
         let second_bounces = second.iter().map(|((a, b), length)| observation(&[*a, *b], length));
         let observations = first_bounces.chain(second_bounces).collect();
-        Problem::new(vec![Point::origin(); first.len()], self.dimensions, &[Point::origin()], observations)
+        let problem =
+            Problem::new(vec![Point::origin(); first.len()], self.dimensions, &[Point::origin()], observations);
+        Problem { cancel: self.cancel.clone(), ..problem }
     }
 }
 
 impl Embed {
     /// Patches with a distance to p0, by the method.
-    fn visible(&self, frame: &Frame, group: &[Distance]) -> Result<Vec<Patch>, StageError> {
+    fn visible(&self, context: &Context, group: &[Distance]) -> Result<Vec<Patch>, StageError> {
+        let frame = &context.frame;
         let ids: BTreeSet<PatchId> =
             group.iter().filter(|distance| distance.a == 0).map(|distance| distance.b).collect();
         let ids: Vec<PatchId> = ids.into_iter().collect();
@@ -250,7 +256,8 @@ impl Embed {
                 ids.len()
             )));
         }
-        let (points, alternatives) = self.points(&Measured { ids: &ids, known: &known, dimensions });
+        let (points, alternatives) =
+            self.points(&Measured { ids: &ids, known: &known, dimensions, cancel: &context.cancel });
         let row = |place: usize, point: Point| {
             let of_patch = known.values().filter(|distance| distance.a == ids[place] || distance.b == ids[place]);
             start(ids[place], "visible", point, of_patch.map(|distance| distance.onsets).sum())

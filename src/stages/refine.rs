@@ -115,7 +115,7 @@ impl Stage for Refine {
         let start = beside.rows::<Patch>("patches")?.unwrap_or_default();
         let calibration = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         let planes = beside.rows::<Plane>("planes")?.unwrap_or_default();
-        Ok(Context { known: Known::new(setups, start, calibration), planes })
+        Ok(Context { known: Known::new(setups, start, calibration, beside.cancel.clone()), planes })
     }
 }
 

@@ -109,7 +109,7 @@ impl Stage for Reflect {
         }
         let patches = beside.rows::<Patch>("patches")?.unwrap_or_default();
         let latencies = Latencies::new(beside.rows::<Calibration>("calibration")?.unwrap_or_default());
-        Ok(Known::new(setups, &patches, latencies))
+        Ok(Known::new(setups, &patches, latencies, beside.cancel.clone()))
     }
 }
 

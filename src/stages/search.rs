@@ -34,6 +34,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::cancel::Cancel;
 use crate::geometry::Point;
 use crate::geometry::faint::{self, Room};
 use crate::geometry::hidden::facing;
@@ -86,6 +87,7 @@ pub struct Known {
     calibrated: BTreeMap<Key, Calibrated>,
     sessions: Vec<Session>,
     delays: Vec<Delay>,
+    cancel: Cancel,
 }
 
 impl Stage for Search {
@@ -135,6 +137,7 @@ impl Stage for Search {
             calibration,
             sessions: beside.rows("session")?.unwrap_or_default(),
             delays: beside.rows("delays")?.unwrap_or_default(),
+            cancel: beside.cancel.clone(),
         })
     }
 }
@@ -157,7 +160,7 @@ impl Apply for Search {
         };
         let light = Light::new(known, &records, &visible);
         if room.is_some() {
-            light.learn(&mut records, &points);
+            light.learn(&mut records, &points, &known.cancel);
         }
         let already = points.len() - visible.len();
         let count = known.setups.values().next().and_then(|setup| setup.hidden_count);
@@ -167,7 +170,7 @@ impl Apply for Search {
             let Some(room) = &room else { break };
             let scores = |record: &Record| {
                 let given = light.given(record, &points);
-                record.scores(&visible, &given, self.spread_ps.get())
+                record.scores(&visible, &given, self.spread_ps.get(), &known.cancel)
             };
             let profiles: Vec<faint::Profile> = records.par_iter().map(scores).collect();
             let Some(place) = faint::likeliest(&profiles, room) else { break };
@@ -203,7 +206,7 @@ fn room(
     }
     let foci = facing::fronts(&at, &vec![None; at.len()], Point::from(setup.source_m), setup.dimensions);
     let width_m = units::path_m(record.response.width_ps(), setup.group_index);
-    Ok(Room { foci, dimensions: setup.dimensions, width_m })
+    Ok(Room { foci, dimensions: setup.dimensions, width_m, cancel: known.cancel.clone() })
 }
 
 fn rejection(campaign: &str, reason: String) -> Rejection {

@@ -25,6 +25,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::cancel::Cancel;
 use crate::geometry::{Point, planes};
 use crate::parameter::{Condition, Conflict, Count, NonNegative};
 use crate::priors::covariances;
@@ -63,6 +64,7 @@ pub struct Setup {
 pub struct Known {
     campaign: String,
     between: BTreeMap<(PatchId, PatchId), Matrix3<f64>>,
+    cancel: Cancel,
 }
 
 impl Stage for Surface {
@@ -108,7 +110,7 @@ impl Stage for Surface {
             between.insert((row.b, row.a), covariances::between(row).transpose());
         }
         let campaign = setups.into_iter().next().map_or_else(String::new, |setup| setup.campaign);
-        Ok(Known { campaign, between })
+        Ok(Known { campaign, between, cancel: beside.cancel.clone() })
     }
 }
 
@@ -170,7 +172,9 @@ impl<'a> Placed<'a> {
         (placed, reasons)
     }
 
+    /// Covariance of two patches. All loops over planes ask for it, so it polls for them.
     fn covariance_m2(&self, a: usize, b: usize) -> Matrix3<f64> {
+        self.known.cancel.check();
         if a == b {
             return self.own[a];
         }

@@ -45,6 +45,7 @@ use serde::{Deserialize, Serialize};
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::campaign::keys;
+use crate::cancel::Cancel;
 use crate::geometry::bistatic;
 use crate::parameter::{Interval, Number, Share};
 use crate::priors::calibration::{Calibrated, Key, key_of};
@@ -109,6 +110,7 @@ pub struct Known {
     calibrated: BTreeMap<Key, Calibrated>,
     profiles: Option<Vec<Profile>>,
     sessions: Vec<Session>,
+    cancel: Cancel,
 }
 
 impl Known {
@@ -179,6 +181,7 @@ impl Stage for Triangulate {
             calibration,
             profiles: beside.rows("profiles")?,
             sessions: beside.rows("session")?.unwrap_or_default(),
+            cancel: beside.cancel.clone(),
         })
     }
 }

@@ -25,6 +25,7 @@ mod ingest;
 mod installed;
 mod inter_reflections;
 mod interop;
+mod interrupt;
 mod lab;
 mod laws;
 mod lifecycle;

@@ -76,6 +76,7 @@ pub(super) fn fit(problem: &Problem, labels: &[(usize, Vec<usize>)], start: &Sta
     let (mut matrix, mut left) = model.equations(&state)?;
     let mut chi2 = left.norm_squared();
     for _ in 0..STEPS {
+        problem.cancel.check();
         let step = matrix.tr_mul(&matrix).cholesky()?.solve(&matrix.tr_mul(&left));
         let shorter = (0..HALVINGS).find_map(|halvings| {
             let next = model.moved(&state, &(&step * 0.5_f64.powi(halvings as i32)));

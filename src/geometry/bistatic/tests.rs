@@ -102,6 +102,7 @@ impl Scene {
             records,
             apart_max_m: Some(0.06),
             along: Some(Vector3::x()),
+            cancel: Cancel::never(),
         }
     }
 

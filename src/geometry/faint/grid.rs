@@ -4,6 +4,7 @@
 //! short: a grid of points as dense is as good, and needs no bounds.
 
 use nalgebra::Vector3;
+use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
 use super::likelihood::searched;
@@ -26,7 +27,7 @@ struct Pair {
 
 /// The `most` points with the largest sums of log-likelihood ratios, best first, among those that more than half of the profiles could have recorded.
 pub(super) fn candidates(profiles: &[Profile], room: &Room, domain: &Domain, most: usize) -> Vec<Point> {
-    let pairs = pairs(profiles);
+    let pairs = pairs(profiles, &room.cancel);
     let step_m = STEP * room.width_m;
     let side = (domain.half_m / step_m) as i32;
     let depth = if room.dimensions == 2 { 0 } else { side };
@@ -36,6 +37,7 @@ pub(super) fn candidates(profiles: &[Profile], room: &Room, domain: &Domain, mos
             (-side..=side).flat_map(|j| (-depth..=depth).map(move |k| Vector3::from([i, j, k].map(f64::from))));
         let points = points.map(|steps| domain.centre + steps * step_m);
         let sum = |point: Point| {
+            room.cancel.check();
             for (leg, focus) in legs_m.iter_mut().zip(&room.foci) {
                 *leg = focus.faces(point, 0.0).then(|| (point - focus.point).norm());
             }
@@ -65,9 +67,9 @@ fn sum(pairs: &[Pair], legs_m: &[Option<f64>]) -> (f32, usize) {
     (sum, recorded)
 }
 
-fn pairs(profiles: &[Profile]) -> Vec<Pair> {
+fn pairs(profiles: &[Profile], cancel: &Cancel) -> Vec<Pair> {
     let mut pairs: Vec<Pair> = Vec::new();
-    for (profile, curve) in profiles.iter().zip(searched(profiles, SEARCHED)) {
+    for (profile, curve) in profiles.iter().zip(searched(profiles, SEARCHED, cancel)) {
         let foci = [profile.foci[0].min(profile.foci[1]), profile.foci[0].max(profile.foci[1])];
         match pairs.iter_mut().find(|pair| pair.foci == foci) {
             Some(pair) => pair.curves.push(curve),

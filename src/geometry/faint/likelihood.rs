@@ -1,6 +1,7 @@
 //! The likelihood of a patch at a place, by its strength.
 
 use nalgebra::Vector3;
+use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
 use super::Room;
@@ -85,12 +86,13 @@ fn ratios<const COUNT: usize>(score: f64, expected: f64, weights: &[f64; FACTORS
 }
 
 /// Log-likelihood ratios by length for pulses of about one signal-to-noise ratio, wherever the patch lies.
-pub(super) fn searched(profiles: &[Profile], snr: f64) -> Vec<Curve> {
+pub(super) fn searched(profiles: &[Profile], snr: f64, cancel: &Cancel) -> Vec<Curve> {
     let gains = || profiles.iter().flat_map(|profile| &profile.gains).filter(|gain| **gain > 0.0);
     let usual = (gains().map(|gain| gain * gain).sum::<f64>() / gains().count().max(1) as f64).sqrt();
     let weights = weights();
     let first = snr / usual * RATIO.powi(-2 * SIDE as i32);
     let curve = |profile: &Profile| {
+        cancel.check();
         let mut rungs = [0.0; 4 * SIDE + 1];
         let mut value = |(score, gain): (&f64, &f64)| {
             let [ratio] = ratios::<1>(*score, first * gain, &weights, &mut rungs);
@@ -143,11 +145,13 @@ pub(super) struct Likelihood<'a> {
     pub(super) domain: &'a Domain,
     weights: [f64; FACTORS],
     pub(super) log_volume: f64,
+    cancel: &'a Cancel,
 }
 
 impl<'a> Likelihood<'a> {
     pub(super) fn new(profiles: &'a [Profile], room: &'a Room, domain: &'a Domain) -> Self {
-        let mut all = Self { profiles, foci: &room.foci, domain, weights: weights(), log_volume: 0.0 };
+        let mut all =
+            Self { profiles, foci: &room.foci, domain, weights: weights(), log_volume: 0.0, cancel: &room.cancel };
         all.log_volume = all.volume().ln();
         all
     }
@@ -168,6 +172,7 @@ impl<'a> Likelihood<'a> {
 
     /// Of the profiles that could have recorded a patch at a place: score, and what a unit of strength adds to it. `None` where these are no more than half.
     fn signals(&self, point: &Point) -> Option<Vec<(f64, f64)>> {
+        self.cancel.check();
         if !self.domain.holds(*point, 0.0) {
             return None;
         }

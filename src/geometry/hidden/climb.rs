@@ -1,6 +1,7 @@
 //! A hidden surface's likelihood at a place, and the nearest place where it is largest.
 
 use nalgebra::{Matrix3, Vector3};
+use periscope_cancel::Cancel;
 
 use super::surface::Surface;
 use super::{Focus, Profile, blend};
@@ -29,6 +30,7 @@ pub struct View<'a> {
     pub surface: Surface,
     /// Lengths nearer than this may have one arrival together.
     pub blend_m: f64,
+    pub cancel: &'a Cancel,
 }
 
 /// A place with what speaks for it.
@@ -140,6 +142,7 @@ impl View<'_> {
         }
         let mut best = self.place(point);
         for _ in 0..STEPS {
+            self.cancel.check();
             let Some((place, step)) = self.step(point, 1.0) else { break };
             if place.likelihood >= best.likelihood {
                 best = place;

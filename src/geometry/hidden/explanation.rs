@@ -98,6 +98,7 @@ impl<'a> Explanation<'a> {
         let at = |k: i32| (f64::from(k) + 0.5) * step_m - self.domain.half_m;
         let least = surface.share() * self.ways() as f64;
         let is_recorded = |point: &Point| {
+            self.room.cancel.check();
             let is_in = |(profile, way): &(&Profile, &Way)| {
                 let legs = surface.way(way.foci.map(|focus| &self.room.foci[focus]), *point);
                 legs.is_some_and(|(length_m, _)| way.known_m + length_m <= profile.span_m[1])
@@ -143,6 +144,7 @@ impl<'a> Explanation<'a> {
     }
 
     fn pairs_of(&self, profile: &Profile, paths: &[Known]) -> Vec<Pair> {
+        self.room.cancel.check();
         let mut pairs = Vec::new();
         for (path, known) in paths.iter().enumerate() {
             let reach_m = GATE * profile.widest_m.hypot(known.sd_m);
@@ -202,6 +204,7 @@ impl<'a> Explanation<'a> {
             dimensions: self.room.dimensions,
             surface,
             blend_m: self.room.blend_m,
+            cancel: &self.room.cancel,
         }
     }
 

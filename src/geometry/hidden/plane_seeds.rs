@@ -5,6 +5,7 @@
 //! Where no three foci are lit and seen among one another, nothing is found.
 
 use nalgebra::Vector3;
+use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
 use super::Focus;
@@ -22,7 +23,7 @@ const CHECKS: usize = 16;
 const TOO_LONG: f64 = 0.05;
 
 /// Planes that arrivals of a triple and of further pairs agree on; a plane's place is the foot of the perpendicular from the middle of the domain.
-pub fn seeds(foci: &[Focus], pairs: &[Lengths], domain: &Domain) -> Vec<Seed> {
+pub fn seeds(foci: &[Focus], pairs: &[Lengths], domain: &Domain, cancel: &Cancel) -> Vec<Seed> {
     let position = |a: usize, b: usize| pairs.iter().position(|pair| pair.foci == [a.min(b), a.max(b)]);
     let mut sets = 0;
     let is_affordable = |triple: &[usize; 3]| {
@@ -31,18 +32,19 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], domain: &Domain) -> Vec<Seed> {
         sets += pairs.iter().filter(side).map(|pair| pair.values_m.len()).product::<usize>();
         is_first || sets <= SETS
     };
-    let triples: Vec<[usize; 3]> = triples(foci, pairs).into_iter().take_while(is_affordable).collect();
-    triples.into_iter().flat_map(|triple| of_triple(foci, pairs, triple, &position, domain)).collect()
+    let triples: Vec<[usize; 3]> = triples(foci, pairs, cancel).into_iter().take_while(is_affordable).collect();
+    triples.into_iter().flat_map(|triple| of_triple(foci, pairs, triple, &position, domain, cancel)).collect()
 }
 
 /// Triangles of which all three sides have arrivals, the largest first; no two share a side.
-fn triples(foci: &[Focus], pairs: &[Lengths]) -> Vec<[usize; 3]> {
+fn triples(foci: &[Focus], pairs: &[Lengths], cancel: &Cancel) -> Vec<[usize; 3]> {
     let mut sides = vec![vec![false; foci.len()]; foci.len()];
     for Lengths { foci: [a, b], values_m, .. } in pairs {
         sides[*a][*b] = a != b && !values_m.is_empty();
     }
     let mut all: Vec<(f64, [usize; 3])> = Vec::new();
     for i in 0..foci.len() {
+        cancel.check();
         for j in (i + 1..foci.len()).filter(|&j| sides[i][j]) {
             for k in (j + 1..foci.len()).filter(|&k| sides[i][k] && sides[j][k]) {
                 let [a, b, c] = [i, j, k].map(|focus| foci[focus].point);
@@ -67,6 +69,7 @@ fn of_triple(
     [i, j, k]: [usize; 3],
     position: &(impl Fn(usize, usize) -> Option<usize> + Sync),
     domain: &Domain,
+    cancel: &Cancel,
 ) -> Vec<Seed> {
     let (Some(ij), Some(ik), Some(jk)) = (position(i, j), position(i, k), position(j, k)) else { return Vec::new() };
     // The triple's own pairs tell most at least cost.
@@ -87,6 +90,7 @@ fn of_triple(
     let from_first = |&ij: &f64| {
         let mut found = Vec::new();
         for &ik in &of_ik {
+            cancel.check();
             for &jk in &of_jk {
                 let heights_m = [ij * ik / jk, ij * jk / ik, ik * jk / ij].map(f64::sqrt);
                 // A product that is not positive gives no height.
@@ -155,11 +159,11 @@ mod tests {
                 seen: 0.9,
             };
             let pairs: Vec<Lengths> = pairs.map(lengths).collect();
-            let triples = triples(&foci, &pairs);
+            let triples = triples(&foci, &pairs, &Cancel::never());
             assert!(triples.len() > 1, "{triples:?}");
             let position = |a: usize, b: usize| pairs.iter().position(|pair| pair.foci == [a.min(b), a.max(b)]);
             for triple in triples {
-                let seeds = of_triple(&foci, &pairs, triple, &position, &domain);
+                let seeds = of_triple(&foci, &pairs, triple, &position, &domain, &Cancel::never());
                 assert!(seeds.iter().any(|seed| (seed.point - at).norm() < 1e-6), "{triple:?} {seeds:?}");
             }
         }

@@ -7,6 +7,7 @@
 //! the curves so far is a martingale of mean 1, and a bound lies above it).
 
 use nalgebra::Vector3;
+use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
 use super::Focus;
@@ -95,7 +96,14 @@ impl Domain {
 /// Centres of cubes with a half diagonal of at most `fine_m` in which the sum may exceed `least`, with the bound of each, best first. Places that half
 /// of the profiles cannot have seen, since they lie behind a wall, do not count.
 #[must_use]
-pub fn search(foci: &[Focus], legs: &[Legs], domain: &Domain, fine_m: f64, least: f32) -> Vec<(Point, f32)> {
+pub fn search(
+    foci: &[Focus],
+    legs: &[Legs],
+    domain: &Domain,
+    fine_m: f64,
+    least: f32,
+    cancel: &Cancel,
+) -> Vec<(Point, f32)> {
     // Paths among few foci first: early ends need few distances.
     let mut order: Vec<&Legs> = legs.iter().collect();
     order.sort_by_key(|legs| (legs.foci[1], legs.foci[0]));
@@ -107,6 +115,7 @@ pub fn search(foci: &[Focus], legs: &[Legs], domain: &Domain, fine_m: f64, least
             order.par_iter().map(|legs| Legs { curve: legs.curve.widened(2.0 * radius_m), ..**legs }).collect();
         let is_last = radius_m <= fine_m;
         let cut = |chunk: &[(Point, f32)]| -> Vec<(Point, f32)> {
+            cancel.check();
             let mut distances_m = vec![None; foci.len()];
             let bound = |cube: &(Point, f32)| {
                 Some((cube.0, bound(&level, profiles.div_ceil(2), foci, cube.0, radius_m, &mut distances_m)?))

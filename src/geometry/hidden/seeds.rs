@@ -10,6 +10,7 @@
 //! which another base or `search` makes good.
 
 use nalgebra::{Matrix3, Vector3, Vector4};
+use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
 use super::search::Domain;
@@ -122,7 +123,7 @@ pub struct Seed {
 
 /// Places that the arrivals of a base and those of further pairs agree on, in no order of merit.
 #[must_use]
-pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) -> Vec<Seed> {
+pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain, cancel: &Cancel) -> Vec<Seed> {
     let order = checks(foci, pairs, base, domain);
     let shared = |focus: &usize| base.iter().all(|&pair| pairs[pair].foci.contains(focus));
     let Some(focus) = pairs[base[0]].foci.into_iter().find(shared) else { return Vec::new() };
@@ -142,6 +143,7 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain)
     let from_first = |a: &(Vector4<f64>, f64)| {
         let mut found = Vec::new();
         for b in second {
+            cancel.check();
             for c in third {
                 for arm in meet([*a, *b, *c]).into_iter().flatten() {
                     let at = foci[focus].point + arm;
@@ -278,7 +280,7 @@ mod tests {
             let bases = bases(&foci, &pairs, &domain, 3);
             assert!(bases.len() > 1 && bases.iter().all(|base| base.len() == dimensions), "{bases:?}");
             for base in &bases {
-                let seeds = seeds(&foci, &pairs, base, &domain);
+                let seeds = seeds(&foci, &pairs, base, &domain, &Cancel::never());
                 assert!(seeds.iter().any(|seed| (seed.point - patch).norm() < 1e-6), "{base:?} {seeds:?}");
             }
         }

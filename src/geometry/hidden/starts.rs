@@ -35,8 +35,9 @@ impl Explanation<'_> {
     /// Middles of cubes where the likelihood may be high enough, those of one top thinned out.
     pub(super) fn cubes(&self) -> Vec<(Surface, Point)> {
         let legs = self.legs(&self.left());
+        let cancel = &self.room.cancel;
         let least = PROMISING * self.least_likelihood();
-        let cubes = search::search(&self.room.foci, &legs, &self.domain, 0.5 * FINE * self.sd_m, least as f32);
+        let cubes = search::search(&self.room.foci, &legs, &self.domain, 0.5 * FINE * self.sd_m, least as f32, cancel);
         self.thinned(Surface::Patch, cubes.into_iter().map(|(centre, _)| centre))
     }
 
@@ -45,7 +46,7 @@ impl Explanation<'_> {
         let foci = &self.room.foci;
         let pairs = if self.is_layered() { self.repeated() } else { self.unexplained(claims) };
         let bases = seeds::bases(foci, &pairs, &self.domain, BASES);
-        let seeds = bases.iter().flat_map(|base| seeds::seeds(foci, &pairs, base, &self.domain));
+        let seeds = bases.iter().flat_map(|base| seeds::seeds(foci, &pairs, base, &self.domain, &self.room.cancel));
         self.best(Surface::Patch, seeds.collect())
     }
 
@@ -54,7 +55,8 @@ impl Explanation<'_> {
         if self.is_layered() {
             return Vec::new();
         }
-        self.best(self.plane(), plane_seeds::seeds(&self.room.foci, &self.unexplained(claims), &self.domain))
+        let seeds = plane_seeds::seeds(&self.room.foci, &self.unexplained(claims), &self.domain, &self.room.cancel);
+        self.best(self.plane(), seeds)
     }
 
     fn best(&self, surface: Surface, mut seeds: Vec<Seed>) -> Vec<(Surface, Point)> {
@@ -133,6 +135,7 @@ impl Explanation<'_> {
     fn thinned(&self, surface: Surface, places: impl Iterator<Item = Point>) -> Vec<(Surface, Point)> {
         let mut kept: Vec<Point> = Vec::new();
         for place in places {
+            self.room.cancel.check();
             if kept.len() < CLIMBS && kept.iter().all(|other| (other - place).norm() > FINE * self.sd_m) {
                 kept.push(place);
             }
@@ -186,6 +189,7 @@ impl Explanation<'_> {
         let mut sums = vec![0.0_f64; count];
         let bin = |length_m: f64| ((length_m / step_m).max(0.0) as usize).min(count - 1);
         for &(profile, way) in ways {
+            self.room.cancel.check();
             let (of, left) = (&self.profiles[profile], &left[profile]);
             let [low_m, high_m] = of.span_m.map(|end_m| end_m - way.known_m);
             if high_m < 0.0 {

@@ -185,7 +185,7 @@ fn branch_and_bound_finds_the_largest_sum() {
         }
     }
     let fine_m = 0.02;
-    let cubes = search::search(&drawn.room.foci, &legs, &scene.domain, fine_m, best * 0.8);
+    let cubes = search::search(&drawn.room.foci, &legs, &scene.domain, fine_m, best * 0.8, &Cancel::never());
     assert!(cubes.iter().any(|(centre, bound)| (centre - at).norm() <= fine_m && *bound >= best), "{best} {at}");
 }
 
@@ -289,7 +289,14 @@ fn where_there_is_no_second_layer_none_is_found() {
 #[test]
 fn an_arrival_is_taken_once() {
     let foci = [Point::new(0.0, 0.0, 0.0), Point::new(1.0, 0.0, 0.0)].map(|point| Focus { point, normal: None });
-    let room = Room { foci: foci.to_vec(), dimensions: 3, false_alarm: 1e-2, count: None, blend_m: 0.0 };
+    let room = Room {
+        foci: foci.to_vec(),
+        dimensions: 3,
+        false_alarm: 1e-2,
+        count: None,
+        blend_m: 0.0,
+        cancel: Cancel::never(),
+    };
     let arrival = Arrival { length_m: 2.0, sd_m: 0.01 };
     let at = Point::new(0.5, 0.75_f64.sqrt(), 0.0);
     let likelihood = |ways: usize| {

@@ -144,7 +144,9 @@ pub fn about_visible(rows: &Rows, covariance: Mat<f64>, nulls: &Mat<f64>) -> Mat
     let Some(share) = dense::inverse(&(shown.transpose() * nulls)) else { return covariance };
     let turn = nulls * share * shown.transpose();
     let free = Mat::from_fn(turn.nrows(), turn.ncols(), |i, k| f64::from(u8::from(i == k)) - turn[(i, k)]);
-    &free * covariance * free.transpose()
+    let left = &free * covariance;
+    rows.problem.cancel.check();
+    left * free.transpose()
 }
 
 /// Patches that move in any of the directions `free` (columns) by more than a rotation of all patches: rotations, in the span of `turns`, are fitted by least
@@ -153,6 +155,7 @@ pub fn open(rows: &Rows, free: &Mat<f64>, turns: &[Vec<f64>]) -> Vec<usize> {
     let patches = rows.problem.start.len();
     let mut moves = vec![0.0_f64; patches];
     for column in 0..free.ncols() {
+        rows.problem.cancel.check();
         let mut weights = vec![1.0; patches];
         let mut left: Vec<f64> = (0..rows.layout.coordinates).map(|i| free[(i, column)]).collect();
         for _ in 0..ROUNDS {

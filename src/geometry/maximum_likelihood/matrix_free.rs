@@ -43,6 +43,7 @@ fn summed<T: Send>(
 ) -> T {
     let size = rows.count.div_ceil(CHUNKS).max(1);
     let chunk = |c: usize| {
+        rows.problem.cancel.check();
         let mut sum = zero();
         (c * size..rows.count.min((c + 1) * size)).for_each(|n| add_row(&mut sum, n));
         sum
@@ -182,6 +183,7 @@ impl<'a> Patches<'a> {
         let mut size = dot(&residual, &ahead);
         let enough = size * solved * solved;
         for _ in 0..DIRECTIONS {
+            self.rows.problem.cancel.check();
             if size <= enough || size <= 0.0 {
                 break;
             }

@@ -2,6 +2,7 @@
 
 use faer::Mat;
 use nalgebra::Vector3;
+use periscope_cancel::Cancel;
 
 use crate::Point;
 use crate::loss::Loss;
@@ -13,6 +14,16 @@ pub enum Node {
     Station(usize),
     /// A patch.
     Patch(usize),
+}
+
+impl Node {
+    /// The patch, if it is one.
+    pub(super) fn patch(&self) -> Option<usize> {
+        match *self {
+            Self::Patch(patch) => Some(patch),
+            Self::Station(_) => None,
+        }
+    }
 }
 
 /// A measured path length.
@@ -84,6 +95,8 @@ pub struct Problem {
     pub period_sd_m: f64,
     /// Loss of the observations' residuals; priors always cost their squares.
     pub loss: Loss,
+    /// Ends the solution: polled once a step, once a direction of conjugate gradients, and once a chunk of rows.
+    pub cancel: Cancel,
 }
 
 impl Problem {
@@ -100,6 +113,7 @@ impl Problem {
             delay_covariance_m2: Mat::zeros(0, 0),
             period_sd_m: 0.0,
             loss: Loss::Huber,
+            cancel: Cancel::never(),
         }
     }
 

@@ -83,6 +83,7 @@ pub fn solve(experiment: &Experiment) -> Result<Solution, Unsolved> {
     let mut state = State::new(experiment, from_beams(experiment).ok_or(Unsolved::Straight)?);
     let mut chi2 = layout.chi2(&state);
     for _ in 0..STEPS {
+        experiment.cancel.check();
         let (fisher, right) = layout.normal_equations(&state);
         let factored = Definite::new(&fisher).ok_or(Unsolved::Undetermined)?;
         let mut step = Matrix::from_fn(right.len(), 1, |i, _| right[i]);

@@ -67,6 +67,7 @@ impl Truth {
             stations: vec![exactly(self.source), exactly(self.sensor)],
             scans: self.directions.iter().zip(self.diffuser()).zip(self.lengths_m()).map(scan).collect(),
             delay_covariance_m2: Matrix::zeros(0, 0),
+            cancel: Cancel::never(),
         }
     }
 }

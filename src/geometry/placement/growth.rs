@@ -48,6 +48,7 @@ impl Scene<'_> {
     pub(super) fn next(&self, state: &State) -> Vec<Next> {
         let dimensions = self.problem.dimensions;
         let of = |patch: usize| -> Option<Next> {
+            self.problem.cancel.check();
             let ties = self.ties(patch, state);
             let found = multilateration::candidates(&ties, dimensions, self.apart_m, self.problem.loss);
             let gap = |best: &Candidate, second: &Candidate| ((second.cost - best.cost) / (1.0 + best.cost)).min(SAFE);

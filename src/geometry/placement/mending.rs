@@ -43,6 +43,7 @@ impl Scene<'_> {
     pub(super) fn moves(&self, now: &State) -> Vec<(usize, Point)> {
         let mut moves = Vec::new();
         for (patch, here) in now.points().into_iter().enumerate() {
+            self.problem.cancel.check();
             let ties = self.ties(patch, now);
             let cost = multilateration::cost(&ties, here, self.problem.loss);
             let found = multilateration::candidates(&ties, self.problem.dimensions, self.apart_m, self.problem.loss);

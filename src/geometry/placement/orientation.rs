@@ -136,6 +136,7 @@ impl Scene<'_> {
         Problem {
             delay_covariance_m2: self.problem.delay_covariance_m2.clone(),
             period_sd_m: self.problem.period_sd_m,
+            cancel: self.problem.cancel.clone(),
             ..Problem::new(start, self.problem.dimensions, stations, observations)
         }
     }

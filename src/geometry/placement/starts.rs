@@ -41,7 +41,8 @@ impl Scene<'_> {
             (i, j) => self.across_m(of[i - 1], of[j - 1]),
         };
         let size = of.len() + 1;
-        let complete_m = completion::complete(size, known).expect("every patch here has a first bounce");
+        let complete_m =
+            completion::complete(size, known, &self.problem.cancel).expect("every patch here has a first bounce");
         let mut points = classical::embed(&complete_m, self.problem.dimensions);
         if smooth {
             let weights = Mat::from_fn(size, size, |i, j| if known(i, j).is_some() { 1.0 } else { 0.0 });
@@ -100,6 +101,7 @@ impl Scene<'_> {
         apart.for_each(|&(a, b)| neighbours[b].push(a));
         for (i, of_i) in neighbours.iter().enumerate() {
             let of_i: Vec<usize> = of_i.iter().copied().step_by(of_i.len().div_ceil(NEIGHBOURS).max(1)).collect();
+            self.problem.cancel.check();
             for &j in &of_i {
                 if self.problem.dimensions == 2 {
                     scored.extend(self.span(&[i, j]).map(|span| (span, vec![i, j])));
@@ -151,6 +153,7 @@ impl Scene<'_> {
         let mut group = vec![order[0]];
         let mut inner = self.joining(&[], order[0]);
         while inner < dimensions * group.len() + SURPLUS && group.len() < order.len() {
+            self.problem.cancel.check();
             let others = order.iter().filter(|patch| !group.contains(patch));
             let joined = others.map(|&patch| (self.joining(&group, patch), patch));
             // Of equals the first in order.

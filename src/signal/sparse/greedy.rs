@@ -212,6 +212,7 @@ impl<'a> Fitter<'a> {
     /// Takes the pulses `out` away, puts pulses at `into` in, and refines them with the pulses near `center_ps`; the others stay. The last places are
     /// those put in.
     fn change(&self, state: &State, out: &[usize], center_ps: f64, into: &[Place]) -> Option<Change> {
+        self.model.cancel.check();
         let (cluster, data) = self.cluster(state, center_ps);
         let others = (0..state.pulses()).filter(|k| !cluster.contains(k));
         let places = &state.fit.places;

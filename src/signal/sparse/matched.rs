@@ -1,5 +1,7 @@
 //! One more pulse, too weak to be found, beside light of known places.
 
+use periscope_cancel::Cancel;
+
 use super::column::Column;
 use super::model::Record;
 use super::place::{Place, spread_response};
@@ -55,18 +57,22 @@ pub fn matched(
     given: &[Given],
     width_ps: f64,
     times_ps: impl Iterator<Item = f64>,
+    cancel: &Cancel,
 ) -> Matched {
-    let record = Record::new(profile, response, &SparseOptions::default());
+    let options = SparseOptions { cancel: cancel.clone(), ..SparseOptions::default() };
+    let record = Record::new(profile, response, &options);
     let mut known = Known { axes: Vec::new() };
     known.add(record.constant.clone(), None);
     for light in given {
+        cancel.check();
         known.add_light(&record, light);
     }
     let residual = known.without(&record.whitener.apply(profile.mean_v));
     let spread = spread(response, width_ps);
-    let record = Record::new(profile, &spread, &SparseOptions::default());
+    let record = Record::new(profile, &spread, &options);
     let mut matched = Matched::default();
     for time_ps in times_ps {
+        cancel.check();
         let column = Column::new(&record, &Place::point(time_ps));
         let (norm, left) = known.left_of(&column);
         let is_told = record.holds(time_ps) && left > NEW * NEW * norm;
@@ -189,7 +195,7 @@ mod tests {
         let (mean_v, sd_v) = (record(1), vec![SD_V; COUNT]);
         let given = [Given { time_ps: 1500.0, width_ps: 0.0, open: Open::Time }];
         let times_ps = [1700.0, 2100.0, 3000.0];
-        let found = matched(&profile(&mean_v, &sd_v), &response, &given, 0.0, times_ps.into_iter());
+        let found = matched(&profile(&mean_v, &sd_v), &response, &given, 0.0, times_ps.into_iter(), &Cancel::never());
         for (k, time_ps) in times_ps.into_iter().enumerate() {
             let column = |at_ps: f64| (0..COUNT).map(|n| response.value(50.0 * n as f64 - at_ps)).collect::<Vec<f64>>();
             let slope = (0..COUNT).map(|n| response.value_and_slope(50.0 * n as f64 - 1500.0).1).collect();
@@ -207,7 +213,7 @@ mod tests {
         let response = gaussian(100.0);
         let (mean_v, sd_v) = (record(2), vec![SD_V; COUNT]);
         let gain = |given: &[Given]| {
-            matched(&profile(&mean_v, &sd_v), &response, given, 0.0, std::iter::once(2150.0)).gains[0]
+            matched(&profile(&mean_v, &sd_v), &response, given, 0.0, std::iter::once(2150.0), &Cancel::never()).gains[0]
         };
         let given = |open: Open| gain(&[Given { time_ps: 2100.0, width_ps: 0.0, open }]);
         let gains =

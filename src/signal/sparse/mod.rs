@@ -37,6 +37,8 @@ mod state;
 #[cfg(test)]
 mod tests;
 
+use periscope_cancel::Cancel;
+
 use super::response::Response;
 use super::whiten::Whitener;
 pub use counts::{Unpiled, fit_counts};
@@ -65,7 +67,7 @@ pub struct Profile<'a> {
 }
 
 /// What is asked of a fit.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct SparseOptions {
     /// Drop of chi2 that a pulse must be worth; `None` for [`evidence_min`] at 1e-4 false pulses a record.
     pub evidence_min: Option<f64>,
@@ -80,11 +82,20 @@ pub struct SparseOptions {
     /// is widened by a Gaussian of sd up to that, and where they ask for more by an exponential tail behind it. What looks wider still is taken for
     /// two pulses; two closer than twice this may be taken for one.
     pub extent_max_ps: f64,
+    /// Ends the fit: polled once a trial place of pulses, and once a tap or block in passes over a whole record.
+    pub cancel: Cancel,
 }
 
 impl Default for SparseOptions {
     fn default() -> Self {
-        Self { evidence_min: None, pulses_max: 64, baseline: true, signed: false, extent_max_ps: 0.0 }
+        Self {
+            evidence_min: None,
+            pulses_max: 64,
+            baseline: true,
+            signed: false,
+            extent_max_ps: 0.0,
+            cancel: Cancel::never(),
+        }
     }
 }
 

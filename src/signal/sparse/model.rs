@@ -3,6 +3,8 @@
 //! All products are taken after whitening, over the response's support (and the whitening filter's order) only, so that a fit's cost follows
 //! its pulses and not the record's length.
 
+use periscope_cancel::Cancel;
+
 use super::place::Place;
 use super::{Profile, Response, SparseOptions, Whitener};
 
@@ -32,11 +34,13 @@ pub(super) struct Model<'a> {
     pub(super) extent_max_ps: f64,
     /// Width of the narrowest response.
     pub(super) width_ps: f64,
+    /// Ends the fit.
+    pub(super) cancel: Cancel,
 }
 
 impl<'a> Record<'a> {
     pub(super) fn new(profile: &Profile, response: &'a Response, options: &SparseOptions) -> Self {
-        let whitener = Whitener::new(profile.sd_v, profile.acf);
+        let whitener = Whitener::new(profile.sd_v, profile.acf).ended_by(&options.cancel);
         let constant = whitener.apply(&vec![1.0; profile.sd_v.len()]);
         let squared = constant.iter().map(|w| w * w).sum::<f64>();
         let last = (constant.len() - 1) as f64;
@@ -96,6 +100,7 @@ impl<'a> Model<'a> {
             extent_max_ps: options.extent_max_ps,
             width_ps: records.iter().map(|record| record.width_ps).fold(f64::INFINITY, f64::min),
             records,
+            cancel: options.cancel.clone(),
         }
     }
 

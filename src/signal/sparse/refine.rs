@@ -20,6 +20,7 @@ pub(super) fn refine(model: &Model, data: &[Vec<f64>], places: Vec<Place>) -> Op
     let step_max_ps = STEP_WIDTHS * model.width_ps;
     let mut damping = 1e-4;
     for _ in 0..STEPS {
+        model.cancel.check();
         let Some((step, promised)) = best.step(damping, model.extent_max_ps) else {
             break;
         };

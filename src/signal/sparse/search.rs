@@ -1,5 +1,7 @@
 //! Where the next pulse may be: the matched filter's maximum, and the best pair in place of a pulse.
 
+use periscope_cancel::Cancel;
+
 use super::column::Column;
 use super::model::{Model, Record};
 use super::place::Place;
@@ -8,6 +10,8 @@ use super::place::Place;
 const SEEN_MIN: f64 = 0.05;
 /// Positions searched per full width at half maximum of the response.
 const POSITIONS_PER_WIDTH: f64 = 3.0;
+/// Candidates between two looks at the token.
+const POLL: usize = 4096;
 /// Pair search: grid step and half range in widths of the response.
 const PAIR_STEP: f64 = 0.08;
 const PAIR_RANGE: i32 = 15;
@@ -71,7 +75,9 @@ impl Phase {
             let mut sums = vec![0.0; count];
             for record in &model.records[group.clone()] {
                 let own = Taps::new(record, start_ps);
-                sums.iter_mut().zip(own.energies(record, count)).for_each(|(sum, energy)| *sum += energy);
+                sums.iter_mut()
+                    .zip(own.energies(record, count, &model.cancel))
+                    .for_each(|(sum, energy)| *sum += energy);
                 taps.push(own);
             }
             energies.push(sums);
@@ -86,7 +92,7 @@ impl Phase {
         for (group, energies) in model.groups.iter().zip(&self.energies) {
             outputs.fill(0.0);
             for (taps, record) in self.taps[group.clone()].iter().zip(&weighted[group.clone()]) {
-                correlate(record, &taps.taps, taps.first, &mut outputs);
+                correlate(record, &taps.taps, taps.first, &mut outputs, &model.cancel);
             }
             for (drop, (output, energy)) in drops.iter_mut().zip(outputs.iter().zip(energies)) {
                 if *energy > 0.0 && (*output > 0.0 || model.signed) {
@@ -110,13 +116,16 @@ impl Taps {
     }
 
     /// `||h||^2` of `count` candidates, whitened; 0 where too little of it is seen.
-    fn energies(&self, record: &Record, count: usize) -> Vec<f64> {
+    fn energies(&self, record: &Record, count: usize, cancel: &Cancel) -> Vec<f64> {
         let (whitener, taps) = (&record.whitener, &self.taps);
         let (weights, runs) = (whitener.weights(), whitener.run_starts());
         let enough = SEEN_MIN * taps.iter().map(|h| h * h).sum::<f64>();
         let mut column = Vec::with_capacity(taps.len() + whitener.order());
         let mut last = 0.0;
         let energy = |j: usize| {
+            if j.is_multiple_of(POLL) {
+                cancel.check();
+            }
             let begin = j as i64 + self.first;
             let cut = ((-begin).max(0) as usize).min(taps.len());
             let begin = (begin.max(0) as usize).min(weights.len());
@@ -144,8 +153,9 @@ impl Taps {
 }
 
 /// Adds `sum_m taps[m] * record[j + first + m]` to `out[j]`, zeros outside of the record.
-fn correlate(record: &[f64], taps: &[f64], first: i64, out: &mut [f64]) {
+fn correlate(record: &[f64], taps: &[f64], first: i64, out: &mut [f64], cancel: &Cancel) {
     for (m, tap) in taps.iter().enumerate() {
+        cancel.check();
         let shift = first + m as i64;
         let (skip_out, skip_in) = ((-shift).max(0) as usize, shift.max(0) as usize);
         if skip_out < out.len() && skip_in < record.len() {

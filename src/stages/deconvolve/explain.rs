@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::cancel::Cancel;
 use crate::signal::response::Response;
 use crate::signal::sparse::{self, Pulse, SparseFit, SparseOptions, Unpiled};
 use crate::tables::Impulse;
@@ -16,12 +17,13 @@ pub(super) enum Method {
 }
 
 /// What is asked of an explanation.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Asked {
     pub(super) evidence: Option<f64>,
     pub(super) impulses_max: usize,
     pub(super) signed: bool,
     pub(super) extent_max_ps: f64,
+    pub(super) cancel: Cancel,
 }
 
 /// A mean record, turned upwards, and the response that its pulses have in it.
@@ -53,8 +55,8 @@ pub(super) fn jointly(records: &[Record], asked: Asked) -> Explained {
 
 impl Asked {
     fn options(self) -> SparseOptions {
-        let Self { evidence, impulses_max, signed, extent_max_ps } = self;
-        SparseOptions { evidence_min: evidence, pulses_max: impulses_max, baseline: true, signed, extent_max_ps }
+        let Self { evidence: evidence_min, impulses_max: pulses_max, signed, extent_max_ps, cancel } = self;
+        SparseOptions { evidence_min, pulses_max, baseline: true, signed, extent_max_ps, cancel }
     }
 }
 

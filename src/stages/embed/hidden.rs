@@ -66,6 +66,7 @@ fn of_label_at(hypothesis: &Hypothesis) -> Candidate {
 /// Places that the distances to neighbours do not rule out, the chosen one first. Where several do, the light tells: patches reflect to the side from which
 /// they are lit, so a patch that they show lies on the laser's side of the plane through them.
 fn places(neighbours: &[(Distance, Point)], context: &Context) -> Vec<Candidate> {
+    context.cancel.check();
     let dimensions = usize::from(context.frame.dimensions);
     let mut sds_m: Vec<f64> = neighbours.iter().map(|(distance, _)| distance.sd_m).collect();
     sds_m.sort_by(f64::total_cmp);

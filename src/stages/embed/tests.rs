@@ -19,7 +19,7 @@ fn known(points: &[Point]) -> Vec<Patch> {
 
 fn context(dimensions: u8, known: Option<Vec<Patch>>) -> Context {
     let frame = Frame { dimensions, source_m: [0.0; 3], anchors_m: BTreeMap::new() };
-    Context { campaign: "c".to_owned(), frame, known, hypotheses: Vec::new() }
+    Context { campaign: "c".to_owned(), frame, known, hypotheses: Vec::new(), cancel: Cancel::never() }
 }
 
 /// Distances of a hidden patch to known ones.

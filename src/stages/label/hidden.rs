@@ -8,6 +8,7 @@ use super::legs;
 use super::paths::Graph;
 use super::scene::Scene;
 use super::{LabelOnsets, OfSensor};
+use crate::cancel::Cancel;
 use crate::geometry::hidden::facing::spans;
 use crate::geometry::hidden::{self, Focus, Found, Hidden, Room, Surface};
 use crate::geometry::{Point, planes};
@@ -115,6 +116,7 @@ impl<'a> Search<'a> {
             dimensions: setup.dimensions,
             false_alarm: self.false_alarm,
             blend_m: self.blend_m,
+            cancel: Cancel::never(),
             count: setup.hidden_count.map(|count| (count as usize).saturating_sub(already)),
         }
     }

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::campaign::Campaign;
 use crate::campaign::keys::{self, LASER};
+use crate::cancel::Cancel;
 use crate::priors::delays::Latencies;
 use crate::priors::footprints::{self, Told};
 use crate::tables::{Calibration, Patch};
@@ -61,14 +62,22 @@ pub struct Known {
     pub setups: BTreeMap<String, Setup>,
     pub start: BTreeMap<PatchId, Patch>,
     pub latencies: Latencies,
+    /// Ends the solution.
+    pub cancel: Cancel,
 }
 
 impl Known {
-    pub fn new(setups: BTreeMap<String, Setup>, start: Vec<Patch>, calibration: Vec<Calibration>) -> Self {
+    pub fn new(
+        setups: BTreeMap<String, Setup>,
+        start: Vec<Patch>,
+        calibration: Vec<Calibration>,
+        cancel: Cancel,
+    ) -> Self {
         Self {
             setups,
             start: start.into_iter().filter(|patch| patch.alternative == 0).map(|patch| (patch.patch, patch)).collect(),
             latencies: Latencies::new(calibration),
+            cancel,
         }
     }
 

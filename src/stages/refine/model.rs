@@ -146,6 +146,7 @@ impl<'a> Model<'a> {
             delay_covariance_m2: Matrix::from_fn(count, count, |i, k| length_m2(&self.delays[i], &self.delays[k])),
             period_sd_m: self.period_sd_m(),
             loss,
+            cancel: self.known.cancel.clone(),
         };
         problem.start = match self.start() {
             Some(start) => start,

@@ -5,6 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::*;
+use crate::cancel::Cancel;
 use crate::geometry::{Point, procrustes};
 use crate::tables::Name;
 use crate::units::{PatchId, time_ps};
@@ -72,7 +73,7 @@ impl<'a> Day<'a> {
 fn context(campaign: &str, calibration: Vec<Calibration>) -> Context {
     let campaign = Campaign::parse(Path::new("c"), campaign).unwrap();
     let setups = BTreeMap::from([(campaign.name.clone(), Setup::new(&campaign))]);
-    Context { known: Known::new(setups, Vec::new(), calibration), planes: Vec::new() }
+    Context { known: Known::new(setups, Vec::new(), calibration, Cancel::never()), planes: Vec::new() }
 }
 
 fn latency(range: Option<&str>, sd_ps: f64, common_sd_ps: f64) -> Calibration {

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::campaign::Campaign;
 use crate::campaign::keys::{self, LASER, PatchRole};
+use crate::cancel::Cancel;
 use crate::geometry::maximum_likelihood::Station;
 use crate::geometry::mirror::{Arrival, Experiment, Scan};
 use crate::geometry::{Matrix, Point};
@@ -67,10 +68,11 @@ pub struct Known {
     /// Positions that campaign.toml or an earlier stage gives.
     positions: BTreeMap<PatchId, (Point, Matrix3<f64>)>,
     latencies: Latencies,
+    cancel: Cancel,
 }
 
 impl Known {
-    pub fn new(setups: BTreeMap<String, Setup>, patches: &[Patch], latencies: Latencies) -> Self {
+    pub fn new(setups: BTreeMap<String, Setup>, patches: &[Patch], latencies: Latencies, cancel: Cancel) -> Self {
         let scene = setups.values().next().expect("a run has a campaign");
         // In flatland nothing leaves the plane.
         let axes = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, if scene.dimensions == 2 { 0.0 } else { 1.0 }));
@@ -85,7 +87,7 @@ impl Known {
         // An earlier stage has used what campaign.toml says.
         let found = patches.iter().filter(|row| row.alternative == 0).filter_map(found);
         let positions = scene.patches.iter().filter_map(given).chain(found).collect();
-        Self { setups, positions, latencies }
+        Self { setups, positions, latencies, cancel }
     }
 
     /// What all campaigns share.
@@ -135,6 +137,7 @@ impl Scans {
                 stations: names.iter().map(station).collect(),
                 scans: Vec::new(),
                 delay_covariance_m2: Matrix::zeros(0, 0),
+                cancel: known.cancel.clone(),
             },
         };
         let used: Vec<Result<Used, String>> = setup

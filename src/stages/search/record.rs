@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use rayon::prelude::*;
 
 use super::{Known, Open, Rejection, calibration, rejection, sparse};
+use crate::cancel::Cancel;
 use crate::geometry::{Point, faint};
 use crate::priors::corrections::Correction;
 use crate::signal::response::Response;
@@ -197,11 +198,17 @@ impl Record {
     }
 
     /// Scores of one more pulse by the length of its way over a hidden place.
-    pub(super) fn scores(&self, visible: &[PatchId], given: &[Given], spread_ps: f64) -> faint::Profile {
+    pub(super) fn scores(
+        &self,
+        visible: &[PatchId],
+        given: &[Given],
+        spread_ps: f64,
+        cancel: &Cancel,
+    ) -> faint::Profile {
         let step_ps = self.response.width_ps() / STEPS;
         let count = (self.end_ps() / step_ps).max(0.0) as usize;
         let times_ps = (0..count).map(|k| k as f64 * step_ps);
-        let matched = sparse::matched(&self.profile(), &self.response, given, spread_ps, times_ps);
+        let matched = sparse::matched(&self.profile(), &self.response, given, spread_ps, times_ps, cancel);
         let place = |patch| visible.binary_search(&patch).expect("a patch of a record is visible");
         faint::Profile {
             foci: [place(self.lit), place(self.seen)],
@@ -253,11 +260,11 @@ impl<'a> Light<'a> {
     }
 
     /// Learns how strong third bounces over visible patches are, where they were not fitted: noise alone makes scores of 1 in the root mean square.
-    pub(super) fn learn(&self, records: &mut [Record], points: &BTreeMap<PatchId, Point>) {
+    pub(super) fn learn(&self, records: &mut [Record], points: &BTreeMap<PatchId, Point>, cancel: &Cancel) {
         let scores = |record: &Record| {
             let weak = self.given(record, points).into_iter().filter(|light| matches!(light.open, Open::Score(_)));
             let times_ps = weak.map(|light| light.time_ps);
-            let matched = sparse::matched(&record.profile(), &record.response, &record.fitted, 0.0, times_ps);
+            let matched = sparse::matched(&record.profile(), &record.response, &record.fitted, 0.0, times_ps, cancel);
             let told = matched.scores.into_iter().zip(matched.gains).filter(|(_, gain)| *gain > 0.0);
             told.map(|(score, _)| score).collect::<Vec<f64>>()
         };

@@ -58,6 +58,7 @@ impl Triangulate {
                     == (&onsets[a].sensor, onsets[a].lit, onsets[a].seen, &onsets[a].range)
                     && &*profile.role == "scene"
             };
+            known.cancel.check();
             let Some(profile) = profiles.iter().find(is_its) else { continue };
             let ready = match ready(known, profile) {
                 Ok(ready) => ready,

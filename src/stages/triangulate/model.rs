@@ -70,6 +70,7 @@ impl Model {
                 apart_max_m: known.setup.hidden.apart_max_m,
                 along: known.setup.hidden.along.map(Vector3::from),
                 anchors,
+                cancel: known.cancel.clone(),
             },
             strips: strips.keys().copied().collect(),
             points: points.clone(),

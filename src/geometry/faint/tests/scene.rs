@@ -1,6 +1,7 @@
 //! Scenes with a weak hidden patch, as scores. Shares no code with the search.
 
 use nalgebra::{Unit, Vector3};
+use periscope_cancel::Cancel;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -67,7 +68,7 @@ pub fn draw(visible: usize, snr: f64, strengths: Strengths, seed: u64) -> (Vec<P
             }
         })
         .collect();
-    (profiles, Room { foci, dimensions: 3, width_m: 2.355 * RESPONSE_M }, hidden)
+    (profiles, Room { foci, dimensions: 3, width_m: 2.355 * RESPONSE_M, cancel: Cancel::never() }, hidden)
 }
 
 /// White noise behind a matched filter.

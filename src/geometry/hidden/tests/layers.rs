@@ -1,6 +1,7 @@
 //! Scenes with patches that light reaches over hidden ones only, for tests and studies: lengths of fifth bounces. Shares no code with the search.
 
 use nalgebra::{Matrix3, Vector3};
+use periscope_cancel::Cancel;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -119,7 +120,7 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
     let bounds_m = slopes.iter().map(|slopes| bound_m(slopes, &covariances, setting.sd_m)).collect();
     let foci = placed.iter().map(|(point, _)| Focus { point: *point, normal: None }).collect();
     Drawn {
-        room: Room { foci, dimensions: 3, false_alarm: 1e-2, count: None, blend_m: 0.0 },
+        room: Room { foci, dimensions: 3, false_alarm: 1e-2, count: None, blend_m: 0.0, cancel: Cancel::never() },
         profiles,
         hidden,
         bounds_m,

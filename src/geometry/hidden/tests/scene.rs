@@ -1,6 +1,7 @@
 //! Scenes with hidden patches, for tests and studies: lengths over them with noise, missing and false ones. Shares no code with the search.
 
 use nalgebra::{Matrix3, Vector3};
+use periscope_cancel::Cancel;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -198,6 +199,7 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
             false_alarm: 1e-2,
             count: None,
             blend_m: REACH * setting.merged_m,
+            cancel: Cancel::never(),
         },
         profiles,
         bounds_m: information.iter().map(bound_m).collect(),
