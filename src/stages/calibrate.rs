@@ -31,6 +31,7 @@ use serde::{Deserialize, Serialize};
 use super::stage::{BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::keys::{Sensor, SensorKind};
 use crate::campaign::{Campaign, Role};
+use crate::cancel::Cancel;
 use crate::signal::codes::Codes;
 use crate::signal::oversample::{Shape, Shot};
 use crate::tables::cell::Cell;
@@ -108,6 +109,12 @@ struct Reference {
     integral_v_ps: f64,
 }
 
+/// What campaign.toml says of each campaign's sensors.
+pub struct Known {
+    priors: BTreeMap<String, BTreeMap<String, Prior>>,
+    cancel: Cancel,
+}
+
 impl Stage for Calibrate {
     const KIND: &'static str = "calibrate";
     const VERSION: u32 = 6;
@@ -115,7 +122,7 @@ impl Stage for Calibrate {
     type Input = Trace;
     type Output = Calibration;
     type Fields = BTreeMap<String, BTreeMap<String, Prior>>;
-    type Context = Self::Fields;
+    type Context = Known;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
         let counter =
@@ -132,8 +139,8 @@ impl Stage for Calibrate {
         campaigns.iter().map(|campaign| (campaign.name.clone(), sensors(campaign))).collect()
     }
 
-    fn context(&self, fields: Self::Fields, _: &BesideTables) -> Result<Self::Context, StageError> {
-        Ok(fields)
+    fn context(&self, priors: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
+        Ok(Known { priors, cancel: beside.cancel.clone() })
     }
 }
 
@@ -157,8 +164,8 @@ impl Fold for Calibrate {
         Ok(())
     }
 
-    fn finish(&self, priors: &Self::Context, state: State) -> Result<Outcome<Calibration>, StageError> {
-        Ok(state.calibrate(&priors[&*state.campaign][&*state.sensor]))
+    fn finish(&self, known: &Known, state: State) -> Result<Outcome<Calibration>, StageError> {
+        Ok(state.calibrate(&known.priors[&*state.campaign][&*state.sensor], &known.cancel))
     }
 }
 
@@ -213,7 +220,7 @@ impl State {
         }
     }
 
-    fn calibrate(&self, prior: &Prior) -> Outcome<Calibration> {
+    fn calibrate(&self, prior: &Prior, cancel: &Cancel) -> Outcome<Calibration> {
         if self.ranges.is_empty() {
             return Outcome::rejected(
                 self.rejection(None, "it has no capture of role `response`; add a [[captures]] rule for one"),
@@ -223,7 +230,8 @@ impl State {
         let template = analog::template(&most.references, most.first.dt_ps);
         let (mut rows, mut rejections) = (Vec::new(), Vec::new());
         for range in self.ranges.values() {
-            match range.row(self, prior, template.as_ref()) {
+            cancel.check();
+            match range.row(self, prior, template.as_ref(), cancel) {
                 Ok(row) => {
                     let doubts = doubts(&row, range.first.path_m);
                     rejections.extend(doubts.map(|why| Rejection { reason: why, ..self.rejection(Some(range), "") }));
@@ -269,13 +277,13 @@ impl Shots {
         Self { first, signals: Vec::new(), references: Vec::new(), bytes: 0, other: 0 }
     }
 
-    fn row(&self, of: &State, prior: &Prior, template: Option<&Shape>) -> Result<Calibration, String> {
+    fn row(&self, of: &State, prior: &Prior, template: Option<&Shape>, cancel: &Cancel) -> Result<Calibration, String> {
         if self.signals.is_empty() {
             let other = self.other;
             return Err(format!("none of its {other} response shots is usable; check range and reference channel"));
         }
         let (found, reference) = match prior.counter {
-            Some(counter) => (counter::found(&self.signals, self.first.dt_ps, counter)?, None),
+            Some(counter) => (counter::found(&self.signals, self.first.dt_ps, counter, cancel)?, None),
             None => analog::found(self, template)?,
         };
         let (arrival_ps, arrival_sd_ps) = found.arrival_ps;

@@ -26,6 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Beside, BesideTables, Fold, Grain, Outcome, Rejection, Stage, StageError};
 use crate::campaign::{Campaign, Role};
+use crate::cancel::Cancel;
 use crate::parameter::Positive;
 use crate::priors::acquisition_time;
 use crate::priors::calibration::{self, Calibrated};
@@ -75,6 +76,12 @@ struct Run {
     sd_ps: f64,
 }
 
+/// The calibrated sensors.
+pub struct Sensors {
+    calibration: Vec<Calibration>,
+    cancel: Cancel,
+}
+
 impl Stage for Track {
     const KIND: &'static str = "track";
     const VERSION: u32 = 1;
@@ -83,25 +90,26 @@ impl Stage for Track {
     type Input = Profile;
     type Output = Session;
     type Fields = ();
-    type Context = Vec<Calibration>;
+    type Context = Sensors;
 
     fn fields(&self, _: &[Campaign]) {}
 
-    fn context(&self, (): (), beside: &BesideTables) -> Result<Vec<Calibration>, StageError> {
-        Ok(beside.rows::<Calibration>("calibration")?.unwrap_or_default())
+    fn context(&self, (): (), beside: &BesideTables) -> Result<Sensors, StageError> {
+        let calibration = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
+        Ok(Sensors { calibration, cancel: beside.cancel.clone() })
     }
 }
 
 impl Fold for Track {
     type State = State;
 
-    fn begin(&self, _: &Vec<Calibration>, first: Profile) -> State {
+    fn begin(&self, _: &Sensors, first: Profile) -> State {
         State { campaign: first.campaign, sensor: first.sensor, fiducials: BTreeMap::new(), blocked: BTreeMap::new() }
     }
 
     fn step(
         &self,
-        calibration: &Vec<Calibration>,
+        sensors: &Sensors,
         state: &mut State,
         columns: &ProfileColumns,
         rows: Range<usize>,
@@ -112,13 +120,14 @@ impl Fold for Track {
             if is(i, Role::Blocked) {
                 state.blocked.entry(profile.range.clone()).or_default().push(profile);
             } else {
-                state.take_fiducial(calibration, &profile);
+                state.take_fiducial(sensors, &profile);
             }
         }
         Ok(())
     }
 
-    fn finish(&self, calibration: &Vec<Calibration>, state: State) -> Result<Outcome<Session>, StageError> {
+    fn finish(&self, sensors: &Sensors, state: State) -> Result<Outcome<Session>, StageError> {
+        let calibration = &sensors.calibration;
         let mut rejections = Vec::new();
         let drift = self.drift(calibration, &state).unwrap_or_else(|why| {
             rejections.push(state.rejection(why));
@@ -183,12 +192,12 @@ impl Track {
 }
 
 impl State {
-    fn take_fiducial(&mut self, calibration: &[Calibration], profile: &Profile) {
+    fn take_fiducial(&mut self, sensors: &Sensors, profile: &Profile) {
         let bits = |value: Option<f64>| value.map(f64::to_bits);
         let settings = [bits(profile.path_m), bits(profile.attenuation_od), bits(profile.power_w)];
         let setting = (profile.range.clone(), settings, profile.bounces);
-        let Some(calibrated) = calibration::row_of(calibration, profile) else { return };
-        if let Some((delay_ps, sd_ps)) = delay(profile, &Calibrated::new(calibrated)) {
+        let Some(calibrated) = calibration::row_of(&sensors.calibration, profile) else { return };
+        if let Some((delay_ps, sd_ps)) = delay(profile, &Calibrated::new(calibrated), &sensors.cancel) {
             let run = Run { acquired_at: profile.acquired_at.clone(), delay_ps, sd_ps };
             self.fiducials.entry(setting).or_default().push(run);
         }
@@ -233,14 +242,15 @@ impl State {
 }
 
 /// When the strongest pulse of a run arrives, and the standard deviation of that; `None` where it shows none.
-fn delay(profile: &Profile, sensor: &Calibrated) -> Option<(f64, f64)> {
+fn delay(profile: &Profile, sensor: &Calibrated, cancel: &Cancel) -> Option<(f64, f64)> {
     let response = sensor.averaged(profile);
     let mean_v: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.polarity).collect();
     let sd_v: Vec<f64> = calibration::sd_v(profile);
     let acf = calibration::correlation(profile);
     let record =
         sparse::Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &acf, t0_ps: profile.t0_ps, dt_ps: profile.dt_ps };
-    let fit = sparse::fit(&record, &response, &SparseOptions { pulses_max: 1, ..SparseOptions::default() });
+    let one = SparseOptions { pulses_max: 1, cancel: cancel.clone(), ..SparseOptions::default() };
+    let fit = sparse::fit(&record, &response, &one);
     let pulse = fit.pulses.first()?;
     Some((pulse.time_ps, fit.covariance_ps2[0].sqrt().hypot(profile.jitter_ps)))
 }

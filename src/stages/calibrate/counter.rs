@@ -1,11 +1,12 @@
 //! Response and arrival from histograms of photons.
 
 use super::{Counter, Found};
+use crate::cancel::Cancel;
 use crate::signal::oversample::{self, Shot};
 use crate::signal::sparse::{self, SparseOptions, Unpiled};
 
 /// What the histograms of a range say.
-pub(super) fn found(histograms: &[Shot], dt_ps: f64, counter: Counter) -> Result<Found, String> {
+pub(super) fn found(histograms: &[Shot], dt_ps: f64, counter: Counter, cancel: &Cancel) -> Result<Found, String> {
     let cycles = counter
         .cycles
         .ok_or("the laser pulses behind a histogram are unknown; give its [sensors] entry in campaign.toml `cycles`")?;
@@ -21,7 +22,7 @@ pub(super) fn found(histograms: &[Shot], dt_ps: f64, counter: Counter) -> Result
     )?;
     let no_pulse = || "its response shows no pulse; check `samples` and the time window of the histogram".to_owned();
     let shape = oversample::shape(&[Shot { samples: unpiled.counts.clone(), t0_ps }], dt_ps).ok_or_else(no_pulse)?;
-    let one = SparseOptions { pulses_max: 1, ..SparseOptions::default() };
+    let one = SparseOptions { pulses_max: 1, cancel: cancel.clone(), ..SparseOptions::default() };
     let fit = sparse::fit_counts(&unpiled, t0_ps, dt_ps, &shape.response(), &one);
     let pulse = fit.pulses.first().ok_or_else(no_pulse)?;
     Ok(Found {

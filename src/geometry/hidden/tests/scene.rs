@@ -191,11 +191,10 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
         let normal = if is_on_first(k) { Vector3::y() } else { Vector3::x() };
         Focus { point: *point, normal: (!matches!(setting.walls, Walls::Rough(_))).then_some(normal) }
     };
-    let dimensions = if flat { 2 } else { 3 };
     Drawn {
         room: Room {
             foci: foci.iter().enumerate().map(focus).collect(),
-            dimensions,
+            dimensions: if flat { 2 } else { 3 },
             false_alarm: 1e-2,
             count: None,
             blend_m: REACH * setting.merged_m,
