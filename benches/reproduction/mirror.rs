@@ -175,7 +175,7 @@ fn bound_m(geometry: &Geometry, scene: &str, diffuser_sd_m: f64) -> [f64; SCANS]
             let diffuser = point + unit(2.0 * normal_rad - beam_rad + PI) * onward_m;
             let path_m = point.norm() + onward_m + diffuser.norm() + unknowns[2];
             measured.extend([path_m / time_sd_m, diffuser.x / diffuser_sd_m, diffuser.y / diffuser_sd_m]);
-            measured.push(beam_rad / scene.known.ray_sd_rad);
+            measured.push(beam_rad / scene.prior.ray_sd_rad);
             points.extend([point.x, point.y]);
         }
         (measured, points)

@@ -1,4 +1,4 @@
-//! A table of captures: a CSV file with one row a record, for whatever a pattern cannot say.
+//! A table of captures: a CSV file with one row per record, for what a pattern cannot express.
 //!
 //! ```text
 //! file,segment,role,lit,seen,dt_ps,samples
@@ -6,9 +6,11 @@
 //! raw/a.trc,1,scene,1,3,,
 //! raw/r.npy,,response,,,50,"[0, 500]"
 //! ```
-//! A row is a rule of its own for one file: it inherits the keys of the rule that names the table, and its own cells replace them.
-//! Columns are `file`, `segment`, `reference_channel`, `reference_file`, and the keys of a rule; cells are written as in campaign.toml, text
-//! without quotes. An empty cell: from the rule, else from the file. Not read: Parquet.
+//! A row is a rule of its own for one file: it inherits the keys of the rule that names the table; its own cells
+//! replace them.
+//! Columns are `file`, `segment`, `reference_channel`, `reference_file`, and the keys of a rule. Cells are written as
+//! in
+//! campaign.toml, text without quotes. An empty cell means: as in the rule, else as in the file. Not read: Parquet.
 
 use std::path::{Path, PathBuf};
 
@@ -42,7 +44,7 @@ const VALUES: [&str; 17] = [
     "samples",
 ];
 
-/// What is wrong with a table of captures.
+/// What is wrong in a table of captures.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{}{}: {problem}", table.display(), row.map_or(String::new(), |row| format!(", row {row}")))]
 pub struct TableError {
@@ -50,7 +52,7 @@ pub struct TableError {
     pub table: PathBuf,
     /// The row as a spreadsheet counts: the heading is row 1.
     pub row: Option<u64>,
-    /// What is wrong, and the mend.
+    /// What is wrong, and how to fix it.
     pub problem: String,
 }
 
@@ -63,14 +65,15 @@ pub struct Row {
     pub file: String,
     /// The segment of the file; absent: all of them.
     pub segment: Option<u32>,
-    /// The keys of the rule with those of the row laid over.
+    /// The keys of the rule, replaced by those of the row.
     pub rule: CaptureRule,
 }
 
-/// Reads the table that `rule` names.
+/// Reads the table of `rule`.
 ///
 /// # Errors
-/// When it cannot be read, is Parquet, has an unknown column or none named `file`, or a cell that cannot be.
+/// When the table cannot be read or is Parquet, has an unknown column or no column `file`, or a cell has an impossible
+/// value.
 pub fn read(root: &Path, table: &Path, rule: &CaptureRule) -> Result<Vec<Row>, TableError> {
     let fail = |row: Option<u64>, problem: String| TableError { table: table.to_owned(), row, problem };
     if table.extension().is_some_and(|end| end.eq_ignore_ascii_case("parquet")) {
@@ -100,10 +103,10 @@ pub fn read(root: &Path, table: &Path, rule: &CaptureRule) -> Result<Vec<Row>, T
 }
 
 fn check_columns(columns: &csv::StringRecord) -> Result<(), String> {
-    let known = || TEXT.into_iter().chain(VALUES);
+    let names = || TEXT.into_iter().chain(VALUES);
     for (index, column) in columns.iter().enumerate() {
-        if !known().any(|name| name == column) {
-            return Err(format!("unknown column `{column}`; {}", hint(column, known())));
+        if !names().any(|name| name == column) {
+            return Err(format!("unknown column `{column}`; {}", hint(column, names())));
         }
         if columns.iter().take(index).any(|before| before == column) {
             return Err(format!("two columns `{column}`; take one out"));
@@ -115,7 +118,7 @@ fn check_columns(columns: &csv::StringRecord) -> Result<(), String> {
     Ok(())
 }
 
-/// Lays the cells of a row over the keys of the rule.
+/// Replaces keys of the rule by the cells of a row.
 fn row<'a>(number: u64, mut keys: Table, cells: impl Iterator<Item = (&'a str, &'a str)>) -> Result<Row, String> {
     let (mut file, mut segment) = (None, None);
     for (column, cell) in cells.filter(|(_, cell)| !cell.is_empty()) {
@@ -145,7 +148,7 @@ fn row<'a>(number: u64, mut keys: Table, cells: impl Iterator<Item = (&'a str, &
     Ok(Row { number, file, segment, rule })
 }
 
-/// A reference of the row replaces that of the rule, also where that is of the other kind.
+/// Replaces the reference of the rule by that of the row, even if that is of the other kind.
 fn reference(keys: &mut Table, key: &str, cell: &str) {
     let mut reference = Table::new();
     reference.insert(key.to_owned(), Value::String(cell.to_owned()));
@@ -218,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_name_row_and_mend() {
+    fn faults_name_row_and_fix() {
         for (text, parts) in [
             ("file,lti\na,1\n", ["captures.csv, row 1", "did you mean `lit`?"]),
             ("file,lit,lit\na,1,2\n", ["row 1", "two columns `lit`"]),

@@ -1,4 +1,5 @@
-//! Checks of `[[captures]]` and `[[exclude]]`: either this or that key, each coordinate of a record from one place, sensors that are declared.
+//! Checks of `[[captures]]` and `[[exclude]]`: exclusive keys, one source for each coordinate of a record, declared
+//! sensors.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,7 +8,7 @@ use super::keys::{Axis, CaptureRule, Exclude, Match, Reference, Role, Sensor};
 use super::pattern::check_path;
 use super::suggest::hint;
 
-/// Checks a rule, or a row of its table that was laid over it.
+/// Checks a rule, or a row of its table combined with it.
 ///
 /// # Errors
 /// The first fault.
@@ -37,10 +38,10 @@ pub fn rule(rule: &CaptureRule, place: &str, sensors: &BTreeMap<String, Sensor>)
     rule_axes(at, rule)
 }
 
-/// Whether a sensor is declared.
+/// Checks that a sensor is declared.
 ///
 /// # Errors
-/// The problem and its mend, if it is not.
+/// If it is not: the problem and how to fix it.
 pub fn sensor_exists(name: &str, sensors: &BTreeMap<String, Sensor>) -> Result<(), String> {
     if sensors.contains_key(name) {
         return Ok(());
@@ -74,7 +75,7 @@ fn record_values(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
     })
 }
 
-/// Each coordinate of a record comes from one place: the pattern, a key, or an axis of the segments.
+/// Checks that each coordinate of a record has one source: the pattern, a key, or an axis of the segments.
 fn rule_axes(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
     let in_pattern: BTreeSet<Axis> = match &rule.files {
         Some(files) => at.pattern(files)?.axes().collect(),
@@ -85,7 +86,7 @@ fn rule_axes(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
         at.check(!(is_key && in_pattern.contains(&axis)), || {
             format!("`{name}` stands in the pattern and as a key; take one out")
         })?;
-        // Shots may count on within the files of a numbered series.
+        // Shots may continue within the files of a numbered series, so they may have two sources.
         let in_segments = axis != Axis::Shot && rule.segments.contains(&axis);
         at.check(!(in_segments && (is_key || in_pattern.contains(&axis))), || {
             format!("`{name}` stands in segments and elsewhere; take one out")
@@ -93,9 +94,9 @@ fn rule_axes(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
         at.check(rule.segments.iter().filter(|a| **a == axis).count() < 2, || {
             format!("`{name}` stands twice in segments; take one out")
         })?;
-        let given = is_key || in_pattern.contains(&axis) || rule.segments.contains(&axis);
+        let has_source = is_key || in_pattern.contains(&axis) || rule.segments.contains(&axis);
         let needed = matches!(axis, Axis::Lit | Axis::Seen) && rule.role == Some(Role::Scene) && rule.table.is_none();
-        at.check(given || !needed, || {
+        at.check(has_source || !needed, || {
             format!("nothing says which patch is `{name}`; put {{{name}}} into the pattern, add the key {name} = N, or list \"{name}\" in segments")
         })?;
     }
@@ -133,8 +134,8 @@ fn reference_keys(
     };
     for axis in at.pattern(files)?.axes() {
         let is_key = key_axes(rule).contains(&(axis, true));
-        let known = is_key || in_pattern.contains(&axis) || rule.table.is_some();
-        at.check(known, || {
+        let has_axis = is_key || in_pattern.contains(&axis) || rule.table.is_some();
+        at.check(has_axis, || {
             let name = axis.name();
             format!("reference.files has {{{name}}}, which `files` has not; take it out, or put it into both")
         })?;

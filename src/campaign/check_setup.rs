@@ -1,4 +1,5 @@
-//! Checks of `[campaign]`, `[stations]`, `[sensors]`, `[patches]` and `[views]`: ranges of numbers, names that must exist, flatland.
+//! Checks of `[campaign]`, `[stations]`, `[sensors]`, `[patches]` and `[views]`: ranges of numbers, names that must
+//! exist, flatland.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +7,7 @@ use super::fault::{At, Fault};
 use super::keys::{Campaign, LASER, Patch, PatchRole, Sensor, SensorKind, Station};
 use crate::units::PatchId;
 
-/// Checks all of a campaign but its rules and exclusions.
+/// Checks all of a campaign except its rules and exclusions.
 ///
 /// # Errors
 /// The first fault.
@@ -45,7 +46,7 @@ pub fn campaign(campaign: &Campaign) -> Result<(), Fault> {
     setup(&campaign.stations, &campaign.sensors, &campaign.patches, campaign.dimensions)
 }
 
-/// Checks what stands in the room. Scene descriptions have the same headings.
+/// Checks stations, sensors and patches. Scene descriptions have the same headings.
 ///
 /// # Errors
 /// The first fault.

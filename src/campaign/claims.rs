@@ -6,7 +6,7 @@ use std::path::Path;
 use super::exposure::{Exposure, ReferenceSource};
 use super::keys::{Campaign, rule_place};
 
-/// The rule, or the row of its table, that speaks of a file.
+/// The rule, or the row of its table, that claims a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Source {
     pub(super) rule: usize,
@@ -22,7 +22,7 @@ impl Source {
     }
 }
 
-/// An exposure, and who says that it is one.
+/// An exposure, and the rule that claims it.
 #[derive(Clone, Debug)]
 pub(super) struct Claim {
     pub(super) exposure: Exposure,
@@ -37,8 +37,8 @@ impl Claim {
     }
 }
 
-/// The first file of which a record is claimed twice, or which is an exposure and the reference of another; and the two claims.
-/// The claims must be sorted by [`Claim::order`].
+/// The first clash: the file, and its two claims. Either both claim the same record, or one claims an exposure and the
+/// other uses it as a reference. The claims must be sorted by [`Claim::order`].
 pub(super) fn first_clash(claims: &[Claim]) -> Option<(&Path, Source, Source)> {
     for records in claims.chunk_by(|a, b| a.exposure.file == b.exposure.file) {
         if let Some((first, second)) = same_record(records) {
@@ -46,7 +46,7 @@ pub(super) fn first_clash(claims: &[Claim]) -> Option<(&Path, Source, Source)> {
         }
     }
     for claim in claims {
-        // A reference with a channel lies in the exposure's own file.
+        // A reference with a channel is in the exposure's own file.
         let Some(ReferenceSource { file, channel: None }) = &claim.exposure.reference else {
             continue;
         };
@@ -58,9 +58,10 @@ pub(super) fn first_clash(claims: &[Claim]) -> Option<(&Path, Source, Source)> {
     None
 }
 
-/// Two claims to the same record of one file: a claim without channel (or segment) claims all of them.
+/// Two claims on the same record of one file. A claim without channel (or segment) claims all of them.
 fn same_record(claims: &[Claim]) -> Option<(&Claim, &Claim)> {
-    // Each claim is entered as what it is, and as one of any channel, of any segment, of any of both; so no search looks at all of them.
+    // Each claim is entered four times: as itself, for any channel, for any segment, for any of both. Look-ups then
+    // replace a search through all claims.
     let mut entered: BTreeMap<(Part<&str>, Part<u32>), &Claim> = BTreeMap::new();
     for claim in claims {
         let (channel, segment) = (claim.exposure.channel.as_deref(), claim.exposure.segment);

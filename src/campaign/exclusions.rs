@@ -1,4 +1,4 @@
-//! The `[[exclude]]` headings at work: which exposures to leave out, and why.
+//! Applies the `[[exclude]]` headings: which exposures to omit, and why.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::exposure::Exposure;
 use super::keys::{Campaign, Exclude, Match};
 use super::pattern::{Pattern, Reading};
 
-/// The exclusions of a campaign, their patterns taken apart.
+/// The exclusions of a campaign, with parsed patterns.
 #[derive(Clone, Debug)]
 pub struct Exclusions<'a>(Vec<(&'a Exclude, Option<Pattern>)>);
 
@@ -22,14 +22,15 @@ impl<'a> Exclusions<'a> {
         Self(campaign.exclude.iter().map(parsed).collect())
     }
 
-    /// The first exclusion that surely means this exposure: its number (from 0) and its reason. A coordinate that the exposure leaves to the segments
-    /// of its file is not known here: ask again for each segment, with the coordinate filled in.
+    /// The first exclusion that certainly matches this exposure: its number (from 0) and its reason. A coordinate that
+    /// comes from the segments of the file is not known here: call this again for each segment, with the coordinate
+    /// filled in.
     #[must_use]
     pub fn of_exposure(&self, exposure: &Exposure) -> Option<(usize, &'a str)> {
         self.first(|exclude, pattern| means(&exclude.matches, pattern, exposure) == Some(true))
     }
 
-    /// The first exclusion that names nothing but files, and this one among them.
+    /// The first exclusion that gives only files, this one among them.
     #[must_use]
     pub fn of_file(&self, file: &Path) -> Option<(usize, &'a str)> {
         self.first(|exclude, pattern| {
@@ -39,7 +40,7 @@ impl<'a> Exclusions<'a> {
         })
     }
 
-    /// Whether exclusion `number` means this exposure, or may mean some of the segments of its file.
+    /// Whether exclusion `number` matches this exposure, or may match some segments of its file.
     #[must_use]
     pub fn may_mean(&self, number: usize, exposure: &Exposure) -> bool {
         let (exclude, pattern) = &self.0[number];
@@ -52,7 +53,7 @@ impl<'a> Exclusions<'a> {
     }
 }
 
-/// `None`: the exposure leaves a coordinate to the segments of its file.
+/// Whether the keys match; `None` if the exposure leaves a coordinate to the segments of its file.
 fn means(keys: &Match, pattern: Option<&Pattern>, exposure: &Exposure) -> Option<bool> {
     let verdicts = [
         same(keys.role.as_ref(), Some(&exposure.role)),

@@ -1,4 +1,4 @@
-//! An exposure: a record of a raw file, and what the campaign says of it.
+//! An exposure: a record of a raw file, and what the campaign says about it.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -11,19 +11,19 @@ use super::keys::{Axis, Campaign, CaptureRule, RecordKeys, Role};
 use super::pattern::{Bound, Pattern};
 use crate::units::PatchId;
 
-/// One record, or all records of a file where its segments are exposures of their own.
+/// One record, or all records of a file whose segments are exposures of their own.
 ///
-/// Coordinates that are `None` are not known from the campaign: they come from the segments of the file (`keys.segments`), or do not matter.
+/// Coordinates that are `None` come from the segments of the file (`keys.segments`), or do not matter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Exposure {
-    /// The rule that took the file: index into `Campaign::captures`.
+    /// The rule that matched the file: index into `Campaign::captures`.
     pub rule: usize,
     /// The file, relative to the campaign folder.
     pub file: PathBuf,
     /// What was captured.
     pub role: Role,
-    /// Which run of shots, for other roles than scene: the file, with `*` for the number of the shot where the pattern has one. It depends on nothing
-    /// but the file, so that it never changes when a campaign grows.
+    /// The run of shots that it belongs to, for roles other than scene: the file, with `*` for the shot number if the
+    /// pattern has one. It depends on the file alone, so that it stays the same when a campaign grows.
     pub run: Option<String>,
     /// Sensor; `None` only where the segments count sensors.
     pub sensor: Option<String>,
@@ -31,7 +31,7 @@ pub struct Exposure {
     pub lit: Option<PatchId>,
     /// Seen patch (0: none); `None` only where the segments count seen patches.
     pub seen: Option<PatchId>,
-    /// Number of the shot; `None`: counted by segments and files.
+    /// Number of the shot; `None`: files and segments count the shots.
     pub shot: Option<u32>,
     /// Vertical range.
     pub range: Option<String>,
@@ -41,14 +41,14 @@ pub struct Exposure {
     pub segment: Option<u32>,
     /// The record of the pulse that marks time zero; `None`: the trigger marks it.
     pub reference: Option<ReferenceSource>,
-    /// Files with the samples of its file, or of its reference's, where heads and samples lie in two files.
+    /// Companion files with the samples of its file, or of its reference's file.
     pub companions: Vec<PathBuf>,
     /// Scale, time base and circumstances.
     pub keys: Arc<RecordKeys>,
 }
 
 impl Exposure {
-    /// The raw files that it lies in: its own, that of its reference (which may be the same), companions.
+    /// All raw files that it needs: its own, that of its reference (which may be the same), companions.
     pub fn files(&self) -> impl Iterator<Item = &PathBuf> {
         let reference = self.reference.as_ref().map(|reference| &reference.file);
         std::iter::once(&self.file).chain(reference).chain(&self.companions)
@@ -64,7 +64,7 @@ pub struct ReferenceSource {
     pub channel: Option<String>,
 }
 
-/// What a rule and the values of its placeholders say of a file.
+/// Combines a rule and the values of its placeholders into the exposure of a file.
 pub(super) fn exposure(
     campaign: &Campaign,
     rule_number: usize,
@@ -113,7 +113,7 @@ pub(super) fn exposure(
     })
 }
 
-/// The run that a file belongs to: files that a pattern tells apart by their shot alone are one.
+/// The run of a file: files whose paths differ only in the shot belong to one run.
 fn run(rule: &CaptureRule, file: &str) -> String {
     match rule.files.as_deref().map(Pattern::parse) {
         Some(Ok(pattern)) => pattern.starred(file, Axis::Shot),

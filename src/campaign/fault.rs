@@ -1,4 +1,4 @@
-//! A fault in the values of a campaign file, and the checks that find most of them: those of one value at one place.
+//! A fault in the values of a campaign file, and the checks of single values that find most faults.
 
 use std::collections::BTreeMap;
 
@@ -12,11 +12,11 @@ use super::suggest::hint;
 pub struct Fault {
     /// The heading.
     pub place: String,
-    /// What is wrong, and the mend.
+    /// What is wrong, and how to fix it.
     pub problem: String,
 }
 
-/// A place, and the checks of the values that stand there.
+/// A heading, and checks of the values under it.
 pub(super) struct At<'a>(pub(super) &'a str);
 
 impl At<'_> {

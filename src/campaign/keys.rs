@@ -1,7 +1,9 @@
-//! The keys of `campaign.toml`, one struct a heading: a contract with the people who write these files.
+//! The keys of `campaign.toml`, one struct per heading. Users write these files, so the keys are a contract.
 //!
-//! Right-handed frame, metres, picoseconds, radians; in flatland (`dimensions = 2`) z = 0. Every struct refuses unknown keys. The values
-//! serialize, so that the parts of a campaign that a stage reads can enter its lineage; the folder itself never does.
+//! Frame: right-handed; metres, picoseconds, radians; in flatland (`dimensions = 2`) z = 0. Every struct refuses
+//! unknown
+//! keys. The values can be serialized, so that the fields that a stage reads enter its lineage; the folder itself never
+//! does.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,13 +15,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::units::PatchId;
 
-/// Name of the station where the light leaves.
+/// Name of the station of the laser.
 pub const LASER: &str = "laser";
 
-/// A campaign: what was set up, and which files hold which exposures.
+/// A campaign: the set-up, and which files hold which exposures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Campaign {
-    /// The campaign folder. Not serialized: where a campaign lies must not change what follows from it.
+    /// The campaign folder. Not serialized: results must not depend on where a campaign is stored.
     #[serde(skip)]
     pub root: PathBuf,
     /// Name, as in the tables.
@@ -32,59 +34,60 @@ pub struct Campaign {
     pub repetition_sd_ps: Option<f64>,
     /// 3, or 2 for flatland.
     pub dimensions: u8,
-    /// Mean size of a part, the piece in which work is done and kept, in bytes of raw files.
+    /// Mean size of a part in bytes of raw files. A part is the unit in which the program works and stores results.
     pub part_bytes: u64,
-    /// Where light leaves and arrives; holds at least [`LASER`].
+    /// Positions of laser and sensors; contains at least [`LASER`].
     pub stations: BTreeMap<String, Station>,
     /// The detectors.
     pub sensors: BTreeMap<String, Sensor>,
-    /// What is known of the patches beforehand.
+    /// Prior information on the patches.
     pub patches: BTreeMap<PatchId, Patch>,
-    /// Numbers in `lit` and `seen` that stand for other footprints than the patch of that number.
+    /// Numbers in `lit` and `seen` that denote other footprints than the patch of that number.
     pub views: BTreeMap<PatchId, View>,
-    /// What is known of the hidden patches.
+    /// Prior information on the hidden patches.
     pub hidden: Hidden,
-    /// Which records are which exposures.
+    /// Rules that say which records are which exposures.
     pub captures: Vec<CaptureRule>,
-    /// What to leave out, and why.
+    /// Exposures to omit, and why.
     pub exclude: Vec<Exclude>,
-    /// Raw files that changed later are still being written, and wait. Not a key: set by who follows a capture that is under way.
+    /// Raw files that changed after this time are still being written, and are not read yet. Not a key: `watch` sets it
+    /// during a measurement.
     #[serde(skip)]
     pub as_of: Option<SystemTime>,
 }
 
 impl Campaign {
-    /// The station where the light leaves.
+    /// The station of the laser.
     #[must_use]
     pub fn source(&self) -> &Station {
         &self.stations[LASER]
     }
 
-    /// The station of a sensor: a sensor that names none coincides with the laser. `None` if there is no such sensor.
+    /// The station of a sensor, which defaults to the laser's; `None` if the campaign has no such sensor.
     #[must_use]
     pub fn station_of(&self, sensor: &str) -> Option<&Station> {
         let station = self.sensors.get(sensor)?.station.as_deref();
         self.stations.get(station.unwrap_or(LASER))
     }
 
-    /// A file's path on this machine from its path in the campaign.
+    /// Converts a path in the campaign to a path on this machine.
     #[must_use]
     pub fn path_of(&self, file: &Path) -> PathBuf {
         self.root.join(file)
     }
 }
 
-/// `[stations.NAME]`: a point where light leaves or arrives.
+/// `[stations.NAME]`: a point from which the laser shines, or to which a sensor looks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Station {
-    /// Where it is.
+    /// Position.
     pub position_m: [f64; 3],
     /// Standard deviation of each coordinate; absent: exact (it defines the frame).
     pub sd_m: Option<f64>,
 }
 
-/// The stations of a campaign that names none: everything at the origin (`p0` of the paper).
+/// The stations of a campaign without `[stations]`: laser and sensors at the origin (`p0` of the paper).
 #[must_use]
 pub fn one_station() -> BTreeMap<String, Station> {
     let origin = Station { position_m: [0.0; 3], sd_m: None };
@@ -95,16 +98,16 @@ pub fn one_station() -> BTreeMap<String, Station> {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
-    /// Where it is; absent: it coincides with the laser.
+    /// Its station; absent: that of the laser.
     pub station: Option<String>,
-    /// What its records are.
+    /// What it records.
     #[serde(default)]
     pub kind: SensorKind,
-    /// Laser pulses behind each histogram (kind counts).
+    /// Laser pulses per histogram (kind counts).
     pub cycles: Option<u64>,
-    /// Time for which a detection blinds the sensor (kind counts).
+    /// Dead time after a detection (kind counts).
     pub dead_time_ps: Option<f64>,
-    /// Prior of the delay between light and record.
+    /// Prior of the delay between the arrival of light and its record.
     pub latency_ps: Option<f64>,
     /// Standard deviation of that prior.
     pub latency_sd_ps: Option<f64>,
@@ -121,16 +124,16 @@ pub enum SensorKind {
     Counts,
 }
 
-/// `[patches.N]`: what is known of a patch beforehand.
+/// `[patches.N]`: prior information on a patch.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Patch {
     /// Whether laser and sensor reach it directly.
     #[serde(default)]
     pub role: PatchRole,
-    /// For people.
+    /// A label for readers.
     pub label: Option<String>,
-    /// Where it is: an anchor.
+    /// Known position: an anchor.
     pub position_m: Option<[f64; 3]>,
     /// Standard deviation of each coordinate of the anchor; absent: exact.
     pub sd_m: Option<f64>,
@@ -138,13 +141,13 @@ pub struct Patch {
     pub normal: Option<[f64; 3]>,
     /// Diameter.
     pub size_m: Option<f64>,
-    /// It is glossy: standard deviation of the angle about the mirror direction into which it reflects.
+    /// For a glossy patch: standard deviation of the angle around the mirror direction into which it reflects.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lobe_rad: Option<f64>,
-    /// Of a hidden patch: the visible one over which its light reaches the sensor, where a view covers several.
+    /// For a hidden patch: the visible one from which its light reaches the sensor, where a view covers several.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub through: Option<PatchId>,
-    /// The line on which it lies, from the angles of a galvo or a pixel.
+    /// The line on which it is, from the angles of a galvo or a pixel.
     pub ray: Option<Ray>,
 }
 
@@ -162,7 +165,7 @@ pub enum PatchRole {
 }
 
 impl PatchRole {
-    /// As campaign.toml and the table `patches` have it.
+    /// The name in campaign.toml and in the table `patches`.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -185,7 +188,7 @@ pub struct Ray {
     pub sd_rad: Option<f64>,
 }
 
-/// `[views.N]`: a pixel or a spot of another footprint than patch N.
+/// `[views.N]`: a pixel or a laser spot whose footprint differs from patch N.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct View {
@@ -193,16 +196,16 @@ pub struct View {
     pub patches: Vec<PatchId>,
 }
 
-/// `[hidden]`.
+/// `[hidden]`: prior information on the hidden patches.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Hidden {
     /// Number of hidden patches; estimated when absent.
     pub count: Option<u32>,
-    /// No two hidden patches are farther apart.
+    /// Largest distance between any two hidden patches.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub apart_max_m: Option<f64>,
-    /// Direction in which hidden patches follow one another, in the order of their numbers.
+    /// Direction along which the numbers of hidden patches increase.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub along: Option<[f64; 3]>,
 }
@@ -215,9 +218,9 @@ pub struct CaptureRule {
     pub role: Option<Role>,
     /// Pattern of the files (see [`super::pattern`]).
     pub files: Option<String>,
-    /// Table with one row a record (see [`super::captures_table`]), instead of `files`.
+    /// Table with one row per record (see [`super::captures_table`]), instead of `files`.
     pub table: Option<PathBuf>,
-    /// Sensor, where neither pattern nor table say it; absent: the only one.
+    /// Sensor, where neither pattern nor table give it; absent: the only one.
     pub sensor: Option<String>,
     /// Channel, where a file holds several.
     pub channel: Option<String>,
@@ -231,7 +234,7 @@ pub struct CaptureRule {
     pub range: Option<String>,
     /// The pulse that marks time zero of each shot; absent: the trigger.
     pub reference: Option<Reference>,
-    /// What the segments of a file (or the leading axes of an array) are.
+    /// What the segments of a file (or the leading axes of an array) count.
     #[serde(default = "shots", deserialize_with = "axes")]
     pub segments: Vec<Axis>,
     /// Shots that the oscilloscope averaged into each record.
@@ -248,7 +251,7 @@ pub struct CaptureRule {
     pub bounces: Option<u32>,
     /// Time between samples.
     pub dt_ps: Option<f64>,
-    /// Sampling rate that the instrument is known to have: its inverse replaces a step that the file rounded.
+    /// Nominal sampling rate of the instrument: its inverse replaces a step that the file has rounded.
     pub nominal_rate_hz: Option<f64>,
     /// Volts per code.
     pub gain_v: Option<f64>,
@@ -256,12 +259,12 @@ pub struct CaptureRule {
     pub offset_v: Option<f64>,
     /// Time of sample 0.
     pub t0_ps: Option<f64>,
-    /// The samples that count: from the first, up to but without the second.
+    /// The samples to use: from the first number up to, but without, the second.
     pub samples: Option<[u64; 2]>,
 }
 
 impl CaptureRule {
-    /// The keys that go on to every exposure of the rule.
+    /// The keys that apply to every exposure of the rule.
     #[must_use]
     pub fn record_keys(&self) -> RecordKeys {
         RecordKeys {
@@ -282,7 +285,7 @@ impl CaptureRule {
     }
 }
 
-/// What a rule (or a row of its table) says of a record; absent: as the file has it. Meanings as in [`CaptureRule`].
+/// What a rule (or a row of its table) says about a record; absent: as in the file. Meanings as in [`CaptureRule`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "documented in CaptureRule")]
 pub struct RecordKeys {
@@ -312,14 +315,14 @@ pub enum Role {
     Response,
     /// Laser off.
     Dark,
-    /// Laser fires, beam stopped.
+    /// Laser fires, beam blocked.
     Blocked,
-    /// One fixed path, again and again.
+    /// One fixed path, repeatedly.
     Fiducial,
 }
 
 impl Role {
-    /// The word for it in campaign files and tables.
+    /// The name in campaign files and tables.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -342,7 +345,7 @@ pub struct Reference {
     pub files: Option<String>,
 }
 
-/// A coordinate of a record: as placeholder in a pattern, as key, as column, or as what the segments of a file count.
+/// A coordinate of a record: a placeholder in a pattern, a key, a column, or what the segments of a file count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Axis {
@@ -361,10 +364,10 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// All of them, in order.
+    /// All axes, in order.
     pub const ALL: [Self; 6] = [Self::Lit, Self::Seen, Self::Sensor, Self::Shot, Self::Range, Self::Channel];
 
-    /// The word for it in campaign files.
+    /// The name in campaign files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -384,18 +387,18 @@ impl Axis {
     }
 }
 
-/// `[[exclude]]`: exposures to leave out.
+/// `[[exclude]]`: exposures to omit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Exclude {
-    /// Which: all keys given must hold.
+    /// Which ones: all given keys must match.
     #[serde(rename = "match")]
     pub matches: Match,
     /// Why.
     pub reason: String,
 }
 
-/// Which exposures an [`Exclude`] means. Absent keys hold for all.
+/// Which exposures an [`Exclude`] matches. Absent keys match everything.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Match {

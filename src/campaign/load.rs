@@ -1,4 +1,4 @@
-//! `campaign.toml` to a checked [`Campaign`].
+//! Reads `campaign.toml` into a checked [`Campaign`].
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,17 +21,17 @@ pub const CAMPAIGN_FILE: &str = "campaign.toml";
 #[derive(Debug, thiserror::Error)]
 pub enum CampaignError {
     /// The file cannot be read.
-    #[error("{}: cannot be read; {}", file.display(), mend(file))]
+    #[error("{}: cannot be read; {}", file.display(), advice(file))]
     Read {
         /// The file.
         file: PathBuf,
         /// Why.
         source: std::io::Error,
     },
-    /// No TOML, an unknown key, or a value of the wrong type.
+    /// Not TOML, an unknown key, or a value of the wrong type.
     #[error(transparent)]
     Toml(#[from] TomlError),
-    /// A value that cannot be.
+    /// An impossible value.
     #[error("{}: {fault}", file.display())]
     Keys {
         /// The file.
@@ -41,8 +41,8 @@ pub enum CampaignError {
     },
 }
 
-/// What to do where there is no `campaign.toml`.
-fn mend(file: &Path) -> String {
+/// Advice for a missing `campaign.toml`.
+fn advice(file: &Path) -> String {
     let folder = file.parent().unwrap_or(Path::new(""));
     match folder.file_name() {
         Some(name) if name == CAMPAIGN_FILE => {
@@ -108,14 +108,14 @@ impl Campaign {
     /// Reads and checks `root/campaign.toml`.
     ///
     /// # Errors
-    /// When it cannot be read, or holds anything that cannot be: the message names line or heading, key and mend.
+    /// When the file cannot be read, or has an impossible value. The message names line or heading, key, and the fix.
     pub fn load(root: &Path) -> Result<Self, CampaignError> {
         let file = root.join(CAMPAIGN_FILE);
         let text = std::fs::read_to_string(&file).map_err(|source| CampaignError::Read { file, source })?;
         Self::parse(root, &text)
     }
 
-    /// Checks the text of the `campaign.toml` of a folder.
+    /// Checks the text of a `campaign.toml` in folder `root`.
     ///
     /// # Errors
     /// As [`Campaign::load`].
@@ -259,7 +259,7 @@ reason = "shutter stuck"
         assert_eq!(campaign.source().sd_m, None);
     }
 
-    /// One fault a line: what stands in the full file, what stands there instead, and two parts of the message.
+    /// One fault per line: text of the full file, its replacement, and two parts of the message.
     const FAULTS: &str = r#"
 sd_m = 0.002 ~ sd = 0.002 ~ [patches.2] ~ did you mean `sd_m`?
 count = 2 ~ count = 2.5 ~ `count` in [hidden] ~ expected u32
@@ -297,7 +297,7 @@ sensor = "s1", lit ~ sensor = "s3", lit ~ [[exclude]] number 1 ~ add [sensors.s3
 "#;
 
     #[test]
-    fn faults_name_place_and_mend() {
+    fn faults_name_place_and_fix() {
         for line in FAULTS.trim().lines() {
             let cells: Vec<&str> = line.split('~').map(str::trim).collect();
             assert!(FULL.contains(cells[0]), "{line}");

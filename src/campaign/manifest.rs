@@ -1,8 +1,11 @@
 //! The manifest of a campaign folder: size, time of change and content hash of every raw file that was read or sealed.
 //!
-//! `DIR/manifest.json`, one file a line, sorted, each with a check of itself: a line can be taken out, but not be read wrongly. The hash (BLAKE3) is what lineages are made of; size and time only spare hashing a file again:
-//! where they differ from what was recorded, the content decides. A file that is rewritten with equal size and equal time of change passes
-//! unseen until `verify --rehash`.
+//! `DIR/manifest.json` has one line per file, sorted, each with its own checksum: you may delete a line, but a damaged
+//! one is
+//! noticed. Lineages use the hash (BLAKE3). Size and time only avoid hashing a file again: where they differ from the
+//! record,
+//! the content decides. A file that is rewritten with equal size and equal time stays unnoticed until `verify
+//! --rehash`.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, Metadata};
@@ -21,10 +24,10 @@ pub const MANIFEST_FILE: &str = "manifest.json";
 
 const VERSION: u32 = 2;
 
-/// How half-written manifests begin; a mark of the process that writes follows.
+/// Prefix of half-written manifests; a mark of the writing process follows.
 const HALF: &str = ".manifest.json.";
 
-/// Age from which a half-written manifest is nobody's any more: writing one takes seconds.
+/// Age from which a half-written manifest belongs to a dead process: writing one takes seconds.
 const LEFT_BEHIND: Duration = Duration::from_hours(1);
 
 /// Bytes read at a time while hashing.
@@ -41,7 +44,7 @@ pub enum ManifestError {
         /// Why.
         source: io::Error,
     },
-    /// The manifest is no manifest.
+    /// The file is not a manifest.
     #[error("{}: is damaged, or no manifest of this version ({problem}); restore it, or delete it and seal the folder anew", file.display())]
     Format {
         /// The manifest.
@@ -49,7 +52,7 @@ pub enum ManifestError {
         /// What is wrong.
         problem: String,
     },
-    /// Lines of the manifest are not as they were written.
+    /// Lines of the manifest are damaged.
     #[error(
         "{}: damaged in the lines of {}; restore it, or take these lines out, and the files are hashed anew as they are now",
         file.display(), lines.join(", ")
@@ -57,10 +60,10 @@ pub enum ManifestError {
     Damaged {
         /// The manifest.
         file: PathBuf,
-        /// The files of these lines, as they stand there.
+        /// The files of these lines, as the manifest names them.
         lines: Vec<String>,
     },
-    /// Files have other content than was recorded.
+    /// The content of files differs from the record.
     #[error(
         "changed since they were recorded: {}; restore them, or, if the change is meant, take their lines out of {} and seal anew",
         files.join(", "), manifest.display()
@@ -73,7 +76,7 @@ pub enum ManifestError {
     },
 }
 
-/// What is recorded of a file.
+/// The record of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileRecord {
     /// Size.
@@ -101,14 +104,14 @@ pub(super) mod hexadecimal {
 /// How a file compares with its record, by size and time of change alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileState {
-    /// As recorded: has this content.
-    Known(Hash),
-    /// Size or time differ from the record: it must be hashed, and compared with this content.
+    /// As recorded: the file has this content.
+    Same(Hash),
+    /// Size or time differ from the record: the file must be hashed, and compared with this content.
     Touched {
         /// The content that was recorded.
         recorded: Hash,
     },
-    /// Not recorded.
+    /// Without record.
     New,
 }
 
@@ -119,7 +122,7 @@ pub struct Manifest {
     files: BTreeMap<String, FileRecord>,
 }
 
-/// The file's form.
+/// The JSON of the file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ManifestFile {
@@ -127,7 +130,7 @@ struct ManifestFile {
     files: BTreeMap<String, Line>,
 }
 
-/// A line of it.
+/// A line of the file.
 #[derive(PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Line {
@@ -147,7 +150,7 @@ impl Line {
         Self { bytes: *bytes, modified_ns: *modified_ns, blake3, check: check.to_hex()[..16].to_owned() }
     }
 
-    /// The record, if the line is as it was written.
+    /// The record, if the line's checksum is right.
     fn record(&self, path: &str) -> Option<FileRecord> {
         let blake3 = Hash::from_hex(&self.blake3).ok()?;
         let record = FileRecord { bytes: self.bytes, modified_ns: self.modified_ns, blake3 };
@@ -159,7 +162,7 @@ impl Manifest {
     /// Reads the manifest of a campaign folder; `None` if it has none.
     ///
     /// # Errors
-    /// When there is one that cannot be read.
+    /// When the manifest cannot be read, or is damaged.
     pub fn load(root: &Path) -> Result<Option<Self>, ManifestError> {
         let file = root.join(MANIFEST_FILE);
         let bytes = match fs::read(&file) {
@@ -181,8 +184,8 @@ impl Manifest {
         if damaged.is_empty() { Ok(Some(Self { files })) } else { Err(ManifestError::Damaged { file, lines: damaged }) }
     }
 
-    /// Writes the manifest: whole under another name, then renamed, so that no reader and no crash sees half of it. Halves that killed processes left
-    /// go on the way.
+    /// Writes the manifest under another name, then renames it, so that neither a reader nor a crash sees half of it.
+    /// Also removes half-written manifests of killed processes.
     ///
     /// # Errors
     /// When it cannot be written.
@@ -190,7 +193,8 @@ impl Manifest {
         self.write(root, File::sync_all)
     }
 
-    /// The same without waiting for the disk: a machine that goes down may leave it cut, which [`Manifest::join`] takes for none.
+    /// Writes the manifest without waiting for the disk. A power cut may truncate it, which [`Manifest::join`] treats
+    /// as absent.
     ///
     /// # Errors
     /// When it cannot be written.
@@ -211,7 +215,7 @@ impl Manifest {
         write().map_err(|source| file_error(&file, source))
     }
 
-    /// Pretty, but with one file a line: easy to read, to compare, and to take a line out.
+    /// Indented JSON with one line per file: easy to read, to compare, and to delete a line.
     fn text(&self) -> serde_json::Result<String> {
         let mut text = format!("{{\n\"version\": {VERSION},\n\"files\": {{");
         for (index, (path, record)) in self.files.iter().enumerate() {
@@ -224,29 +228,29 @@ impl Manifest {
         Ok(text)
     }
 
-    /// Compares a file with its record by size and time of change; reads nothing of its content.
+    /// Compares a file with its record by size and time of change, without reading its content.
     ///
     /// # Errors
-    /// When the file is not there or cannot be asked.
+    /// When the file does not exist, or its metadata cannot be read.
     pub fn check(&self, root: &Path, path: &Path) -> Result<FileState, ManifestError> {
         let Some(record) = self.files.get(&key(path)) else {
             return Ok(FileState::New);
         };
-        let found = metadata(&root.join(path))?;
-        Ok(if record.fits(&found) {
-            FileState::Known(record.blake3)
+        let metadata = metadata(&root.join(path))?;
+        Ok(if record.fits(&metadata) {
+            FileState::Same(record.blake3)
         } else {
             FileState::Touched { recorded: record.blake3 }
         })
     }
 
-    /// Records a file. `metadata` must have been taken before its content was read, so that a change in between shows at the next
+    /// Records a file. Read `metadata` before the content, so that a change in between shows at the next
     /// [`Manifest::check`].
     pub fn record(&mut self, path: &Path, content: Hash, metadata: &Metadata) {
         self.files.insert(key(path), FileRecord::of(content, metadata));
     }
 
-    /// Takes over the records of another folder's manifest. One that is cut has none: what it recorded is hashed again.
+    /// Adds the records of another folder's manifest. A truncated one has none: its files will be hashed again.
     ///
     /// # Errors
     /// When it cannot be read, or is damaged otherwise.
@@ -259,21 +263,21 @@ impl Manifest {
         Ok(())
     }
 
-    /// Takes over the records of another manifest.
+    /// Adds the records of another manifest.
     pub fn take(&mut self, other: &Self) {
         self.files.extend(other.files.iter().map(|(path, record)| (path.clone(), *record)));
     }
 
-    /// The records of these files alone, of those that there are.
+    /// Only the records of these files, as far as they exist.
     #[must_use]
     pub fn of<'a>(&self, files: impl Iterator<Item = &'a Path>) -> Self {
         let record = |file| self.files.get_key_value(&key(file)).map(|(path, record)| (path.clone(), *record));
         Self { files: files.filter_map(record).collect() }
     }
 
-    /// Drops the records of files that are not as recorded any more, or gone: for a campaign that is still being captured.
+    /// Drops the records of files that have changed or are gone, for a campaign that is still being captured.
     pub fn forget_changed(&mut self, root: &Path) {
-        self.files.retain(|path, record| fs::metadata(root.join(path)).is_ok_and(|found| record.fits(&found)));
+        self.files.retain(|path, record| fs::metadata(root.join(path)).is_ok_and(|metadata| record.fits(&metadata)));
     }
 
     /// The record of a file.
@@ -293,7 +297,7 @@ impl FileRecord {
         Self { bytes: metadata.len(), modified_ns: modified_ns(metadata), blake3: content }
     }
 
-    /// Whether size and time of change are as recorded.
+    /// Whether size and time of change match the record.
     fn fits(&self, metadata: &Metadata) -> bool {
         self.bytes == metadata.len() && self.modified_ns == modified_ns(metadata)
     }
@@ -394,8 +398,8 @@ mod tests {
     fn a_manifest_reads_back_and_has_one_file_a_line() {
         let (folder, mut manifest) = folder_with("light");
         let content = blake3::hash(b"light");
-        let found = metadata(&folder.path().join("a.trc")).unwrap();
-        manifest.record(Path::new("raw/\"b\".trc"), content, &found);
+        let metadata = metadata(&folder.path().join("a.trc")).unwrap();
+        manifest.record(Path::new("raw/\"b\".trc"), content, &metadata);
         assert_eq!(Manifest::load(folder.path()).unwrap(), None);
         manifest.save(folder.path()).unwrap();
         assert_eq!(Manifest::load(folder.path()).unwrap(), Some(manifest));
@@ -457,7 +461,7 @@ mod tests {
         let (path, file) = (Path::new("a.trc"), folder.path().join("a.trc"));
         let content = blake3::hash(b"light");
         let state = |path| manifest.check(folder.path(), path).unwrap();
-        assert_eq!(state(path), FileState::Known(content));
+        assert_eq!(state(path), FileState::Same(content));
         assert_eq!(state(Path::new("b.trc")), FileState::New);
         let time = fs::metadata(&file).unwrap().modified().unwrap();
         let set_time = |time| File::options().write(true).open(&file).unwrap().set_modified(time);

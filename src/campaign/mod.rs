@@ -2,14 +2,14 @@
 //!
 //! | file | question |
 //! |---|---|
-//! | `keys` | what can stand in campaign.toml? |
-//! | `load`, `check_setup`, `check_captures`, `fault` | is what stands there possible? |
-//! | `toml_text`, `suggest` | if not: in which line, and what was meant? |
+//! | `keys` | which keys may campaign.toml have? |
+//! | `load`, `check_setup`, `check_captures`, `fault` | are their values possible? |
+//! | `toml_text`, `suggest` | if not: which line is wrong, and what was meant? |
 //! | `survey`, `pattern`, `walk`, `captures_table`, `references`, `companions`, `exclusions`, `exposure`, `claims` | which file is which exposure? |
-//! | `manifest`, `seal`, `tree_hash` | is it still the file that was read before? |
-//! | `parts` | where does a run of captures end that is stored and computed as one? |
+//! | `manifest`, `seal`, `tree_hash` | is it still the same file as before? |
+//! | `parts` | where does a part end, the unit of storage and computation? |
 //!
-//! Nothing here reads a waveform: what is in a file is the matter of `formats`.
+//! No file here reads a waveform; `formats` does.
 
 pub mod captures_table;
 pub mod check_captures;

@@ -1,19 +1,26 @@
-//! Where a part ends: content-defined cuts of a campaign's captures into runs of about `part_bytes`.
+//! Where a part ends: content-defined cuts of a campaign's captures into parts of about `part_bytes`.
 //!
-//! A capture (or a reciprocal pair, which never straddles two parts) of `b` bytes closes its part when the first 64 bits of BLAKE3 of its
-//! key, as a fraction of 2^64, lie below `b / part_bytes`. So parts have that size in the mean where captures are far smaller (their
-//! sizes are spread as an exponential), and the decision is local: a capture that joins a growing campaign moves no boundary but the one where it falls.
+//! A capture (or a reciprocal pair, which never straddles two parts) of `b` bytes closes its part under one condition:
+//! the
+//! first 64 bits of BLAKE3 of its key, as a fraction of 2^64, are below `b / part_bytes`. Parts then have that mean
+//! size if
+//! captures are far smaller, and their sizes follow an exponential distribution. The decision is local: a capture that
+//! joins
+//! a growing campaign moves no boundary except within the part where it falls.
 
-/// Mean size of a part where the campaign says nothing else, in bytes of raw files.
+/// Default mean size of a part, in bytes of raw files.
 pub const PART_BYTES: u64 = 64 << 20;
 
-/// Whether the capture or pair of this key, with this many bytes of raw files, is the last of its part, where parts have `part_bytes` in the mean. The key must name it uniquely
-/// in its campaign, and be the same whenever it is asked.
+/// Whether the capture or pair of this key is the last of its part.
+///
+/// It has `bytes` bytes of raw files; parts have `part_bytes` in the mean. The key must be unique in the campaign, and
+/// the
+/// same in every call.
 #[must_use]
 pub fn closes_part(pair_key: &str, bytes: u64, part_bytes: u64) -> bool {
     let hash = blake3::hash(pair_key.as_bytes());
     let first: [u8; 8] = std::array::from_fn(|i| hash.as_bytes()[i]);
-    // In whole numbers, as a float would round: hash / 2^64 < bytes / part_bytes.
+    // hash / 2^64 < bytes / part_bytes, in whole numbers, since floats would round.
     u128::from(u64::from_le_bytes(first)) * u128::from(part_bytes) < u128::from(bytes) << 64
 }
 
@@ -22,7 +29,7 @@ mod tests {
     use super::*;
     use std::collections::BTreeSet;
 
-    /// The parts of a run of captures, each as the set of its keys.
+    /// The parts of a list of captures, each as the list of its keys.
     fn parts(captures: &[(String, u64)]) -> BTreeSet<Vec<String>> {
         let (mut parts, mut open) = (BTreeSet::new(), Vec::new());
         for (key, bytes) in captures {

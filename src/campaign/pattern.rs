@@ -1,15 +1,16 @@
 //! Patterns of file paths: `raw/{sensor}/L{lit}_P{seen}_*.trc`.
 //!
-//! | in a pattern | takes |
+//! | in a pattern | matches |
 //! |---|---|
-//! | `{lit}` `{seen}` `{shot}` | a number: all digits that stand together; leading zeros do not count |
-//! | `{sensor}` `{range}` `{channel}` | a name of letters, digits, `-` and `_`, but without a sign that stands next to it in the pattern, or both next to a `*` |
+//! | `{lit}` `{seen}` `{shot}` | a number: all adjacent digits; leading zeros do not count |
+//! | `{sensor}` `{range}` `{channel}` | a name of letters, digits, `-` and `_`, without the sign next to it in the pattern; without both next to a `*` |
 //! | `*` | anything, also nothing, within one folder or file name |
 //! | `**/` | any number of folders, also none |
 //! | all else | itself |
 //!
-//! A placeholder may stand several times and must then take the same value everywhere. A path that can be read in two ways with different values
-//! is no match but an error. Matching is by backtracking over the tokens. Not modelled: `?`, `[a-z]`, escapes, and blindness to case.
+//! A repeated placeholder must have the same value everywhere. A path that can be read in two ways with different
+//! values is
+//! an error, not a match. Matching backtracks over the tokens. Not supported: `?`, `[a-z]`, escapes, and ignoring case.
 
 use std::fmt;
 use std::ops::Range;
@@ -17,7 +18,7 @@ use std::ops::Range;
 use super::keys::Axis;
 use super::suggest::hint;
 
-/// Why a text is no pattern.
+/// Why a text is not a valid pattern.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("pattern `{pattern}`: {problem}")]
 pub struct PatternError {
@@ -25,7 +26,7 @@ pub struct PatternError {
     problem: String,
 }
 
-/// A pattern, taken apart.
+/// A parsed pattern.
 #[derive(Clone, Debug)]
 pub struct Pattern {
     tokens: Vec<Token>,
@@ -58,12 +59,12 @@ impl Value {
     }
 }
 
-/// The values that a path has for the placeholders of a pattern; numbers without leading zeros.
+/// The values of a pattern's placeholders in a path; numbers without leading zeros.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Bound<'a>([Option<&'a str>; Axis::ALL.len()]);
 
 impl<'a> Bound<'a> {
-    /// The value of a placeholder; `None` if the pattern has none such.
+    /// The value of a placeholder; `None` if the pattern does not have it.
     #[must_use]
     pub fn get(&self, axis: Axis) -> Option<&'a str> {
         self.0[axis as usize]
@@ -91,7 +92,7 @@ impl fmt::Display for Bound<'_> {
     }
 }
 
-/// What a pattern says of a path.
+/// How a pattern reads a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Reading<'a> {
     /// No match.
@@ -103,11 +104,12 @@ pub enum Reading<'a> {
 }
 
 impl Pattern {
-    /// Takes a pattern apart.
+    /// Parses a pattern.
     ///
     /// # Errors
-    /// When it is not relative to the campaign folder, or has an unknown placeholder, two placeholders without a sign between, or a
-    /// stray `{`, `}` or `**`.
+    /// When it is not relative to the campaign folder, has an unknown placeholder, two placeholders without a sign
+    /// between
+    /// them, or a stray `{`, `}` or `**`.
     pub fn parse(text: &str) -> Result<Self, PatternError> {
         let fail = |problem: String| PatternError { pattern: text.to_owned(), problem };
         check_path(text).map_err(fail)?;
@@ -131,7 +133,7 @@ impl Pattern {
         Ok(Self { tokens })
     }
 
-    /// The placeholders, each as often as it stands there.
+    /// The placeholders, each as often as it occurs.
     pub fn axes(&self) -> impl Iterator<Item = Axis> {
         self.tokens.iter().filter_map(|token| match token {
             Token::Value(value) => Some(value.axis),
@@ -153,14 +155,14 @@ impl Pattern {
     pub fn read<'a>(&self, path: &'a str) -> Reading<'a> {
         let mut reader = Reader::new(path);
         reader.walk(false, &self.tokens, 0);
-        match reader.found.as_slice() {
+        match reader.readings.as_slice() {
             [] => Reading::No,
             [one] => Reading::Yes(*one),
             [one, two, ..] => Reading::Ambiguous(*one, *two),
         }
     }
 
-    /// A path that the pattern reads, with `*` for each value of this placeholder: what is common to the files that differ only there.
+    /// A matching path with `*` for each value of this placeholder: what files that differ only there have in common.
     #[must_use]
     pub fn starred(&self, path: &str, axis: Axis) -> String {
         let mut reader = Reader::new(path);
@@ -175,7 +177,7 @@ impl Pattern {
     }
 }
 
-/// Whether a text is a path inside the campaign folder; if not, why.
+/// Checks that a text is a path inside the campaign folder; if not, returns why.
 pub(super) fn check_path(text: &str) -> Result<(), String> {
     if text.is_empty() {
         return Err("is empty; give a path such as raw/L{lit}_P{seen}.trc".into());
@@ -242,33 +244,33 @@ fn touches(before: Option<&Token>, after: Option<&Token>, sign: char) -> bool {
     left || right
 }
 
-/// A backtracking reader: collects readings with different values, and stops at the second.
+/// A backtracking reader. It collects readings with different values, and stops at the second.
 struct Reader<'a> {
     path: &'a str,
     bound: Bound<'a>,
-    /// Where the placeholders so far took their values.
-    taken: Vec<(Axis, Range<usize>)>,
-    found: Vec<Bound<'a>>,
-    /// The same of the first reading that was found.
+    /// Where the placeholders so far got their values.
+    values: Vec<(Axis, Range<usize>)>,
+    readings: Vec<Bound<'a>>,
+    /// The places of the first reading.
     places: Vec<(Axis, Range<usize>)>,
 }
 
 impl<'a> Reader<'a> {
     fn new(path: &'a str) -> Self {
-        Self { path, bound: Bound::default(), taken: Vec::new(), found: Vec::new(), places: Vec::new() }
+        Self { path, bound: Bound::default(), values: Vec::new(), readings: Vec::new(), places: Vec::new() }
     }
 
-    /// Reads the path from byte `at` by `tokens`; `after_star`: a star took what lies just before.
+    /// Reads the path from byte `at` by `tokens`. `after_star`: a star precedes.
     fn walk(&mut self, after_star: bool, tokens: &[Token], at: usize) {
-        if self.found.len() > 1 {
+        if self.readings.len() > 1 {
             return;
         }
         let Some((token, rest)) = tokens.split_first() else {
-            if at == self.path.len() && !self.found.contains(&self.bound) {
-                if self.found.is_empty() {
-                    self.places.clone_from(&self.taken);
+            if at == self.path.len() && !self.readings.contains(&self.bound) {
+                if self.readings.is_empty() {
+                    self.places.clone_from(&self.values);
                 }
-                self.found.push(self.bound);
+                self.readings.push(self.bound);
             }
             return;
         };
@@ -304,23 +306,24 @@ impl<'a> Reader<'a> {
         let path = self.path;
         let bytes = path.as_bytes()[at..].iter();
         let longest = bytes.take_while(|b| value.takes(**b)).count();
-        // Before text any length may do (`{sensor}x{channel}`); before a star only all, lest the star cut a number or a name in two.
+        // Before text any length is possible (`{sensor}x{channel}`). Before a star only the whole run is, or the star
+        // would cut a number or a name in two.
         let before_text = matches!(rest.first(), Some(Token::Text(_)));
         let shortest = if before_text { 1 } else { longest.max(1) };
-        let held = self.bound;
+        let bound_before = self.bound;
         for length in (shortest..=longest).rev() {
             let mut text = &path[at..at + length];
             if value.axis.is_number() {
                 text = without_leading_zeros(text);
             }
-            if held.get(value.axis).is_none_or(|held| held == text) {
+            if bound_before.get(value.axis).is_none_or(|bound_before| bound_before == text) {
                 self.bound.0[value.axis as usize] = Some(text);
-                self.taken.push((value.axis, at..at + length));
+                self.values.push((value.axis, at..at + length));
                 self.walk(false, rest, at + length);
-                self.taken.pop();
+                self.values.pop();
             }
         }
-        self.bound = held;
+        self.bound = bound_before;
     }
 }
 
@@ -384,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_patterns_are_refused_with_the_mend() {
+    fn bad_patterns_are_refused_with_the_fix() {
         for (pattern, part) in [
             ("raw/L{lt}.trc", "did you mean `lit`?"),
             ("raw/L{lit}{seen}.trc", "put a sign between"),
@@ -401,7 +404,7 @@ mod tests {
         }
     }
 
-    /// A piece of a pattern, the same as a regular expression, and a text that it takes.
+    /// A piece of a pattern, the equivalent regular expression, and a text that matches.
     fn piece() -> impl Strategy<Value = (String, String, String)> {
         let text = prop::sample::select(vec!["_", "/", "L", "P_", ".trc", "a/b", "-"]);
         prop_oneof![
@@ -421,7 +424,8 @@ mod tests {
             let part = |of: fn(&(String, String, String)) -> &String| {
                 pieces.iter().map(of).map(String::as_str).collect::<String>()
             };
-            // A bar keeps the numbers apart from all else, so that the two languages agree on what a number is.
+            // A bar separates the numbers from all else, so that pattern and regular expression agree on what a number
+            // is.
             let pattern = format!("x|{{lit}}|{}|{{seen}}", part(|p| &p.0));
             prop_assume!(!pattern.contains("**") && !pattern.contains("//"));
             let regex = format!(r"^x\|([0-9]+)\|{}\|([0-9]+)$", part(|p| &p.1));

@@ -1,6 +1,6 @@
-//! The reference of an exposure: the file that its rule's pattern names for the same lit, seen, shot, ...
+//! The reference of an exposure: the file of its rule's reference pattern with the same lit, seen, shot, ...
 //!
-//! All files are read by the pattern once; a look-up then is by the values of the pattern's placeholders, so that `L7` finds `C2_L007`.
+//! Each pattern reads all files once. A look-up then compares the values of placeholders, so that `L7` finds `C2_L007`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,29 +8,29 @@ use super::exposure::{Exposure, ReferenceSource};
 use super::keys::{Axis, CaptureRule};
 use super::pattern::{Bound, Pattern, Reading};
 
-/// The files among which references are sought.
+/// The files that may be references.
 pub struct References<'a> {
     paths: &'a BTreeSet<&'a str>,
     by_pattern: BTreeMap<String, Index<'a>>,
 }
 
-/// The files of one pattern by the values of its placeholders.
+/// The files of one pattern, by the values of its placeholders.
 struct Index<'a> {
     axes: BTreeSet<Axis>,
     files: BTreeMap<Bound<'a>, Vec<&'a str>>,
 }
 
 impl<'a> References<'a> {
-    /// Seeks among these paths, relative to the campaign folder.
+    /// Searches among these paths, relative to the campaign folder.
     #[must_use]
     pub fn among(paths: &'a BTreeSet<&'a str>) -> Self {
         Self { paths, by_pattern: BTreeMap::new() }
     }
 
-    /// Gives the exposure the reference that its rule asks for, if it asks for one. Answers what was sought if no file is there.
+    /// Adds the reference to the exposure if its rule names one. If no file exists, it returns what it searched for.
     ///
     /// # Errors
-    /// When several files answer, or one can be read in two ways.
+    /// When several files match, or the pattern reads one of them in two ways.
     pub fn attach(&mut self, rule: &CaptureRule, exposure: &mut Exposure) -> Result<Option<String>, String> {
         let Some(reference) = &rule.reference else {
             return Ok(None);
@@ -46,7 +46,7 @@ impl<'a> References<'a> {
         Ok(None)
     }
 
-    /// The file of the pattern for the coordinates of the exposure, and what was sought.
+    /// The file of the pattern at the coordinates of the exposure, and a description of the search.
     fn find(&mut self, text: &str, exposure: &Exposure) -> Result<(Option<&'a str>, String), String> {
         let pattern = Pattern::parse(text).map_err(|error| error.to_string())?;
         if let Some(path) = pattern.literal() {
@@ -69,7 +69,7 @@ impl<'a> References<'a> {
     }
 }
 
-/// The map's strings outlive those of the question; as the map holds its keys covariantly, it may be asked as if they did not.
+/// The files of these values. The map is covariant in its keys, so a query with a shorter lifetime can be looked up.
 fn answer<'q, 'a>(files: &'q BTreeMap<Bound<'q>, Vec<&'a str>>, sought: &Bound<'q>) -> &'q [&'a str] {
     files.get(sought).map_or(&[], Vec::as_slice)
 }

@@ -1,7 +1,10 @@
-//! Sealing a campaign: recording the content of its raw files, and holding it to what was recorded.
+//! Seals a campaign: records the content of its raw files, and later checks the files against that record.
 //!
-//! The first seal hashes every raw file. Later ones look at sizes and times, hash only what these make doubtful, and refuse changed files by name.
-//! New files are reported and join on request; a file that is gone keeps its line, as its disk may be elsewhere today.
+//! The first seal hashes every raw file. Later ones compare sizes and times, hash only files where these differ, and
+//! refuse
+//! changed files by name. New files are reported, and recorded on request. A missing file keeps its line, since its
+//! disk may
+//! be elsewhere today.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -10,18 +13,18 @@ use super::keys::Campaign;
 use super::manifest::{FileState, MANIFEST_FILE, Manifest, ManifestError, hash_file, metadata};
 use super::survey::Survey;
 
-/// What sealing found and did. Paths are relative to the campaign folder.
+/// The result of sealing. Paths are relative to the campaign folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SealReport {
-    /// Files whose record stood, be their time of change new or not.
+    /// Files with the recorded content, whether their time of change is new or not.
     pub unchanged: usize,
     /// Files that are not in the manifest, or were not before this call.
     pub new: Vec<PathBuf>,
     /// Whether the new files were hashed and recorded.
     pub joined: bool,
-    /// Files of which size and time of change were recorded anew, as their content is the same.
+    /// Files whose size and time of change were recorded anew, since their content is the same.
     pub refreshed: Vec<PathBuf>,
-    /// Files in the manifest that are not there.
+    /// Files in the manifest that do not exist.
     pub gone: Vec<PathBuf>,
 }
 
@@ -37,35 +40,36 @@ impl fmt::Display for SealReport {
         list("touched  ", &self.refreshed)?;
         list("gone     ", &self.gone)?;
         list(new, &self.new)?;
-        let mend = if self.joined || self.new.is_empty() { "" } else { "; `--update` lets them join" };
+        let advice = if self.joined || self.new.is_empty() { "" } else { "; `--update` lets them join" };
         let (joined, left) = if self.joined { (self.new.len(), 0) } else { (0, self.new.len()) };
         write!(
             f,
-            "\nsealed: {} files as recorded, {joined} joined, {left} left out{mend}, {} gone",
+            "\nsealed: {} files as recorded, {joined} joined, {left} left out{advice}, {} gone",
             self.unchanged,
             self.gone.len()
         )
     }
 }
 
-/// Records of a manifest against the files that are there.
+/// Comparison of a manifest with the files that exist.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Audit {
-    /// Files with the content that was recorded.
+    /// Files with the recorded content.
     pub unchanged: usize,
-    /// Those among them whose time of change is another.
+    /// Those among them with another time of change.
     pub touched: Vec<PathBuf>,
     /// Files with another content.
     pub changed: Vec<PathBuf>,
-    /// Files that are not there.
+    /// Files that do not exist.
     pub gone: Vec<PathBuf>,
 }
 
 impl Manifest {
-    /// Compares every record with its file: by size and time of change, and by content where these differ, or everywhere if `rehash`.
+    /// Compares every record with its file: by size and time of change, and by content where these differ, or
+    /// everywhere if `rehash`.
     ///
     /// # Errors
-    /// When a file that is there cannot be read.
+    /// When an existing file cannot be read.
     pub fn audit(&self, campaign: &Campaign, rehash: bool) -> Result<Audit, ManifestError> {
         let mut audit = Audit::default();
         for (path, record) in self.iter() {
@@ -74,7 +78,7 @@ impl Manifest {
                 audit.gone.push(path.to_owned());
                 continue;
             }
-            let touched = self.check(&campaign.root, path)? != FileState::Known(record.blake3);
+            let touched = self.check(&campaign.root, path)? != FileState::Same(record.blake3);
             if (touched || rehash) && hash_file(&file)? != record.blake3 {
                 audit.changed.push(path.to_owned());
                 continue;
@@ -88,10 +92,11 @@ impl Manifest {
     }
 }
 
-/// Seals a campaign, or holds a sealed one to its seal. `update`: files that came since join.
+/// Seals a campaign, or checks it against its seal. With `update`, new files are recorded.
 ///
 /// # Errors
-/// When a file has another content than was recorded (all such files are named, and nothing is written), or cannot be read.
+/// When the content of files differs from the record (the message names all of them, and nothing is stored), or a file
+/// cannot be read.
 pub fn seal(campaign: &Campaign, survey: &Survey, update: bool) -> Result<SealReport, ManifestError> {
     let root = &campaign.root;
     let sealed = Manifest::load(root)?;

@@ -1,10 +1,12 @@
-//! The nearest known word to a mistyped one, for messages that name the mend.
+//! Finds the nearest valid word to a mistyped one, for error messages.
 //!
-//! Distance: optimal string alignment (insert, delete, replace, or swap two neighbours, each costs 1), blind to case. A word that lacks
-//! only the unit at its end (`dt` for `dt_ps`) costs 1. Not modelled: meaning, and the layout of the keyboard.
+//! Distance: optimal string alignment, ignoring case (insert, delete, replace, or swap two neighbours: cost 1 each). A
+//! word
+//! that lacks only the unit at its end (`dt` for `dt_ps`) costs 1. Not modelled: meaning, and the layout of the
+//! keyboard.
 
-/// The candidate nearest to `word`, if one is near enough to be meant: at most a third of the longer word (rounded up) may differ.
-/// Of equally near ones the first.
+/// The candidate nearest to `word`, if it is near enough: at most a third of the longer word (rounded up) may differ.
+/// Among equally near ones, the first.
 ///
 /// ```text
 /// nearest("postion_m", ["sd_m", "position_m"]) == Some("position_m")
@@ -21,27 +23,28 @@ pub fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) ->
         .map(|(_, candidate)| candidate)
 }
 
-/// The end of a message about an unknown word: the nearest known one, or all of them.
-pub fn hint<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String {
-    let known: Vec<&str> = known.into_iter().collect();
-    match nearest(word, known.iter().copied()) {
+/// The end of a message about an unknown word: the nearest candidate, or all of them.
+pub fn hint<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> String {
+    let candidates: Vec<&str> = candidates.into_iter().collect();
+    match nearest(word, candidates.iter().copied()) {
         Some(near) => format!("did you mean `{near}`?"),
-        None if known.is_empty() => "none is known here".to_owned(),
-        None => format!("known: {}", known.join(", ")),
+        None if candidates.is_empty() => "none is known here".to_owned(),
+        None => format!("known: {}", candidates.join(", ")),
     }
 }
 
-/// A whole message about an unknown word: what it should have been one of, and the mend.
-pub fn unknown(what: &str, word: &str, known: &[&str]) -> String {
-    format!("unknown {what} `{word}`; {}", hint(word, known.iter().copied()))
+/// A whole message about an unknown word: its kind, and the likely correction.
+pub fn unknown(what: &str, word: &str, candidates: &[&str]) -> String {
+    format!("unknown {what} `{word}`; {}", hint(word, candidates.iter().copied()))
 }
 
-/// Serde's message about an unknown field or variant, with the nearest known one in place of the list of all; other messages as they are.
+/// Serde's message about an unknown field or variant, with the nearest candidate in place of the list. Other messages
+/// stay.
 pub fn explain(message: &str) -> String {
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
     match (message.strip_prefix("unknown field "), message.strip_prefix("unknown variant "), quoted.split_first()) {
-        (Some(_), _, Some((word, known))) => unknown("key", word, known),
-        (_, Some(_), Some((word, known))) => unknown("value", word, known),
+        (Some(_), _, Some((word, candidates))) => unknown("key", word, candidates),
+        (_, Some(_), Some((word, candidates))) => unknown("value", word, candidates),
         _ => message.trim_end().to_owned(),
     }
 }
@@ -52,7 +55,7 @@ fn distance(word: &str, candidate: &str) -> usize {
     if !a.is_empty() && b.len() > a.len() && b.starts_with(&a) && b[a.len()] == '_' {
         return 1;
     }
-    // Three rows of the table of distances between beginnings of the words: two back, one back, this one.
+    // Three rows of the table of distances between prefixes: two back, one back, this one.
     let mut back2 = vec![0; b.len() + 1];
     let mut back1: Vec<usize> = (0..=b.len()).collect();
     for i in 1..=a.len() {

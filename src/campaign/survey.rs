@@ -1,7 +1,7 @@
-//! Which file of a campaign folder is which exposure: the rules of campaign.toml laid over the files that are there.
+//! Which file of a campaign folder is which exposure: applies the rules of campaign.toml to the files that exist.
 //!
-//! Nothing is dropped in silence: files that no rule takes, patterns and rows that take nothing, exposures whose reference pulse is missing,
-//! and what an exclusion leaves out are all listed. Two rules that take the same record are an error.
+//! Nothing is dropped silently. The survey lists files without a rule, patterns and rows that match nothing, exposures
+//! without their reference pulse, and excluded files. Two rules that claim the same record are an error.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -18,19 +18,19 @@ use super::references::References;
 use super::walk;
 use crate::formats::companions::companion;
 
-/// What the rules make of the files.
+/// The result of applying the rules to the files.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
     /// The exposures, sorted by file, channel and segment.
     pub exposures: Vec<Exposure>,
-    /// Exposures whose reference file is not there. They are not among `exposures`: without their reference they would be taken as
-    /// relative to the trigger.
+    /// Exposures whose reference file is missing. They are not among `exposures`: without their reference, their times
+    /// would be taken as relative to the trigger.
     pub missing_references: Vec<MissingReference>,
-    /// Files that no rule takes and that are no reference.
+    /// Files that match no rule and are no reference.
     pub unmatched: Vec<PathBuf>,
-    /// Patterns, rows of tables and exclusions that take nothing.
+    /// Patterns, rows of tables and exclusions that match nothing.
     pub empty: Vec<String>,
-    /// Files left out, or of which a record is left out, each with the reason.
+    /// Files that are excluded, or have an excluded record, each with the reason.
     pub excluded: Vec<(PathBuf, String)>,
     /// Files that changed after [`Campaign::as_of`]: they may still be being written.
     pub waiting: Vec<PathBuf>,
@@ -41,19 +41,19 @@ pub struct Survey {
 pub struct MissingReference {
     /// The exposure's file, relative to the campaign folder.
     pub file: PathBuf,
-    /// The pattern and the values for which no file is there.
+    /// The pattern and the values for which no file exists.
     pub wanted: String,
 }
 
 impl Survey {
-    /// The raw files of all exposures, their references included, each once.
+    /// The raw files of all exposures, references included, each once.
     #[must_use]
     pub fn files(&self) -> BTreeSet<&Path> {
         self.exposures.iter().flat_map(|exposure| exposure.files().map(PathBuf::as_path)).collect()
     }
 }
 
-/// Why the files cannot be told apart.
+/// Why the rules cannot be applied.
 #[derive(Debug, thiserror::Error)]
 pub enum SurveyError {
     /// A folder cannot be read.
@@ -67,17 +67,17 @@ pub enum SurveyError {
     /// A table of captures is wrong.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// A rule does not fit a file that it takes.
+    /// A rule does not fit a file that it matches.
     #[error("{place}, file {}: {problem}", file.display())]
     File {
         /// The rule or row.
         place: String,
         /// The file, relative to the campaign folder.
         file: PathBuf,
-        /// What is wrong, and the mend.
+        /// What is wrong, and how to fix it.
         problem: String,
     },
-    /// Two rules take the same record.
+    /// Two rules claim the same record.
     #[error("{}: taken by {first}{}; narrow one of them, or name different channels", file.display(), and_by(first, second))]
     Clash {
         /// The file, relative to the campaign folder.
@@ -89,26 +89,26 @@ pub enum SurveyError {
     },
 }
 
-/// The second of two claims; a rule clashes with itself where its reference is one of its own files.
+/// The second of two claims. A rule clashes with itself if its reference is one of its own files.
 fn and_by(first: &str, second: &str) -> String {
     if first == second { " as signal and as reference".to_owned() } else { format!(" and by {second}") }
 }
 
 impl Campaign {
-    /// Lays the rules over the files of the campaign folder.
+    /// Applies the rules to the files of the campaign folder.
     ///
     /// # Errors
-    /// When a folder or table cannot be read, a file does not fit the rule that takes it, or two rules take the same record.
+    /// When a folder or table cannot be read, a file does not fit its rule, or two rules claim the same record.
     pub fn survey(&self) -> Result<Survey, SurveyError> {
-        let found = walk::files(&self.root).map_err(|(folder, source)| SurveyError::Folder { folder, source })?;
-        let is_settled = |file: &walk::Found| self.as_of.is_none_or(|as_of| file.modified <= as_of);
-        let (settled, waiting): (Vec<_>, Vec<_>) = found.into_iter().partition(is_settled);
+        let raw_files = walk::files(&self.root).map_err(|(folder, source)| SurveyError::Folder { folder, source })?;
+        let is_settled = |file: &walk::RawFile| self.as_of.is_none_or(|as_of| file.modified <= as_of);
+        let (settled, waiting): (Vec<_>, Vec<_>) = raw_files.into_iter().partition(is_settled);
         let [mut files, waiting] =
             [settled, waiting].map(|files| files.into_iter().map(|file| file.path).collect::<Vec<_>>());
         files.retain(|file| !self.captures.iter().any(|rule| rule.table.as_ref() == Some(file)));
         let mut paths: BTreeSet<&str> = files.iter().filter_map(|file| file.to_str()).collect();
         let companions: BTreeSet<PathBuf> = paths.iter().filter_map(|path| companion(Path::new(path))).collect();
-        // A file with the samples of another is no recording of its own: no pattern sees it.
+        // A companion is no recording of its own, so no pattern may match it.
         let companions: BTreeSet<&str> = companions.iter().filter_map(|path| paths.take(path.to_str()?)).collect();
         let mut surveyor = Surveyor {
             campaign: self,
@@ -133,7 +133,7 @@ impl Campaign {
     }
 }
 
-/// A survey in the making.
+/// The state of a survey in progress.
 struct Surveyor<'a> {
     campaign: &'a Campaign,
     exclusions: Exclusions<'a>,
@@ -141,7 +141,7 @@ struct Surveyor<'a> {
     paths: &'a BTreeSet<&'a str>,
     companions: &'a BTreeSet<&'a str>,
     claims: Vec<Claim>,
-    /// Files that a rule took, and their references.
+    /// Files that match a rule, and their references.
     taken: BTreeSet<PathBuf>,
     excludes_used: BTreeSet<usize>,
     survey: Survey,
@@ -189,7 +189,7 @@ impl Surveyor<'_> {
         Ok(())
     }
 
-    /// Makes an exposure of a file, and puts it where it belongs: left out, without its reference, or among the exposures.
+    /// Makes an exposure of a file. It ends up excluded, without its reference, or among the exposures.
     fn take(
         &mut self,
         source: Source,
@@ -329,12 +329,12 @@ mod tests {
     #[test]
     fn samples_beside_their_head_belong_to_it() {
         let files = ["L1_P2.bin", "L1_P2.Wfm.bin", "L2_P1.bin", "L3_P1.Wfm.bin"];
-        let found = survey(&files, "[[captures]]\nrole = 'scene'\nfiles = 'L{lit}_P*.bin'\nseen = 2\n").unwrap();
-        assert_eq!(found.exposures.len(), 3, "a companion without its head is a file that the rule takes");
-        assert_eq!(found.exposures[0].companions, [PathBuf::from("L1_P2.Wfm.bin")]);
-        assert_eq!(found.exposures[0].files().count(), 2);
-        assert!(found.unmatched.is_empty() && found.exposures[1].companions.is_empty());
-        assert_eq!(found.files().len(), 4);
+        let survey = survey(&files, "[[captures]]\nrole = 'scene'\nfiles = 'L{lit}_P*.bin'\nseen = 2\n").unwrap();
+        assert_eq!(survey.exposures.len(), 3, "a companion without its head is a file that the rule takes");
+        assert_eq!(survey.exposures[0].companions, [PathBuf::from("L1_P2.Wfm.bin")]);
+        assert_eq!(survey.exposures[0].files().count(), 2);
+        assert!(survey.unmatched.is_empty() && survey.exposures[1].companions.is_empty());
+        assert_eq!(survey.files().len(), 4);
     }
 
     #[test]
@@ -363,13 +363,13 @@ mod tests {
             folder(&["raw/a.trc", "raw/b.trc"], "[[captures]]\nrole = 'scene'\ntable = 'captures.csv'\ndt_ps = 50\n");
         fs::write(folder.path().join("captures.csv"), table).unwrap();
         let survey = campaign.survey().unwrap();
-        let found: Vec<_> = survey.exposures.iter().map(|e| (e.segment, e.lit, e.seen, e.role, e.keys.dt_ps)).collect();
+        let rows: Vec<_> = survey.exposures.iter().map(|e| (e.segment, e.lit, e.seen, e.role, e.keys.dt_ps)).collect();
         let expected = [
             (Some(0), Some(1), Some(2), Role::Scene, Some(50.0)),
             (Some(1), Some(2), Some(1), Role::Scene, Some(25.0)),
             (None, Some(0), Some(0), Role::Dark, Some(50.0)),
         ];
-        assert_eq!(found, expected);
+        assert_eq!(rows, expected);
         assert_eq!(survey.empty, ["captures.csv, row 5: file = \"raw/c.trc\""]);
         assert!(survey.unmatched.is_empty());
         for (row, part) in [

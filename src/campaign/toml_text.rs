@@ -1,7 +1,10 @@
-//! TOML text to values, with errors that name file, line, place, key and the nearest known key.
+//! TOML text to values, with errors that name file, line, heading, key and the nearest valid key.
 //!
-//! Serde says what is wrong ("unknown field `postion_m`, expected one of ..."), the parser where (a span of bytes), and a second, untyped parse
-//! says under which heading that span lies. An error of syntax has no heading, as the text has no tree then.
+//! Three sources make a message. Serde says what is wrong ("unknown field `postion_m`, expected one of ..."). The
+//! parser says
+//! where (a span of bytes). A second, untyped parse finds the heading of that span. A syntax error has no heading,
+//! since the
+//! text has no tree then.
 
 use std::fmt;
 use std::ops::Range;
@@ -20,7 +23,7 @@ pub struct TomlError {
     pub file: PathBuf,
     /// Line, from 1.
     pub line: usize,
-    /// What is wrong, under which heading, and the mend.
+    /// What is wrong, under which heading, and how to fix it.
     pub problem: String,
 }
 
@@ -28,14 +31,14 @@ pub struct TomlError {
 /// "unknown key `postion_m` in [stations.laser]; did you mean `position_m`?".
 ///
 /// # Errors
-/// When the text is no TOML, or not of type `T`.
+/// When the text is not valid TOML, or not of type `T`.
 pub fn parse<T: DeserializeOwned>(file: &Path, text: &str) -> Result<T, TomlError> {
     toml::from_str(text).map_err(|error| {
         let span = error.span().unwrap_or(0..0);
         TomlError {
             file: file.to_owned(),
             line: text[..span.start].matches('\n').count() + 1,
-            problem: problem(error.message(), &place(text, &span)) + &mend(error.message(), text, &span),
+            problem: problem(error.message(), &key_path(text, &span)) + &advice(error.message(), text, &span),
         }
     })
 }
@@ -47,14 +50,14 @@ enum Step {
     Item(usize),
 }
 
-/// Where a span lies: the table that holds it, and the key that it is (or whose value it is in).
+/// The heading and key of a span of bytes: the table that contains it, and the key whose name or value contains it.
 #[derive(Default)]
-struct Place {
+struct KeyPath {
     steps: Vec<Step>,
     key: Option<String>,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for KeyPath {
     /// `[stations.laser]`, `[[captures]] number 2`, `[patches.2] ray`, or `the top level`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Some(first) = self.steps.iter().position(|s| matches!(s, Step::Item(_))) else {
@@ -74,14 +77,15 @@ impl fmt::Display for Place {
     }
 }
 
-/// What helps where the text is no TOML: the line as it stands, and the commonest cause.
-fn mend(message: &str, text: &str, span: &Range<usize>) -> String {
+/// Advice for text that is not TOML: the line itself, and the most common cause.
+fn advice(message: &str, text: &str, span: &Range<usize>) -> String {
     if DeTable::parse(text).is_ok() {
         return String::new();
     }
     let start = text[..span.start].rfind('\n').map_or(0, |at| at + 1);
     let line = text[start..].lines().next().unwrap_or_default().trim();
-    // A word without quotes: the parser takes its first letter for that of `true`, `false`, `inf` or `nan`, or for a number.
+    // Text without quotes: the parser takes its first letter for the start of `true`, `false`, `inf`, `nan` or a
+    // number.
     let bare =
         line.split_once('=').is_some_and(|(_, value)| value.trim().starts_with(|c: char| c.is_ascii_alphabetic()));
     let hint = if bare && message.starts_with("invalid") || message.contains("string values must be quoted") {
@@ -103,23 +107,23 @@ fn dotted(steps: &[Step]) -> String {
     texts.join(".")
 }
 
-fn place(text: &str, span: &Range<usize>) -> Place {
-    let mut found = Place::default();
+fn key_path(text: &str, span: &Range<usize>) -> KeyPath {
+    let mut path = KeyPath::default();
     if let Ok(document) = DeTable::parse(text) {
-        search(document.get_ref(), span, &mut Vec::new(), &mut found);
+        search(document.get_ref(), span, &mut Vec::new(), &mut path);
     }
-    found
+    path
 }
 
-/// Depth first. A key that is the span ends the search (true). Otherwise the deepest value that holds the span comes last and stays; headings
-/// elsewhere in the text do not hold it.
-fn search(table: &DeTable, span: &Range<usize>, steps: &mut Vec<Step>, found: &mut Place) -> bool {
+/// Searches depth first. A key that equals the span ends the search (true). Otherwise the last match is the deepest
+/// value that contains the span, and it stays: headings elsewhere do not contain it.
+fn search(table: &DeTable, span: &Range<usize>, steps: &mut Vec<Step>, path: &mut KeyPath) -> bool {
     for (key, value) in table {
         let name = key.get_ref().to_string();
         let is_key = key.span() == *span;
         if is_key || holds(&value.span(), span) {
-            found.steps.clone_from(steps);
-            found.key = Some(name.clone());
+            path.steps.clone_from(steps);
+            path.key = Some(name.clone());
         }
         if is_key {
             return true;
@@ -127,16 +131,16 @@ fn search(table: &DeTable, span: &Range<usize>, steps: &mut Vec<Step>, found: &m
         steps.push(Step::Key(name));
         let done = match value.get_ref() {
             DeValue::Table(inner) => {
-                enter(&value.span(), span, steps, found);
-                search(inner, span, steps, found)
+                enter(&value.span(), span, steps, path);
+                search(inner, span, steps, path)
             }
             DeValue::Array(items) => items.iter().enumerate().any(|(index, item)| {
                 let DeValue::Table(inner) = item.get_ref() else {
                     return false;
                 };
                 steps.push(Step::Item(index));
-                enter(&item.span(), span, steps, found);
-                let done = search(inner, span, steps, found);
+                enter(&item.span(), span, steps, path);
+                let done = search(inner, span, steps, path);
                 steps.pop();
                 done
             }),
@@ -150,11 +154,11 @@ fn search(table: &DeTable, span: &Range<usize>, steps: &mut Vec<Step>, found: &m
     false
 }
 
-/// A span in a table, at none of its keys, is at the table itself.
-fn enter(table: &Range<usize>, span: &Range<usize>, steps: &[Step], found: &mut Place) {
+/// Moves to a table that contains the span. If none of its keys does, the span belongs to the table itself.
+fn enter(table: &Range<usize>, span: &Range<usize>, steps: &[Step], path: &mut KeyPath) {
     if holds(table, span) {
-        found.steps = steps.to_vec();
-        found.key = None;
+        path.steps = steps.to_vec();
+        path.key = None;
     }
 }
 
@@ -162,20 +166,21 @@ fn holds(outer: &Range<usize>, inner: &Range<usize>) -> bool {
     outer.start <= inner.start && inner.end <= outer.end
 }
 
-/// Serde's message in the words of the file: keys and values instead of fields and variants, and one mend instead of a list.
-fn problem(message: &str, place: &Place) -> String {
+/// Serde's message in the terms of the file: keys and values instead of fields and variants, and one suggestion instead
+/// of a list.
+fn problem(message: &str, place: &KeyPath) -> String {
     let words = quoted(message);
     let of_key = match &place.key {
         Some(key) => format!("`{key}` in {place}"),
         None => place.to_string(),
     };
     match words.split_first() {
-        Some((word, known)) if message.starts_with("unknown field") => {
-            let hint = hint(word, known.iter().copied());
+        Some((word, candidates)) if message.starts_with("unknown field") => {
+            let hint = hint(word, candidates.iter().copied());
             format!("unknown key `{word}` in {place}; {hint}")
         }
-        Some((word, known)) if message.starts_with("unknown variant") => {
-            let hint = hint(word, known.iter().copied());
+        Some((word, candidates)) if message.starts_with("unknown variant") => {
+            let hint = hint(word, candidates.iter().copied());
             format!("unknown value `{word}` of {of_key}; {hint}")
         }
         Some((word, _)) if message.starts_with("missing field") => {
@@ -231,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_name_line_place_key_and_mend() {
+    fn errors_name_line_place_key_and_fix() {
         assert_eq!(
             error("[stations.laser]\npostion_m = [0, 0, 0]\n"),
             "c.toml, line 2: unknown key `postion_m` in [stations.laser]; did you mean `position_m`?"

@@ -1,5 +1,6 @@
-//! The hash of a file of which several processes have read a stretch each. BLAKE3 is a tree of hashes: who has a stretch hands over those of its subtrees, and
-//! whoever has all of them joins them to the hash of the whole.
+//! Hashes a file in ranges that several processes read. BLAKE3 is a tree of hashes: each process returns the subtrees
+//! of its
+//! range, and [`join`] combines them into the hash of the whole file.
 
 use blake3::hazmat::{
     ChainingValue, HasherExt, Mode, left_subtree_len, max_subtree_len, merge_subtrees_non_root, merge_subtrees_root,
@@ -9,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::manifest::hexadecimal;
 
-/// Stretches begin and end at multiples of so many bytes, or with the file: a subtree of so many bytes is hashed as fast as more of them.
+/// Ranges begin and end at multiples of this many bytes, or with the file. Larger subtrees would not be hashed faster.
 pub const BLOCK_BYTES: u64 = 16 << 10;
 
 /// One subtree of the hash of a file.
@@ -19,27 +20,28 @@ pub struct Subtree {
     pub byte_offset: u64,
     /// Bytes.
     pub bytes: u64,
-    /// Its chaining value, which is no hash of a file.
+    /// Its chaining value, which differs from the hash of a file with these bytes.
     #[serde(with = "hexadecimal")]
     pub value: Hash,
 }
 
-/// Hashes a stretch of a file, in order.
+/// Hashes a range of a file, in order.
 pub struct StretchHasher {
-    /// Place of the next byte, and of the end of the stretch.
+    /// Place of the next byte, and end of the range.
     at: u64,
     end: u64,
-    /// The subtree under way.
+    /// The current subtree.
     hasher: Hasher,
     left: u64,
     subtrees: Vec<Subtree>,
 }
 
 impl StretchHasher {
-    /// Of a stretch of a file. It is to be less than the file: all of a file has a hash of its own.
+    /// Starts a range of a file. The range must be smaller than the file: the hash of a whole file is finalised
+    /// differently.
     ///
     /// # Panics
-    /// When it does not begin at a multiple of [`BLOCK_BYTES`].
+    /// When `start` is not a multiple of [`BLOCK_BYTES`].
     #[must_use]
     pub fn new(start: u64, end: u64) -> Self {
         assert!(start.is_multiple_of(BLOCK_BYTES), "a stretch begins with a block");
@@ -52,13 +54,13 @@ impl StretchHasher {
         self.at
     }
 
-    /// End of the stretch.
+    /// End of the range.
     #[must_use]
     pub fn end(&self) -> u64 {
         self.end
     }
 
-    /// Takes the next bytes; those behind the end do not count.
+    /// Adds the next bytes; those after the end of the range are ignored.
     pub fn update(&mut self, bytes: &[u8]) {
         let mut bytes = &bytes[..bytes.len().min((self.end - self.at) as usize)];
         while !bytes.is_empty() {
@@ -84,10 +86,10 @@ impl StretchHasher {
         }
     }
 
-    /// The subtrees of the stretch.
+    /// The subtrees of the range.
     ///
     /// # Panics
-    /// When bytes of it are missing.
+    /// When bytes of the range are missing.
     #[must_use]
     pub fn finish(self) -> Vec<Subtree> {
         assert_eq!(self.at, self.end, "bytes of a stretch");
@@ -95,7 +97,7 @@ impl StretchHasher {
     }
 }
 
-/// Bytes of the largest subtree that begins here and does not end later than there.
+/// Bytes of the largest subtree that begins at `at` and ends no later than `end`.
 fn subtree_bytes(at: u64, end: u64) -> u64 {
     let left = end - at;
     if left <= CHUNK_LEN as u64 {
@@ -105,7 +107,8 @@ fn subtree_bytes(at: u64, end: u64) -> u64 {
     max_subtree_len(at).map_or(fits, |most| most.min(fits))
 }
 
-/// The hash of a file of so many bytes, from the subtrees of all stretches, in any order; `None` where these do not make up the file.
+/// The hash of a file of `bytes` bytes, from the subtrees of all ranges in any order; `None` if they do not cover the
+/// file.
 #[must_use]
 pub fn join(mut subtrees: Vec<Subtree>, bytes: u64) -> Option<Hash> {
     subtrees.sort_by_key(|subtree| subtree.byte_offset);
@@ -118,7 +121,7 @@ pub fn join(mut subtrees: Vec<Subtree>, bytes: u64) -> Option<Hash> {
     rest.is_empty().then(|| merge_subtrees_root(&low, &high, Mode::Hash))
 }
 
-/// Value of the subtree of these bytes.
+/// Chaining value of the subtree of these bytes.
 fn node(rest: &mut &[Subtree], byte_offset: u64, bytes: u64) -> Option<ChainingValue> {
     let (first, others) = rest.split_first()?;
     if first.byte_offset != byte_offset || first.bytes > bytes {
@@ -142,7 +145,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// Stretches of random blocks, each hashed in pieces of random sizes.
+    /// Ranges of random blocks, each hashed in pieces of random sizes.
     #[test]
     fn stretches_join_to_the_hash_of_the_whole() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);

@@ -1,7 +1,10 @@
 //! The files of a campaign folder, in order.
 //!
-//! Hidden files and folders (`.name`), `campaign.toml` and `manifest.json` of the folder itself, and its folder `truth` (what a simulated
-//! campaign was made from), are no raw files, nor are result folders within it. Links are followed; a link back to a folder that holds it is not.
+//! Some files are not raw: hidden files and folders (`.name`), `campaign.toml` and `manifest.json` of the folder
+//! itself, its
+//! folder `truth` (the ground truth of a simulated campaign), and result folders inside it. Links are followed, unless
+//! they
+//! lead back to a folder above.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,15 +13,15 @@ use std::time::SystemTime;
 use super::load::CAMPAIGN_FILE;
 use super::manifest::MANIFEST_FILE;
 
-/// Folder of tables beside a simulated campaign's raw files.
+/// Folder of ground-truth tables of a simulated campaign.
 pub const TRUTH: &str = "truth";
 
-/// What a result folder has in it.
+/// Entry that marks a result folder.
 const SHELF: &str = ".shelf";
 
 /// A file of a campaign folder.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Found {
+pub struct RawFile {
     /// Path, relative to the folder.
     pub path: PathBuf,
     /// When it was last changed; 1970 where the file system has no times.
@@ -29,22 +32,22 @@ pub struct Found {
 ///
 /// # Errors
 /// A folder that cannot be read, with its path.
-pub fn files(root: &Path) -> Result<Vec<Found>, (PathBuf, io::Error)> {
+pub fn files(root: &Path) -> Result<Vec<RawFile>, (PathBuf, io::Error)> {
     let mut files = Vec::new();
     visit(root, Path::new(""), &mut Vec::new(), &mut files)?;
-    files.retain(|Found { path, .. }| {
+    files.retain(|RawFile { path, .. }| {
         path != Path::new(CAMPAIGN_FILE) && path != Path::new(MANIFEST_FILE) && !path.starts_with(TRUTH)
     });
     files.sort();
     Ok(files)
 }
 
-/// `above`: the folders on the way here, without links, so that a ring of links ends.
+/// `above`: the folders on the way here, with links resolved, so that a circle of links ends.
 fn visit(
     root: &Path,
     folder: &Path,
     above: &mut Vec<PathBuf>,
-    files: &mut Vec<Found>,
+    files: &mut Vec<RawFile>,
 ) -> Result<(), (PathBuf, io::Error)> {
     let here = root.join(folder);
     let fail = |error| (here.clone(), error);
@@ -59,12 +62,12 @@ fn visit(
             continue;
         }
         let path = folder.join(name);
-        // A link that leads nowhere, or a file that vanished since, is no file.
+        // A link without target, or a file that has just vanished, does not count.
         match root.join(&path).metadata() {
-            Ok(found) if found.is_dir() && root.join(&path).join(SHELF).is_dir() => {}
-            Ok(found) if found.is_dir() => visit(root, &path, above, files)?,
-            Ok(found) if found.is_file() => {
-                files.push(Found { path, modified: found.modified().unwrap_or(SystemTime::UNIX_EPOCH) });
+            Ok(metadata) if metadata.is_dir() && root.join(&path).join(SHELF).is_dir() => {}
+            Ok(metadata) if metadata.is_dir() => visit(root, &path, above, files)?,
+            Ok(metadata) if metadata.is_file() => {
+                files.push(RawFile { path, modified: metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH) });
             }
             _ => {}
         }
@@ -92,9 +95,9 @@ mod tests {
         fs::write(root.join(MANIFEST_FILE), "").unwrap();
         #[cfg(unix)]
         std::os::unix::fs::symlink(root, root.join("raw/ring")).unwrap();
-        let found = files(root).unwrap();
+        let raw_files = files(root).unwrap();
         let expected = ["b.trc", "raw/a.trc", "raw/campaign.toml", "raw/z/1.trc"];
-        let paths: Vec<&Path> = found.iter().map(|found| found.path.as_path()).collect();
+        let paths: Vec<&Path> = raw_files.iter().map(|file| file.path.as_path()).collect();
         assert_eq!(paths, expected.map(Path::new));
         assert_eq!(files(&root.join("none")).unwrap_err().0, root.join("none"));
     }

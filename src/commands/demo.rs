@@ -160,9 +160,9 @@ impl Pair<'_> {
 /// Found beside true positions.
 fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) -> Result<String> {
     let centre = Point::from(scene.stations["laser"].position_m);
-    let known = &scene.known;
+    let prior = &scene.prior;
     // Anchors and rays fix the frame.
-    let is_fixed = !known.anchors.is_empty() || !known.rays.is_empty();
+    let is_fixed = !prior.anchors.is_empty() || !prior.rays.is_empty();
     let (pairs, lost) = pairs(found, truth, centre, is_fixed)?;
     let mut text = String::from(
         "patch           found (x, y, z) in m                  true                          error     sd\n",

@@ -60,8 +60,8 @@ fn mended(error: periscope::store::query::QueryError) -> anyhow::Error {
     use periscope::campaign::suggest::hint;
     use periscope::store::query::QueryError;
     let mend = match &error {
-        QueryError::NoTable { name, known } | QueryError::NoColumn { name, known, .. } => {
-            hint(name, known.iter().map(String::as_str))
+        QueryError::NoTable { name, available } | QueryError::NoColumn { name, available, .. } => {
+            hint(name, available.iter().map(String::as_str))
         }
         QueryError::Refused(_) => "`periscope schema` shows the columns, `periscope tables` the tables".to_owned(),
         QueryError::Store(_) | QueryError::Io(_) => String::new(),

@@ -37,7 +37,7 @@ impl Files {
             let found = walk::files(folder)
                 .map_err(|(folder, error)| error_at(&folder, error))
                 .with_context(|| format!("campaign {}", folder.display()))?;
-            for walk::Found { path, modified } in found {
+            for walk::RawFile { path, modified } in found {
                 if modified <= as_of {
                     files.settled.insert((folder.join(path), modified));
                 } else {

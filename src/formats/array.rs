@@ -1,10 +1,10 @@
-//! Arrays of numbers, as files of whole data sets hold them: HDF5 and MAT.
+//! Arrays of numbers from files of whole data sets: HDF5 and MAT.
 
 use std::collections::BTreeMap;
 
 use crate::waveform::CodeType;
 
-/// Numbers over several axes, those of the last axis beside each other.
+/// Numbers over several axes; the last axis is contiguous.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Array {
     /// Lengths of the axes; none for a single number.
@@ -19,10 +19,10 @@ pub struct Array {
 pub type Arrays = BTreeMap<String, Array>;
 
 impl Array {
-    /// Of numbers in order.
+    /// An array of 64 bit floating numbers in order.
     ///
     /// # Panics
-    /// When there are not as many as the axes say.
+    /// When their number contradicts the axes.
     #[must_use]
     pub fn of(axes: &[usize], values: &[f64]) -> Self {
         assert_eq!(axes.iter().product::<usize>(), values.len(), "as many values as the axes say");
@@ -30,22 +30,22 @@ impl Array {
         Self { axes: axes.to_vec(), code_type: CodeType::F64, codes }
     }
 
-    /// How many numbers it has.
+    /// The number of elements.
     #[must_use]
     pub fn count(&self) -> usize {
         self.codes.len() / self.code_type.bytes()
     }
 
-    /// All numbers.
+    /// All elements.
     #[must_use]
     pub fn values(&self) -> Vec<f64> {
         self.code_type.decode(&self.codes)
     }
 
-    /// The `count` numbers from place `start` on, each `stride` after the one before.
+    /// Returns `count` elements from `start` on, each `stride` after the previous one.
     ///
     /// # Panics
-    /// When one of them is not there.
+    /// When the array ends before.
     #[must_use]
     pub fn strided(&self, start: usize, stride: usize, count: usize) -> Vec<f64> {
         let width = self.code_type.bytes();
@@ -57,7 +57,7 @@ impl Array {
     }
 }
 
-/// Little-endian integers of 64 bits as floating numbers, which records can have.
+/// Converts little-endian 64 bit integers to floating numbers, since records have no such integers.
 pub(super) fn from_long(codes: &[u8], signed: bool) -> Vec<u8> {
     let number = |code: &[u8]| {
         let code: [u8; 8] = code.try_into().expect("eight bytes");
@@ -67,13 +67,13 @@ pub(super) fn from_long(codes: &[u8], signed: bool) -> Vec<u8> {
     codes.chunks_exact(8).flat_map(number).collect()
 }
 
-/// Bytes of so many numbers, if memory can have them.
+/// Bytes of an array, or `None` if memory cannot hold them.
 pub(super) fn bytes_of(axes: &[u64], width: usize) -> Option<u64> {
     let count = axes.iter().try_fold(1_u64, |product, length| product.checked_mul(*length))?;
     count.checked_mul(width as u64).filter(|bytes| usize::try_from(*bytes).is_ok())
 }
 
-/// Lengths of axes that [`bytes_of`] has allowed.
+/// Lengths of axes that [`bytes_of`] has accepted.
 pub(super) fn lengths(axes: &[u64]) -> Vec<usize> {
     axes.iter().map(|length| *length as usize).collect()
 }

@@ -1,17 +1,25 @@
 //! Becker & Hickl .sdt: histograms of photons, counted by an SPC module over its time axis.
 //!
-//! Counts of bin i lie at i * dt, dt = tac_r / (tac_g * adc_re): range and gain of the time-to-amplitude converter, and points of its ADC, from the
-//! measurement description of the block. The stored axis runs forward in time, although the modules measure from the photon to the next
-//! reference pulse; where on it that pulse lies depends on cables and delays, so only differences between channels of one set-up have a meaning.
+//! Bin i is at i * dt with dt = tac_r / (tac_g * adc_re): range and gain of the time-to-amplitude converter, and points
+//! of
+//! its ADC, from the measurement description of the block. The stored axis runs forward in time, although the modules
+//! measure from the photon to the next reference pulse. The position of that pulse on the axis depends on cables and
+//! delays,
+//! so that only differences between channels of one set-up have a meaning.
 //!
-//! One record for each curve: a block holds one (DECAY) or a set of them (PAGE). Channels are named by module and number of the curve, those of
-//! FIFO measurements by their routing channel. Counts are u16, u32 or f64; compressed blocks are unpacked whenever they are read, and checked
-//! against their CRC-32 where they have one. Correlation curves, images, moments and other contents (FCS, FIDA, FILDA, MCS, IMG, MOM) that lie
-//! beside curves are left out; files of nothing else are refused by name, and so are curves of FIFO measurements before software 8.3, which share
-//! their block. Events themselves (.spc) are not read. `acquired_at` is left open where day and month of the date cannot be told apart.
+//! Each curve is a record. A block holds one curve (DECAY) or a set of them (PAGE). Channels are named by module and
+//! number
+//! of the curve, those of FIFO measurements by their routing channel. Counts are u16, u32 or f64. Each read unpacks
+//! compressed blocks and checks their CRC-32 where they have one.
 //!
-//! Source: SPC_data_file_structure.h, which comes with the vendor's software. Tested on files built in tests only, which `sdtfile` reads to the
-//! same counts and times.
+//! Other contents (correlation curves, images, moments: FCS, FIDA, FILDA, MCS, IMG, MOM) are omitted next to curves,
+//! and
+//! refused by name where they are alone. Refused as well: curves of FIFO measurements before software 8.3, which share
+//! one
+//! block. Events (.spc) are not read. `acquired_at` is `None` where day and month of the date are ambiguous.
+//!
+//! Source: SPC_data_file_structure.h, which comes with the vendor's software. Tested on files that the tests build, for
+//! which `sdtfile` reads the same counts and times.
 
 use std::sync::Arc;
 
@@ -34,9 +42,9 @@ const VALID: u16 = 0x5555;
 const CHECKSUM: u16 = 0x55AA;
 /// The revision from which offsets have 40 bits.
 const REVISION_LONG_OFFSETS: u16 = 15;
-/// Number of blocks that means that it is elsewhere.
+/// Number of blocks that means that another field holds the number.
 const MANY_BLOCKS: u16 = 0x7FFF;
-/// Bits of a block's type: how it was made, what it holds, of which numbers, whether compressed.
+/// Bits of a block's type: origin, content, type of its numbers, compression.
 const FIFO_DATA: u16 = 8;
 const FIFO_DATA_FROM_FILE: u16 = 9;
 const CONTENTS: u16 = 0xF0;
@@ -44,14 +52,14 @@ const DECAY: u16 = 0x00;
 const PAGE: u16 = 0x10;
 const NUMBERS: u16 = 0xF00;
 const COMPRESSED: u16 = 0x1000;
-/// Bytes that a record takes in memory, about, with its head.
+/// Approximate memory of a record with its head, in bytes.
 const RECORD_BYTES: u64 = 640;
 
 fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset, problem: problem.into() }
 }
 
-/// Little-endian numbers of a part of the file.
+/// Little-endian numbers from a range of the file.
 struct Fields {
     start: u64,
     bytes: Vec<u8>,
@@ -120,7 +128,7 @@ impl Reader for BeckerHicklSdt {
     }
 }
 
-/// What the header says.
+/// The fields of the header.
 struct File {
     revision: u16,
     first_block: u64,
@@ -163,7 +171,7 @@ impl File {
     }
 }
 
-/// A block: its header, and how it was measured.
+/// A block: its header and its measurement description.
 struct Block {
     header: Fields,
     description: Fields,
@@ -193,7 +201,7 @@ impl Block {
         Ok(Self { header, description, kind, data, next, length })
     }
 
-    /// What it holds, if it is not curves.
+    /// Its content, if it is not curves.
     fn contents(&self) -> Option<&'static str> {
         match self.kind & CONTENTS {
             DECAY if self.is_fifo() && self.kind & NUMBERS == 0 => Some("curves of software before 8.3"),
@@ -221,7 +229,7 @@ impl Block {
         }
     }
 
-    /// Its curves, one record each.
+    /// Appends its curves, one record each.
     fn curves(&self, input: &dyn Input, format: &'static str, records: &mut Vec<Record>) -> Result<(), FormatError> {
         let code_type = self.code_type()?;
         let bins = match self.description.u16(82) {
@@ -257,7 +265,7 @@ impl Block {
         Ok(())
     }
 
-    /// Checks that the data is there; where it is packed, says how.
+    /// Checks that the data is within the file; returns the archive if the data is compressed.
     fn place(&self, input: &dyn Input) -> Result<Option<Packed>, FormatError> {
         let (what, byte_offset, length) = ("a data block", self.data, input.length());
         if self.kind & COMPRESSED == 0 {
@@ -298,7 +306,7 @@ impl Block {
         })
     }
 
-    /// Module and number of a curve, from 1; of FIFO measurements the routing channel, from 0.
+    /// Module and number of a curve, from 1; for FIFO measurements the routing channel, from 0.
     fn channel(&self, curve: u64) -> String {
         let number = self.header.u32(14);
         let module = (number >> 24 & 3) + 1;

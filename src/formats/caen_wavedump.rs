@@ -1,16 +1,21 @@
-//! CAEN WaveDump binary output: events one behind the other, each a head of six little-endian words and its 16 bit codes.
+//! CAEN WaveDump binary output: one event after another, each a header of six little-endian words and its 16 bit codes.
 //!
-//! Words of the head: bytes of the event with its head, board, pattern, channel, event counter, trigger time tag (WaveDump user manual UM2091).
-//! One file is one channel, every event is a segment of it, and a segment may be longer or shorter than the one before.
+//! Words of the header: bytes of the event, header included; board; pattern; channel; event counter; trigger time tag
+//! (WaveDump user manual UM2091). One file is one channel, every event is a segment of it, and segments differ in
+//! length.
 //!
-//! The file has no volts, no sample rate and no trigger position: codes are as they are, `dt_s`, `t0_s` and `trigger_s` are `None`. Rate, range and
-//! post-trigger are in the `WaveDumpConfig.txt` of the run and must be given with the campaign. The trigger time tag is not read: it wraps, and its
-//! tick depends on the board.
+//! The file has no volts, no sample rate and no trigger position: values are the codes; `dt_s`, `t0_s` and `trigger_s`
+//! are
+//! `None`. The campaign must give rate, range and post-trigger, which are in the `WaveDumpConfig.txt` of the run. The
+//! trigger time tag is not read: it wraps, and its tick depends on the board.
 //!
-//! Not read, and refused where it can be told: 8 bit boards (721, 731: one byte per code) and the 742 (floating numbers), both recognised by codes
-//! beyond 14 bits in the first event; files without heads (record with `OUTPUT_FILE_HEADER YES`). Text (`OUTPUT_FILE_FORMAT ASCII`) is for the CSV
-//! reader, to which all `.dat` files go that are not recognised. Events of unequal length were tested on files we built; all else on real files of a
-//! DT5751.
+//! Refused where they are recognised: 8 bit boards (721, 731: one byte per code) and the 742 (floats), by codes beyond
+//! 14
+//! bits in the first event; files without headers (record with `OUTPUT_FILE_HEADER YES`). Text (`OUTPUT_FILE_FORMAT
+//! ASCII`)
+//! is for the CSV reader, which gets all `.dat` files that are not recognised. Events of unequal length were tested on
+//! files
+//! that the tests build; all else on real files of a DT5751.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -21,16 +26,16 @@ use crate::waveform::{CodeType, Head, Payload, Record};
 /// The reader.
 pub struct CaenWavedump;
 
-/// Bytes of an event's head.
+/// Bytes of an event's header.
 const HEAD: u64 = 24;
 /// Boards are numbered by five bits (GEO), channels up to 64 (740).
 const BOARDS: u32 = 32;
 const CHANNELS: u32 = 64;
-/// Bytes of the longest event that is believed: no board records more than 100 million samples per channel.
+/// Bytes of the longest event that is accepted: no board records more than 100 million samples per channel.
 const MAX_EVENT: u32 = 200_000_000;
-/// No board of 16 bit codes has more bits than these.
+/// Largest code of any board with 16 bit codes.
 const MAX_CODE: u16 = (1 << 14) - 1;
-/// Bytes of the first event that are looked at for codes beyond `MAX_CODE`.
+/// Bytes of the first event that are searched for codes beyond `MAX_CODE`.
 const LOOKED_AT: u64 = 1 << 16;
 
 impl Reader for CaenWavedump {
@@ -38,7 +43,7 @@ impl Reader for CaenWavedump {
         "caen-wavedump"
     }
     fn extensions(&self) -> &'static [&'static str] {
-        // Its .dat files know themselves; what else is called so is a text.
+        // The content identifies its .dat files; any other .dat file is text.
         &[]
     }
     fn recognises(&self, head: &[u8]) -> bool {
@@ -54,7 +59,7 @@ impl Reader for CaenWavedump {
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let mut first = None;
         let mut count = 0_usize;
-        // Counted before any record is kept: a vector that grows would take more memory than the file is long.
+        // Counted before any record is kept: a growing vector could take more memory than the file is long.
         let mut at = 0;
         while at < input.length() {
             let event = Event::read(input, at, first)?;
@@ -99,7 +104,7 @@ fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset, problem: problem.into() }
 }
 
-/// What is needed of an event's head.
+/// The fields of an event's header that the reader uses.
 #[derive(Clone, Copy)]
 struct Event {
     bytes: u32,
@@ -111,7 +116,7 @@ impl Event {
     fn parse(head: &[u8]) -> Option<Self> {
         let word =
             |i: usize| head.get(4 * i..4 * i + 4).map(|word| u32::from_le_bytes(word.try_into().expect("four bytes")));
-        // The last word is asked for so that a head is there as a whole.
+        // Reading the last word ensures that the header is complete.
         word(5)?;
         Some(Self { bytes: word(0)?, board: word(1)?, channel: word(3)? })
     }
@@ -120,7 +125,7 @@ impl Event {
         (self.bytes as usize - HEAD as usize) / 2
     }
 
-    /// What is wrong with it: where in the head, and how.
+    /// What is wrong with the event: where in the header, and how.
     fn problem(self, first: Option<Self>) -> Option<(u64, String)> {
         let Self { bytes, board, channel } = self;
         if !(26..=MAX_EVENT).contains(&bytes) || bytes % 2 == 1 {
@@ -158,7 +163,7 @@ impl Event {
     }
 }
 
-/// Refuses codes that are not of 16 bits: bytes in pairs, or floating numbers.
+/// Refuses codes that are not 16 bit integers: pairs of bytes, or floats.
 fn sixteen_bits(input: &mut dyn Input, event: Event) -> Result<(), FormatError> {
     let codes = input.bytes("the first event", HEAD, (u64::from(event.bytes) - HEAD).min(LOOKED_AT))?;
     let beyond = codes.chunks_exact(2).position(|code| u16::from_le_bytes([code[0], code[1]]) > MAX_CODE);

@@ -1,9 +1,11 @@
-//! Recordings that lie in two files: a head, and beside it a companion with the samples.
+//! Recordings in two files: a head, and next to it a companion with the samples.
 
 use std::path::{Path, PathBuf};
 
-/// The name of the companion that a file may have: Rohde & Schwarz scopes write the samples of `NAME.bin` into `NAME.Wfm.bin`. A `.bin` of another
-/// make has none.
+/// Returns the name of the companion that a file may have.
+///
+/// Rohde & Schwarz scopes write the samples of `NAME.bin` into `NAME.Wfm.bin`. A `.bin` of another make has no
+/// companion.
 #[must_use]
 pub fn companion(file: &Path) -> Option<PathBuf> {
     let name = file.file_name()?.to_str()?;

@@ -6,18 +6,18 @@ use std::path::Path;
 use super::{Input, Reader, Source};
 use crate::waveform::{Payload, Record};
 
-/// Compressed samples may be many for few bytes: so many bytes of them are looked at.
+/// A few compressed bytes may claim many samples: the tests unpack this many bytes at most.
 const UNPACKED_BYTES: usize = 1 << 22;
 
-/// A file of these bytes.
+/// Wraps these bytes as a file.
 pub fn source(bytes: &[u8]) -> Source<Cursor<Vec<u8>>> {
     Source::new(Cursor::new(bytes.to_vec()), Path::new("a.file")).expect("memory has a length")
 }
 
-/// The records of a file, each with its values, or why it is refused.
+/// Reads the records of a file, each with its values, or returns why the reader refuses it.
 ///
 /// # Panics
-/// When a record claims what the file does not hold.
+/// When a record claims bytes that the file does not hold.
 pub fn read(reader: &dyn Reader, bytes: &[u8]) -> Result<Vec<(Record, Vec<f64>)>, String> {
     if bytes.is_empty() {
         return Err("is empty, which is found before any reader is asked".to_owned());
@@ -35,7 +35,7 @@ pub fn read(reader: &dyn Reader, bytes: &[u8]) -> Result<Vec<(Record, Vec<f64>)>
             left -= record.code_bytes();
             let codes = match record.read(source.file(), 0..record.head.samples) {
                 Ok(codes) => codes,
-                // Of packed codes it may turn out late that they are broken.
+                // A reader may discover only while it unpacks that the codes are broken.
                 Err(error) if matches!(record.payload, Payload::Packed(_)) => return Err(error.to_string()),
                 Err(error) => panic!("{record:?} is not in its file: {error}"),
             };
@@ -59,26 +59,26 @@ fn check(record: &Record, length: u64) {
     }
 }
 
-/// The records of a file that is all right, each with its values.
+/// Reads the records of a valid file, each with its values.
 ///
 /// # Panics
-/// When it is refused.
+/// When the reader refuses it.
 pub fn decode(reader: &dyn Reader, bytes: &[u8]) -> Vec<(Record, Vec<f64>)> {
     read(reader, bytes).expect("a file that is all right")
 }
 
-/// Why a file is refused.
+/// Returns why the reader refuses a file.
 ///
 /// # Panics
-/// When it is not.
+/// When the reader accepts it.
 pub fn refusal(reader: &dyn Reader, bytes: &[u8]) -> String {
     read(reader, bytes).map(|_| ()).expect_err("a file that is refused")
 }
 
-/// Cuts a file at every length: each is refused, or what is read of it is as in the whole.
+/// Cuts a file at every length: the reader must refuse each, or return values equal to those of the whole file.
 ///
 /// # Panics
-/// When one is neither.
+/// When neither holds.
 pub fn cut_everywhere(reader: &dyn Reader, bytes: &[u8]) {
     let whole = decode(reader, bytes);
     leave_seed(reader, bytes);
@@ -89,7 +89,7 @@ pub fn cut_everywhere(reader: &dyn Reader, bytes: &[u8]) {
     }
 }
 
-/// Leaves a file that a test built to the fuzzer (`tests/fuzz/run`), where that asks for it.
+/// Saves a file that a test built as a seed for the fuzzer (`tests/fuzz/run`), where the environment asks for it.
 fn leave_seed(reader: &dyn Reader, bytes: &[u8]) {
     if let Some(folder) = std::env::var_os("PERISCOPE_SEEDS") {
         let folder = Path::new(&folder).join(reader.format().replace('.', "-"));
@@ -101,32 +101,33 @@ fn leave_seed(reader: &dyn Reader, bytes: &[u8]) {
 /// Changes a few bytes of a file, many times over.
 ///
 /// # Panics
-/// When reading does, or a record claims what the file does not hold.
+/// When the reader panics, or when a record claims bytes that the file does not hold.
 pub fn change_anywhere(reader: &dyn Reader, bytes: &[u8], times: u64) {
     damage(reader, bytes, times, |_| ());
 }
 
-/// The same, where `mend` makes sums right again; returns how many were still read.
+/// Changes a few bytes as [`change_anywhere`] does, where `repair` corrects the checksums. Returns how many files were
+/// accepted.
 ///
 /// # Panics
-/// When reading does, or a record claims what the file does not hold.
-pub fn damage(reader: &dyn Reader, bytes: &[u8], times: u64, mend: impl Fn(&mut Vec<u8>)) -> usize {
+/// When the reader panics, or when a record claims bytes that the file does not hold.
+pub fn damage(reader: &dyn Reader, bytes: &[u8], times: u64, repair: impl Fn(&mut Vec<u8>)) -> usize {
     let mut survived = 0;
     each_damaged(bytes, times, |mut damaged| {
-        mend(&mut damaged);
+        repair(&mut damaged);
         survived += usize::from(read(reader, &damaged).is_ok());
     });
     survived
 }
 
-/// Shows `look` a file cut at every length.
+/// Calls `look` with the file cut at every length.
 pub fn each_cut(bytes: &[u8], mut look: impl FnMut(&[u8])) {
     (0..bytes.len()).for_each(|length| look(&bytes[..length]));
 }
 
-/// Shows `look` a file with a few bytes changed, many times over.
+/// Calls `look` with a few bytes of the file changed, many times over.
 pub fn each_damaged(bytes: &[u8], times: u64, mut look: impl FnMut(Vec<u8>)) {
-    // Numerical Recipes' linear congruence: the same numbers in every run.
+    // Linear congruential generator of Numerical Recipes: the same numbers in every run.
     let mut state = 0x9e37_79b9_7f4a_7c15_u64;
     let mut random = |below: usize| {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -135,7 +136,7 @@ pub fn each_damaged(bytes: &[u8], times: u64, mut look: impl FnMut(Vec<u8>)) {
     for _ in 0..times {
         let mut bytes = bytes.to_vec();
         for _ in 0..=random(3) {
-            // Heads and ends are where it hurts: half of the edits are there.
+            // Headers and ends matter most, so half of the edits are there.
             let near = bytes.len().min(512);
             let at = match random(4) {
                 0 => random(near),

@@ -1,4 +1,4 @@
-//! Stretches of a file that are deflated, unpacked piece by piece.
+//! Unpacks deflated ranges of a file, piece by piece.
 
 use std::io::{self, SeekFrom};
 
@@ -8,43 +8,44 @@ use crate::waveform::ReadSeek;
 
 /// Packed bytes that are in memory at a time.
 const PIECE_BYTES: u64 = 1 << 15;
-/// Deflate packs 258 bytes into two bits at best (RFC 1951), which is a little less than this ratio.
+/// Largest ratio of unpacked to packed bytes. Deflate packs at best 258 bytes into two bits (RFC 1951), which is
+/// slightly less.
 const DENSEST: u64 = 1032;
 
-/// Whether so many packed bytes can hold what is claimed.
+/// Whether this many packed bytes can hold what the header claims.
 pub(super) fn can_hold(packed: u64, claimed: u64) -> bool {
     packed.checked_mul(DENSEST).is_none_or(|most| claimed <= most)
 }
 
-/// How a stretch is packed.
+/// How a range is packed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Packing {
-    /// Not at all.
+    /// Not packed.
     Stored,
-    /// Deflate without a head, as in zip files.
+    /// Deflate without a header, as in zip files.
     Deflate,
-    /// Deflate with the head and checksum of zlib, as in HDF5.
+    /// Deflate with the header and checksum of zlib, as in HDF5.
     Zlib,
 }
 
-/// A stretch of a file in the course of being unpacked.
+/// The state of unpacking a range of a file.
 #[derive(Debug)]
 pub(super) struct Unpacker {
     state: Option<Decompress>,
-    /// The packed bytes that have not been read yet.
+    /// Packed bytes that are not read yet.
     next: u64,
     end: u64,
-    /// Packed bytes that have been read, and how many of them are unpacked.
+    /// Packed bytes in memory, and how many of them are unpacked.
     piece: Vec<u8>,
     used: usize,
-    /// Bytes that have been unpacked, and their checksum.
+    /// Number of unpacked bytes, and their checksum.
     crc: Crc,
     position: u64,
     ended: bool,
 }
 
 impl Unpacker {
-    /// Of the `packed` bytes from `byte_offset` on.
+    /// Starts at the `packed` bytes from `byte_offset` on.
     pub fn new(packing: Packing, byte_offset: u64, packed: u64) -> Self {
         let state = match packing {
             Packing::Stored => None,
@@ -63,17 +64,17 @@ impl Unpacker {
         }
     }
 
-    /// Bytes that have been unpacked.
+    /// Number of unpacked bytes so far.
     pub fn position(&self) -> u64 {
         self.position
     }
 
-    /// CRC-32 of the bytes that have been unpacked.
+    /// CRC-32 of the unpacked bytes so far.
     pub fn crc(&self) -> u32 {
         self.crc.sum()
     }
 
-    /// Unpacks into all of `out`, or up to the end; says how many bytes.
+    /// Unpacks into all of `out`, or up to the end; returns the number of bytes.
     pub fn read(&mut self, file: &mut dyn ReadSeek, out: &mut [u8]) -> io::Result<usize> {
         let mut filled = 0;
         while filled < out.len() && !self.ended {
@@ -81,7 +82,7 @@ impl Unpacker {
                 self.refill(file)?;
             }
             let (packed, rest) = (&self.piece[self.used..], &mut out[filled..]);
-            let (taken, given) = match &mut self.state {
+            let (bytes_in, bytes_out) = match &mut self.state {
                 None => {
                     let count = packed.len().min(rest.len());
                     rest[..count].copy_from_slice(&packed[..count]);
@@ -106,8 +107,8 @@ impl Unpacker {
                     count
                 }
             };
-            self.used += taken;
-            filled += given;
+            self.used += bytes_in;
+            filled += bytes_out;
         }
         self.crc.update(&out[..filled]);
         self.position += filled as u64;
@@ -125,7 +126,7 @@ impl Unpacker {
     }
 }
 
-/// What makes a file unreadable only when its samples are asked for.
+/// An error in packed samples: it appears only when they are read, not with the header.
 pub(super) fn broken(problem: impl Into<String>) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, problem.into())
 }

@@ -1,15 +1,22 @@
-//! Keysight and Agilent `.bin`: `AG01`, `AG03` (64 bit sizes) and `AG10`. Rigol writes the same layout with another sign: see [`super::rigol_bin`].
+//! Keysight and Agilent `.bin`: `AG01`, `AG03` (64 bit sizes) and `AG10`. Rigol writes the same layout with the
+//! opposite sign of the origin: see [`super::rigol_bin`].
 //!
-//! Samples are volts already, sample i at X Origin + i * X Increment after the trigger. A file holds waveforms, each with one buffer of samples, or
-//! two in peak detect: the maxima and the minima. All is little-endian.
+//! Samples are volts already; sample i is at X Origin + i * X Increment after the trigger. A file holds waveforms, each
+//! with
+//! one buffer of samples, or two in peak detect: the maxima and the minima. All is little-endian.
 //!
-//! Segmented memory: each segment is a waveform of its own, all of channel 1 before those of channel 2, with its Segment Index, which rises, and
-//! its Time Tag, seconds since the first trigger; both are zero in other files. So waveforms of one label whose indices rise are the segments of a
-//! channel. A channel without label is named by its place in the file, `wf0` and so on. Histograms and points with times of their own are refused.
+//! Segmented memory: each segment is a waveform of its own; all of channel 1 precede those of channel 2. A segment has
+//! a
+//! rising Segment Index and a Time Tag, in seconds after the first trigger; both are zero in other files. Therefore
+//! waveforms
+//! of one label with rising indices are the segments of one channel. A channel without label is named by its place in
+//! the
+//! file: `wf0`, `wf1`. Histograms and points with times of their own are refused.
 //!
-//! Source: Keysight, InfiniiVision 2000 X-Series User's Guide and Infiniium 90000 Programmer's Reference, "Binary Header Format". On real files:
-//! `AG10` of one and two channels, normal and logic. `AG01`, `AG03`, segments, peak detect, averages, spectra and dates in words could only be
-//! tested on files built for it.
+//! Source: Keysight, InfiniiVision 2000 X-Series User's Guide and Infiniium 90000 Programmer's Reference, "Binary
+//! Header
+//! Format". Tested on real files: `AG10` of one and two channels, normal and logic. Tested only on files that the tests
+//! build: `AG01`, `AG03`, segments, peak detect, averages, spectra and dates in words.
 
 mod date;
 mod encode;
@@ -21,7 +28,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 pub use encode::{VoltsHead, write};
-use walk::{Found, Walk, field};
+use walk::{Trace, Walk, field};
 
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{Payload, Record};
@@ -47,12 +54,12 @@ impl Reader for KeysightBin {
     }
 }
 
-/// In what the files of the makers that share this layout differ.
+/// The differences between the makers that use this layout.
 pub(super) struct Maker {
     pub format: &'static str,
     /// First bytes of a file; two digits of a version follow.
     pub cookie: [u8; 2],
-    /// What makes the time of sample 0 of the X Origin.
+    /// Factor from the X Origin to the time of sample 0.
     pub origin_sign: f64,
     /// Whether waveforms have a Time Tag and a Segment Index.
     pub segments: bool,
@@ -64,26 +71,27 @@ impl Maker {
     }
 
     pub fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let (walk, said, count) = Walk::start(self, input)?;
-        let (found, end) = walk.waveforms(input, count)?;
-        // The File Size of `RG01` may be too small, so what fills the file is right; what follows may be left out only where the size leaves it out.
-        if end != input.length() && end != said {
+        let (walk, file_size, count) = Walk::start(self, input)?;
+        let (traces, end) = walk.waveforms(input, count)?;
+        // The File Size of `RG01` may be too small, so waveforms that fill the file are accepted whatever it says.
+        // Bytes after the last waveform are ignored only if the File Size excludes them.
+        if end != input.length() && end != file_size {
             let left = input.length() - end;
             let problem = format!("Number of Waveforms = {count}, but {left} bytes follow the last of them");
             return Err(field(end, format!("{problem}; save the file again")));
         }
-        Ok(records(found))
+        Ok(records(traces))
     }
 }
 
 /// Waveforms of one channel.
 struct Channel {
     waveforms: u32,
-    /// Index and Time Tag of the first.
+    /// Segment Index and Time Tag of the first waveform.
     first: (u32, f64),
-    /// Index of the last.
+    /// Segment Index of the last waveform.
     last: u32,
-    /// Whether indices rise from each to the next.
+    /// Whether each index exceeds the previous one.
     rising: bool,
     /// Whether any has a Time Tag.
     tagged: bool,
@@ -95,10 +103,10 @@ impl Channel {
     }
 }
 
-/// The records, with the segments of a channel numbered from 0.
-fn records(found: Vec<Found>) -> Vec<Record> {
+/// Makes the records, with the segments of each channel numbered from 0.
+fn records(traces: Vec<Trace>) -> Vec<Record> {
     let mut channels: BTreeMap<String, Channel> = BTreeMap::new();
-    for Found { head, segment: (index, tag_s), .. } in &found {
+    for Trace { head, segment: (index, tag_s), .. } in &traces {
         let name = head.channel.as_deref().unwrap_or_default();
         if let Some(channel) = channels.get_mut(name) {
             channel.waveforms += 1;
@@ -111,11 +119,11 @@ fn records(found: Vec<Found>) -> Vec<Record> {
         }
     }
     let first = channels.values().filter(|channel| channel.is_segmented()).map(|channel| channel.first.0).min();
-    let mut records: Vec<Record> = Vec::with_capacity(found.len());
-    for Found { head, t0_s, byte_offset, segment: (index, tag_s) } in found {
+    let mut records: Vec<Record> = Vec::with_capacity(traces.len());
+    for Trace { head, t0_s, byte_offset, segment: (index, tag_s) } in traces {
         let channel = channels.get(head.channel.as_deref().unwrap_or_default()).filter(|c| c.is_segmented());
         let stride = head.code_type.bytes() as u64;
-        // Segments of a channel share one head.
+        // Segments of a channel share one head, to save memory.
         let shared = records.last().map(|record| &record.head).filter(|before| ***before == head).cloned();
         records.push(Record {
             head: shared.unwrap_or_else(|| Arc::new(head)),

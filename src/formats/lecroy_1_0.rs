@@ -1,13 +1,18 @@
-//! LeCroy traces of the template LECROY_1_0, as the 7200A of the 1990s wrote them (.000): one descriptor of 320 bytes, then trigger times, then
-//! codes.
+//! LeCroy traces of the template LECROY_1_0 (.000), which the 7200A of the 1990s wrote: one descriptor of 320 bytes,
+//! then
+//! trigger times, then codes.
 //!
-//! volts = VERTICAL_GAIN * code - VERTICAL_OFFSET, sample i at HORIZ_OFFSET + i * HORIZ_INTERVAL after the trigger; of a sequence, each segment has
-//! its own offset in TRIGTIME. Source: the template that the instrument prints. (ACQ_VERT_OFFSET is in divisions of the screen, not in volts: 2.5
-//! where VERTICAL_OFFSET is 0.125 V at 50 mV a division. Taking it for the offset, as one public reader does, puts a real 7200A trace that was
-//! triggered at 13 mV between -2.42 and -2.33 V; the template's formula puts it between -46 and 43 mV.)
+//! volts = VERTICAL_GAIN * code - VERTICAL_OFFSET; sample i is at HORIZ_OFFSET + i * HORIZ_INTERVAL after the trigger.
+//! In a
+//! sequence, TRIGTIME gives each segment its own offset. Source: the template that the instrument prints.
 //!
-//! Not read: a second data array; records interleaved from several triggers; sequences with uncorrected trigger times. Sequences, big-endian files
-//! and 8 bit codes were tested on files built in tests only.
+//! ACQ_VERT_OFFSET is not the offset: it is in divisions of the screen, 2.5 where VERTICAL_OFFSET is 0.125 V at 50 mV
+//! per
+//! division. One public reader uses it, which puts a real 7200A trace that was triggered at 13 mV between -2.42 and
+//! -2.33 V. The template's formula puts the trace between -46 and 43 mV.
+//!
+//! Not read: a second data array; records interleaved from several triggers; sequences with uncorrected trigger times.
+//! Sequences, big-endian files and 8 bit codes were tested only on files that the tests build.
 
 use std::sync::Arc;
 
@@ -18,17 +23,17 @@ use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
 
 /// Length of the wave descriptor.
 const DESCRIPTOR: u64 = 320;
-/// Where a descriptor may begin: after a block prefix or the text of a query.
+/// Bytes that are searched for a descriptor, which may follow a block prefix or the text of a query.
 const SEARCH_BYTES: u64 = 1024;
-/// Name of the template, 16 bytes behind the descriptor's.
+/// Name of the template, 16 bytes after the start of the descriptor.
 const TEMPLATE: &[u8] = b"LECROY_1_0";
-/// Bytes that a segment takes in memory: a record, and its times.
+/// Memory of a segment in bytes: a record, and its times.
 const SEGMENT_BYTES: u64 = size_of::<Record>() as u64 + 24;
 
 /// The reader.
 pub struct Lecroy10;
 
-/// Where the descriptor of this template begins, if it is one.
+/// Where the descriptor of this template begins, if the file has one.
 fn descriptor(head: &[u8]) -> Option<usize> {
     position(head).filter(|start| head[*start..].get(16..).is_some_and(|name| name.starts_with(TEMPLATE)))
 }
@@ -54,10 +59,10 @@ impl Reader for Lecroy10 {
     }
 }
 
-/// The wave descriptor as bytes, and how to read numbers in it.
+/// The wave descriptor, with its byte order.
 struct Descriptor(Numbers);
 
-/// Lengths of what follows the descriptor.
+/// Lengths of the blocks after the descriptor.
 struct Blocks {
     trigger_times: u64,
     triggers: u64,
@@ -165,7 +170,7 @@ impl Descriptor {
             scale: Some(Scale { gain, offset: -offset }),
             header_gain: Some(gain),
             header_offset: Some(offset),
-            // MIN_VALUE and MAX_VALUE are of words; bytes are their upper half.
+            // MIN_VALUE and MAX_VALUE are in words; 8 bit codes are their upper half.
             rails: is_raw.then(|| match code_type {
                 CodeType::I8 => ((low / 256.0).floor(), (high / 256.0).floor()),
                 _ => (low, high),
@@ -196,14 +201,14 @@ impl Descriptor {
         }
     }
 
-    /// Channels are numbered within each of up to six plug-ins.
+    /// The channel: plug-in and channel number, since each of up to six plug-ins numbers its own.
     fn channel(&self) -> Option<String> {
         let (plug_in, channel) = (self.0.i16(294), self.0.i16(296));
         let letter = usize::try_from(plug_in).ok().and_then(|plug_in| "CABCDEF".chars().nth(plug_in))?;
         (1..=4).contains(&channel).then(|| format!("{letter}{channel}"))
     }
 
-    /// For each segment the trigger's time since the first trigger, and the time of sample 0.
+    /// For each segment the time of its trigger after the first trigger, and the time of sample 0.
     fn triggers(
         &self,
         input: &mut dyn Input,

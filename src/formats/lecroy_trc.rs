@@ -1,8 +1,12 @@
-//! LeCroy `.trc`, template `LECROY_2_3`: 8 and 16 bit codes, either byte order, with or without the `#9` block prefix, single records and
-//! sequences with a sub-sample trigger time of their own for each segment.
+//! LeCroy `.trc`, template `LECROY_2_3`: 8 and 16 bit codes, either byte order, with or without the `#9` block prefix.
+//! Both
+//! single records and sequences are read; each segment of a sequence has its own sub-sample trigger time.
 //!
-//! Offsets are from the bytes `WAVEDESC`. Source: LeCroy's remote control manual (the template that the instrument prints at `TMPL?`).
-//! The older template LECROY_1_0 has a reader of its own; others are refused by name, and so are RIS and dual arrays.
+//! Offsets count from the bytes `WAVEDESC`. Source: LeCroy's remote control manual (the template that the instrument
+//! prints
+//! on `TMPL?`). The older template LECROY_1_0 has a reader of its own. Other templates are refused by name, and so are
+//! RIS
+//! and dual arrays.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -13,7 +17,7 @@ use crate::waveform::{CodeType, Head, Payload, Record, Scale};
 
 /// Length of the wave descriptor.
 const DESCRIPTOR: u64 = 346;
-/// Where a descriptor may begin: after a block prefix or the text of a query.
+/// Bytes that are searched for a descriptor, which may follow a block prefix or the text of a query.
 const SEARCH_BYTES: u64 = 1024;
 /// Bytes of the trigger times of one segment.
 pub(super) const TRIGGER_BYTES: u64 = 16;
@@ -50,7 +54,7 @@ fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset, problem: problem.into() }
 }
 
-/// The wave descriptor as bytes, and how to read numbers in it.
+/// The wave descriptor, with its byte order.
 struct Descriptor(Numbers);
 
 impl Descriptor {
@@ -63,7 +67,7 @@ impl Descriptor {
                 format!("template {template:?} is not read, only LECROY_2_3; export the trace again in that form"),
             ));
         }
-        // COMM_ORDER says in what order it is itself: 1 is little-endian, 0 big-endian.
+        // COMM_ORDER gives its own byte order: 1 is little-endian, 0 big-endian.
         let big_endian = match [bytes[34], bytes[35]] {
             [1, 0] => false,
             [0, 0] => true,
@@ -187,7 +191,8 @@ impl Descriptor {
         })
     }
 
-    /// The converter fills the upper bits of a code: with fewer bits than the code has, its highest code has zeros below.
+    /// Lowest and highest code. The converter fills the upper bits of a code, so that the highest code has zeros in the
+    /// lower bits.
     fn rails(&self, code_type: CodeType) -> Option<(f64, f64)> {
         let (low, high) = code_type.limits()?;
         let bits = i32::from(self.0.i16(172));
@@ -199,7 +204,7 @@ impl Descriptor {
         }
     }
 
-    /// For each segment the trigger's time since the first trigger, and the time of sample 0.
+    /// For each segment the time of its trigger after the first trigger, and the time of sample 0.
     fn triggers(
         &self,
         input: &mut dyn Input,
@@ -233,7 +238,8 @@ pub(super) fn acquired_at(numbers: &Numbers, at: usize) -> Option<String> {
     plausible.then(|| format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{seconds:012.9}"))
 }
 
-/// The array of trigger times: for each segment its trigger's time since the first one, and the time of its sample 0.
+/// The array of trigger times: for each segment the time of its trigger after the first one, and the time of its sample
+/// 0.
 pub(super) fn trigger_times(
     descriptor: &Numbers,
     input: &mut dyn Input,
@@ -254,7 +260,7 @@ pub(super) fn trigger_times(
     Ok(triggers)
 }
 
-/// What a sequence file says of all its segments.
+/// What all segments of a sequence file have in common.
 #[derive(Clone, Debug)]
 pub struct SequenceHead {
     /// Name of the instrument, up to 15 bytes.
@@ -263,7 +269,7 @@ pub struct SequenceHead {
     pub channel: i16,
     /// Volts per code.
     pub gain_v: f32,
-    /// Volts that are taken off: volts = gain * code - offset.
+    /// Offset in volts: volts = gain * code - offset.
     pub offset_v: f32,
     /// Time between samples; the format holds it as f32.
     pub dt_s: f32,
@@ -285,15 +291,18 @@ pub struct Acquired {
     pub second: f64,
 }
 
-/// Writes segments of equal length, each with its trigger's time since the first and the time of its sample 0, as one little-endian file.
+/// Writes a sequence as one little-endian file. All segments have equal length.
 ///
-/// Codes of an 8 bit converter are written as bytes and must fit; others as words.
+/// A segment is the time of its trigger after the first one (s), the time of its sample 0 (s), and its codes. Codes of
+/// an
+/// 8 bit converter are stored as bytes and must fit; others are stored as words.
 ///
 /// # Errors
 /// When `out` cannot be written.
 ///
 /// # Panics
-/// When there is no segment, their lengths differ, a code does not fit, or the file would exceed the 2 GiB that its header can say.
+/// When there is no segment, their lengths differ, a code does not fit, or the file exceeds 2 GiB, the limit of its
+/// header.
 pub fn write_sequence(
     out: &mut impl Write,
     head: &SequenceHead,

@@ -1,4 +1,5 @@
-//! Scope files to records: one file a format, behind one trait. The format is found by content first, then by extension.
+//! Scope files to records: one file for each format, behind one trait. The first bytes decide the format, then the
+//! extension.
 
 pub mod array;
 pub mod becker_hickl_sdt;
@@ -34,7 +35,7 @@ pub use reader::{FormatError, Input, Joined, Reader, Source};
 
 use crate::waveform::Record;
 
-/// The formats, those that know themselves by their first bytes before those that take any text.
+/// The formats. Those with a mark in their first bytes stand before those that accept any text.
 pub const READERS: [&dyn Reader; 18] = [
     &lecroy_trc::LecroyTrc,
     &npy::Npy,
@@ -56,13 +57,13 @@ pub const READERS: [&dyn Reader; 18] = [
     &csv::Csv,
 ];
 
-/// Bytes at the start of a file by which its format is found.
+/// Bytes at the start of a file that [`reader`] looks at to recognise the format.
 const HEAD_BYTES: usize = 2048;
 
-/// The reader of a file: by its content, else by its extension.
+/// Returns the reader of a file: by its content, else by its extension.
 ///
 /// # Errors
-/// When no reader knows the file.
+/// When no reader recognises the file.
 pub fn reader<F: Read + Seek>(source: &mut Source<F>) -> Result<&'static dyn Reader, FormatError> {
     let head = source.head(HEAD_BYTES)?;
     if head.is_empty() {
@@ -74,10 +75,10 @@ pub fn reader<F: Read + Seek>(source: &mut Source<F>) -> Result<&'static dyn Rea
     by_content.or_else(by_name).ok_or(FormatError::Unknown)
 }
 
-/// The records of a file; reads headers, and samples only where they are text.
+/// Returns the records of a file. It reads the headers, and samples only where they are text.
 ///
 /// # Errors
-/// When no reader knows the file, or its reader refuses it.
+/// When no reader recognises the file, or when its reader refuses it.
 pub fn records<F: Read + Seek>(source: &mut Source<F>) -> Result<Vec<Record>, FormatError> {
     reader(source)?.records(source)
 }

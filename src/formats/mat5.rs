@@ -1,16 +1,18 @@
-//! MATLAB's MAT-files of version 5 to 7 (`save -v6`, `-v7`): arrays of real numbers by name. Version 7.3 is HDF5 and read there.
+//! MATLAB's MAT-files of version 5 to 7 (`save -v6`, `-v7`): arrays of real numbers by name. Version 7.3 is HDF5; see
+//! `hdf5`.
 //!
-//! A file is a list of elements behind a head of 128 bytes; an element of a variable is, since version 7, deflated as a whole. A variable holds its
-//! flags, dimensions, name and numbers, which may be stored in a narrower type than the variable has. The first dimension runs fastest: axes here stand in
-//! the reverse order, as HDF5 has those of version 7.3. Sparse, complex, text, cell and struct variables are passed over. Source: MathWorks, *MAT-File
-//! Format*.
+//! A header of 128 bytes precedes a list of elements. Since version 7, the whole element of a variable is deflated. A
+//! variable holds its flags, dimensions, name and numbers; the numbers may have a narrower type than the variable. The
+//! first dimension varies fastest, so that the axes appear here in reverse order, as in HDF5 files of version 7.3.
+//! Sparse,
+//! complex, text, cell and struct variables are skipped. Source: MathWorks, *MAT-File Format*.
 
 use super::array::{self, Array, Arrays};
 use super::inflate::{self, Packing, Unpacker};
 use super::reader::{FormatError, Input};
 use crate::waveform::CodeType;
 
-/// Bytes of the head, and of a tag before data.
+/// Bytes of the header, and of a tag before data.
 const HEAD: u64 = 128;
 const TAG: u64 = 8;
 /// Types of elements.
@@ -21,21 +23,21 @@ const COMPRESSED: u32 = 15;
 const NUMERIC: std::ops::RangeInclusive<u8> = 6..=15;
 /// Flag of complex numbers.
 const COMPLEX: u8 = 8;
-/// Longest name and most dimensions that are believed.
+/// Longest name that is accepted, in bytes; a longer one means damage.
 const NAME_BYTES: u64 = 1 << 12;
 
-/// Whether a file that begins with these bytes is one.
+/// Whether a file that begins with these bytes is a MAT-file of version 5 to 7.
 #[must_use]
 pub fn recognises(head: &[u8]) -> bool {
     head.starts_with(b"MATLAB 5.0") && head.get(124..128).is_some_and(|version| version == [0, 1, b'I', b'M'])
 }
 
-/// The arrays that are `wanted` by name, and the names of all variables.
+/// Returns the arrays whose names `wanted` accepts, and the names of all variables.
 ///
 /// # Errors
 /// When the file contradicts the format.
 pub fn arrays(input: &mut dyn Input, wanted: impl Fn(&str) -> bool) -> Result<(Arrays, Vec<String>), FormatError> {
-    let (mut found, mut names) = (Arrays::new(), Vec::new());
+    let (mut arrays, mut names) = (Arrays::new(), Vec::new());
     let mut at = HEAD;
     while at + TAG <= input.length() {
         let tag = input.bytes("a tag", at, TAG)?;
@@ -55,12 +57,12 @@ pub fn arrays(input: &mut dyn Input, wanted: impl Fn(&str) -> bool) -> Result<(A
             }
         };
         if let Some((name, array)) = stream.variable(input, &wanted)? {
-            found.extend(array.map(|array| (name.clone(), array)));
+            arrays.extend(array.map(|array| (name.clone(), array)));
             names.push(name);
         }
         at = start + bytes;
     }
-    Ok((found, names))
+    Ok((arrays, names))
 }
 
 fn refuse(byte_offset: u64, problem: impl Into<String>) -> FormatError {
@@ -71,19 +73,19 @@ fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"))
 }
 
-/// A variable in the course of being read.
+/// The state of reading one variable.
 struct Stream {
     unpacker: Unpacker,
-    /// Bytes of it that are left.
+    /// Bytes of the variable that are not read yet.
     left: u64,
     place: u64,
 }
 
-/// An element inside a variable: its type, and its bytes as far as they are read.
+/// An element of a variable: its type, its length, and the data that its tag may hold.
 struct Element {
     kind: u32,
     bytes: u64,
-    /// The data of a small one, which stand in the tag.
+    /// Data of a small element, which its tag holds.
     small: Option<Vec<u8>>,
 }
 
@@ -114,7 +116,7 @@ impl Stream {
     fn element(&mut self, input: &mut dyn Input) -> Result<Element, FormatError> {
         let tag = self.take(input, TAG)?;
         let first = u32_at(&tag, 0);
-        // A small element has its length where others have but zeros.
+        // A small element has its length in the upper half, which is zero in others.
         if first >> 16 == 0 {
             return Ok(Element { kind: first, bytes: u64::from(u32_at(&tag, 4)), small: None });
         }
@@ -131,7 +133,7 @@ impl Stream {
         }
         let mut data = self.take(input, element.bytes)?;
         let padding = element.bytes.next_multiple_of(8) - element.bytes;
-        // The last element of a variable may go without.
+        // Writers may omit the padding of a variable's last element.
         self.take(input, padding.min(self.left))?;
         data.truncate(element.bytes as usize);
         Ok(data)
@@ -148,7 +150,8 @@ impl Stream {
         self.data(input, element)
     }
 
-    /// Name of the variable, and its numbers if it is wanted and has such; `None` for one without a name.
+    /// Returns the name of the variable, and its numbers if it is wanted and has real ones; `None` for one without a
+    /// name.
     fn variable(
         &mut self,
         input: &mut dyn Input,
@@ -187,7 +190,7 @@ impl Stream {
     }
 }
 
-/// Bytes of a number, and of 64-bit integers whether they are signed.
+/// Bytes of one number; for 64 bit integers also whether they are signed.
 fn width(kind: u32) -> Option<(usize, Option<bool>)> {
     match kind {
         INT8 | 2 => Some((1, None)),
@@ -200,7 +203,7 @@ fn width(kind: u32) -> Option<(usize, Option<bool>)> {
     }
 }
 
-/// Type of codes; 64-bit integers become floating numbers.
+/// Type of codes; 64 bit integers become floating numbers.
 fn code_type(kind: u32) -> CodeType {
     match kind {
         INT8 => CodeType::I8,

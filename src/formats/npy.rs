@@ -1,7 +1,8 @@
-//! NumPy `.npy`: integer and floating arrays in C order. The last axis counts samples, the leading ones are for the campaign to name.
+//! NumPy `.npy`: integer and floating arrays in C order. The last axis counts samples; the campaign names the leading
+//! ones.
 //!
-//! The file has neither scale nor time base. Fortran order, structured and complex types are refused. Source: NumPy Enhancement Proposal 1; the header
-//! is a Python dictionary of three known keys.
+//! The file has no scale and no time base. Fortran order, structured and complex types are refused. Source: NumPy
+//! Enhancement Proposal 1; the header is a Python dictionary of three keys.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -12,7 +13,7 @@ use crate::waveform::{CodeType, Head, Payload, Record};
 /// The reader.
 pub struct Npy;
 
-/// Longest header that is read: the dictionary of a plain array has some hundred bytes.
+/// Longest header that is read: the dictionary of a plain array has about a hundred bytes.
 pub(super) const HEADER_BYTES: u64 = 1 << 12;
 
 impl Reader for Npy {
@@ -66,7 +67,7 @@ pub(super) struct Array {
 }
 
 impl Array {
-    /// From the first bytes of an array, which has `length` bytes with its header; `None` for a single number.
+    /// Parses the first bytes of an array of `length` bytes, header included; `None` for a single number.
     pub fn read(bytes: &[u8], length: u64) -> Result<Option<Self>, FormatError> {
         let (text, data) = header_text(bytes).map_err(refuse)?;
         let Header { descr, fortran_order, shape } = Header::parse(text).map_err(refuse)?;
@@ -111,7 +112,8 @@ impl Array {
         (self.records > 1).then_some(record as u32)
     }
 
-    /// Refuses so many short records that what is kept of them and of those before, `each` bytes, is far more than the file.
+    /// Refuses an array of so many short records that their heads, `each` bytes long, would far exceed the file in
+    /// memory.
     pub fn limit(&self, file_bytes: u64, before: usize, each: usize) -> Result<(), FormatError> {
         let most = (3 * file_bytes.min(1 << 60) + (1 << 19)) / each as u64;
         if self.records > most.min(u64::from(u32::MAX)).saturating_sub(before as u64) {
@@ -130,7 +132,7 @@ impl Array {
     }
 }
 
-/// The text of the header, and where the numbers begin.
+/// Returns the text of the header, and where the numbers begin.
 fn header_text(bytes: &[u8]) -> Result<(&[u8], u64), String> {
     let (length, text) = match bytes {
         [_, _, _, _, _, _, 1, _, a, b, text @ ..] => (u32::from(u16::from_le_bytes([*a, *b])), text),
@@ -144,7 +146,7 @@ fn header_text(bytes: &[u8]) -> Result<(&[u8], u64), String> {
     Ok((text, before + u64::from(length)))
 }
 
-/// What the header's dictionary says.
+/// The three entries of the header's dictionary.
 #[derive(Debug, PartialEq)]
 struct Header<'a> {
     descr: &'a str,
@@ -189,7 +191,7 @@ impl<'a> Header<'a> {
     }
 }
 
-/// What is left of a header.
+/// The unread rest of a header.
 struct Scanner<'a>(&'a [u8]);
 
 impl<'a> Scanner<'a> {
@@ -209,8 +211,8 @@ impl<'a> Scanner<'a> {
     }
 
     fn problem(&self, expected: &str) -> String {
-        let found = String::from_utf8_lossy(&self.0[..self.0.len().min(16)]);
-        format!("header: expected {expected}, found `{}`; save the array again", found.escape_debug())
+        let rest = String::from_utf8_lossy(&self.0[..self.0.len().min(16)]);
+        format!("header: expected {expected}, found `{}`; save the array again", rest.escape_debug())
     }
 
     /// Letters, digits and underscores.
@@ -222,7 +224,7 @@ impl<'a> Scanner<'a> {
         word
     }
 
-    /// Text between quotes, which has no escapes where this is asked for.
+    /// Text between quotes. The keys and types of a header have no escapes.
     fn quoted(&mut self) -> Result<&'a str, String> {
         let quote = self.peek().filter(|byte| b"'\"".contains(byte)).ok_or_else(|| self.problem("a text in quotes"))?;
         let length =
@@ -232,7 +234,7 @@ impl<'a> Scanner<'a> {
         Ok(text)
     }
 
-    /// Whole numbers between brackets; Python 2 wrote an L behind long ones.
+    /// Whole numbers between brackets; Python 2 wrote an L after long ones.
     fn numbers(&mut self) -> Result<Vec<u64>, String> {
         self.expect(b'(')?;
         let mut numbers = Vec::new();
@@ -261,7 +263,7 @@ fn code_type(descr: &str) -> Option<(CodeType, bool)> {
         "f8" => CodeType::F64,
         _ => return None,
     };
-    // One byte has no order.
+    // The byte order of single bytes is irrelevant.
     match order {
         "<" | "=" => Some((code_type, false)),
         ">" => Some((code_type, true)),
@@ -270,9 +272,9 @@ fn code_type(descr: &str) -> Option<(CodeType, bool)> {
     }
 }
 
-/// A type of numbers that arrays are written in.
+/// A type of numbers that [`write()`] accepts.
 pub trait Number: Copy {
-    /// As the header has it.
+    /// The type as the header names it.
     const DESCR: &'static str;
     /// Its bytes, least significant first.
     fn bytes(self) -> impl AsRef<[u8]>;
@@ -302,12 +304,13 @@ number! {
 /// When `out` cannot be written.
 ///
 /// # Panics
-/// When there are not as many values as the shape says.
+/// When the number of values contradicts the shape.
 pub fn write<T: Number>(out: &mut impl Write, shape: &[u64], values: &[T]) -> io::Result<()> {
     assert_eq!(shape.iter().product::<u64>(), values.len() as u64, "as many values as the shape says");
     let lengths: Vec<String> = shape.iter().map(|length| format!("{length},")).collect();
     let mut text = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}", T::DESCR, lengths.join(" "));
-    // Numbers begin at a multiple of 64, behind magic, version, length and a text that ends its line.
+    // The format demands that numbers begin at a multiple of 64, after magic, version, length and a text that ends its
+    // line.
     while (10 + text.len() + 1) % 64 != 0 {
         text.push(' ');
     }
@@ -381,10 +384,10 @@ mod tests {
                 .unwrap_err()
                 .contains("structured")
         );
-        for (descr, known) in
+        for (descr, is_valid) in
             [("<i2", true), ("|u1", true), ("|i2", false), ("<c8", false), ("", false), ("<u4", false)]
         {
-            assert_eq!(code_type(descr).is_some(), known, "{descr}");
+            assert_eq!(code_type(descr).is_some(), is_valid, "{descr}");
         }
     }
 }

@@ -1,11 +1,13 @@
 //! NumPy `.npz`: a zip file of `.npy` members, stored (`numpy.savez`) or deflated (`numpy.savez_compressed`).
 //!
-//! Every array is a channel with the member's name; its last axis counts samples, the leading ones are segments. The file has neither scale nor time
-//! base: values are the numbers as they are. An array named `time` is a channel like any other. Single numbers (arrays without axes) are no channels
-//! and are left out. Deflated members are unpacked whenever they are read, and their checksums compared at their ends; those of stored ones are not.
+//! Each array is a channel with the member's name: its last axis counts samples, the leading ones count segments. The
+//! file has no scale and no time base, so values are the numbers themselves. An array named `time` is a channel like
+//! any
+//! other. Single numbers (arrays without axes) are omitted. Each read unpacks deflated members and compares their
+//! checksums at the end; stored members are not compared.
 //!
-//! Not read, and refused by name: Zip64 (arrays of 4 GiB and more), encryption, and what the `.npy` reader refuses. No file of an instrument was at
-//! hand: tested on files we built, and on files of NumPy.
+//! Refused by name: Zip64 (arrays of 4 GiB and more), encryption, and what the `.npy` reader refuses. Tested on files
+//! that the tests build and on files of NumPy; no file of an instrument was available.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -92,17 +94,17 @@ impl Npz {
     }
 }
 
-/// Where unpacking stopped in one member of the file, by the place of that member: the next segment goes on from there.
+/// Where unpacking stopped, and in which member (by its place in the file). The next segment continues there.
 type Resumed = Mutex<Option<(u64, Unpacker)>>;
 
 /// A record in a deflated member.
 #[derive(Debug)]
 struct Deflated {
     member: Arc<Member>,
-    /// Its place among the unpacked bytes.
+    /// Where it begins among the unpacked bytes.
     start: u64,
     bytes: u64,
-    /// The type of its codes, if they are big-endian.
+    /// Type of its codes, if they are big-endian.
     swapped: Option<CodeType>,
     resumed: Arc<Resumed>,
 }
@@ -208,9 +210,9 @@ mod tests {
                 assert_eq!(values(&records[1], &bytes), [1.0, -2.0, 300.0]);
                 assert_eq!(values(&records[2], &bytes), [4.0, 5.0, 6.0]);
             }
-            let said = |record: &Record| (record.head.channel.clone().unwrap(), record.segment, record.t0_s);
-            assert_eq!(said(&records[0]), ("L1".to_owned(), None, None));
-            assert_eq!(said(&records[2]), ("L2".to_owned(), Some(1), None));
+            let key = |record: &Record| (record.head.channel.clone().unwrap(), record.segment, record.t0_s);
+            assert_eq!(key(&records[0]), ("L1".to_owned(), None, None));
+            assert_eq!(key(&records[2]), ("L2".to_owned(), Some(1), None));
             assert_eq!(records[2].head.shape, [2]);
         }
     }
@@ -224,7 +226,7 @@ mod tests {
             let expected = codes[i * 40_000..(i + 1) * 40_000].iter().map(|&code| f64::from(code));
             assert!(values(&records[i], &bytes).into_iter().eq(expected), "segment {i}");
         }
-        // One segment after the other, the file is unpacked once.
+        // If segments are read in order, the file is unpacked once.
         let mut counting = Counting { file: Cursor::new(&bytes), read: 0 };
         for record in &records {
             record.read(&mut counting, 0..40_000).unwrap();

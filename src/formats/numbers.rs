@@ -1,8 +1,8 @@
-//! A stretch of a binary file as numbers and texts.
+//! Numbers and text in a range of a binary file.
 
 use super::reader::{FormatError, Input};
 
-/// A stretch of a file as numbers in its byte order. Whatever is asked for must lie within it.
+/// A range of a file, with its byte order. Every access must stay within the range.
 pub(super) struct Numbers {
     pub bytes: Vec<u8>,
     /// Where in the file it begins.
@@ -11,16 +11,16 @@ pub(super) struct Numbers {
 }
 
 impl Numbers {
-    /// The little-endian head of a file.
+    /// The little-endian header of a file.
     pub fn head(input: &mut dyn Input, length: u64) -> Result<Self, FormatError> {
         Ok(Self::little(input.bytes("the head", 0, length)?, 0))
     }
-    /// Little-endian bytes from this place on.
+    /// Little-endian bytes from `origin` on.
     pub fn little(bytes: Vec<u8>, origin: u64) -> Self {
         Self { bytes, origin, big_endian: false }
     }
 
-    /// The bytes of a number, little-endian.
+    /// The bytes of a number, in little-endian order.
     pub fn array<const N: usize>(&self, at: usize) -> [u8; N] {
         let mut bytes: [u8; N] = self.bytes[at..at + N].try_into().expect("fields lie within their block");
         if self.big_endian {
@@ -56,17 +56,17 @@ impl Numbers {
         f64::from_le_bytes(self.array(at))
     }
 
-    /// A text field, up to its first zero byte; `None` if nothing is in it.
+    /// A text field, up to its first zero byte; `None` if it is empty.
     pub fn text(&self, at: usize, length: usize) -> Option<String> {
         text(&self.bytes[at..at + length])
     }
 
-    /// A refusal of what stands at a place.
+    /// An error about the field at `at`.
     pub fn refuse(&self, at: usize, problem: impl Into<String>) -> FormatError {
         FormatError::Field { byte_offset: self.origin + at as u64, problem: problem.into() }
     }
 
-    /// A number that stands at a place, if it is finite.
+    /// Returns the number of the field at `at` if it is finite.
     pub fn finite(&self, at: usize, name: &str, value: f64) -> Result<f64, FormatError> {
         if value.is_finite() {
             Ok(value)
@@ -76,7 +76,7 @@ impl Numbers {
     }
 }
 
-/// A text field, up to its first zero byte; `None` if nothing is in it.
+/// A text field, up to its first zero byte; `None` if it is empty.
 pub(super) fn text(bytes: &[u8]) -> Option<String> {
     let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
     let text = String::from_utf8_lossy(&bytes[..end]).trim().to_owned();

@@ -1,15 +1,22 @@
-//! PicoQuant's unified tagged files: .phu (histograms of photons over the time since the sync pulse) and .ptu (every photon, of which histograms
-//! are made here).
+//! PicoQuant's unified tagged files: .phu (histograms of photons over the time after the sync pulse) and .ptu (every
+//! photon; this reader builds the histograms).
 //!
-//! A file is a list of tags (name, index, type, value), then data. Counts of bin i lie at `t0_s` + i * dt. .phu: one record for each curve, dt is
-//! HistResDscr_MDescResolution, `t0_s` HistResDscr_MDescOffset (ns). .ptu in T3 mode: one record for each input channel on which photons arrived,
-//! dt is MeasDesc_Resolution, `t0_s` MeasDesc_Offset (ns), all with as many bins as the latest photon of the file needs; markers are not counted.
-//! The instrument subtracts the offset, 0 unless it was set, from each time since the sync. Channels are numbered as in the file: PicoHarps from 1,
-//! others from 0. Several curves of one channel are its segments.
+//! A file is a list of tags (name, index, type, value), then data. Bin i is at `t0_s` + i * dt. .phu: one record for
+//! each
+//! curve; dt is HistResDscr_MDescResolution, `t0_s` HistResDscr_MDescOffset (ns). .ptu in T3 mode: one record for each
+//! input
+//! channel with photons; dt is MeasDesc_Resolution, `t0_s` MeasDesc_Offset (ns). All have as many bins as the latest
+//! photon
+//! of the file needs; markers are not counted. The instrument subtracts the offset (0 by default) from each time after
+//! the
+//! sync. Channel numbers are those of the file: PicoHarps count from 1, others from 0. Several curves of one channel
+//! are
+//! its segments.
 //!
-//! The number of sync cycles, which pile-up corrections need, has no place in a record: it is the campaign's to give. T2 mode is refused: it
-//! has no sync period to make a histogram over. Older formats (.pt3, .ht3, .phd, .thd) are not read. Source: PicoQuant's description of the tagged
-//! file format with its demonstration programs. Tested on files built in tests only, which `ptufile` reads to the same counts.
+//! Pile-up corrections need the number of sync cycles, which a record cannot hold: the campaign gives it. T2 mode is
+//! refused, since it has no sync period to make a histogram over. Older formats (.pt3, .ht3, .phd, .thd) are not read.
+//! Source: PicoQuant's description of the tagged file format with its demonstration programs. Tested on files that the
+//! tests build, for which `ptufile` reads the same counts.
 
 mod tags;
 
@@ -27,10 +34,10 @@ pub struct PicoquantPhu;
 /// Reader of events.
 pub struct PicoquantPtu;
 
-/// First bytes of either file.
+/// First bytes of a file of histograms.
 const HISTOGRAMS: &[u8] = b"PQHISTO\0";
 const EVENTS: &[u8] = b"PQTTTR\0\0";
-/// Bytes of an event and of a count.
+/// Bytes of an event, and of a count.
 const WORD_BYTES: u64 = 4;
 /// Bytes of events that are in memory at a time.
 const PIECE_BYTES: u64 = 1 << 16;
@@ -97,7 +104,7 @@ impl PicoquantPhu {
     }
 }
 
-/// Several records of one channel become its segments.
+/// Numbers several records of one channel as its segments.
 fn number_segments(records: &mut [Record]) {
     let mut seen: BTreeMap<Option<String>, u32> = BTreeMap::new();
     for record in &mut *records {
@@ -191,7 +198,7 @@ impl Events {
         Ok(Self { byte_offset, count, layout })
     }
 
-    /// Channel and time, in bins, of each photon.
+    /// Passes on the channel and time, in bins, of each photon.
     fn photons(&self, file: &mut dyn ReadSeek, take: &mut dyn FnMut(usize, usize) -> io::Result<()>) -> io::Result<()> {
         let length = self.count * WORD_BYTES;
         let mut piece = vec![0; PIECE_BYTES.min(length) as usize];
@@ -213,7 +220,7 @@ impl Events {
 }
 
 impl Layout {
-    /// Channel and time of an event, if it is a photon.
+    /// Channel and time, in bins, of an event, if it is a photon.
     fn photon(self, event: u32) -> io::Result<Option<(usize, usize)>> {
         match self {
             Self::PicoHarp => match (event >> 28, (event >> 16) & 0xFFF) {
@@ -231,7 +238,8 @@ impl Layout {
     }
 }
 
-/// Photons of one channel, counted whenever they are read: histograms of all channels may be larger than the file.
+/// Photons of one channel. Each read counts them anew, since the histograms of all channels may be larger than the
+/// file.
 #[derive(Debug)]
 struct Histogram {
     events: Events,

@@ -1,4 +1,4 @@
-//! What a format reader is, and what can be wrong with a file.
+//! The interface of a format reader, and the errors of a file.
 
 use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
@@ -10,16 +10,16 @@ use thiserror::Error;
 use crate::companions::companion;
 use crate::waveform::{ReadSeek, Record};
 
-/// What is wrong with a file. The file's name is added by who opened it.
+/// What is wrong with a file. The caller who opened the file adds its name.
 #[derive(Debug, Error)]
 pub enum FormatError {
-    /// It cannot be read.
+    /// The system cannot read it.
     #[error("cannot be read: {0}")]
     Io(io::Error),
-    /// Nothing in it.
+    /// It has no bytes.
     #[error("is empty: the capture may have been interrupted")]
     Empty,
-    /// No reader knows it.
+    /// No reader recognises it.
     #[error(
         "is in no format that is read; export it from the instrument as CSV, or see docs/formats.md for the formats that are"
     )]
@@ -38,25 +38,25 @@ pub enum FormatError {
         /// Length of the file.
         length: u64,
     },
-    /// A field of the header makes no sense.
+    /// A field of the header has an impossible value.
     #[error("byte {byte_offset}: {problem}")]
     Field {
-        /// Where.
+        /// Where the field begins.
         byte_offset: u64,
-        /// What, and the mend where there is one.
+        /// What is wrong, and the fix where there is one.
         problem: String,
     },
-    /// A line of a text makes no sense.
+    /// A line of text cannot be parsed.
     #[error("line {line}: {problem}")]
     Line {
-        /// Which, from 1.
+        /// Number of the line, from 1.
         line: u64,
-        /// What, and the mend where there is one.
+        /// What is wrong, and the fix where there is one.
         problem: String,
     },
 }
 
-/// No source of the error is named beside the text, which has it already.
+/// The text already includes the source of the error, so that `source()` must not repeat it.
 impl From<io::Error> for FormatError {
     fn from(error: io::Error) -> Self {
         Self::Io(error)
@@ -64,7 +64,7 @@ impl From<io::Error> for FormatError {
 }
 
 impl FormatError {
-    /// Where in the file, if it is one place.
+    /// Where in the file the problem is, if it is in one place.
     #[must_use]
     pub fn byte_offset(&self) -> Option<u64> {
         match self {
@@ -74,7 +74,7 @@ impl FormatError {
     }
 }
 
-/// A file, and behind its bytes those of its companion where it has one.
+/// A file followed by the bytes of its companion, if it has one.
 pub struct Joined {
     file: File,
     length: u64,
@@ -136,23 +136,23 @@ pub struct Source<F> {
     file: F,
     /// Length of the file itself.
     length: u64,
-    /// The same with its companion.
+    /// Length of the file and its companion.
     total: u64,
     extension: String,
 }
 
-/// A file as a reader sees it.
+/// A file as a format reader sees it.
 pub trait Input {
     /// Length in bytes.
     fn length(&self) -> u64;
-    /// Where the bytes of its companion lie, if it has one: behind its own.
+    /// Where the bytes of its companion begin and end, if it has one: after its own bytes.
     fn companion(&self) -> Option<Range<u64>>;
-    /// The bytes of a stretch, which must lie within the file, or within its companion.
+    /// Returns `count` bytes from `byte_offset` on. The range must be within the file, or within its companion.
     ///
     /// # Errors
-    /// When it does not, or cannot be read.
+    /// When the range is outside, or cannot be read.
     fn bytes(&mut self, what: &'static str, byte_offset: u64, count: u64) -> Result<Vec<u8>, FormatError>;
-    /// Everything from the start, without the companion.
+    /// Reads everything from the start, without the companion.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -162,28 +162,28 @@ pub trait Input {
 }
 
 impl Source<Joined> {
-    /// Of a file on disk, with its companion if that is beside it.
+    /// Opens a file on disk, with its companion if that is next to it.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// When the file cannot be read.
     pub fn open(path: &Path) -> Result<Self, FormatError> {
         let file = Joined::open(path)?;
         Ok(Self { length: file.length, total: file.total(), file, extension: extension(path) })
     }
 
-    /// Length in bytes, with that of its companion.
+    /// Length in bytes, companion included.
     #[must_use]
     pub fn total(&self) -> usize {
         self.total as usize
     }
 
-    /// The same, whole in memory: in `bytes`, which are empty.
+    /// Loads the whole file into `bytes`, which must be empty.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// When the file cannot be read.
     pub fn load(mut self, mut bytes: Vec<u8>) -> Result<Source<Cursor<Vec<u8>>>, FormatError> {
         self.file.seek(SeekFrom::Start(0))?;
-        // File by file: what is not asked of a file of the system itself is set to zero before it is read.
+        // One file after the other: `read_to_end` on `Joined` would fill the buffer with zeros before each read.
         self.file.file.read_to_end(&mut bytes)?;
         let length = bytes.len() as u64;
         if let Some((companion, _)) = &mut self.file.companion {
@@ -201,19 +201,19 @@ fn extension(path: &Path) -> String {
 }
 
 impl<F: Read + Seek> Source<F> {
-    /// Of bytes that stand for a file of this name, which gives the extension.
+    /// A source of bytes. The extension of `path` gives the format where the content does not.
     ///
     /// # Errors
-    /// When their number cannot be found out.
+    /// When the length of `file` cannot be determined.
     pub fn new(mut file: F, path: &Path) -> Result<Self, FormatError> {
         let length = file.seek(SeekFrom::End(0))?;
         Ok(Self { file, length, total: length, extension: extension(path) })
     }
 
-    /// The same with a companion's bytes, from `length` on.
+    /// A source whose bytes from `length` on belong to the companion.
     ///
     /// # Errors
-    /// When the number of bytes cannot be found out.
+    /// When the length of `file` cannot be determined.
     pub fn with_companion(file: F, length: u64, path: &Path) -> Result<Self, FormatError> {
         let whole = Self::new(file, path)?;
         Ok(Self { length: length.min(whole.total), ..whole })
@@ -230,7 +230,7 @@ impl<F: Read + Seek> Source<F> {
         self.bytes("the head", 0, self.length.min(count as u64))
     }
 
-    /// The file itself, and nothing else.
+    /// The file alone.
     pub fn into_inner(self) -> F {
         self.file
     }
@@ -266,15 +266,16 @@ impl<F: Read + Seek> Input for Source<F> {
     }
 }
 
-/// One format. A reader validates every length against the file before it allocates, and never panics on what is in a file.
+/// One format. A reader checks every length against the file before it allocates. It never panics, whatever the file
+/// holds.
 pub trait Reader: Sync {
     /// Name of the format.
     fn format(&self) -> &'static str;
-    /// Extensions of file names, lower case, by which it takes files that do not tell by content.
+    /// Extensions, in lower case, of files that it accepts when their content does not identify a format.
     fn extensions(&self) -> &'static [&'static str];
-    /// Whether a file that begins with these bytes is of this format.
+    /// Whether a file that begins with these bytes has this format.
     fn recognises(&self, head: &[u8]) -> bool;
-    /// The records of a file.
+    /// Returns the records of a file.
     ///
     /// # Errors
     /// When anything in the file contradicts the format.

@@ -1,12 +1,15 @@
-//! Rigol `.bin`: `RG01` (MSO5000, 7000, 8000) and `RG03` (DHO800, DHO1000; 64 bit sizes), in the layout of [`super::keysight_bin`].
+//! Rigol `.bin`: `RG01` (MSO5000, 7000, 8000) and `RG03` (DHO800, DHO1000; 64 bit sizes). The layout is that of
+//! [`super::keysight_bin`].
 //!
-//! Samples are volts already. The manual calls X Origin the time of the first sample, but the files have it with the opposite sign: sample i lies at
-//! -(X Origin) + i * X Increment after the trigger. Both are written as f64, but hold values rounded to f32: at 2.5 MS/s they are 0.1 ns off after
-//! 10 ms. Rigol's waveforms are channels, never segments: their headers have no Time Tag, and all have index 1. What is read and what is refused
-//! is as there.
+//! Samples are volts already. The manual calls X Origin the time of the first sample, but the files give it with the
+//! opposite sign: sample i is at -(X Origin) + i * X Increment after the trigger. Both fields are f64 with values
+//! rounded
+//! to f32: at 2.5 MS/s, times are 0.1 ns off after 10 ms. Rigol's waveforms are channels, never segments: their headers
+//! have
+//! no Time Tag, and all have index 1. What is read and refused is as in [`super::keysight_bin`].
 //!
-//! Source: Rigol, MSO8000 and DHO1000 User Guides, "Binary Header Format". On real files: both versions, normal waveforms of 2 and 4 channels. Peak
-//! detect, averages and logic could only be tested on files built for it.
+//! Source: Rigol, MSO8000 and DHO1000 User Guides, "Binary Header Format". Tested on real files: both versions, normal
+//! waveforms of 2 and 4 channels. Tested only on files that the tests build: peak detect, averages and logic.
 
 use super::keysight_bin::Maker;
 use super::reader::{FormatError, Input, Reader};
@@ -43,7 +46,7 @@ mod tests {
     #[test]
     fn waveforms_are_channels_and_the_origin_has_the_other_sign() {
         for cookie in ["RG01", "RG03"] {
-            // What the 12 bytes behind the label hold is no time.
+            // The 12 bytes after the label do not hold a time.
             let waveform = |label, index| Waveform::new(label, [1.0, 2.0, 3.0]).segment(index, f64::NAN);
             let built =
                 Built::new(cookie, vec![waveform("", 1), waveform("", 2), waveform("CH3", 1), waveform("CH3", 2)]);

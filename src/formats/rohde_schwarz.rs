@@ -1,17 +1,25 @@
-//! Rohde & Schwarz RTO, RTE, RTP: settings in XML (`NAME.bin`), samples in a second file beside it (`NAME.Wfm.bin`).
+//! Rohde & Schwarz RTO, RTE, RTP: settings in XML (`NAME.bin`), samples in a companion file (`NAME.Wfm.bin`).
 //!
-//! The second file: type of the samples and samples of one acquisition and channel (two u32), then acquisition by acquisition, oldest first: its time
-//! stamp (f64, where TimestampState is on), and rows of LeadingSettlingSamples, RecordLength and trailing samples; a row is x (f64, in the XY form
-//! only) and one value of each channel. Everything is little-endian: ByteOrder says MSB first even of files that are not. Source: user manual ("Raw
-//! data", "Export of history"), the vendor's RTxReadBin 2.3, and real files of an RTP.
+//! The companion begins with the type of the samples and the samples of one acquisition and channel (two u32).
+//! Acquisitions
+//! follow, oldest first: a time stamp (f64, where TimestampState is on), then rows of LeadingSettlingSamples,
+//! RecordLength
+//! and trailing samples. A row is x (f64, in the XY form only) and one value of each channel. Everything is
+//! little-endian:
+//! ByteOrder gives MSB first even for files that are not. Source: user manual ("Raw data", "Export of history"), the
+//! vendor's RTxReadBin 2.3, and real files of an RTP.
 //!
-//! Raw codes: volts = VerticalScale * VerticalDivisionCount / NofQuantisationLevels * code + VerticalOffset - VerticalPosition * VerticalScale;
-//! floats are volts. Sample i lies at XStart + i * (XStop - XStart) / RecordLength after the trigger; in the XY form from its own first x on, which
-//! has the trigger's sub-sample part. The other forms have none that could be applied (TOADone and ISO_TRG in the head are not documented): export XY
-//! where picoseconds count.
+//! Raw codes: volts = VerticalScale * VerticalDivisionCount / NofQuantisationLevels * code + VerticalOffset -
+//! VerticalPosition * VerticalScale; floats are volts. Sample i is at XStart + i * (XStop - XStart) / RecordLength
+//! after the
+//! trigger. In the XY form it counts from the record's own first x, which includes the sub-sample part of the trigger
+//! time.
+//! The other forms give no usable sub-sample part (TOADone and ISO_TRG are not documented): export XY for picoseconds.
 //!
-//! An envelope has two records a channel, minima before maxima. Not read: logic channels (the packing of their bits is not documented), 24 and 32 bit
-//! codes, firmware before 2.0. Tested on files that we built ourselves only: raw codes, histories, envelopes, spectra.
+//! An envelope has two records for each channel, minima before maxima. Not read: logic channels (the packing of their
+//! bits
+//! is not documented), 24 and 32 bit codes, firmware before 2.0. Tested only on files that the tests build: raw codes,
+//! histories, envelopes, spectra.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -31,10 +39,10 @@ pub struct RohdeSchwarz;
 /// Bytes before the samples: two u32.
 const PAYLOAD_HEAD: u64 = 8;
 
-/// The x of a sample may lie this part of a step off its even place.
+/// Largest deviation of a sample's x from the even grid, in steps.
 const UNEVEN: f64 = 0.25;
 
-/// More memory than a record without its samples takes.
+/// Upper limit of the memory that a record takes without its samples, in bytes.
 const RECORD_BYTES: u64 = 192;
 
 impl Reader for RohdeSchwarz {
@@ -109,9 +117,9 @@ fn heads(settings: &Settings, layout: &Layout, axis: &Axis) -> Result<Vec<Arc<He
     Ok(heads)
 }
 
-/// How x comes about.
+/// The x axis.
 struct Axis {
-    /// Other than the traces' own: a spectrum.
+    /// Kind of the records, if the axis changes it: a spectrum.
     kind: Option<Kind>,
     /// First x: seconds, or hertz.
     start: f64,
@@ -154,11 +162,11 @@ impl Axis {
     }
 }
 
-/// Where which samples lie.
+/// Where each acquisition, row and value is in the companion.
 struct Layout {
     code_type: CodeType,
     kind: Kind,
-    /// Records a channel: 2 with minima and maxima.
+    /// Records of each channel: 2 for minima and maxima.
     traces: usize,
     /// Bytes of x in a row.
     x_bytes: u64,
@@ -238,7 +246,7 @@ impl Layout {
         })
     }
 
-    /// Where the samples of each acquisition begin, and when they were taken.
+    /// Where the samples of each acquisition begin, and when it was triggered.
     fn acquisitions(&self, input: &mut dyn Input, axis: &Axis) -> Result<Vec<Acquisition>, FormatError> {
         let mut acquisitions = Vec::with_capacity(self.acquisition_count as usize);
         let mut first_stamp = None;
@@ -260,7 +268,7 @@ impl Layout {
         Ok(acquisitions)
     }
 
-    /// The first x of an acquisition that has them; all must be even.
+    /// The first x of an acquisition in the XY form. Refuses an uneven axis.
     fn first_x(&self, input: &mut dyn Input, axis: &Axis, first_row: u64) -> Result<f64, FormatError> {
         let first = f64_at(input, "the x of the first sample", first_row)?;
         if !first.is_finite() || (first - axis.start).abs() > axis.dt {

@@ -1,11 +1,17 @@
-//! sigrok session files `.sr` (PulseView): a zip file with `version` 2, the INI file `metadata`, and the samples in chunks.
+//! sigrok session files `.sr` (PulseView): a zip file of `version` 2, the INI file `metadata`, and the samples in
+//! chunks.
 //!
-//! value = code as it is (floating numbers of 32 bits, little-endian), sample i of a channel at i / samplerate after the first. The file says neither
-//! the unit nor where the trigger was: `unit` and `t0_s` are `None`. Channels are named by `analog<number>=<name>` in section `[device 1]`, their
-//! samples are the members `analog-1-<number>-<chunk>`, chunks counted from 1: 10 comes after 9. Source: sigrok wiki, "File format:Sigrok/v2".
+//! value = the code itself (32 bit floats, little-endian); sample i of a channel is i / samplerate after the first. The
+//! file gives no unit and no trigger position: `unit` and `t0_s` are `None`. Section `[device 1]` names the channels as
+//! `analog<number>=<name>`. Their samples are the members `analog-1-<number>-<chunk>`, with chunks counted from 1: 10
+//! comes
+//! after 9. Source: sigrok wiki, "File format:Sigrok/v2".
 //!
-//! Not read: logic levels (`logic-1-<chunk>`), which are left out beside analog channels and refused by name where they are alone; version 1, which
-//! has no analog channels. Tested on real files, several chunks and stored members on files we built.
+//! Not read: logic levels (`logic-1-<chunk>`), which are omitted next to analog channels and refused by name where they
+//! are
+//! alone; version 1, which has no analog channels. Tested on real files; several chunks and stored members only on
+//! files
+//! that the tests build.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -43,7 +49,7 @@ impl Reader for SigrokSr {
         }
         let (at, metadata) = text(input, &members, "metadata")?;
         let device = Device::read(&metadata).map_err(|problem| field(at, problem))?;
-        // Sorted by numbers: the order in the file is that of the names as text, or none.
+        // Sorted by number: in the file they are in alphabetical order, or in none.
         let mut chunks: Vec<(u32, u32, &Member)> = members.iter().filter_map(chunk).collect();
         chunks.sort_unstable_by_key(|&(channel, number, _)| (channel, number));
         if chunks.is_empty() && members.iter().any(|member| member.name.starts_with("logic-1")) {
@@ -76,7 +82,7 @@ fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset, problem: problem.into() }
 }
 
-/// A member that is a text, and where it is.
+/// Where a text member begins, and its text.
 fn text(input: &mut dyn Input, members: &[Member], name: &str) -> Result<(u64, String), FormatError> {
     let Some(member) = members.iter().find(|member| member.name == name) else {
         return Err(field(0, format!("the zip file has no member {name:?}: it is no session of sigrok")));
@@ -95,11 +101,11 @@ fn chunk(member: &Member) -> Option<(u32, u32, &Member)> {
     Some((channel.parse().ok()?, number.parse().ok()?, member))
 }
 
-/// What the metadata say of the device.
+/// The device, as the metadata describe it.
 #[derive(Debug, PartialEq)]
 struct Device {
     rate_hz: f64,
-    /// Number and name of the analog channels, in their order.
+    /// Number and name of the analog channels, in the order of the metadata.
     channels: Vec<(u32, String)>,
     /// Their numbers, to look them up.
     numbers: BTreeSet<u32>,
@@ -136,7 +142,7 @@ impl Device {
     }
 }
 
-/// A rate as `50 MHz`; powers of ten are added to the text, so that the number is rounded once.
+/// Parses a rate like `50 MHz`. It appends the power of ten to the text, so that the number is rounded only once.
 fn hertz(text: &str) -> Option<f64> {
     let number = text.trim_end_matches(|letter: char| letter.is_ascii_alphabetic() || letter == ' ');
     let power = match text[number.len()..].trim_start() {

@@ -1,7 +1,10 @@
-//! Tektronix .isf: a head of `KEY value;` pairs in long or short spelling, then `:CURVE #`, the length of the block, and the codes.
+//! Tektronix .isf: a header of `KEY value;` pairs in long or short spelling, then `:CURVE #`, the block's length, and
+//! codes.
 //!
-//! volts = YMULT * (code - YOFF) + YZERO, sample i at XZERO + (i - PT_OFF) * XINCR after the trigger. The file has no date. Records of minima and
-//! maxima (peak detect, envelope: PT_FMT ENV) and of spectra (over other than seconds) are named as what they are.
+//! volts = YMULT * (code - YOFF) + YZERO; sample i is at XZERO + (i - PT_OFF) * XINCR after the trigger. The file has
+//! no
+//! date. Records of minima and maxima (peak detect, envelope: PT_FMT ENV) and of spectra (x axis not in seconds) get
+//! their kind.
 
 use std::sync::Arc;
 
@@ -11,7 +14,7 @@ use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
 /// The reader.
 pub struct TekIsf;
 
-/// Longest head that is read.
+/// Longest header that is read.
 const HEAD_BYTES: u64 = 1 << 16;
 
 impl Reader for TekIsf {
@@ -36,13 +39,13 @@ impl Reader for TekIsf {
         let kind = keys.kind()?;
         let code_type = keys.code_type()?;
         let samples = block / code_type.bytes() as u64;
-        let said = keys.number("NR_P", "NR_PT")?;
-        if samples == 0 || samples * code_type.bytes() as u64 != block || said != samples as f64 {
+        let points = keys.number("NR_P", "NR_PT")?;
+        if samples == 0 || samples * code_type.bytes() as u64 != block || points != samples as f64 {
             let width = code_type.bytes();
             return Err(field(
                 keys.curve,
                 format!(
-                    "NR_PT says {said} points of {width} bytes, the curve has {block} bytes; save the record again"
+                    "NR_PT says {points} points of {width} bytes, the curve has {block} bytes; save the record again"
                 ),
             ));
         }
@@ -62,7 +65,8 @@ impl Reader for TekIsf {
             scale: Some(Scale { gain, offset }),
             header_gain: Some(gain),
             header_offset: Some(code_zero),
-            // In words an 8 bit converter fills the upper byte and a high-resolution one more: only bytes say where the rails are.
+            // In 16 bit words an 8 bit converter fills the upper byte, and high-resolution mode more: only bytes
+            // determine the rails.
             rails: (code_type == CodeType::I8 || code_type == CodeType::U8).then(|| code_type.limits()).flatten(),
             ..Head::new(self.format(), code_type, samples as usize)
         };
@@ -76,7 +80,7 @@ fn field(byte_offset: usize, problem: String) -> FormatError {
     FormatError::Field { byte_offset: byte_offset as u64, problem }
 }
 
-/// The head: keys in upper case with their values, without quotes.
+/// The header: keys in upper case with their values, without quotes.
 struct Keys {
     entries: Vec<(String, String)>,
     /// Where `CURVE` begins.
@@ -157,7 +161,8 @@ fn entry(bytes: &[u8]) -> Option<(String, String)> {
     Some((key, value.trim().trim_matches('"').to_owned()))
 }
 
-/// Where the codes begin, and how many bytes they are: `#`, one digit, so many digits of length.
+/// Where the codes begin, and how many bytes they are. The block starts with `#`, one digit, and as many digits of
+/// length.
 fn curve(bytes: &[u8], at: usize) -> Result<(u64, u64), FormatError> {
     let refuse =
         || field(at, ":CURVE is not followed by # and the length of its block; save the record again".to_owned());

@@ -1,18 +1,24 @@
 //! Tektronix `.wfm`: `WFM#001`, `WFM#002` and `WFM#003`, either byte order, single records and FastFrame.
 //!
-//! volts = scale * code + offset of explicit dimension 1. Sample i of a frame lies at offset + (TT offset + i) * scale of implicit dimension 1 after
-//! the trigger; the TT offset, a fraction of a sample, is each frame's own. Samples are those from the data start to the postcharge start of a
-//! frame's curve; what the instrument keeps around them for interpolation is no part of the record. A frame whose curve object is all zeros has
-//! frame 0's. Codes are 8, 16 or 32 bit integers or floats; 64 bit integers are refused, as no f64 holds them.
+//! volts = scale * code + offset of explicit dimension 1. Sample i of a frame is at offset + (TT offset + i) * scale of
+//! implicit dimension 1 after the trigger; each frame has its own TT offset, a fraction of a sample. The samples are
+//! those
+//! from the data start to the postcharge start of a frame's curve. The instrument keeps further samples around them for
+//! interpolation, which are not part of the record. A frame whose curve object is all zeros uses that of frame 0. Codes
+//! are
+//! 8, 16 or 32 bit integers or floats; 64 bit integers are refused, since an f64 cannot hold them.
 //!
-//! Behind the curves lies the sum of all bytes before it, which is verified, and then, in some files, a `tekmeta!` trailer: it tells digital lines
-//! and I/Q records (in which I and Q alternate). A summary frame is the last one, named as average or envelope. Waveform databases, pixel maps,
-//! histograms and XY records are pictures rather than samples in order of time, and are refused by name. Not read are the curve object's own
-//! checksum and what only concerns the display.
+//! The sum of all bytes follows the curves and is verified. Some files then have a `tekmeta!` trailer, which identifies
+//! digital lines and I/Q records (I and Q alternate). A summary frame is the last one, named average or envelope.
+//! Waveform
+//! databases, pixel maps, histograms and XY records are pictures, not samples in order of time, and are refused by
+//! name.
+//! The curve object's own checksum and display settings are not read.
 //!
-//! Source: Tektronix, Performance Oscilloscope Reference Waveform File Format, 077-0220. On real files: `WFM#003` in little-endian order, single,
-//! FastFrame and digital. All else could only be tested on files built for it: versions 1 and 2, big-endian order, floats, summary frames,
-//! envelopes, spectra, I/Q.
+//! Source: Tektronix, Performance Oscilloscope Reference Waveform File Format, 077-0220. Tested on real files:
+//! `WFM#003` in
+//! little-endian order, single, FastFrame and digital. Tested only on files that the tests build: versions 1 and 2,
+//! big-endian order, floats, summary frames, envelopes, spectra, I/Q.
 
 mod checksum;
 mod encode;
@@ -35,7 +41,7 @@ use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
 /// The reader.
 pub struct TekWfm;
 
-/// Where the blocks of a head begin, which depends on the version.
+/// Where the blocks of a header begin, which depends on the version.
 struct Layout {
     version: u8,
     /// Explicit dimension 1: volts.
@@ -48,11 +54,11 @@ struct Layout {
     update: usize,
     /// Curve object of frame 0.
     curve: usize,
-    /// End of the head.
+    /// End of the header.
     end: usize,
 }
 
-/// Version 2 brought the summary frame (2 bytes at 154), version 3 wider point densities.
+/// Version 2 added the summary frame (2 bytes at 154), version 3 wider point densities.
 const LAYOUTS: [Layout; 3] = [
     Layout { version: 1, explicit: 166, implicit: 478, time_base: 742, update: 766, curve: 790, end: 820 },
     Layout { version: 2, explicit: 168, implicit: 480, time_base: 744, update: 768, curve: 792, end: 822 },
@@ -64,7 +70,7 @@ const UPDATE: usize = 24;
 const CURVE: usize = 30;
 /// Length of the checksum.
 const CHECKSUM: u64 = 8;
-/// Bytes before which the byte count counts none.
+/// Bytes at the start that the byte count does not include.
 const UNCOUNTED: u32 = 15;
 
 impl Reader for TekWfm {
@@ -91,7 +97,7 @@ impl Reader for TekWfm {
     }
 }
 
-/// Where the `WFM#` of a version begins: instruments write a colon before it; without, it is read too.
+/// Where the `WFM#` of a version begins. Instruments write a colon before it; files without a colon are accepted too.
 fn mark(head: &[u8]) -> Option<usize> {
     [2, 3].into_iter().find(|&at| head.get(at..at + 4) == Some(b"WFM#"))
 }
@@ -100,7 +106,7 @@ fn field(byte_offset: usize, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset: byte_offset as u64, problem: problem.into() }
 }
 
-/// The head, and where its fields are.
+/// The header, and where its fields are.
 struct Header {
     numbers: Numbers,
     layout: &'static Layout,
@@ -148,9 +154,10 @@ impl Header {
                 return Err(field(at, format!("{problem}; save the waveform again")));
             }
         };
-        let (said, width) = (self.numbers.bytes[15], code_type.bytes());
-        if usize::from(said) != width {
-            let problem = format!("number of bytes per point = {said}, but a code of {} has {width}", code_type.name());
+        let (header_width, width) = (self.numbers.bytes[15], code_type.bytes());
+        if usize::from(header_width) != width {
+            let problem =
+                format!("number of bytes per point = {header_width}, but a code of {} has {width}", code_type.name());
             return Err(field(15, format!("{problem}; save the waveform again")));
         }
         Ok(code_type)
@@ -168,8 +175,8 @@ impl Header {
 
     fn kind(&self, trailer: &Trailer) -> Result<Kind, FormatError> {
         let refuse = |at, what: String| {
-            let mend = "is no plain record over time; save the channel as a waveform";
-            Err(field(at, format!("{what} {mend}")))
+            let advice = "is no plain record over time; save the channel as a waveform";
+            Err(field(at, format!("{what} {advice}")))
         };
         for (at, name) in [(114, "implicit"), (118, "explicit")] {
             let count = self.numbers.u32(at);
@@ -226,7 +233,8 @@ impl Header {
         })
     }
 
-    /// A converter of 8 bits ends where its codes do. Where the ends of others are the head says, though most instruments leave that at zero.
+    /// Lowest and highest code. For 8 bit converters they are those of the type; for others the header gives them,
+    /// though most instruments leave zero there.
     fn rails(&self, code_type: CodeType) -> Option<(f64, f64)> {
         let (high, low) = (self.layout.explicit + 92, self.layout.explicit + 96);
         match code_type {
@@ -261,7 +269,7 @@ impl Header {
                 head: Arc::clone(summary.unwrap_or(&head)),
                 segment: several.then_some(i as u32),
                 t0_s: Some(frame.t0_s),
-                // Seconds and fractions apart: no f64 holds the picoseconds of a date.
+                // Seconds and fractions are subtracted separately: an f64 cannot hold the picoseconds of a date.
                 trigger_s: stamped
                     .then(|| f64::from(frame.trigger.0) - f64::from(first_s.0) + (frame.trigger.1 - first_s.1)),
                 payload: Payload::File { byte_offset: frame.byte_offset, stride, big_endian: self.numbers.big_endian },

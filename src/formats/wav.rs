@@ -1,11 +1,13 @@
-//! RIFF/WAVE: integer PCM of 8 (unsigned), 16, 24 and 32 bits, floating numbers of 32 and 64 bits, any number of interleaved channels.
+//! RIFF/WAVE: integer PCM of 8 (unsigned), 16, 24 and 32 bits, floats of 32 and 64 bits, any number of channels.
 //!
-//! value = code / 2^(bits - 1), for 8 bits (code - 128) / 128: a fraction of full scale, since the file has neither volts nor a trigger (`t0_s` is
-//! `None`); sample i of a channel is i / nSamplesPerSec after the first. Codes narrower than their container are left-justified, as the standard says
-//! (Multimedia Programming Interface and Data Specifications 1.0; WAVEFORMATEXTENSIBLE), so that the container gives the scale.
+//! value = code / 2^(bits - 1), for 8 bits (code - 128) / 128. This is a fraction of full scale, since the file has no
+//! volts and no trigger (`t0_s` is `None`). Sample i of a channel is i / nSamplesPerSec after the first. Codes narrower
+//! than their container are left-justified, so that the container gives the scale (Multimedia Programming Interface and
+//! Data Specifications 1.0; WAVEFORMATEXTENSIBLE).
 //!
-//! Not read, and refused by name: RF64, BW64 and W64 (beyond 4 GiB), RIFX (big-endian), compressed samples. Only 8 bit mono was tested on a real
-//! file, the rest on files we built.
+//! Refused by name: RF64, BW64 and W64 (beyond 4 GiB), RIFX (big-endian), compressed samples. Only 8 bit mono was
+//! tested
+//! on a real file, the rest on files that the tests build.
 
 use std::io::{self, SeekFrom};
 use std::ops::ControlFlow;
@@ -17,9 +19,9 @@ use crate::waveform::{CodeType, Head, Payload, ReadSeek, Record, Scale, Unpack};
 /// The reader.
 pub struct Wav;
 
-/// Samples of 24 bits that are in memory at a time.
+/// 24 bit samples that are in memory at a time.
 const PIECE_SAMPLES: usize = 1 << 14;
-/// More channels are no recording but a broken head.
+/// Most channels that are accepted: a larger number means a broken header.
 const MAX_CHANNELS: u16 = 1024;
 
 impl Reader for Wav {
@@ -64,7 +66,7 @@ fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset, problem: problem.into() }
 }
 
-/// The format, where the samples begin, and how many bytes they are.
+/// Returns the format, where the samples begin, and their length in bytes.
 fn chunks(input: &mut dyn Input) -> Result<(Format, u64, u64), FormatError> {
     let mut format = None;
     let mut at = 12;
@@ -98,20 +100,20 @@ fn chunks(input: &mut dyn Input) -> Result<(Format, u64, u64), FormatError> {
             }
             _ => {}
         }
-        // Chunks of odd length are followed by a byte that belongs to none.
+        // A padding byte follows each chunk of odd length.
         at = start + bytes + bytes % 2;
     }
 }
 
-/// How a code lies in the file.
+/// How the file stores a code.
 #[derive(Clone, Copy)]
 enum Code {
     Plain(CodeType),
-    /// Three bytes, handed on as `i32`.
+    /// Three bytes, passed on as `i32`.
     I24,
 }
 
-/// What the fmt chunk says.
+/// The fields of the fmt chunk.
 struct Format {
     code: Code,
     channels: u16,
@@ -120,7 +122,7 @@ struct Format {
     width: u64,
     /// Bytes of one code of every channel: nBlockAlign.
     block: u64,
-    /// Bits of a code that carry something.
+    /// Significant bits of a code.
     bits: u16,
 }
 
@@ -130,7 +132,8 @@ impl Format {
         let u16_at = |i: usize| chunk.get(i..i + 2).map_or(0, |two| u16::from_le_bytes([two[0], two[1]]));
         let (channels, block, bits) = (u16_at(2), u16_at(12), u16_at(14));
         let rate_hz = u32::from_le_bytes(chunk[4..8].try_into().expect("four bytes"));
-        // WAVEFORMATEXTENSIBLE has the format in the first two bytes of SubFormat, and the bits that count apart.
+        // WAVEFORMATEXTENSIBLE has the format in the first two bytes of SubFormat, and the significant bits in a field
+        // of its own.
         let (tag, valid) = match (u16_at(0), u16_at(18)) {
             (0xFFFE, valid) if bytes >= 40 => (u16_at(24), if valid == 0 { bits } else { valid }),
             (tag, _) => (tag, bits),
@@ -191,7 +194,7 @@ impl Format {
     }
 }
 
-/// Codes of three bytes.
+/// Three-byte codes.
 #[derive(Debug)]
 struct Triples {
     byte_offset: u64,

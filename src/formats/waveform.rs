@@ -1,26 +1,27 @@
-//! What one record of an oscilloscope is, whatever the vendor: codes, and what makes volts and seconds of them.
+//! One record of an oscilloscope, whatever the vendor: raw codes, and how they become volts and seconds.
 //!
-//! volts = gain * code + offset, sample i at `t0_s + i * dt_s` after the trigger. The sub-sample part of the trigger time is in `t0_s`: leaving it
-//! out costs up to one sample.
+//! volts = gain * code + offset; sample `i` is at `t0_s + i * dt_s` after the trigger. `t0_s` includes the sub-sample
+//! part
+//! of the trigger time: without it, times are off by up to one sample.
 
 use std::fmt::Debug;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
 
-/// Bytes of a file that are in memory at a time while its codes are handed on.
+/// Bytes of a file that are in memory at a time while its codes are passed on.
 const PIECE_BYTES: usize = 1 << 17;
 
-/// What a record is: only some records can be timed.
+/// What a record holds. Only some kinds can be timed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// One voltage after the other.
+    /// One voltage after another.
     Waveform,
-    /// The same, averaged over triggers by the instrument.
+    /// One voltage after another, averaged over triggers by the instrument.
     Average,
-    /// Photons counted in each bin of time.
+    /// Photons counted in each time bin.
     Counts,
-    /// Extremes of what lay between samples: envelope, peak detect.
+    /// Extremes between samples: envelope, peak detect.
     Envelope,
     /// Logic levels.
     Digital,
@@ -45,7 +46,7 @@ impl Kind {
         }
     }
 
-    /// Whether times of arrival can be taken from it.
+    /// Whether arrival times can be measured in it.
     #[must_use]
     pub const fn is_timed(self) -> bool {
         matches!(self, Self::Waveform | Self::Average | Self::Counts)
@@ -74,7 +75,7 @@ pub enum CodeType {
 }
 
 impl CodeType {
-    /// All of them.
+    /// All types.
     pub const ALL: [Self; 8] = [Self::I8, Self::U8, Self::I16, Self::U16, Self::I32, Self::U32, Self::F32, Self::F64];
 
     /// Name, as in the tables.
@@ -92,7 +93,7 @@ impl CodeType {
         }
     }
 
-    /// The type of this name.
+    /// Returns the type of this name.
     #[must_use]
     pub fn parse(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|code_type| code_type.name() == name)
@@ -128,13 +129,13 @@ impl CodeType {
         codes.chunks_exact_mut(self.bytes()).for_each(<[u8]>::reverse);
     }
 
-    /// Codes as numbers, from little-endian bytes.
+    /// Decodes little-endian bytes into numbers.
     #[must_use]
     pub fn decode(self, codes: &[u8]) -> Vec<f64> {
         self.decode_as(codes, |code| code)
     }
 
-    /// What `value` makes of each code: one pass, since memory is what it waits for.
+    /// Applies `value` to each code as it is decoded: one pass, since memory bandwidth limits the speed.
     fn decode_as(self, codes: &[u8], value: impl Fn(f64) -> f64) -> Vec<f64> {
         macro_rules! numbers {
             ($number:ty) => {
@@ -169,14 +170,14 @@ pub struct Scale {
     pub offset: f64,
 }
 
-/// What all segments of a channel share.
+/// What all segments of a channel have in common.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Head {
     /// Format of the file.
     pub format: &'static str,
-    /// What its records are.
+    /// What its records hold.
     pub kind: Kind,
-    /// Instrument, as the file has it.
+    /// Instrument, as the file names it.
     pub instrument: Option<String>,
     /// Channel.
     pub channel: Option<String>,
@@ -186,26 +187,26 @@ pub struct Head {
     pub code_type: CodeType,
     /// Samples of one segment.
     pub samples: usize,
-    /// Time between samples, as the file has it. (Of a spectrum: hertz between them.)
+    /// Time between samples, as the file gives it. (For a spectrum: hertz between them.)
     pub dt_s: Option<f64>,
-    /// Whether the time of sample 0 is known to within some samples only: what the head gives is where the trigger should be.
+    /// Whether the time of sample 0 is uncertain by some samples: the header gives only the nominal trigger position.
     pub t0_nominal: bool,
-    /// What makes a value of a code.
+    /// Converts a code to a value.
     pub scale: Option<Scale>,
-    /// Gain as the header has it.
+    /// Gain, as the header gives it.
     pub header_gain: Option<f64>,
-    /// Offset as the header has it; its sign is the vendor's.
+    /// Offset, as the header gives it; its sign is the vendor's.
     pub header_offset: Option<f64>,
     /// Lowest and highest code of the converter.
     pub rails: Option<(f64, f64)>,
-    /// Time of the acquisition in ISO 8601, zone of the instrument.
+    /// Time of the acquisition in ISO 8601, in the time zone of the instrument.
     pub acquired_at: Option<String>,
-    /// Leading axes of an array, without the samples' own; empty otherwise.
+    /// Leading axes of an array, without the axis of the samples; empty otherwise.
     pub shape: Vec<usize>,
 }
 
 impl Head {
-    /// A waveform of which nothing else is known.
+    /// A waveform without any optional field.
     #[must_use]
     pub fn new(format: &'static str, code_type: CodeType, samples: usize) -> Self {
         Self {
@@ -228,16 +229,16 @@ impl Head {
     }
 }
 
-/// A file as records are read from it.
+/// A file that records are read from.
 pub trait ReadSeek: Read + Seek {}
 impl<T: Read + Seek> ReadSeek for T {}
 
-/// Codes that lie packed in their file (compressed, in chunks, in a wider record), unpacked anew whenever they are read.
+/// Codes that are packed in their file (compressed, in chunks, in a wider record). Each read unpacks them anew.
 pub trait Unpack: Debug + Send + Sync {
-    /// Hands on all codes in order, little-endian, in pieces of whole codes, until `take` breaks off.
+    /// Passes on all codes in order, little-endian, in pieces of whole codes, until `take` breaks.
     ///
     /// # Errors
-    /// When the file cannot be read, or holds other than what its head said.
+    /// When the file cannot be read, or when its content contradicts its header.
     fn unpack(
         &self,
         file: &mut dyn ReadSeek,
@@ -248,13 +249,13 @@ pub trait Unpack: Debug + Send + Sync {
 /// Where the codes of a record are.
 #[derive(Clone, Debug)]
 pub enum Payload {
-    /// In the file, as they are.
+    /// In the file, unpacked.
     File {
-        /// From this byte.
+        /// Where the first code begins.
         byte_offset: u64,
-        /// Bytes from a code to the next; more than a code has where channels are interleaved.
+        /// Bytes from one code to the next: more than one code where channels are interleaved.
         stride: u64,
-        /// Whether they are big-endian.
+        /// Whether the codes are big-endian.
         big_endian: bool,
     },
     /// In the file, packed.
@@ -266,26 +267,26 @@ pub enum Payload {
 /// One waveform: one segment of one channel.
 #[derive(Clone, Debug)]
 pub struct Record {
-    /// What it shares with the other segments.
+    /// What it has in common with the other segments.
     pub head: Arc<Head>,
-    /// Its segment, where the file holds several.
+    /// Number of the segment, where the file holds several.
     pub segment: Option<u32>,
     /// Time of sample 0 relative to the trigger, sub-sample part included.
     pub t0_s: Option<f64>,
-    /// Time of its trigger since that of the first segment.
+    /// Time of its trigger after the trigger of the first segment.
     pub trigger_s: Option<f64>,
     /// Its codes.
     pub payload: Payload,
 }
 
 impl Record {
-    /// Bytes that its codes take.
+    /// Bytes of all its codes.
     #[must_use]
     pub fn code_bytes(&self) -> usize {
         self.head.samples * self.head.code_type.bytes()
     }
 
-    /// Where its codes begin, if they lie in the file one behind the other.
+    /// Where its codes begin and whether they are big-endian, if the file holds them one after another.
     #[must_use]
     pub fn contiguous(&self) -> Option<(u64, bool)> {
         match self.payload {
@@ -296,13 +297,14 @@ impl Record {
         }
     }
 
-    /// Hands on the codes of some samples, little-endian, in pieces of whole codes: a record may be larger than memory.
+    /// Passes on the codes of some samples, little-endian, in pieces of whole codes: a record may be larger than
+    /// memory.
     ///
     /// # Errors
-    /// When the file that it came from cannot be read.
+    /// When the file cannot be read.
     ///
     /// # Panics
-    /// When the samples are not among those of the record.
+    /// When the record does not have these samples.
     pub fn visit(&self, file: &mut dyn ReadSeek, samples: Range<usize>, take: &mut dyn FnMut(&[u8])) -> io::Result<()> {
         assert!(samples.start <= samples.end && samples.end <= self.head.samples, "samples of another record");
         let width = self.head.code_type.bytes();
@@ -345,20 +347,20 @@ impl Record {
         Ok(())
     }
 
-    /// The codes of some samples, little-endian.
+    /// Returns the codes of some samples, little-endian.
     ///
     /// # Errors
-    /// When the file that it came from cannot be read.
+    /// When the file cannot be read.
     ///
     /// # Panics
-    /// When the samples are not among those of the record.
+    /// When the record does not have these samples.
     pub fn read(&self, file: &mut dyn ReadSeek, samples: Range<usize>) -> io::Result<Vec<u8>> {
         let mut codes = Vec::with_capacity(samples.len() * self.head.code_type.bytes());
         self.visit(file, samples, &mut |piece| codes.extend_from_slice(piece))?;
         Ok(codes)
     }
 
-    /// Scaled values of codes; the codes themselves where the file has no scale.
+    /// Scaled values of codes, or the codes themselves where the file has no scale.
     #[must_use]
     pub fn values(&self, codes: &[u8]) -> Vec<f64> {
         match self.head.scale {

@@ -1,7 +1,9 @@
-//! What the formats that are zip files have in common: the members, and how they are unpacked.
+//! Zip files, for the formats that are built on them: their members, and how to unpack these.
 //!
-//! Lengths and checksums are taken from the central directory (APPNOTE 4.3.12): writers that stream leave zeros in the local heads, and NumPy writes
-//! Zip64 fields there even for small members. Members of 4 GiB and more (Zip64), encrypted ones and other methods than deflate are refused by name.
+//! Lengths and checksums come from the central directory (APPNOTE 4.3.12). Local headers are unreliable: writers that
+//! stream leave zeros there, and NumPy writes Zip64 fields even for small members. Three kinds of members are refused
+//! by
+//! name: those of 4 GiB and more (Zip64), encrypted ones, and those packed by a method other than deflate.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -10,7 +12,7 @@ use super::inflate::{self, Packing, Unpacker, broken};
 use super::reader::{FormatError, Input};
 use crate::waveform::ReadSeek;
 
-/// The mark of a local head, with which a zip file begins.
+/// The mark of a local header, with which a zip file begins.
 pub(super) const MARK: &[u8] = b"PK\x03\x04";
 
 const END_MARK: &[u8] = b"PK\x05\x06";
@@ -18,7 +20,7 @@ const END: usize = 22;
 const ENTRY_MARK: &[u8] = b"PK\x01\x02";
 const ENTRY: usize = 46;
 const LOCAL: u64 = 30;
-/// Samples that are in memory at a time.
+/// Bytes of samples that are in memory at a time.
 const PIECE_BYTES: usize = 1 << 16;
 
 /// One member.
@@ -26,13 +28,13 @@ const PIECE_BYTES: usize = 1 << 16;
 pub(super) struct Member {
     /// Name.
     pub name: String,
-    /// Where its bytes begin.
+    /// Where its packed bytes begin.
     pub byte_offset: u64,
-    /// How many they are in the file.
+    /// Length of the packed bytes.
     pub packed: u64,
-    /// How many they are.
+    /// Length of the unpacked bytes.
     pub length: u64,
-    /// How they are packed.
+    /// How it is packed.
     pub packing: Packing,
     crc: u32,
 }
@@ -81,7 +83,7 @@ fn u32_at(bytes: &[u8], at: usize) -> u32 {
 /// How many members the central directory has, where it begins, and its bytes.
 fn directory(input: &mut dyn Input) -> Result<(usize, u64, u64), FormatError> {
     let length = input.length();
-    // Behind the end record there may be a comment of up to 64 KiB, and nothing else.
+    // A comment of up to 64 KiB may follow the end record, and nothing else.
     let tail_bytes = length.min((END + usize::from(u16::MAX)) as u64);
     let tail = input.bytes("the end of the zip file", length - tail_bytes, tail_bytes)?;
     let is_end =
@@ -110,7 +112,7 @@ fn directory(input: &mut dyn Input) -> Result<(usize, u64, u64), FormatError> {
     Ok((usize::from(count), start, bytes))
 }
 
-/// The member at `at` in the directory, where its local head is, and where the next entry begins.
+/// Reads the directory entry at `at`: the member, where its local header is, and where the next entry begins.
 fn entry(directory: &[u8], at: usize, place: u64) -> Result<(Member, u64, usize), FormatError> {
     let lost = || field(place, "an entry of the central directory is damaged; copy the file again");
     let head = directory.get(at..at + ENTRY).filter(|head| head.starts_with(ENTRY_MARK)).ok_or_else(lost)?;
@@ -144,7 +146,7 @@ fn entry(directory: &[u8], at: usize, place: u64) -> Result<(Member, u64, usize)
     Ok((member, u64::from(local), next))
 }
 
-/// The member with the place of its bytes, which its local head gives; they must lie before the directory.
+/// Adds where the bytes of a member begin, from its local header. They must lie before the directory.
 fn located(
     input: &mut dyn Input,
     member: Member,
@@ -167,12 +169,12 @@ fn located(
 }
 
 impl Member {
-    /// A member that is being unpacked from its beginning.
+    /// Starts to unpack the member from its beginning.
     pub fn unpacker(&self) -> Unpacker {
         Unpacker::new(self.packing, self.byte_offset, self.packed)
     }
 
-    /// The first bytes, up to `count`.
+    /// Returns the first bytes, up to `count`.
     pub fn start(&self, file: &mut dyn ReadSeek, count: u64) -> io::Result<Vec<u8>> {
         let mut bytes = vec![0; self.length.min(count) as usize];
         let filled = self.unpacker().read(file, &mut bytes)?;
@@ -180,7 +182,8 @@ impl Member {
         Ok(bytes)
     }
 
-    /// Hands on the next `count` bytes in pieces, whole multiples of eight but for the last; checks the whole when its end is reached.
+    /// Passes on the next `count` bytes in pieces of whole multiples of eight, except the last. At the end it checks
+    /// the whole.
     pub fn unpack(
         &self,
         unpacker: &mut Unpacker,
@@ -209,7 +212,7 @@ impl Member {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// At the end of the member: that it is the end, and that its bytes are those that were packed.
+    /// Checks at the end of the member that nothing follows, and that its checksum is right.
     fn check(&self, unpacker: &mut Unpacker, file: &mut dyn ReadSeek) -> io::Result<()> {
         let crc = unpacker.crc();
         if unpacker.read(file, &mut [0])? != 0 {

@@ -1,11 +1,11 @@
-//! When a simulated file was acquired.
+//! Acquisition times of simulated files.
 
 use crate::formats::lecroy_trc::Acquired;
 
-/// Lengths of the months of a year that is no leap year.
+/// Lengths of the months of a common year.
 const MONTHS: [u32; 12] = [31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
 
-/// So many seconds after the first midnight of 2026 (in a calendar without leap years).
+/// The date `seconds` after midnight of 1 January 2026 (in a calendar without leap years).
 pub fn acquired(seconds: f64) -> Acquired {
     let mut day = (seconds / 86_400.0).floor() as u32;
     let of_day = seconds - f64::from(day) * 86_400.0;
@@ -27,9 +27,9 @@ pub fn acquired(seconds: f64) -> Acquired {
     }
 }
 
-/// The same as seconds since 1970, whole and fraction.
+/// The same in seconds since 1970: whole seconds, and fraction.
 pub fn unix(seconds: f64) -> (i64, f64) {
-    /// The first midnight of 2026.
+    /// Midnight of 1 January 2026.
     const START: i64 = 1_767_225_600;
     (START + seconds.floor() as i64, seconds - seconds.floor())
 }

@@ -1,8 +1,12 @@
-//! From light to volts: what a joule on the detector gives, and what noise comes with it.
+//! From light to volts: the signal of a joule on the detector, and its noise.
 //!
-//! A pulse of energy E on a detector of responsivity R makes the charge `E R`; through a load Z it is a voltage pulse of the response's shape h
-//! (maximum 1, area a) and height `E R Z / a`. Each electron does the same for itself, so that the variance at a time is the sum of
-//! `q E R (Z h / a)^2` over arrivals (Campbell's theorem): shot noise. Ambient light and dark current add the same without end.
+//! A pulse of energy E on a detector of responsivity R makes the charge `E R`. Through a load Z it becomes a voltage
+//! pulse
+//! with the response's shape h (maximum 1, area a) and height `E R Z / a`. Each electron makes such a pulse, so that
+//! the
+//! variance at a time is the sum of `q E R (Z h / a)^2` over arrivals (Campbell's theorem): shot noise. Ambient light
+//! and
+//! dark current add a constant amount.
 
 use super::keys::{Instrument, Range};
 use super::pulse::Pulse;
@@ -17,13 +21,13 @@ const S_PER_PS: f64 = 1e-12;
 /// One setting of the oscilloscope.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
-    /// Its name; `None` where the instrument has but one.
+    /// Its name; `None` where the instrument has only one.
     pub name: Option<String>,
-    /// Range of the converter.
+    /// Full-scale range of the converter.
     pub full_scale_v: f64,
-    /// Noise of one sample of one shot in the dark, ambient light and dark current included.
+    /// Noise of one sample of one shot without signal; includes ambient light and dark current.
     pub noise_v: f64,
-    /// What it adds to the latency.
+    /// Its contribution to the latency.
     pub latency_ps: f64,
     bits: u16,
 }
@@ -34,7 +38,7 @@ impl Setting {
         self.full_scale_v / f64::from(1_u32 << self.bits)
     }
 
-    /// Volts at code 0: the baseline stands a fifth of the range above the lower rail.
+    /// Volts at code 0. The baseline is a fifth of the range above the lower rail.
     pub fn offset_v(&self) -> f64 {
         0.3 * self.full_scale_v
     }
@@ -45,12 +49,12 @@ impl Setting {
         (self.gain_v() / step, self.offset_v())
     }
 
-    /// Highest voltage that it records.
+    /// Highest voltage that it can record.
     pub fn top_v(&self) -> f64 {
         0.8 * self.full_scale_v - self.gain_v()
     }
 
-    /// Noise of one sample with the converter's rounding.
+    /// Noise of one sample, the converter's rounding included.
     pub fn recorded_noise_v(&self) -> f64 {
         self.noise_v.hypot(self.gain_v() / 12_f64.sqrt())
     }
@@ -59,11 +63,13 @@ impl Setting {
 /// The recording chain of a scene.
 #[derive(Clone, Debug)]
 pub struct Chain {
-    /// Impulse response, echo and tail included.
+    /// Impulse response with echo and tail.
     pub pulse: Pulse,
-    /// Height of the response to one joule; `None` where the signal-to-noise ratio is set and all signals have one height.
+    /// Height of the response to one joule; `None` where the signal-to-noise ratio is set, so that all signals have one
+    /// height.
     volts_per_j: Option<f64>,
-    /// Variance from shot noise: volts^2 per joule at the response's maximum; it goes with the response's square.
+    /// Variance of shot noise in volts^2 per joule at the response's maximum; it scales with the square of the
+    /// response.
     shot_v2_per_j: f64,
     /// Constant voltage of ambient light and dark current.
     pub background_v: f64,
@@ -73,10 +79,10 @@ pub struct Chain {
 }
 
 impl Chain {
-    /// Share of the range at which every signal stands, when the signal-to-noise ratio is set.
+    /// Height of every signal as a share of the range, if the signal-to-noise ratio is set.
     pub const HEIGHT: f64 = 0.6;
 
-    /// Of a scene's analog sensors.
+    /// The chain of a scene's analog sensors.
     pub fn new(scene: &Scene) -> Self {
         let instrument = &scene.instrument;
         let pulse = Pulse::of(&instrument.response).with(&instrument.flaws);
@@ -116,17 +122,17 @@ impl Chain {
         }
     }
 
-    /// Volts that a unit of strength gives in a capture whose light has this strength in all.
+    /// Volts per unit of strength in a capture with this total strength.
     pub fn volts_per_strength(&self, total: f64) -> f64 {
         self.volts_per_j.unwrap_or_else(|| if total > 0.0 { self.height_v / total } else { 0.0 })
     }
 
-    /// Variance from shot noise at the maximum of the response to a unit of strength.
+    /// Variance of shot noise at the maximum of the response to a unit of strength.
     pub fn shot_v2_per_strength(&self) -> f64 {
         self.shot_v2_per_j
     }
 
-    /// How the reference pulse is recorded: at the same share of a range of its own.
+    /// The setting of the reference channel: the pulse fills the same share of a range of its own.
     pub fn reference_setting(&self, instrument: &Instrument) -> Option<Setting> {
         let reference = instrument.reference?;
         let height_v = reference.height_v.unwrap_or(self.height_v);
@@ -135,25 +141,26 @@ impl Chain {
         Some(Setting { name: None, full_scale_v, noise_v, latency_ps: 0.0, bits: instrument.bits })
     }
 
-    /// Electrons that a joule sets free.
+    /// Electrons that a joule releases.
     pub fn electrons_per_j(instrument: &Instrument) -> f64 {
         instrument.responsivity_a_w.unwrap_or(0.0) / ELECTRON_C
     }
 
-    /// The most sensitive setting that holds a signal of this height over the background, noise included; else the coarsest.
+    /// The most sensitive setting whose range contains a signal of this height over the background, noise included;
+    /// else the coarsest.
     pub fn setting_for(&self, height_v: f64) -> &Setting {
         let holds = |setting: &&Setting| height_v + self.background_v + 6.0 * setting.noise_v < setting.top_v();
         self.settings.iter().find(holds).unwrap_or(&self.settings[self.settings.len() - 1])
     }
 }
 
-/// Detections that a joule makes in a perfect photon counter of the scene's efficiency.
+/// Detections per joule in a perfect photon counter of the scene's efficiency.
 pub fn detections_per_j(scene: &Scene) -> f64 {
     let photons = scene.laser.map_or(0.0, |laser| laser.wavelength_nm * 1e-9 / PHOTON_J_M);
     scene.instrument.counts.map_or(0.0, |counts| counts.efficiency * photons)
 }
 
-/// Detections a bin and cycle without the laser: in the dark, and of ambient light.
+/// Detections per bin and cycle without the laser: dark counts and ambient light.
 pub fn dark_per_bin(scene: &Scene) -> f64 {
     let dark_hz = scene.instrument.counts.map_or(0.0, |counts| counts.dark_hz);
     let ambient_w = scene.optics.map_or(0.0, |optics| optics.ambient_w);

@@ -5,7 +5,7 @@ use super::scene::Scene;
 use crate::campaign::keys::{self, PatchRole, SensorKind};
 use crate::campaign::{Fault, check_setup as check_room};
 
-/// Stations, sensors, patches: as in a campaign.
+/// Checks stations, sensors and patches, as in a campaign.
 pub fn check_setup(scene: &Scene) -> Result<(), Fault> {
     let sensors = scene.sensors.iter().map(|(name, sensor)| {
         (name.clone(), keys::Sensor { station: sensor.station.clone(), ..keys::Sensor::default() })
@@ -22,10 +22,10 @@ pub fn check_setup(scene: &Scene) -> Result<(), Fault> {
     check_room::setup(&scene.stations, &sensors.collect(), &patches.collect(), scene.dimensions)
 }
 
-/// A place in the file and a value there.
+/// A key, and its value.
 type Entry = (String, f64);
 
-/// All else.
+/// Checks everything else.
 pub fn check(scene: &Scene) -> Result<(), String> {
     range("must be above 0", positive(scene), |value| value > 0.0)?;
     range("must not be negative", not_negative(scene), |value| value >= 0.0)?;
@@ -37,13 +37,13 @@ pub fn check(scene: &Scene) -> Result<(), String> {
             return Err(format!("[sensors.{name}]: seen names {number}, which [captures] does not list under `seen`"));
         }
     }
-    let known = &scene.known;
+    let prior = &scene.prior;
     if let Some((strip, exit)) =
-        known.strips.iter().find(|(strip, exit)| [strip, exit].iter().any(|patch| !scene.patches.contains_key(patch)))
+        prior.strips.iter().find(|(strip, exit)| [strip, exit].iter().any(|patch| !scene.patches.contains_key(patch)))
     {
         return Err(format!("[known]: strips: there is no patch {strip} or {exit}; strips are patches of the scene"));
     }
-    if let Some(patch) = known.anchors.iter().chain(&known.rays).find(|patch| !scene.patches.contains_key(patch)) {
+    if let Some(patch) = prior.anchors.iter().chain(&prior.rays).find(|patch| !scene.patches.contains_key(patch)) {
         return Err(format!("[known]: there is no patch {patch}; anchors and rays name patches of the scene"));
     }
     captures(scene)
@@ -115,9 +115,9 @@ fn not_negative(scene: &Scene) -> Vec<Entry> {
         ("[captures]: response_od", captures.response_od),
         ("[captures]: first_bounce_od", captures.first_bounce_od),
         ("[captures]: overhead_s", captures.overhead_s),
-        ("[known]: anchor_sd_m", scene.known.anchor_sd_m),
-        ("[known]: ray_sd_rad", scene.known.ray_sd_rad),
-        ("[known]: station_sd_m", scene.known.station_sd_m),
+        ("[known]: anchor_sd_m", scene.prior.anchor_sd_m),
+        ("[known]: ray_sd_rad", scene.prior.ray_sd_rad),
+        ("[known]: station_sd_m", scene.prior.station_sd_m),
     ];
     entries.extend(scene.laser.map(|laser| ("[laser]: power_sd", laser.power_sd)));
     entries.extend(scene.optics.map(|optics| ("[optics]: ambient_w", optics.ambient_w)));

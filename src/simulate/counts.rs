@@ -1,9 +1,13 @@
 //! The photon counter: histograms of detections over the laser's pulses.
 //!
-//! In each cycle a bin detects with probability `live (1 - exp(-expected))`, where the counter is live unless a detection within its dead time
-//! before (also in earlier cycles, as the laser repeats) has blinded it: early light hides late light (pile-up). The live share follows from the
-//! bins before it; where the laser repeats it is found by iteration. Detections of different cycles are independent, so that the histogram is
-//! drawn bin by bin as a binomial, which neglects only that one cycle cannot count twice within a dead time.
+//! In each cycle a bin detects with probability `live (1 - exp(-expected))`. The counter is live unless a detection
+//! within
+//! the dead time before has blinded it (also from earlier cycles, as the laser repeats): early light hides late light
+//! (pile-up). The live share follows from the earlier bins; for a repeating laser it is computed by iteration.
+//! Detections
+//! of different cycles are independent, so each bin is drawn as a binomial. This neglects only that one cycle cannot
+//! count
+//! twice within a dead time.
 
 use rand::RngExt;
 use rand_distr::{Binomial, Distribution};
@@ -14,10 +18,10 @@ use super::recorder::binned;
 use super::scene::Scene;
 use super::transport::Light;
 
-/// Rounds in which the live share settles.
+/// Most iterations for the live share to converge.
 const ROUNDS: usize = 200;
 
-/// Expected detections a cycle in each bin of a perfect counter.
+/// Expected detections per cycle in each bin of a perfect counter.
 fn expected(scene: &Scene, pulse: &Pulse, light: &Light, factor: f64, latency_ps: f64) -> Vec<f64> {
     let instrument = &scene.instrument;
     let mut bins = vec![dark_per_bin(scene); instrument.samples];
@@ -40,9 +44,9 @@ fn expected(scene: &Scene, pulse: &Pulse, light: &Light, factor: f64, latency_ps
     bins
 }
 
-/// Probability a cycle that each bin counts, with a dead time of so many bins. Where the laser repeats after `period` bins, a detection also blinds
-/// the cycles after its own.
-fn counted(expected: &[f64], dead_bins: usize, period: Option<usize>) -> Vec<f64> {
+/// Probability per cycle that each bin counts, with a dead time of `dead_bins`. If the laser repeats after `period`
+/// bins, a detection also blinds the following cycles.
+fn count_probability(expected: &[f64], dead_bins: usize, period: Option<usize>) -> Vec<f64> {
     let mut hit: Vec<f64> = expected.iter().map(|expected| -(-expected).exp_m1()).collect();
     hit.resize(period.unwrap_or(hit.len()).max(hit.len()), 0.0);
     let count = hit.len();
@@ -50,34 +54,34 @@ fn counted(expected: &[f64], dead_bins: usize, period: Option<usize>) -> Vec<f64
         Some(_) => (dead_bins / count, dead_bins % count),
         None => (0, dead_bins.min(count)),
     };
-    let mut counted = hit.clone();
+    let mut count_probability = hit.clone();
     for _ in 0..ROUNDS {
         // Detections of earlier cycles that still blind the first bin of this one.
-        let whole = turns as f64 * counted.iter().sum::<f64>();
-        let mut recent = if period.is_some() { counted[count - reach..].iter().sum() } else { 0.0 };
+        let whole = turns as f64 * count_probability.iter().sum::<f64>();
+        let mut recent = if period.is_some() { count_probability[count - reach..].iter().sum() } else { 0.0 };
         let mut largest = 0.0_f64;
         for bin in 0..count {
             let live = (1.0 - whole - recent).max(0.0);
-            // Half the way: where light is strong the whole way overshoots.
-            let now = if period.is_some() { 0.5 * (counted[bin] + live * hit[bin]) } else { live * hit[bin] };
-            largest = largest.max((now - counted[bin]).abs());
+            // Half a step: with strong light a full step overshoots.
+            let now = if period.is_some() { 0.5 * (count_probability[bin] + live * hit[bin]) } else { live * hit[bin] };
+            largest = largest.max((now - count_probability[bin]).abs());
             recent += now;
             if bin >= reach {
-                recent -= counted[bin - reach];
+                recent -= count_probability[bin - reach];
             } else if period.is_some() {
-                recent -= counted[count + bin - reach];
+                recent -= count_probability[count + bin - reach];
             }
-            counted[bin] = now;
+            count_probability[bin] = now;
         }
         if largest < 1e-12 {
             break;
         }
     }
-    counted.truncate(expected.len());
-    counted
+    count_probability.truncate(expected.len());
+    count_probability
 }
 
-/// Histogram of one capture over so many pulses of the laser.
+/// Histogram of one capture over all its laser pulses.
 pub fn histogram(
     scene: &Scene,
     pulse: &Pulse,
@@ -91,11 +95,11 @@ pub fn histogram(
     let expected = expected(scene, pulse, light, factor, latency_ps);
     let dead_bins = (counts.dead_time_ps / scene.instrument.dt_ps).round() as usize;
     let draw = |probability: f64| {
-        let drawn = Binomial::new(cycles, probability.clamp(0.0, 1.0)).expect("a probability").sample(rng);
-        i32::try_from(drawn).unwrap_or(i32::MAX)
+        let detections = Binomial::new(cycles, probability.clamp(0.0, 1.0)).expect("a probability").sample(rng);
+        i32::try_from(detections).unwrap_or(i32::MAX)
     };
     let period = scene.repetition_ps().map(|period_ps| (period_ps / scene.instrument.dt_ps).round() as usize);
-    counted(&expected, dead_bins, period).into_iter().map(draw).collect()
+    count_probability(&expected, dead_bins, period).into_iter().map(draw).collect()
 }
 
 #[cfg(test)]
@@ -106,22 +110,26 @@ mod tests {
     #[test]
     fn early_light_hides_late_light() {
         let expected = [0.1, 0.0, 0.7, 0.4, 0.2];
-        let counted = counted(&expected, 1000, None);
+        let count_probability = count_probability(&expected, 1000, None);
         let mut none = 1.0;
-        for (expected, counted) in expected.iter().zip(&counted) {
+        for (expected, count_probability) in expected.iter().zip(&count_probability) {
             let first = none * (1.0 - f64::exp(-expected));
-            assert!((counted - first).abs() < 1e-12, "{counted} {first}");
+            assert!((count_probability - first).abs() < 1e-12, "{count_probability} {first}");
             none *= f64::exp(-expected);
         }
     }
 
-    /// Constant light and a dead time that is not extended: rate / (1 + rate * dead time).
+    /// Constant light and a non-extended dead time: rate / (1 + rate * dead time).
     #[test]
     fn constant_light_counts_as_a_dead_time_that_is_not_extended() {
         let (expected, dead) = (1e-3, 1300);
-        let counted = counted(&vec![expected; 500], dead, Some(500));
+        let count_probability = count_probability(&vec![expected; 500], dead, Some(500));
         let hit = 1.0 - f64::exp(-expected);
         let law = hit / (1.0 + hit * dead as f64);
-        assert!(counted.iter().all(|counted| (counted / law - 1.0).abs() < 1e-6), "{} {law}", counted[100]);
+        assert!(
+            count_probability.iter().all(|count_probability| (count_probability / law - 1.0).abs() < 1e-6),
+            "{} {law}",
+            count_probability[100]
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! The campaign folder that a simulation leaves: raw files, campaign.toml, truth.
+//! The campaign folder that a simulation writes: raw files, campaign.toml, truth.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -6,7 +6,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::Path;
 
-use super::known::Telling;
+use super::prior::PriorKeys;
 use super::scene::Scene;
 use super::session::Shooting;
 use super::{Format, SimulateError, Truth};
@@ -16,29 +16,29 @@ use crate::campaign::walk::TRUTH;
 use crate::store::TableWriter;
 use crate::tables::Row;
 
-/// Table of the fiducial captures, which no pattern can tell apart.
+/// Table of the fiducial captures, since a pattern cannot distinguish them.
 const FIDUCIALS: &str = "fiducials.csv";
 
-pub(super) fn written<T>(path: &Path, result: io::Result<T>) -> Result<T, SimulateError> {
+pub(super) fn or_write_error<T>(path: &Path, result: io::Result<T>) -> Result<T, SimulateError> {
     result.map_err(|source| SimulateError::Write { path: path.to_owned(), source })
 }
 
-/// Makes sure that the folder is there and empty.
+/// Creates the folder, and checks that it is empty.
 pub fn claim(out: &Path) -> Result<(), SimulateError> {
-    written(out, fs::create_dir_all(out))?;
-    if written(out, fs::read_dir(out))?.next().is_some() {
+    or_write_error(out, fs::create_dir_all(out))?;
+    if or_write_error(out, fs::read_dir(out))?.next().is_some() {
         return Err(SimulateError::InUse { folder: out.to_owned() });
     }
     Ok(())
 }
 
-/// Opens a file for writing, and the folders on the way to it.
+/// Creates a file and its parent folders.
 pub(super) fn create(path: &Path) -> Result<BufWriter<File>, SimulateError> {
-    written(path, fs::create_dir_all(path.parent().expect("a file lies in a folder")))?;
-    Ok(BufWriter::new(written(path, File::create(path))?))
+    or_write_error(path, fs::create_dir_all(path.parent().expect("a file lies in a folder")))?;
+    Ok(BufWriter::new(or_write_error(path, File::create(path))?))
 }
 
-/// Writes campaign.toml: what a lab would know, which the truth is not.
+/// Writes campaign.toml with what a lab would know; the truth stays out.
 pub fn write_campaign(
     out: &Path,
     scene: &Scene,
@@ -48,10 +48,10 @@ pub fn write_campaign(
 ) -> Result<(), SimulateError> {
     if shootings.iter().any(|shooting| shooting.role == Role::Fiducial) {
         let path = out.join(FIDUCIALS);
-        written(&path, fs::write(&path, fiducials_text(scene, format, shootings)))?;
+        or_write_error(&path, fs::write(&path, fiducials_text(scene, format, shootings)))?;
     }
     let path = out.join("campaign.toml");
-    written(&path, fs::write(&path, campaign_text(scene, seed, format, shootings)))
+    or_write_error(&path, fs::write(&path, campaign_text(scene, seed, format, shootings)))
 }
 
 fn campaign_text(scene: &Scene, seed: u64, format: Format, shootings: &[Shooting]) -> String {
@@ -64,9 +64,9 @@ fn campaign_text(scene: &Scene, seed: u64, format: Format, shootings: &[Shooting
     if let Some(repetition_ps) = scene.repetition_ps().filter(|_| scene.wraps()) {
         line(format!("repetition_ps = {repetition_ps:?}"));
     }
-    let mut telling = Telling::new(scene, seed);
+    let mut prior_keys = PriorKeys::new(scene, seed);
     for name in scene.stations.keys() {
-        line(format!("\n[stations.{name}]\n{}", telling.station(name)));
+        line(format!("\n[stations.{name}]\n{}", prior_keys.station(name)));
     }
     for (name, sensor) in &scene.sensors {
         line(format!("\n[sensors.{name}]"));
@@ -84,12 +84,12 @@ fn campaign_text(scene: &Scene, seed: u64, format: Format, shootings: &[Shooting
     for (patch, disk) in &scene.patches {
         match disk.role {
             PatchRole::Visible => {
-                line(format!("[patches.{patch}]\nrole = \"visible\"{}", telling.patch(*patch)));
+                line(format!("[patches.{patch}]\nrole = \"visible\"{}", prior_keys.patch(*patch)));
             }
-            PatchRole::Mirror => line(format!("[patches.{patch}]\nrole = \"mirror\"{}", telling.patch(*patch))),
+            PatchRole::Mirror => line(format!("[patches.{patch}]\nrole = \"mirror\"{}", prior_keys.patch(*patch))),
             PatchRole::Hidden => {
-                if let Some(exit) = scene.known.strips.get(patch) {
-                    line(format!("[patches.{patch}]\nrole = \"hidden\"\nthrough = {exit}{}", telling.patch(*patch)));
+                if let Some(exit) = scene.prior.strips.get(patch) {
+                    line(format!("[patches.{patch}]\nrole = \"hidden\"\nthrough = {exit}{}", prior_keys.patch(*patch)));
                 }
             }
         }
@@ -97,10 +97,10 @@ fn campaign_text(scene: &Scene, seed: u64, format: Format, shootings: &[Shooting
     for (view, covers) in &scene.views {
         line(format!("[views.{view}]\npatches = {:?}", covers.patches));
     }
-    if scene.known.apart_max_m.is_some() || scene.known.along.is_some() {
+    if scene.prior.apart_max_m.is_some() || scene.prior.along.is_some() {
         line("\n[hidden]".to_owned());
-        scene.known.apart_max_m.iter().for_each(|apart_max_m| line(format!("apart_max_m = {apart_max_m:?}")));
-        scene.known.along.iter().for_each(|along| line(format!("along = {along:?}")));
+        scene.prior.apart_max_m.iter().for_each(|apart_max_m| line(format!("apart_max_m = {apart_max_m:?}")));
+        scene.prior.along.iter().for_each(|along| line(format!("along = {along:?}")));
     }
     let mut rules = BTreeSet::new();
     for shooting in shootings.iter().filter(|shooting| shooting.role != Role::Fiducial) {
@@ -115,7 +115,7 @@ fn campaign_text(scene: &Scene, seed: u64, format: Format, shootings: &[Shooting
     text
 }
 
-/// The rule that a capture's files follow.
+/// The rule for a capture's files.
 fn rule_text(scene: &Scene, format: Format, shooting: &Shooting) -> String {
     let format = if shooting.counts { Format::Npy } else { format };
     let shot = if format == Format::Csv { "_{shot}" } else { "" };
@@ -155,7 +155,7 @@ fn rule_text(scene: &Scene, format: Format, shooting: &Shooting) -> String {
     text
 }
 
-/// The table of fiducial captures, a row a file.
+/// The table of fiducial captures, one row per file.
 fn fiducials_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> String {
     let mut text = String::from(
         "file,reference_file,sensor,range,path_m,path_sd_m,attenuation_od,bounces,shot,dt_ps,t0_ps,gain_v,offset_v\n",
@@ -195,7 +195,8 @@ fn fiducials_text(scene: &Scene, format: Format, shootings: &[Shooting]) -> Stri
     text
 }
 
-/// Writes the truth: tables of the pipeline's own schemas, tables of what only a simulation knows, and the scene with its seed.
+/// Writes the truth: tables with the pipeline's schemas, tables that only a simulation can fill, and the scene with its
+/// seed.
 pub fn write_truth(out: &Path, scene: &Scene, seed: u64, truth: &Truth) -> Result<(), SimulateError> {
     write_table(out, &truth.patches)?;
     write_table(out, &truth.onsets)?;
@@ -204,12 +205,12 @@ pub fn write_truth(out: &Path, scene: &Scene, seed: u64, truth: &Truth) -> Resul
     write_table(out, &truth.centroids)?;
     write_table(out, &truth.captures)?;
     let path = out.join(TRUTH).join("scene.toml");
-    written(&path, fs::write(&path, format!("# Simulated with seed {seed}.\n{}", scene.text)))
+    or_write_error(&path, fs::write(&path, format!("# Simulated with seed {seed}.\n{}", scene.text)))
 }
 
 fn write_table<R: Row>(out: &Path, rows: &[R]) -> Result<(), SimulateError> {
     let folder = out.join(TRUTH).join(R::TABLE);
-    written(&folder, fs::create_dir_all(&folder))?;
+    or_write_error(&folder, fs::create_dir_all(&folder))?;
     let path = folder.join("truth.parquet");
     let result = TableWriter::create(&path, &R::schema()).and_then(|mut writer| {
         writer.write(&R::to_batch(rows))?;

@@ -1,4 +1,4 @@
-//! The keys of a scene file, one struct a heading; what they mean stands in the documentation of [`super`].
+//! The keys of a scene file, one struct per heading; the documentation of [`super`] explains them.
 
 #![expect(missing_docs, reason = "what each key means stands in the documentation of `simulate`")]
 
@@ -26,14 +26,14 @@ pub struct SceneFile {
     pub optics: Option<Optics>,
     pub instrument: Instrument,
     pub captures: Captures,
-    #[serde(default)]
-    pub known: Known,
+    #[serde(default, rename = "known")]
+    pub prior: Prior,
 }
 
-/// `[known]`: what campaign.toml tells beforehand.
+/// `[known]`: prior knowledge that campaign.toml will contain.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Known {
+pub struct Prior {
     pub size: bool,
     pub normal: bool,
     pub anchors: Vec<PatchId>,
@@ -70,7 +70,7 @@ fn space() -> u8 {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
-    /// Where it is; absent: with the laser.
+    /// Its station; absent: the laser's.
     pub station: Option<String>,
     /// Voltages or photon histograms.
     #[serde(default)]
@@ -78,7 +78,7 @@ pub struct Sensor {
     /// True delay from the arrival of light to the maximum of its response.
     #[serde(default)]
     pub latency_ps: f64,
-    /// Patches and views that it watches; empty: all that are seen.
+    /// Patches and views that it looks at; empty: all that are seen.
     #[serde(default)]
     pub seen: Vec<PatchId>,
 }
@@ -89,11 +89,11 @@ pub struct Sensor {
 pub struct Disk {
     /// Centre.
     pub position_m: [f64; 3],
-    /// Towards the lit side, of length 1.
+    /// Unit vector towards the lit side.
     pub normal: [f64; 3],
     /// Diameter.
     pub size_m: f64,
-    /// Share of the light that it gives back.
+    /// Reflected share of the light.
     #[serde(default = "bright")]
     pub reflectance: f64,
     /// Visible; hidden from laser and sensor; or a perfect mirror.
@@ -107,28 +107,28 @@ fn bright() -> f64 {
     0.8
 }
 
-/// A specular lobe of finite width beside the Lambertian part.
+/// A specular lobe of finite width, in addition to the Lambertian part.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lobe {
-    /// Share of the reflected light that goes into the lobe.
+    /// Share of the reflected light in the lobe.
     pub share: f64,
     /// Standard deviation of the angle from the mirror direction.
     pub width_rad: f64,
 }
 
-/// Something in the room that is no patch: furniture, a wall. It blocks light, and gives some back.
+/// An object in the room that is no patch: furniture, a wall. It blocks light, and may reflect some.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rectangle {
     /// A corner.
     pub corner_m: [f64; 3],
-    /// The two edges from there, at right angles; the lit side is that of their cross product.
+    /// The two edges from there, at right angles; their cross product points to the lit side.
     pub edges_m: [[f64; 3]; 2],
-    /// Share of the light that it gives back; 0: it only blocks.
+    /// Reflected share of the light; 0: it only blocks.
     #[serde(default)]
     pub reflectance: f64,
-    /// Largest edge of the cells that it is cut into; needed where it gives light back.
+    /// Largest edge of its cells; required if it reflects light.
     pub cell_m: Option<f64>,
 }
 
@@ -228,7 +228,7 @@ pub enum Shape {
 pub struct Reference {
     /// Full width at half maximum.
     pub fwhm_ps: f64,
-    /// Height over noise of one shot: a shortcut.
+    /// Height over noise of one shot, as a shortcut.
     pub snr: Option<f64>,
     /// Height.
     pub height_v: Option<f64>,
@@ -251,17 +251,17 @@ pub struct Range {
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Counts {
-    /// Detections a photon.
+    /// Detections per photon.
     pub efficiency: f64,
-    /// Rate of detections in the dark.
+    /// Dark count rate.
     #[serde(default)]
     pub dark_hz: f64,
-    /// Time for which a detection blinds the counter.
+    /// Time after a detection in which the counter is blind.
     #[serde(default)]
     pub dead_time_ps: f64,
 }
 
-/// `[instrument.flaws]`: what real instruments do; each absent key is a flaw absent.
+/// `[instrument.flaws]`: imperfections of real instruments; each is absent by default.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Flaws {
@@ -281,7 +281,7 @@ pub struct Flaws {
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Interleave {
-    /// Converters that take turns.
+    /// Number of interleaved converters.
     pub cores: usize,
     /// Standard deviation of their offsets.
     #[serde(default)]
@@ -291,7 +291,7 @@ pub struct Interleave {
     pub gain: f64,
 }
 
-/// What the laser's firing induces in the cable, in step with it.
+/// Electrical pick-up from the laser's firing, synchronous with it.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pickup {
@@ -299,22 +299,22 @@ pub struct Pickup {
     pub volts: f64,
     /// Frequency.
     pub frequency_ghz: f64,
-    /// Time constant of its decay, to both sides of time 0.
+    /// Time constant of its decay on both sides of time 0.
     pub decay_ps: f64,
 }
 
-/// A reflection in the cable: the response once more.
+/// A reflection in the cable: a second copy of the response.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Echo {
     /// Amplitude over that of the pulse.
     pub ratio: f64,
-    /// How much later.
+    /// Its delay.
     pub delay_ps: f64,
 }
 
-/// A slow exponential: the detector's diffusion tail (height over that of the pulse), or the amplifier's recovery from clipping (share of the
-/// voltage beyond the rail).
+/// A slow exponential: the detector's diffusion tail (height over that of the pulse), or the amplifier's recovery from
+/// clipping (share of the voltage beyond the rail).
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tail {
@@ -362,32 +362,32 @@ fn two() -> usize {
     2
 }
 
-/// Which vertical ranges a capture is taken at.
+/// The vertical ranges at which a capture is recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Ranges {
-    /// The smallest that holds it.
+    /// The smallest that contains the signal.
     #[default]
     Auto,
     /// Each in turn.
     All,
 }
 
-/// Captures of a known path, once or again and again.
+/// Captures of a known path, once or repeatedly.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fiducial {
-    /// Path to a white diffuser and back; or `through`.
+    /// Path to a white diffuser and back; alternatively `through`.
     pub path_m: Option<f64>,
-    /// Patches that the light meets, first to last; their distances give the path.
+    /// Patches that the light meets, first to last; their distances determine the path.
     #[serde(default)]
     pub through: Vec<PatchId>,
     /// Optical density in the beam.
     #[serde(default)]
     pub attenuation_od: f64,
-    /// Shots of a run.
+    /// Shots per run.
     pub shots: usize,
-    /// Runs.
+    /// Number of runs.
     #[serde(default = "one")]
     pub runs: usize,
     /// Time from run to run.

@@ -1,4 +1,4 @@
-//! A scene with its light and its list of captures: all that is certain before noise is drawn.
+//! A scene with its light and its list of captures: everything that is determined before noise is drawn.
 
 use std::collections::BTreeMap;
 
@@ -9,44 +9,44 @@ use super::pulse::Pulse;
 use super::recorder::{Recorder, arrived};
 use super::scene::Scene;
 use super::session::{Session, Shooting};
-use super::transport::{Captured, Light, Paths, Room};
+use super::transport::{CaptureLights, Light, Paths, Room};
 use super::truth::true_onsets;
 use super::{SimulateError, Truth};
 use crate::units::PatchId;
 
-/// A scene, its light, and what is captured of it.
+/// A scene, its light, and its captures.
 pub struct Laboratory<'a> {
     /// The scene.
     pub scene: &'a Scene,
     /// From light to volts.
     pub chain: Chain,
     /// The scene's light, by lit patch or view.
-    pub captured: BTreeMap<PatchId, Captured>,
-    /// Captures, in order. What drifts is drawn with the seed.
+    pub lights: BTreeMap<PatchId, CaptureLights>,
+    /// Captures, in order. The seed determines their drifts.
     pub shootings: Vec<Shooting>,
 }
 
 impl<'a> Laboratory<'a> {
-    /// Follows the light of a scene and lists its captures.
+    /// Computes the light of a scene and lists its captures.
     ///
     /// # Errors
     /// When the first light of a capture arrives outside the record.
     pub fn new(scene: &'a Scene, seed: u64) -> Result<Self, SimulateError> {
         let (room, chain) = (Room::new(scene), Chain::new(scene));
         let paths = Paths::new(scene, &room, scene.captures.bounces);
-        let captured: BTreeMap<PatchId, Captured> =
+        let lights: BTreeMap<PatchId, CaptureLights> =
             scene.lit().into_par_iter().map(|lit| (lit, paths.lit(&scene.covers(lit)))).collect();
-        let shootings = Session::plan(scene, &chain, &room, &captured, seed);
+        let shootings = Session::plan(scene, &chain, &room, &lights, seed);
         shootings.iter().try_for_each(|shooting| scene.check_record(shooting))?;
-        Ok(Self { scene, chain, captured, shootings })
+        Ok(Self { scene, chain, lights, shootings })
     }
 
-    /// The same light on another day: what drifts and what is only known to an error is drawn anew.
+    /// The same light on another day: drifts and errors of prior knowledge are drawn anew.
     #[must_use]
     pub fn reseeded(&self, seed: u64) -> Self {
-        let (chain, captured) = (self.chain.clone(), self.captured.clone());
-        let shootings = Session::plan(self.scene, &chain, &Room::new(self.scene), &captured, seed);
-        Self { scene: self.scene, chain, captured, shootings }
+        let (chain, lights) = (self.chain.clone(), self.lights.clone());
+        let shootings = Session::plan(self.scene, &chain, &Room::new(self.scene), &lights, seed);
+        Self { scene: self.scene, chain, lights, shootings }
     }
 
     /// Time from the first shot to the last.
@@ -56,19 +56,21 @@ impl<'a> Laboratory<'a> {
         self.shootings.iter().map(end_s).fold(0.0, f64::max) / 3600.0
     }
 
-    /// What endless averaging of a capture would leave, in volts, with samples from `t0_ps` after the reference pulse; the instrument's flaws included.
+    /// The limit of averaging a capture infinitely long, in volts, with samples from `t0_ps` after the reference pulse;
+    /// includes the instrument's flaws.
     #[must_use]
     pub fn mean_v(&self, shooting: &Shooting, t0_ps: f64) -> Vec<f64> {
         Recorder::new(self.scene, &self.chain).mean_v(&shooting.exposure(), t0_ps)
     }
 
-    /// What a part of a capture's light gives: volts over time, as they repeat with the laser; for a photon counter, detections a bin in all cycles.
+    /// Signal of a part of a capture's light: volts over time, repeated with the laser; for a photon counter,
+    /// detections per bin in all cycles.
     #[must_use]
     pub fn signal(&self, shooting: &Shooting, light: &Light) -> Pulse {
         self.response_of(shooting, light, &self.chain.pulse)
     }
 
-    /// The same for several paths together, with a response so many times as wide.
+    /// The same for several paths together, with a response that is stretched by `factor`.
     #[must_use]
     pub fn stretched(&self, shooting: &Shooting, lights: &[&Light], factor: f64) -> Pulse {
         let light = Light(lights.iter().flat_map(|light| light.0.iter().copied()).collect());
@@ -77,7 +79,7 @@ impl<'a> Laboratory<'a> {
 
     fn response_of(&self, shooting: &Shooting, light: &Light, pulse: &Pulse) -> Pulse {
         let per_strength = if shooting.counts {
-            // A bin gets its share of each pulse's area.
+            // A bin integrates the pulse over its width.
             detections_per_j(self.scene) * shooting.shots as f64 * self.scene.instrument.dt_ps
                 / self.chain.pulse.area_ps()
         } else {
@@ -90,7 +92,7 @@ impl<'a> Laboratory<'a> {
         Recorder::new(self.scene, &self.chain).folded(&signal)
     }
 
-    /// Detections in the dark that a bin of a photon counter gets in all cycles.
+    /// Dark detections per bin of a photon counter, in all cycles.
     #[must_use]
     pub fn dark_counts(&self, shooting: &Shooting) -> f64 {
         dark_per_bin(self.scene) * shooting.shots as f64
@@ -111,13 +113,13 @@ impl<'a> Laboratory<'a> {
         (0..weights.len()).map(lag).collect()
     }
 
-    /// The reference pulse in volts about time 0, and how it is recorded.
+    /// The reference pulse in volts around time 0, and its setting.
     #[must_use]
     pub fn reference_signal(&self) -> Option<(Pulse, Setting)> {
         Recorder::new(self.scene, &self.chain).reference_signal()
     }
 
-    /// Variance of a shot's noise over time that comes from the capture's own light; `None` where it is left out.
+    /// Variance of a shot's shot noise over time, from the capture's own light; `None` where it is neglected.
     #[must_use]
     pub fn shot_noise_v2(&self, shooting: &Shooting) -> Option<Pulse> {
         let per_strength = self.chain.shot_v2_per_strength() * shooting.factor;
@@ -135,7 +137,7 @@ impl<'a> Laboratory<'a> {
             onsets: Vec::new(),
             calibration: scene.true_calibration(&self.chain),
             paths: Vec::new(),
-            centroids: scene.true_centroids(&self.captured),
+            centroids: scene.true_centroids(&self.lights),
             captures: Vec::new(),
         };
         for shooting in &self.shootings {

@@ -13,7 +13,7 @@ use crate::campaign::toml_text::{self, TomlError};
 /// What is wrong with a scene file.
 #[derive(Debug, Error)]
 pub enum SceneError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read scene {}", file.display())]
     Read {
         /// File.
@@ -24,20 +24,20 @@ pub enum SceneError {
     /// Not TOML, an unknown key, or a value of the wrong type.
     #[error(transparent)]
     Toml(#[from] TomlError),
-    /// A value that cannot be.
+    /// An impossible value.
     #[error("{}: {fault}", file.display())]
     Setup {
         /// File.
         file: PathBuf,
-        /// What, and the mend.
+        /// What is wrong, and how to fix it.
         fault: Fault,
     },
-    /// A value that cannot be.
+    /// An impossible value.
     #[error("{}: {problem}", file.display())]
     Value {
         /// File.
         file: PathBuf,
-        /// What, and the mend.
+        /// What is wrong, and how to fix it.
         problem: String,
     },
 }
@@ -46,7 +46,7 @@ impl Scene {
     /// Reads a scene file.
     ///
     /// # Errors
-    /// When it cannot be read, or anything in it is refused.
+    /// When the file cannot be read, or anything in it is refused.
     pub fn load(file: &Path) -> Result<Self, SceneError> {
         let text =
             std::fs::read_to_string(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
@@ -72,7 +72,7 @@ impl Scene {
             optics: keys.optics,
             instrument: keys.instrument,
             captures: keys.captures,
-            known: keys.known,
+            prior: keys.prior,
             text: text.to_owned(),
         };
         check_setup(&scene).map_err(|fault| SceneError::Setup { file: file.to_owned(), fault })?;

@@ -20,7 +20,7 @@ impl Pulse {
         Self { start_ps, values }
     }
 
-    /// A shape by its definition; the Gaussian with a decay by quadrature.
+    /// A shape from its definition. The convolution of Gaussian and decay uses quadrature.
     pub fn of(shape: &Shape) -> Self {
         let gauss = |t: f64, sigma: f64| (-0.5 * (t / sigma).powi(2)).exp();
         match *shape {
@@ -75,7 +75,7 @@ impl Pulse {
         shape.settled()
     }
 
-    /// Height 1 and maximum at time 0, by a parabola through the highest three values.
+    /// Scales to height 1 and moves the maximum to time 0, by a parabola through the highest three values.
     fn settled(mut self) -> Self {
         let top = (1..self.values.len() - 1)
             .max_by(|&a, &b| self.values[a].total_cmp(&self.values[b]))
@@ -88,7 +88,7 @@ impl Pulse {
         self
     }
 
-    /// The shape so many times as wide, its maximum where it is.
+    /// The shape, wider by `factor`, with its maximum in place.
     #[must_use]
     pub fn stretched(&self, factor: f64) -> Self {
         let start_ps = (self.start_ps * factor).floor();
@@ -138,13 +138,13 @@ impl Pulse {
         let above = |v: &f64| *v >= 0.5;
         let first = self.values.iter().position(above).expect("the maximum is 1");
         let last = first + self.values[first..].iter().position(|v| !above(v)).expect("a pulse ends") - 1;
-        // How far beyond the outermost values above one half the crossings lie.
+        // Distances of the crossings from the outermost values above one half.
         let beyond =
             |inside: usize, outside: usize| (self.values[inside] - 0.5) / (self.values[inside] - self.values[outside]);
         (last - first) as f64 * Self::STEP_PS + (beyond(first, first - 1) + beyond(last, last + 1)) * Self::STEP_PS
     }
 
-    /// Value at a time, by a cubic through four neighbours; zero outside.
+    /// Value at a time, by cubic interpolation; zero outside.
     pub fn value(&self, time_ps: f64) -> f64 {
         cubic(&self.values, (time_ps - self.start_ps) / Self::STEP_PS)
     }
@@ -175,7 +175,7 @@ mod tests {
         let emg = Pulse::of(&Shape::Emg { sigma_ps: 33.0, tau_ps: 112.0 });
         assert!((emg.value(0.0) - 1.0).abs() < 1e-6);
         assert!(emg.value(-0.5) < emg.value(0.0) && emg.value(0.5) < emg.value(0.0));
-        // Mean of a Gaussian with a decay: that of the Gaussian plus the time constant; its variance sigma^2 + tau^2.
+        // Moments of a Gaussian with decay: mean of the Gaussian plus the time constant; variance sigma^2 + tau^2.
         let times = || (0..emg.values.len()).map(|i| emg.start_ps + i as f64).zip(&emg.values);
         let area: f64 = emg.values.iter().sum();
         let mean = times().map(|(t, v)| t * v).sum::<f64>() / area;

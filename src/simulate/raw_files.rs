@@ -1,4 +1,4 @@
-//! Raw files of a simulated campaign: the shots of a capture in the format of one instrument or another.
+//! Writes the raw files of a simulated campaign: the shots of a capture in the format of some instrument.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -6,14 +6,14 @@ use std::path::Path;
 
 use super::calendar;
 use super::chain::{Chain, Setting};
-use super::folder::{create, written};
+use super::folder::{create, or_write_error};
 use super::recorder::{Shot, Shots};
 use super::scene::Scene;
 use super::session::Shooting;
 use super::{Format, SimulateError};
 use crate::formats::{csv, keysight_bin, lecroy_trc, npy, tek_wfm};
 
-/// Name of the instrument in the files' heads.
+/// Name of the instrument in the files' headers.
 const INSTRUMENT: &str = "PERISCOPE-SIM";
 
 impl Format {
@@ -39,7 +39,7 @@ struct Channel<'a> {
     shots: &'a [Shot],
 }
 
-/// Writes the channels of one capture: `stem_C1`, and `stem_C2` for the reference; for CSV a file a shot.
+/// Writes the channels of one capture: `stem_C1`, and `stem_C2` for the reference; in CSV, one file per shot.
 pub(super) fn write_shots(
     out: &Path,
     scene: &Scene,
@@ -77,7 +77,7 @@ pub(super) fn write_histogram(out: &Path, shooting: &Shooting, counts: &[i32]) -
 fn save(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<(), SimulateError> {
     let mut file = create(path)?;
     let result = write(&mut file);
-    written(path, result.and_then(|()| file.flush()))
+    or_write_error(path, result.and_then(|()| file.flush()))
 }
 
 impl Channel<'_> {
@@ -101,7 +101,7 @@ impl Channel<'_> {
                     instrument: INSTRUMENT.to_owned(),
                     channel: self.number as i16 - 1,
                     gain_v: gain_v as f32,
-                    // LeCroy's offset is taken off.
+                    // LeCroy subtracts the offset.
                     offset_v: -offset_v as f32,
                     dt_s: self.dt_s() as f32,
                     bits,

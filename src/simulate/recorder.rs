@@ -1,4 +1,4 @@
-//! The oscilloscope: light in, codes out, shot by shot.
+//! The oscilloscope: turns light into codes, shot by shot.
 
 use std::f64::consts::{LN_2, TAU};
 
@@ -11,7 +11,7 @@ use super::pulse::Pulse;
 use super::scene::Scene;
 use super::transport::Light;
 
-/// A shot: time of its trigger since the first, time of sample 0 as the instrument records it, and codes.
+/// A shot: time of its trigger after the first, time of sample 0 as the instrument records it, and codes.
 pub type Shot = (f64, f64, Vec<i16>);
 
 /// Shots of one capture.
@@ -22,13 +22,13 @@ pub struct Shots {
     pub reference: Option<Vec<Shot>>,
 }
 
-/// What one file pair is to hold.
+/// What to record into one file, or pair of files.
 pub struct Exposure<'a> {
     /// Light at the lens.
     pub light: &'a Light,
-    /// Share of it that attenuators and the laser's drift leave.
+    /// Share of the light that remains after attenuators and the laser's drift.
     pub factor: f64,
-    /// From the arrival of light to the maximum of the recorded response.
+    /// Delay from the arrival of light to the maximum of the recorded response.
     pub latency_ps: f64,
     /// Setting of the oscilloscope.
     pub setting: &'a Setting,
@@ -38,11 +38,12 @@ pub struct Exposure<'a> {
     pub shots: usize,
 }
 
-/// Shot noise below this part of the other noise (in variance) is left out.
+/// Shot noise is neglected below this fraction of the other noise, in variance.
 const SHOT_NOISE: f64 = 1e-3;
-/// Step in which electrons are drawn.
+/// Time step in which electrons are drawn, in ps.
 const ELECTRONS_PS: usize = 10;
-/// Time about the record that the signal is made for: trigger jitter and sub-sample triggers move the record within.
+/// Margin around the record for which the signal is computed, in standard deviations of the trigger jitter: triggers
+/// move the record within it.
 const JITTERS: f64 = 8.0;
 
 /// The instrument, ready to record.
@@ -62,7 +63,7 @@ pub struct Recorder<'a> {
 struct Clean {
     /// Volts over time.
     mean: Pulse,
-    /// Where shot noise matters: times, expected electrons, and height of the response to one of them.
+    /// If shot noise matters: times and expected electrons, and height of the response to one electron.
     electrons: Option<(Vec<(f64, f64)>, f64)>,
 }
 
@@ -95,7 +96,8 @@ impl<'a> Recorder<'a> {
         let mut shots = Shots { signal: Vec::new(), reference: reference.as_ref().map(|_| Vec::new()) };
         for shot in 0..exposure.shots {
             let trigger_s = shot as f64 / self.rate_hz;
-            // Where the sample clock stands at the trigger: the instrument knows. How late the trigger itself came: nobody does.
+            // The instrument knows the phase of its sample clock at the trigger, so the file records it. It does not
+            // know how late the trigger itself is.
             let t0_ps = instrument.t0_ps + instrument.dt_ps * rng.random_range(0.0..1.0);
             let jitter: f64 = StandardNormal.sample(rng);
             let start_ps = t0_ps - instrument.jitter_ps * jitter;
@@ -103,7 +105,7 @@ impl<'a> Recorder<'a> {
                 if rng.random_bool(self.bad_shots) { if rng.random_bool(0.5) { 0.0 } else { 4.0 } } else { 1.0 };
             let signal = |volts: &mut [f64], rng: &mut _| self.signal(&clean, exposure, strength, start_ps, volts, rng);
             let codes = self.record(exposure.setting, cores.as_deref(), signal, rng);
-            // A shot that the instrument lost leaves a gap in neither channel: the file has one segment less.
+            // A lost shot is missing in both channels, without a gap: the file has one segment less.
             let lost = rng.random_bool(self.lost_shots) && shot > 0;
             if !lost {
                 shots.signal.push((trigger_s, t0_ps * 1e-12, codes));
@@ -123,7 +125,7 @@ impl<'a> Recorder<'a> {
         shots
     }
 
-    /// The reference pulse in volts, and how it is recorded.
+    /// The reference pulse in volts, and its setting.
     pub fn reference_signal(&self) -> Option<(Pulse, Setting)> {
         let (pulse, setting) = self.reference.as_ref()?;
         let height_v = Chain::HEIGHT * setting.full_scale_v;
@@ -131,7 +133,8 @@ impl<'a> Recorder<'a> {
         Some((self.folded(&volts), setting.clone()))
     }
 
-    /// Mean signal of a capture, as [`Recorder::shots`] would leave it after endless averaging of shots that all start at `t0_ps`.
+    /// Mean signal of a capture: the limit of averaging infinitely many shots of [`Recorder::shots`] that start at
+    /// `t0_ps`.
     pub fn mean_v(&self, exposure: &Exposure, t0_ps: f64) -> Vec<f64> {
         let clean = self.clean(exposure);
         let sample = |n: usize| {
@@ -150,7 +153,7 @@ impl<'a> Recorder<'a> {
             return Clean { mean: Pulse::new(0.0, vec![0.0; 4]), electrons: None };
         }
         let signal = arrived(exposure.light, exposure.latency_ps, volts, pulse);
-        // A stage that cannot follow delays large pulses more.
+        // A slew-limited stage delays large pulses more.
         let slewed_ps = slew_ps * signal.height() / exposure.setting.full_scale_v;
         let signal = Pulse::new(signal.start_ps() + slewed_ps, signal.values().to_vec());
         let shot_v2 = exposure.factor * self.chain.shot_v2_per_strength();
@@ -218,8 +221,8 @@ impl<'a> Recorder<'a> {
             let pulse = &self.chain.pulse;
             for (time_ps, expected) in electrons {
                 let expected = expected * strength;
-                let drawn: f64 = Poisson::new(expected).expect("a positive number").sample(rng);
-                let surplus_v = (drawn - expected) * electron_v;
+                let electrons: f64 = Poisson::new(expected).expect("a positive number").sample(rng);
+                let surplus_v = (electrons - expected) * electron_v;
                 let first = ((time_ps + pulse.start_ps() - start_ps) / dt_ps).ceil().max(0.0) as usize;
                 let last = ((time_ps + pulse.end_ps() - start_ps) / dt_ps).floor();
                 if last >= 0.0 {
@@ -232,14 +235,14 @@ impl<'a> Recorder<'a> {
         volts.iter_mut().for_each(|volts| *volts = self.distorted(*volts, exposure.setting) + self.chain.background_v);
     }
 
-    /// What detector and amplifier make of a voltage that is too high for them.
+    /// Distorts a voltage that exceeds the range of detector and amplifier.
     fn distorted(&self, volts: f64, setting: &Setting) -> f64 {
         let Flaws { saturation_v, cubic, .. } = self.instrument.flaws;
         let volts = saturation_v.map_or(volts, |limit_v| volts / (1.0 + volts.abs() / limit_v));
         volts + cubic * volts * (volts / setting.full_scale_v).powi(2)
     }
 
-    /// Noise, amplifier and converter.
+    /// Adds noise, and applies amplifier and converter.
     fn record<R: RngExt>(
         &self,
         setting: &Setting,
@@ -286,8 +289,9 @@ fn cores(interleave: Interleave, rng: &mut impl RngExt) -> Vec<(f64, f64)> {
     (0..interleave.cores).map(|_| (interleave.offset_v * normal(), 1.0 + interleave.gain * normal())).collect()
 }
 
-/// Weights, symmetric, that turn white noise into samples of noise behind a Gaussian low-pass which is down to 1/sqrt(2) at the bandwidth. Its
-/// autocorrelation is a Gaussian; the weights' transform is the root of that of the autocorrelation at the samples.
+/// Symmetric weights that turn white noise into noise after a Gaussian low-pass, which is down to 1/sqrt(2) at the
+/// bandwidth. Its autocorrelation is Gaussian; the transform of the weights is the root of the transform of the sampled
+/// autocorrelation.
 pub fn colour(instrument: &Instrument) -> Vec<f64> {
     let Some(bandwidth_ghz) = instrument.noise_bandwidth_ghz else {
         return vec![1.0];
@@ -305,7 +309,8 @@ pub fn colour(instrument: &Instrument) -> Vec<f64> {
     weights.into_iter().map(|weight| weight / norm).collect()
 }
 
-/// Light on a grid of 1 ps: time of the first bin, and strengths. Each arrival is shared by its two neighbours so that its time is kept.
+/// Light on a grid of 1 ps: time of the first bin, and strengths. Its two neighbours share each arrival so that the
+/// mean time is exact.
 pub fn binned(light: &Light, later_ps: f64) -> (f64, Vec<f64>) {
     let times = || light.0.iter().map(|(time_ps, _)| time_ps + later_ps);
     let (first, last) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
@@ -320,7 +325,7 @@ pub fn binned(light: &Light, later_ps: f64) -> (f64, Vec<f64>) {
     (origin_ps, bins)
 }
 
-/// Response to light, on a grid of 1 ps from its first to its last effect.
+/// Response to light, on a grid of 1 ps that covers all of it.
 pub fn arrived(light: &Light, latency_ps: f64, volts_per_strength: f64, pulse: &Pulse) -> Pulse {
     let (origin_ps, bins) = binned(light, latency_ps);
     let mut values = vec![0.0; bins.len() + pulse.values().len()];
@@ -373,7 +378,8 @@ mod tests {
         Scene::parse(Path::new("tiny.toml"), &text).unwrap()
     }
 
-    /// Four converters that differ repeat every fourth sample within a shot, and average out over shots, which start at any of them.
+    /// Four mismatched converters repeat every fourth sample within a shot. Over shots they average out, since a shot
+    /// starts at any of them.
     #[test]
     fn interleaved_converters_repeat_within_a_shot() {
         let scene = flawed("interleave = { cores = 4, offset_v = 0.05 }");
@@ -388,14 +394,14 @@ mod tests {
         assert!((column(10) - column(11)).abs() < 4.0 * (product(4) / 400.0).sqrt() * 2_f64.sqrt());
     }
 
-    /// After a pulse beyond the rail the amplifier comes back slowly.
+    /// After a pulse beyond the rail the amplifier recovers slowly.
     #[test]
     fn an_overdriven_amplifier_recovers_slowly() {
         let after = |flaw: &str| {
             let mut scene = flawed(flaw);
             scene.instrument.full_scale_v = 0.2;
             let mut chain = Chain::new(&scene);
-            // Amplified to a height that the converter does not hold.
+            // Amplified beyond the range of the converter.
             chain.settings[0].full_scale_v = 0.05;
             let recorder = Recorder::new(&scene, &chain);
             let (light, setting) = (Light::at(3000.0, 1.0), &chain.settings[0]);

@@ -1,15 +1,15 @@
-//! A scene: what stands in the room, what records it, and what is captured.
+//! A scene: the objects in the room, the instrument, and the captures.
 
 use std::collections::BTreeMap;
 
-use super::keys::{Captures, Disk, Instrument, Known, Laser, Optics, Rectangle, Sensor};
+use super::keys::{Captures, Disk, Instrument, Laser, Optics, Prior, Rectangle, Sensor};
 use crate::campaign::keys::{LASER, PatchRole, Station, View};
 use crate::units::PatchId;
 
-/// Shots in a second, where neither laser nor instrument says it.
+/// Shots per second, if neither laser nor instrument gives a rate.
 const UNSTATED_HZ: f64 = 1000.0;
 
-/// A scene, checked.
+/// A checked scene.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Name of the campaign.
@@ -18,7 +18,7 @@ pub struct Scene {
     pub group_index: f64,
     /// 3, or 2 for flatland.
     pub dimensions: u8,
-    /// Where light leaves and arrives.
+    /// Positions of laser and sensors.
     pub stations: BTreeMap<String, Station>,
     /// Detectors.
     pub sensors: BTreeMap<String, Sensor>,
@@ -26,24 +26,24 @@ pub struct Scene {
     pub patches: BTreeMap<PatchId, Disk>,
     /// Spots and pixels that cover several patches.
     pub views: BTreeMap<PatchId, View>,
-    /// What else stands in the room.
+    /// Other objects in the room.
     pub surfaces: BTreeMap<String, Rectangle>,
     /// The laser; absent where the signal-to-noise ratio is set.
     pub laser: Option<Laser>,
     /// The sensor's optics; absent where the signal-to-noise ratio is set.
     pub optics: Option<Optics>,
-    /// What records.
+    /// The recording instrument.
     pub instrument: Instrument,
-    /// What is captured.
+    /// Which captures to record.
     pub captures: Captures,
-    /// What campaign.toml tells beforehand.
-    pub known: Known,
-    /// The file as it was.
+    /// What campaign.toml gives as prior knowledge.
+    pub prior: Prior,
+    /// The text of the file.
     pub text: String,
 }
 
 impl Scene {
-    /// Where a sensor is.
+    /// Position of a sensor.
     ///
     /// # Panics
     /// When the scene has no such sensor.
@@ -59,13 +59,13 @@ impl Scene {
         if self.captures.lit.is_empty() { self.visible() } else { self.captures.lit.clone() }
     }
 
-    /// Patches and views that the sensors watch, likewise.
+    /// Patches and views that the sensors look at, with the same default.
     #[must_use]
     pub fn seen(&self) -> Vec<PatchId> {
         if self.captures.seen.is_empty() { self.visible() } else { self.captures.seen.clone() }
     }
 
-    /// Those that one sensor watches.
+    /// Those that one sensor looks at.
     ///
     /// # Panics
     /// When the scene has no such sensor.
@@ -81,7 +81,7 @@ impl Scene {
         self.patches.iter().filter(|(_, disk)| disk.role == PatchRole::Visible).map(|(id, _)| *id).collect()
     }
 
-    /// The patches that a number in `lit` or `seen` stands for.
+    /// The patches that a number in `lit` or `seen` denotes.
     #[must_use]
     pub fn covers(&self, number: PatchId) -> Vec<PatchId> {
         self.views.get(&number).map_or_else(|| vec![number], |view| view.patches.clone())
@@ -101,7 +101,7 @@ impl Scene {
         self.repetition_ps().is_some_and(|period_ps| period_ps < end_ps)
     }
 
-    /// Shots that are recorded in a second: as fast as laser and instrument go.
+    /// Recorded shots per second: the lower of the rates of laser and instrument.
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
         let laser_hz = self.laser.map_or(f64::INFINITY, |laser| laser.repetition_hz);

@@ -1,4 +1,4 @@
-//! What is captured, in which order, at which setting, into which files: the lab's day.
+//! The lab's day: which captures are recorded, in which order, at which setting, into which files.
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -11,14 +11,14 @@ use super::chain::{Chain, Setting, detections_per_j};
 use super::keys::{Fiducial, Ranges};
 use super::recorder::{Exposure, arrived};
 use super::scene::Scene;
-use super::transport::{Captured, Light, PathLights, Paths, Room};
+use super::transport::{CaptureLights, Light, PathLights, Paths, Room};
 use crate::campaign::Role;
 use crate::campaign::keys::SensorKind;
 use crate::units::{self, PatchId};
 
-/// Reflectance of the diffuser that response and fiducial captures go over.
+/// Reflectance of the diffuser in response and fiducial captures.
 const DIFFUSER: f64 = 0.8;
-/// Steps of the attenuator that brings a response into the range.
+/// Steps of the attenuator that brings a response into the range, in optical density.
 const OD_STEP: f64 = 0.1;
 
 /// One capture.
@@ -36,7 +36,7 @@ pub struct Shooting {
     pub lit: PatchId,
     /// Patch or view seen (0: none).
     pub seen: PatchId,
-    /// Beginning of its file names, relative to the campaign.
+    /// Prefix of its file names, relative to the campaign.
     pub stem: String,
     /// Light of the scene by path; empty for other roles.
     pub paths: PathLights,
@@ -48,9 +48,9 @@ pub struct Shooting {
     pub bounces: Option<usize>,
     /// Optical density in the beam.
     pub attenuation_od: f64,
-    /// Share of the light that attenuator and drift leave.
+    /// Share of the light that remains after attenuator and drift.
     pub factor: f64,
-    /// From arrival to recorded maximum.
+    /// Delay from the arrival of light to the recorded maximum.
     pub latency_ps: f64,
     /// Setting of the oscilloscope.
     pub setting: Setting,
@@ -73,24 +73,24 @@ pub struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    /// All captures of a scene. `captured` is the scene's light: for each lit patch or view, what the sensors get.
+    /// All captures of a scene. `lights` is the scene's light: for each lit patch or view, what the sensors receive.
     pub fn plan(
         scene: &'a Scene,
         chain: &'a Chain,
         room: &'a Room,
-        captured: &BTreeMap<PatchId, Captured>,
+        lights: &BTreeMap<PatchId, CaptureLights>,
         seed: u64,
     ) -> Vec<Shooting> {
         let mut session = Self { scene, chain, room, seed, now_s: 0.0, shootings: Vec::new() };
         for (number, name) in scene.sensors.keys().enumerate() {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             rng.set_stream(number as u64);
-            session.sensor(name, captured, &mut rng);
+            session.sensor(name, lights, &mut rng);
         }
         session.shootings
     }
 
-    fn sensor(&mut self, name: &str, captured: &BTreeMap<PatchId, Captured>, rng: &mut ChaCha8Rng) {
+    fn sensor(&mut self, name: &str, lights: &BTreeMap<PatchId, CaptureLights>, rng: &mut ChaCha8Rng) {
         let captures = &self.scene.captures;
         let normal: f64 = StandardNormal.sample(rng);
         let true_path_m = captures.path_m + captures.path_sd_m * normal;
@@ -116,7 +116,7 @@ impl<'a> Session<'a> {
         }
         for lit in self.scene.lit() {
             for seen in self.scene.seen_by(name) {
-                let paths = captured[&lit].get(&(name.to_owned(), seen)).cloned().unwrap_or_default();
+                let paths = lights[&lit].get(&(name.to_owned(), seen)).cloned().unwrap_or_default();
                 self.capture(name, lit, seen, paths, rng);
             }
         }
@@ -157,7 +157,7 @@ impl<'a> Session<'a> {
             let eye = self.scene.sensor_m(name).into();
             Paths::new(self.scene, self.room, fiducial.through.len()).along(&fiducial.through, eye)
         };
-        // A path that is closed has no light, and no length that a lab could know.
+        // A blocked path has no light, and no length that a lab could know.
         let centroid_m = || (!light.0.is_empty()).then(|| units::path_m(light.centroid_ps(), self.scene.group_index));
         let path_m = fiducial.path_m.or_else(centroid_m);
         let strength = light.moved(0.0, attenuation(fiducial.attenuation_od));
@@ -176,13 +176,13 @@ impl<'a> Session<'a> {
                 ..shooting
             });
         }
-        // Runs that repeat are taken between other captures; those that do not take their turn.
+        // Repeated runs are interleaved with other captures; single ones follow in order.
         if fiducial.every_s > 0.0 {
             self.now_s = after_s;
         }
     }
 
-    /// A capture with all that follows from sensor and setting.
+    /// A capture, with everything that follows from sensor and setting.
     fn shooting(&self, role: Role, name: &str, setting: &Setting, light: Light, rng: &mut ChaCha8Rng) -> Shooting {
         let sensor = &self.scene.sensors[name];
         let folder = setting.name.as_ref().map_or(String::new(), |range| format!("{range}/"));
@@ -208,7 +208,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Adds a capture, with the drift of its hour.
+    /// Adds a capture, with the drift at its time.
     fn put(&mut self, mut shooting: Shooting) {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(!shooting.stream);
@@ -228,7 +228,7 @@ impl<'a> Session<'a> {
         if counts { self.chain.settings[..1].to_vec() } else { self.chain.settings.clone() }
     }
 
-    /// First bounce off a white diffuser at half the path, lit and seen head on.
+    /// First bounce off a white diffuser at half the path, lit and seen at normal incidence.
     fn over_diffuser(&self, path_m: f64) -> Light {
         let strength = match (self.scene.laser, self.scene.optics) {
             (Some(laser), Some(_)) => laser.pulse_j * DIFFUSER / PI * self.room.lens_m2 / (0.5 * path_m).powi(2),
@@ -244,25 +244,25 @@ impl<'a> Session<'a> {
         arrived(light, 0.0, self.chain.volts_per_strength(light.total()), &self.chain.pulse).height()
     }
 
-    /// Optical density that brings light into a range, in steps, but at least that asked for.
+    /// Optical density, in steps, that brings light into a range; at least `least`.
     fn density_for(&self, light: &Light, setting: &Setting, least: f64) -> f64 {
         let over = self.height_v(light) / (Chain::HEIGHT * setting.full_scale_v);
         if self.scene.laser.is_none() || over <= 0.0 {
             return least;
         }
-        // Rounding in the last digit must not ask for a step more.
+        // The margin avoids an additional step due to rounding in the last digit.
         let od = ((over.log10() - least).max(0.0) / OD_STEP - 1e-9).ceil() * OD_STEP + least;
         (od * 1e6).round() / 1e6
     }
 }
 
-/// Share of the light that passes an optical density.
+/// Share of the light that an optical density transmits.
 fn attenuation(od: f64) -> f64 {
     10_f64.powf(-od)
 }
 
 impl Shooting {
-    /// As the recorder takes it.
+    /// The capture as the recorder needs it.
     pub fn exposure(&self) -> Exposure<'_> {
         Exposure {
             light: &self.light,
@@ -274,12 +274,13 @@ impl Shooting {
         }
     }
 
-    /// Time that its shots take.
+    /// Duration of its shots.
     pub fn duration_s(&self, scene: &Scene) -> f64 {
         self.shots as f64 / scene.rate_hz()
     }
 
-    /// Height over noise of one shot for light of this strength; for photon counters, the root of the expected detections a cycle.
+    /// Height over noise of one shot, for light of this strength; for photon counters, the root of the expected
+    /// detections per cycle.
     pub fn shot_snr(&self, scene: &Scene, chain: &Chain, strength: f64) -> f64 {
         if self.counts {
             return (strength * self.factor * detections_per_j(scene)).sqrt();

@@ -1,4 +1,4 @@
-//! What is true of a scene, as rows of the pipeline's own tables and of those that only a simulation can fill.
+//! The truth of a scene, as rows of the pipeline's own tables and of those that only a simulation can fill.
 
 use std::collections::BTreeMap;
 
@@ -6,17 +6,17 @@ use super::SimulateError;
 use super::chain::Chain;
 use super::scene::Scene;
 use super::session::Shooting;
-use super::transport::{Captured, Light};
+use super::transport::{CaptureLights, Light};
 use crate::campaign::Role;
 use crate::campaign::keys::{LASER, PatchRole};
 use crate::tables::{Calibration, Onset, Patch, TrueCapture, TrueCentroid, TruePath};
 use crate::units::{self, PatchId};
 
-/// Least height over the averaged noise that makes an onset of a path.
+/// Least height, over the averaged noise, at which a path makes an onset.
 const ONSET_SNR: f64 = 1.0;
 
 impl Scene {
-    /// That the first light of a capture lies in the record.
+    /// Checks that the earliest light of a capture is within the record.
     pub(super) fn check_record(&self, shooting: &Shooting) -> Result<(), SimulateError> {
         let first = shooting.paths.iter().min_by_key(|(path, _)| path.len());
         let Some(time_ps) = first.map(|(_, light)| light.centroid_ps() + shooting.latency_ps) else {
@@ -29,7 +29,7 @@ impl Scene {
         }
     }
 
-    /// Whether a time lies in the record, modulo the laser's period.
+    /// Whether a time is within the record, modulo the laser's period.
     fn records(&self, time_ps: f64) -> bool {
         let instrument = &self.instrument;
         let length_ps = instrument.samples as f64 * instrument.dt_ps;
@@ -38,7 +38,7 @@ impl Scene {
         after_ps > 0.0 && after_ps < length_ps
     }
 
-    /// Where the patches are.
+    /// Positions of the patches.
     pub(super) fn true_patches(&self) -> Vec<Patch> {
         let onsets = (self.lit().len() + self.seen().len()) as i32 - 1;
         let row = |(&patch, disk): (&PatchId, &super::keys::Disk)| {
@@ -65,7 +65,7 @@ impl Scene {
         self.patches.iter().map(row).collect()
     }
 
-    /// Responses and latencies, one a sensor and range.
+    /// Responses and latencies, one row per sensor and range.
     pub(super) fn true_calibration(&self, chain: &Chain) -> Vec<Calibration> {
         let row = |sensor: &str, latency_ps: f64, setting: &super::chain::Setting| Calibration {
             campaign: self.name.as_str().into(),
@@ -94,12 +94,12 @@ impl Scene {
         self.sensors.iter().flat_map(rows).collect()
     }
 
-    /// Where the light of each first bounce comes from.
-    pub(super) fn true_centroids(&self, captured: &BTreeMap<PatchId, Captured>) -> Vec<TrueCentroid> {
+    /// Centroids of the first bounces.
+    pub(super) fn true_centroids(&self, lights: &BTreeMap<PatchId, CaptureLights>) -> Vec<TrueCentroid> {
         let mut rows = Vec::new();
         for (patch, disk) in &self.patches {
             for sensor in self.sensors.keys() {
-                let light = captured.get(patch).and_then(|captured| captured.get(&(sensor.clone(), *patch)));
+                let light = lights.get(patch).and_then(|lights| lights.get(&(sensor.clone(), *patch)));
                 let Some(light) = light.and_then(|paths| paths.get(&vec![*patch])) else {
                     continue;
                 };
@@ -147,7 +147,7 @@ impl Scene {
         rows
     }
 
-    /// What a capture is made of.
+    /// Properties of a capture.
     pub(super) fn true_capture(&self, chain: &Chain, shooting: &Shooting, file: &str) -> TrueCapture {
         let strength = shooting.light.total();
         let height_v = chain.volts_per_strength(strength) * strength * shooting.factor;
@@ -176,7 +176,7 @@ impl Scene {
     }
 }
 
-/// Arrivals of a capture that stand above its averaged noise.
+/// Arrivals of a capture above its averaged noise.
 pub(super) fn true_onsets(paths: &[TruePath], shooting: &Shooting, snr_was_set: bool) -> Vec<Onset> {
     let is_scene = shooting.role == Role::Scene;
     let strong = paths.iter().filter(|path| is_scene && path.recorded && path.snr >= ONSET_SNR);

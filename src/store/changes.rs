@@ -1,12 +1,12 @@
-//! What changed between two recipes, in words.
+//! Describes in words what changed between two recipes.
 
 use serde_json::Value;
 
 use super::shelf::StageId;
 
 impl StageId {
-    /// What of the stage itself another one has otherwise, a line each (`threshold_sigma 5.0 -> 6.0`): kind, version, parameters, campaign
-    /// fields, columns, kind of CPU. Its inputs are not looked at.
+    /// Differences of the stage itself, a line each (`threshold_sigma 5.0 -> 6.0`): kind, version, parameters, campaign
+    /// fields, columns, kind of CPU. Its inputs are not compared.
     #[must_use]
     pub fn changes(&self, to: &Self) -> Vec<String> {
         let mut changes = Vec::new();

@@ -1,6 +1,7 @@
-//! Whether a table file is what was written, and if not, where: row group, column, page, and the records that lie in it.
+//! Compares a table file with its record, and locates damage: row group, column, page, and the records in it.
 //!
-//! The digest of the whole file decides. The checksums of its pages only tell where to look, and are trusted as far as the footer's own digest is.
+//! The digest of the whole file decides. The checksums of its pages only help to locate damage; they count only if the
+//! footer's own digest is right.
 
 use std::fmt;
 use std::fs::File;
@@ -21,15 +22,15 @@ use super::parquet::FileRecord;
 
 /// Bytes that are read at a time.
 const PIECE_BYTES: usize = 1 << 20;
-/// Columns that name a record, as far as a table has them.
+/// Columns that identify a record; a table has some of them.
 const KEYS: [&str; 8] = ["campaign", "sensor", "lit", "seen", "shot", "rank", "patch", "file"];
 
-/// A table file that is not what was written.
+/// A table file that differs from its record.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Damage {
     /// The file.
     pub file: PathBuf,
-    /// Where in it.
+    /// Where in the file.
     #[serde(flatten)]
     pub place: Place,
 }
@@ -38,14 +39,16 @@ pub struct Damage {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(tag = "place", rename_all = "snake_case")]
 pub enum Place {
-    /// It is not there.
+    /// The file is missing.
     Gone,
     /// It has another length.
     Length {
-        /// Bytes that were written.
-        written: u64,
+        /// Recorded length in bytes.
+        #[serde(rename = "written")]
+        expected: u64,
         /// Bytes that are there.
-        found: u64,
+        #[serde(rename = "found")]
+        actual: u64,
     },
     /// In what follows the pages: indexes, footer.
     Footer {
@@ -79,7 +82,7 @@ impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Gone => f.write_str("it is gone"),
-            Self::Length { written, found } => write!(f, "it has {found} bytes, of {written} that were written"),
+            Self::Length { expected, actual } => write!(f, "it has {actual} bytes instead of {expected}"),
             Self::Footer { byte } => write!(f, "in its footer, after byte {byte}"),
             Self::Headers => f.write_str("in the header of a page"),
             Self::Page(page) => {
@@ -114,12 +117,12 @@ pub fn find(path: &Path, record: &FileRecord) -> Result<Option<Box<Damage>>, Sto
         Err(error) if error.kind() == io::ErrorKind::NotFound => return place(Place::Gone),
         opened => opened.at("read", path)?,
     };
-    let found = file.metadata().at("read", path)?.len();
-    if found != record.bytes {
-        return place(Place::Length { written: record.bytes, found });
+    let length = file.metadata().at("read", path)?.len();
+    if length != record.bytes {
+        return place(Place::Length { expected: record.bytes, actual: length });
     }
     let mut whole = blake3::Hasher::new();
-    let mut buffer = vec![0; PIECE_BYTES.min(found as usize + 1)];
+    let mut buffer = vec![0; PIECE_BYTES.min(length as usize + 1)];
     loop {
         match file.read(&mut buffer) {
             Ok(0) => break,
@@ -197,8 +200,8 @@ fn records(path: &Path, metadata: &ParquetMetaData, page: &Page, damaged: &[Page
         let mut batches = builder.with_projection(mask).with_row_selection(selection).build().ok()?;
         let batch = batches.next()?.ok()?;
         let schema = batch.schema();
-        let named = schema.fields().iter().zip(batch.columns()).filter(|(_, column)| column.is_valid(0));
-        let words = named.map(|(field, column)| {
+        let keys = schema.fields().iter().zip(batch.columns()).filter(|(_, column)| column.is_valid(0));
+        let words = keys.map(|(field, column)| {
             array_value_to_string(column, 0).map(|value| format!("{} {value}", field.name())).ok()
         });
         Some(words.collect::<Option<Vec<_>>>()?.join(", ")).filter(|text| !text.is_empty())

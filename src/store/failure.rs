@@ -1,4 +1,4 @@
-//! What can go wrong with a result folder, and the mend.
+//! Errors of a result folder, and how to fix them.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ pub const MEND: &str = "delete it, and the next `run` makes anew what is missing
 /// What can go wrong with a result folder.
 #[derive(Debug, Error)]
 pub enum StoreError {
-    /// Another run holds the folder, or shards do.
+    /// Another run or shards hold the folder.
     #[error("{}", busy(out, *hold, holder.as_ref()))]
     Busy {
         /// Result folder.
@@ -29,10 +29,10 @@ pub enum StoreError {
     /// A folder that is not a result folder.
     #[error("{0} holds other files and no .shelf: it is no result folder of periscope; choose another --out")]
     Foreign(PathBuf),
-    /// Nothing to read there.
+    /// The folder has nothing to read.
     #[error("{}", absent(.0))]
     Absent(PathBuf),
-    /// A name that the views need is taken by something else.
+    /// Something else has a name that the views need.
     #[error("{0} is in the way: it is not a view made by periscope; move it away, or choose another --out")]
     InTheWay(PathBuf),
     /// No such table.
@@ -40,13 +40,13 @@ pub enum StoreError {
     NoTable {
         /// Result folder.
         out: PathBuf,
-        /// Name asked for.
+        /// Requested name.
         heading: String,
     },
     /// A file could not be read or written.
-    #[error("cannot {what} {path}{}", mend(source))]
+    #[error("cannot {what} {path}{}", advice(source))]
     Io {
-        /// What was tried.
+        /// Attempted operation.
         what: &'static str,
         /// File.
         path: PathBuf,
@@ -56,20 +56,20 @@ pub enum StoreError {
     /// A table file could not be read or written.
     #[error("cannot {what} {path}")]
     Parquet {
-        /// What was tried.
+        /// Attempted operation.
         what: &'static str,
         /// File.
         path: PathBuf,
         /// Cause.
         source: ParquetError,
     },
-    /// A table file is not as it was written.
+    /// A table file differs from its record.
     #[error("{} is damaged ({}); {MEND}", .0.file.display(), .0.place)]
     Damaged(Box<Damage>),
     /// A parameter or a campaign field cannot stand in a recipe.
     #[error(transparent)]
     Recipe(#[from] NotJson),
-    /// A record of the shelf is not as it was written.
+    /// A record of the shelf differs from what was written.
     #[error("{path} is damaged; {MEND}")]
     Record {
         /// File.
@@ -79,34 +79,36 @@ pub enum StoreError {
     },
 }
 
-/// What a folder without a shelf is, and which of its neighbours has one.
+/// Message for a folder without a shelf; it names neighbours that have one.
 fn absent(out: &Path) -> String {
     let folder = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut results: Vec<PathBuf> =
         std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path()).collect();
     results.retain(|neighbour| neighbour.join(".shelf").is_dir());
     results.sort();
-    let named: Vec<String> =
+    let names: Vec<String> =
         results.iter().map(|path| path.strip_prefix("./").unwrap_or(path).display().to_string()).collect();
     let hint =
-        if named.is_empty() { String::new() } else { format!("; beside it are results in {}", named.join(", ")) };
+        if names.is_empty() { String::new() } else { format!("; beside it are results in {}", names.join(", ")) };
     let what = if out.exists() { "is no result folder: it has no .shelf" } else { "does not exist" };
     format!("{} {what}; `periscope run ... --out DIR` makes a result folder{hint}", out.display())
 }
 
 fn busy(out: &Path, hold: Hold, holder: Option<&Holder>) -> String {
     let out = out.display();
-    let named = |before: &str| holder.map_or(String::new(), |holder| format!(" ({before}{holder})"));
+    let holder_text = |before: &str| holder.map_or(String::new(), |holder| format!(" ({before}{holder})"));
     let (who, them) = match hold {
-        Hold::Alone => (format!("another run is writing to {out}{}", named("")), "it"),
-        // Which of them still are nobody knows.
-        Hold::Together => (format!("shards are being computed into {out}{}", named("the last began as ")), "them"),
+        Hold::Alone => (format!("another run is writing to {out}{}", holder_text("")), "it"),
+        // The text names only the shard that began last; which ones still run is unknown.
+        Hold::Together => {
+            (format!("shards are being computed into {out}{}", holder_text("the last began as ")), "them")
+        }
     };
     format!("{who}; wait for {them} (--wait), or choose another --out")
 }
 
 /// What a user can do about a failed write.
-fn mend(source: &io::Error) -> &'static str {
+fn advice(source: &io::Error) -> &'static str {
     match source.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
             "; free some space and run again: finished parts are kept"
@@ -121,7 +123,7 @@ fn mend(source: &io::Error) -> &'static str {
     }
 }
 
-/// Adds to an error what was tried, and where.
+/// Adds the operation and the path to an error.
 pub(super) trait At<T> {
     fn at(self, what: &'static str, path: &Path) -> Result<T, StoreError>;
 }

@@ -1,15 +1,17 @@
-//! Lineage: a BLAKE3 digest over everything that made a table.
+//! Lineage: a BLAKE3 digest of everything that determines a table.
 //!
-//! A *recipe* covers a stage's kind, version, parameters, campaign fields and schema, and the recipes of its inputs: it is known before
-//! anything is read. A part's *lineage* is its recipe joined with the lineages of the parts that it was made from, and at the root
-//! with the content hashes of the raw files.
+//! A *recipe* covers a stage's kind, version, parameters, campaign fields and schema, and the recipes of its inputs; it
+//! is
+//! computed before anything is read. A part's *lineage* joins its recipe with the lineages of the parts that it was
+//! made
+//! from, and at the root with the content hashes of the raw files.
 
 use std::fmt;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::Value;
 
-/// A BLAKE3 digest of 256 bits, written as 64 hexadecimal digits.
+/// A BLAKE3 digest of 256 bits; its text is 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Digest([u8; 32]);
 
@@ -26,7 +28,7 @@ impl Digest {
         Self::of_bytes(value.to_string().as_bytes())
     }
 
-    /// Digest of a sequence of digests under a name that says what is joined.
+    /// Digest of a sequence of digests. `what` names what is joined.
     pub fn join<'a>(what: &str, digests: impl IntoIterator<Item = &'a Digest>) -> Self {
         let mut hasher = blake3::Hasher::new();
         hasher.update(what.as_bytes());
@@ -36,7 +38,7 @@ impl Digest {
         hasher.finalize().into()
     }
 
-    /// The digest that is written so; `None` for any other text.
+    /// Parses the text of a digest; `None` for any other text.
     #[must_use]
     pub fn from_hex(text: &str) -> Option<Self> {
         blake3::Hash::from_hex(text).ok().map(Self::from)
@@ -49,13 +51,13 @@ impl Digest {
     }
 }
 
-/// Recipe of one table (main or side) of a stage of this recipe: how other stages name it as their input.
+/// Recipe of one table (main or side) of a stage with this recipe; other stages name it as their input.
 #[must_use]
 pub fn table_recipe(table: &str, recipe: &Digest) -> Digest {
     Digest::join(table, [recipe])
 }
 
-/// Lineage of a part of this recipe that is made from `input` (a part, a whole table, or the content of raw files), beside whole tables.
+/// Lineage of a part with this recipe. `input` is its part, whole table or raw content; `beside` are its whole tables.
 #[must_use]
 pub fn part(recipe: &Digest, input: &Digest, beside: &[Digest]) -> Digest {
     Digest::join("part", [recipe, input].into_iter().chain(beside))

@@ -1,4 +1,4 @@
-//! The store: tables on disk under the lineage that made them. It knows lineages, schemas and batches; it knows no stage.
+//! The store: tables on disk under their lineage. It handles lineages, schemas and batches, but no stages.
 
 mod changes;
 pub mod damage;

@@ -1,7 +1,9 @@
-//! Checksums of pages, as the Parquet format has them: the CRC-32 of a page's bytes, in the page's header. Whoever reads a file can check them.
+//! Checksums of pages as the Parquet format defines them: the page header holds the CRC-32 of the page's bytes, for any
+//! reader.
 //!
-//! The Parquet crate checks them where they stand and writes none. So the pages of a column chunk are kept here as the crate makes them, and
-//! each header gets the checksum of its page before the chunk goes into the file.
+//! The Parquet crate checks them where they exist, but writes none. Therefore this file keeps the pages of a column
+//! chunk
+//! as the crate makes them, and adds the checksum to each header before the chunk enters the file.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,22 +13,22 @@ use parquet::arrow::arrow_writer::{PageKey, PageStore, PageStoreArgs, PageStoreF
 use parquet::column::writer::ColumnCloseResult;
 use parquet::errors::{ParquetError, Result};
 
-/// Head of a field of type i32 that follows the field before it, in Thrift's compact protocol.
+/// Start of an i32 field that directly follows the previous field, in Thrift's compact protocol.
 const NEXT_I32: u8 = 0x15;
 /// Fields of a page header before its checksum: type, uncompressed size, compressed size.
 const FIELDS_BEFORE: usize = 3;
 /// Type of a dictionary page, zigzag.
 const DICTIONARY_PAGE: u32 = 4;
 
-/// Header and bytes of each page of a chunk, as they were made.
+/// Header and bytes of each page of a chunk, as the crate makes them.
 type Pages = Arc<Mutex<Vec<Bytes>>>;
 
-/// Keeps the pages of every column chunk that is begun.
+/// Keeps the pages of every column chunk.
 #[derive(Debug, Default)]
 pub struct ChunkPages(Mutex<Vec<Pages>>);
 
 impl ChunkPages {
-    /// Pages of the chunks that were begun since this was last asked, in their order.
+    /// Pages of the chunks that were begun since the last call, in order.
     pub fn take(&self) -> Vec<Pages> {
         std::mem::take(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
@@ -58,10 +60,10 @@ impl PageStore for Kept {
     }
 }
 
-/// A chunk's bytes with checksums, its dictionary first, and what the crate must know of it to take it into a row group.
+/// The chunk's bytes with checksums, its dictionary first, and the adjusted description for the row group.
 ///
 /// # Errors
-/// When a page header has not the form that the crate writes.
+/// When a page header differs from the form that the crate writes.
 pub fn with_checksums(pages: &Pages, close: &ColumnCloseResult) -> Result<(Bytes, ColumnCloseResult)> {
     let pages = pages.lock().unwrap_or_else(PoisonError::into_inner);
     let (mut dictionary, mut data, mut sizes) = (Vec::new(), Vec::new(), Vec::new());
@@ -99,7 +101,7 @@ pub fn with_checksums(pages: &Pages, close: &ColumnCloseResult) -> Result<(Bytes
     Ok((dictionary.into(), close))
 }
 
-/// Whether the bytes of a page are those that its header has the checksum of. `page` is header and bytes.
+/// Whether a page has the checksum in its header. `page` is header and bytes.
 pub fn holds(page: &[u8]) -> bool {
     let Ok(fields) = Fields::of(page) else {
         return false;
@@ -114,10 +116,10 @@ struct Fields {
     kind: u32,
     /// Bytes of the page after its header.
     compressed: u32,
-    /// Where the checksum stands, or would.
+    /// Where the checksum is, or would be.
     place: Range<usize>,
     checksum: Option<u32>,
-    /// Where what is read here ends.
+    /// End of these fields.
     end: usize,
 }
 
@@ -134,7 +136,7 @@ impl Fields {
     }
 }
 
-/// A field of type i32 that follows the one before it, as it is written; nothing is passed over where there is none.
+/// An i32 field that directly follows the previous one, undecoded. Where there is none, `at` does not move.
 fn next_i32(bytes: &[u8], at: &mut usize) -> Option<u32> {
     if bytes.get(*at) != Some(&NEXT_I32) {
         return None;
@@ -154,7 +156,7 @@ fn unzigzag(value: u32) -> u32 {
     (value >> 1) ^ (value & 1).wrapping_neg()
 }
 
-/// The header with a checksum in its place; the field behind it counts from the checksum's number on.
+/// Inserts the checksum into the header; the number of the following field then counts from the checksum's.
 fn insert(header: &[u8], checksum: u32) -> Result<Vec<u8>> {
     let fields = Fields::of(header)?;
     let next =

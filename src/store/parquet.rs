@@ -1,7 +1,8 @@
-//! The one address of the Parquet crate: one table of one part, written in row groups that the data define, and read back.
+//! The only file that uses the Parquet crate to write and read tables: one table of one part, in row groups.
 //!
-//! Row groups are cut by the sizes of the rows themselves, so a file's bytes do not depend on how the rows were batched on their way
-//! here. Groups are encoded by the worker pool and appended in order.
+//! The sizes of the rows decide where a row group ends, so that a file's bytes do not depend on how the rows were
+//! batched.
+//! The worker pool encodes row groups; they are appended in order.
 
 use std::fs::File;
 use std::io::Write;
@@ -32,12 +33,12 @@ use super::digesting::Digesting;
 use super::failure::{At, StoreError};
 use super::page_checksums::{ChunkPages, with_checksums};
 
-/// A row group closes with the row that brings it to this many bytes.
+/// A row group ends with the row that brings it to this many bytes.
 pub const ROW_GROUP_BYTES: usize = 4 << 20;
-/// A row group has at most this many rows.
+/// Most rows of a row group.
 const ROW_GROUP_ROWS: usize = 1 << 16;
 
-/// What the shelf remembers of one file.
+/// The record of one file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileRecord {
     /// Rows in the file.
@@ -46,9 +47,9 @@ pub struct FileRecord {
     pub bytes: u64,
     /// BLAKE3 of the file.
     pub digest: Digest,
-    /// Where its pages end; indexes and footer follow.
+    /// Where its pages end. Indexes and footer follow.
     pub pages_end: u64,
-    /// BLAKE3 of what follows the pages.
+    /// BLAKE3 of everything after the pages.
     pub footer: Digest,
 }
 
@@ -60,20 +61,20 @@ pub struct TableWriter {
     leaves: Vec<usize>,
     writer: SerializedFileWriter<Digesting>,
     factory: ArrowRowGroupWriterFactory,
-    /// Pages of the column chunks that are being encoded.
+    /// Pages of the column chunks in encoding.
     pages: Arc<ChunkPages>,
-    /// Rows of the row group that is being filled.
+    /// Rows of the unfinished row group.
     open: Vec<RecordBatch>,
     open_bytes: usize,
     open_rows: usize,
-    /// Whole row groups that wait to be encoded together.
+    /// Complete row groups that wait to be encoded together.
     whole: Vec<RecordBatch>,
     groups: usize,
     rows: u64,
 }
 
 impl TableWriter {
-    /// Starts a file; what stands at `path` is replaced.
+    /// Starts a file, and replaces an existing one at `path`.
     ///
     /// # Errors
     /// When the file cannot be created.
@@ -103,7 +104,7 @@ impl TableWriter {
         })
     }
 
-    /// Where it writes.
+    /// Path of the file.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
@@ -139,7 +140,7 @@ impl TableWriter {
     }
 
     fn encode(&mut self) -> Result<(), ParquetError> {
-        // Every column of every group is work of its own.
+        // Every column of every group is a task of its own, so that all threads are busy.
         let mut columns = Vec::new();
         for (group, batch) in self.whole.drain(..).enumerate() {
             let mut writers = self.factory.create_column_writers(self.groups + group)?.into_iter();
@@ -197,7 +198,7 @@ impl TableWriter {
     }
 }
 
-/// Bytes that each row holds in columns of variable length, plus eight for each other column.
+/// Bytes of each row in columns of variable length, plus eight for each other column.
 fn row_bytes(batch: &RecordBatch) -> Vec<usize> {
     let mut bytes = vec![0; batch.num_rows()];
     for column in batch.columns() {
@@ -220,10 +221,10 @@ fn row_bytes(batch: &RecordBatch) -> Vec<usize> {
     bytes
 }
 
-/// Mark of a column that is not to be compressed, in the metadata of its field.
+/// Metadata entry of a field whose column must not be compressed.
 const COMPRESSION: (&str, &str) = ("compression", "none");
 
-/// The same column, to be stored without compression.
+/// The same column, stored without compression.
 #[must_use]
 pub fn uncompressed(field: &Field) -> Field {
     let mut metadata = field.metadata().clone();
@@ -231,7 +232,7 @@ pub fn uncompressed(field: &Field) -> Field {
     field.clone().with_metadata(metadata)
 }
 
-/// Whether a column holds records of samples: codes, or a waveform.
+/// Whether a column holds samples: codes, or a waveform.
 fn holds_samples(field: &Field) -> bool {
     match field.data_type() {
         DataType::BinaryView => true,
@@ -240,8 +241,9 @@ fn holds_samples(field: &Field) -> bool {
     }
 }
 
-/// Columns of a table are compressed, but lists of floats are stored plain, since their low bits are noise. Beside samples, nothing but codes is compressed: the rest is a
-/// hundredth of the bytes, and each column chunk would start a compressor of its own.
+/// Columns are compressed, except lists of floats, since their low bits are noise. In tables of samples only codes are
+/// compressed: the other columns are a hundredth of the bytes, and each column chunk would start a compressor of its
+/// own.
 fn properties(schema: &SchemaRef) -> WriterProperties {
     let zstd = Compression::ZSTD(ZstdLevel::try_new(1).expect("level 1 exists"));
     let has_samples = schema.fields().iter().any(|field| holds_samples(field));
@@ -268,7 +270,8 @@ fn properties(schema: &SchemaRef) -> WriterProperties {
     properties.build()
 }
 
-/// Batches of a file, of at most `rows` rows each, in order; none has rows of two row groups. As many row groups as there are threads are decoded at a time.
+/// Reads batches of at most `rows` rows, in order; no batch spans two row groups. Each thread decodes one row group at
+/// a time.
 ///
 /// # Errors
 /// When the file is missing or is not Parquet.
@@ -280,7 +283,7 @@ pub fn read(
     let groups = metadata.metadata().num_row_groups();
     let path = path.to_owned();
     let decode = move |group: usize| -> Result<Vec<RecordBatch>, ParquetError> {
-        // A file of its own each: clones of one would share its position.
+        // Each reader opens the file itself: clones of one handle would share its position.
         let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(File::open(&path)?, metadata.clone());
         let reader = builder.with_row_groups(vec![group]).with_batch_size(rows).build()?;
         Ok(reader.collect::<Result<_, _>>()?)
@@ -295,11 +298,11 @@ pub fn read(
     }))
 }
 
-/// Batches of a file that is on record, of at most `rows` rows each, in order. Its bytes are held against the record first: what follows decodes
-/// what was written, or is an error.
+/// Reads batches of at most `rows` rows from a recorded file, in order. It first checks the file's bytes against the
+/// record: what it then decodes is what was written, or an error.
 ///
 /// # Errors
-/// When the file is missing, or is not as recorded: the error says where the damage is.
+/// When the file is missing, or differs from its record; the error says where the damage is.
 pub fn read_recorded(
     path: &Path,
     record: &FileRecord,

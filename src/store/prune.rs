@@ -1,7 +1,10 @@
-//! Results on the shelf that no view shows: of earlier parameters, or of parts of a campaign that has changed since.
+//! Results on the shelf that no view shows: from earlier parameters, or of parts of a campaign that has changed since.
 //!
-//! Needed is what the views show, what a run left unfinished since the last one that ended well, and the lists of rejects of tables that are not kept:
-//! without these the tables below them would be made again. To let a table go that a view shows, remove the view first (`rm OUT/stir`).
+//! Needed are: what the views show, what unfinished runs made since the last one that succeeded, and the lists of
+//! rejects of
+//! tables that are not kept (without these, a run would make the tables below them again). To release a table that a
+//! view
+//! shows, remove the view first (`rm OUT/stir`).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, Metadata};
@@ -15,47 +18,47 @@ use super::shelf::{PartRecord, Shelf, StageId};
 use super::{Digest, TableRecord, lineage, record};
 use crate::tables::{self, Reject, Row};
 
-/// What nobody needs of the tables of one recipe.
+/// Unneeded files among the tables of one recipe.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unneeded {
     /// Folder on the shelf.
     pub folder: String,
-    /// Whether all of it goes: no view shows any table of this recipe.
+    /// Whether the whole folder is unneeded: no view shows any table of this recipe.
     pub is_whole: bool,
     /// Parts of tables in it.
     pub parts: usize,
     /// Bytes that its removal frees.
     pub bytes: u64,
-    /// What is removed, in this order: a record goes before the files that it names.
+    /// What is removed, in this order: a record before the files that it names.
     paths: Vec<PathBuf>,
 }
 
 /// What the views show of one recipe.
 #[derive(Default)]
-struct Shown {
+struct Visible {
     parts: BTreeSet<Digest>,
     /// Folders of whole tables.
     tables: BTreeSet<String>,
 }
 
 impl Shelf {
-    /// What no view shows, by folder.
+    /// Finds what no view shows, by folder.
     ///
     /// # Errors
     /// When the shelf cannot be read.
     pub fn unneeded(&self) -> Result<Vec<Unneeded>, StoreError> {
         let since = self.unfinished_since()?;
-        let is_unfinished = |found: &Metadata| {
-            since.as_ref().is_some_and(|since| found.modified().is_ok_and(|made| utc(made) >= *since))
+        let is_unfinished = |metadata: &Metadata| {
+            since.as_ref().is_some_and(|since| metadata.modified().is_ok_and(|modified| utc(modified) >= *since))
         };
-        let (shown, behind) = (self.shown()?, self.behind()?);
+        let (visible, origins) = (self.visible()?, self.origins()?);
         let mut unneeded = Vec::new();
-        for (folder, found) in folders(&self.root())? {
+        for (folder, metadata) in folders(&self.root())? {
             let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if is_list_of_rejects(&name) {
-                let is_shown = fs::read_link(self.out().join(Reject::TABLE)).is_ok_and(|link| link.ends_with(&name));
-                if !is_shown && !is_unfinished(&found) {
-                    // Its files are links to those of parts.
+                let is_visible = fs::read_link(self.out().join(Reject::TABLE)).is_ok_and(|link| link.ends_with(&name));
+                if !is_visible && !is_unfinished(&metadata) {
+                    // Its files are links to those of parts, so they free no bytes.
                     unneeded.push(Unneeded { folder: name, is_whole: true, parts: 0, bytes: 0, paths: vec![folder] });
                 }
                 continue;
@@ -67,15 +70,15 @@ impl Shelf {
             if !folder.join("stage.json").is_file() {
                 continue;
             }
-            let nothing = Shown::default();
+            let nothing = Visible::default();
             let contents =
-                Contents::of(&folder, shown.get(&name).unwrap_or(&nothing), behind.contains(&name), &is_unfinished)?;
+                Contents::of(&folder, visible.get(&name).unwrap_or(&nothing), origins.contains(&name), &is_unfinished)?;
             unneeded.extend(contents.unneeded(folder, name));
         }
         Ok(unneeded)
     }
 
-    /// What pieces of parts add up to, where the run that they were made for is not waited for any more.
+    /// Finds subtotals of pieces whose run is no longer awaited.
     fn unneeded_pieces(
         &self,
         folder: String,
@@ -88,15 +91,16 @@ impl Shelf {
             }
             unneeded.parts += 1;
             unneeded.paths.push(record);
-            if let Ok(found) = fs::metadata(&subtotals) {
-                unneeded.bytes += found.size();
+            if let Ok(metadata) = fs::metadata(&subtotals) {
+                unneeded.bytes += metadata.size();
                 unneeded.paths.push(subtotals);
             }
         }
         Ok((unneeded.parts > 0).then_some(unneeded))
     }
 
-    /// Of that, what shown tables have replaced: parts, tables and lists of rejects. Results of other parameters are left.
+    /// Of that, what visible tables have replaced: parts, tables and lists of rejects. Results of other parameters
+    /// stay.
     ///
     /// # Errors
     /// When the shelf cannot be read.
@@ -106,7 +110,7 @@ impl Shelf {
         Ok(unneeded)
     }
 
-    /// Removes what nobody needs. The folder must be open for writing.
+    /// Removes unneeded files. The folder must be open for writing.
     ///
     /// # Errors
     /// When something cannot be removed.
@@ -117,27 +121,27 @@ impl Shelf {
         Ok(())
     }
 
-    /// Start of the first run after the last one that ended well, if there is one: what it made waits for its continuation.
+    /// Start of the first run after the last one that succeeded, if there is one: a later run will continue its work.
     fn unfinished_since(&self) -> Result<Option<String>, StoreError> {
         let runs = self.runs()?;
         let done = runs.iter().rposition(|run| run.ending == Some(Ending::Done)).map_or(0, |last| last + 1);
         Ok(runs.into_iter().nth(done).map(|run| run.started))
     }
 
-    fn shown(&self) -> Result<BTreeMap<String, Shown>, StoreError> {
-        let mut shown: BTreeMap<String, Shown> = BTreeMap::new();
+    fn visible(&self) -> Result<BTreeMap<String, Visible>, StoreError> {
+        let mut visible: BTreeMap<String, Visible> = BTreeMap::new();
         for (_, TableRecord { lineage, stage, parts }) in self.tables()? {
-            let of_stage = shown.entry(stage.folder()).or_default();
+            let of_stage = visible.entry(stage.folder()).or_default();
             of_stage.parts.extend(parts.iter().map(|part| part.lineage));
             of_stage.tables.insert(format!("table-{lineage}"));
         }
-        Ok(shown)
+        Ok(visible)
     }
 
-    /// Folders of all that shown tables are made from, themselves included.
-    fn behind(&self) -> Result<BTreeSet<String>, StoreError> {
+    /// Folders of everything that visible tables are made from, themselves included.
+    fn origins(&self) -> Result<BTreeSet<String>, StoreError> {
         let mut stages: BTreeMap<String, StageId> = BTreeMap::new();
-        // A stage knows its inputs by recipe and name of table.
+        // A stage identifies its inputs by recipe and table name.
         let mut makers: BTreeMap<Digest, String> = BTreeMap::new();
         for (folder, _) in folders(&self.root())? {
             let Some(stage) = record::read::<StageId>(&folder.join("stage.json"))? else {
@@ -148,8 +152,8 @@ impl Shelf {
                 .extend(tables::all().iter().map(|(table, _)| (lineage::table_recipe(table, &recipe), stage.folder())));
             stages.insert(stage.folder(), stage);
         }
-        let mut behind = BTreeSet::new();
-        let mut open: Vec<String> = self.shown()?.into_keys().collect();
+        let mut origins = BTreeSet::new();
+        let mut open: Vec<String> = self.visible()?.into_keys().collect();
         while let Some(folder) = open.pop() {
             if let Some(stage) = stages.get(&folder) {
                 open.extend(
@@ -157,33 +161,33 @@ impl Shelf {
                         .inputs
                         .values()
                         .filter_map(|input| makers.get(input))
-                        .filter(|maker| !behind.contains(*maker))
+                        .filter(|maker| !origins.contains(*maker))
                         .cloned(),
                 );
             }
-            behind.insert(folder);
+            origins.insert(folder);
         }
-        Ok(behind)
+        Ok(origins)
     }
 }
 
 /// The folders in a folder, sorted.
 fn folders(folder: &Path) -> Result<Vec<(PathBuf, Metadata)>, StoreError> {
-    Ok(entries(folder)?.into_iter().filter(|(_, found)| found.is_dir()).collect())
+    Ok(entries(folder)?.into_iter().filter(|(_, metadata)| metadata.is_dir()).collect())
 }
 
 fn entries(folder: &Path) -> Result<Vec<(PathBuf, Metadata)>, StoreError> {
     let mut entries = Vec::new();
     for entry in fs::read_dir(folder).at("read", folder)? {
         let path = entry.at("read", folder)?.path();
-        let found = fs::symlink_metadata(&path).at("read", &path)?;
-        entries.push((path, found));
+        let metadata = fs::symlink_metadata(&path).at("read", &path)?;
+        entries.push((path, metadata));
     }
     entries.sort_by(|a, b| a.0.cmp(&b.0));
     Ok(entries)
 }
 
-/// The contents of a recipe's folder, sorted out.
+/// The contents of a recipe's folder, sorted by kind.
 #[derive(Default)]
 struct Contents {
     records: Vec<PathBuf>,
@@ -195,33 +199,33 @@ struct Contents {
 impl Contents {
     fn of(
         folder: &Path,
-        shown: &Shown,
+        visible: &Visible,
         is_behind: bool,
         is_unfinished: &impl Fn(&Metadata) -> bool,
     ) -> Result<Self, StoreError> {
         let mut contents = Self::default();
         let entries = entries(folder)?;
-        let mut needed: BTreeSet<String> = shown.parts.iter().map(ToString::to_string).collect();
-        for (path, found) in &entries {
+        let mut needed: BTreeSet<String> = visible.parts.iter().map(ToString::to_string).collect();
+        for (path, metadata) in &entries {
             if let Some(lineage) = part_of(path).filter(|_| is_record(path)) {
                 let is_list = |part: &PartRecord| is_behind && part.files.keys().all(|table| table == Reject::TABLE);
-                if is_unfinished(found) || record::read::<PartRecord>(path)?.as_ref().is_some_and(is_list) {
+                if is_unfinished(metadata) || record::read::<PartRecord>(path)?.as_ref().is_some_and(is_list) {
                     needed.insert(lineage.to_owned());
                 }
             }
         }
-        for (path, found) in entries {
+        for (path, metadata) in entries {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let is_needed = match part_of(&path) {
                 Some(lineage) => needed.contains(lineage),
-                None => shown.tables.contains(&name) || (name.starts_with("table-") && is_unfinished(&found)),
+                None => visible.tables.contains(&name) || (name.starts_with("table-") && is_unfinished(&metadata)),
             };
             contents.is_any_needed |= is_needed;
-            match (is_needed, found.is_dir(), name.as_str()) {
+            match (is_needed, metadata.is_dir(), name.as_str()) {
                 (true, ..) | (_, _, "stage.json") => {}
                 (_, true, _) => contents.tables.push(path),
                 _ if is_record(&path) => contents.records.push(path),
-                _ => contents.files.push((path, found)),
+                _ => contents.files.push((path, metadata)),
             }
         }
         Ok(contents)
@@ -232,11 +236,11 @@ impl Contents {
         if is_any_needed && records.is_empty() && files.is_empty() && tables.is_empty() {
             return None;
         }
-        let (parts, bytes) = (records.len(), files.iter().map(|(_, found)| found.size()).sum());
+        let (parts, bytes) = (records.len(), files.iter().map(|(_, metadata)| metadata.size()).sum());
         let paths = if is_any_needed {
             tables.into_iter().chain(records).chain(files.into_iter().map(|(path, _)| path)).collect()
         } else {
-            // What made it goes last: a folder without it is nothing.
+            // The record of the stage goes last: a folder without it counts as nothing.
             tables.into_iter().chain(records).chain([folder]).collect()
         };
         Some(Unneeded { folder: name, is_whole: !is_any_needed, parts, bytes, paths })
@@ -251,7 +255,7 @@ fn is_record(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending == "json")
 }
 
-/// Lineage of the part that a file belongs to, by its name.
+/// Lineage of a file's part, from the file's name.
 fn part_of(path: &Path) -> Option<&str> {
     path.file_name()?.to_str()?.strip_prefix("part-")?.split('.').next()
 }

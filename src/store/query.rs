@@ -1,8 +1,8 @@
-//! SQL over the tables of a result folder, by Polars: its one address.
+//! SQL over the tables of a result folder; the only file that uses Polars, with its folder `query/`.
 //!
-//! The streaming engine answers, so that a question over raw traces needs no memory for all of them.
+//! Polars' streaming engine answers, so that a query over raw traces does not load all of them into memory.
 
-mod written;
+mod answer_text;
 
 use std::io::Write;
 
@@ -22,41 +22,41 @@ use super::sql_names::{mentions, quoted};
 /// Form of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
-    /// For the eye, with the columns that fit into so many letters; `None`: all.
+    /// For the terminal, with the columns that fit into this many characters; `None`: all.
     Table(Option<usize>),
     /// Comma-separated values; lists as JSON, bytes as hexadecimal digits.
     Csv,
-    /// A JSON object a line; bytes as hexadecimal digits.
+    /// One JSON object per line; bytes as hexadecimal digits.
     Json,
     /// Parquet.
     Parquet,
 }
 
-/// Why a question has no answer.
+/// Why a query failed.
 #[derive(Debug, Error)]
 pub enum QueryError {
     /// The result folder.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A table that is not there.
+    /// A table that does not exist.
     #[error("no table `{name}`")]
     NoTable {
-        /// As asked for.
+        /// Requested name.
         name: String,
-        /// Those that are there.
-        known: Vec<String>,
+        /// Existing tables.
+        available: Vec<String>,
     },
-    /// A column that is not there.
+    /// A column that does not exist.
     #[error("no column `{name}` in {}", tables.join(", "))]
     NoColumn {
-        /// As asked for.
+        /// Requested name.
         name: String,
-        /// The tables that the question names.
+        /// The tables that the query names.
         tables: Vec<String>,
         /// Their columns.
-        known: Vec<String>,
+        available: Vec<String>,
     },
-    /// Polars refused the question.
+    /// Polars rejected the query.
     #[error("{0}")]
     Refused(String),
     /// The answer could not be written.
@@ -73,29 +73,29 @@ impl From<PolarsError> for QueryError {
     }
 }
 
-/// Answers a question in SQL, in which every view of the folder is a table of its own name.
+/// Answers an SQL query, in which every view of the folder is a table with its name.
 ///
 /// # Errors
-/// When the question is refused, or a table cannot be read.
+/// When the query is rejected, or a table cannot be read.
 pub fn answer(shelf: &Shelf, sql: &str, form: Form, out: &mut impl Write) -> Result<(), QueryError> {
     let views = shelf.names()?;
     let sql = quoted(sql, &views);
     let context = SQLContext::new();
-    let mut named = Vec::new();
+    let mut used_views = Vec::new();
     for view in &views {
         let frame = frame(shelf, view, mentions(&sql, view))?;
         if mentions(&sql, view) {
-            named.push((view.clone(), frame.clone()));
+            used_views.push((view.clone(), frame.clone()));
         }
         context.register(view, frame);
     }
     let ask = |mut context: SQLContext| context.execute(&sql)?.collect_with_engine(Engine::Streaming);
-    let answer = ask(context).map_err(|error| explained(&error, &views, named))?.unwrap_single();
+    let answer = ask(context).map_err(|error| explain(&error, &views, used_views))?.unwrap_single();
     match form {
-        Form::Table(width) => written::table(&answer, width, out)?,
-        Form::Csv => written::csv(&answer, out)?,
+        Form::Table(width) => answer_text::table(&answer, width, out)?,
+        Form::Csv => answer_text::csv(&answer, out)?,
         Form::Json => {
-            let mut plain = written::without_bytes(answer)?;
+            let mut plain = answer_text::without_bytes(answer)?;
             JsonWriter::new(out).with_json_format(JsonFormat::JsonLines).finish(&mut plain)?;
         }
         Form::Parquet => {
@@ -105,8 +105,8 @@ pub fn answer(shelf: &Shelf, sql: &str, form: Form, out: &mut impl Write) -> Res
     Ok(())
 }
 
-/// A view, to be read when it is asked for. Polars holds no page against its checksum, so the files that are asked for are held against their records
-/// first.
+/// A view, which Polars reads when the query needs it. Polars verifies no page checksums, so the files of views in the
+/// query are checked against their records first.
 fn frame(shelf: &Shelf, view: &str, is_asked_for: bool) -> Result<LazyFrame, QueryError> {
     let files = shelf.recorded(view)?;
     if files.is_empty() {
@@ -116,12 +116,12 @@ fn frame(shelf: &Shelf, view: &str, is_asked_for: bool) -> Result<LazyFrame, Que
         files.iter().try_for_each(|(file, record)| check(file, record))?;
     }
     let paths = files.iter().map(|(file, _)| PlRefPath::new(file.to_string_lossy())).collect();
-    // The names are those of the files themselves, whatever letters the folder's name has.
+    // `glob` is off: the paths are literal, whatever characters the folder's name has.
     let args = ScanArgsParquet { glob: false, ..ScanArgsParquet::default() };
     Ok(LazyFrame::scan_parquet_files(paths, args)?)
 }
 
-/// A table that no part has been made of: nothing in the campaign concerns it.
+/// A table without parts: the campaign has nothing for it.
 fn empty(shelf: &Shelf, view: &str) -> Result<DataFrame, QueryError> {
     let kind = shelf.table_of(view).unwrap_or_default();
     let schema = crate::tables::all().into_iter().find(|(table, _)| *table == kind).map(|(_, schema)| schema);
@@ -130,22 +130,22 @@ fn empty(shelf: &Shelf, view: &str) -> Result<DataFrame, QueryError> {
     Ok(ParquetReader::new(std::io::Cursor::new(bytes.at("write", shelf.out())?)).finish()?)
 }
 
-/// A refusal as the mistake behind it, where that is a name.
-fn explained(error: &PolarsError, views: &[String], named: Vec<(String, LazyFrame)>) -> QueryError {
+/// The mistake behind a rejected query, where it is a name.
+fn explain(error: &PolarsError, views: &[String], used_views: Vec<(String, LazyFrame)>) -> QueryError {
     let text = error.to_string();
     let after = |start: &str, end: char| {
         let (_, rest) = text.split_once(start)?;
         rest.split_once(end).map(|(name, _)| name.to_owned())
     };
     if let Some(name) = after("relation '", '\'') {
-        return QueryError::NoTable { name, known: views.to_vec() };
+        return QueryError::NoTable { name, available: views.to_vec() };
     }
     if let Some(name) = after("unable to find column \"", '"').or_else(|| after("no column named '", '\'')) {
-        let (tables, frames): (Vec<String>, Vec<LazyFrame>) = named.into_iter().unzip();
-        // A table whose columns cannot be read has none to suggest.
+        let (tables, frames): (Vec<String>, Vec<LazyFrame>) = used_views.into_iter().unzip();
+        // A table whose columns cannot be read suggests none.
         let columns = frames.into_iter().filter_map(|mut frame| frame.collect_schema().ok());
-        let known = columns.flat_map(|schema| schema.iter_names().map(ToString::to_string).collect::<Vec<_>>());
-        return QueryError::NoColumn { name, tables, known: known.collect() };
+        let available = columns.flat_map(|schema| schema.iter_names().map(ToString::to_string).collect::<Vec<_>>());
+        return QueryError::NoColumn { name, tables, available: available.collect() };
     }
     QueryError::Refused(text)
 }

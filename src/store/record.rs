@@ -1,4 +1,5 @@
-//! Records: small JSON files beside the tables, each with a check of its own bytes, so that a flipped bit which still parses is found out.
+//! Records: small JSON files next to the tables. Each has a checksum of its own bytes, so that even a flipped bit that
+//! still parses is noticed.
 //!
 //! ```text
 //! {
@@ -40,7 +41,7 @@ pub fn read<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, StoreError> {
     record.map(Some).map_err(|source| StoreError::Record { path: path.to_owned(), source })
 }
 
-/// The text, if its check is that of its bytes.
+/// The text, if its checksum is right.
 fn checked(bytes: &[u8]) -> Result<&str, serde_json::Error> {
     let parts = |text: &str| {
         let (check, fields) = text.strip_prefix(BEFORE)?.split_at_checked(64)?;
@@ -69,12 +70,12 @@ mod tests {
         let path = folder.path().join("record.json");
         assert_eq!(read::<Widths>(&path).unwrap(), None);
         let record = Widths { sd_m: 2e-3, width_ps: 150.0 };
-        let written = text(&record);
-        assert!(serde_json::from_str::<serde_json::Value>(&written).unwrap()["check"].is_string());
-        fs::write(&path, &written).unwrap();
+        let json = text(&record);
+        assert!(serde_json::from_str::<serde_json::Value>(&json).unwrap()["check"].is_string());
+        fs::write(&path, &json).unwrap();
         assert_eq!(read(&path).unwrap(), Some(record));
-        for bit in 0..8 * written.len() {
-            let mut flipped = written.clone().into_bytes();
+        for bit in 0..8 * json.len() {
+            let mut flipped = json.clone().into_bytes();
             flipped[bit / 8] ^= 1 << (bit % 8);
             fs::write(&path, flipped).unwrap();
             let error = read::<Widths>(&path).unwrap_err().to_string();

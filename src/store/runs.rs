@@ -1,7 +1,7 @@
-//! Run records: when, where and from what a run was made. They lie beside the tables, never in them.
+//! Run records: when, where and from what a run was made. They are next to the tables, never in them.
 //!
-//! `OUT/.shelf/runs/20260314T091500Z-4711.json`, a file a run, named by its start (UTC) and its process. A record without an end is that of
-//! a run that is under way, or was killed.
+//! Each run has a file `OUT/.shelf/runs/20260314T091500Z-4711.json`, named by its start (UTC) and its process. A record
+//! without an end belongs to a run that still works, or was killed.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -21,22 +21,22 @@ use super::shelf::Shelf;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Ending {
-    /// Every wanted table is whole.
+    /// Every requested table is complete.
     Done,
     /// An error stopped it.
     Failed,
-    /// Its user stopped it.
+    /// The user stopped it.
     Interrupted,
 }
 
-/// One pass of a run: what it made together, in one reading of its input.
+/// One pass of a run: the tables that it made from one reading of its input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PassRecord {
     /// Headings of the tables.
     pub tables: Vec<String>,
-    /// Bytes of raw files read; 0 where stored tables were.
+    /// Bytes of raw files read; 0 for a pass over stored tables.
     pub raw_bytes: u64,
-    /// Time that it took, by the clock.
+    /// Elapsed time in seconds.
     pub seconds: f64,
 }
 
@@ -63,11 +63,11 @@ pub struct RunRecord {
     pub ending: Option<Ending>,
     /// What stopped it, if it failed.
     pub failure: Option<String>,
-    /// Rows set aside, in all its tables.
+    /// Rejected rows in all its tables.
     pub rejects: u64,
-    /// Lineages of the tables that were whole at its end, by view.
+    /// Lineages of the tables that were complete at its end, by view.
     pub tables: BTreeMap<String, Digest>,
-    /// Its passes, in order; none of a run that did not end well.
+    /// Its passes, in order; empty for a run that failed.
     #[serde(default)]
     pub passes: Vec<PassRecord>,
 }
@@ -76,7 +76,7 @@ impl RunRecord {
     /// A run of this process that starts now. `campaigns`: name and folder of each.
     ///
     /// # Errors
-    /// When the folder that relative paths start from is gone.
+    /// When the current folder is gone, so that relative paths have no base.
     pub fn start<'a>(
         pipeline: &Path,
         set: &[String],
@@ -101,7 +101,7 @@ impl RunRecord {
         })
     }
 
-    /// It ends now.
+    /// Ends the run now.
     pub fn end(&mut self, ending: Ending) {
         (self.ended, self.ending) = (Some(utc(SystemTime::now())), Some(ending));
     }
@@ -116,7 +116,7 @@ fn folder(shelf: &Shelf) -> PathBuf {
 }
 
 impl Shelf {
-    /// Writes a run's record, over an earlier one of the same run.
+    /// Writes a run's record, and replaces an earlier one of the same run.
     ///
     /// # Errors
     /// When it cannot be written.
@@ -126,7 +126,7 @@ impl Shelf {
         self.write_json(&run.file(self), run)
     }
 
-    /// Records of all runs into this folder, oldest first.
+    /// Records of all runs in this folder, oldest first.
     ///
     /// # Errors
     /// When one cannot be read.
@@ -149,7 +149,8 @@ impl Shelf {
 pub fn utc(moment: SystemTime) -> String {
     let seconds = moment.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs() as i64);
     let (days, rest) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
-    // Civil date from days since 1970 in the proleptic Gregorian calendar, counted in years that begin in March.
+    // Civil date from days since 1970 in the proleptic Gregorian calendar; counting years from March puts leap days
+    // last.
     let shifted = days + 719_468;
     let era = shifted.div_euclid(146_097);
     let day_of_era = shifted.rem_euclid(146_097);

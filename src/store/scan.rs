@@ -1,4 +1,4 @@
-//! Some columns of a Parquet file, in batches whose size follows from that of the rows.
+//! Reads some columns of a Parquet file, in batches whose size follows from that of the rows.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -16,12 +16,12 @@ use super::damage;
 use super::failure::{At, StoreError};
 use super::views::on_record;
 
-/// Bytes of a batch, about.
+/// Approximate bytes of a batch.
 const BATCH_BYTES: i64 = 4 << 20;
-/// Rows of a batch at most.
+/// Most rows of a batch.
 const BATCH_ROWS: i64 = 1 << 13;
 
-/// Batches of a file with the columns that `wanted` names, in the file's order; columns that it does not have are left out.
+/// Batches of a file with the columns that `wanted` accepts, in the file's order; missing columns are omitted.
 ///
 /// # Errors
 /// When the file is missing or is not Parquet.
@@ -32,7 +32,8 @@ pub fn scan<F: Fn(&str) -> bool>(
     scan_near(path, wanted, &[])
 }
 
-/// The same without row groups in which no row can have one of these numbers in these columns. Rows with others may come along.
+/// Batches without row groups in which no row can have one of these numbers in these columns. Other rows may be
+/// included.
 ///
 /// # Errors
 /// When the file is missing or is not Parquet.
@@ -62,14 +63,14 @@ pub fn scan_near<F: Fn(&str) -> bool>(
     Ok(reader.map(move |batch| batch.map_err(ParquetError::from).at("read", &path)))
 }
 
-/// Holds a file of a view against what is on record of it; of others nothing is known.
+/// Checks a file of a view against its record. Other files have none.
 fn check(path: &Path) -> Result<(), StoreError> {
     on_record(path)?.map_or(Ok(()), |record| damage::check(path, &record))
 }
 
 /// Whether a column of a row group may hold one of these numbers, by its statistics.
 fn may_hold(group: &RowGroupMetaData, column: &str, numbers: &BTreeSet<i32>) -> bool {
-    let column = group.columns().iter().find(|found| found.column_path().string() == column);
+    let column = group.columns().iter().find(|chunk| chunk.column_path().string() == column);
     match column.and_then(|column| column.statistics()) {
         Some(Statistics::Int32(of)) => match (of.min_opt(), of.max_opt()) {
             (Some(least), Some(most)) => numbers.range(least..=most).next().is_some(),
@@ -113,10 +114,10 @@ mod tests {
         writer.write(&Distance::to_batch(&all)).unwrap();
         writer.finish(&[]).unwrap();
         let numbers = BTreeSet::from([70_000, 70_001]);
-        let found: Vec<RecordBatch> =
+        let batches: Vec<RecordBatch> =
             scan_near(&path, |name| name != "sd_m", &[("a", &numbers)]).unwrap().map(Result::unwrap).collect();
-        assert!(found.iter().all(|batch| batch.num_columns() == 5 && batch.column_by_name("sd_m").is_none()));
-        assert_eq!(found.iter().map(RecordBatch::num_rows).sum::<usize>(), 1 << 16, "the second row group");
+        assert!(batches.iter().all(|batch| batch.num_columns() == 5 && batch.column_by_name("sd_m").is_none()));
+        assert_eq!(batches.iter().map(RecordBatch::num_rows).sum::<usize>(), 1 << 16, "the second row group");
         let whole = scan(&path, |_| true).unwrap().flat_map(|batch| Distance::rows(&batch.unwrap()).unwrap());
         assert!(whole.eq(all));
         assert_eq!(rows(&path).unwrap(), 200_000);

@@ -1,11 +1,11 @@
-//! What a result folder holds for those who compute parts of its tables: a job, and a file a shard.
+//! What a result folder holds for the workers that compute parts of its tables: a job, and a file for each shard.
 //!
 //! ```text
-//! OUT/.shelf/shards/job.json                  what is to be made, and of which shards
-//! OUT/.shelf/shards/<key>.json                one shard: all that who makes it must know
-//! OUT/.shelf/shards/<key>.cut.json            the same of a piece of a part: which of its records
-//! OUT/.shelf/shards/<key>.subtotals.parquet   what a piece adds up to
-//! OUT/.shelf/shards/<key>.made.json           written last: the piece is made, with digests
+//! OUT/.shelf/shards/job.json                  what to compute, and its shards
+//! OUT/.shelf/shards/<key>.json                one shard: everything that its worker needs
+//! OUT/.shelf/shards/<key>.cut.json            the same for a piece of a part, with its range of records
+//! OUT/.shelf/shards/<key>.subtotals.parquet   the subtotals of a piece
+//! OUT/.shelf/shards/<key>.made.json           written last: the piece is complete, with digests
 //! ```
 
 use std::collections::BTreeSet;
@@ -24,23 +24,23 @@ use super::parquet::{self, FileRecord, TableWriter};
 use super::record;
 use super::shelf::Shelf;
 
-/// Folder of all of it on the shelf.
+/// Folder of these files on the shelf.
 pub(super) const SHARDS: &str = "shards";
-/// Name of the job among the shards; no key reads so.
+/// Name of the job's file; no key has this form.
 const JOB: &str = "job";
-/// Rows of subtotals that are read at a time: each has the sums of a phase.
+/// Rows of subtotals that are read at once: each has the sums of a phase.
 const SUBTOTAL_ROWS: usize = 16;
-/// Ending of the record of a piece that is made.
+/// Ending of the record of a finished piece.
 const MADE: &str = "made.json";
 
-/// What a piece of a part has left.
+/// The results of a piece of a part.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PieceRecord {
     /// The file of its subtotals.
     pub subtotals: FileRecord,
-    /// What reading it gave, as its source alone understands it.
+    /// What reading it gave; only its source can interpret this.
     pub learnt: Value,
-    /// Why the part must be computed whole, if so.
+    /// Why the part must be computed whole, if it must.
     pub indivisible: Option<String>,
 }
 
@@ -57,7 +57,8 @@ impl Shelf {
         self.root().join(SHARDS).join(format!("{key}.{ending}"))
     }
 
-    /// Writes a job, its shards and its pieces of parts by key, in the place of those that were there. Pieces of these keys that are made stay.
+    /// Writes a job, its shards and its pieces of parts by key, and replaces earlier ones. Finished pieces of these
+    /// keys stay.
     ///
     /// # Errors
     /// When they cannot be written.
@@ -75,16 +76,16 @@ impl Shelf {
         for (key, cut) in cuts {
             self.write_json(&self.file_of(key.as_ref(), "cut.json"), cut)?;
         }
-        // Whoever reads the job finds its shards.
+        // Written last: whoever reads the job must find its shards.
         self.write_json(&self.shard_file(JOB), job)?;
         let keys = shards.iter().map(|(key, _)| key.as_ref()).chain(cuts.iter().map(|(key, _)| key.as_ref()));
         let keys: BTreeSet<&str> = keys.chain([JOB]).collect();
         for entry in fs::read_dir(&folder).at("read", &folder)? {
             let path = entry.at("read", &folder)?.path();
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            // What is half-written has no ending.
+            // Half-written files have no such ending.
             if name.split_once('.').is_some_and(|(key, _)| !keys.contains(key)) {
-                // Another plan may have removed it.
+                // Another process may have removed it already.
                 match fs::remove_file(&path) {
                     Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                     removed => removed.at("remove", &path)?,
@@ -94,7 +95,7 @@ impl Shelf {
         Ok(())
     }
 
-    /// The shard of a key, if there is one.
+    /// Reads the shard of a key, if there is one.
     ///
     /// # Errors
     /// When its file is damaged or cannot be read.
@@ -102,7 +103,7 @@ impl Shelf {
         if is_key(key) { record::read(&self.shard_file(key)) } else { Ok(None) }
     }
 
-    /// The piece of a part of a key, if there is one.
+    /// Reads the piece of a key, if there is one.
     ///
     /// # Errors
     /// When its file is damaged or cannot be read.
@@ -110,7 +111,7 @@ impl Shelf {
         if is_key(key) { record::read(&self.file_of(key, "cut.json")) } else { Ok(None) }
     }
 
-    /// Leaves what a piece adds up to, under a temporary name first; its record is written last.
+    /// Writes the subtotals of a piece, first under a temporary name; its record is written last.
     ///
     /// # Errors
     /// When it cannot be written.
@@ -135,20 +136,20 @@ impl Shelf {
         Ok(record)
     }
 
-    /// What a piece has left, if it is made.
+    /// Reads the results of a piece, if it is finished.
     ///
     /// # Errors
     /// When its record is damaged.
     pub fn piece(&self, key: &str) -> Result<Option<PieceRecord>, StoreError> {
         let record: Option<PieceRecord> = record::read(&self.file_of(key, MADE))?;
-        let size = fs::metadata(self.file_of(key, "subtotals.parquet")).map(|found| found.len()).ok();
+        let size = fs::metadata(self.file_of(key, "subtotals.parquet")).map(|metadata| metadata.len()).ok();
         Ok(record.filter(|record| size == Some(record.subtotals.bytes)))
     }
 
-    /// The subtotals of a piece, in batches of some rows.
+    /// Reads the subtotals of a piece, in batches of some rows.
     ///
     /// # Errors
-    /// When the file is not as it was written.
+    /// When the file differs from its record.
     pub fn subtotals(
         &self,
         key: &str,
@@ -157,7 +158,7 @@ impl Shelf {
         parquet::read_recorded(&self.file_of(key, "subtotals.parquet"), &record.subtotals, SUBTOTAL_ROWS)
     }
 
-    /// Files of pieces that are made: record and subtotals of each.
+    /// Files of finished pieces: record and subtotals of each.
     ///
     /// # Errors
     /// When the folder cannot be read.
@@ -179,7 +180,7 @@ impl Shelf {
         Ok(pieces)
     }
 
-    /// The job whose shards these are, if there is one.
+    /// Reads the job of these shards, if there is one.
     ///
     /// # Errors
     /// When its file is damaged or cannot be read.

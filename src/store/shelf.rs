@@ -1,9 +1,9 @@
-//! The shelf: parts of tables under the lineage that made them, and the views that show whole tables by name.
+//! The shelf: parts of tables, stored under their lineage, and the views, which show whole tables by name.
 //!
 //! ```text
-//! OUT/onsets -> .shelf/detect-<recipe>/table-<lineage>/onsets        the view, switched in one step when the table is whole
-//! OUT/.shelf/detect-<recipe>/stage.json                              what made it: kind, version, parameters, fields, inputs
-//! OUT/.shelf/detect-<recipe>/part-<lineage>.onsets.parquet           one table of one part
+//! OUT/onsets -> .shelf/detect-<recipe>/table-<lineage>/onsets        the view, switched in one step when the table is
+//! whole OUT/.shelf/detect-<recipe>/stage.json                              what made it: kind, version, parameters,
+//! fields, inputs OUT/.shelf/detect-<recipe>/part-<lineage>.onsets.parquet           one table of one part
 //! OUT/.shelf/detect-<recipe>/part-<lineage>.json                     written last: the part is whole, with digests
 //! OUT/.shelf/detect-<recipe>/table-<lineage>/table.json              the parts of a whole table, in order
 //! OUT/.shelf/detect-<recipe>/table-<lineage>/onsets/part-00000.parquet   hard links to the parts
@@ -26,27 +26,27 @@ use super::parquet::{self as file, FileRecord, TableWriter};
 use super::record;
 use super::sweep;
 
-/// What makes a table, raw files apart: its recipe's content.
+/// The content of a recipe: everything that determines a table except raw files.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StageId {
     /// Kind of the stage.
     pub kind: String,
     /// Version of the stage.
     pub version: u32,
-    /// Parameters, as parsed.
+    /// Parsed parameters.
     pub params: Value,
     /// Fields of campaign.toml that the stage reads.
     pub fields: Value,
     /// Digest of the schemas that it writes.
     pub schemas: Digest,
-    /// On which kind of CPU it was computed.
+    /// Kind of CPU that computed it.
     pub arithmetic: String,
-    /// Recipes of its inputs, by the name under which it knows them (`from`, or a name of `with`).
+    /// Recipes of its inputs, by their names in the stage (`from`, or a name of `with`).
     pub inputs: BTreeMap<String, Digest>,
 }
 
 impl StageId {
-    /// Digest of all of it.
+    /// Digest of all fields.
     #[must_use]
     pub fn recipe(&self) -> Digest {
         Digest::of(&serde_json::to_value(self).expect("a stage id is plain data"))
@@ -57,7 +57,7 @@ impl StageId {
     }
 }
 
-/// One whole part: the files of its tables.
+/// One complete part: the files of its tables.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PartRecord {
     /// Lineage of the part.
@@ -66,7 +66,7 @@ pub struct PartRecord {
     pub files: BTreeMap<String, FileRecord>,
 }
 
-/// One whole table.
+/// One complete table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TableRecord {
     /// Lineage of the table: its parts' lineages, in order.
@@ -99,13 +99,14 @@ impl TableRecord {
 /// A result folder's store.
 pub struct Shelf {
     out: PathBuf,
-    /// Held while the folder is written; `None` for reading.
+    /// Held for writing; `None` for reading.
     _lock: Option<lock::Lock>,
     temporary: AtomicU64,
 }
 
 impl Shelf {
-    /// Opens a result folder for writing: makes it if need be, and sweeps up what a killed run left half-written.
+    /// Opens a result folder for writing. It creates the folder if necessary, and removes what killed runs left
+    /// half-written.
     ///
     /// # Errors
     /// When another run holds it, when it holds foreign files, or when it cannot be written.
@@ -115,7 +116,8 @@ impl Shelf {
         Ok(shelf)
     }
 
-    /// Opens a result folder for adding parts, together with others who do: makes it if need be. Views are not to be switched.
+    /// Opens a result folder to add parts, together with other processes; creates it if necessary. The caller must not
+    /// switch views.
     ///
     /// # Errors
     /// When a run holds it alone, when it holds foreign files, or when it cannot be written.
@@ -145,7 +147,7 @@ impl Shelf {
         Ok(Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0) })
     }
 
-    /// A shelf for planning only: works on a folder that does not exist yet, and writes nothing.
+    /// A shelf for planning only: it accepts a folder that does not exist yet, and writes nothing.
     #[must_use]
     pub fn imagine(out: &Path) -> Self {
         Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0) }
@@ -157,7 +159,7 @@ impl Shelf {
         &self.out
     }
 
-    /// Folder where sources may note down what they learnt of raw files.
+    /// Folder for notes of sources on raw files.
     #[must_use]
     pub fn notes(&self) -> PathBuf {
         self.root().join("notes")
@@ -171,7 +173,7 @@ impl Shelf {
         folder.join(format!("tmp-{}-{}", lock::mark(), self.temporary.fetch_add(1, Ordering::Relaxed)))
     }
 
-    /// Record of a part, if it is whole.
+    /// Record of a part, if it is complete.
     ///
     /// # Errors
     /// When its record is damaged.
@@ -182,7 +184,7 @@ impl Shelf {
         };
         let present = |(table, file): (&String, &FileRecord)| {
             fs::metadata(folder.join(format!("part-{lineage}.{table}.parquet")))
-                .is_ok_and(|found| found.len() == file.bytes)
+                .is_ok_and(|metadata| metadata.len() == file.bytes)
         };
         Ok(record.files.iter().all(present).then_some(record))
     }
@@ -202,7 +204,7 @@ impl Shelf {
         Ok(PartWriter { shelf: self, stage: stage.clone(), folder, writers })
     }
 
-    /// Writes down what makes the tables of a folder, if that does not stand there.
+    /// Records the stage of a folder, if it is not recorded yet.
     pub(super) fn describe(&self, stage: &StageId) -> Result<(), StoreError> {
         let folder = self.root().join(stage.folder());
         fs::create_dir_all(&folder).at("create", &folder)?;
@@ -225,7 +227,7 @@ impl Shelf {
     /// Batches of one table of one part, of at most `rows` rows each.
     ///
     /// # Errors
-    /// When its file is not as it was written.
+    /// When its file differs from its record.
     pub fn read(
         &self,
         stage: &StageId,
@@ -237,7 +239,7 @@ impl Shelf {
     }
 }
 
-/// Writes the tables of one part; nothing of it counts before [`PartWriter::commit`].
+/// Writes the tables of one part. Nothing counts before [`PartWriter::commit`].
 pub struct PartWriter<'a> {
     shelf: &'a Shelf,
     stage: StageId,
@@ -256,7 +258,7 @@ impl PartWriter<'_> {
         writer.write(batch).at("write", &path)
     }
 
-    /// Ends the part under its lineage: files are moved to their names, and its record is written last.
+    /// Ends the part under its lineage: it renames the files, then writes the record.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -280,7 +282,7 @@ impl PartWriter<'_> {
 }
 
 impl Drop for PartWriter<'_> {
-    /// What was not committed goes; what cannot be removed now is swept away when the folder is opened next.
+    /// Removes uncommitted files. What cannot be removed now goes when the folder is opened next.
     fn drop(&mut self) {
         for (_, writer) in &self.writers {
             let _ = fs::remove_file(writer.path());

@@ -1,19 +1,19 @@
-//! Names of tables in a question in SQL.
+//! Names of tables in an SQL query.
 
-/// Whether a question names this table.
+/// Whether a query names this table.
 #[must_use]
 pub fn mentions(sql: &str, table: &str) -> bool {
     places(sql, table).next().is_some()
 }
 
-/// The question with names such as `patches.residuals` in quotes, which SQL would else take for column `residuals` of `patches`, or for a table of
-/// another schema.
+/// Quotes names such as `patches.residuals` in a query. SQL would take them for column `residuals` of `patches`, or for
+/// a table of another schema.
 #[must_use]
 pub fn quoted(sql: &str, tables: &[String]) -> String {
     let is_plain = |table: &str| table.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     let mut sql = sql.to_owned();
     for table in tables.iter().filter(|table| !is_plain(table)) {
-        // Within quotes of either kind stands a name that is quoted already, or a text.
+        // Text in quotes of either kind is a quoted name already, or a string.
         let bare = |&at: &usize| ['"', '\''].iter().all(|quote| sql[..at].matches(*quote).count() % 2 == 0);
         let bare: Vec<usize> = places(&sql, table).filter(bare).collect();
         for at in bare.into_iter().rev() {
@@ -23,7 +23,7 @@ pub fn quoted(sql: &str, tables: &[String]) -> String {
     sql
 }
 
-/// Where a table's name stands, and is no part of a longer word.
+/// Where a table's name occurs, except inside longer words.
 fn places<'a>(sql: &'a str, table: &'a str) -> impl Iterator<Item = usize> + 'a {
     let in_word = |c: char| c.is_alphanumeric() || c == '_';
     sql.match_indices(table).map(|(at, _)| at).filter(move |&at| {

@@ -1,11 +1,12 @@
-//! Sweeping up after killed runs: what was not whole when they ended has a name that says so.
+//! Removes what killed runs left behind: unfinished files have names that say so.
 
 use std::fs;
 use std::path::Path;
 
 use super::failure::{At, StoreError};
 
-/// Removes what a killed run left half-written below `folder`: files and folders named `tmp-...`, and hidden ones. Only for the holder of the lock.
+/// Removes half-written files and folders below `folder`: those named `tmp-...`, and hidden ones. Only the holder of
+/// the lock may call it.
 pub(super) fn sweep(folder: &Path) -> Result<(), StoreError> {
     for entry in fs::read_dir(folder).at("read", folder)? {
         let entry = entry.at("read", folder)?;
@@ -15,7 +16,7 @@ pub(super) fn sweep(folder: &Path) -> Result<(), StoreError> {
         if name.starts_with(b"tmp-") || name.starts_with(b".") {
             if is_folder { fs::remove_dir_all(&path) } else { fs::remove_file(&path) }.at("remove", &path)?;
         } else if is_folder && !name.starts_with(b"table-") {
-            // What a whole table holds was whole before it got its name.
+            // A table is complete before it gets its name, so nothing inside it is half-written.
             sweep(&path)?;
         }
     }

@@ -1,4 +1,4 @@
-//! The views: whole tables under the names of their headings, each a link to a table that never changes.
+//! The views: complete tables under the names of their headings. Each is a link to a table that never changes.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,7 +16,7 @@ use crate::tables::{Reject, Row};
 /// Name of a [`RejectsRecord`].
 pub(super) const REJECTS_RECORD: &str = "rejects.json";
 
-/// The files of the view `rejects`, which are of many stages.
+/// The files of the view `rejects`, which come from many stages.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct RejectsRecord {
     /// Files by name.
@@ -24,7 +24,7 @@ pub(super) struct RejectsRecord {
 }
 
 impl Shelf {
-    /// Makes a whole table of parts, and shows each of its tables under its view name.
+    /// Makes a complete table of parts, and shows each of its tables under its view name.
     ///
     /// `views` pairs the name of a table within the parts with the name of the view.
     ///
@@ -43,8 +43,8 @@ impl Shelf {
         self.describe(stage)?;
         let part = |part: &PartRecord, table: &str| folder.join(format!("part-{}.{table}.parquet", part.lineage));
         let linked = |i: usize, table: &str| {
-            let shown = whole.join(table).join(format!("part-{i:05}.parquet"));
-            shows(&shown, &part(&record.parts[i], table))
+            let view_file = whole.join(table).join(format!("part-{i:05}.parquet"));
+            shows(&view_file, &part(&record.parts[i], table))
         };
         let stands = record::read::<TableRecord>(&whole.join("table.json"))?.as_ref() == Some(&record)
             && views.iter().all(|(table, _)| (0..record.parts.len()).all(|i| linked(i, table)));
@@ -70,7 +70,8 @@ impl Shelf {
         Ok(record)
     }
 
-    /// Shows the rejects of all these tables as one view, `OUT/rejects`, a file a part and heading; gives their number of rows.
+    /// Shows the rejects of all these tables as one view, `OUT/rejects`, with one file per part and heading. Returns
+    /// their number of rows.
     ///
     /// # Errors
     /// When the view cannot be written.
@@ -83,9 +84,9 @@ impl Shelf {
             })
             .filter(|(.., part)| part.files.get(table).is_some_and(|file| file.rows > 0))
             .collect();
-        let named: Vec<Digest> =
+        let lineages: Vec<Digest> =
             files.iter().map(|(heading, .., part)| Digest::join(heading, [&part.lineage])).collect();
-        let name = format!("{table}-{}", TableRecord::lineage_of(&named).short());
+        let name = format!("{table}-{}", TableRecord::lineage_of(&lineages).short());
         let rows = files.iter().map(|(.., part)| part.files[table].rows).sum();
         let whole = self.root().join(&name);
         let linked = |(heading, stage, i, part): &(&str, &StageId, usize, &PartRecord)| {
@@ -97,25 +98,26 @@ impl Shelf {
         }
         let temporary = self.temporary(&self.root());
         fs::create_dir_all(&temporary).at("create", &temporary)?;
-        // An empty file keeps the view readable, with its schema, when nothing was set aside.
+        // Without rejects, an empty file keeps the view readable, with its schema.
         let none = temporary.join("none.parquet");
         let empty =
             TableWriter::create(&none, &Reject::schema()).and_then(|writer| writer.finish(&[])).at("write", &none)?;
-        let mut shown = RejectsRecord { files: BTreeMap::from([("none.parquet".to_owned(), empty)]) };
+        let mut record = RejectsRecord { files: BTreeMap::from([("none.parquet".to_owned(), empty)]) };
         for (heading, stage, i, part) in &files {
             let source = self.part_file(stage, &part.lineage, table);
             let name = format!("{heading}-{i:05}.parquet");
             let target = temporary.join(&name);
             fs::hard_link(&source, &target).or_else(|_| fs::copy(&source, &target).map(drop)).at("link", &target)?;
-            shown.files.insert(name, part.files[table].clone());
+            record.files.insert(name, part.files[table].clone());
         }
-        self.write_json(&temporary.join(REJECTS_RECORD), &shown)?;
+        self.write_json(&temporary.join(REJECTS_RECORD), &record)?;
         self.replace(&temporary, &whole)?;
         self.show(table, &PathBuf::from(".shelf").join(name))?;
         Ok(rows)
     }
 
-    /// Puts a whole folder where perhaps another is that is not as its record says. Readers miss it for two renames, not for as long as its files take to remove.
+    /// Replaces a folder that differs from its record. Readers miss it during two renames, not during the removal of
+    /// its files.
     fn replace(&self, temporary: &Path, whole: &Path) -> Result<(), StoreError> {
         if whole.exists() {
             let aside = self.temporary(&self.root());
@@ -136,7 +138,7 @@ impl Shelf {
         }
         let temporary = self.out().join(format!(".shelf/tmp-view-{view}"));
         let _ = fs::remove_file(&temporary);
-        // The link is made in the shelf and moved out, so its target is written as seen from OUT.
+        // The link is made in the shelf and then moved, so its target is relative to OUT.
         std::os::unix::fs::symlink(target, &temporary).at("link", &temporary)?;
         fs::rename(&temporary, &link).at("link", &link)
     }
@@ -188,14 +190,15 @@ impl Shelf {
         Some(target.file_name()?.to_string_lossy().into_owned())
     }
 
-    /// When the table behind a view became whole.
+    /// Time at which the table behind a view was completed.
     #[must_use]
     pub fn made(&self, view: &str) -> Option<std::time::SystemTime> {
         let target = fs::read_link(self.out().join(view)).ok()?;
         fs::metadata(self.out().join(target.parent()?).join("table.json")).ok()?.modified().ok()
     }
 
-    /// Files of a view, in order: of the table that it shows now, also when a run switches the view before they are read.
+    /// Files of a view, in order. They belong to the present table even if a run switches the view before they are
+    /// read.
     ///
     /// # Errors
     /// When there is no such view.
@@ -203,13 +206,13 @@ impl Shelf {
         Ok(self.recorded(view)?.into_iter().map(|(path, _)| path).collect())
     }
 
-    /// Files of a view, in order, with what is on record of each.
+    /// Files of a view, in order, each with its record.
     ///
     /// # Errors
     /// When there is no such view, or its record is damaged.
     pub fn recorded(&self, view: &str) -> Result<Vec<(PathBuf, FileRecord)>, StoreError> {
         let missing = || StoreError::NoTable { out: self.out().to_owned(), heading: view.to_owned() };
-        // Of the table as it is now, also where the view is switched meanwhile.
+        // Resolve the link first, in case a run switches the view meanwhile.
         let folder = fs::canonicalize(self.out().join(view)).map_err(|_| missing())?;
         if let Some(rejects) = record::read::<RejectsRecord>(&folder.join(REJECTS_RECORD))? {
             return Ok(rejects.files.into_iter().map(|(name, file)| (folder.join(name), file)).collect());
@@ -241,7 +244,7 @@ impl Shelf {
     }
 }
 
-/// What is on record of a file that a view shows; `None` for files elsewhere.
+/// The record of a file that a view shows; `None` for other files.
 ///
 /// # Errors
 /// When the record is damaged.
@@ -262,7 +265,8 @@ pub(super) fn on_record(path: &Path) -> Result<Option<FileRecord>, StoreError> {
     Ok(table.and_then(file))
 }
 
-/// Whether a file of a view shows its part: linked to it, or, where there are no links, copied from it. A part that was made anew is younger.
+/// Whether a file of a view shows its part: as a hard link, or as a copy where links are impossible. A part that was
+/// made anew is younger.
 fn shows(view: &Path, part: &Path) -> bool {
     let (Ok(view), Ok(part)) = (fs::metadata(view), fs::metadata(part)) else {
         return false;

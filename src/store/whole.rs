@@ -1,4 +1,4 @@
-//! Everything whole on a shelf, with or without a view: for those who follow a table back to what it was made from.
+//! Everything complete on a shelf, with or without a view, for following a table back to its origins.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -9,18 +9,18 @@ use super::failure::{At, StoreError};
 use super::record;
 use super::shelf::{Shelf, StageId, TableRecord};
 
-/// A stage's place on the shelf.
+/// What the shelf holds of one stage.
 #[derive(Clone, Debug)]
-pub struct Stored {
+pub struct StoredStage {
     /// The stage.
     pub stage: StageId,
-    /// Lineages of its whole parts, in no order.
+    /// Lineages of its complete parts, unordered.
     pub parts: BTreeSet<Digest>,
-    /// Its whole tables; none where the table is not kept, several where raw files changed.
+    /// Its complete tables; none where the table is not kept, several where raw files changed.
     pub tables: Vec<WholeTable>,
 }
 
-/// A whole table: its main table and the side tables.
+/// A complete table: its main table and the side tables.
 #[derive(Clone, Debug)]
 pub struct WholeTable {
     /// Its record.
@@ -49,11 +49,11 @@ impl WholeTable {
 }
 
 impl Shelf {
-    /// All stages that have something whole on the shelf.
+    /// All stages with something complete on the shelf.
     ///
     /// # Errors
     /// When the shelf cannot be read, or a record is damaged.
-    pub fn stored(&self) -> Result<Vec<Stored>, StoreError> {
+    pub fn stored(&self) -> Result<Vec<StoredStage>, StoreError> {
         let mut stored = Vec::new();
         for folder in entries(&self.out().join(".shelf"))?.into_iter().filter(|folder| folder.is_dir()) {
             let (mut parts, mut tables) = (BTreeSet::new(), Vec::new());
@@ -67,17 +67,17 @@ impl Shelf {
                     tables.push(WholeTable { record, folder: path });
                 }
             }
-            // A table without parts has no record of its stage but its own.
+            // A table without parts has no stage.json; its own record names the stage.
             let of_table = tables.first().map(|table| table.record.stage.clone());
             if let Some(stage) = record::read(&folder.join("stage.json"))?.or(of_table) {
-                stored.push(Stored { stage, parts, tables });
+                stored.push(StoredStage { stage, parts, tables });
             }
         }
         Ok(stored)
     }
 }
 
-/// What lies in a folder, sorted.
+/// Entries of a folder, sorted.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let mut entries: Vec<PathBuf> =
         fs::read_dir(folder).at("read", folder)?.flatten().map(|entry| entry.path()).collect();

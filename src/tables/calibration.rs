@@ -1,4 +1,4 @@
-//! Table `calibration`: what the response captures say about each sensor.
+//! Table `calibration`: the properties of each sensor, from its response captures.
 
 use super::cell::{Name, Samples};
 use crate::table;
@@ -10,13 +10,13 @@ table! {
         campaign: Name,
         /// Sensor.
         sensor: Name,
-        /// Vertical range, where captures were taken at several.
+        /// Vertical range, where captures were recorded at several.
         range: Option<Name>,
-        /// Shots that went into it.
+        /// Shots that it uses.
         shots: i32,
-        /// Shots set aside: clipped, without reference pulse, or unlike the first.
+        /// Rejected shots: clipped, without reference pulse, or different from the first.
         rejected: i32,
-        /// Grid step of response and reference.
+        /// Step of the time grid of response and reference.
         step_ps: f64,
         /// Time of the first value of the response; its maximum is at time 0.
         response_t0_ps: f64,
@@ -26,21 +26,23 @@ table! {
         reference_t0_ps: Option<f64>,
         /// Template of the reference pulse; its extremum is 1 or -1. Null without reference channel.
         reference: Option<Samples>,
-        /// Delay from reference pulse (without one, trigger) to recorded maximum, beyond the light's time of flight.
+        /// Delay from reference pulse (without one, trigger) to recorded maximum, minus the time of flight.
         latency_ps: f64,
-        /// Standard deviation of the latency; common to all arrivals of the sensor.
+        /// Standard deviation of the latency, which all arrivals of the sensor share.
         latency_sd_ps: f64,
-        /// The part of it that all vertical ranges of the sensor share: the error of the known path's length.
+        /// The contribution to it that all vertical ranges of the sensor share: the error of the known path's length.
         latency_common_sd_ps: Option<f64>,
-        /// Wall-clock time of the first response shot (ISO 8601, zone of the instrument).
+        /// Wall-clock time of the first response shot (ISO 8601, time zone of the instrument).
         acquired_at: Option<Name>,
-        /// Mean integral of the reference pulse in the response captures, which goes with the laser's energy. Null without reference channel.
+        /// Mean integral of the reference pulse in the response captures, which is proportional to the laser's energy.
+        /// Null without reference channel.
         reference_v_ps: Option<f64>,
-        /// Variance of one shot at level v: s0^2 + s1^2 abs(v) + s2^2 v^2 + j^2 (dv/dt)^2; the four coefficients in V^2, V, 1, ps^2.
+        /// Variance of one shot at level v: s0^2 + s1^2 abs(v) + s2^2 v^2 + j^2 (dv/dt)^2; the four coefficients in
+        /// V^2, V, 1, ps^2.
         noise_model: Option<Vec<f64>>,
         /// Autocorrelation of the noise at lags 0, 1, 2...
         noise_acf: Option<Samples>,
-        /// Full width of the response at half its maximum.
+        /// Full width at half maximum of the response.
         width_ps: f64,
         /// Standard deviation of the width.
         width_sd_ps: Option<f64>,

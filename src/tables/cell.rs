@@ -1,4 +1,5 @@
-//! What can stand in a column: numbers, texts, lists, the codes of a record and the samples of a waveform, which share their buffers with the table.
+//! Types of columns: numbers, texts, lists, codes of a record and samples of a waveform. The last two share their
+//! buffers with the table.
 
 use std::ops::Deref;
 use std::sync::Arc;
@@ -16,7 +17,7 @@ use arrow_schema::{DataType, Field};
 /// A shared, immutable text: names of campaigns, sensors, files.
 pub type Name = Arc<str>;
 
-/// A Rust type that can stand in a column.
+/// A Rust type of a column's cells.
 pub trait Cell: Sized {
     /// The Arrow array of the column.
     type Array: Array + Clone + 'static;
@@ -89,7 +90,7 @@ impl Cell for Option<Name> {
     }
 }
 
-/// Raw sample codes of one record: a stretch of little-endian bytes in a block that many records may share.
+/// Raw sample codes of one record: a range of little-endian bytes in a block that many records may share.
 #[derive(Clone, Debug)]
 pub struct Codes {
     block: Buffer,
@@ -98,10 +99,10 @@ pub struct Codes {
 }
 
 impl Codes {
-    /// The `length` bytes from `offset` of `block`; copies nothing.
+    /// The `length` bytes from `offset` of `block`, without copying.
     ///
     /// # Panics
-    /// When the stretch does not lie within the block, or the block is 4 GiB or larger.
+    /// When the range exceeds the block, or the block is 4 GiB or larger.
     #[must_use]
     pub fn new(block: &Buffer, offset: usize, length: usize) -> Self {
         assert!(
@@ -111,10 +112,10 @@ impl Codes {
         Self { block: block.clone(), offset: offset as u32, length: length as u32 }
     }
 
-    /// The `length` bytes from `offset` of these; copies nothing.
+    /// The `length` bytes from `offset` of these, without copying.
     ///
     /// # Panics
-    /// When they are not as many.
+    /// When the range exceeds them.
     #[must_use]
     pub fn slice(&self, offset: usize, length: usize) -> Self {
         assert!(offset + length <= self.len(), "bytes {offset}+{length} of {}", self.len());
@@ -123,7 +124,7 @@ impl Codes {
 }
 
 impl Default for Codes {
-    /// None.
+    /// No codes.
     fn default() -> Self {
         Self { block: Buffer::from_vec(Vec::<u8>::new()), offset: 0, length: 0 }
     }
@@ -215,7 +216,7 @@ pub(crate) fn list(items: ArrayRef, lengths: &[Option<usize>]) -> ArrayRef {
     Arc::new(ListArray::new(item(items.data_type().clone()), offsets, items, nulls))
 }
 
-/// The column of these waveforms: long ones, so that room for all is made before they are copied.
+/// The column of these waveforms. They are long, so it allocates room for all before it copies them.
 fn waveforms(cells: &[Option<&Samples>]) -> ArrayRef {
     let lengths: Vec<_> = cells.iter().map(|cell| cell.map(|samples| samples.len())).collect();
     let mut values = Vec::with_capacity(lengths.iter().flatten().sum());

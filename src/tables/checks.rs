@@ -1,10 +1,10 @@
-//! Table `checks`: what the runs of an instrument check say of the instrument.
+//! Table `checks`: results of the instrument checks.
 
 use super::cell::Name;
 use crate::table;
 
 table! {
-    /// One check of one sensor: what was found, what was expected, and the verdict.
+    /// One check of one sensor: the measured value, the expected one, and the verdict.
     "checks": Check, CheckColumns {
         /// Campaign.
         campaign: Name,
@@ -12,27 +12,28 @@ table! {
         sensor: Name,
         /// Name of the check.
         check: Name,
-        /// What was found; null where captures are missing.
+        /// Measured value; null where captures are missing.
         value: Option<f64>,
         /// Unit of value, sd, expected and tolerance.
         unit: Name,
         /// Standard deviation of the value.
         sd: Option<f64>,
-        /// Value of a good instrument; null for what is only told.
+        /// Value of a good instrument; null for values that are only reported.
         expected: Option<f64>,
-        /// How far a good instrument may be from it.
+        /// Largest deviation of a good instrument from the expected value.
         tolerance: Option<f64>,
-        /// How many standard deviations the value lies beyond the tolerance; 0 within.
+        /// Standard deviations of the value beyond the tolerance; 0 within.
         z: Option<f64>,
-        /// Independent values of which this is the most extreme.
+        /// Number of independent values of which this is the most extreme.
         trials: Option<f64>,
-        /// Chance that a good instrument is as far off, trials counted; null where the verdict is no matter of chance.
+        /// Probability that a good instrument deviates as far, trials included; null where the verdict does not depend
+        /// on chance.
         chance: Option<f64>,
-        /// pass, fail, info (only told), or missing (captures are lacking).
+        /// pass, fail, info (only reported), or missing (captures are missing).
         verdict: Name,
-        /// What a fail means and its mend, or which captures are missing.
+        /// What a failure means and how to fix it, or which captures are missing.
         cause: Name,
-        /// Runs that went into it.
+        /// Runs that the check uses.
         runs: i32,
     }
 }

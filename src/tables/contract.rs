@@ -1,4 +1,4 @@
-//! The published form of a table's schema: what `periscope schema` prints and `data-schema/` holds.
+//! The published form of a table's schema, for `periscope schema` and `data-schema/`.
 
 use std::fmt::Write;
 

@@ -3,7 +3,7 @@
 use crate::table;
 
 table! {
-    /// Distance of one pair of patches; patch 0 is source and camera.
+    /// Distance between two patches; patch 0 is source and camera.
     "distances": Distance, DistanceColumns {
         /// Smaller patch number.
         a: i32,
@@ -13,15 +13,15 @@ table! {
         distance_m: f64,
         /// Its standard deviation.
         sd_m: f64,
-        /// Bounces of the paths that it came from.
+        /// Bounces of the paths that give it.
         bounces: i32,
-        /// Onsets that went into it.
+        /// Onsets that give it.
         onsets: i32,
     }
 }
 
 table! {
-    /// Covariance of two distances that share onsets, or the places of known patches.
+    /// Covariance of two distances that share onsets, or the positions of prior patches.
     "covariances": Covariance, CovarianceColumns {
         /// First distance: smaller patch number.
         a1: i32,

@@ -1,6 +1,6 @@
-//! Which columns name a row of each table.
+//! Which columns identify a row of each table.
 
-/// The columns that name a row, whatever its other columns say; `None` for a table that is not ours.
+/// The columns that identify a row; `None` for a table that Periscope does not declare.
 #[must_use]
 pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
     Some(match table {

@@ -1,10 +1,10 @@
-//! Table `labels`: which path of light made which onset.
+//! Table `labels`: which light path caused which onset.
 
 use super::cell::Name;
 use crate::table;
 
 table! {
-    /// An onset and a path that may have made it.
+    /// An onset and a path that may have caused it.
     "labels": Label, LabelColumns {
         /// Campaign.
         campaign: Name,
@@ -14,21 +14,21 @@ table! {
         lit: i32,
         /// Patch that the sensor saw.
         seen: i32,
-        /// Vertical range whose delay the times have, where captures were taken at several.
+        /// Vertical range whose delay applies to the times, where captures were recorded at several.
         range: Option<Name>,
         /// Rank of the onset in its profile.
         rank: i32,
-        /// Time of flight, laser periods added.
+        /// Time of flight, with laser periods added.
         time_ps: f64,
-        /// Standard deviation of the time, the profile's common jitter included.
+        /// Standard deviation of the time, the jitter that the profile's onsets share included.
         time_sd_ps: f64,
         /// Laser periods added to the onset's time.
         turns: i32,
-        /// Bounces of the path (0: left unexplained).
+        /// Bounces of the path (0: unexplained).
         bounces: i32,
-        /// Patches in the order the light met them, lit first, seen last; null: left unexplained.
+        /// Patches in the order in which the light meets them: lit first, seen last; null: unexplained.
         path: Option<Vec<i32>>,
-        /// Measured minus predicted time, where patches are known.
+        /// Measured minus predicted time, where patches are given.
         residual_ps: Option<f64>,
         /// Probability of this label.
         probability: f64,

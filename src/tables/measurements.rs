@@ -4,8 +4,9 @@ use super::cell::Name;
 use crate::table;
 
 table! {
-    /// What one run (or capture of the scene) says: its strongest pulse, its noise, and what lies behind the pulse. Columns of the pulse are null where
-    /// there is none: roles dark and blocked, and records with less than five standard deviations of it.
+    /// Results of one run (or capture of the scene): its strongest pulse, its noise, and any later echo. Columns of the
+    /// pulse are null where there is none: roles dark and blocked, and records whose pulse is below five standard
+    /// deviations.
     "measurements": Measurement, MeasurementColumns {
         /// Campaign.
         campaign: Name,
@@ -17,13 +18,13 @@ table! {
         seen: i32,
         /// What was captured.
         role: Name,
-        /// Which run of shots, for other roles than scene: its file; null for captures of the scene.
+        /// Run of shots, for roles other than scene: its file; null for captures of the scene.
         run: Option<Name>,
-        /// Shots averaged.
+        /// Averaged shots.
         shots: i32,
-        /// Shots set aside: clipped, outlying, or without reference pulse.
+        /// Rejected shots: clipped, outliers, or without reference pulse.
         rejected: i32,
-        /// Of these, shots with a sample of signal or reference at the converter's rails.
+        /// Rejected shots with a sample of signal or reference at the converter's rails.
         clipped: i32,
         /// Known path from source to sensor.
         path_m: Option<f64>,
@@ -35,23 +36,23 @@ table! {
         power_w: Option<f64>,
         /// Bounces of the known path.
         bounces: Option<i32>,
-        /// Wall-clock time of the first shot as its file has it (ISO 8601, zone of the instrument).
+        /// Wall-clock time of the first shot, from its file (ISO 8601, time zone of the instrument).
         acquired_at: Option<Name>,
-        /// Amplitude over its standard deviation from the noise alone.
+        /// Amplitude over its standard deviation from noise alone.
         snr: Option<f64>,
-        /// Height of the pulse; negative for a pulse against the sensor's polarity.
+        /// Height of the pulse; negative for a pulse opposite to the sensor's polarity.
         amplitude_v: Option<f64>,
-        /// Standard deviation of the height, what the shots spread beyond the noise included.
+        /// Standard deviation of the height; includes the spread between shots beyond the noise.
         amplitude_sd_v: Option<f64>,
-        /// Time of the pulse after the reference pulse (without one, the trigger); the latency is in it.
+        /// Time of the pulse after the reference pulse (without one, the trigger); includes the latency.
         time_ps: Option<f64>,
-        /// Standard deviation of the time, what the alignment leaves included.
+        /// Standard deviation of the time; includes the residual of the alignment.
         time_sd_ps: Option<f64>,
-        /// Factor by which the calibrated response is stretched in time.
+        /// Factor by which the calibrated response must be stretched in time.
         width_ratio: Option<f64>,
         /// Standard deviation of that factor.
         width_ratio_sd: Option<f64>,
-        /// Full width at half maximum: that of the calibrated response, stretched.
+        /// Full width at half maximum of the calibrated response, stretched by that factor.
         width_ps: Option<f64>,
         /// Mean baseline.
         baseline_v: f64,
@@ -63,11 +64,11 @@ table! {
         signal_noise_v: Option<f64>,
         /// Volts per code.
         gain_v: f64,
-        /// Amplitude of the largest second pulse behind the main one, over that of the main one.
+        /// Amplitude of the largest second pulse after the main one, over that of the main one.
         echo_ratio: Option<f64>,
         /// Standard deviation of the ratio.
         echo_ratio_sd: Option<f64>,
-        /// How far that pulse lies behind the main one.
+        /// Delay of that pulse after the main one.
         echo_delay_ps: Option<f64>,
         /// Independent positions among which it is the largest.
         echo_trials: Option<f64>,

@@ -1,4 +1,4 @@
-//! The tables: one file a kind of row, each declared once. `data-schema/` is the published form of these declarations.
+//! The tables: one file for each kind of row, each declared once. `data-schema/` publishes these declarations.
 
 pub mod calibration;
 pub mod cell;
@@ -47,7 +47,7 @@ pub use subtotals::Subtotal;
 pub use traces::Trace;
 pub use truth::{TrueCapture, TrueCentroid, TruePath};
 
-/// Columns that name one capture; every table of samples, onsets or labels starts with them.
+/// Columns that identify one capture; every table of samples, onsets or labels starts with them.
 pub const CAPTURE_KEY: [&str; 4] = ["campaign", "sensor", "lit", "seen"];
 
 /// All tables, in the order of the pipeline.

@@ -4,10 +4,12 @@ use super::cell::Name;
 use crate::table;
 
 table! {
-    /// Position of one patch with its covariance. Frame (table `fits` says which): source and camera at their stations, turned as anchors, rays and stations
-    /// apart tell; where nothing does, the canonical frame: first patch on +x from the laser, the next that is clearly off that line in the xy plane at y > 0, the
-    /// next that is clearly off that plane at z > 0 (which of two mirror images is true the data do not say), and covariances without the three
-    /// rotations of the visible patches about the laser; with stations in line, the first patch off it towards +y (else +z), and covariances without the rotation about the line.
+    /// Position of one patch with its covariance. Table `fits` gives the frame. If anchors, rays and separate stations
+    /// fix it, it is the campaign's. Otherwise it is canonical: the first patch on +x from the laser, the next that is
+    /// clearly off that line in the xy plane at y > 0, the next that is clearly off that plane at z > 0 (the data do
+    /// not tell mirror images apart); covariances exclude the three rotations of the visible patches about the laser.
+    /// With stations on a line, the first patch off that line is towards +y (else +z), and covariances exclude the
+    /// rotation about the line.
     "patches": Patch, PatchColumns {
         /// Patch.
         patch: i32,
@@ -33,11 +35,11 @@ table! {
         cov_zz_m2: Option<f64>,
         /// Root of the sum of the three variances; null for a start value.
         sd_m: Option<f64>,
-        /// Onsets that its position rests on.
+        /// Onsets that determine its position.
         onsets: i32,
         /// Chi-square of the whole solution over its degrees of freedom; null for a start value.
         chi2_dof: Option<f64>,
-        /// 0 for the best solution; others where the data leave a choice, such as a mirror image.
+        /// 0 for the best solution; higher for other solutions that the data allow, such as a mirror image.
         alternative: i32,
         /// Log-likelihood of the solution, up to a constant; null for a start value.
         log_likelihood: Option<f64>,
@@ -45,7 +47,7 @@ table! {
 }
 
 table! {
-    /// Covariance between the positions of two patches; a patch's own is in `patches`.
+    /// Covariance between the positions of two patches; that of a patch with itself is in `patches`.
     "patch_covariances": PatchCovariance, PatchCovarianceColumns {
         /// Patch of the rows.
         a: i32,

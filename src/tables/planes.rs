@@ -5,13 +5,13 @@ use crate::table;
 table! {
     /// A plane through patches: all points p with normal . p = offset_m, in the frame of the patches.
     "planes": Plane, PlaneColumns {
-        /// Number, from 1: the plane with most patches first; groups given by hand in their order.
+        /// Number, from 1, in order of decreasing number of patches; user-defined groups keep their order.
         plane: i32,
         /// Patches on it, ascending.
         patches: Vec<i32>,
         /// Unit normal, x; it points away from the frame's origin.
         normal_x: f64,
-        /// Unit normal, y.
+        /// Unit normal, x; directed away from the frame's origin.
         normal_y: f64,
         /// Unit normal, z.
         normal_z: f64,
@@ -23,17 +23,18 @@ table! {
         offset_sd_m: f64,
         /// Root mean square of the patches' distances from the plane.
         rms_m: f64,
-        /// Patch that lies farthest from the plane.
+        /// Patch farthest from the plane.
         farthest: i32,
         /// Its distance from the plane, negative on the origin's side.
         farthest_m: f64,
-        /// Sum of the patches' squared distances, each over its variance; below the degrees of freedom where patches share errors.
+        /// Sum of the patches' squared distances, each over its variance; below the degrees of freedom where patches
+        /// share errors.
         chi2: f64,
-        /// Patches less the plane's three parameters.
+        /// Number of patches minus the plane's three parameters.
         degrees_of_freedom: i32,
-        /// Angle between the plane and plane 1, up to a right angle; null for plane 1.
+        /// Angle between the plane and plane 1, at most a right angle; null for plane 1.
         tilt_rad: Option<f64>,
-        /// Standard deviation of that angle; errors that turn both planes do not count.
+        /// Standard deviation of that angle, without errors that rotate both planes alike.
         tilt_sd_rad: Option<f64>,
     }
 }

@@ -16,15 +16,16 @@ table! {
         seen: i32,
         /// What was captured.
         role: Name,
-        /// Which run of shots, for other roles than scene: its file; null for captures of the scene.
+        /// Run of shots, for roles other than scene: its file; null for captures of the scene.
         run: Option<Name>,
-        /// Vertical range whose scale the profile has: of several merged ones the most sensitive. Null where captures have but one.
+        /// Vertical range whose scale the profile has; of several merged ones, the most sensitive. Null where captures
+        /// have only one.
         range: Option<Name>,
-        /// Shots averaged.
+        /// Averaged shots.
         shots: i32,
-        /// Shots set aside: clipped, outlying, or without reference pulse.
+        /// Rejected shots: clipped, outliers, or without reference pulse.
         rejected: i32,
-        /// Of these, shots with a sample of signal or reference at the converter's rails.
+        /// Rejected shots with a sample of signal or reference at the converter's rails.
         clipped: i32,
         /// Time of sample 0 relative to the reference pulse (without one, to the trigger).
         t0_ps: f64,
@@ -32,36 +33,39 @@ table! {
         dt_ps: f64,
         /// Mean signal.
         mean_v: Samples,
-        /// Standard error that each mean has for itself, by the noise model; infinite for a sample that every range clipped.
+        /// Independent standard error of each mean, by the noise model; infinite for a sample that every range clipped.
         se_v: Samples,
         /// Standard deviation of the noise of one shot, before the pulse.
         noise_v: f64,
         /// Autocorrelation of that noise at lags 0, 1, 2...
         noise_acf: Samples,
-        /// Variance of one shot at level v: s0^2 + s1^2 abs(v) + s2^2 v^2 + j^2 (dv/dt)^2; the four coefficients in V^2, V, 1, ps^2. Null where
-        /// shots are too few to tell.
+        /// Variance of one shot at level v: s0^2 + s1^2 abs(v) + s2^2 v^2 + j^2 (dv/dt)^2; the four coefficients in
+        /// V^2, V, 1, ps^2. Null where shots are too few to estimate it.
         noise_model: Option<Vec<f64>>,
-        /// Samples that this noise was taken from; null where that is not known.
+        /// Number of samples from which this noise was estimated; null where it is unknown.
         noise_samples: Option<i32>,
         /// Mean baseline that was removed.
         baseline_v: f64,
-        /// Shots at each of 64 sub-sample phases, which say what averaging does to a response; null where samples are as recorded.
+        /// Shots at each of 64 sub-sample phases, which determine how averaging changes a response; null where samples
+        /// are as recorded.
         phase_shots: Option<Vec<i32>>,
-        /// Standard deviation of the time error left over from alignment, common to all arrivals of the profile.
+        /// Standard deviation of the time error that remains after alignment, which all arrivals of the profile share.
         jitter_ps: f64,
-        /// Relative standard deviation of all amplitudes of the profile together: the laser's energy from shot to shot, the factor between merged ranges.
+        /// Relative standard deviation that all amplitudes of the profile share: the laser's energy from shot to shot,
+        /// and the factor between merged ranges.
         gain_sd: f64,
         /// Mean time of the reference pulse after the trigger. Null without reference channel.
         reference_ps: Option<f64>,
         /// Its standard error.
         reference_sd_ps: Option<f64>,
-        /// Mean integral of the reference pulse over time, which goes with the laser's energy. Null without reference channel.
+        /// Mean integral of the reference pulse over time, which is proportional to the laser's energy. Null without
+        /// reference channel.
         reference_v_ps: Option<f64>,
         /// Its standard error.
         reference_sd_v_ps: Option<f64>,
-        /// Photons counted in each bin, for sensors that count.
+        /// Photons counted in each bin, for photon counters.
         counts: Option<Vec<i32>>,
-        /// Laser pulses behind these counts.
+        /// Laser pulses over which they were counted.
         cycles: Option<i64>,
         /// Volts per code of the records.
         gain_v: f64,
@@ -75,7 +79,7 @@ table! {
         power_w: Option<f64>,
         /// Bounces of the known path, for roles response and fiducial.
         bounces: Option<i32>,
-        /// Wall-clock time of the first shot as its file has it (ISO 8601, zone of the instrument).
+        /// Wall-clock time of the first shot, from its file (ISO 8601, time zone of the instrument).
         acquired_at: Option<Name>,
     }
 }

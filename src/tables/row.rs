@@ -1,7 +1,8 @@
-//! How a row becomes Arrow columns and back: each table is declared once, with [`table!`](crate::table), and its schema,
-//! writer, reader and published contract follow from that declaration.
+//! How a row becomes Arrow columns and back. [`table!`](crate::table) declares each table once; its schema, writer,
+//! reader
+//! and published contract follow from that declaration.
 //!
-//! A column's unit is the suffix of its name; its meaning is the doc comment of its field. Both travel as field metadata.
+//! A column's unit is the suffix of its name; its meaning is the doc comment of its field. Field metadata hold both.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -13,7 +14,7 @@ use thiserror::Error;
 
 use super::cell::Cell;
 
-/// A table read does not have the columns that its name promises.
+/// A table lacks the columns that its name implies.
 #[derive(Debug, Error)]
 pub enum SchemaError {
     /// A column is missing.
@@ -25,15 +26,15 @@ pub enum SchemaError {
         column: &'static str,
     },
     /// A column has another type.
-    #[error("column `{column}` of table `{table}` is {found}, not {expected}; see `periscope schema {table}`")]
+    #[error("column `{column}` of table `{table}` is {actual}, not {expected}; see `periscope schema {table}`")]
     Type {
         /// Table.
         table: &'static str,
         /// Column.
         column: &'static str,
-        /// Type as found.
-        found: String,
-        /// Type as declared.
+        /// Its type in the table.
+        actual: String,
+        /// Its declared type.
         expected: String,
     },
     /// A column that must not be null has nulls.
@@ -56,14 +57,14 @@ pub trait Row: Sized + Clone + Send + Sync + 'static {
     type Columns: Send + Sync;
     /// Arrow schema with units and meanings as field metadata.
     fn schema() -> SchemaRef;
-    /// Rows as one batch; one that is given several times is not copied before.
+    /// Makes one batch of rows. A row that is listed several times is not copied first.
     fn to_batch_of<'a>(rows: impl Iterator<Item = &'a Self> + Clone) -> RecordBatch;
-    /// Typed view of a batch; copies nothing.
+    /// Typed view of a batch, without copying.
     ///
     /// # Errors
-    /// When a column is missing, of another type, or null where it must not be.
+    /// When a column is missing, has another type, or has nulls where its schema allows none.
     fn columns(batch: &RecordBatch) -> Result<Self::Columns, SchemaError>;
-    /// Row `i` of a view. Waveforms in it share the batch's buffers.
+    /// Row `i` of a view. Its waveforms share the batch's buffers.
     fn read(columns: &Self::Columns, i: usize) -> Self;
 
     /// Rows as one batch.
@@ -81,7 +82,7 @@ pub trait Row: Sized + Clone + Send + Sync + 'static {
     }
 }
 
-/// Units that a column name can end in, longest first, and how they are written.
+/// Units that a column name can end in, longest first, and how they are printed.
 const UNITS: [(&str, &str); 10] = [
     ("_m2", "m^2"),
     ("_ps2", "ps^2"),
@@ -95,7 +96,7 @@ const UNITS: [(&str, &str); 10] = [
     ("_bytes", "B"),
 ];
 
-/// Unit that a column name carries as its suffix.
+/// Unit of a column, from the suffix of its name.
 #[must_use]
 pub fn unit_of(column: &str) -> Option<&'static str> {
     UNITS.iter().find(|(suffix, _)| column.ends_with(suffix)).map(|(_, unit)| *unit)
@@ -114,7 +115,7 @@ pub fn field<C: Cell>(name: &str, meaning: &str) -> Field {
 /// Typed array of one column of a batch.
 ///
 /// # Errors
-/// When the column is missing, of another type, or null where it must not be.
+/// When the column is missing, has another type, or has nulls where its schema allows none.
 pub fn column<C: Cell>(
     batch: &RecordBatch,
     table: &'static str,
@@ -126,7 +127,7 @@ pub fn column<C: Cell>(
     let typed = typed.ok_or_else(|| SchemaError::Type {
         table,
         column,
-        found: array.data_type().to_string(),
+        actual: array.data_type().to_string(),
         expected: C::data_type().to_string(),
     })?;
     if !C::NULLABLE && typed.null_count() > 0 {
@@ -176,7 +177,7 @@ macro_rules! table {
             type Columns = $columns;
 
             fn schema() -> ::arrow_schema::SchemaRef {
-                // Made once: every batch of rows asks for it.
+                // Built once, since every batch of rows needs it.
                 static SCHEMA: ::std::sync::LazyLock<::arrow_schema::SchemaRef> = ::std::sync::LazyLock::new(|| {
                     $crate::tables::row::table_schema(
                         $table,

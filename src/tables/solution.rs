@@ -1,10 +1,10 @@
-//! Tables `delays`, `stations`, `residuals`, `suspects`, `fits` and `ambiguities`: what a solver found beside the patches.
+//! Tables `delays`, `stations`, `residuals`, `suspects`, `fits` and `ambiguities`: the further results of a solver.
 
 use super::cell::Name;
 use crate::table;
 
 table! {
-    /// Delay of one sensor (at one vertical range) that is left after calibration, as the solver found it.
+    /// Residual delay of one sensor (at one vertical range) after calibration, as estimated by the solver.
     "delays": Delay, DelayColumns {
         /// Campaign.
         campaign: Name,
@@ -12,17 +12,17 @@ table! {
         sensor: Name,
         /// Vertical range, where the sensor was calibrated at several.
         range: Option<Name>,
-        /// Delay found.
+        /// Estimated delay.
         delay_ps: f64,
         /// Its standard deviation.
         sd_ps: f64,
-        /// Standard deviation that calibration allowed it.
+        /// Standard deviation that calibration allows for it.
         prior_sd_ps: f64,
     }
 }
 
 table! {
-    /// Position of one station that campaign.toml gives with a standard deviation, as the solver found it; in the frame of `patches`.
+    /// Estimated position of a station to which campaign.toml gives a standard deviation; in the frame of `patches`.
     "stations": Station, StationColumns {
         /// Campaign.
         campaign: Name,
@@ -36,15 +36,15 @@ table! {
         z_m: f64,
         /// Root of the sum of the three variances.
         sd_m: f64,
-        /// Distance from where campaign.toml has it.
+        /// Distance from its position in campaign.toml.
         moved_m: f64,
-        /// Standard deviation of each coordinate that campaign.toml gives.
+        /// Standard deviation of each coordinate in campaign.toml.
         prior_sd_m: f64,
     }
 }
 
 table! {
-    /// What one labelled onset has left over after the solution.
+    /// Residual of one labelled onset.
     "residuals": Residual, ResidualColumns {
         /// Campaign.
         campaign: Name,
@@ -58,26 +58,28 @@ table! {
         rank: i32,
         /// Path of the label.
         path: Vec<i32>,
-        /// Measured minus predicted time, the footprints' shift taken off.
+        /// Measured minus predicted time, corrected for the shift of the footprints.
         residual_ps: f64,
         /// Standard deviation of the measured time.
         sd_ps: f64,
         /// Residual in standard deviations of the measured time.
         standardised: f64,
-        /// Residual in its own standard deviations, which are smaller as the solution follows the onset; null where no other onset checks it, and in large
-        /// campaigns, whose full covariance is not computed.
+        /// Residual over its own standard deviation, which is smaller than that of the measured time since the solution
+        /// follows the onset. Null where no other onset checks it, and in large campaigns, for which the full
+        /// covariance is not computed.
         studentised: Option<f64>,
-        /// What the light of the path arrives later than over the centres of its patches, as predicted from their footprints.
+        /// Predicted delay due to the extent of the footprints, relative to the path over the centres of its patches.
         footprint_ps: f64,
-        /// Whether the solution rests on it; not if it contradicts the others.
+        /// Whether the solution uses it; false if it contradicts the others.
         used: bool,
-        /// Beyond four standard deviations: a label to doubt.
+        /// Whether it exceeds four standard deviations: its label is doubtful.
         suspect: bool,
     }
 }
 
 table! {
-    /// A labelled onset to look at, the worst first: it contradicts the others, lies far off, or nothing checks it.
+    /// A labelled onset to examine, the worst first: it contradicts the others, has a large residual, or no other onset
+    /// checks it.
     "suspects": Suspect, SuspectColumns {
         /// Campaign.
         campaign: Name,
@@ -91,11 +93,12 @@ table! {
         rank: i32,
         /// Path of the label.
         path: Vec<i32>,
-        /// left-out (the solution does not rest on it), far-off or unchecked.
+        /// left-out (the solution does not use it), far-off or unchecked.
         reason: Name,
         /// Measured minus predicted time.
         residual_ps: f64,
-        /// Residual in its own standard deviations (in those of the measured time where that is not known); null for an unchecked onset.
+        /// Residual over its own standard deviation (over that of the measured time where the former is unknown); null
+        /// for an unchecked onset.
         studentised: Option<f64>,
         /// Share of the onset's information that other onsets check (0: none, 1: all); null in large campaigns.
         redundancy: Option<f64>,
@@ -107,25 +110,26 @@ table! {
     "fits": Fit, FitColumns {
         /// 0 for the best, others as in `patches`.
         alternative: i32,
-        /// What fixes the frame of `patches`: canonical (a convention: laser at its station, first patch on +x from there, the next in the xy plane, the next at
-        /// z > 0), stations (turned about their line by convention), or fixed.
+        /// What fixes the frame of `patches`: canonical (a convention: laser at its station, first patch on +x from
+        /// there, the next in the xy plane, the next at z > 0), stations (rotation about their line is a convention),
+        /// or fixed.
         frame: Name,
-        /// Rotations that nothing determines, of the largest part.
+        /// Undetermined rotations of the largest connected group of patches.
         free_rotations: i32,
-        /// exact: of the whole Fisher matrix; blocks: of each patch with all others held, plus what delays and stations share, which is too small where many pairs
-        /// are missing, and `patch_covariances` is empty.
+        /// exact: from the whole Fisher matrix. blocks: of each patch with all others held fixed, plus the errors that
+        /// delays and stations share; this is too small where many pairs are missing, and `patch_covariances` is empty.
         covariance: Name,
         /// Labelled onsets.
         onsets: i32,
-        /// Coordinates, delays, stations, period.
+        /// Estimated parameters: coordinates, delays, stations, period.
         unknowns: i32,
         /// Sum of squared standardised residuals, priors included.
         chi2: f64,
         /// Degrees of freedom.
         degrees_of_freedom: i32,
-        /// Log-likelihood, large residuals counted linearly, up to a constant.
+        /// Log-likelihood up to a constant; large residuals count linearly.
         log_likelihood: f64,
-        /// The laser's period, where onsets lie in several.
+        /// The laser's period, where onsets spread over several.
         repetition_ps: Option<f64>,
         /// Its standard deviation.
         repetition_sd_ps: Option<f64>,
@@ -133,19 +137,20 @@ table! {
 }
 
 table! {
-    /// Something that the onsets leave undetermined.
+    /// Something that the onsets do not determine.
     "ambiguities": Ambiguity, AmbiguityColumns {
         /// rotation, mirror, flip, part, open or weak.
         kind: Name,
-        /// Patches that it concerns; empty: all.
+        /// Patches concerned; empty: all.
         patches: Vec<i32>,
-        /// The other solution, where it is one, as in `patches`.
+        /// Number of the other solution in `patches`, if there is one.
         alternative: Option<i32>,
-        /// Log-likelihood of that less the best one's.
+        /// Log-likelihood of the other solution minus that of the best one.
         log_likelihood: Option<f64>,
-        /// How far the patches may be off in the weakest direction (largest principal standard deviation), where that is known.
+        /// Possible error of the patches in the weakest direction (largest principal standard deviation), where it is
+        /// known.
         sd_m: Option<f64>,
-        /// The same in words, and what would decide it.
+        /// The same in words, and what would resolve it.
         meaning: Name,
     }
 }

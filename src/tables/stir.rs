@@ -1,4 +1,5 @@
-//! Table `stir`: the space-time impulse response (paper section 3), one time profile a row, sensor response undone.
+//! Table `stir`: the space-time impulse response (paper section 3), one time profile per row, without the sensor's
+//! response.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,22 +13,22 @@ use super::cell::{Cell, Name, Samples, list};
 use super::row::unit_of;
 use crate::table;
 
-/// One impulse of light that explains part of a profile.
+/// One impulse that explains part of a profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Impulse {
-    /// Time of flight since the reference pulse, latency removed.
+    /// Time of flight after the reference pulse, without the sensor's latency.
     pub time_ps: f64,
     /// Standard deviation of the time.
     pub time_sd_ps: f64,
-    /// Height that the sensor's response has in the profile.
+    /// Height of the sensor's response to it in the profile.
     pub amplitude_v: f64,
     /// Standard deviation of the amplitude.
     pub amplitude_sd_v: f64,
-    /// Extra width of the light itself (0: none modelled).
+    /// Width of the impulse beyond the sensor's response (0: none modelled).
     pub width_ps: f64,
-    /// Chi-square that leaving the impulse out would cost.
+    /// Increase of chi-square without this impulse.
     pub evidence: f64,
-    /// By how many standard deviations chi-square of the samples that the impulse reaches exceeds what noise makes it.
+    /// Excess of chi-square, over the samples that the impulse reaches, above its expectation, in standard deviations.
     pub misfit_sigma: f64,
 }
 
@@ -81,7 +82,7 @@ impl Cell for Vec<Impulse> {
     }
 
     fn get(array: &Self::Array, i: usize) -> Self {
-        // Most methods find none, and then there is no need to look into every column.
+        // Most methods find no impulses, and then the columns need no look-up.
         if array.value_length(i) == 0 {
             return Vec::new();
         }
@@ -104,7 +105,7 @@ impl Cell for Vec<Impulse> {
 }
 
 table! {
-    /// One time profile of the space-time impulse response: what the light did, with the sensor's response undone.
+    /// One time profile of the space-time impulse response: the deconvolved signal, without the sensor's response.
     "stir": Stir, StirColumns {
         /// Campaign.
         campaign: Name,
@@ -114,13 +115,13 @@ table! {
         lit: i32,
         /// Patch that the sensor saw.
         seen: i32,
-        /// Vertical range whose delay the times have, where captures were taken at several.
+        /// Vertical range whose delay applies to the times, where captures were recorded at several.
         range: Option<Name>,
-        /// Time of sample 0 since the reference pulse, latency removed.
+        /// Time of sample 0 after the reference pulse, without the sensor's latency.
         t0_ps: f64,
         /// Time between samples.
         dt_ps: f64,
-        /// Deconvolved profile, for the eye and for edge methods of detect.
+        /// Deconvolved profile, for plots and for the edge methods of detect.
         profile: Samples,
         /// Standard deviation of the noise in the deconvolved profile, in its unit.
         profile_noise: f64,
@@ -132,9 +133,10 @@ table! {
         chi2_dof: Option<f64>,
         /// Standard deviation of the time error that all arrivals of the profile share.
         jitter_ps: f64,
-        /// Relative standard deviation of all amplitudes of the profile together.
+        /// Relative standard deviation that all amplitudes of the profile share.
         gain_sd: f64,
-        /// Laser's energy over that in the response captures, from the integral of the reference pulse. Null without reference channel.
+        /// Laser energy relative to the response captures, from the integral of the reference pulse. Null without
+        /// reference channel.
         power_ratio: Option<f64>,
     }
 }

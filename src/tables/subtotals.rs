@@ -1,11 +1,12 @@
-//! Table `subtotals`: what the pieces of a large capture add up to.
+//! Table `subtotals`: sums over the pieces of a large capture.
 
 use super::cell::Name;
 use crate::table;
 
 table! {
-    /// What a piece of a capture adds up to, where one worker is not to average all of it. For each vertical range and kind of shots: a row with phase for each phase of a
-    /// sample, which has their sums, and one without, which has what else is counted. Pieces of one capture, joined in order, make its profile.
+    /// Sums over one piece of a capture that several workers average. For each vertical range and kind of shots there
+    /// is one row for each sub-sample phase, with the sums, and one row without phase, with all other counts. The
+    /// pieces of one capture, joined in order, give its profile.
     "subtotals": Subtotal, SubtotalColumns {
         /// Campaign.
         campaign: Name,
@@ -17,21 +18,21 @@ table! {
         seen: i32,
         /// What was captured.
         role: Name,
-        /// Which run of shots, for other roles than scene.
+        /// Run of shots, for roles other than scene.
         run: Option<Name>,
-        /// Vertical range, where the capture was taken at several.
+        /// Vertical range, where captures were recorded at several.
         range: Option<Name>,
-        /// Whether these are the shots with samples at the converter's rails, not the whole ones.
+        /// Whether these are the shots with samples at the converter's rails, as opposed to those without.
         is_cut: bool,
-        /// Where between two samples these shots begin, in 1/64 sample; null in a row of counts.
+        /// Sub-sample phase at which these shots begin, in 1/64 sample; null in a row of counts.
         phase: Option<i32>,
-        /// Shots, or photon histograms, that were added up.
+        /// Shots, or photon histograms, in the sums.
         shots: i64,
         /// Place of the first sum: samples after the reference pulse (without one, after the trigger).
         first: i64,
         /// First place that all these shots cover.
         covered_from: i64,
-        /// Place behind the last one that all these shots cover.
+        /// Place after the last one that all these shots cover.
         covered_to: i64,
         /// Sums of the codes, place by place.
         sums: Vec<i64>,
@@ -43,15 +44,15 @@ table! {
         reference_v_ps: Vec<f64>,
         /// Places with a sample at the converter's rails.
         clipped_places: Vec<i64>,
-        /// Shots set aside, of both kinds: outlying, or without reference pulse.
+        /// Rejected shots of both kinds: outliers, and shots without reference pulse.
         rejected: i64,
-        /// Of these, shots with a sample at the converter's rails.
+        /// Number of these with a sample at the converter's rails.
         clipped: i64,
-        /// Shots of another scale, length or setting.
+        /// Shots with another scale, length or setting.
         other_scale: i64,
-        /// Whether the piece holds records of a reference channel.
+        /// Whether the piece has records of a reference channel.
         has_reference: bool,
-        /// Whether the calibration has no template to time them by.
+        /// Whether the calibration lacks a template to time them by.
         missing_template: bool,
     }
 }

@@ -7,7 +7,8 @@ use super::row::Row;
 use crate::table;
 
 table! {
-    /// One channel of one exposure, as recorded: volts = gain_v * code + offset_v, sample i at t0_ps + i * dt_ps after the trigger.
+    /// One channel of one exposure, as recorded: volts = gain_v * code + offset_v, sample i at t0_ps + i * dt_ps after
+    /// the trigger.
     "traces": Trace, TraceColumns {
         /// Campaign.
         campaign: Name,
@@ -19,15 +20,15 @@ table! {
         seen: i32,
         /// What was captured: scene, response, dark, blocked or fiducial.
         role: Name,
-        /// Which run of shots, for other roles than scene: its file; null for captures of the scene.
+        /// Run of shots, for roles other than scene: its file; null for captures of the scene.
         run: Option<Name>,
-        /// Vertical range, where a capture was taken at several.
+        /// Vertical range, where captures were recorded at several.
         range: Option<Name>,
         /// Number of the exposure within its capture, from 0.
         shot: i32,
         /// Channel of the oscilloscope.
         channel: Option<Name>,
-        /// Whether this is the reference pulse of the exposure rather than the signal.
+        /// Whether this is the reference pulse of the exposure, not the signal.
         is_reference: bool,
         /// Raw file, relative to the campaign folder.
         file: Name,
@@ -37,7 +38,7 @@ table! {
         t0_ps: f64,
         /// Time between samples.
         dt_ps: f64,
-        /// Time between samples as the file has it, where the campaign says another (dt_ps, nominal_rate_hz); else null.
+        /// Time between samples from the file, where the campaign replaces it (dt_ps, nominal_rate_hz); else null.
         file_dt_ps: Option<f64>,
         /// Number of samples.
         samples: i32,
@@ -49,11 +50,11 @@ table! {
         offset_v: f64,
         /// The codes, little-endian.
         codes: Codes,
-        /// Wall-clock time of the acquisition as the file has it (ISO 8601, zone of the instrument).
+        /// Wall-clock time of the acquisition, from the file (ISO 8601, time zone of the instrument).
         acquired_at: Option<Name>,
-        /// Samples at or beyond the converter's rails; null where the rails are not known.
+        /// Samples at or beyond the converter's rails; null where the rails are unknown.
         clipped: Option<i32>,
-        /// Shots that the oscilloscope had averaged into this record already.
+        /// Shots that the oscilloscope averaged into this record.
         averaged_shots: i32,
         /// Known path from source to sensor, for roles response and fiducial.
         path_m: Option<f64>,
@@ -68,9 +69,9 @@ table! {
     }
 }
 
-/// What a record has of its own.
+/// The columns in which records of one file differ.
 pub struct OwnColumns {
-    /// Which of the rows that records share it follows.
+    /// Number of the shared row that has the other columns.
     pub shared: usize,
     /// As in [`Trace`].
     pub shot: i32,
@@ -84,7 +85,7 @@ pub struct OwnColumns {
     pub clipped: Option<i32>,
 }
 
-/// Rows of many records, such as the segments of a file, that have most columns in common: these are held once.
+/// Rows of many records, such as the segments of a file. The columns that they have in common are stored once.
 #[derive(Default)]
 pub struct Records {
     shared: Vec<Trace>,
@@ -92,30 +93,30 @@ pub struct Records {
 }
 
 impl Records {
-    /// Takes a row that records share, and gives its number; its columns that are each record's own do not count.
+    /// Adds a shared row, and returns its number. Its [`OwnColumns`] are ignored.
     pub fn share(&mut self, row: Trace) -> usize {
         self.shared.push(row);
         self.shared.len() - 1
     }
 
-    /// Takes a record.
+    /// Adds a record.
     pub fn push(&mut self, record: OwnColumns) {
         self.own.push(record);
     }
 
-    /// Takes all records of others.
+    /// Adds all records of `other`.
     pub fn append(&mut self, other: Self) {
         let before = self.shared.len();
         self.shared.extend(other.shared);
         self.own.extend(other.own.into_iter().map(|own| OwnColumns { shared: before + own.shared, ..own }));
     }
 
-    /// Numbers the shots on from `first`.
+    /// Numbers the shots from `first` on.
     pub fn number_from(&mut self, first: i32) {
         self.own.iter_mut().for_each(|own| own.shot += first);
     }
 
-    /// Whether there is none.
+    /// Whether there are no records.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.own.is_empty()

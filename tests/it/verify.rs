@@ -160,7 +160,7 @@ fn each_kind_of_damage_has_its_words() {
     let text = |file: &Path| fs::read_to_string(file).unwrap();
     let cases: [(&str, &dyn Fn(&Path), &str); 9] = [
         (".labels.parquet", &|file| fs::remove_file(file).unwrap(), "it is gone"),
-        (".labels.parquet", &|file| fs::write(file, &fs::read(file).unwrap()[1..]).unwrap(), "that were written"),
+        (".labels.parquet", &|file| fs::write(file, &fs::read(file).unwrap()[1..]).unwrap(), "instead of"),
         (
             ".labels.parquet",
             &|file| flip(file, 8 * (fs::metadata(file).unwrap().len() - 20)),

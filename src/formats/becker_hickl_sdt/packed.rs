@@ -1,4 +1,5 @@
-//! Compressed blocks: a zip archive of one file. Only its first header is read, never a directory, so that nothing is allocated by what it claims.
+//! Compressed blocks: a zip archive of one file. Only its first header is read, never a directory, so that its claims
+//! allocate nothing.
 
 use std::io::{self, Read, SeekFrom};
 use std::ops::ControlFlow;
@@ -8,9 +9,9 @@ use flate2::bufread::DeflateDecoder;
 
 use crate::waveform::{CodeType, ReadSeek, Unpack};
 
-/// Most bytes that deflate makes of one.
+/// Largest ratio of unpacked to packed bytes in deflate.
 const DEFLATE_RATIO: u64 = 1032;
-/// Length of the header before a file in an archive, and what it begins with.
+/// Length of the header before a file in an archive.
 const HEADER_BYTES: u64 = 30;
 const SIGNATURE: [u8; 4] = *b"PK\x03\x04";
 /// Compression methods.
@@ -27,17 +28,17 @@ const PIECE_BYTES: u64 = 1 << 14;
 pub(super) struct Packed {
     pub(super) start: u64,
     pub(super) end: u64,
-    /// Bytes that it becomes.
+    /// Length of the unpacked block.
     pub(super) unpacked: u64,
 }
 
 impl Packed {
-    /// Whether so few bytes can become so many.
+    /// Whether this many packed bytes can hold the unpacked ones.
     pub(super) fn is_possible(self) -> bool {
         self.unpacked <= (self.end - self.start).saturating_mul(DEFLATE_RATIO)
     }
 
-    /// Some of its bytes.
+    /// A range of its unpacked bytes.
     pub(super) fn part(self, from: u64, length: u64, code_type: CodeType) -> Part {
         Part { block: self, from, length, width: code_type.bytes() as u64 }
     }
@@ -73,7 +74,7 @@ impl Unpack for Part {
 }
 
 impl Part {
-    /// The curve. The whole block is unpacked, so that nothing is handed on before its checksum is right.
+    /// The curve. It unpacks the whole block, so that nothing is passed on before the checksum is right.
     fn curve(&self, file: &mut dyn ReadSeek) -> io::Result<Vec<u8>> {
         file.seek(SeekFrom::Start(self.block.start))?;
         let length = self.block.end - self.block.start;

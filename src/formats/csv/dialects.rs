@@ -1,4 +1,4 @@
-//! The dialects whose heads are short: Tektronix, Keysight, Rigol, plain, and LeCroy's ASCII.
+//! The dialects with short headers: Tektronix, Keysight, Rigol, plain, and LeCroy's ASCII.
 
 use std::io::BufRead;
 
@@ -15,13 +15,13 @@ const LECROY_ASCII: &[u8] = b"\"Record Length\"\t";
 /// Start of LeCroy's CSV files, before the name of the model.
 const LECROY: &[u8] = b"LECROY";
 
-/// Starts by which a dialect is known whatever the file's name.
+/// First bytes that identify a dialect whatever the extension.
 pub(super) const STARTS: [&[u8]; 6] = [LECROY_ASCII, LECROY, b"Model,", b"x-axis,", b"X,CH", b",CH1"];
 
-/// Head lines of LeCroy's ASCII files, at most; real files have five.
+/// Most header lines of LeCroy's ASCII files; real files have five.
 const ASCII_KEYS: usize = 16;
 
-/// Reads the head, and the first row, of a text of so many bytes.
+/// Reads the header and the first row of a text of `length` bytes.
 pub(super) fn layout(lines: &mut Lines<impl BufRead>, length: u64) -> Result<Layout, FormatError> {
     let first = lines.next()?.unwrap_or_default().to_vec();
     if first.starts_with(LECROY_ASCII) {
@@ -33,7 +33,7 @@ pub(super) fn layout(lines: &mut Lines<impl BufRead>, length: u64) -> Result<Lay
     of_head(&Head::read(lines, first)?)
 }
 
-/// The layout that a head gives.
+/// The layout of the rows below a header.
 fn of_head(head: &Head) -> Result<Layout, FormatError> {
     let has = |key: &str| head.lines.iter().any(|(_, cells)| cells[0] == key);
     if has("Sample Interval") && (has("Model") || has("Waveform Type")) {
@@ -57,11 +57,12 @@ fn of_head(head: &Head) -> Result<Layout, FormatError> {
     plain(head)
 }
 
-/// Comments, names and units, as far as they are there. A comment right above the rows that names all columns is a line of names.
+/// Comments, names and units, each optional. A comment directly above the rows that names all columns is a line of
+/// names.
 fn plain(head: &Head) -> Result<Layout, FormatError> {
     let comment = |cells: &[String]| cells[0].starts_with(['#', '%']);
-    let said: Vec<_> = head.lines.iter().filter(|(_, cells)| !comment(cells)).collect();
-    let (columns, axis) = match said[..] {
+    let lines: Vec<_> = head.lines.iter().filter(|(_, cells)| !comment(cells)).collect();
+    let (columns, axis) = match lines[..] {
         [] => {
             let mut names = head.lines.last().map(|(_, cells)| cells.clone()).unwrap_or_default();
             if let Some(first) = names.first_mut() {
@@ -70,7 +71,7 @@ fn plain(head: &Head) -> Result<Layout, FormatError> {
             let names = Some(&names[..]).filter(|names| names.len() == head.count);
             columns(names, None, head.count, head.first_line)?
         }
-        // A first row of data that went wrong is no line of names.
+        // A line that starts with a number is a damaged row, not a line of names.
         [(line, names)] if names[0].replace(',', ".").parse::<f64>().is_ok() => {
             return Err(not_a_row(*line, &names.join(" ")));
         }
@@ -109,8 +110,9 @@ fn rigol_sequence(head: &Head, line: u64, names: &[String], units: &[String]) ->
     Ok(Layout::new("rigol-csv", head.separator, head.first_line, columns, axis))
 }
 
-/// Tektronix: lines of a key and values above the channels they are of. Beside the analog channels there may be others, with keys and a column of
-/// times of their own.
+/// Tektronix: lines of a key and values, above the channels that they describe. Next to the analog channels there may
+/// be
+/// others, with keys and a column of times of their own.
 struct Tek<'a> {
     head: &'a Head,
 }
@@ -151,7 +153,7 @@ impl Tek<'_> {
         };
         let segments = self.count("FastFrame Count")?.unwrap_or(1).max(1);
         axis.dt_s = Some(dt_s);
-        // Frames have triggers of their own, and only their columns of times tell.
+        // Each frame has a trigger of its own, so that only its column of times gives its origin.
         axis.t0_s = self.number("Zero Index")?.filter(|_| segments == 1).map(|index| -index * dt_s);
         let samples = self.count("Record Length")?.map(|count| (count, "Record Length"));
         if samples.is_some_and(|(count, _)| count == 0) {
@@ -201,15 +203,15 @@ impl Tek<'_> {
         };
         column.unit = match self.value("Vertical Units", group, index) {
             _ if column.kind == Kind::Digital => Unit::none(),
-            // The numbers are in this unit as it is: nothing is scaled by a letter in front.
+            // The numbers are in this unit as printed; a prefix letter in it does not scale them.
             Some(unit) => Unit::plain(unit),
             None => column.unit.clone(),
         };
     }
 }
 
-/// LeCroy's ASCII: `"Trigger Time"` is a fraction of a sample although the file calls it seconds: sample 0 lies at -(Trigger Point + Trigger Time) *
-/// Sample Interval. The printed times have seven digits only and are not used.
+/// LeCroy's ASCII. `"Trigger Time"` is a fraction of a sample, although the file calls it seconds: sample 0 is at
+/// -(Trigger Point + Trigger Time) * Sample Interval. The printed times have only seven digits and are not used.
 fn lecroy_ascii(lines: &mut Lines<impl BufRead>, first: Vec<u8>) -> Result<Layout, FormatError> {
     let separator = Separator::Byte(b'\t');
     let mut entries: Vec<Vec<String>> = Vec::new();
@@ -219,8 +221,8 @@ fn lecroy_ascii(lines: &mut Lines<impl BufRead>, first: Vec<u8>) -> Result<Layou
         line = lines.next()?.map(<[u8]>::to_vec);
     }
     let entry = |name: &'static str| {
-        let found = entries.iter().zip(1..).find(|(cells, _)| cells.first().is_some_and(|cell| cell == name));
-        let (cells, line) = found.ok_or_else(|| refuse(1, format!("the head has no \"{name}\"")))?;
+        let entry = entries.iter().zip(1..).find(|(cells, _)| cells.first().is_some_and(|cell| cell == name));
+        let (cells, line) = entry.ok_or_else(|| refuse(1, format!("the head has no \"{name}\"")))?;
         let number = cells.get(1).and_then(|cell| cell.parse().ok()).filter(|number: &f64| number.is_finite());
         let number = number.ok_or_else(|| refuse(line, format!("{name} is no number; save the trace again")))?;
         Ok::<_, FormatError>((number, cells.get(2).cloned().unwrap_or_default()))

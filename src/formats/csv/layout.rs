@@ -1,4 +1,4 @@
-//! What the head of a text says of its rows.
+//! What the header of a text says about its rows.
 
 use std::io::BufRead;
 
@@ -8,20 +8,20 @@ use super::units::{Unit, is_time, split};
 use super::{clip, refuse};
 use crate::waveform::Kind;
 
-/// Lines before the first row, at most; a LeCroy head may have more, one for each segment.
+/// Most lines before the first row. A LeCroy header may have more, one for each segment.
 const HEAD_LINES: usize = 64;
 
-/// Columns, at most.
+/// Most columns.
 const COLUMNS: usize = 256;
 
 /// What a column is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Role {
-    /// Not looked at.
+    /// Ignored.
     Skip,
-    /// Times, or what else x is.
+    /// x: times, frequencies or numbers of samples.
     Time,
-    /// The same times once more.
+    /// A copy of x.
     SameTime,
     /// Times if they increase from row to row, else a channel.
     Perhaps,
@@ -38,22 +38,22 @@ pub(super) struct Column {
     pub kind: Kind,
 }
 
-/// What x is.
+/// The x axis.
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     /// Unit of the column.
     pub unit: Unit,
-    /// Frequencies, no times.
+    /// Whether x is a frequency, not a time.
     pub spectrum: bool,
-    /// The column has the numbers of samples.
+    /// Whether x is the number of a sample.
     pub sequence: bool,
-    /// Step, where the head has it.
+    /// Step of x, where the header gives it.
     pub dt_s: Option<f64>,
-    /// First x, where the head has it; x of number 0 of a sequence.
+    /// First x, where the header gives it; for a sequence, x of number 0.
     pub t0_s: Option<f64>,
 }
 
-/// What the rows are.
+/// How to read the rows.
 #[derive(Clone, Debug)]
 pub(super) struct Layout {
     pub format: &'static str,
@@ -64,17 +64,17 @@ pub(super) struct Layout {
     pub axis: Axis,
     /// Line of the first row.
     pub first_line: u64,
-    /// Rows of a segment, where the head has them, and what it calls them.
+    /// Rows of a segment, where the header gives them, and the name of that field.
     pub samples: Option<(u64, &'static str)>,
     pub segments: u64,
-    /// Times of the triggers of several segments since the first one's.
+    /// Times of the triggers of several segments, after the first one's.
     pub triggers_s: Vec<f64>,
-    /// The last row may have blank cells, and is none then.
+    /// Whether a last row with blank cells is to be ignored.
     pub blank_end: bool,
 }
 
 impl Layout {
-    /// A layout of which only the columns are known.
+    /// A layout with these columns and no further information.
     pub(super) fn new(
         format: &'static str,
         separator: Separator,
@@ -97,7 +97,7 @@ impl Layout {
         }
     }
 
-    /// Decides what a column is that may be one of times.
+    /// Decides whether the undecided column is x.
     pub(super) fn decide(&mut self, survey: &Survey) {
         for column in self.columns.iter_mut().filter(|column| column.role == Role::Perhaps) {
             column.role = if survey.increasing { Role::Time } else { Role::Channel };
@@ -105,13 +105,13 @@ impl Layout {
     }
 }
 
-/// What is to be known of the rows before they are read.
+/// What must be known about the rows before they are read.
 #[derive(Debug)]
 pub(super) struct Survey {
     pub rows: u64,
-    /// First and last x of each segment, as printed; empty without such a column.
+    /// First and last x of each segment, as printed; empty without a column of x.
     pub ends: Vec<(f64, f64)>,
-    /// Most digits that an x has.
+    /// Largest number of digits of an x.
     pub digits: usize,
     /// Whether x increases from row to row.
     pub increasing: bool,
@@ -120,17 +120,17 @@ pub(super) struct Survey {
 /// The lines before the first row of numbers.
 #[derive(Debug)]
 pub(super) struct Head {
-    /// Number and cells of each line that has any.
+    /// Number and cells of each line that is not blank.
     pub lines: Vec<(u64, Vec<String>)>,
     pub separator: Separator,
     /// Cells of the first row, without blank ones at its end.
     pub count: usize,
-    /// Its line.
+    /// Number of its line.
     pub first_line: u64,
 }
 
 impl Head {
-    /// Reads on from the first line.
+    /// Reads on after the first line.
     pub(super) fn read(lines: &mut Lines<impl BufRead>, first: Vec<u8>) -> Result<Self, FormatError> {
         let mut before: Vec<(u64, Vec<u8>)> = Vec::new();
         let mut line = Some(first);
@@ -154,7 +154,7 @@ impl Head {
     }
 }
 
-/// The refusal of a line in a head.
+/// An error about a line in a header.
 pub(super) fn not_a_row(line: u64, text: &str) -> FormatError {
     let text = clip(text.trim());
     refuse(
@@ -163,7 +163,7 @@ pub(super) fn not_a_row(line: u64, text: &str) -> FormatError {
     )
 }
 
-/// Cells of a row of numbers: the first is one, the others are numbers or blank.
+/// Number of cells in a row of numbers. The first must be a number; the others are numbers or blank.
 fn row(separator: Separator, line: &[u8]) -> Option<usize> {
     let mut numbers = Numbers::new(separator);
     let (mut count, mut index) = (0, 0);
@@ -179,13 +179,13 @@ fn row(separator: Separator, line: &[u8]) -> Option<usize> {
     (count > 0).then_some(count)
 }
 
-/// Names that only say that a column has values.
+/// Names that only say that a column holds values.
 const NAMELESS: [&str; 9] = ["", "ampl", "amplitude", "v", "value", "volt", "voltage", "volts", "y"];
 
 /// Names of columns that number the samples.
 const NUMBERING: [&str; 8] = ["#", "index", "n", "no", "no.", "nr", "point", "sample"];
 
-/// The columns, from the names and units above them, and their line.
+/// The columns, and the x axis, from the names and units above them; `line` is where these are.
 pub(super) fn columns(
     names: Option<&[String]>,
     units: Option<&[String]>,
@@ -203,8 +203,8 @@ pub(super) fn columns(
         let header = names.map_or("", |names| &names[index]);
         let (name, unit) = split(header);
         let unit = units.map(|units| units[index].trim_matches(['(', ')', '[', ']'])).or(unit);
-        let known = unit.and_then(Unit::parse);
-        let is = |base: &str| index == 0 && known.as_ref().is_some_and(|unit| unit.is(base));
+        let parsed_unit = unit.and_then(Unit::parse);
+        let is = |base: &str| index == 0 && parsed_unit.as_ref().is_some_and(|unit| unit.is(base));
         let frequencies = ["f", "freq", "frequency"].contains(&&name.to_lowercase()[..]) || is("Hz");
         let role = if is_time(name) || frequencies || is("s") {
             if columns.iter().any(|column: &Column| column.role == Role::Time) { Role::SameTime } else { Role::Time }
@@ -214,18 +214,18 @@ pub(super) fn columns(
             Role::Channel
         };
         if role == Role::Time {
-            axis.spectrum = frequencies || known.as_ref().is_some_and(|unit| unit.is("Hz"));
-            axis.unit = x_unit(known, unit, axis.spectrum).map_err(|problem| refuse(line, problem))?;
+            axis.spectrum = frequencies || parsed_unit.as_ref().is_some_and(|unit| unit.is("Hz"));
+            axis.unit = x_unit(parsed_unit, unit, axis.spectrum).map_err(|problem| refuse(line, problem))?;
             columns.push(Column { role, name: None, unit: axis.unit.clone(), kind: Kind::Waveform });
             continue;
         }
         if unit == Some("MV") {
             return Err(refuse(line, format!("the unit MV of {:?} may mean mV; write mV, or V", clip(name))));
         }
-        let unit = known.unwrap_or_else(|| Unit::plain(unit.filter(|unit| !unit.is_empty()).unwrap_or("V")));
+        let unit = parsed_unit.unwrap_or_else(|| Unit::plain(unit.filter(|unit| !unit.is_empty()).unwrap_or("V")));
         columns.push(channel(role, name, unit, names.is_none().then_some(index)));
     }
-    // Without a name that tells, the rows must.
+    // Without a telling name, the rows must decide: x increases.
     let telling = |name: &str| name.to_lowercase().starts_with("ch");
     if count > 1
         && columns.iter().all(|column| column.role == Role::Channel)
@@ -240,9 +240,9 @@ pub(super) fn columns(
 }
 
 /// Unit of a column of times or frequencies.
-fn x_unit(known: Option<Unit>, text: Option<&str>, spectrum: bool) -> Result<Unit, String> {
+fn x_unit(parsed_unit: Option<Unit>, text: Option<&str>, spectrum: bool) -> Result<Unit, String> {
     let base = if spectrum { "Hz" } else { "s" };
-    match (known, text.filter(|text| !text.is_empty())) {
+    match (parsed_unit, text.filter(|text| !text.is_empty())) {
         (Some(unit), _) if unit.is(base) => Ok(unit),
         (None, None) => Ok(Unit::plain(base)),
         (_, text) => {
@@ -251,7 +251,7 @@ fn x_unit(known: Option<Unit>, text: Option<&str>, spectrum: bool) -> Result<Uni
     }
 }
 
-/// A column of values; without names it is called by its place.
+/// A column of values; without a name it gets that of its place.
 fn channel(role: Role, name: &str, unit: Unit, index: Option<usize>) -> Column {
     let logic = name.strip_prefix('D').is_some_and(|digits| digits.parse::<u8>().is_ok());
     let name = match index {

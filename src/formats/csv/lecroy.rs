@@ -1,5 +1,5 @@
-//! LeCroy CSV: `LECROYmodel,id,Waveform`, `Segments,n,SegmentSize,m`, `Segment,TrigTime,TimeSinceSegment1`, a line `#1,03-May-2017 11:41:40,0` for
-//! each segment, `Time,Ampl`, and the rows of all segments.
+//! LeCroy CSV: `LECROYmodel,id,Waveform`, `Segments,n,SegmentSize,m`, `Segment,TrigTime,TimeSinceSegment1`, a line
+//! `#1,03-May-2017 11:41:40,0` for each segment, `Time,Ampl`, and the rows of all segments.
 
 use std::io::BufRead;
 
@@ -10,13 +10,13 @@ use super::{RECORD_BYTES, refuse};
 
 const MONTHS: [&str; 12] = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"];
 
-/// Reads the head on from its first line.
+/// Reads the rest of the header after its first line.
 pub(super) fn layout(lines: &mut Lines<impl BufRead>, first: &[u8], length: u64) -> Result<Layout, FormatError> {
     let separator = Separator::of(first);
     let second = cells(lines, separator, "Segments")?;
     let number = |index: usize, name: &str| {
-        let said = second.get(index - 1).is_some_and(|cell| cell == name);
-        let count = second.get(index).filter(|_| said).and_then(|cell| cell.parse::<u64>().ok());
+        let is_named = second.get(index - 1).is_some_and(|cell| cell == name);
+        let count = second.get(index).filter(|_| is_named).and_then(|cell| cell.parse::<u64>().ok());
         let count = count.filter(|count| (1..1 << 50).contains(count));
         count.ok_or_else(|| refuse(2, format!("has no count under {name}; save the trace again")))
     };
@@ -52,7 +52,7 @@ pub(super) fn layout(lines: &mut Lines<impl BufRead>, first: &[u8], length: u64)
     Ok(Layout { instrument: model(first, separator), acquired_at, samples, segments, triggers_s, ..layout })
 }
 
-/// Cells of the next line, which must begin with this one.
+/// Cells of the next line, whose first cell must be `begin`.
 fn cells(lines: &mut Lines<impl BufRead>, separator: Separator, begin: &str) -> Result<Vec<String>, FormatError> {
     let cells = texts(separator, lines.next()?.unwrap_or_default());
     if cells.first().is_some_and(|cell| cell == begin) {
@@ -64,14 +64,14 @@ fn cells(lines: &mut Lines<impl BufRead>, separator: Separator, begin: &str) -> 
     ))
 }
 
-/// The model; what follows it are bytes of no meaning.
+/// The model. The bytes that follow it have no meaning.
 fn model(first: &[u8], separator: Separator) -> Option<String> {
     let cell = separator.cells(first).next()?;
     let end = cell.iter().position(|byte| !byte.is_ascii_graphic()).unwrap_or(cell.len());
     String::from_utf8(cell[..end].to_vec()).ok()
 }
 
-/// `03-May-2017 11:41:40` in ISO 8601.
+/// Converts `03-May-2017 11:41:40` to ISO 8601.
 fn iso(text: &str) -> Option<String> {
     let (date, time) = text.split_once(' ')?;
     let [day, month, year] = date.split('-').collect::<Vec<_>>()[..] else { return None };
@@ -84,7 +84,7 @@ fn iso(text: &str) -> Option<String> {
     sound.then(|| format!("{year}-{month:02}-{day}T{time}"))
 }
 
-/// A time in the head; its decimal mark is a comma where the separator is not.
+/// A time in the header; its decimal mark is a comma where the separator is another.
 fn since(cell: &str) -> Option<f64> {
     cell.replace(',', ".").parse().ok().filter(|time_s: &f64| time_s.is_finite())
 }

@@ -1,4 +1,4 @@
-//! Columns of numbers as text, of any scope: the head says which dialect it is, and what the columns are; the rows are read alike.
+//! Columns of numbers as text, of any scope. The header decides the dialect and the columns; the rows are read alike.
 //!
 //! | dialect | head | times |
 //! |---|---|---|
@@ -9,13 +9,20 @@
 //! | rigol-csv | `X,CH1,Start,Increment,` / `Sequence,Volt,-1e-6,1e-9`; `,CH1` / `Second,Volt` | head; column |
 //! | csv | comments (# %), a line of names (`time_ns,ch1`), a line of units (`(us),(V)`), or nothing | column, if there is one |
 //!
-//! Where only a column of times is there, dt is (last - first) / (rows - 1), since printed times are rounded, and an uneven time is refused. A first
-//! column without a name that tells is one of times if it increases from row to row. Fields are separated by comma, semicolon, tab or spaces; where
-//! not by commas, these may be decimal. Units of times and prefixes of units (`Time (ns)`, `ch1_mv`) are honoured; no unit is V and s.
+//! With only a column of times, dt is (last - first) / (rows - 1), since printed times are rounded; uneven times are
+//! refused.
+//! A first column without a telling name holds times if it increases from row to row. The separator is a comma, a
+//! semicolon,
+//! a tab or spaces; where it is not a comma, commas may be decimal marks. Units of times and prefixes of units (`Time
+//! (ns)`,
+//! `ch1_mv`) are applied; without a unit, V and s.
 //!
-//! Not read: two time bases in one file, more than 256 columns, lines of more than 64 KiB, heads of other vendors. A text that is cut between two
-//! rows is noticed only where its head has the number of rows, one that is cut within its last number nowhere. Tested on files that we built
-//! ourselves only: lecroy-csv, FastFrame and logic channels of tek-csv, decimal commas, units with prefixes.
+//! Not read: two time bases in one file, more than 256 columns, lines of more than 64 KiB, headers of other vendors. A
+//! text
+//! that is cut between two rows is noticed only if its header gives the number of rows; one that is cut within its last
+//! number is never noticed. Tested only on files that the tests build: lecroy-csv, FastFrame and logic channels of
+//! tek-csv,
+//! decimal commas, units with prefixes.
 
 use std::io::{self, BufReader, Write};
 use std::sync::Arc;
@@ -39,7 +46,7 @@ use text::Lines;
 /// The reader.
 pub struct Csv;
 
-/// More memory than a record without its samples takes.
+/// Upper limit of the memory that a record takes without its samples, in bytes.
 const RECORD_BYTES: u64 = 256;
 
 impl Reader for Csv {
@@ -78,7 +85,7 @@ impl Reader for Csv {
     }
 }
 
-/// Records, channel by channel; `codes` are those of segment after segment, each channel by channel.
+/// Makes the records, channel by channel. `codes` holds segment after segment, and in each segment channel by channel.
 fn records(layout: &Layout, base: &times::Base, codes: &[Arc<[u8]>], samples: usize) -> Vec<Record> {
     let channels: Vec<_> = layout.columns.iter().filter(|column| column.role == Role::Channel).collect();
     let mut records = Vec::with_capacity(codes.len());
@@ -110,12 +117,12 @@ fn refuse(line: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Line { line, problem: problem.into() }
 }
 
-/// As much of a text as a message can have.
+/// Shortens a text for a message.
 fn clip(text: &str) -> String {
     text.chars().take(80).collect()
 }
 
-/// Writes times and values, with a line of names.
+/// Writes times and values below a line of names.
 ///
 /// # Errors
 /// When `out` cannot be written.

@@ -1,4 +1,4 @@
-//! The rows: counted first, then read into memory that is just large enough.
+//! The rows: counted first, then read into memory of exactly that size.
 
 use std::io::BufRead;
 use std::sync::Arc;
@@ -35,7 +35,7 @@ pub(super) fn survey(lines: &mut Lines<impl BufRead>, layout: &Layout) -> Result
             before = value;
             survey.digits = survey.digits.max(digits(cell));
             let segment = survey.rows / segment_rows;
-            // More rows than the head says are refused below.
+            // More rows than the header gives are refused below.
             if segment < layout.segments {
                 if survey.rows.is_multiple_of(segment_rows) {
                     survey.ends.push((value, value));
@@ -81,7 +81,7 @@ fn no_number(line: u64, cell: &[u8], column: usize) -> FormatError {
     refuse(line, problem)
 }
 
-/// Reads all values: little-endian f64, segment after segment, in each channel by channel.
+/// Reads all values as little-endian f64: segment after segment, and in each segment channel by channel.
 pub(super) fn fill(
     lines: &mut Lines<impl BufRead>,
     layout: &Layout,
@@ -94,7 +94,7 @@ pub(super) fn fill(
     skip_head(lines, layout)?;
     for segment in 0..layout.segments as usize {
         let start = filled.len();
-        // Made in place: a vector turned into one of these would be copied.
+        // Allocated in place: converting a vector into an `Arc` would copy it.
         filled.extend((0..channels).map(|_| std::iter::repeat_n(0_u8, samples * 8).collect::<Arc<[u8]>>()));
         let mut columns: Vec<&mut [u8]> =
             filled[start..].iter_mut().map(|codes| Arc::get_mut(codes).expect("made here")).collect();
@@ -118,7 +118,7 @@ pub(super) fn fill(
     Ok(filled)
 }
 
-/// Hands on the numbers of a row: the values of its channels, by their index, and x.
+/// Passes on the numbers of a row: the values of its channels, with their index, and x.
 fn row(
     line: &[u8],
     number: u64,

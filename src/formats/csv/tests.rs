@@ -27,8 +27,8 @@ fn one(text: impl AsRef<[u8]>) -> (Record, Vec<f64>) {
     records.remove(0)
 }
 
-fn near(found: Option<f64>, expected: f64) -> bool {
-    found.is_some_and(|found| (found - expected).abs() <= 1e-12 * expected.abs())
+fn near(value: Option<f64>, expected: f64) -> bool {
+    value.is_some_and(|value| (value - expected).abs() <= 1e-12 * expected.abs())
 }
 
 const LECROY: &str = "LECROYWR104MXi-A,52137,Waveform\nSegments,2,SegmentSize,3\nSegment,TrigTime,TimeSinceSegment1\n\
@@ -63,7 +63,7 @@ fn segments_of_a_lecroy_are_records() {
     assert!(near(second.head.dt_s, 1.01e-9) && second.t0_s == Some(-1.51e-9), "{second:?}");
     assert_eq!((second.head.format, second.head.instrument.as_deref()), ("lecroy-csv", Some("LECROYWR104MXi-A")));
     assert_eq!(second.head.acquired_at.as_deref(), Some("2017-05-03T11:41:40"));
-    // The same with decimal commas, after a model with bytes of no meaning.
+    // The same with decimal commas, after a model with meaningless bytes.
     let semicolons = LECROY.replace(',', ";").replace('.', ",");
     let with_bytes = [b"LECROYX\xa9\xcb".as_slice(), &semicolons.as_bytes()["LECROYWR104MXi-A".len()..]].concat();
     assert_eq!(read(with_bytes).unwrap()[1].0.trigger_s, Some(1.25));
@@ -106,7 +106,8 @@ fn the_head_of_a_tektronix_has_the_time_base() {
         let error = read(TEK.replace(from, to)).unwrap_err();
         assert!(error.contains(says), "{to}: {error}");
     }
-    // Times with too few digits for their step: the head has it, but nothing says when the first sample was.
+    // The times have too few digits for their step. The header has the step, but nothing gives the time of the first
+    // sample.
     let coarse = "Model,M\nSample Interval,1e-9\nTIME,CH1\n1.00000e+00,1\n1.00000e+00,2\n1.00000e+00,3\n";
     let (record, _) = one(coarse);
     assert_eq!((record.head.dt_s, record.t0_s), (Some(1e-9), None));
@@ -171,7 +172,7 @@ fn rigol_counts_samples_or_has_times() {
     assert!(near(records[1].0.head.dt_s, 1e-9));
 }
 
-/// The same rows as LeCroy's ASCII has them: as many keys as rows would do, and more rows than keys too.
+/// The same rows as LeCroy's ASCII writes them. There may be more keys than rows, or more rows than keys.
 fn ascii() -> String {
     ASCII.replace("Length\"\t3", "Length\"\t5").replace("\t\t\n", "\t1e-8\t4.5\n") + "\t\t\t2e-8\t5.5\n"
 }
@@ -279,7 +280,7 @@ fn every_cut_is_an_error_or_whole_rows() {
             let Ok(records) = read(&text[..length]) else { continue };
             assert!(records.len() <= whole.len());
             for ((record, values), (_, expected)) in records.iter().zip(&whole) {
-                // The last number may have been cut within its digits, which no text shows.
+                // The last number may be cut within its digits, which a text cannot show.
                 let sound = values.len() - 1;
                 assert_eq!(values[..sound], expected[..sound]);
                 assert!(record.head.samples <= expected.len());

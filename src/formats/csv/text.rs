@@ -1,4 +1,4 @@
-//! Lines, cells and numbers of a text, byte by byte: no text is made of what is only looked at.
+//! Lines, cells and numbers of a text, byte by byte: only cells that are kept become strings.
 
 use std::io::{BufRead, Read};
 
@@ -12,7 +12,7 @@ const LINE_BYTES: usize = 1 << 16;
 pub(super) struct Lines<R> {
     text: R,
     line: Vec<u8>,
-    /// Number of the line that was read last, from 1.
+    /// Number of the line read last, from 1.
     pub number: u64,
 }
 
@@ -42,7 +42,7 @@ impl<R: BufRead> Lines<R> {
     }
 }
 
-/// What stands between cells.
+/// What separates cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Separator {
     /// This byte.
@@ -52,7 +52,7 @@ pub(super) enum Separator {
 }
 
 impl Separator {
-    /// That of a row of numbers; a comma beside another separator is decimal.
+    /// The separator of a row of numbers. A comma next to another separator is a decimal mark.
     pub(super) fn of(line: &[u8]) -> Self {
         let byte = [b';', b'\t', b','].into_iter().find(|byte| line.trim_ascii().contains(byte));
         byte.map_or(Self::Spaces, Self::Byte)
@@ -95,7 +95,8 @@ impl<'a> Iterator for Cells<'a> {
     }
 }
 
-/// The cells of a line as text, without quotes; blank ones at the end do not count. Bytes that are no UTF-8 are taken for Latin-1.
+/// The cells of a line as text, without quotes and without blank cells at the end. Bytes that are not UTF-8 count as
+/// Latin-1.
 pub(super) fn texts(separator: Separator, line: &[u8]) -> Vec<String> {
     let text = |cell: &[u8]| match std::str::from_utf8(cell) {
         Ok(text) => text.trim_matches('"').trim().to_owned(),
@@ -108,10 +109,10 @@ pub(super) fn texts(separator: Separator, line: &[u8]) -> Vec<String> {
     cells
 }
 
-/// Reads numbers, all with the same decimal mark.
+/// Parses numbers that all have the same decimal mark.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Numbers {
-    /// The mark, once a number had one.
+    /// The decimal mark of the first number that had one.
     mark: Option<u8>,
 }
 
@@ -120,7 +121,7 @@ impl Numbers {
         Self { mark: (separator == Separator::Byte(b',')).then_some(b'.') }
     }
 
-    /// The number in a cell; `None` if it is none, not finite, or has another decimal mark than those before.
+    /// The number in a cell; `None` if it is no finite number, or has another decimal mark than earlier ones.
     pub(super) fn read(&mut self, cell: &[u8]) -> Option<f64> {
         let mut with_point = [0; 64];
         let mut cell = cell;
@@ -140,7 +141,7 @@ impl Numbers {
     }
 }
 
-/// Digits of a printed number, without zeros in front and without its exponent.
+/// Number of digits of a printed number, without leading zeros and without its exponent.
 pub(super) fn digits(cell: &[u8]) -> usize {
     let mantissa = cell.iter().take_while(|byte| !matches!(byte, b'e' | b'E'));
     mantissa.filter(|byte| byte.is_ascii_digit()).skip_while(|byte| **byte == b'0').count().clamp(1, 17)

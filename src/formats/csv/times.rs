@@ -1,16 +1,17 @@
-//! The time base: from the head where that has it, else from the first and last time; each time is checked against it.
+//! The time base: from the header where it has one, else from the first and last time. Each time is checked against it.
 
 use super::super::reader::FormatError;
-use super::layout::{Layout, Role, Survey};
+use super::layout::{Axis, Layout, Role, Survey};
 use super::refuse;
 
-/// A time may lie this part of a step off its even place: rounding in print stays far below, a lost line does not.
+/// Largest deviation of a time from the even grid, in steps: rounding in print stays far below, a missing line exceeds
+/// it.
 const UNEVEN: f64 = 0.25;
 
-/// A step of head and times that differs by less than this part is one step.
+/// Largest relative difference at which the steps of header and times count as equal.
 const SAME: f64 = 1e-15;
 
-/// Segments may begin this many steps apart: the trigger lies anywhere within a sample.
+/// Largest spread of the first times of segments, in steps: the trigger falls anywhere within a sample.
 const APART: f64 = 2.0;
 
 /// The time base of all segments.
@@ -19,14 +20,14 @@ pub(super) struct Base {
     pub dt_s: Option<f64>,
     /// Time of the first sample of each segment.
     pub t0_s: Vec<Option<f64>>,
-    /// What x must be in print.
+    /// The x that the column must have.
     printed: Option<Printed>,
 }
 
-/// What x must be, in the numbers of its column.
+/// The x of each sample, in the unit of its column.
 #[derive(Debug)]
 struct Printed {
-    /// The first of each segment.
+    /// First x of each segment.
     first: Vec<f64>,
     step: f64,
     tolerance: f64,
@@ -47,41 +48,24 @@ impl Base {
         if !layout.columns.iter().any(|column| column.role == Role::Time) {
             return Ok(Self { dt_s: axis.dt_s, t0_s: vec![axis.t0_s; layout.segments as usize], printed: None });
         }
-        let firsts = || survey.ends.iter().map(|(first, _)| *first);
+        let first_xs = survey.ends.iter().map(|(first, _)| *first).collect();
         if axis.sequence {
-            let (dt_s, start_s) = (axis.dt_s.unwrap_or_default(), axis.t0_s.unwrap_or_default());
-            let printed = Printed { first: firsts().collect(), step: 1.0, tolerance: UNEVEN, unit: String::new() };
-            let t0_s = firsts().map(|number| Some(start_s + number * dt_s)).collect();
-            return Ok(Self { dt_s: Some(dt_s), t0_s, printed: Some(printed) });
+            return Ok(Self::of_sequence(axis, first_xs));
         }
-        let refuse = |problem: &str| refuse(layout.first_line, problem);
+        let dt_s = step(layout, survey, samples)?;
         let unit = |x: f64| axis.unit.scale(x);
-        let steps = survey.ends.iter().map(|(first, last)| (unit(*last) - unit(*first)) / (samples.max(2) - 1) as f64);
-        let of_times = steps.sum::<f64>() / survey.ends.len() as f64;
-        let dt_s = match axis.dt_s {
-            // Where head and times agree, the times are kept to their last digit; where times are printed too coarsely, the head is.
-            Some(dt_s) if samples > 1 && (of_times - dt_s).abs() <= SAME * dt_s => of_times,
-            Some(dt_s) => dt_s,
-            None if samples < 2 => {
-                return Err(refuse("a single time gives no step; export the trace with its samples"));
-            }
-            None => of_times,
-        };
-        if !(dt_s > 0.0 && dt_s.is_finite()) {
-            return Err(refuse("times do not increase; export the trace again"));
-        }
-        // Where the step comes from the times, they must be fine enough to show it.
+        // If the step comes from the times themselves, rounding is no excuse: they must be fine enough to show it.
         let resolution = |x: f64| if axis.dt_s.is_some() { resolution(unit(x), survey.digits) } else { 0.0 };
         let coarsest = survey.ends.iter().flat_map(|(first, last)| [*first, *last]).map(resolution).fold(0.0, f64::max);
         let first: Vec<f64> = match axis.t0_s {
             Some(t0_s) => vec![axis.unit.unscale(t0_s)],
-            None => firsts().collect(),
+            None => first_xs,
         };
         let apart = |x: &f64| (unit(*x) - unit(first[0])).abs() > APART * dt_s + coarsest;
         if first.iter().any(apart) {
-            return Err(refuse(
-                "the times of a segment do not begin where those of the first do; export the segments one by one",
-            ));
+            let problem =
+                "the times of a segment do not begin where those of the first do; export the segments one by one";
+            return Err(refuse(layout.first_line, problem));
         }
         let t0_s = first.iter().map(|x| (axis.t0_s.is_some() || resolution(*x) <= dt_s).then(|| unit(*x))).collect();
         let printed = Printed {
@@ -93,7 +77,15 @@ impl Base {
         Ok(Self { dt_s: Some(dt_s), t0_s, printed: Some(printed) })
     }
 
-    /// Whether a printed x lies where it must.
+    /// The time base of a column that numbers the samples: the header gives the time of number 0 and the step.
+    fn of_sequence(axis: &Axis, first: Vec<f64>) -> Self {
+        let (dt_s, start_s) = (axis.dt_s.unwrap_or_default(), axis.t0_s.unwrap_or_default());
+        let t0_s = first.iter().map(|number| Some(start_s + number * dt_s)).collect();
+        let printed = Printed { first, step: 1.0, tolerance: UNEVEN, unit: String::new() };
+        Self { dt_s: Some(dt_s), t0_s, printed: Some(printed) }
+    }
+
+    /// Checks that a printed x is on the grid.
     pub(super) fn check(&self, segment: usize, index: usize, x: f64) -> Result<(), String> {
         let Some(printed) = &self.printed else { return Ok(()) };
         let Printed { first, step, tolerance, unit } = printed;
@@ -104,7 +96,29 @@ impl Base {
     }
 }
 
-/// The last digit of a number that is printed with so many of them.
+/// Time between samples: from the header where it has one, else from the printed times.
+fn step(layout: &Layout, survey: &Survey, samples: u64) -> Result<f64, FormatError> {
+    let Axis { unit, dt_s: header_dt_s, .. } = &layout.axis;
+    let steps =
+        survey.ends.iter().map(|(first, last)| (unit.scale(*last) - unit.scale(*first)) / (samples.max(2) - 1) as f64);
+    let of_times = steps.sum::<f64>() / survey.ends.len() as f64;
+    let dt_s = match *header_dt_s {
+        // If header and times agree, the last digit of the times counts; if the times are printed too coarsely, the
+        // header does.
+        Some(dt_s) if samples > 1 && (of_times - dt_s).abs() <= SAME * dt_s => of_times,
+        Some(dt_s) => dt_s,
+        None if samples < 2 => {
+            return Err(refuse(layout.first_line, "a single time gives no step; export the trace with its samples"));
+        }
+        None => of_times,
+    };
+    if dt_s > 0.0 && dt_s.is_finite() {
+        return Ok(dt_s);
+    }
+    Err(refuse(layout.first_line, "times do not increase; export the trace again"))
+}
+
+/// The last digit of a number that is printed with `digits` digits.
 fn resolution(x: f64, digits: usize) -> f64 {
     if x == 0.0 { 0.0 } else { 10_f64.powi(x.abs().log10().floor() as i32 + 1 - digits as i32) }
 }

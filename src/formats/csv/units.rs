@@ -1,17 +1,17 @@
-//! Units in the heads of columns: `Time (ns)`, `[us]`, `ch1_mv`, `Volt`.
+//! Units in the headers of columns: `Time (ns)`, `[us]`, `ch1_mv`, `Volt`.
 
-/// A unit, and what makes it of the numbers in the text.
+/// A unit, and how to convert the numbers in the text to it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Unit {
     /// Its name without a prefix; `None` for logic levels.
     pub name: Option<String>,
-    /// Numbers are multiplied with this ...
+    /// Factor of the numbers ...
     times: f64,
-    /// ... and divided by this. One of both is 1: powers of ten divide exactly, but do not multiply so with negative exponents.
+    /// ... and their divisor. One of both is 1: dividing by a power of ten is exact, multiplying by its inverse is not.
     per: f64,
 }
 
-/// Prefixes: what multiplies, what divides.
+/// Prefixes: name, factor, divisor.
 const PREFIXES: [(&str, f64, f64); 10] = [
     ("", 1.0, 1.0),
     ("f", 1.0, 1e15),
@@ -52,7 +52,7 @@ impl Unit {
         Self { name: None, times: 1.0, per: 1.0 }
     }
 
-    /// The unit that a text is, if it is certain.
+    /// Parses a unit; `None` if the text is ambiguous or no unit.
     pub(super) fn parse(text: &str) -> Option<Self> {
         let lower = text.to_lowercase().replace('μ', "µ");
         if let Some((_, name)) = WORDS.iter().find(|(word, _)| *word == lower) {
@@ -61,7 +61,7 @@ impl Unit {
         if ["dB", "dBm", "dBV"].contains(&text) {
             return Some(Self::plain(text));
         }
-        // Letters of times are the same in upper case, but MV is not mV.
+        // Upper case does not change units of time, but MV is not mV.
         let text = match &lower[..] {
             "s" | "ms" | "us" | "µs" | "ns" | "ps" | "fs" => &lower,
             "v" | "mv" | "uv" | "µv" | "nv" | "kv" if text != "MV" => &lower.replace('v', "V"),
@@ -69,16 +69,16 @@ impl Unit {
         };
         let base = ["Hz", "s", "V", "A", "W"].into_iter().find(|base| text.ends_with(base))?;
         let prefix = text.strip_suffix(base)?;
-        let (_, times, per) = PREFIXES.into_iter().find(|(known, ..)| *known == prefix)?;
+        let (_, times, per) = PREFIXES.into_iter().find(|(name, ..)| *name == prefix)?;
         (text != "MV").then(|| Self { name: Some(base.to_owned()), times, per })
     }
 
-    /// A number of the text in this unit.
+    /// Converts a number of the text to this unit.
     pub(super) fn scale(&self, number: f64) -> f64 {
         number * self.times / self.per
     }
 
-    /// What number of the text this is.
+    /// Converts a value back to the number in the text.
     pub(super) fn unscale(&self, value: f64) -> f64 {
         value * self.per / self.times
     }
@@ -88,13 +88,14 @@ impl Unit {
     }
 }
 
-/// Whether a column of this name is one of times.
+/// Whether a column of this name holds times.
 pub(super) fn is_time(name: &str) -> bool {
     let name = name.to_lowercase();
     name.starts_with("time") || ["t", "s", "sec", "second", "seconds", "x-axis"].contains(&&name[..])
 }
 
-/// Name and unit of `Time (ns)`, `Ampl [mV]`, `time_ps`. After an underscore only units of time and voltage are certain: `ch_a` is channel a.
+/// Splits `Time (ns)`, `Ampl [mV]`, `time_ps` into name and unit. After an underscore, only units of time and voltage
+/// are certain: `ch_a` is channel a.
 pub(super) fn split(text: &str) -> (&str, Option<&str>) {
     for (open, close) in [('(', ')'), ('[', ']')] {
         if let Some((name, unit)) = text.strip_suffix(close).and_then(|text| text.rsplit_once(open)) {

@@ -1,4 +1,4 @@
-//! Data sets of any number of axes, read whole.
+//! Data sets of several axes, read whole.
 
 use super::super::array::{self, Array};
 use super::super::inflate::{self, Packing, Unpacker};
@@ -12,7 +12,7 @@ use super::value::{Number, axes};
 const AXES_MAX: usize = 32;
 
 impl Array {
-    /// The numbers of an object; `None` where it is a null data space.
+    /// Reads the numbers of an object; `None` for a null data space.
     pub(super) fn read(file: &mut File, name: &str, at: u64) -> Result<Option<Self>, FormatError> {
         let header = file.header(at)?;
         let refuse = |problem: &str| field(at, format!("{name} {problem}"));
@@ -49,7 +49,7 @@ impl Array {
     }
 }
 
-/// How a data set is cut.
+/// How a data set is divided into chunks.
 struct Chunks<'a> {
     axes: &'a [u64],
     chunk: &'a [u64],
@@ -70,7 +70,7 @@ impl Chunks<'_> {
         let rank = self.axes.len();
         let mut stored: Vec<(Vec<u64>, u64, u64, Packing)> = Vec::new();
         if tree != UNDEFINED {
-            // A key is the bytes of the chunk, the filters left out, and where it begins on each axis.
+            // A key holds the bytes of the chunk, skipped filters, and the start of the chunk on each axis.
             file.leaves(tree, 1, 16 + 8 * rank, &mut |key, at| {
                 let packing = if deflated && u32_at(key, 4) & 1 == 0 { Packing::Zlib } else { Packing::Stored };
                 let start = (0..rank).map(|axis| u64_at(key, 8 + 8 * axis)).collect();
@@ -104,7 +104,8 @@ impl Chunks<'_> {
         Ok(out)
     }
 
-    /// Copies a chunk to where it belongs, row by row along the last axis; what is filled up beyond the axes is left out.
+    /// Copies a chunk to its place, row by row along the last axis. Chunks at the border extend beyond the axes: that
+    /// is cut off.
     fn place(&self, start: &[u64], piece: &[u8], out: &mut [u8]) {
         let rank = self.axes.len();
         let own: Vec<usize> =

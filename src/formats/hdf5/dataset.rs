@@ -1,4 +1,4 @@
-//! Data sets of one axis: where their numbers are, and how they are unpacked.
+//! Data sets of one axis: where their numbers are, and how to unpack them.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -11,7 +11,7 @@ use super::file::{File, Header, UNDEFINED, message, u16_at, u32_at, u64_at};
 use super::value::{Number, axes};
 use crate::waveform::{CodeType, Payload, ReadSeek, Unpack};
 
-/// Numbers that are in memory at a time.
+/// Bytes of numbers that are in memory at a time.
 const PIECE_BYTES: usize = 1 << 16;
 /// Longest value that is read as a whole.
 const VALUE_BYTES: u64 = 1 << 12;
@@ -52,7 +52,7 @@ impl<'a> Layout<'a> {
             [3, 1, rest @ ..] if rest.len() >= 16 => {
                 Ok(Self::Contiguous { at: u64_at(rest, 0), bytes: u64_at(rest, 8) })
             }
-            // The element stands as one axis more.
+            // The size of an element counts as one more axis.
             [3, 2, axes, rest @ ..] if *axes >= 2 && rest.len() >= 8 + 4 * usize::from(*axes) => {
                 let last = usize::from(*axes) - 1;
                 let length = |axis: usize| u64::from(u32_at(rest, 8 + 4 * axis));
@@ -72,7 +72,7 @@ impl<'a> Layout<'a> {
 }
 
 impl Dataset {
-    /// The numbers of an object.
+    /// Reads where the numbers of an object are.
     pub fn read(file: &mut File, header: &Header) -> Result<Self, FormatError> {
         let refuse = |problem: String| field(header.place, problem);
         let number = Number::parse(header.need(message::DATATYPE, "data type")?);
@@ -136,7 +136,7 @@ impl Dataset {
     }
 }
 
-/// The number of a data set that holds one.
+/// The number in a data set that holds one.
 pub(super) fn single(file: &mut File, at: u64, name: &str) -> Result<f64, FormatError> {
     let header = file.header(at)?;
     let number = Number::parse(header.need(message::DATATYPE, "data type")?);
@@ -156,7 +156,7 @@ pub(super) fn value(file: &mut File, header: &Header) -> Result<Vec<u8>, FormatE
     }
 }
 
-/// A stretch of samples.
+/// A range of packed samples.
 #[derive(Debug)]
 struct Chunk {
     at: u64,
@@ -164,7 +164,7 @@ struct Chunk {
     packing: Packing,
 }
 
-/// The chunks, which must follow each other without a gap.
+/// The chunks, which must follow one another without a gap.
 fn chunks(
     file: &mut File,
     header: &Header,
@@ -177,7 +177,7 @@ fn chunks(
         return Ok(Vec::new());
     }
     let (mut chunks, mut wrong) = (Vec::new(), None);
-    // A key is the bytes of the chunk, the filters left out, and where it begins on each axis.
+    // A key holds the bytes of the chunk, skipped filters, and the start of the chunk on each axis.
     file.leaves(tree, 1, 24, &mut |key, at| {
         if u64_at(key, 8) != chunks.len() as u64 * chunk {
             wrong.get_or_insert(u64_at(key, 8));
@@ -201,7 +201,7 @@ fn chunks(
     Ok(chunks)
 }
 
-/// Whether chunks are deflated; any other filter is refused by its number.
+/// Whether chunks are deflated. Any other filter is refused by its number.
 pub(super) fn deflated(header: &Header) -> Result<bool, FormatError> {
     let Some(filters) = header.find(message::FILTERS)? else {
         return Ok(false);
@@ -224,7 +224,7 @@ pub(super) fn deflated(header: &Header) -> Result<bool, FormatError> {
 struct Chunked {
     chunks: Vec<Chunk>,
     chunk_bytes: u64,
-    /// Bytes of all samples; the last chunk is filled up beyond them.
+    /// Bytes of all samples; the last chunk may extend beyond them.
     bytes: u64,
     /// Type of the codes, if they are big-endian.
     swapped: Option<CodeType>,
@@ -251,7 +251,7 @@ impl Unpack for Chunked {
                 }
                 let own = wanted.min(usize::try_from(left).unwrap_or(wanted));
                 left -= own as u64;
-                // Before the last samples are handed on: who has them asks for no more, and damage would not be seen.
+                // Check before the last samples are passed on: the receiver stops then, and damage would go unnoticed.
                 if left == 0 || unpacker.position() == self.chunk_bytes {
                     self.end(&mut unpacker, file)?;
                 }
@@ -269,7 +269,7 @@ impl Unpack for Chunked {
 }
 
 impl Chunked {
-    /// Unpacks what is left of a chunk: at its end zlib compares the checksum.
+    /// Unpacks the rest of a chunk: zlib compares the checksum at its end.
     fn end(&self, unpacker: &mut Unpacker, file: &mut dyn ReadSeek) -> io::Result<()> {
         let mut rest = [0; 1 << 12];
         while unpacker.read(file, &mut rest)? == rest.len() {}

@@ -6,7 +6,7 @@ use crate::waveform::ReadSeek;
 
 /// The bytes with which a file begins.
 pub(super) const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// The address of what was never written.
+/// The address of an object that was never stored.
 pub(super) const UNDEFINED: u64 = u64::MAX;
 
 /// Types of the messages in object headers.
@@ -23,16 +23,17 @@ pub(super) mod message {
 /// Bytes before the messages of a header, and before the data of a message.
 const HEADER: u64 = 16;
 const MESSAGE: usize = 8;
-/// Bytes that may be read beyond the length of the file: an object can have two names.
+/// Bytes that may be read beyond the length of the file, since an object can have two names.
 const SPARE_BYTES: u64 = 1 << 16;
 
-/// Where a file may begin with bytes of its own, which MATLAB's do, the HDF5 part starts here.
+/// Start of the HDF5 content in files with a user block, such as MATLAB's.
 const USER_BLOCK: u64 = 512;
 
-/// A file of which each part is read once: who refers to one part again and again has used up the file's length before it takes more time or memory.
+/// A file of which each byte is read once. Circular references exhaust the file's length before they cost time or
+/// memory.
 pub(super) struct File<'a> {
     input: &'a mut dyn Input,
-    /// What addresses count from.
+    /// Base of all addresses.
     base: u64,
     structure_left: u64,
     names_left: u64,
@@ -40,7 +41,7 @@ pub(super) struct File<'a> {
 }
 
 impl<'a> File<'a> {
-    /// The file, and where the header of its root group is.
+    /// Opens a file. Returns also where the header of its root group is.
     pub fn open(input: &'a mut dyn Input) -> Result<(Self, u64), FormatError> {
         let length = input.length();
         let most = length.saturating_add(SPARE_BYTES);
@@ -85,24 +86,24 @@ impl<'a> File<'a> {
         self.input.length()
     }
 
-    /// Some bytes of the structure.
+    /// Returns some bytes of the structure.
     pub fn bytes(&mut self, what: &'static str, at: u64, count: u64) -> Result<Vec<u8>, FormatError> {
         self.structure_left = used_up(self.structure_left, at, count)?;
         self.input.bytes(what, at.saturating_add(self.base), count)
     }
 
-    /// Samples that lie somewhere in the file.
+    /// Returns samples at an address.
     pub fn samples(&mut self, at: u64, count: u64) -> Result<Vec<u8>, FormatError> {
         let at = self.claim(at, count)?;
         self.input.bytes("a data set", at, count)
     }
 
-    /// The file, for samples that have been claimed.
+    /// The file, for samples that [`Self::claim`] has counted.
     pub fn packed(&mut self) -> &mut dyn ReadSeek {
         self.input.file()
     }
 
-    /// Counts samples that lie somewhere in the file, and says at which byte.
+    /// Counts samples at an address. Returns their byte offset in the file.
     pub fn claim(&mut self, at: u64, count: u64) -> Result<u64, FormatError> {
         let length = self.length();
         let at = at.saturating_add(self.base);
@@ -113,7 +114,7 @@ impl<'a> File<'a> {
         Ok(at)
     }
 
-    /// The messages of an object.
+    /// Reads the messages of an object.
     pub fn header(&mut self, at: u64) -> Result<Header, FormatError> {
         let head = self.bytes("an object header", at, HEADER)?;
         if head[0] != 1 {
@@ -124,7 +125,7 @@ impl<'a> File<'a> {
         let (count, bytes) = (u16_at(&head, 2), u64::from(u32_at(&head, 8)));
         let mut header = Header { place: at, bytes: Vec::new() };
         let mut blocks = vec![(at.saturating_add(HEADER), bytes)];
-        let mut found = 0;
+        let mut messages = 0;
         while let Some((place, bytes)) = blocks.pop() {
             let block = self.bytes("an object header's messages", place, bytes)?;
             let mut next = 0;
@@ -139,24 +140,26 @@ impl<'a> File<'a> {
                     blocks.push((u64_at(data, 0), u64_at(data, 8)));
                 }
                 next += MESSAGE + data.len();
-                found += 1;
+                messages += 1;
             }
             header.bytes.extend_from_slice(&block[..next]);
         }
-        if found != usize::from(count) {
-            let problem = format!("the object header has {found} messages and says {count}; copy the file again");
+        if messages != usize::from(count) {
+            let problem = format!(
+                "the object header has {messages} messages, but gives their number as {count}; copy the file again"
+            );
             return Err(field(at + 2, problem));
         }
         Ok(header)
     }
 
-    /// What is in a group.
+    /// Reads the entries of a group.
     pub fn group(&mut self, at: u64) -> Result<Entries, FormatError> {
         let header = self.header(at)?;
         self.entries(&header)
     }
 
-    /// The same, of a group whose header has been read.
+    /// Reads the entries of a group whose header is already read.
     pub fn entries(&mut self, header: &Header) -> Result<Entries, FormatError> {
         let Some(table) = header.find(message::SYMBOL_TABLE)?.filter(|table| table.len() >= 16) else {
             let problem = "is no group with a symbol table; rewrite the file with h5repack --low=0";
@@ -190,7 +193,7 @@ impl<'a> File<'a> {
             let name =
                 name.ok_or_else(|| field(at, "a name lies outside the names of its group; copy the file again"))?;
             self.names_left = used_up(self.names_left, at, name.len() as u64)?;
-            // Symbolic links (cache type 2) have no header of their own, and neither vendor writes them.
+            // Symbolic links (cache type 2) have no header, and neither vendor writes them.
             if u32_at(symbol, 16) != 2 {
                 entries.push(Entry { name: String::from_utf8_lossy(name).into_owned(), at: u64_at(symbol, 8) });
             }
@@ -198,7 +201,7 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// Hands on key and child of all entries in the leaves of a version 1 B-tree, in their order.
+    /// Passes on key and child of all entries in the leaves of a version 1 B-tree, in order.
     pub fn leaves(
         &mut self,
         root: u64,
@@ -243,7 +246,7 @@ pub(super) fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"))
 }
 
-/// What is in a group: names, and where the headers are.
+/// The entries of a group: names, and where the headers are.
 pub(super) struct Entries(Vec<Entry>);
 
 pub(super) struct Entry {
@@ -261,14 +264,14 @@ impl Entries {
     }
 }
 
-/// The messages of an object, one behind the other.
+/// The messages of an object, one after another.
 pub(super) struct Header {
     pub place: u64,
     bytes: Vec<u8>,
 }
 
 impl Header {
-    /// Data of all messages of a type. A shared message is elsewhere, and an error.
+    /// Data of all messages of a type. A shared message is stored elsewhere, and is an error.
     pub fn all(&self, wanted: u16) -> impl Iterator<Item = Result<&[u8], FormatError>> {
         let mut rest = self.bytes.as_slice();
         std::iter::from_fn(move || {
@@ -291,7 +294,7 @@ impl Header {
         self.all(wanted).next().transpose()
     }
 
-    /// The same, where there must be one.
+    /// Data of the first message of a type, which must exist.
     pub fn need(&self, wanted: u16, what: &str) -> Result<&[u8], FormatError> {
         self.find(wanted)?.ok_or_else(|| field(self.place, format!("the object has no {what}; copy the file again")))
     }

@@ -1,15 +1,23 @@
-//! Keysight Infiniium: group `Waveforms` with a group for each waveform ("HDF5 Schema for Infiniium Oscilloscope Data" in the vendor's help).
+//! Keysight Infiniium: group `Waveforms`, with a group for each waveform. Source: "HDF5 Schema for Infiniium
+//! Oscilloscope Data" in the vendor's help.
 //!
-//! Floating samples are volts as they are; of integers volts = YInc * code + YOrg. Sample i is at XOrg + i * XInc after the trigger.
+//! Floating samples are volts; integers are codes with volts = YInc * code + YOrg. Sample i is at XOrg + i * XInc after
+//! the
+//! trigger.
 //!
-//! Of segmented memory there is a data set `<name> Seg<k>Data` for each segment, k from 1 and sorted as text, with the attributes SegmentedTimeTag
-//! (seconds since the first trigger) and SegmentedXOrg: XOrg of this segment, with the sub-sample part of its own trigger, while the XOrg of the
-//! group is that of the first. Where SegmentedXOrg is missing, or two samples of the converter or more from XOrg, `t0_s` is `None`: one XOrg for all
-//! would be wrong by up to a sample.
+//! Segmented memory has a data set `<name> Seg<k>Data` for each segment, with k from 1, sorted as text. Its attributes
+//! are
+//! SegmentedTimeTag (seconds after the first trigger) and SegmentedXOrg: the XOrg of this segment, with the sub-sample
+//! part
+//! of its own trigger. The XOrg of the group is that of the first segment. If SegmentedXOrg is missing, or two samples
+//! of
+//! the converter or more from XOrg, `t0_s` is `None`: one XOrg for all would be wrong by up to a sample.
 //!
-//! Peak detect is labelled envelope, `Digital` groups and LOGIC digital, what is over Hertz spectrum. Histograms are refused. `acquired_at` is the
-//! Date of `TheFrame`: when the file was saved. A single waveform of floating numbers was tested on a real file; integers, segments and the rest on
-//! files we built after public descriptions of such files.
+//! Peak detect becomes kind envelope, `Digital` groups and LOGIC become digital, x in hertz becomes spectrum.
+//! Histograms are
+//! refused. `acquired_at` is the Date of `TheFrame`: when the file was saved. A single waveform of floats was tested on
+//! a
+//! real file; integers, segments and the rest on files that the tests build after public descriptions.
 
 use std::sync::Arc;
 
@@ -23,7 +31,7 @@ use crate::waveform::{CodeType, Head, Kind, Record, Scale};
 const FORMAT: &str = "keysight-h5";
 const MONTHS: [&str; 12] = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"];
 
-/// The records of all waveforms, in the order of their names.
+/// Returns the records of all waveforms, in the order of their names.
 pub(super) fn records(file: &mut File, root: &Entries, waveforms: u64) -> Result<Vec<Record>, FormatError> {
     let frame = match root.find("Frame") {
         Some(at) => frame(file, at)?,
@@ -44,7 +52,7 @@ pub(super) fn records(file: &mut File, root: &Entries, waveforms: u64) -> Result
     Ok(records)
 }
 
-/// What `TheFrame` says of the instrument.
+/// The attributes of `TheFrame`, which describes the instrument.
 #[derive(Default)]
 struct Frame {
     model: Option<String>,
@@ -68,7 +76,7 @@ fn frame(file: &mut File, at: u64) -> Result<Frame, FormatError> {
     Ok(frame)
 }
 
-/// `2-May-2017 14:38:42` in ISO 8601.
+/// Converts `2-May-2017 14:38:42` to ISO 8601.
 fn iso(date: &str) -> Option<String> {
     let mut parts = date.split(['-', ' ']).filter(|part| !part.is_empty());
     let (day, month, year) = (parts.next()?, parts.next()?.to_lowercase(), parts.next()?);
@@ -83,29 +91,29 @@ fn iso(date: &str) -> Option<String> {
     }
 }
 
-/// What the group of a waveform says.
+/// The attributes of a waveform's group.
 struct Waveform<'a> {
     name: &'a str,
     at: u64,
     kind: Kind,
     unit: Option<String>,
-    /// XInc and XOrg; both are there but for logic levels.
+    /// XInc and XOrg; only logic levels have none.
     dt_s: Option<f64>,
     x_origin: Option<f64>,
     /// YInc and YOrg.
     scale: Option<Scale>,
     points: Option<f64>,
     segments: Option<f64>,
-    /// SavedInterpFactor: samples in the file for one of the converter.
+    /// SavedInterpFactor: samples in the file per sample of the converter.
     interpolation: f64,
 }
 
-/// A number of the header in an error text.
-fn said(number: Option<f64>) -> String {
+/// A number of the header, for an error text.
+fn display(number: Option<f64>) -> String {
     number.map_or_else(|| "(missing)".to_owned(), |number| number.to_string())
 }
 
-/// A data set: number of its segment, from 1, or 0 for the whole of a waveform; and where its header is.
+/// A data set: number of its segment from 1, or 0 for a whole waveform; and where its header is.
 type Part = (u32, u64);
 
 impl<'a> Waveform<'a> {
@@ -126,7 +134,7 @@ impl<'a> Waveform<'a> {
         waveform.kind = waveform.kind(header)?;
         let timeless = waveform.dt_s.is_none() || waveform.x_origin.is_none();
         if timeless && waveform.kind != Kind::Digital || waveform.dt_s.is_some_and(|dt_s| dt_s <= 0.0) {
-            let (dt_s, x_origin) = (said(waveform.dt_s), said(waveform.x_origin));
+            let (dt_s, x_origin) = (display(waveform.dt_s), display(waveform.x_origin));
             return Err(waveform.refuse(format!("XInc = {dt_s} and XOrg = {x_origin} are no time base; save it again")));
         }
         Ok(waveform)
@@ -159,7 +167,7 @@ impl<'a> Waveform<'a> {
         }
     }
 
-    /// The data sets of the waveform, by the numbers of their segments.
+    /// The data sets of the waveform, in the order of their segments.
     fn parts(&self, entries: &Entries) -> Result<Vec<Part>, FormatError> {
         let part = |entry: &Entry| {
             let part = entry.name.strip_prefix(self.name)?.strip_suffix("Data")?.trim();
@@ -170,12 +178,14 @@ impl<'a> Waveform<'a> {
         parts.sort_unstable();
         let first = parts.first().map_or(0, |part| part.0);
         let in_order = parts.iter().enumerate().all(|(i, part)| u64::from(part.0) == u64::from(first) + i as u64);
-        let said = self.segments.unwrap_or(0.0);
+        let segments = self.segments.unwrap_or(0.0);
         let complete =
-            if first == 0 { parts.len() == 1 && said <= 1.0 } else { first == 1 && said == parts.len() as f64 };
+            if first == 0 { parts.len() == 1 && segments <= 1.0 } else { first == 1 && segments == parts.len() as f64 };
         if !in_order || !complete {
-            let problem =
-                format!("NumSegments = {said}, and {} data sets from number {first} on; save it again", parts.len());
+            let problem = format!(
+                "NumSegments = {segments}, and {} data sets from number {first} on; save it again",
+                parts.len()
+            );
             return Err(self.refuse(problem));
         }
         Ok(parts)
@@ -216,7 +226,7 @@ impl<'a> Waveform<'a> {
         Ok(())
     }
 
-    /// SegmentedXOrg, if it is the XOrg of the group up to the sub-sample part of a trigger.
+    /// SegmentedXOrg, if it differs from the XOrg of the group only by the sub-sample part of a trigger.
     fn segment_origin(&self, header: &Header) -> Result<Option<f64>, FormatError> {
         let (Some(own), Some(group), Some(dt_s)) = (header.number("SegmentedXOrg")?, self.x_origin, self.dt_s) else {
             return Ok(None);
@@ -228,7 +238,7 @@ impl<'a> Waveform<'a> {
         let digital = self.kind == Kind::Digital;
         if !digital && self.points.is_some_and(|points| points != samples as f64) {
             let problem =
-                format!("NumPoints = {}, its data set has {samples} samples; save it again", said(self.points));
+                format!("NumPoints = {}, its data set has {samples} samples; save it again", display(self.points));
             return Err(self.refuse(problem));
         }
         let integers = !matches!(code_type, CodeType::F32 | CodeType::F64) && !digital;

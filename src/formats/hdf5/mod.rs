@@ -1,13 +1,17 @@
-//! HDF5 files of oscilloscopes: Keysight Infiniium (`keysight-h5`) and Tektronix DPO5000 (`tek-h5`); formulas are in `keysight.rs` and `tektronix.rs`.
+//! HDF5 files of oscilloscopes: Keysight Infiniium (`keysight-h5`) and Tektronix DPO5000 (`tek-h5`). The formulas are
+//! in
+//! `keysight.rs` and `tektronix.rs`.
 //!
-//! Of HDF5 itself is read what both vendors write, which is what the HDF5 library writes unless told otherwise: superblock version 0 or 1, object
-//! headers version 1, groups as symbol tables, attributes in the headers, data sets of one axis that are contiguous, compact, or chunked with or
-//! without deflate (HDF5 File Format Specification 3.0, sections II to IV). Contiguous samples stay in the file, chunks are inflated piece by piece.
+//! Of HDF5 itself, the reader covers what both vendors write, which is the default of the HDF5 library: superblock
+//! version 0
+//! or 1, object headers version 1, groups as symbol tables, attributes in the headers. Data sets have one axis and are
+//! contiguous, compact, or chunked with or without deflate (HDF5 File Format Specification 3.0, sections II to IV).
+//! Contiguous samples stay in the file; chunks are inflated piece by piece.
 //!
-//! Data sets of several axes are read whole, as [`arrays`]; [`write()`] writes such.
+//! [`arrays`] reads data sets of several axes whole; [`write()`] writes them.
 //!
-//! Not read, and refused by name: later superblocks and layouts, other filters, shared types. `h5repack -f GZIP=6` makes a
-//! file with other filters readable.
+//! Refused by name: later superblocks and layouts, other filters, shared types. `h5repack -f GZIP=6` makes a file with
+//! other filters readable.
 
 mod array;
 mod dataset;
@@ -26,7 +30,7 @@ pub use write::write;
 /// The reader.
 pub struct Hdf5;
 
-/// Names of what is in a file that are said when it is refused.
+/// Most names of a file's content in an error message.
 const NAMES: usize = 8;
 
 impl Reader for Hdf5 {
@@ -62,19 +66,20 @@ impl Reader for Hdf5 {
     }
 }
 
-/// The arrays of numbers in the root group that are `wanted` by name, those of null data spaces left out; and the names of all that lies there.
+/// Returns the arrays in the root group whose names `wanted` accepts, without null data spaces, and the names of all
+/// entries.
 ///
 /// # Errors
-/// When the file contradicts the format, or what is wanted is no array of numbers.
+/// When the file contradicts the format, or a wanted entry is no array of numbers.
 pub fn arrays(input: &mut dyn Input, wanted: impl Fn(&str) -> bool) -> Result<(Arrays, Vec<String>), FormatError> {
     let (mut file, root) = File::open(input)?;
     let entries = file.group(root)?;
-    let mut found = Arrays::new();
+    let mut arrays = Arrays::new();
     for entry in entries.iter().filter(|entry| wanted(&entry.name)) {
         let array = Array::read(&mut file, &entry.name, entry.at)?;
-        found.extend(array.map(|array| (entry.name.clone(), array)));
+        arrays.extend(array.map(|array| (entry.name.clone(), array)));
     }
-    Ok((found, entries.iter().map(|entry| entry.name.clone()).collect()))
+    Ok((arrays, entries.iter().map(|entry| entry.name.clone()).collect()))
 }
 
 fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {

@@ -1,7 +1,9 @@
-//! Tektronix DPO5000: `Data` is one waveform, volts = value as it is, sample i at StartTime + i * Spacing after the trigger.
+//! Tektronix DPO5000: `Data` is one waveform. Values are volts; sample i is at StartTime + i * Spacing after the
+//! trigger.
 //!
-//! The file has neither the channel's name (it is called `Data`), nor the instrument; nor does it say that the values are volts, which they are. Source:
-//! a file of a DPO5000, on which this was tested; other types of numbers than 32 bit floating ones were tested on files we built.
+//! The file names neither the channel (it is called `Data`) nor the instrument, nor the unit, which is volts. Source: a
+//! file
+//! of a DPO5000, on which this was tested; types other than 32 bit floats were tested on files that the tests build.
 
 use std::sync::Arc;
 

@@ -19,7 +19,7 @@ fn values(record: &Record, bytes: &[u8]) -> Vec<f64> {
     record.values(&record.read(&mut Cursor::new(bytes), 0..record.head.samples).unwrap())
 }
 
-/// A file as of Tektronix, with samples of any type in any storage.
+/// A file like Tektronix's, with samples of any type in any storage.
 fn tektronix(code_type: CodeType, big_endian: bool, data: &[u8], storage: Storage) -> Vec<u8> {
     let mut file = Builder::new();
     let count = Some((data.len() / code_type.bytes()) as u64);
@@ -88,7 +88,7 @@ fn damaged_chunks_are_found_when_they_are_read() {
         error
     });
     let errors: Vec<String> = errors.collect();
-    // Where the stream remains whole, only its checksum tells.
+    // Where the stream stays whole, only its checksum reveals the damage.
     assert!(errors.iter().any(|error| error.contains("incorrect data check")), "{errors:?}");
 }
 
@@ -107,7 +107,7 @@ fn attributes() -> Vec<Message> {
     ]
 }
 
-/// The same with others in the places of some.
+/// The same attributes, some of them replaced.
 fn changed(changes: &[Message]) -> Vec<Message> {
     let name = |message: &Message| message.1[8..].split(|byte| *byte == 0).next().unwrap().to_vec();
     let mut attributes = attributes();
@@ -121,7 +121,7 @@ fn changed(changes: &[Message]) -> Vec<Message> {
 /// A data set of two codes, and its attributes.
 type Set<'a> = (&'a str, [i16; 2], &'a [Message]);
 
-/// A file as of Keysight with one waveform.
+/// A file like Keysight's with one waveform.
 fn keysight(name: &str, attributes: &[Message], sets: &[Set]) -> Vec<u8> {
     let mut file = Builder::new();
     let set = |file: &mut Builder, (name, codes, attributes): &Set| {
@@ -179,10 +179,10 @@ fn segments_have_their_own_origins() {
         assert_eq!(record.trigger_s, Some(f64::from(k - 1)));
         assert_eq!(values(record, &bytes)[0], 10.0 + f64::from(k - 1));
     }
-    // With points between the samples an origin differs by more of them.
+    // With interpolated points, an origin may differ by more of them.
     let far = segmented(8.0, |k| Some(-1.9696e-7 + 5e-11 * f64::from(k % 8)));
     assert!(read(&far).unwrap().iter().all(|record| record.t0_s.is_some()));
-    // An origin that is not that of the group says nothing, and neither does none.
+    // An origin far from that of the group is not used; without one there is none.
     assert!(read(&segmented(1.0, |_| Some(0.0))).unwrap().iter().all(|record| record.t0_s.is_none()));
     assert!(read(&segmented(1.0, |_| None)).unwrap().iter().all(|record| record.t0_s.is_none()));
 }

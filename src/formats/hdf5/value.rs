@@ -5,7 +5,8 @@ use super::field;
 use super::file::{Header, message, u16_at, u32_at, u64_at};
 use crate::waveform::CodeType;
 
-/// Significant properties of the IEEE numbers of 32 and 64 bits: bit offset, precision, exponent (location, size), mantissa (location, size), bias.
+/// Fields of IEEE numbers of 32 and 64 bits: bit offset, precision, exponent (location, size), mantissa (location,
+/// size), bias.
 const F32: [u8; 12] = [0, 0, 32, 0, 23, 8, 0, 23, 127, 0, 0, 0];
 const F64: [u8; 12] = [0, 0, 64, 0, 52, 11, 0, 52, 255, 3, 0, 0];
 
@@ -19,7 +20,7 @@ pub(super) struct Number {
 }
 
 impl Number {
-    /// From a data type message; of an enumeration the numbers behind it.
+    /// Parses a data type message; for an enumeration, its base type.
     pub fn parse(datatype: &[u8]) -> Option<Self> {
         let datatype = if datatype.first()? & 15 == 8 { datatype.get(8..)? } else { datatype };
         let (head, properties) = datatype.split_at_checked(8)?;
@@ -39,7 +40,7 @@ impl Number {
         }
     }
 
-    /// The type of codes, if records can have it.
+    /// The type of codes, if records have such a type.
     pub fn code_type(self) -> Option<CodeType> {
         match (self.float, self.signed, self.size) {
             (true, _, 4) => Some(CodeType::F32),
@@ -59,7 +60,7 @@ impl Number {
         self.size as usize
     }
 
-    /// The number that begins the data.
+    /// The number at the start of the data.
     pub fn value(self, data: &[u8]) -> Option<f64> {
         let mut bytes = [0; 8];
         let own = &mut bytes[..self.bytes()];
@@ -74,7 +75,7 @@ impl Number {
     }
 }
 
-/// Lengths of the axes, from a data space message; none for a single value.
+/// Lengths of the axes, from a data space message; empty for a single value.
 pub(super) fn axes(dataspace: &[u8]) -> Option<Vec<u64>> {
     let (rank, start) = match dataspace {
         [1, rank, ..] => (*rank, 8),
@@ -97,7 +98,7 @@ impl<'a> Attribute<'a> {
     fn parse(message: &'a [u8]) -> Option<Self> {
         let version = *message.first()?;
         let sizes = message.get(2..8)?;
-        // Version 1 pads each part to eight bytes, version 3 has the character set of the name before it.
+        // Version 1 pads each field to eight bytes; version 3 has the character set of the name before the name.
         let padded = |size: u16| if version == 1 { usize::from(size).next_multiple_of(8) } else { usize::from(size) };
         let rest = message.get(if version == 3 { 9 } else { 8 }..)?;
         let (name, rest) = rest.split_at_checked(padded(u16_at(sizes, 0)))?;
@@ -105,7 +106,7 @@ impl<'a> Attribute<'a> {
         let (dataspace, value) = rest.split_at_checked(padded(u16_at(sizes, 4)))?;
         let single = axes(dataspace)?.iter().all(|&length| length == 1);
         let name = name.split(|byte| *byte == 0).next()?;
-        // In versions 2 and 3 the second byte says whether the type is shared.
+        // In versions 2 and 3 the second byte is nonzero if the type is shared.
         ((1..=3).contains(&version) && (version == 1 || message[1] == 0) && single).then_some(Self {
             name,
             datatype,
@@ -124,7 +125,7 @@ impl Header {
         Ok(None)
     }
 
-    /// Value of an attribute that is a number, if there is one of the name.
+    /// Value of the attribute of this name, if there is one; it must be a number.
     pub fn number(&self, name: &str) -> Result<Option<f64>, FormatError> {
         let Some(Attribute { datatype, value, .. }) = self.attribute(name)? else {
             return Ok(None);
@@ -136,7 +137,7 @@ impl Header {
         }
     }
 
-    /// Value of an attribute that is a text of fixed length, if there is one of the name.
+    /// Value of the attribute of this name, if there is one; it must be a text of fixed length.
     pub fn text(&self, name: &str) -> Result<Option<String>, FormatError> {
         let attribute = self.attribute(name)?;
         Ok(attribute.filter(|attribute| attribute.datatype.first().is_some_and(|class| class & 15 == 3)).and_then(
@@ -145,7 +146,7 @@ impl Header {
     }
 }
 
-/// A text up to its first zero; `None` if nothing is in it.
+/// A text up to its first zero; `None` if it is empty.
 fn fixed_text(bytes: &[u8]) -> Option<String> {
     let text = String::from_utf8_lossy(bytes.split(|byte| *byte == 0).next()?).trim().to_owned();
     (!text.is_empty()).then_some(text)
@@ -164,7 +165,8 @@ pub(super) fn text_members(datatype: &[u8], value: &[u8]) -> Vec<(String, String
 
 /// Name and text of the first member, and the members behind it; `None` at the end, and at a member that is no text.
 fn text_member<'a>(datatype: &[u8], members: &'a [u8], value: &[u8]) -> Option<(String, Option<String>, &'a [u8])> {
-    // Class 6, compound; a version 1 member has its offset and 28 bytes of axes before its type, a version 2 member the offset alone.
+    // Class 6 is compound. Before its type, a version 1 member has its offset and 28 bytes of axes, a version 2 member
+    // only its offset.
     let (version, between) = match datatype.first()? {
         0x16 => (1, 32),
         0x26 => (2, 4),

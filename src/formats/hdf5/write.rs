@@ -1,4 +1,5 @@
-//! Arrays as an HDF5 file of superblock 0, which every version of the HDF5 library reads: one root group, contiguous data sets.
+//! Writes arrays as an HDF5 file of superblock 0, which every version of the HDF5 library reads: one root group,
+//! contiguous data sets.
 
 use std::io::{self, Write};
 
@@ -10,10 +11,10 @@ use crate::waveform::CodeType;
 const SUPERBLOCK: usize = 96;
 const HEADER: usize = 16;
 const SYMBOL: usize = 40;
-/// Half the children of a node of the group's tree (Group Internal Node K), of which there is one.
+/// Half of the most children in a node of the group's tree (Group Internal Node K). The tree has one node.
 const INTERNAL_K: u16 = 16;
 
-/// Writes the arrays, of which those without numbers are null data spaces.
+/// Writes the arrays. Those without numbers become null data spaces.
 ///
 /// # Errors
 /// When `out` cannot be written, or there are more arrays than one node of a group holds (32,767).
@@ -54,7 +55,7 @@ pub fn write(out: &mut impl Write, arrays: &Arrays) -> io::Result<()> {
     head.extend([leaf_k, INTERNAL_K].map(u16::to_le_bytes).concat());
     head.extend([0; 4]);
     head.extend(addresses(&[0, UNDEFINED, at as u64, UNDEFINED]));
-    // The root's own entry, which says where its tree and names are.
+    // The root's own entry: where its tree and names are.
     head.extend(addresses(&[0, root as u64, 1, tree as u64, heap as u64]));
     head.extend(object_header(&[(0x11, addresses(&[tree as u64, heap as u64]))]));
     head.extend([b"TREE".as_slice(), &[0, 0], &1_u16.to_le_bytes()].concat());
@@ -75,7 +76,7 @@ pub fn write(out: &mut impl Write, arrays: &Arrays) -> io::Result<()> {
     Ok(())
 }
 
-/// What stands for the end of a heap's list of free blocks.
+/// Marks the end of a heap's list of free blocks.
 const FREE_LIST_END: u64 = 1;
 
 /// A header of version 1 with these messages.
@@ -103,7 +104,7 @@ fn array_messages(code_type: CodeType, axes: &[usize], data: u64, bytes: usize) 
     };
     let place = if is_null { UNDEFINED } else { data };
     let layout = [[3, 1].as_slice(), &place.to_le_bytes(), &(bytes as u64).to_le_bytes()].concat();
-    // Space for the data allocated late, no fill value written.
+    // Space is allocated late, and no fill value is stored.
     vec![(0x01, space), (0x03, data_type(code_type)), (0x05, vec![2, 2, 0, 0]), (0x08, layout)]
 }
 

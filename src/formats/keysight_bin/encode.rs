@@ -1,4 +1,4 @@
-//! Writes `AG10` files as the simulator needs them.
+//! Writes `AG10` files for the simulator.
 
 use std::io::{self, Write};
 
@@ -9,7 +9,7 @@ const FILE: usize = 12;
 /// Length of a waveform data header.
 const BUFFER: usize = 12;
 
-/// What a file says of all its segments.
+/// What all segments of a file have in common.
 #[derive(Clone, Debug)]
 pub struct VoltsHead {
     /// Model and serial number of the instrument, `MODEL:SERIAL`; up to 23 bytes.
@@ -20,14 +20,17 @@ pub struct VoltsHead {
     pub dt_s: f64,
 }
 
-/// Writes segments of equal length in volts, each with its trigger's time since the first and the time of its sample 0 (s), as one `AG10` file; a
-/// single one without Time Tag and Segment Index, which other files do not have.
+/// Writes segments of equal length as one `AG10` file.
+///
+/// A segment is the time of its trigger after the first one (s), the time of its sample 0 (s), and its volts. A single
+/// one
+/// gets no Time Tag and no Segment Index, as in unsegmented files.
 ///
 /// # Errors
 /// When `out` cannot be written.
 ///
 /// # Panics
-/// When there is no segment, their lengths differ, or the file would exceed the 2 GiB that its header can say.
+/// When there is no segment, their lengths differ, or the file exceeds 2 GiB, the limit of its header.
 pub fn write(out: &mut impl Write, head: &VoltsHead, segments: &[(f64, f64, Vec<f32>)]) -> io::Result<()> {
     let samples = segments.first().expect("a file has at least one segment").2.len();
     assert!(segments.iter().all(|(_, _, volts)| volts.len() == samples), "segments of one file have equal lengths");

@@ -173,8 +173,8 @@ fn kinds_follow_types_and_units() {
     let extremes = vec![(2, 4, bytes(&[4.0, 5.0, 6.0])), (3, 4, bytes(&[1.0, 2.0, 3.0]))];
     let built = Built::new("AG03", vec![Waveform { buffers: extremes, ..wave(2) }]);
     let records = built.read().unwrap();
-    let found: Vec<_> = records.iter().map(|(r, v)| (r.head.kind, r.head.channel.as_deref().unwrap(), v[0])).collect();
-    assert_eq!(found, [(Kind::Envelope, "1 max", 4.0), (Kind::Envelope, "1 min", 1.0)]);
+    let kinds: Vec<_> = records.iter().map(|(r, v)| (r.head.kind, r.head.channel.as_deref().unwrap(), v[0])).collect();
+    assert_eq!(kinds, [(Kind::Envelope, "1 max", 4.0), (Kind::Envelope, "1 min", 1.0)]);
     cut_everywhere(&KeysightBin, &built.bytes());
     for unfilled in ["", "               "] {
         let blank = Waveform { texts: [unfilled, unfilled, unfilled, "1"], ..wave(1) };

@@ -1,24 +1,25 @@
-//! The waveforms and buffers of a file, one after the other.
+//! Walks through the waveforms and buffers of a file, in order.
 
 use super::{Maker, date};
 use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Scale};
 
-/// Bytes of a waveform header as far as it is known; newer ones may be longer.
+/// Bytes of the waveform header that are documented; newer ones may be longer.
 pub(super) const WAVEFORM: usize = 140;
-/// Bytes without the Time Tag and the Segment Index, which are taken for zero where they are missing.
+/// Bytes without the Time Tag and the Segment Index, which default to zero where they are missing.
 const WAVEFORM_LEAST: u64 = 128;
-/// So many records are always allowed. Beyond, a file has at least `RECORD_BYTES` for each: what is known of a record must not take more memory
-/// than the file that it is from, and no segment is as short.
+/// This many records are always accepted. For more, the file must have at least `RECORD_BYTES` for each: the records
+/// must
+/// not take more memory than the file, and no real segment is as short.
 const RECORDS: u64 = 1000;
-/// See `RECORDS`.
+/// Least bytes of the file for each record beyond `RECORDS`.
 const RECORD_BYTES: u64 = 320;
 
 pub(super) fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset, problem: problem.into() }
 }
 
-/// A text field, up to its first zero byte; `None` if nothing is in it.
+/// A text field, up to its first zero byte; `None` if it is empty.
 fn text(bytes: &[u8]) -> Option<String> {
     let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
     let text = String::from_utf8_lossy(&bytes[..end]).trim().to_owned();
@@ -57,8 +58,8 @@ impl Block {
     }
 }
 
-/// A buffer of samples, as it stands in the file.
-pub(super) struct Found {
+/// A buffer of samples: its head, and where the file holds it.
+pub(super) struct Trace {
     pub(super) head: Head,
     pub(super) t0_s: Option<f64>,
     pub(super) byte_offset: u64,
@@ -66,7 +67,7 @@ pub(super) struct Found {
     pub(super) segment: (u32, f64),
 }
 
-/// The way through a file.
+/// The position in a file while it is read.
 pub(super) struct Walk<'a> {
     maker: &'a Maker,
     /// Whether sizes are 64 bits wide.
@@ -75,7 +76,7 @@ pub(super) struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    /// Behind the file header, with the File Size and the Number of Waveforms that it says.
+    /// Reads the file header. Returns the walk behind it, the File Size and the Number of Waveforms.
     pub(super) fn start(maker: &'a Maker, input: &mut dyn Input) -> Result<(Self, u64, u32), FormatError> {
         let start = Block::read(input, "the file header", 0, 4)?;
         let wide = match &start.bytes[2..] {
@@ -94,28 +95,28 @@ impl<'a> Walk<'a> {
         };
         let bytes = if wide { 16 } else { 12 };
         let header = Block::read(input, "the file header", 0, bytes)?;
-        let (said, count_at) = (header.size(4, wide), bytes as usize - 4);
+        let (file_size, count_at) = (header.size(4, wide), bytes as usize - 4);
         let (count, length) = (header.u32(count_at), input.length());
         let least = u64::from(count).saturating_mul(WAVEFORM_LEAST);
         if count == 0 || least > length {
             let problem = format!("Number of Waveforms = {count} in a file of {length} bytes");
             return Err(header.refuse(count_at, problem));
         }
-        if said > length {
+        if file_size > length {
             return Err(FormatError::Truncated {
                 what: "the whole file (File Size)",
                 byte_offset: 0,
-                needed: said,
+                needed: file_size,
                 length,
             });
         }
-        Ok((Self { maker, wide, at: bytes }, said, count))
+        Ok((Self { maker, wide, at: bytes }, file_size, count))
     }
 
-    /// All buffers of all waveforms, and where the last one ends.
-    pub(super) fn waveforms(mut self, input: &mut dyn Input, count: u32) -> Result<(Vec<Found>, u64), FormatError> {
-        let mut found = Vec::new();
-        // Name and index of the waveform before, and how many channels there were.
+    /// Reads all buffers of all waveforms; returns also where the last one ends.
+    pub(super) fn waveforms(mut self, input: &mut dyn Input, count: u32) -> Result<(Vec<Trace>, u64), FormatError> {
+        let mut traces = Vec::new();
+        // Name and index of the previous waveform, and the number of channels so far.
         let (mut before, mut channels) = (None, 0);
         for _ in 0..count {
             let header = self.header(input)?;
@@ -134,17 +135,17 @@ impl<'a> Walk<'a> {
             }
             for _ in 0..buffers {
                 let buffer = self.buffer(input, &header)?;
-                let records = found.len() as u64 + 1;
+                let records = traces.len() as u64 + 1;
                 if records > RECORDS && records * RECORD_BYTES > input.length() {
                     let problem = format!("{records} waveforms in {} bytes are no recording", input.length());
                     return Err(header.refuse(0, problem));
                 }
                 let head = buffer.head(&header, self.maker, &axis, &name)?;
                 let byte_offset = buffer.byte_offset;
-                found.push(Found { head, t0_s: axis.origin, byte_offset, segment: (index, tag_s) });
+                traces.push(Trace { head, t0_s: axis.origin, byte_offset, segment: (index, tag_s) });
             }
         }
-        Ok((found, self.at))
+        Ok((traces, self.at))
     }
 
     fn header(&mut self, input: &mut dyn Input) -> Result<Block, FormatError> {
@@ -199,7 +200,7 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// What a waveform is over.
+/// The x axis of a waveform.
 struct Axis {
     increment: Option<f64>,
     origin: Option<f64>,

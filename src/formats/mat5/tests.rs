@@ -71,21 +71,21 @@ fn variables_are_read_packed_and_plain() {
     for packed in [false, true] {
         let bytes = file(&scan(), packed);
         assert!(recognises(&bytes));
-        let (found, names) = read(&bytes).unwrap();
+        let (arrays, names) = read(&bytes).unwrap();
         assert_eq!(names, ["rect_data", "width", "small", "long", "unwanted", "text"]);
-        let values = |name: &str| found[name].values();
-        assert_eq!(found["rect_data"].axes, [4, 3, 2]);
+        let values = |name: &str| arrays[name].values();
+        assert_eq!(arrays["rect_data"].axes, [4, 3, 2]);
         assert_eq!(values("rect_data"), (0..24).map(f64::from).collect::<Vec<f64>>());
         assert_eq!((values("width"), values("small"), values("long")), (vec![0.5], vec![-7.0], vec![-9.0]));
-        assert!(!found.contains_key("unwanted") && !found.contains_key("text"));
+        assert!(!arrays.contains_key("unwanted") && !arrays.contains_key("text"));
     }
 }
 
 #[test]
 fn damage_is_refused_without_much_memory() {
     let look = |damaged: &[u8]| {
-        let found = read(damaged).map_or_else(|_| Arrays::new(), |(found, _)| found);
-        assert!(found.values().all(|array| array.axes.iter().product::<usize>() == array.count()));
+        let arrays = read(damaged).map_or_else(|_| Arrays::new(), |(arrays, _)| arrays);
+        assert!(arrays.values().all(|array| array.axes.iter().product::<usize>() == array.count()));
     };
     for bytes in [file(&scan(), false), file(&scan(), true)] {
         hostile::each_cut(&bytes, look);

@@ -1,4 +1,5 @@
-//! The tags at the start of PicoQuant's unified files: each a name, an index, a type and a value, some with bytes that follow.
+//! The tags at the start of PicoQuant's unified files: each has a name, an index, a type and a value; bytes follow
+//! some.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +12,10 @@ const PREAMBLE_BYTES: u64 = 16;
 pub(super) const TAG_BYTES: u64 = 48;
 /// Longest name of an instrument that is read.
 const NAME_BYTES: u64 = 256;
-/// Widest bin there can be, in seconds: a longer one is in another unit.
+/// Widest bin that is accepted, in seconds: a wider one is in another unit.
 const WIDEST_BIN_S: f64 = 0.01;
 
-/// Index of a tag that there is once in a file.
+/// Index of a tag that occurs once in a file.
 pub(super) const WHOLE: i32 = -1;
 /// Names of the tags that are read.
 const NAMES: [&str; 16] = [
@@ -40,10 +41,10 @@ pub(super) const INTEGER: u32 = 0x1000_0008;
 pub(super) const FLOAT: u32 = 0x2000_0008;
 pub(super) const DATE: u32 = 0x2100_0008;
 pub(super) const TEXT: u32 = 0x4001_FFFF;
-/// Types whose value is a number of bytes that follow the tag end so: arrays, texts, blobs.
+/// Ending of the types whose value is a number of bytes that follow the tag: arrays, texts, blobs.
 const FOLLOWED: u32 = 0xFFFF;
 
-/// Where a tag is, the type of its value, and the value's bits.
+/// Where a tag is, the type of its value, and the bits of its value.
 #[derive(Clone, Copy)]
 struct Tag {
     at: u64,
@@ -53,9 +54,9 @@ struct Tag {
 
 /// The tags that are read, by name and index.
 pub(super) struct Tags {
-    known: BTreeMap<(&'static str, i32), Tag>,
+    tags: BTreeMap<(&'static str, i32), Tag>,
     instrument: Option<String>,
-    /// Where they end, and events begin.
+    /// Where the tags end and events begin.
     pub(super) end: u64,
 }
 
@@ -65,7 +66,7 @@ impl Tags {
             let problem = format!("does not begin with {}; was it renamed?", String::from_utf8_lossy(&magic[..6]));
             return Err(FormatError::Field { byte_offset: 0, problem });
         }
-        let mut all = Self { known: BTreeMap::new(), instrument: None, end: PREAMBLE_BYTES };
+        let mut all = Self { tags: BTreeMap::new(), instrument: None, end: PREAMBLE_BYTES };
         loop {
             let (name, index, tag) = tag(&input.bytes("a tag of the header", all.end, TAG_BYTES)?, all.end);
             let content = all.end + TAG_BYTES;
@@ -83,20 +84,20 @@ impl Tags {
                     let text = String::from_utf8_lossy(&bytes);
                     all.instrument = Some(text.trim_matches(['\0', ' ']).to_owned()).filter(|name| !name.is_empty());
                 }
-                Some(name) => drop(all.known.insert((name, index), tag)),
+                Some(name) => drop(all.tags.insert((name, index), tag)),
                 None => {}
             }
         }
     }
 
     pub(super) fn refuse(&self, name: &'static str, index: i32, problem: impl AsRef<str>) -> FormatError {
-        let byte_offset = self.known.get(&(name, index)).map_or(0, |tag| tag.at);
+        let byte_offset = self.tags.get(&(name, index)).map_or(0, |tag| tag.at);
         let which = if index == WHOLE { String::new() } else { format!("({index})") };
         FormatError::Field { byte_offset, problem: format!("{name}{which} {}", problem.as_ref()) }
     }
 
     pub(super) fn integer(&self, name: &'static str, index: i32) -> Result<Option<i64>, FormatError> {
-        match self.known.get(&(name, index)) {
+        match self.tags.get(&(name, index)) {
             None => Ok(None),
             Some(tag) if tag.kind == INTEGER => Ok(Some(tag.value.cast_signed())),
             Some(tag) => Err(self.refuse(name, index, format!("has type {:#010x}, not Int8", tag.kind))),
@@ -109,9 +110,10 @@ impl Tags {
         u64::try_from(count).map_err(|_| self.refuse(name, index, format!("= {count} is negative")))
     }
 
-    /// Width of a bin. (The vendor's tag dictionary has picoseconds for histograms; its programs, and the files, have seconds.)
+    /// Width of a bin in seconds. (The vendor's tag dictionary says picoseconds for histograms; its programs and the
+    /// files use seconds.)
     pub(super) fn bin_s(&self, name: &'static str, index: i32) -> Result<Option<f64>, FormatError> {
-        let Some(tag) = self.known.get(&(name, index)) else { return Ok(None) };
+        let Some(tag) = self.tags.get(&(name, index)) else { return Ok(None) };
         let width_s = f64::from_bits(tag.value);
         if tag.kind == FLOAT && width_s > 0.0 && width_s < WIDEST_BIN_S {
             return Ok(Some(width_s));
@@ -128,7 +130,7 @@ impl Tags {
         Ok(self.integer(name, index)?.unwrap_or(0) as f64 * 1e-9)
     }
 
-    /// What all records of a file have.
+    /// What all records of a file have in common.
     pub(super) fn head(&self, format: &'static str, bins: usize, dt_s: f64) -> Head {
         Head {
             kind: Kind::Counts,
@@ -142,7 +144,7 @@ impl Tags {
     }
 
     pub(super) fn date(&self, name: &'static str, index: i32) -> Option<String> {
-        let tag = self.known.get(&(name, index)).filter(|tag| tag.kind == DATE)?;
+        let tag = self.tags.get(&(name, index)).filter(|tag| tag.kind == DATE)?;
         iso(f64::from_bits(tag.value))
     }
 }
@@ -152,11 +154,12 @@ fn tag(bytes: &[u8], at: u64) -> (Option<&'static str>, i32, Tag) {
     let name = name.split(|byte| *byte == 0).next().unwrap_or_default();
     let word = |at: usize| u32::from_le_bytes(rest[at..at + 4].try_into().expect("four bytes"));
     let value = u64::from_le_bytes(rest[8..16].try_into().expect("eight bytes"));
-    let known = NAMES.into_iter().find(|known| known.as_bytes() == name);
-    (known, word(0).cast_signed(), Tag { at, kind: word(4), value })
+    let entry = NAMES.into_iter().find(|entry| entry.as_bytes() == name);
+    (entry, word(0).cast_signed(), Tag { at, kind: word(4), value })
 }
 
-/// Days since 1899-12-30 in ISO 8601, to the millisecond; `None` for days that are no date of a measurement.
+/// Converts days since 1899-12-30 to ISO 8601, to the millisecond; `None` for days that cannot be a date of a
+/// measurement.
 pub(super) fn iso(days: f64) -> Option<String> {
     // 1982 to 2173.
     let total_ms = (30_000.0..100_000.0).contains(&days).then(|| (days * 86_400_000.0).round() as u64)?;

@@ -1,12 +1,16 @@
 //! DHO800 and DHO1000: small blocks of settings, each packed by zlib, then u16 codes, interleaved channel by channel.
 //!
-//! volts = k * (code - 32768) + centre. DHO800: k = n / 7.5e12, centre = -m * 1e-9; DHO1000: k = n / 7.5e11, centre = -m * 1e-8, with n and m from
-//! the channel's block. dt = ticks * 0.8 ns (DHO800) or 10 ns (DHO1000). Of a DHO824 capture the .bin of the same capture, which has volts, has the
-//! same samples to within its rounding of the centre to a whole code (1.4 uV of 300 mV here), and the same dt.
+//! volts = k * (code - 32768) + centre. DHO800: k = n / 7.5e12, centre = -m * 1e-9; DHO1000: k = n / 7.5e11,
+//! centre = -m * 1e-8; n and m are in the channel's block. dt = ticks * 0.8 ns (DHO800) or 10 ns (DHO1000). One DHO824
+//! capture was compared with its .bin, which has volts. All samples agree to within the .bin's rounding of the centre
+//! to a
+//! whole code (1.4 uV of 300 mV), and dt is equal.
 //!
-//! Where the trigger lies in the memory is not in the file as far as it is known. That capture has it in the middle, as its .bin says (sample 0 half
-//! the samples before it), and so has any with the trigger's position at 50 % and no delay, but no field was found that says so: `t0_s` is marked
-//! as nominal. All channels share their times. The .bin has the time of sample 0: save that instead where it counts.
+//! No field is known that gives the position of the trigger in the memory. In that capture it is in the middle, by its
+//! .bin
+//! (half of the samples precede it). The same holds for any capture with the trigger at 50 % and no delay. Therefore
+//! `t0_s`
+//! is marked as nominal. All channels share their times. The .bin has the time of sample 0: save that if times matter.
 
 use std::io::Read;
 
@@ -19,20 +23,20 @@ use crate::waveform::{CodeType, Head, Record, Scale};
 
 const HEAD_BYTES: u64 = 24;
 const BLOCK_HEAD_BYTES: u64 = 12;
-/// What of a channel's block is needed: n as i64 at 1, m as i64 at 38; byte 0 tells whether it is on.
+/// Bytes of a channel's block that are read: whether it is on (byte 0), n as i64 at 1, m as i64 at 38.
 const CHANNEL_BYTES: u64 = 46;
 /// Type of a channel's block.
 const DHO800_CHANNEL: u16 = 5;
 const DHO1000_CHANNEL: u16 = 9;
-/// What is before the codes.
+/// Bytes of the header of the codes.
 const DATA_HEAD_BYTES: u64 = 40;
 const CODE_BYTES: u64 = 2;
 /// Code in the middle of the screen.
 const MIDDLE: f64 = 32768.0;
-/// Bytes of padding that are looked at at a time.
+/// Bytes of padding that are read at a time.
 const PIECE_BYTES: u64 = 1 << 12;
 
-/// Whether the first block of settings can be one: other makes' files begin with the same four bytes.
+/// Whether the first block of settings is plausible: files of other makes begin with the same four bytes.
 pub(super) fn first_block_is_plausible(head: &[u8]) -> bool {
     let Some(block) = head.get(24..37) else { return false };
     let [id, _, unpacked, packed, length, reserved] =
@@ -66,11 +70,11 @@ impl Channel {
     }
 }
 
-/// The channels that are on.
+/// Returns the records of the channels that are on.
 pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
     let (mut channels, end) = blocks(input)?;
     let data = Data::find(input, end)?;
-    // Older files do not mark channels as on; then those that have a block are.
+    // Older files do not mark channels as on; there, every channel with a block is on.
     if channels.iter().filter(|channel| channel.is_on).count() == data.channels {
         channels.retain(|channel| channel.is_on);
     }
@@ -90,7 +94,7 @@ pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError>
     some(records, data.start as usize)
 }
 
-/// The channels' blocks, and where the blocks end.
+/// Returns the channels' blocks, and where the blocks end.
 fn blocks(input: &mut dyn Input) -> Result<(Vec<Channel>, u64), FormatError> {
     let mut channels: Vec<Channel> = Vec::new();
     let mut at = HEAD_BYTES;
@@ -144,7 +148,7 @@ fn channel(bytes: &[u8], packed: bool, block: (usize, u16), at: u64) -> Result<C
     })
 }
 
-/// The head of the codes.
+/// The header of the codes.
 struct Data {
     start: u64,
     channels: usize,
@@ -153,11 +157,12 @@ struct Data {
 }
 
 impl Data {
-    /// It follows zeros, of which its own first bytes may be some: of the places where it can begin, the one from which it makes sense.
+    /// Finds the header after the padding of zeros. Its own first bytes may be zeros too, so every possible start is
+    /// tried.
     fn find(input: &mut dyn Input, blocks_end: u64) -> Result<Self, FormatError> {
         let nonzero = first_nonzero(input, blocks_end)?;
         let starts = (0..8).filter_map(|zeros| nonzero.checked_sub(zeros)).filter(|start| *start >= blocks_end);
-        let mut found: Option<Self> = None;
+        let mut candidate: Option<Self> = None;
         for start in starts {
             if input.length().saturating_sub(start) < DATA_HEAD_BYTES {
                 continue;
@@ -168,10 +173,10 @@ impl Data {
                 if data.end() == Some(input.length()) {
                     return Ok(data);
                 }
-                found = found.or(Some(data));
+                candidate = candidate.or(Some(data));
             }
         }
-        found.ok_or_else(|| {
+        candidate.ok_or_else(|| {
             field(nonzero as usize, "here should be the number of samples; the file may be cut short: copy it again")
         })
     }
@@ -182,7 +187,7 @@ impl Data {
         if total <= 0 || samples == 0 || samples != again || ticks == 0 {
             return None;
         }
-        // A DHO1000 counts about 64 more than there are.
+        // A DHO1000 counts about 64 samples more than it stores, hence the rounding.
         let channels = (total as u64).checked_add(u64::from(samples) / 2)? / u64::from(samples);
         let channels = usize::try_from(channels).ok().filter(|channels| (1..=CHANNELS).contains(channels))?;
         Some(Self { start, channels, samples: samples as usize, ticks })

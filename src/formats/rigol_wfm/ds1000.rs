@@ -1,30 +1,37 @@
-//! DS1000B, DS1000C, DS1000D and DS1000E: two heads that differ in where things are, not in what they say.
+//! DS1000B, DS1000C, DS1000D and DS1000E: two headers with the same fields in different places.
 //!
-//! volts = V/div / 25 * (zero - position - code), with zero = 99 (B) or 125 (C, D, E), V/div = scale * 1e-6 * probe, position in codes. Sample i is
-//! at offset * 1 ps + (i - depth / 2) / rate. Of a DS1000B capture with the trigger in the middle all four channels equal the scope's own CSV in
-//! every sample and in time. The sign of an offset from the middle is as of the DS2000; where the offset on the screen is no longer that of the
-//! measurement (the knob was turned after the scope had stopped), the file leaves open which counts: then there is no time of sample 0.
+//! volts = V/div / 25 * (zero - position - code), with zero = 99 (B) or 125 (C, D, E), V/div = scale * 1e-6 * probe,
+//! position in codes. Sample i is at offset * 1 ps + (i - depth / 2) / rate. One DS1000B capture with the trigger in
+//! the
+//! middle was compared with the scope's own CSV: all four channels are equal in every sample and in time. The sign of
+//! the
+//! offset is as in the DS2000. If the knob was turned after the scope stopped, the offset on the screen differs from
+//! that of
+//! the measurement. The file does not say which counts, and then there is no time of sample 0.
 //!
-//! Of the probe: the DS1000E stores the scale without it, the DS1000D with it, and nothing in the file tells these two apart. It is read as a
-//! DS1000E: with a probe other than 1x, volts of a DS1000D come out larger by its factor. An inverted channel has no scale: whether its codes are
-//! inverted already is not known. Rolling captures of the DS1000E end in bytes that are no samples, which are left out.
+//! Probe: the DS1000E stores the scale without it, the DS1000D with it, and nothing in the file distinguishes the two.
+//! The
+//! reader assumes a DS1000E: with a probe other than 1x, volts of a DS1000D come out larger by its factor. An inverted
+//! channel has no scale, since it is unknown whether its codes are inverted already. Rolling captures of the DS1000E
+//! end in
+//! bytes that are no samples; the reader omits them.
 
 use super::{FORMAT, dt_s, factor, field, record, some};
 use crate::numbers::Numbers;
 use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Record, Scale};
 
-/// Where a head says what.
+/// Where the fields of a header are.
 struct Layout {
     channel_heads: usize,
-    /// Flags in a channel's part: switched on; inverted when it was measured.
+    /// Flags of a channel: switched on; inverted during the measurement.
     on: usize,
     inverted: usize,
     /// Code at 0 V of a channel in the middle of the screen.
     zero: f64,
 }
 
-/// Where it says when.
+/// Where the fields of a time base are.
 struct TimeBase {
     rate: usize,
     offset: usize,
@@ -40,24 +47,25 @@ const E: Layout = Layout { channel_heads: 36, on: 13, inverted: 14, zero: 125.0 
 const E_TIME: TimeBase = TimeBase { rate: 100, offset: 92, measured_offset: 112 };
 const E_POINTS: usize = 28;
 const E_DATA: u64 = 276;
-/// What only the DS1000D and DS1000E have: how far a rolling capture got, and depth and time base of the second channel, which counts when each
-/// channel has a trigger of its own.
+/// Fields of the DS1000D and DS1000E only: how far a rolling capture got; depth and time base of the second channel,
+/// which
+/// apply when each channel has a trigger of its own.
 const E_ROLL_STOP: usize = 20;
 const E_TRIGGER_MODE: usize = 142;
 const ALTERNATING: u8 = 4;
 const E_POINTS_2: usize = 232;
 const E_TIME_2: TimeBase = TimeBase { rate: 252, offset: 244, measured_offset: 264 };
 
-/// The DS1000C has its samples behind these bytes, and sixteen more if it begins like a DS1000E.
+/// Start of the samples of a DS1000C; sixteen bytes later if the file begins like a DS1000E.
 const C_DATA: u64 = 256;
 const C_PADDING: u64 = 16;
 
-/// Bytes of a channel's part of the head.
+/// Bytes of a channel in the header.
 const CHANNEL_BYTES: usize = 24;
-/// Codes of a division of the screen.
+/// Codes per division of the screen.
 const CODES_PER_DIVISION: f64 = 25.0;
 
-/// The four channels of a DS1000B, each at its own place whether the others are on or not.
+/// The four channels of a DS1000B, each at its own place even if others are off.
 pub(super) fn records_b(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
     let fields = Numbers::head(input, B_DATA)?;
     let points = fields.u32(B_POINTS);
@@ -74,7 +82,7 @@ pub(super) fn records_b(input: &mut dyn Input) -> Result<Vec<Record>, FormatErro
     some(records, B.channel_heads + B.on)
 }
 
-/// The two channels of the others; those that are off take no place.
+/// The two channels of the other models; a channel that is off takes no space.
 pub(super) fn records_e(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
     let fields = Numbers::head(input, C_DATA)?;
     let points = fields.u32(E_POINTS);
@@ -95,7 +103,7 @@ pub(super) fn records_e(input: &mut dyn Input) -> Result<Vec<Record>, FormatErro
 
 fn two_channels(input: &dyn Input, fields: &Numbers, depths: [u32; 2], data: u64) -> Result<Vec<Record>, FormatError> {
     let is_e = data == E_DATA;
-    // Two more bytes than the head says are no samples.
+    // The file has two bytes more than the header gives, which are no samples.
     let skipped = match fields.u32(E_ROLL_STOP) {
         stop if is_e && stop > 0 => u64::from(stop) + 2,
         _ => 0,
@@ -144,12 +152,12 @@ impl Layout {
 }
 
 impl TimeBase {
-    /// Time between samples, into the head, and time of sample 0 of a memory of this depth.
+    /// Sets the time between samples in the head. Returns the time of sample 0 of a memory of this depth.
     fn place(&self, fields: &Numbers, head: &mut Head, depth: u32) -> Result<Option<f64>, FormatError> {
         let dt_s = dt_s(fields, self.rate, "the sample rate", 1.0)?;
         head.dt_s = Some(dt_s);
         let offset = fields.i64(self.measured_offset);
-        let known = offset == fields.i64(self.offset);
-        Ok(known.then(|| 1e-12 * offset as f64 - f64::from(depth) * dt_s / 2.0))
+        let is_unmoved = offset == fields.i64(self.offset);
+        Ok(is_unmoved.then(|| 1e-12 * offset as f64 - f64::from(depth) * dt_s / 2.0))
     }
 }

@@ -1,16 +1,25 @@
-//! DS2000 and DS4000: the same head but for a few fields; each channel has its own stretch of the file.
+//! DS2000 and DS4000: headers that differ in a few fields; each channel has its own range of the file.
 //!
-//! volts = V/div / c * (code - 127) - offset, with c = 25 codes of a division (DS2000) or 32 (DS4000). Of a DS2072A capture the scope's own CSV has
-//! the least and the greatest of each 20 samples: all agree, one channel to the volt, the other to the half code by which the CSV rounds its
-//! offset (-85.5 codes here, -85 there). The volts of a DS4000 are checked against no second source.
+//! volts = V/div / c * (code - 127) - offset, with c = 25 codes per division (DS2000) or 32 (DS4000). One DS2072A
+//! capture
+//! was compared with the scope's own CSV, which has the minimum and maximum of each 20 samples. All agree: one channel
+//! exactly, the other to half a code, by which the CSV rounds its offset (-85.5 codes here, -85 there). Volts of a
+//! DS4000
+//! are not checked against a second source.
 //!
-//! The time of sample 0 is not in the file to the sample. The public reading (the middle of the memory at the horizontal offset) puts that capture
-//! 25 samples, 25 ns, before its CSV: all 698 pairs agree at this shift, and at no other. By the CSV the trace passes the trigger's level (a slow
-//! edge, 0.2 mV/ns) 8 ns after time 0, by the public reading 17 ns before it: the scope's own export is the likelier, but no field was found that
-//! gives those 25 samples. So `t0_s` is marked as nominal. All channels of a file share their times. For times, save as CSV.
+//! The file does not give the time of sample 0 to the sample, so `t0_s` is marked as nominal; for times, save CSV. The
+//! public reading (the middle of the memory at the horizontal offset) puts that capture 25 samples, 25 ns, before its
+//! CSV:
+//! all 698 pairs agree at this shift, and at no other. In the CSV the trace crosses the trigger level (a slow edge,
+//! 0.2 mV/ns) 8 ns after time 0; in the public reading, 17 ns before it. The scope's own export is more plausible, but
+//! no
+//! field is known that gives those 25 samples. All channels of a file share their times.
 //!
-//! A single channel of a DS2000 may use the memory of two (interwoven): even samples lie in the first stretch, odd ones in the second; this
-//! was tested on files built in tests only. DS6000 files are refused by name: the public layout could be checked on no file.
+//! A single channel of a DS2000 may use the memory of two (interwoven): even samples are in the first range, odd ones
+//! in the
+//! second. This was tested only on files that the tests build. DS6000 files are refused by name: no file was available
+//! to
+//! check the public layout.
 
 use std::io::{self, SeekFrom};
 use std::ops::ControlFlow;
@@ -21,7 +30,7 @@ use crate::numbers::Numbers;
 use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Payload, ReadSeek, Record, Scale, Unpack};
 
-/// Where a head says what.
+/// Where the fields of a header are.
 struct Layout {
     head_bytes: u64,
     acquisition: usize,
@@ -58,17 +67,17 @@ const DS4000: Layout = Layout {
     codes_per_division: 32.0,
     is_ds2000: false,
 };
-/// Number of the instrument, which begins with its model.
+/// Serial number of the instrument, which begins with its model.
 const SERIAL: usize = 4;
 const ENABLED: usize = 0x40;
 const INTERWOVEN: usize = 0x41;
 const OFFSETS: usize = 0x44;
-/// Bytes of a channel's part of the head.
+/// Bytes of a channel in the header.
 const CHANNEL_BYTES: usize = 28;
 /// Code in the middle of the screen.
 const MIDDLE: f64 = 127.0;
 
-/// The channels that are on.
+/// Returns the records of the channels that are on.
 pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
     let serial = Numbers::head(input, 24)?.text(SERIAL, 20).unwrap_or_default();
     let layout = match serial.strip_prefix("MSO").or_else(|| serial.strip_prefix("DS")).and_then(|rest| rest.get(..1)) {
@@ -135,7 +144,7 @@ impl Layout {
         Ok(Record { head: Arc::new(head), segment: None, t0_s, trigger_s: None, payload })
     }
 
-    /// Where sample 0 lies if the middle of the memory lies at the horizontal offset.
+    /// Time of sample 0 if the middle of the memory is at the horizontal offset.
     fn t0_s(&self, fields: &Numbers, head: &Head) -> Option<f64> {
         let middle_s = fields.i64(self.horizontal_offset) as f64 * 1e-12;
         head.dt_s.map(|dt_s| middle_s - head.samples as f64 * dt_s / 2.0)
@@ -156,7 +165,7 @@ impl Layout {
         let (scale, offset) =
             (factor(fields, at + 8, "the scale")?, fields.finite(at + 12, "the offset", fields.f32(at + 12))?);
         let flags = [fields.u8(at + 16), fields.u8(at + 17)];
-        // Newer DS2000 mark a channel that is on by 8 instead of 1, and have the two flags in the other order.
+        // Newer DS2000 mark a channel that is on by 8 instead of 1, and swap the two flags.
         let swapped = self.is_ds2000 && fields.u8(at) != 1;
         let [inverted, unit_number] = if swapped { [flags[1], flags[0]] } else { flags };
         let gain = scale / self.codes_per_division;
@@ -167,7 +176,7 @@ impl Layout {
             unit: unit(unit_number),
             dt_s: Some(dt_s(fields, self.rate, "the sample rate", 1.0)?),
             t0_nominal: true,
-            // Whether the codes of an inverted channel are inverted already is not known.
+            // An inverted channel gets no scale: its codes may or may not be inverted already.
             scale: (inverted == 0).then_some(Scale { gain, offset: -gain * MIDDLE - offset }),
             header_gain: Some(scale),
             header_offset: Some(offset),
@@ -176,7 +185,7 @@ impl Layout {
     }
 }
 
-/// Even samples from one stretch of the file, odd ones from another.
+/// Even samples from one range of the file, odd ones from another.
 #[derive(Debug)]
 struct Interwoven {
     halves: [u64; 2],

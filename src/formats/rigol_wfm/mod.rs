@@ -1,4 +1,4 @@
-//! Rigol .wfm: the memory of the scope as it was saved, in a layout of its own for each family. The families are told apart by content.
+//! Rigol .wfm: the saved memory of the scope. Each family has a layout of its own, recognised by content.
 //!
 //! | family | first bytes | volts | time of sample 0 | tested on |
 //! |---|---|---|---|---|
@@ -8,12 +8,16 @@
 //! | DS2000, DS4000 | A5 A5 38 00 | yes | nominal | real files, of the DS2000 with its CSV |
 //! | DHO800, DHO1000 | 02 00 00 00 | yes | nominal | a real DHO800 file and its .bin; DHO1000 on files built in tests |
 //!
-//! Codes stay raw: volts = gain * code + offset, with the gain negative where the converter's codes run downwards. No family stores the sub-sample
-//! part of the trigger's time, so records of different triggers scatter by up to a sample against each other; channels of one file do not.
-//! `header_gain` is volts per division, `header_offset` the vertical position as the header has it.
+//! Codes stay raw: volts = gain * code + offset; the gain is negative where codes fall with volts. No family stores the
+//! sub-sample part of the trigger's time. Records of different triggers therefore scatter by up to a sample against
+//! each
+//! other; channels of one file do not. `header_gain` is volts per division, `header_offset` the vertical position as
+//! stored.
 //!
-//! Layouts are as RigolWFM's Kaitai descriptions read them (the vendor publishes none); each family's file says where measurements of the same
-//! capture contradict that reading. DS6000 files are refused by name: no file to check a reading against is known. Not read: logic channels.
+//! The vendor publishes no layouts; these follow RigolWFM's Kaitai descriptions. The file of each family describes
+//! where
+//! measurements of the same capture contradict them. DS6000 files are refused by name: no file was available to check a
+//! layout. Not read: logic channels.
 
 mod dho;
 mod ds1000;
@@ -36,14 +40,14 @@ const CHANNELS: usize = 4;
 /// The reader.
 pub struct RigolWfm;
 
-/// What lays out its files in one way.
+/// Models that share a layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Family {
     Ds1000B,
     /// DS1000C, DS1000D, DS1000E.
     Ds1000E,
     Ds1000Z,
-    /// DS2000, DS4000, DS6000, by the model in the head.
+    /// DS2000, DS4000, DS6000, by the model in the header.
     Ds2000,
     Dho,
 }
@@ -91,7 +95,7 @@ fn field(byte_offset: usize, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset: byte_offset as u64, problem: problem.into() }
 }
 
-/// A number (f32) that is not 0 either.
+/// A finite number (f32) other than 0.
 fn factor(fields: &Numbers, at: usize, name: &str) -> Result<f64, FormatError> {
     match fields.finite(at, name, fields.f32(at))? {
         0.0 => Err(fields.refuse(at, format!("{name} = 0 gives no scale; save the capture again"))),
@@ -99,7 +103,7 @@ fn factor(fields: &Numbers, at: usize, name: &str) -> Result<f64, FormatError> {
     }
 }
 
-/// Time between samples of a sample rate (f32), in hertz times `unit_hz`.
+/// Time between samples, from a sample rate (f32) in units of `unit_hz`.
 fn dt_s(fields: &Numbers, at: usize, name: &str, unit_hz: f64) -> Result<f64, FormatError> {
     let dt_s = 1.0 / (fields.finite(at, name, fields.f32(at))? * unit_hz);
     if dt_s > 0.0 && dt_s.is_finite() {
@@ -108,7 +112,7 @@ fn dt_s(fields: &Numbers, at: usize, name: &str, unit_hz: f64) -> Result<f64, Fo
     Err(fields.refuse(at, format!("{name} gives {dt_s} s between samples: the record has no time base")))
 }
 
-/// One channel whose codes lie in the file, `stride` bytes from one to the next.
+/// One channel whose codes are in the file, `stride` bytes from one to the next.
 fn record(input: &dyn Input, head: Head, t0_s: Option<f64>, place: (u64, u64)) -> Result<Record, FormatError> {
     let (byte_offset, stride) = place;
     within(input, &head, byte_offset, stride)?;
@@ -141,7 +145,7 @@ fn some(records: Vec<Record>, at: usize) -> Result<Vec<Record>, FormatError> {
     Ok(records)
 }
 
-/// Unit of a channel, by its number in the head.
+/// Unit of a channel, by its number in the header.
 fn unit(number: u8) -> Option<String> {
     ["W", "A", "V"].get(usize::from(number)).map(|unit| (*unit).to_owned())
 }

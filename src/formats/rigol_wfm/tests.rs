@@ -55,14 +55,14 @@ fn ds1000e(padding: usize) -> Built {
     ds1000_channel(file, 60, 13)
 }
 
-/// The channels of a mask on, each with as many samples as the memory has for it; 1 GS/s.
+/// The channels of a mask are on, each with as many samples as the memory has for it; 1 GS/s.
 fn ds1000z(mask: u8, codes: &[u8]) -> Vec<u8> {
     let file = Built::new(0x130).put(0, &[1, 0xFF, 0xFF, 0xFF, 0xA6, 0xA5, 0x38, 0]).put(8, b"DS1104Z");
     let file = file.put(0x54, &[0xD8, 0]).put(0x58, &[mask]).u32(0x74, codes.len() as u32).f32(0x78, 1.0);
     file.u32(0x100, 0x30).u32(0x104, 0x100).codes(codes)
 }
 
-/// A DS2000 or DS4000 with one stretch of four codes for each of two channels, `shift` bytes further down in the head.
+/// A DS2000 or DS4000 with a range of four codes for each of two channels, `shift` bytes further down in the header.
 fn ds2000(serial: &[u8], shift: usize) -> Built {
     let late = if shift > 0 { 0x10 } else { 0 };
     let file = Built::new(0x110).put(0, &[0xA5, 0xA5, 0x38, 0]).put(4, serial).put(0x40, &[3]);
@@ -86,7 +86,7 @@ fn block(id: u16, kind: u16, content: &[u8], packed: bool) -> Vec<u8> {
     block
 }
 
-/// A DHO of these channels, of which `on` are on, of four samples each.
+/// A DHO with these channels, of which `on` are on, of four samples each.
 fn dho(kind: u16, on: &[u16], packed: bool) -> Vec<u8> {
     let mut file = Built::new(24).put(0, &[2]).0;
     file.extend(block(11, 17, b"Rigol Scope", false));
@@ -318,6 +318,7 @@ fn hostile_files_are_survived() {
         cut_everywhere(&RigolWfm, &file);
         change_anywhere(&RigolWfm, &file, 5000);
     }
-    // Only its length tells the longer head of a DS1000E from the shorter: cut by just these four bytes, it is taken for that.
+    // Only the length distinguishes the longer header of a DS1000E from the shorter one. Cut by exactly these four
+    // bytes, the file is valid.
     change_anywhere(&RigolWfm, &ds1000e(276).codes(&[1, 2, 3, 4]), 5000);
 }

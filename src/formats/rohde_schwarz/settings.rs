@@ -1,4 +1,5 @@
-//! The settings in the XML head: `<Prop Name="XStart" Value="-1e-9" UnitName="s" .../>`; of several channels `I_0="..." I_1="..."` instead of Value.
+//! The settings in the XML header: `<Prop Name="XStart" Value="-1e-9" UnitName="s" .../>`. Properties of several
+//! channels have `I_0="..." I_1="..."` instead of Value.
 
 use std::io::BufReader;
 
@@ -42,21 +43,21 @@ const NAMES: [&str; 31] = [
     "XStop",
 ];
 
-/// Channels of one export, at most.
+/// Most channels of one export.
 const CHANNELS: usize = 8;
 
-/// Depth of elements, at most; real files have three.
+/// Largest depth of elements; real files have three.
 const DEPTH: usize = 16;
 
-/// Length of a value, at most.
+/// Most bytes of a value.
 const VALUE_BYTES: usize = 256;
 
-/// What goes wrong at a byte of the file.
+/// An error at a byte of the file.
 pub(super) fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset, problem: problem.into() }
 }
 
-/// The refusal of what is no XML; the error may quote much of the file.
+/// An error of the XML syntax. It omits most of the parser's message, which may quote much of the file.
 fn unsound(position: u64, error: &quick_xml::Error) -> FormatError {
     let error: String = error.to_string().chars().take(120).collect();
     field(position, format!("is no sound XML ({error}); copy the file from the instrument again"))
@@ -71,7 +72,7 @@ struct Property {
     items: [Option<String>; CHANNELS],
 }
 
-/// What the head says.
+/// The properties that are read.
 #[derive(Debug)]
 pub(super) struct Settings {
     properties: [Option<Property>; NAMES.len()],
@@ -80,15 +81,15 @@ pub(super) struct Settings {
 /// One channel of an export.
 #[derive(Debug)]
 pub(super) struct Channel {
-    /// C1 for channel 1; other sources as the head has them.
+    /// C1 for channel 1; the names of other sources are those of the header.
     pub name: String,
     /// Unit of its values.
     pub unit: Option<String>,
-    /// VerticalScale: units a division.
+    /// VerticalScale: units per division.
     pub scale: f64,
     /// VerticalOffset.
     pub offset: f64,
-    /// VerticalPosition: divisions.
+    /// VerticalPosition, in divisions.
     position: f64,
 }
 
@@ -127,7 +128,7 @@ impl Settings {
         Ok(settings)
     }
 
-    /// Keeps a property, if it is one that is read.
+    /// Keeps a property, if `NAMES` has it.
     fn take(&mut self, element: &BytesStart, position: u64) -> Result<(), FormatError> {
         if element.name().0 != "Prop" {
             return Ok(());
@@ -165,11 +166,11 @@ impl Settings {
     }
 
     fn property(&self, name: &str) -> Option<&Property> {
-        let index = NAMES.iter().position(|known| *known == name).expect("a property that is read");
+        let index = NAMES.iter().position(|entry| *entry == name).expect("a property that is read");
         self.properties[index].as_ref()
     }
 
-    /// Where a property stands; 0 if it does not.
+    /// Where a property is in the file; 0 if it is absent.
     pub(super) fn position(&self, name: &str) -> u64 {
         self.property(name).map_or(0, |property| property.position)
     }
@@ -207,7 +208,7 @@ impl Settings {
 
     pub(super) fn count(&self, name: &str) -> Result<u64, FormatError> {
         let text = self.required(name)?;
-        // Large numbers may be printed with an exponent.
+        // Instruments may print large numbers with an exponent.
         let count: Option<f64> = text.parse().ok();
         let count = count.filter(|count| count.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(count));
         count
@@ -228,7 +229,8 @@ impl Settings {
                 ),
             ));
         }
-        // The vendor's own reader takes SignalRecordLength; both were the same wherever a file was seen.
+        // The vendor's own reader uses SignalRecordLength. Both were equal in every file available, so a difference is
+        // an error.
         if self.text("SignalRecordLength").is_some() && self.count("SignalRecordLength")? != samples {
             return Err(field(
                 self.position("SignalRecordLength"),
@@ -238,7 +240,7 @@ impl Settings {
         Ok((samples as usize, rows))
     }
 
-    /// Type of the samples and bytes of x in a row; `code` is that of the payload's head, at `position`.
+    /// Type of the samples, and bytes of x in a row. `code` is the type in the companion's header, at `position`.
     pub(super) fn code_type(&self, code: u32, position: u64) -> Result<(CodeType, u64), FormatError> {
         let (name, code_type, x_bytes) = match code {
             0 => ("INT8BIT", CodeType::I8, 0),
@@ -250,16 +252,16 @@ impl Settings {
                 return Err(field(position, problem));
             }
         };
-        let said = self.required("SignalFormat")?;
-        if said.strip_prefix("eRS_SIGNAL_FORMAT_") != Some(name) {
+        let format = self.required("SignalFormat")?;
+        if format.strip_prefix("eRS_SIGNAL_FORMAT_") != Some(name) {
             let problem =
-                format!("SignalFormat = {said}, but the .Wfm.bin has {name}; the two files are not of one recording");
+                format!("SignalFormat = {format}, but the .Wfm.bin has {name}; the two files are not of one recording");
             return Err(field(self.position("SignalFormat"), problem));
         }
         Ok((code_type, x_bytes))
     }
 
-    /// What the traces are, and how many each channel has.
+    /// Kind of the traces, and the number of traces per channel.
     pub(super) fn kind(&self) -> Result<(Kind, usize), FormatError> {
         if let Some(source) = self.text("SourceType").filter(|source| *source != "eRS_SIGNAL_SOURCE_TYPE_SOURCE") {
             let problem = format!("SourceType = {source} is not read; export analog channels, or as CSV");
@@ -292,18 +294,13 @@ impl Settings {
                 position: self.number("VerticalPosition")?,
             }]);
         }
-        let item = |name: &str, index: usize| self.property(name).and_then(|property| property.items[index].as_deref());
         let mut channels = Vec::new();
-        for index in (0..CHANNELS).filter(|index| item("MultiChannelExportState", *index) == Some("eRS_ONOFF_ON")) {
-            let required = |name: &str| {
-                item(name, index).ok_or_else(|| {
-                    field(self.position(name), format!("the head has no {name} I_{index}; export the record again"))
-                })
-            };
-            let number = |name: &str| required(name).and_then(|text| self.finite(name, text));
+        for index in (0..CHANNELS).filter(|index| self.item("MultiChannelExportState", *index) == Some("eRS_ONOFF_ON"))
+        {
+            let number = |name| self.finite(name, self.required_item(name, index)?);
             channels.push(Channel {
-                name: source(required("MultiChannelSource")?),
-                unit: item("MultiChannelViewUnit", index).and_then(unit),
+                name: source(self.required_item("MultiChannelSource", index)?),
+                unit: self.item("MultiChannelViewUnit", index).and_then(unit),
                 scale: number("MultiChannelVerticalScale")?,
                 offset: number("MultiChannelVerticalOffset")?,
                 position: number("MultiChannelVerticalPosition")?,
@@ -316,7 +313,18 @@ impl Settings {
         Ok(channels)
     }
 
-    /// What makes values of raw codes.
+    /// Value of a property for channel `index` of an export of several.
+    fn item(&self, name: &str, index: usize) -> Option<&str> {
+        self.property(name)?.items[index].as_deref()
+    }
+
+    fn required_item(&self, name: &str, index: usize) -> Result<&str, FormatError> {
+        self.item(name, index).ok_or_else(|| {
+            field(self.position(name), format!("the head has no {name} I_{index}; export the record again"))
+        })
+    }
+
+    /// Scale from raw codes to values.
     pub(super) fn raw_scale(&self, channel: &Channel) -> Result<Scale, FormatError> {
         let (levels, divisions) = (self.number("NofQuantisationLevels")?, self.number("VerticalDivisionCount")?);
         let gain = channel.scale * divisions / levels;

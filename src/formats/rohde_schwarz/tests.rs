@@ -51,7 +51,7 @@ impl Built {
     }
 
     fn set(mut self, name: &'static str, value: &str) -> Self {
-        self.properties.retain(|(known, _)| *known != name);
+        self.properties.retain(|(property, _)| *property != name);
         self.properties.push((name, value.to_owned()));
         self
     }
@@ -103,8 +103,8 @@ fn read(bytes: Vec<u8>, length: u64) -> Result<Vec<(Record, Vec<f64>)>, String> 
     Ok(records.into_iter().map(values).collect())
 }
 
-fn near(found: &[f64], expected: &[f64]) -> bool {
-    found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12)
+fn near(values: &[f64], expected: &[f64]) -> bool {
+    values.len() == expected.len() && values.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12)
 }
 
 #[test]
@@ -223,7 +223,7 @@ fn contradictions_are_refused_in_words() {
     }
     for name in ["XStart", "RecordLength", "LeadingSettlingSamples", "VerticalOffset", "SignalFormat", "Source"] {
         let mut built = Built::raw();
-        built.properties.retain(|(known, _)| *known != name);
+        built.properties.retain(|(property, _)| *property != name);
         assert!(built.read().unwrap_err().contains(&format!("no {name}")));
     }
     let mut twice = Built::raw();

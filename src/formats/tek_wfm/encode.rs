@@ -1,14 +1,14 @@
-//! Writes FastFrame files as the simulator needs them.
+//! Writes FastFrame files for the simulator.
 
 use std::io::{self, Write};
 
 use super::checksum::sum_of_bytes;
 use super::{CHECKSUM, CURVE, LAYOUTS, UNCOUNTED, UPDATE};
 
-/// What a file says of all its frames.
+/// What all frames of a file have in common.
 #[derive(Clone, Debug)]
 pub struct FrameHead {
-    /// Label of the waveform, by which its channel is known; up to 31 bytes.
+    /// Label of the waveform, which names its channel; up to 31 bytes.
     pub label: String,
     /// Volts per code.
     pub gain_v: f64,
@@ -18,20 +18,24 @@ pub struct FrameHead {
     pub dt_s: f64,
     /// Bits of the converter: 8, or 9 to 16, which fill the upper bits of 16.
     pub bits: u16,
-    /// When the time of the triggers began: whole GMT seconds since 1970, and the fraction of a second in [0, 1).
+    /// Time zero of the triggers: whole GMT seconds since 1970, and the fraction of a second in [0, 1).
     pub acquired: (i64, f64),
 }
 
-/// Writes frames of equal length, each with its trigger's time and the time of its sample 0 (s), as one little-endian `WFM#003` file.
+/// Writes frames of equal length as one little-endian `WFM#003` file.
 ///
-/// Codes of an 8 bit converter are written as bytes and must fit; others as words.
+/// A frame is the time of its trigger (s), the time of its sample 0 (s), and its codes. Codes of an 8 bit converter are
+/// stored as bytes and must fit; others are stored as words.
 ///
 /// # Errors
 /// When `out` cannot be written.
 ///
 /// # Panics
-/// When there is no frame, their lengths differ, their times of sample 0 differ by a sample or more (the TT offset is a fraction of a sample), a
-/// code does not fit, a trigger is not between 1970 and 2038, or the file would exceed the 2 GiB that its header can say.
+/// When there is no frame, their lengths differ, or their times of sample 0 differ by a sample or more (the TT offset
+/// is a
+/// fraction of a sample). Also when a code does not fit, a trigger is not between 1970 and 2038, or the file exceeds 2
+/// GiB,
+/// the limit of its header.
 pub fn write(out: &mut impl Write, head: &FrameHead, frames: &[(f64, f64, Vec<i16>)]) -> io::Result<()> {
     let samples = frames.first().expect("a file has at least one frame").2.len();
     assert!(frames.iter().all(|(_, _, codes)| codes.len() == samples), "frames of one file have equal lengths");
@@ -58,11 +62,11 @@ pub fn write(out: &mut impl Write, head: &FrameHead, frames: &[(f64, f64, Vec<i1
     out.put(&sum.to_le_bytes())
 }
 
-/// Update specification of a frame whose sample 0 lies so many seconds after the common offset.
+/// Update specification of a frame whose sample 0 is `after_s` after the common offset.
 fn update(head: &FrameHead, trigger_s: f64, after_s: f64) -> [u8; UPDATE] {
     let tt_offset = after_s / head.dt_s;
     assert!((0.0..1.0).contains(&tt_offset), "times of sample 0 of one file differ by less than a sample");
-    // Whole seconds and fractions are added apart, so that no digit of the fraction is lost.
+    // Whole seconds and fractions are added separately, so that no digit of the fraction is lost.
     let (acquired, fraction_s) = head.acquired;
     let fraction_s = fraction_s + (trigger_s - trigger_s.floor());
     let seconds = acquired + trigger_s.floor() as i64 + fraction_s.floor() as i64;
@@ -74,7 +78,7 @@ fn update(head: &FrameHead, trigger_s: f64, after_s: f64) -> [u8; UPDATE] {
     bytes
 }
 
-/// Curve object of a buffer that is all samples.
+/// Curve object of a buffer without extra samples.
 fn curve_object(curve_bytes: usize) -> [u8; CURVE] {
     let end = u32::try_from(curve_bytes).expect("a file holds less than 2 GiB");
     let mut bytes = [0; CURVE];
@@ -84,7 +88,7 @@ fn curve_object(curve_bytes: usize) -> [u8; CURVE] {
     bytes
 }
 
-/// Bytes on their way, and their sum.
+/// A writer that sums the bytes it passes on.
 struct Summed<'a, W> {
     out: &'a mut W,
     sum: u64,
@@ -101,7 +105,7 @@ fn width(head: &FrameHead) -> usize {
     if head.bits == 8 { 1 } else { 2 }
 }
 
-/// All that is before the first update specification.
+/// Everything before the first update specification.
 fn file_head(head: &FrameHead, frames: usize, samples: usize, offset_s: f64) -> Vec<u8> {
     let layout = &LAYOUTS[2];
     let (dimension, more) = (layout.explicit, u32::try_from(frames - 1).expect("frames count in 32 bits"));
@@ -130,7 +134,7 @@ fn file_head(head: &FrameHead, frames: usize, samples: usize, offset_s: f64) -> 
     put(dimension + 20, b"V");
     put(dimension + 72, &(if head.bits == 8 { 7_i32 } else { 0 }).to_le_bytes());
     if head.bits != 8 {
-        // Below the bits of the converter a code has zeros.
+        // A code has zeros below the bits of the converter.
         let highest = i16::MAX - ((1 << (16 - head.bits)) - 1);
         put(dimension + 92, &highest.to_le_bytes());
         put(dimension + 96, &i16::MIN.to_le_bytes());

@@ -1,11 +1,11 @@
-//! The frames of a file: where their samples lie, and when each was triggered.
+//! The frames of a file: where their samples are, and when each was triggered.
 
 use super::{CURVE, Header, UPDATE, field};
 use crate::numbers::Numbers;
 use crate::reader::{FormatError, Input};
 use crate::waveform::CodeType;
 
-/// What is a frame's own.
+/// What differs from frame to frame.
 pub(super) struct Frame {
     pub(super) t0_s: f64,
     /// GMT second of its trigger, and the fraction of that second.
@@ -22,7 +22,7 @@ impl Frame {
     }
 }
 
-/// GMT seconds since 1970 and a fraction of a second as ISO 8601; `None` where they are not set.
+/// Converts GMT seconds since 1970 and a fraction of a second to ISO 8601; `None` where they are not set.
 pub(super) fn acquired_at((seconds, fraction): (i32, f64)) -> Option<String> {
     let seconds = u32::try_from(seconds).ok().filter(|&seconds| seconds > 0 && (0.0..1.0).contains(&fraction))?;
     let leap = |year: u32| year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
@@ -41,7 +41,7 @@ pub(super) fn acquired_at((seconds, fraction): (i32, f64)) -> Option<String> {
     Some(format!("{year:04}-{:02}-{:02}T{hour:02}:{minute:02}:{second:02}.{picoseconds:012}Z", month + 1, days + 1))
 }
 
-/// Offsets of a curve object: of the samples in its buffer, and of the buffer's end.
+/// Offsets of a curve object: start and end of the samples in its buffer, and the end of the buffer.
 #[derive(Clone, Copy)]
 struct Curve {
     start: u64,
@@ -63,17 +63,17 @@ impl Curve {
     }
 }
 
-/// The frames, one after the other.
+/// All frames of a file.
 pub(super) struct Frames<'a> {
     header: &'a Header,
-    /// Update specifications, then curve objects, of all frames but the first.
+    /// Update specifications of all frames but the first, then their curve objects.
     tables: Numbers,
     first: Curve,
     code_type: CodeType,
 }
 
 impl<'a> Frames<'a> {
-    /// Refuses more of them than the file can hold, before it reads their tables.
+    /// Reads the tables of all frames. It first refuses more frames than the file can hold.
     pub(super) fn read(
         input: &mut dyn Input,
         header: &'a Header,
@@ -81,9 +81,10 @@ impl<'a> Frames<'a> {
     ) -> Result<(Self, u64), FormatError> {
         let (numbers, origin, length) = (&header.numbers, header.layout.end, input.length());
         let more = u64::from(numbers.u32(72));
-        let (tables, said) = (more * (UPDATE + CURVE) as u64, numbers.i32(16));
-        let buffer = u64::try_from(said).ok().filter(|&buffer| buffer >= origin as u64).ok_or_else(|| {
-            let problem = format!("byte offset of the curve buffer = {said} lies within the head of {origin} bytes");
+        let (tables, buffer_offset) = (more * (UPDATE + CURVE) as u64, numbers.i32(16));
+        let buffer = u64::try_from(buffer_offset).ok().filter(|&buffer| buffer >= origin as u64).ok_or_else(|| {
+            let problem =
+                format!("byte offset of the curve buffer = {buffer_offset} lies within the head of {origin} bytes");
             field(16, format!("{problem}; save the waveform again"))
         })?;
         if buffer - (origin as u64) < tables {
@@ -92,7 +93,7 @@ impl<'a> Frames<'a> {
             return Err(field(72, format!("{problem}; save the waveform again")));
         }
         let first = Curve::read(numbers, header.layout.curve, code_type.bytes() as u64)?;
-        // No frame has less than its samples.
+        // Each frame needs at least its samples.
         let least = (first.stop - first.start).checked_mul(more + 1).and_then(|bytes| bytes.checked_add(buffer));
         if least.is_none_or(|end| end > length) {
             let needed = first.end.saturating_mul(more + 1);
@@ -103,7 +104,7 @@ impl<'a> Frames<'a> {
         Ok((Self { header, tables, first, code_type }, buffer))
     }
 
-    /// The frames, and where the last one's curve buffer ends.
+    /// Returns the frames, and where the last one's curve buffer ends.
     pub(super) fn list(&self, mut buffer: u64, length: u64, dt_s: f64) -> Result<(Vec<Frame>, u64), FormatError> {
         let at = self.header.layout.implicit + 8;
         let offset_s =
@@ -122,7 +123,7 @@ impl<'a> Frames<'a> {
         Ok((frames, buffer))
     }
 
-    /// Curve object of a frame: instruments leave it at zero where it is the same as frame 0's.
+    /// Curve object of a frame. Instruments leave it zero where it equals that of frame 0.
     fn curve(&self, i: usize, more: usize) -> Result<Curve, FormatError> {
         let Some(before) = i.checked_sub(1) else { return Ok(self.first) };
         let at = more * UPDATE + before * CURVE;

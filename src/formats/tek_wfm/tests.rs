@@ -24,7 +24,7 @@ struct Built {
 }
 
 impl Built {
-    /// Three samples of i16 codes in a frame, with TT offset i/4, at second 1,000,000,000 + 10 i and fraction 0.75 + 1e-9 i.
+    /// Three samples of i16 codes in a frame, with TT offset i/4, at second 1,000,000,000 + 10 i plus 0.75 + 1e-9 i.
     fn new(version: u8, big_endian: bool, frames: usize) -> Self {
         let codes = |frame: usize| [frame as i16, -2, 300].iter().flat_map(|code| code.to_le_bytes()).collect();
         Self {
@@ -282,8 +282,8 @@ fn damaged_files_never_claim_what_they_do_not_hold() {
         Built::new(1, false, 4),
     ] {
         let (end, big_endian) = (built.curves_end(), built.big_endian);
-        let mend = |bytes: &mut Vec<u8>| *bytes = summed(std::mem::take(bytes), end, big_endian);
-        assert!(damage(&TekWfm, &built.bytes(), 4000, mend) > 0, "some edits are harmless");
+        let repair = |bytes: &mut Vec<u8>| *bytes = summed(std::mem::take(bytes), end, big_endian);
+        assert!(damage(&TekWfm, &built.bytes(), 4000, repair) > 0, "some edits are harmless");
         damage(&TekWfm, &built.bytes(), 500, |_| {});
     }
 }

@@ -1,4 +1,4 @@
-//! The optional trailer behind the checksum: keys and values, as instruments of the 4, 5 and 6 Series write them.
+//! The optional trailer after the checksum: keys and values, which instruments of the 4, 5 and 6 Series write.
 
 use super::CHECKSUM;
 use crate::numbers::text;
@@ -6,10 +6,10 @@ use crate::reader::{FormatError, Input};
 
 /// Mark of a trailer.
 const TRAILER: &[u8] = b"tekmeta!";
-/// Most bytes of a trailer that are looked at; real ones have some hundreds.
+/// Most bytes of a trailer that are read; real ones have some hundreds.
 const TRAILER_BYTES: u64 = 1 << 20;
 
-/// What the trailer tells of a record.
+/// What the trailer says about a record.
 #[derive(Default)]
 pub(super) struct Trailer {
     pub(super) digital: bool,
@@ -18,7 +18,7 @@ pub(super) struct Trailer {
 }
 
 impl Trailer {
-    /// Looks for a trailer behind the checksum.
+    /// Looks for a trailer after the checksum.
     pub(super) fn read(input: &mut dyn Input, curves_end: u64, big_endian: bool) -> Result<Self, FormatError> {
         let from = curves_end.saturating_add(CHECKSUM);
         let bytes = input.length().saturating_sub(from).min(TRAILER_BYTES);
@@ -35,7 +35,7 @@ impl Trailer {
         })
     }
 
-    /// A count, then so many keys with their values; each text has its length before it.
+    /// Parses a count, then that many keys and values; a length precedes each text.
     fn entries(mut bytes: &[u8], big_endian: bool) -> Option<Self> {
         let mut trailer = Self::default();
         let count = number(&mut bytes, big_endian)?;
@@ -59,7 +59,7 @@ impl Trailer {
     }
 }
 
-/// The next u32 of the trailer.
+/// Reads the next u32 of the trailer.
 fn number(bytes: &mut &[u8], big_endian: bool) -> Option<usize> {
     let number: [u8; 4] = bytes.split_off(..4)?.try_into().ok()?;
     usize::try_from(if big_endian { u32::from_be_bytes(number) } else { u32::from_le_bytes(number) }).ok()

@@ -6,13 +6,13 @@ use flate2::{Compression, Crc, write::DeflateEncoder};
 use super::*;
 use crate::Source;
 
-/// What the local heads of a file say of the lengths.
+/// How the local headers of a file give the lengths.
 #[derive(Clone, Copy, PartialEq)]
 pub(in super::super) enum Local {
     Lengths,
-    /// Nothing: they are behind the member and in the directory.
+    /// Not at all: they follow the member, and are in the directory.
     Streamed,
-    /// That they are in a Zip64 field, as NumPy writes for members of any length.
+    /// In a Zip64 field, as NumPy writes for members of any length.
     Zip64,
 }
 
@@ -27,7 +27,7 @@ pub(in super::super) fn zip(members: &[(&str, &[u8])], deflate: bool, local: Loc
         let packed = if deflate { encoder.finish().unwrap() } else { bytes.to_vec() };
         let (flags, method) = (8 * u16::from(local == Local::Streamed), 8 * u16::from(deflate));
         let lengths = [crc.sum(), packed.len() as u32, bytes.len() as u32].map(u32::to_le_bytes).concat();
-        let said = match local {
+        let sizes = match local {
             Local::Lengths => lengths.clone(),
             Local::Streamed => vec![0; 12],
             Local::Zip64 => [lengths[..4].to_vec(), vec![255; 8]].concat(),
@@ -38,7 +38,7 @@ pub(in super::super) fn zip(members: &[(&str, &[u8])], deflate: bool, local: Loc
             [&begin, lengths, &(name.len() as u16).to_le_bytes(), &extra.to_le_bytes()].concat()
         };
         let begin = file.len() as u32;
-        file.extend([MARK, &head(&said, extra), name.as_bytes()].concat());
+        file.extend([MARK, &head(&sizes, extra), name.as_bytes()].concat());
         file.extend_from_slice(&[[1, 0, 16, 0].as_slice(), &[0; 16]].concat()[..usize::from(extra)]);
         file.extend(&packed);
         if local == Local::Streamed {
@@ -95,7 +95,7 @@ fn a_file_may_have_a_comment() {
     assert_eq!(read(&bytes).unwrap(), [("one".to_owned(), b"first".to_vec())]);
 }
 
-/// What is said of a file with some bytes changed, at an offset from the first entry of the directory.
+/// The error for a file with some bytes changed, at an offset from the first entry of the directory.
 fn changed(deflate: bool, offset: usize, bytes: &[u8]) -> String {
     let mut file = zip(&MEMBERS[..1], deflate, Local::Lengths);
     let at = offset + file.windows(4).position(|window| window == ENTRY_MARK).unwrap();
@@ -118,7 +118,7 @@ fn what_is_wrong_is_said() {
     assert!(changed(true, 24, &[0, 0, 0, 99]).contains("claims 1660944384 bytes"));
     assert!(changed(false, 28, &[255]).contains("entry of the central directory is damaged"));
     assert!(changed(false, 42, &[9]).contains("is not where the central directory says"));
-    // The end record, 46 bytes and the name behind.
+    // The end record, 46 bytes, and the name follow.
     assert!(changed(false, 49 + 4, &[1]).contains("one part of several"));
     assert!(changed(false, 49 + 8, &[9, 0, 9]).contains("does not fit the file"));
     assert!(changed(false, 49 + 10, &[255; 2]).contains("Zip64"));

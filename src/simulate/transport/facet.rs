@@ -1,4 +1,4 @@
-//! Facets: the flat pieces that light meets, and the points that stand for their areas.
+//! Facets: flat pieces of surface, and the points that represent their areas.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,7 +10,7 @@ use crate::units::PatchId;
 /// A point or direction.
 pub type Vector = Vector3<f64>;
 
-/// A point that stands for a share of a facet's area.
+/// A point that represents a share of a facet's area.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Element {
     /// Where it is.
@@ -39,15 +39,15 @@ pub enum Outline {
 /// A flat piece of surface.
 #[derive(Clone, Debug)]
 pub struct Facet {
-    /// Number of the patch; 0 for what is no patch.
+    /// Number of the patch; 0 for objects that are no patch.
     pub id: PatchId,
     /// Centre.
     pub centre: Vector,
-    /// Towards the lit side, of length 1.
+    /// Unit vector towards the lit side.
     pub normal: Vector,
     /// Area.
     pub area_m2: f64,
-    /// Share of the light that it gives back.
+    /// Reflected share of the light.
     pub reflectance: f64,
     /// Glossy part, if any.
     pub lobe: Option<Lobe>,
@@ -78,13 +78,13 @@ impl Facet {
         }
     }
 
-    /// The whole of a rectangle, without elements: it only blocks.
+    /// A whole rectangle, without elements: it only blocks.
     pub fn blocker(rectangle: &Rectangle) -> Self {
         let (corner, edges) = (Vector::from(rectangle.corner_m), rectangle.edges_m.map(Vector::from));
         Self::rectangle(corner, edges, 0.0, Vec::new())
     }
 
-    /// The cells of a rectangle that gives light back.
+    /// The cells of a rectangle that reflects light.
     pub fn cells(rectangle: &Rectangle) -> Vec<Self> {
         let Some(cell_m) = rectangle.cell_m.filter(|_| rectangle.reflectance > 0.0) else {
             return Vec::new();
@@ -119,7 +119,8 @@ impl Facet {
         }
     }
 
-    /// Where a line from `from` through `to` meets the facet, as the multiple of the way to `to`; `None` beside it or along it.
+    /// Where a line from `from` through `to` meets the facet, as a multiple of the way to `to`; `None` if it misses the
+    /// facet or is parallel to it.
     pub fn hit(&self, from: Vector, to: Vector) -> Option<f64> {
         let along = self.normal.dot(&(to - from));
         if along == 0.0 {
@@ -129,7 +130,7 @@ impl Facet {
         self.covers(from + share * (to - from)).then_some(share)
     }
 
-    /// Whether a point of its plane lies within its outline.
+    /// Whether a point of its plane is within its outline.
     pub fn covers(&self, point: Vector) -> bool {
         match self.outline {
             Outline::Disk { radius_m } => (point - self.centre).norm_squared() <= radius_m * radius_m,
@@ -140,7 +141,7 @@ impl Facet {
         }
     }
 
-    /// Distance from the centre within which all of it lies.
+    /// Radius around the centre that contains it.
     pub fn radius_m(&self) -> f64 {
         match self.outline {
             Outline::Disk { radius_m } => radius_m,
@@ -153,7 +154,8 @@ impl Facet {
         point - 2.0 * self.normal.dot(&(point - self.centre)) * self.normal
     }
 
-    /// Light that the facet sends on per solid angle and cosine, over the light that it gets (1/sr), from one point to another.
+    /// Light that the facet reflects per solid angle and cosine, over the incident light (1/sr), from one point to
+    /// another.
     pub fn reflection(&self, from: Vector, at: Vector, to: Vector) -> f64 {
         let diffuse = self.reflectance / PI;
         let Some(Lobe { share, width_rad }) = self.lobe else {
@@ -172,8 +174,9 @@ impl Facet {
     }
 }
 
-/// Points of a disk: Gauss and Legendre's nodes in the square of the radius, each a ring of equal angles. Exact for polynomials of degree
-/// `4 rings - 1` or the number of spokes less one; symmetric about the centre, so that their mean is the centre.
+/// Points of a disk: Gauss-Legendre nodes in the square of the radius, each a ring of equal angles. Exact for
+/// polynomials of degree `4 rings - 1` or the number of spokes minus one. Symmetric about the centre, so that their
+/// mean is the centre.
 fn round_elements(centre: Vector, normal: Vector, radius_m: f64, rings: usize) -> Vec<Element> {
     let least = normal.iamin();
     let u = (Vector::ith(least, 1.0) - normal * normal[least]).normalize();
@@ -190,7 +193,7 @@ fn round_elements(centre: Vector, normal: Vector, radius_m: f64, rings: usize) -
     legendre(rings).into_iter().flat_map(ring).collect()
 }
 
-/// Nodes and weights of Gauss and Legendre's rule on 0 to 1, by Newton's method on the polynomial.
+/// Nodes and weights of the Gauss-Legendre rule on 0 to 1, by Newton's method on the polynomial.
 fn legendre(count: usize) -> Vec<(f64, f64)> {
     let n = count as f64;
     let node = |i: usize| {

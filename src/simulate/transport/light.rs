@@ -10,9 +10,9 @@ impl Light {
         Self(vec![(time_ps, strength)])
     }
 
-    /// Strength of all arrivals together.
+    /// Total strength of all arrivals.
     pub fn total(&self) -> f64 {
-        // From +0: the sum of nothing is -0 else.
+        // Starts at +0, since the sum of an empty iterator is -0.
         self.0.iter().fold(0.0, |sum, (_, strength)| sum + strength)
     }
 
@@ -21,7 +21,7 @@ impl Light {
         self.0.iter().map(|(time_ps, strength)| time_ps * strength).sum::<f64>() / self.total()
     }
 
-    /// First time of flight.
+    /// Earliest time of flight.
     pub fn earliest_ps(&self) -> f64 {
         self.0.iter().map(|(time_ps, _)| *time_ps).fold(f64::INFINITY, f64::min)
     }
@@ -33,23 +33,23 @@ impl Light {
         (squares / self.total()).sqrt()
     }
 
-    /// The same light, so much later and so many times as strong.
+    /// The same light, delayed by `later_ps` and scaled by `factor`.
     #[must_use]
     pub fn moved(&self, later_ps: f64, factor: f64) -> Self {
         Self(self.0.iter().map(|(time_ps, strength)| (time_ps + later_ps, strength * factor)).collect())
     }
 }
 
-/// Strength of light, and the first three moments of its time about an origin that is kept elsewhere: what sums over all points of all facets of
-/// a path need, at the cost of one product a pair of points.
+/// Strength of light, and the first three moments of its time about an external origin. Sums over all points of all
+/// facets of a path need just these, at the cost of one product per pair of points.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Moments([f64; 4]);
 
-/// A spread below this is one arrival.
+/// Below this spread, one arrival represents the light.
 const POINT_PS: f64 = 0.5;
-/// A spread below this is two arrivals.
+/// Below this spread, two arrivals represent it.
 const PAIR_PS: f64 = 6.0;
-/// Arrivals of any wider spread.
+/// Number of arrivals for any wider spread.
 const ARRIVALS: usize = 9;
 
 impl Moments {
@@ -63,7 +63,7 @@ impl Moments {
         self.0[0]
     }
 
-    /// The same light `factor` times as strong and `later_ps` later.
+    /// The same light, scaled by `factor` and delayed by `later_ps`.
     pub fn passed_on(&self, factor: f64, later_ps: f64) -> Self {
         let [m0, m1, m2, m3] = self.0;
         let d = later_ps;
@@ -80,7 +80,8 @@ impl Moments {
         self.0.iter_mut().zip(other.0).for_each(|(sum, term)| *sum += term);
     }
 
-    /// A few arrivals of the same strength, mean and spread: one, two (of the same skewness too), or nine at quantiles by Cornish and Fisher's expansion.
+    /// A few arrivals with the same strength, mean and spread: one, two (with the same skewness), or nine at quantiles
+    /// from the Cornish-Fisher expansion.
     pub fn arrivals(&self, origin_ps: f64, out: &mut Light) {
         let [strength, m1, m2, m3] = self.0;
         if strength <= 0.0 {
@@ -103,7 +104,7 @@ impl Moments {
             }
             return;
         }
-        // Quantiles of the normal distribution in the middle of nine equal shares.
+        // Quantiles of the normal distribution, at the middle of nine equal shares.
         let normal = [-1.593_218_818, -0.967_421_566, -0.589_455_798, -0.282_216_147, 0.0];
         let quantile = |k: usize| if k < 5 { normal[k] } else { -normal[8 - k] };
         let skewed = |z: f64| z + skewness / 6.0 * (z * z - 1.0);

@@ -1,4 +1,4 @@
-//! Paths of light: from the laser over facet after facet to the lens.
+//! Paths of light: from the laser over a sequence of facets to the lens.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -9,65 +9,65 @@ use super::room::Room;
 use crate::simulate::scene::Scene;
 use crate::units::PatchId;
 
-/// Light that arrives by each path: patches in the order in which the light meets them (0 for what is no patch), and arrivals at the lens with
-/// strengths in joules a pulse.
+/// Light by path: the patches in the order in which the light meets them (0 for objects that are no patch), and its
+/// arrivals at the lens with strengths in joules per pulse.
 pub type PathLights = BTreeMap<Vec<PatchId>, Light>;
 
 /// Light at one point of a facet.
 #[derive(Clone, Copy)]
 struct Spot {
     at: Vector,
-    /// The point that it came from.
+    /// Where it came from.
     from: Vector,
     light: Moments,
 }
 
-/// Light on a facet. Where the facet is glossy each point has a spot for every point that light came from, else one.
+/// Light on a facet. On a glossy facet each point has one spot per origin of light, else a single one.
 struct Lit {
     facet: usize,
-    /// Whether spots are at the facet's elements, a run of `elements` for each origin.
+    /// Whether spots are the facet's elements, with `elements` of them per origin.
     on_elements: bool,
-    /// Time that the moments count from.
+    /// Time zero of the moments.
     origin_ps: f64,
     spots: Vec<Spot>,
 }
 
 /// Captures of one lit patch or view: for each sensor and seen patch or view, the light that ends there.
-pub type Captured = BTreeMap<(String, PatchId), PathLights>;
+pub type CaptureLights = BTreeMap<(String, PatchId), PathLights>;
 
-/// What paths are followed for.
+/// What is needed to follow paths.
 pub struct Paths<'a> {
     room: &'a Room,
     bounces: usize,
-    /// Sensors, and where they are.
+    /// Sensors and their positions.
     eyes: Vec<(String, Vector)>,
     /// Number of a patch or view, and the patches that it covers.
     seen: Vec<(PatchId, Vec<PatchId>)>,
 }
 
 impl<'a> Paths<'a> {
-    /// Of a scene, up to so many bounces, into each of its captures.
+    /// Follows paths in a scene, up to `bounces` bounces, into each of its captures.
     pub fn new(scene: &Scene, room: &'a Room, bounces: usize) -> Self {
         let eyes = scene.sensors.keys().map(|name| (name.clone(), Vector::from(scene.sensor_m(name)))).collect();
         let seen = scene.seen().into_iter().map(|view| (view, scene.covers(view))).collect();
         Self { room, bounces, eyes, seen }
     }
 
-    /// All light from a pulse on a patch, or shared by area among the patches of a view.
-    pub fn lit(&self, patches: &[PatchId]) -> Captured {
+    /// All light from a pulse on a patch; a view divides it among its patches by area.
+    pub fn lit(&self, patches: &[PatchId]) -> CaptureLights {
         let facets: Vec<usize> = patches.iter().map(|patch| self.facet(*patch)).collect();
         let area_m2: f64 = facets.iter().map(|&facet| self.room.facets[facet].area_m2).sum();
-        let mut captured = Captured::new();
+        let mut lights = CaptureLights::new();
         for facet in facets {
             let energy_j = self.room.pulse_j * self.room.facets[facet].area_m2 / area_m2;
             for (path, lit) in self.first(facet, energy_j) {
-                self.follow(&path, &lit, &mut captured);
+                self.follow(&path, &lit, &mut lights);
             }
         }
-        captured
+        lights
     }
 
-    /// The light of one path, as [`Paths::lit`] would find it for the seen patch that ends it.
+    /// The light of one path, as in [`Paths::lit`] for the seen patch at its end.
     pub fn along(&self, through: &[PatchId], eye: Vector) -> Light {
         let mut light = Light::default();
         let mut open: Vec<(Vec<PatchId>, Lit)> = self.first(self.facet(through[0]), self.room.pulse_j);
@@ -86,7 +86,7 @@ impl<'a> Paths<'a> {
         self.room.facets.iter().position(|facet| facet.id == patch).expect("checked: the scene has the patch")
     }
 
-    /// The laser's light on a patch; by way of a mirror, on the patches that the reflected beam meets.
+    /// The laser's light on a patch; on a mirror, the light on the patches that the reflected beam meets.
     fn first(&self, facet: usize, energy_j: f64) -> Vec<(Vec<PatchId>, Lit)> {
         let room = self.room;
         let target = &room.facets[facet];
@@ -129,13 +129,13 @@ impl<'a> Paths<'a> {
         landed.into_iter().map(lit).collect()
     }
 
-    /// Hands light to the sensors that see it, and on to all other facets.
-    fn follow(&self, path: &[PatchId], lit: &Lit, captured: &mut Captured) {
+    /// Passes light to the sensors that see it, and on to all other facets.
+    fn follow(&self, path: &[PatchId], lit: &Lit, lights: &mut CaptureLights) {
         if path.len() > self.bounces {
             return;
         }
-        self.leave(path, lit, captured);
-        // The last facet must be one that a sensor sees.
+        self.leave(path, lit, lights);
+        // A sensor must see the last facet.
         let seen = |patch: &PatchId| self.seen.iter().any(|(_, patches)| patches.contains(patch));
         let worth = |more: &[PatchId]| match (path.len() + more.len()).cmp(&self.bounces) {
             Ordering::Less => true,
@@ -143,19 +143,19 @@ impl<'a> Paths<'a> {
             Ordering::Greater => false,
         };
         for (more, next) in self.onward(lit, worth) {
-            self.follow(&[path, &more].concat(), &next, captured);
+            self.follow(&[path, &more].concat(), &next, lights);
         }
     }
 
-    fn leave(&self, path: &[PatchId], lit: &Lit, captured: &mut Captured) {
+    fn leave(&self, path: &[PatchId], lit: &Lit, lights: &mut CaptureLights) {
         let room = self.room;
         let here = room.facets[lit.facet].id;
         for (sensor, eye) in &self.eyes {
             for (view, patches) in &self.seen {
                 let mut put = |path: Vec<PatchId>, light: Light| {
                     if !light.0.is_empty() {
-                        // Cells of a wall have one name.
-                        captured.entry((sensor.clone(), *view)).or_default().entry(path).or_default().0.extend(light.0);
+                        // All cells of a wall have one name.
+                        lights.entry((sensor.clone(), *view)).or_default().entry(path).or_default().0.extend(light.0);
                     }
                 };
                 if patches.contains(&here) {
@@ -179,8 +179,8 @@ impl<'a> Paths<'a> {
         Some((factor * facet.reflection(spot.from, spot.at, eye), way_m))
     }
 
-    /// Arrivals at a lens, which gets a factor of each spot's light after a way. Up to second bounces each spot keeps its own; of later ones the sum
-    /// of all spots is enough.
+    /// Arrivals at a lens: each spot contributes its light times a factor, after a path length. Up to second bounces
+    /// each spot stays separate; for later ones the sum of all spots suffices.
     fn arrivals(&self, bounces: usize, lit: &Lit, reaches: impl Fn(&Spot, &Facet) -> Option<(f64, f64)>) -> Light {
         let facet = &self.room.facets[lit.facet];
         let mut light = Light::default();
@@ -199,7 +199,8 @@ impl<'a> Paths<'a> {
         light
     }
 
-    /// Light on all facets that get any, directly or by way of one mirror, and what it adds to the path, where that is worth following.
+    /// Light on all facets that it reaches, directly or over one mirror, and the path extended by them, if `worth`
+    /// accepts it.
     fn onward(&self, lit: &Lit, worth: impl Fn(&[PatchId]) -> bool) -> impl Iterator<Item = (Vec<PatchId>, Lit)> {
         let facets = &self.room.facets;
         let mut onward = Vec::new();
@@ -266,7 +267,7 @@ impl<'a> Paths<'a> {
     }
 }
 
-/// Light that gathers on the elements of a facet, apart by origin where the facet is glossy.
+/// Collects light on the elements of a facet; on a glossy facet, separately for each origin.
 struct Gathered<'a> {
     facet: &'a Facet,
     spots: Vec<Spot>,

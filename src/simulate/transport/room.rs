@@ -1,4 +1,4 @@
-//! The room: all facets, what blocks what, and how much of the light on one reaches another.
+//! The room: all facets, which of them block light, and how much light each passes to another.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::OnceLock;
@@ -8,40 +8,40 @@ use crate::campaign::keys::{LASER, PatchRole};
 use crate::simulate::scene::Scene;
 use crate::units;
 
-/// Meetings this close to an end of a line are the end itself.
+/// Intersections this close to an end of a line, relative to its length, count as the end itself.
 const TOUCH: f64 = 1e-6;
-/// Cells nearer than this many times their size get their share of light by the closed form.
+/// Cells nearer than this multiple of their size get their share of light from the closed form.
 const NEAR: f64 = 3.0;
 
-/// What of the light that leaves one point reaches another.
+/// The share of light from one point that reaches another.
 #[derive(Clone, Copy, Debug)]
 pub struct Link {
     /// Solid angle times the cosine at the start.
     pub factor: f64,
-    /// How much longer the way is than that between the facets' centres.
+    /// Delay of the path relative to that between the facets' centres.
     pub later_ps: f64,
 }
 
 /// The room.
 pub struct Room {
-    /// Facets that light is followed over.
+    /// Facets over which light is followed.
     pub facets: Vec<Facet>,
     blockers: Vec<Facet>,
-    /// Links from each element of one facet to each of another, by `from * facets + to`; made when first needed.
+    /// Links from each element of one facet to each of another, by `from * facets + to`; computed on first use.
     links: Vec<OnceLock<Vec<Link>>>,
-    /// Where the light leaves.
+    /// Position of the laser.
     pub source: Vector,
     /// Energy of a pulse; 1 where the signal-to-noise ratio is set.
     pub pulse_j: f64,
     /// Area of the lens times its transmission; 1 where the signal-to-noise ratio is set.
     pub lens_m2: f64,
-    /// Area times solid angle that the detector takes in, times the transmission.
+    /// Etendue of the detector: area times solid angle, times the transmission.
     etendue_m2_sr: f64,
     group_index: f64,
 }
 
 impl Room {
-    /// Of a scene.
+    /// The room of a scene.
     pub fn new(scene: &Scene) -> Self {
         let points: Vec<Vector> = scene
             .stations
@@ -54,10 +54,10 @@ impl Room {
             let centre = Vector::from(disk.position_m);
             let distances = points.iter().map(|point| (point - centre).norm()).filter(|distance| *distance > 0.0);
             let nearest_m = distances.fold(f64::INFINITY, f64::min);
-            // Enough points for the nearest neighbour's solid angle, and for the times across the patch.
+            // Enough points to resolve the nearest neighbour's solid angle, and the times across the patch.
             let across_ps = 2.0 * units::time_ps(disk.size_m, scene.group_index);
             let smooth = 1 + (6.0 * disk.size_m / nearest_m + across_ps / 80.0) as usize;
-            // Edges of shadows are resolved no finer than elements are.
+            // Shadow edges are resolved only as finely as the elements are.
             let rings = if scene.surfaces.is_empty() { smooth } else { smooth + 3 };
             Facet::patch(*id, disk, disk.role == PatchRole::Mirror, rings.min(10))
         };
@@ -65,7 +65,7 @@ impl Room {
         let mut blockers = facets.clone();
         blockers.extend(scene.surfaces.values().map(Facet::blocker));
         for cell in scene.surfaces.values().flat_map(Facet::cells) {
-            // What a patch covers of a wall is the patch, not the wall.
+            // Where a patch covers a wall, light meets the patch, not the wall.
             let covered = |patch: &Facet| {
                 patch.normal.dot(&(cell.centre - patch.centre)).abs() < 1e-3 && patch.covers(cell.centre)
             };
@@ -92,7 +92,7 @@ impl Room {
         units::time_ps(length_m, self.group_index)
     }
 
-    /// Whether nothing stands between two points. Surfaces that an end lies on do not block it.
+    /// Whether the line between two points is free. Surfaces that contain an end do not block it.
     pub fn clear(&self, a: Vector, b: Vector) -> bool {
         clear_of(self.blockers.iter(), a, b)
     }
@@ -108,12 +108,12 @@ impl Room {
         self.blockers.iter().filter(near).collect()
     }
 
-    /// Whether nothing stands between two points but the mirror in which they see each other.
+    /// Whether the line between two points by way of a mirror is free of other objects.
     fn clear_over(&self, a: Vector, mirror: Vector, b: Vector) -> bool {
         self.clear(a, mirror) && self.clear(mirror, b)
     }
 
-    /// Links from each element of a facet to each of another, row by row; empty where none sees the other.
+    /// Links from each element of a facet to each of another, row by row; empty if neither sees the other.
     pub fn links(&self, from: usize, to: usize) -> &[Link] {
         self.links[from * self.facets.len() + to].get_or_init(|| {
             let points: Vec<Vector> = self.facets[from].elements.iter().map(|element| element.at).collect();
@@ -150,7 +150,7 @@ impl Room {
         if links.iter().all(|link| link.factor == 0.0) { Vec::new() } else { links }
     }
 
-    /// What of the light that leaves `at` on facet `from` reaches `to` on facet `q` by way of a mirror: link, and where it meets the mirror.
+    /// Link from `at` on facet `from` to `to` on facet `q` by way of a mirror, and where the light meets the mirror.
     pub fn mirrored(
         &self,
         at: Vector,
@@ -171,13 +171,14 @@ impl Room {
         (factor > 0.0 && self.clear_over(at, meeting, target.at)).then_some((factor, length_m, meeting))
     }
 
-    /// Solid angle of the lens times the cosine at a facet; less, where the whole facet seen through the whole lens is more than the detector takes in.
+    /// Solid angle of the lens times the cosine at a facet. It is smaller if the etendue of facet and lens exceeds the
+    /// detector's.
     fn aperture(&self, facet: &Facet, cosine: f64, length_m: f64) -> f64 {
         let whole = cosine * self.lens_m2 / (length_m * length_m);
         whole.min(self.etendue_m2_sr / facet.area_m2)
     }
 
-    /// What of the light that leaves a point of a facet reaches the lens at `eye`, its length of way, and where it leaves to: solid angle times cosine.
+    /// Light from a point of a facet to the lens at `eye`: solid angle times cosine, and path length.
     pub fn to_eye(&self, at: Vector, facet: &Facet, eye: Vector) -> Option<(f64, f64)> {
         let arm = eye - at;
         let length_m = arm.norm();
@@ -205,12 +206,13 @@ impl Room {
     }
 }
 
-/// Whether none of the blockers meets a line between two points, its ends apart.
+/// Whether no blocker meets the line between two points, its ends excluded.
 fn clear_of<'a>(mut blockers: impl Iterator<Item = &'a Facet>, a: Vector, b: Vector) -> bool {
     blockers.all(|blocker| blocker.hit(a, b).is_none_or(|share| !(TOUCH..=1.0 - TOUCH).contains(&share)))
 }
 
-/// A cell so near that four points do not stand for it gets its whole by the closed form, where nothing hides a part of it.
+/// A near cell, which four points would represent badly, gets its light from the closed form, unless something hides
+/// part of it.
 fn near_field(links: &mut [Link], at: Vector, p: &Facet, q: &Facet) {
     let Outline::Rectangle { corner, edges } = q.outline else {
         return;
@@ -228,8 +230,8 @@ fn near_field(links: &mut [Link], at: Vector, p: &Facet, q: &Facet) {
     links.iter_mut().for_each(|link| link.factor *= exact / sum);
 }
 
-/// Share of the light from a Lambertian point that meets a polygon above its horizon: Lambert's formula, a sum over edges of the angle that
-/// each subtends times the cosine between its plane's normal and the surface's.
+/// Share of the light from a Lambertian point that meets a polygon above its horizon, by Lambert's formula: a sum over
+/// edges of the subtended angle times the cosine between the edge plane's normal and the surface's.
 fn polygon_view_factor(at: Vector, normal: Vector, corners: &[Vector; 4]) -> f64 {
     let edge = |k: usize| {
         let (a, b) = (corners[k] - at, corners[(k + 1) % 4] - at);

@@ -25,12 +25,12 @@ fn patch(id: i32, position: [f64; 3], normal: [f64; 3], size_m: f64, more: &str)
 
 fn light(scene: &Scene, lit: i32, seen: i32, path: &[i32]) -> Light {
     let room = Room::new(scene);
-    let captured = Paths::new(scene, &room, scene.captures.bounces).lit(&scene.covers(lit));
-    let paths = captured.get(&("s1".to_owned(), seen)).cloned().unwrap_or_default();
+    let lights = Paths::new(scene, &room, scene.captures.bounces).lit(&scene.covers(lit));
+    let paths = lights.get(&("s1".to_owned(), seen)).cloned().unwrap_or_default();
     paths.get(path).cloned().unwrap_or_default()
 }
 
-/// Coaxial parallel disks (Howell's catalogue, C-41): what leaves one evenly and meets the other.
+/// Coaxial parallel disks (Howell's catalogue, C-41): share of the diffuse light from one that reaches the other.
 #[test]
 fn facing_disks_exchange_what_the_view_factor_says() {
     for (radius_m, apart_m) in [(0.1, 0.3), (0.1, 0.2), (0.02, 0.5)] {
@@ -74,7 +74,8 @@ fn strength_falls_with_the_square_of_the_distance_and_as_the_cosine() {
     assert!((total(1) * PI - 1.0).abs() < 1e-5, "a white disk at 1 m, lit and seen head on, gives 1 / pi");
 }
 
-/// Third bounce over small patches: product of three reflections and two transfers; time of the path through the centres.
+/// Third bounce over small patches: product of three reflections and two transfers; time of the path through the
+/// centres.
 #[test]
 fn small_patches_hand_light_on_as_points_do() {
     let places = [[0.0, 0.0, 1.0], [0.5, 0.2, 0.6], [-0.3, 0.4, 0.7]];
@@ -108,7 +109,8 @@ fn small_patches_hand_light_on_as_points_do() {
     assert!((light.centroid_ps() - units::time_ps(length_m, 1.0)).abs() < 0.01);
 }
 
-/// A mirror shows the image of what is before it: first bounce off a patch seen in a mirror, at the image's distance.
+/// A mirror shows the image of the objects in front of it: first bounce off a patch seen in a mirror, at the image's
+/// distance.
 #[test]
 fn a_mirror_shows_the_image() {
     let patches = [
@@ -125,13 +127,14 @@ fn a_mirror_shows_the_image() {
     let squared = 1.0 + 0.09 + 1.0;
     let cosine = (0.6 * 0.3 + 0.8) / f64::sqrt(squared);
     assert!((seen.total() * PI * squared / cosine - 1.0).abs() < 2e-3, "{}", seen.total());
-    // The beam turned by the mirror onto a patch, and back the same way, is the same light.
+    // The beam that the mirror turns onto a patch, and back the same way, is the same light.
     scene.captures.lit = vec![1, 2];
     let lit = light(&scene, 2, 1, &[2, 1]);
     assert!(lit.0.is_empty(), "the mirror turns the beam past patch 1");
 }
 
-/// Light in a closed box is neither lost nor made: what all walls get after each bounce is the reflectance to that power.
+/// Light in a closed box is neither lost nor gained: after each bounce all walls together have the reflectance to that
+/// power.
 #[test]
 fn a_closed_box_keeps_its_light() {
     let walls = [
@@ -155,7 +158,7 @@ fn a_closed_box_keeps_its_light() {
     let room = Room::new(&scene);
     let facets = &room.facets;
     let start = facets.iter().position(|facet| facet.id == 1).unwrap();
-    // Light on each element of each facet, as its strength alone.
+    // Strength of the light on each element of each facet.
     let mut on: Vec<Vec<f64>> = facets.iter().map(|facet| vec![0.0; facet.elements.len()]).collect();
     on[start] = facets[start].elements.iter().map(|element| element.share).collect();
     for bounce in 1..=3 {
@@ -171,13 +174,13 @@ fn a_closed_box_keeps_its_light() {
         }
         on = next;
         let after: f64 = on.iter().flatten().sum();
-        // The lit patch covers four cells of its wall, which light that comes back misses: 4 % of one wall.
+        // The lit patch covers four cells of its wall, which returning light misses: 4 % of one wall.
         let lost = if bounce == 1 { 1e-3 } else { 0.012 };
         assert!(after / before < 1.0 + 1e-3 && after / before > 1.0 - lost, "bounce {bounce}: {after} of {before}");
     }
 }
 
-/// A screen between two patches keeps their light apart; half of one hides half.
+/// A screen between two patches blocks their light; half a screen blocks half.
 #[test]
 fn a_screen_hides_what_is_behind_it() {
     let patches = [
@@ -193,7 +196,7 @@ fn a_screen_hides_what_is_behind_it() {
     assert!((half / open - 0.5).abs() < 0.05, "{}", half / open);
 }
 
-/// A glossy patch of a narrow lobe sends the light to where a mirror would.
+/// A glossy patch with a narrow lobe sends light where a mirror would.
 #[test]
 fn a_narrow_lobe_points_where_the_mirror_does() {
     let glossy = "lobe = { share = 1.0, width_rad = 0.02 }";
@@ -211,7 +214,7 @@ fn a_narrow_lobe_points_where_the_mirror_does() {
     assert!(towards > 20.0 * beside, "{towards} {beside}");
 }
 
-/// A pixel gets no more than its detector takes in.
+/// A pixel gets no more light than its detector accepts.
 #[test]
 fn a_small_detector_limits_what_a_large_lens_gathers() {
     let text = |size_m: f64, detector: &str| {

@@ -87,7 +87,7 @@ impl Record {
         Ok(match (sealed, noted) {
             (FileState::New, noted) => noted,
             // A file whose time stamp alone changed was hashed again by an earlier run, which noted it.
-            (FileState::Touched { recorded }, FileState::Known(hash)) if hash == recorded => noted,
+            (FileState::Touched { recorded }, FileState::Same(hash)) if hash == recorded => noted,
             (sealed, _) => sealed,
         })
     }

@@ -197,7 +197,7 @@ impl<'a> Surveyed<'a> {
     /// The digest of a file, if it is on record and the file still has the size and time that it had then.
     pub fn known(&self, campaign: usize, file: &Path) -> Option<Digest> {
         match self.records[campaign].check(&self.campaigns[campaign].root, file) {
-            Ok(FileState::Known(digest)) => Some(digest.into()),
+            Ok(FileState::Same(digest)) => Some(digest.into()),
             _ => None,
         }
     }

@@ -1,4 +1,4 @@
-//! The chain of lineages: a part's lineage joins its recipe with the lineages of what it was made from.
+//! The chain of lineages: a part's lineage joins its recipe with the lineages of its inputs.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,12 +7,12 @@ use super::stage_folder::StageFolder;
 use crate::store::shelf::{Shelf, TableRecord};
 use crate::store::{Digest, lineage};
 
-/// More combinations of inputs than these are not tried.
+/// Most combinations of inputs that are tried.
 const MOST: usize = 1 << 20;
 
-/// Follows every part's lineage from its inputs, where these are on the shelf.
+/// Derives every part's lineage from its inputs, where these are on the shelf.
 pub fn follow(shelf: &Shelf, stages: &[StageFolder], report: &mut Report) {
-    // Recipes of tables, as stages name their inputs.
+    // Recipes of tables, by which stages name their inputs.
     let mut recipes: BTreeMap<Digest, &StageFolder> = BTreeMap::new();
     for stage in stages {
         let Some(id) = &stage.id else { continue };
@@ -43,7 +43,7 @@ pub fn follow(shelf: &Shelf, stages: &[StageFolder], report: &mut Report) {
             } else {
                 let path = stage.path.join(format!("part-{lineage}.json"));
                 let remove = vec![path.clone()];
-                report.found(
+                report.add(
                     shelf,
                     &path,
                     "does not follow from what is on the shelf: its lineage is none that its inputs give",
@@ -61,7 +61,8 @@ pub fn follow(shelf: &Shelf, stages: &[StageFolder], report: &mut Report) {
     }
 }
 
-/// Lineages that parts can have which are made of these inputs, the streamed one by its parts or whole. `None` where they are too many.
+/// Possible lineages of parts with these inputs; the streamed input enters by its parts or whole. `None` if there are
+/// too many.
 fn possible(recipe: &Digest, inputs: &[(&String, &StageFolder)]) -> Option<BTreeSet<Digest>> {
     let streamed = |(name, _): &&(&String, &StageFolder)| *name == "from";
     let (_, from) = inputs.iter().find(streamed)?;

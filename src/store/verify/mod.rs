@@ -1,6 +1,8 @@
-//! Whether a result folder is what runs wrote into it: every byte of its tables and records, and that each lineage follows from those it was made from.
+//! Checks that a result folder is what runs wrote into it: every byte of its tables and records, and every lineage.
 //!
-//! Nothing is written here. What is damaged is named with its place and its mend: to delete what [`Finding::remove`] lists, and to run again.
+//! Nothing is written here. Each damaged file is named with its place and its fix: delete what [`Finding::remove`]
+//! lists,
+//! and run again.
 
 mod chain;
 mod stage_folder;
@@ -20,25 +22,26 @@ use super::views::{REJECTS_RECORD, RejectsRecord};
 use super::{Digest, TableRecord};
 use stage_folder::StageFolder;
 
-/// Something that is wrong, and its mend.
+/// Something wrong, and how to fix it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// File, relative to the result folder.
     pub file: PathBuf,
-    /// Tables that it is part of, by their views.
+    /// Tables that contain it, by their views.
     pub tables: Vec<String>,
     /// What is wrong, in words.
     pub what: String,
     /// Where in the file, if it is a table.
     pub damage: Option<Place>,
     /// What to do.
-    pub mend: String,
-    /// What is to be deleted, so that the next run makes anew what was damaged.
+    #[serde(rename = "mend")]
+    pub fix: String,
+    /// Files to delete, so that the next run makes the damaged ones again.
     #[serde(skip)]
     pub remove: Vec<PathBuf>,
 }
 
-/// What was looked at.
+/// Numbers of checked objects.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
     /// Whole tables.
@@ -51,35 +54,35 @@ pub struct Counts {
     pub bytes: u64,
     /// Run records.
     pub runs: usize,
-    /// Parts of which the lineage follows from those of their inputs on the shelf.
+    /// Parts whose lineage follows from those of their inputs on the shelf.
     pub followed: usize,
 }
 
-/// Outcome of a look at a result folder.
+/// Outcome of a verification.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// What is wrong.
+    /// What a user should know although it is no fault.
     pub findings: Vec<Finding>,
-    /// What a user should know, and is no fault.
+    /// What a user should know although it is no fault.
     pub notes: Vec<String>,
-    /// What was looked at.
+    /// Numbers of checked objects.
     pub counts: Counts,
-    /// Stages without inputs, with the lineages of their parts: they follow from files outside of the folder.
+    /// Stages without inputs, with the lineages of their parts: they derive from files outside the folder.
     pub sources: Vec<(StageId, Vec<Digest>)>,
     /// The newest run that can be read.
     pub run: Option<RunRecord>,
 }
 
-/// Mend of what the next run makes anew.
-const MEND: &str = "delete it (`periscope verify --repair` does), and the next `run` makes it again";
+/// Fix for what the next run makes again.
+const FIX: &str = "delete it (`periscope verify --repair` does), and the next `run` makes it again";
 
 impl Report {
     /// Adds a finding; `file` is absolute.
-    fn found(&mut self, shelf: &Shelf, file: &Path, what: impl ToString, remove: Vec<PathBuf>) -> &mut Finding {
+    fn add(&mut self, shelf: &Shelf, file: &Path, what: impl ToString, remove: Vec<PathBuf>) -> &mut Finding {
         let file = file.strip_prefix(shelf.out()).unwrap_or(file).to_owned();
-        let mend = if remove.is_empty() { "the next `run` makes it again" } else { MEND };
+        let fix = if remove.is_empty() { "the next `run` makes it again" } else { FIX };
         let what = what.to_string();
-        self.findings.push(Finding { file, tables: Vec::new(), what, damage: None, mend: mend.to_owned(), remove });
+        self.findings.push(Finding { file, tables: Vec::new(), what, damage: None, fix: fix.to_owned(), remove });
         self.findings.last_mut().expect("pushed above")
     }
 
@@ -97,11 +100,11 @@ impl Report {
             return Ok(true);
         };
         let what = format!("is damaged: {}", damage.place);
-        self.found(shelf, path, what, remove).damage = Some(damage.place);
+        self.add(shelf, path, what, remove).damage = Some(damage.place);
         Ok(false)
     }
 
-    /// A record, or `None` and a finding.
+    /// Reads a record; on failure, adds a finding and returns `None`.
     fn record<T: serde::de::DeserializeOwned>(
         &mut self,
         shelf: &Shelf,
@@ -110,25 +113,26 @@ impl Report {
     ) -> Result<Option<T>, StoreError> {
         match record::read(path) {
             Ok(Some(record)) => return Ok(Some(record)),
-            Ok(None) => self.found(shelf, path, "is gone", remove),
-            Err(StoreError::Record { source, .. }) => self.found(shelf, path, format!("is damaged: {source}"), remove),
+            Ok(None) => self.add(shelf, path, "is gone", remove),
+            Err(StoreError::Record { source, .. }) => self.add(shelf, path, format!("is damaged: {source}"), remove),
             Err(error) => return Err(error),
         };
         Ok(None)
     }
 }
 
-/// Looks at everything on a shelf and in its views.
+/// Checks everything on a shelf and in its views.
 ///
 /// # Errors
-/// When something cannot be read; what is damaged is a finding.
+/// When something cannot be read. Damage is a finding, not an error.
 pub fn verify(shelf: &Shelf) -> Result<Report, StoreError> {
     let mut report = Report::default();
     let mut stages = Vec::new();
     for path in entries(&shelf.root())? {
         let name = name(&path);
         match name.as_str() {
-            // What sources noted of raw files is theirs to read, and shards are read by who makes them; a lock says nothing.
+            // Not checked: a source reads its own notes, a shard's worker reads the shard, and a lock has no content to
+            // check.
             "lock" | "notes" | "shards" => {}
             "runs" => runs(shelf, &path, &mut report)?,
             _ if name.starts_with("tmp-") => report.notes.push(left_over(&path)),
@@ -151,21 +155,21 @@ pub fn verify(shelf: &Shelf) -> Result<Report, StoreError> {
     Ok(report)
 }
 
-/// Deletes what is damaged.
+/// Deletes damaged files.
 ///
 /// # Errors
-/// When it cannot be deleted.
+/// When one cannot be deleted.
 pub fn repair(findings: &[Finding]) -> Result<(), StoreError> {
     for path in findings.iter().flat_map(|finding| &finding.remove) {
-        let Ok(found) = fs::symlink_metadata(path) else {
+        let Ok(metadata) = fs::symlink_metadata(path) else {
             continue; // with another finding
         };
-        if found.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) }.at("remove", path)?;
+        if metadata.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) }.at("remove", path)?;
     }
     Ok(())
 }
 
-/// What lies in a folder, by name; nothing in one that is not there.
+/// Entries of a folder, sorted by name; none if it does not exist.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let mut entries: Vec<PathBuf> =
         fs::read_dir(folder).at("read", folder)?.flatten().map(|entry| entry.path()).collect();
@@ -187,7 +191,7 @@ fn runs(shelf: &Shelf, folder: &Path, report: &mut Report) -> Result<(), StoreEr
         let run = report.record::<RunRecord>(shelf, &path, vec![path.clone()])?;
         if run.is_none() {
             "delete it: the tables do not depend on it"
-                .clone_into(&mut report.findings.last_mut().expect("found above").mend);
+                .clone_into(&mut report.findings.last_mut().expect("added above").fix);
         }
         report.run = run.or(report.run.take());
     }
@@ -197,27 +201,27 @@ fn runs(shelf: &Shelf, folder: &Path, report: &mut Report) -> Result<(), StoreEr
 fn rejects(shelf: &Shelf, folder: &Path, report: &mut Report) -> Result<(), StoreError> {
     let remove = || vec![folder.to_owned()];
     let record = folder.join(REJECTS_RECORD);
-    let Some(shown) = report.record::<RejectsRecord>(shelf, &record, remove())? else {
+    let Some(rejects) = report.record::<RejectsRecord>(shelf, &record, remove())? else {
         return Ok(());
     };
-    for (file, recorded) in &shown.files {
+    for (file, recorded) in &rejects.files {
         report.file(shelf, &folder.join(file), recorded, remove())?;
     }
     Ok(())
 }
 
-/// The links by which tables are shown.
+/// Checks the links by which tables are shown.
 fn views(shelf: &Shelf, report: &mut Report) -> Result<(), StoreError> {
     for link in entries(shelf.out())?.into_iter().filter(|path| path.is_symlink()) {
         let target = fs::read_link(&link).at("read", &link)?;
         if !target.starts_with(".shelf") || !link.is_dir() {
-            report.found(shelf, &link, format!("leads to {}, where no table is", target.display()), vec![link.clone()]);
+            report.add(shelf, &link, format!("leads to {}, where no table is", target.display()), vec![link.clone()]);
         }
     }
     Ok(())
 }
 
-/// Says of each finding which tables show it.
+/// Adds to each finding the tables that show it.
 fn name_tables(shelf: &Shelf, report: &mut Report) {
     let links: Vec<(String, PathBuf)> = entries(shelf.out())
         .into_iter()
@@ -240,7 +244,7 @@ fn name_tables(shelf: &Shelf, report: &mut Report) {
 /// Whether two paths are links to one file.
 fn same_file(a: &Path, b: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
-    let id = |path: &Path| fs::metadata(path).ok().map(|found| (found.dev(), found.ino()));
+    let id = |path: &Path| fs::metadata(path).ok().map(|file| (file.dev(), file.ino()));
     id(a).is_some() && id(a) == id(b)
 }
 

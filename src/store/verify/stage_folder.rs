@@ -1,4 +1,4 @@
-//! One folder of the shelf: what one recipe made.
+//! One folder of the shelf: the results of one recipe.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,24 +8,24 @@ use crate::store::failure::{At, StoreError};
 use crate::store::shelf::{PartRecord, Shelf, StageId, TableRecord};
 use crate::store::{Digest, parquet};
 
-/// What of a folder's records can be read.
+/// The readable records of a folder.
 pub struct StageFolder {
     pub path: PathBuf,
-    /// Its recipe's content.
+    /// Content of its recipe.
     pub id: Option<StageId>,
     pub parts: BTreeMap<Digest, PartRecord>,
     pub tables: BTreeMap<Digest, TableRecord>,
 }
 
 impl StageFolder {
-    /// Reads and checks all that lies in it.
+    /// Reads and checks everything in it.
     pub fn read(shelf: &Shelf, path: PathBuf, report: &mut Report) -> Result<Self, StoreError> {
         let mut folder = Self { path, id: None, parts: BTreeMap::new(), tables: BTreeMap::new() };
         let stage = folder.path.join("stage.json");
         let remove = stage.exists().then(|| stage.clone()).into_iter().collect();
         folder.id = report.record::<StageId>(shelf, &stage, remove)?;
         if folder.id.as_ref().is_some_and(|id| id.folder() != name(&folder.path)) {
-            report.found(
+            report.add(
                 shelf,
                 &stage,
                 "is of another folder: its recipe is not the one that this folder is named by",
@@ -58,7 +58,7 @@ impl StageFolder {
         Ok(folder)
     }
 
-    /// A part: its record, and its files.
+    /// Checks a part: its record, and its files.
     fn part(&mut self, shelf: &Shelf, path: &Path, lineage: &str, report: &mut Report) -> Result<(), StoreError> {
         let files = entries(&self.path)?.into_iter().filter(|file| name(file).starts_with(&format!("part-{lineage}.")));
         let all: Vec<PathBuf> = files.collect();
@@ -66,7 +66,7 @@ impl StageFolder {
             return Ok(());
         };
         if record.lineage.to_string() != lineage {
-            report.found(shelf, path, format!("is the record of another part, {}", record.lineage), all);
+            report.add(shelf, path, format!("is the record of another part, {}", record.lineage), all);
             return Ok(());
         }
         report.counts.parts += 1;
@@ -80,7 +80,7 @@ impl StageFolder {
                     && stage.is_none_or(|stage| says("periscope.stage", &stage))
                     && rows == file.rows;
                 if !of_this {
-                    report.found(
+                    report.add(
                         shelf,
                         &path,
                         "is of another part: its footer names another lineage or stage",
@@ -93,7 +93,7 @@ impl StageFolder {
         Ok(())
     }
 
-    /// A whole table: its record, and the files by which its views show its parts.
+    /// Checks a complete table: its record, and the files by which its views show its parts.
     fn table(&mut self, shelf: &Shelf, path: &Path, report: &mut Report) -> Result<(), StoreError> {
         let remove = || vec![path.to_owned()];
         let file = path.join("table.json");
@@ -104,7 +104,7 @@ impl StageFolder {
             && name(path) == format!("table-{}", record.lineage)
             && self.id.as_ref().is_none_or(|id| *id == record.stage);
         if !of_this {
-            report.found(
+            report.add(
                 shelf,
                 &file,
                 "is the record of another table: its lineage is not that of its parts and its folder",
@@ -116,14 +116,14 @@ impl StageFolder {
         for folder in entries(path)?.into_iter().filter(|entry| entry.is_dir()) {
             let table = name(&folder);
             for (i, part) in record.parts.iter().enumerate() {
-                let shown = folder.join(format!("part-{i:05}.parquet"));
+                let view_file = folder.join(format!("part-{i:05}.parquet"));
                 let stored = self.path.join(format!("part-{}.{table}.parquet", part.lineage));
                 match part.files.get(&table) {
-                    // What is linked was looked at as a part.
-                    Some(_) if same_file(&shown, &stored) && self.parts.contains_key(&part.lineage) => {}
-                    Some(file) => _ = report.file(shelf, &shown, file, remove())?,
+                    // A linked file was already checked as a part.
+                    Some(_) if same_file(&view_file, &stored) && self.parts.contains_key(&part.lineage) => {}
+                    Some(file) => _ = report.file(shelf, &view_file, file, remove())?,
                     None => {
-                        _ = report.found(shelf, &folder, format!("shows no table of part {}", part.lineage), remove())
+                        _ = report.add(shelf, &folder, format!("shows no table of part {}", part.lineage), remove())
                     }
                 }
             }
@@ -133,7 +133,7 @@ impl StageFolder {
             if path.exists() {
                 continue; // found where it lies
             }
-            report.found(shelf, &path, "is gone, and a table needs it", Vec::new());
+            report.add(shelf, &path, "is gone, and a table needs it", Vec::new());
         }
         self.tables.insert(record.lineage, record);
         Ok(())

@@ -34,24 +34,25 @@ fn file(array: &Array, chunk: Option<&[u32]>, deflate: bool) -> Vec<u8> {
 
 #[test]
 fn what_is_written_is_read() {
-    let written: Arrays = CodeType::ALL
+    let expected: Arrays = CodeType::ALL
         .into_iter()
         .zip([vec![], vec![1], vec![5], vec![2, 3], vec![3, 1, 2], vec![2, 2, 2, 2], vec![4], vec![7, 3]])
         .map(|(code_type, axes)| (format!("of {}", code_type.name()), counting(&axes, code_type)))
         .collect();
     let empty = Array { axes: Vec::new(), code_type: CodeType::F64, codes: Vec::new() };
     let others = [("nothing", empty), ("unwanted", counting(&[2], CodeType::U8))];
-    let all: Arrays = written.clone().into_iter().chain(others.map(|(name, array)| (name.to_owned(), array))).collect();
+    let all: Arrays =
+        expected.clone().into_iter().chain(others.map(|(name, array)| (name.to_owned(), array))).collect();
     let mut bytes = Vec::new();
     write(&mut bytes, &all).unwrap();
-    let (found, names) = read(&bytes).unwrap();
-    assert_eq!(found, written);
+    let (arrays, names) = read(&bytes).unwrap();
+    assert_eq!(arrays, expected);
     assert!(all.keys().eq(names.iter()), "{names:?}");
     // Behind the block that MATLAB writes before its files.
     let mut behind = vec![b' '; 512];
     behind.extend(&bytes);
     behind[512 + 24..512 + 32].copy_from_slice(&512_u64.to_le_bytes());
-    assert_eq!(read(&behind).unwrap().0, written);
+    assert_eq!(read(&behind).unwrap().0, expected);
 }
 
 #[test]
@@ -78,10 +79,10 @@ fn damage_is_refused_without_much_memory() {
     write(&mut plain, &Arrays::from([("H".to_owned(), array)])).unwrap();
     for bytes in files.into_iter().chain([plain]) {
         let look = |damaged: &[u8]| {
-            let Ok((found, _)) = read(damaged) else { return };
-            let bytes_found: usize = found.values().map(|array| array.codes.len()).sum();
-            assert!(bytes_found <= 1032 * bytes.len(), "{bytes_found} bytes");
-            assert!(found.values().all(|array| array.axes.iter().product::<usize>() == array.count()));
+            let Ok((arrays, _)) = read(damaged) else { return };
+            let array_bytes: usize = arrays.values().map(|array| array.codes.len()).sum();
+            assert!(array_bytes <= 1032 * damaged.len(), "{array_bytes} bytes");
+            assert!(arrays.values().all(|array| array.axes.iter().product::<usize>() == array.count()));
         };
         hostile::each_cut(&bytes, look);
         hostile::each_damaged(&bytes, 20_000, |damaged| look(&damaged));

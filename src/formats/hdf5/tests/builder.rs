@@ -11,7 +11,7 @@ use crate::waveform::CodeType;
 pub enum Storage {
     Compact,
     Contiguous,
-    /// In chunks of so many elements, deflated or not.
+    /// In chunks of this many elements, deflated or not.
     Chunked(u32, bool),
 }
 
@@ -26,7 +26,7 @@ impl Builder {
         Self(vec![0; 96])
     }
 
-    /// Appends bytes at a multiple of eight, and says where.
+    /// Appends bytes at a multiple of eight, and returns where they are.
     fn put(&mut self, bytes: &[u8]) -> u64 {
         self.0.resize(self.0.len().next_multiple_of(8), 0);
         let at = self.0.len() as u64;
@@ -56,7 +56,7 @@ impl Builder {
         self.put(&[head.as_slice(), &(block.len() as u32).to_le_bytes(), &[0; 4], &block].concat())
     }
 
-    /// A version 1 B-tree over pairs of key and child, with so many levels above its leaves.
+    /// A version 1 B-tree over pairs of key and child, with this many levels above its leaves.
     fn tree(&mut self, node_type: u8, levels: u8, pairs: &[(Vec<u8>, u64)], last: &[u8]) -> u64 {
         let mut level = pairs.to_vec();
         let mut at = 0;

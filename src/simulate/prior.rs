@@ -1,4 +1,4 @@
-//! What a lab would know of a scene beforehand: `[known]` of a scene file, as lines of campaign.toml.
+//! Prior knowledge of a lab about a scene: `[known]` of a scene file, as lines of campaign.toml.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -8,24 +8,24 @@ use super::scene::Scene;
 use crate::campaign::keys::{LASER, PatchRole};
 use crate::units::PatchId;
 
-/// Stream of random numbers for errors of what is known; captures have their own.
+/// Random stream for errors of prior knowledge; captures have their own.
 const STREAM: u64 = u64::MAX;
 
-/// Draws what campaign.toml tells, in the order of the file.
-pub struct Telling<'a> {
+/// Draws the values in campaign.toml, in the order of the file.
+pub struct PriorKeys<'a> {
     scene: &'a Scene,
     rng: ChaCha8Rng,
 }
 
-impl<'a> Telling<'a> {
+impl<'a> PriorKeys<'a> {
     pub fn new(scene: &'a Scene, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(STREAM);
         Self { scene, rng }
     }
 
-    fn drawn(&mut self, truth: [f64; 3], sd: f64) -> [f64; 3] {
-        // In flatland nothing leaves the plane.
+    fn draw(&mut self, truth: [f64; 3], sd: f64) -> [f64; 3] {
+        // In flatland all points stay in the plane.
         let dimensions = usize::from(self.scene.dimensions);
         std::array::from_fn(|k| {
             let error: f64 = if k < dimensions { StandardNormal.sample(&mut self.rng) } else { 0.0 };
@@ -36,41 +36,41 @@ impl<'a> Telling<'a> {
     /// Keys of a station.
     pub fn station(&mut self, name: &str) -> String {
         let position_m = self.scene.stations[name].position_m;
-        let sd_m = self.scene.known.station_sd_m;
+        let sd_m = self.scene.prior.station_sd_m;
         if name == LASER || sd_m == 0.0 {
             return format!("position_m = {position_m:?}");
         }
-        format!("position_m = {:?}\nsd_m = {sd_m:?}", self.drawn(position_m, sd_m))
+        format!("position_m = {:?}\nsd_m = {sd_m:?}", self.draw(position_m, sd_m))
     }
 
     /// Keys of a patch, beyond its role.
     pub fn patch(&mut self, patch: PatchId) -> String {
-        let (known, disk) = (&self.scene.known, &self.scene.patches[&patch]);
-        // The first one ends the line before.
+        let (prior, disk) = (&self.scene.prior, &self.scene.patches[&patch]);
+        // The empty first line ends the line before.
         let mut lines = vec![String::new()];
-        if known.size {
+        if prior.size {
             lines.push(format!("size_m = {:?}", disk.size_m));
         }
-        if let Some(lobe) = disk.lobe.filter(|_| known.lobe) {
+        if let Some(lobe) = disk.lobe.filter(|_| prior.lobe) {
             lines.push(format!("lobe_rad = {:?}", lobe.width_rad));
         }
-        // How a mirror around the corner is turned nobody sees.
-        if known.normal && disk.role != PatchRole::Hidden {
+        // A lab cannot see the orientation of a hidden mirror.
+        if prior.normal && disk.role != PatchRole::Hidden {
             lines.push(format!("normal = {:?}", disk.normal));
         }
-        if known.anchors.contains(&patch) {
-            let position_m = self.drawn(disk.position_m, known.anchor_sd_m);
+        if prior.anchors.contains(&patch) {
+            let position_m = self.draw(disk.position_m, prior.anchor_sd_m);
             lines.push(format!("position_m = {position_m:?}"));
-            if known.anchor_sd_m > 0.0 {
-                lines.push(format!("sd_m = {:?}", known.anchor_sd_m));
+            if prior.anchor_sd_m > 0.0 {
+                lines.push(format!("sd_m = {:?}", prior.anchor_sd_m));
             }
         }
-        if known.rays.contains(&patch) {
+        if prior.rays.contains(&patch) {
             let laser_m = self.scene.stations[LASER].position_m;
             let arm: [f64; 3] = std::array::from_fn(|k| disk.position_m[k] - laser_m[k]);
             let length = arm.iter().map(|x| x * x).sum::<f64>().sqrt();
-            let direction = self.drawn(arm.map(|x| x / length), known.ray_sd_rad);
-            let sd = if known.ray_sd_rad > 0.0 { format!(", sd_rad = {:?}", known.ray_sd_rad) } else { String::new() };
+            let direction = self.draw(arm.map(|x| x / length), prior.ray_sd_rad);
+            let sd = if prior.ray_sd_rad > 0.0 { format!(", sd_rad = {:?}", prior.ray_sd_rad) } else { String::new() };
             lines.push(format!("ray = {{ from = {LASER:?}, direction = {direction:?}{sd} }}"));
         }
         lines.join("\n")

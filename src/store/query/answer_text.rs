@@ -1,19 +1,19 @@
-//! Answers as text.
+//! Answers of queries as text.
 
 use std::io::{self, Write};
 
 use polars::prelude::{AnyValue, Column, CsvWriter, DataFrame, DataType, NamedFrom, PolarsResult, SerWriter, Series};
 
-/// Values of a list that the eye is shown.
+/// Most values of a list in a table for the terminal.
 const LIST_SHOWN: usize = 6;
-/// Digits of a number that the eye is shown.
+/// Digits of a number in a table for the terminal.
 const DIGITS: i32 = 7;
-/// Letters between columns.
+/// Blanks between columns.
 const GAP: usize = 2;
 
-/// Columns side by side, all rows, numbers to the right. Columns that do not fit into `width` letters are named below.
+/// Prints columns side by side, all rows, numbers right-aligned. Columns beyond `width` characters are listed below.
 pub fn table(answer: &DataFrame, width: Option<usize>, out: &mut impl Write) -> io::Result<()> {
-    let columns: Vec<(bool, Vec<String>)> = answer.columns().iter().map(shown).collect();
+    let columns: Vec<(bool, Vec<String>)> = answer.columns().iter().map(column_text).collect();
     let letters = |(_, cells): &(bool, Vec<String>)| cells.iter().map(|cell| cell.chars().count()).max().unwrap_or(0);
     let widths: Vec<usize> = columns.iter().map(letters).collect();
     let mut end = 0;
@@ -41,7 +41,7 @@ pub fn table(answer: &DataFrame, width: Option<usize>, out: &mut impl Write) -> 
 }
 
 /// Name and cells of a column, and whether they are numbers.
-fn shown(column: &Column) -> (bool, Vec<String>) {
+fn column_text(column: &Column) -> (bool, Vec<String>) {
     let largest = column.as_materialized_series().cast(&DataType::Float64).ok().and_then(|numbers| {
         let numbers = numbers.f64().ok()?.iter().flatten().filter(|x| x.is_finite());
         numbers.map(f64::abs).reduce(f64::max)
@@ -57,7 +57,7 @@ fn shown(column: &Column) -> (bool, Vec<String>) {
     (column.dtype().is_primitive_numeric(), cells)
 }
 
-/// A number with as many decimals as the largest of its column leaves room for; one that would drown in them with an exponent.
+/// A number with as many decimals as the largest of its column allows; very small ones get an exponent.
 fn readable(x: f64, largest: f64) -> String {
     let magnitude = if largest > 0.0 { largest.log10().floor() as i32 } else { 0 };
     if !x.is_finite() || x == 0.0 {
@@ -74,7 +74,7 @@ fn readable(x: f64, largest: f64) -> String {
     }
 }
 
-/// Comma-separated values; what is no single value as text.
+/// Comma-separated values; lists and structs become text.
 pub fn csv(answer: &DataFrame, out: &mut impl Write) -> PolarsResult<()> {
     let is_single = |column: &Column| !column.dtype().is_nested() && *column.dtype() != DataType::Binary;
     let mut plain = as_text(answer.clone(), is_single)?;
@@ -86,7 +86,7 @@ pub fn without_bytes(answer: DataFrame) -> PolarsResult<DataFrame> {
     as_text(answer, |column| *column.dtype() != DataType::Binary)
 }
 
-/// Columns as text but for those that may stay.
+/// Converts columns to text, except those that `may_stay` accepts.
 fn as_text(mut answer: DataFrame, may_stay: impl Fn(&Column) -> bool) -> PolarsResult<DataFrame> {
     let others: Vec<Column> = answer.columns().iter().filter(|column| !may_stay(column)).cloned().collect();
     for column in others {
@@ -97,7 +97,8 @@ fn as_text(mut answer: DataFrame, may_stay: impl Fn(&Column) -> bool) -> PolarsR
     Ok(answer)
 }
 
-/// A value as text, lists and structs as in JSON; of a longer list no more than `most` values, of bytes then their number alone.
+/// A value as text, lists and structs as in JSON. Of a list it prints at most `most` values; of bytes then only their
+/// number.
 fn text(value: AnyValue<'_>, most: Option<usize>) -> String {
     match value {
         AnyValue::Null => if most.is_some() { "-" } else { "null" }.to_owned(),
@@ -109,9 +110,9 @@ fn text(value: AnyValue<'_>, most: Option<usize>) -> String {
         },
         AnyValue::List(values) | AnyValue::Array(values, _) => {
             let all = values.len();
-            let shown = most.filter(|most| all > *most).unwrap_or(all);
-            let mut cells: Vec<String> = values.iter().take(shown).map(|value| in_list(value, most)).collect();
-            if shown < all {
+            let visible = most.filter(|most| all > *most).unwrap_or(all);
+            let mut cells: Vec<String> = values.iter().take(visible).map(|value| in_list(value, most)).collect();
+            if visible < all {
                 cells.push(format!("... {all} values"));
             }
             format!("[{}]", cells.join(", "))
@@ -132,7 +133,7 @@ fn text(value: AnyValue<'_>, most: Option<usize>) -> String {
     }
 }
 
-/// A value within a list: texts in quotes.
+/// A value within a list: texts get quotes.
 fn in_list(value: AnyValue<'_>, most: Option<usize>) -> String {
     match value {
         AnyValue::Null => "null".to_owned(),
