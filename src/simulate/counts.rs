@@ -46,7 +46,7 @@ fn expected(scene: &Scene, pulse: &Pulse, light: &Light, factor: f64, latency_ps
 
 /// Probability per cycle that each bin counts, with a dead time of `dead_bins`. If the laser repeats after `period`
 /// bins, a detection also blinds the following cycles.
-fn count_probability(expected: &[f64], dead_bins: usize, period: Option<usize>) -> Vec<f64> {
+fn count_probabilities(expected: &[f64], dead_bins: usize, period: Option<usize>) -> Vec<f64> {
     let mut hit: Vec<f64> = expected.iter().map(|expected| -(-expected).exp_m1()).collect();
     hit.resize(period.unwrap_or(hit.len()).max(hit.len()), 0.0);
     let count = hit.len();
@@ -54,31 +54,31 @@ fn count_probability(expected: &[f64], dead_bins: usize, period: Option<usize>) 
         Some(_) => (dead_bins / count, dead_bins % count),
         None => (0, dead_bins.min(count)),
     };
-    let mut count_probability = hit.clone();
+    let mut probabilities = hit.clone();
     for _ in 0..ROUNDS {
         // Detections of earlier cycles that still blind the first bin of this one.
-        let whole = turns as f64 * count_probability.iter().sum::<f64>();
-        let mut recent = if period.is_some() { count_probability[count - reach..].iter().sum() } else { 0.0 };
+        let whole = turns as f64 * probabilities.iter().sum::<f64>();
+        let mut recent = if period.is_some() { probabilities[count - reach..].iter().sum() } else { 0.0 };
         let mut largest = 0.0_f64;
         for bin in 0..count {
             let live = (1.0 - whole - recent).max(0.0);
             // Half a step: with strong light a full step overshoots.
-            let now = if period.is_some() { 0.5 * (count_probability[bin] + live * hit[bin]) } else { live * hit[bin] };
-            largest = largest.max((now - count_probability[bin]).abs());
+            let now = if period.is_some() { 0.5 * (probabilities[bin] + live * hit[bin]) } else { live * hit[bin] };
+            largest = largest.max((now - probabilities[bin]).abs());
             recent += now;
             if bin >= reach {
-                recent -= count_probability[bin - reach];
+                recent -= probabilities[bin - reach];
             } else if period.is_some() {
-                recent -= count_probability[count + bin - reach];
+                recent -= probabilities[count + bin - reach];
             }
-            count_probability[bin] = now;
+            probabilities[bin] = now;
         }
         if largest < 1e-12 {
             break;
         }
     }
-    count_probability.truncate(expected.len());
-    count_probability
+    probabilities.truncate(expected.len());
+    probabilities
 }
 
 /// Histogram of one capture over all its laser pulses.
@@ -99,7 +99,7 @@ pub fn histogram(
         i32::try_from(detections).unwrap_or(i32::MAX)
     };
     let period = scene.repetition_ps().map(|period_ps| (period_ps / scene.instrument.dt_ps).round() as usize);
-    count_probability(&expected, dead_bins, period).into_iter().map(draw).collect()
+    count_probabilities(&expected, dead_bins, period).into_iter().map(draw).collect()
 }
 
 #[cfg(test)]
@@ -110,11 +110,11 @@ mod tests {
     #[test]
     fn early_light_hides_late_light() {
         let expected = [0.1, 0.0, 0.7, 0.4, 0.2];
-        let count_probability = count_probability(&expected, 1000, None);
+        let probabilities = count_probabilities(&expected, 1000, None);
         let mut none = 1.0;
-        for (expected, count_probability) in expected.iter().zip(&count_probability) {
+        for (expected, probability) in expected.iter().zip(&probabilities) {
             let first = none * (1.0 - f64::exp(-expected));
-            assert!((count_probability - first).abs() < 1e-12, "{count_probability} {first}");
+            assert!((probability - first).abs() < 1e-12, "{probability} {first}");
             none *= f64::exp(-expected);
         }
     }
@@ -123,13 +123,13 @@ mod tests {
     #[test]
     fn constant_light_counts_as_a_dead_time_that_is_not_extended() {
         let (expected, dead) = (1e-3, 1300);
-        let count_probability = count_probability(&vec![expected; 500], dead, Some(500));
+        let probabilities = count_probabilities(&vec![expected; 500], dead, Some(500));
         let hit = 1.0 - f64::exp(-expected);
         let law = hit / (1.0 + hit * dead as f64);
         assert!(
-            count_probability.iter().all(|count_probability| (count_probability / law - 1.0).abs() < 1e-6),
+            probabilities.iter().all(|probability| (probability / law - 1.0).abs() < 1e-6),
             "{} {law}",
-            count_probability[100]
+            probabilities[100]
         );
     }
 }

@@ -132,11 +132,11 @@ fn a_damaged_page_is_named_by_all_who_meet_it_and_only_its_part_is_made_again() 
     let file = one(&lab, ".onsets.parquet");
     let (byte, bytes) = page_of(&lab, &file, "time_ps");
     flip(&file, 8 * (byte + bytes - 1));
-    let Finding { file: named, tables, what, mend, .. } = looked(&lab).findings.swap_remove(0);
+    let Finding { file: named, tables, what, fix, .. } = looked(&lab).findings.swap_remove(0);
     assert_eq!((lab.path("out").join(named), tables), (file.clone(), vec!["onsets".to_owned()]));
     let place = format!("row group 0, column time_ps, page at byte {byte}: rows 0 to ");
     assert!(what.contains(&place) && what.contains("lit 1, seen 1") && what.contains("lit 4, seen 4"), "{what}");
-    assert!(mend.contains("the next `run` makes it again"), "{mend}");
+    assert!(fix.contains("the next `run` makes it again"), "{fix}");
     // The same words where it is read, and in a run that needs it.
     let read = chain(Shelf::look(&lab.path("out")).unwrap().batches("onsets").unwrap_err());
     let set = ["labels.false_alarm=0.002".to_owned()];
