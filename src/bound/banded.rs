@@ -8,10 +8,11 @@ pub struct Banded {
 }
 
 impl Banded {
-    /// Factors the covariance of noise with these variances beside the correlated part: `acf[lag]`, plus `extra[i]` on the diagonal.
+    /// Factors the covariance of noise: `acf[lag]` for the correlated part, plus the variances `extra[i]` on the
+    /// diagonal.
     ///
     /// # Panics
-    /// When that is not positive definite.
+    /// When the covariance is not positive definite.
     pub fn new(acf: &[f64], extra: &[f64]) -> Self {
         let reach = acf.len() - 1;
         let width = reach + 1;
@@ -35,7 +36,7 @@ impl Banded {
         Self { reach, rows }
     }
 
-    /// Solves `L x = b` in place: white noise of variance 1 from noise of the covariance.
+    /// Solves `L x = b` in place: turns noise of this covariance into white noise of variance 1.
     pub fn whiten(&self, b: &mut [f64]) {
         let width = self.reach + 1;
         for i in 0..b.len() {

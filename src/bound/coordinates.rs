@@ -1,4 +1,4 @@
-//! What all captures together say of where the patches are.
+//! The information of all captures together about the positions of the patches.
 
 use std::collections::BTreeMap;
 
@@ -10,31 +10,32 @@ use crate::campaign::keys::{LASER, PatchRole};
 use crate::simulate::Laboratory;
 use crate::units::{self, PatchId};
 
-/// Information below this, in units of each patch's own, is none.
+/// Information below this, in units of each patch's own information, counts as none.
 const UNKNOWN: f64 = 1e-11;
 
 /// Bound of all patches together.
 #[derive(Clone, Debug)]
 pub struct Coordinates {
-    /// Patches that the light says anything about, in order; three coordinates each (two in flatland).
+    /// Patches about which there is information, in order; three coordinates each (two in flatland).
     pub patches: Vec<PatchId>,
-    /// Coordinates of a patch.
+    /// Number of coordinates of a patch.
     pub dimensions: usize,
-    /// Covariance in square metres, without turns of the visible patches that path lengths say nothing of.
+    /// Covariance in square metres, without rotations of the visible patches that path lengths do not determine.
     pub covariance: DMatrix<f64>,
-    /// Turns about the stations that path lengths say nothing of.
+    /// Number of rotations about the stations that path lengths do not determine.
     pub turns: usize,
-    /// Of each patch: whether a combination of coordinates moves it that nothing determines; the covariance leaves such combinations out.
+    /// For each patch, whether an undetermined combination of coordinates moves it. The covariance excludes such
+    /// combinations.
     pub loose: Vec<bool>,
-    /// Onsets that each patch rests on.
+    /// Number of onsets that determine each patch.
     pub onsets: Vec<usize>,
 }
 
-/// Places of the unknowns.
+/// Indices of the unknowns.
 struct Unknowns {
     patches: Vec<PatchId>,
     dimensions: usize,
-    /// Place of the delay of each sensor at each range; the width follows.
+    /// Index of the delay of each sensor at each range; the width follows.
     sensors: BTreeMap<(String, Option<String>), usize>,
     count: usize,
 }
@@ -82,7 +83,7 @@ impl Coordinates {
             };
             let path_sd_ps = units::time_ps(scene.captures.path_sd_m, scene.group_index);
             let mut said = response(laboratory, shooting);
-            // The time of the response is the delay and an unknown part of the path.
+            // The time of the response is the delay plus the error of the path.
             if path_sd_ps > 0.0 {
                 let pulled = said.column(0).into_owned();
                 said -= &pulled * pulled.transpose() / (1.0 / (path_sd_ps * path_sd_ps) + pulled[0]);
@@ -93,7 +94,7 @@ impl Coordinates {
         unknowns.solve(laboratory, &information, &onsets)
     }
 
-    /// Square root of the sum of a patch's variances; `None` for a patch that nothing is said about, or too little.
+    /// Square root of the sum of a patch's variances; `None` for a patch without enough information.
     #[must_use]
     pub fn sd_m(&self, patch: PatchId) -> Option<f64> {
         let place = self.patches.iter().position(|other| *other == patch).filter(|&place| !self.loose[place])?;
@@ -121,7 +122,7 @@ impl Coordinates {
 }
 
 impl Unknowns {
-    /// Information of one profile: its times as functions of coordinates and delay, its width that of the sensor.
+    /// Information of one profile: its times as functions of coordinates and delay, its width as that of the sensor.
     fn of_profile(&self, laboratory: &Laboratory, profile: &ProfileBound, used: &[usize]) -> DMatrix<f64> {
         let kept: Vec<usize> = used
             .iter()
@@ -160,14 +161,14 @@ impl Unknowns {
         let gauge = self.turns(laboratory);
         let turns = gauge.ncols();
         let coordinates = eliminate(information, &kept);
-        // In units of each patch's own information, so that near and far patches count alike.
+        // In units of each patch's own information, so that near and far patches have equal weight.
         let own = |patch: usize| {
             let places = patch * self.dimensions..(patch + 1) * self.dimensions;
             places.map(|i| coordinates[(i, i)]).sum::<f64>().sqrt()
         };
         let scale = DVector::from_fn(size, |i, _| own(i / self.dimensions));
         let scaled = DMatrix::from_fn(size, size, |i, j| coordinates[(i, j)] / (scale[i] * scale[j]));
-        // Turns, in the same units, are held fast here and taken out of the covariance after.
+        // Rotations, in the same units, are fixed here, and removed from the covariance afterwards.
         let held = orthonormal(size, gauge.column_iter().map(|turn| turn.component_mul(&scale)));
         let eigen = SymmetricEigen::new(scaled + &held * held.transpose());
         let mut covariance = DMatrix::zeros(size, size);
@@ -183,7 +184,7 @@ impl Unknowns {
                 *loose |= vector.rows(place * self.dimensions, self.dimensions).norm() > 1e-3;
             }
         }
-        // The frame turns with the visible patches: errors of hidden ones do not turn it.
+        // The visible patches define the frame: errors of hidden ones do not rotate it.
         let mut shown = gauge.clone();
         for (place, patch) in self.patches.iter().enumerate() {
             if laboratory.scene.patches[patch].role == PatchRole::Hidden {
@@ -197,7 +198,7 @@ impl Unknowns {
         Coordinates { patches: self.patches, dimensions: self.dimensions, covariance, turns, loose, onsets }
     }
 
-    /// Orthonormal columns: turns of all patches about the stations that leave every station where it is.
+    /// Orthonormal columns: rotations of all patches about the stations that leave every station in place.
     fn turns(&self, laboratory: &Laboratory) -> DMatrix<f64> {
         let scene = laboratory.scene;
         let source = Vector3::from(scene.stations[LASER].position_m);
@@ -224,7 +225,7 @@ impl Unknowns {
     }
 }
 
-/// Orthonormal columns that span the same as these (Gram and Schmidt).
+/// Orthonormal columns that span the same space (Gram-Schmidt).
 fn orthonormal(size: usize, columns: impl Iterator<Item = DVector<f64>>) -> DMatrix<f64> {
     let mut basis: Vec<DVector<f64>> = Vec::new();
     for mut column in columns {
@@ -239,7 +240,8 @@ fn orthonormal(size: usize, columns: impl Iterator<Item = DVector<f64>>) -> DMat
     if basis.is_empty() { DMatrix::zeros(size, 0) } else { DMatrix::from_columns(&basis) }
 }
 
-/// How the time of a path moves with its patches, in ps a metre: unit vectors from the neighbours before and after.
+/// Derivative of a path's time with respect to its patches, in ps per metre: sums of unit vectors from the neighbours
+/// before and after.
 fn slopes_ps_m(laboratory: &Laboratory, sensor: &str, path: &[PatchId]) -> Vec<(PatchId, Vector3<f64>)> {
     let scene = laboratory.scene;
     let ps_per_m = units::time_ps(1.0, scene.group_index);

@@ -1,5 +1,5 @@
-//! What a scene's bound means to somebody who is about to capture it: which patches will be found and how well, which bounces drown, which pulses
-//! blend, what stays ambiguous, how long it takes, and what a change would bring.
+//! What a scene's bound means for a planned measurement: which patches can be found and how precisely, which bounces
+//! are too weak, which pulses blend, which ambiguities remain, how long it takes, and the effect of changes.
 
 use std::collections::BTreeMap;
 
@@ -12,9 +12,9 @@ use crate::simulate::keys::{Disk, Shape};
 use crate::simulate::{Laboratory, Scene, SimulateError};
 use crate::units::PatchId;
 
-/// Patches thinner than this part of their extent are called a plane, or a line.
+/// Patches thinner than this fraction of their extent count as a plane, or a line.
 const FLAT: f64 = 0.02;
-/// Places that are tried for one more spot.
+/// Most places that are tried for one more spot.
 const PLACES: usize = 12;
 
 /// One patch.
@@ -28,13 +28,13 @@ pub struct PatchOutlook {
     pub sd_m: Option<f64>,
     /// Bound of its position's covariance, row by row.
     pub covariance_m2: Option<Vec<Vec<f64>>>,
-    /// Chance that as many of its onsets are found as it has coordinates.
+    /// Probability that at least as many of its onsets are detected as it has coordinates.
     pub chance: f64,
-    /// Onsets above the threshold that meet it.
+    /// Onsets above the threshold whose paths include it.
     pub onsets: usize,
-    /// Largest signal-to-noise ratio of a pulse that meets it, in the average of all shots.
+    /// Largest signal-to-noise ratio of a pulse whose path includes it, in the average of all shots.
     pub snr: f64,
-    /// Shots, and hours, that it takes one profile to bring that pulse to the threshold.
+    /// Shots per profile that bring that pulse to the threshold, and the hours they take.
     pub shots: f64,
     /// See `shots`.
     pub hours: f64,
@@ -51,13 +51,13 @@ pub struct OrderOutlook {
     pub found: usize,
     /// Least, median and largest matched-filter signal-to-noise ratio of the average of all shots.
     pub snr: [f64; 3],
-    /// Shots that the median path needs to stand at the threshold, and those that the strongest needs.
+    /// Shots that bring the median path, and the strongest one, to the threshold.
     pub shots: [f64; 2],
-    /// Hours of capture, for one profile, that these take.
+    /// Hours of these shots, for one profile.
     pub hours: [f64; 2],
 }
 
-/// Two pulses of one capture that are seen as one.
+/// Two unresolved pulses of one capture.
 #[derive(Clone, Debug)]
 pub struct Blend {
     /// Sensor.
@@ -72,42 +72,42 @@ pub struct Blend {
     pub apart_ps: f64,
 }
 
-/// What a change would bring.
+/// The effect of a change.
 #[derive(Clone, Debug)]
 pub struct Change {
     /// The change.
     pub what: String,
     /// Root mean square of the visible patches' standard deviations.
     pub visible_m: Option<f64>,
-    /// Of the hidden ones.
+    /// The same for the hidden patches.
     pub hidden_m: Option<f64>,
-    /// Onsets found.
+    /// Detected onsets.
     pub onsets: usize,
     /// Hours of capture.
     pub hours: f64,
 }
 
-/// Everything that `design` says.
+/// Everything that `design` reports.
 #[derive(Clone, Debug)]
 pub struct Outlook {
     /// Patches, in order.
     pub patches: Vec<PatchOutlook>,
     /// Orders of bounces.
     pub orders: Vec<OrderOutlook>,
-    /// Pulses that are seen as one.
+    /// Unresolved pulses.
     pub blends: Vec<Blend>,
-    /// What the data leave open, in words.
+    /// What the data do not determine, in words.
     pub ambiguities: Vec<String>,
-    /// The scene as it is, then changes.
+    /// The scene as it is, then the changes.
     pub changes: Vec<Change>,
-    /// Pulses of the laser in all captures.
+    /// Laser pulses in all captures.
     pub pulses: f64,
     /// Hours of capture.
     pub hours: f64,
 }
 
 impl Outlook {
-    /// Of a scene.
+    /// The outlook of a scene.
     ///
     /// # Errors
     /// When the first light of a capture arrives outside the record.
@@ -158,9 +158,9 @@ fn patches(scene: &Scene, bound: &Bound, using: Use) -> Vec<PatchOutlook> {
     scene.patches.keys().map(row).collect()
 }
 
-/// Chance that at least `need` of independent events happen.
+/// Probability that at least `need` of independent events happen.
 fn at_least(need: usize, chances: &[f64]) -> f64 {
-    // Chances of 0, 1, .. need - 1 events so far.
+    // Probabilities of 0, 1, .. need - 1 events so far.
     let mut fewer = vec![0.0; need];
     fewer[0] = 1.0;
     for chance in chances {
@@ -171,7 +171,7 @@ fn at_least(need: usize, chances: &[f64]) -> f64 {
     (1.0 - fewer.iter().sum::<f64>()).clamp(0.0, 1.0)
 }
 
-/// Share of a normal distribution below `z` (Abramowitz and Stegun, formula 26.2.17; error below 1e-7).
+/// Fraction of a normal distribution below `z` (Abramowitz and Stegun, formula 26.2.17; error below 1e-7).
 fn normal_cdf(z: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
     let series =
@@ -287,7 +287,7 @@ fn changes(scene: &Scene, using: Use) -> Result<Vec<Change>, SimulateError> {
     let mut try_it = |what: &str, edit: &dyn Fn(&mut Scene)| {
         let mut changed = scene.clone();
         edit(&mut changed);
-        // A change that throws light out of the record is no choice.
+        // A change that moves light out of the record is not an option.
         changes.extend(change(what.to_owned(), &changed, scene, using));
     };
     try_it("four times the shots", &|scene| scene.captures.shots *= 4);
@@ -306,9 +306,9 @@ fn changes(scene: &Scene, using: Use) -> Result<Vec<Change>, SimulateError> {
     Ok(changes)
 }
 
-/// What a changed scene says of the patches of the scene as it is.
+/// The effect of a changed scene on the patches of the original one.
 fn change(what: String, changed: &Scene, scene: &Scene, using: Use) -> Result<Change, SimulateError> {
-    // Bounces that are not used are not followed.
+    // Unused bounces need not be computed.
     let mut changed = changed.clone();
     changed.captures.bounces = using.bounces;
     let laboratory = Laboratory::new(&changed, 0)?;
@@ -328,7 +328,8 @@ fn change(what: String, changed: &Scene, scene: &Scene, using: Use) -> Result<Ch
     })
 }
 
-/// Where one more visible patch helps most: tried are the middles between pairs of visible patches, at the larger of their sizes, turned as they are.
+/// The best place for one more visible patch. Candidates are the middles between pairs of visible patches, with the
+/// larger of their sizes, and their orientation.
 fn best_spot(scene: &Scene, using: Use) -> Option<([f64; 3], Scene)> {
     let visible = scene.visible();
     let number = scene.patches.keys().chain(scene.views.keys()).max()? + 1;

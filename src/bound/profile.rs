@@ -1,4 +1,4 @@
-//! What the samples of one capture say of the times of its pulses.
+//! The information in the samples of one capture about the times of its pulses.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -9,28 +9,29 @@ use crate::simulate::transport::Light;
 use crate::simulate::{Laboratory, Pulse, Setting, Shooting};
 use crate::units::PatchId;
 
-/// Sub-sample phases over which shots are spread.
+/// Sub-sample phases among which shots are divided.
 const PHASES: usize = 4;
 /// Step of numerical derivatives in time.
 const STEP_PS: f64 = 1.0;
-/// Two pulses are apart if their difference from one is this much chi-square: told apart in 99 of 100 at a threshold of 20.
+/// Chi-square between two pulses and a single one from which they count as separate: they are resolved in 99 of 100
+/// cases at a threshold of 20.
 const APART: f64 = 46.0;
 
 /// A pulse of a profile.
 #[derive(Clone, Debug)]
 pub struct PulseBound {
-    /// Patches in the order in which the light met them.
+    /// Patches in the order in which the light meets them.
     pub path: Vec<PatchId>,
     /// Time of flight.
     pub time_ps: f64,
-    /// Matched-filter signal-to-noise ratio of the average, all else known.
+    /// Matched-filter signal-to-noise ratio of the average, with everything else known.
     pub snr: f64,
-    /// Bound of the time's standard deviation with all else in the profile unknown, the reference pulse's error included; `None` where the pulse
-    /// cannot be told from another, or is below the threshold.
+    /// Bound of the time's standard deviation, with everything else in the profile unknown and the reference pulse's
+    /// error included. `None` where the pulse is not resolved from another, or is below the threshold.
     pub time_sd_ps: Option<f64>,
 }
 
-/// What one capture says.
+/// The bound of one capture.
 #[derive(Clone, Debug)]
 pub struct ProfileBound {
     /// Sensor.
@@ -43,22 +44,22 @@ pub struct ProfileBound {
     pub seen: PatchId,
     /// All pulses, in order of time.
     pub pulses: Vec<PulseBound>,
-    /// Those above the threshold, as indices of `pulses`.
+    /// Pulses above the threshold, as indices of `pulses`.
     pub detected: Vec<usize>,
-    /// Neighbours among the detected pulses that are so near that the two are seen as one: the earlier of each such pair.
+    /// Unresolved neighbours among the detected pulses: the earlier of each pair.
     pub blends: Vec<usize>,
-    /// Information (1/ps^2) on the times of the detected pulses and, last, on the relative width of the response; amplitudes, baseline and the
-    /// reference pulse's error taken out.
+    /// Information (1/ps^2) on the times of the detected pulses and, last, on the relative width of the response.
+    /// Amplitudes, baseline and the reference pulse's error are marginalised.
     pub information: DMatrix<f64>,
 }
 
-/// All scene captures.
+/// Bounds of all scene captures.
 pub(super) fn all(laboratory: &Laboratory, threshold_sigma: f64) -> Vec<ProfileBound> {
     let scene = laboratory.shootings.par_iter().filter(|shooting| shooting.role == Role::Scene);
     scene.map(|shooting| profile(laboratory, shooting, threshold_sigma)).collect()
 }
 
-/// What a response capture says of (time, relative width).
+/// Information of a response capture on (time, relative width).
 pub(super) fn response(laboratory: &Laboratory, shooting: &Shooting) -> DMatrix<f64> {
     let samples = Samples::new(laboratory, shooting);
     let signal = laboratory.signal(shooting, &shooting.light);
@@ -90,7 +91,7 @@ fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -
             time_sd_ps: None,
         })
         .collect();
-    // A pulse beside the record has no information at all.
+    // A pulse outside the record has no information at all.
     let detected: Vec<usize> = (0..pulses.len()).filter(|&k| snrs[k] >= threshold_sigma && snrs[k] > 0.0).collect();
     let count = detected.len();
     let mut columns: Vec<Column> = detected.iter().map(|&k| Column::Time(&signals[k])).collect();
@@ -103,7 +104,8 @@ fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -
     let times_and_width: Vec<usize> = (0..count).chain([2 * count + 1]).collect();
     let kept = eliminate(&full, &times_and_width);
     let information = with_common_error(&kept, count, reference_variance_ps2(laboratory, shooting));
-    // The width is known from response captures far better than from one profile: for a single profile's own bound it is given.
+    // Response captures determine the width far better than one profile, so a single profile's own bound takes it as
+    // known.
     let times = information.view((0, 0), (count, count)).into_owned();
     if let Some(covariance) = inverse(&times) {
         for (i, &k) in detected.iter().enumerate() {
@@ -123,11 +125,11 @@ fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -
     }
 }
 
-/// Neighbours that are seen as one: the weaker pulse's height is known so badly beside the stronger's height and time that the two cost less than
-/// [`APART`] in chi-square to be taken for one.
+/// Unresolved neighbours. The weaker pulse's height, given the stronger's height and time as unknowns, is so uncertain
+/// that one pulse instead of two costs less than [`APART`] in chi-square.
 fn blends(detected: &[usize], full: &DMatrix<f64>) -> Vec<usize> {
     let count = detected.len();
-    // Information on pulse `own`'s height that no change of height and time of pulse `other` imitates.
+    // Information on the height of pulse `own` that no change of height and time of pulse `other` can imitate.
     let alone = |own: usize, other: usize| {
         let chosen = [count + own, other, count + other];
         let three = DMatrix::from_fn(3, 3, |r, c| full[(chosen[r], chosen[c])]);
@@ -136,14 +138,14 @@ fn blends(detected: &[usize], full: &DMatrix<f64>) -> Vec<usize> {
     (1..count).filter(|&i| alone(i, i - 1).min(alone(i - 1, i)) < APART).map(|i| detected[i - 1]).collect()
 }
 
-/// Variance of the error that the reference pulse leaves in the mean of all shots, common to all pulses of a profile.
+/// Variance of the reference pulse's error in the mean of all shots, which all pulses of a profile share.
 fn reference_variance_ps2(laboratory: &Laboratory, shooting: &Shooting) -> f64 {
     if shooting.counts {
         return 0.0;
     }
     let instrument = &laboratory.scene.instrument;
     let Some((pulse, setting)) = laboratory.reference_signal() else {
-        // Without reference the trigger's own jitter is what it is.
+        // Without a reference pulse, the trigger's jitter remains.
         return instrument.jitter_ps * instrument.jitter_ps / laboratory.good_shots(shooting);
     };
     let samples = Samples::analog(laboratory, &setting, None, laboratory.good_shots(shooting));
@@ -159,7 +161,7 @@ enum Column<'a> {
     Height(&'a Pulse),
     /// The baseline.
     Baseline,
-    /// The response's relative width: wide less narrow, over twice the step.
+    /// The response's relative width: wide minus narrow, over twice the step.
     Width(Pulse, Pulse, f64),
 }
 
@@ -176,14 +178,14 @@ impl Column<'_> {
     }
 }
 
-/// Change of pulses with the response's relative width, their maxima where they are.
+/// Change of pulses with the response's relative width, with their maxima in place.
 fn width_column<'a>(laboratory: &Laboratory, shooting: &Shooting, lights: &[&Light]) -> Column<'a> {
     let step = 1e-3;
     let stretched = |factor: f64| laboratory.stretched(shooting, lights, factor);
     Column::Width(stretched(1.0 + step), stretched(1.0 - step), step)
 }
 
-/// The samples of a capture: when (at each phase), how many times, and what their noise is like.
+/// The samples of a capture: their times at each phase, their number, and their noise.
 struct Samples {
     times: Vec<(Vec<f64>, Banded)>,
     shots: f64,
@@ -193,7 +195,7 @@ impl Samples {
     fn new(laboratory: &Laboratory, shooting: &Shooting) -> Self {
         let (t0_ps, dt_ps) = (laboratory.scene.instrument.t0_ps, laboratory.scene.instrument.dt_ps);
         if shooting.counts {
-            // Bins stand still; their variance is what they expect, and a dark count at least.
+            // Bins have fixed times. Their variance is the expectation, at least the dark count.
             let dark = laboratory.dark_counts(shooting).max(1e-9);
             let expected = laboratory.signal(shooting, &shooting.light);
             return Self {
@@ -205,7 +207,7 @@ impl Samples {
         Self::analog(laboratory, &shooting.setting, shot_v2.as_ref(), laboratory.good_shots(shooting))
     }
 
-    /// Shots at all phases, behind an oscilloscope at this setting.
+    /// Samples at all phases, from an oscilloscope at this setting.
     fn analog(laboratory: &Laboratory, setting: &Setting, shot_v2: Option<&Pulse>, shots: f64) -> Self {
         let instrument = &laboratory.scene.instrument;
         let acf: Vec<f64> = laboratory.noise_acf().iter().map(|acf| acf * setting.noise_v * setting.noise_v).collect();
@@ -231,7 +233,7 @@ impl Samples {
     }
 }
 
-/// Sample times from `start_ps`, and their noise: correlated, white, and by time from the light itself.
+/// Sample times from `start_ps`, and the noise: correlated, white, and shot noise over time.
 fn phase(laboratory: &Laboratory, start_ps: f64, acf: &[f64], white: f64, shot: Option<&Pulse>) -> (Vec<f64>, Banded) {
     let instrument = &laboratory.scene.instrument;
     let times: Vec<f64> = (0..instrument.samples).map(|n| start_ps + n as f64 * instrument.dt_ps).collect();
@@ -240,9 +242,9 @@ fn phase(laboratory: &Laboratory, start_ps: f64, acf: &[f64], white: f64, shot: 
     (times, noise)
 }
 
-/// Information on some unknowns when the others are unknown too (Schur's complement).
+/// Information on the unknowns to keep, with the others unknown too (Schur's complement).
 pub(super) fn eliminate(information: &DMatrix<f64>, kept: &[usize]) -> DMatrix<f64> {
-    // What nothing says anything about is tied to nothing.
+    // Unknowns without any information are uncorrelated with the rest.
     let said = |i: &usize| information[(*i, *i)] > 0.0;
     let others: Vec<usize> = (0..information.nrows()).filter(|i| !kept.contains(i)).filter(said).collect();
     let block = |rows: &[usize], columns: &[usize]| {
@@ -255,12 +257,12 @@ pub(super) fn eliminate(information: &DMatrix<f64>, kept: &[usize]) -> DMatrix<f
     let cross = block(kept, &others);
     match inverse(&block(&others, &others)) {
         Some(inverse) => &own - &cross * inverse * cross.transpose(),
-        // Heights that cannot be told apart leave no information on their times.
+        // Unresolved heights leave no information on their times.
         None => DMatrix::zeros(kept.len(), kept.len()),
     }
 }
 
-/// Information on times (the first `times` unknowns) and more, when all times share an error of this variance.
+/// Information on times (the first `times` unknowns) and others, when all times share an error of this variance.
 fn with_common_error(information: &DMatrix<f64>, times: usize, variance_ps2: f64) -> DMatrix<f64> {
     let shared = DVector::from_fn(information.nrows(), |i, _| if i < times { 1.0 } else { 0.0 });
     let pulled = information * &shared;

@@ -7,10 +7,9 @@
 //! raw/r.npy,,response,,,50,"[0, 500]"
 //! ```
 //! A row is a rule of its own for one file: it inherits the keys of the rule that names the table; its own cells
-//! replace them.
-//! Columns are `file`, `segment`, `reference_channel`, `reference_file`, and the keys of a rule. Cells are written as
-//! in
-//! campaign.toml, text without quotes. An empty cell means: as in the rule, else as in the file. Not read: Parquet.
+//! replace them. Columns are `file`, `segment`, `reference_channel`, `reference_file`, and the keys of a rule. Cells
+//! are written as in campaign.toml, text without quotes. An empty cell means: as in the rule, else as in the file. Not
+//! read: Parquet.
 
 use std::path::{Path, PathBuf};
 

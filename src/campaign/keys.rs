@@ -1,9 +1,8 @@
 //! The keys of `campaign.toml`, one struct per heading. Users write these files, so the keys are a contract.
 //!
 //! Frame: right-handed; metres, picoseconds, radians; in flatland (`dimensions = 2`) z = 0. Every struct refuses
-//! unknown
-//! keys. The values can be serialized, so that the fields that a stage reads enter its lineage; the folder itself never
-//! does.
+//! unknown keys. The values can be serialized, so that the fields that a stage reads enter its lineage; the folder
+//! itself never does.
 
 use std::collections::BTreeMap;
 use std::fmt;

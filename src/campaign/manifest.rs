@@ -1,11 +1,9 @@
 //! The manifest of a campaign folder: size, time of change and content hash of every raw file that was read or sealed.
 //!
 //! `DIR/manifest.json` has one line per file, sorted, each with its own checksum: you may delete a line, but a damaged
-//! one is
-//! noticed. Lineages use the hash (BLAKE3). Size and time only avoid hashing a file again: where they differ from the
-//! record,
-//! the content decides. A file that is rewritten with equal size and equal time stays unnoticed until `verify
-//! --rehash`.
+//! one is noticed. Lineages use the hash (BLAKE3). Size and time only avoid hashing a file again: where they differ
+//! from the record, the content decides. A file that is rewritten with equal size and equal time stays unnoticed until
+//! `verify --rehash`.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, Metadata};

@@ -1,12 +1,9 @@
 //! Where a part ends: content-defined cuts of a campaign's captures into parts of about `part_bytes`.
 //!
 //! A capture (or a reciprocal pair, which never straddles two parts) of `b` bytes closes its part under one condition:
-//! the
-//! first 64 bits of BLAKE3 of its key, as a fraction of 2^64, are below `b / part_bytes`. Parts then have that mean
-//! size if
-//! captures are far smaller, and their sizes follow an exponential distribution. The decision is local: a capture that
-//! joins
-//! a growing campaign moves no boundary except within the part where it falls.
+//! the first 64 bits of BLAKE3 of its key, as a fraction of 2^64, are below `b / part_bytes`. Parts then have that mean
+//! size if captures are far smaller, and their sizes follow an exponential distribution. The decision is local: a
+//! capture that joins a growing campaign moves no boundary except within the part where it falls.
 
 /// Default mean size of a part, in bytes of raw files.
 pub const PART_BYTES: u64 = 64 << 20;
@@ -14,8 +11,7 @@ pub const PART_BYTES: u64 = 64 << 20;
 /// Whether the capture or pair of this key is the last of its part.
 ///
 /// It has `bytes` bytes of raw files; parts have `part_bytes` in the mean. The key must be unique in the campaign, and
-/// the
-/// same in every call.
+/// the same in every call.
 #[must_use]
 pub fn closes_part(pair_key: &str, bytes: u64, part_bytes: u64) -> bool {
     let hash = blake3::hash(pair_key.as_bytes());

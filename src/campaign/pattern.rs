@@ -9,8 +9,8 @@
 //! | all else | itself |
 //!
 //! A repeated placeholder must have the same value everywhere. A path that can be read in two ways with different
-//! values is
-//! an error, not a match. Matching backtracks over the tokens. Not supported: `?`, `[a-z]`, escapes, and ignoring case.
+//! values is an error, not a match. Matching backtracks over the tokens. Not supported: `?`, `[a-z]`, escapes, and
+//! ignoring case.
 
 use std::fmt;
 use std::ops::Range;
@@ -108,8 +108,7 @@ impl Pattern {
     ///
     /// # Errors
     /// When it is not relative to the campaign folder, has an unknown placeholder, two placeholders without a sign
-    /// between
-    /// them, or a stray `{`, `}` or `**`.
+    /// between them, or a stray `{`, `}` or `**`.
     pub fn parse(text: &str) -> Result<Self, PatternError> {
         let fail = |problem: String| PatternError { pattern: text.to_owned(), problem };
         check_path(text).map_err(fail)?;

@@ -1,10 +1,8 @@
 //! Seals a campaign: records the content of its raw files, and later checks the files against that record.
 //!
 //! The first seal hashes every raw file. Later ones compare sizes and times, hash only files where these differ, and
-//! refuse
-//! changed files by name. New files are reported, and recorded on request. A missing file keeps its line, since its
-//! disk may
-//! be elsewhere today.
+//! refuse changed files by name. New files are reported, and recorded on request. A missing file keeps its line, since
+//! its disk may be elsewhere today.
 
 use std::fmt;
 use std::path::PathBuf;

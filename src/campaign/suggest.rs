@@ -1,8 +1,7 @@
 //! Finds the nearest valid word to a mistyped one, for error messages.
 //!
 //! Distance: optimal string alignment, ignoring case (insert, delete, replace, or swap two neighbours: cost 1 each). A
-//! word
-//! that lacks only the unit at its end (`dt` for `dt_ps`) costs 1. Not modelled: meaning, and the layout of the
+//! word that lacks only the unit at its end (`dt` for `dt_ps`) costs 1. Not modelled: meaning, and the layout of the
 //! keyboard.
 
 /// The candidate nearest to `word`, if it is near enough: at most a third of the longer word (rounded up) may differ.

@@ -1,10 +1,8 @@
 //! TOML text to values, with errors that name file, line, heading, key and the nearest valid key.
 //!
 //! Three sources make a message. Serde says what is wrong ("unknown field `postion_m`, expected one of ..."). The
-//! parser says
-//! where (a span of bytes). A second, untyped parse finds the heading of that span. A syntax error has no heading,
-//! since the
-//! text has no tree then.
+//! parser says where (a span of bytes). A second, untyped parse finds the heading of that span. A syntax error has no
+//! heading, since the text has no tree then.
 
 use std::fmt;
 use std::ops::Range;

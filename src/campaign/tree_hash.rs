@@ -1,6 +1,5 @@
 //! Hashes a file in ranges that several processes read. BLAKE3 is a tree of hashes: each process returns the subtrees
-//! of its
-//! range, and [`join`] combines them into the hash of the whole file.
+//! of its range, and [`join`] combines them into the hash of the whole file.
 
 use blake3::hazmat::{
     ChainingValue, HasherExt, Mode, left_subtree_len, max_subtree_len, merge_subtrees_non_root, merge_subtrees_root,

@@ -1,10 +1,8 @@
 //! The files of a campaign folder, in order.
 //!
 //! Some files are not raw: hidden files and folders (`.name`), `campaign.toml` and `manifest.json` of the folder
-//! itself, its
-//! folder `truth` (the ground truth of a simulated campaign), and result folders inside it. Links are followed, unless
-//! they
-//! lead back to a folder above.
+//! itself, its folder `truth` (the ground truth of a simulated campaign), and result folders inside it. Links are
+//! followed, unless they lead back to a folder above.
 
 use std::io;
 use std::path::{Path, PathBuf};

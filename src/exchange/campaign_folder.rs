@@ -1,4 +1,5 @@
-//! A capture as a campaign folder: campaign.toml, a table of captures, histograms and the response as NumPy arrays.
+//! Writes a capture as a campaign folder: campaign.toml, a table of captures, histograms and the response as NumPy
+//! arrays.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -17,42 +18,43 @@ const TABLE: &str = "captures.csv";
 const RESPONSE_TABLE: &str = "response.csv";
 const HISTOGRAMS: &str = "raw/histograms.npy";
 const RESPONSE: &str = "raw/response.npy";
-/// The detector, and where it stands if not where the laser is.
+/// Name of the detector, and of its station if that is not the laser's.
 const SENSOR: &str = "sensor";
 /// Points nearer than this are one patch.
 const SAME_M: f64 = 1e-6;
-/// Laser pulses of a histogram where nobody says how many: so many that no photon hides another.
+/// Default number of laser pulses of a histogram: so many that no photon hides another.
 const CYCLES: u64 = 1_000_000_000_000;
-/// How far in front of the wall laser and sensor stand where neither times nor file depend on it.
+/// Distance of laser and sensor from the wall, if neither times nor file depend on it.
 const FRONT_M: f64 = 1.0;
-/// The response lies about the arrival over a known path of this length, on both sides by so many of its standard deviations.
+/// Length of the known path of the response. The response extends to both sides of the arrival by a number of its
+/// standard deviations.
 const RESPONSE_PATH_M: f64 = 1.0;
 const RESPONSE_SIGMA: f64 = 6.0;
-/// Height of the response, in photons, or where none are counted on a scale of its own.
+/// Height of the response: in photons, or on an arbitrary scale for a sensor that does not count.
 const RESPONSE_COUNTS: f64 = 1e6;
-/// Shots of the response of a sensor that counts nothing, each later by as large a part of a bin.
+/// Shots of the response of a sensor that does not count; each starts an equal fraction of a bin later.
 const RESPONSE_SHOTS: usize = 8;
-/// A Gaussian's full width at half its maximum, in standard deviations.
+/// Full width at half maximum of a Gaussian, in standard deviations.
 const FWHM: f64 = 2.354_820_045_030_949_3;
 
-/// What a capture does not hold.
+/// What the campaign needs and a capture does not contain.
 #[derive(Clone, Debug)]
 pub struct Told {
     /// Name of the campaign.
     pub name: String,
     /// Full width at half maximum of laser pulse and sensor together.
     pub fwhm_ps: f64,
-    /// Of each axis of the grids, every so manieth point is kept.
+    /// Of each axis of the grids, only every `every`-th point is kept.
     pub every: usize,
     /// Standard deviation of each coordinate of the points; absent: exact.
     pub sd_m: Option<f64>,
-    /// Laser pulses behind each histogram; absent: so many that no photon hides another.
+    /// Laser pulses per histogram; absent: so many that no photon hides another.
     pub cycles: Option<u64>,
-    /// Time for which a detection blinds the sensor.
+    /// Dead time of the sensor after a detection.
     pub dead_time_ps: Option<f64>,
 }
 
-/// What was written.
+/// Size of the campaign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Written {
     /// Patches.
@@ -97,7 +99,7 @@ pub fn write(capture: &Capture, told: &Told, out: &Path) -> Result<Written, Exch
     Ok(Written { patches: folder.scene.patches.len(), histograms: folder.pairs.len(), counts })
 }
 
-/// Patches by their places, and the stations.
+/// The patches, their numbers by position, and the stations.
 struct Scene {
     patches: BTreeMap<PatchId, Spot>,
     numbers: BTreeMap<[i64; 3], PatchId>,
@@ -112,7 +114,7 @@ impl Scene {
             pairs.iter().map(|pair| grid.spots[place(pair)]).collect()
         };
         let (lit, seen) = (of(&capture.lit, &|pair| pair.lit), of(&capture.seen, &|pair| pair.seen));
-        // The larger grid is numbered first, so that points of both are in the order of either.
+        // The larger grid gets the first numbers, so that the points of both grids are in order.
         let larger_first = if capture.lit.spots.len() > capture.seen.spots.len() { [lit, seen] } else { [seen, lit] };
         for spot in larger_first.into_iter().flatten() {
             let next = numbers.len() as PatchId + 1;
@@ -133,7 +135,7 @@ impl Scene {
     }
 }
 
-/// A place, so that equal ones are found.
+/// Rounded position, so that equal ones compare equal.
 fn key(spot: &Spot) -> [i64; 3] {
     spot.position_m.map(|coordinate| (coordinate / SAME_M).round() as i64)
 }
@@ -142,7 +144,7 @@ fn gap_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-/// A point before the middle of the wall, on its lit side.
+/// A point in front of the middle of the wall, on its lit side.
 fn front_of(patches: &BTreeMap<PatchId, Spot>) -> [f64; 3] {
     let count = patches.len() as f64;
     let mean = |value: &dyn Fn(&Spot) -> [f64; 3]| {
@@ -154,12 +156,12 @@ fn front_of(patches: &BTreeMap<PatchId, Spot>) -> [f64; 3] {
     std::array::from_fn(|i| middle[i] + FRONT_M * normal[i])
 }
 
-/// Histograms of photons have all in one.
+/// Number of response shots: photon histograms hold all in one.
 fn response_shots(counts: bool) -> usize {
     if counts { 1 } else { RESPONSE_SHOTS }
 }
 
-/// A folder in the course of being written.
+/// A folder while it is written.
 struct Folder<'a> {
     capture: &'a Capture,
     told: &'a Told,
@@ -204,7 +206,8 @@ impl Folder<'_> {
         (RESPONSE_SIGMA * self.told.fwhm_ps / FWHM / self.capture.dt_ps).ceil() as usize + 1
     }
 
-    /// A Gaussian, summed up over each bin; shots of a sensor that does not count begin each a part of a bin earlier.
+    /// A Gaussian, integrated over each bin. Shots of a sensor that does not count start a fraction of a bin earlier
+    /// each.
     fn write_response(&self, file: &mut BufWriter<File>, counts: bool) -> io::Result<()> {
         let (dt_ps, sigma_ps, bins) = (self.capture.dt_ps, self.told.fwhm_ps / FWHM, self.response_bins());
         let shots = response_shots(counts);
@@ -226,7 +229,7 @@ impl Folder<'_> {
         }
     }
 
-    /// Time of the middle of the first bin, on the way from laser to sensor.
+    /// Time of the middle of the first bin, on the path from laser to sensor.
     fn t0_ps(&self, pair: &Pair) -> f64 {
         let [lit, seen] = self.spots(pair);
         let legs_m = if self.capture.with_legs {
@@ -241,7 +244,7 @@ impl Folder<'_> {
         let mut text = "file,segment,lit,seen,t0_ps\n".to_owned();
         for (segment, pair) in self.pairs.iter().enumerate() {
             let [lit, seen] = self.spots(pair).map(|spot| self.scene.number(&spot));
-            // A file of one record has no segments.
+            // A file with a single record has no segments.
             let segment = if self.pairs.len() > 1 { segment.to_string() } else { String::new() };
             writeln!(text, "{HISTOGRAMS},{segment},{lit},{seen},{:?}", self.t0_ps(pair))
                 .expect("a String takes all text");

@@ -2,24 +2,24 @@
 
 use crate::formats::array::Array;
 
-/// Histograms with the points that they belong to.
+/// Histograms with their points.
 #[derive(Clone, Debug)]
 pub struct Capture {
-    /// Format that it came from.
+    /// Original format.
     pub format: &'static str,
     /// Points that the laser lit.
     pub lit: Grid,
     /// Points that the sensor saw.
     pub seen: Grid,
-    /// Pairs of them, in the order in which they are stored.
+    /// Pairs of them, in the stored order.
     pub pairs: Vec<Pair>,
     /// Width of a bin.
     pub dt_ps: f64,
-    /// Where the light leaves, if the file says it.
+    /// Position of the laser, if the file gives it.
     pub laser_m: Option<[f64; 3]>,
-    /// Where it arrives, if the file says it.
+    /// Position of the sensor, if the file gives it.
     pub sensor_m: Option<[f64; 3]>,
-    /// Whether times include the ways from the laser to the lit point and from the seen point to the sensor.
+    /// Whether times include the paths from the laser to the lit point and from the seen point to the sensor.
     pub with_legs: bool,
     pub(super) histograms: Histograms,
 }
@@ -29,41 +29,41 @@ pub struct Capture {
 pub struct Grid {
     /// Lengths of the grid's axes; one axis: a list.
     pub axes: Vec<usize>,
-    /// The points, those of the last axis beside each other.
+    /// The points; the last axis is contiguous.
     pub spots: Vec<Spot>,
 }
 
 /// A point on a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spot {
-    /// Where it is.
+    /// Position.
     pub position_m: [f64; 3],
-    /// Unit vector towards the lit side, if the file says it.
+    /// Unit vector towards the lit side, if the file gives it.
     pub normal: Option<[f64; 3]>,
 }
 
 /// A histogram's points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
-    /// Place of the lit point in its grid.
+    /// Index of the lit point in its grid.
     pub lit: usize,
-    /// Place of the seen point.
+    /// Index of the seen point.
     pub seen: usize,
     /// Time at which its first bin begins.
     pub start_ps: f64,
-    /// Place of its first number in the array.
+    /// Index of its first number in the array.
     pub(super) offset: usize,
 }
 
-/// Where the histograms are in an array.
+/// Layout of the histograms in an array.
 #[derive(Clone, Debug)]
 pub(super) struct Histograms {
     pub array: Array,
     /// Bins of each.
     pub bins: usize,
-    /// From a bin to the next.
+    /// Distance from a bin to the next.
     pub stride: usize,
-    /// Parts that are added up, such as colours: places after that of the first.
+    /// Offsets of the components to be summed, such as colours, from the first.
     pub parts: Vec<usize>,
 }
 
@@ -95,7 +95,7 @@ impl Capture {
 }
 
 impl Grid {
-    /// Of an array of positions, x, y and z on its last axis, and one of normals.
+    /// From an array of positions, with x, y and z on its last axis, and one of normals.
     pub(super) fn new(name: &str, positions: &Array, normals: Option<&Array>) -> Result<Self, String> {
         let axes = match positions.axes.split_last() {
             Some((3, axes)) if positions.count() > 0 => axes.to_vec(),
@@ -119,7 +119,7 @@ impl Grid {
         Ok(Self { axes, spots })
     }
 
-    /// Whether a point stays where of each axis only every so manieth does.
+    /// Whether a point stays if only every `every`-th of each axis does.
     pub(super) fn keeps(&self, place: usize, every: usize) -> bool {
         let mut rest = place;
         self.axes.iter().rev().all(|length| {
@@ -130,13 +130,13 @@ impl Grid {
     }
 }
 
-/// A direction as unit vector; `None` where it has no length.
+/// A direction as unit vector; `None` if it has no length.
 fn unit(direction: [f64; 3]) -> Option<[f64; 3]> {
     let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
     (length.is_finite() && length > 0.0).then(|| direction.map(|x| x / length))
 }
 
-/// From a number to the next along each axis.
+/// Distance from a number to the next along each axis.
 pub(super) fn strides(axes: &[usize]) -> Vec<usize> {
     let mut strides = vec![1; axes.len()];
     for axis in (1..axes.len()).rev() {

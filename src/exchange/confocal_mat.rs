@@ -1,18 +1,19 @@
 //! Confocal scans as MAT-files of the light-cone transform and f-k migration: `rect_data` or `meas` (x, y, time).
 //!
-//! The points are a square on the plane z = 0 about the origin, ends included, hidden things at z > 0; `width` is half of its side. Times of `rect_data` count
-//! from the light's arrival at each point; those of `meas` from the laser's trigger, and `tofgrid` (ps) is what each point's are late.
-//! Source: the demonstration scripts of O'Toole, Lindell and Wetzstein (Nature 555:338, 2018) and of Lindell, Wetzstein and O'Toole (ACM TOG 38:116, 2019).
+//! The points form a square on the plane z = 0 about the origin, ends included; hidden objects are at z > 0. `width` is
+//! half of its side. Times of `rect_data` count from the light's arrival at each point; those of `meas` from the
+//! laser's trigger, and `tofgrid` (ps) is the delay of each point. Source: the demonstration scripts of O'Toole,
+//! Lindell and Wetzstein (Nature 555:338, 2018) and of Lindell, Wetzstein and O'Toole (ACM TOG 38:116, 2019).
 
 use super::capture::{Capture, Grid, Histograms, Pair, Spot};
 use super::read::Unsaid;
 use super::y_tal::single;
 use crate::formats::array::Arrays;
 
-/// What is read.
+/// Names of the arrays that are read.
 pub(super) const NAMES: [&str; 4] = ["rect_data", "meas", "width", "tofgrid"];
 
-/// From the arrays of a file, and those of the file with `tofgrid`.
+/// Reads the arrays of a file, and those of the file with `tofgrid`.
 pub(super) fn read(mut arrays: Arrays, unsaid: &Unsaid, delays: Option<&Arrays>) -> Result<Capture, String> {
     let is_raw = !arrays.contains_key("rect_data");
     let data = arrays.remove(if is_raw { "meas" } else { "rect_data" }).ok_or("has no rect_data")?;

@@ -1,15 +1,16 @@
-//! What goes to and comes from other programs: captures of non-line-of-sight imaging to campaigns, results to files that others open.
+//! Exchange with other programs: captures of non-line-of-sight imaging become campaigns, results become files for
+//! others.
 //!
 //! | file | question |
 //! |---|---|
-//! | `capture` | what is a capture, whatever file it came from? |
-//! | `read` | which file is it? |
-//! | `y_tal`, `z_nlos`, `confocal_mat` | where does each format keep what? |
-//! | `campaign_folder` | as which campaign can it be run? |
+//! | `capture` | what is a capture, whatever its format? |
+//! | `read` | which format has a file? |
+//! | `y_tal`, `z_nlos`, `confocal_mat` | where does each format store what? |
+//! | `campaign_folder` | which campaign does it become? |
 //! | `ply` | patches as a point cloud |
 //! | `profiles_to_capture`, `y_tal_file` | profiles as a capture of y-tal |
 //!
-//! Light is in vacuum here: these formats know no medium, and give times as the lengths of path that light goes in them.
+//! Light is in vacuum here: these formats have no medium, and give times as path lengths.
 
 mod campaign_folder;
 mod capture;
@@ -29,7 +30,7 @@ pub use profiles_to_capture::capture_of;
 pub use read::{Unsaid, read};
 pub use y_tal_file::write as write_y_tal;
 
-/// Why something was not exchanged.
+/// Why an exchange failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
     /// The file cannot be read, or contradicts its format.
@@ -40,12 +41,12 @@ pub enum ExchangeError {
         /// Cause.
         source: crate::formats::FormatError,
     },
-    /// What is in it cannot be used.
+    /// Its content cannot be used.
     #[error("{}: {problem}", path.display())]
     Unfit {
         /// File or folder.
         path: PathBuf,
-        /// What, and the mend.
+        /// What is wrong, and how to fix it.
         problem: String,
     },
     /// A file cannot be written.

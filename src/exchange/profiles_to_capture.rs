@@ -19,8 +19,9 @@ struct Timed<'a> {
     start_ps: f64,
 }
 
-/// The capture that the scene's profiles of a campaign make. Places are those of `patches`, else the anchors of the campaign; times are those from laser to sensor, or from wall to
-/// wall where only these begin in whole bins. Samples between bins are interpolated, band-limited.
+/// The capture that the scene's profiles of a campaign make. Places are those of `patches`, else the anchors of the
+/// campaign; times are those from laser to sensor, or from wall to wall where only these begin in whole bins. Samples
+/// between bins are interpolated, band-limited.
 ///
 /// # Errors
 /// When the profiles are of several sensors, ranges or time steps, or a patch has no place, or pairs are missing; the text names the mend.

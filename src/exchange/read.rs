@@ -1,4 +1,4 @@
-//! Files of captures, told apart by what is in them.
+//! Reads files of captures; their content decides the format.
 
 use std::path::Path;
 
@@ -7,15 +7,15 @@ use crate::formats::array::Arrays;
 use crate::formats::hdf5::{self, Hdf5};
 use crate::formats::{FormatError, Input, Reader, Source, mat5};
 
-/// Bytes by which a file is known; MATLAB writes so many less eight before HDF5.
+/// Bytes that identify a format. MATLAB writes this many, minus eight, before HDF5.
 const HEAD_BYTES: u64 = 520;
 
-/// What a file may leave unsaid.
+/// Values for what a file does not contain.
 #[derive(Clone, Debug, Default)]
 pub struct Unsaid<'a> {
     /// Width of a bin.
     pub dt_ps: Option<f64>,
-    /// Side of the square that was scanned.
+    /// Side of the scanned square.
     pub wall_m: Option<f64>,
     /// Time at which the first bin begins.
     pub start_ps: Option<f64>,
@@ -26,7 +26,7 @@ pub struct Unsaid<'a> {
 /// Reads a capture.
 ///
 /// # Errors
-/// When the file cannot be read, is of another format, or leaves something unsaid.
+/// When the file cannot be read, has another format, or lacks a value that `defaults` does not give either.
 pub fn read(path: &Path, unsaid: &Unsaid) -> Result<Capture, ExchangeError> {
     let unfit = |problem: String| ExchangeError::Unfit { path: path.to_owned(), problem };
     let (arrays, names) = arrays(path)?;
@@ -57,7 +57,7 @@ pub fn read(path: &Path, unsaid: &Unsaid) -> Result<Capture, ExchangeError> {
     Ok(capture)
 }
 
-/// The arrays that any of the formats needs, and the names of all.
+/// The arrays that any of the formats needs, and the names of all arrays.
 fn arrays(path: &Path) -> Result<(Arrays, Vec<String>), ExchangeError> {
     let failed = |source: FormatError| ExchangeError::Read { path: path.to_owned(), source };
     let wanted = |name: &str| [&y_tal::NAMES[..], &z_nlos::NAMES, &confocal_mat::NAMES].concat().contains(&name);

@@ -1,14 +1,15 @@
-//! Captures of y-tal (`tal.io`): HDF5 with `H`, `H_format`, grids of points, and times as lengths of path in metres.
+//! Captures of y-tal (`tal.io`): HDF5 with `H`, `H_format`, grids of points, and times as path lengths in metres.
 //!
-//! Bin i holds the light of paths from `t_start + i delta_t` to `t_start + (i + 1) delta_t`. `H` is (T, Sx, Sy), (T, Lx, Ly, Sx, Sy), (T, Si) or (T, Li, Si).
-//! In the two without laser axes one point may be lit, or point i with point i seen: confocal where both are the same. Source: the
-//! documentation of `NLOSCaptureData` and `HFormat` in y-tal 0.20.
+//! Bin i holds the light of paths from `t_start + i delta_t` to `t_start + (i + 1) delta_t`. `H` is (T, Sx, Sy), (T,
+//! Lx, Ly, Sx, Sy), (T, Si) or (T, Li, Si). Without laser axes, either one point is lit for all, or point i is lit for
+//! seen point i: confocal if both are the same. Source: the documentation of `NLOSCaptureData` and `HFormat` in y-tal
+//! 0.20.
 
 use super::capture::{Capture, Grid, Histograms, Pair};
 use crate::formats::array::{Array, Arrays};
 use crate::units;
 
-/// What is read.
+/// Names of the arrays that are read.
 pub(super) const NAMES: [&str; 11] = [
     "H",
     "H_format",
@@ -23,7 +24,7 @@ pub(super) const NAMES: [&str; 11] = [
     "t_accounts_first_and_last_bounces",
 ];
 
-/// From the arrays of a file.
+/// Reads the arrays of a file.
 pub(super) fn read(mut arrays: Arrays) -> Result<Capture, String> {
     let of_length = |length_m: f64| units::time_ps(length_m, 1.0);
     let h = arrays.remove("H").ok_or("has no H")?;
@@ -77,7 +78,7 @@ fn grid(arrays: &Arrays, positions: &str, normals: &str) -> Result<Grid, String>
     Grid::new(positions, arrays.get(positions).ok_or_else(|| format!("has no {positions}"))?, arrays.get(normals))
 }
 
-/// A single number, if it is there.
+/// A single number, if it exists.
 pub(super) fn single(arrays: &Arrays, name: &str) -> Result<Option<f64>, String> {
     let number = |array: &Array| match array.values()[..] {
         [value] if value.is_finite() => Ok(value),
@@ -86,12 +87,12 @@ pub(super) fn single(arrays: &Arrays, name: &str) -> Result<Option<f64>, String>
     arrays.get(name).map(number).transpose()
 }
 
-/// The same where it must be there.
+/// A single number that must exist.
 pub(super) fn need(arrays: &Arrays, name: &str) -> Result<f64, String> {
     single(arrays, name)?.ok_or_else(|| format!("has no {name}; write it"))
 }
 
-/// A position, if it is there.
+/// A position, if it exists.
 pub(super) fn point(arrays: &Arrays, name: &str) -> Result<Option<[f64; 3]>, String> {
     let point = |array: &Array| match array.values()[..] {
         [x, y, z] if [x, y, z].iter().all(|coordinate| coordinate.is_finite()) => Ok([x, y, z]),

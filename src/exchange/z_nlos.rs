@@ -1,15 +1,17 @@
-//! Captures of the Zaragoza data set (Z-NLOS): HDF5 with `data`, by colour and bounce, and times as lengths of path in metres.
+//! Captures of the Zaragoza data set (Z-NLOS): HDF5 with `data`, by colour and bounce, and times as path lengths in
+//! metres.
 //!
-//! `data` comes with its axes in two orders, told apart by lengths as y-tal does: (colour, time, bounce, sy, sx, ly, lx), or the reverse of place and
-//! time: (ly, lx, sy, sx, bounce, time, colour); confocal captures have no laser axes. All bounces and colours are added up, as a sensor
-//! would. Source: `tal/io/format.py` of y-tal 0.20, whose reading of a file the tests compare.
+//! `data` has its axes in one of two orders, which their lengths distinguish, as in y-tal: (colour, time, bounce, sy,
+//! sx, ly, lx), or the reverse of place and time: (ly, lx, sy, sx, bounce, time, colour). Confocal captures have no
+//! laser axes. All bounces and colours are summed, as a sensor would do. Source: `tal/io/format.py` of y-tal 0.20; the
+//! tests compare with its reading of a file.
 
 use super::capture::{Capture, Grid, Histograms, Pair, strides};
 use super::y_tal::{need, point};
 use crate::formats::array::{Array, Arrays};
 use crate::units;
 
-/// What is read.
+/// Names of the arrays that are read.
 pub(super) const NAMES: [&str; 9] = [
     "data",
     "cameraPosition",
@@ -22,10 +24,10 @@ pub(super) const NAMES: [&str; 9] = [
     "t0",
 ];
 
-/// Bounces that a file holds one by one.
+/// Bounces that a file stores one by one.
 const BOUNCES: usize = 6;
 
-/// Which axis of `data` is which. Points: first and second axis of their grid.
+/// The meaning of each axis of `data`. Points: first and second axis of their grid.
 struct Order {
     colour: usize,
     time: usize,
@@ -49,7 +51,7 @@ impl Order {
     }
 }
 
-/// From the arrays of a file.
+/// Reads the arrays of a file.
 pub(super) fn read(mut arrays: Arrays) -> Result<Capture, String> {
     let data = arrays.remove("data").ok_or("has no data")?;
     let order = Order::of(&data.axes).ok_or_else(|| {
@@ -109,7 +111,7 @@ pub(super) fn read(mut arrays: Arrays) -> Result<Capture, String> {
     })
 }
 
-/// Positions and normals under a name, of which x, y and z may stand on the first axis: then all axes are in reverse order.
+/// Positions and normals. If x, y and z are on the first axis, all axes are in reverse order.
 fn grid(arrays: &Arrays, name: &str) -> Result<Grid, String> {
     let positions = format!("{name}Positions");
     let array = arrays.get(&positions).ok_or_else(|| format!("has no {positions}"))?;

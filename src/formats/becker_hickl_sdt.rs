@@ -1,22 +1,17 @@
 //! Becker & Hickl .sdt: histograms of photons, counted by an SPC module over its time axis.
 //!
 //! Bin i is at i * dt with dt = tac_r / (tac_g * adc_re): range and gain of the time-to-amplitude converter, and points
-//! of
-//! its ADC, from the measurement description of the block. The stored axis runs forward in time, although the modules
-//! measure from the photon to the next reference pulse. The position of that pulse on the axis depends on cables and
-//! delays,
-//! so that only differences between channels of one set-up have a meaning.
+//! of its ADC, from the measurement description of the block. The stored axis runs forward in time, although the
+//! modules measure from the photon to the next reference pulse. The position of that pulse on the axis depends on
+//! cables and delays, so that only differences between channels of one set-up have a meaning.
 //!
 //! Each curve is a record. A block holds one curve (DECAY) or a set of them (PAGE). Channels are named by module and
-//! number
-//! of the curve, those of FIFO measurements by their routing channel. Counts are u16, u32 or f64. Each read unpacks
-//! compressed blocks and checks their CRC-32 where they have one.
+//! number of the curve, those of FIFO measurements by their routing channel. Counts are u16, u32 or f64. Each read
+//! unpacks compressed blocks and checks their CRC-32 where they have one.
 //!
 //! Other contents (correlation curves, images, moments: FCS, FIDA, FILDA, MCS, IMG, MOM) are omitted next to curves,
-//! and
-//! refused by name where they are alone. Refused as well: curves of FIFO measurements before software 8.3, which share
-//! one
-//! block. Events (.spc) are not read. `acquired_at` is `None` where day and month of the date are ambiguous.
+//! and refused by name where they are alone. Refused as well: curves of FIFO measurements before software 8.3, which
+//! share one block. Events (.spc) are not read. `acquired_at` is `None` where day and month of the date are ambiguous.
 //!
 //! Source: SPC_data_file_structure.h, which comes with the vendor's software. Tested on files that the tests build, for
 //! which `sdtfile` reads the same counts and times.

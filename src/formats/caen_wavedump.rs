@@ -5,17 +5,13 @@
 //! length.
 //!
 //! The file has no volts, no sample rate and no trigger position: values are the codes; `dt_s`, `t0_s` and `trigger_s`
-//! are
-//! `None`. The campaign must give rate, range and post-trigger, which are in the `WaveDumpConfig.txt` of the run. The
-//! trigger time tag is not read: it wraps, and its tick depends on the board.
+//! are `None`. The campaign must give rate, range and post-trigger, which are in the `WaveDumpConfig.txt` of the run.
+//! The trigger time tag is not read: it wraps, and its tick depends on the board.
 //!
 //! Refused where they are recognised: 8 bit boards (721, 731: one byte per code) and the 742 (floats), by codes beyond
-//! 14
-//! bits in the first event; files without headers (record with `OUTPUT_FILE_HEADER YES`). Text (`OUTPUT_FILE_FORMAT
-//! ASCII`)
-//! is for the CSV reader, which gets all `.dat` files that are not recognised. Events of unequal length were tested on
-//! files
-//! that the tests build; all else on real files of a DT5751.
+//! 14 bits in the first event; files without headers (record with `OUTPUT_FILE_HEADER YES`). Text (`OUTPUT_FILE_FORMAT
+//! ASCII`) is for the CSV reader, which gets all `.dat` files that are not recognised. Events of unequal length were
+//! tested on files that the tests build; all else on real files of a DT5751.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -2,21 +2,16 @@
 //! opposite sign of the origin: see [`super::rigol_bin`].
 //!
 //! Samples are volts already; sample i is at X Origin + i * X Increment after the trigger. A file holds waveforms, each
-//! with
-//! one buffer of samples, or two in peak detect: the maxima and the minima. All is little-endian.
+//! with one buffer of samples, or two in peak detect: the maxima and the minima. All is little-endian.
 //!
 //! Segmented memory: each segment is a waveform of its own; all of channel 1 precede those of channel 2. A segment has
-//! a
-//! rising Segment Index and a Time Tag, in seconds after the first trigger; both are zero in other files. Therefore
-//! waveforms
-//! of one label with rising indices are the segments of one channel. A channel without label is named by its place in
-//! the
-//! file: `wf0`, `wf1`. Histograms and points with times of their own are refused.
+//! a rising Segment Index and a Time Tag, in seconds after the first trigger; both are zero in other files. Therefore
+//! waveforms of one label with rising indices are the segments of one channel. A channel without label is named by its
+//! place in the file: `wf0`, `wf1`. Histograms and points with times of their own are refused.
 //!
 //! Source: Keysight, InfiniiVision 2000 X-Series User's Guide and Infiniium 90000 Programmer's Reference, "Binary
-//! Header
-//! Format". Tested on real files: `AG10` of one and two channels, normal and logic. Tested only on files that the tests
-//! build: `AG01`, `AG03`, segments, peak detect, averages, spectra and dates in words.
+//! Header Format". Tested on real files: `AG10` of one and two channels, normal and logic. Tested only on files that
+//! the tests build: `AG01`, `AG03`, segments, peak detect, averages, spectra and dates in words.
 
 mod date;
 mod encode;

@@ -1,14 +1,11 @@
 //! LeCroy traces of the template LECROY_1_0 (.000), which the 7200A of the 1990s wrote: one descriptor of 320 bytes,
-//! then
-//! trigger times, then codes.
+//! then trigger times, then codes.
 //!
 //! volts = VERTICAL_GAIN * code - VERTICAL_OFFSET; sample i is at HORIZ_OFFSET + i * HORIZ_INTERVAL after the trigger.
-//! In a
-//! sequence, TRIGTIME gives each segment its own offset. Source: the template that the instrument prints.
+//! In a sequence, TRIGTIME gives each segment its own offset. Source: the template that the instrument prints.
 //!
 //! ACQ_VERT_OFFSET is not the offset: it is in divisions of the screen, 2.5 where VERTICAL_OFFSET is 0.125 V at 50 mV
-//! per
-//! division. One public reader uses it, which puts a real 7200A trace that was triggered at 13 mV between -2.42 and
+//! per division. One public reader uses it, which puts a real 7200A trace that was triggered at 13 mV between -2.42 and
 //! -2.33 V. The template's formula puts the trace between -46 and 43 mV.
 //!
 //! Not read: a second data array; records interleaved from several triggers; sequences with uncorrected trigger times.

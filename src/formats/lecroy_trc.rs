@@ -1,12 +1,9 @@
 //! LeCroy `.trc`, template `LECROY_2_3`: 8 and 16 bit codes, either byte order, with or without the `#9` block prefix.
-//! Both
-//! single records and sequences are read; each segment of a sequence has its own sub-sample trigger time.
+//! Both single records and sequences are read; each segment of a sequence has its own sub-sample trigger time.
 //!
 //! Offsets count from the bytes `WAVEDESC`. Source: LeCroy's remote control manual (the template that the instrument
-//! prints
-//! on `TMPL?`). The older template LECROY_1_0 has a reader of its own. Other templates are refused by name, and so are
-//! RIS
-//! and dual arrays.
+//! prints on `TMPL?`). The older template LECROY_1_0 has a reader of its own. Other templates are refused by name, and
+//! so are RIS and dual arrays.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -294,8 +291,7 @@ pub struct Acquired {
 /// Writes a sequence as one little-endian file. All segments have equal length.
 ///
 /// A segment is the time of its trigger after the first one (s), the time of its sample 0 (s), and its codes. Codes of
-/// an
-/// 8 bit converter are stored as bytes and must fit; others are stored as words.
+/// an 8 bit converter are stored as bytes and must fit; others are stored as words.
 ///
 /// # Errors
 /// When `out` cannot be written.

@@ -4,8 +4,7 @@
 //! A header of 128 bytes precedes a list of elements. Since version 7, the whole element of a variable is deflated. A
 //! variable holds its flags, dimensions, name and numbers; the numbers may have a narrower type than the variable. The
 //! first dimension varies fastest, so that the axes appear here in reverse order, as in HDF5 files of version 7.3.
-//! Sparse,
-//! complex, text, cell and struct variables are skipped. Source: MathWorks, *MAT-File Format*.
+//! Sparse, complex, text, cell and struct variables are skipped. Source: MathWorks, *MAT-File Format*.
 
 use super::array::{self, Array, Arrays};
 use super::inflate::{self, Packing, Unpacker};

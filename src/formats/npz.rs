@@ -2,8 +2,7 @@
 //!
 //! Each array is a channel with the member's name: its last axis counts samples, the leading ones count segments. The
 //! file has no scale and no time base, so values are the numbers themselves. An array named `time` is a channel like
-//! any
-//! other. Single numbers (arrays without axes) are omitted. Each read unpacks deflated members and compares their
+//! any other. Single numbers (arrays without axes) are omitted. Each read unpacks deflated members and compares their
 //! checksums at the end; stored members are not compared.
 //!
 //! Refused by name: Zip64 (arrays of 4 GiB and more), encryption, and what the `.npy` reader refuses. Tested on files

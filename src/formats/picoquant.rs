@@ -2,16 +2,11 @@
 //! photon; this reader builds the histograms).
 //!
 //! A file is a list of tags (name, index, type, value), then data. Bin i is at `t0_s` + i * dt. .phu: one record for
-//! each
-//! curve; dt is HistResDscr_MDescResolution, `t0_s` HistResDscr_MDescOffset (ns). .ptu in T3 mode: one record for each
-//! input
-//! channel with photons; dt is MeasDesc_Resolution, `t0_s` MeasDesc_Offset (ns). All have as many bins as the latest
-//! photon
-//! of the file needs; markers are not counted. The instrument subtracts the offset (0 by default) from each time after
-//! the
-//! sync. Channel numbers are those of the file: PicoHarps count from 1, others from 0. Several curves of one channel
-//! are
-//! its segments.
+//! each curve; dt is HistResDscr_MDescResolution, `t0_s` HistResDscr_MDescOffset (ns). .ptu in T3 mode: one record for
+//! each input channel with photons; dt is MeasDesc_Resolution, `t0_s` MeasDesc_Offset (ns). All have as many bins as
+//! the latest photon of the file needs; markers are not counted. The instrument subtracts the offset (0 by default)
+//! from each time after the sync. Channel numbers are those of the file: PicoHarps count from 1, others from 0. Several
+//! curves of one channel are its segments.
 //!
 //! Pile-up corrections need the number of sync cycles, which a record cannot hold: the campaign gives it. T2 mode is
 //! refused, since it has no sync period to make a histogram over. Older formats (.pt3, .ht3, .phd, .thd) are not read.

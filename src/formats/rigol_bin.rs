@@ -3,10 +3,8 @@
 //!
 //! Samples are volts already. The manual calls X Origin the time of the first sample, but the files give it with the
 //! opposite sign: sample i is at -(X Origin) + i * X Increment after the trigger. Both fields are f64 with values
-//! rounded
-//! to f32: at 2.5 MS/s, times are 0.1 ns off after 10 ms. Rigol's waveforms are channels, never segments: their headers
-//! have
-//! no Time Tag, and all have index 1. What is read and refused is as in [`super::keysight_bin`].
+//! rounded to f32: at 2.5 MS/s, times are 0.1 ns off after 10 ms. Rigol's waveforms are channels, never segments: their
+//! headers have no Time Tag, and all have index 1. What is read and refused is as in [`super::keysight_bin`].
 //!
 //! Source: Rigol, MSO8000 and DHO1000 User Guides, "Binary Header Format". Tested on real files: both versions, normal
 //! waveforms of 2 and 4 channels. Tested only on files that the tests build: peak detect, averages and logic.

@@ -1,25 +1,20 @@
 //! Rohde & Schwarz RTO, RTE, RTP: settings in XML (`NAME.bin`), samples in a companion file (`NAME.Wfm.bin`).
 //!
 //! The companion begins with the type of the samples and the samples of one acquisition and channel (two u32).
-//! Acquisitions
-//! follow, oldest first: a time stamp (f64, where TimestampState is on), then rows of LeadingSettlingSamples,
-//! RecordLength
-//! and trailing samples. A row is x (f64, in the XY form only) and one value of each channel. Everything is
-//! little-endian:
-//! ByteOrder gives MSB first even for files that are not. Source: user manual ("Raw data", "Export of history"), the
-//! vendor's RTxReadBin 2.3, and real files of an RTP.
+//! Acquisitions follow, oldest first: a time stamp (f64, where TimestampState is on), then rows of
+//! LeadingSettlingSamples, RecordLength and trailing samples. A row is x (f64, in the XY form only) and one value of
+//! each channel. Everything is little-endian: ByteOrder gives MSB first even for files that are not. Source: user
+//! manual ("Raw data", "Export of history"), the vendor's RTxReadBin 2.3, and real files of an RTP.
 //!
 //! Raw codes: volts = VerticalScale * VerticalDivisionCount / NofQuantisationLevels * code + VerticalOffset -
 //! VerticalPosition * VerticalScale; floats are volts. Sample i is at XStart + i * (XStop - XStart) / RecordLength
-//! after the
-//! trigger. In the XY form it counts from the record's own first x, which includes the sub-sample part of the trigger
-//! time.
-//! The other forms give no usable sub-sample part (TOADone and ISO_TRG are not documented): export XY for picoseconds.
+//! after the trigger. In the XY form it counts from the record's own first x, which includes the sub-sample part of the
+//! trigger time. The other forms give no usable sub-sample part (TOADone and ISO_TRG are not documented): export XY for
+//! picoseconds.
 //!
 //! An envelope has two records for each channel, minima before maxima. Not read: logic channels (the packing of their
-//! bits
-//! is not documented), 24 and 32 bit codes, firmware before 2.0. Tested only on files that the tests build: raw codes,
-//! histories, envelopes, spectra.
+//! bits is not documented), 24 and 32 bit codes, firmware before 2.0. Tested only on files that the tests build: raw
+//! codes, histories, envelopes, spectra.
 
 use std::ops::Range;
 use std::sync::Arc;

@@ -4,14 +4,11 @@
 //! value = the code itself (32 bit floats, little-endian); sample i of a channel is i / samplerate after the first. The
 //! file gives no unit and no trigger position: `unit` and `t0_s` are `None`. Section `[device 1]` names the channels as
 //! `analog<number>=<name>`. Their samples are the members `analog-1-<number>-<chunk>`, with chunks counted from 1: 10
-//! comes
-//! after 9. Source: sigrok wiki, "File format:Sigrok/v2".
+//! comes after 9. Source: sigrok wiki, "File format:Sigrok/v2".
 //!
 //! Not read: logic levels (`logic-1-<chunk>`), which are omitted next to analog channels and refused by name where they
-//! are
-//! alone; version 1, which has no analog channels. Tested on real files; several chunks and stored members only on
-//! files
-//! that the tests build.
+//! are alone; version 1, which has no analog channels. Tested on real files; several chunks and stored members only on
+//! files that the tests build.
 
 use std::collections::BTreeSet;
 use std::io;

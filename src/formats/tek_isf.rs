@@ -2,8 +2,7 @@
 //! codes.
 //!
 //! volts = YMULT * (code - YOFF) + YZERO; sample i is at XZERO + (i - PT_OFF) * XINCR after the trigger. The file has
-//! no
-//! date. Records of minima and maxima (peak detect, envelope: PT_FMT ENV) and of spectra (x axis not in seconds) get
+//! no date. Records of minima and maxima (peak detect, envelope: PT_FMT ENV) and of spectra (x axis not in seconds) get
 //! their kind.
 
 use std::sync::Arc;

@@ -2,23 +2,18 @@
 //!
 //! volts = scale * code + offset of explicit dimension 1. Sample i of a frame is at offset + (TT offset + i) * scale of
 //! implicit dimension 1 after the trigger; each frame has its own TT offset, a fraction of a sample. The samples are
-//! those
-//! from the data start to the postcharge start of a frame's curve. The instrument keeps further samples around them for
-//! interpolation, which are not part of the record. A frame whose curve object is all zeros uses that of frame 0. Codes
-//! are
-//! 8, 16 or 32 bit integers or floats; 64 bit integers are refused, since an f64 cannot hold them.
+//! those from the data start to the postcharge start of a frame's curve. The instrument keeps further samples around
+//! them for interpolation, which are not part of the record. A frame whose curve object is all zeros uses that of frame
+//! 0. Codes are 8, 16 or 32 bit integers or floats; 64 bit integers are refused, since an f64 cannot hold them.
 //!
 //! The sum of all bytes follows the curves and is verified. Some files then have a `tekmeta!` trailer, which identifies
 //! digital lines and I/Q records (I and Q alternate). A summary frame is the last one, named average or envelope.
-//! Waveform
-//! databases, pixel maps, histograms and XY records are pictures, not samples in order of time, and are refused by
-//! name.
-//! The curve object's own checksum and display settings are not read.
+//! Waveform databases, pixel maps, histograms and XY records are pictures, not samples in order of time, and are
+//! refused by name. The curve object's own checksum and display settings are not read.
 //!
 //! Source: Tektronix, Performance Oscilloscope Reference Waveform File Format, 077-0220. Tested on real files:
-//! `WFM#003` in
-//! little-endian order, single, FastFrame and digital. Tested only on files that the tests build: versions 1 and 2,
-//! big-endian order, floats, summary frames, envelopes, spectra, I/Q.
+//! `WFM#003` in little-endian order, single, FastFrame and digital. Tested only on files that the tests build: versions
+//! 1 and 2, big-endian order, floats, summary frames, envelopes, spectra, I/Q.
 
 mod checksum;
 mod encode;

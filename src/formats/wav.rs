@@ -6,8 +6,7 @@
 //! Data Specifications 1.0; WAVEFORMATEXTENSIBLE).
 //!
 //! Refused by name: RF64, BW64 and W64 (beyond 4 GiB), RIFX (big-endian), compressed samples. Only 8 bit mono was
-//! tested
-//! on a real file, the rest on files that the tests build.
+//! tested on a real file, the rest on files that the tests build.
 
 use std::io::{self, SeekFrom};
 use std::ops::ControlFlow;

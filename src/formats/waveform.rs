@@ -1,8 +1,7 @@
 //! One record of an oscilloscope, whatever the vendor: raw codes, and how they become volts and seconds.
 //!
 //! volts = gain * code + offset; sample `i` is at `t0_s + i * dt_s` after the trigger. `t0_s` includes the sub-sample
-//! part
-//! of the trigger time: without it, times are off by up to one sample.
+//! part of the trigger time: without it, times are off by up to one sample.
 
 use std::fmt::Debug;
 use std::io::{self, Read, Seek, SeekFrom};

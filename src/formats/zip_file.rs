@@ -2,8 +2,7 @@
 //!
 //! Lengths and checksums come from the central directory (APPNOTE 4.3.12). Local headers are unreliable: writers that
 //! stream leave zeros there, and NumPy writes Zip64 fields even for small members. Three kinds of members are refused
-//! by
-//! name: those of 4 GiB and more (Zip64), encrypted ones, and those packed by a method other than deflate.
+//! by name: those of 4 GiB and more (Zip64), encrypted ones, and those packed by a method other than deflate.
 
 use std::io;
 use std::ops::ControlFlow;

@@ -1,7 +1,8 @@
 //! The tables of a result folder, each with the tables that it was made from.
 //!
-//! A stage's recipe names the recipes of its inputs, and a part's lineage is that recipe joined with the lineages of what it was made from. So the
-//! input of a table is found by its recipe, whatever its heading is called, and where raw files changed in between the one whose lineage fits.
+//! A stage's recipe names the recipes of its inputs, and a part's lineage joins that recipe with the lineages of its
+//! inputs. Therefore the input of a table is found by its recipe, whatever its heading is called. If raw files changed
+//! in between, it is the one whose lineage fits.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::PathBuf;
@@ -11,33 +12,33 @@ use crate::store::whole::WholeTable;
 use crate::store::{Digest, Shelf, StageId, TableRecord, lineage, scan};
 use crate::tables::{self, Row};
 
-/// Name under which a stage knows the input that it streams.
+/// The stage's name for the input that it streams.
 const STREAMED: &str = "from";
 
 /// One table, main or side.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Table {
-    /// The work that made it.
+    /// Index of the work that made it.
     work: usize,
     /// Its name, as in `periscope schema`.
     pub name: String,
 }
 
-/// A finished piece of a stage's work: a whole table with its side tables, or the parts of a table that is not kept.
+/// A finished result of a stage: a complete table with its side tables, or the parts of a table that is not kept.
 struct Work {
     stage: StageId,
     recipe: Digest,
     parts: BTreeSet<Digest>,
     kept: Option<WholeTable>,
-    /// Names of its tables; where it is not kept, all that it might have.
+    /// Names of its tables; for a table that is not kept, all possible ones.
     names: Vec<String>,
     /// Views by table.
     views: BTreeMap<String, String>,
-    /// By the stage's own name for it: streamed input first.
+    /// By the stage's own names: the streamed input first.
     inputs: Vec<(String, Table)>,
     /// Whether the lineages of inputs and parts fit.
     fits: bool,
-    /// Longest way from a source.
+    /// Longest path from a source.
     depth: usize,
 }
 
@@ -96,7 +97,7 @@ impl Ancestry {
         self.works.iter().position(|work| work.kept.as_ref().is_some_and(|kept| kept.record == *record))
     }
 
-    /// Inputs of a piece of work, and whether their lineages explain its own.
+    /// Inputs of a result, and whether their lineages explain its own.
     fn find_inputs(&self, work: usize) -> (Vec<(String, Table)>, bool) {
         let mut choices: Vec<Vec<(String, Table)>> = vec![Vec::new()];
         for (input, recipe) in &self.works[work].stage.inputs {
@@ -121,7 +122,7 @@ impl Ancestry {
         (inputs, fitting.is_some())
     }
 
-    /// Tables whose recipe goes by this digest; those with a view first.
+    /// Tables with this recipe digest; those with a view first.
     fn with_recipe(&self, recipe: &Digest) -> Vec<Table> {
         let named = |(work, made): (usize, &Work)| {
             let name = made.names.iter().find(|name| lineage::table_recipe(name, &made.recipe) == *recipe)?;
@@ -132,7 +133,8 @@ impl Ancestry {
         found.into_iter().map(|(_, table)| table).collect()
     }
 
-    /// Whether work on these inputs has the lineage that it has. Of a table that is not kept the order of its parts is not known: it fits.
+    /// Whether these inputs explain the lineage of the result. For a table that is not kept, the order of its parts is
+    /// unknown: it fits.
     fn fits(&self, work: usize, inputs: &[(String, Table)]) -> bool {
         let made = &self.works[work];
         let whole = |table: &Table| self.works[table.work].kept.as_ref().map(|kept| kept.record.lineage);
@@ -154,7 +156,7 @@ impl Ancestry {
         inputs.map(|(_, table)| self.find_depth(table.work) + 1).max().unwrap_or(0)
     }
 
-    /// Tables with a view, in the order of the dataflow: every table comes after those that it was made from.
+    /// Tables with a view, in the order of the dataflow: every table follows those that it was made from.
     #[must_use]
     pub fn views(&self) -> Vec<(String, Table)> {
         let mut views: Vec<(usize, &String, Table)> = Vec::new();
@@ -173,7 +175,7 @@ impl Ancestry {
         self.views().into_iter().find(|(name, _)| name == view).map(|(_, table)| table)
     }
 
-    /// What a table is called: by its view if it has one, else by its stage.
+    /// Name of a table: that of its view if it has one, else from its stage.
     #[must_use]
     pub fn label(&self, table: &Table) -> String {
         let made = &self.works[table.work];
@@ -198,25 +200,25 @@ impl Ancestry {
         &self.works[table.work].parts
     }
 
-    /// Longest way from a source to a table: a table lies deeper than all that it was made from.
+    /// Longest path from a source to a table: a table is deeper than everything it was made from.
     #[must_use]
     pub fn depth(&self, table: &Table) -> usize {
         self.works[table.work].depth
     }
 
-    /// Whether the inputs that were found are those that the table was made from.
+    /// Whether the inputs on the shelf are those that the table was made from.
     #[must_use]
     pub fn inputs_fit(&self, table: &Table) -> bool {
         self.works[table.work].fits
     }
 
-    /// Inputs of a table by the stage's own names for them; those that are no longer on the shelf are left out.
+    /// Inputs of a table by the stage's own names; those no longer on the shelf are omitted.
     #[must_use]
     pub fn inputs(&self, table: &Table) -> &[(String, Table)] {
         &self.works[table.work].inputs
     }
 
-    /// A table made by the same work, main or side.
+    /// Another table of the same result, main or side.
     #[must_use]
     pub fn beside(&self, table: &Table, name: &str) -> Option<Table> {
         let made = &self.works[table.work];
@@ -224,7 +226,7 @@ impl Ancestry {
         is_there.then(|| Table { work: table.work, name: name.to_owned() })
     }
 
-    /// All that a table was made from, nearest first, streamed inputs before those beside.
+    /// All ancestors of a table, nearest first; streamed inputs before the others.
     #[must_use]
     pub fn upstream(&self, of: &Table) -> Vec<Table> {
         let mut found: Vec<Table> = Vec::new();
@@ -240,13 +242,13 @@ impl Ancestry {
         found
     }
 
-    /// The nearest table of this name that a table was made from.
+    /// The nearest ancestor with this name.
     #[must_use]
     pub fn nearest(&self, of: &Table, name: &str) -> Option<Table> {
         self.upstream(of).into_iter().find(|table| table.name == name)
     }
 
-    /// Files of a table, in order; none where it is not kept.
+    /// Files of a table, in order; none if it is not kept.
     ///
     /// # Errors
     /// When its folder cannot be read.
@@ -255,7 +257,7 @@ impl Ancestry {
         Ok(kept.map(|kept| kept.files(&table.name)).transpose()?.unwrap_or_default())
     }
 
-    /// Folder of a table, as seen through its view where it has one.
+    /// Folder of a table, through its view if it has one.
     #[must_use]
     pub fn folder(&self, shelf: &Shelf, table: &Table) -> Option<PathBuf> {
         let made = &self.works[table.work];
@@ -263,7 +265,7 @@ impl Ancestry {
         view.or_else(|| made.kept.as_ref().map(|kept| kept.folder.join(&table.name)))
     }
 
-    /// Rows of a table that are wanted, with the columns of `R` alone.
+    /// Rows of a table that `wanted` accepts, with only the columns of `R`.
     ///
     /// # Errors
     /// When a file cannot be read, or lacks a column.
@@ -271,7 +273,7 @@ impl Ancestry {
         self.rows_near(table, &[], wanted)
     }
 
-    /// The same for rows that have one of these numbers in these columns: others need not be read.
+    /// The same for rows that have one of these numbers in these columns; most others are not read.
     ///
     /// # Errors
     /// When a file cannot be read, or lacks a column.

@@ -1,4 +1,4 @@
-//! Onsets and captures behind a row.
+//! Onsets and captures that contribute to a row.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,7 +12,7 @@ use crate::table;
 use crate::tables::{Label, Name, Onset, Residual};
 use crate::units::PatchId;
 
-/// An onset that a row rests on. What no table tells is null.
+/// An onset that contributes to a row. Values that no table has are null.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OnsetBehind {
     /// Campaign.
@@ -25,7 +25,7 @@ pub struct OnsetBehind {
     pub seen: PatchId,
     /// Rank in its profile.
     pub rank: i32,
-    /// Path that it was labelled with; null: left unexplained.
+    /// Path of its label; null: unexplained.
     pub path: Option<Vec<PatchId>>,
     /// Time of flight, as detected.
     pub time_ps: Option<f64>,
@@ -35,15 +35,15 @@ pub struct OnsetBehind {
     pub turns: Option<i32>,
     /// Measured minus predicted time.
     pub residual_ps: Option<f64>,
-    /// Residual in its own standard deviations; where these are not known in those of the time.
+    /// Residual over its own standard deviation, or over that of the time if the former is unknown.
     pub pull: Option<f64>,
-    /// Whether the solution rests on it.
+    /// Whether the solution uses it.
     pub used: Option<bool>,
     /// Probability of the label.
     pub probability: Option<f64>,
     /// Signal-to-noise ratio.
     pub snr: Option<f64>,
-    /// What to know about it.
+    /// Special conditions.
     pub flags: Vec<Name>,
 }
 
@@ -68,7 +68,7 @@ impl OnsetBehind {
         }
     }
 
-    /// What the solution says of it.
+    /// From its residual.
     #[must_use]
     pub fn of_residual(row: &Residual) -> Self {
         Self {
@@ -80,19 +80,19 @@ impl OnsetBehind {
         }
     }
 
-    /// What its label says.
+    /// From its label.
     #[must_use]
     pub fn of_label(row: &Label) -> Self {
         Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank).labelled(row)
     }
 
-    /// As it was detected.
+    /// From its detection.
     #[must_use]
     pub fn of_onset(row: &Onset) -> Self {
         Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank).detected(row)
     }
 
-    /// With what the label says, where nothing better is known.
+    /// Adds values of the label, where there are none yet.
     #[must_use]
     pub fn labelled(mut self, row: &Label) -> Self {
         self.path = self.path.or_else(|| row.path.clone());
@@ -103,7 +103,7 @@ impl OnsetBehind {
         self
     }
 
-    /// With what its detection says.
+    /// Adds values of the detection.
     #[must_use]
     pub fn detected(mut self, row: &Onset) -> Self {
         self.time_ps = Some(row.time_ps);
@@ -126,7 +126,7 @@ impl OnsetBehind {
     }
 }
 
-/// Adds what `labels` and `onsets` say of these onsets, as far as these tables are there.
+/// Adds the values in `labels` and `onsets`, if these tables exist.
 pub(super) fn complete(
     ancestry: &Ancestry,
     onsets: Vec<OnsetBehind>,
@@ -155,7 +155,7 @@ pub(super) fn complete(
     Ok(onsets.into_iter().map(add).collect())
 }
 
-/// A capture that a row rests on. What no table tells is null.
+/// A capture that contributes to a row. Values that no table has are null.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CaptureBehind {
     /// Campaign.
@@ -166,9 +166,9 @@ pub struct CaptureBehind {
     pub lit: PatchId,
     /// Patch that the sensor saw.
     pub seen: PatchId,
-    /// Shots averaged.
+    /// Averaged shots.
     pub shots: Option<i32>,
-    /// Shots set aside.
+    /// Rejected shots.
     pub rejected: Option<i32>,
     /// Standard deviation of the noise of one shot.
     pub noise_v: Option<f64>,
@@ -183,7 +183,7 @@ pub struct CaptureBehind {
 }
 
 table! {
-    /// What a profile says of its capture.
+    /// Columns of a profile that describe its capture.
     "profiles": Averaged, AveragedColumns {
         /// Campaign.
         campaign: Name,
@@ -195,13 +195,13 @@ table! {
         seen: i32,
         /// Role.
         role: Name,
-        /// Shots averaged.
+        /// Averaged shots.
         shots: i32,
-        /// Shots set aside.
+        /// Rejected shots.
         rejected: i32,
         /// Noise of one shot.
         noise_v: f64,
-        /// Time error left over.
+        /// Residual time error of the alignment.
         jitter_ps: f64,
         /// Time of the first shot.
         acquired_at: Option<Name>,
@@ -209,7 +209,7 @@ table! {
 }
 
 table! {
-    /// How well a profile was explained.
+    /// Quality of the deconvolution of a profile.
     "stir": Explained, ExplainedColumns {
         /// Campaign.
         campaign: Name,
@@ -230,7 +230,7 @@ pub(super) fn scene_captures(ancestry: &Ancestry, profiles: &Table) -> Result<BT
     Ok(rows.into_iter().map(|row| (row.campaign, row.sensor, row.lit, row.seen)).collect())
 }
 
-/// What is known of captures, in the order of the tables; `from` is the table whose ancestors tell.
+/// Describes captures, in the order of the tables. `from` is the table whose ancestors have the information.
 pub(super) fn captures(
     exposures: &Exposures<'_>,
     keys: &BTreeSet<CaptureKey>,
@@ -280,7 +280,7 @@ pub(super) fn captures(
     Ok(in_order.into_iter().map(capture).collect())
 }
 
-/// A table itself, or the nearest of this name that it was made from.
+/// The table itself, or its nearest ancestor with this name.
 pub(super) fn at_or_above(ancestry: &Ancestry, table: &Table, name: &str) -> Option<Table> {
     if table.name == name { Some(table.clone()) } else { ancestry.nearest(table, name) }
 }

@@ -1,4 +1,4 @@
-//! What made a table differ between two result folders: recipes on the way to it, and raw files.
+//! Why a table differs between two result folders: changed recipes of its ancestors, and changed raw files.
 
 use serde::Serialize;
 
@@ -7,19 +7,19 @@ use super::ancestry::{Ancestry, Table};
 use crate::campaign::Manifest;
 use crate::store::Shelf;
 
-/// Raw files that are named of each kind.
+/// Most raw files of each kind that are named.
 const NAMED: usize = 3;
 
-/// Something that is otherwise in B.
+/// Something that differs in B.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Cause {
-    /// The table whose stage or input it is, as A calls it; a campaign's name for raw files.
+    /// The table whose stage or input differs, by its name in A; a campaign's name for raw files.
     pub at: String,
-    /// What is otherwise, such as `threshold_sigma 5.0 -> 6.0`.
+    /// The difference, such as `threshold_sigma 5.0 -> 6.0`.
     pub change: String,
 }
 
-/// All that differs between what two tables were made from, in the order of the dataflow.
+/// All differences between the origins of two tables, in the order of the dataflow.
 pub fn causes(a: (&(Shelf, Ancestry), &Table), b: (&(Shelf, Ancestry), &Table)) -> Result<Vec<Cause>, HistoryError> {
     let ((shelf_a, history_a), (shelf_b, history_b)) = (a.0, b.0);
     let mut pairs = vec![(a.1.clone(), b.1.clone())];
@@ -67,7 +67,7 @@ pub fn causes(a: (&(Shelf, Ancestry), &Table), b: (&(Shelf, Ancestry), &Table)) 
     Ok(causes)
 }
 
-/// Raw files that differ, by the hashes that the runs noted when they read them.
+/// Raw files that differ, by the hashes that the runs recorded when they read them.
 fn raw_files(a: &Shelf, b: &Shelf) -> Result<Vec<Cause>, HistoryError> {
     let mut causes = Vec::new();
     let (notes_a, notes_b) = (notes(a)?, notes(b)?);
@@ -101,7 +101,7 @@ fn raw_files(a: &Shelf, b: &Shelf) -> Result<Vec<Cause>, HistoryError> {
     Ok(causes)
 }
 
-/// What the runs into a folder noted of raw files, by campaign.
+/// The hashes of raw files that runs into a folder recorded, by campaign.
 fn notes(shelf: &Shelf) -> Result<Vec<(String, Manifest)>, HistoryError> {
     let Ok(folders) = std::fs::read_dir(shelf.notes()) else { return Ok(Vec::new()) };
     let mut notes = Vec::new();

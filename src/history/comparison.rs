@@ -1,8 +1,8 @@
-//! Two result folders table by table, in the order of the dataflow: which table is the first to differ, in which rows, by how much, and what was
-//! otherwise on the way to it.
+//! Compares two result folders table by table, in the order of the dataflow: which table is the first to differ, in
+//! which rows, by how much, and what changed among its origins.
 //!
-//! Tables of equal lineage are equal. Others are compared by their rows, parts of equal content apart. Rows are paired by their key columns
-//! ([`key_of`]), in whatever order they stand.
+//! Tables of equal lineage are equal. Others are compared by their rows, except parts with equal content. Rows are
+//! paired by their key columns ([`key_of`]), in whatever order they are.
 
 use std::path::{Path, PathBuf};
 
@@ -16,15 +16,15 @@ use super::side::{Side, SideTable};
 use crate::store::{FileRecord, scan};
 use crate::tables::key_of;
 
-/// Rows of one side only that are named.
+/// Most rows of one side only that are named.
 const NAMED: usize = 3;
 
-/// How two folders compare.
+/// Comparison of two folders.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
-    /// Folder A, as given.
+    /// Folder A, as the user gave it.
     pub a: String,
-    /// Folder B, as given.
+    /// Folder B, as the user gave it.
     pub b: String,
     /// Whether all tables that count are the same.
     pub same: bool,
@@ -36,17 +36,17 @@ pub struct Comparison {
     pub only_in_b: Vec<String>,
 }
 
-/// How a table compares.
+/// Outcome for a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// Of the same lineage; for tables without one, with the same rows.
+    /// Equal lineage; for tables without lineage, equal rows.
     Same,
-    /// Of other lineage, but with the same rows.
+    /// Different lineage, but equal rows.
     SameRows,
-    /// With other rows.
+    /// Different rows.
     Differs,
-    /// Not looked at, since an earlier table differs.
+    /// Not compared, since an earlier table differs.
     NotCompared,
 }
 
@@ -59,11 +59,11 @@ pub struct TableComparison {
     pub verdict: Verdict,
     /// How its rows differ.
     pub rows: Option<RowsComparison>,
-    /// What was otherwise on the way to it.
+    /// What changed among its origins.
     pub causes: Vec<Cause>,
 }
 
-/// How the rows of a table differ.
+/// Differences between the rows of a table.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct RowsComparison {
     /// Rows of A.
@@ -78,11 +78,11 @@ pub struct RowsComparison {
     pub only_in_b: u64,
     /// The first of them.
     pub only_in_b_such_as: Vec<String>,
-    /// Rows that both have, with other values.
+    /// Rows that both have, with different values.
     pub changed: u64,
-    /// Columns that only one side has, or that have another type: not compared.
+    /// Columns that only one side has, or that differ in type: not compared.
     pub other_columns: Vec<String>,
-    /// Columns with other values.
+    /// Columns with different values.
     pub columns: Vec<ColumnDifference>,
 }
 
@@ -99,7 +99,7 @@ impl RowsComparison {
 pub fn compare(a: &Path, b: &Path, all: bool) -> Result<Comparison, HistoryError> {
     let (a, b) = (Side::open(a)?, Side::open(b)?);
     let names = |side: &Side| side.tables.iter().map(|table| table.view.clone()).collect::<Vec<_>>();
-    // The side that has a dataflow gives the order.
+    // The side with a dataflow defines the order.
     let first = if a.history.is_some() { &a } else { &b };
     let (in_both, _): (Vec<String>, Vec<String>) =
         names(first).into_iter().partition(|view| a.table(view).is_some() && b.table(view).is_some());
@@ -117,7 +117,7 @@ pub fn compare(a: &Path, b: &Path, all: bool) -> Result<Comparison, HistoryError
         }
     }
     let differs = tables.iter().any(|table| table.verdict == Verdict::Differs);
-    // A folder of tables holds but some kinds of them.
+    // A folder of tables has only some of the kinds.
     let is_complete = a.history.is_none() || b.history.is_none() || (only_in_a.is_empty() && only_in_b.is_empty());
     Ok(Comparison {
         a: a.folder.display().to_string(),
@@ -198,7 +198,7 @@ fn count(table: &SideTable) -> Result<u64, HistoryError> {
     table.files.iter().map(rows).sum()
 }
 
-/// Files whose content the other side does not have.
+/// Files whose content the other side lacks.
 fn other_parts(
     a: &[(PathBuf, Option<FileRecord>)],
     b: &[(PathBuf, Option<FileRecord>)],
@@ -215,7 +215,7 @@ fn other_parts(
     (only_a, b.into_iter().map(|(file, _)| file.clone()).collect())
 }
 
-/// Columns that only one side has, or that have another type. Key columns must be the same.
+/// Columns that only one side has, or that differ in type. Key columns must agree.
 fn other_columns(a: &Path, b: &Path, key: &[&str], view: &str) -> Result<Vec<String>, HistoryError> {
     let (schema_a, schema_b) = (scan::schema(a)?, scan::schema(b)?);
     let mut other = Vec::new();

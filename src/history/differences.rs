@@ -1,4 +1,4 @@
-//! By how much the values of paired rows differ, column by column.
+//! How much the values of paired rows differ, column by column.
 
 use std::sync::Arc;
 
@@ -13,32 +13,32 @@ use serde::Serialize;
 use super::HistoryError;
 use super::values;
 
-/// How the values of one column differ, over the rows that both sides have.
+/// Differences in one column, over the rows that both sides have.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ColumnDifference {
     /// Column; `list.field` for a field of a list's items.
     pub column: String,
     /// Unit of the numbers.
     pub unit: Option<String>,
-    /// Rows with another value, or a value on one side only.
+    /// Rows with different values, or with a value on one side only.
     pub rows: u64,
-    /// Of these, rows with a value on one side only.
+    /// Rows among these with a value on one side only.
     pub one_sided: u64,
-    /// Of these, rows whose lists have other lengths.
+    /// Rows among these whose lists differ in length.
     pub other_length: u64,
-    /// Largest difference B - A of two numbers, by its size.
+    /// Difference B - A of two numbers that is largest in magnitude.
     pub largest: Option<f64>,
-    /// Root mean square of the differences that are not zero.
+    /// Root mean square of the nonzero differences.
     pub rms: Option<f64>,
     /// The row of the largest.
     pub largest_at: Option<String>,
-    /// The largest in standard deviations, where the table has them.
+    /// The largest difference in standard deviations, if the table has them.
     pub largest_in_sd: Option<f64>,
     /// Root mean square in standard deviations.
     pub rms_in_sd: Option<f64>,
 }
 
-/// Differences as they are added up.
+/// Running sums of differences.
 #[derive(Default)]
 struct Sum {
     difference: ColumnDifference,
@@ -48,7 +48,7 @@ struct Sum {
     squares_in_sd: f64,
 }
 
-/// Adds up differences of paired rows.
+/// Sums the differences of paired rows.
 pub struct Differences {
     key: Vec<String>,
     /// By column, in their order.
@@ -76,7 +76,7 @@ impl Numbers {
     }
 }
 
-/// A column as it is compared; a list of structs is a column a field.
+/// A column for comparison; each field of a list of structs is a column.
 struct View {
     name: String,
     unit: Option<String>,
@@ -133,7 +133,7 @@ impl Differences {
         Self { key: key.iter().map(|name| (*name).to_owned()).collect(), sums: Vec::new(), changed: 0 }
     }
 
-    /// Adds pairs of rows: (row of A, row of B). Columns that B does not have with the same type are left out.
+    /// Adds pairs of rows: (row of A, row of B). Columns that B lacks, or has with another type, are ignored.
     pub fn add(&mut self, a: &RecordBatch, b: &RecordBatch, pairs: &[(usize, usize)]) -> Result<(), HistoryError> {
         let (views_a, views_b) = (View::all(a)?, View::all(b)?);
         let mut changed = vec![false; pairs.len()];
@@ -166,7 +166,7 @@ impl Differences {
         Ok(())
     }
 
-    /// Columns that differ, in their order.
+    /// Columns with differences, in order.
     pub fn finish(self) -> Vec<ColumnDifference> {
         self.sums.into_iter().filter(|sum| sum.difference.rows > 0).map(Sum::finish).collect()
     }
@@ -179,7 +179,7 @@ impl Sum {
         Self { difference, ..Self::default() }
     }
 
-    /// Adds the numbers of a row; whether they differ.
+    /// Adds the numbers of a row. Returns whether they differ.
     fn add(
         &mut self,
         a: Option<&[f64]>,
@@ -232,14 +232,14 @@ impl Sum {
     }
 }
 
-/// Standard deviations of a column's numbers, where its table has them.
+/// Standard deviations of a column's numbers, if its table has them.
 struct Sd<'a> {
     numbers: &'a Numbers,
     is_variance: bool,
 }
 
 impl<'a> Sd<'a> {
-    /// By name: `time_sd_ps` for `time_ps`, and others.
+    /// Finds them by name: `time_sd_ps` for `time_ps`, and others.
     fn of(views: &'a [View], column: &str) -> Option<Self> {
         let numbers = |name: &str| {
             let view = views.iter().find(|view| view.name == name)?;
@@ -258,7 +258,7 @@ impl<'a> Sd<'a> {
         named.map(|numbers| Self { numbers, is_variance })
     }
 
-    /// Of an item of a row.
+    /// Standard deviation of one item of a row.
     fn at(&self, row: usize, item: usize) -> Option<f64> {
         let value = *self.numbers.of(row)?.get(item)?;
         let sd = if self.is_variance { value.sqrt() } else { value };
@@ -275,7 +275,7 @@ fn is_equal(a: &ArrayRef, row_a: usize, b: &ArrayRef, row_b: usize) -> bool {
     }
 }
 
-/// A row by its key: `lit 3, seen 4, rank 2`.
+/// The key of a row as text: `lit 3, seen 4, rank 2`.
 pub fn label(batch: &RecordBatch, key: &[String], row: usize) -> String {
     let named = key.iter().filter_map(|name| Some((name, values::cell(batch.column_by_name(name)?, row))));
     let named = named.filter(|(_, value)| !value.is_null());

@@ -1,9 +1,9 @@
-//! From a patch, a distance or an onset back to the raw exposures.
+//! Follows a patch, a distance or an onset back to the raw exposures.
 //!
-//! Behind a patch stand the onsets whose paths lead over it: those that its solver left residuals of, else those that `labels` give it. Others weigh on it through
-//! their patches, and are not listed. Behind a distance stand the onsets of its own inversion (T2, or sums of third bounces). A patch
-//! that `search` found stands on all profiles together. Behind an onset stands its profile, and the reciprocal one where `deconvolve` explained both
-//! together.
+//! - Patch: the onsets whose paths include it, from its solver's residuals, else from `labels`. Other onsets influence
+//!   it through their own patches, and are not listed. All profiles together contribute to a patch that `search` found.
+//! - Distance: the onsets of its own inversion (T2, or sums of third bounces).
+//! - Onset: its profile, and the reciprocal one if `deconvolve` explained both together.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -22,12 +22,12 @@ use super::target::Target;
 use crate::store::{Digest, Shelf};
 use crate::tables::{Label, Onset, Row};
 
-/// Where a row comes from. Times are in ps, voltages in V, lengths in m.
+/// Origin of a row. Times are in ps, voltages in V, lengths in m.
 #[derive(Clone, Debug, Serialize)]
 pub struct Explanation {
-    /// What was asked for, in words.
+    /// The request, in words.
     pub target: String,
-    /// The table that the row stands in.
+    /// The table that has the row.
     pub table: String,
     /// Its kind, as in `periscope schema`.
     pub table_kind: String,
@@ -35,26 +35,26 @@ pub struct Explanation {
     pub stage: String,
     /// The row, by its columns.
     pub row: Map<String, Value>,
-    /// What its table was made from, in the order of the dataflow, and the table itself last.
+    /// The tables that its table was made from, in the order of the dataflow; the table itself is last.
     pub tables: Vec<TableBehind>,
-    /// The onsets that it rests on.
+    /// The contributing onsets.
     pub onsets: Vec<OnsetBehind>,
     /// The captures of these onsets.
     pub captures: Vec<CaptureBehind>,
-    /// What the sensors' own captures told.
+    /// What the sensors' own captures determined.
     pub sensors: Vec<SensorBehind>,
-    /// Side tables of the same stage, to look into.
+    /// Other tables of the same stage.
     pub beside: Vec<String>,
-    /// What to know about the answer.
+    /// Remarks on the answer.
     pub remarks: Vec<String>,
-    /// The same questions in SQL.
+    /// The same as SQL queries.
     pub queries: Vec<Query>,
 }
 
-/// A table that the row goes back to.
+/// A table from which the row derives.
 #[derive(Clone, Debug, Serialize)]
 pub struct TableBehind {
-    /// Its view; a stage's kind where it has none.
+    /// Its view, or its stage's kind if it has none.
     pub table: String,
     /// The stage that made it.
     pub stage: String,
@@ -62,12 +62,12 @@ pub struct TableBehind {
     pub lineage: Option<Digest>,
     /// The table that its stage streamed.
     pub from: Option<String>,
-    /// The tables beside.
+    /// The whole tables that its stage reads in addition.
     pub with: Vec<String>,
 }
 
-/// Explains a row of a result folder. `heading` says which table where several have such rows (else the last of the dataflow);
-/// `campaigns` where campaign folders are now (else where the newest run found them).
+/// Explains a row of a result folder. `heading` chooses among several tables with such rows (default: the last of the
+/// dataflow). `campaigns` gives the present campaign folders (default: those of the newest run).
 ///
 /// # Errors
 /// When there is no such row or table, or a table cannot be read.
@@ -98,7 +98,7 @@ impl Explainer<'_> {
         let labels = if is_onset { self.last_made_from(table, Label::TABLE) } else { self.labels_of(table) };
         let detected = behind::at_or_above(ancestry, table, Onset::TABLE);
         let onsets = behind::complete(ancestry, onsets, labels.as_ref(), detected.as_ref())?;
-        // What lies between onsets and raw files follows from the table that the onsets were detected in.
+        // Captures and raw files follow from the table in which the onsets were detected.
         let from = detected.as_ref().unwrap_or(table);
         let (captures, is_joint) = self.captures(table, from, &onsets, picked.is_some())?;
         let exposures = Exposures { shelf: self.shelf, ancestry, campaigns: self.campaigns };
@@ -124,7 +124,8 @@ impl Explainer<'_> {
         })
     }
 
-    /// Captures of the onsets, with their reciprocals where both were explained together; of the whole scene for what rests on all profiles.
+    /// Captures of the onsets, with their reciprocals if both were explained together; of the whole scene if all
+    /// profiles contribute.
     fn captures(
         &self,
         table: &Table,

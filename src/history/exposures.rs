@@ -1,4 +1,4 @@
-//! The raw files behind captures: from `traces` where that table is kept, else from the campaign folder.
+//! The raw files of captures: from `traces` if that table is kept, else from the campaign folder.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -26,16 +26,16 @@ pub struct RawRecords {
     pub file: String,
     /// Channel, where the file holds several.
     pub channel: Option<String>,
-    /// Segments of the file, from 0; null: the file has none, or all of them belong here.
+    /// Segments of the file, from 0; null: it has none, or all of them belong here.
     pub segments: Option<Vec<i32>>,
-    /// How many exposures they are; null where only the file itself could tell.
+    /// Number of exposures; null if only the file itself has it.
     pub exposures: Option<usize>,
-    /// Whether they are the reference pulses rather than the signals.
+    /// Whether they are the reference pulses, not the signals.
     pub is_reference: bool,
 }
 
 table! {
-    /// Where a record of `traces` comes from.
+    /// Origin of a record of `traces`.
     "traces": Origin, OriginColumns {
         /// Campaign.
         campaign: Name,
@@ -67,7 +67,7 @@ pub struct Exposures<'a> {
 }
 
 impl Exposures<'_> {
-    /// Raw records of these captures, from a table `traces`, in its order. What there is to know beside them goes to `remarks`.
+    /// Raw records of these captures, in the order of a table `traces`. Further information is added to `remarks`.
     pub fn of_captures(
         &self,
         traces: &Table,
@@ -160,7 +160,7 @@ impl Exposures<'_> {
         Ok(found)
     }
 
-    /// Captures of these campaigns of the roles that a table `traces` holds, as the campaigns' folders are now.
+    /// Captures of these campaigns in the present campaign folders, with the roles that a table `traces` contains.
     fn surveyed(&self, traces: &Table, campaigns: &BTreeSet<&Name>) -> Result<Vec<RawCapture>, HistoryError> {
         let roles = self.ancestry.stage(traces).params["roles"].clone();
         let unknown = |_| HistoryError::Refused("its record names no roles; run the pipeline again".to_owned());

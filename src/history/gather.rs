@@ -1,4 +1,4 @@
-//! The row that is asked for, and the onsets that it rests on.
+//! Finds the requested row, and the onsets that contribute to it.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -16,17 +16,17 @@ use crate::store::{Shelf, scan};
 use crate::tables::{Distance, Label, Onset, Patch, Residual, Row};
 use crate::units::PatchId;
 
-/// Numbers that a message lists at most.
+/// Most numbers in a message.
 const LISTED: usize = 20;
 
-/// What stands behind a row, as it is gathered.
+/// A row and its origins.
 pub struct Gathered {
     /// The row by its columns.
     pub row: Map<String, Value>,
     pub onsets: Vec<OnsetBehind>,
-    /// Where the onsets are listed; `None`: it rests on all captures.
+    /// Where the onsets are listed; `None` if all captures contribute.
     pub picked: Option<Picked>,
-    /// Which row of its own table it is, in SQL.
+    /// The SQL condition that selects the row in its own table.
     pub condition: String,
 }
 
@@ -38,7 +38,7 @@ pub struct Explainer<'a> {
 }
 
 impl Explainer<'_> {
-    /// The table that has the row, and what stands behind the row.
+    /// The table that has the row, and the row's origins.
     pub fn find(
         &self,
         target: &Target,
@@ -73,7 +73,7 @@ impl Explainer<'_> {
                     remarks.extend(failure.map(|failure: HistoryError| failure.to_string()));
                     return Ok((table.clone(), gathered));
                 }
-                // It may stand in a table before.
+                // An earlier table may have it.
                 Err(error @ HistoryError::Refused(_)) => failure = failure.or(Some(error)),
                 Err(error) => return Err(error),
             }
@@ -89,7 +89,7 @@ impl Explainer<'_> {
         }
     }
 
-    /// Rows of a table that are wanted, typed and by their columns.
+    /// Rows of a table that `wanted` accepts: typed, and by their columns.
     fn rows<R: Row>(
         &self,
         table: &Table,
@@ -151,7 +151,7 @@ impl Explainer<'_> {
         Ok(has.then_some(before))
     }
 
-    /// Labels that a table was made from, or that its own stage wrote.
+    /// Labels that a table was made from, or that its own stage made.
     pub fn labels_of(&self, table: &Table) -> Option<Table> {
         self.ancestry.beside(table, Label::TABLE).or_else(|| self.ancestry.nearest(table, Label::TABLE))
     }
@@ -181,7 +181,7 @@ impl Explainer<'_> {
         let (mut onsets, mut picked) = (Vec::new(), None);
         if let Some(labels) = self.ancestry.nearest(table, Label::TABLE) {
             let fields = &self.ancestry.stage(table).fields;
-            // Path lengths of sensors apart from the laser are left out of T2.
+            // T2 excludes path lengths of sensors that are not at the laser.
             let counts =
                 |row: &Label| distance.bounces > 2 || fields[&*row.campaign]["with_laser"][&*row.sensor] == true;
             let is_between = |path: &[PatchId]| match distance.bounces {
@@ -258,7 +258,7 @@ impl Explainer<'_> {
         Ok(Gathered { row, onsets: vec![behind], picked, condition })
     }
 
-    /// The last table of this name in the dataflow that goes back to a table.
+    /// The last table of this name in the dataflow that derives from a table.
     pub fn last_made_from(&self, table: &Table, name: &str) -> Option<Table> {
         let views = self.ancestry.views();
         let named = views.into_iter().rev().map(|(_, other)| other).filter(|other| other.name == name);
@@ -270,14 +270,14 @@ impl Explainer<'_> {
     }
 }
 
-/// Numbers for a message: the first of many.
+/// Numbers for a message; of many, the first ones.
 fn listed(numbers: &BTreeSet<i32>) -> String {
     let shown: Vec<String> = numbers.iter().take(LISTED).map(ToString::to_string).collect();
     let more = if numbers.len() > LISTED { ", ..." } else { "" };
     if shown.is_empty() { "none".to_owned() } else { shown.join(", ") + more }
 }
 
-/// What names an onset on the command line.
+/// The name of an onset on the command line.
 fn name(row: &Onset) -> String {
     format!("{},{},{},{}", row.sensor, row.lit, row.seen, row.rank)
 }

@@ -1,8 +1,8 @@
-//! Rows of two tables that have the same key, found while both are read side by side.
+//! Pairs rows of two tables that have the same key, while both are read in parallel.
 //!
-//! Rows wait for their partner in memory, without raw codes, only as long as the other side has not come to it: equal orders need a few
-//! megabytes, whatever the size of the tables. Each round reads as much anew as is waiting, so that tables in quite another order
-//! cost memory, but no more than a few readings of every row.
+//! Rows wait for their partner in memory, without raw codes, until the other side reaches it. Tables in equal order
+//! need a few megabytes, whatever their size. Each round reads as many new bytes as are waiting, so that tables in very
+//! different orders cost memory, but each row is copied only a few times.
 
 use std::collections::{HashMap, VecDeque};
 use std::path::PathBuf;
@@ -18,10 +18,10 @@ use arrow_select::take::take_record_batch;
 use super::HistoryError;
 use crate::store::{Digest, StoreError, scan};
 
-/// Bytes that are read of each side at least, a round.
+/// Least bytes that a round reads of each side.
 const ROUND_BYTES: usize = 8 << 20;
 
-/// What comes out of a round.
+/// One result of a round.
 pub enum Found<'a> {
     /// Rows of A and B with equal keys.
     Pairs {
@@ -36,7 +36,7 @@ pub enum Found<'a> {
     OnlyB(&'a RecordBatch),
 }
 
-/// Reads two tables with these key columns, and hands on what it finds. Equal keys of one side are paired in their order.
+/// Reads two tables with these key columns, and passes on the matches. Equal keys within one side are paired in order.
 pub fn match_rows(
     a: Vec<PathBuf>,
     b: Vec<PathBuf>,
@@ -63,7 +63,7 @@ pub fn match_rows(
     b.waiting.as_ref().map_or(Ok(()), |rows| found(Found::OnlyB(rows)))
 }
 
-/// One side, as far as it is read.
+/// One side, as far as it has been read.
 struct Stream {
     files: VecDeque<PathBuf>,
     batches: Option<Box<dyn Iterator<Item = Result<RecordBatch, StoreError>>>>,
@@ -86,7 +86,7 @@ impl Stream {
         }
     }
 
-    /// Reads on; whether there was anything.
+    /// Reads on. Returns whether there was anything.
     fn read(&mut self) -> Result<bool, HistoryError> {
         let most = self.waiting.as_ref().map_or(0, RecordBatch::get_array_memory_size).max(ROUND_BYTES);
         let mut batches: Vec<RecordBatch> = self.waiting.take().into_iter().collect();
@@ -137,7 +137,7 @@ fn without_codes(batch: &RecordBatch) -> Result<RecordBatch, HistoryError> {
     Ok(RecordBatch::try_new(Arc::new(Schema::new(fields)), columns)?)
 }
 
-/// Rows of equal keys, in the order of A.
+/// Pairs of rows with equal keys, in the order of A.
 fn pair(a: &RecordBatch, b: &RecordBatch, key: &[&str]) -> Result<Vec<(usize, usize)>, HistoryError> {
     let columns = |batch: &RecordBatch| -> Vec<ArrayRef> {
         key.iter().filter_map(|name| batch.column_by_name(name).cloned()).collect()

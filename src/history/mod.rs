@@ -1,15 +1,16 @@
-//! What lies behind finished tables: from a row back to the raw exposures ([`explanation`]), and what differs between two result folders and
-//! why ([`comparison`]). Everything is read from the tables and their lineage; nothing is computed again.
+//! Origins of finished tables: from a row back to the raw exposures ([`explanation`]), and the differences between two
+//! result folders with their causes ([`comparison`]). Everything is read from the tables and their lineage; nothing is
+//! computed again.
 //!
 //! | file | question |
 //! |---|---|
 //! | `ancestry` | which table was made from which? |
 //! | `target` | which row is meant by `patch=3`? |
-//! | `gather`, `explanation` | which onsets does it rest on? |
-//! | `behind`, `sensors` | what is known of these onsets, of their captures and sensors? |
-//! | `exposures` | in which raw files, and which of their segments? |
+//! | `gather`, `explanation` | which onsets contribute to it? |
+//! | `behind`, `sensors` | what do the tables say about these onsets, their captures and sensors? |
+//! | `exposures` | in which raw files are they, and in which segments? |
 //! | `sql` | how does DuckDB answer the same? |
-//! | `side`, `comparison`, `causes` | which tables of two folders differ, and what made them differ? |
+//! | `side`, `comparison`, `causes` | which tables of two folders differ, and why? |
 //! | `matching`, `differences` | which rows, in which columns, by how much? |
 
 pub mod ancestry;
@@ -34,13 +35,13 @@ use crate::stages::stage::StageError;
 use crate::store::StoreError;
 use crate::tables::SchemaError;
 
-/// Why a question has no answer; the text names the place and the mend.
+/// Why a request fails; the text names the place and the fix.
 #[derive(Debug, Error)]
 pub enum HistoryError {
     /// The result folder.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A table is not what its name says.
+    /// A table lacks the columns that its name implies.
     #[error(transparent)]
     Schema(#[from] SchemaError),
     /// Arrow refused an operation on batches.
@@ -49,7 +50,7 @@ pub enum HistoryError {
     /// A campaign folder.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
-    /// What is on record of raw files.
+    /// The record of raw files.
     #[error(transparent)]
     Manifest(#[from] ManifestError),
     /// The raw files of a campaign.

@@ -1,4 +1,4 @@
-//! What the sensors' own captures told of them: calibration, drift and pick-up.
+//! What the sensors' own captures determined: calibration, drift and pick-up.
 
 use std::collections::BTreeSet;
 
@@ -10,7 +10,7 @@ use super::exposures::{CaptureKey, Exposures, RawRecords};
 use crate::table;
 use crate::tables::{Delay, Name};
 
-/// What a sensor's captures of its own told: calibration, drift and pick-up.
+/// What a sensor's own captures determined: calibration, drift and pick-up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SensorBehind {
     /// Table: the view of a `calibration` or `session`.
@@ -19,15 +19,15 @@ pub struct SensorBehind {
     pub campaign: Name,
     /// Sensor.
     pub sensor: Name,
-    /// Vertical range, where captures were taken at several.
+    /// Vertical range, where captures were recorded at several.
     pub range: Option<Name>,
-    /// Shots, or fiducial runs, that went into it.
+    /// Shots, or fiducial runs, that it uses.
     pub shots: i32,
     /// Latency; null for a session.
     pub latency_ps: Option<f64>,
     /// Its standard deviation.
     pub latency_sd_ps: Option<f64>,
-    /// Delay that the solver found beyond the latency.
+    /// Delay beyond the latency, as the solver estimated it.
     pub delay_ps: Option<f64>,
     /// Its standard deviation.
     pub delay_sd_ps: Option<f64>,
@@ -36,7 +36,7 @@ pub struct SensorBehind {
 }
 
 table! {
-    /// What a calibration says of its sensor.
+    /// Columns of a calibration.
     "calibration": Calibrated, CalibratedColumns {
         /// Campaign.
         campaign: Name,
@@ -54,7 +54,7 @@ table! {
 }
 
 table! {
-    /// What a session says of its sensor.
+    /// Columns of a session.
     "session": Followed, FollowedColumns {
         /// Campaign.
         campaign: Name,
@@ -84,7 +84,7 @@ impl SensorBehind {
     }
 }
 
-/// What stands behind the sensors of these captures; `from` is the table whose ancestors tell.
+/// Describes the sensors of these captures. `from` is the table whose ancestors have the information.
 pub(super) fn sensors(
     exposures: &Exposures<'_>,
     keys: &BTreeSet<CaptureKey>,

@@ -11,11 +11,11 @@ use crate::tables::{Reject, Row};
 
 /// A side's tables.
 pub struct Side {
-    /// Its folder, as given.
+    /// Its folder, as the user gave it.
     pub folder: PathBuf,
-    /// In the order of the dataflow where there is one, else by name.
+    /// In the order of the dataflow if there is one, else by name.
     pub tables: Vec<SideTable>,
-    /// How they were made; `None` for a folder of tables.
+    /// Their ancestry; `None` for a folder of tables.
     pub history: Option<(Shelf, Ancestry)>,
 }
 
@@ -25,14 +25,14 @@ pub struct SideTable {
     pub view: String,
     /// Its kind, as in `periscope schema`.
     pub kind: String,
-    /// Its place in the ancestry of a result folder; `None` for the rest, and for `rejects`.
+    /// Its node in the ancestry of a result folder; `None` for others, and for `rejects`.
     pub made: Option<Table>,
-    /// Its files in order, with what is on record of them.
+    /// Its files in order, with their records.
     pub files: Vec<(PathBuf, Option<FileRecord>)>,
 }
 
 impl Side {
-    /// Opens a result folder, a folder of tables, or a campaign folder with its truth in it.
+    /// Opens a result folder, a folder of tables, or a campaign folder that contains its truth.
     ///
     /// # Errors
     /// When it is none of these, or cannot be read.
@@ -72,7 +72,7 @@ impl Side {
         Ok(Self { folder: folder.to_owned(), tables, history: Some((shelf, ancestry)) })
     }
 
-    /// Tables that each lie in a folder of their name.
+    /// Tables that are in folders of their names.
     fn of_tables(folder: &Path) -> Result<Vec<SideTable>, HistoryError> {
         let refused =
             |error: std::io::Error| HistoryError::Refused(format!("cannot read {}: {error}", folder.display()));

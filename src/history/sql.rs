@@ -1,4 +1,5 @@
-//! The questions of an explanation in SQL, over the Parquet files: for DuckDB, or any engine with `read_parquet` and `array_contains`.
+//! The queries of an explanation in SQL over the Parquet files: for DuckDB, or any engine with `read_parquet` and
+//! `array_contains`.
 
 use serde::Serialize;
 
@@ -6,19 +7,19 @@ use super::HistoryError;
 use super::ancestry::{Ancestry, Table};
 use crate::store::Shelf;
 
-/// Columns that name a capture.
+/// Columns that identify a capture.
 const CAPTURE: &str = "campaign, sensor, lit, seen";
 
-/// One question.
+/// One query.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Query {
-    /// What it asks for.
+    /// Its subject.
     pub about: &'static str,
-    /// The question, without a semicolon at its end.
+    /// The query, without a semicolon at its end.
     pub sql: String,
 }
 
-/// Rows of a table that hold the key of each onset behind something.
+/// Rows of a table that hold the key of each contributing onset.
 pub struct Picked {
     /// A table with the columns campaign, sensor, lit, seen, rank.
     pub table: Table,
@@ -26,14 +27,14 @@ pub struct Picked {
     pub condition: String,
 }
 
-/// Writes questions about the tables of one result folder.
+/// Writes queries over the tables of one result folder.
 pub struct Questions<'a> {
     pub shelf: &'a Shelf,
     pub ancestry: &'a Ancestry,
 }
 
 impl Questions<'_> {
-    /// The files of a table, if it has some.
+    /// The files of a table, if it has any.
     fn files(&self, table: &Table) -> Result<Option<String>, HistoryError> {
         if self.ancestry.files(table)?.is_empty() {
             return Ok(None);
@@ -49,7 +50,7 @@ impl Questions<'_> {
         Ok(self.files(table)?.map(sql))
     }
 
-    /// Onsets with what `onsets` and `labels` say of them.
+    /// Onsets, with their rows in `onsets` and `labels`.
     pub fn onsets(
         &self,
         picked: &Picked,
@@ -80,8 +81,8 @@ impl Questions<'_> {
         Ok(Some(Query { about: "its onsets", sql }))
     }
 
-    /// Columns of a table of captures or records for the captures of onsets, reciprocal ones too where both were explained together; for all
-    /// captures of the scene without `picked`.
+    /// Columns of a table of captures or records for the captures of onsets; includes reciprocal ones where both were
+    /// explained together. Without a selection, for all captures of the scene.
     pub fn captures(
         &self,
         about: &'static str,
@@ -112,7 +113,7 @@ impl Questions<'_> {
     }
 }
 
-/// A text as SQL writes it.
+/// A text as an SQL literal.
 pub fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "''"))
 }

@@ -1,4 +1,4 @@
-//! What `explain` is asked for: `patch=3`, `distance=3,4`, `onset=s1,3,4,2`.
+//! Targets of `explain`: `patch=3`, `distance=3,4`, `onset=s1,3,4,2`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,14 +8,14 @@ use crate::units::PatchId;
 
 const FORMS: &str = "write patch=3, distance=3,4 or onset=SENSOR,LIT,SEEN,RANK such as onset=s1,3,4,2";
 
-/// A row, by what names it.
+/// A row, by its key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
     /// A patch.
     Patch(PatchId),
     /// Distance of two patches, the smaller number first.
     Distance(PatchId, PatchId),
-    /// An arrival of light.
+    /// An onset.
     Onset {
         /// Campaign, where there are several.
         campaign: Option<String>,
@@ -31,7 +31,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// The table that has such rows.
+    /// The table with such rows.
     #[must_use]
     pub fn table(&self) -> &'static str {
         match self {

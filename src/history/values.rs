@@ -6,7 +6,7 @@ use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::DataType;
 use serde_json::{Map, Value};
 
-/// A cell; numbers that JSON does not have (infinities, NaN) are texts, bytes their number.
+/// A cell as JSON. Numbers that JSON lacks (infinities, NaN) become text; bytes become their number.
 pub fn cell(column: &ArrayRef, row: usize) -> Value {
     if column.is_null(row) {
         return Value::Null;

@@ -1,12 +1,9 @@
 //! From light to volts: the signal of a joule on the detector, and its noise.
 //!
 //! A pulse of energy E on a detector of responsivity R makes the charge `E R`. Through a load Z it becomes a voltage
-//! pulse
-//! with the response's shape h (maximum 1, area a) and height `E R Z / a`. Each electron makes such a pulse, so that
-//! the
-//! variance at a time is the sum of `q E R (Z h / a)^2` over arrivals (Campbell's theorem): shot noise. Ambient light
-//! and
-//! dark current add a constant amount.
+//! pulse with the response's shape h (maximum 1, area a) and height `E R Z / a`. Each electron makes such a pulse, so
+//! that the variance at a time is the sum of `q E R (Z h / a)^2` over arrivals (Campbell's theorem): shot noise.
+//! Ambient light and dark current add a constant amount.
 
 use super::keys::{Instrument, Range};
 use super::pulse::Pulse;

@@ -1,13 +1,10 @@
 //! The photon counter: histograms of detections over the laser's pulses.
 //!
 //! In each cycle a bin detects with probability `live (1 - exp(-expected))`. The counter is live unless a detection
-//! within
-//! the dead time before has blinded it (also from earlier cycles, as the laser repeats): early light hides late light
-//! (pile-up). The live share follows from the earlier bins; for a repeating laser it is computed by iteration.
-//! Detections
-//! of different cycles are independent, so each bin is drawn as a binomial. This neglects only that one cycle cannot
-//! count
-//! twice within a dead time.
+//! within the dead time before has blinded it (also from earlier cycles, as the laser repeats): early light hides late
+//! light (pile-up). The live share follows from the earlier bins; for a repeating laser it is computed by iteration.
+//! Detections of different cycles are independent, so each bin is drawn as a binomial. This neglects only that one
+//! cycle cannot count twice within a dead time.
 
 use rand::RngExt;
 use rand_distr::{Binomial, Distribution};

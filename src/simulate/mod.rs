@@ -1,11 +1,9 @@
 //! The forward model: turns a scene description into a campaign of scope files, with the truth next to them.
 //!
 //! Light is computed by integrals over the areas of patches, with occlusion, glossy lobes, mirrors and up to five
-//! bounces.
-//! The instrument has a response, noise, converter, vertical ranges and flaws. Signal-to-noise ratios follow from pulse
-//! energy, optics and detector. The simulator shares no code with the estimators (`signal`, `geometry`, `stages`), so
-//! that
-//! their errors cannot cancel in tests.
+//! bounces. The instrument has a response, noise, converter, vertical ranges and flaws. Signal-to-noise ratios follow
+//! from pulse energy, optics and detector. The simulator shares no code with the estimators (`signal`, `geometry`,
+//! `stages`), so that their errors cannot cancel in tests.
 //!
 //! ```toml
 //! [campaign]
@@ -75,8 +73,7 @@
 //!
 //! A shortcut for studies of kernels: `snr = 20.0` in `[instrument]` (of one shot, all captures amplified to the same
 //! height) replaces `[laser]`, `[optics]`, `noise_v` and `responsivity_a_w`; likewise `reference = { fwhm_ps, snr }`.
-//! The
-//! truth marks such campaigns.
+//! The truth marks such campaigns.
 //!
 //! Not modelled: paths over two consecutive mirrors, polarisation, interference, a beam that is wider than its patch.
 

@@ -1,8 +1,7 @@
 //! The only file that uses the Parquet crate to write and read tables: one table of one part, in row groups.
 //!
 //! The sizes of the rows decide where a row group ends, so that a file's bytes do not depend on how the rows were
-//! batched.
-//! The worker pool encodes row groups; they are appended in order.
+//! batched. The worker pool encodes row groups; they are appended in order.
 
 use std::fs::File;
 use std::io::Write;

@@ -1,6 +1,5 @@
 //! How a row becomes Arrow columns and back. [`table!`](crate::table) declares each table once; its schema, writer,
-//! reader
-//! and published contract follow from that declaration.
+//! reader and published contract follow from that declaration.
 //!
 //! A column's unit is the suffix of its name; its meaning is the doc comment of its field. Field metadata hold both.
 

@@ -111,8 +111,7 @@ fn rigol_sequence(head: &Head, line: u64, names: &[String], units: &[String]) ->
 }
 
 /// Tektronix: lines of a key and values, above the channels that they describe. Next to the analog channels there may
-/// be
-/// others, with keys and a column of times of their own.
+/// be others, with keys and a column of times of their own.
 struct Tek<'a> {
     head: &'a Head,
 }

@@ -10,19 +10,14 @@
 //! | csv | comments (# %), a line of names (`time_ns,ch1`), a line of units (`(us),(V)`), or nothing | column, if there is one |
 //!
 //! With only a column of times, dt is (last - first) / (rows - 1), since printed times are rounded; uneven times are
-//! refused.
-//! A first column without a telling name holds times if it increases from row to row. The separator is a comma, a
-//! semicolon,
-//! a tab or spaces; where it is not a comma, commas may be decimal marks. Units of times and prefixes of units (`Time
-//! (ns)`,
-//! `ch1_mv`) are applied; without a unit, V and s.
+//! refused. A first column without a telling name holds times if it increases from row to row. The separator is a
+//! comma, a semicolon, a tab or spaces; where it is not a comma, commas may be decimal marks. Units of times and
+//! prefixes of units (`Time (ns)`, `ch1_mv`) are applied; without a unit, V and s.
 //!
 //! Not read: two time bases in one file, more than 256 columns, lines of more than 64 KiB, headers of other vendors. A
-//! text
-//! that is cut between two rows is noticed only if its header gives the number of rows; one that is cut within its last
-//! number is never noticed. Tested only on files that the tests build: lecroy-csv, FastFrame and logic channels of
-//! tek-csv,
-//! decimal commas, units with prefixes.
+//! text that is cut between two rows is noticed only if its header gives the number of rows; one that is cut within its
+//! last number is never noticed. Tested only on files that the tests build: lecroy-csv, FastFrame and logic channels of
+//! tek-csv, decimal commas, units with prefixes.
 
 use std::io::{self, BufReader, Write};
 use std::sync::Arc;

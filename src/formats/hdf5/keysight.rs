@@ -2,22 +2,18 @@
 //! Oscilloscope Data" in the vendor's help.
 //!
 //! Floating samples are volts; integers are codes with volts = YInc * code + YOrg. Sample i is at XOrg + i * XInc after
-//! the
-//! trigger.
+//! the trigger.
 //!
 //! Segmented memory has a data set `<name> Seg<k>Data` for each segment, with k from 1, sorted as text. Its attributes
-//! are
-//! SegmentedTimeTag (seconds after the first trigger) and SegmentedXOrg: the XOrg of this segment, with the sub-sample
-//! part
-//! of its own trigger. The XOrg of the group is that of the first segment. If SegmentedXOrg is missing, or two samples
-//! of
-//! the converter or more from XOrg, `t0_s` is `None`: one XOrg for all would be wrong by up to a sample.
+//! are SegmentedTimeTag (seconds after the first trigger) and SegmentedXOrg: the XOrg of this segment, with the
+//! sub-sample part of its own trigger. The XOrg of the group is that of the first segment. If SegmentedXOrg is missing,
+//! or two samples of the converter or more from XOrg, `t0_s` is `None`: one XOrg for all would be wrong by up to a
+//! sample.
 //!
 //! Peak detect becomes kind envelope, `Digital` groups and LOGIC become digital, x in hertz becomes spectrum.
-//! Histograms are
-//! refused. `acquired_at` is the Date of `TheFrame`: when the file was saved. A single waveform of floats was tested on
-//! a
-//! real file; integers, segments and the rest on files that the tests build after public descriptions.
+//! Histograms are refused. `acquired_at` is the Date of `TheFrame`: when the file was saved. A single waveform of
+//! floats was tested on a real file; integers, segments and the rest on files that the tests build after public
+//! descriptions.
 
 use std::sync::Arc;
 

@@ -1,12 +1,10 @@
 //! HDF5 files of oscilloscopes: Keysight Infiniium (`keysight-h5`) and Tektronix DPO5000 (`tek-h5`). The formulas are
-//! in
-//! `keysight.rs` and `tektronix.rs`.
+//! in `keysight.rs` and `tektronix.rs`.
 //!
 //! Of HDF5 itself, the reader covers what both vendors write, which is the default of the HDF5 library: superblock
-//! version 0
-//! or 1, object headers version 1, groups as symbol tables, attributes in the headers. Data sets have one axis and are
-//! contiguous, compact, or chunked with or without deflate (HDF5 File Format Specification 3.0, sections II to IV).
-//! Contiguous samples stay in the file; chunks are inflated piece by piece.
+//! version 0 or 1, object headers version 1, groups as symbol tables, attributes in the headers. Data sets have one
+//! axis and are contiguous, compact, or chunked with or without deflate (HDF5 File Format Specification 3.0, sections
+//! II to IV). Contiguous samples stay in the file; chunks are inflated piece by piece.
 //!
 //! [`arrays`] reads data sets of several axes whole; [`write()`] writes them.
 //!

@@ -2,8 +2,8 @@
 //! trigger.
 //!
 //! The file names neither the channel (it is called `Data`) nor the instrument, nor the unit, which is volts. Source: a
-//! file
-//! of a DPO5000, on which this was tested; types other than 32 bit floats were tested on files that the tests build.
+//! file of a DPO5000, on which this was tested; types other than 32 bit floats were tested on files that the tests
+//! build.
 
 use std::sync::Arc;
 

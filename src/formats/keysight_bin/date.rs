@@ -4,8 +4,7 @@
 const MONTHS: [&str; 12] = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"];
 
 /// Converts a date like `12 MAY 2026` or `2026-5-12` and a time like `8:49:9` or `08:49:09:25` (with hundredths) to ISO
-/// 8601.
-/// Returns `None` for anything else, and for the placeholder that an Infiniium writes without a date.
+/// 8601. Returns `None` for anything else, and for the placeholder that an Infiniium writes without a date.
 pub(super) fn acquired_at(date: &str, time: &str) -> Option<String> {
     let date: Vec<&str> = date.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty()).collect();
     let month = |name: &str| MONTHS.iter().position(|month| name.to_lowercase().starts_with(month));

@@ -23,8 +23,7 @@ pub struct VoltsHead {
 /// Writes segments of equal length as one `AG10` file.
 ///
 /// A segment is the time of its trigger after the first one (s), the time of its sample 0 (s), and its volts. A single
-/// one
-/// gets no Time Tag and no Segment Index, as in unsegmented files.
+/// one gets no Time Tag and no Segment Index, as in unsegmented files.
 ///
 /// # Errors
 /// When `out` cannot be written.

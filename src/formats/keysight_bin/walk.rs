@@ -9,8 +9,7 @@ pub(super) const WAVEFORM: usize = 140;
 /// Bytes without the Time Tag and the Segment Index, which default to zero where they are missing.
 const WAVEFORM_LEAST: u64 = 128;
 /// This many records are always accepted. For more, the file must have at least `RECORD_BYTES` for each: the records
-/// must
-/// not take more memory than the file, and no real segment is as short.
+/// must not take more memory than the file, and no real segment is as short.
 const RECORDS: u64 = 1000;
 /// Least bytes of the file for each record beyond `RECORDS`.
 const RECORD_BYTES: u64 = 320;

@@ -1,16 +1,14 @@
 //! DHO800 and DHO1000: small blocks of settings, each packed by zlib, then u16 codes, interleaved channel by channel.
 //!
-//! volts = k * (code - 32768) + centre. DHO800: k = n / 7.5e12, centre = -m * 1e-9; DHO1000: k = n / 7.5e11,
-//! centre = -m * 1e-8; n and m are in the channel's block. dt = ticks * 0.8 ns (DHO800) or 10 ns (DHO1000). One DHO824
-//! capture was compared with its .bin, which has volts. All samples agree to within the .bin's rounding of the centre
-//! to a
+//! volts = k * (code - 32768) + centre. DHO800: k = n / 7.5e12, centre = -m * 1e-9; DHO1000: k = n / 7.5e11, centre =
+//! -m * 1e-8; n and m are in the channel's block. dt = ticks * 0.8 ns (DHO800) or 10 ns (DHO1000). One DHO824 capture
+//! was compared with its .bin, which has volts. All samples agree to within the .bin's rounding of the centre to a
 //! whole code (1.4 uV of 300 mV), and dt is equal.
 //!
 //! No field is known that gives the position of the trigger in the memory. In that capture it is in the middle, by its
-//! .bin
-//! (half of the samples precede it). The same holds for any capture with the trigger at 50 % and no delay. Therefore
-//! `t0_s`
-//! is marked as nominal. All channels share their times. The .bin has the time of sample 0: save that if times matter.
+//! .bin (half of the samples precede it). The same holds for any capture with the trigger at 50 % and no delay.
+//! Therefore `t0_s` is marked as nominal. All channels share their times. The .bin has the time of sample 0: save that
+//! if times matter.
 
 use std::io::Read;
 

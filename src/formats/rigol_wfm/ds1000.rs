@@ -2,19 +2,14 @@
 //!
 //! volts = V/div / 25 * (zero - position - code), with zero = 99 (B) or 125 (C, D, E), V/div = scale * 1e-6 * probe,
 //! position in codes. Sample i is at offset * 1 ps + (i - depth / 2) / rate. One DS1000B capture with the trigger in
-//! the
-//! middle was compared with the scope's own CSV: all four channels are equal in every sample and in time. The sign of
-//! the
-//! offset is as in the DS2000. If the knob was turned after the scope stopped, the offset on the screen differs from
-//! that of
-//! the measurement. The file does not say which counts, and then there is no time of sample 0.
+//! the middle was compared with the scope's own CSV: all four channels are equal in every sample and in time. The sign
+//! of the offset is as in the DS2000. If the knob was turned after the scope stopped, the offset on the screen differs
+//! from that of the measurement. The file does not say which counts, and then there is no time of sample 0.
 //!
 //! Probe: the DS1000E stores the scale without it, the DS1000D with it, and nothing in the file distinguishes the two.
-//! The
-//! reader assumes a DS1000E: with a probe other than 1x, volts of a DS1000D come out larger by its factor. An inverted
-//! channel has no scale, since it is unknown whether its codes are inverted already. Rolling captures of the DS1000E
-//! end in
-//! bytes that are no samples; the reader omits them.
+//! The reader assumes a DS1000E: with a probe other than 1x, volts of a DS1000D come out larger by its factor. An
+//! inverted channel has no scale, since it is unknown whether its codes are inverted already. Rolling captures of the
+//! DS1000E end in bytes that are no samples; the reader omits them.
 
 use super::{FORMAT, dt_s, factor, field, record, some};
 use crate::numbers::Numbers;
@@ -48,8 +43,7 @@ const E_TIME: TimeBase = TimeBase { rate: 100, offset: 92, measured_offset: 112 
 const E_POINTS: usize = 28;
 const E_DATA: u64 = 276;
 /// Fields of the DS1000D and DS1000E only: how far a rolling capture got; depth and time base of the second channel,
-/// which
-/// apply when each channel has a trigger of its own.
+/// which apply when each channel has a trigger of its own.
 const E_ROLL_STOP: usize = 20;
 const E_TRIGGER_MODE: usize = 142;
 const ALTERNATING: u8 = 4;

@@ -1,25 +1,19 @@
 //! DS2000 and DS4000: headers that differ in a few fields; each channel has its own range of the file.
 //!
 //! volts = V/div / c * (code - 127) - offset, with c = 25 codes per division (DS2000) or 32 (DS4000). One DS2072A
-//! capture
-//! was compared with the scope's own CSV, which has the minimum and maximum of each 20 samples. All agree: one channel
-//! exactly, the other to half a code, by which the CSV rounds its offset (-85.5 codes here, -85 there). Volts of a
-//! DS4000
-//! are not checked against a second source.
+//! capture was compared with the scope's own CSV, which has the minimum and maximum of each 20 samples. All agree: one
+//! channel exactly, the other to half a code, by which the CSV rounds its offset (-85.5 codes here, -85 there). Volts
+//! of a DS4000 are not checked against a second source.
 //!
 //! The file does not give the time of sample 0 to the sample, so `t0_s` is marked as nominal; for times, save CSV. The
 //! public reading (the middle of the memory at the horizontal offset) puts that capture 25 samples, 25 ns, before its
-//! CSV:
-//! all 698 pairs agree at this shift, and at no other. In the CSV the trace crosses the trigger level (a slow edge,
-//! 0.2 mV/ns) 8 ns after time 0; in the public reading, 17 ns before it. The scope's own export is more plausible, but
-//! no
-//! field is known that gives those 25 samples. All channels of a file share their times.
+//! CSV: all 698 pairs agree at this shift, and at no other. In the CSV the trace crosses the trigger level (a slow
+//! edge, 0.2 mV/ns) 8 ns after time 0; in the public reading, 17 ns before it. The scope's own export is more
+//! plausible, but no field is known that gives those 25 samples. All channels of a file share their times.
 //!
 //! A single channel of a DS2000 may use the memory of two (interwoven): even samples are in the first range, odd ones
-//! in the
-//! second. This was tested only on files that the tests build. DS6000 files are refused by name: no file was available
-//! to
-//! check the public layout.
+//! in the second. This was tested only on files that the tests build. DS6000 files are refused by name: no file was
+//! available to check the public layout.
 
 use std::io::{self, SeekFrom};
 use std::ops::ControlFlow;

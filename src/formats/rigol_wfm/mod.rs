@@ -10,14 +10,12 @@
 //!
 //! Codes stay raw: volts = gain * code + offset; the gain is negative where codes fall with volts. No family stores the
 //! sub-sample part of the trigger's time. Records of different triggers therefore scatter by up to a sample against
-//! each
-//! other; channels of one file do not. `header_gain` is volts per division, `header_offset` the vertical position as
-//! stored.
+//! each other; channels of one file do not. `header_gain` is volts per division, `header_offset` the vertical position
+//! as stored.
 //!
 //! The vendor publishes no layouts; these follow RigolWFM's Kaitai descriptions. The file of each family describes
-//! where
-//! measurements of the same capture contradict them. DS6000 files are refused by name: no file was available to check a
-//! layout. Not read: logic channels.
+//! where measurements of the same capture contradict them. DS6000 files are refused by name: no file was available to
+//! check a layout. Not read: logic channels.
 
 mod dho;
 mod ds1000;

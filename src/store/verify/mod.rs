@@ -1,8 +1,7 @@
 //! Checks that a result folder is what runs wrote into it: every byte of its tables and records, and every lineage.
 //!
 //! Nothing is written here. Each damaged file is named with its place and its fix: delete what [`Finding::remove`]
-//! lists,
-//! and run again.
+//! lists, and run again.
 
 mod chain;
 mod stage_folder;
