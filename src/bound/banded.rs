@@ -1,6 +1,7 @@
 //! Cholesky factor of a covariance whose correlation has a short reach.
 
-/// Lower factor of a symmetric positive definite matrix with few diagonals (Golub and Van Loan, *Matrix Computations*, section 4.3.5).
+/// Lower factor of a symmetric positive definite matrix with few diagonals (Golub and Van Loan, *Matrix Computations*,
+/// section 4.3.5).
 pub struct Banded {
     reach: usize,
     /// Row by row, `reach + 1` values up to the diagonal.

@@ -82,14 +82,14 @@ impl Coordinates {
                 continue;
             };
             let path_sd_ps = units::time_ps(scene.captures.path_sd_m, scene.group_index);
-            let mut said = response(laboratory, shooting);
+            let mut response = response(laboratory, shooting);
             // The time of the response is the delay plus the error of the path.
             if path_sd_ps > 0.0 {
-                let pulled = said.column(0).into_owned();
-                said -= &pulled * pulled.transpose() / (1.0 / (path_sd_ps * path_sd_ps) + pulled[0]);
+                let pulled = response.column(0).into_owned();
+                response -= &pulled * pulled.transpose() / (1.0 / (path_sd_ps * path_sd_ps) + pulled[0]);
             }
             let mut block = information.view_mut((place, place), (2, 2));
-            block += said;
+            block += response;
         }
         unknowns.solve(laboratory, &information, &onsets)
     }
@@ -124,13 +124,13 @@ impl Coordinates {
 impl Unknowns {
     /// Information of one profile: its times as functions of coordinates and delay, its width as that of the sensor.
     fn of_profile(&self, laboratory: &Laboratory, profile: &ProfileBound, used: &[usize]) -> DMatrix<f64> {
-        let kept: Vec<usize> = used
+        let indices: Vec<usize> = used
             .iter()
             .map(|k| profile.detected.iter().position(|other| other == k).expect("used ones are detected"))
             .chain([profile.detected.len()])
             .collect();
-        let information = eliminate(&profile.information, &kept);
-        let mut slopes = DMatrix::zeros(kept.len(), self.count);
+        let information = eliminate(&profile.information, &indices);
+        let mut slopes = DMatrix::zeros(indices.len(), self.count);
         let delay = self.sensors[&(profile.sensor.clone(), profile.range.clone())];
         for (row, &k) in used.iter().enumerate() {
             slopes[(row, delay)] = 1.0;
@@ -157,10 +157,10 @@ impl Unknowns {
             let (patches, dimensions) = (self.patches, self.dimensions);
             return Coordinates { patches, dimensions, covariance, turns: 0, loose: Vec::new(), onsets: Vec::new() };
         }
-        let kept: Vec<usize> = (0..size).collect();
+        let indices: Vec<usize> = (0..size).collect();
         let gauge = self.turns(laboratory);
         let turns = gauge.ncols();
-        let coordinates = eliminate(information, &kept);
+        let coordinates = eliminate(information, &indices);
         // In units of each patch's own information, so that near and far patches have equal weight.
         let own = |patch: usize| {
             let places = patch * self.dimensions..(patch + 1) * self.dimensions;
@@ -169,8 +169,8 @@ impl Unknowns {
         let scale = DVector::from_fn(size, |i, _| own(i / self.dimensions));
         let scaled = DMatrix::from_fn(size, size, |i, j| coordinates[(i, j)] / (scale[i] * scale[j]));
         // Rotations, in the same units, are fixed here, and removed from the covariance afterwards.
-        let held = orthonormal(size, gauge.column_iter().map(|turn| turn.component_mul(&scale)));
-        let eigen = SymmetricEigen::new(scaled + &held * held.transpose());
+        let fixed_turns = orthonormal(size, gauge.column_iter().map(|turn| turn.component_mul(&scale)));
+        let eigen = SymmetricEigen::new(scaled + &fixed_turns * fixed_turns.transpose());
         let mut covariance = DMatrix::zeros(size, size);
         let mut loose = vec![false; self.patches.len()];
         for (k, value) in eigen.eigenvalues.iter().enumerate() {
@@ -185,14 +185,15 @@ impl Unknowns {
             }
         }
         // The visible patches define the frame: errors of hidden ones do not rotate it.
-        let mut shown = gauge.clone();
+        let mut visible_turns = gauge.clone();
         for (place, patch) in self.patches.iter().enumerate() {
             if laboratory.scene.patches[patch].role == PatchRole::Hidden {
-                shown.rows_mut(place * self.dimensions, self.dimensions).fill(0.0);
+                visible_turns.rows_mut(place * self.dimensions, self.dimensions).fill(0.0);
             }
         }
-        let share = (shown.transpose() * &gauge).try_inverse().unwrap_or_else(|| DMatrix::identity(turns, turns));
-        let free = DMatrix::identity(size, size) - &gauge * share * shown.transpose();
+        let share =
+            (visible_turns.transpose() * &gauge).try_inverse().unwrap_or_else(|| DMatrix::identity(turns, turns));
+        let free = DMatrix::identity(size, size) - &gauge * share * visible_turns.transpose();
         let covariance = &free * covariance * free.transpose();
         let onsets = self.patches.iter().map(|patch| onsets[patch]).collect();
         Coordinates { patches: self.patches, dimensions: self.dimensions, covariance, turns, loose, onsets }

@@ -48,7 +48,7 @@ pub struct OrderOutlook {
     /// Paths in all captures.
     pub paths: usize,
     /// Those above the threshold.
-    pub found: usize,
+    pub onsets: usize,
     /// Least, median and largest matched-filter signal-to-noise ratio of the average of all shots.
     pub snr: [f64; 3],
     /// Shots that bring the median path, and the strongest one, to the threshold.
@@ -192,7 +192,7 @@ fn orders(scene: &Scene, bound: &Bound, using: Use) -> Vec<OrderOutlook> {
         OrderOutlook {
             bounces,
             paths: snrs.len(),
-            found: snrs.iter().filter(|snr| **snr >= using.threshold_sigma).count(),
+            onsets: snrs.iter().filter(|snr| **snr >= using.threshold_sigma).count(),
             snr: [snrs[0], median, most],
             shots,
             hours: shots.map(|shots| shots / scene.rate_hz() / 3600.0),
@@ -222,14 +222,14 @@ fn blends(bound: &Bound) -> Vec<Blend> {
 
 fn ambiguities(scene: &Scene, bound: &Bound) -> Vec<String> {
     let coordinates = &bound.coordinates;
-    let mut found = Vec::new();
+    let mut ambiguities = Vec::new();
     if coordinates.turns > 0 {
         let about = if coordinates.turns == 1 && scene.dimensions == 3 {
             "the line through laser and sensors"
         } else {
             "laser and sensor"
         };
-        found.push(format!(
+        ambiguities.push(format!(
             "path lengths say nothing of turns about {about}, nor which of two mirror images is true; give anchors or ray directions to fix that"
         ));
     }
@@ -240,11 +240,11 @@ fn ambiguities(scene: &Scene, bound: &Bound) -> Vec<String> {
     let hidden: Vec<PatchId> = seen(PatchRole::Hidden).copied().collect();
     if !hidden.is_empty() && scene.dimensions == 3 {
         if extents[1] < FLAT * extents[0] {
-            found.push(format!(
+            ambiguities.push(format!(
                 "the visible patches lie on a line: hidden patches {hidden:?} are known up to a circle about it"
             ));
         } else if extents[2] < FLAT * extents[0] {
-            found.push(format!(
+            ambiguities.push(format!(
                 "the visible patches lie in a plane: hidden patches {hidden:?} and their mirror images give the same times; the side of laser and sensor decides"
             ));
         }
@@ -257,7 +257,7 @@ fn ambiguities(scene: &Scene, bound: &Bound) -> Vec<String> {
         .map(|(patch, _)| *patch)
         .collect();
     if !loose.is_empty() {
-        found.push(format!("patches {loose:?} rest on too few onsets to be placed; more shots, larger patches or one more spot that they see"));
+        ambiguities.push(format!("patches {loose:?} rest on too few onsets to be placed; more shots, larger patches or one more spot that they see"));
     }
     let absent: Vec<PatchId> = scene
         .patches
@@ -266,9 +266,9 @@ fn ambiguities(scene: &Scene, bound: &Bound) -> Vec<String> {
         .map(|(patch, _)| *patch)
         .collect();
     if !absent.is_empty() {
-        found.push(format!("patches {absent:?} make no onset above the threshold that the geometry uses (paths over mirrors it does not)"));
+        ambiguities.push(format!("patches {absent:?} make no onset above the threshold that the geometry uses (paths over mirrors it does not)"));
     }
-    found
+    ambiguities
 }
 
 /// Standard deviations of points along their principal axes, the largest first.

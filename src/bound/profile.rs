@@ -70,8 +70,8 @@ pub(super) fn response(laboratory: &Laboratory, shooting: &Shooting) -> DMatrix<
         width_column(laboratory, shooting, &[&shooting.light]),
     ];
     let information = samples.information(&columns);
-    let kept = eliminate(&information, &[0, 3]);
-    with_common_error(&kept, 1, reference_variance_ps2(laboratory, shooting))
+    let remaining = eliminate(&information, &[0, 3]);
+    with_common_error(&remaining, 1, reference_variance_ps2(laboratory, shooting))
 }
 
 fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -> ProfileBound {
@@ -102,8 +102,8 @@ fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -
     let full = samples.information(&columns);
     let blends = blends(&detected, &full);
     let times_and_width: Vec<usize> = (0..count).chain([2 * count + 1]).collect();
-    let kept = eliminate(&full, &times_and_width);
-    let information = with_common_error(&kept, count, reference_variance_ps2(laboratory, shooting));
+    let remaining = eliminate(&full, &times_and_width);
+    let information = with_common_error(&remaining, count, reference_variance_ps2(laboratory, shooting));
     // Response captures determine the width far better than one profile, so a single profile's own bound takes it as
     // known.
     let times = information.view((0, 0), (count, count)).into_owned();
@@ -243,22 +243,22 @@ fn phase(laboratory: &Laboratory, start_ps: f64, acf: &[f64], white: f64, shot: 
 }
 
 /// Information on the unknowns to keep, with the others unknown too (Schur's complement).
-pub(super) fn eliminate(information: &DMatrix<f64>, kept: &[usize]) -> DMatrix<f64> {
+pub(super) fn eliminate(information: &DMatrix<f64>, keep: &[usize]) -> DMatrix<f64> {
     // Unknowns without any information are uncorrelated with the rest.
-    let said = |i: &usize| information[(*i, *i)] > 0.0;
-    let others: Vec<usize> = (0..information.nrows()).filter(|i| !kept.contains(i)).filter(said).collect();
+    let is_informative = |i: &usize| information[(*i, *i)] > 0.0;
+    let others: Vec<usize> = (0..information.nrows()).filter(|i| !keep.contains(i)).filter(is_informative).collect();
     let block = |rows: &[usize], columns: &[usize]| {
         DMatrix::from_fn(rows.len(), columns.len(), |r, c| information[(rows[r], columns[c])])
     };
-    let own = block(kept, kept);
+    let own = block(keep, keep);
     if others.is_empty() {
         return own;
     }
-    let cross = block(kept, &others);
+    let cross = block(keep, &others);
     match inverse(&block(&others, &others)) {
         Some(inverse) => &own - &cross * inverse * cross.transpose(),
         // Unresolved heights leave no information on their times.
-        None => DMatrix::zeros(kept.len(), kept.len()),
+        None => DMatrix::zeros(keep.len(), keep.len()),
     }
 }
 
@@ -273,7 +273,8 @@ fn with_common_error(information: &DMatrix<f64>, times: usize, variance_ps2: f64
     information - &pulled * pulled.transpose() / (1.0 / variance_ps2 + total)
 }
 
-/// Inverse of a symmetric positive definite matrix, scaled to a diagonal of ones first; `None` if it is singular to working precision.
+/// Inverse of a symmetric positive definite matrix, scaled to a diagonal of ones first; `None` if it is singular to
+/// working precision.
 pub(super) fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let scale: Vec<f64> = (0..matrix.nrows()).map(|i| matrix[(i, i)].sqrt()).collect();
     if scale.iter().any(|scale| !(*scale > 0.0 && scale.is_finite())) {

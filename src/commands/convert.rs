@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use periscope::exchange::{self, Told, Unsaid, Written};
+use periscope::exchange::{self, CampaignOptions, Defaults, Summary};
 
 /// Arguments of `convert`.
 #[derive(Args)]
@@ -61,9 +61,9 @@ pub fn convert(args: &Convert) -> Result<ExitCode> {
     if args.every == 0 {
         bail!("--every 0: give 1 for all points, 2 for every other");
     }
-    let unsaid =
-        Unsaid { dt_ps: args.dt_ps, wall_m: args.wall_m, start_ps: args.start_ps, delays: args.tof.as_deref() };
-    let capture = exchange::read(&args.capture, &unsaid)?;
+    let defaults =
+        Defaults { dt_ps: args.dt_ps, wall_m: args.wall_m, start_ps: args.start_ps, delays: args.tof.as_deref() };
+    let capture = exchange::read(&args.capture, &defaults)?;
     if args.fwhm_ps < COARSE_BINS * capture.dt_ps {
         bail!(
             "{}: bins of {:.1} ps are too wide for a response of {} ps: times would be off by parts of a bin, far beyond their error bars; two bins \
@@ -73,7 +73,7 @@ pub fn convert(args: &Convert) -> Result<ExitCode> {
             args.fwhm_ps
         );
     }
-    let told = Told {
+    let options = CampaignOptions {
         name: name(&args.capture),
         fwhm_ps: args.fwhm_ps,
         every: args.every,
@@ -81,7 +81,7 @@ pub fn convert(args: &Convert) -> Result<ExitCode> {
         cycles: args.cycles,
         dead_time_ps: args.dead_time_ps,
     };
-    let Written { patches, histograms, counts } = exchange::write_campaign(&capture, &told, &args.out)?;
+    let Summary { patches, histograms, counts } = exchange::write_campaign(&capture, &options, &args.out)?;
     let what =
         if counts { "of photon counts" } else { "not of whole counts, so that noise is taken from their first bins" };
     println!(

@@ -132,7 +132,7 @@ fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Res
             "{:>7} {:>7} {:>7} {least:>9.2e} {median:>9.2e} {most:>9.2e}   {:26} {}",
             row.bounces,
             row.paths,
-            row.found,
+            row.onsets,
             needs(1),
             needs(0)
         )?;
@@ -190,7 +190,7 @@ fn object(scene: &Scene, outlook: &Outlook) -> serde_json::Value {
             "snr_strongest": row.snr, "shots_strongest": finite(row.shots), "hours_strongest": finite(row.hours),
         })).collect::<Vec<_>>(),
         "bounces": outlook.orders.iter().map(|row| json!({
-            "order": row.bounces, "paths": row.paths, "found": row.found, "snr_least": row.snr[0], "snr_median": row.snr[1],
+            "order": row.bounces, "paths": row.paths, "found": row.onsets, "snr_least": row.snr[0], "snr_median": row.snr[1],
             "snr_most": row.snr[2], "shots_median": finite(row.shots[0]), "shots_strongest": finite(row.shots[1]),
             "hours_median": finite(row.hours[0]), "hours_strongest": finite(row.hours[1]),
         })).collect::<Vec<_>>(),

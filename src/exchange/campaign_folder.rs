@@ -39,7 +39,7 @@ const FWHM: f64 = 2.354_820_045_030_949_3;
 
 /// What the campaign needs and a capture does not contain.
 #[derive(Clone, Debug)]
-pub struct Told {
+pub struct CampaignOptions {
     /// Name of the campaign.
     pub name: String,
     /// Full width at half maximum of laser pulse and sensor together.
@@ -56,7 +56,7 @@ pub struct Told {
 
 /// Size of the campaign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Written {
+pub struct Summary {
     /// Patches.
     pub patches: usize,
     /// Histograms.
@@ -69,45 +69,46 @@ pub struct Written {
 ///
 /// # Errors
 /// When the folder is in use or cannot be written, or the capture cannot be a campaign.
-pub fn write(capture: &Capture, told: &Told, out: &Path) -> Result<Written, ExchangeError> {
+pub fn write(capture: &Capture, options: &CampaignOptions, out: &Path) -> Result<Summary, ExchangeError> {
     let unfit = |problem: String| ExchangeError::Unfit { path: out.to_owned(), problem };
-    let written = |path: &Path, result: io::Result<()>| {
+    let or_write_error = |path: &Path, result: io::Result<()>| {
         result.map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
     };
     if out.exists() && fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some()) {
         return Err(unfit("is not empty; choose another folder, or remove it".to_owned()));
     }
-    let kept = |pair: &&Pair| capture.lit.keeps(pair.lit, told.every) && capture.seen.keeps(pair.seen, told.every);
-    let pairs: Vec<Pair> = capture.pairs.iter().filter(kept).copied().collect();
-    let folder = Folder { capture, told, scene: Scene::new(capture, &pairs), pairs };
+    let is_kept =
+        |pair: &&Pair| capture.lit.keeps(pair.lit, options.every) && capture.seen.keeps(pair.seen, options.every);
+    let pairs: Vec<Pair> = capture.pairs.iter().filter(is_kept).copied().collect();
+    let folder = Folder { capture, options, layout: Layout::new(capture, &pairs), pairs };
     let counts = folder.are_counts().map_err(unfit)?;
     let raw = out.join("raw");
-    written(&raw, fs::create_dir_all(&raw))?;
+    or_write_error(&raw, fs::create_dir_all(&raw))?;
     let save = |name: &str, write: &dyn Fn(&mut BufWriter<File>) -> io::Result<()>| {
         let path = out.join(name);
         let saved = File::create(&path).map(BufWriter::new).and_then(|mut file| {
             write(&mut file)?;
             file.flush()
         });
-        written(&path, saved)
+        or_write_error(&path, saved)
     };
     save(HISTOGRAMS, &|file| folder.write_histograms(file, counts))?;
     save(RESPONSE, &|file| folder.write_response(file, counts))?;
     save(TABLE, &|file| file.write_all(folder.table().as_bytes()))?;
     save(RESPONSE_TABLE, &|file| file.write_all(folder.response_table(counts).as_bytes()))?;
     save(CAMPAIGN_FILE, &|file| file.write_all(folder.campaign(counts).as_bytes()))?;
-    Ok(Written { patches: folder.scene.patches.len(), histograms: folder.pairs.len(), counts })
+    Ok(Summary { patches: folder.layout.patches.len(), histograms: folder.pairs.len(), counts })
 }
 
 /// The patches, their numbers by position, and the stations.
-struct Scene {
+struct Layout {
     patches: BTreeMap<PatchId, Spot>,
     numbers: BTreeMap<[i64; 3], PatchId>,
     laser_m: [f64; 3],
     sensor_m: [f64; 3],
 }
 
-impl Scene {
+impl Layout {
     fn new(capture: &Capture, pairs: &[Pair]) -> Self {
         let (mut patches, mut numbers) = (BTreeMap::new(), BTreeMap::new());
         let of = |grid: &Grid, place: &dyn Fn(&Pair) -> usize| -> Vec<Spot> {
@@ -164,9 +165,9 @@ fn response_shots(counts: bool) -> usize {
 /// A folder while it is written.
 struct Folder<'a> {
     capture: &'a Capture,
-    told: &'a Told,
+    options: &'a CampaignOptions,
     pairs: Vec<Pair>,
-    scene: Scene,
+    layout: Layout,
 }
 
 impl Folder<'_> {
@@ -203,13 +204,13 @@ impl Folder<'_> {
 
     /// Bins of the response before the arrival.
     fn response_bins(&self) -> usize {
-        (RESPONSE_SIGMA * self.told.fwhm_ps / FWHM / self.capture.dt_ps).ceil() as usize + 1
+        (RESPONSE_SIGMA * self.options.fwhm_ps / FWHM / self.capture.dt_ps).ceil() as usize + 1
     }
 
     /// A Gaussian, integrated over each bin. Shots of a sensor that does not count start a fraction of a bin earlier
     /// each.
     fn write_response(&self, file: &mut BufWriter<File>, counts: bool) -> io::Result<()> {
-        let (dt_ps, sigma_ps, bins) = (self.capture.dt_ps, self.told.fwhm_ps / FWHM, self.response_bins());
+        let (dt_ps, sigma_ps, bins) = (self.capture.dt_ps, self.options.fwhm_ps / FWHM, self.response_bins());
         let shots = response_shots(counts);
         let inside = 16;
         let height = |centre_ps: f64| {
@@ -235,7 +236,7 @@ impl Folder<'_> {
         let legs_m = if self.capture.with_legs {
             0.0
         } else {
-            gap_m(self.scene.laser_m, lit.position_m) + gap_m(seen.position_m, self.scene.sensor_m)
+            gap_m(self.layout.laser_m, lit.position_m) + gap_m(seen.position_m, self.layout.sensor_m)
         };
         pair.start_ps + 0.5 * self.capture.dt_ps + units::time_ps(legs_m, 1.0)
     }
@@ -243,7 +244,7 @@ impl Folder<'_> {
     fn table(&self) -> String {
         let mut text = "file,segment,lit,seen,t0_ps\n".to_owned();
         for (segment, pair) in self.pairs.iter().enumerate() {
-            let [lit, seen] = self.spots(pair).map(|spot| self.scene.number(&spot));
+            let [lit, seen] = self.spots(pair).map(|spot| self.layout.number(&spot));
             // A file with a single record has no segments.
             let segment = if self.pairs.len() > 1 { segment.to_string() } else { String::new() };
             writeln!(text, "{HISTOGRAMS},{segment},{lit},{seen},{:?}", self.t0_ps(pair))
@@ -265,44 +266,44 @@ impl Folder<'_> {
     }
 
     fn campaign(&self, counts: bool) -> String {
-        let Self { capture, told, scene, .. } = self;
+        let Self { capture, options, layout, .. } = self;
         let mut text =
             format!("# Converted from a capture of format {}. The points on the wall are anchors.\n", capture.format);
         let mut line = |line: String| writeln!(text, "{line}").expect("a String takes all text");
         line(format!(
             "[campaign]\nname = {:?}\ngroup_index = 1.0   # lengths in the capture are times in vacuum",
-            told.name
+            options.name
         ));
         if capture.laser_m.is_none() {
             line("\n# The capture does not say where laser and sensor are, nor do its times depend on it: any place in front of the wall will do.".to_owned());
         }
-        line(format!("[stations.{LASER}]\nposition_m = {:?}", scene.laser_m));
-        if !scene.is_together() {
-            line(format!("[stations.{SENSOR}]\nposition_m = {:?}", scene.sensor_m));
+        line(format!("[stations.{LASER}]\nposition_m = {:?}", layout.laser_m));
+        if !layout.is_together() {
+            line(format!("[stations.{SENSOR}]\nposition_m = {:?}", layout.sensor_m));
         }
         line(format!("\n[sensors.{SENSOR}]"));
-        if !scene.is_together() {
+        if !layout.is_together() {
             line(format!("station = \"{SENSOR}\""));
         }
         if counts {
-            let cycles = told.cycles.unwrap_or(CYCLES);
+            let cycles = options.cycles.unwrap_or(CYCLES);
             let unknown =
-                if told.cycles.is_none() { "   # not known: so many that no photon hides another" } else { "" };
+                if options.cycles.is_none() { "   # not known: so many that no photon hides another" } else { "" };
             line(format!("kind = \"counts\"\ncycles = {cycles}{unknown}"));
-            told.dead_time_ps.iter().for_each(|dead_time_ps| line(format!("dead_time_ps = {dead_time_ps:?}")));
+            options.dead_time_ps.iter().for_each(|dead_time_ps| line(format!("dead_time_ps = {dead_time_ps:?}")));
         }
         let scale = format!("dt_ps = {:?}\ngain_v = 1.0\noffset_v = 0.0", capture.dt_ps);
         line(format!("\n[[captures]]\nrole = \"scene\"\ntable = \"{TABLE}\"\n{scale}"));
-        let fwhm_ps = told.fwhm_ps;
+        let fwhm_ps = options.fwhm_ps;
         line(format!(
             "\n# The response is not of the capture: a Gaussian of {fwhm_ps} ps full width at half maximum, as it was told."
         ));
         line(format!(
             "[[captures]]\nrole = \"response\"\ntable = \"{RESPONSE_TABLE}\"\npath_m = {RESPONSE_PATH_M:?}\n{scale}"
         ));
-        for (patch, spot) in &scene.patches {
+        for (patch, spot) in &layout.patches {
             line(format!("\n[patches.{patch}]\nposition_m = {:?}", spot.position_m));
-            told.sd_m.iter().for_each(|sd_m| line(format!("sd_m = {sd_m:?}")));
+            options.sd_m.iter().for_each(|sd_m| line(format!("sd_m = {sd_m:?}")));
             spot.normal.iter().for_each(|normal| line(format!("normal = {normal:?}")));
         }
         text

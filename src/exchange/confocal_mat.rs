@@ -6,7 +6,7 @@
 //! Lindell and Wetzstein (Nature 555:338, 2018) and of Lindell, Wetzstein and O'Toole (ACM TOG 38:116, 2019).
 
 use super::capture::{Capture, Grid, Histograms, Pair, Spot};
-use super::read::Unsaid;
+use super::read::Defaults;
 use super::y_tal::single;
 use crate::formats::array::Arrays;
 
@@ -14,7 +14,7 @@ use crate::formats::array::Arrays;
 pub(super) const NAMES: [&str; 4] = ["rect_data", "meas", "width", "tofgrid"];
 
 /// Reads the arrays of a file, and those of the file with `tofgrid`.
-pub(super) fn read(mut arrays: Arrays, unsaid: &Unsaid, delays: Option<&Arrays>) -> Result<Capture, String> {
+pub(super) fn read(mut arrays: Arrays, defaults: &Defaults, delays: Option<&Arrays>) -> Result<Capture, String> {
     let is_raw = !arrays.contains_key("rect_data");
     let data = arrays.remove(if is_raw { "meas" } else { "rect_data" }).ok_or("has no rect_data")?;
     // MATLAB's first axis comes last.
@@ -26,8 +26,8 @@ pub(super) fn read(mut arrays: Arrays, unsaid: &Unsaid, delays: Option<&Arrays>)
             "is a scan of {xs} x {ys} points and {bins} bins; two points on each side and one bin are the least"
         ));
     }
-    let dt_ps = unsaid.dt_ps.ok_or("does not say how wide a bin is; add --dt-ps")?;
-    let half_m = match (unsaid.wall_m, single(&arrays, "width")?) {
+    let dt_ps = defaults.dt_ps.ok_or("does not say how wide a bin is; add --dt-ps")?;
+    let half_m = match (defaults.wall_m, single(&arrays, "width")?) {
         (Some(wall_m), _) => 0.5 * wall_m,
         (None, Some(width)) => width,
         (None, None) => return Err("does not say how large the scanned square is; add --wall-m, its side".to_owned()),
@@ -54,7 +54,7 @@ pub(super) fn read(mut arrays: Arrays, unsaid: &Unsaid, delays: Option<&Arrays>)
         |y: usize, x: usize| Spot { position_m: [along(x, xs), along(y, ys), 0.0], normal: Some([0.0, 0.0, 1.0]) };
     let spots = (0..ys).flat_map(|y| (0..xs).map(move |x| spot(y, x))).collect();
     let grid = Grid { axes: vec![ys, xs], spots };
-    let start_ps = unsaid.start_ps.unwrap_or(0.0);
+    let start_ps = defaults.start_ps.unwrap_or(0.0);
     let pair =
         |(place, late_ps): (usize, &f64)| Pair { lit: place, seen: place, start_ps: start_ps - late_ps, offset: place };
     Ok(Capture {

@@ -24,10 +24,10 @@ mod z_nlos;
 
 use std::path::PathBuf;
 
-pub use campaign_folder::{Told, Written, write as write_campaign};
+pub use campaign_folder::{CampaignOptions, Summary, write as write_campaign};
 pub use capture::{Capture, Grid, Pair, Spot};
 pub use profiles_to_capture::capture_of;
-pub use read::{Unsaid, read};
+pub use read::{Defaults, read};
 pub use y_tal_file::write as write_y_tal;
 
 /// Why an exchange failed.

@@ -24,7 +24,8 @@ struct Timed<'a> {
 /// between bins are interpolated, band-limited.
 ///
 /// # Errors
-/// When the profiles are of several sensors, ranges or time steps, or a patch has no place, or pairs are missing; the text names the mend.
+/// When the profiles are of several sensors, ranges or time steps, or a patch has no place, or pairs are missing; the
+/// text names the mend.
 pub fn capture_of(
     profiles: &[Profile],
     patches: &[Patch],
@@ -97,11 +98,11 @@ pub fn capture_of(
 
 /// Where a patch is.
 fn spot(patch: PatchId, patches: &[Patch], campaign: &Campaign) -> Result<Spot, String> {
-    let told = campaign.patches.get(&patch);
+    let options = campaign.patches.get(&patch);
     let found =
         patches.iter().find(|row| row.patch == patch && row.alternative == 0).map(|row| [row.x_m, row.y_m, row.z_m]);
-    let position_m = found.or_else(|| told?.position_m);
-    let normal = told.and_then(|told| told.normal);
+    let position_m = found.or_else(|| options?.position_m);
+    let normal = options.and_then(|options| options.normal);
     let position_m = position_m.ok_or_else(|| {
         format!("patch {patch} has no place: neither is it in the table of patches, nor has [patches.{patch}] of campaign.toml a `position_m`")
     })?;

@@ -12,7 +12,7 @@ const HEAD_BYTES: u64 = 520;
 
 /// Values for what a file does not contain.
 #[derive(Clone, Debug, Default)]
-pub struct Unsaid<'a> {
+pub struct Defaults<'a> {
     /// Width of a bin.
     pub dt_ps: Option<f64>,
     /// Side of the scanned square.
@@ -27,7 +27,7 @@ pub struct Unsaid<'a> {
 ///
 /// # Errors
 /// When the file cannot be read, has another format, or lacks a value that `defaults` does not give either.
-pub fn read(path: &Path, unsaid: &Unsaid) -> Result<Capture, ExchangeError> {
+pub fn read(path: &Path, defaults: &Defaults) -> Result<Capture, ExchangeError> {
     let unfit = |problem: String| ExchangeError::Unfit { path: path.to_owned(), problem };
     let (arrays, names) = arrays(path)?;
     let has = |name: &str| arrays.contains_key(name);
@@ -36,8 +36,8 @@ pub fn read(path: &Path, unsaid: &Unsaid) -> Result<Capture, ExchangeError> {
     } else if has("data") && has("cameraGridPositions") {
         z_nlos::read(arrays)
     } else if has("rect_data") || has("meas") {
-        let delays = unsaid.delays.map(self::arrays).transpose()?.map(|(arrays, _)| arrays);
-        confocal_mat::read(arrays, unsaid, delays.as_ref())
+        let delays = defaults.delays.map(self::arrays).transpose()?.map(|(arrays, _)| arrays);
+        confocal_mat::read(arrays, defaults, delays.as_ref())
     } else {
         Err(format!(
             "holds {names:?}: neither a capture of y-tal (H), nor of Z-NLOS (data, cameraGridPositions), nor a confocal MAT-file (rect_data or meas); \

@@ -29,7 +29,7 @@ struct Work {
     stage: StageId,
     recipe: Digest,
     parts: BTreeSet<Digest>,
-    kept: Option<WholeTable>,
+    whole: Option<WholeTable>,
     /// Names of its tables; for a table that is not kept, all possible ones.
     names: Vec<String>,
     /// Views by table.
@@ -56,11 +56,11 @@ impl Ancestry {
         let mut works = Vec::new();
         for stored in shelf.stored()? {
             let recipe = stored.stage.recipe();
-            let work = |kept: Option<WholeTable>, parts: BTreeSet<Digest>, names: Vec<String>| Work {
+            let work = |whole: Option<WholeTable>, parts: BTreeSet<Digest>, names: Vec<String>| Work {
                 stage: stored.stage.clone(),
                 recipe,
                 parts,
-                kept,
+                whole,
                 names,
                 views: BTreeMap::new(),
                 inputs: Vec::new(),
@@ -94,7 +94,7 @@ impl Ancestry {
     }
 
     fn work_of(&self, record: &TableRecord) -> Option<usize> {
-        self.works.iter().position(|work| work.kept.as_ref().is_some_and(|kept| kept.record == *record))
+        self.works.iter().position(|work| work.whole.as_ref().is_some_and(|whole| whole.record == *record))
     }
 
     /// Inputs of a result, and whether their lineages explain its own.
@@ -124,31 +124,31 @@ impl Ancestry {
 
     /// Tables with this recipe digest; those with a view first.
     fn with_recipe(&self, recipe: &Digest) -> Vec<Table> {
-        let named = |(work, made): (usize, &Work)| {
-            let name = made.names.iter().find(|name| lineage::table_recipe(name, &made.recipe) == *recipe)?;
-            Some((made.views.is_empty(), Table { work, name: name.clone() }))
+        let named = |(index, work): (usize, &Work)| {
+            let name = work.names.iter().find(|name| lineage::table_recipe(name, &work.recipe) == *recipe)?;
+            Some((work.views.is_empty(), Table { work: index, name: name.clone() }))
         };
-        let mut found: Vec<(bool, Table)> = self.works.iter().enumerate().filter_map(named).collect();
-        found.sort();
-        found.into_iter().map(|(_, table)| table).collect()
+        let mut tables: Vec<(bool, Table)> = self.works.iter().enumerate().filter_map(named).collect();
+        tables.sort();
+        tables.into_iter().map(|(_, table)| table).collect()
     }
 
     /// Whether these inputs explain the lineage of the result. For a table that is not kept, the order of its parts is
     /// unknown: it fits.
     fn fits(&self, work: usize, inputs: &[(String, Table)]) -> bool {
-        let made = &self.works[work];
-        let whole = |table: &Table| self.works[table.work].kept.as_ref().map(|kept| kept.record.lineage);
+        let work = &self.works[work];
+        let whole = |table: &Table| self.works[table.work].whole.as_ref().map(|whole| whole.record.lineage);
         let beside = inputs.iter().filter(|(name, _)| name != STREAMED).map(|(_, table)| whole(table));
         let Some(beside) = beside.collect::<Option<Vec<Digest>>>() else { return true };
         let Some((_, streamed)) = inputs.iter().find(|(name, _)| name == STREAMED) else { return true };
-        let part = |input: &Digest| lineage::part(&made.recipe, input, &beside);
+        let part = |input: &Digest| lineage::part(&work.recipe, input, &beside);
         let mut possible: BTreeSet<Digest> = self.works[streamed.work].parts.iter().map(part).collect();
         match whole(streamed) {
             Some(whole) => possible.extend([part(&whole)]),
-            None if !made.parts.is_subset(&possible) => return true,
+            None if !work.parts.is_subset(&possible) => return true,
             None => {}
         }
-        made.parts.is_subset(&possible)
+        work.parts.is_subset(&possible)
     }
 
     fn find_depth(&self, work: usize) -> usize {
@@ -160,9 +160,9 @@ impl Ancestry {
     #[must_use]
     pub fn views(&self) -> Vec<(String, Table)> {
         let mut views: Vec<(usize, &String, Table)> = Vec::new();
-        for (work, made) in self.works.iter().enumerate() {
-            for (name, view) in &made.views {
-                views.push((made.depth, view, Table { work, name: name.clone() }));
+        for (index, work) in self.works.iter().enumerate() {
+            for (name, view) in &work.views {
+                views.push((work.depth, view, Table { work: index, name: name.clone() }));
             }
         }
         views.sort();
@@ -178,8 +178,8 @@ impl Ancestry {
     /// Name of a table: that of its view if it has one, else from its stage.
     #[must_use]
     pub fn label(&self, table: &Table) -> String {
-        let made = &self.works[table.work];
-        made.views.get(&table.name).cloned().unwrap_or_else(|| format!("{} of {}", table.name, made.stage.kind))
+        let work = &self.works[table.work];
+        work.views.get(&table.name).cloned().unwrap_or_else(|| format!("{} of {}", table.name, work.stage.kind))
     }
 
     /// The stage that made a table.
@@ -191,7 +191,7 @@ impl Ancestry {
     /// Record of a table, if it is kept.
     #[must_use]
     pub fn record(&self, table: &Table) -> Option<&TableRecord> {
-        self.works[table.work].kept.as_ref().map(|kept| &kept.record)
+        self.works[table.work].whole.as_ref().map(|whole| &whole.record)
     }
 
     /// Lineages of the parts of a table, kept or not.
@@ -221,25 +221,25 @@ impl Ancestry {
     /// Another table of the same result, main or side.
     #[must_use]
     pub fn beside(&self, table: &Table, name: &str) -> Option<Table> {
-        let made = &self.works[table.work];
-        let is_there = made.kept.is_some() && made.names.iter().any(|known| known == name);
+        let work = &self.works[table.work];
+        let is_there = work.whole.is_some() && work.names.iter().any(|other| other == name);
         is_there.then(|| Table { work: table.work, name: name.to_owned() })
     }
 
     /// All ancestors of a table, nearest first; streamed inputs before the others.
     #[must_use]
     pub fn upstream(&self, of: &Table) -> Vec<Table> {
-        let mut found: Vec<Table> = Vec::new();
+        let mut tables: Vec<Table> = Vec::new();
         let mut queue = VecDeque::from([of.clone()]);
         while let Some(table) = queue.pop_front() {
             for (_, input) in self.inputs(&table) {
-                if !found.contains(input) {
-                    found.push(input.clone());
+                if !tables.contains(input) {
+                    tables.push(input.clone());
                     queue.push_back(input.clone());
                 }
             }
         }
-        found
+        tables
     }
 
     /// The nearest ancestor with this name.
@@ -253,16 +253,16 @@ impl Ancestry {
     /// # Errors
     /// When its folder cannot be read.
     pub fn files(&self, table: &Table) -> Result<Vec<PathBuf>, HistoryError> {
-        let kept = self.works[table.work].kept.as_ref();
-        Ok(kept.map(|kept| kept.files(&table.name)).transpose()?.unwrap_or_default())
+        let whole = self.works[table.work].whole.as_ref();
+        Ok(whole.map(|whole| whole.files(&table.name)).transpose()?.unwrap_or_default())
     }
 
     /// Folder of a table, through its view if it has one.
     #[must_use]
     pub fn folder(&self, shelf: &Shelf, table: &Table) -> Option<PathBuf> {
-        let made = &self.works[table.work];
-        let view = made.views.get(&table.name).map(|view| shelf.out().join(view));
-        view.or_else(|| made.kept.as_ref().map(|kept| kept.folder.join(&table.name)))
+        let work = &self.works[table.work];
+        let view = work.views.get(&table.name).map(|view| shelf.out().join(view));
+        view.or_else(|| work.whole.as_ref().map(|whole| whole.folder.join(&table.name)))
     }
 
     /// Rows of a table that `wanted` accepts, with only the columns of `R`.

@@ -184,7 +184,7 @@ pub struct CaptureBehind {
 
 table! {
     /// Columns of a profile that describe its capture.
-    "profiles": Averaged, AveragedColumns {
+    "profiles": ProfileRow, ProfileRowColumns {
         /// Campaign.
         campaign: Name,
         /// Sensor.
@@ -210,7 +210,7 @@ table! {
 
 table! {
     /// Quality of the deconvolution of a profile.
-    "stir": Explained, ExplainedColumns {
+    "stir": StirRow, StirRowColumns {
         /// Campaign.
         campaign: Name,
         /// Sensor.
@@ -226,7 +226,7 @@ table! {
 
 /// Keys of the captures of the scene in a table `profiles`.
 pub(super) fn scene_captures(ancestry: &Ancestry, profiles: &Table) -> Result<BTreeSet<CaptureKey>, HistoryError> {
-    let rows = ancestry.rows(profiles, |row: &Averaged| &*row.role == "scene")?;
+    let rows = ancestry.rows(profiles, |row: &ProfileRow| &*row.role == "scene")?;
     Ok(rows.into_iter().map(|row| (row.campaign, row.sensor, row.lit, row.seen)).collect())
 }
 
@@ -241,14 +241,14 @@ pub(super) fn captures(
     let profiles = at_or_above(ancestry, from, "profiles");
     let mut averaged = BTreeMap::new();
     if let Some(table) = &profiles {
-        let key = |row: &Averaged| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
-        let rows = ancestry.rows(table, |row: &Averaged| &*row.role == "scene" && keys.contains(&key(row)))?;
+        let key = |row: &ProfileRow| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
+        let rows = ancestry.rows(table, |row: &ProfileRow| &*row.role == "scene" && keys.contains(&key(row)))?;
         averaged.extend(rows.into_iter().map(|row| (key(&row), row)));
     }
     let mut explained = BTreeMap::new();
     if let Some(table) = at_or_above(ancestry, from, "stir") {
-        let key = |row: &Explained| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
-        let rows = ancestry.rows(&table, |row: &Explained| keys.contains(&key(row)))?;
+        let key = |row: &StirRow| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
+        let rows = ancestry.rows(&table, |row: &StirRow| keys.contains(&key(row)))?;
         explained.extend(rows.into_iter().map(|row| (key(&row), row.chi2_dof)));
     }
     let mut raw: BTreeMap<CaptureKey, Vec<RawRecords>> = BTreeMap::new();

@@ -8,7 +8,7 @@ use crate::campaign::Manifest;
 use crate::store::Shelf;
 
 /// Most raw files of each kind that are named.
-const NAMED: usize = 3;
+const MOST_FILES: usize = 3;
 
 /// Something that differs in B.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -91,8 +91,8 @@ fn raw_files(a: &Shelf, b: &Shelf) -> Result<Vec<Cause>, HistoryError> {
             [("only in A", only(&in_a, &in_b)), ("only in B", only(&in_b, &in_a)), ("with other content", other)]
         {
             if !files.is_empty() {
-                let more = if files.len() > NAMED { ", ..." } else { "" };
-                let listed = files[..files.len().min(NAMED)].join(", ");
+                let more = if files.len() > MOST_FILES { ", ..." } else { "" };
+                let listed = files[..files.len().min(MOST_FILES)].join(", ");
                 let change = format!("raw files {what}: {} ({listed}{more})", files.len());
                 causes.push(Cause { at: name.clone(), change });
             }

@@ -11,13 +11,13 @@ use serde::Serialize;
 use super::HistoryError;
 use super::causes::{Cause, causes};
 use super::differences::{ColumnDifference, Differences, label};
-use super::matching::{Found, match_rows};
+use super::matching::{Match, match_rows};
 use super::side::{Side, SideTable};
 use crate::store::{FileRecord, scan};
 use crate::tables::key_of;
 
 /// Most rows of one side only that are named.
-const NAMED: usize = 3;
+const MOST_KEYS: usize = 3;
 
 /// Comparison of two folders.
 #[derive(Clone, Debug, Serialize)]
@@ -147,7 +147,7 @@ fn table(a: &Side, in_a: &SideTable, b: &Side, in_b: &SideTable, look: bool) -> 
         (false, _) => Verdict::Differs,
     };
     compared.rows = Some(rows);
-    if let (Some(history_a), Some(history_b), Some(of_a), Some(of_b)) = (&a.history, &b.history, &in_a.made, &in_b.made)
+    if let (Some(history_a), Some(history_b), Some(of_a), Some(of_b)) = (&a.history, &b.history, &in_a.node, &in_b.node)
     {
         compared.causes = causes((history_a, of_a), (history_b, of_b))?;
     }
@@ -168,17 +168,17 @@ fn rows(in_a: &SideTable, in_b: &SideTable) -> Result<RowsComparison, HistoryErr
     let (a, b) = other_parts(&in_a.files, &in_b.files);
     let mut differences = Differences::new(key);
     let names: Vec<String> = key.iter().map(|name| (*name).to_owned()).collect();
-    match_rows(a, b, key, |found| {
+    match_rows(a, b, key, |outcome| {
         let first = |batch| {
-            (0..NAMED.min(arrow_array::RecordBatch::num_rows(batch))).map(|row| label(batch, &names, row)).collect()
+            (0..MOST_KEYS.min(arrow_array::RecordBatch::num_rows(batch))).map(|row| label(batch, &names, row)).collect()
         };
-        match found {
-            Found::Pairs { a, b, pairs } => differences.add(a, b, pairs)?,
-            Found::OnlyA(batch) => {
+        match outcome {
+            Match::Pairs { a, b, pairs } => differences.add(a, b, pairs)?,
+            Match::OnlyA(batch) => {
                 compared.only_in_a = batch.num_rows() as u64;
                 compared.only_in_a_such_as = first(batch);
             }
-            Found::OnlyB(batch) => {
+            Match::OnlyB(batch) => {
                 compared.only_in_b = batch.num_rows() as u64;
                 compared.only_in_b_such_as = first(batch);
             }

@@ -209,14 +209,14 @@ impl Sum {
             }
             self.count += 1;
             self.squares += by * by;
-            let found = &mut self.difference;
-            if found.largest.is_none_or(|largest: f64| by.abs() > largest.abs()) {
-                (found.largest, found.largest_at) = (Some(by), Some(at()));
+            let difference = &mut self.difference;
+            if difference.largest.is_none_or(|largest: f64| by.abs() > largest.abs()) {
+                (difference.largest, difference.largest_at) = (Some(by), Some(at()));
             }
             if let Some(sd) = sd(item) {
                 self.count_in_sd += 1;
                 self.squares_in_sd += (by / sd).powi(2);
-                found.largest_in_sd = Some(found.largest_in_sd.unwrap_or(0.0).max(by.abs() / sd));
+                difference.largest_in_sd = Some(difference.largest_in_sd.unwrap_or(0.0).max(by.abs() / sd));
             }
         }
         differs
@@ -246,7 +246,7 @@ impl<'a> Sd<'a> {
             if let Cells::Numbers(numbers) = &view.cells { Some(numbers) } else { None }
         };
         let (stem, unit) = column.rsplit_once('_').unwrap_or((column, ""));
-        let named = match column {
+        let sd_numbers = match column {
             "distance_m" => numbers("sd_m"),
             "residual_ps" | "delay_ps" => numbers("sd_ps"),
             "mean_v" => numbers("se_v"),
@@ -255,7 +255,7 @@ impl<'a> Sd<'a> {
             _ => numbers(&format!("{column}_sd")).or_else(|| numbers(&format!("{stem}_sd_{unit}"))),
         };
         let is_variance = matches!(column, "x_m" | "y_m" | "z_m");
-        named.map(|numbers| Self { numbers, is_variance })
+        sd_numbers.map(|numbers| Self { numbers, is_variance })
     }
 
     /// Standard deviation of one item of a row.

@@ -15,9 +15,9 @@ use super::HistoryError;
 use super::ancestry::{Ancestry, Table};
 use super::behind::{self, CaptureBehind, OnsetBehind};
 use super::exposures::{CaptureKey, Exposures};
-use super::gather::{Explainer, Gathered};
+use super::gather::{Evidence, Explainer};
 use super::sensors::{self, SensorBehind};
-use super::sql::{Picked, Query, Questions};
+use super::sql::{Query, Questions, Selection};
 use super::target::Target;
 use crate::store::{Digest, Shelf};
 use crate::tables::{Label, Onset, Row};
@@ -89,25 +89,26 @@ impl Explainer<'_> {
         &self,
         target: &Target,
         table: &Table,
-        gathered: Gathered,
+        gathered: Evidence,
         mut remarks: Vec<String>,
     ) -> Result<Explanation, HistoryError> {
         let ancestry = self.ancestry;
-        let Gathered { row, onsets, picked, condition } = gathered;
+        let Evidence { row, onsets, selection, condition } = gathered;
         let is_onset = table.name == Onset::TABLE;
         let labels = if is_onset { self.last_made_from(table, Label::TABLE) } else { self.labels_of(table) };
         let detected = behind::at_or_above(ancestry, table, Onset::TABLE);
         let onsets = behind::complete(ancestry, onsets, labels.as_ref(), detected.as_ref())?;
         // Captures and raw files follow from the table in which the onsets were detected.
         let from = detected.as_ref().unwrap_or(table);
-        let (captures, is_joint) = self.captures(table, from, &onsets, picked.is_some())?;
+        let (captures, is_joint) = self.captures(table, from, &onsets, selection.is_some())?;
         let exposures = Exposures { shelf: self.shelf, ancestry, campaigns: self.campaigns };
         let sensors = sensors::sensors(&exposures, &captures, table, &mut remarks)?;
         let captures = behind::captures(&exposures, &captures, from, &mut remarks)?;
         self.remark_on_tables(table, &mut remarks);
-        let queries = self.queries(table, &condition, picked.as_ref(), labels.as_ref(), detected.as_ref(), is_joint)?;
-        let mut told = BTreeSet::new();
-        remarks.retain(|remark| told.insert(remark.clone()));
+        let queries =
+            self.queries(table, &condition, selection.as_ref(), labels.as_ref(), detected.as_ref(), is_joint)?;
+        let mut unique = BTreeSet::new();
+        remarks.retain(|remark| unique.insert(remark.clone()));
         Ok(Explanation {
             target: target.to_string(),
             table: ancestry.label(table),
@@ -198,15 +199,15 @@ impl Explainer<'_> {
         &self,
         table: &Table,
         condition: &str,
-        picked: Option<&Picked>,
+        selection: Option<&Selection>,
         labels: Option<&Table>,
         detected: Option<&Table>,
         is_joint: bool,
     ) -> Result<Vec<Query>, HistoryError> {
         let questions = Questions { shelf: self.shelf, ancestry: self.ancestry };
         let mut queries = vec![questions.rows("the row itself", table, condition)?];
-        if let Some(picked) = picked.filter(|picked| picked.table != *table) {
-            queries.push(questions.onsets(picked, labels, detected)?);
+        if let Some(selection) = selection.filter(|selection| selection.table != *table) {
+            queries.push(questions.onsets(selection, labels, detected)?);
         }
         let from = detected.unwrap_or(table);
         for (name, about, columns) in [
@@ -214,7 +215,7 @@ impl Explainer<'_> {
             ("traces", "the raw records", "file, segment, channel, is_reference, shot"),
         ] {
             if let Some(table) = self.ancestry.nearest(from, name) {
-                queries.push(questions.captures(about, &table, columns, picked, is_joint)?);
+                queries.push(questions.captures(about, &table, columns, selection, is_joint)?);
             }
         }
         Ok(queries.into_iter().flatten().collect())

@@ -90,8 +90,8 @@ impl Exposures<'_> {
         remarks: &mut Vec<String>,
     ) -> Result<Vec<RawRecords>, HistoryError> {
         let is_its = |capture: &CaptureKey| (&capture.0, &capture.1) == (campaign, sensor);
-        let found = self.of(traces, &BTreeSet::from([campaign]), &[], is_its, remarks)?;
-        Ok(found.into_iter().map(|(_, records)| records).collect())
+        let records = self.of(traces, &BTreeSet::from([campaign]), &[], is_its, remarks)?;
+        Ok(records.into_iter().map(|(_, records)| records).collect())
     }
 
     fn of(
@@ -103,9 +103,9 @@ impl Exposures<'_> {
         remarks: &mut Vec<String>,
     ) -> Result<Vec<(CaptureKey, RawRecords)>, HistoryError> {
         if self.ancestry.record(traces).is_some() {
-            return self.kept(traces, numbers, wanted);
+            return self.from_traces(traces, numbers, wanted);
         }
-        match self.surveyed(traces, campaigns) {
+        match self.survey(traces, campaigns) {
             Ok(captures) => {
                 let parts = self.ancestry.parts(traces);
                 let recipe = self.ancestry.stage(traces).recipe();
@@ -128,14 +128,14 @@ impl Exposures<'_> {
         }
     }
 
-    fn kept(
+    fn from_traces(
         &self,
         traces: &Table,
         numbers: &[(&str, &BTreeSet<PatchId>)],
         wanted: impl Fn(&CaptureKey) -> bool,
     ) -> Result<Vec<(CaptureKey, RawRecords)>, HistoryError> {
         let key = |row: &Origin| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
-        let mut found: Vec<(CaptureKey, RawRecords)> = Vec::new();
+        let mut by_capture: Vec<(CaptureKey, RawRecords)> = Vec::new();
         let mut places: BTreeMap<(CaptureKey, Name, Option<Name>, bool), usize> = BTreeMap::new();
         for row in self.ancestry.rows_near::<Origin>(traces, numbers, |row| wanted(&key(row)))? {
             let of_file = (key(&row), row.file.clone(), row.channel.clone(), row.is_reference);
@@ -148,20 +148,20 @@ impl Exposures<'_> {
                     exposures: Some(0),
                     is_reference: row.is_reference,
                 };
-                found.push((key(&row), records));
-                found.len() - 1
+                by_capture.push((key(&row), records));
+                by_capture.len() - 1
             });
-            let records = &mut found[place].1;
+            let records = &mut by_capture[place].1;
             records.exposures = records.exposures.map(|count| count + 1);
             if let Some(segment) = row.segment {
                 records.segments.get_or_insert_default().push(segment);
             }
         }
-        Ok(found)
+        Ok(by_capture)
     }
 
     /// Captures of these campaigns in the present campaign folders, with the roles that a table `traces` contains.
-    fn surveyed(&self, traces: &Table, campaigns: &BTreeSet<&Name>) -> Result<Vec<RawCapture>, HistoryError> {
+    fn survey(&self, traces: &Table, campaigns: &BTreeSet<&Name>) -> Result<Vec<RawCapture>, HistoryError> {
         let roles = self.ancestry.stage(traces).params["roles"].clone();
         let unknown = |_| HistoryError::Refused("its record names no roles; run the pipeline again".to_owned());
         let roles: Vec<Role> = serde_json::from_value(roles).map_err(unknown)?;

@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 use super::HistoryError;
 use super::ancestry::{Ancestry, Table};
 use super::behind::OnsetBehind;
-use super::sql::{Picked, quoted};
+use super::sql::{Selection, quoted};
 use super::target::Target;
 use super::values;
 use crate::campaign::suggest;
@@ -17,15 +17,15 @@ use crate::tables::{Distance, Label, Onset, Patch, Residual, Row};
 use crate::units::PatchId;
 
 /// Most numbers in a message.
-const LISTED: usize = 20;
+const MOST_NUMBERS: usize = 20;
 
 /// A row and its origins.
-pub struct Gathered {
+pub struct Evidence {
     /// The row by its columns.
     pub row: Map<String, Value>,
     pub onsets: Vec<OnsetBehind>,
     /// Where the onsets are listed; `None` if all captures contribute.
-    pub picked: Option<Picked>,
+    pub selection: Option<Selection>,
     /// The SQL condition that selects the row in its own table.
     pub condition: String,
 }
@@ -44,15 +44,15 @@ impl Explainer<'_> {
         target: &Target,
         heading: Option<&str>,
         remarks: &mut Vec<String>,
-    ) -> Result<(Table, Gathered), HistoryError> {
+    ) -> Result<(Table, Evidence), HistoryError> {
         let out = self.shelf.out().display();
-        let mut known = self.ancestry.views();
-        known.retain(|(_, table)| table.name == target.table());
-        known.reverse(); // the last of the dataflow first
-        let names: Vec<&str> = known.iter().map(|(view, _)| view.as_str()).collect();
+        let mut tables = self.ancestry.views();
+        tables.retain(|(_, table)| table.name == target.table());
+        tables.reverse(); // the last of the dataflow first
+        let names: Vec<&str> = tables.iter().map(|(view, _)| view.as_str()).collect();
         let candidates: Vec<&(String, Table)> = match heading {
-            None => known.iter().collect(),
-            Some(heading) => known.iter().filter(|(view, _)| view == heading).collect(),
+            None => tables.iter().collect(),
+            Some(heading) => tables.iter().filter(|(view, _)| view == heading).collect(),
         };
         if candidates.is_empty() {
             let what = format!("table of `{}`", target.table());
@@ -81,7 +81,7 @@ impl Explainer<'_> {
         Err(failure.expect("there is a candidate"))
     }
 
-    fn gather(&self, target: &Target, table: &Table, remarks: &mut Vec<String>) -> Result<Gathered, HistoryError> {
+    fn gather(&self, target: &Target, table: &Table, remarks: &mut Vec<String>) -> Result<Evidence, HistoryError> {
         match target {
             Target::Patch(patch) => self.patch(table, *patch, remarks),
             Target::Distance(a, b) => self.distance(table, [*a, *b], remarks),
@@ -95,22 +95,22 @@ impl Explainer<'_> {
         table: &Table,
         wanted: impl Fn(&R) -> bool,
     ) -> Result<Vec<(R, Map<String, Value>)>, HistoryError> {
-        let mut found = Vec::new();
+        let mut rows = Vec::new();
         for path in self.ancestry.files(table)? {
             for batch in scan::scan(&path, |_| true)? {
                 let batch = batch?;
-                let rows = R::rows(&batch)?.into_iter().enumerate().filter(|(_, row)| wanted(row));
-                found.extend(rows.map(|(i, row)| (row, values::row(&batch, i))));
+                let wanted_rows = R::rows(&batch)?.into_iter().enumerate().filter(|(_, row)| wanted(row));
+                rows.extend(wanted_rows.map(|(i, row)| (row, values::row(&batch, i))));
             }
         }
-        Ok(found)
+        Ok(rows)
     }
 
-    fn patch(&self, table: &Table, patch: PatchId, remarks: &mut Vec<String>) -> Result<Gathered, HistoryError> {
+    fn patch(&self, table: &Table, patch: PatchId, remarks: &mut Vec<String>) -> Result<Evidence, HistoryError> {
         let all = self.rows(table, |_: &Patch| true)?;
         let Some((best, row)) = all.iter().find(|(row, _)| row.patch == patch && row.alternative == 0) else {
-            let known: BTreeSet<PatchId> = all.iter().map(|(row, _)| row.patch).collect();
-            return Err(self.unknown(table, &format!("patch {patch}"), &format!("it has {}", listed(&known))));
+            let numbers: BTreeSet<PatchId> = all.iter().map(|(row, _)| row.patch).collect();
+            return Err(self.unknown(table, &format!("patch {patch}"), &format!("it has {}", list_text(&numbers))));
         };
         for (other, _) in all.iter().filter(|(row, _)| row.patch == patch && row.alternative != 0) {
             remarks.push(format!(
@@ -121,9 +121,9 @@ impl Explainer<'_> {
         let over = |path: Option<&Vec<PatchId>>| path.is_some_and(|path| path.contains(&patch));
         let condition = format!("array_contains(path, {patch})");
         let labelled = format!("{condition} AND alternative = 0");
-        let (onsets, picked) = if let Some(residuals) = self.ancestry.beside(table, Residual::TABLE) {
+        let (onsets, selection) = if let Some(residuals) = self.ancestry.beside(table, Residual::TABLE) {
             let rows = self.ancestry.rows(&residuals, |row: &Residual| over(Some(&row.path)))?;
-            (rows.iter().map(OnsetBehind::of_residual).collect(), Some(Picked { table: residuals, condition }))
+            (rows.iter().map(OnsetBehind::of_residual).collect(), Some(Selection { table: residuals, condition }))
         } else if self.ancestry.stage(table).kind == "search" {
             if let Some(before) = self.passed_on(table, best)? {
                 return self.patch(&before, patch, remarks);
@@ -133,15 +133,15 @@ impl Explainer<'_> {
         } else if let Some(labels) = self.labels_of(table) {
             let rows = self.ancestry.rows(&labels, |row: &Label| row.alternative == 0 && over(row.path.as_ref()))?;
             let condition = labelled;
-            (rows.iter().map(OnsetBehind::of_label).collect(), Some(Picked { table: labels, condition }))
+            (rows.iter().map(OnsetBehind::of_label).collect(), Some(Selection { table: labels, condition }))
         } else if let Some(onsets) = self.ancestry.nearest(table, Onset::TABLE) {
             let rows = self.ancestry.rows(&onsets, |row: &Onset| row.lit == patch || row.seen == patch)?;
             let condition = format!("(lit = {patch} OR seen = {patch})");
-            (rows.iter().map(OnsetBehind::of_onset).collect(), Some(Picked { table: onsets, condition }))
+            (rows.iter().map(OnsetBehind::of_onset).collect(), Some(Selection { table: onsets, condition }))
         } else {
             (Vec::new(), None)
         };
-        Ok(Gathered { row: row.clone(), onsets, picked, condition: format!("patch = {patch}") })
+        Ok(Evidence { row: row.clone(), onsets, selection, condition: format!("patch = {patch}") })
     }
 
     /// The table that the stage streams, if it has the same row.
@@ -161,7 +161,7 @@ impl Explainer<'_> {
         table: &Table,
         [a, b]: [PatchId; 2],
         remarks: &mut Vec<String>,
-    ) -> Result<Gathered, HistoryError> {
+    ) -> Result<Evidence, HistoryError> {
         let mut all = self.rows(table, |_: &Distance| true)?;
         let Some(place) = all.iter().position(|(row, _)| (row.a, row.b) == (a, b)) else {
             let partners = |of: PatchId| -> BTreeSet<PatchId> {
@@ -170,15 +170,15 @@ impl Explainer<'_> {
                     .map(|pair| pair.1)
                     .collect()
             };
-            let known = |of: PatchId| format!("of {of} it has those to {}", listed(&partners(of)));
+            let partners_text = |of: PatchId| format!("of {of} it has those to {}", list_text(&partners(of)));
             return Err(self.unknown(
                 table,
                 &format!("distance of {a} and {b}"),
-                &format!("{}; {}", known(a), known(b)),
+                &format!("{}; {}", partners_text(a), partners_text(b)),
             ));
         };
         let (distance, row) = all.swap_remove(place);
-        let (mut onsets, mut picked) = (Vec::new(), None);
+        let (mut onsets, mut selection) = (Vec::new(), None);
         if let Some(labels) = self.ancestry.nearest(table, Label::TABLE) {
             let fields = &self.ancestry.stage(table).fields;
             // T2 excludes path lengths of sensors that are not at the laser.
@@ -209,12 +209,12 @@ impl Explainer<'_> {
                 remarks.push("ranges of a hidden patch follow from all third bounces over it together; listed are those of this leg".to_owned());
             }
             onsets = rows.iter().map(OnsetBehind::of_label).collect();
-            picked = Some(Picked { table: labels, condition });
+            selection = Some(Selection { table: labels, condition });
         }
-        Ok(Gathered { row, onsets, picked, condition: format!("a = {a} AND b = {b}") })
+        Ok(Evidence { row, onsets, selection, condition: format!("a = {a} AND b = {b}") })
     }
 
-    fn onset(&self, table: &Table, target: &Target) -> Result<Gathered, HistoryError> {
+    fn onset(&self, table: &Table, target: &Target) -> Result<Evidence, HistoryError> {
         let Target::Onset { campaign, sensor, lit, seen, rank } = target else { unreachable!("only onsets come here") };
         let is_named = |row: &Onset| {
             campaign.as_deref().is_none_or(|name| name == &*row.campaign)
@@ -239,7 +239,7 @@ impl Explainer<'_> {
             return Err(self.unknown(
                 table,
                 &target.to_string(),
-                &format!("that profile has ranks {}", listed(&ranks)),
+                &format!("that profile has ranks {}", list_text(&ranks)),
             ));
         };
         let condition = format!(
@@ -254,15 +254,15 @@ impl Explainer<'_> {
             let rows = self.ancestry.rows(&residuals, |row: &Residual| (of(row).capture(), row.rank) == id)?;
             behind = rows.first().map_or(behind, of);
         }
-        let picked = Some(Picked { table: table.clone(), condition: condition.clone() });
-        Ok(Gathered { row, onsets: vec![behind], picked, condition })
+        let selection = Some(Selection { table: table.clone(), condition: condition.clone() });
+        Ok(Evidence { row, onsets: vec![behind], selection, condition })
     }
 
     /// The last table of this name in the dataflow that derives from a table.
     pub fn last_made_from(&self, table: &Table, name: &str) -> Option<Table> {
         let views = self.ancestry.views();
-        let named = views.into_iter().rev().map(|(_, other)| other).filter(|other| other.name == name);
-        named.into_iter().find(|other| self.ancestry.upstream(other).contains(table))
+        let tables = views.into_iter().rev().map(|(_, other)| other).filter(|other| other.name == name);
+        tables.into_iter().find(|other| self.ancestry.upstream(other).contains(table))
     }
 
     fn unknown(&self, table: &Table, what: &str, hint: &str) -> HistoryError {
@@ -271,10 +271,10 @@ impl Explainer<'_> {
 }
 
 /// Numbers for a message; of many, the first ones.
-fn listed(numbers: &BTreeSet<i32>) -> String {
-    let shown: Vec<String> = numbers.iter().take(LISTED).map(ToString::to_string).collect();
-    let more = if numbers.len() > LISTED { ", ..." } else { "" };
-    if shown.is_empty() { "none".to_owned() } else { shown.join(", ") + more }
+fn list_text(numbers: &BTreeSet<i32>) -> String {
+    let texts: Vec<String> = numbers.iter().take(MOST_NUMBERS).map(ToString::to_string).collect();
+    let more = if numbers.len() > MOST_NUMBERS { ", ..." } else { "" };
+    if texts.is_empty() { "none".to_owned() } else { texts.join(", ") + more }
 }
 
 /// The name of an onset on the command line.

@@ -22,7 +22,7 @@ use crate::store::{Digest, StoreError, scan};
 const ROUND_BYTES: usize = 8 << 20;
 
 /// One result of a round.
-pub enum Found<'a> {
+pub enum Match<'a> {
     /// Rows of A and B with equal keys.
     Pairs {
         a: &'a RecordBatch,
@@ -41,7 +41,7 @@ pub fn match_rows(
     a: Vec<PathBuf>,
     b: Vec<PathBuf>,
     key: &[&str],
-    mut found: impl FnMut(Found<'_>) -> Result<(), HistoryError>,
+    mut emit: impl FnMut(Match<'_>) -> Result<(), HistoryError>,
 ) -> Result<(), HistoryError> {
     let (mut a, mut b) = (Stream::new(a), Stream::new(b));
     loop {
@@ -49,7 +49,7 @@ pub fn match_rows(
         if let (Some(rows_a), Some(rows_b)) = (&a.waiting, &b.waiting) {
             let pairs = pair(rows_a, rows_b, key)?;
             if !pairs.is_empty() {
-                found(Found::Pairs { a: rows_a, b: rows_b, pairs: &pairs })?;
+                emit(Match::Pairs { a: rows_a, b: rows_b, pairs: &pairs })?;
             }
             let (of_a, of_b): (Vec<usize>, Vec<usize>) = pairs.into_iter().unzip();
             a.drop_rows(of_a)?;
@@ -59,8 +59,8 @@ pub fn match_rows(
             break;
         }
     }
-    a.waiting.as_ref().map_or(Ok(()), |rows| found(Found::OnlyA(rows)))?;
-    b.waiting.as_ref().map_or(Ok(()), |rows| found(Found::OnlyB(rows)))
+    a.waiting.as_ref().map_or(Ok(()), |rows| emit(Match::OnlyA(rows)))?;
+    b.waiting.as_ref().map_or(Ok(()), |rows| emit(Match::OnlyB(rows)))
 }
 
 /// One side, as far as it has been read.

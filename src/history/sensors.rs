@@ -37,7 +37,7 @@ pub struct SensorBehind {
 
 table! {
     /// Columns of a calibration.
-    "calibration": Calibrated, CalibratedColumns {
+    "calibration": CalibrationRow, CalibrationRowColumns {
         /// Campaign.
         campaign: Name,
         /// Sensor.
@@ -55,7 +55,7 @@ table! {
 
 table! {
     /// Columns of a session.
-    "session": Followed, FollowedColumns {
+    "session": SessionRow, SessionRowColumns {
         /// Campaign.
         campaign: Name,
         /// Sensor.
@@ -93,10 +93,10 @@ pub(super) fn sensors(
 ) -> Result<Vec<SensorBehind>, HistoryError> {
     let ancestry = exposures.ancestry;
     let wanted: BTreeSet<(&Name, &Name)> = keys.iter().map(|(campaign, sensor, ..)| (campaign, sensor)).collect();
-    let mut found = Vec::new();
+    let mut sensors = Vec::new();
     if let Some(table) = ancestry.nearest(from, "calibration") {
         let delays = ancestry.beside(from, "delays");
-        for row in ancestry.rows(&table, |row: &Calibrated| wanted.contains(&(&row.campaign, &row.sensor)))? {
+        for row in ancestry.rows(&table, |row: &CalibrationRow| wanted.contains(&(&row.campaign, &row.sensor)))? {
             let is_its = |delay: &Delay| {
                 (&delay.campaign, &delay.sensor, &delay.range) == (&row.campaign, &row.sensor, &row.range)
             };
@@ -109,19 +109,19 @@ pub(super) fn sensors(
                 delay_sd_ps: delay.as_ref().map(|delay| delay.sd_ps),
                 ..SensorBehind::new(ancestry.label(&table), row.campaign, row.sensor, row.range, row.shots)
             };
-            found.push((table.clone(), sensor));
+            sensors.push((table.clone(), sensor));
         }
     }
     if let Some(table) = ancestry.nearest(from, "session") {
-        for row in ancestry.rows(&table, |row: &Followed| wanted.contains(&(&row.campaign, &row.sensor)))? {
+        for row in ancestry.rows(&table, |row: &SessionRow| wanted.contains(&(&row.campaign, &row.sensor)))? {
             let sensor = SensorBehind::new(ancestry.label(&table), row.campaign, row.sensor, row.range, row.fiducials);
-            found.push((table.clone(), sensor));
+            sensors.push((table.clone(), sensor));
         }
     }
-    for (table, sensor) in &mut found {
+    for (table, sensor) in &mut sensors {
         if let Some(traces) = ancestry.nearest(table, "traces") {
             sensor.raw = exposures.of_sensor(&traces, &sensor.campaign, &sensor.sensor, remarks)?;
         }
     }
-    Ok(found.into_iter().map(|(_, sensor)| sensor).collect())
+    Ok(sensors.into_iter().map(|(_, sensor)| sensor).collect())
 }

@@ -26,7 +26,7 @@ pub struct SideTable {
     /// Its kind, as in `periscope schema`.
     pub kind: String,
     /// Its node in the ancestry of a result folder; `None` for others, and for `rejects`.
-    pub made: Option<Table>,
+    pub node: Option<Table>,
     /// Its files in order, with their records.
     pub files: Vec<(PathBuf, Option<FileRecord>)>,
 }
@@ -62,12 +62,12 @@ impl Side {
             let parts = ancestry.record(&table).map(|record| record.parts.as_slice()).unwrap_or_default();
             let records = parts.iter().map(|part| part.files.get(&table.name).cloned());
             let files = ancestry.files(&table)?.into_iter().zip(records).collect();
-            tables.push(SideTable { view, kind: table.name.clone(), made: Some(table), files });
+            tables.push(SideTable { view, kind: table.name.clone(), node: Some(table), files });
         }
         let rejects = Reject::TABLE.to_owned();
         if folder.join(&rejects).is_dir() {
             let files = shelf.files(&rejects)?.into_iter().map(|file| (file, None)).collect();
-            tables.push(SideTable { view: rejects.clone(), kind: rejects, made: None, files });
+            tables.push(SideTable { view: rejects.clone(), kind: rejects, node: None, files });
         }
         Ok(Self { folder: folder.to_owned(), tables, history: Some((shelf, ancestry)) })
     }
@@ -76,7 +76,7 @@ impl Side {
     fn of_tables(folder: &Path) -> Result<Vec<SideTable>, HistoryError> {
         let refused =
             |error: std::io::Error| HistoryError::Refused(format!("cannot read {}: {error}", folder.display()));
-        let mut found: BTreeMap<String, Vec<(PathBuf, Option<FileRecord>)>> = BTreeMap::new();
+        let mut folders: BTreeMap<String, Vec<(PathBuf, Option<FileRecord>)>> = BTreeMap::new();
         for entry in fs::read_dir(folder).map_err(refused)?.flatten().filter(|entry| entry.path().is_dir()) {
             let mut files: Vec<PathBuf> =
                 fs::read_dir(entry.path()).map_err(refused)?.flatten().map(|entry| entry.path()).collect();
@@ -84,16 +84,16 @@ impl Side {
             files.sort();
             if !files.is_empty() {
                 let name = entry.file_name().to_string_lossy().into_owned();
-                found.insert(name, files.into_iter().map(|file| (file, None)).collect());
+                folders.insert(name, files.into_iter().map(|file| (file, None)).collect());
             }
         }
         let table = |(view, files): (String, Vec<(PathBuf, Option<FileRecord>)>)| SideTable {
             kind: view.clone(),
             view,
-            made: None,
+            node: None,
             files,
         };
-        Ok(found.into_iter().map(table).collect())
+        Ok(folders.into_iter().map(table).collect())
     }
 
     /// The table of this name.
@@ -104,6 +104,6 @@ impl Side {
     /// Lineage of a table.
     pub fn lineage(&self, table: &SideTable) -> Option<Digest> {
         let (_, ancestry) = self.history.as_ref()?;
-        ancestry.record(table.made.as_ref()?).map(|record| record.lineage)
+        ancestry.record(table.node.as_ref()?).map(|record| record.lineage)
     }
 }

@@ -20,7 +20,7 @@ pub struct Query {
 }
 
 /// Rows of a table that hold the key of each contributing onset.
-pub struct Picked {
+pub struct Selection {
     /// A table with the columns campaign, sensor, lit, seen, rank.
     pub table: Table,
     /// Which rows of it, in SQL.
@@ -53,12 +53,12 @@ impl Questions<'_> {
     /// Onsets, with their rows in `onsets` and `labels`.
     pub fn onsets(
         &self,
-        picked: &Picked,
+        selection: &Selection,
         labels: Option<&Table>,
         onsets: Option<&Table>,
     ) -> Result<Option<Query>, HistoryError> {
-        let Some(files) = self.files(&picked.table)? else { return Ok(None) };
-        let is_other = |table: &&Table| **table != picked.table;
+        let Some(files) = self.files(&selection.table)? else { return Ok(None) };
+        let is_other = |table: &&Table| **table != selection.table;
         let labels = labels.filter(is_other).map(|table| self.files(table)).transpose()?.flatten();
         let onsets = onsets.filter(is_other).map(|table| self.files(table)).transpose()?.flatten();
         let mut columns = vec!["p.*"];
@@ -76,7 +76,7 @@ impl Questions<'_> {
                 joins.push(format!("\nLEFT JOIN {files} AS {name} ON {on}"));
             }
         }
-        let (columns, condition) = (columns.join(", "), &picked.condition);
+        let (columns, condition) = (columns.join(", "), &selection.condition);
         let sql = format!("SELECT {columns}\nFROM (SELECT * FROM {files} WHERE {condition}) AS p{}", joins.concat());
         Ok(Some(Query { about: "its onsets", sql }))
     }
@@ -88,19 +88,19 @@ impl Questions<'_> {
         about: &'static str,
         table: &Table,
         columns: &str,
-        picked: Option<&Picked>,
+        selection: Option<&Selection>,
         with_reciprocal: bool,
     ) -> Result<Option<Query>, HistoryError> {
         let Some(files) = self.files(table)? else { return Ok(None) };
-        let Some(picked) = picked else {
+        let Some(selection) = selection else {
             let sql = format!("SELECT {CAPTURE}, {columns} FROM {files} WHERE role = 'scene'");
             return Ok(Some(Query { about, sql }));
         };
-        let Some(of) = self.files(&picked.table)? else { return Ok(None) };
-        let mut keys = format!("SELECT {CAPTURE} FROM {of} WHERE {}", picked.condition);
+        let Some(of) = self.files(&selection.table)? else { return Ok(None) };
+        let mut keys = format!("SELECT {CAPTURE} FROM {of} WHERE {}", selection.condition);
         if with_reciprocal {
             let swapped = "campaign, sensor, seen AS lit, lit AS seen";
-            keys = format!("{keys} UNION SELECT {swapped} FROM {of} WHERE {}", picked.condition);
+            keys = format!("{keys} UNION SELECT {swapped} FROM {of} WHERE {}", selection.condition);
         }
         let listed = |names: &str| names.split(", ").map(|name| format!("t.{name}")).collect::<Vec<_>>().join(", ");
         let on = "t.campaign = c.campaign AND t.sensor = c.sensor AND t.lit = c.lit AND t.seen = c.seen";

@@ -1,11 +1,12 @@
-//! On which CPUs a table's bytes are the same.
+//! CPUs on which a table has the same bytes.
 //!
-//! Linear algebra, transforms and the C library's functions choose their instructions by what the CPU has. With AVX2 and FMA, so on every x86-64 processor of
-//! servers and desktops since 2013 or 2015, all choose the same, and AVX-512 is not used. A CPU without them rounds differently in the last digits. So the kind
-//! enters each computed table's recipe: tables of two kinds are never taken for one another, and `plan` says why one is computed again. How much they differ is
-//! measured (docs/reliability.md, `tests/other_cpus.sh`).
+//! Linear algebra, transforms and the C library choose their instructions by the CPU. With AVX2 and FMA (every x86-64
+//! processor of servers and desktops since 2013 or 2015) all choose the same, and AVX-512 is not used. A CPU without
+//! them rounds differently in the last digits. Therefore the kind of CPU enters each computed table's recipe: tables of
+//! two kinds are never confused, and `plan` says why one is computed again. docs/reliability.md reports how much they
+//! differ (`tests/other_cpus.sh`).
 
-/// Kind of every table that is only copied from raw files or from a table made elsewhere.
+/// Kind of every table that is copied from raw files, or from a table made elsewhere.
 pub const COPIED: &str = "any";
 
 /// Kind of this machine's CPU.

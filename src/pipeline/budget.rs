@@ -1,11 +1,12 @@
-//! The memory budget: sources take credit in bytes before they read, and it comes back when the last stage has let go of the rows.
+//! The memory budget: a source takes credit in bytes before it reads; the credit returns when the last stage has
+//! dropped the rows.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
 use crate::stages::source::Credit;
 use crate::stages::stage::StageError;
 
-/// Bytes that may be under way between sources and the stages that reduce them.
+/// Bytes that may be in flight between sources and the stages that reduce them.
 pub struct Budget {
     state: Mutex<State>,
     freed: Condvar,
@@ -16,7 +17,7 @@ struct State {
     stopped: bool,
 }
 
-/// Gives its bytes back when dropped.
+/// Returns its bytes when dropped.
 struct Hold {
     budget: Arc<Budget>,
     bytes: usize,
@@ -30,13 +31,13 @@ impl Drop for Hold {
 }
 
 impl Budget {
-    /// A budget of so many bytes.
+    /// A budget of `bytes`.
     #[must_use]
     pub fn new(bytes: usize) -> Arc<Self> {
         Arc::new(Self { state: Mutex::new(State { free: bytes, stopped: false }), freed: Condvar::new() })
     }
 
-    /// Waits for room.
+    /// Waits until `bytes` are available.
     ///
     /// # Errors
     /// When the run is being stopped.
@@ -52,7 +53,7 @@ impl Budget {
         Ok(Credit::new(Hold { budget: Arc::clone(self), bytes }))
     }
 
-    /// Wakes everybody who waits: the run has failed.
+    /// Wakes all waiting sources: the run has failed.
     pub fn stop(&self) {
         self.state.lock().unwrap_or_else(PoisonError::into_inner).stopped = true;
         self.freed.notify_all();

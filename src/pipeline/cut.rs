@@ -1,24 +1,24 @@
-//! Cuts what a plan lacks into passes: trees of steps that run together below a source or a stored table.
+//! Divides what a plan lacks into passes: trees of steps that run together below a source or a stored table.
 //!
-//! A pass makes only what is missing. Where some parts of a table are finished and others not, the parts that lack the same steps make a pass
-//! of their own, from the nearest table above them that is on the shelf.
+//! A pass makes only what is missing. If some parts of a table are finished and others not, the parts that lack the
+//! same steps form a pass of their own, from the nearest table above them on the shelf.
 
 use super::pass::Pass;
 use super::plan::Plan;
 
-/// What a tree of steps is to make.
+/// What a tree of steps must make.
 #[derive(Clone, Copy)]
 enum At {
-    /// This part of all that streams.
+    /// This part of everything that streams.
     Part(usize),
-    /// All parts, so that stages which gather can take part; of what streams, only tables of which no part is finished.
+    /// All parts, so that gathering stages can join; of streaming tables, only those without any finished part.
     All,
 }
 
-/// A root, and the steps that stream from one another below it; the root is among them where it is a source that is to be read.
+/// A root, and the steps that stream from one another below it. The root is among them if it is a source to be read.
 type Tree = (usize, Vec<usize>);
 
-/// The next tree of steps that can run: all tables beside them are finished, and their root can be read.
+/// The next tree of steps that can run: all whole tables that they need are finished, and the root can be read.
 pub fn next_pass(plan: &Plan<'_>) -> Option<Pass> {
     let first = (0..plan.tables.len()).find(|&i| plan.tables[i].wanted && is_due(plan, i))?;
     let (root, steps) = tree(plan, first, At::All);
@@ -42,7 +42,7 @@ fn parts(plan: &Plan<'_>, i: usize) -> usize {
     plan.sources.get(&i).map_or(plan.tables[i].present.len(), |source| source.parts().len())
 }
 
-/// The nearest table above `first` that can be read, and the steps below it that are to be made and can be.
+/// The nearest table above `first` that can be read, and the steps below it that are missing and can run.
 fn tree(plan: &Plan<'_>, first: usize, at: At) -> Tree {
     let is_stored = |i: usize| match at {
         At::Part(part) => plan.spec.steps[i].keep && !lacks(plan, i, At::Part(part)),
@@ -58,7 +58,7 @@ fn tree(plan: &Plan<'_>, first: usize, at: At) -> Tree {
     let mut taken = vec![false; plan.tables.len()];
     for i in (root..taken.len()).rev() {
         let can_run = plan.tables[i].wanted && is_ready(plan, i) && (plan.streams(i) || matches!(at, At::All));
-        // A stage that gathers waits for its input to be on the shelf, so that finished parts need not stream again.
+        // A gathering stage waits until its input is on the shelf, so that finished parts need not stream again.
         let waits = !plan.streams(i) && plan.from(i).is_some_and(|from| plan.spec.steps[from].keep && from != root);
         let is_passed = !plan.spec.steps[i].keep && consumers(plan, i).any(|consumer| is_lacking(plan, consumer));
         let has_use = if is_passed { consumers(plan, i).any(|consumer| taken[consumer]) } else { lacks(plan, i, at) };
@@ -74,7 +74,8 @@ fn tree(plan: &Plan<'_>, first: usize, at: At) -> Tree {
     (root, steps)
 }
 
-/// Whether a step's own table lacks this part; all parts, where that is asked of a kept table that streams; any part of another.
+/// Whether a step's own table lacks this part. For all parts: whether a kept streaming table lacks all of them, or
+/// another table any.
 fn lacks(plan: &Plan<'_>, i: usize, at: At) -> bool {
     let present = &plan.tables[i].present;
     match at {
@@ -91,13 +92,13 @@ fn consumers<'a>(plan: &'a Plan<'_>, i: usize) -> impl Iterator<Item = usize> + 
     (i + 1..plan.tables.len()).filter(move |&consumer| plan.tables[consumer].wanted && plan.from(consumer) == Some(i))
 }
 
-/// Whether anything is missing of a step's table, or of those that need its rows where they are not kept.
+/// Whether a step's table lacks anything, or a table that needs its rows where they are not kept.
 fn is_lacking(plan: &Plan<'_>, i: usize) -> bool {
     !plan.tables[i].complete()
         || (!plan.spec.steps[i].keep && consumers(plan, i).any(|consumer| is_lacking(plan, consumer)))
 }
 
-/// Whether a step can run now, and something comes of it.
+/// Whether a step can run now and has a use.
 fn is_due(plan: &Plan<'_>, i: usize) -> bool {
     let is_passed = !plan.spec.steps[i].keep && consumers(plan, i).any(|consumer| is_lacking(plan, consumer));
     let has_use =
@@ -105,7 +106,7 @@ fn is_due(plan: &Plan<'_>, i: usize) -> bool {
     has_use && is_ready(plan, i)
 }
 
-/// Whether the tables beside a step, and those beside every step between it and a table that can be read, are finished.
+/// Whether the whole tables are finished that a step needs, and every step between it and a readable table.
 fn is_ready(plan: &Plan<'_>, i: usize) -> bool {
     let beside = plan.beside_steps(i).all(|step| plan.tables[step].complete());
     let above = match plan.from(i) {

@@ -1,4 +1,4 @@
-//! The runtime: spec -> plan -> run. It knows record batches and lineages, and no physics.
+//! The runtime: spec -> plan -> run. It handles record batches and lineages, and no physics.
 
 pub mod arithmetic;
 pub mod budget;

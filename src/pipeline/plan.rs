@@ -1,4 +1,4 @@
-//! The plan: for each table reuse or compute, and why. Nothing is run here.
+//! The plan: for each table, reuse or compute, and why. Nothing is run here.
 
 use std::collections::BTreeMap;
 
@@ -13,28 +13,28 @@ use crate::stages::stage::StageError;
 use crate::store::{Digest, PartRecord, Shelf, StageId, StoreError, TableRecord, lineage};
 use crate::tables::{Reject, Row};
 
-/// What is known of one step's table.
+/// The state of one step's table.
 pub struct Planned {
-    /// What makes it.
+    /// Everything that determines it, except raw files.
     pub id: StageId,
     /// Its recipe.
     pub recipe: Digest,
-    /// Lineage of each of its parts; `None` while a raw file of it was never hashed.
+    /// Lineage of each of its parts; `None` as long as one of its raw files was never hashed.
     pub lineages: Vec<Option<Digest>>,
-    /// The parts that are whole on the shelf.
+    /// The parts that are complete on the shelf.
     pub present: Vec<Option<PartRecord>>,
-    /// Whether the run needs it: kept, or on the way to a kept one that must be computed.
+    /// Whether the run needs it: it is kept, or leads to a kept one that must be computed.
     pub wanted: bool,
 }
 
 impl Planned {
-    /// Whether every part is on the shelf; a table of captures that there are none of has no parts, and is whole.
+    /// Whether every part is on the shelf. A table without captures has no parts, and is complete.
     #[must_use]
     pub fn complete(&self) -> bool {
         self.present.iter().all(Option::is_some)
     }
 
-    /// Lineage of the whole table, if all of it is known.
+    /// Lineage of the whole table, if that of every part is known.
     #[must_use]
     pub fn lineage(&self) -> Option<Digest> {
         let parts: Option<Vec<Digest>> = self.lineages.iter().copied().collect();
@@ -42,7 +42,7 @@ impl Planned {
     }
 }
 
-/// A pipeline against campaigns and a result folder.
+/// A pipeline, applied to campaigns and a result folder.
 pub struct Plan<'a> {
     /// The pipeline.
     pub spec: &'a Spec,
@@ -50,27 +50,27 @@ pub struct Plan<'a> {
     pub campaigns: &'a [Campaign],
     /// The result folder.
     pub shelf: &'a Shelf,
-    /// The sources, surveyed, by step.
+    /// The surveyed sources, by step.
     pub sources: BTreeMap<usize, Box<dyn OpenSource + 'a>>,
-    /// What is known of each step.
+    /// The state of each step's table.
     pub tables: Vec<Planned>,
     scope: Scope,
-    /// Lineages of the parts of tables that another process knows to be whole.
+    /// Lineages of the parts of tables that another process reports as complete.
     given: BTreeMap<usize, Vec<Digest>>,
 }
 
-/// Which tables a plan is about, by step.
+/// The tables of a plan, by step.
 #[derive(Clone, Debug)]
 pub(super) enum Scope {
-    /// All that are kept.
+    /// All kept tables.
     All,
-    /// These, and what they are made from.
+    /// These, and their inputs.
     Until(Vec<usize>),
-    /// These alone.
+    /// Only these.
     Only(Vec<usize>),
 }
 
-/// What stops a plan.
+/// Why planning failed.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     /// A source cannot be surveyed.
@@ -90,7 +90,7 @@ pub enum PlanError {
 }
 
 impl<'a> Plan<'a> {
-    /// Surveys sources and shelf. `until` names the last table that is wanted; without it all are.
+    /// Surveys sources and shelf. `until` names the last wanted table; by default all are wanted.
     ///
     /// # Errors
     /// When a campaign or the result folder cannot be read.
@@ -120,7 +120,7 @@ impl<'a> Plan<'a> {
         Ok(Self::of(spec, campaigns, shelf, sources, scope, BTreeMap::new())?)
     }
 
-    /// Of sources that are surveyed, and tables that are `given`: lineages of their parts by step.
+    /// A plan from surveyed sources; `given` has the lineages of the parts of some tables, by step.
     ///
     /// # Errors
     /// When the shelf cannot be read, or a campaign field is not finite.
@@ -149,14 +149,14 @@ impl<'a> Plan<'a> {
         Ok(plan)
     }
 
-    /// The same plan about other tables; gives what it was about before.
+    /// Changes the scope of the plan; returns the previous one.
     pub(super) fn about(&mut self, scope: Scope) -> Scope {
         let before = std::mem::replace(&mut self.scope, scope);
         self.mark_wanted();
         before
     }
 
-    /// What a user should know of the campaigns before the run, each line once.
+    /// Warnings about the campaigns before the run, each line once.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings: Vec<String> =
@@ -166,7 +166,7 @@ impl<'a> Plan<'a> {
         warnings
     }
 
-    /// Looks at the shelf again. `content` gives the content digests of source parts that were read since: (step, part) to digest.
+    /// Looks at the shelf again. `content` has the content digests of source parts read since: (step, part) to digest.
     ///
     /// # Errors
     /// When the shelf cannot be read.
@@ -174,7 +174,7 @@ impl<'a> Plan<'a> {
         for i in 0..self.tables.len() {
             let lineages = self.lineages(i, content);
             let (id, written) = (&self.tables[i].id, self.written(i));
-            // A part that was made when the table was not kept has nothing but its rejects.
+            // A part from a time when the table was not kept has only its rejects.
             let whole = |part: &PartRecord| written.iter().all(|(table, _)| part.files.contains_key(table));
             let part = |lineage: &Option<Digest>| match lineage {
                 Some(lineage) => Ok(self.shelf.part(id, lineage)?.filter(whole)),
@@ -216,24 +216,24 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// Lineage of a part of step `i` that is made from `input`, beside whole tables of these lineages.
+    /// Lineage of a part of step `i` that is made from `input` and whole tables of these lineages.
     #[must_use]
     pub fn part_lineage(&self, i: usize, input: &Digest, beside: &[Digest]) -> Digest {
         lineage::part(&self.tables[i].recipe, input, beside)
     }
 
-    /// Lineages of the finished tables beside step `i`, if known.
+    /// Lineages of the whole tables that step `i` needs, if known.
     #[must_use]
     pub fn beside(&self, i: usize) -> Option<Vec<Digest>> {
         self.beside_steps(i).map(|step| self.tables[step].lineage()).collect()
     }
 
-    /// Steps whose tables stand beside step `i`.
+    /// Steps that make the whole tables that step `i` needs.
     pub fn beside_steps(&self, i: usize) -> impl Iterator<Item = usize> + use<'a, '_> {
         self.spec.steps[i].with.values().map(|heading| self.spec.table(heading).expect("the pipeline was checked").0)
     }
 
-    /// Step that step `i` streams from.
+    /// Step from which step `i` streams.
     #[must_use]
     pub fn from(&self, i: usize) -> Option<usize> {
         let from = self.spec.steps[i].from.as_deref()?;
@@ -252,7 +252,7 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// Whether the rows of step `i` can be read back from the shelf.
+    /// Whether the rows of step `i` can be read from the shelf.
     #[must_use]
     pub fn replayable(&self, i: usize) -> bool {
         self.spec.steps[i].keep && self.tables[i].complete()
@@ -272,7 +272,7 @@ impl<'a> Plan<'a> {
                 _ => self.inputs(i),
             };
             if !wanted[i] || self.replayable(i) {
-                // Its inputs matter only if `until` is given: else every kept table is a result of its own.
+                // Its inputs matter only with `until`: otherwise every kept table is a result of its own.
                 if matches!(self.scope, Scope::Until(_)) && wanted[i] {
                     for input in inputs {
                         wanted[input] |= self.spec.steps[input].keep;
@@ -287,12 +287,12 @@ impl<'a> Plan<'a> {
         self.tables.iter_mut().zip(wanted).for_each(|(table, wanted)| table.wanted = wanted);
     }
 
-    /// Steps whose tables step `i` takes.
+    /// Steps whose tables step `i` reads.
     pub(super) fn inputs(&self, i: usize) -> Vec<usize> {
         self.from(i).into_iter().chain(self.beside_steps(i)).collect()
     }
 
-    /// Names of the tables that step `i` writes into the shelf: main, sides, rejects.
+    /// Names of the tables that step `i` writes to the shelf: main, sides, rejects.
     #[must_use]
     pub fn written(&self, i: usize) -> Vec<(String, SchemaRef)> {
         let step = &self.spec.steps[i];
@@ -301,7 +301,7 @@ impl<'a> Plan<'a> {
         kept.into_iter().chain([(Reject::TABLE.to_owned(), Reject::schema())]).collect()
     }
 
-    /// In words: reuse or compute, and why.
+    /// The decision in words: reuse or compute, and why.
     ///
     /// # Errors
     /// When the shelf cannot be read.
@@ -357,16 +357,16 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// What the run would do with a table.
+/// What the run does with a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// It stands on the shelf.
+    /// It is on the shelf.
     Reuse,
     /// It is computed.
     Compute,
-    /// It is not kept, only passed through.
+    /// It is not kept, only streamed.
     Pass,
-    /// Nobody asked for it.
+    /// It is not requested.
     Skip,
 }
 
@@ -377,7 +377,7 @@ pub struct Decision {
     pub heading: String,
     /// Stage.
     pub stage: &'static str,
-    /// What would be done.
+    /// What the run does.
     pub action: Action,
     /// Why.
     pub why: String,

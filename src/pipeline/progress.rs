@@ -1,7 +1,8 @@
-//! What a person sees of a run: a bar on a terminal, plain lines elsewhere, JSON lines for programs, or nothing. On standard error.
+//! Progress of a run on standard error: a bar on a terminal, plain lines elsewhere, JSON lines for programs, or
+//! nothing.
 //!
-//! A pass reads raw files or a stored table, and how much of that is read is how far it is. Stages that gather all rows begin to work when all are read:
-//! how long they take nobody knows before, and what is shown then is the time that has gone by.
+//! A pass reads raw files or a stored table, and the fraction read is the progress. Gathering stages start when all
+//! rows are read. Their duration is unknown in advance, so the elapsed time is shown then.
 
 use std::io::IsTerminal;
 use std::sync::Mutex;
@@ -17,9 +18,9 @@ use serde_json::{Value, json};
 pub enum Style {
     /// A bar that is redrawn.
     Bar,
-    /// A line for each pass, and now and then one in between.
+    /// A line for each pass, and some in between.
     Lines,
-    /// JSON objects, one a line.
+    /// JSON objects, one per line.
     Json,
     /// Nothing.
     Silent,
@@ -55,7 +56,7 @@ impl Amount {
         }
     }
 
-    /// So much of it, for people: `12.5 MB`, `480 rows`.
+    /// An amount for people: `12.5 MB`, `480 rows`.
     fn text(self, amount: f64) -> String {
         match self {
             Self::Bytes(_) if amount < 1e9 => format!("{:.1} MB", amount / 1e6),
@@ -65,7 +66,8 @@ impl Amount {
     }
 }
 
-/// Time to the first line within a pass; each further one takes twice as long as the one before, up to [`LINE_AT_LAST`]: a log of a night stays short.
+/// Time to the first line within a pass. Each further one takes twice as long, up to [`LINE_AT_LAST`], so that the log
+/// of a night stays short.
 const LINE_FIRST: Duration = Duration::from_secs(5);
 const LINE_AT_LAST: Duration = Duration::from_mins(5);
 /// Time between two JSON objects within a pass.
@@ -79,7 +81,7 @@ pub struct Progress {
     set_aside: AtomicU64,
 }
 
-/// The pass that is under way.
+/// The current pass.
 struct Pass {
     tables: Vec<String>,
     amount: Amount,
@@ -96,7 +98,7 @@ impl Progress {
         Self { style, pass: Mutex::new(None), read: AtomicU64::new(0), set_aside: AtomicU64::new(0) }
     }
 
-    /// A pass begins that makes these tables from so much; `whole` of the `wanted` tables are there.
+    /// Starts a pass that makes these tables from this amount; `whole` of the `wanted` tables are finished.
     pub(super) fn pass(&self, headings: &[&str], amount: Amount, whole: usize, wanted: usize) {
         self.read.store(0, Ordering::Relaxed);
         self.set_aside.store(0, Ordering::Relaxed);
@@ -117,7 +119,7 @@ impl Progress {
             Some(Pass { tables, amount, started: now, last_line: now, next_line, bar });
     }
 
-    /// So much more was read, in the unit of the pass.
+    /// Adds an amount that was read, in the unit of the pass.
     pub(super) fn advance(&self, by: u64) {
         let read = self.read.fetch_add(by, Ordering::Relaxed) + by;
         if self.style == Style::Silent {
@@ -142,12 +144,12 @@ impl Progress {
         }
     }
 
-    /// So many rows more were set aside.
+    /// Adds rejected rows.
     pub(super) fn set_aside(&self, rows: u64) {
         self.set_aside.fetch_add(rows, Ordering::Relaxed);
     }
 
-    /// All tables of the pass are whole. Of one that fails nothing is said here: its bar goes away with it.
+    /// Ends the pass, with all its tables finished. A failing pass prints nothing: its bar disappears.
     pub(super) fn finish(&self) {
         let Some(pass) = self.pass.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
         let elapsed = pass.started.elapsed();
@@ -166,14 +168,14 @@ impl Progress {
                 pass.bar.iter().for_each(ProgressBar::finish_and_clear);
                 eprintln!("{}: {said}", pass.tables.join(", "));
             }
-            // Who reads a log wants to know what took long.
+            // A line for slow passes: who reads a log wants to know what took long.
             Style::Lines if elapsed >= LINE_FIRST || set_aside > 0 => eprintln!("  {said}"),
             Style::Lines | Style::Silent => {}
         }
     }
 }
 
-/// Seconds that the rest will take at the rate so far; none where nothing was read.
+/// Seconds for the rest at the present rate; `None` before anything is read.
 fn left_s(total: u64, read: u64, elapsed: Duration) -> Option<f64> {
     (read > 0).then(|| total.saturating_sub(read) as f64 / read as f64 * elapsed.as_secs_f64())
 }

@@ -1,4 +1,4 @@
-//! What makes the table of each step: the part of its lineage that is known before anything is read.
+//! What determines the table of each step: the part of its lineage that is known before anything is read.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::stages::operator::WrittenTable;
 use crate::store::finite::NotJson;
 use crate::store::{Digest, StageId, lineage};
 
-/// What makes the table of step `i`; `earlier` are those of the steps before it.
+/// The identity of step `i`; `earlier` are those of the steps before it.
 ///
 /// # Errors
 /// When a parameter or a campaign field is not finite.
@@ -46,7 +46,7 @@ pub(super) fn stage_id(spec: &Spec, i: usize, campaigns: &[Campaign], earlier: &
     })
 }
 
-/// Name, type and nullability of a column, without its prose.
+/// Name, type and nullability of a column, without its description.
 fn signature(field: &Field) -> Value {
     let inner: Vec<Value> = match field.data_type() {
         DataType::List(item) => vec![signature(item)],

@@ -1,4 +1,4 @@
-//! When too much is set aside: a run that goes wrong everywhere is stopped, and says by what.
+//! Stops a run that rejects too much, and says why.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -9,17 +9,17 @@ use thiserror::Error;
 use crate::store::{Shelf, StoreError};
 use crate::tables::{Reject, Row};
 
-/// How much may be set aside.
+/// How much a run may reject.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MaxRejects {
-    /// So many rows of `rejects`.
+    /// This many rows of `rejects`.
     Rows(u64),
-    /// As many as this share of the campaigns' records, from 0 to 1.
+    /// This share of the campaigns' records, from 0 to 1.
     Share(f64),
 }
 
 impl MaxRejects {
-    /// The same in rows, for campaigns of so many records.
+    /// The same in rows, for campaigns with this many records.
     #[must_use]
     pub fn most(self, records: u64) -> u64 {
         match self {
@@ -32,7 +32,7 @@ impl MaxRejects {
 impl FromStr for MaxRejects {
     type Err = String;
 
-    /// Reads `20` and `5%`.
+    /// Parses `20` and `5%`.
     fn from_str(text: &str) -> Result<Self, String> {
         let refused =
             || format!("`{text}` is neither a number of records, such as 20, nor a share of them, such as 5%");
@@ -44,20 +44,20 @@ impl FromStr for MaxRejects {
     }
 }
 
-/// More was set aside than is allowed.
+/// The run rejected more than it may.
 #[derive(Debug, Error)]
 #[error(
     "{count} of {records} records were set aside, and --max-rejects allows {most}; {alike} of them alike: {example}. {rejects} lists all. \
      Mend that, or allow more: what is finished is kept"
 )]
 pub struct TooMany {
-    /// Rows set aside so far.
+    /// Rejected rows so far.
     pub count: u64,
-    /// Rows that may be.
+    /// Most rows that may be rejected.
     pub most: u64,
     /// Records of the campaigns.
     pub records: u64,
-    /// How many have the commonest reason.
+    /// Rows with the most common reason.
     pub alike: usize,
     /// One of these: its file and its reason.
     pub example: String,
@@ -66,7 +66,7 @@ pub struct TooMany {
 }
 
 impl TooMany {
-    /// With the commonest reason, from the table `rejects` as it stands.
+    /// Finds the most common reason in the present table `rejects`.
     pub(super) fn of(shelf: &Shelf, count: u64, most: u64, records: u64) -> Result<Self, StoreError> {
         let rows = rows(shelf)?;
         let (alike, example) = kinds(&rows).first().map(|(alike, row)| (*alike, words(row))).unwrap_or_default();
@@ -74,7 +74,7 @@ impl TooMany {
     }
 }
 
-/// The table `rejects` as it stands.
+/// The present table `rejects`.
 ///
 /// # Errors
 /// When it cannot be read.
@@ -83,7 +83,7 @@ pub fn rows(shelf: &Shelf) -> Result<Vec<Reject>, StoreError> {
     Ok(batches.iter().flat_map(|batch| Reject::rows(batch).expect("the runtime itself wrote these rows")).collect())
 }
 
-/// The reasons of each stage, the commonest first: how many rows have it, and the first of these.
+/// The reasons of each stage, most common first: number of rows, and the first of them.
 #[must_use]
 pub fn kinds(rows: &[Reject]) -> Vec<(usize, &Reject)> {
     let mut kinds: BTreeMap<(&str, String), (usize, &Reject)> = BTreeMap::new();
@@ -91,7 +91,7 @@ pub fn kinds(rows: &[Reject]) -> Vec<(usize, &Reject)> {
         kinds.entry((&row.stage, kind(row))).or_insert((0, row)).0 += 1;
     }
     let mut kinds: Vec<(usize, &Reject)> = kinds.into_values().collect();
-    // Equally common ones stay in the order of the alphabet.
+    // The sort is stable: equally common reasons stay in alphabetical order.
     kinds.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
     kinds
 }
@@ -103,7 +103,7 @@ pub fn words(row: &Reject) -> String {
     format!("{file}{}", row.reason)
 }
 
-/// A reason without what is particular to one file: its name, and numbers.
+/// A reason without what is specific to one file: its name, and numbers.
 fn kind(row: &Reject) -> String {
     let reason = row.file.as_ref().map_or(row.reason.to_string(), |file| row.reason.replace(&**file, ""));
     reason.chars().filter(|c| !c.is_ascii_digit()).collect()

@@ -1,4 +1,4 @@
-//! The roots of a result folder: whether its source parts are those that the raw files of the campaigns give today.
+//! The roots of a result folder: whether its source parts match the present raw files of the campaigns.
 
 use crate::campaign::manifest::MANIFEST_FILE;
 use crate::campaign::{Campaign, Manifest, ManifestError};
@@ -6,10 +6,10 @@ use crate::stages::stage::StageError;
 use crate::stages::{self, Node};
 use crate::store::{Digest, Shelf, StageId, lineage};
 
-/// Reads all raw files that are on record again, by the seal or by what earlier runs noted, and holds their content against it.
+/// Reads again all raw files on record (by the seal, or by earlier runs), and compares their content with the record.
 ///
 /// # Errors
-/// When a file has another content, or cannot be read.
+/// When the content of a file differs, or a file cannot be read.
 pub fn rehash(campaigns: &[Campaign], shelf: &Shelf) -> Result<(), ManifestError> {
     for campaign in campaigns {
         for folder in [campaign.root.clone(), shelf.notes().join(&campaign.name)] {
@@ -26,23 +26,23 @@ pub fn rehash(campaigns: &[Campaign], shelf: &Shelf) -> Result<(), ManifestError
     Ok(())
 }
 
-/// How the parts of one source stage stand to the raw files.
+/// How the parts of one source stage relate to the raw files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Root {
-    /// So many parts follow from the raw files as they are on record; so many others were made of files that are others now.
+    /// Some parts follow from the recorded raw files; others were made from files that have changed since.
     Followed {
         /// Parts that follow.
         parts: usize,
         /// Parts that do not.
         other: usize,
     },
-    /// It is not known from which files it was made.
+    /// It is unknown from which files it was made.
     Unknown,
-    /// The campaign refuses to be read.
+    /// The campaign cannot be read.
     Refused(String),
 }
 
-/// Follows the parts of a source stage from the raw files of these campaigns.
+/// Derives the parts of a source stage from the raw files of these campaigns.
 #[must_use]
 pub fn follow(id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Shelf) -> Root {
     let Some(Node::Source(source)) = node(id) else {
@@ -61,7 +61,7 @@ pub fn follow(id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Sh
     Root::Followed { parts: followed, other: parts.len() - followed }
 }
 
-/// The stage of a recipe, where this program has it in that version.
+/// The stage of a recipe, if this program has it in that version.
 fn node(id: &StageId) -> Option<Node> {
     let params = toml::Table::try_from(&id.params).ok()?;
     stages::parse(&id.kind, params).ok().filter(|node| match node {

@@ -1,9 +1,10 @@
-//! Shards: sets of parts that processes on any machines make, each for itself, into one result folder.
+//! Shards: sets of parts that processes on any machines compute independently, into one result folder.
 //!
-//! What stands beside the stages that stream is made first and once ([`prepare`]); then the parts of the tables that stream from raw files depend on nothing of
-//! one another, and are dealt out ([`deal`]). A shard holds all that its maker must know, so that no folder is searched again. Whoever makes it
-//! ([`Shard::make`]) leaves parts on the shelf, under the lineages that a run would give them; a run that follows finds them, and makes the rest. Nothing here depends
-//! on a lock: parts have the same bytes whoever makes them, and appear by a rename.
+//! The whole tables that streaming stages need are made first and once ([`prepare`]). The parts of the tables that
+//! stream from raw files are then independent of one another, and are distributed ([`deal`]). A shard holds everything
+//! its worker needs, so that no folder is searched again. The worker ([`Shard::make`]) leaves parts on the shelf under
+//! the lineages that a run would give them; a later run finds them, and makes the rest. Nothing here depends on a lock:
+//! parts have the same bytes whoever makes them, and appear by a rename.
 
 mod deal;
 mod failure;
@@ -41,16 +42,16 @@ pub struct Work {
     pub text: String,
     /// Parameters changed on the command line, as typed.
     pub set: Vec<String>,
-    /// Campaign folders, absolute, in the order in which they were given.
+    /// Campaign folders, absolute, in the given order.
     pub campaigns: Vec<PathBuf>,
-    /// What makes the tables that are dealt out, by heading.
+    /// Stages of the distributed tables, by heading.
     pub stages: BTreeMap<String, StageId>,
-    /// Lineages of the parts of the tables beside them, by heading.
+    /// Lineages of the parts of the whole tables that they need, by heading.
     pub beside: BTreeMap<String, Vec<Digest>>,
 }
 
 impl Work {
-    /// The pipeline, parsed.
+    /// Parses the pipeline.
     ///
     /// # Errors
     /// When this program refuses it.
@@ -59,51 +60,51 @@ impl Work {
     }
 }
 
-/// What is dealt out, and what becomes of it.
+/// The distributed work, and where its results go.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
     /// What its shards have in common.
     pub work: Work,
-    /// Last table that is wanted.
+    /// Last wanted table.
     pub until: Option<String>,
     /// The run that planned it, which ends when the shards are gathered.
     pub run: RunRecord,
-    /// Keys of its shards, and of those pieces of parts that were not made before.
+    /// Keys of its shards, and of those pieces of parts that were not finished before.
     pub shards: Vec<String>,
-    /// Keys of the shards of parts that are cut, and of all their pieces, in order.
+    /// Keys of the shards of parts that are divided, each with the keys of all its pieces, in order.
     #[serde(default)]
     pub cut: BTreeMap<String, Vec<String>>,
 }
 
-/// A set of parts that one process makes.
+/// A set of parts for one process.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Shard {
     /// What to make.
     pub work: Work,
-    /// The parts by heading of their source.
+    /// The parts, by heading of their source.
     pub parts: BTreeMap<String, Vec<Ticket>>,
 }
 
-/// What a shard left on the shelf: the same whenever and wherever it is made, but for `computed`.
+/// Report on a finished shard: the same whenever and wherever it is made, except `computed`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Made {
     /// Key of the shard.
     pub key: String,
-    /// Captures that it has.
+    /// Its captures.
     pub captures: usize,
     /// Parts of tables that it was to make.
     pub parts: usize,
-    /// Of these, those that were not there before.
+    /// Number of these that were not there before.
     pub computed: usize,
-    /// Rows set aside.
+    /// Rejected rows.
     pub rejects: u64,
-    /// Rows of each table that is kept.
+    /// Rows of each kept table.
     pub rows: BTreeMap<String, u64>,
     /// Digest of all its table files.
     pub digest: Digest,
 }
 
-/// Makes what the plan wants and lacks, and shows none of it. What was joined of pieces is not read again.
+/// Makes what the plan wants and lacks, without views. Parts that were joined from pieces are not read again.
 fn make(
     plan: &mut Plan<'_>,
     settings: &Settings,
@@ -128,7 +129,7 @@ fn make(
 }
 
 impl Shard {
-    /// Its tickets.
+    /// The tickets of its parts.
     pub fn tickets(&self) -> impl Iterator<Item = &Ticket> {
         self.parts.values().flatten()
     }
@@ -137,7 +138,7 @@ impl Shard {
         self.work.campaigns.iter().map(|root| Campaign::load(root)).collect()
     }
 
-    /// The plan of its parts alone.
+    /// The plan of its parts only.
     fn plan<'a>(&self, spec: &'a Spec, campaigns: &'a [Campaign], shelf: &'a Shelf) -> Result<Plan<'a>, ShardError> {
         let mut sources: BTreeMap<usize, Box<dyn OpenSource + 'a>> = BTreeMap::new();
         let (mut given, mut steps) = (BTreeMap::new(), Vec::new());
@@ -168,10 +169,10 @@ impl Shard {
         Ok(plan)
     }
 
-    /// Makes what is missing of it.
+    /// Makes its missing parts.
     ///
     /// # Errors
-    /// The first failure, or that it was stopped; finished parts are kept.
+    /// The first failure, or that it was interrupted; finished parts are kept.
     pub fn make(&self, key: &str, shelf: &Shelf, settings: &Settings, progress: &Progress) -> Result<Made, ShardError> {
         let spec = self.work.spec()?;
         let campaigns = self.campaigns()?;
@@ -204,7 +205,7 @@ impl Shard {
         Ok(made)
     }
 
-    /// Whether nothing is missing of it.
+    /// Whether all its parts are complete.
     fn is_finished(&self, shelf: &Shelf) -> Result<bool, ShardError> {
         let spec = self.work.spec()?;
         let campaigns = self.campaigns()?;
@@ -214,7 +215,7 @@ impl Shard {
 }
 
 impl Job {
-    /// Makes the parts whose pieces are there.
+    /// Makes the parts whose pieces are finished.
     ///
     /// # Errors
     /// As [`Shard::join`].
@@ -227,7 +228,7 @@ impl Job {
     ) -> Result<(), ShardError> {
         for (key, pieces) in &self.cut {
             let shard: Shard = shelf.shard(key)?.ok_or_else(|| absent(shelf, key))?;
-            // Pieces that are not made are told with all else that is not.
+            // Unfinished pieces are reported later, with everything else that is missing.
             shard.join(pieces, shelf, settings, progress, tell)?;
         }
         Ok(())
@@ -241,7 +242,8 @@ impl Job {
         shard.is_finished(shelf)
     }
 
-    /// Whether all that was dealt out is there; and gathers what was noted of raw files. The shelf must be held alone.
+    /// Checks that all distributed work is finished, and gathers notes on raw files. The caller must hold the shelf
+    /// alone.
     ///
     /// # Errors
     /// When parts are missing.
@@ -260,7 +262,7 @@ impl Job {
             let (heading, parts) = (step.heading.clone(), table.present.len());
             return Err(ShardError::Unfinished { heading, missing, parts, keys });
         }
-        // Not before: who makes a shard again looks for what was noted of it alone.
+        // Not earlier: whoever makes a shard again needs its own notes.
         for (&i, source) in &plan.sources {
             let failed = |source| PlanError::Stage { heading: plan.spec.steps[i].heading.clone(), source };
             source.close().map_err(failed)?;

@@ -1,4 +1,4 @@
-//! The pipeline file: one heading a table. Parsing checks names and parameters; nothing is read or run here.
+//! The pipeline file: one heading per table. Parsing checks names and parameters; nothing is read or run here.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,12 +21,12 @@ pub enum SpecError {
         /// Cause.
         source: std::io::Error,
     },
-    /// Not TOML, or not of this shape.
+    /// Not TOML, or not of this form.
     #[error("{pipeline}: {message}")]
     Syntax {
         /// Pipeline.
         pipeline: String,
-        /// What and where.
+        /// What is wrong, and where.
         message: String,
     },
     /// A heading's content is refused.
@@ -36,12 +36,12 @@ pub enum SpecError {
         pipeline: String,
         /// Heading.
         heading: String,
-        /// What, and the mend.
+        /// What is wrong, and how to fix it.
         message: String,
     },
 }
 
-/// What else might be meant: a folder is no pipeline, and another name may be near.
+/// Suggestions for a wrong path: a folder is no pipeline, and another name may be near.
 fn neighbours(path: &Path) -> String {
     if path.is_dir() {
         return "; it is a folder, and a pipeline is a file such as pipelines/all-visible.toml".to_owned();
@@ -60,7 +60,7 @@ fn neighbours(path: &Path) -> String {
         .map_or(String::new(), |near| format!("; did you mean `{}`?", path.with_file_name(near).display()))
 }
 
-/// What a file is that has no headings of a pipeline, by those that it has.
+/// The kind of a file without headings of a pipeline, by the headings that it has.
 fn other_kind(table: &toml::Table) -> Option<&'static str> {
     let has = |key: &str| table.get(key).and_then(toml::Value::as_table).is_some_and(|of| !of.contains_key("stage"));
     match (has("instrument"), has("campaign")) {
@@ -74,7 +74,7 @@ fn other_kind(table: &toml::Table) -> Option<&'static str> {
     }
 }
 
-/// One heading of the file as it is written.
+/// One heading as the file gives it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Heading {
@@ -100,13 +100,13 @@ pub struct Step {
     pub node: Node,
     /// Heading of the streamed input.
     pub from: Option<String>,
-    /// Finished tables beside it: name of the stage's own, heading (or `heading.side`).
+    /// Whole tables that it needs: the stage's name for each, and its heading (or `heading.side`).
     pub with: BTreeMap<String, String>,
     /// Whether the table stays on disk.
     pub keep: bool,
 }
 
-/// A pipeline, parsed: its steps in an order in which every input comes before its consumer.
+/// A parsed pipeline. Every input precedes its consumer in the order of the steps.
 pub struct Spec {
     /// Steps.
     pub steps: Vec<Step>,
@@ -116,7 +116,7 @@ impl Spec {
     /// Reads a pipeline file; `settings` are `TABLE.PARAM=VALUE` from the command line.
     ///
     /// # Errors
-    /// When the file cannot be read or anything in it is refused.
+    /// When the file cannot be read, or anything in it is refused.
     pub fn load(path: &Path, settings: &[String]) -> Result<Self, SpecError> {
         let text = std::fs::read_to_string(path).map_err(|source| SpecError::Read { path: path.to_owned(), source })?;
         Self::parse(&path.display().to_string(), &text, settings)
@@ -157,7 +157,7 @@ impl Spec {
         self.steps.iter().position(|step| step.heading == heading)
     }
 
-    /// Every input is there, and is the table that the stage takes.
+    /// Checks that every input exists, and is the table that the stage needs.
     fn check(&self, pipeline: &str) -> Result<(), SpecError> {
         for step in &self.steps {
             let refused = |message: String| SpecError::Heading {
@@ -203,7 +203,7 @@ impl Spec {
         Ok(())
     }
 
-    /// `heading` or `heading.side` is a table `table`.
+    /// Checks that `heading` or `heading.side` is a table `table`.
     fn expect(&self, heading: &str, table: &str) -> Result<(), String> {
         let (step, found) = self.table(heading).ok_or_else(|| {
             let known: Vec<&str> = self.steps.iter().map(|step| step.heading.as_str()).collect();
@@ -240,7 +240,7 @@ fn heading_fault(message: &str) -> String {
     }
 }
 
-/// Headings become folders beside each other in the result folder.
+/// Checks a heading's name, since headings become folders in the result folder.
 fn check_name(name: &str) -> Result<(), String> {
     let plain = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
     match name {
@@ -261,7 +261,7 @@ fn apply(table: &mut toml::Table, setting: &str) -> Result<(), String> {
         .get_mut(heading)
         .and_then(toml::Value::as_table_mut)
         .ok_or_else(|| suggest::unknown("table", heading, &known))?;
-    // What is not a number, a boolean, a list or a quoted text is taken as a text: --set onsets.method=impulses.
+    // Anything but a number, a boolean, a list or a quoted text counts as text: --set onsets.method=impulses.
     let value = format!("value = {value}")
         .parse::<toml::Table>()
         .ok()
@@ -276,7 +276,7 @@ fn apply(table: &mut toml::Table, setting: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Sorts steps so that inputs come first; keeps the file's order otherwise.
+/// Sorts steps so that inputs come first, and otherwise keeps the file's order.
 fn in_order(pipeline: &str, mut steps: Vec<Step>) -> Result<Vec<Step>, SpecError> {
     let mut sorted: Vec<Step> = Vec::new();
     while !steps.is_empty() {
@@ -288,7 +288,8 @@ fn in_order(pipeline: &str, mut steps: Vec<Step>) -> Result<Vec<Step>, SpecError
                 .map(str::to_owned)
         };
         let Some(next) = (0..steps.len()).find(|&i| waits(&steps[i], &steps).is_none()) else {
-            // Every step that is left waits for one that is left, so following them comes back to one that was passed.
+            // Every remaining step waits for another remaining one, so following them must lead back to one already
+            // visited.
             let mut ring = vec![steps[0].heading.clone()];
             while let Some(next) =
                 steps.iter().find(|step| step.heading == ring[ring.len() - 1]).and_then(|step| waits(step, &steps))

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use nalgebra::{Matrix3, Vector3};
-use periscope::exchange::{self, Capture, Unsaid, ply};
+use periscope::exchange::{self, Capture, Defaults, ply};
 use periscope::formats::array::{Array, Arrays};
 use periscope::tables::Patch;
 
@@ -112,7 +112,7 @@ fn a_capture_comes_back_from_a_result_folder_as_it_was() {
         done(folder.path(), &["run", PIPELINE, "--campaign", "campaign", "--out", "results", "--until", "profiles"]);
         let printed = done(folder.path(), &["export", "results", "back.hdf5", "--campaign", "campaign"]);
         assert!(printed.contains("bins of 16.000 ps"), "{printed}");
-        let read = |name: &str| exchange::read(&path(name), &Unsaid::default()).unwrap();
+        let read = |name: &str| exchange::read(&path(name), &Defaults::default()).unwrap();
         assert_equal(&read("capture.hdf5"), &read("back.hdf5"));
     }
 }
@@ -191,7 +191,7 @@ fn captures_of_z_nlos_are_read_in_all_their_orders() {
     ];
     for (axes, lit, reversed, place) in orders {
         save(&path, &z_nlos(&axes, lit, reversed));
-        let capture = exchange::read(&path, &Unsaid::default()).unwrap();
+        let capture = exchange::read(&path, &Defaults::default()).unwrap();
         assert!((capture.dt_ps - 0.003 / LIGHT).abs() < 1e-9 && capture.with_legs);
         assert_eq!((capture.bins(), capture.pairs.len()), (bins, 4));
         for pair in &capture.pairs {

@@ -1,4 +1,4 @@
-//! Dealing out: which parts wait for one another, and which go into one shard.
+//! Distributes work: which parts must be finished first, and which go into one shard.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,7 +12,8 @@ use crate::pipeline::settings::{RunError, Settings};
 use crate::stages::source::{Piece, Ticket};
 use crate::store::{Digest, Shelf, StoreError};
 
-/// Steps whose parts are dealt out: those that stream from raw files, but for what the others stand beside.
+/// Steps whose parts are distributed: those that stream from raw files, except those whose whole tables the others
+/// need.
 fn dealt(plan: &Plan<'_>) -> Vec<usize> {
     let count = plan.tables.len();
     let mut streams = vec![false; count];
@@ -33,16 +34,16 @@ fn dealt(plan: &Plan<'_>) -> Vec<usize> {
     (0..count).filter(|&i| streams[i] && plan.tables[i].wanted && !is_beside[i]).collect()
 }
 
-/// Steps whose whole tables stand beside these.
+/// Steps whose whole tables these steps need.
 fn beside(plan: &Plan<'_>, steps: &[usize]) -> Vec<usize> {
     let beside: BTreeSet<usize> = steps.iter().flat_map(|&i| plan.beside_steps(i)).collect();
     beside.into_iter().collect()
 }
 
-/// Makes whole what the parts that are to be dealt out stand beside.
+/// Makes the whole tables that the distributed parts need.
 ///
 /// # Errors
-/// The first failure, or that it was stopped; finished parts are kept.
+/// The first failure, or that it was interrupted; finished parts are kept.
 pub fn prepare(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Result<(), RunError> {
     let beside = beside(plan, &dealt(plan));
     let all = plan.about(Scope::Until(beside));
@@ -51,27 +52,28 @@ pub fn prepare(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) ->
     Ok(())
 }
 
-/// What was dealt out.
+/// The distributed work.
 pub struct Dealt {
     /// What all shards have in common.
     pub work: Work,
     /// Shards of whole parts, by key.
     pub shards: Vec<(String, Shard)>,
-    /// Shards of the parts that are cut, by key, each with the keys of its pieces and these: also of those that are made.
+    /// Shards of divided parts, by key, each with its pieces and their keys; includes finished pieces.
     pub cut: Vec<(String, Shard, Vec<(String, Cut)>)>,
-    /// Why parts that are more than a fair share are not cut, each reason once.
+    /// Why parts above a fair share are not divided, each reason once.
     pub uncut: Vec<String>,
 }
 
-/// A part that is missing.
+/// A missing part.
 struct Missing {
     source: usize,
     part: usize,
     ticket: Ticket,
 }
 
-/// Deals what is missing out in at most `count` shards of about as many raw bytes, in the order of the captures. A part that is more than a fair share is cut between its
-/// shots, if it can be; as it was before, where some of those pieces are made. The plan is to be prepared.
+/// Distributes what is missing over at most `count` shards with about equal raw bytes, in the order of the captures. A
+/// part above a fair share is divided between its shots, if possible; the same way as before, if some of those pieces
+/// are finished. The plan must be prepared.
 ///
 /// # Errors
 /// When the shelf cannot be read.
@@ -99,7 +101,7 @@ pub fn deal(plan: &Plan<'_>, common: Work, count: usize) -> Result<Dealt, StoreE
             plan.sources[&missing[i].source].divisible().expect("a source that cuts, since it was asked into how many");
         Ok(keyed(of, parts.cut(missing[i].part, count)?))
     };
-    // As before, where some of these pieces are made of the files as they are now.
+    // As before, if some of these pieces are finished and the files have not changed.
     for i in most.keys().copied().collect::<Vec<_>>() {
         let (key, shard) = shard(&[&missing[i]]);
         let pieces = earlier(plan.shelf, &key)?;
@@ -147,11 +149,11 @@ fn missing(plan: &Plan<'_>, steps: &[usize]) -> Vec<Missing> {
     missing.collect()
 }
 
-/// Parts that are more than a fair share, by their number among the missing ones.
+/// Parts above a fair share, by their number among the missing ones.
 struct Large {
-    /// Into how many pieces they can be cut.
+    /// Most pieces into which each can be divided.
     most: BTreeMap<usize, usize>,
-    /// Why others cannot be, each reason once.
+    /// Why others cannot be divided, each reason once.
     uncut: Vec<String>,
 }
 
@@ -168,10 +170,10 @@ fn large(plan: &Plan<'_>, missing: &[Missing], count: usize) -> Large {
         match parts.most_pieces(*part) {
             Ok(0 | 1) => {}
             Ok(pieces) => match adder(plan, *source) {
-                // What else is missing is made of finished rows.
+                // If only later steps are missing, finished rows suffice, and nothing needs to be divided.
                 Ok(step) if is_lacking(&step) => _ = most.insert(i, pieces),
                 Ok(_) => {}
-                // Shards are never quite even; what is said is what keeps them from being about so.
+                // Shards are never quite even, so a reason is reported only for parts of more than twice the share.
                 Err(why) => _ = (shares > 2 * total).then(|| uncut.insert(why)),
             },
             Err(why) => _ = (shares > 2 * total).then(|| uncut.insert(why)),
@@ -180,7 +182,7 @@ fn large(plan: &Plan<'_>, missing: &[Missing], count: usize) -> Large {
     Large { most, uncut: uncut.into_iter().collect() }
 }
 
-/// The pieces that a part was cut into before.
+/// The pieces into which a part was divided before.
 fn earlier(shelf: &Shelf, key: &str) -> Result<Vec<(String, Cut)>, StoreError> {
     let job: Option<Job> = shelf.job().unwrap_or_default();
     let mut pieces = Vec::new();
@@ -193,7 +195,7 @@ fn earlier(shelf: &Shelf, key: &str) -> Result<Vec<(String, Cut)>, StoreError> {
     Ok(pieces)
 }
 
-/// How many of these pieces are not made.
+/// Number of these pieces that are not finished.
 fn unmade(shelf: &Shelf, pieces: &[(String, Cut)]) -> Result<usize, StoreError> {
     pieces.iter().map(|(key, _)| Ok(usize::from(shelf.piece(key)?.is_none()))).sum()
 }
@@ -207,8 +209,8 @@ fn keyed(of: &str, pieces: Vec<Piece>) -> Vec<(String, Cut)> {
     pieces.into_iter().enumerate().map(cut).collect()
 }
 
-/// How many of `count` hands each large part gets, of so many bytes and so many pieces at most; what is left of all parts gets the others. One more goes
-/// to what has the most bytes a hand.
+/// How many of `count` workers each large part gets, given its bytes and its most pieces; the remaining parts share the
+/// others. The next worker always goes to the largest number of bytes per worker.
 fn shares(rest_bytes: u64, large: &[(u64, usize)], count: usize) -> Vec<usize> {
     let mut shares = vec![1; large.len()];
     let mut rest = usize::from(rest_bytes > 0);
@@ -223,13 +225,14 @@ fn shares(rest_bytes: u64, large: &[(u64, usize)], count: usize) -> Vec<usize> {
     shares
 }
 
-/// How many parts each hand gets, of parts of so many bytes: in order, at least one, and about as many bytes as are left for each hand that is left.
+/// How many parts each worker gets, given their bytes: in order, at least one, and about an equal share of the
+/// remaining bytes.
 fn hands(bytes: &[u64], count: usize) -> Vec<usize> {
     let mut hands = Vec::new();
     let (mut parts, mut left) = (bytes, bytes.iter().map(|&bytes| u128::from(bytes)).sum::<u128>());
     for hands_left in (1..=count.min(bytes.len())).rev() {
         let (mut size, mut held) = (1, u128::from(parts[0]));
-        // One part more where more than half of it still fits, and each of the other hands keeps one.
+        // Takes one more part if more than half of it still fits, and every other worker keeps at least one.
         while parts.len() - size >= hands_left
             && (hands_left == 1 || (2 * held + u128::from(parts[size])) * hands_left as u128 <= 2 * left)
         {

@@ -1,4 +1,4 @@
-//! What can go wrong with shards, and the mend.
+//! Errors of shards, and how to fix them.
 
 use std::path::PathBuf;
 
@@ -10,10 +10,10 @@ use crate::pipeline::settings::RunError;
 use crate::pipeline::spec::SpecError;
 use crate::store::{Shelf, StoreError};
 
-/// What stops a shard.
+/// Why a shard failed.
 #[derive(Debug, Error)]
 pub enum ShardError {
-    /// The pipeline that it carries.
+    /// Its pipeline.
     #[error(transparent)]
     Spec(#[from] SpecError),
     /// A campaign.
@@ -28,7 +28,7 @@ pub enum ShardError {
     /// The result folder.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// This process would make other parts than those that were asked for.
+    /// This process would make parts other than the planned ones.
     #[error(
         "[{heading}]: planned and made here differ: {}; shards are made by the program that planned them, with campaign.toml as it was, on one kind of CPU",
         changes.join("; ")
@@ -46,17 +46,17 @@ pub enum ShardError {
     Absent {
         /// Result folder.
         out: PathBuf,
-        /// Key that was asked for.
+        /// Requested key.
         key: String,
     },
-    /// What a piece has left is not as it was written.
+    /// The results of a piece differ from their record.
     #[error("what shard {key} has left is damaged; `periscope run-shard {key} --out {out}` makes it again")]
     Damaged {
         /// Key of the piece.
         key: String,
         /// Result folder.
         out: PathBuf,
-        /// Where.
+        /// Where the damage is.
         source: Box<StoreError>,
     },
     /// Nothing to gather.
@@ -69,9 +69,9 @@ pub enum ShardError {
         heading: String,
         /// Parts that are missing.
         missing: usize,
-        /// Parts that it has.
+        /// Number of its parts.
         parts: usize,
-        /// Shards that are not finished.
+        /// Unfinished shards.
         keys: Vec<String>,
     },
 }
@@ -87,7 +87,7 @@ fn unfinished(keys: &[String]) -> String {
     }
 }
 
-/// That there is no shard of this key.
+/// The error that there is no shard with this key.
 #[must_use]
 pub fn absent(shelf: &Shelf, key: &str) -> ShardError {
     ShardError::Absent { out: shelf.out().to_owned(), key: key.to_owned() }

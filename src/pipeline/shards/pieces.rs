@@ -1,7 +1,9 @@
-//! Pieces of parts: a capture that is too large for one worker is cut by its shots. Each piece leaves subtotals beside the shards, and who gathers joins them
-//! to the part: under the lineage, and with the bytes, that one process gives which reads all of it.
+//! Pieces of parts: a capture that is too large for one worker is divided by its shots. Each piece leaves subtotals
+//! next to the shards. The gathering run joins them to the part, with the lineage and the bytes that one process would
+//! give that reads all of it.
 //!
-//! What is odd about a piece (a record that is to be set aside, say) is no matter of pieces: then the part is computed whole.
+//! A piece with an exceptional record (one to be rejected, for example) cannot be merged; then the part is computed
+//! whole.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -23,23 +25,23 @@ use crate::stages::stage::StageError;
 use crate::store::{Digest, PieceRecord, Shelf, StoreError};
 use crate::tables::{Row, Subtotal};
 
-/// A piece of the one part of a shard, for one process to make.
+/// A piece of the one part of a shard, for one process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cut {
     /// Key of the shard of the whole part.
     pub of: String,
     /// Its number among the pieces of the part, from 1.
     pub number: usize,
-    /// Pieces that the part is cut into.
+    /// Number of pieces of the part.
     pub count: usize,
     /// The piece.
     pub piece: Piece,
 }
 
-/// The step that adds up what a source reads, part by part and in pieces.
+/// The step that sums what a source reads, part by part and in pieces.
 ///
 /// # Errors
-/// Why there is none: in words that follow the heading of the source.
+/// Why there is none, in words that follow the heading of the source.
 pub fn adder(plan: &Plan<'_>, source: usize) -> Result<usize, String> {
     if plan.spec.steps[source].keep && plan.tables[source].wanted {
         let heading = &plan.spec.steps[source].heading;
@@ -65,11 +67,11 @@ fn operator<'a>(plan: &Plan<'a>, step: usize) -> Option<&'a dyn Operator> {
     }
 }
 
-/// Hands what a source reads to the step that adds it up.
+/// Passes what a source reads to the step that sums it.
 struct Adding<'a> {
     running: RefCell<Box<dyn Joining + 'a>>,
     written: RefCell<Written>,
-    /// Whether rows came since that was asked last.
+    /// Whether rows have arrived since the last query.
     is_fed: Cell<bool>,
     settings: &'a Settings,
     progress: &'a Progress,
@@ -106,7 +108,7 @@ impl<'a> Adding<'a> {
         self.running.borrow_mut().absorb(subtotals)
     }
 
-    /// Ends the last group: all that came out.
+    /// Ends the last group; returns all output.
     fn end(self) -> Result<Written, StageError> {
         let written = Cancel::catch(|| self.running.borrow_mut().flush())??;
         self.take(written);
@@ -120,7 +122,7 @@ impl Feed for Adding<'_> {
     }
 
     fn reserve(&self, _: usize) -> Result<Credit, StageError> {
-        // One batch is under way at a time.
+        // Only one batch is in flight at a time, so there is no need for a budget.
         Ok(Credit::new(()))
     }
 
@@ -157,17 +159,17 @@ fn failed(plan: &Plan<'_>, step: usize, source: StageError) -> RunError {
     }
 }
 
-/// The source of the one part of a shard that is cut.
+/// The source of the one part of a divided shard.
 fn divisible<'a>(plan: &'a Plan<'_>) -> Option<(usize, &'a dyn Divisible)> {
     let (&source, open) = plan.sources.iter().next()?;
     Some((source, open.divisible()?))
 }
 
 impl Cut {
-    /// Makes the piece, if it is not there.
+    /// Makes the piece, if it is not finished yet.
     ///
     /// # Errors
-    /// The first failure, or that it was stopped: then nothing of it is left.
+    /// The first failure, or that it was interrupted: then nothing of it remains.
     pub fn make(&self, key: &str, shelf: &Shelf, settings: &Settings, progress: &Progress) -> Result<Made, ShardError> {
         let shard: Shard = shelf.shard(&self.of)?.ok_or_else(|| absent(shelf, &self.of))?;
         let spec = shard.work.spec()?;
@@ -214,17 +216,18 @@ impl Cut {
     }
 }
 
-/// What a piece has left, if all of it is as it was written.
+/// The results of a piece, if its files match their record.
 fn intact(shelf: &Shelf, key: &str) -> Option<PieceRecord> {
     let record = shelf.piece(key).ok().flatten()?;
     shelf.subtotals(key, &record).is_ok().then_some(record)
 }
 
 impl Shard {
-    /// Makes its one part from its pieces, if all are there; whole, where one of them says that it must be: then `tell` hears why.
+    /// Makes the part from its pieces, if all are finished. If one of them requires it, computes the part whole, and
+    /// passes the reason to `tell`.
     ///
     /// # Errors
-    /// The first failure, or that it was stopped; finished pieces are kept.
+    /// The first failure, or that it was interrupted; finished pieces are kept.
     pub fn join(
         &self,
         keys: &[String],
@@ -266,7 +269,7 @@ impl Shard {
     }
 }
 
-/// What pieces add up to: the heads of all captures are read again, and judge nothing but themselves here.
+/// Joins the pieces. It reads the heads of all captures again; here they decide only about their own records.
 fn joined(
     plan: &Plan<'_>,
     pieces: &[(&str, Piece, PieceRecord)],
@@ -297,7 +300,7 @@ fn joined(
     }
     let written = adding.end().map_err(run)?;
     let learnt: Vec<_> = pieces.iter().map(|(_, _, record)| record.learnt.clone()).collect();
-    // Last, since it holds the files against what the pieces saw: also those whose heads were read here.
+    // Last, since it compares the files with what the pieces read, including those whose heads were read here.
     let content = parts.join(0, &learnt).map_err(run)?;
     Ok(Joined { source, content, step, written })
 }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use periscope::exchange::{self, Unsaid};
+use periscope::exchange::{self, Defaults};
 use periscope::formats::array::Array;
 
 use super::scene::save;
@@ -56,8 +56,8 @@ fn confocal_scans_are_read_from_both_versions() {
     let arrays = [("rect_data", Array::of(&reversed, &numbers())), ("width", Array::of(&[1, 1], &[0.5]))];
     save(&path("73.mat"), &arrays.map(|(name, array)| (name.to_owned(), array)).into());
     for file in ["5.mat", "73.mat"] {
-        let unsaid = Unsaid { dt_ps: Some(4.0), start_ps: Some(100.0), ..Unsaid::default() };
-        let capture = exchange::read(&path(file), &unsaid).unwrap();
+        let defaults = Defaults { dt_ps: Some(4.0), start_ps: Some(100.0), ..Defaults::default() };
+        let capture = exchange::read(&path(file), &defaults).unwrap();
         assert!(capture.is_confocal() && !capture.with_legs);
         assert_eq!((capture.pairs.len(), capture.bins(), capture.dt_ps), (6, 4, 4.0));
         for pair in &capture.pairs {
@@ -68,9 +68,9 @@ fn confocal_scans_are_read_from_both_versions() {
             assert_eq!(capture.histogram(pair), expected, "{file}: {x}, {y}");
         }
     }
-    let error = |unsaid: &Unsaid| exchange::read(&path("5.mat"), unsaid).unwrap_err().to_string();
-    assert!(error(&Unsaid::default()).contains("add --dt-ps"));
-    let wide = Unsaid { dt_ps: Some(4.0), wall_m: Some(2.0), ..Unsaid::default() };
+    let error = |defaults: &Defaults| exchange::read(&path("5.mat"), defaults).unwrap_err().to_string();
+    assert!(error(&Defaults::default()).contains("add --dt-ps"));
+    let wide = Defaults { dt_ps: Some(4.0), wall_m: Some(2.0), ..Defaults::default() };
     assert_eq!(exchange::read(&path("5.mat"), &wide).unwrap().lit.spots[0].position_m, [-1.0, -1.0, 0.0]);
 }
 
@@ -81,11 +81,11 @@ fn raw_scans_need_the_delays_of_their_points() {
     version_5(&path("meas.mat"), &[variable("meas", &SIZE, &numbers())]);
     let late: Vec<f64> = (0..6).map(|place| 1000.0 + f64::from(place)).collect();
     version_5(&path("tof.mat"), &[variable("tofgrid", &SIZE[..2], &late)]);
-    let unsaid = Unsaid { dt_ps: Some(32.0), wall_m: Some(2.0), ..Unsaid::default() };
-    let error = exchange::read(&path("meas.mat"), &unsaid).unwrap_err().to_string();
+    let defaults = Defaults { dt_ps: Some(32.0), wall_m: Some(2.0), ..Defaults::default() };
+    let error = exchange::read(&path("meas.mat"), &defaults).unwrap_err().to_string();
     assert!(error.contains("meas.mat") && error.contains("add --tof"), "{error}");
     let delays = path("tof.mat");
-    let capture = exchange::read(&path("meas.mat"), &Unsaid { delays: Some(&delays), ..unsaid }).unwrap();
+    let capture = exchange::read(&path("meas.mat"), &Defaults { delays: Some(&delays), ..defaults }).unwrap();
     for pair in &capture.pairs {
         let [x_m, y_m, _] = capture.lit.spots[pair.lit].position_m;
         let place = ((x_m + 1.0) / 2.0).round() + 2.0 * (y_m + 1.0).round();
