@@ -1,13 +1,14 @@
 //! Which predicted path made which arrival, and how sure that is.
 //!
-//! An arrival at `t` of standard deviation s may be any path whose predicted time lies within the gate, or something that was not predicted. With
-//! a path seen with chance p and `clutter` unpredicted arrivals a picosecond about the arrival, arrival and path belong together with the weight
-//! `p / (1 - p) N(t; t_p, s^2 + s_p^2) / clutter`. A path makes at most one arrival, and an arrival comes from at most one path: an association of all of them is
-//! as likely as the product of its weights, and the probability of a pair is the share of those associations that hold it. Source: joint
-//! probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8, 173 (1983)).
+//! An arrival at `t` of standard deviation s may be any path whose predicted time lies within the gate, or something
+//! that was not predicted. With a path seen with chance p and `clutter` unpredicted arrivals a picosecond about the
+//! arrival, arrival and path belong together with the weight `p / (1 - p) N(t; t_p, s^2 + s_p^2) / clutter`. A path
+//! makes at most one arrival, and an arrival comes from at most one path: an association of all of them is as likely as
+//! the product of its weights, and the probability of a pair is the share of those associations that hold it. Source:
+//! joint probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8, 173 (1983)).
 //!
-//! The sums run over arrivals in order of time, forwards and backwards. What is behind matters only by the paths that it took from those ahead, which
-//! are few; of more than 200 such sets the most likely are kept.
+//! The sums run over arrivals in order of time, forwards and backwards. What is behind matters only by the paths that
+//! it took from those ahead, which are few; of more than 200 such sets the most likely are kept.
 
 use std::collections::BTreeMap;
 
@@ -45,8 +46,8 @@ pub struct Candidate {
     pub probability: f64,
 }
 
-/// For each arrival its candidates, the most probable first. A path that is the most probable one of several arrivals stays with that of the highest
-/// probability and is taken from the others.
+/// For each arrival its candidates, the most probable first. A path that is the most probable one of several arrivals
+/// stays with that of the highest probability and is taken from the others.
 ///
 /// # Panics
 /// If not every arrival has a positive `clutter_per_ps`.
@@ -245,7 +246,8 @@ mod tests {
         assert!(count > 1000, "{count}");
     }
 
-    /// Sum of the products of weights over all associations of arrivals from `arrival` on; of those only that hold the pair `with`.
+    /// Sum of the products of weights over all associations of arrivals from `arrival` on; of those only that hold the
+    /// pair `with`.
     fn sum(edges: &[Vec<Edge>], used: &mut Vec<usize>, arrival: usize, with: Option<(usize, usize)>) -> f64 {
         if arrival == edges.len() {
             return 1.0;

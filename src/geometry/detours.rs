@@ -25,6 +25,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use periscope_cancel::Cancel;
+
 use super::t2::Length;
 use crate::units::PatchId;
 
@@ -37,11 +39,12 @@ type Pairs<T> = BTreeMap<(PatchId, PatchId), T>;
 /// Which first arrivals between patches i and j, by (lit, seen), are set aside, and over which patch the light came if that is certain. `arrivals`
 /// holds all first arrivals of one sensor, those of (i, i) among them; `is_one_station` says whether that sensor stands where the source is.
 #[must_use]
-pub fn detours(arrivals: &Pairs<Length>, is_one_station: bool) -> Pairs<Option<PatchId>> {
+pub fn detours(arrivals: &Pairs<Length>, is_one_station: bool, cancel: &Cancel) -> Pairs<Option<PatchId>> {
     let patches: BTreeSet<PatchId> = arrivals.keys().flat_map(|(lit, seen)| [*lit, *seen]).collect();
     let angles = if is_one_station { angles(arrivals) } else { Pairs::new() };
     let mut detours = Pairs::new();
     for (&(lit, seen), found) in arrivals.iter().filter(|((lit, seen), _)| lit != seen) {
+        cancel.check();
         let others = patches.iter().filter(|via| **via != lit && **via != seen);
         let late: Vec<(PatchId, Option<f64>)> =
             others.clone().map(|&via| (via, late(arrivals, (lit, seen), via, *found))).collect();
@@ -156,7 +159,7 @@ mod tests {
         for _ in 0..20 {
             let (mut arrivals, truth) = scene(&mut rng, sensor);
             arrivals.retain(|(i, j), _| i == j || rng.random_bool(captured));
-            let found = detours(&arrivals, sensor == Point::origin());
+            let found = detours(&arrivals, sensor == Point::origin(), &Cancel::never());
             for pair in arrivals.keys().filter(|(i, j)| i != j) {
                 let (found, via) = (found.get(pair), truth[pair]);
                 count.closed += usize::from(via.is_some());
@@ -205,16 +208,16 @@ mod tests {
             .map(|(pair, l)| (pair, length(l)))
             .into();
         arrivals.insert((1, 2), length(4.5));
-        assert_eq!(detours(&arrivals, true)[&(1, 2)], None);
+        assert_eq!(detours(&arrivals, true, &Cancel::never())[&(1, 2)], None);
         // As long as over patch 3, and an angle of 93 degrees, where it is 44 + 40 over patch 3.
         arrivals.insert((1, 2), length(3.8));
-        assert_eq!(detours(&arrivals, true)[&(1, 2)], Some(3));
-        assert_eq!(detours(&arrivals, false)[&(1, 2)], None);
+        assert_eq!(detours(&arrivals, true, &Cancel::never())[&(1, 2)], Some(3));
+        assert_eq!(detours(&arrivals, false, &Cancel::never())[&(1, 2)], None);
         arrivals.insert((1, 2), length(3.5));
-        assert!(!detours(&arrivals, true).contains_key(&(1, 2)));
+        assert!(!detours(&arrivals, true, &Cancel::never()).contains_key(&(1, 2)));
         // One more patch whose arrivals are missing may be what the light came over.
         arrivals.extend([((1, 2), length(3.8)), ((4, 4), length(2.0))]);
-        assert_eq!(detours(&arrivals, true)[&(1, 2)], None);
+        assert_eq!(detours(&arrivals, true, &Cancel::never())[&(1, 2)], None);
     }
 
     #[test]

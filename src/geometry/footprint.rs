@@ -1,19 +1,23 @@
 //! Where the light of a finite patch comes from: not from its centre.
 //!
-//! What is timed is the mean path over all points of the patches, weighted by how much light takes each. For flat round patches whose size is small beside the
-//! legs, to second order,
+//! What is timed is the mean path over all points of the patches, weighted by how much light takes each. For flat round
+//! patches whose size is small beside the legs, to second order,
 //!
 //! ```text
 //! mean - centre = sum over bounces of  grad(ln w)' S grad(l) + tr(S H(l)) / 2,     S = (size^2 / 16) (1 - n n')
 //! ```
 //!
-//! with the legs `l` that meet at the patch, the weight `w` of the light on them, and `S` the second moments of a disk of that diameter and normal `n`. The laser lights its patch
-//! evenly. A leg towards the sensor has `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1 %
-//! of the shift where legs are longer than three sizes. Not modelled: glossy patches, a spot smaller than its patch.
+//! with the legs `l` that meet at the patch, the weight `w` of the light on them, and `S` the second moments of a disk
+//! of that diameter and normal `n`. The laser lights its patch evenly. A leg towards the sensor has `w = cos / r^2`,
+//! one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1 % of the shift
+//! where legs are longer than three sizes. Not modelled: glossy patches, a spot smaller than its patch.
+
+use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 
 use super::Point;
+use crate::units::PatchId;
 
 /// A flat round patch.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,8 +28,38 @@ pub struct Footprint {
     pub size_m: f64,
 }
 
-/// What the mean way of the light from `source` over `patches` (centres, in the order light meets them; `None` for one without known footprint, which is
-/// taken as a point) to `sensor` is longer than the way over the centres.
+/// Footprints by patch; a patch without one is a point.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Footprints(pub BTreeMap<PatchId, Footprint>);
+
+impl Footprints {
+    /// Whether all patches are points.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Diameter of the largest, 0 of points.
+    #[must_use]
+    pub fn largest_m(&self) -> f64 {
+        self.0.values().map(|footprint| footprint.size_m).fold(0.0, f64::max)
+    }
+
+    /// What the mean way of the light over the patches of a path is longer than that over their centres; see
+    /// [`shift_m`].
+    #[must_use]
+    pub fn shift_m(&self, source: Point, path: &[PatchId], centre: impl Fn(&PatchId) -> Point, sensor: Point) -> f64 {
+        if self.is_empty() {
+            return 0.0;
+        }
+        let bounces: Vec<(Point, Option<Footprint>)> =
+            path.iter().map(|patch| (centre(patch), self.0.get(patch).copied())).collect();
+        shift_m(source, &bounces, sensor)
+    }
+}
+
+/// What the mean way of the light from `source` over `patches` (centres, in the order light meets them; `None` for one
+/// without known footprint, which is taken as a point) to `sensor` is longer than the way over the centres.
 #[must_use]
 pub fn shift_m(source: Point, patches: &[(Point, Option<Footprint>)], sensor: Point) -> f64 {
     let at = |bounce: usize| {

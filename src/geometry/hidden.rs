@@ -1,32 +1,40 @@
-//! Hidden patches from the path lengths of third bounces, their number unknown (paper section 4.3, without its labelling by order of arrival).
+//! Hidden patches from the path lengths of third bounces, their number unknown (paper section 4.3, without its
+//! labelling by order of arrival).
 //!
-//! A patch q that neither laser nor sensor sees is met by light between visible patches: lit a, then q, then seen b. Each profile holds the length
-//! `|q - a| + |q - b|` of every hidden patch among others, unlabelled: bounces among visible patches, later bounces, false onsets; and some are missing. With
-//! clutter of density `lambda`, a patch seen with probability p, and `left` what other paths leave of an arrival (`superposition`),
+//! A patch q that neither laser nor sensor sees is met by light between visible patches: lit a, then q, then seen b.
+//! Each profile holds the length `|q - a| + |q - b|` of every hidden patch among others, unlabelled: bounces among
+//! visible patches, later bounces, false onsets; and some are missing. With clutter of density `lambda`, a patch seen
+//! with probability p, and `left` what other paths leave of an arrival (`superposition`),
 //!
 //! ```text
 //! L(q) = sum over profiles of log(1 - p + p sum over arrivals of N(arrival; |q - a| + |q - b|, sd^2) left / lambda)
 //! ```
 //!
-//! is the log-likelihood ratio of one more patch at q. It needs no minimal set of arrivals, no (i,i) profile, and no number of patches. Patches are found one after the other:
-//! the place where L is largest in all of space ([`search`]), climbed to its top (`climb`), is a patch if the evidence
+//! is the log-likelihood ratio of one more patch at q. It needs no minimal set of arrivals, no (i,i) profile, and no
+//! number of patches. Patches are found one after the other: the place where L is largest in all of space ([`search`]),
+//! climbed to its top (`climb`), is a patch if the evidence
 //!
 //! ```text
 //! log B = L + log(sqrt((2 pi)^d |Cov|) / volume)
 //! ```
 //!
-//! says so. B is the Bayes factor of a patch somewhere in the volume over none: without a patch its mean is 1, so that it exceeds 1 / alpha with a probability of at most alpha
-//! (Markov's inequality), whatever the geometry. With a patch more, all patches are climbed again and those without evidence dropped, until nothing is found and nothing dropped.
+//! says so. B is the Bayes factor of a patch somewhere in the volume over none: without a patch its mean is 1, so that
+//! it exceeds 1 / alpha with a probability of at most alpha (Markov's inequality), whatever the geometry. With a patch
+//! more, all patches are climbed again and those without evidence dropped, until nothing is found and nothing dropped.
 //!
-//! A continuous floor or wall throws light back too, over the shortest way between each two patches ([`Surface::Plane`]). Left alone it would pass for many patches, one for each few profiles;
-//! so planes are looked for in the same way (`plane_seeds`), by the same evidence.
+//! A continuous floor or wall throws light back too, over the shortest way between each two patches
+//! ([`Surface::Plane`]). Left alone it would pass for many patches, one for each few profiles; so planes are looked for
+//! in the same way (`plane_seeds`), by the same evidence.
 //!
-//! A *way* ([`Way`]) is a pair of patches in place over which a profile shows a hidden one: its own two visible patches for third bounces. A patch that light reaches only over
-//! hidden ones q and q' shows in fifth bounces a, q, x, q', b: one way for each pair of these, on which the arrival is longer by the known `|q - a| + |b - q'|`. Each way may make an arrival of its own: the
-//! sum above runs over ways, and what one takes of an arrival is gone for the next. All profiles repeat the same sums `|x - q| + |x - q'|`.
+//! A *way* ([`Way`]) is a pair of patches in place over which a profile shows a hidden one: its own two visible patches
+//! for third bounces. A patch that light reaches only over hidden ones q and q' shows in fifth bounces a, q, x, q', b:
+//! one way for each pair of these, on which the arrival is longer by the offset `|q - a| + |b - q'|`. Each way may make
+//! an arrival of its own: the sum above runs over ways, and what one takes of an arrival is gone for the next. All
+//! profiles repeat the same sums `|x - q| + |x - q'|`.
 //!
-//! Pulses of two paths nearer than `blend_m` may make one arrival between them (`blend`): where other paths claim an arrival near a way's length, one of its own is less expected there; and an
-//! arrival near which one of the patches found, or the path straight from lit to seen, has none of its own errs by up to half their distance.
+//! Pulses of two paths nearer than `blend_m` may make one arrival between them (`blend`): where other paths claim an
+//! arrival near a way's length, one of its own is less expected there; and an arrival near which one of the patches
+//! found, or the path straight from lit to seen, has none of its own errs by up to half their distance.
 //!
 //! Not modelled: errors that profiles share (of known legs, of foci, of delays), amplitudes.
 
@@ -58,7 +66,7 @@ const ROUNDS: usize = 12;
 /// A path length that may be that over a hidden patch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Arrival {
-    /// Length of both legs, known legs and delays taken off.
+    /// Length of both legs to the hidden patch, all other legs and delays taken off.
     pub length_m: f64,
     /// Its standard deviation, that of what was taken off included.
     pub sd_m: f64,
@@ -66,8 +74,8 @@ pub struct Arrival {
 
 /// A path among patches that are in place.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Known {
-    /// What an arrival of this path would be taken for: its length less the same known legs.
+pub struct Path {
+    /// What an arrival of this path would be taken for: its length less the same legs.
     pub length_m: f64,
     /// Standard deviation.
     pub sd_m: f64,
@@ -81,16 +89,17 @@ pub struct Way {
     /// Their positions among the foci, the smaller first.
     foci: [usize; 2],
     /// What arrivals over them are longer than both legs to the hidden patch.
-    known_m: f64,
+    offset_m: f64,
     /// Its standard deviation.
     sd_m: f64,
 }
 
 impl Way {
-    /// Over the patches at two positions among the foci. Arrivals are longer than the legs between these and the hidden patch by `known_m` with standard deviation `sd_m`.
+    /// Over the patches at two positions among the foci. Arrivals are longer than the legs between these and the hidden
+    /// patch by `offset_m` with standard deviation `sd_m`.
     #[must_use]
-    pub fn new(foci: [usize; 2], known_m: f64, sd_m: f64) -> Self {
-        Self { foci: [foci[0].min(foci[1]), foci[0].max(foci[1])], known_m, sd_m }
+    pub fn new(foci: [usize; 2], offset_m: f64, sd_m: f64) -> Self {
+        Self { foci: [foci[0].min(foci[1]), foci[0].max(foci[1])], offset_m, sd_m }
     }
 
     /// Standard deviation of an arrival as the sum of both legs.
@@ -104,7 +113,7 @@ impl Way {
 pub struct Profile {
     ways: Vec<Way>,
     arrivals: Vec<Arrival>,
-    known: Vec<Known>,
+    paths: Vec<Path>,
     span_m: [f64; 2],
     widest_m: f64,
 }
@@ -112,23 +121,23 @@ pub struct Profile {
 impl Profile {
     /// Of the patches at two positions among the foci; `span_m` is the range of lengths that the record holds.
     #[must_use]
-    pub fn new(foci: [usize; 2], arrivals: Vec<Arrival>, known: Vec<Known>, span_m: [f64; 2]) -> Self {
-        Self::over(vec![Way::new(foci, 0.0, 0.0)], arrivals, known, span_m)
+    pub fn new(foci: [usize; 2], arrivals: Vec<Arrival>, paths: Vec<Path>, span_m: [f64; 2]) -> Self {
+        Self::over(vec![Way::new(foci, 0.0, 0.0)], arrivals, paths, span_m)
     }
 
     /// With several ways, each of which may make its own arrival.
     #[must_use]
-    pub fn over(ways: Vec<Way>, mut arrivals: Vec<Arrival>, known: Vec<Known>, span_m: [f64; 2]) -> Self {
+    pub fn over(ways: Vec<Way>, mut arrivals: Vec<Arrival>, paths: Vec<Path>, span_m: [f64; 2]) -> Self {
         arrivals.retain(|arrival| (span_m[0]..=span_m[1]).contains(&arrival.length_m));
         arrivals.sort_by(|a, b| a.length_m.total_cmp(&b.length_m));
         let widest_m = arrivals.iter().map(|arrival| arrival.sd_m).fold(0.0, f64::max);
-        Self { ways, arrivals, known, span_m, widest_m }
+        Self { ways, arrivals, paths, span_m, widest_m }
     }
 
     /// The same with other arrivals, in order of length.
     fn with(&self, arrivals: Vec<Arrival>) -> Self {
         let widest_m = arrivals.iter().map(|arrival| arrival.sd_m).fold(0.0, f64::max);
-        Self { ways: self.ways.clone(), known: self.known.clone(), span_m: self.span_m, arrivals, widest_m }
+        Self { ways: self.ways.clone(), paths: self.paths.clone(), span_m: self.span_m, arrivals, widest_m }
     }
 
     fn holds(&self, length_m: f64) -> bool {
@@ -177,7 +186,8 @@ pub struct Hidden {
     pub surface: Surface,
     /// Position; of a plane the foot of the perpendicular from the middle of the visible patches.
     pub point: Point,
-    /// Covariance, visible patches taken as exact but for what stands in the arrivals' errors. In flatland the third row and column are 0.
+    /// Covariance, visible patches taken as exact but for what stands in the arrivals' errors. In flatland the third
+    /// row and column are 0.
     pub covariance: Matrix3<f64>,
     /// Log of the Bayes factor of this surface over none.
     pub evidence: f64,
@@ -187,9 +197,9 @@ pub struct Hidden {
     pub arrivals: f64,
 }
 
-/// What a search found.
+/// What a search returns.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Found {
+pub struct Solution {
     /// Patches that explain arrivals which nothing else does, the surest first.
     pub patches: Vec<Hidden>,
     /// For each its mirror image in the plane nearest to the visible patches, where the arrivals do not rule it out.
@@ -205,9 +215,10 @@ pub struct Found {
 /// # Panics
 /// When a way names a focus that is not there.
 #[must_use]
-pub fn find(profiles: &[Profile], room: &Room) -> Found {
-    let Some(mut all) = Explanation::new(profiles, room) else { return Found::default() };
-    // Minimal sets find most, cheaply; a search of all space finds the others among what is left. It would come to whatever the former make up.
+pub fn find(profiles: &[Profile], room: &Room) -> Solution {
+    let Some(mut all) = Explanation::new(profiles, room) else { return Solution::default() };
+    // Minimal sets find most, cheaply; a search of all space finds the others among what is left. It would come to
+    // whatever the former make up.
     all.add_seeds(Claims::Likely);
     let mut is_open = true;
     for _ in 0..ROUNDS {
@@ -225,19 +236,20 @@ pub fn find(profiles: &[Profile], room: &Room) -> Found {
         }
     }
     let declined = next.filter(|hidden| !all.is_sure(hidden));
-    Found { declined, ..all.found() }
+    Solution { declined, ..all.solution() }
 }
 
-/// Finds those that minimal sets of arrivals lead to. Where profiles are full of later bounces, which are no chance, a search of all space would follow these
-/// without end; and lengths that many profiles repeat, as on several ways, leave minimal sets nothing to overlook.
+/// Finds those that minimal sets of arrivals lead to. Where profiles are full of later bounces, which are no chance, a
+/// search of all space would follow these without end; and lengths that many profiles repeat, as on several ways, leave
+/// minimal sets nothing to overlook.
 ///
 /// # Panics
 /// When a way names a focus that is not there.
 #[must_use]
-pub fn find_by_minimal_sets(profiles: &[Profile], room: &Room) -> Found {
-    let Some(mut all) = Explanation::new(profiles, room) else { return Found::default() };
+pub fn find_by_minimal_sets(profiles: &[Profile], room: &Room) -> Solution {
+    let Some(mut all) = Explanation::new(profiles, room) else { return Solution::default() };
     all.add_seeds(Claims::All);
-    all.found()
+    all.solution()
 }
 
 #[cfg(test)]

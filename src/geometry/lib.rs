@@ -1,7 +1,8 @@
-//! Kernels on points and distances: from path lengths to coordinates. No file, no table, no thread of their own: sums over
-//! many paths are shared out to rayon's, in chunks that the data define. Lengths in metres.
+//! Kernels on points and distances: from path lengths to coordinates. No file, no table, no thread of their own: sums
+//! over many paths are shared out to rayon's, in chunks that the data define. Lengths in metres.
 //!
-//! Convention: patch 0 is `p0`, source and camera in one (paper section 3). Paths are written in the order light meets the patches.
+//! Convention: patch 0 is `p0`, source and camera in one (paper section 3). Paths are written in the order light meets
+//! the patches.
 
 pub mod association;
 pub mod bistatic;
@@ -15,6 +16,7 @@ pub mod footprint;
 pub mod frame;
 pub mod hidden;
 pub mod iso_embed;
+pub mod labelling;
 pub mod loss;
 pub mod maximum_likelihood;
 pub mod mirror;

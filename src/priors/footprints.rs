@@ -6,8 +6,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::campaign::Campaign;
-use crate::geometry::Point;
-use crate::geometry::footprint::{self, Footprint};
+use crate::geometry::footprint::{Footprint, Footprints};
 use crate::tables::Plane;
 use crate::units::PatchId;
 
@@ -43,36 +42,10 @@ pub fn normals(told: &BTreeMap<PatchId, Told>, planes: &[Plane], is_fixed: bool)
     all.filter_map(|(patch, normal)| Some((patch, normal.try_normalize(f64::MIN_POSITIVE)?))).collect()
 }
 
-/// Footprints by patch; a patch without one is a point.
-#[derive(Clone, Debug, Default)]
-pub struct Footprints(BTreeMap<PatchId, Footprint>);
-
-impl Footprints {
-    /// Of patches with a known size and one of the [`normals`].
-    pub fn new(told: &BTreeMap<PatchId, Told>, normals: &BTreeMap<PatchId, Vector3<f64>>) -> Self {
-        let footprint = |(patch, normal): (&PatchId, &Vector3<f64>)| {
-            Some((*patch, Footprint { normal: *normal, size_m: told.get(patch)?.size_m? }))
-        };
-        Self(normals.iter().filter_map(footprint).collect())
-    }
-
-    /// Whether all patches are points.
-    pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// Diameter of the largest, 0 of points.
-    pub fn largest_m(&self) -> f64 {
-        self.0.values().map(|footprint| footprint.size_m).fold(0.0, f64::max)
-    }
-
-    /// What the mean way of the light over finite patches is longer than that over their centres.
-    pub fn shift_m(&self, source: Point, path: &[PatchId], centre: impl Fn(&PatchId) -> Point, sensor: Point) -> f64 {
-        if self.is_empty() {
-            return 0.0;
-        }
-        let bounces: Vec<(Point, Option<Footprint>)> =
-            path.iter().map(|patch| (centre(patch), self.0.get(patch).copied())).collect();
-        footprint::shift_m(source, &bounces, sensor)
-    }
+/// Footprints of patches with a known size and one of the [`normals`].
+pub fn of(told: &BTreeMap<PatchId, Told>, normals: &BTreeMap<PatchId, Vector3<f64>>) -> Footprints {
+    let footprint = |(patch, normal): (&PatchId, &Vector3<f64>)| {
+        Some((*patch, Footprint { normal: *normal, size_m: told.get(patch)?.size_m? }))
+    };
+    Footprints(normals.iter().filter_map(footprint).collect())
 }

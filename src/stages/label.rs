@@ -1,57 +1,53 @@
 //! `label`: which path of light made which onset (paper sections 4.1 and 4.3).
 //!
-//! Without known patches, the first light tells:
-//! - With patch i lit and seen it is the first bounce 0-i-0.
-//! - With i lit and j seen it is the second bounce 0-i-j-0, or, where the two exchange no light (coplanar, occluded and specular pairs), a third
-//!   bounce over some k: [`crate::geometry::detours`] tells, from path lengths alone. Such a pair is left open, unless k is certain and `bounces` 3.
-//!   So is a second bounce that passes another patch too closely to be told from a detour over it.
-//! - No second bounce is shorter than both first bounces nor longer than their sum, and where laser and sensor stand together, (j, i) has the same
-//!   first light as (i, j): that sets false onsets aside.
+//! Without patches in place, the first light of each profile decides: a first bounce, a second one, or no label where
+//! the light may have come over a third patch. With `patches`, every path of up to `bounces` bounces (5 at most) is
+//! predicted, and all onsets of a profile are associated with the predictions at once. [`crate::geometry::labelling`]
+//! says how.
 //!
-//! With `patches` beside it, every path of up to `bounces` bounces (5 at most) is predicted, but for those over a pair whose direct light is missing (or was not captured, where both lie on one wall), and every
-//! onset associated ([`crate::geometry::association`]). How often paths of an order are seen, with and without hidden patches among theirs, is learned from the campaign, once. The first order of
-//! which more than 0.3 paths lie within a standard deviation of a time is not labelled, nor are those above it: from its first path on it counts as clutter. A label less probable than `probability_min` is left open (path null), its candidates told
-//! as alternatives.
+//! The first order of which more than 0.3 paths lie within a standard deviation of a time is not labelled, nor are
+//! those above it. A label less probable than `probability_min` is left open (path null), its candidates listed as
+//! alternatives.
 //!
-//! Onsets of a laser that repeats are known modulo its period (`repetition_ps` in campaign.toml). `turns` is how many periods were added: without
-//! known patches such that first bounces (then the strongest onset, since later light may come before it) lie within one period beyond `near_m`,
-//! and second bounces where their first bounces leave one choice; with them, as predicted.
+//! Onsets of a laser that repeats are known modulo its period (`repetition_ps` in campaign.toml); `turns` is how many
+//! periods were added.
 //!
-//! Hidden patches, which neither laser nor sensor sees, show in third bounces over visible ones (paper section 4.3). With `bounces` of 3 or more:
+//! Hidden patches, which neither laser nor sensor sees, show in third bounces over visible ones. With `bounces` of 3 or
+//! more:
 //!
 //! | hidden | |
 //! |---|---|
-//! | `search` | places whose third bounces explain onsets in so many profiles that chance does not ([`crate::geometry::hidden`]); table `hypotheses` |
+//! | `search` | places whose third bounces explain more onsets than chance does ([`crate::geometry::hidden`]): table `hypotheses` |
 //! | `rank` | the paper's: the n-th onset that visible patches do not explain is hidden patch n in every profile |
 //! | `none` | not looked for |
 //!
-//! With `bounces` of 5, patches that only hidden ones show are searched for next, in fifth bounces (lit, hidden, such a patch, hidden, seen), among what all paths over patches in place leave unexplained;
-//! three hidden patches that do not lie in line must show them (in flatland two). Places are then taken from minimal sets of onsets alone, since a search of all space would follow the many later
-//! bounces.
+//! With `bounces` of 5, patches that only hidden ones show are searched for next; three hidden patches that do not lie
+//! in line must show them (in flatland two). All are numbered on from the largest patch, `[hidden] count` of
+//! campaign.toml at most.
 //!
-//! They are numbered on from the largest patch, as many as there are, or `[hidden] count` of campaign.toml at most.
+//! A wall throws light back to the side that it is lit from only. Patches whose normal is known (`planes`, or
+//! campaign.toml in a fixed frame), and all if they lie on one plane, show nothing behind them. Where onsets leave both
+//! a place and its mirror image in a wall that is nearly flat, the one on the laser's side is taken and the other
+//! listed (`hypotheses.alternative`). About visible patches in one line nothing is looked for: their onsets leave a
+//! circle.
 //!
-//! A wall throws light back to the side that it is lit from only. Patches whose normal is known (`planes`, or campaign.toml in a fixed frame), and all if they lie on one plane,
-//! show nothing behind them. Where onsets leave both a place and its mirror image in a wall that is nearly flat, the one on the laser's side is taken and the other told
-//! (`hypotheses.alternative`). About visible patches in one line nothing is looked for: their onsets leave a circle.
+//! A floor or a wall that nobody declared throws light on too, by the shortest way over it. Such planes are looked for
+//! along with the patches and listed (`hypotheses.kind`), since they would pass for many patches; their onsets stay
+//! without a path.
 //!
-//! A floor or a wall that nobody declared throws light on too, by the shortest way over it. Such planes are looked for along with the patches and are told (`hypotheses.kind`), since they
-//! would pass for many patches; their onsets stay without a path.
+//! Where another path comes within `blend_ps` of an onset and has none of its own, the label's `time_sd_ps` is as much
+//! larger as the other path's light may pull it; 0 takes every onset for single. The search for hidden patches expects
+//! no onset of its own from a patch where that of another path is so near.
 //!
-//! Pulses that the response does not tell apart make one onset between their times. Where another path of known patches comes within `blend_ps` of an onset and has none of its own, the
-//! label's `time_sd_ps` is as much larger as the other path's light may pull it; 0 takes every onset for single. The search for hidden patches expects no onset of its own from a patch where
-//! that of another path is so near.
+//! Takes `onsets`; writes `labels` and `hypotheses`. Optional tables: `patches` (of `refine`, with their standard
+//! deviations), and for the full error of a prediction `covariances` (`patch_covariances` of the same stage) and
+//! `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the light's centroid over large
+//! patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that
+//! the frame is fixed, also by the normals of campaign.toml. Patches without covariance are not predicted from.
 //!
-//! Takes `onsets`; writes `labels` and, beside it, `hypotheses`. Beside it, optional: `patches` (of `refine`, with their standard deviations), and for the full error of a
-//! prediction `covariances` (`patch_covariances` of the same stage) and `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the
-//! light's centroid over large patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that the frame is fixed,
-//! also by the normals of campaign.toml. Patches without covariance are not predicted from.
-//!
-//! Not modelled: amplitudes, which could tell paths of equal length apart; onsets of one profile whose errors are correlated; density of later bounces that grows with time, so that in a
-//! room where more than a tenth of all fourth bounces are seen before hidden patches are known a patch may be found that is none; a patch among `patches` that only hidden ones show, which is taken for one that visible
-//! ones show. Not found without
-//! known patches: false onsets before a first bounce, and most detours over patches whose pairs are missing (not captured, or left open): they pass
-//! for second bounces.
+//! Known limits: a patch among `patches` that only hidden ones show is taken for one that visible ones show. Without
+//! `patches`, false onsets before a first bounce pass for it, and most detours over patches whose pairs are missing
+//! (not captured, or left open) pass for second bounces.
 //!
 //! ```toml
 //! [labels]
@@ -61,31 +57,23 @@
 //! params = { bounces = 3 }
 //! ```
 
-mod blends;
-mod blind;
-mod chances;
-mod facing;
-mod hidden;
-mod legs;
-mod paths;
-mod predicted;
-mod rank;
-mod scene;
+mod rows;
 
 use std::collections::BTreeMap;
 
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::priors::footprints::{self, Footprints, Told};
+use crate::geometry::labelling::{self, Arrival, Medium, Options, Profile, Scene, SensorProfiles};
+use crate::priors::covariances;
+use crate::priors::footprints::{self, Told};
 use crate::tables::{Delay, Fit, Hypothesis, Label, Name, Onset, Patch, PatchCovariance, Plane, Row};
-use crate::units::{self, PatchId};
-use scene::{Scene, View};
+use crate::units::PatchId;
 
-/// Stations closer than this are one.
-const ONE_STATION_M: f64 = 1e-6;
 /// Beyond, every profile is one onset.
 const BLEND_MAX_PS: f64 = 400.0;
 
@@ -99,11 +87,13 @@ pub struct LabelOnsets {
     probability_min: f64,
     /// Onsets that no path of the known patches explains, per nanosecond of a profile.
     clutter_per_ns: f64,
-    /// No patch is nearer to laser and sensor than this; matters where the laser's period is given and patches are not known.
+    /// No patch is nearer to laser and sensor than this; matters where the laser's period is given and patches are not
+    /// known.
     near_m: f64,
     /// Which patches that nothing shows directly are looked for, with known patches and `bounces` of 3 or more.
     hidden: HiddenPatches,
-    /// Probability, at most, that `search` finds a hidden patch where there is none, and as much again that it finds a plane.
+    /// Probability, at most, that `search` finds a hidden patch where there is none, and as much again that it finds a
+    /// plane.
     false_alarm: f64,
     /// Pulses of two known paths that are nearer than this may be one onset: about as wide as the response.
     blend_ps: f64,
@@ -143,42 +133,16 @@ pub struct Setup {
     hidden_count: Option<u32>,
 }
 
-/// The profiles of one sensor.
-struct OfSensor<'a> {
-    known: &'a Known,
-    setup: &'a Setup,
-    source: Point,
-    sensor: Point,
-    profiles: Vec<&'a [Onset]>,
-}
-
-impl<'a> OfSensor<'a> {
-    fn new(known: &'a Known, onsets: &'a [Onset]) -> Self {
-        let setup = &known.setups[&*onsets[0].campaign];
-        let profiles = onsets.chunk_by(|a, b| (a.lit, a.seen) == (b.lit, b.seen)).collect();
-        let sensor = Point::from(setup.sensors_m[&*onsets[0].sensor]);
-        Self { known, setup, source: Point::from(setup.source_m), sensor, profiles }
-    }
-
-    fn view(&self, profile: &[Onset]) -> View<'_> {
-        View { setup: self.setup, source: self.source, sensor: self.sensor, delay_ps: self.known.delay_ps(&profile[0]) }
-    }
-
-    /// Distance between laser and sensor.
-    fn apart_m(&self) -> f64 {
-        (self.source - self.sensor).norm()
-    }
-}
-
-/// Setups of the campaigns, and what is known of the scene.
-pub struct Known {
+/// What labelling starts from, beside the onsets.
+pub struct Context {
     setups: BTreeMap<String, Setup>,
     scene: Option<Scene>,
+    cancel: Cancel,
     /// Delay that calibration left, and its standard deviation, by campaign, sensor and range.
     delays_ps: BTreeMap<(Name, Name, Option<Name>), (f64, f64)>,
 }
 
-impl Known {
+impl Context {
     /// Delay of a profile: that of its range, or the only one of its sensor.
     fn delay_ps(&self, onset: &Onset) -> (f64, f64) {
         let key = (onset.campaign.clone(), onset.sensor.clone(), onset.range.clone());
@@ -187,26 +151,30 @@ impl Known {
         let only = || of_sensor.next().filter(|_| of_sensor.next().is_none()).map(|(_, delay)| delay);
         of_range.or_else(only).copied().unwrap_or_default()
     }
-}
 
-/// What became of one onset.
-struct Verdict {
-    /// Laser periods added to its time.
-    turns: i32,
-    /// `None`: left unexplained.
-    path: Option<Vec<PatchId>>,
-    residual_ps: Option<f64>,
-    /// Standard deviation that the light of other paths may add to the onset's time.
-    blend_sd_ps: f64,
-    probability: f64,
-    /// Place among the onset's labels, the best 0.
-    alternative: i32,
-}
+    /// The profiles of one sensor, from all its onsets.
+    fn sensor_profiles(&self, onsets: &[Onset]) -> SensorProfiles {
+        let setup = &self.setups[&*onsets[0].campaign];
+        SensorProfiles {
+            medium: Medium { group_index: setup.group_index, repetition_ps: setup.repetition_ps },
+            source: Point::from(setup.source_m),
+            sensor: Point::from(setup.sensors_m[&*onsets[0].sensor]),
+            dimensions: setup.dimensions,
+            largest_patch: setup.largest_patch,
+            hidden_count: setup.hidden_count,
+            profiles: onsets
+                .chunk_by(|a, b| (a.lit, a.seen) == (b.lit, b.seen))
+                .map(|onsets| self.profile(onsets))
+                .collect(),
+        }
+    }
 
-impl Verdict {
-    /// Left unexplained.
-    fn open() -> Self {
-        Self { turns: 0, path: None, residual_ps: None, blend_sd_ps: 0.0, probability: 1.0, alternative: 0 }
+    fn profile(&self, onsets: &[Onset]) -> Profile {
+        let Onset { lit, seen, .. } = onsets[0];
+        let (delay_ps, delay_sd_ps) = self.delay_ps(&onsets[0]);
+        let arrivals =
+            onsets.iter().map(|onset| Arrival { time_ps: onset.time_ps, sd_ps: sd_ps(onset), snr: onset.snr });
+        Profile { lit, seen, delay_ps, delay_sd_ps, arrivals: arrivals.collect() }
     }
 }
 
@@ -225,7 +193,7 @@ impl Stage for LabelOnsets {
     type Input = Onset;
     type Output = Label;
     type Fields = BTreeMap<String, Setup>;
-    type Context = Known;
+    type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
         let setup = |campaign: &Campaign| Setup {
@@ -245,27 +213,23 @@ impl Stage for LabelOnsets {
         campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
     }
 
-    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
-        let scene = match beside.rows::<Patch>("patches")? {
-            None => None,
-            Some(patches) => {
-                let covariances = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
-                let planes = beside.rows::<Plane>("planes")?.unwrap_or_default();
-                let first = setups.values().next().map(|setup| &setup.footprints);
-                let fits = beside.rows::<Fit>("fits")?.unwrap_or_default();
-                let is_fixed = fits.iter().any(|fit| fit.alternative == 0 && &*fit.frame == "fixed");
-                let normals = first.map(|told| footprints::normals(told, &planes, is_fixed)).unwrap_or_default();
-                let footprints = first.map(|told| Footprints::new(told, &normals)).unwrap_or_default();
-                Some(Scene::new(&patches, &covariances, footprints, normals).ok_or_else(|| {
-                    let text = "with patches: no patch has a covariance, so nobody knows how far off its onsets may be; give patches from `refine`";
-                    StageError::Refused(text.to_owned())
-                })?)
-            }
-        };
-        let most = if scene.is_some() { 5 } else { 3 };
+    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
+        let scene = scene(&setups, beside)?;
+        self.check(scene.is_some())?;
+        let delays = beside.rows::<Delay>("delays")?.unwrap_or_default();
+        let delay = |row: Delay| ((row.campaign, row.sensor, row.range), (row.delay_ps, row.sd_ps));
+        let delays_ps = delays.into_iter().map(delay).collect();
+        Ok(Context { setups, scene, cancel: beside.cancel.clone(), delays_ps })
+    }
+}
+
+impl LabelOnsets {
+    /// Whether the parameters make sense, with patches in place and without.
+    fn check(&self, has_scene: bool) -> Result<(), StageError> {
+        let most = if has_scene { 5 } else { 3 };
         if !(1..=most).contains(&self.bounces) {
             let bounces = self.bounces;
-            let known = if scene.is_some() { "with known patches" } else { "without known patches" };
+            let known = if has_scene { "with known patches" } else { "without known patches" };
             return Err(StageError::Refused(format!(
                 "params.bounces = {bounces}: {known} bounces 1 to {most} are labelled"
             )));
@@ -283,72 +247,80 @@ impl Stage for LabelOnsets {
                     .to_owned(),
             ));
         }
-        let delays = beside.rows::<Delay>("delays")?.unwrap_or_default();
-        let delay = |row: Delay| ((row.campaign, row.sensor, row.range), (row.delay_ps, row.sd_ps));
-        let delays_ps = delays.into_iter().map(delay).collect();
-        Ok(Known { setups, scene, delays_ps })
+        Ok(())
+    }
+
+    fn options(&self) -> Options {
+        Options {
+            bounces: self.bounces as usize,
+            probability_min: self.probability_min,
+            clutter_per_ns: self.clutter_per_ns,
+            near_m: self.near_m,
+            hidden: self.hidden.into(),
+            false_alarm: self.false_alarm,
+            blend_ps: self.blend_ps,
+        }
+    }
+}
+
+impl From<HiddenPatches> for labelling::HiddenPatches {
+    fn from(hidden: HiddenPatches) -> Self {
+        match hidden {
+            HiddenPatches::None => Self::None,
+            HiddenPatches::Search => Self::Search,
+            HiddenPatches::Rank => Self::Rank,
+        }
     }
 }
 
 impl Apply for LabelOnsets {
-    fn apply(&self, known: &Known, group: Vec<Onset>) -> Result<Outcome<Label>, StageError> {
-        let of_one_sensor = |a: &Onset, b: &Onset| (&a.campaign, &a.sensor) == (&b.campaign, &b.sensor);
-        let sensors: Vec<OfSensor> = group.chunk_by(of_one_sensor).map(|onsets| OfSensor::new(known, onsets)).collect();
-        let (verdicts, hypotheses, rejections) = match &known.scene {
-            None => (sensors.iter().map(|sensor| self.blind(sensor)).collect(), Vec::new(), Vec::new()),
-            Some(scene) => self.with_known(scene, &sensors),
-        };
-        let mut rows = Vec::new();
-        for (sensor, verdicts) in sensors.iter().zip(verdicts) {
-            for (onset, verdicts) in sensor.profiles.iter().copied().flatten().zip(verdicts.into_iter().flatten()) {
-                rows.extend(verdicts.into_iter().map(|verdict| row(onset, verdict, sensor.setup)));
-            }
-        }
-        Ok(Outcome { rows, sides: vec![Hypothesis::to_batch(&hypotheses)], rejections })
+    fn apply(&self, context: &Context, group: Vec<Onset>) -> Result<Outcome<Label>, StageError> {
+        let is_one_sensor = |a: &Onset, b: &Onset| (&a.campaign, &a.sensor) == (&b.campaign, &b.sensor);
+        let sensors: Vec<SensorProfiles> =
+            group.chunk_by(is_one_sensor).map(|onsets| context.sensor_profiles(onsets)).collect();
+        let solution = labelling::label(&sensors, context.scene.as_ref(), &self.options(), &context.cancel);
+        let hypotheses = rows::hypotheses(&solution.hypotheses, self.false_alarm);
+        Ok(Outcome {
+            rows: rows::labels(&group, &sensors, solution.verdicts),
+            sides: vec![Hypothesis::to_batch(&hypotheses)],
+            rejections: rows::rejections(&group, &sensors, solution.visible_in_line),
+        })
     }
 }
 
-/// For each profile of a sensor, for each onset, its labels.
-type Verdicts = Vec<Vec<Vec<Verdict>>>;
+/// Patches in place of the best alternative, those with a covariance; `None` without the table `patches`.
+fn scene(setups: &BTreeMap<String, Setup>, beside: &BesideTables) -> Result<Option<Scene>, StageError> {
+    let Some(rows) = beside.rows::<Patch>("patches")? else { return Ok(None) };
+    let best = rows.iter().filter(|row| row.alternative == 0);
+    let patches: BTreeMap<PatchId, (Point, _)> = best
+        .filter_map(|row| Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariances::of_patch(row)?))))
+        .collect();
+    if patches.is_empty() {
+        let text = "with patches: no patch has a covariance, so nobody knows how far off its onsets may be; give patches from `refine`";
+        return Err(StageError::Refused(text.to_owned()));
+    }
+    let between = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
+    let between_m2 = between.iter().map(|row| ((row.a, row.b), covariances::between(row))).collect();
+    let given = setups.values().next().map(|setup| &setup.footprints);
+    let normals = given.map(|given| normals(given, beside)).transpose()?.unwrap_or_default();
+    let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
+    Ok(Some(Scene::new(&patches, &between_m2, footprints, normals)))
+}
 
-/// Standard deviation of an onset's time, what its profile shares included.
+/// Normals of patches on the table `planes`, and where the frame is fixed those of campaign.toml.
+fn normals(
+    given: &BTreeMap<PatchId, Told>,
+    beside: &BesideTables,
+) -> Result<BTreeMap<PatchId, Vector3<f64>>, StageError> {
+    let planes = beside.rows::<Plane>("planes")?.unwrap_or_default();
+    let fits = beside.rows::<Fit>("fits")?.unwrap_or_default();
+    let is_fixed = fits.iter().any(|fit| fit.alternative == 0 && &*fit.frame == "fixed");
+    Ok(footprints::normals(given, &planes, is_fixed))
+}
+
+/// Standard deviation of an onset's time, with the part that its profile shares.
 fn sd_ps(onset: &Onset) -> f64 {
     onset.time_sd_ps.hypot(onset.jitter_ps)
-}
-
-/// Probability that an onset is light at all and not noise.
-fn light(onset: &Onset) -> f64 {
-    1.0 - (-onset.snr * onset.snr / 2.0).exp()
-}
-
-fn row(onset: &Onset, verdict: Verdict, setup: &Setup) -> Label {
-    let turns_ps = f64::from(verdict.turns) * setup.repetition_ps.unwrap_or(0.0);
-    Label {
-        campaign: onset.campaign.clone(),
-        sensor: onset.sensor.clone(),
-        lit: onset.lit,
-        seen: onset.seen,
-        range: onset.range.clone(),
-        rank: onset.rank,
-        time_ps: onset.time_ps + turns_ps,
-        time_sd_ps: sd_ps(onset).hypot(verdict.blend_sd_ps),
-        turns: verdict.turns,
-        bounces: verdict.path.as_deref().map_or(0, crate::path::bounces),
-        path: verdict.path,
-        residual_ps: verdict.residual_ps,
-        probability: verdict.probability,
-        alternative: verdict.alternative,
-    }
-}
-
-/// Path from laser to sensor over patches, in the order light meets them, that is direct: each patch once.
-fn direct(profile: &[Onset]) -> Vec<PatchId> {
-    let (lit, seen) = (profile[0].lit, profile[0].seen);
-    if lit == seen { vec![lit] } else { vec![lit, seen] }
-}
-
-fn time_ps(length_m: f64, setup: &Setup) -> f64 {
-    units::time_ps(length_m, setup.group_index)
 }
 
 #[cfg(test)]

@@ -44,7 +44,7 @@ use crate::campaign::Campaign;
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Problem, Solution, Unsolved};
 use crate::geometry::placement::{self, Kind};
-use crate::priors::footprints::{self, Footprints, Told};
+use crate::priors::footprints::{self, Told};
 use crate::tables::{
     Ambiguity, Calibration, Delay, Fit, Label, Patch, PatchCovariance, Plane, Residual, Row, Station, Suspect,
 };
@@ -142,7 +142,7 @@ impl Apply for Refine {
         };
         let is_fixed = solution.free_rotations.first() == Some(&0);
         let told = &context.known.first().footprints;
-        let footprints = Footprints::new(told, &footprints::normals(told, &context.planes, is_fixed));
+        let footprints = footprints::of(told, &footprints::normals(told, &context.planes, is_fixed));
         let mut shifts_m = vec![0.0; labels.len()];
         for _ in 0..if footprints.is_empty() { 0 } else { ROUNDS } {
             let next_m = model.shifts_m(&footprints, &problem, &solution.points, &solution.stations);

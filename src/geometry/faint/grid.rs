@@ -1,7 +1,8 @@
 //! Where a patch may be: the best points of a grid.
 //!
-//! Noise makes every profile's best score within the reach of a large cube as good as that of a patch, so that bounds over cubes rule out nothing before these are as small as the response is
-//! short: a grid of points as dense is as good, and needs no bounds.
+//! Noise makes every profile's best score within the reach of a large cube as good as that of a patch, so that bounds
+//! over cubes rule out nothing before these are as small as the response is short: a grid of points as dense is as
+//! good, and needs no bounds.
 
 use nalgebra::Vector3;
 use periscope_cancel::Cancel;
@@ -14,7 +15,8 @@ use crate::hidden::search::{Curve, Domain};
 
 /// Distance of two points, as a share of the response's length: no place is further from one than scores remember.
 const STEP: f64 = 0.5;
-/// Signal-to-noise ratio of the pulses that are looked for. Factors spread over a decade, so that it stands for weaker and stronger ones.
+/// Signal-to-noise ratio of the pulses that are looked for. Factors spread over a decade, so that it stands for weaker
+/// and stronger ones.
 const SEARCHED: f64 = 1.2;
 /// No sum below this is a patch.
 const LEAST: f32 = 5.0;
@@ -25,7 +27,8 @@ struct Pair {
     curves: Vec<Curve>,
 }
 
-/// The `most` points with the largest sums of log-likelihood ratios, best first, among those that more than half of the profiles could have recorded.
+/// The `most` points with the largest sums of log-likelihood ratios, best first, among those that more than half of the
+/// profiles could have recorded.
 pub(super) fn candidates(profiles: &[Profile], room: &Room, domain: &Domain, most: usize) -> Vec<Point> {
     let pairs = pairs(profiles, &room.cancel);
     let step_m = STEP * room.width_m;

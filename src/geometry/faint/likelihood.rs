@@ -29,7 +29,8 @@ const TOGETHER: usize = 16;
 /// Points along each axis that the volume is counted by.
 const VOLUME_POINTS: i32 = 24;
 
-/// What one profile says of one more pulse, by the length of its way over a hidden point: the two patches' own legs taken off.
+/// What one profile says of one more pulse, by the length of its way over a hidden point: the two patches' own legs
+/// taken off.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Profile {
     /// Positions of both visible patches among the foci.
@@ -71,7 +72,8 @@ fn weights() -> [f64; FACTORS] {
     std::array::from_fn(|j| density(j) / total)
 }
 
-/// `1 - p + p sum_f w_f exp(u_f z - u_f^2 / 2)` for all strengths; `expected` is the smallest signal-to-noise ratio on the ladder.
+/// `1 - p + p sum_f w_f exp(u_f z - u_f^2 / 2)` for all strengths; `expected` is the smallest signal-to-noise ratio on
+/// the ladder.
 fn ratios<const COUNT: usize>(score: f64, expected: f64, weights: &[f64; FACTORS], rungs: &mut [f64]) -> [f64; COUNT] {
     let score = score.min(SCORE_MAX);
     let mut u = expected;
@@ -170,7 +172,8 @@ impl<'a> Likelihood<'a> {
         count.max(1) as f64 * step_m.powi(self.domain.dimensions as i32)
     }
 
-    /// Of the profiles that could have recorded a patch at a place: score, and what a unit of strength adds to it. `None` where these are no more than half.
+    /// Of the profiles that could have recorded a patch at a place: score, and what a unit of strength adds to it.
+    /// `None` where these are no more than half.
     fn signals(&self, point: &Point) -> Option<Vec<(f64, f64)>> {
         self.cancel.check();
         if !self.domain.holds(*point, 0.0) {

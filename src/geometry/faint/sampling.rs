@@ -123,7 +123,8 @@ impl Likelihood<'_> {
     }
 }
 
-/// Point `n` of a sequence of low discrepancy (Halton's, in bases 2, 3, 5 and 7), as three normal numbers by Box and Muller.
+/// Point `n` of a sequence of low discrepancy (Halton's, in bases 2, 3, 5 and 7), as three normal numbers by Box and
+/// Muller.
 fn normal(n: usize) -> Vector3<f64> {
     let [a, b, c, d] = [2, 3, 5, 7].map(|base| halton(n, base));
     let (radius, turn) = ((-2.0 * a.ln()).sqrt(), std::f64::consts::TAU * b);

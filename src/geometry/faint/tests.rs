@@ -11,7 +11,8 @@ fn squared(faint: &Faint, truth: &Point) -> f64 {
     off.dot(&(faint.covariance.try_inverse().unwrap() * off))
 }
 
-/// Signal-to-noise ratios of 1.5 in each of 64 profiles are a patch, at the place that its covariance says; noise is none.
+/// Signal-to-noise ratios of 1.5 in each of 64 profiles are a patch, at the place that its covariance says; noise is
+/// none.
 #[test]
 fn pulses_too_weak_in_each_profile_are_a_patch_in_all_together() {
     for strengths in [Strengths::Physical, Strengths::Alike] {
@@ -32,7 +33,8 @@ fn pulses_too_weak_in_each_profile_are_a_patch_in_all_together() {
     }
 }
 
-/// The evidence is the integral that it says it is, and nothing near is likelier: beside a grid over all places within five standard deviations.
+/// The evidence is the integral that it says it is, and nothing near is likelier: beside a grid over all places within
+/// five standard deviations.
 #[test]
 fn evidence_and_likelihood_are_those_of_a_grid() {
     let (profiles, room, _) = draw(6, 2.0, Strengths::Physical, 3);

@@ -1,9 +1,10 @@
 //! Pulses of several paths that make one arrival.
 
 use super::superposition::Pair;
-use super::{Arrival, Known, Profile};
+use super::{Arrival, Path, Profile};
 
-/// Chance that two pulses at the same time make one arrival; it falls to none over the length that the response tells apart.
+/// Chance that two pulses at the same time make one arrival; it falls to none over the length that the response tells
+/// apart.
 const MERGED: f64 = 0.95;
 /// Paths less likely than this to be seen are too faint to pull an arrival.
 const BRIGHT: f64 = 0.3;
@@ -33,9 +34,10 @@ pub fn hidden_by(claimed_m: &[f64], length_m: f64, blend_m: f64) -> f64 {
     }
 }
 
-/// A profile with larger errors where an arrival of one path may be that of two: near one that is bright and has none of its own. Unresolved pulses make an arrival at the centroid of
-/// their light, half of their distance off where both are as strong.
-pub fn widened(profile: &Profile, paths: &[Known], pairs: &[Pair], blend_m: f64) -> Profile {
+/// A profile with larger errors where an arrival of one path may be that of two: near one that is bright and has none
+/// of its own. Unresolved pulses make an arrival at the centroid of their light, half of their distance off where both
+/// are as strong.
+pub fn widened(profile: &Profile, paths: &[Path], pairs: &[Pair], blend_m: f64) -> Profile {
     let mut whole = vec![1.0; paths.len()];
     pairs.iter().for_each(|pair| whole[pair.path] += pair.odds * pair.left);
     let mut owners: Vec<Option<(f64, usize)>> = vec![None; profile.arrivals.len()];
@@ -47,7 +49,7 @@ pub fn widened(profile: &Profile, paths: &[Known], pairs: &[Pair], blend_m: f64)
     }
     let mut arrivals = profile.arrivals.clone();
     for (arrival, owner) in arrivals.iter_mut().zip(owners) {
-        let lone = |(k, other): (usize, &Known)| {
+        let lone = |(k, other): (usize, &Path)| {
             if other.seen < BRIGHT || owner.is_some_and(|(_, own)| own == k) {
                 return 0.0;
             }

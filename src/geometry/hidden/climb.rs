@@ -33,9 +33,9 @@ pub struct View<'a> {
     pub cancel: &'a Cancel,
 }
 
-/// A place with what speaks for it.
+/// A surface at a point, and what the arrivals say of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct Estimate {
     pub surface: Surface,
     pub point: Point,
     /// Log-likelihood ratio: the surface here over none.
@@ -52,7 +52,7 @@ pub struct Place {
 
 impl View<'_> {
     /// The surface at `point`, and where its arrivals would rather have it.
-    fn at(&self, point: Point, widened: f64) -> (Place, Vector3<f64>) {
+    fn at(&self, point: Point, widened: f64) -> (Estimate, Vector3<f64>) {
         // Length and direction from each focus to a patch; none to what lies behind it.
         let arms: Vec<Option<(f64, Vector3<f64>)>> = self
             .foci
@@ -64,7 +64,7 @@ impl View<'_> {
             })
             .collect();
         let surface = self.surface;
-        let mut place = Place {
+        let mut place = Estimate {
             surface,
             point,
             likelihood: 0.0,
@@ -89,7 +89,7 @@ impl View<'_> {
                     Surface::Plane { .. } => surface.way(way.foci.map(|focus| &self.foci[focus]), point),
                 };
                 let Some((legs_m, slope)) = legs else { continue };
-                let length_m = way.known_m + legs_m;
+                let length_m = way.offset_m + legs_m;
                 if !profile.holds(length_m) {
                     continue;
                 }
@@ -129,13 +129,13 @@ impl View<'_> {
 
     /// The surface at `point`.
     #[must_use]
-    pub fn place(&self, point: Point) -> Place {
+    pub fn place(&self, point: Point) -> Estimate {
         self.at(point, 1.0).0
     }
 
     /// The likeliest place near `start`, by expectation and maximization with a Gauss-Newton step as the latter.
     #[must_use]
-    pub fn climb(&self, start: Point) -> Place {
+    pub fn climb(&self, start: Point) -> Estimate {
         let mut point = start;
         for widened in WIDENED {
             point = self.step(point, widened).map_or(point, |(_, step)| point + step);
@@ -157,7 +157,7 @@ impl View<'_> {
     }
 
     /// The place at a point, and the step from there.
-    fn step(&self, point: Point, widened: f64) -> Option<(Place, Vector3<f64>)> {
+    fn step(&self, point: Point, widened: f64) -> Option<(Estimate, Vector3<f64>)> {
         let (place, mut right) = self.at(point, widened);
         let mut information = place.information;
         let stiffness = information.trace();

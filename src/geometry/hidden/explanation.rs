@@ -3,11 +3,11 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::climb::{GATE, Place, View};
+use super::climb::{Estimate, GATE, View};
 use super::search::Domain;
 use super::superposition::{self, Pair};
 use super::surface::Surface;
-use super::{Found, Hidden, Known, Profile, Room, Way, blend};
+use super::{Hidden, Path, Profile, Room, Solution, Way, blend};
 use crate::Point;
 
 /// Where arrivals blend, a patch that shows on a smaller share of the ways that are clear is none.
@@ -22,11 +22,12 @@ const VOLUME_POINTS: i32 = 16;
 pub(super) enum Claims {
     /// All.
     All,
-    /// Known ones that are more likely seen than not, and those over surfaces that were found: many that are seldom seen may claim each arrival between them.
+    /// Those over patches in place that are more likely seen than not, and those over hidden surfaces: many that are
+    /// seldom seen may claim each arrival between them.
     Likely,
 }
 
-/// Known paths and hidden surfaces that were found, and the arrivals that they explain.
+/// Paths over patches in place and over hidden surfaces, and the arrivals that they explain.
 pub(super) struct Explanation<'a> {
     given: &'a [Profile],
     /// The same; arrivals that may be blends err by more.
@@ -38,8 +39,8 @@ pub(super) struct Explanation<'a> {
     /// Usual standard deviation of an arrival.
     pub(super) sd_m: f64,
     pub(super) clutter_per_m: f64,
-    /// Surfaces that were found, patches and planes.
-    pub(super) found: Vec<Hidden>,
+    /// Hidden surfaces: patches and planes.
+    pub(super) surfaces: Vec<Hidden>,
     /// For each profile its paths and arrivals that may belong together.
     pairs: Vec<Vec<Pair>>,
 }
@@ -54,7 +55,7 @@ impl<'a> Explanation<'a> {
         let middle = room.foci.iter().map(|focus| focus.point.coords).sum::<Vector3<f64>>() / room.foci.len() as f64;
         // Of a patch further out than that every path would be longer than any record.
         let longest =
-            |profile: &Profile| profile.ways.iter().map(|way| profile.span_m[1] - way.known_m).reduce(f64::max);
+            |profile: &Profile| profile.ways.iter().map(|way| profile.span_m[1] - way.offset_m).reduce(f64::max);
         let longest_m = profiles.iter().filter_map(longest).fold(0.0, f64::max);
         let domain = Domain { centre: Point::from(middle), half_m: 0.5 * longest_m, dimensions: room.dimensions };
         let span_m: f64 = profiles.iter().map(|profile| profile.span_m[1] - profile.span_m[0]).sum();
@@ -67,11 +68,11 @@ impl<'a> Explanation<'a> {
             domain,
             sd_m,
             clutter_per_m: (arrivals + 1) as f64 / span_m,
-            found: Vec::new(),
+            surfaces: Vec::new(),
             pairs: Vec::new(),
         };
         all.log_volumes = [Surface::Patch, all.plane()].map(|surface| all.volume(surface).ln());
-        // Known paths leave less clutter than all arrivals would be.
+        // Paths over patches in place leave less clutter than all arrivals would be.
         (0..2).for_each(|_| all.settle());
         Some(all)
     }
@@ -101,7 +102,7 @@ impl<'a> Explanation<'a> {
             self.room.cancel.check();
             let is_in = |(profile, way): &(&Profile, &Way)| {
                 let legs = surface.way(way.foci.map(|focus| &self.room.foci[focus]), *point);
-                legs.is_some_and(|(length_m, _)| way.known_m + length_m <= profile.span_m[1])
+                legs.is_some_and(|(length_m, _)| way.offset_m + length_m <= profile.span_m[1])
             };
             let all = self.profiles.iter().flat_map(|profile| profile.ways.iter().map(move |way| (profile, way)));
             self.domain.holds(*point, 0.0) && all.filter(is_in).count() as f64 > least
@@ -129,35 +130,35 @@ impl<'a> Explanation<'a> {
         self.clutter_per_m = (unexplained + 1.0) / span_m;
     }
 
-    /// The paths of a profile: known ones, then the ways over each surface that was found.
-    fn paths(&self, profile: &Profile) -> Vec<Known> {
-        let hidden = self.found.iter().flat_map(|hidden| {
+    /// The paths of a profile: those over patches in place, then the ways over each hidden surface.
+    fn paths(&self, profile: &Profile) -> Vec<Path> {
+        let hidden = self.surfaces.iter().flat_map(|hidden| {
             profile.ways.iter().map(|way| {
                 let foci = way.foci.map(|focus| &self.room.foci[focus]);
                 match hidden.surface.way(foci, hidden.point) {
-                    Some((legs_m, _)) => Known { length_m: way.known_m + legs_m, sd_m: way.sd_m, seen: hidden.seen },
-                    None => Known { length_m: 0.0, sd_m: 0.0, seen: 0.0 },
+                    Some((legs_m, _)) => Path { length_m: way.offset_m + legs_m, sd_m: way.sd_m, seen: hidden.seen },
+                    None => Path { length_m: 0.0, sd_m: 0.0, seen: 0.0 },
                 }
             })
         });
-        profile.known.iter().copied().chain(hidden).collect()
+        profile.paths.iter().copied().chain(hidden).collect()
     }
 
-    fn pairs_of(&self, profile: &Profile, paths: &[Known]) -> Vec<Pair> {
+    fn pairs_of(&self, profile: &Profile, paths: &[Path]) -> Vec<Pair> {
         self.room.cancel.check();
         let mut pairs = Vec::new();
-        for (path, known) in paths.iter().enumerate() {
-            let reach_m = GATE * profile.widest_m.hypot(known.sd_m);
-            let from = profile.arrivals.partition_point(|arrival| arrival.length_m < known.length_m - reach_m);
+        for (n, path) in paths.iter().enumerate() {
+            let reach_m = GATE * profile.widest_m.hypot(path.sd_m);
+            let from = profile.arrivals.partition_point(|arrival| arrival.length_m < path.length_m - reach_m);
             for (arrival, at) in profile.arrivals.iter().enumerate().skip(from) {
-                let off_m = at.length_m - known.length_m;
+                let off_m = at.length_m - path.length_m;
                 if off_m > reach_m {
                     break;
                 }
-                let sd_m = at.sd_m.hypot(known.sd_m);
+                let sd_m = at.sd_m.hypot(path.sd_m);
                 let density = (-0.5 * (off_m / sd_m).powi(2)).exp() / ((2.0 * std::f64::consts::PI).sqrt() * sd_m);
-                let odds = known.seen / (1.0 - known.seen) * density / self.clutter_per_m;
-                pairs.push(Pair::new(path, arrival, odds));
+                let odds = path.seen / (1.0 - path.seen) * density / self.clutter_per_m;
+                pairs.push(Pair::new(n, arrival, odds));
             }
         }
         superposition::settle(&mut pairs, paths.len(), profile.arrivals.len());
@@ -170,9 +171,9 @@ impl<'a> Explanation<'a> {
     }
 
     /// What all paths but those over one surface leave of each arrival.
-    pub(super) fn left_for(&self, found: usize) -> Vec<Vec<f64>> {
+    pub(super) fn left_for(&self, surface: usize) -> Vec<Vec<f64>> {
         self.left_by(|profile, path| {
-            let (first, ways) = (profile.known.len() + found * profile.ways.len(), profile.ways.len());
+            let (first, ways) = (profile.paths.len() + surface * profile.ways.len(), profile.ways.len());
             !(first..first + ways).contains(&path)
         })
     }
@@ -182,7 +183,7 @@ impl<'a> Explanation<'a> {
         match claims {
             Claims::All => self.left(),
             Claims::Likely => {
-                self.left_by(|profile, path| profile.known.get(path).is_none_or(|known| known.seen > LIKELY))
+                self.left_by(|profile, path| profile.paths.get(path).is_none_or(|path| path.seen > LIKELY))
             }
         }
     }
@@ -208,8 +209,9 @@ impl<'a> Explanation<'a> {
         }
     }
 
-    /// Bayes factor of a place over none, as its log; `None` outside the volume, where arrivals leave it open, and where too few show it.
-    pub(super) fn hidden(&self, place: Place, seen: f64) -> Option<Hidden> {
+    /// Bayes factor of a place over none, as its log; `None` outside the volume, where arrivals leave it open, and
+    /// where too few show it.
+    pub(super) fn hidden(&self, place: Estimate, seen: f64) -> Option<Hidden> {
         if place.ways as f64 <= place.surface.share() * self.ways() as f64 {
             return None;
         }
@@ -261,15 +263,15 @@ impl<'a> Explanation<'a> {
     }
 
     /// All patches, the surest first, each with its rival, and all planes.
-    pub(super) fn found(&self) -> Found {
+    pub(super) fn solution(&self) -> Solution {
         let (patches, planes): (Vec<usize>, Vec<usize>) =
-            (0..self.found.len()).partition(|&n| self.found[n].surface == Surface::Patch);
+            (0..self.surfaces.len()).partition(|&n| self.surfaces[n].surface == Surface::Patch);
         let mut patches: Vec<(Hidden, Option<Hidden>)> =
-            patches.into_iter().map(|n| (self.found[n], self.rival(n))).collect();
+            patches.into_iter().map(|n| (self.surfaces[n], self.rival(n))).collect();
         patches.sort_by(|a, b| b.0.evidence.total_cmp(&a.0.evidence));
         patches.truncate(self.room.count.unwrap_or(usize::MAX));
         let (patches, rivals) = patches.into_iter().unzip();
-        Found { patches, rivals, planes: planes.into_iter().map(|n| self.found[n]).collect(), declined: None }
+        Solution { patches, rivals, planes: planes.into_iter().map(|n| self.surfaces[n]).collect(), declined: None }
     }
 
     pub(super) fn is_sure(&self, hidden: &Hidden) -> bool {

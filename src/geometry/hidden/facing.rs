@@ -8,7 +8,8 @@ use crate::{Point, planes};
 /// A plane through points that are off it by less than this share of its extent has two sides, and so has a line.
 const FLAT: f64 = 1e-3;
 
-/// Standard deviations of points along three axes at right angles, least first, with the first of the axes; in flatland nothing lies across it.
+/// Standard deviations of points along three axes at right angles, least first, with the first of the axes; in flatland
+/// nothing lies across it.
 fn extents_m(points: &[Point]) -> ([f64; 3], Vector3<f64>) {
     let middle = points.iter().map(|point| point.coords).sum::<Vector3<f64>>() / points.len() as f64;
     let spread = |point: &Point| (point.coords - middle) * (point.coords - middle).transpose();
@@ -28,7 +29,8 @@ pub fn spans(points: &[Point], dimensions: usize) -> bool {
     if dimensions == 2 { most_m > 0.0 } else { middle_m > FLAT * most_m }
 }
 
-/// Visible patches with the sides of their walls that are lit: of known normals, or of the one plane that all lie on (in flatland one line).
+/// Visible patches with the sides of their walls that are lit: of known normals, or of the one plane that all lie on
+/// (in flatland one line).
 #[must_use]
 pub fn fronts(points: &[Point], normals: &[Option<Vector3<f64>>], source: Point, dimensions: usize) -> Vec<Focus> {
     let wall = one_wall(points, dimensions);
@@ -41,7 +43,8 @@ pub fn fronts(points: &[Point], normals: &[Option<Vector3<f64>>], source: Point,
     points.iter().zip(normals).map(|at| Focus { point: *at.0, normal: front(at) }).collect()
 }
 
-/// Whether two patches exchange light as far as their walls say: not if either lies behind the other's wall, or in its plane.
+/// Whether two patches exchange light as far as their walls say: not if either lies behind the other's wall, or in its
+/// plane.
 #[must_use]
 pub fn exchange_light(a: &Focus, b: &Focus) -> bool {
     let slack_m = -FLAT * (a.point - b.point).norm();

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::climb::Place;
+use super::climb::Estimate;
 use super::explanation::{Claims, Explanation};
 use super::surface::Surface;
 use super::{Hidden, ROUNDS, SEEN};
@@ -12,7 +12,8 @@ use crate::Point;
 const SEEN_RANGE: [f64; 2] = [0.3, 0.98];
 /// A patch that moves by more standard deviations explains other arrivals than before.
 const FAR: f64 = 0.5;
-/// Rounds of climbing all patches, beside one for each that is dropped, and the move in standard deviations that ends them.
+/// Rounds of climbing all patches, beside one for each that is dropped, and the move in standard deviations that ends
+/// them.
 const POLISH: usize = 12;
 const SETTLED: f64 = 1e-3;
 /// Patches that are tried together, and the evidence that they must bring.
@@ -33,32 +34,33 @@ impl Explanation<'_> {
 
     /// Adds the sure ones among the tops near some starts, and says whether there are more then.
     pub(super) fn add(&mut self, starts: &[(Surface, Point)]) -> bool {
-        let before = self.found.len();
+        let before = self.surfaces.len();
         let mut places = self.tops(starts);
         while let Some(next) =
             places.iter().position(|place| self.hidden(*place, SEEN).is_some_and(|hidden| self.is_sure(&hidden)))
         {
             // What came before it was not sure and will not become so by more patches.
-            let Place { surface, point, .. } = places[next];
+            let Estimate { surface, point, .. } = places[next];
             places.drain(..=next);
             let left = self.left();
             let place = self.view(surface, &left, SEEN).climb(point);
             if let Some(hidden) = self.hidden(place, SEEN).filter(|hidden| self.is_sure(hidden)) {
-                self.found.push(hidden);
+                self.surfaces.push(hidden);
                 self.settle();
             }
         }
         self.polish();
-        self.found.len() > before
+        self.surfaces.len() > before
     }
 
-    /// Adds patches that are not sure alone, the likeliest first, but may be together: what one explains is no longer clutter to the others. Says whether they stay.
+    /// Adds patches that are not sure alone, the likeliest first, but may be together: what one explains is no longer
+    /// clutter to the others. Says whether they stay.
     pub(super) fn add_together(&mut self, first: Hidden) -> bool {
-        let before = (self.found.clone(), self.total());
+        let before = (self.surfaces.clone(), self.total());
         let mut next = Some(first);
         for left in (0..TOGETHER).rev() {
             let Some(hidden) = next else { break };
-            self.found.push(hidden);
+            self.surfaces.push(hidden);
             self.settle();
             for _ in 0..3 {
                 self.climb_all();
@@ -68,7 +70,7 @@ impl Explanation<'_> {
         self.polish();
         let better = self.total() > before.1 + GAIN;
         if !better {
-            self.found = before.0;
+            self.surfaces = before.0;
             self.settle();
         }
         better
@@ -81,24 +83,24 @@ impl Explanation<'_> {
 
     /// Evidence of all.
     fn total(&self) -> f64 {
-        self.found.iter().map(|patch| patch.evidence).sum()
+        self.surfaces.iter().map(|patch| patch.evidence).sum()
     }
 
     /// Climbs all again, each with what the others leave; the longest move in standard deviations.
     fn climb_all(&mut self) -> f64 {
         let mut moved = 0.0_f64;
-        let climbed: Vec<Hidden> = (0..self.found.len()).into_par_iter().map(|n| self.climbed(n)).collect();
+        let climbed: Vec<Hidden> = (0..self.surfaces.len()).into_par_iter().map(|n| self.climbed(n)).collect();
         for (n, next) in climbed.into_iter().enumerate() {
             let step = |next: &Hidden, now: &Hidden| (next.point - now.point).norm() / self.sd_m;
-            let far = step(&next, &self.found[n]);
+            let far = step(&next, &self.surfaces[n]);
             moved = moved.max(far);
             if far > FAR {
                 // Others that compete for the same arrivals would all follow.
                 self.settle();
-                self.found[n] = self.climbed(n);
+                self.surfaces[n] = self.climbed(n);
                 self.settle();
             } else {
-                self.found[n] = next;
+                self.surfaces[n] = next;
             }
         }
         self.settle();
@@ -107,7 +109,7 @@ impl Explanation<'_> {
 
     /// A surface where it is likeliest near its place.
     fn climbed(&self, n: usize) -> Hidden {
-        let (left, now) = (self.left_for(n), self.found[n]);
+        let (left, now) = (self.left_for(n), self.surfaces[n]);
         let place = self.view(now.surface, &left, now.seen).climb(now.point);
         let share = (place.arrivals + 2.0 * SEEN) / (place.clear + 2.0);
         let seen = share.clamp(SEEN_RANGE[0], SEEN_RANGE[1]);
@@ -116,12 +118,12 @@ impl Explanation<'_> {
 
     /// Climbs all again, each with what the others leave, and drops those without evidence, the least first.
     fn polish(&mut self) {
-        for _ in 0..POLISH + self.found.len() {
+        for _ in 0..POLISH + self.surfaces.len() {
             let moved = self.climb_all();
-            let worst =
-                (0..self.found.len()).min_by(|&a, &b| self.found[a].evidence.total_cmp(&self.found[b].evidence));
-            if let Some(worst) = worst.filter(|&worst| !self.is_sure(&self.found[worst])) {
-                self.found.remove(worst);
+            let worst = (0..self.surfaces.len())
+                .min_by(|&a, &b| self.surfaces[a].evidence.total_cmp(&self.surfaces[b].evidence));
+            if let Some(worst) = worst.filter(|&worst| !self.is_sure(&self.surfaces[worst])) {
+                self.surfaces.remove(worst);
                 self.settle();
             } else if moved < SETTLED {
                 break;

@@ -1,7 +1,8 @@
 //! Planes that a few arrivals agree on, in closed form.
 //!
-//! The way from a over a plane to b has `s^2 = |a - b|^2 + 4 h_a h_b` with their heights over the plane. Arrivals of the three pairs among i, j, k give all three heights,
-//! `h_i^2 = g_ij g_ik / g_jk` with `g = (s^2 - d^2) / 4`, and these two planes at most (in flatland lines); each is held against the three foci alone and against further pairs.
+//! The way from a over a plane to b has `s^2 = |a - b|^2 + 4 h_a h_b` with their heights over the plane. Arrivals of
+//! the three pairs among i, j, k give all three heights, `h_i^2 = g_ij g_ik / g_jk` with `g = (s^2 - d^2) / 4`, and
+//! these two planes at most (in flatland lines); each is held against the three foci alone and against further pairs.
 //! Where no three foci are lit and seen among one another, nothing is found.
 
 use nalgebra::Vector3;
@@ -22,7 +23,8 @@ const CHECKS: usize = 16;
 /// How much longer than 1 a normal may come out by noise.
 const TOO_LONG: f64 = 0.05;
 
-/// Planes that arrivals of a triple and of further pairs agree on; a plane's place is the foot of the perpendicular from the middle of the domain.
+/// Planes that arrivals of a triple and of further pairs agree on; a plane's place is the foot of the perpendicular
+/// from the middle of the domain.
 pub fn seeds(foci: &[Focus], pairs: &[Lengths], domain: &Domain, cancel: &Cancel) -> Vec<Seed> {
     let position = |a: usize, b: usize| pairs.iter().position(|pair| pair.foci == [a.min(b), a.max(b)]);
     let mut sets = 0;

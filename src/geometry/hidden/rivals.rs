@@ -10,10 +10,10 @@ const LIKELY: f64 = 9.0;
 const APART: f64 = 4.0;
 
 impl Explanation<'_> {
-    /// The mirror image of a patch in the plane nearest to the foci, which lengths to patches of one wall do not tell from it. Where the foci are far from any plane,
-    /// nothing is near the image and there is no rival.
+    /// The mirror image of a patch in the plane nearest to the foci, which lengths to patches of one wall do not tell
+    /// from it. Where the foci are far from any plane, nothing is near the image and there is no rival.
     pub(super) fn rival(&self, n: usize) -> Option<Hidden> {
-        let now = self.found[n];
+        let now = self.surfaces[n];
         let foci: Vec<Point> = self.room.foci.iter().map(|focus| focus.point).collect();
         let (middle, normal) = planes::nearest(&foci, self.room.dimensions);
         let image = now.point - 2.0 * normal.dot(&(now.point - middle)) * normal;

@@ -1,10 +1,13 @@
-//! Where in space a sum of functions of path lengths is large: branch and bound over an octree (in flatland a quadtree).
+//! Where in space a sum of functions of path lengths is large: branch and bound over an octree (in flatland a
+//! quadtree).
 //!
-//! The sum is a log-likelihood ratio `L(q) = sum_ab l_ab(|q - a| + |q - b|)`. Within a cube of half diagonal r a path over q changes by at most 2 r, so
-//! with every curve replaced by its maximum over that reach the sum at the centre bounds the sum everywhere in the cube. Cubes whose bound is too low are left
-//! behind, the others cut. Nothing is sampled and nothing is missed, with two exceptions that are stated: a place right behind the plane of one wall may be given up with what
-//! lies before it, and the sum over curves ends early once it is below `-SURE`. A true patch's sum comes that low on its way with a probability of `exp(-SURE)` at most (Ville's inequality: under a true patch `exp(-L)` of
-//! the curves so far is a martingale of mean 1, and a bound lies above it).
+//! The sum is a log-likelihood ratio `L(q) = sum_ab l_ab(|q - a| + |q - b|)`. Within a cube of half diagonal r a path
+//! over q changes by at most 2 r, so with every curve replaced by its maximum over that reach the sum at the centre
+//! bounds the sum everywhere in the cube. Cubes whose bound is too low are left behind, the others cut. Nothing is
+//! sampled and nothing is missed, with two exceptions that are stated: a place right behind the plane of one wall may
+//! be given up with what lies before it, and the sum over curves ends early once it is below `-SURE`. A true patch's
+//! sum comes that low on its way with a probability of `exp(-SURE)` at most (Ville's inequality: under a true patch
+//! `exp(-L)` of the curves so far is a martingale of mean 1, and a bound lies above it).
 
 use nalgebra::Vector3;
 use periscope_cancel::Cancel;
@@ -30,7 +33,8 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// At least the largest value within `reach_m` of each length, on steps of about half of that. Windows begin and end on blocks of an eighth of a step.
+    /// At least the largest value within `reach_m` of each length, on steps of about half of that. Windows begin and
+    /// end on blocks of an eighth of a step.
     fn widened(&self, reach_m: f64) -> Self {
         let bins = ((0.5 * reach_m / self.step_m).floor() as usize).max(1);
         let block = (bins / 8).max(1);
@@ -93,8 +97,8 @@ impl Domain {
     }
 }
 
-/// Centres of cubes with a half diagonal of at most `fine_m` in which the sum may exceed `least`, with the bound of each, best first. Places that half
-/// of the profiles cannot have seen, since they lie behind a wall, do not count.
+/// Centres of cubes with a half diagonal of at most `fine_m` in which the sum may exceed `least`, with the bound of
+/// each, best first. Places that half of the profiles cannot have seen, since they lie behind a wall, do not count.
 #[must_use]
 pub fn search(
     foci: &[Focus],
@@ -151,8 +155,8 @@ fn children(centre: Point, half_m: f64, dimensions: usize) -> impl Iterator<Item
     })
 }
 
-/// The largest sum within some radius of a point; `None` once it is below what a true patch reaches, or `most` profiles cannot have seen it. What a wall's plane cuts
-/// counts as in front of it.
+/// The largest sum within some radius of a point; `None` once it is below what a true patch reaches, or `most` profiles
+/// cannot have seen it. What a wall's plane cuts counts as in front of it.
 fn bound(
     order: &[Legs],
     most: usize,

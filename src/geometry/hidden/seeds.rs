@@ -1,13 +1,14 @@
 //! Places that a few arrivals agree on, from minimal sets.
 //!
-//! Three lengths over paths that share a focus meet in two points at most, in closed form; in flatland two do. Every such set of arrivals of three
-//! pairs of foci, the *base*, is a seed, and is held against further pairs one by one, in the order in which the base predicts them best: first those
-//! among the foci of the base itself, which for a base (i,i), (i,j), (i,k) are the tests `s_ij = (s_ii + s_jj) / 2` of one patch in (i,i), (i,j), (j,j), and for sets of lit and seen that are
-//! disjoint `s_ij + s_kl = s_il + s_kj`. An arrival near enough, by the seed's own covariance, moves the seed as in a Kalman filter. Seeds whose log-likelihood ratio falls
-//! behind are given up.
+//! Three lengths over paths that share a focus meet in two points at most, in closed form; in flatland two do. Every
+//! such set of arrivals of three pairs of foci, the *base*, is a seed, and is held against further pairs one by one, in
+//! the order in which the base predicts them best: first those among the foci of the base itself, which for a base
+//! (i,i), (i,j), (i,k) are the tests `s_ij = (s_ii + s_jj) / 2` of one patch in (i,i), (i,j), (j,j), and for sets of
+//! lit and seen that are disjoint `s_ij + s_kl = s_il + s_kj`. An arrival near enough, by the seed's own covariance,
+//! moves the seed as in a Kalman filter. Seeds whose log-likelihood ratio falls behind are given up.
 //!
-//! The cost grows with the third power of the arrivals of a profile and is independent of noise; a patch is missed where its base misses an arrival,
-//! which another base or `search` makes good.
+//! The cost grows with the third power of the arrivals of a profile and is independent of noise; a patch is missed
+//! where its base misses an arrival, which another base or `search` makes good.
 
 use nalgebra::{Matrix3, Vector3, Vector4};
 use periscope_cancel::Cancel;
@@ -115,7 +116,7 @@ fn spread(foci: &[Focus], pairs: &[Lengths], base: &[usize], typical: &[Point], 
 /// A place and what speaks for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seed {
-    /// Place.
+    /// Position.
     pub point: Point,
     /// Log-likelihood ratio of the pairs that it was held against.
     pub likelihood: f64,

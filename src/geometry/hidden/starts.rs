@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::climb::{GATE, Place};
+use super::climb::{Estimate, GATE};
 use super::explanation::{Claims, Explanation};
 use super::plane_seeds;
 use super::search::{self, Curve, Legs};
@@ -144,14 +144,14 @@ impl Explanation<'_> {
     }
 
     /// Tops of the likelihood near some starts, the highest first.
-    pub(super) fn tops(&self, starts: &[(Surface, Point)]) -> Vec<Place> {
+    pub(super) fn tops(&self, starts: &[(Surface, Point)]) -> Vec<Estimate> {
         let left = self.left();
         let climb = |(surface, point): &(Surface, Point)| self.view(*surface, &left, SEEN).climb(*point);
-        let mut climbed: Vec<Place> = starts.par_iter().map(climb).collect();
+        let mut climbed: Vec<Estimate> = starts.par_iter().map(climb).collect();
         climbed.sort_by(|a, b| b.likelihood.total_cmp(&a.likelihood));
-        let mut places: Vec<Place> = Vec::new();
+        let mut places: Vec<Estimate> = Vec::new();
         for place in climbed {
-            let is_one = |other: &Place| {
+            let is_one = |other: &Estimate| {
                 other.surface == place.surface && (other.point - place.point).norm() <= APART * self.sd_m
             };
             if !places.iter().any(is_one) {
@@ -191,7 +191,7 @@ impl Explanation<'_> {
         for &(profile, way) in ways {
             self.room.cancel.check();
             let (of, left) = (&self.profiles[profile], &left[profile]);
-            let [low_m, high_m] = of.span_m.map(|end_m| end_m - way.known_m);
+            let [low_m, high_m] = of.span_m.map(|end_m| end_m - way.offset_m);
             if high_m < 0.0 {
                 continue;
             }
@@ -199,14 +199,14 @@ impl Explanation<'_> {
             values[first..=last].iter_mut().for_each(|value| *value += missed);
             if missed != 0.0 && self.room.blend_m > 0.0 {
                 for k in first..=last {
-                    let length_m = way.known_m + k as f64 * step_m;
+                    let length_m = way.offset_m + k as f64 * step_m;
                     let seen = SEEN * (1.0 - blend::hidden(&of.arrivals, left, length_m, self.room.blend_m));
                     values[k] += (1.0 - seen).ln() as f32 - missed;
                 }
             }
             let mut near = Vec::new();
             for (arrival, left) in of.arrivals.iter().zip(left) {
-                let (length_m, sd_m) = (arrival.length_m - way.known_m, way.sd_m(arrival.sd_m));
+                let (length_m, sd_m) = (arrival.length_m - way.offset_m, way.sd_m(arrival.sd_m));
                 let scale =
                     SEEN / (1.0 - SEEN) * left / ((2.0 * std::f64::consts::PI).sqrt() * sd_m * self.clutter_per_m);
                 let reach_m = GATE * sd_m;

@@ -1,15 +1,16 @@
 //! Which of several paths made which arrival of a profile, by belief propagation.
 //!
-//! A path is seen with probability p and then makes one arrival; an arrival comes from one path or from none (clutter of density `lambda`). With
-//! `psi = p / (1 - p) N(arrival - path) / lambda`, the messages
+//! A path is seen with probability p and then makes one arrival; an arrival comes from one path or from none (clutter
+//! of density `lambda`). With `psi = p / (1 - p) N(arrival - path) / lambda`, the messages
 //!
 //! ```text
 //! to_arrival = psi / (1 + sum of psi to_path over the path's other arrivals)
 //! to_path    = 1 / (1 + sum of to_arrival over the arrival's other paths)
 //! ```
 //!
-//! settle where each says how much the rest leaves of the pair; exact where pairs form a tree. Source: Williams and Lau, IEEE Trans. AES-50, 2942 (2014). Where
-//! [`crate::association`] sums over all associations of a few arrivals, this serves hundreds of profiles again and again.
+//! settle where each says how much the rest leaves of the pair; exact where pairs form a tree. Source: Williams and
+//! Lau, IEEE Trans. AES-50, 2942 (2014). Where [`crate::association`] sums over all associations of a few arrivals,
+//! this serves hundreds of profiles again and again.
 
 /// Rounds of messages at most.
 const ROUNDS: usize = 30;
@@ -27,15 +28,15 @@ pub struct Pair {
     pub odds: f64,
     /// What other paths leave of the arrival for this one: 1 all, 0 nothing.
     pub left: f64,
-    /// What the path tells the arrival.
-    told: f64,
+    /// What the path says to the arrival.
+    message: f64,
 }
 
 impl Pair {
     /// Before any message.
     #[must_use]
     pub const fn new(path: usize, arrival: usize, odds: f64) -> Self {
-        Self { path, arrival, odds, left: 1.0, told: 0.0 }
+        Self { path, arrival, odds, left: 1.0, message: 0.0 }
     }
 }
 
@@ -52,12 +53,12 @@ pub fn settle(pairs: &mut [Pair], paths: usize, arrivals: usize) {
         }
         of_arrival.fill(0.0);
         for pair in &mut *pairs {
-            pair.told = pair.odds / (1.0 + of_path[pair.path] - pair.odds * pair.left);
-            of_arrival[pair.arrival] += pair.told;
+            pair.message = pair.odds / (1.0 + of_path[pair.path] - pair.odds * pair.left);
+            of_arrival[pair.arrival] += pair.message;
         }
         let mut change = 0.0_f64;
         for pair in &mut *pairs {
-            let left = 1.0 / (1.0 + of_arrival[pair.arrival] - pair.told);
+            let left = 1.0 / (1.0 + of_arrival[pair.arrival] - pair.message);
             change = change.max((left - pair.left).abs());
             pair.left = left;
         }
@@ -70,9 +71,9 @@ pub fn settle(pairs: &mut [Pair], paths: usize, arrivals: usize) {
 /// What the paths that count leave of each arrival.
 #[must_use]
 pub fn left_over(pairs: &[Pair], arrivals: usize, counts: impl Fn(usize) -> bool) -> Vec<f64> {
-    let mut told = vec![1.0; arrivals];
-    pairs.iter().filter(|pair| counts(pair.path)).for_each(|pair| told[pair.arrival] += pair.told);
-    told.into_iter().map(|told| 1.0 / told).collect()
+    let mut whole = vec![1.0; arrivals];
+    pairs.iter().filter(|pair| counts(pair.path)).for_each(|pair| whole[pair.arrival] += pair.message);
+    whole.into_iter().map(|whole| 1.0 / whole).collect()
 }
 
 #[cfg(test)]

@@ -10,7 +10,8 @@ use crate::Point;
 pub enum Surface {
     /// A patch: light goes to it and on.
     Patch,
-    /// A plane that reaches far: a floor, a ceiling, a wall, a mirror. Its light begins with the shortest way over it, that of a mirror, whatever it scatters later.
+    /// A plane that reaches far: a floor, a ceiling, a wall, a mirror. Its light begins with the shortest way over it,
+    /// that of a mirror, whatever it scatters later.
     Plane {
         /// The place of a plane is the foot of the perpendicular from here.
         middle: Point,
@@ -27,9 +28,11 @@ impl Surface {
         }
     }
 
-    /// Length of the way from one focus over the surface at `at` to the other, and how it changes as `at` moves; `None` where no light goes there.
+    /// Length of the way from one focus over the surface at `at` to the other, and how it changes as `at` moves; `None`
+    /// where no light goes there.
     ///
-    /// Over a plane `s^2 = |a - b|^2 + 4 h_a h_b` with heights h: the way to the mirror image. Between patches of one wall it may run along that wall, so walls say nothing of it.
+    /// Over a plane `s^2 = |a - b|^2 + 4 h_a h_b` with heights h: the way to the mirror image. Between patches of one
+    /// wall it may run along that wall, so walls say nothing of it.
     #[must_use]
     pub fn way(&self, foci: [&Focus; 2], at: Point) -> Option<(f64, Vector3<f64>)> {
         let Self::Plane { middle } = self else {
@@ -54,7 +57,8 @@ impl Surface {
         Some((length_m, slope))
     }
 
-    /// Profiles that must have been able to record a surface, as a share: a plane may lie in the wall of every second patch, over which no light comes.
+    /// Profiles that must have been able to record a surface, as a share: a plane may lie in the wall of every second
+    /// patch, over which no light comes.
     pub(super) const fn share(&self) -> f64 {
         match self {
             Self::Patch => 0.5,
@@ -63,7 +67,8 @@ impl Surface {
     }
 }
 
-/// Inverse of the information of some slopes of lengths that vary by `variance_m2`; `None` where they leave a direction open. In flatland nothing moves along z.
+/// Inverse of the information of some slopes of lengths that vary by `variance_m2`; `None` where they leave a direction
+/// open. In flatland nothing moves along z.
 pub(super) fn covariance(
     slopes: impl Iterator<Item = Vector3<f64>>,
     variance_m2: f64,

@@ -14,8 +14,8 @@ fn sd_m(sd_ps: f64) -> f64 {
     units::path_m(sd_ps, 1.0)
 }
 
-fn points(found: &Found) -> Vec<Point> {
-    found.patches.iter().map(|hidden| hidden.point).collect()
+fn points(solution: &Solution) -> Vec<Point> {
+    solution.patches.iter().map(|hidden| hidden.point).collect()
 }
 
 /// The short version of `cargo bench --bench corner`.
@@ -102,7 +102,7 @@ fn a_known_path_leaves_nothing_to_find() {
             let [a, b] = profile.ways[0].foci.map(|focus| drawn.room.foci[focus].point);
             (drawn.hidden[0] - a).norm() + (drawn.hidden[0] - b).norm()
         };
-        let known = vec![Known { length_m: of_first, sd_m: 1e-4, seen: 0.9 }];
+        let known = vec![Path { length_m: of_first, sd_m: 1e-4, seen: 0.9 }];
         Profile::new(profile.ways[0].foci, profile.arrivals.clone(), known, profile.span_m)
     };
     let profiles: Vec<Profile> = drawn.profiles.iter().map(known).collect();
@@ -110,8 +110,8 @@ fn a_known_path_leaves_nothing_to_find() {
     assert!(found.len() == 1 && (found[0].point - drawn.hidden[1]).norm() < 0.02, "{found:?}");
 }
 
-/// Where paths that are seldom seen come within the error of every arrival, minimal sets find the patches all the same: a search of all space among so many
-/// arrivals would take long.
+/// Where paths that are seldom seen come within the error of every arrival, minimal sets find the patches all the same:
+/// a search of all space among so many arrivals would take long.
 #[test]
 fn paths_that_are_seldom_seen_hide_no_minimal_set() {
     let mut missed = 0;
@@ -121,13 +121,13 @@ fn paths_that_are_seldom_seen_hide_no_minimal_set() {
             let [low_m, high_m] = profile.span_m;
             let paths = ((high_m - low_m) / sd_m(5.0)) as usize;
             let at = |n: usize| low_m + (n as f64 + 0.5) * sd_m(5.0);
-            let known = (0..paths).map(|n| Known { length_m: at(n), sd_m: 1e-4, seen: 0.1 }).collect();
+            let known = (0..paths).map(|n| Path { length_m: at(n), sd_m: 1e-4, seen: 0.1 }).collect();
             Profile::new(profile.ways[0].foci, profile.arrivals.clone(), known, profile.span_m)
         };
         let profiles: Vec<Profile> = drawn.profiles.iter().map(faint).collect();
         let mut all = Explanation::new(&profiles, &drawn.room).expect("arrivals");
         all.add_seeds(Claims::Likely);
-        let result = score(&drawn, &points(&all.found()));
+        let result = score(&drawn, &points(&all.solution()));
         assert!(result.extra == 0, "seed {seed}: {result:?}");
         missed += result.missed;
     }
@@ -189,7 +189,8 @@ fn branch_and_bound_finds_the_largest_sum() {
     assert!(cubes.iter().any(|(centre, bound)| (centre - at).norm() <= fine_m && *bound >= best), "{best} {at}");
 }
 
-/// Through a flat wall that may face either way the mirror image of each patch is as likely; through a rough one it is not.
+/// Through a flat wall that may face either way the mirror image of each patch is as likely; through a rough one it is
+/// not.
 #[test]
 fn a_flat_wall_leaves_two_places() {
     for seed in 0..4 {

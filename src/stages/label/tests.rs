@@ -1,176 +1,174 @@
-//! Labels of onsets whose paths are known: a room of patches on three rectangles, laser and sensor in one point.
-
-mod blends;
-mod blind;
-mod bounces;
-mod hidden;
-mod predicted;
+//! Rows: what labels and hypotheses say of the onsets and patches given. The kernel has its own tests.
 
 use super::*;
-use crate::geometry::Point;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
+use crate::stages::stage::Rejection;
 use std::path::Path;
 
-/// Patches of each rectangle.
-const WALLS: [usize; 3] = [25, 16, 8];
+const PERIOD_PS: f64 = 10_000.0;
+/// The one hidden patch; the laser is at the origin.
+const HIDDEN: [f64; 3] = [0.3, 1.0, 0.2];
 
-/// Patch i at `points[i - 1]`.
-struct Room {
-    points: Vec<Point>,
-    walls: Vec<usize>,
-    /// Whether patches of one wall exchange no light, as on walls that are flat.
-    flat: bool,
+/// Visible patches 1 to 8 near the wall y = 2 m, `relief_m` off it to either side in turn.
+fn wall(relief_m: f64) -> Vec<Point> {
+    let at = [(-0.8, -0.5), (-0.5, 0.6), (-0.1, -0.2), (0.2, 0.5), (0.5, -0.6), (0.8, 0.1), (1.1, 0.7), (1.2, -0.3)];
+    let side = |n: usize| if n.is_multiple_of(2) { relief_m } else { -relief_m };
+    at.iter().enumerate().map(|(n, (x, z))| Point::new(*x, 2.0 + side(n), *z)).collect()
 }
 
-impl Room {
-    /// Patches anywhere on the rectangles; their least and largest distances from the origin are 1.4 and 3 m.
-    fn new(rng: &mut ChaCha8Rng, counts: [usize; 3], flat: bool) -> Self {
-        let walls: Vec<usize> = (0..3).flat_map(|wall| std::iter::repeat_n(wall, counts[wall])).collect();
-        let place = |wall: &usize| {
-            let (u, v) = (rng.random_range(0.0..1.0), rng.random_range(0.0..1.0));
-            match wall {
-                0 => Point::new(-1.2 + 2.0 * u, 2.6, -0.8 + 1.6 * v),
-                1 => Point::new(1.1, 1.0 + 1.4 * u, -0.8 + 1.6 * v),
-                _ => Point::new(-1.0 + 1.8 * u, 1.6 + 0.7 * v, -0.9),
-            }
-        };
-        Self { points: walls.iter().map(place).collect(), walls, flat }
-    }
-
-    fn patches(&self) -> impl Iterator<Item = PatchId> + Clone + use<> {
-        1..=self.points.len() as PatchId
-    }
-
-    fn is_open(&self, a: PatchId, b: PatchId) -> bool {
-        let wall = |patch: PatchId| self.walls[patch as usize - 1];
-        a != b && !(self.flat && wall(a) == wall(b))
-    }
-
-    fn time_ps(&self, path: &[PatchId]) -> f64 {
-        let point = |patch: PatchId| self.points[patch as usize - 1];
-        let ends = point(path[0]).coords.norm() + point(path[path.len() - 1]).coords.norm();
-        let between: f64 = path.windows(2).map(|leg| (point(leg[0]) - point(leg[1])).norm()).sum();
-        units::time_ps(ends + between, 1.0)
-    }
-
-    /// All light of a profile over up to three patches, first light first.
-    fn light(&self, lit: PatchId, seen: PatchId) -> Vec<Vec<PatchId>> {
-        let over = self.patches().filter(|via| self.is_open(lit, *via) && self.is_open(*via, seen));
-        let mut paths: Vec<Vec<PatchId>> = over.map(|via| vec![lit, via, seen]).collect();
-        if lit == seen {
-            paths.push(vec![lit]);
-        } else if self.is_open(lit, seen) {
-            paths.push(vec![lit, seen]);
-        }
-        paths.sort_by(|a, b| self.time_ps(a).total_cmp(&self.time_ps(b)));
-        paths
+fn onset(lit: PatchId, seen: PatchId, rank: i32, time_ps: f64) -> Onset {
+    Onset {
+        campaign: "c".into(),
+        sensor: "s1".into(),
+        lit,
+        seen,
+        range: Some("fine".into()),
+        rank,
+        time_ps,
+        time_sd_ps: 4.0,
+        earliest_ps: None,
+        amplitude: 1.0,
+        amplitude_sd: None,
+        width_ps: 0.0,
+        snr: 10.0,
+        evidence: None,
+        covariance: Vec::new(),
+        jitter_ps: 3.0,
+        power_ratio: None,
+        flags: Vec::new(),
     }
 }
 
-/// How onsets are made of light.
-#[derive(Clone, Copy)]
-struct Capture {
-    /// Standard deviation of their times.
-    sd_ps: f64,
-    /// Chance that a pair was captured, both ways or not at all.
-    captured: f64,
-    /// Chance that light later than the first is seen.
-    later: f64,
-    /// Chance that one of the two profiles of a pair has a false onset before its first light.
-    early: f64,
-    /// False onsets at any time.
-    clutter_per_ns: f64,
-    period_ps: Option<f64>,
-}
-
-const PLAIN: Capture =
-    Capture { sd_ps: 25.0, captured: 1.0, later: 0.0, early: 0.0, clutter_per_ns: 0.0, period_ps: None };
-
-/// An onset with the path that made it and the periods to be added to its time; no path for a false one.
-struct Made {
-    onset: Onset,
-    path: Option<Vec<PatchId>>,
-    turns: i32,
-}
-
-impl Capture {
-    fn of(self, room: &Room, rng: &mut ChaCha8Rng) -> Vec<Made> {
-        let pairs = room.patches().flat_map(|a| room.patches().map(move |b| (a, b)));
-        let captured: BTreeMap<(PatchId, PatchId), bool> =
-            pairs.clone().map(|(a, b)| ((a, b), a == b || rng.random_bool(self.captured))).collect();
-        let is_captured = |(a, b): &(PatchId, PatchId)| captured[&(*a.min(b), *a.max(b))];
-        pairs.filter(is_captured).flat_map(|(lit, seen)| self.profile(room, lit, seen, rng)).collect()
-    }
-
-    fn profile(self, room: &Room, lit: PatchId, seen: PatchId, rng: &mut ChaCha8Rng) -> Vec<Made> {
-        let light = room.light(lit, seen);
-        let first_ps = light.first().map_or(f64::INFINITY, |path| room.time_ps(path));
-        let last_ps = light.last().map_or(0.0, |path| room.time_ps(path));
-        let mut arrivals: Vec<(f64, Option<Vec<PatchId>>)> = Vec::new();
-        for (n, path) in light.into_iter().enumerate() {
-            if n == 0 || rng.random_bool(self.later) {
-                let noise: f64 = StandardNormal.sample(rng);
-                arrivals.push((room.time_ps(&path) + self.sd_ps * noise, Some(path)));
+/// Direct light of all pairs, and third bounces over the hidden patch.
+fn onsets(points: &[Point]) -> Vec<Onset> {
+    let over = Point::from(HIDDEN);
+    let mut onsets = Vec::new();
+    for (lit, a) in (1..).zip(points) {
+        for (seen, b) in (1..).zip(points) {
+            let ends_m = a.coords.norm() + b.coords.norm();
+            for (rank, between_m) in (1..).zip([(a - b).norm(), (a - over).norm() + (b - over).norm()]) {
+                onsets.push(onset(lit, seen, rank, crate::units::time_ps(ends_m + between_m, 1.0)));
             }
         }
-        if lit < seen && rng.random_bool(self.early) {
-            arrivals.push((rng.random_range(0.0..first_ps - 500.0), None));
-        }
-        let clutter = self.clutter_per_ns * 1e-3 * last_ps;
-        if clutter > 0.0 && rng.random_bool(clutter.min(1.0)) {
-            arrivals.push((rng.random_range(0.0..last_ps), None));
-        }
-        let turns = |time_ps: f64| self.period_ps.map_or(0, |period_ps| (time_ps / period_ps).floor() as i32);
-        let folded = |time_ps: f64| time_ps - f64::from(turns(time_ps)) * self.period_ps.unwrap_or(0.0);
-        arrivals.sort_by(|a, b| folded(a.0).total_cmp(&folded(b.0)));
-        let made = |(n, (time_ps, path)): (usize, (f64, Option<Vec<PatchId>>))| Made {
-            onset: self.onset(
-                (lit, seen),
-                n as i32 + 1,
-                folded(time_ps),
-                path.as_ref().map_or(6.0, |path| 1e5_f64.powf(1.0 / path.len() as f64)),
-            ),
-            path,
-            turns: turns(time_ps),
-        };
-        arrivals.into_iter().enumerate().map(made).collect()
     }
+    onsets
+}
 
-    fn onset(self, (lit, seen): (PatchId, PatchId), rank: i32, time_ps: f64, snr: f64) -> Onset {
-        Onset {
-            campaign: "c".into(),
-            sensor: "s1".into(),
-            lit,
-            seen,
-            range: Some("fine".into()),
-            rank,
-            time_ps,
-            time_sd_ps: self.sd_ps,
-            earliest_ps: None,
-            amplitude: 1.0,
-            amplitude_sd: None,
-            width_ps: 0.0,
-            snr,
-            evidence: None,
-            covariance: Vec::new(),
-            jitter_ps: 0.0,
-            power_ratio: None,
-            flags: Vec::new(),
-        }
-    }
+fn patches(points: &[Point], variance_m2: Option<f64>) -> Vec<Patch> {
+    let patch = |(patch, point): (PatchId, &Point)| Patch {
+        patch,
+        kind: "visible".into(),
+        x_m: point.x,
+        y_m: point.y,
+        z_m: point.z,
+        cov_xx_m2: variance_m2,
+        cov_xy_m2: Some(0.0),
+        cov_xz_m2: Some(0.0),
+        cov_yy_m2: variance_m2,
+        cov_yz_m2: Some(0.0),
+        cov_zz_m2: variance_m2,
+        sd_m: Some(1.7e-4),
+        onsets: 1,
+        chi2_dof: None,
+        alternative: 0,
+        log_likelihood: None,
+    };
+    (1..).zip(points).map(patch).collect()
+}
 
-    /// The campaign that these captures are of.
-    fn campaign(self) -> Campaign {
-        let period = self.period_ps.map_or(String::new(), |period_ps| format!("repetition_ps = {period_ps:?}\n"));
-        let text = format!("[campaign]\nname = 'c'\ngroup_index = 1.0\n{period}[sensors.s1]\n");
-        Campaign::parse(Path::new("c"), &text).unwrap()
+fn delay(range: Option<&str>, delay_ps: f64) -> Delay {
+    Delay {
+        campaign: "c".into(),
+        sensor: "s1".into(),
+        range: range.map(Into::into),
+        delay_ps,
+        sd_ps: 2.0,
+        prior_sd_ps: 100.0,
     }
+}
 
-    /// What `label` makes of them.
-    fn labels(self, stage: &LabelOnsets, beside: &BesideTables, made: &[Made]) -> Vec<Label> {
-        let known = stage.context(stage.fields(&[self.campaign()]), beside).unwrap();
-        stage.apply(&known, made.iter().map(|made| made.onset.clone()).collect()).unwrap().rows
+fn beside(points: &[Point], delays: &[Delay]) -> BesideTables {
+    BesideTables::from([
+        ("patches".to_owned(), vec![Patch::to_batch(&patches(points, Some(1e-8)))]),
+        ("delays".to_owned(), vec![Delay::to_batch(delays)]),
+    ])
+}
+
+fn context(stage: &LabelOnsets, keys: &str, beside: &BesideTables) -> Result<Context, StageError> {
+    let text = format!("[campaign]\nname = 'c'\ngroup_index = 1.0\n{keys}\n[sensors.s1]\n");
+    let campaign = Campaign::parse(Path::new("c"), &text).unwrap();
+    stage.context(stage.fields(&[campaign]), beside)
+}
+
+/// Labels, hypotheses and rejections, with three bounces.
+fn searched(points: &[Point], onsets: &[Onset], delays: &[Delay]) -> (Vec<Label>, Vec<Hypothesis>, Vec<Rejection>) {
+    let stage = LabelOnsets { bounces: 3, ..LabelOnsets::default() };
+    let outcome = stage.apply(&context(&stage, "", &beside(points, delays)).unwrap(), onsets.to_vec()).unwrap();
+    (outcome.rows, Hypothesis::rows(&outcome.sides[0]).unwrap(), outcome.rejections)
+}
+
+/// The message of a refused context.
+fn refusal(stage: &LabelOnsets, beside: &BesideTables) -> String {
+    context(stage, "", beside).err().map(|error| error.to_string()).unwrap_or_default()
+}
+
+#[test]
+fn a_label_is_its_onset_with_path_periods_and_shared_jitter() {
+    let stage = LabelOnsets { near_m: 1.6, ..LabelOnsets::default() };
+    let context = context(&stage, "repetition_ps = 10000.0", &BesideTables::default()).unwrap();
+    let rows = stage.apply(&context, vec![onset(7, 7, 1, 2500.0)]).unwrap().rows;
+    let [label] = &rows[..] else { panic!("one label, not {rows:?}") };
+    assert_eq!((&*label.campaign, &*label.sensor, label.range.as_deref()), ("c", "s1", Some("fine")));
+    assert_eq!((label.lit, label.seen, label.rank, label.alternative), (7, 7, 1, 0));
+    assert_eq!((label.path.as_deref(), label.bounces, label.turns), (Some(&[7][..]), 1, 1));
+    assert_eq!((label.time_ps, label.time_sd_ps, label.residual_ps), (2500.0 + PERIOD_PS, 5.0, None));
+}
+
+/// Of delays by range that of the onset's own counts, else the only one.
+#[test]
+fn onsets_are_predicted_with_the_delay_of_their_range() {
+    let points = wall(0.1);
+    let residual_ps = |delays: &[Delay]| {
+        let (labels, _, _) = searched(&points, &onsets(&points), delays);
+        labels.iter().find(|label| label.path.as_deref() == Some(&[1])).and_then(|label| label.residual_ps)
+    };
+    let off_ps = |delays: &[Delay]| residual_ps(delays).expect("a first bounce") + 10.0;
+    assert!(off_ps(&[delay(Some("fine"), 10.0), delay(Some("coarse"), 500.0)]).abs() < 1e-6);
+    assert!(off_ps(&[delay(None, 10.0)]).abs() < 1e-6);
+    assert!((off_ps(&[delay(Some("medium"), 500.0), delay(Some("coarse"), 500.0)]) - 10.0).abs() < 1e-6);
+}
+
+#[test]
+fn a_rival_is_the_alternative_of_its_hypothesis() {
+    let points = wall(0.0012);
+    let (labels, hypotheses, rejections) = searched(&points, &onsets(&points), &[]);
+    assert!(rejections.is_empty());
+    let of_patch: Vec<&Hypothesis> = hypotheses.iter().filter(|row| row.patch == Some(9)).collect();
+    assert_eq!(of_patch.iter().map(|row| (row.hypothesis, row.alternative)).collect::<Vec<_>>(), [(1, 0), (1, 1)]);
+    for (row, y_m) in of_patch.iter().zip([HIDDEN[1], 4.0 - HIDDEN[1]]) {
+        assert!((row.y_m - y_m).abs() < 0.03 && &*row.kind == "patch" && row.normal_x.is_none(), "{row:?}");
+        assert!((row.evidence_needed - 1000.0_f64.ln()).abs() < 1e-12);
     }
+    let over = labels.iter().filter(|label| label.path.as_deref().is_some_and(|path| path.get(1) == Some(&9))).count();
+    assert!(over > 30, "{over} of 64");
+}
+
+#[test]
+fn visible_patches_in_one_line_are_a_rejection() {
+    let line: Vec<Point> = (0..8).map(|n| Point::new(-0.8 + 0.25 * f64::from(n), 2.0, 0.1 * f64::from(n))).collect();
+    let (labels, hypotheses, rejections) = searched(&line, &onsets(&line), &[]);
+    assert!(hypotheses.is_empty() && labels.len() >= 128);
+    assert!(
+        rejections.len() == 1 && rejections[0].reason.contains("8 visible patches with known places lie in one line")
+    );
+}
+
+#[test]
+fn what_cannot_be_labelled_is_refused() {
+    let stage = |bounces: i32| LabelOnsets { bounces, ..LabelOnsets::default() };
+    let (without, with) = (BesideTables::default(), beside(&wall(0.1), &[]));
+    assert!(refusal(&stage(4), &without).contains("without known patches bounces 1 to 3"));
+    assert!(refusal(&stage(6), &with).contains("with known patches bounces 1 to 5"));
+    assert!(refusal(&stage(5), &with).is_empty() && refusal(&stage(3), &without).is_empty());
+    let start = BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches(&wall(0.1), None))])]);
+    assert!(refusal(&stage(3), &start).contains("no patch has a covariance"));
 }

@@ -6,12 +6,12 @@ use nalgebra::Vector3;
 
 use super::known::{Known, Setup};
 use crate::campaign::keys::{self, LASER, PatchRole};
+use crate::geometry::footprint::Footprints;
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{Anchor, Node, Observation, Problem, Ray, Solution, Station, Unsolved};
 use crate::geometry::placement;
 use crate::geometry::{Matrix, Point, planes};
 use crate::priors::delays::DelayKey;
-use crate::priors::footprints::Footprints;
 use crate::tables::{Label, Name};
 use crate::units::{self, PatchId};
 

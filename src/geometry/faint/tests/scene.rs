@@ -10,7 +10,8 @@ use super::super::{Profile, Room};
 use crate::Point;
 use crate::hidden::Focus;
 
-/// Distance of two scores, and standard deviation of a Gaussian response, as lengths: 10 ps, and 250 ps at half maximum.
+/// Distance of two scores, and standard deviation of a Gaussian response, as lengths: 10 ps, and 250 ps at half
+/// maximum.
 const STEP_M: f64 = 0.003;
 const RESPONSE_M: f64 = 0.032;
 /// Records end so far behind the shortest way.
@@ -25,7 +26,8 @@ pub enum Strengths {
     Alike,
 }
 
-/// Scores of all profiles of `visible` patches on two walls, and the hidden patch, whose root-mean-square signal-to-noise ratio in a profile is `snr`.
+/// Scores of all profiles of `visible` patches on two walls, and the hidden patch, whose root-mean-square
+/// signal-to-noise ratio in a profile is `snr`.
 pub fn draw(visible: usize, snr: f64, strengths: Strengths, seed: u64) -> (Vec<Profile>, Room, Point) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let foci: Vec<Focus> = (0..visible)

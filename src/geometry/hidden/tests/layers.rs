@@ -1,4 +1,5 @@
-//! Scenes with patches that light reaches over hidden ones only, for tests and studies: lengths of fifth bounces. Shares no code with the search.
+//! Scenes with patches that light reaches over hidden ones only, for tests and studies: lengths of fifth bounces.
+//! Shares no code with the search.
 
 use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
@@ -33,7 +34,8 @@ pub struct Drawn {
     pub profiles: Vec<Profile>,
     /// Patches of the second layer.
     pub hidden: Vec<Point>,
-    /// Bound of each from the arrivals that are there, their paths known, with what third bounces leave open of the first layer: root of the sum of variances.
+    /// Bound of each from the arrivals that are there, their paths known, with what third bounces leave open of the
+    /// first layer: root of the sum of variances.
     pub bounds_m: Vec<f64>,
 }
 
@@ -127,7 +129,8 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
     }
 }
 
-/// Root of the sum of variances of a patch of the second layer, those of the first layer unknown beside it but for their prior.
+/// Root of the sum of variances of a patch of the second layer, those of the first layer unknown beside it but for
+/// their prior.
 fn bound_m(slopes: &[(Vec<usize>, Vec<Vector3<f64>>)], prior: &[Matrix3<f64>], sd_m: f64) -> f64 {
     let size = 3 + 3 * prior.len();
     let mut information = nalgebra::DMatrix::<f64>::zeros(size, size);
@@ -146,8 +149,8 @@ fn bound_m(slopes: &[(Vec<usize>, Vec<Vector3<f64>>)], prior: &[Matrix3<f64>], s
     information.try_inverse().map_or(f64::INFINITY, |covariance| (0..3).map(|k| covariance[(k, k)]).sum::<f64>().sqrt())
 }
 
-/// Hidden patches with no found one within ten bounds or 10 mm, from where a fit of all patches together settles; found ones that are none; squared errors and squared
-/// bounds of those that were found.
+/// Hidden patches with no found one within ten bounds or 10 mm, from where a fit of all patches together settles; found
+/// ones that are none; squared errors and squared bounds of those that were found.
 #[must_use]
 pub fn score(drawn: &Drawn, found: &[Point]) -> (usize, usize, Vec<(f64, f64)>) {
     let mut rest: Vec<Point> = found.to_vec();

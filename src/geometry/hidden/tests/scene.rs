@@ -1,4 +1,5 @@
-//! Scenes with hidden patches, for tests and studies: lengths over them with noise, missing and false ones. Shares no code with the search.
+//! Scenes with hidden patches, for tests and studies: lengths over them with noise, missing and false ones. Shares no
+//! code with the search.
 
 use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;

@@ -1,20 +1,20 @@
-//! Fourth and fifth bounces over known patches, and patches that only hidden ones show.
+//! Fourth and fifth bounces over patches in place, and patches that only hidden ones show.
 
 use super::*;
-use crate::tables::Row;
-use nalgebra::Vector3;
 
 /// Where the records end.
 const LAST_PS: f64 = 40_000.0;
 
-/// A room as light sees it: patches 1 to `visible` are lit and seen, the next `first` are shown by these, the rest by those only. The laser is at the origin.
+/// A room as light sees it: patches 1 to `visible` are lit and seen, the next `first` are shown by these, the rest by
+/// those only. The laser is at the origin.
 struct Lit {
     points: Vec<Point>,
     visible: usize,
     first: usize,
 }
 
-/// Chances that light makes an onset: third, fourth and fifth bounces over visible patches and those that these show, and fifth ones over others.
+/// Chances that light makes an arrival: third, fourth and fifth bounces over visible patches and those that these show,
+/// and fifth ones over others.
 #[derive(Clone, Copy)]
 struct Seen {
     orders: [f64; 3],
@@ -56,7 +56,7 @@ impl Lit {
             let is_visible = |patch: PatchId| patch as usize <= self.visible;
             a != b && !(self.is_deep(a) && is_visible(b)) && !(self.is_deep(b) && is_visible(a))
         };
-        let mut found = vec![if lit == seen { vec![lit] } else { vec![lit, seen] }];
+        let mut paths = vec![if lit == seen { vec![lit] } else { vec![lit, seen] }];
         let mut begun = vec![vec![lit]];
         for _ in 3..=5 {
             let longer = |path: &Vec<PatchId>| -> Vec<Vec<PatchId>> {
@@ -66,15 +66,14 @@ impl Lit {
             begun = begun.iter().flat_map(longer).collect();
             let ended = begun.iter().filter(|path| is_open(path[path.len() - 1], seen));
             let ended = ended.map(|path| [&path[..], &[seen]].concat());
-            found.extend(ended.filter(|path| lit != seen || path.iter().le(path.iter().rev())));
+            paths.extend(ended.filter(|path| lit != seen || path.iter().le(path.iter().rev())));
         }
-        found
+        paths
     }
 
-    /// Onsets of all profiles, with errors of `sd_ps`, and `clutter` false ones in each.
+    /// Arrivals of all profiles, with errors of `sd_ps`, and `clutter` false ones in each.
     fn made(&self, seen: Seen, sd_ps: f64, clutter: usize, rng: &mut ChaCha8Rng) -> Vec<Made> {
         let visible = 1..=self.visible as PatchId;
-        let capture = Capture { sd_ps, ..PLAIN };
         let mut made = Vec::new();
         for (lit, last) in visible.clone().flat_map(|a| visible.clone().map(move |b| (a, b))) {
             let mut arrivals: Vec<(f64, Option<Vec<PatchId>>)> = Vec::new();
@@ -93,8 +92,10 @@ impl Lit {
             let (first_ps, last_ps) = (arrivals[0].0, LAST_PS);
             arrivals.extend((0..clutter).map(|_| (rng.random_range(first_ps..last_ps), None)));
             arrivals.sort_by(|a, b| a.0.total_cmp(&b.0));
-            made.extend(arrivals.into_iter().zip(1..).map(|((time_ps, path), rank)| Made {
-                onset: capture.onset((lit, last), rank, time_ps, 20.0),
+            made.extend(arrivals.into_iter().map(|(time_ps, path)| Made {
+                lit,
+                seen: last,
+                arrival: Arrival { time_ps, sd_ps, snr: 20.0 },
                 path,
                 turns: 0,
             }));
@@ -102,31 +103,11 @@ impl Lit {
         made
     }
 
-    /// The first patches as `refine` would give them, with errors of `sd_m` in each coordinate.
-    fn beside(&self, count: usize, sd_m: f64, rng: &mut ChaCha8Rng) -> BesideTables {
-        let patch = |(n, point): (usize, &Point)| {
-            let at = point + Vector3::from_fn(|_, _| StandardNormal.sample(rng)) * sd_m;
-            Patch {
-                patch: n as i32 + 1,
-                kind: if n < self.visible { "visible" } else { "hidden" }.into(),
-                x_m: at.x,
-                y_m: at.y,
-                z_m: at.z,
-                cov_xx_m2: Some(sd_m * sd_m),
-                cov_xy_m2: Some(0.0),
-                cov_xz_m2: Some(0.0),
-                cov_yy_m2: Some(sd_m * sd_m),
-                cov_yz_m2: Some(0.0),
-                cov_zz_m2: Some(sd_m * sd_m),
-                sd_m: Some(sd_m * 3.0_f64.sqrt()),
-                onsets: 1,
-                chi2_dof: None,
-                alternative: 0,
-                log_likelihood: None,
-            }
-        };
-        let patches: Vec<Patch> = self.points.iter().take(count).enumerate().map(patch).collect();
-        BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches)])])
+    /// The first patches, with errors of `sd_m` in each coordinate.
+    fn scene(&self, count: usize, sd_m: f64, rng: &mut ChaCha8Rng) -> Scene {
+        let mut error = || Vector3::from_fn(|_, _| StandardNormal.sample(rng)) * sd_m;
+        let points: Vec<Point> = self.points.iter().take(count).map(|point| point + error()).collect();
+        scene(&points, sd_m)
     }
 }
 
@@ -134,21 +115,21 @@ impl Lit {
 #[test]
 fn later_bounces_are_labelled_right_as_often_as_stated() {
     for probability_min in [0.95, 0.5] {
-        let stage = LabelOnsets { bounces: 5, probability_min, hidden: HiddenPatches::None, ..LabelOnsets::default() };
+        let options = Options { bounces: 5, probability_min, hidden: HiddenPatches::None, ..OPTIONS };
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let (mut right, mut open, mut wrong, mut expected) = ([0; 6], [0; 6], 0.0, 0.0);
         for _ in 0..4 {
             let room = Lit::new(&mut rng, 5, 2, 0);
             let seen = Seen { orders: [0.9, 0.5, 0.2], deep: 0.0 };
             let made = room.made(seen, 5.0, 2, &mut rng);
-            let labels = PLAIN.labels(&stage, &room.beside(7, 5e-4, &mut rng), &made);
-            let best = labels.iter().filter(|label| label.alternative == 0);
-            for (Made { path, .. }, label) in made.iter().zip(best) {
+            let scene = room.scene(7, 5e-4, &mut rng);
+            let verdicts = PLAIN.verdicts(&options, Some(&scene), &made);
+            for (Made { path, .. }, label) in made.iter().zip(verdicts.iter().map(|verdicts| &verdicts[0])) {
                 let order = path.as_ref().map_or(0, Vec::len);
                 expected += label.path.as_ref().map_or(0.0, |_| 1.0 - label.probability);
                 match &label.path {
                     None => open[order] += 1,
-                    found if found == path => right[order] += 1,
+                    named if named == path => right[order] += 1,
                     Some(_) => wrong += 1.0,
                 }
             }
@@ -163,32 +144,34 @@ fn later_bounces_are_labelled_right_as_often_as_stated() {
     }
 }
 
-/// Orders of which too many paths lie within an onset's error stand as clutter.
+/// Orders of which too many paths lie within an arrival's error stand as clutter.
 #[test]
 fn dense_orders_are_left_open() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let room = Lit::new(&mut rng, 5, 2, 0);
-    let stage = LabelOnsets { bounces: 5, hidden: HiddenPatches::None, ..LabelOnsets::default() };
+    let options = Options { bounces: 5, hidden: HiddenPatches::None, ..OPTIONS };
     let most = |sd_ps: f64, rng: &mut ChaCha8Rng| {
         let made = room.made(Seen { orders: [0.9, 0.5, 0.2], deep: 0.0 }, sd_ps, 2, rng);
-        let labels = PLAIN.labels(&stage, &room.beside(7, 5e-4, rng), &made);
-        labels.iter().map(|label| label.bounces).max()
+        let verdicts = PLAIN.verdicts(&options, Some(&room.scene(7, 5e-4, rng)), &made);
+        verdicts.iter().flatten().map(|verdict| verdict.path.as_ref().map_or(0, Vec::len)).max()
     };
-    let found = [5.0, 100.0, 400.0].map(|sd_ps| most(sd_ps, &mut rng));
-    assert!(found[0] == Some(5) && found[2] < Some(4), "{found:?}");
+    let orders = [5.0, 100.0, 400.0].map(|sd_ps| most(sd_ps, &mut rng));
+    assert!(orders[0] == Some(5) && orders[2] < Some(4), "{orders:?}");
 }
 
-/// Labels and hypotheses of a room of which the visible patches are known.
-fn searched(room: &Lit, seen: Seen, rng: &mut ChaCha8Rng) -> (Vec<Made>, Vec<Label>, Vec<Hypothesis>) {
-    let stage = LabelOnsets { bounces: 5, ..LabelOnsets::default() };
+/// Verdicts and hidden patches of a room whose visible patches are in place.
+fn searched(room: &Lit, seen: Seen, rng: &mut ChaCha8Rng) -> (Vec<Made>, Vec<Vec<Verdict>>, Vec<Hypothesis>) {
+    let options = Options { bounces: 5, ..OPTIONS };
     let made = room.made(seen, 2.0, 1, rng);
-    let known = stage.context(stage.fields(&[PLAIN.campaign()]), &room.beside(room.visible, 1e-4, rng)).unwrap();
-    let outcome = stage.apply(&known, made.iter().map(|made| made.onset.clone()).collect()).unwrap();
-    (made, outcome.rows, Hypothesis::rows(&outcome.sides[0]).unwrap())
+    let scene = room.scene(room.visible, 1e-4, rng);
+    let mut solution = label(&[PLAIN.sensor((0.0, 0.0), &made)], Some(&scene), &options, &Cancel::never());
+    let mut patches = std::mem::take(&mut solution.hypotheses);
+    patches.retain(|hypothesis| hypothesis.patch.is_some());
+    (made, verdicts(solution), patches)
 }
 
-fn nearest_m(room: &Lit, row: &Hypothesis) -> (usize, f64) {
-    let off = |point: &Point| (point - Point::new(row.x_m, row.y_m, row.z_m)).norm();
+fn nearest_m(room: &Lit, hypothesis: &Hypothesis) -> (usize, f64) {
+    let off = |point: &Point| (point - hypothesis.surface.point).norm();
     let offs = room.points.iter().map(off).enumerate();
     offs.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap()
 }
@@ -200,24 +183,21 @@ fn a_patch_that_only_hidden_ones_show_is_found_and_its_bounces_labelled() {
     for seed in 0..4 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let room = Lit::new(&mut rng, 8, 4, 1);
-        let (made, labels, hypotheses) = searched(&room, BRIGHT, &mut rng);
-        let found: Vec<&Hypothesis> =
-            hypotheses.iter().filter(|row| row.patch.is_some() && row.alternative == 0).collect();
-        let places: Vec<(usize, f64)> = found.iter().map(|row| nearest_m(&room, row)).collect();
-        assert_eq!(found.iter().map(|row| row.layer).collect::<Vec<_>>(), [1, 1, 1, 1, 2], "{seed}: {hypotheses:?}");
+        let (made, verdicts, patches) = searched(&room, BRIGHT, &mut rng);
+        let places: Vec<(usize, f64)> = patches.iter().map(|one| nearest_m(&room, one)).collect();
+        assert_eq!(patches.iter().map(|one| one.layer).collect::<Vec<_>>(), [1, 1, 1, 1, 2], "{seed}: {patches:?}");
         assert!(places[4].0 == 12 && places.iter().all(|(_, off_m)| *off_m < 0.01), "{seed}: {places:?}");
-        // Found patches by their numbers in the room.
+        // Hidden patches by their numbers in the room.
         let number = |patch: &PatchId| {
-            let place = found.iter().position(|row| row.patch == Some(*patch));
+            let place = patches.iter().position(|one| one.patch == Some(*patch));
             place.map_or(*patch, |place| places[place].0 as PatchId + 1)
         };
-        let best = labels.iter().filter(|label| label.alternative == 0);
+        let best = verdicts.iter().map(|verdicts| &verdicts[0]);
         let (mut right, mut wrong, mut of) = (0, 0, 0);
-        for (Made { path, onset, .. }, label) in made.iter().zip(best) {
+        for (Made { lit, seen, path, .. }, label) in made.iter().zip(best) {
             let is_deep = path.as_ref().is_some_and(|path| path.contains(&13));
             let named = label.path.as_ref().map(|path| path.iter().map(number).collect::<Vec<PatchId>>());
-            let turned =
-                named.as_ref().filter(|_| onset.lit == onset.seen).map(|path| path.iter().rev().copied().collect());
+            let turned = named.as_ref().filter(|_| lit == seen).map(|path| path.iter().rev().copied().collect());
             let is_right = named == *path || turned.is_some() && turned == *path;
             of += usize::from(is_deep);
             right += usize::from(is_deep && is_right);
@@ -234,10 +214,9 @@ fn no_ghosts_are_made_of_later_bounces() {
     for seed in 0..20 {
         let mut rng = ChaCha8Rng::seed_from_u64(100 + seed);
         let room = Lit::new(&mut rng, 8, 4, 0);
-        let (_, _, hypotheses) = searched(&room, BRIGHT, &mut rng);
-        let found = hypotheses.iter().filter(|row| row.patch.is_some() && row.alternative == 0);
-        let layers: Vec<i32> = found.clone().map(|row| row.layer).collect();
-        assert_eq!(layers, [1; 4], "{seed}: {hypotheses:?}");
-        assert!(found.clone().all(|row| nearest_m(&room, row).1 < 0.01), "{seed}: {hypotheses:?}");
+        let (_, _, patches) = searched(&room, BRIGHT, &mut rng);
+        let layers: Vec<i32> = patches.iter().map(|one| one.layer).collect();
+        assert_eq!(layers, [1; 4], "{seed}: {patches:?}");
+        assert!(patches.iter().all(|one| nearest_m(&room, one).1 < 0.01), "{seed}: {patches:?}");
     }
 }

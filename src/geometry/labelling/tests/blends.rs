@@ -1,38 +1,39 @@
-//! Onsets that are the light of two paths.
+//! Arrivals that are the light of two paths.
 
 use super::*;
-use crate::geometry::association::{Candidate, Time};
-use crate::stages::label::blends::Blends;
-use crate::stages::label::chances::Chances;
-use crate::stages::label::predicted::Prediction;
+use crate::association::{Candidate, Time};
+use crate::labelling::scene::Prediction;
 
 const SD_PS: f64 = 2.0;
 const OWN_PS: f64 = 5000.0;
 const OTHER_PS: f64 = 5060.0;
 
-/// What an onset at some time, of which two equally strong paths 60 ps apart are predicted, is given beside its own standard deviation of 2 ps; where the other path has an onset of its own, with it.
+/// What an arrival at some time, near which two equally strong paths 60 ps apart are predicted, is given beside its own
+/// standard deviation of 2 ps; with `is_resolved` the other path has an arrival of its own.
 fn added_ps(time_ps: f64, is_resolved: bool) -> f64 {
     let visible: Vec<PatchId> = (1..=4).collect();
     let chances = Chances::prior(&visible);
     let path = |inner: PatchId| vec![1, inner, 2];
-    let capture = Capture { sd_ps: SD_PS, ..PLAIN };
     let prediction =
         |inner: PatchId, time_ps: f64| Prediction { path: path(inner), turns: 0, time: Time { time_ps, sd_ps: 0.5 } };
     let predictions = [prediction(3, OWN_PS), prediction(4, OTHER_PS)];
-    let mut profile = vec![capture.onset((1, 2), 1, time_ps, 20.0)];
+    let arrival = |time_ps: f64| Arrival { time_ps, sd_ps: SD_PS, snr: 20.0 };
+    let mut arrivals = vec![arrival(time_ps)];
     let candidate = |path: usize| vec![Candidate { path, residual_ps: 0.0, probability: 1.0 }];
-    let mut found = vec![candidate(0)];
+    let mut candidates = vec![candidate(0)];
     if is_resolved {
-        profile.push(capture.onset((1, 2), 2, OTHER_PS, 20.0));
-        found.push(candidate(1));
+        arrivals.push(arrival(OTHER_PS));
+        candidates.push(candidate(1));
     }
     let snrs = [(chances.class(&path(3)), 10.0)].into();
-    Blends { chances: &chances, snrs, reach_ps: 100.0 }.sds_ps(&profile, &predictions, &found)[0]
+    let profile = Profile { lit: 1, seen: 2, delay_ps: 0.0, delay_sd_ps: 0.0, arrivals };
+    Blends { chances: &chances, snrs, reach_ps: 100.0 }.sds_ps(&profile, &predictions, &candidates)[0]
 }
 
-/// An onset between two paths may be off by half their distance; one in its place, on the far side, or beside an onset of the other path's own is what it seems.
+/// An arrival between two paths may be off by half their distance; one in its place, on the far side, or beside an
+/// arrival of the other path's own is what it seems.
 #[test]
-fn onsets_between_two_paths_are_the_uncertain_ones() {
+fn arrivals_between_two_paths_are_the_uncertain_ones() {
     let between_ps = added_ps(OWN_PS + 30.0, false);
     assert!((29.0..31.0).contains(&between_ps), "{between_ps}");
     let in_place_ps = added_ps(OWN_PS, false);

@@ -1,0 +1,155 @@
+//! Which path of light made which arrival (paper sections 4.1 and 4.3).
+//!
+//! Without patches in place, the first light decides (`blind`):
+//!
+//! - With patch i lit and seen it is the first bounce 0-i-0.
+//! - With i lit and j seen it is the second bounce 0-i-j-0. Where the two exchange no light (coplanar, occluded and
+//!   specular pairs) it is a third bounce over some k: [`crate::detours`] decides, from path lengths alone. Such a pair
+//!   is left open, unless k is certain and three bounces are labelled. So is a second bounce that passes another patch
+//!   too closely to be distinguished from a detour over it.
+//! - No second bounce is shorter than both first bounces nor longer than their sum. Where laser and sensor stand
+//!   together, (j, i) has the same first light as (i, j). Both rule out false arrivals.
+//!
+//! With a [`Scene`], every path of up to [`Options::bounces`] bounces is predicted (`paths`), but for those over a pair
+//! whose direct light is missing, or was not captured where both lie on one wall (`closed`). All arrivals of a profile
+//! are associated with the predictions at once (`assignment`, [`crate::association`]). How often paths of an order are
+//! seen, with and without hidden patches among theirs, is learned from the campaign, once (`chances`).
+//!
+//! With three bounces or more, patches that neither laser nor sensor sees are searched for over all profiles (`layers`,
+//! [`crate::hidden`]), or taken in order of arrival as in the paper (`rank`). With five bounces, patches that only
+//! hidden ones show are searched for next, in fifth bounces (lit, hidden, such a patch, hidden, seen), among what all
+//! paths over patches in place leave. Their places come from minimal sets of arrivals alone: a search of all space
+//! would follow the many later bounces.
+//!
+//! Pulses that the response does not resolve make one arrival between their times; its error is then larger (`blends`).
+//!
+//! A laser that repeats leaves times modulo its period. Without a scene, periods are added such that first bounces
+//! (then the strongest arrival, since later light may come before it) lie within one period beyond [`Options::near_m`],
+//! and second bounces where their first bounces leave one choice. With a scene they are added as predicted.
+//!
+//! Not modelled: amplitudes, which could distinguish paths of equal length; arrivals of one profile whose errors are
+//! correlated; a density of later bounces that grows with time. Hence a false patch may come out of a room where more
+//! than a tenth of all fourth bounces are seen before hidden patches are in place.
+//!
+//! The files are a stack, each imports only those before it: problem, scene, paths, chances, legs, blends, assignment,
+//! closed, layers, rank, blind.
+
+mod assignment;
+mod blends;
+mod blind;
+mod chances;
+mod closed;
+mod layers;
+mod legs;
+mod paths;
+mod problem;
+mod rank;
+mod scene;
+
+use std::collections::BTreeSet;
+
+use periscope_cancel::Cancel;
+
+use crate::units::PatchId;
+use blends::Blends;
+use chances::Chances;
+use layers::{Layers, is_bright};
+use paths::{Graph, INDIRECT, Pairs};
+pub use problem::Verdicts;
+pub use problem::{Arrival, HiddenPatches, Hypothesis, Medium, Options, Profile, SensorProfiles, Solution, Verdict};
+pub use scene::Scene;
+
+/// Labels all arrivals of all sensors; with a `scene` by prediction, else by first light. A cancel ends it within
+/// milliseconds.
+///
+/// # Panics
+/// When a profile has no arrival, or [`Options::clutter_per_ns`] is not positive.
+#[must_use]
+pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Options, cancel: &Cancel) -> Solution {
+    match scene {
+        None => Solution {
+            verdicts: sensors.iter().map(|sensor| blind::label(sensor, options, cancel)).collect(),
+            ..Solution::default()
+        },
+        Some(scene) => Labelling::new(scene, sensors, options, cancel).solution(scene),
+    }
+}
+
+/// Labelling by prediction.
+struct Labelling<'a> {
+    sensors: &'a [SensorProfiles],
+    options: &'a Options,
+    cancel: &'a Cancel,
+    /// Patches in place that are lit or seen, ascending.
+    visible: Vec<PatchId>,
+    /// For each sensor.
+    closed: Vec<Pairs>,
+}
+
+impl<'a> Labelling<'a> {
+    fn new(scene: &Scene, sensors: &'a [SensorProfiles], options: &'a Options, cancel: &'a Cancel) -> Self {
+        let profiles = sensors.iter().flat_map(|sensor| &sensor.profiles);
+        let ends: BTreeSet<PatchId> = profiles.flat_map(|profile| [profile.lit, profile.seen]).collect();
+        let visible: Vec<PatchId> = ends.into_iter().filter(|patch| scene.has(&[*patch])).collect();
+        let closed = sensors.iter().map(|sensor| closed::closed(scene, sensor, &visible, options, cancel)).collect();
+        Self { sensors, options, cancel, visible, closed }
+    }
+
+    fn solution(&self, scene: &Scene) -> Solution {
+        let graphs = self.graphs(scene);
+        let may_be_hidden = self.options.bounces >= INDIRECT && !self.sensors.is_empty();
+        if may_be_hidden && self.options.hidden == HiddenPatches::Search {
+            return self.searched(scene, &graphs);
+        }
+        let mut verdicts = self.verdicts(&graphs, &self.chances(&graphs));
+        if may_be_hidden && self.options.hidden == HiddenPatches::Rank {
+            self.sensors.iter().zip(&mut verdicts).for_each(|(sensor, verdicts)| rank::label(sensor, verdicts));
+        }
+        Solution { verdicts, ..Solution::default() }
+    }
+
+    /// With hidden patches that a search finds.
+    fn searched(&self, scene: &Scene, graphs: &[Graph]) -> Solution {
+        let mut layers = Layers::first(scene, self.sensors, &self.visible, graphs, self.options, self.cancel);
+        // The first layer shows how often later bounces are seen, and what these leave for a second layer.
+        let first = layers.scene();
+        let graphs = self.graphs(&first);
+        let chances = self.chances(&graphs);
+        if is_bright(self.options) {
+            layers.second(&graphs, &chances);
+        }
+        let all = layers.scene();
+        Solution {
+            verdicts: self.verdicts(&self.graphs(&all), &chances),
+            hypotheses: layers.hypotheses(),
+            visible_in_line: layers.is_in_line.then_some(self.visible.len()),
+        }
+    }
+
+    fn graphs<'b>(&'b self, scene: &'b Scene) -> Vec<Graph<'b>> {
+        let sensors = self.sensors.iter().zip(&self.closed);
+        sensors.map(|(sensor, closed)| Graph::new(scene, sensor, closed, self.options.bounces, self.cancel)).collect()
+    }
+
+    fn chances(&self, graphs: &[Graph]) -> Chances {
+        Chances::prior(&self.visible).learned(graphs, self.sensors, self.options.bounces)
+    }
+
+    /// Once without regard to blends; strengths of light that this shows say how other paths may pull an arrival.
+    fn verdicts(&self, graphs: &[Graph], chances: &Chances) -> Vec<Verdicts> {
+        let verdicts = self.verdicts_with(graphs, chances, None);
+        if self.options.blend_ps == 0.0 {
+            return verdicts;
+        }
+        let blends = Blends::learned(chances, self.options.blend_ps, self.sensors, &verdicts);
+        self.verdicts_with(graphs, chances, Some(&blends))
+    }
+
+    fn verdicts_with(&self, graphs: &[Graph], chances: &Chances, blends: Option<&Blends>) -> Vec<Verdicts> {
+        let sensors = self.sensors.iter().zip(graphs);
+        sensors.map(|(sensor, graph)| assignment::verdicts(graph, sensor, chances, blends, self.options)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests;
