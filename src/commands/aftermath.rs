@@ -1,4 +1,4 @@
-//! What a run tells at its end: what it set aside and why, and tables that nothing came out in.
+//! Messages at the end of a run: what it rejected and why, and tables without rows.
 
 use std::collections::BTreeSet;
 use std::process::ExitCode;
@@ -11,10 +11,10 @@ use periscope::store::Shelf;
 
 use super::SOME_REJECTED;
 
-/// Kinds of reasons that are shown; the table has all.
+/// Number of reasons shown; the table has all.
 const SHOWN: usize = 5;
 
-/// The tables, a line each on standard output; then what is to be known of them. Gives the exit code.
+/// Prints the tables to standard output, one per line, then warnings. Returns the exit code.
 pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool) -> Result<ExitCode> {
     let out = shelf.out().display();
     for step in &spec.steps {
@@ -32,7 +32,7 @@ pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool) -> R
     Ok(ExitCode::SUCCESS)
 }
 
-/// The commonest reasons why records were set aside, each with an example.
+/// Prints the most common reasons for rejections, each with an example.
 pub fn tell_rejects(shelf: &Shelf) -> Result<()> {
     let rows = rows(shelf)?;
     if rows.is_empty() {
@@ -51,7 +51,7 @@ pub fn tell_rejects(shelf: &Shelf) -> Result<()> {
     Ok(())
 }
 
-/// Results without a row, and where the rows were lost.
+/// Names empty results, and where their rows were lost.
 fn tell_empty(spec: &Spec, outcome: &Outcome) {
     let rows = |step: &Step| Some(outcome.tables.get(&step.heading)?.rows(&step.node.tables()[0].name));
     let from = |step: &Step| spec.steps.get(spec.table(step.from.as_deref()?)?.0);
@@ -79,7 +79,7 @@ fn tell_empty(spec: &Spec, outcome: &Outcome) {
         let had = had.map_or("none of the captures that it takes could be read".to_owned(), |(input, rows)| {
             format!("`{}` has {rows}", input.heading)
         });
-        // A result that was lost in its own stage need not be named twice.
+        // A result that was lost in its own stage is named only once.
         let own = results == [format!("`{}`", at.heading)];
         let at = if own { String::new() } else { format!("`{}` has no rows, ", at.heading) };
         eprintln!("warning: {} came out empty: {at}{had}", results.join(", "));

@@ -1,7 +1,9 @@
-//! `periscope check`: a pre-flight of a campaign, also while it is still being captured.
+//! `periscope check`: checks a campaign, even while it is still being captured.
 //!
-//! A built-in pipeline measures every capture through the ordinary runtime. With `--out` its tables stay, and the next check reads only what is new;
-//! without, they go to a temporary folder that is removed. What is found is data ([`report`]), which is printed as text ([`text`]) or as JSON.
+//! A built-in pipeline measures every capture through the ordinary runtime. With `--out` its tables stay, and the next
+//! check reads only new files;
+//! otherwise they go to a temporary folder, which is removed. The results are data ([`report`]), printed as text
+//! ([`text`]) or as JSON.
 
 pub mod coverage;
 mod quality;
@@ -58,10 +60,10 @@ pub struct Check {
     /// Campaign folder
     #[arg(long, value_name = "DIR")]
     campaign: PathBuf,
-    /// Folder that keeps what was measured, so that the next check reads only what is new
+    /// Folder for the measurements, so that the next check reads only new files
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// One JSON object in place of text
+    /// Print one JSON object instead of text
     #[arg(long)]
     json: bool,
 }
@@ -80,7 +82,7 @@ pub fn check(args: &Check) -> Result<ExitCode> {
     Ok(if report.mend.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(SOME_REJECTED) })
 }
 
-/// Where tables go; a temporary folder is removed at the end, also when the check fails.
+/// The folder for tables. A temporary one is removed at the end, even if the check fails.
 struct OutFolder {
     path: PathBuf,
     temporary: bool,
@@ -96,13 +98,13 @@ impl OutFolder {
 impl Drop for OutFolder {
     fn drop(&mut self) {
         if self.temporary {
-            // Nothing depends on it: what cannot be removed is left to the system.
+            // Nothing depends on the result: the system removes what remains.
             let _ = std::fs::remove_dir_all(&self.path);
         }
     }
 }
 
-/// Surveys, measures, and gathers what was found.
+/// Surveys, measures, and gathers the results.
 fn look(campaign: &Campaign, survey: &Survey, out: &Path) -> Result<Report> {
     let shelf = Shelf::open(out)?;
     forget_changed(campaign, &shelf)?;
@@ -123,7 +125,7 @@ fn look(campaign: &Campaign, survey: &Survey, out: &Path) -> Result<Report> {
     Ok(report)
 }
 
-/// A file that was still being written when it was last read is new to this run.
+/// Drops records of files that have changed, so that a file that was still being written counts as new.
 pub fn forget_changed(campaign: &Campaign, shelf: &Shelf) -> Result<()> {
     let notes = shelf.notes().join(&campaign.name);
     if let Some(mut manifest) = Manifest::load(&notes)? {
@@ -133,7 +135,7 @@ pub fn forget_changed(campaign: &Campaign, shelf: &Shelf) -> Result<()> {
     Ok(())
 }
 
-/// Runs the pipeline; files with why they were set aside.
+/// Runs the pipeline; returns rejected files, and why.
 fn run(campaign: &Campaign, shelf: &Shelf, until: Option<&str>) -> Result<BTreeSet<(Option<String>, String)>> {
     let spec = Spec::parse("check", PIPELINE, &[])?;
     let campaigns = [campaign.clone()];
@@ -146,7 +148,7 @@ fn run(campaign: &Campaign, shelf: &Shelf, until: Option<&str>) -> Result<BTreeS
     Ok(rejects.into_iter().flatten().map(reject).collect())
 }
 
-/// Rows of a table; none where it could not be made since nothing was captured.
+/// Rows of a table; none if it could not be made since nothing was captured.
 fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
     if shelf.view(view)?.is_none() {
         return Ok(Vec::new());

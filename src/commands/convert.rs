@@ -16,36 +16,37 @@ pub struct Convert {
     /// Folder for the campaign; must be empty or absent
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Full width at half maximum of the system's response: laser pulse and sensor together. No capture says it
+    /// Full width at half maximum of the system's response: laser pulse and sensor together. No capture contains it
     #[arg(long, value_name = "PS")]
     fwhm_ps: f64,
-    /// Of each axis of the grid, keep every N-th point only
+    /// Keep only every N-th point of each axis of the grid
     #[arg(long, value_name = "N", default_value_t = 1)]
     every: usize,
     /// Standard deviation of each coordinate of the wall's points; else they count as exact
     #[arg(long, value_name = "M")]
     wall_sd_m: Option<f64>,
-    /// Laser pulses behind each histogram, for what photons hide behind others; else so many that none does
+    /// Laser pulses per histogram, to correct for photons that hide others; default: so many that none does
     #[arg(long)]
     cycles: Option<u64>,
-    /// Time for which a photon blinds the sensor
+    /// Dead time of the sensor after a photon
     #[arg(long, value_name = "PS", requires = "cycles")]
     dead_time_ps: Option<f64>,
     /// MAT-files: width of a bin
     #[arg(long, value_name = "PS")]
     dt_ps: Option<f64>,
-    /// MAT-files: side of the square that was scanned, in place of `width`
+    /// MAT-files: side of the scanned square, instead of `width`
     #[arg(long, value_name = "M")]
     wall_m: Option<f64>,
-    /// MAT-files: time at which the first bin begins, after the light's arrival at the wall
+    /// MAT-files: start time of the first bin, after the light's arrival at the wall
     #[arg(long, value_name = "PS", allow_negative_numbers = true)]
     start_ps: Option<f64>,
-    /// MAT-files: the file that holds `tofgrid`, by which each point's times are late
+    /// MAT-files: the file with `tofgrid`, the delay of each point
     #[arg(long, value_name = "FILE")]
     tof: Option<PathBuf>,
 }
 
-/// Bins across the response's width: with fewer than the first nothing can be timed, with as many as the second error bars hold.
+/// Bins across the response's width: with fewer than the first, nothing can be timed; from the second on, error bars
+/// are right.
 const COARSE_BINS: f64 = 2.0;
 const FINE_BINS: f64 = 3.0;
 
@@ -107,7 +108,7 @@ fn positive(key: &str, value: Option<f64>) -> Result<()> {
     }
 }
 
-/// A campaign is named after its file.
+/// Name of the campaign, from its file.
 fn name(capture: &Path) -> String {
     let stem = capture.file_stem().map_or_else(|| "capture".into(), |stem| stem.to_string_lossy());
     stem.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '-' }).collect()

@@ -29,7 +29,7 @@ pub struct Design {
     json: bool,
 }
 
-/// Blends that are listed one by one.
+/// Most blends that are listed.
 const LISTED: usize = 10;
 
 /// The command.
@@ -43,7 +43,7 @@ pub fn design(args: &Design) -> Result<ExitCode> {
     if !(1..=5).contains(&bounces) {
         bail!("--bounces {bounces}: light is followed over 1 to 5");
     }
-    // One order more than is used shows what drowns, and what blends.
+    // One order more than the geometry uses shows which pulses are too weak, and which blend.
     scene.captures.bounces = scene.captures.bounces.max(bounces).max(3);
     let outlook = Outlook::new(&scene, Use { bounces, threshold_sigma: args.threshold })?;
     if args.json {
@@ -173,7 +173,7 @@ fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Res
     Ok(text)
 }
 
-/// JSON has no infinity: what no number of shots brings is null.
+/// JSON has no infinity: a value that no number of shots reaches becomes null.
 fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }

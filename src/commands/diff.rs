@@ -8,13 +8,13 @@ use anyhow::Result;
 use clap::Args;
 use periscope::history::comparison::{Comparison, RowsComparison, TableComparison, Verdict, compare};
 
-/// Tables that a line names; the JSON names all.
+/// Most tables on one line; the JSON has all.
 const NAMED: usize = 12;
 /// The folders differ.
 const DIFFERENT: u8 = 3;
 
 const EXIT_CODES: &str = "Exit codes: 0 the same; 3 different; 1 failed; 2 wrong usage.";
-/// What stands in the JSON object.
+/// The fields of the JSON object.
 const JSON_HELP: &str = "\
 Keys of the JSON object (differences are B - A; null: there is none to tell)
   a, b, same             the folders, and whether all their tables are the same
@@ -38,10 +38,10 @@ pub struct Diff {
     /// Result folder, or the truth/ of a simulated campaign
     #[arg(value_name = "OUT_B")]
     b: PathBuf,
-    /// Every table that differs, not only the first of the dataflow
+    /// Compare all tables, not only up to the first one of the dataflow that differs
     #[arg(long)]
     all: bool,
-    /// One JSON object in place of text
+    /// Print one JSON object instead of text
     #[arg(long)]
     json: bool,
 }
@@ -143,7 +143,7 @@ fn of_rows(rows: &RowsComparison) -> Vec<String> {
     lines
 }
 
-/// A number in few digits.
+/// A number with few digits.
 fn short(value: f64) -> String {
     if value.fract() == 0.0 && value.abs() < 1e6 {
         format!("{value}")

@@ -12,7 +12,7 @@ use periscope::history::explanation::{Explanation, explain as explained};
 use periscope::history::target::Target;
 use periscope::store::Shelf;
 
-/// What stands in the JSON object.
+/// The fields of the JSON object.
 const JSON_HELP: &str = "\
 Keys of the JSON object (times in ps, voltages in V, lengths in m; null: no table tells)
   target             what was asked for
@@ -41,16 +41,16 @@ pub struct Explain {
     /// Row: patch=3, distance=3,4 or onset=SENSOR,LIT,SEEN,RANK (SENSOR may be left out if there is one)
     #[arg(value_name = "ROW")]
     target: Target,
-    /// Table, where several have such rows (default: the last one of the dataflow)
+    /// Table, if several have such rows (default: the last one of the dataflow)
     #[arg(long, value_name = "HEADING")]
     table: Option<String>,
-    /// Campaign folder, where it has moved since the last run; may be given several times
+    /// Campaign folder, if it has moved since the last run; may be given several times
     #[arg(long, value_name = "DIR")]
     campaign: Vec<PathBuf>,
     /// Form of the answer
     #[arg(long, value_enum, default_value = "text")]
     format: Format,
-    /// All onsets and captures, also where they are many
+    /// List all onsets and captures, even if there are many
     #[arg(long)]
     all: bool,
 }
@@ -58,7 +58,7 @@ pub struct Explain {
 /// Form of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// For the eye
+    /// Text for the terminal
     Text,
     /// One JSON object
     Json,
@@ -79,7 +79,7 @@ pub fn explain(args: &Explain) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The queries, runnable as they are.
+/// The queries as one executable text.
 fn sql(explanation: &Explanation) -> String {
     let statements = explanation.queries.iter().map(|query| format!("-- {}\n{};\n", query.about, query.sql));
     statements.collect::<Vec<_>>().join("\n")

@@ -23,13 +23,13 @@ pub struct Gather {
     out: PathBuf,
     #[command(flatten)]
     machine: Machine,
-    /// Wait where shards are still being computed into the result folder, instead of giving up
+    /// Wait while shards are still being computed into the result folder, instead of failing
     #[arg(long)]
     wait: bool,
-    /// Stop when more than so many records are set aside, or more than such a share of all, such as 5%
+    /// Stop if more than this many records are rejected, or more than this share of all, such as 5%
     #[arg(long, value_name = "N|P%")]
     max_rejects: Option<MaxRejects>,
-    /// Exit with 1 when any input was set aside
+    /// Exit with 1 if any input was rejected
     #[arg(long)]
     strict: bool,
 }

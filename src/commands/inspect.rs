@@ -19,12 +19,12 @@ pub struct Inspect {
     /// Scope files
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// One JSON object a waveform, one a line
+    /// One JSON object per waveform, one per line
     #[arg(long)]
     json: bool,
 }
 
-/// The command: a file that cannot be decoded is an error line, and the others go on.
+/// The command. A file that cannot be decoded gives an error line, and the others continue.
 pub fn inspect(args: &Inspect) -> Result<ExitCode> {
     let mut out = std::io::stdout().lock();
     let mut failed = false;
@@ -67,10 +67,11 @@ fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> 
     Ok(())
 }
 
-/// Values at either end that are shown.
+/// Number of values shown at either end.
 const ENDS: usize = 5;
 
-/// What was seen of a record so far, which may be larger than memory. Values are volts where the file has a scale, else what is in the file.
+/// Running summary of a record, which may be larger than memory. Values are volts if the file has a scale, else those
+/// of the file.
 struct Seen {
     first: Vec<f64>,
     last: VecDeque<f64>,
@@ -139,7 +140,7 @@ impl Seen {
     }
 }
 
-/// The facts that a person looks for first.
+/// The most important facts, for people.
 fn line(facts: &Value) -> String {
     let text = |key: &str| match &facts[key] {
         Value::Null => "-".to_owned(),
@@ -171,7 +172,8 @@ const TIME: [(&str, f64); 5] = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1
 const FREQUENCY: [(&str, f64); 4] = [("GHz", 1e9), ("MHz", 1e6), ("kHz", 1e3), ("Hz", 1.0)];
 const VOLTAGE: [(&str, f64); 3] = [("V", 1.0), ("mV", 1e-3), ("uV", 1e-6)];
 
-/// A value in the largest unit of which it is at least one, else in the smallest; in as many digits as tell seven digits apart. `--json` has all of them.
+/// A value in the largest unit in which it is at least one, else in the smallest, with up to seven digits. `--json` has
+/// all digits.
 fn with_unit(value: f64, units: &[(&str, f64)]) -> String {
     let is_enough = |(_, one): &&(&str, f64)| value == 0.0 || value.abs() >= (1.0 - 1e-7) * one;
     let (unit, one) = units.iter().find(is_enough).or(units.last()).expect("there are units");

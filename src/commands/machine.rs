@@ -1,17 +1,17 @@
-//! How a command that computes uses the machine, and how it shows progress.
+//! How a computing command uses the machine, and how it shows progress.
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use periscope::pipeline::progress::Style;
 use periscope::pipeline::run::Settings;
 
-/// Options of every command that computes tables; no byte of them depends on these.
+/// Options of every command that computes tables; the tables do not depend on them.
 #[derive(Args)]
 pub struct Machine {
-    /// Worker threads (default: one a core)
+    /// Worker threads (default: one per core)
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Memory for raw samples under way, such as 512MiB
+    /// Memory for raw samples in flight, such as 512MiB
     #[arg(long, value_name = "SIZE", value_parser = size)]
     memory: Option<usize>,
     /// How to show progress
@@ -20,12 +20,12 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Starts the worker threads; before anything else uses some.
+    /// Starts the worker threads; call this before anything uses them.
     pub fn start(&self) -> Result<()> {
         use_threads(self.threads)
     }
 
-    /// These settings, with the memory that is asked for, else with enough.
+    /// These settings, with the requested memory, or the default.
     pub fn settings(&self, defaults: Settings) -> Settings {
         let memory_bytes = self.memory.unwrap_or(defaults.memory_bytes.max(defaults.least_memory()));
         Settings { memory_bytes, ..defaults }
@@ -44,9 +44,9 @@ pub enum ProgressKind {
     Auto,
     /// A bar
     Bar,
-    /// A line a pass, and now and then one in between
+    /// A line for each pass, and some in between
     Lines,
-    /// A JSON object a line
+    /// One JSON object per line
     Json,
     /// Nothing
     None,
@@ -64,7 +64,7 @@ impl From<ProgressKind> for Style {
     }
 }
 
-/// Reads `512MiB`, `64M`, `1GB`, `4096`.
+/// Parses `512MiB`, `64M`, `1GB`, `4096`.
 pub fn size(text: &str) -> Result<usize, String> {
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);
@@ -85,7 +85,7 @@ pub fn size(text: &str) -> Result<usize, String> {
     number.checked_mul(factor).ok_or_else(|| format!("`{text}` is too much"))
 }
 
-/// Uses so many worker threads.
+/// Sets the number of worker threads.
 pub fn use_threads(threads: Option<usize>) -> Result<()> {
     if threads == Some(0) {
         bail!("--threads 0: give at least 1");

@@ -36,11 +36,11 @@ pub struct PlanArgs {
     /// Change a parameter of the pipeline, such as `onsets.threshold_sigma=6`
     #[arg(long, value_name = "TABLE.PARAM=VALUE")]
     set: Vec<String>,
-    /// Deal what is missing out in at most so many shards, for `run-shard` on any machines and `gather` at the end; makes what they stand beside, such
-    /// as the calibration
+    /// Distribute the missing work over at most this many shards, for `run-shard` on any machines and `gather` at the
+    /// end; makes the whole tables that they need, such as the calibration
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     shards: Option<u32>,
-    /// With --shards: a JSON object a shard, one a line
+    /// With --shards: one JSON object per shard, one per line
     #[arg(long, requires = "shards")]
     json: bool,
 }
@@ -76,13 +76,13 @@ fn tell_warnings(plan: &Plan<'_>) {
 
 /// Writes shards into the result folder, and lists them.
 fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
-    // Whoever makes a shard may stand in another folder.
+    // Absolute paths: a worker may start in another folder.
     let absolute = |path: &PathBuf| std::path::absolute(path);
     let campaigns = campaigns(&args.campaign.iter().map(absolute).collect::<Result<Vec<_>, _>>()?)?;
     let shelf = Shelf::join(&args.out)?;
     let roots = campaigns.iter().map(|campaign| (campaign.name.as_str(), campaign.root.as_path()));
     let run = RunRecord::start(&args.pipeline, &args.set, roots)?;
-    // As long as it has no end, `tables --prune` leaves what shards have made.
+    // As long as this record has no end, `tables --prune` keeps the results of shards.
     shelf.write_run(&run)?;
     let mut plan = Plan::new(spec, &campaigns, &shelf, args.until.as_deref())?;
     tell_warnings(&plan);

@@ -12,7 +12,7 @@ use periscope::store::Shelf;
 pub struct Query {
     /// Result folder
     out: PathBuf,
-    /// Question in SQL; each table has its own name, such as SELECT * FROM patches
+    /// Query in SQL; each table has its own name, such as SELECT * FROM patches
     #[arg(allow_hyphen_values = true)]
     sql: String,
     /// Form of the answer
@@ -23,11 +23,11 @@ pub struct Query {
 /// Form of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// For the eye: all rows, on a terminal the columns that fit
+    /// For the terminal: all rows, and the columns that fit
     Table,
     /// Comma-separated values; lists as JSON, bytes as hexadecimal digits
     Csv,
-    /// JSON, an object a line
+    /// JSON, one object per line
     Json,
     /// Parquet, to standard output
     Parquet,
@@ -48,13 +48,13 @@ pub fn query(args: &Query) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Letters of a line, where a person reads.
+/// Characters per line, if the output is a terminal.
 #[cfg(feature = "query")]
 fn terminal_width() -> Option<usize> {
     rustix::termios::tcgetwinsize(std::io::stdout()).ok().map(|size| size.ws_col.into()).filter(|letters| *letters > 0)
 }
 
-/// A refusal with its mend.
+/// An error with advice.
 #[cfg(feature = "query")]
 fn mended(error: periscope::store::query::QueryError) -> anyhow::Error {
     use periscope::campaign::suggest::hint;
@@ -73,7 +73,7 @@ fn mended(error: periscope::store::query::QueryError) -> anyhow::Error {
     }
 }
 
-/// The command in a build without Polars: says how to get it, and how to ask DuckDB the same.
+/// The command in a build without Polars: explains how to get it, and how to use DuckDB instead.
 #[cfg(not(feature = "query"))]
 pub fn query(args: &Query) -> Result<ExitCode> {
     use periscope::store::sql_names::{mentions, quoted};

@@ -24,14 +24,14 @@ use super::interrupt::{cancel_on_signals, is_interruption};
 use super::machine::{Machine, size};
 use super::watch;
 
-/// Time between two looks at a folder that another run holds.
+/// Time between two attempts to open a folder that another run holds.
 const LOOK_AGAIN: Duration = Duration::from_millis(200);
 
 /// Arguments of `run`.
 #[derive(Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of the command line")]
 pub struct Run {
-    /// Pipeline file (TOML): one heading a table
+    /// Pipeline file (TOML): one heading per table
     pipeline: PathBuf,
     /// Campaign folder, with a campaign.toml; may be given several times for one scene
     #[arg(long, required = true, value_name = "DIR")]
@@ -47,33 +47,33 @@ pub struct Run {
     set: Vec<String>,
     #[command(flatten)]
     machine: Machine,
-    /// Wait where another run holds the result folder, instead of giving up
+    /// Wait while another run holds the result folder, instead of failing
     #[arg(long)]
     wait: bool,
-    /// Follow a capture that is under way: run again whenever files have come, until Ctrl-C
+    /// Follow a measurement in progress: run again whenever files have arrived, until Ctrl-C
     #[arg(long)]
     watch: bool,
-    /// With --watch: end when no file has come for so many seconds
+    /// With --watch: end when no file has arrived for this many seconds
     #[arg(long, value_name = "SECONDS", requires = "watch")]
     idle: Option<u64>,
-    /// Stop when more than so many records are set aside, or more than such a share of all, such as 5%
+    /// Stop if more than this many records are rejected, or more than this share of all, such as 5%
     #[arg(long, value_name = "N|P%")]
     max_rejects: Option<MaxRejects>,
-    /// Read all raw files again first, also those of which size and time of change are as recorded
+    /// First read all raw files again, even those with the recorded size and time of change
     #[arg(long)]
     rehash: bool,
-    /// Exit with 1 when any input was set aside
+    /// Exit with 1 if any input was rejected
     #[arg(long)]
     strict: bool,
-    /// Bytes that are read at a time; no byte of the result depends on it
+    /// Bytes to read at a time; results do not depend on it
     #[arg(long, value_name = "SIZE", value_parser = size, help_heading = "Tuning")]
     batch: Option<usize>,
-    /// Batches that a channel between two stages holds; no byte of the result depends on it
+    /// Most batches in a channel between two stages; results do not depend on it
     #[arg(long, value_name = "N", help_heading = "Tuning")]
     channel: Option<usize>,
 }
 
-/// Loads campaigns, and makes sure that their names differ: rows of equal names would mix.
+/// Loads campaigns, and checks that their names differ: rows of equal names would mix.
 pub fn campaigns(folders: &[PathBuf]) -> Result<Vec<Campaign>> {
     let mut campaigns: Vec<Campaign> = Vec::new();
     for folder in folders {
@@ -94,10 +94,10 @@ pub fn campaigns(folders: &[PathBuf]) -> Result<Vec<Campaign>> {
     Ok(campaigns)
 }
 
-/// What is to be run, and into which folder.
+/// What to run, and into which folder.
 #[derive(Clone)]
 pub struct Job<'a> {
-    /// The pipeline, parsed.
+    /// The parsed pipeline.
     pub spec: &'a Spec,
     /// Its file.
     pub pipeline: &'a Path,
@@ -107,13 +107,13 @@ pub struct Job<'a> {
     pub campaigns: &'a [Campaign],
     /// The result folder, open for writing.
     pub shelf: &'a Shelf,
-    /// Last table that is wanted.
+    /// Last wanted table.
     pub until: Option<&'a str>,
-    /// How the run uses the machine.
+    /// How to use the machine.
     pub settings: Settings,
-    /// How it shows progress.
+    /// How to show progress.
     pub style: Style,
-    /// The shards that must be finished before.
+    /// The shards that must be finished first.
     pub shards: Option<&'a shards::Job>,
 }
 
@@ -124,7 +124,7 @@ impl Job<'_> {
         Ok(RunRecord::start(self.pipeline, self.set, campaigns)?)
     }
 
-    /// Plans and runs; prints warnings of the survey. Beside the tables lies the record of the run, from its start on.
+    /// Plans and runs; prints warnings of the survey. The record of the run is on the shelf from its start on.
     pub fn execute(&self, record: &mut RunRecord) -> Result<Outcome> {
         self.shelf.write_run(record)?;
         let outcome = Cancel::catch(|| self.compute(&mut record.tables)).map_err(Into::into).flatten();
@@ -147,19 +147,19 @@ impl Job<'_> {
         Ok(outcome)
     }
 
-    /// The same; where it fails in a stage, with what was set aside before.
+    /// The same. If a stage fails, it also prints what was rejected before.
     pub fn execute_and_tell(&self, record: &mut RunRecord) -> Result<Outcome> {
         let outcome = self.execute(record);
         if let Err(error) = &outcome
             && matches!(error.downcast_ref(), Some(RunError::Stage { .. }))
         {
-            // The failure itself is told last, whatever becomes of this.
+            // The caller prints the failure itself last, whether this succeeds or not.
             let _ = aftermath::tell_rejects(self.shelf);
         }
         outcome
     }
 
-    /// Gives the lineages of the tables that are whole, also where it fails.
+    /// Collects the lineages of the complete tables in `whole`, even if it fails.
     fn compute(&self, whole: &mut BTreeMap<String, Digest>) -> Result<Outcome> {
         let progress = Progress::new(self.style);
         if let Some(shards) = self.shards {
@@ -180,7 +180,7 @@ impl Job<'_> {
     }
 }
 
-/// Opens a result folder for writing; waits for whoever holds it, if asked to.
+/// Opens a result folder for writing; with `wait`, waits for its holder.
 pub fn open(out: &Path, wait: bool) -> Result<Shelf> {
     let mut is_told = false;
     loop {

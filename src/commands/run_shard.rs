@@ -16,9 +16,9 @@ use super::machine::Machine;
 /// Arguments of `run-shard`.
 #[derive(Args)]
 pub struct RunShard {
-    /// Key of the shard, as `plan --shards` printed it
+    /// Key of the shard, as `plan --shards` prints it
     key: String,
-    /// Result folder that it was planned into
+    /// Result folder of the plan
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
@@ -28,7 +28,7 @@ pub struct RunShard {
 /// The command.
 pub fn run_shard(args: &RunShard) -> Result<ExitCode> {
     args.machine.start()?;
-    // What is not there is not made here: a worker that does not see the result folder is to say so.
+    // A missing folder is not created here: a worker that does not see the result folder must fail.
     Shelf::look(&args.out)?;
     let shelf = Shelf::join(&args.out)?;
     let cut: Option<Cut> = shelf.cut(&args.key)?;

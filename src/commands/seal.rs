@@ -12,7 +12,7 @@ use periscope::campaign::{Campaign, seal as seal_campaign};
 pub struct Seal {
     /// Campaign folder
     dir: PathBuf,
-    /// Let files join that came since it was sealed
+    /// Also record files that are new since the last seal
     #[arg(long)]
     update: bool,
 }

@@ -13,10 +13,10 @@ use periscope::store::{Shelf, TableRecord};
 pub struct Tables {
     /// Result folder
     out: PathBuf,
-    /// Remove results that no table shows: those of earlier parameters, or of parts that have changed since
+    /// Remove results that no table shows: from earlier parameters, or of parts that have changed since
     #[arg(long)]
     prune: bool,
-    /// With --prune: only say what would be removed
+    /// With --prune: only print what would be removed
     #[arg(long, short = 'n', requires = "prune")]
     dry_run: bool,
 }

@@ -16,15 +16,16 @@ use serde_json::{Value, json};
 /// Arguments of `verify`.
 #[derive(Args)]
 pub struct Verify {
-    /// Campaign folder (raw files against its seal), or result folder (tables, records, lineages, and the raw files that they come from)
+    /// Campaign folder (checks raw files against the seal), or result folder (checks tables, records, lineages, and
+    /// their raw files)
     dir: PathBuf,
-    /// Read all raw files again, also those of which size and time of change are as recorded
+    /// Read all raw files again, even those with the recorded size and time of change
     #[arg(long)]
     rehash: bool,
-    /// Campaign folder of a result folder, where it is not the one that the last run names; may be given several times
+    /// Campaign folder of a result folder, if it differs from that of the last run; may be given several times
     #[arg(long, value_name = "DIR")]
     campaign: Vec<PathBuf>,
-    /// Delete what is damaged in a result folder, so that the next run makes it again
+    /// Delete damaged files in a result folder, so that the next run makes them again
     #[arg(long)]
     repair: bool,
     /// Print one JSON object
@@ -32,14 +33,14 @@ pub struct Verify {
     json: bool,
 }
 
-/// What is said at the end.
+/// The outcome to be printed.
 #[derive(Default)]
 struct Said {
-    /// What is wrong: file, what, mend, and more for JSON.
+    /// Faults: file, what is wrong, how to fix it, and more for JSON.
     findings: Vec<Value>,
-    /// What is no fault.
+    /// Remarks that are no faults.
     notes: Vec<String>,
-    /// What was looked at, in words.
+    /// What was checked, in words.
     looked_at: Vec<String>,
 }
 
@@ -85,7 +86,7 @@ pub fn verify(args: &Verify) -> Result<ExitCode> {
     Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// A campaign folder: its raw files against its seal.
+/// Checks a campaign folder: its raw files against its seal.
 fn campaign(args: &Verify, said: &mut Said) -> Result<()> {
     if args.repair || !args.campaign.is_empty() {
         bail!("--repair and --campaign are for result folders; {} is a campaign", args.dir.display());
@@ -124,7 +125,7 @@ fn campaign(args: &Verify, said: &mut Said) -> Result<()> {
     Ok(())
 }
 
-/// Raw files against what is on record of them.
+/// Checks raw files against their records.
 fn raw_files(campaign: &Campaign, manifest: &Manifest, rehash: bool, said: &mut Said) -> Result<()> {
     let audit = manifest.audit(campaign, rehash)?;
     for file in &audit.changed {
@@ -153,7 +154,7 @@ fn raw_files(campaign: &Campaign, manifest: &Manifest, rehash: bool, said: &mut 
     Ok(())
 }
 
-/// A manifest that is damaged is a finding; one that cannot be read is an error.
+/// Reports a damaged manifest as a finding; one that cannot be read is an error.
 fn damaged_manifest(error: ManifestError, said: &mut Said) -> Result<()> {
     match &error {
         ManifestError::Damaged { file, .. } | ManifestError::Format { file, .. } => {
@@ -168,9 +169,9 @@ fn damaged_manifest(error: ManifestError, said: &mut Said) -> Result<()> {
     }
 }
 
-/// A result folder.
+/// Checks a result folder.
 fn results(args: &Verify, said: &mut Said) -> Result<()> {
-    // What is deleted must not be what a run is reading.
+    // For a repair nothing may read the folder meanwhile, so it is opened for writing.
     let shelf = if args.repair { Shelf::open(&args.dir)? } else { Shelf::look(&args.dir)? };
     let report = store::verify(&shelf)?;
     let counts = report.counts;
@@ -185,7 +186,7 @@ fn results(args: &Verify, said: &mut Said) -> Result<()> {
     let campaigns = campaigns(args, report.run.as_ref().map(|run| run.campaigns.values()), said);
     let (mut noted, damaged) = notes(&shelf, said)?;
     for campaign in &campaigns {
-        // The seal decides where there is one; what runs noted of raw files stands for it where there is none.
+        // The seal decides if there is one; otherwise the notes of runs on raw files.
         match Manifest::load(&campaign.root) {
             Ok(sealed) => {
                 let known = sealed.or_else(|| noted.remove(&campaign.name));
@@ -194,7 +195,7 @@ fn results(args: &Verify, said: &mut Said) -> Result<()> {
             Err(error) => damaged_manifest(error, said)?,
         }
     }
-    // What is damaged would only be named twice.
+    // Otherwise damaged files would be named twice.
     if said.findings.is_empty() {
         report.sources.iter().for_each(|(id, parts)| root(args, id, parts, &campaigns, &shelf, said));
     }
@@ -206,7 +207,7 @@ fn results(args: &Verify, said: &mut Said) -> Result<()> {
     Ok(())
 }
 
-/// What runs noted of raw files, by campaign; and the files of it that are damaged.
+/// The notes of runs on raw files, by campaign, and the damaged files among them.
 fn notes(shelf: &Shelf, said: &mut Said) -> Result<(BTreeMap<String, Manifest>, Vec<PathBuf>)> {
     let (mut noted, mut damaged) = (BTreeMap::new(), Vec::new());
     let folders = fs::read_dir(shelf.notes()).into_iter().flatten().flatten();
@@ -225,7 +226,7 @@ fn notes(shelf: &Shelf, said: &mut Said) -> Result<(BTreeMap<String, Manifest>, 
     Ok((noted, damaged))
 }
 
-/// Parts of a source against the raw files.
+/// Checks the parts of a source against the raw files.
 fn root(args: &Verify, id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Shelf, said: &mut Said) {
     match roots::follow(id, parts, campaigns, shelf) {
         Root::Followed { parts, other } => {
@@ -250,7 +251,7 @@ fn root(args: &Verify, id: &StageId, parts: &[Digest], campaigns: &[Campaign], s
     }
 }
 
-/// The campaigns that are given, or that the last run names.
+/// The given campaigns, or those of the last run.
 fn campaigns<'a>(args: &Verify, named: Option<impl Iterator<Item = &'a PathBuf>>, said: &mut Said) -> Vec<Campaign> {
     let folders: Vec<PathBuf> = match named {
         _ if !args.campaign.is_empty() => args.campaign.clone(),

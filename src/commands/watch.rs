@@ -1,7 +1,9 @@
-//! `periscope run --watch`: follows a capture that is under way.
+//! `periscope run --watch`: follows a measurement in progress, pass after pass.
 //!
-//! Pass after pass. What is there when a pass begins, and has not changed for [`SETTLED`], is the campaign of that pass; what comes later joins the next one. Only
-//! parts with new files, and the tables of all patches, are computed again; what they replace is removed, so that the result folder does not grow with the passes.
+//! The campaign of a pass is every file that exists when the pass begins and has not changed for [`SETTLED`]; later
+//! files join the next pass. Only
+//! parts with new files, and the tables of all patches, are computed again. Results that they replace are removed, so
+//! that the result folder does not grow with each pass.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -18,12 +20,12 @@ use super::check::{self, coverage};
 use super::interrupt::is_interruption;
 use super::run::{Job, campaigns};
 
-/// A file that changed less than this ago may still be being written.
+/// A file that changed less than this ago may still be open for writing.
 const SETTLED: Duration = Duration::from_secs(2);
 /// Time between two looks at the campaign folders.
 const LOOK_AGAIN: Duration = Duration::from_millis(500);
 
-/// The files of the campaign folders at a moment.
+/// The files of the campaign folders at some moment.
 #[derive(Default, PartialEq)]
 struct Files {
     settled: BTreeSet<(PathBuf, SystemTime)>,
@@ -53,7 +55,8 @@ fn error_at(folder: &Path, error: std::io::Error) -> anyhow::Error {
     anyhow::Error::new(error).context(format!("cannot read {}", folder.display()))
 }
 
-/// Runs `job` over the campaigns in `folders` again whenever files have come, until Ctrl-C, or until none has come for as long as `idle`. Gives the last outcome.
+/// Runs `job` over the campaigns in `folders` whenever files have arrived, until Ctrl-C, or until none has arrived for
+/// `idle`. Returns the last outcome.
 pub fn follow(job: &Job<'_>, folders: &[PathBuf], idle: Option<Duration>) -> Result<Outcome> {
     let mut record = job.record()?;
     let (mut seen, mut passes) = (Files::default(), 0);

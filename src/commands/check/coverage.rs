@@ -1,4 +1,4 @@
-//! What was captured, by the rules of campaign.toml, and what is still missing.
+//! What was captured, by the rules of campaign.toml, and what is missing.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,7 +7,7 @@ use periscope::tables::{Calibration, Measurement};
 
 use super::report::{Captures, Pair, Report, listed};
 
-/// Sensors that record a reference pulse, but have no template of it: their shots cannot be aligned.
+/// Sensors that record a reference pulse but have no template of it: their shots cannot be aligned.
 pub fn without_template(survey: &Survey, calibrated: &[Calibration]) -> BTreeSet<String> {
     let with_template = |sensor: &str| calibrated.iter().any(|row| &*row.sensor == sensor && row.reference.is_some());
     let with_reference = survey.exposures.iter().filter(|exposure| exposure.reference.is_some());
@@ -15,7 +15,7 @@ pub fn without_template(survey: &Survey, calibrated: &[Calibration]) -> BTreeSet
     sensors.filter(|sensor| !with_template(sensor)).collect()
 }
 
-/// Fills in what the survey found.
+/// Fills in the results of the survey.
 pub fn fill(
     report: &mut Report,
     campaign: &Campaign,
@@ -68,7 +68,7 @@ fn captures(report: &mut Report, survey: &Survey) {
         .collect();
 }
 
-/// Pairs of the scene that are there, by sensor: those that the rules name, and those that an array holds.
+/// Existing pairs of the scene, by sensor: those that the rules name, and those in arrays.
 fn pairs(survey: &Survey, measurements: &[Measurement]) -> BTreeMap<String, BTreeSet<Pair>> {
     let mut pairs: BTreeMap<String, BTreeSet<Pair>> = BTreeMap::new();
     for exposure in survey.exposures.iter().filter(|exposure| exposure.role == Role::Scene) {
@@ -85,7 +85,7 @@ fn pairs(survey: &Survey, measurements: &[Measurement]) -> BTreeMap<String, BTre
 fn missing_pairs(report: &mut Report, campaign: &Campaign, sensor: &str, present: &BTreeSet<Pair>) {
     let lit: BTreeSet<i32> = present.iter().map(|pair| pair.lit).collect();
     let seen: BTreeSet<i32> = present.iter().map(|pair| pair.seen).collect();
-    // Where no patch was both lit and seen at once, it is not meant to be.
+    // If no patch was both lit and seen at once, such pairs are not expected.
     let diagonal = present.iter().any(|pair| pair.lit == pair.seen);
     let wanted = |pair: &Pair| {
         !present.contains(pair) && (diagonal || pair.lit != pair.seen) && !excluded(campaign, sensor, *pair)
@@ -107,7 +107,7 @@ fn missing_pairs(report: &mut Report, campaign: &Campaign, sensor: &str, present
     (entry.missing_pairs, entry.missing_reciprocals) = (missing, reciprocals);
 }
 
-/// Whether an exclusion says that this pair is not to be had.
+/// Whether an exclusion covers this pair.
 fn excluded(campaign: &Campaign, sensor: &str, pair: Pair) -> bool {
     campaign.exclude.iter().any(|exclude| {
         let matches = &exclude.matches;

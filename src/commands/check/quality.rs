@@ -1,4 +1,4 @@
-//! How good the captures are: shots, clipping, signal-to-noise ratio, and the verdicts of the instrument check.
+//! Quality of the captures: shots, clipping, signal-to-noise ratio, and the verdicts of the instrument check.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,14 +7,14 @@ use periscope::tables::{self, Measurement};
 
 use super::report::{CheckOfSensor, Pair, Report, Sensor, SetAside, listed};
 
-/// Share of clipped shots beyond which the range is wrong: single ones are the laser's.
+/// Share of clipped shots above which the range is wrong: the laser's fluctuations explain single ones.
 const CLIPPED_SHARE: f64 = 0.05;
 /// Least signal-to-noise ratio of the strongest pulse of a capture.
 const SNR_MIN: f64 = 5.0;
-/// Captures that are named as the faintest.
+/// Number of captures listed as the faintest.
 const FAINTEST: usize = 5;
 
-/// Fills in what was measured.
+/// Fills in the measurements.
 pub fn fill(
     report: &mut Report,
     measurements: &[Measurement],
@@ -63,7 +63,7 @@ fn pair(row: &Measurement) -> Pair {
     Pair { lit: row.lit, seen: row.seen }
 }
 
-/// Clipping, and captures that were cut short.
+/// Clipping, and captures with missing shots.
 fn of_shots(sensor: &mut Sensor, rows: &[&Measurement]) -> Vec<String> {
     let mut mend = Vec::new();
     let recorded = |row: &Measurement| row.shots + row.rejected;
@@ -89,7 +89,7 @@ fn of_shots(sensor: &mut Sensor, rows: &[&Measurement]) -> Vec<String> {
     mend
 }
 
-/// Signal-to-noise ratio of the captures of the scene; not known without a calibration.
+/// Signal-to-noise ratio of the captures of the scene; unknown without a calibration.
 fn of_light(sensor: &mut Sensor, rows: &[&Measurement]) -> Vec<String> {
     let mut ratios: Vec<(Pair, f64)> =
         of_scene(rows).into_iter().map(|row| (pair(row), row.snr.unwrap_or(0.0))).collect();

@@ -1,4 +1,4 @@
-//! What a check found, as data: its fields are those of the JSON.
+//! The results of a check as data; the fields are those of the JSON.
 
 use serde::Serialize;
 
@@ -6,17 +6,17 @@ use serde::Serialize;
 #[derive(Debug, Default, Serialize)]
 pub struct Report {
     pub campaign: String,
-    /// What is to be mended, each with its mend; empty when all is well.
+    /// What needs to be fixed, each with how; empty if all is well.
     pub mend: Vec<String>,
-    /// Captures that the rules found, by role and sensor.
+    /// Captures that match the rules, by role and sensor.
     pub captures: Vec<Captures>,
-    /// Files that no rule takes.
+    /// Files that match no rule.
     pub unmatched: Vec<String>,
-    /// Patterns, rows and exclusions that take nothing.
+    /// Patterns, rows and exclusions that match nothing.
     pub empty: Vec<String>,
-    /// Files left out since their reference is missing, and what was wanted.
+    /// Files without their reference, and which reference is missing.
     pub missing_references: Vec<String>,
-    /// Files and captures that were set aside, and why.
+    /// Rejected files and captures, and why.
     pub set_aside: Vec<SetAside>,
     pub sensors: Vec<Sensor>,
 }
@@ -31,35 +31,35 @@ pub struct Captures {
     pub files: usize,
 }
 
-/// A file or capture that was set aside.
+/// A rejected file or capture.
 #[derive(Debug, Serialize)]
 pub struct SetAside {
     pub file: Option<String>,
     pub reason: String,
 }
 
-/// A patch that is lit and one that is seen.
+/// A lit patch and a seen patch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Pair {
     pub lit: i32,
     pub seen: i32,
 }
 
-/// What is known of one sensor.
+/// The results for one sensor.
 #[derive(Debug, Default, Serialize)]
 pub struct Sensor {
     pub name: String,
-    /// Pairs that are absent from the rectangle of all lit and all seen patches so far.
+    /// Pairs that are missing in the rectangle of all lit and all seen patches so far.
     pub missing_pairs: Vec<Pair>,
-    /// Pairs whose reciprocal is there and they are not, outside of that rectangle.
+    /// Missing pairs outside that rectangle whose reciprocal exists.
     pub missing_reciprocals: Vec<Pair>,
     /// Share of the shots that touch the converter's rails.
     pub clipped_share: Option<f64>,
-    /// Least, middle and most shots of a capture of the scene.
+    /// Least, median and most shots of a capture of the scene.
     pub shots: Option<[i32; 3]>,
-    /// Captures of the scene with fewer shots than the most.
+    /// Captures of the scene with fewer shots than the largest number.
     pub fewer_shots: Vec<(Pair, i32)>,
-    /// Middle signal-to-noise ratio of the captures of the scene.
+    /// Median signal-to-noise ratio of the captures of the scene.
     pub snr_median: Option<f64>,
     /// The five faintest captures of the scene.
     pub faintest: Vec<(Pair, f64)>,

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::report::{Pair, Report, Sensor, listed};
 
-/// Files of a kind that are named; the JSON names all.
+/// Most files of a kind that are named; the JSON names all.
 const NAMED: usize = 10;
 
 /// The report as text.
@@ -98,7 +98,7 @@ fn checks(found: &Sensor, lines: &mut Vec<String>) {
     }
 }
 
-/// A number to four digits.
+/// A number with four digits.
 fn short(value: f64) -> String {
     if value == 0.0 {
         return "0".to_owned();

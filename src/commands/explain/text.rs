@@ -5,9 +5,9 @@ use periscope::history::explanation::Explanation;
 use periscope::history::sensors::SensorBehind;
 use serde_json::Value;
 
-/// Rows of a list that is shown whole.
+/// Longest list that is shown whole, in rows.
 const WHOLE: usize = 16;
-/// Rows that are shown of a longer one.
+/// Rows shown of a longer list.
 const SHOWN: usize = 10;
 
 /// The explanation as text; `all` shows long lists whole.
@@ -29,7 +29,7 @@ pub fn text(explanation: &Explanation, all: bool) -> String {
     lines.join("\n") + "\n"
 }
 
-/// The row itself, in a line.
+/// The row itself, on one line.
 fn point(explanation: &Explanation) -> String {
     let row = &explanation.row;
     let number = |column: &str| row.get(column).and_then(Value::as_f64);
@@ -60,7 +60,7 @@ fn point(explanation: &Explanation) -> String {
     format!("{} in `{}` ({}): {}", explanation.target, explanation.table, explanation.stage, facts.join(", "))
 }
 
-/// The chain of streamed tables that leads to it, and what stands beside them.
+/// The chain of streamed tables that leads to it, and the whole tables that they use.
 fn dataflow(explanation: &Explanation) -> String {
     let of = |name: &str| explanation.tables.iter().find(|table| table.table == name);
     let mut chain = Vec::new();
@@ -186,7 +186,7 @@ fn sensor(sensor: &SensorBehind) -> String {
     format!("\nsensor {}{range} (`{}`): {}\n  {}", sensor.sensor, sensor.table, facts.join(", "), raw(&sensor.raw))
 }
 
-/// Raw records in a few words: a file with its segments, or how many files.
+/// Raw records in short: a file with its segments, or the number of files.
 fn raw(records: &[RawRecords]) -> String {
     let (references, signals): (Vec<&RawRecords>, Vec<&RawRecords>) =
         records.iter().partition(|records| records.is_reference);
@@ -196,7 +196,7 @@ fn raw(records: &[RawRecords]) -> String {
     };
     let reference = match (signals.as_slice(), references.as_slice()) {
         (_, []) => String::new(),
-        // The same segments need not be said twice.
+        // The same segments need not be repeated.
         ([signal], [one]) if signal.segments == one.segments => format!(", reference {}", file(one)),
         (_, [one]) => format!(", reference {}", one_file(one)),
         (_, files) => format!(", reference {}", several(files)),
@@ -229,7 +229,7 @@ fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.digits$}"))
 }
 
-/// Columns for campaign and sensor, where there are several.
+/// Columns for campaign and sensor, if there are several.
 struct Names {
     campaign: Option<usize>,
     sensor: Option<usize>,
