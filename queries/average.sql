@@ -1,5 +1,5 @@
 -- The average of a capture by hand: the mean of all shots in volts, less its own first tenth (the baseline).
--- Equal to `profiles.mean_v` where nothing is aligned and nothing set aside: no reference channel, every shot with the same t0_ps, `rejected` 0.
+-- Equal to `profiles.mean_v` where nothing is aligned and nothing rejected: no reference channel, every shot with the same t0_ps, `rejected` 0.
 -- Elsewhere the difference is what aligning the shots is worth. Needs the table `traces` (keep = true), 8-bit signed codes.
 SET VARIABLE results = 'results';
 SET VARIABLE lit = 1;

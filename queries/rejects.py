@@ -1,4 +1,4 @@
-"""What was set aside, and why: reasons that differ only in numbers are one kind; one example of each with its file.
+"""What was rejected, and why: reasons that differ only in numbers are one kind; one example of each with its file.
 
     python rejects.py RESULTS
 """

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from distributed.deploy.cluster import Cluster
 
 SOME_REJECTED = 3
-"""Exit code of the program: done, but some input was set aside."""
+"""Exit code of the program: done, but some input was rejected."""
 
 INTERRUPTED = 130
 """Exit code of the program, and of this one: ended by Ctrl-C or SIGTERM."""
@@ -276,7 +276,7 @@ def parse(words: list[str] | None = None) -> Options:
     parser.add_argument("--memory", default="4GB", help="memory of each, asked of the queue (default: 4GB)")
     parser.add_argument("--retries", type=int, default=3, help="how often a shard that fails is run again (default: 3)")
     parser.add_argument("--periscope", default="periscope", help="the program, where workers find it (default: periscope)")
-    parser.add_argument("--strict", action="store_true", help="exit code 1 when anything was set aside")
+    parser.add_argument("--strict", action="store_true", help="exit code 1 when anything was rejected")
     return Options(**vars(parser.parse_args(words)))
 
 

@@ -11,7 +11,7 @@ shard) # a task of the array: the line of its number
     key=$(sed -n "$((SLURM_ARRAY_TASK_ID + 1))p" "$3")
     exec periscope run-shard "$key" --out "$2" --threads "${SLURM_CPUS_PER_TASK:-1}" --progress none
     ;;
-gather) # exit code 3: done, but some input was set aside
+gather) # exit code 3: done, but some input was rejected
     periscope gather --out "$2" --threads "${SLURM_CPUS_PER_TASK:-1}" --progress none --wait || [ $? -eq 3 ]
     exit
     ;;

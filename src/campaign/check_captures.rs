@@ -160,6 +160,6 @@ pub fn exclude(exclude: &Exclude, place: &str, sensors: &BTreeMap<String, Sensor
         return Ok(());
     };
     at.check(at.pattern(file)?.axes().next().is_none(), || {
-        "match.file has a placeholder; use `*`, and keys such as lit = 12 beside it".into()
+        "match.file has a placeholder; use `*`, and keys such as lit = 12 next to it".into()
     })
 }

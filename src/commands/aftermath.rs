@@ -40,7 +40,7 @@ pub fn tell_rejects(shelf: &Shelf) -> Result<()> {
     }
     let kinds = kinds(&rows);
     let all = shelf.out().join("rejects");
-    eprintln!("warning: {} records were set aside; {} has all", rows.len(), all.display());
+    eprintln!("warning: {} records were rejected; {} has all", rows.len(), all.display());
     for (count, row) in kinds.iter().take(SHOWN) {
         let times = if *count > 1 { format!("{count} like ") } else { String::new() };
         eprintln!("  {times}{}", words(row));

@@ -1,9 +1,8 @@
 //! `periscope check`: checks a campaign, even while it is still being captured.
 //!
 //! A built-in pipeline measures every capture through the ordinary runtime. With `--out` its tables stay, and the next
-//! check reads only new files;
-//! otherwise they go to a temporary folder, which is removed. The results are data ([`report`]), printed as text
-//! ([`text`]) or as JSON.
+//! check reads only new files; otherwise they go to a temporary folder, which is removed. The results are data
+//! ([`report`]), printed as text ([`text`]) or as JSON.
 
 pub mod coverage;
 mod quality;

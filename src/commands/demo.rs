@@ -47,13 +47,14 @@ const DEMOS: [(&str, &str, &str); 6] = [
 ];
 /// Kind of patches that neither laser nor sensor sees.
 const HIDDEN: &str = "hidden";
-/// Kind of patches that nothing comes straight back from.
+/// Kind of patches without a direct reflection.
 const MIRROR: &str = "mirror";
 
 /// Arguments of `demo`.
 #[derive(Args)]
 pub struct Demo {
-    /// Which: around-the-corner (hidden patches, from third bounces), all-visible, or one of the paper's experiments: rectangles (Fig. 4; half a minute), hidden-plane (Figs. 5 and 6), mirror (Fig. 8 top), barcode (Fig. 8 bottom)
+    /// Which: around-the-corner (hidden patches, from third bounces), all-visible, or one of the paper's experiments:
+    /// rectangles (Fig. 4; half a minute), hidden-plane (Figs. 5 and 6), mirror (Fig. 8 top), barcode (Fig. 8 bottom)
     #[arg(default_value = "around-the-corner")]
     name: String,
     /// Folder for campaign and results; what an earlier demo left there is replaced
@@ -110,7 +111,7 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
         println!("  {:20} {rows:>6} rows  {}", step.heading, results.join(&step.heading).display());
     }
     println!("\nThe same for the eye, in a browser: {}", write_page(&results)?.display());
-    // As it was called, so that the line works where the program is not on the path.
+    // The path by which it was called, so that the printed command works if the program is not on PATH.
     let program = std::env::args().next().unwrap_or_else(|| "periscope".to_owned());
     println!("\nThe same again, from the files:");
     println!(
@@ -122,7 +123,7 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Removes what an earlier demo left; refuses a folder that is not one.
+/// Removes the results of an earlier demo; refuses any other folder.
 fn clear(out: &Path) -> Result<()> {
     if !out.exists() {
         return Ok(());
@@ -144,9 +145,9 @@ fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
     Ok(rows)
 }
 
-/// A patch that was found, turned onto the truth, with the true one.
+/// An estimated patch, rotated onto the truth, with the true one.
 struct Pair<'a> {
-    found: &'a Patch,
+    estimate: &'a Patch,
     point: Point,
     truth: &'a Patch,
 }
@@ -157,35 +158,35 @@ impl Pair<'_> {
     }
 }
 
-/// Found beside true positions.
-fn comparison(found: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) -> Result<String> {
+/// A table of estimated and true positions.
+fn comparison(estimates: &[Patch], paper: &[Patch], truth: &[Patch], scene: &Scene) -> Result<String> {
     let centre = Point::from(scene.stations["laser"].position_m);
     let prior = &scene.prior;
     // Anchors and rays fix the frame.
     let is_fixed = !prior.anchors.is_empty() || !prior.rays.is_empty();
-    let (pairs, lost) = pairs(found, truth, centre, is_fixed)?;
+    let (pairs, lost) = pairs(estimates, truth, centre, is_fixed)?;
     let mut text = String::from(
         "patch           found (x, y, z) in m                  true                          error     sd\n",
     );
-    for Pair { found, point, truth } in &pairs {
+    for Pair { estimate, point, truth } in &pairs {
         let error_mm = 1e3 * (point - at(truth)).norm();
-        let sd_mm = 1e3 * found.sd_m.context("refined patches have a standard deviation")?;
+        let sd_mm = 1e3 * estimate.sd_m.context("refined patches have a standard deviation")?;
         writeln!(
             text,
             "{:>3} {:8} ({:9.5}, {:9.5}, {:9.5})  ({:7.4}, {:7.4}, {:7.4})  {error_mm:6.3} mm {sd_mm:6.3} mm",
-            found.patch, found.kind, point.x, point.y, point.z, truth.x_m, truth.y_m, truth.z_m
+            estimate.patch, estimate.kind, point.x, point.y, point.z, truth.x_m, truth.y_m, truth.z_m
         )?;
     }
     lost.iter().try_for_each(|patch| writeln!(text, "{patch:>3} was not found"))?;
-    let best = found.iter().filter(|patch| patch.alternative == 0);
-    for patch in best.filter(|patch| pairs.iter().all(|pair| pair.found.patch != patch.patch)) {
+    let best = estimates.iter().filter(|patch| patch.alternative == 0);
+    for patch in best.filter(|patch| pairs.iter().all(|pair| pair.estimate.patch != patch.patch)) {
         writeln!(text, "{:>3} {:8} was found where the scene has none", patch.patch, patch.kind)?;
     }
     let of_paper = if paper.is_empty() { Vec::new() } else { self::pairs(paper, truth, centre, is_fixed)?.0 };
     for kind in ["visible", HIDDEN, MIRROR] {
         let of_kind = |pair: &&Pair| &*pair.truth.kind == kind;
         let errors_m = |pairs: &[Pair]| rms(pairs.iter().filter(of_kind).map(Pair::error_m));
-        let sds_m = pairs.iter().filter(of_kind).filter_map(|pair| pair.found.sd_m);
+        let sds_m = pairs.iter().filter(of_kind).filter_map(|pair| pair.estimate.sd_m);
         let (Some(rms_m), Some(sd_m)) = (errors_m(&pairs), rms(sds_m)) else { continue };
         let (rms_mm, sd_mm) = (1e3 * rms_m, 1e3 * sd_m);
         write!(text, "\n{kind}: rms error {rms_mm:.3} mm, expected from the standard deviations {sd_mm:.3} mm")?;
@@ -206,32 +207,37 @@ fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
-/// Found patches with the true ones, and true ones that were not found. Unless the frame is fixed, path lengths say nothing of rotations about the laser, so what was found is
-/// turned onto the truth by the visible patches first; hidden patches have the numbers that they were found by, and go with the nearest true one.
+/// Pairs of estimated and true patches, and the numbers of true patches without an estimate.
+///
+/// Unless the frame is fixed, path lengths do not determine rotations about the laser. The visible patches then define
+/// the rotation onto the truth. Hidden patches are numbered in the order of detection, so each goes with the nearest
+/// true one.
 fn pairs<'a>(
-    found: &'a [Patch],
+    estimates: &'a [Patch],
     truth: &'a [Patch],
     centre: Point,
     is_fixed: bool,
 ) -> Result<(Vec<Pair<'a>>, Vec<i32>)> {
-    let best = found.iter().filter(|patch| patch.alternative == 0);
+    let best = estimates.iter().filter(|patch| patch.alternative == 0);
     let (visible, hidden): (Vec<&Patch>, Vec<&Patch>) = best.partition(|patch| &*patch.kind != HIDDEN);
-    let named = |patch: &&'a Patch| truth.iter().find(|truth| truth.patch == patch.patch).map(|truth| (*patch, truth));
-    let named: Option<Vec<_>> = visible.iter().map(named).collect();
-    let named = named.context("a visible patch was found that is not in the scene")?;
-    if named.is_empty() {
+    let matches =
+        |patch: &&'a Patch| truth.iter().find(|truth| truth.patch == patch.patch).map(|truth| (*patch, truth));
+    let matches: Option<Vec<_>> = visible.iter().map(matches).collect();
+    let matches = matches.context("a visible patch was found that is not in the scene")?;
+    if matches.is_empty() {
         bail!("no patch was found; see the table `rejects`");
     }
-    let (from, onto): (Vec<Point>, Vec<Point>) = named.iter().map(|(patch, truth)| (at(patch), at(truth))).unzip();
+    let (from, onto): (Vec<Point>, Vec<Point>) = matches.iter().map(|(patch, truth)| (at(patch), at(truth))).unzip();
     let matrix = procrustes::rotation(&from, &onto, centre, true).matrix;
-    let place = |found: &Patch| if is_fixed { at(found) } else { procrustes::turn(&matrix, centre, at(found)) };
-    let turned = |found: &'a Patch, truth: &'a Patch| Pair { found, point: place(found), truth };
-    let mut pairs: Vec<Pair> = named.into_iter().map(|(found, truth)| turned(found, truth)).collect();
+    let place =
+        |estimate: &Patch| if is_fixed { at(estimate) } else { procrustes::turn(&matrix, centre, at(estimate)) };
+    let turned = |estimate: &'a Patch, truth: &'a Patch| Pair { estimate, point: place(estimate), truth };
+    let mut pairs: Vec<Pair> = matches.into_iter().map(|(estimate, truth)| turned(estimate, truth)).collect();
     let mut open: Vec<&Patch> = truth.iter().filter(|patch| &*patch.kind == HIDDEN).collect();
-    for found in hidden {
-        let gap_m = |truth: &'a Patch| turned(found, truth).error_m();
+    for estimate in hidden {
+        let gap_m = |truth: &'a Patch| turned(estimate, truth).error_m();
         let nearest = (0..open.len()).min_by(|&a, &b| gap_m(open[a]).total_cmp(&gap_m(open[b])));
-        pairs.extend(nearest.map(|nearest| turned(found, open.remove(nearest))));
+        pairs.extend(nearest.map(|nearest| turned(estimate, open.remove(nearest))));
     }
     let lost =
         truth.iter().map(|truth| truth.patch).filter(|id| pairs.iter().all(|pair| pair.truth.patch != *id)).collect();

@@ -55,9 +55,9 @@ fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> 
         writeln!(out, "{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
     }
     for record in &records {
-        let mut seen = Seen::of(record);
-        record.visit(source.file(), 0..record.head.samples, &mut |codes| seen.take(record, codes))?;
-        let facts = seen.facts(file, record);
+        let mut summary = Summary::of(record);
+        record.visit(source.file(), 0..record.head.samples, &mut |codes| summary.take(record, codes))?;
+        let facts = summary.facts(file, record);
         if as_json {
             writeln!(out, "{facts}")?;
         } else {
@@ -72,7 +72,7 @@ const ENDS: usize = 5;
 
 /// Running summary of a record, which may be larger than memory. Values are volts if the file has a scale, else those
 /// of the file.
-struct Seen {
+struct Summary {
     first: Vec<f64>,
     last: VecDeque<f64>,
     sum: f64,
@@ -82,7 +82,7 @@ struct Seen {
     sha: Sha256,
 }
 
-impl Seen {
+impl Summary {
     fn of(record: &Record) -> Self {
         Self {
             first: Vec::new(),

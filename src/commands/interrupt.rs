@@ -1,7 +1,8 @@
 //! Ctrl-C, and the signal that asks a process to end.
 //!
-//! Commands that leave what they finished (`run`, `demo`, `plan --shards`, `run-shard`, `gather`) cancel a token on these signals.
-//! The other commands have no handler: the signal ends them at once, and nothing half-written of them looks whole.
+//! Commands that leave what they finished (`run`, `demo`, `plan --shards`, `run-shard`, `gather`) cancel a token on
+//! these signals. The other commands have no handler: the signal ends them at once, and nothing half-written of them
+//! looks whole.
 
 use std::time::Duration;
 
@@ -13,12 +14,12 @@ use signal_hook::iterator::Signals;
 
 use super::INTERRUPTED;
 
-/// A command that has not ended so long after the signal is ended by force: some call does not poll, or a disk does not answer.
-/// What it leaves is what a killed run leaves; the next run sweeps it away.
+/// A command that has not ended so long after the signal is ended by force: some call does not poll, or a disk does not
+/// answer. What it leaves is what a killed run leaves; the next run sweeps it away.
 const PATIENCE: Duration = Duration::from_millis(1700);
 
-/// From now on the first Ctrl-C or SIGTERM cancels the token. Whoever holds the token cleans up. A second signal ends the
-/// program at once, and so does the end of [`PATIENCE`].
+/// From now on the first Ctrl-C or SIGTERM cancels the token. Whoever holds the token cleans up. A second signal ends
+/// the program at once, and so does the end of [`PATIENCE`].
 pub fn cancel_on_signals(cancel: &Cancel) -> Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;
     let cancel = cancel.clone();

@@ -44,7 +44,7 @@ pub fn query(args: &Query) -> Result<ExitCode> {
         Format::Parquet => Form::Parquet,
     };
     let shelf = Shelf::look(&args.out)?;
-    answer(&shelf, &args.sql, form, &mut std::io::stdout().lock()).map_err(mended)?;
+    answer(&shelf, &args.sql, form, &mut std::io::stdout().lock()).map_err(with_advice)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -56,10 +56,10 @@ fn terminal_width() -> Option<usize> {
 
 /// An error with advice.
 #[cfg(feature = "query")]
-fn mended(error: periscope::store::query::QueryError) -> anyhow::Error {
+fn with_advice(error: periscope::store::query::QueryError) -> anyhow::Error {
     use periscope::campaign::suggest::hint;
     use periscope::store::query::QueryError;
-    let mend = match &error {
+    let advice = match &error {
         QueryError::NoTable { name, available } | QueryError::NoColumn { name, available, .. } => {
             hint(name, available.iter().map(String::as_str))
         }
@@ -69,7 +69,7 @@ fn mended(error: periscope::store::query::QueryError) -> anyhow::Error {
     match error {
         QueryError::Store(error) => error.into(),
         QueryError::Io(error) => error.into(),
-        error => anyhow::anyhow!("{error}; {mend}"),
+        error => anyhow::anyhow!("{error}; {advice}"),
     }
 }
 

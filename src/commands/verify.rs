@@ -35,7 +35,7 @@ pub struct Verify {
 
 /// The outcome to be printed.
 #[derive(Default)]
-struct Said {
+struct Verification {
     /// Faults: file, what is wrong, how to fix it, and more for JSON.
     findings: Vec<Value>,
     /// Remarks that are no faults.
@@ -44,50 +44,53 @@ struct Said {
     looked_at: Vec<String>,
 }
 
-impl Said {
-    fn found(&mut self, file: &Path, what: impl ToString, mend: impl ToString) {
-        let (what, mend) = (what.to_string(), mend.to_string());
-        self.findings.push(json!({ "file": file, "what": what, "mend": mend }));
+impl Verification {
+    fn add(&mut self, file: &Path, what: impl ToString, fix: impl ToString) {
+        let (what, fix) = (what.to_string(), fix.to_string());
+        self.findings.push(json!({ "file": file, "what": what, "mend": fix }));
     }
 }
 
 /// The command.
 pub fn verify(args: &Verify) -> Result<ExitCode> {
-    let mut said = Said::default();
+    let mut verification = Verification::default();
     if args.dir.join(".shelf").is_dir() {
-        results(args, &mut said)?;
+        results(args, &mut verification)?;
     } else if args.dir.join("campaign.toml").is_file() {
-        campaign(args, &mut said)?;
+        campaign(args, &mut verification)?;
     } else {
         bail!(
             "{}: neither a campaign folder (it has no campaign.toml) nor a result folder (it has no .shelf)",
             args.dir.display()
         );
     }
-    let whole = said.findings.is_empty();
+    let whole = verification.findings.is_empty();
     if args.json {
-        let Said { findings, notes, looked_at } = said;
+        let Verification { findings, notes, looked_at } = verification;
         println!("{}", json!({ "ok": whole, "findings": findings, "notes": notes, "looked_at": looked_at }));
     } else {
-        for finding in &said.findings {
+        for finding in &verification.findings {
             let text = |key: &str| finding[key].as_str().unwrap_or_default();
             let tables: Vec<&str> =
                 finding["tables"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
             let of = if tables.is_empty() { String::new() } else { format!(" (table {})", tables.join(", ")) };
             println!("{}{of} {}\n    {}", text("file"), text("what"), text("mend"));
         }
-        for note in &said.notes {
+        for note in &verification.notes {
             eprintln!("note: {note}");
         }
-        let outcome =
-            if whole { "all is as it was written".to_owned() } else { format!("faults: {}", said.findings.len()) };
-        println!("verified {}: {}: {outcome}", args.dir.display(), said.looked_at.join("; "));
+        let outcome = if whole {
+            "all is as it was written".to_owned()
+        } else {
+            format!("faults: {}", verification.findings.len())
+        };
+        println!("verified {}: {}: {outcome}", args.dir.display(), verification.looked_at.join("; "));
     }
     Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// Checks a campaign folder: its raw files against its seal.
-fn campaign(args: &Verify, said: &mut Said) -> Result<()> {
+fn campaign(args: &Verify, verification: &mut Verification) -> Result<()> {
     if args.repair || !args.campaign.is_empty() {
         bail!("--repair and --campaign are for result folders; {} is a campaign", args.dir.display());
     }
@@ -95,19 +98,19 @@ fn campaign(args: &Verify, said: &mut Said) -> Result<()> {
     let manifest = match Manifest::load(&campaign.root) {
         Ok(manifest) => manifest,
         Err(error) => {
-            damaged_manifest(error, said)?;
+            damaged_manifest(error, verification)?;
             return Ok(());
         }
     };
     let Some(manifest) = manifest else {
-        said.found(
+        verification.add(
             Path::new("manifest.json"),
             "is not there: the campaign is not sealed",
             "`periscope seal` records what its files hold now",
         );
         return Ok(());
     };
-    raw_files(&campaign, &manifest, args.rehash, said)?;
+    raw_files(&campaign, &manifest, args.rehash, verification)?;
     let survey = campaign.survey()?;
     let new: Vec<String> = survey
         .files()
@@ -116,7 +119,7 @@ fn campaign(args: &Verify, said: &mut Said) -> Result<()> {
         .map(|file| file.display().to_string())
         .collect();
     if !new.is_empty() {
-        said.notes.push(format!(
+        verification.notes.push(format!(
             "{} files came since the campaign was sealed; `periscope seal --update` lets them join: {}",
             new.len(),
             new.join(", ")
@@ -126,39 +129,43 @@ fn campaign(args: &Verify, said: &mut Said) -> Result<()> {
 }
 
 /// Checks raw files against their records.
-fn raw_files(campaign: &Campaign, manifest: &Manifest, rehash: bool, said: &mut Said) -> Result<()> {
+fn raw_files(campaign: &Campaign, manifest: &Manifest, rehash: bool, verification: &mut Verification) -> Result<()> {
     let audit = manifest.audit(campaign, rehash)?;
     for file in &audit.changed {
-        said.found(
+        verification.add(
             &campaign.path_of(file),
             "has another content than was recorded",
             "restore it; if the change is meant, seal the campaign anew and choose a new --out",
         );
     }
     for file in &audit.gone {
-        said.found(
+        verification.add(
             &campaign.path_of(file),
             "is gone",
             "restore it; if it is not to come back, take its line out of the manifest",
         );
     }
     if !audit.touched.is_empty() {
-        said.notes.push(format!(
+        verification.notes.push(format!(
             "{} raw files of campaign {} have another time of change, and the same content",
             audit.touched.len(),
             campaign.name
         ));
     }
     let how = if rehash { "content" } else { "size and time of change" };
-    said.looked_at.push(format!("{} raw files of campaign {} by {how}", manifest.iter().count(), campaign.name));
+    verification.looked_at.push(format!(
+        "{} raw files of campaign {} by {how}",
+        manifest.iter().count(),
+        campaign.name
+    ));
     Ok(())
 }
 
 /// Reports a damaged manifest as a finding; one that cannot be read is an error.
-fn damaged_manifest(error: ManifestError, said: &mut Said) -> Result<()> {
+fn damaged_manifest(error: ManifestError, verification: &mut Verification) -> Result<()> {
     match &error {
         ManifestError::Damaged { file, .. } | ManifestError::Format { file, .. } => {
-            said.found(
+            verification.add(
                 file,
                 format!("is damaged: {error}"),
                 "restore it, or take out what is damaged: raw files without a line are hashed anew",
@@ -170,102 +177,115 @@ fn damaged_manifest(error: ManifestError, said: &mut Said) -> Result<()> {
 }
 
 /// Checks a result folder.
-fn results(args: &Verify, said: &mut Said) -> Result<()> {
+fn results(args: &Verify, verification: &mut Verification) -> Result<()> {
     // For a repair nothing may read the folder meanwhile, so it is opened for writing.
     let shelf = if args.repair { Shelf::open(&args.dir)? } else { Shelf::look(&args.dir)? };
     let report = store::verify(&shelf)?;
     let counts = report.counts;
-    said.looked_at.push(format!(
+    verification.looked_at.push(format!(
         "{} tables, {} parts, {} files of {} bytes, {} runs; {} lineages followed",
         counts.tables, counts.parts, counts.files, counts.bytes, counts.runs, counts.followed
     ));
-    said.notes.extend(report.notes);
+    verification.notes.extend(report.notes);
     for finding in &report.findings {
-        said.findings.push(serde_json::to_value(finding)?);
+        verification.findings.push(serde_json::to_value(finding)?);
     }
-    let campaigns = campaigns(args, report.run.as_ref().map(|run| run.campaigns.values()), said);
-    let (mut noted, damaged) = notes(&shelf, said)?;
+    let campaigns = campaigns(args, report.run.as_ref().map(|run| run.campaigns.values()), verification);
+    let (mut manifests, damaged) = notes(&shelf, verification)?;
     for campaign in &campaigns {
         // The seal decides if there is one; otherwise the notes of runs on raw files.
         match Manifest::load(&campaign.root) {
             Ok(sealed) => {
-                let known = sealed.or_else(|| noted.remove(&campaign.name));
-                known.map_or(Ok(()), |known| raw_files(campaign, &known, args.rehash, said))?;
+                let manifest = sealed.or_else(|| manifests.remove(&campaign.name));
+                manifest.map_or(Ok(()), |manifest| raw_files(campaign, &manifest, args.rehash, verification))?;
             }
-            Err(error) => damaged_manifest(error, said)?,
+            Err(error) => damaged_manifest(error, verification)?,
         }
     }
     // Otherwise damaged files would be named twice.
-    if said.findings.is_empty() {
-        report.sources.iter().for_each(|(id, parts)| root(args, id, parts, &campaigns, &shelf, said));
+    if verification.findings.is_empty() {
+        report.sources.iter().for_each(|(id, parts)| root(args, id, parts, &campaigns, &shelf, verification));
     }
     if args.repair {
         store::repair(&report.findings)?;
         damaged.iter().try_for_each(fs::remove_file)?;
-        said.notes.push("what is damaged is deleted; the next `run` makes it again".to_owned());
+        verification.notes.push("what is damaged is deleted; the next `run` makes it again".to_owned());
     }
     Ok(())
 }
 
 /// The notes of runs on raw files, by campaign, and the damaged files among them.
-fn notes(shelf: &Shelf, said: &mut Said) -> Result<(BTreeMap<String, Manifest>, Vec<PathBuf>)> {
-    let (mut noted, mut damaged) = (BTreeMap::new(), Vec::new());
+fn notes(shelf: &Shelf, verification: &mut Verification) -> Result<(BTreeMap<String, Manifest>, Vec<PathBuf>)> {
+    let (mut manifests, mut damaged) = (BTreeMap::new(), Vec::new());
     let folders = fs::read_dir(shelf.notes()).into_iter().flatten().flatten();
     for folder in folders.map(|folder| folder.path()).collect::<BTreeSet<_>>() {
         match Manifest::load(&folder) {
             Ok(manifest) => {
                 let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                noted.extend(manifest.map(|manifest| (name, manifest)));
+                manifests.extend(manifest.map(|manifest| (name, manifest)));
             }
             Err(error) => {
-                damaged_manifest(error, said)?;
+                damaged_manifest(error, verification)?;
                 damaged.push(folder.join(MANIFEST_FILE));
             }
         }
     }
-    Ok((noted, damaged))
+    Ok((manifests, damaged))
 }
 
 /// Checks the parts of a source against the raw files.
-fn root(args: &Verify, id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Shelf, said: &mut Said) {
+fn root(
+    args: &Verify,
+    id: &StageId,
+    parts: &[Digest],
+    campaigns: &[Campaign],
+    shelf: &Shelf,
+    verification: &mut Verification,
+) {
     match roots::follow(id, parts, campaigns, shelf) {
         Root::Followed { parts, other } => {
-            said.looked_at.push(format!("{parts} parts of {} follow from the raw files", id.kind));
+            verification.looked_at.push(format!("{parts} parts of {} follow from the raw files", id.kind));
             if other > 0 {
-                said.notes.push(format!(
+                verification.notes.push(format!(
                     "{other} parts of {} come from raw files that are others now, or not in the campaign any more",
                     id.kind
                 ));
             }
         }
-        Root::Unknown => said.notes.push(format!(
+        Root::Unknown => verification.notes.push(format!(
             "{} parts of {}: the files that they come from were not looked at",
             parts.len(),
             id.kind
         )),
-        Root::Refused(why) => said.found(
+        Root::Refused(why) => verification.add(
             &args.dir,
             format!("cannot be followed to its raw files: {why}"),
-            "mend the campaign, or say with --campaign where the right one is",
+            "fix the campaign, or give the right one with --campaign",
         ),
     }
 }
 
 /// The given campaigns, or those of the last run.
-fn campaigns<'a>(args: &Verify, named: Option<impl Iterator<Item = &'a PathBuf>>, said: &mut Said) -> Vec<Campaign> {
+fn campaigns<'a>(
+    args: &Verify,
+    named: Option<impl Iterator<Item = &'a PathBuf>>,
+    verification: &mut Verification,
+) -> Vec<Campaign> {
     let folders: Vec<PathBuf> = match named {
         _ if !args.campaign.is_empty() => args.campaign.clone(),
         Some(named) => named.cloned().collect(),
         None => Vec::new(),
     };
     if folders.is_empty() {
-        said.notes.push("RAW FILES WERE NOT CHECKED: no run record names a campaign; give --campaign DIR".to_owned());
+        verification
+            .notes
+            .push("RAW FILES WERE NOT CHECKED: no run record names a campaign; give --campaign DIR".to_owned());
     }
     let mut campaigns = Vec::new();
     for folder in folders {
         match Campaign::load(&folder) {
             Ok(campaign) => campaigns.push(campaign),
-            Err(error) => said.notes.push(format!(
+            Err(error) => verification.notes.push(format!(
                 "RAW FILES WERE NOT CHECKED: campaign {}: {error}; say where it is with --campaign DIR",
                 folder.display()
             )),

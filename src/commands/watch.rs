@@ -1,9 +1,8 @@
 //! `periscope run --watch`: follows a measurement in progress, pass after pass.
 //!
 //! The campaign of a pass is every file that exists when the pass begins and has not changed for [`SETTLED`]; later
-//! files join the next pass. Only
-//! parts with new files, and the tables of all patches, are computed again. Results that they replace are removed, so
-//! that the result folder does not grow with each pass.
+//! files join the next pass. Only parts with new files, and the tables of all patches, are computed again. Results that
+//! they replace are removed, so that the result folder does not grow with each pass.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

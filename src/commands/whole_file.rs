@@ -1,4 +1,5 @@
-//! Files that appear whole: written under another name, then renamed, so that a command that is ended leaves no half of one.
+//! Files that appear whole: written under another name, then renamed, so that a command that is ended leaves no half of
+//! one.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};

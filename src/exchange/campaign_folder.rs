@@ -182,7 +182,7 @@ impl Folder<'_> {
             for value in self.capture.histogram(pair) {
                 if !value.is_finite() {
                     return Err(
-                        "was made of a capture that holds values which are no finite numbers; mend it first".to_owned()
+                        "was made of a capture that holds values which are no finite numbers; fix it first".to_owned()
                     );
                 }
                 whole &= value.fract() == 0.0 && (0.0..=f64::from(i32::MAX)).contains(&value);
@@ -296,7 +296,7 @@ impl Folder<'_> {
         line(format!("\n[[captures]]\nrole = \"scene\"\ntable = \"{TABLE}\"\n{scale}"));
         let fwhm_ps = options.fwhm_ps;
         line(format!(
-            "\n# The response is not of the capture: a Gaussian of {fwhm_ps} ps full width at half maximum, as it was told."
+            "\n# The response is not of the capture: a Gaussian of {fwhm_ps} ps full width at half maximum, as given."
         ));
         line(format!(
             "[[captures]]\nrole = \"response\"\ntable = \"{RESPONSE_TABLE}\"\npath_m = {RESPONSE_PATH_M:?}\n{scale}"

@@ -170,7 +170,7 @@ impl Exposures<'_> {
     }
 
     fn campaign(&self, name: &str) -> Result<Campaign, HistoryError> {
-        let mend = "say where it is with --campaign DIR";
+        let advice = "say where it is with --campaign DIR";
         if !self.campaigns.is_empty() {
             for folder in self.campaigns {
                 let campaign = Campaign::load(folder)?;
@@ -178,16 +178,16 @@ impl Exposures<'_> {
                     return Ok(campaign);
                 }
             }
-            return Err(HistoryError::Refused(format!("none of the campaigns given is named `{name}`; {mend}")));
+            return Err(HistoryError::Refused(format!("none of the campaigns given is named `{name}`; {advice}")));
         }
         let runs = self.shelf.runs()?;
         let folder = runs.iter().rev().find_map(|run| run.campaigns.get(name));
         let folder: &Path = folder
-            .ok_or_else(|| HistoryError::Refused(format!("no run record says where campaign `{name}` is; {mend}")))?;
+            .ok_or_else(|| HistoryError::Refused(format!("no run record says where campaign `{name}` is; {advice}")))?;
         if !folder.is_dir() {
             let folder = folder.display();
             return Err(HistoryError::Refused(format!(
-                "the folder of campaign `{name}`, {folder}, is not there; {mend}"
+                "the folder of campaign `{name}`, {folder}, is not there; {advice}"
             )));
         }
         Ok(Campaign::load(folder)?)

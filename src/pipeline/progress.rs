@@ -155,8 +155,8 @@ impl Progress {
         let elapsed = pass.started.elapsed();
         let read = self.read.load(Ordering::Relaxed);
         let set_aside = self.set_aside.load(Ordering::Relaxed);
-        let aside = if set_aside > 0 { format!(", {set_aside} set aside") } else { String::new() };
-        let said = format!("{} in {:.2} s{aside}", pass.amount.text(read as f64), elapsed.as_secs_f64());
+        let aside = if set_aside > 0 { format!(", {set_aside} rejected") } else { String::new() };
+        let summary = format!("{} in {:.2} s{aside}", pass.amount.text(read as f64), elapsed.as_secs_f64());
         match self.style {
             Style::Json => {
                 let mut done = json_line("done", &pass, read, elapsed);
@@ -166,10 +166,10 @@ impl Progress {
             }
             Style::Bar => {
                 pass.bar.iter().for_each(ProgressBar::finish_and_clear);
-                eprintln!("{}: {said}", pass.tables.join(", "));
+                eprintln!("{}: {summary}", pass.tables.join(", "));
             }
             // A line for slow passes: who reads a log wants to know what took long.
-            Style::Lines if elapsed >= LINE_FIRST || set_aside > 0 => eprintln!("  {said}"),
+            Style::Lines if elapsed >= LINE_FIRST || set_aside > 0 => eprintln!("  {summary}"),
             Style::Lines | Style::Silent => {}
         }
     }

@@ -47,8 +47,8 @@ impl FromStr for MaxRejects {
 /// The run rejected more than it may.
 #[derive(Debug, Error)]
 #[error(
-    "{count} of {records} records were set aside, and --max-rejects allows {most}; {alike} of them alike: {example}. {rejects} lists all. \
-     Mend that, or allow more: what is finished is kept"
+    "{count} of {records} records were rejected, and --max-rejects allows {most}; {alike} of them alike: {example}. {rejects} lists all. \
+     Fix that, or allow more: what is finished is kept"
 )]
 pub struct TooMany {
     /// Rejected rows so far.

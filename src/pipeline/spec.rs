@@ -244,7 +244,7 @@ fn heading_fault(message: &str) -> String {
 fn check_name(name: &str) -> Result<(), String> {
     let plain = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
     match name {
-        "rejects" => Err("`rejects` is the table of what every stage set aside; choose another heading".to_owned()),
+        "rejects" => Err("`rejects` is the table of what every stage rejected; choose another heading".to_owned()),
         _ if plain && !name.is_empty() => Ok(()),
         _ => Err("a heading becomes a folder: letters, digits, `_` and `-` only".to_owned()),
     }

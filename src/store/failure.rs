@@ -89,7 +89,7 @@ fn absent(out: &Path) -> String {
     let names: Vec<String> =
         results.iter().map(|path| path.strip_prefix("./").unwrap_or(path).display().to_string()).collect();
     let hint =
-        if names.is_empty() { String::new() } else { format!("; beside it are results in {}", names.join(", ")) };
+        if names.is_empty() { String::new() } else { format!("; next to it are results in {}", names.join(", ")) };
     let what = if out.exists() { "is no result folder: it has no .shelf" } else { "does not exist" };
     format!("{} {what}; `periscope run ... --out DIR` makes a result folder{hint}", out.display())
 }

@@ -1,4 +1,4 @@
-//! The life of a run: killed, interrupted, two at once, too much set aside, pruned. `benches/reliability.rs` does the same at length for docs/reliability.md.
+//! The life of a run: killed, interrupted, two at once, too much rejected, pruned. `benches/reliability.rs` does the same at length for docs/reliability.md.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -174,7 +174,7 @@ fn a_run_that_goes_wrong_everywhere_is_stopped_and_says_by_what() {
         let error = run(limit, out).unwrap_err();
         assert!(matches!(&error, RunError::Rejects(_)), "{error}");
         let text = chain(error);
-        assert!(text.contains("3 of 17 records were set aside") && text.contains("3 of them alike"), "{text}");
+        assert!(text.contains("3 of 17 records were rejected") && text.contains("3 of them alike"), "{text}");
         assert!(text.contains("raw/scene/s1_L") && text.contains("copy it from the instrument again"), "{text}");
         assert!(!lab.path(out).join("patches").exists() && lab.path(out).join("rejects").exists());
     }

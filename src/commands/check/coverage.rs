@@ -49,15 +49,15 @@ pub fn fill(
 }
 
 fn captures(report: &mut Report, survey: &Survey) {
-    type Found<'a> = (BTreeSet<(Option<i32>, Option<i32>, Option<&'a str>)>, usize);
-    let mut found: BTreeMap<(Role, String), Found<'_>> = BTreeMap::new();
+    type Count<'a> = (BTreeSet<(Option<i32>, Option<i32>, Option<&'a str>)>, usize);
+    let mut counts: BTreeMap<(Role, String), Count<'_>> = BTreeMap::new();
     for exposure in &survey.exposures {
         let key = (exposure.role, exposure.sensor.clone().unwrap_or_default());
-        let (captures, files) = found.entry(key).or_default();
+        let (captures, files) = counts.entry(key).or_default();
         captures.insert((exposure.lit, exposure.seen, exposure.run.as_deref()));
         *files += 1;
     }
-    report.captures = found
+    report.captures = counts
         .into_iter()
         .map(|((role, sensor), (captures, files))| Captures {
             role: role.name().to_owned(),

@@ -24,7 +24,7 @@ pub fn fill(
     report.set_aside = rejects.into_iter().map(|(file, reason)| SetAside { file, reason }).collect();
     if !report.set_aside.is_empty() {
         report.mend.push(format!(
-            "{} files or captures were set aside; a file that is still being written will be read at the next check",
+            "{} files or captures were rejected; a file that is still being written will be read at the next check",
             report.set_aside.len()
         ));
     }

@@ -11,8 +11,8 @@ const NAMED: usize = 10;
 pub fn text(report: &Report) -> String {
     let mut text = format!("campaign {}\n", report.campaign);
     let mut line = |line: String| writeln!(text, "{line}").expect("a String takes all text");
-    for found in &report.captures {
-        line(format!("  {:9} {:8} {:>6} captures in {} files", found.role, found.sensor, found.count, found.files));
+    for entry in &report.captures {
+        line(format!("  {:9} {:8} {:>6} captures in {} files", entry.role, entry.sensor, entry.count, entry.files));
     }
     if report.captures.is_empty() {
         line("  no rule matches any file".to_owned());
@@ -26,7 +26,7 @@ pub fn text(report: &Report) -> String {
         ("files that no rule matches", &report.unmatched),
         ("patterns and rows that match nothing", &report.empty),
         ("files without their reference", &report.missing_references),
-        ("set aside", &set_aside),
+        ("rejected", &set_aside),
     ] {
         if !items.is_empty() {
             line(format!("\n{} {what}", items.len()));
@@ -36,8 +36,8 @@ pub fn text(report: &Report) -> String {
             line(format!("  and {} more", items.len() - NAMED));
         }
     }
-    for found in &report.sensors {
-        sensor(found).into_iter().for_each(&mut line);
+    for entry in &report.sensors {
+        sensor(entry).into_iter().for_each(&mut line);
     }
     if report.mend.is_empty() {
         line("\nall is well".to_owned());
@@ -48,36 +48,36 @@ pub fn text(report: &Report) -> String {
     text
 }
 
-fn sensor(found: &Sensor) -> Vec<String> {
-    let mut lines = vec![format!("\nsensor {}", found.name)];
+fn sensor(entry: &Sensor) -> Vec<String> {
+    let mut lines = vec![format!("\nsensor {}", entry.name)];
     for (what, pairs) in
-        [("missing pairs", &found.missing_pairs), ("missing reciprocal pairs", &found.missing_reciprocals)]
+        [("missing pairs", &entry.missing_pairs), ("missing reciprocal pairs", &entry.missing_reciprocals)]
     {
         if !pairs.is_empty() {
             lines.push(format!("  {what:24} {}: {}", pairs.len(), listed(pairs)));
         }
     }
-    if let Some([least, middle, most]) = found.shots {
+    if let Some([least, middle, most]) = entry.shots {
         lines.push(format!("  {:24} {least} / {middle} / {most} (least, median, most)", "shots a capture"));
     }
-    if !found.fewer_shots.is_empty() {
-        let pairs: Vec<Pair> = found.fewer_shots.iter().map(|(pair, _)| *pair).collect();
+    if !entry.fewer_shots.is_empty() {
+        let pairs: Vec<Pair> = entry.fewer_shots.iter().map(|(pair, _)| *pair).collect();
         lines.push(format!("  {:24} {}: {}", "fewer shots than others", pairs.len(), listed(&pairs)));
     }
-    if let Some(share) = found.clipped_share {
+    if let Some(share) = entry.clipped_share {
         lines.push(format!("  {:24} {:.2} % of shots", "clipped", 100.0 * share));
     }
-    if let Some(median) = found.snr_median {
+    if let Some(median) = entry.snr_median {
         let faintest: Vec<String> =
-            found.faintest.iter().map(|(Pair { lit, seen }, snr)| format!("({lit}, {seen}) {snr:.1}")).collect();
+            entry.faintest.iter().map(|(Pair { lit, seen }, snr)| format!("({lit}, {seen}) {snr:.1}")).collect();
         lines.push(format!("  {:24} {median:.1} in the median; faintest {}", "signal to noise", faintest.join(", ")));
     }
-    checks(found, &mut lines);
+    checks(entry, &mut lines);
     lines
 }
 
-fn checks(found: &Sensor, lines: &mut Vec<String>) {
-    for row in found.checks.iter().filter(|row| row.verdict != "missing") {
+fn checks(entry: &Sensor, lines: &mut Vec<String>) {
+    for row in entry.checks.iter().filter(|row| row.verdict != "missing") {
         let value = row.value.map_or("-".to_owned(), short);
         let sd = row.sd.map_or(String::new(), |sd| format!(" +- {}", short(sd)));
         let good = row.expected.map_or(String::new(), |expected| {
@@ -88,7 +88,7 @@ fn checks(found: &Sensor, lines: &mut Vec<String>) {
         lines.push(format!("  {:24} {:5} {value}{sd} {}{good}", row.check, row.verdict, row.unit));
     }
     let missing: Vec<&str> =
-        found.checks.iter().filter(|row| row.verdict == "missing").map(|row| row.check.as_str()).collect();
+        entry.checks.iter().filter(|row| row.verdict == "missing").map(|row| row.check.as_str()).collect();
     if !missing.is_empty() {
         lines.push(format!(
             "  {:24} {}; pipelines/characterize.toml says what to capture",

@@ -331,9 +331,9 @@ pub const MISTAKES: &[Mistake] = &[
         "24 valid shots of the 100",
     ),
     // Results.
-    Mistake(&[], "tables reslts", "reslts does not exist", "beside it are results in results"),
+    Mistake(&[], "tables reslts", "reslts does not exist", "next to it are results in results"),
     Mistake(&[], "tables campaign", "campaign is no result folder", "`periscope run ... --out DIR`"),
-    Mistake(&[], "diff results reslts", "reslts does not exist", "beside it are results in results"),
+    Mistake(&[], "diff results reslts", "reslts does not exist", "next to it are results in results"),
     Mistake(&[], "explain results patch=99", "`patches` has no patch 99", "it has 1, 2, 3, 4"),
     Mistake(&[], "explain results pach=3", "pach=3", "did you mean `patch`?"),
     Mistake(&[], "explain results patch=3 --table patchs", "--table", "did you mean `patches`?"),
