@@ -1,6 +1,7 @@
 //! Study: positions over many seeds against the Cramer-Rao bound. Prints the tables of docs/accuracy.md.
 //!
-//! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone).
+//! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for
+//! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone).
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]

@@ -1,6 +1,8 @@
-//! Study: hidden patches too weak for an onset in any single profile. Prints the tables of docs/accuracy.md, "Too weak for an onset".
+//! Study: hidden patches too weak for an onset in any single profile. Prints the tables of docs/accuracy.md, "Too weak
+//! for an onset".
 //!
-//! `cargo bench --bench faint` for all, `cargo bench --bench faint -- power 100` or `-- none 300` for so many scenes of one, `-- power 100 1.5` for one signal-to-noise ratio.
+//! `cargo bench --bench faint` for all, `cargo bench --bench faint -- power 100` or `-- none 300` for so many scenes of
+//! one, `-- power 100 1.5` for one signal-to-noise ratio.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/faint.rs"]

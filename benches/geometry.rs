@@ -1,7 +1,9 @@
-//! Study: coordinates from path lengths, every method against the Cramer-Rao bound. Prints the tables of docs/geometry.md.
+//! Study: coordinates from path lengths, every method against the Cramer-Rao bound. Prints the tables of
+//! docs/geometry.md.
 //!
-//! `cargo bench --bench geometry` for all, `cargo bench --bench geometry -- methods` for one of methods, missing, separate, thirds, scale,
-//! chi-square; a number sets the scenes. PERISCOPE_PYTHON names a python with scikit-learn for its row.
+//! `cargo bench --bench geometry` for all, `cargo bench --bench geometry -- methods` for one of methods, missing,
+//! separate, thirds, scale, chi-square; a number sets the scenes. PERISCOPE_PYTHON names a python with scikit-learn for
+//! its row.
 
 #[path = "geometry/mod.rs"]
 mod geometry;

@@ -1,7 +1,8 @@
 //! Study: how the time of the larger estimations grows with their size. Prints the tables of docs/growth.md.
 //!
-//! `cargo bench --bench growth` for all, `cargo bench --bench growth -- sparse` for one of sparse, label, search, near, scattered, all-pairs; numbers
-//! replace its sizes. One thread; each time is processor time, the median of three rounds.
+//! `cargo bench --bench growth` for all, `cargo bench --bench growth -- sparse` for one of sparse, label, search, near,
+//! scattered, all-pairs; numbers replace its sizes. One thread; each time is processor time, the median of three
+//! rounds.
 
 #[path = "growth/mod.rs"]
 mod growth;

@@ -1,4 +1,5 @@
-//! Study: how often a good instrument fails `characterize`, and how often a faulty one is found out. Prints the tables of docs/instrument-checks.md.
+//! Study: how often a good instrument fails `characterize`, and how often a faulty one is detected. Prints the tables
+//! of docs/instrument-checks.md.
 //!
 //! `cargo bench --bench instrument_checks` (300 seeds), `cargo bench --bench instrument_checks -- 20` for fewer.
 

@@ -1,4 +1,5 @@
-//! Kernels on the hot path, each beside a reference in the same run: the ratio is what counts. `cargo bench --bench kernels`.
+//! Kernels on the hot path, each with a reference in the same run: only the ratio counts. `cargo bench --bench
+//! kernels`.
 
 use std::hint::black_box;
 use std::sync::Arc;
@@ -78,7 +79,8 @@ fn deconvolve(c: &mut Criterion) {
     group.finish();
 }
 
-/// Sparse deconvolution of two pulses half a width apart; reference: one pass of the matched filter's sums over the record.
+/// Sparse deconvolution of two pulses half a width apart; reference: one pass of the matched filter's sums over the
+/// record.
 fn sparse_fit(c: &mut Criterion) {
     let mut group = c.benchmark_group("sparse, 400 samples, two pulses");
     let response = pulse();
@@ -106,8 +108,8 @@ fn sparse_fit(c: &mut Criterion) {
     group.finish();
 }
 
-/// Codes of 4096 shots (16 MiB; 12 bits, noise of 6 codes) written as a table, and read back with their digest; in one thread. Reference: the same bytes written
-/// to a file, or read from it.
+/// Codes of 4096 shots (16 MiB; 12 bits, noise of 6 codes) written as a table, and read back with their digest; in one
+/// thread. Reference: the same bytes written to a file, or read from it.
 fn table_of_codes(c: &mut Criterion) {
     const SHOTS: usize = 4096;
     let clean: Vec<i16> =

@@ -1,6 +1,8 @@
-//! Makes large tables `onsets` and `labels` as stages leave them, for benches/large_tables.py, and counts what a look-up of one capture touches.
+//! Makes large tables `onsets` and `labels` like those of stages, for benches/large_tables.py, and counts the row
+//! groups that a look-up of one capture reads.
 //!
-//! `cargo bench --bench large_tables -- make OUT ROWS PARTS`, `cargo bench --bench large_tables -- touched OUT LIT SEEN`.
+//! `cargo bench --bench large_tables -- make OUT ROWS PARTS`, `cargo bench --bench large_tables -- touched OUT LIT
+//! SEEN`.
 
 use std::collections::BTreeMap;
 use std::fs::File;

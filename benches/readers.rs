@@ -1,6 +1,7 @@
-//! How fast files are read from the page cache, for `benches/readers.py`, which sets it beside Python readers in the same minute:
-//! `readers codes|volts FILE ROUNDS` prints the best time of so many rounds in seconds. `codes`: what `ingest` takes on, raw codes
-//! in pieces; `volts`: every sample as f64 volts, as the Python readers give it, a piece at a time.
+//! How fast files are read from the page cache, for `benches/readers.py`, which sets it beside Python readers in the
+//! same minute: `readers codes|volts FILE ROUNDS` prints the best time of so many rounds in seconds. `codes`: what
+//! `ingest` takes on, raw codes in pieces; `volts`: every sample as f64 volts, as the Python readers give it, a piece
+//! at a time.
 
 use std::hint::black_box;
 use std::path::Path;

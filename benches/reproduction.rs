@@ -1,7 +1,9 @@
-//! Study: the paper's experiments from scope files, against what the paper prints. Prints the tables of docs/reproduction.md, and draws its figures.
+//! Study: the paper's experiments from scope files, against what the paper prints. Prints the tables of
+//! docs/reproduction.md, and draws its figures.
 //!
-//! `cargo bench --bench reproduction -- hidden-plane 8`, `-- mirror 40`, `-- barcode errors 40`: so many campaigns of one experiment; of the last one part of errors, moved, gap, figure, and of these the rows
-//! of one response: `-- barcode gap E 300`.
+//! `cargo bench --bench reproduction -- hidden-plane 8`, `-- mirror 40`, `-- barcode errors 40`: so many campaigns of
+//! one experiment; of the last one part of errors, moved, gap, figure, and of these the rows of one response: `--
+//! barcode gap E 300`.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/barcode.rs"]

@@ -1,9 +1,9 @@
-//! Study: how well pulses are timed and told apart by the kernels of `signal`, against bounds from formulas. Prints the tables of
+//! Study: how well the kernels of `signal` time and resolve pulses, against bounds from formulas. Prints the tables of
 //! docs/time-resolution.md.
 //!
-//! `cargo bench --bench resolution`, `cargo bench --bench resolution -- quick` for a tenth of the draws; a letter runs one table. With
-//! `PERISCOPE_PYTHON`, a Python that has SciPy, its NNLS is timed on the same records (benches/nnls.py), which are written to a temporary
-//! folder, or to that of `PERISCOPE_BENCH_FOLDER`.
+//! `cargo bench --bench resolution`, `cargo bench --bench resolution -- quick` for a tenth of the draws; a letter runs
+//! one table. With `PERISCOPE_PYTHON`, a Python that has SciPy, its NNLS is timed on the same records
+//! (benches/nnls.py), which are written to a temporary folder, or to that of `PERISCOPE_BENCH_FOLDER`.
 
 #[path = "resolution/mod.rs"]
 mod resolution;

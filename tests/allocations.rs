@@ -1,6 +1,7 @@
-//! Allocations on the hot path, counted: whole runs of pipelines/average.toml over campaigns that differ in exposures alone, and in captures alone,
-//! so that the difference is what an exposure, and what a capture, costs. `cargo test --release --test allocations -- --nocapture` prints the
-//! counts; docs/counts.md says how to find who allocates. A binary of its own: the counting allocator sees all threads of its process.
+//! Allocations on the hot path, counted: whole runs of pipelines/average.toml over campaigns that differ in exposures
+//! alone, and in captures alone, so that the difference is what an exposure, and what a capture, costs. `cargo test
+//! --release --test allocations -- --nocapture` prints the counts; docs/counts.md says how to find who allocates. A
+//! binary of its own: the counting allocator sees all threads of its process.
 
 use std::alloc::System;
 use std::fs;
@@ -19,7 +20,8 @@ use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 #[global_allocator]
 static COUNTED: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
-/// Allocations, growth of one included, that one exposure more may cost: those of its batch, shared by all exposures of the batch.
+/// Most allocations, reallocations included, per additional exposure: those of its batch, which all its exposures
+/// share.
 const EXPOSURE_MAX: f64 = 0.5;
 /// The same of one capture more.
 const CAPTURE_MAX: f64 = 1200.0;
@@ -29,7 +31,8 @@ const SAMPLES: usize = 2048;
 const CAMPAIGN: &str = "[campaign]\nname = 'counted'\n[sensors.s1]\n[[captures]]\nrole = 'scene'\nfiles = 'raw/L{lit}_P{seen}.npy'\nsegments = 'shot'\n\
     dt_ps = 50.0\nt0_ps = 0.0\ngain_v = 0.001\noffset_v = 0.0\n";
 
-/// Codes of one shot: a pulse and some noise. Shots repeat, so that more of them have the same mean and spread, and take the same way through the stages.
+/// Codes of one shot: a pulse and some noise. Shots repeat, so that any number of them has the same mean and spread,
+/// and takes the same path through the stages.
 fn shot(n: usize) -> impl Iterator<Item = i16> {
     let mut state = n as u32 % 50 + 1;
     (0..SAMPLES).map(move |i| {

@@ -10,7 +10,8 @@ use rand_chacha::ChaCha8Rng;
 use super::measured::normal;
 use super::room::Way;
 
-/// Lengths of `ways` with noise of sds `sds_m` and a delay common to all, drawn from a prior of `delay_sd_m`; and that delay.
+/// Lengths of `ways` with noise of standard deviations `sds_m` and a common delay from a prior of `delay_sd_m`; and
+/// that delay.
 pub fn measured(
     truth: &[Point],
     stations: &[Point],

@@ -12,7 +12,8 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::room;
 
-/// Path lengths of a scene with noise, a delay, and pairs missing. A second bounce is the mean of both ways around, the lit and the seen patch swapped.
+/// Path lengths of a scene with noise, a delay, and missing pairs. A second bounce is the mean of both directions, with
+/// lit and seen patch exchanged.
 pub struct Measured {
     pub pairs: Vec<(usize, usize)>,
     first: Vec<Length>,

@@ -62,7 +62,8 @@ fn rms_m(found: &[Point], truth: &[Point]) -> f64 {
     (squares / truth.len() as f64).sqrt()
 }
 
-/// Root of the mean squared distance after the best turn about the x axis, with or without a mirror image in a plane through it.
+/// Root mean square distance after the best rotation about the x axis, with or without a mirror image in a plane
+/// through it.
 fn rms_about_x_m(found: &[Point], truth: &[Point]) -> f64 {
     let after = |sign: f64| {
         let both = || found.iter().zip(truth).map(|(f, t)| (Vector3::new(f.x, sign * f.y, f.z), t));

@@ -10,7 +10,8 @@ const ROUND_S: f64 = 0.3;
 const ROUNDS: usize = 3;
 const LONG_S: f64 = 20.0;
 
-/// Processor time of this thread, which other work on the machine does not count in; time passed where the system does not tell.
+/// Processor time of this thread, which excludes other work on the machine; elapsed time if the system does not give
+/// it.
 fn processor_s() -> f64 {
     static BEGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
     let text = fs::read_to_string("/proc/thread-self/schedstat").ok();
@@ -42,7 +43,8 @@ impl Curve {
         format!("{:.4}, {median_s:.4}, {:.4}", rounds_s[0], rounds_s[rounds_s.len() - 1])
     }
 
-    /// Prints the power, for sizes from `least` to `most`, by least squares on logarithms, with the standard error that the scatter about the line gives.
+    /// Prints the exponent, for sizes from `least` to `most`: least squares on logarithms, with the standard error from
+    /// the scatter about the line.
     pub fn print(&self, least: usize, most: usize) {
         let among = (least as f64).ln() - 1e-9..(most as f64).ln() + 1e-9;
         let points: Vec<[f64; 2]> = self.points.iter().copied().filter(|[x, _]| among.contains(x)).collect();

@@ -1,5 +1,5 @@
-//! Faults of disks, files and permissions: each must end in a message, and leave a folder into which the next run gives the bytes of a run that nobody
-//! disturbed.
+//! Faults of disks, files and permissions: each must end in a message, and leave a folder into which the next run gives
+//! the bytes of a run that nobody disturbed.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -128,7 +128,8 @@ impl Bench {
         self.row_of("no file beyond 150 kB", &shell.output().unwrap(), "out");
     }
 
-    /// Files that the user may not read, and a folder that he may not write. Root may everything, so the program runs as nobody.
+    /// Files that the user may not read, and a folder that he may not write. Root may do everything, so the program
+    /// runs as user `nobody`.
     fn no_permission(&self) {
         let nobody = |out: &str| {
             let mut command = Command::new("setpriv");

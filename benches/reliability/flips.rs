@@ -1,4 +1,5 @@
-//! Flipped bits: one bit of one file at a time, in a result folder and in raw files. Who finds it, and does anybody get wrong numbers?
+//! Flipped bits: one bit of one file at a time, in a result folder and in raw files. Which command notices it, and does
+//! any give wrong numbers?
 //!
 //! `-- flips 500 200`: so many flips in a result folder, so many in raw files.
 
@@ -24,7 +25,8 @@ use crate::score::Rate;
 const SCENE: &str = include_str!("../../pipelines/scenes/around-the-corner.toml");
 const PIPELINE: &str = include_str!("../../pipelines/around-the-corner.toml");
 
-/// Kinds of files, and how many of 500 flips go to each. Within a kind every file has the same chance, and within a file every bit.
+/// Kinds of files, and how many of 500 flips go to each. Within a kind every file has the same chance, and within a
+/// file every bit.
 const KINDS: [(&str, usize); 7] = [
     ("table `traces`", 100),
     ("other tables", 200),
@@ -77,7 +79,8 @@ fn copy(from: &Path, to: &Path) {
     assert!(Command::new("cp").arg("-a").arg(from).arg(to).status().unwrap().success());
 }
 
-/// Files with anything in them, by path; the views' links to parts are those parts. A lock says who held the folder last, and nobody believes it.
+/// Non-empty files, by path; the views' links to parts count as those parts. Locks are left out: their text has no
+/// meaning.
 fn files(folder: &Path) -> BTreeMap<String, u64> {
     let mut files = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];

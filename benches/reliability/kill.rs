@@ -1,5 +1,5 @@
-//! Killed at any moment: the program ends by SIGKILL somewhere in a run, the same command goes on, and what comes out is compared with a run that nobody
-//! disturbed.
+//! Killed at any moment: the program ends by SIGKILL somewhere in a run, the same command goes on, and what comes out
+//! is compared with a run that nobody disturbed.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,7 +23,8 @@ struct Row {
     left_over: usize,
 }
 
-/// `kill N`: N runs killed once, and a tenth as many killed again and again until they are through. Each kill is told on standard error.
+/// `kill N`: N runs are killed once, and a tenth as many again and again until they finish. Each kill is reported on
+/// standard error.
 pub fn study(numbers: &[usize]) {
     let kills = numbers.first().copied().unwrap_or(200);
     let lab = ManyParts::new();

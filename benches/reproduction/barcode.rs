@@ -1,4 +1,5 @@
-//! The 1-0-1 barcode around the corner: strips out of the sum of their pulses, beside the paper's protocol and the bound.
+//! The 1-0-1 barcode around the corner: strips out of the sum of their pulses, beside the paper's protocol and the
+//! bound.
 
 use periscope::campaign::Role;
 

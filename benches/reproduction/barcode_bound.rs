@@ -1,5 +1,7 @@
-//! The Cramer-Rao bound of a barcode's strips: what the profiles' samples say of pulse times (`bound::profile`), carried over to places by numerical derivatives. Shares no code with
-//! the estimator. Given is the response's width; unknown are strips, diffuser points, delays, and how the mirrors are turned, which moves the centroid of their light.
+//! The Cramer-Rao bound of a barcode's strips: what the profiles' samples say of pulse times (`bound::profile`),
+//! carried over to places by numerical derivatives. Shares no code with the estimator. Given is the response's width;
+//! unknown are strips, diffuser points, delays, and how the mirrors are turned, which moves the centroid of their
+//! light.
 
 use nalgebra::{DMatrix, DVector, Vector2};
 use periscope::bound::profile::ProfileBound;
@@ -31,7 +33,8 @@ pub fn bound_m(barcode: &Barcode) -> [f64; 2] {
         turned.turned_rad[strip] += STEP_RAD;
         profiles(&turned).1
     });
-    // Strips, lit points, exits (two coordinates each), then the delays of both sensors, as lengths, then the mirrors' normals, rad.
+    // Strips, lit points, exits (two coordinates each), then the delays of both sensors, as lengths, then the mirrors'
+    // normals, rad.
     let points: Vec<i32> = STRIPS.into_iter().chain(barcode.lit_numbers()).chain([4, 3]).collect();
     let truth: Vec<f64> =
         points.iter().flat_map(|patch| scene.patches[patch].position_m[..2].to_vec()).chain([0.0; 4]).collect();
@@ -96,8 +99,9 @@ fn middle_later_ps(barcode: &Barcode, lit: i32, strip: usize, group_index: f64) 
     units::time_ps(way_m(middle) - way_m(barcode.strips[strip]), group_index)
 }
 
-/// Bound of the standard deviation of what stands in the middle, over the weaker strip's light, in all profiles together: that of the exit over which it shows less. Unknown are times
-/// and amplitudes of both strips' pulses and a constant. That the times follow from four coordinates does not help: coordinates can follow the times.
+/// Bound of the standard deviation of what stands in the middle, over the weaker strip's light, in all profiles
+/// together: that of the exit over which it shows less. Unknown are times and amplitudes of both strips' pulses and a
+/// constant. That the times follow from four coordinates does not help: coordinates can follow the times.
 pub fn share_bound(barcode: &Barcode) -> f64 {
     let scene = barcode.parsed();
     let laboratory = barcode.laboratory(&scene, 0);

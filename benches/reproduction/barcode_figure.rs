@@ -1,4 +1,5 @@
-//! Figure like the paper's 8(c), bottom: the room, the rays of both scans, true and found strips with their error ellipses.
+//! Figure like the paper's 8(c), bottom: the room, the rays of both scans, true and found strips with their error
+//! ellipses.
 
 use std::f64::consts::TAU;
 use std::path::Path;

@@ -23,7 +23,7 @@ pub struct Coverage {
     pub within: [Rate; 4],
 }
 
-/// Coverage of pulses of height 1, the later ones `apart_ps` after the one before, by what `estimate` makes of their samples.
+/// Coverage for pulses of height 1, each `apart_ps` after the previous one, by what `estimate` makes of their samples.
 fn measure(
     label: &str,
     (pulses, apart_ps): (usize, f64),

@@ -8,8 +8,8 @@ use super::shape::Shape;
 /// Drop of chi2 that a threshold of 20 passes in 99 % of draws: `(sqrt(20) + 2.326)^2`.
 const DROP_99: f64 = 46.0;
 
-/// Cramer-Rao bound of the standard deviations of the times of `pulses` (time, amplitude) in white noise of `sd`; unknown besides are amplitudes and baseline.
-/// Infinite where pulses cannot be told apart to working precision.
+/// Cramer-Rao bound of the standard deviations of the times of `pulses` (time, amplitude) in white noise of `sd`;
+/// amplitudes and baseline are unknown too. Infinite where pulses cannot be told apart to working precision.
 pub fn time_sds_ps(shape: &Shape, pulses: &[(f64, f64)], sd: f64, len: usize) -> Vec<f64> {
     time_sds_weighted_ps(shape, pulses, &vec![1.0 / (sd * sd); len])
 }
@@ -23,8 +23,9 @@ pub fn time_sds_weighted_ps(shape: &Shape, pulses: &[(f64, f64)], weights: &[f64
     (0..pulses.len()).map(|k| inverse.as_ref().map_or(f64::INFINITY, |inverse| inverse[(k, k)].sqrt())).collect()
 }
 
-/// Distance of two equal pulses of height 1 that are told from one in 99 % of draws in noise of `1 / snr`. Two differ from one twice as high by
-/// `d^2 / 4 h''`, less what a shift, another height and a baseline can imitate of it: the drop of chi2 grows with the fourth power of the distance.
+/// Distance of two equal pulses of height 1 that are told from one in 99 % of draws in noise of `1 / snr`. Two differ
+/// from one twice as high by `d^2 / 4 h''`, less what a shift, another height and a baseline can imitate of it: the
+/// drop of chi2 grows with the fourth power of the distance.
 pub fn resolution_limit_ps(shape: &Shape, snr: f64) -> f64 {
     const PHASES: usize = 10;
     let energy = |phase: usize| {

@@ -11,7 +11,8 @@ use super::shape::Sensor;
 
 /// Samples: twelve pulses at the widest spacing, and room on both sides.
 const LEN: usize = 600;
-/// A pulse whose bound is below this part of the way to its next neighbour can be told from it: of two equal ones, 1.35 limits apart.
+/// A pulse is resolved from its next neighbour if its bound is below this fraction of their distance: for two equal
+/// pulses, 1.35 limits apart.
 const DISTINCT: f64 = 1.0 / 6.0;
 
 /// One draw.
@@ -45,7 +46,8 @@ fn room_ps(truth: &[(f64, f64)], i: usize) -> f64 {
     others.map(|(_, (at, _))| (at - truth[i].0).abs()).fold(f64::INFINITY, f64::min)
 }
 
-/// Places in the truth, and errors, of the pulses that are matched: the nearest first, each once, no farther off than half the way to the next neighbour.
+/// Indices of the truth, and errors, of matched pulses: the nearest first, each once, at most half the distance to the
+/// next neighbour away.
 fn matches(truth: &[(f64, f64)], found_ps: &[f64]) -> Vec<(usize, f64)> {
     let mut pairs: Vec<(usize, usize, f64)> = (0..truth.len())
         .flat_map(|i| found_ps.iter().enumerate().map(move |(j, at)| (i, j, at - truth[i].0)))

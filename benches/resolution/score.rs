@@ -77,7 +77,8 @@ impl Estimate {
         Self::rms(&values.iter().map(|v| (v - mean).powi(2)).collect::<Vec<_>>())
     }
 
-    /// Slope of the points `(x, y)`; its interval allows for a spread of y that depends on x (White, Econometrica 48, 817 (1980)).
+    /// Slope of the points `(x, y)`; its interval allows for a spread of y that depends on x (White, Econometrica 48,
+    /// 817 (1980)).
     pub fn slope(points: &[(f64, f64)]) -> Self {
         let n = points.len() as f64;
         let (x0, y0) = points.iter().fold((0.0, 0.0), |(x0, y0), (x, y)| (x0 + x / n, y0 + y / n));

@@ -1,7 +1,8 @@
 //! Responses by formula: sums of exponentially modified Gaussians, with their derivatives.
 //!
-//! Everything that the study draws is made of them: both sensors, light spread by a patch, and sensors that are not what the estimator was told
-//! (too wide, with an echo, with a tail). The estimator sees them only as fine-gridded values ([`Shape::response`]).
+//! Everything that the study draws is made of them: both sensors, light spread by a patch, and sensors that are not
+//! what the estimator was told (too wide, with an echo, with a tail). The estimator sees them only as fine-gridded
+//! values ([`Shape::response`]).
 
 use std::f64::consts::{PI, SQRT_2, TAU};
 
@@ -153,7 +154,8 @@ impl Part {
     }
 }
 
-/// Complementary error function: series of positive terms below 2, continued fraction above (Abramowitz and Stegun, 7.1.6 and 7.1.14).
+/// Complementary error function: series of positive terms below 2, continued fraction above (Abramowitz and Stegun,
+/// 7.1.6 and 7.1.14).
 pub fn erfc(x: f64) -> f64 {
     if x < 0.0 {
         return 2.0 - erfc(-x);

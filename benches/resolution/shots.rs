@@ -1,7 +1,7 @@
 //! Averages of shots, with the noise that the shots' own beginnings tell.
 //!
-//! The noise is white behind a single pole of 3 GHz; its standard deviation and autocorrelation are estimated from the samples before the light, as the pipeline
-//! does. Not drawn: jitter of the trigger, quantisation.
+//! The noise is white behind a single pole of 3 GHz; its standard deviation and autocorrelation are estimated from the
+//! samples before the light, as the pipeline does. Not drawn: jitter of the trigger, quantisation.
 
 use periscope::signal::noise;
 use periscope::signal::response::Response;

@@ -53,7 +53,8 @@ fn seconds(records: &[Record], solve: impl Fn(&[f64])) -> f64 {
     records.iter().map(timed).sum::<f64>() / records.len() as f64
 }
 
-/// Seconds a record of SciPy's NNLS on the stretch with light, and on the whole record, by file name. `None` without SciPy.
+/// Seconds per record of SciPy's NNLS on the range with signal, and on the whole record, by file name. `None` without
+/// SciPy.
 fn peer(folder: &Path) -> Option<BTreeMap<String, [f64; 2]>> {
     let python = std::env::var("PERISCOPE_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/nnls.py");

@@ -1,4 +1,5 @@
-//! The whole chain against the Cramer-Rao bound; `benches/accuracy.rs` runs it over hundreds of seeds for docs/accuracy.md.
+//! The whole chain against the Cramer-Rao bound; `benches/accuracy.rs` runs it over hundreds of seeds for
+//! docs/accuracy.md.
 
 use std::path::Path;
 
@@ -129,8 +130,8 @@ fn positions_reach_the_bound_and_their_covariances_are_of_the_right_size() {
     assert!(study.onsets_found == 1.0 && study.false_onsets <= 2);
 }
 
-/// Impulses beside the one of each profile, and squared errors of the onsets over their variances, on average over seeds; the latency's error, common to
-/// all onsets of a seed, is taken out.
+/// Impulses beside the one of each profile, and squared errors of the onsets over their variances, on average over
+/// seeds; the latency's error, common to all onsets of a seed, is taken out.
 fn impulses(text: &str, seeds: std::ops::Range<u64>) -> (usize, f64) {
     let (mut beside, mut normalised, count) = (0, 0.0, seeds.end - seeds.start);
     for seed in seeds {
@@ -156,9 +157,10 @@ fn impulses(text: &str, seeds: std::ops::Range<u64>) -> (usize, f64) {
     (beside, normalised / count as f64)
 }
 
-/// The front end of an oscilloscope of 6 GHz, sampled every 50 ps, correlates the noise of neighbouring samples by 0.28; one of 3 GHz by 0.73. Before a
-/// response as slow as the second Gaussian both have more noise than white noise of their sd (1.5 and 2.5 times its power): taken for white, errors squared are
-/// larger by as much and every fifth record has a false impulse at 3 GHz. 210 degrees of freedom each: one standard deviation is 10 %.
+/// The front end of an oscilloscope of 6 GHz, sampled every 50 ps, correlates the noise of neighbouring samples by
+/// 0.28; one of 3 GHz by 0.73. Before a response as slow as the second Gaussian both have more noise than white noise
+/// of their sd (1.5 and 2.5 times its power): taken for white, errors squared are larger by as much and every fifth
+/// record has a false impulse at 3 GHz. 210 degrees of freedom each: one standard deviation is 10 %.
 #[test]
 fn correlated_noise_is_no_light_and_error_bars_have_the_right_size() {
     let slow =

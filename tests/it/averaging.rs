@@ -37,7 +37,8 @@ fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     mean(values.map(|value| value * value)).sqrt()
 }
 
-/// A capture of 50 shots at a signal-to-noise ratio of 80 tells the trigger's jitter of 4 ps; at 10 it does not, and so claims none.
+/// A capture of 50 shots at a signal-to-noise ratio of 80 shows the trigger's jitter of 4 ps. At 10 it does not, and so
+/// none is claimed.
 #[test]
 fn jitter_that_no_reference_tells_is_seen_in_the_noise() {
     for (snr, least_claims) in [(80.0, 64), (10.0, 0)] {
@@ -90,7 +91,8 @@ fn positions_without_reference_know_their_jitter() {
     assert!((0.6..1.5).contains(&normalised), "{normalised}");
 }
 
-/// Mean time and integral of the reference pulses scatter as their standard errors say; the simulator's stand at the trigger.
+/// Mean time and integral of the reference pulses scatter by their standard errors; the simulator's pulses are at the
+/// trigger.
 #[test]
 fn the_reference_pulse_is_timed_and_measured() {
     let lab = Lab::of(SCENE, 1, Format::Trc);
@@ -217,7 +219,8 @@ fn heights_pulls(seed: u64) -> [f64; 2] {
     let chi2 = (&weighted * &found - &right).norm_squared() / (samples - 5) as f64;
     let delay_ps = found[2] / found[0];
     eprintln!("chi2 {chi2:.3}; the strong bounce {delay_ps:.3} ps late, {:.3} ps known", profile.jitter_ps);
-    // The strong bounce stands 1,600 standard errors high: what shifting the coarse range leaves near half the sample rate, 0.3 %, shows.
+    // The strong bounce is 1,600 standard errors high, so the residual of shifting the coarse range near half the
+    // sample rate, 0.3 %, is visible.
     assert!((0.7..2.0).contains(&chi2) && delay_ps.abs() < 4.0 * profile.jitter_ps, "{chi2} {delay_ps}");
     std::array::from_fn(|k| (found[k] - heights[k]) / covariance[(k, k)].sqrt().hypot(profile.gain_sd * heights[k]))
 }
@@ -242,7 +245,8 @@ fn records_longer_than_the_lasers_period_are_one_period() {
         // Some light comes a period later.
         .replace("latency_ps = 1250.0", "latency_ps = 4250.0");
     let lab = Lab::of(&scene, 3, Format::Trc);
-    // The record is longer than a period, but ends before the next trigger: the simulator's campaign does not say the period then.
+    // The record is longer than a period, but ends before the next trigger: the simulator's campaign gives no period
+    // then.
     let path = lab.campaign().join("campaign.toml");
     let text = fs::read_to_string(&path).unwrap();
     fs::write(&path, text.replace("[campaign]\n", "[campaign]\nrepetition_ps = 10674.637062340\n")).unwrap();
@@ -311,7 +315,8 @@ fn photon_histograms_are_counts_with_poisson_errors() {
     assert!(error.contains("give `cycles` in [sensors.s1] of campaign.toml"), "{error}");
 }
 
-/// 3 % of shots without light or with four times as much cost little where they are told by the others: 144 captures of 1,000 shots, jitter 100 ps.
+/// 3 % of shots without light, or with four times as much, cost little if the others reveal them: 144 captures of 1,000
+/// shots, jitter 100 ps.
 #[test]
 fn bad_shots_cost_little() {
     let scene = SCENE.replace("shots = 100\n", "shots = 1000\n").replace("jitter_ps = 80.0", "jitter_ps = 100.0");
@@ -323,7 +328,8 @@ fn bad_shots_cost_little() {
     assert!(bad < 1.3 * clean, "{bad} {clean}");
 }
 
-/// Noise of the mean over that of one shot and the root of their number, for noise of so many codes; `codes` samples at levels spread over a code.
+/// Noise of the mean over that of one shot and the root of their number, for noise in codes; `codes` samples at levels
+/// spread over a code.
 fn noise_law(noise: f64, shots: usize, samples: usize) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(shots as u64);
     let level: Vec<f64> = (0..samples).map(|_| rng.random_range(-0.5..0.5)).collect();
@@ -341,8 +347,9 @@ fn noise_law(noise: f64, shots: usize, samples: usize) -> f64 {
     rms(mean.iter().zip(&level).map(|(mean, level)| mean - level)) / (noise / (shots as f64).sqrt())
 }
 
-/// The converter adds its rounding, 1/12 of a code squared, and where noise is small against a code, a bias that averaging does not remove: of rms
-/// `exp(-2 pi^2 noise^2) / (pi sqrt 2)` codes (the first harmonic of the rounding's sawtooth).
+/// The converter adds its rounding, 1/12 of a code squared, and where noise is small against a code, a bias that
+/// averaging does not remove: of rms `exp(-2 pi^2 noise^2) / (pi sqrt 2)` codes (the first harmonic of the rounding's
+/// sawtooth).
 #[test]
 fn noise_falls_with_the_root_of_the_shots_but_for_what_the_converter_adds() {
     for noise in [0.5, 0.6, 1.0] {
@@ -356,7 +363,8 @@ fn noise_falls_with_the_root_of_the_shots_but_for_what_the_converter_adds() {
     }
 }
 
-/// Shots with a jitter of 100 ps, aligned by reference pulses of SNR 30, leave the width of a pulse of 250 ps as it is, to less than 1 %.
+/// Shots with a jitter of 100 ps, aligned by reference pulses of SNR 30, leave the width of a pulse of 250 ps as it is,
+/// to less than 1 %.
 #[test]
 fn alignment_leaves_no_blur() {
     let gaussian = |t_ps: f64| (-0.5 * (t_ps / 106.2).powi(2)).exp();

@@ -1,4 +1,5 @@
-//! The 1-0-1 barcode around the corner from scope files; `benches/reproduction/barcode.rs` runs the same over hundreds of seeds for docs/reproduction.md.
+//! The 1-0-1 barcode around the corner from scope files; `benches/reproduction/barcode.rs` runs the same over hundreds
+//! of seeds for docs/reproduction.md.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -80,7 +81,8 @@ impl Barcode {
         self
     }
 
-    /// Everything moved at random by centimetres, strips still 3 to 5 cm apart and their pulses apart by 100 to 260 ps, light on its ways past screen and strips.
+    /// Everything moved at random by centimetres; strips stay 3 to 5 cm apart, their pulses 100 to 260 ps, and light
+    /// still passes screen and strips.
     pub fn moved(scans: usize, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         loop {
@@ -108,7 +110,8 @@ impl Barcode {
         periscope::units::time_ps(way_m, 1.000_277)
     }
 
-    /// Upper end of the screen, halfway between what it hides and what it must not; `None` where these are closer than 3 cm.
+    /// Upper end of the screen, halfway between what it must hide and what it must not; `None` if these are closer than
+    /// 3 cm.
     fn top_m(&self) -> Option<f64> {
         let x = self.strips[0].x.min(self.strips[1].x) - SCREEN_M;
         // Where a line crosses the screen.

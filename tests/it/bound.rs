@@ -1,5 +1,6 @@
-//! The Cramer-Rao calculator against a Fisher matrix of finite differences on the simulator's mean: every patch is moved, every height, baseline,
-//! delay, width and path length changed, and nothing is known but how the samples follow.
+//! The Cramer-Rao calculator against a Fisher matrix of finite differences on the simulator's mean: every patch is
+//! moved, every height, baseline, delay, width and path length changed, and nothing is known but how the samples
+//! follow.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -42,7 +43,8 @@ fn covariance(scene: &Scene, shooting: &Shooting) -> DMatrix<f64> {
     let instrument = &scene.instrument;
     let variance_v2 = shooting.setting.noise_v.powi(2);
     let rounding_v2 = shooting.setting.gain_v().powi(2) / 12.0;
-    // A Gaussian of the bandwidth B passes exp(-ln 2 / 2 (f / B)^2); its autocorrelation is a Gaussian of standard deviation sqrt(ln 2) / (2 pi B) * sqrt 2.
+    // A Gaussian of the bandwidth B passes exp(-ln 2 / 2 (f / B)^2); its autocorrelation is a Gaussian of standard
+    // deviation sqrt(ln 2) / (2 pi B) * sqrt 2.
     let reach_ps = instrument
         .noise_bandwidth_ghz
         .map(|bandwidth| std::f64::consts::LN_2.sqrt() * 2_f64.sqrt() / (std::f64::consts::TAU * 1e-3 * bandwidth));

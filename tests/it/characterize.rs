@@ -1,4 +1,5 @@
-//! `pipelines/characterize.toml`: a good instrument passes as often as `level` says, and each fault fails its own check.
+//! `pipelines/characterize.toml`: a good instrument passes as often as `level` says, and each fault fails its own
+//! check.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -124,7 +125,8 @@ fn missing_captures_are_told() {
     assert!(&*verdict("echo").verdict == "pass" && &*verdict("noise_codes").verdict == "pass", "{checks:#?}");
 }
 
-/// Records that the oscilloscope averaged are quieter than shots: `noise_v` is that of a shot, so that it over the root of `shots` is that of the mean.
+/// `noise_v` is the noise of a shot even for records that the oscilloscope averaged: divided by the root of `shots`, it
+/// is that of the mean.
 #[test]
 fn the_noise_of_one_shot_is_known_also_where_records_are_averages() {
     let noise = |averaged: &str| {

@@ -1,10 +1,12 @@
-//! The drivers of pipelines/cluster, looked over and run: Dask, Snakemake and the script for Slurm, in the versions of tests/cluster/requirements.txt.
+//! The drivers of pipelines/cluster, checked and run: Dask, Snakemake and the script for Slurm, in the versions of
+//! tests/cluster/requirements.txt.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Python with what the drivers and their tests need: that of PERISCOPE_PYTHON_CLUSTER, else of a virtual environment in the target folder.
+/// Python with the packages of the drivers and their tests: that of PERISCOPE_PYTHON_CLUSTER, else of a virtual
+/// environment in the target folder.
 fn python() -> Option<PathBuf> {
     let target = Path::new(env!("CARGO_BIN_EXE_periscope")).ancestors().nth(2).unwrap();
     let given = std::env::var_os("PERISCOPE_PYTHON_CLUSTER").map(PathBuf::from);

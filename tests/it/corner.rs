@@ -1,4 +1,5 @@
-//! Hidden patches from scope files to coordinates, at random places around the corner; `benches/accuracy.rs` runs it over a hundred seeds for docs/accuracy.md.
+//! Hidden patches from scope files to coordinates, at random places around the corner; `benches/accuracy.rs` runs it
+//! over a hundred seeds for docs/accuracy.md.
 
 use std::path::Path;
 
@@ -28,7 +29,7 @@ const FACED_M: [f64; 3] = [-0.2, 0.95, -0.02];
 /// A hidden patch of one scene.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
-    /// Distance of the patch that was found from the true one, and the standard deviation that was stated; `None`: not found.
+    /// Distance of the estimated patch from the true one, and its stated standard deviation; `None`: not found.
     pub found_m: Option<(f64, f64)>,
     /// Bound of its position's standard deviation.
     pub bound_m: f64,
@@ -49,7 +50,8 @@ pub struct Scored {
     pub points: Vec<(Vector3<f64>, Option<Vector3<f64>>)>,
 }
 
-/// The scene's text with hidden patches at random places and a quieter instrument: third bounces have signal-to-noise ratios of some 20.
+/// The scene's text with hidden patches at random places and a quieter instrument: third bounces have signal-to-noise
+/// ratios of some 20.
 fn scene(hidden: usize, seed: u64) -> String {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut places: Vec<Vector3<f64>> = Vec::new();
@@ -86,7 +88,8 @@ pub fn scored(hidden: usize, seed: u64) -> Scored {
     compared(&scene(hidden, seed), PIPELINE, seed).1
 }
 
-/// Simulates scope files of a scene, runs a pipeline into `out` and holds its hidden patches against the true ones, turned by the visible ones.
+/// Simulates scope files of a scene, runs a pipeline into `out`, and compares its hidden patches with the true ones,
+/// after a rotation by the visible ones.
 pub fn compared(scene: &str, pipeline: &str, seed: u64) -> (Lab, Scored) {
     let scene = Scene::parse(Path::new("scene.toml"), scene).unwrap();
     let laboratory = Laboratory::new(&scene, 0).unwrap();

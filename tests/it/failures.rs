@@ -105,7 +105,8 @@ fn a_capture_with_no_valid_shot_is_set_aside() {
     );
 }
 
-/// A second sensor 30 cm aside: distances come from the first alone, and the table of rejects says so. With the second alone there are none.
+/// With a second sensor 30 cm away, distances come only from the first, and the table of rejects says so. With the
+/// second alone there are none.
 #[test]
 fn distances_are_those_of_sensors_at_the_laser() {
     let aside = |sensors: &str| {
@@ -258,7 +259,8 @@ fn periscope(lab: &Lab, limit_blocks: Option<u32>, args: &[&str]) -> Output {
     let binary = env!("CARGO_BIN_EXE_periscope");
     let mut command = match limit_blocks {
         None => Command::new(binary),
-        // A limit on the size of a file fails a write as a full disk does, where the signal that comes with it is ignored.
+        // A limit on the size of a file makes a write fail like a full disk, if the signal that comes with it is
+        // ignored.
         Some(blocks) => {
             let mut shell = Command::new("sh");
             shell.arg("-c").arg(format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"")).arg(binary);

@@ -1,4 +1,5 @@
-//! The readers of oscilloscope files: round trips of our own writers, hostile files, and mutations. Real files: `scope_samples.rs`.
+//! The readers of oscilloscope files: round trips of our own writers, hostile files, and mutations. Real files:
+//! `scope_samples.rs`.
 
 use std::io::Cursor;
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! Hidden patches through the stages, from labels of third bounces on: distances by T3, places by multilateration, then maximum likelihood.
+//! Hidden patches through the stages, from labels of third bounces on: distances by T3, positions by multilateration,
+//! then maximum likelihood.
 
 use std::fs;
 
@@ -17,7 +18,8 @@ const INDEX: f64 = 1.000_277;
 const SD_PS: f64 = 5.0;
 /// Share of third bounces, and of pairs, that were not captured or not labelled.
 const MISSING: f64 = 0.3;
-/// Patches 1 to 8, on the walls y = 2 m and x = 1.1 m; patches 9 to 11 in front of them, where neither laser nor sensor reach. The laser is at the origin.
+/// Patches 1 to 8 are on the walls y = 2 m and x = 1.1 m; patches 9 to 11 are in front of them, hidden from laser and
+/// sensor. The laser is at the origin.
 const SCENE: [[f64; 3]; 11] = [
     [-0.8, 2.0, -0.5],
     [-0.3, 2.0, 0.6],
@@ -37,7 +39,8 @@ fn apart_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Labels of first and second bounces, and of third bounces over the hidden patches; the sensor stands `sensor_m` from the laser.
+/// Labels of first and second bounces, and of third bounces over the hidden patches; the sensor is `sensor_m` from the
+/// laser.
 fn labels(sensor_m: [f64; 3], rng: &mut ChaCha8Rng) -> Vec<Label> {
     let at = |patch: i32| SCENE[patch as usize - 1];
     let mut labels = Vec::new();
@@ -78,7 +81,7 @@ fn import(lab: &Lab, heading: &str, rows: &[Label]) -> String {
     format!("[{heading}]\nstage = 'import'\nparams = {{ table = 'labels', path = '{}' }}\n", path.display())
 }
 
-/// A campaign with its sensor there, its labels, and the pipeline's headings that hold those of up to two bounces, and all.
+/// A campaign with this sensor, its labels, and the pipeline's headings for labels of up to two bounces, and of all.
 fn lab(sensor_m: [f64; 3], seed: u64) -> (Lab, String) {
     let lab = Lab::bulk(0);
     let [x, y, z] = sensor_m;
@@ -146,7 +149,8 @@ fn hidden_patches_are_found_by_range_embed_and_refine_to_their_standard_deviatio
     assert!((normalised - freedom).abs() < 4.0 * (2.0 * freedom).sqrt(), "{normalised} {freedom}");
 }
 
-/// Of sensors apart from the laser, first and second bounces give no distances; with the patches that `refine` found, third bounces do.
+/// With a sensor away from the laser, first and second bounces give no distances. Third bounces do, given the patches
+/// from `refine`.
 #[test]
 fn with_the_sensor_apart_hidden_patches_are_found_as_well() {
     let (lab, pipeline) = lab([0.5, -0.1, 0.3], 3);

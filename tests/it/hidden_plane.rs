@@ -1,4 +1,5 @@
-//! The paper's Figs. 5 and 6 from scope files: hidden patches that lie on a plane, which nobody tells the solver; `benches/reproduction.rs` runs it over more seeds.
+//! The paper's Figs. 5 and 6 from scope files: hidden patches on a plane, which the solver does not know;
+//! `benches/reproduction.rs` runs more seeds.
 
 use std::fs;
 use std::path::Path;
@@ -34,7 +35,8 @@ pub fn drawn(seed: u64) -> Drawn {
     Drawn { scored, plane: planes.first().map(|plane| (plane.patches.len(), plane.rms_m)) }
 }
 
-/// A plane of nine patches 20 to 25 cm apart, for onsets with the paper's Gaussian noise, at the scale of a room: at 100 ps the bound is some 3 cm at any scale.
+/// A plane of nine patches 20 to 25 cm apart, for onsets with the paper's Gaussian noise, at the scale of a room: at
+/// 100 ps the bound is about 3 cm at any scale.
 const SCALE: f64 = 2.5;
 const PAPER_SCENE: &str = include_str!("../../pipelines/scenes/paper-hidden-plane.toml");
 const DELAY_PS: f64 = 250.0;
@@ -78,7 +80,8 @@ fn length_m(points: &[Vector3<f64>], path: &[usize]) -> f64 {
     points[path[0]].norm() + inner + points[path[path.len() - 1]].norm()
 }
 
-/// Cramer-Rao bound of the hidden patches, all paths known and the delay as calibrated: root of their mean squared error, by finite differences of path lengths.
+/// Cramer-Rao bound of the hidden patches, with all paths known and the delay as calibrated: root mean square error, by
+/// finite differences of path lengths.
 pub fn noisy_bound_m(noise_ps: f64) -> f64 {
     let (points, step_m) = (paper_points(), 1e-6);
     let (paths, unknowns) = (paths(points.len()), 3 * points.len() + 1);
@@ -97,7 +100,8 @@ pub fn noisy_bound_m(noise_ps: f64) -> f64 {
     let sd_m = path_m(noise_ps, INDEX);
     let mut information = jacobian.transpose() * jacobian / (sd_m * sd_m);
     information[(unknowns - 1, unknowns - 1)] += path_m(DELAY_SD_PS, INDEX).powi(-2);
-    // Nothing tells how the whole is turned about the laser: it is turned onto the visible patches, so that turns of these are known.
+    // The rotation about the laser is undetermined. The solution is rotated onto the visible patches, so theirs counts
+    // as known.
     for axis in [Vector3::x(), Vector3::y(), Vector3::z()] {
         let mut turn = DMatrix::zeros(unknowns, 1);
         for (n, point) in points[..VISIBLE].iter().enumerate() {
@@ -218,7 +222,8 @@ fn off_plane_m(points: &[Vector3<f64>]) -> Option<f64> {
     (points.len() > 3).then(|| (scatter.symmetric_eigenvalues().min().max(0.0) / count).sqrt())
 }
 
-/// A quarter of the paper's noise: the search finds all nine patches near their bound; labels by order of arrival do not.
+/// A quarter of the paper's noise: the search finds all nine patches near their bound; labels by order of arrival do
+/// not.
 #[test]
 fn from_noisy_onsets_hidden_patches_are_found_near_their_bound() {
     let noise_ps = 25.0;
@@ -237,7 +242,7 @@ fn from_noisy_onsets_hidden_patches_are_found_near_their_bound() {
     assert!(found.off_plane_m.is_some_and(|off_m| off_m < 2.0 * bound_m) && by_rank_m.len() < 9);
 }
 
-/// All within some standard deviations and half a patch; those that are found on a plane are as flat as their errors let them be.
+/// All are within some standard deviations plus half a patch; those on a plane are as flat as their errors allow.
 #[test]
 fn patches_on_a_hidden_plane_are_found_and_flat() {
     let drawn = drawn(1);

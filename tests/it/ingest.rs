@@ -1,4 +1,5 @@
-//! From raw files to rows: what the campaign says beside the file, records larger than memory, heads and samples in two files.
+//! From raw files to rows: values that the campaign adds to a file, records larger than memory, header and samples in
+//! two files.
 
 use std::fs::{self, File};
 use std::io::Write;

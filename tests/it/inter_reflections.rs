@@ -1,4 +1,5 @@
-//! Fourth and fifth bounces through the stages, from onsets on: they make positions better, and show a patch that only hidden ones show.
+//! Fourth and fifth bounces through the stages, from onsets on: they improve positions, and reveal a patch that only
+//! hidden patches show.
 
 use std::fs;
 
@@ -13,11 +14,13 @@ use crate::lab::{Lab, write_table};
 
 /// Group index of the campaign: that of air.
 const INDEX: f64 = 1.000_277;
-/// Standard deviations of onsets and chances that light makes one, by bounces from one on; of fifth bounces over patch 13 the chance stands apart.
+/// Standard deviations of onsets, and probabilities that a path gives one, by number of bounces. Fifth bounces over
+/// patch 13 have their own probability.
 const SD_PS: [f64; 5] = [5.0, 5.0, 5.0, 10.0, 15.0];
 const SEEN: [f64; 5] = [1.0, 1.0, 0.9, 0.06, 0.002];
 const DEEP_SEEN: f64 = 0.6;
-/// Patches 1 to 8 on two walls, 9 to 12 before them, 13 beyond where only the latter show it. The laser is at the origin.
+/// Patches 1 to 8 are on two walls, 9 to 12 in front of them, 13 where only the latter show it. The laser is at the
+/// origin.
 const SCENE: [[f64; 3]; 13] = [
     [-1.0, 2.2, -0.6],
     [-0.4, 2.2, 0.7],

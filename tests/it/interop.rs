@@ -43,7 +43,8 @@ fn found(folder: &Path) -> Vec<Patch> {
     batches.iter().flat_map(|batch| <Patch as periscope::tables::Row>::rows(batch).unwrap()).collect()
 }
 
-/// Squared error of a hidden point in standard deviations, over three; it must have been found. Prints both in millimetres, for docs/interoperation.md.
+/// Squared error of a hidden point in units of its variance, over three; the point must exist. Prints both in
+/// millimetres, for docs/interoperation.md.
 fn squared_error(patches: &[Patch], truth: [f64; 3]) -> f64 {
     let at = |patch: &&Patch| gap_m([patch.x_m, patch.y_m, patch.z_m], truth);
     let hidden = patches.iter().filter(|patch| patch.alternative == 0 && &*patch.kind == "hidden");

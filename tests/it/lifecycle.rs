@@ -1,4 +1,5 @@
-//! The life of a run: killed, interrupted, two at once, too much rejected, pruned. `benches/reliability.rs` does the same at length for docs/reliability.md.
+//! The life of a run: killed, interrupted, two at once, too much rejected, pruned. `benches/reliability.rs` does the
+//! same at length for docs/reliability.md.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -1,4 +1,5 @@
-//! Law 2 over random pipelines: a change reaches the lineage of exactly those tables that lie below it, and a cosmetic edit that of none.
+//! Law 2 over random pipelines: a change affects the lineage of exactly the tables below it; a cosmetic edit affects
+//! none.
 //!
 //! What lies below is followed here in the pipeline as it was drawn, not by the plan.
 
@@ -20,7 +21,8 @@ const DRAWS: u64 = 1000;
 /// A parameter: its name, and values of it, the default first.
 type Param = (&'static str, &'static [&'static str]);
 
-/// A stage as a draw sees it: verb, table that it streams, table that it writes, tables beside it (name, table, needed), parameters.
+/// A stage as the generator sees it: verb, streamed table, written table, whole tables (name, table, required),
+/// parameters.
 struct Kind {
     stage: &'static str,
     from: &'static str,

@@ -1,4 +1,5 @@
-//! A small campaign of many parts, and the program itself run over it: what the tests and studies of kills and faults share.
+//! A small campaign of many parts, and the program itself run over it: what the tests and studies of kills and faults
+//! share.
 
 use std::collections::BTreeMap;
 use std::fs;

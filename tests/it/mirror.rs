@@ -1,4 +1,5 @@
-//! A mirror seen only through a diffuser, from scope files; `benches/reproduction` runs the same over many seeds and geometries for docs/reproduction.md.
+//! A mirror seen only through a diffuser, from scope files; `benches/reproduction` runs the same over many seeds and
+//! geometries for docs/reproduction.md.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt::Write;
@@ -58,7 +59,8 @@ impl Geometry {
         geometry
     }
 
-    /// Any in which light finds its way: mirrors 12 to 60 cm away and tilted by 15 to 45 degrees, beams 3 to 9 degrees apart, a diffuser 25 to 70 cm on.
+    /// Any geometry in which light gets through: mirrors 12 to 60 cm away, tilted by 15 to 45 degrees, beams 3 to 9
+    /// degrees apart, a diffuser 25 to 70 cm away.
     pub fn random(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         loop {

@@ -27,7 +27,8 @@ pub struct Missed {
     pub normalised: f64,
 }
 
-/// Rotation or reflection about the origin that brings points nearest to others, by the polar decomposition of their correlation.
+/// Rotation or reflection about the origin that moves points closest to others, by the polar decomposition of their
+/// correlation.
 pub fn aligning(points: &[Vector3<f64>], targets: &[Vector3<f64>]) -> Matrix3<f64> {
     let correlation: Matrix3<f64> = points.iter().zip(targets).map(|(point, target)| target * point.transpose()).sum();
     let svd = correlation.svd(true, true);

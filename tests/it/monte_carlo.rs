@@ -1,5 +1,6 @@
-//! Light transport against random paths of light: photons leave the laser, fly straight, bounce by chance, and at each bounce the lens gets what
-//! it would. Written from the scene file alone; it shares no code with the simulator's integrals.
+//! Light transport against random paths of light: photons leave the laser, fly straight, bounce by chance, and at each
+//! bounce the lens gets what it would. Written from the scene file alone; it shares no code with the simulator's
+//! integrals.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{PI, TAU};
@@ -108,7 +109,8 @@ struct Sum {
     way_squares: f64,
 }
 
-/// What a lens of unit area gets by each path from one unit of light on patch `lit`, in the piece `seen`: strength and mean way, each with its error.
+/// Light on a lens of unit area by each path from one unit of light on patch `lit`, in the piece `seen`: strength and
+/// mean path, each with its error.
 fn random_light(scene: &Scene, lit: i32, seen: i32, bounces: usize, photons: usize) -> BTreeMap<Vec<i32>, [f64; 4]> {
     let pieces = pieces(scene);
     let source = Vector::from(scene.stations["laser"].position_m);

@@ -31,7 +31,7 @@ impl Large {
         Self(lab)
     }
 
-    /// The scene of `periscope demo` with three patches, up to the onsets; of one capture 1,500 shots, of the others 40.
+    /// The scene of `periscope demo` with three patches, up to the onsets. One capture has 1,500 shots, the others 40.
     fn corner() -> Self {
         let scene = |captures: &str| {
             let text = CORNER.replace("response_shots = 2000", "response_shots = 200");
@@ -113,7 +113,8 @@ impl Large {
         errors(&self.output(&["gather", "--out", out, "--progress", "none"]))
     }
 
-    /// Plans, makes and gathers; every table file is that of a single run. How many pieces there were, and what was said.
+    /// Plans, makes and gathers. Every table file must equal that of a single run. Returns the number of pieces, and
+    /// the messages.
     fn joins(&self, count: &str) -> (usize, String) {
         let (pieces, whole) = self.plan("out", count);
         self.make_all(pieces.iter().rev().chain(&whole), "out");
@@ -202,7 +203,7 @@ fn pieces_of_several_ranges_judge_their_shots_as_a_single_run_does() {
     }
     let toml = large.0.campaign().join("campaign.toml");
     let keys = fs::read_to_string(&toml).unwrap();
-    // The second time of a laser whose pulses are a train: of it each reference pulse is taken for the one next to the first.
+    // The reference pulses repeat, as for a pulsed laser, so each might be taken for the one next to the first.
     for (count, more) in [("7", ""), ("23", "repetition_ps = 900.0\n")] {
         fs::write(&toml, keys.replacen("part_bytes", &format!("{more}part_bytes"), 1)).unwrap();
         let (pieces, said) = large.joins(count);

@@ -1,11 +1,13 @@
-//! Python as a lab has it, for what it says to our tables: DuckDB, Polars, pandas and PyArrow, in the versions of queries/requirements.txt.
+//! Whether Python can read our tables as a lab would: DuckDB, Polars, pandas and PyArrow, in the versions of
+//! queries/requirements.txt.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::LazyLock;
 
-/// That of the environment variable PERISCOPE_PYTHON, else of a virtual environment in the target folder; `None` where packages are missing.
+/// The Python of the environment variable PERISCOPE_PYTHON, else of a virtual environment in the target folder; `None`
+/// if packages are missing.
 static PYTHON: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
     let target = Path::new(env!("CARGO_BIN_EXE_periscope")).ancestors().nth(2).unwrap();
     let given = std::env::var_os("PERISCOPE_PYTHON").map(PathBuf::from);

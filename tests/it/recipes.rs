@@ -1,4 +1,5 @@
-//! The recipes of queries/ and the examples of docs/tables.md, run as they stand by DuckDB and Polars, against what the rows say here.
+//! The recipes of queries/ and the examples of docs/tables.md: DuckDB and Polars run them unchanged, and the results
+//! must equal the rows here.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -20,7 +21,8 @@ use serde_json::Value;
 use crate::lab::{ALL_VISIBLE, TINY};
 use crate::python::printed;
 
-/// Two days of one scene, a third on which patch 4 stands 2 cm elsewhere and two files are cut short; and a campaign without any alignment.
+/// Two days of one scene; a third on which patch 4 has moved by 2 cm and two files are truncated; and a campaign
+/// without any alignment.
 static LAB: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
     let lab = tempfile::tempdir().unwrap();
     let folder = lab.path();

@@ -1,5 +1,5 @@
-//! The paper's Fig. 4 from scope files: patches of 3 cm on three rectangles, whose coplanar pairs exchange no light; `benches/accuracy.rs` runs it over
-//! hundreds of seeds for docs/accuracy.md.
+//! The paper's Fig. 4 from scope files: patches of 3 cm on three rectangles, whose coplanar pairs exchange no light;
+//! `benches/accuracy.rs` runs it over hundreds of seeds for docs/accuracy.md.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -27,10 +27,12 @@ pub struct Study {
     pub squares_m2: Vec<f64>,
     /// Normalised squared error of each seed.
     pub normalised: Vec<f64>,
-    /// Labels of first light without known patches that went into distances, wrong ones among them; labels of the known scene by bounces, likewise.
+    /// Labels of direct reflections that determine distances before any patch is known, with the wrong ones; labels of
+    /// the known scene by bounces, likewise.
     pub blind: (usize, usize),
     pub labels: BTreeMap<i32, (usize, usize)>,
-    /// Root of the mean squared distance of patches from their planes, and angles between planes less a right angle, of each seed.
+    /// For each seed: root mean square distance of patches from their planes, and angles between planes minus a right
+    /// angle.
     pub planarity_m: Vec<f64>,
     pub tilts_rad: Vec<(f64, f64)>,
 }

@@ -60,7 +60,8 @@ fn intervals_hold_the_truth_as_often_as_they_say() {
     }
 }
 
-/// What the study measures with: slopes by differences, the resolution limit by its law for Gaussians, a function by its table.
+/// Checks of the study's own tools: derivatives by differences, the resolution limit by its law for Gaussians, a
+/// function by its table.
 #[test]
 fn the_rulers_are_straight() {
     for (x, expected) in

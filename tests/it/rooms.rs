@@ -1,5 +1,6 @@
-//! From onsets of rooms as they are to coordinates: walls whose patches exchange no light, pairs that were not captured, false onsets. Labels of the first light
-//! are wrong in part; the loop over a first solution and its predictions has to find that out.
+//! From onsets of rooms as they are to coordinates: walls whose patches exchange no light, pairs that were not
+//! captured, false onsets. Labels of the first light are wrong in part; the loop over a first solution and its
+//! predictions has to find that out.
 
 use periscope::pipeline::run::Settings;
 use periscope::tables::{Label, Onset, Patch, PatchCovariance};
@@ -110,7 +111,8 @@ fn onsets(room: Room, seed: u64) -> Vec<(Onset, Option<Vec<i32>>)> {
 /// What one room gave.
 #[derive(Debug)]
 pub struct Found {
-    /// Labels of first and second bounces, and wrong ones among them: of the first light, and in the end. Of third bounces in the end.
+    /// Labels of first and second bounces, and the wrong ones among them: of the first pass, and at the end. Of third
+    /// bounces at the end.
     pub first: (usize, usize),
     pub direct: (usize, usize),
     pub thirds: (usize, usize),
@@ -182,7 +184,8 @@ pub fn rooms() -> [(&'static str, Room); 4] {
     ]
 }
 
-/// A third bounce whose time is that of the direct light, past a patch nearly in line, cannot be told from it: a wrong label that does no harm.
+/// A third bounce past a patch nearly in line may arrive with the direct light, and cannot be distinguished from it: a
+/// wrong label without harm.
 #[test]
 fn wrong_first_labels_are_found_out_by_prediction() {
     for (name, room) in rooms() {

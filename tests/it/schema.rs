@@ -1,4 +1,5 @@
-//! data-schema/ is the published contract of the tables; `PERISCOPE_UPDATE_SCHEMA=1` rewrites it, and a reviewer reads the difference.
+//! data-schema/ is the published contract of the tables; `PERISCOPE_UPDATE_SCHEMA=1` rewrites it, and a reviewer reads
+//! the difference.
 
 use std::fs;
 use std::path::Path;

@@ -17,7 +17,8 @@ fn without_session() -> String {
     up_to_onsets().replace(", session = \"session\"", "")
 }
 
-/// Errors of the onsets, less their mean where `about_mean` (the latency's error is common to all): rms, and rms over the stated standard deviations.
+/// Errors of the onsets, minus their mean if `about_mean` (the latency's error is common to all): rms, and rms over the
+/// stated standard deviations.
 fn errors(lab: &Lab, out: &str, about_mean: bool) -> (f64, f64, usize) {
     let truth: Vec<Onset> = lab.truth();
     let found: Vec<Onset> = lab.rows(out, "onsets");

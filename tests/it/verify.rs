@@ -1,4 +1,5 @@
-//! Damage: `verify` finds every flipped bit and says where; a run or a reader that meets one stops with the same words; what is deleted is made again.
+//! Damage: `verify` finds every flipped bit and locates it. A run or a reader that meets one stops with the same
+//! message. What is deleted is made again.
 //!
 //! The study with many more flips is `cargo bench --bench reliability -- flips`.
 

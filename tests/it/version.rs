@@ -1,6 +1,6 @@
-//! A stage's VERSION and its rows change together: sums of every numeric column of the tiny campaign's tables are pinned in tests/it/pinned.txt.
-//! Sums and not digests, with room for the last digits, since kernels may round otherwise on another kind of CPU.
-//! `PERISCOPE_UPDATE_PINS=1` rewrites the file, after VERSION was raised.
+//! A stage's VERSION and its rows change together: sums of every numeric column of the tiny campaign's tables are
+//! pinned in tests/it/pinned.txt. Sums and not digests, with room for the last digits, since kernels may round
+//! otherwise on another kind of CPU. `PERISCOPE_UPDATE_PINS=1` rewrites the file, after VERSION was raised.
 
 use std::fmt::Write;
 use std::fs;
