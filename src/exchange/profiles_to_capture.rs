@@ -19,35 +19,22 @@ struct Timed<'a> {
     start_ps: f64,
 }
 
-/// The capture that the scene's profiles of a campaign make. Places are those of `patches`, else the anchors of the
-/// campaign; times are those from laser to sensor, or from wall to wall where only these begin in whole bins. Samples
-/// between bins are interpolated, band-limited.
+/// The capture of a campaign's scene profiles.
+///
+/// Positions come from `patches`, else from the anchors of the campaign. Times are those from laser to sensor, or from
+/// wall to wall if only these begin in whole bins. Samples between bins are interpolated with limited bandwidth.
 ///
 /// # Errors
-/// When the profiles are of several sensors, ranges or time steps, or a patch has no place, or pairs are missing; the
-/// text names the mend.
+/// When the profiles have several sensors, ranges or time steps, a patch has no position, or pairs are missing. The text
+/// says how to fix it.
 pub fn capture_of(
     profiles: &[Profile],
     patches: &[Patch],
     calibration: &[Calibration],
     campaign: &Campaign,
 ) -> Result<Capture, String> {
-    let of_scene = |profile: &&Profile| *profile.role == *Role::Scene.name() && *profile.campaign == *campaign.name;
-    let mut profiles: Vec<&Profile> = profiles.iter().filter(of_scene).collect();
-    profiles.sort_by_key(|profile| (profile.lit, profile.seen));
-    let Some(first) = profiles.first() else {
-        return Err(format!(
-            "no profile of the scene is of campaign `{}`; give --campaign the one that was run",
-            campaign.name
-        ));
-    };
-    let sensors: BTreeSet<&str> = profiles.iter().map(|profile| &*profile.sensor).collect();
-    let is_alike = |profile: &&Profile| (profile.dt_ps, profile.mean_v.len()) == (first.dt_ps, first.mean_v.len());
-    if sensors.len() > 1 || !profiles.iter().all(is_alike) {
-        return Err(format!(
-            "the profiles are of sensors {sensors:?}, with records that must be alike; a capture has one sensor and one time base: run a campaign of such"
-        ));
-    }
+    let profiles = scene_profiles(profiles, campaign)?;
+    let first = profiles[0];
     let mut spots = BTreeMap::new();
     for patch in profiles.iter().flat_map(|profile| [profile.lit, profile.seen]) {
         spots.insert(patch, spot(patch, patches, campaign)?);
@@ -56,24 +43,15 @@ pub fn capture_of(
         .station_of(&first.sensor)
         .ok_or_else(|| format!("campaign.toml has no [sensors.{}]; add it", first.sensor))?;
     let stations = [campaign.source().position_m, sensor_m.position_m];
-    let timed = |profile: &&'_ Profile| {
-        let latency_ps = latency_ps(calibration, profile)?;
-        Ok(profile.t0_ps - latency_ps - 0.5 * profile.dt_ps)
-    };
-    let starts_ps = profiles.iter().map(timed).collect::<Result<Vec<f64>, String>>()?;
+    let starts_ps =
+        profiles.iter().map(|profile| start_ps(profile, calibration)).collect::<Result<Vec<f64>, String>>()?;
     let legs_ps = |profile: &Profile| {
-        let leg_m = |patch: PatchId, station: [f64; 3]| {
-            spots[&patch].position_m.iter().zip(station).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
-        };
-        units::time_ps(leg_m(profile.lit, stations[0]) + leg_m(profile.seen, stations[1]), campaign.group_index)
-    };
-    let whole = |starts_ps: &[f64]| {
-        let off = |start_ps: &f64| (start_ps - starts_ps[0]) / first.dt_ps;
-        starts_ps.iter().all(|start_ps| (off(start_ps) - off(start_ps).round()).abs() < IN_PLACE)
+        let legs_m = leg_m(&spots[&profile.lit], stations[0]) + leg_m(&spots[&profile.seen], stations[1]);
+        units::time_ps(legs_m, campaign.group_index)
     };
     let without_ps: Vec<f64> =
         profiles.iter().zip(&starts_ps).map(|(profile, start_ps)| start_ps - legs_ps(profile)).collect();
-    let with_legs = whole(&starts_ps) || !whole(&without_ps);
+    let with_legs = in_whole_bins(&starts_ps, first.dt_ps) || !in_whole_bins(&without_ps, first.dt_ps);
     let starts_ps = if with_legs { starts_ps } else { without_ps };
     let timed: Vec<Timed> =
         profiles.iter().zip(starts_ps).map(|(profile, start_ps)| Timed { profile, start_ps }).collect();
@@ -96,13 +74,50 @@ pub fn capture_of(
     })
 }
 
-/// Where a patch is.
+/// The profiles of the campaign's scene by lit and seen patch: at least one, of one sensor, with equal time bases.
+fn scene_profiles<'a>(profiles: &'a [Profile], campaign: &Campaign) -> Result<Vec<&'a Profile>, String> {
+    let of_scene = |profile: &&Profile| *profile.role == *Role::Scene.name() && *profile.campaign == *campaign.name;
+    let mut profiles: Vec<&Profile> = profiles.iter().filter(of_scene).collect();
+    profiles.sort_by_key(|profile| (profile.lit, profile.seen));
+    let Some(first) = profiles.first() else {
+        return Err(format!(
+            "no profile of the scene is of campaign `{}`; give --campaign the one that was run",
+            campaign.name
+        ));
+    };
+    let sensors: BTreeSet<&str> = profiles.iter().map(|profile| &*profile.sensor).collect();
+    let is_alike = |profile: &&Profile| (profile.dt_ps, profile.mean_v.len()) == (first.dt_ps, first.mean_v.len());
+    if sensors.len() > 1 || !profiles.iter().all(is_alike) {
+        return Err(format!(
+            "the profiles are of sensors {sensors:?}, with records that must be alike; a capture has one sensor and one time base: run a campaign of such"
+        ));
+    }
+    Ok(profiles)
+}
+
+/// Time at which the first bin of a profile begins, without the sensor's latency.
+fn start_ps(profile: &Profile, calibration: &[Calibration]) -> Result<f64, String> {
+    Ok(profile.t0_ps - latency_ps(calibration, profile)? - 0.5 * profile.dt_ps)
+}
+
+/// Length of the leg between a patch and a station.
+fn leg_m(spot: &Spot, station_m: [f64; 3]) -> f64 {
+    spot.position_m.iter().zip(station_m).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Whether all starts are whole bins apart.
+fn in_whole_bins(starts_ps: &[f64], dt_ps: f64) -> bool {
+    let bins = |start_ps: &f64| (start_ps - starts_ps[0]) / dt_ps;
+    starts_ps.iter().map(bins).all(|bins| (bins - bins.round()).abs() < IN_PLACE)
+}
+
+/// Position and normal of a patch.
 fn spot(patch: PatchId, patches: &[Patch], campaign: &Campaign) -> Result<Spot, String> {
-    let options = campaign.patches.get(&patch);
-    let found =
+    let keys = campaign.patches.get(&patch);
+    let solution =
         patches.iter().find(|row| row.patch == patch && row.alternative == 0).map(|row| [row.x_m, row.y_m, row.z_m]);
-    let position_m = found.or_else(|| options?.position_m);
-    let normal = options.and_then(|options| options.normal);
+    let position_m = solution.or_else(|| keys?.position_m);
+    let normal = keys.and_then(|keys| keys.normal);
     let position_m = position_m.ok_or_else(|| {
         format!("patch {patch} has no place: neither is it in the table of patches, nor has [patches.{patch}] of campaign.toml a `position_m`")
     })?;

@@ -87,26 +87,16 @@ pub fn deal(plan: &Plan<'_>, common: Work, count: usize) -> Result<Dealt, StoreE
         ..common
     };
     let missing = missing(plan, &steps);
-    let shard = |parts: &[&Missing]| {
-        let mut of_source: BTreeMap<String, Vec<Ticket>> = BTreeMap::new();
-        parts.iter().for_each(|part| of_source.entry(heading(part.source)).or_default().push(part.ticket.clone()));
-        let shard = Shard { work: work.clone(), parts: of_source };
-        (Digest::of(&json!(shard)).short(), shard)
-    };
+    let shard = |parts: &[&Missing]| keyed_shard(plan, &work, parts);
     let Large { mut most, mut uncut } = large(plan, &missing, count);
     let mut cut: BTreeMap<usize, (String, Shard, Vec<(String, Cut)>)> = BTreeMap::new();
     let mut taken = 0;
-    let cut_in = |i: usize, count: usize, of: &str| -> Result<Vec<(String, Cut)>, String> {
-        let parts =
-            plan.sources[&missing[i].source].divisible().expect("a source that cuts, since it was asked into how many");
-        Ok(keyed(of, parts.cut(missing[i].part, count)?))
-    };
     // As before, if some of these pieces are finished and the files have not changed.
     for i in most.keys().copied().collect::<Vec<_>>() {
         let (key, shard) = shard(&[&missing[i]]);
         let pieces = earlier(plan.shelf, &key)?;
         let unmade = unmade(plan.shelf, &pieces)?;
-        if unmade < pieces.len() && cut_in(i, pieces.len(), &key).as_ref() == Ok(&pieces) {
+        if unmade < pieces.len() && divide(plan, &missing[i], pieces.len(), &key).as_ref() == Ok(&pieces) {
             most.remove(&i);
             taken += unmade;
             cut.insert(i, (key, shard, pieces));
@@ -118,7 +108,7 @@ pub fn deal(plan: &Plan<'_>, common: Work, count: usize) -> Result<Dealt, StoreE
     let shares = shares(rest.map(bytes).sum(), &wanted, count.saturating_sub(taken));
     for (&i, share) in most.keys().zip(shares).filter(|(_, share)| *share > 1) {
         let (key, shard) = shard(&[&missing[i]]);
-        match cut_in(i, share, &key) {
+        match divide(plan, &missing[i], share, &key) {
             Ok(pieces) if pieces.len() > 1 => {
                 taken += pieces.len();
                 cut.insert(i, (key, shard, pieces));
@@ -133,6 +123,23 @@ pub fn deal(plan: &Plan<'_>, common: Work, count: usize) -> Result<Dealt, StoreE
     let hand = |size| shard(rest.split_off(..size).expect("hands hold no more than there are"));
     let shards = hands(&bytes, count.saturating_sub(taken).max(1)).into_iter().map(hand).collect();
     Ok(Dealt { work: work.clone(), shards, cut: cut.into_values().collect(), uncut })
+}
+
+/// A shard of these parts, with its key.
+fn keyed_shard(plan: &Plan<'_>, work: &Work, missing: &[&Missing]) -> (String, Shard) {
+    let mut parts: BTreeMap<String, Vec<Ticket>> = BTreeMap::new();
+    for part in missing {
+        let heading = plan.spec.steps[part.source].heading.clone();
+        parts.entry(heading).or_default().push(part.ticket.clone());
+    }
+    let shard = Shard { work: work.clone(), parts };
+    (Digest::of(&json!(shard)).short(), shard)
+}
+
+/// Divides a part into `count` pieces for the shard with this key; the error says why it cannot be divided.
+fn divide(plan: &Plan<'_>, part: &Missing, count: usize, key: &str) -> Result<Vec<(String, Cut)>, String> {
+    let source = plan.sources[&part.source].divisible().expect("only parts of divisible sources are large");
+    Ok(keyed(key, source.cut(part.part, count)?))
 }
 
 /// The parts that lack any of these steps.
