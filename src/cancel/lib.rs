@@ -4,6 +4,9 @@
 //! milliseconds. Innermost loops do not poll. After a cancel, the check unwinds the stack. [`Cancel::catch`] stands where the
 //! computation was started and turns that unwinding into the error [`Cancelled`].
 //!
+//! Single calls into rustfft and faer do not poll: a transform of one record, a factor of 3,000 unknowns, eigenvectors of 1,500.
+//! Callers poll between them.
+//!
 //! # Why unwinding and not `Result`
 //!
 //! A kernel does not fail because its user presses Ctrl-C. With `Result`, every kernel, every helper and every closure that one
