@@ -54,10 +54,10 @@ use crate::priors::calibration::{self, Calibrated, Key, key_of};
 use crate::priors::corrections::Correction;
 use crate::signal::fft::RealFft;
 use crate::signal::response::Response;
-use crate::signal::sparse::Unpiled;
+use crate::signal::sparse::{self, SparseOptions, Unpiled};
 use crate::signal::wiener::{Transfer, Wiener};
 use crate::tables::{Calibration, Profile, Session, Stir};
-use explain::{Asked, Explained, Method, Record};
+use explain::{Explained, Method};
 
 /// Parameters of `deconvolve`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -273,18 +273,19 @@ impl Deconvolve {
             && a.dt_ps == b.dt_ps
             && sensors.setups[&*first.campaign].with_laser.iter().any(|sensor| **sensor == *first.sensor)
         {
-            let together = explain::jointly(&[a.record(), b.record()], self.asked(&sensors.cancel));
+            let together = explain::jointly(&[a.profile(), b.profile()], &self.options(&sensors.cancel));
             return if first.lit < first.seen { vec![Some(together), None] } else { vec![None, Some(together)] };
         }
         ready.iter().map(|(_, ready)| self.explain_alone(sensors, ready)).collect()
     }
 
     fn explain_alone(&self, sensors: &Sensors, ready: &Ready) -> Option<Explained> {
-        let asked = self.asked(&sensors.cancel);
         match (self.method, &ready.unpiled) {
             (Method::Wiener | Method::None, _) => None,
-            (Method::Sparse, Some(unpiled)) => Some(ready.record().counts(unpiled, asked)),
-            (Method::Sparse, None) => Some(explain::jointly(&[ready.record()], asked)),
+            (Method::Sparse, Some(unpiled)) => {
+                Some(explain::counts(unpiled, ready.profile(), &self.options(&sensors.cancel)))
+            }
+            (Method::Sparse, None) => Some(explain::jointly(&[ready.profile()], &self.options(&sensors.cancel))),
         }
     }
 
@@ -346,13 +347,13 @@ impl Deconvolve {
         }))
     }
 
-    fn asked(&self, cancel: &Cancel) -> Asked {
-        let Self { evidence, impulses_max, signed, extent_max_ps, .. } = *self;
-        Asked {
-            evidence: evidence.map(Positive::get),
-            impulses_max: impulses_max.get() as usize,
-            signed,
-            extent_max_ps: extent_max_ps.get(),
+    fn options(&self, cancel: &Cancel) -> SparseOptions {
+        SparseOptions {
+            evidence_min: self.evidence.map(Positive::get),
+            pulses_max: self.impulses_max.get() as usize,
+            baseline: true,
+            signed: self.signed,
+            extent_max_ps: self.extent_max_ps.get(),
             cancel: cancel.clone(),
         }
     }
@@ -401,9 +402,10 @@ fn unpiled(profile: &Profile, dead_time_ps: f64) -> Result<Option<Unpiled>, Stri
 }
 
 impl Ready {
-    fn record(&self) -> Record<'_> {
-        let Self { samples, sd_v, acf, t0_ps, dt_ps, response, .. } = self;
-        Record { samples, sd_v, acf, t0_ps: *t0_ps, dt_ps: *dt_ps, response }
+    /// The profile as the kernel takes it, and the response that its pulses have in it.
+    fn profile(&self) -> (sparse::Profile<'_>, &Response) {
+        let Self { samples: mean_v, sd_v, acf, t0_ps, dt_ps, response, .. } = self;
+        (sparse::Profile { mean_v, sd_v, acf, t0_ps: *t0_ps, dt_ps: *dt_ps }, response)
     }
 }
 

@@ -100,14 +100,16 @@ impl Finding {
     /// As a row; it fails where the chance is below `least`.
     pub fn row(self, campaign: &Name, sensor: &Name, least: f64) -> Check {
         let chance = self.chance();
-        let verdict = match self.test {
-            Test::Told => "info",
-            Test::Missing => "missing",
-            Test::Limit(true) => "pass",
-            Test::Limit(false) => "fail",
-            _ if chance.is_some_and(|chance| chance >= least) => "pass",
-            _ => "fail",
-        };
+        let verdict =
+            match self.test {
+                Test::Told => "info",
+                Test::Missing => "missing",
+                Test::Limit(true) => "pass",
+                Test::Limit(false) => "fail",
+                Test::Normal | Test::Student(_) | Test::ChiSquare(_) => {
+                    if chance.is_some_and(|chance| chance >= least) { "pass" } else { "fail" }
+                }
+            };
         let told = ["fail", "missing"].contains(&verdict);
         Check {
             campaign: campaign.clone(),

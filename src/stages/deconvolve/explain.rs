@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::cancel::Cancel;
 use crate::signal::response::Response;
 use crate::signal::sparse::{self, Pulse, SparseFit, SparseOptions, Unpiled};
 use crate::tables::Impulse;
@@ -16,28 +15,6 @@ pub(super) enum Method {
     None,
 }
 
-/// What is asked of an explanation.
-#[derive(Clone, Debug)]
-pub(super) struct Asked {
-    pub(super) evidence: Option<f64>,
-    pub(super) impulses_max: usize,
-    pub(super) signed: bool,
-    pub(super) extent_max_ps: f64,
-    pub(super) cancel: Cancel,
-}
-
-/// A mean record, turned upwards, and the response that its pulses have in it.
-pub(super) struct Record<'a> {
-    pub(super) samples: &'a [f64],
-    /// Standard deviation of each sample; infinite for one to be ignored.
-    pub(super) sd_v: &'a [f64],
-    /// Autocorrelation of the noise.
-    pub(super) acf: &'a [f64],
-    pub(super) t0_ps: f64,
-    pub(super) dt_ps: f64,
-    pub(super) response: &'a Response,
-}
-
 /// Impulses of a record, all amplitudes as in the record turned upwards.
 pub(super) struct Explained {
     pub(super) impulses: Vec<Impulse>,
@@ -46,18 +23,19 @@ pub(super) struct Explained {
     pub(super) chi2_dof: f64,
 }
 
-/// Records of the same light by maximum likelihood off the grid, as the first of them sees it.
-pub(super) fn jointly(records: &[Record], asked: Asked) -> Explained {
-    let profiles: Vec<(sparse::Profile, &Response)> =
-        records.iter().map(|record| (record.profile(), record.response)).collect();
-    Explained::of(&sparse::fit_joint(&profiles, &asked.options(), false)[0])
+/// Profiles of the same light by maximum likelihood off the grid, as the first of them sees it. Each comes with the
+/// response that its pulses have in it.
+pub(super) fn jointly(profiles: &[(sparse::Profile, &Response)], options: &SparseOptions) -> Explained {
+    Explained::of(&sparse::fit_joint(profiles, options, false)[0])
 }
 
-impl Asked {
-    fn options(self) -> SparseOptions {
-        let Self { evidence: evidence_min, impulses_max: pulses_max, signed, extent_max_ps, cancel } = self;
-        SparseOptions { evidence_min, pulses_max, baseline: true, signed, extent_max_ps, cancel }
-    }
+/// Photon counts by their likelihood; of the profile only its time axis matters.
+pub(super) fn counts(
+    unpiled: &Unpiled,
+    (profile, response): (sparse::Profile, &Response),
+    options: &SparseOptions,
+) -> Explained {
+    Explained::of(&sparse::fit_counts(unpiled, profile.t0_ps, profile.dt_ps, response, options))
 }
 
 impl Explained {
@@ -75,17 +53,5 @@ impl Explained {
         };
         let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
         Self { impulses, covariance_ps2: fit.covariance_ps2.clone(), chi2_dof: fit.chi2_per_dof }
-    }
-}
-
-impl Record<'_> {
-    fn profile(&self) -> sparse::Profile<'_> {
-        let Self { samples: mean_v, sd_v, acf, t0_ps, dt_ps, .. } = *self;
-        sparse::Profile { mean_v, sd_v, acf, t0_ps, dt_ps }
-    }
-
-    /// Photon counts, by their likelihood.
-    pub(super) fn counts(&self, unpiled: &Unpiled, asked: Asked) -> Explained {
-        Explained::of(&sparse::fit_counts(unpiled, self.t0_ps, self.dt_ps, self.response, &asked.options()))
     }
 }

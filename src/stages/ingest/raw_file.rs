@@ -156,7 +156,7 @@ impl RawFile {
                 Hashing::Stretch(StretchHasher::new(bytes.start, bytes.end))
             }
             Reading::Whole | Reading::Long if companion.is_none() => Hashing::Whole(blake3::Hasher::new(), 0),
-            _ => Hashing::Nothing,
+            Reading::Whole | Reading::Long | Reading::Unhashed => Hashing::Nothing,
         };
         let mut source = Source::open(&path).map_err(format)?;
         let blocks = Arc::clone(&surveyed.blocks);
