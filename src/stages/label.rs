@@ -69,40 +69,52 @@ use crate::campaign::Campaign;
 use crate::cancel::Cancel;
 use crate::geometry::Point;
 use crate::geometry::labelling::{self, Arrival, Medium, Options, Profile, Scene, SensorProfiles};
+use crate::parameter::{Condition, Count, NonNegative, Positive, Share, Within};
 use crate::priors::covariances;
 use crate::priors::footprints::{self, Told};
 use crate::tables::{Delay, Fit, Hypothesis, Label, Name, Onset, Patch, PatchCovariance, Plane, Row};
 use crate::units::PatchId;
 
 /// Beyond, every profile is one onset.
-const BLEND_MAX_PS: f64 = 400.0;
+const BLEND_MAX_PS: i32 = 400;
+/// Largest order of bounces that is labelled with patches.
+const DEEPEST: u32 = 5;
+/// The same without patches.
+const DEEPEST_BLIND: u32 = 3;
 
 /// Parameters of `label`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LabelOnsets {
     /// Largest order of bounces to label: to 3 without known patches, to 5 with them.
-    bounces: i32,
+    bounces: Count<1, DEEPEST>,
     /// Least probability of a label, with known patches.
-    probability_min: f64,
+    probability_min: Within<0, 1>,
     /// Onsets that no path of the known patches explains, per nanosecond of a profile.
-    clutter_per_ns: f64,
+    clutter_per_ns: Positive,
     /// No patch is nearer to laser and sensor than this; matters where the laser's period is given and patches are not
     /// known.
-    near_m: f64,
+    near_m: NonNegative,
     /// Which patches that nothing shows directly are looked for, with known patches and `bounces` of 3 or more.
     hidden: HiddenPatches,
     /// Probability, at most, that `search` finds a hidden patch where there is none, and as much again that it finds a
     /// plane.
-    false_alarm: f64,
+    false_alarm: Share,
     /// Pulses of two known paths that are nearer than this may be one onset: about as wide as the response.
-    blend_ps: f64,
+    blend_ps: Within<0, BLEND_MAX_PS>,
 }
 
 impl Default for LabelOnsets {
     fn default() -> Self {
-        let (clutter_per_ns, hidden, false_alarm) = (0.05, HiddenPatches::Search, 1e-3);
-        Self { bounces: 2, probability_min: 0.95, clutter_per_ns, near_m: 0.0, hidden, false_alarm, blend_ps: 100.0 }
+        Self {
+            bounces: Count::new(2),
+            probability_min: Within::new(0.95),
+            clutter_per_ns: Positive::new(0.05),
+            near_m: NonNegative::new(0.0),
+            hidden: HiddenPatches::Search,
+            false_alarm: Share::new(1e-3),
+            blend_ps: Within::new(100.0),
+        }
     }
 }
 
@@ -190,6 +202,7 @@ impl Stage for LabelOnsets {
         Beside { name: "fits", table: "fits", required: false },
     ];
     const SIDES: &'static [Side] = &[Side { name: Hypothesis::TABLE, schema: Hypothesis::schema }];
+    const CONDITIONS: &'static [Condition] = &[Condition("false_alarm", "hidden", &["search"])];
     type Input = Onset;
     type Output = Label;
     type Fields = BTreeMap<String, Setup>;
@@ -224,41 +237,26 @@ impl Stage for LabelOnsets {
 }
 
 impl LabelOnsets {
-    /// Whether the parameters make sense, with patches in place and without.
+    /// Whether so many bounces can be labelled, with patches in place and without.
     fn check(&self, has_scene: bool) -> Result<(), StageError> {
-        let most = if has_scene { 5 } else { 3 };
-        if !(1..=most).contains(&self.bounces) {
-            let bounces = self.bounces;
-            let known = if has_scene { "with known patches" } else { "without known patches" };
-            return Err(StageError::Refused(format!(
-                "params.bounces = {bounces}: {known} bounces 1 to {most} are labelled"
-            )));
+        let bounces = self.bounces.get();
+        if has_scene || bounces <= DEEPEST_BLIND {
+            return Ok(());
         }
-        if !(0.0..=1.0).contains(&self.probability_min)
-            || self.clutter_per_ns.is_nan()
-            || self.clutter_per_ns <= 0.0
-            || self.near_m.is_nan()
-            || self.near_m < 0.0
-            || !(0.0..=BLEND_MAX_PS).contains(&self.blend_ps)
-            || !(self.false_alarm > 0.0 && self.false_alarm < 1.0)
-        {
-            return Err(StageError::Refused(
-                "params: probability_min and false_alarm must lie between 0 and 1, clutter_per_ns be positive, near_m not negative, blend_ps between 0 and 400"
-                    .to_owned(),
-            ));
-        }
-        Ok(())
+        Err(StageError::Refused(format!(
+            "params.bounces = {bounces}: must be at most {DEEPEST_BLIND} without `patches`; give them with `with`"
+        )))
     }
 
     fn options(&self) -> Options {
         Options {
-            bounces: self.bounces as usize,
-            probability_min: self.probability_min,
-            clutter_per_ns: self.clutter_per_ns,
-            near_m: self.near_m,
+            bounces: self.bounces.get() as usize,
+            probability_min: self.probability_min.get(),
+            clutter_per_ns: self.clutter_per_ns.get(),
+            near_m: self.near_m.get(),
             hidden: self.hidden.into(),
-            false_alarm: self.false_alarm,
-            blend_ps: self.blend_ps,
+            false_alarm: self.false_alarm.get(),
+            blend_ps: self.blend_ps.get(),
         }
     }
 }
@@ -279,7 +277,7 @@ impl Apply for LabelOnsets {
         let sensors: Vec<SensorProfiles> =
             group.chunk_by(is_one_sensor).map(|onsets| context.sensor_profiles(onsets)).collect();
         let solution = labelling::label(&sensors, context.scene.as_ref(), &self.options(), &context.cancel);
-        let hypotheses = rows::hypotheses(&solution.hypotheses, self.false_alarm);
+        let hypotheses = rows::hypotheses(&solution.hypotheses, self.false_alarm.get());
         Ok(Outcome {
             rows: rows::labels(&group, &sensors, solution.verdicts),
             sides: vec![Hypothesis::to_batch(&hypotheses)],

@@ -101,7 +101,7 @@ fn context(stage: &LabelOnsets, keys: &str, beside: &BesideTables) -> Result<Con
 
 /// Labels, hypotheses and rejections, with three bounces.
 fn searched(points: &[Point], onsets: &[Onset], delays: &[Delay]) -> (Vec<Label>, Vec<Hypothesis>, Vec<Rejection>) {
-    let stage = LabelOnsets { bounces: 3, ..LabelOnsets::default() };
+    let stage = LabelOnsets { bounces: Count::new(3), ..LabelOnsets::default() };
     let outcome = stage.apply(&context(&stage, "", &beside(points, delays)).unwrap(), onsets.to_vec()).unwrap();
     (outcome.rows, Hypothesis::rows(&outcome.sides[0]).unwrap(), outcome.rejections)
 }
@@ -113,7 +113,7 @@ fn refusal(stage: &LabelOnsets, beside: &BesideTables) -> String {
 
 #[test]
 fn a_label_is_its_onset_with_path_periods_and_shared_jitter() {
-    let stage = LabelOnsets { near_m: 1.6, ..LabelOnsets::default() };
+    let stage = LabelOnsets { near_m: NonNegative::new(1.6), ..LabelOnsets::default() };
     let context = context(&stage, "repetition_ps = 10000.0", &BesideTables::default()).unwrap();
     let rows = stage.apply(&context, vec![onset(7, 7, 1, 2500.0)]).unwrap().rows;
     let [label] = &rows[..] else { panic!("one label, not {rows:?}") };
@@ -164,10 +164,9 @@ fn visible_patches_in_one_line_are_a_rejection() {
 
 #[test]
 fn what_cannot_be_labelled_is_refused() {
-    let stage = |bounces: i32| LabelOnsets { bounces, ..LabelOnsets::default() };
+    let stage = |bounces: u32| LabelOnsets { bounces: Count::new(bounces), ..LabelOnsets::default() };
     let (without, with) = (BesideTables::default(), beside(&wall(0.1), &[]));
-    assert!(refusal(&stage(4), &without).contains("without known patches bounces 1 to 3"));
-    assert!(refusal(&stage(6), &with).contains("with known patches bounces 1 to 5"));
+    assert!(refusal(&stage(4), &without).contains("must be at most 3 without `patches`"));
     assert!(refusal(&stage(5), &with).is_empty() && refusal(&stage(3), &without).is_empty());
     let start = BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches(&wall(0.1), None))])]);
     assert!(refusal(&stage(3), &start).contains("no patch has a covariance"));
