@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::blends::Blends;
 use super::chances::Chances;
 use super::paths::{Graph, INDIRECT, Paths};
-use super::problem::{Options, SensorProfiles, Verdict, Verdicts, View};
+use super::problem::{Arrival, Options, SensorProfiles, Verdict, Verdicts, View};
 use super::scene::{Prediction, Scene};
 use crate::association::{Candidate, Expected, GATE, Time, associate};
 use crate::units::PatchId;
@@ -64,7 +64,7 @@ impl Assignment {
     pub(super) fn new(graph: &Graph, view: View, bounces: usize, clutter_per_ns: f64, prior: &Prior) -> Self {
         let blends = prior.blends();
         let reach_ps = blends.map_or(0.0, |blends| blends.reach_ps);
-        let mut arrivals: Vec<Time> = view.profile.arrivals.iter().map(|arrival| arrival.time()).collect();
+        let mut arrivals: Vec<Time> = view.profile.arrivals.iter().map(Arrival::time).collect();
         let paths = paths(graph, view, bounces, reach_ps);
         let clutter_per_ps: Vec<f64> =
             arrivals.iter().map(|arrival| clutter_per_ps(arrival, &paths, view, clutter_per_ns, prior)).collect();

@@ -22,7 +22,7 @@ pub(super) struct Layers<'a> {
     options: &'a Options,
     cancel: &'a Cancel,
     /// Shown by visible patches, and shown by hidden ones only.
-    layers: [Vec<HiddenPatch>; 2],
+    patches: [Vec<HiddenPatch>; 2],
     planes: Vec<Hidden>,
     declined: Option<Hidden>,
     /// Whether visible patches lie in one line, so that nothing is searched.
@@ -53,9 +53,9 @@ impl<'a> Layers<'a> {
         options: &'a Options,
         cancel: &'a Cancel,
     ) -> Self {
-        let layers = [Vec::new(), Vec::new()];
+        let patches = [Vec::new(), Vec::new()];
         let (planes, declined) = (Vec::new(), None);
-        let mut all = Self { scene, sensors, visible, options, cancel, layers, planes, declined, is_in_line: false };
+        let mut all = Self { scene, sensors, visible, options, cancel, patches, planes, declined, is_in_line: false };
         let SensorProfiles { source, dimensions, .. } = sensors[0];
         let points = scene.points_of(visible);
         if !spans(&points, dimensions) {
@@ -71,7 +71,7 @@ impl<'a> Layers<'a> {
         };
         all.declined = solution.declined;
         all.planes = std::mem::take(&mut solution.planes);
-        all.layers[0] = all.numbered(solution, &points, source);
+        all.patches[0] = all.numbered(solution, &points, source);
         all
     }
 
@@ -92,12 +92,12 @@ impl<'a> Layers<'a> {
         // A hidden patch throws light back to where it has it from: the side of the visible ones.
         let visible = scene.points_of(self.visible);
         let middle = visible.iter().map(|point| point.coords).sum::<Vector3<f64>>() / visible.len() as f64;
-        self.layers[1] = self.numbered(solution, &points, Point::from(middle));
+        self.patches[1] = self.numbered(solution, &points, Point::from(middle));
     }
 
     /// The scene with all hidden patches.
     pub(super) fn scene(&self) -> Scene {
-        let surfaces = |layer: usize| self.layers[layer].iter().map(|hidden| (hidden.patch, hidden.surface));
+        let surfaces = |layer: usize| self.patches[layer].iter().map(|hidden| (hidden.patch, hidden.surface));
         let scene = self.scene.with(surfaces(0));
         let shown_by = self.shown_by(&scene);
         scene.with_deep(&surfaces(1).collect::<Vec<_>>(), &shown_by)
@@ -105,7 +105,7 @@ impl<'a> Layers<'a> {
 
     /// Patches of both layers, then planes, then the likeliest place that is not sure enough.
     pub(super) fn hypotheses(&self) -> Vec<Hypothesis> {
-        let layers = (1..).zip(&self.layers).flat_map(|(layer, hidden)| hidden.iter().map(move |one| (layer, one)));
+        let layers = (1..).zip(&self.patches).flat_map(|(layer, hidden)| hidden.iter().map(move |one| (layer, one)));
         let patches = layers.map(|(layer, hidden)| Hypothesis {
             layer,
             patch: Some(hidden.patch),
@@ -123,7 +123,7 @@ impl<'a> Layers<'a> {
 
     fn room(&self, foci: Vec<Focus>) -> Room {
         let SensorProfiles { medium, dimensions, hidden_count, .. } = self.sensors[0];
-        let in_place = self.scene.points.len() - self.visible.len() + self.layers[0].len();
+        let in_place = self.scene.points.len() - self.visible.len() + self.patches[0].len();
         Room {
             foci,
             dimensions,
@@ -151,7 +151,7 @@ impl<'a> Layers<'a> {
     fn largest_patch(&self) -> PatchId {
         let in_campaigns = self.sensors.iter().map(|sensor| sensor.largest_patch);
         let in_place = self.scene.points.keys().copied();
-        let hidden = self.layers[0].iter().map(|hidden| hidden.patch);
+        let hidden = self.patches[0].iter().map(|hidden| hidden.patch);
         in_campaigns.chain(in_place).chain(hidden).max().unwrap_or(0)
     }
 }
