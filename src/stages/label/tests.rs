@@ -24,7 +24,7 @@ fn onset(lit: PatchId, seen: PatchId, rank: i32, time_ps: f64) -> Onset {
         range: Some("fine".into()),
         rank,
         time_ps,
-        time_sd_ps: 4.0,
+        time_sd_ps: 20.0,
         earliest_ps: None,
         amplitude: 1.0,
         amplitude_sd: None,
@@ -32,7 +32,7 @@ fn onset(lit: PatchId, seen: PatchId, rank: i32, time_ps: f64) -> Onset {
         snr: 10.0,
         evidence: None,
         covariance: Vec::new(),
-        jitter_ps: 3.0,
+        jitter_ps: 15.0,
         power_ratio: None,
         flags: Vec::new(),
     }
@@ -120,7 +120,7 @@ fn a_label_is_its_onset_with_path_periods_and_shared_jitter() {
     assert_eq!((&*label.campaign, &*label.sensor, label.range.as_deref()), ("c", "s1", Some("fine")));
     assert_eq!((label.lit, label.seen, label.rank, label.alternative), (7, 7, 1, 0));
     assert_eq!((label.path.as_deref(), label.bounces, label.turns), (Some(&[7][..]), 1, 1));
-    assert_eq!((label.time_ps, label.time_sd_ps, label.residual_ps), (2500.0 + PERIOD_PS, 5.0, None));
+    assert_eq!((label.time_ps, label.time_sd_ps, label.residual_ps), (2500.0 + PERIOD_PS, 25.0, None));
 }
 
 /// Of delays by range that of the onset's own counts, else the only one.
