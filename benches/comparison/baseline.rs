@@ -24,8 +24,9 @@ pub fn remove(profile: &Profile, response: &Response) -> Vec<f64> {
     profile.mean_v.iter().map(|sample| sample - baseline_v).collect()
 }
 
-/// Mean of the samples that no light reaches, given their noise `sd`: those that lie within 4 standard deviations of the median, without the
-/// `before` samples ahead of a louder one and the `after` samples behind it. `None` where less than a tenth of the record is left.
+/// Mean of the samples that no light reaches, given their noise `sd`: those that lie within 4 standard deviations of
+/// the median, without the `before` samples ahead of a louder one and the `after` samples behind it. `None` where less
+/// than a tenth of the record is left.
 ///
 /// # Panics
 /// If `sd` is not positive.

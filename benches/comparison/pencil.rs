@@ -223,8 +223,8 @@ fn pseudo_inverse(columns: &Mat<c64>) -> Mat<c64> {
     })
 }
 
-/// The response at the samples of a circular record of `len` samples every `step_ps`, sample 0 at the arrival: what precedes the arrival, or
-/// exceeds a period, wraps around.
+/// The response at the samples of a circular record of `len` samples every `step_ps`, sample 0 at the arrival: what
+/// precedes the arrival, or exceeds a period, wraps around.
 ///
 /// # Panics
 /// If `len` is 0 or `step_ps` not positive.

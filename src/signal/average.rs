@@ -1,9 +1,10 @@
 //! Averaging of shots that are moved onto a common time grid, exactly.
 //!
-//! The time of a shot's sample 0 is rounded to 1/64 sample. Codes are summed as integers, a sum for each of the 64 phases that occurs; at the end
-//! each phase is delayed once onto the grid, by a band-limited filter ([`super::resample`]), and the phases are added. So the sums are the same for any order of
-//! shots, a shot costs one addition a sample, and a capture without jitter has one phase and no filter at all.
-//! Source: averaging of exposures, paper section 5.
+//! The time of a shot's sample 0 is rounded to 1/64 sample. Codes are summed as integers, a sum for each of the 64
+//! phases that occurs; at the end each phase is delayed once onto the grid, by a band-limited filter
+//! ([`super::resample`]), and the phases are added. So the sums are the same for any order of shots, a shot costs one
+//! addition a sample, and a capture without jitter has one phase and no filter at all. Source: averaging of exposures,
+//! paper section 5.
 
 use std::ops::Range;
 

@@ -1,4 +1,5 @@
-//! What averaging leaves of an impulse response: each phase of a sample is delayed onto the grid by a filter that ends at half the sample rate.
+//! What averaging leaves of an impulse response: each phase of a sample is delayed onto the grid by a filter that ends
+//! at half the sample rate.
 
 use super::average::PHASES;
 use super::resample;
@@ -9,11 +10,11 @@ const RESPONSE_STEPS: usize = 8;
 /// Share of the maximum below which an averaged response is cut off at its ends.
 const NEGLIGIBLE: f64 = 1e-4;
 
-/// What averaging leaves of an impulse response: `sum_p n_p / N sum_u w(u) h(t + u dt)`, over the phases p with their shots `n_p` and the taps u of the
-/// filter that delays each phase.
+/// What averaging leaves of an impulse response: `sum_p n_p / N sum_u w(u) h(t + u dt)`, over the phases p with their
+/// shots `n_p` and the taps u of the filter that delays each phase.
 ///
-/// One phase that lies on the grid leaves it as it is. Shots spread over all phases leave what lies below half the sample rate: what a fast edge has
-/// above rings, in the mean as in this.
+/// One phase that lies on the grid leaves it as it is. Shots spread over all phases leave what lies below half the
+/// sample rate: what a fast edge has above rings, in the mean as in this.
 ///
 /// # Panics
 /// When there are not [`PHASES`] counts, no shots, or `dt_ps` is not positive.

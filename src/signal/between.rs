@@ -1,11 +1,15 @@
 //! Whether a third pulse stands between two that blend.
 //!
-//! Two pulses of open times imitate a third between them, the better the closer they are: at a distance d and a Gaussian response of sd s, what they leave of it has `(d / 2 s)^4`
-//! for its order of size, so that a fit of two pulses looks good whether or not a third is there. What can be told is in the difference: least squares with nothing between against least
-//! squares with at least a stated share of the weaker of both, times and amplitudes of both free in either (a likelihood ratio over their profile likelihood, see Murphy and van der Vaart,
-//! J. Am. Stat. Assoc. 95, 449 (2000)). Nothing is linearised over the distances that times move: a strong third pulse moves its neighbours by tens of picoseconds.
+//! Two pulses of open times imitate a third between them, the better the closer they are: at a distance d and a
+//! Gaussian response of sd s, what they leave of it has `(d / 2 s)^4` for its order of size, so that a fit of two
+//! pulses looks good whether or not a third is there. What can be told is in the difference: least squares with nothing
+//! between against least squares with at least a stated share of the weaker of both, times and amplitudes of both free
+//! in either (a likelihood ratio over their profile likelihood, see Murphy and van der Vaart, J. Am. Stat. Assoc. 95,
+//! 449 (2000)). Nothing is linearised over the distances that times move: a strong third pulse moves its neighbours by
+//! tens of picoseconds.
 //!
-//! What the model may lack comes in as light with a prior: the spread in time of each pulse's light, and strays at known places.
+//! What the model may lack comes in as light with a prior: the spread in time of each pulse's light, and strays at
+//! known places.
 
 use super::regression::{Regression, least_squares};
 use super::response::Response;
@@ -314,7 +318,7 @@ mod tests {
         let (response, sd_v) = (gaussian(106.0), vec![1.0; COUNT]);
         for (seed, third_v) in [(1, 0.0), (2, 12.0), (3, 60.0)] {
             let mean_v = record([100.0, third_v, 140.0], seed);
-            let found = between(&profile(&mean_v, &sd_v), &response, &pair(100.0)).unwrap();
+            let estimate = between(&profile(&mean_v, &sd_v), &response, &pair(100.0)).unwrap();
             let chi2 = |of: Option<usize>, times_ps: [f64; 2]| {
                 let pulse =
                     |at_ps: f64| (0..COUNT).map(|n| response.value(DT_PS * n as f64 - at_ps)).collect::<Vec<_>>();
@@ -338,17 +342,18 @@ mod tests {
                 }
                 best
             };
-            let is_least = |found: f64, naive: f64| (naive - 1e-2..naive + 1e-6).contains(&found);
-            assert!(is_least(found.free_chi2, least(None)), "{found:?}");
-            if found.share < 1.0 / 3.0 {
-                assert!(is_least(found.occupied_chi2, least(Some(0)).min(least(Some(1)))), "{found:?}");
+            let is_least = |estimate: f64, naive: f64| (naive - 1e-2..naive + 1e-6).contains(&estimate);
+            assert!(is_least(estimate.free_chi2, least(None)), "{estimate:?}");
+            if estimate.share < 1.0 / 3.0 {
+                assert!(is_least(estimate.occupied_chi2, least(Some(0)).min(least(Some(1)))), "{estimate:?}");
             } else {
-                assert!(found.occupied_chi2 <= found.free_chi2 + 1e-6, "{found:?}");
+                assert!(estimate.occupied_chi2 <= estimate.free_chi2 + 1e-6, "{estimate:?}");
             }
         }
     }
 
-    /// Errors of the share are as large as its standard deviation, which blended pulses make a tenth of the weaker at an SNR of 100.
+    /// Errors of the share are as large as its standard deviation, which blended pulses make a tenth of the weaker at
+    /// an SNR of 100.
     #[test]
     fn shares_have_the_errors_that_they_are_said_to_have() {
         let (response, sd_v) = (gaussian(106.0), vec![1.0; COUNT]);
@@ -357,9 +362,9 @@ mod tests {
             let errors: Vec<f64> = (0..draws)
                 .map(|seed| {
                     let mean_v = record([300.0, 300.0 * share, 300.0], seed);
-                    let found = between(&profile(&mean_v, &sd_v), &response, &pair(300.0)).unwrap();
-                    assert!(found.share_sd > 0.02 && found.share_sd < 0.08, "{found:?}");
-                    (found.share - share) / found.share_sd
+                    let estimate = between(&profile(&mean_v, &sd_v), &response, &pair(300.0)).unwrap();
+                    assert!(estimate.share_sd > 0.02 && estimate.share_sd < 0.08, "{estimate:?}");
+                    (estimate.share - share) / estimate.share_sd
                 })
                 .collect();
             let square = errors.iter().map(|error| error * error).sum::<f64>() / draws as f64;

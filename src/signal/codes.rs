@@ -1,7 +1,7 @@
 //! Raw codes of a converter, as they lie in a file: little-endian bytes of a number type, at any alignment.
 
 #![allow(clippy::useless_conversion, reason = "one of the eight types is f64 already")]
-#![allow(clippy::cast_lossless, reason = "what is written once for eight types casts some of them")]
+#![allow(clippy::cast_lossless, reason = "one macro serves eight types, and its casts lose nothing for some of them")]
 
 use std::ops::Range;
 

@@ -1,16 +1,19 @@
 //! Drift of a delay over a session, from references that are repeated between captures.
 //!
-//! The delay is a polygon with equally spaced knots: it minimises `sum rho((d_i - p(t_i)) / sd_i) + sum (second difference of the knots)^2 / r^2`
-//! with Huber's `rho`, by iterated weights (Huber, Ann. Math. Stat. 35, 73 (1964)), over the points that are not far off the median of their
-//! neighbourhood. Read as a walk whose slope changes at each knot by a normal number of sd r, the inverse of the normal matrix is the covariance of
-//! the knots, and r, the roughness, follows by maximum likelihood with the knots integrated out (Wahba, *Spline Models for Observational
-//! Data*, chapters 1 and 4). Beyond the points the delay goes on as a line, and its error grows as the walk's does.
+//! The delay is a polygon with equally spaced knots: it minimises
+//! `sum rho((d_i - p(t_i)) / sd_i) + sum (second difference of the knots)^2 / r^2` with Huber's `rho`, by iterated
+//! weights (Huber, Ann. Math. Stat. 35, 73 (1964)), over the points that are not far off the median of their
+//! neighbourhood. Read as a walk whose slope changes at each knot by a normal number of sd r, the inverse of the normal
+//! matrix is the covariance of the knots, and r, the roughness, follows by maximum likelihood with the knots integrated
+//! out (Wahba, *Spline Models for Observational Data*, chapters 1 and 4). Beyond the points the delay goes on as a
+//! line, and its error grows as the walk's does.
 //!
-//! A step of the delay (a cable that was touched) is no drift. At each gap that has enough points on either side, a step is fitted beside
-//! the polygon, roughness anew; one that stands out from its error is refused, with its place, so that the session can be parted there.
-//! Not modelled: error common to all references, steps next to the session's ends.
+//! A step of the delay (a cable that was touched) is no drift. At each gap that has enough points on either side, a
+//! step is fitted beside the polygon, roughness anew; one that stands out from its error is refused, with its place, so
+//! that the session can be parted there. Not modelled: error common to all references, steps next to the session's
+//! ends.
 
-/// Residuals beyond this many sd count linearly.
+/// Residuals beyond this many sd count linearly: of normal ones 1 in 80, so that a drift without outliers loses little.
 const HUBER: f64 = 2.5;
 /// A point this many sd (or spreads, if larger) off the median of its neighbourhood does not count.
 const REJECTED: f64 = 5.0;
@@ -85,8 +88,8 @@ impl Drift {
         (self.level_ps + delay_ps, (variance + self.walk_ps2(part)).sqrt())
     }
 
-    /// By how much the delay at a time exceeds that at `origin_s`, and the standard deviation of the difference, ps. Both within the points, or the
-    /// same side of them; else the walk beyond them counts in full.
+    /// By how much the delay at a time exceeds that at `origin_s`, and the standard deviation of the difference, ps.
+    /// Both within the points, or the same side of them; else the walk beyond them counts in full.
     #[must_use]
     pub fn since(&self, origin_s: f64, time_s: f64) -> (f64, f64) {
         let mut hats = vec![0.0; self.knots_ps.len()];
@@ -269,7 +272,8 @@ impl System {
     }
 }
 
-/// Which points lie near the median of their neighbourhood: a start that outliers do not bend, and that steps do not blur.
+/// Which points lie near the median of their neighbourhood: a start that outliers do not bend, and that steps do not
+/// blur.
 fn counted(points: &[Point]) -> Vec<f64> {
     let median = |values: &mut Vec<f64>| {
         let half = values.len() / 2;

@@ -1,9 +1,10 @@
 //! An echo: a second, weaker pulse of the same shape behind the main one, as a mismatched cable makes it.
 //!
-//! A response that was calibrated with the echo in it explains the echo away. So its *core* is taken, from where it rises above a hundredth of its
-//! maximum to where it has fallen below it for the first time; what the best fit of the core leaves of a record is searched with the core as matched
-//! filter (Turin, *An introduction to matched filters*, 1960). A tail that falls as an exponential goes on behind the core: the search begins where
-//! its continuation is well below the noise. Not modelled: echoes that overlap the core, and tails that are slower than the core's own end.
+//! A response that was calibrated with the echo in it explains the echo away. So its *core* is taken, from where it
+//! rises above a hundredth of its maximum to where it has fallen below it for the first time; what the best fit of the
+//! core leaves of a record is searched with the core as matched filter (Turin, *An introduction to matched filters*,
+//! 1960). A tail that falls as an exponential goes on behind the core: the search begins where its continuation is well
+//! below the noise. Not modelled: echoes that overlap the core, and tails that are slower than the core's own end.
 
 use super::pulse_fit::Record;
 use super::reference::fit_pulse;
@@ -75,8 +76,8 @@ impl Core {
     }
 }
 
-/// The largest echo in a record whose samples see the core as `seen` (what averaging leaves of it). `None` without a main pulse, or when too little
-/// of the record is left behind it.
+/// The largest echo in a record whose samples see the core as `seen` (what averaging leaves of it). `None` without a
+/// main pulse, or when too little of the record is left behind it.
 ///
 /// # Panics
 /// When the step or the noise of the record is not positive.
@@ -140,7 +141,8 @@ pub fn largest(record: &Record<'_>, core: &Core, seen: &Response) -> Option<Echo
     Some(Echo { ratio, ratio_sd, delay_ps, trials: trials(seen, core, dt_ps, searched_ps) })
 }
 
-/// How far behind the main pulse an echo is first sought: where it lies clear of the core, and the tail's continuation adds little to it.
+/// How far behind the main pulse an echo is first sought: where it lies clear of the core, and the tail's continuation
+/// adds little to it.
 fn begin_ps(core: &Core, ratio_sd: f64) -> f64 {
     let step_ps = (core.end_ps - core.start_ps) / 256.0;
     let grid = || (0..=256).map(|i| core.start_ps + f64::from(i) * step_ps);
@@ -152,8 +154,8 @@ fn begin_ps(core: &Core, ratio_sd: f64) -> f64 {
     (core.end_ps + core.decay_ps * below).max(core.end_ps - core.start_ps)
 }
 
-/// Number of independent positions: such that it times the chance of one is the expected number of excursions of the filter's output beyond
-/// [`LEVEL`] (Rice, *Mathematical analysis of random noise*, 1944).
+/// Number of independent positions: such that it times the chance of one is the expected number of excursions of the
+/// filter's output beyond [`LEVEL`] (Rice, *Mathematical analysis of random noise*, 1944).
 fn trials(seen: &Response, core: &Core, dt_ps: f64, searched_ps: f64) -> f64 {
     let step_ps = dt_ps / 16.0;
     let count = ((core.end_ps - core.start_ps) / step_ps) as usize;

@@ -1,7 +1,7 @@
 //! Fourier transforms of real records: the one address of `rustfft` and `realfft`.
 //!
-//! Forward `Y[k] = sum_n y[n] exp(-2 pi i k n / N)` for `k = 0..=N/2`, inverse with the factor `1/N`: the conventions of `numpy.fft.rfft`
-//! and `irfft`. Any length; lengths of small prime factors are fastest.
+//! Forward `Y[k] = sum_n y[n] exp(-2 pi i k n / N)` for `k = 0..=N/2`, inverse with the factor `1/N`: the conventions
+//! of `numpy.fft.rfft` and `irfft`. Any length; lengths of small prime factors are fastest.
 
 use realfft::RealFftPlanner;
 pub use rustfft::num_complex::Complex;
@@ -46,8 +46,8 @@ impl RealFft {
         plan.process_with_scratch(&mut self.samples, spectrum, &mut self.scratch).expect("lengths were checked");
     }
 
-    /// Record (N samples) of `spectrum` (N/2 + 1 bins) into `signal`, divided by N. The imaginary parts of the first bin and, for even
-    /// N, of the last are ignored: a real record has none.
+    /// Record (N samples) of `spectrum` (N/2 + 1 bins) into `signal`, divided by N. The imaginary parts of the first
+    /// bin and, for even N, of the last are ignored: a real record has none.
     ///
     /// # Panics
     /// If `signal` is empty or `spectrum` has another length.

@@ -1,20 +1,22 @@
 //! Records longer than the laser's period, folded into one period.
 //!
-//! All light repeats with the laser, so sample `b` of a circular profile of `B` samples is the mean of the record at `t0 + (b / B + r) T` over the
-//! repetitions `r`, weighted by their variances. The period is in general no whole number of samples: the record is interpolated, band-limited
-//! ([`super::resample`]) where the filter's reach lies within the record, else, if no other repetition has that place, on the line between two
-//! samples. Errors follow the weights; neighbouring samples share a little of their noise.
+//! All light repeats with the laser, so sample `b` of a circular profile of `B` samples is the mean of the record at
+//! `t0 + (b / B + r) T` over the repetitions `r`, weighted by their variances. The period is in general no whole number
+//! of samples: the record is interpolated, band-limited ([`super::resample`]) where the filter's reach lies within the
+//! record, else, if no other repetition has that place, on the line between two samples. Errors follow the weights;
+//! neighbouring samples share a little of their noise.
 //!
-//! The period by maximum likelihood: repetitions `r` sampled with a period that is wrong by `d` differ from their mean by `-r d s'(t)`, hence
-//! `d = -sum w (r - mean r) e s' / sum w (r - mean r)^2 s'^2` over all samples and repetitions, the period corrected until it stays. It starts
-//! from the period at which the folded profile has most energy. Not modelled: jitter of the laser, drift of its period, aliases of the response.
+//! The period by maximum likelihood: repetitions `r` sampled with a period that is wrong by `d` differ from their mean
+//! by `-r d s'(t)`, hence `d = -sum w (r - mean r) e s' / sum w (r - mean r)^2 s'^2` over all samples and repetitions,
+//! the period corrected until it stays. It starts from the period at which the folded profile has most energy. Not
+//! modelled: jitter of the laser, drift of its period, aliases of the response.
 
 use super::resample;
 
 /// Steps after which a period that has not settled is none.
 const STEPS: usize = 30;
-/// A period has settled when it changes by less than this share of its standard deviation: a sample that enters or leaves the last repetition changes
-/// it by as much.
+/// A period has settled when it changes by less than this share of its standard deviation: a sample that enters or
+/// leaves the last repetition changes it by as much.
 const SETTLED: f64 = 0.05;
 /// Phases of a sample at which the filter is tabulated; between them it is linear to 1e-5.
 const PHASES: usize = 512;
@@ -23,7 +25,7 @@ const TRIALS_A_SAMPLE: f64 = 1.0;
 
 /// A record with light that repeats.
 #[derive(Clone, Copy, Debug)]
-pub struct Record<'a> {
+pub struct PulseTrain<'a> {
     /// Samples, V.
     pub mean_v: &'a [f64],
     /// Standard deviation of each, V; infinite for a sample to be ignored.
@@ -57,7 +59,7 @@ pub struct Period {
 /// # Panics
 /// If lengths differ, an sd is not positive, or the record is shorter than a period or the period than two samples.
 #[must_use]
-pub fn fold(record: &Record, period_ps: f64) -> Folded {
+pub fn fold(record: &PulseTrain, period_ps: f64) -> Folded {
     check(record, period_ps);
     fold_with(record, period_ps, &filter())
 }
@@ -71,7 +73,7 @@ fn filter() -> Vec<[f64; resample::TAPS]> {
     filter
 }
 
-fn fold_with(record: &Record, period_ps: f64, filter: &[[f64; resample::TAPS]]) -> Folded {
+fn fold_with(record: &PulseTrain, period_ps: f64, filter: &[[f64; resample::TAPS]]) -> Folded {
     let repetitions = Repetitions::new(record, period_ps, filter);
     let folded: Vec<Option<(f64, f64)>> = (0..repetitions.samples).map(|b| mean(&repetitions.at(b))).collect();
     Folded {
@@ -81,7 +83,7 @@ fn fold_with(record: &Record, period_ps: f64, filter: &[[f64; resample::TAPS]]) 
     }
 }
 
-fn check(record: &Record, period_ps: f64) {
+fn check(record: &PulseTrain, period_ps: f64) {
     let len = record.mean_v.len();
     assert!(record.dt_ps > 0.0 && record.sd_v.len() == len, "a record has a step, and an sd for each sample");
     assert!(record.sd_v.iter().all(|sd| *sd > 0.0), "the sds must be positive");
@@ -104,7 +106,7 @@ struct Value {
 
 /// The record at the places of a folded profile.
 struct Repetitions<'a> {
-    record: &'a Record<'a>,
+    record: &'a PulseTrain<'a>,
     /// Samples of the folded profile.
     samples: usize,
     /// Period in samples of the record.
@@ -113,7 +115,7 @@ struct Repetitions<'a> {
 }
 
 impl<'a> Repetitions<'a> {
-    fn new(record: &'a Record<'a>, period_ps: f64, filter: &'a [[f64; resample::TAPS]]) -> Self {
+    fn new(record: &'a PulseTrain<'a>, period_ps: f64, filter: &'a [[f64; resample::TAPS]]) -> Self {
         let period = period_ps / record.dt_ps;
         Self { record, samples: period.round() as usize, period, filter }
     }
@@ -163,13 +165,13 @@ impl<'a> Repetitions<'a> {
     }
 }
 
-/// The period of the light in `record`, sought from `start_ps - search_ps` to `start_ps + search_ps`. `None` if the record holds fewer than two
-/// periods, or no light that tells it.
+/// The period of the light in `record`, sought from `start_ps - search_ps` to `start_ps + search_ps`. `None` if the
+/// record holds fewer than two periods, or no light that tells it.
 ///
 /// # Panics
 /// As [`fold`], for the longest period sought; or if `search_ps` is negative.
 #[must_use]
-pub fn refine_period(record: &Record, start_ps: f64, search_ps: f64) -> Option<Period> {
+pub fn refine_period(record: &PulseTrain, start_ps: f64, search_ps: f64) -> Option<Period> {
     assert!(search_ps >= 0.0, "a range to search is not negative");
     check(record, start_ps + search_ps);
     let repetitions = record.mean_v.len() as f64 * record.dt_ps / start_ps;
@@ -203,7 +205,7 @@ pub fn refine_period(record: &Record, start_ps: f64, search_ps: f64) -> Option<P
 }
 
 /// Correction of a period and its standard deviation, ps. `None` where noise makes up all of the slope.
-fn step(record: &Record, period_ps: f64, filter: &[[f64; resample::TAPS]]) -> Option<(f64, f64)> {
+fn step(record: &PulseTrain, period_ps: f64, filter: &[[f64; resample::TAPS]]) -> Option<(f64, f64)> {
     let repetitions = Repetitions::new(record, period_ps, filter);
     let samples = repetitions.samples;
     let values: Vec<Vec<Value>> = (0..samples).map(|b| repetitions.at(b)).collect();
@@ -226,7 +228,8 @@ fn step(record: &Record, period_ps: f64, filter: &[[f64; resample::TAPS]]) -> Op
     (information > 0.0).then(|| (product / information, information.sqrt().recip()))
 }
 
-/// Where to cut a circular record open: in the middle of its longest run of dark samples; at its first dark one, or at 0, if it has no run.
+/// Where to cut a circular record open: in the middle of its longest run of dark samples; at its first dark one, or at
+/// 0, if it has no run.
 #[must_use]
 pub fn opening(is_dark: &[bool]) -> usize {
     let count = is_dark.len();

@@ -1,15 +1,17 @@
 //! One profile from captures of the same light at several vertical ranges of the oscilloscope.
 //!
-//! A range that resolves the weak bounces clips on the strong one. Where no range clips, `y_i(t) = offset_i + gain_i * y_0(t - delay_i)` with
-//! noise on both sides; gain and offset are the maximum likelihood line through points with errors in both coordinates (York, Evensen, Martinez and
-//! De Basabe Delgado, Am. J. Phys. 72, 367 (2004)): plain regression would find the gain too small by the share of noise in the light's
-//! power. The variance of the gain takes from the places' scatter along the line what noise adds to it.
-//! The delay, if asked for, follows from the residual's product with the slope, and is removed by a band-limited shift. Then, at each sample, the
-//! mean of all ranges that are valid there, weighted by their variances, on the scale of the first.
+//! A range that resolves the weak bounces clips on the strong one. Where no range clips,
+//! `y_i(t) = offset_i + gain_i * y_0(t - delay_i)` with noise on both sides; gain and offset are the maximum likelihood
+//! line through points with errors in both coordinates (York, Evensen, Martinez and De Basabe Delgado, Am. J. Phys. 72,
+//! 367 (2004)): plain regression would find the gain too small by the share of noise in the light's power. The variance
+//! of the gain takes from the places' scatter along the line what noise adds to it. The delay, if asked for, follows
+//! from the residual's product with the slope, and is removed by a band-limited shift. Then, at each sample, the mean
+//! of all ranges that are valid there, weighted by their variances, on the scale of the first.
 //!
-//! Give the most sensitive range first: it is not shifted, so clipping does not spread in it through the filter of the shift. Samples near
-//! a clipped stretch and in its recovery are left out by a margin; how long an amplifier recovers must be known. Not modelled: a gain that
-//! depends on level or frequency, noise correlated between samples (in a shifted range it is, slightly), jitter.
+//! Give the most sensitive range first: it is not shifted, so clipping does not spread in it through the filter of the
+//! shift. Samples near a clipped stretch and in its recovery are left out by a margin; how long an amplifier recovers
+//! must be known. Not modelled: a gain that depends on level or frequency, noise correlated between samples (in a
+//! shifted range it is, slightly), jitter.
 
 use super::regression::least_squares;
 use super::resample;
@@ -80,8 +82,8 @@ pub struct Merged {
 }
 
 impl Merged {
-    /// Standard deviation that the errors of all gains and offsets make at sample `n`, V. It is common to all samples (`shares` and `links` give its
-    /// correlation), so it is not part of `se_v`.
+    /// Standard deviation that the errors of all gains and offsets make at sample `n`, V. It is common to all samples
+    /// (`shares` and `links` give its correlation), so it is not part of `se_v`.
     ///
     /// # Panics
     /// If there is no such sample.
@@ -96,7 +98,8 @@ impl Merged {
     }
 }
 
-/// Merges `ranges` onto the first. `None` if a range shares too few valid samples with the first, or its gain is not told by them.
+/// Merges `ranges` onto the first. `None` if a range shares too few valid samples with the first, or its gain is not
+/// told by them.
 ///
 /// # Panics
 /// If there is no range, lengths differ, a standard error is not positive, or `delay_dt_ps` is not positive.
@@ -210,12 +213,11 @@ fn line(first: &Trace, other: &Trace) -> Option<Link> {
     if shared.len() < SHARED_MIN {
         return None;
     }
-    let variances = |n: usize| (first.se_v[n].powi(2), other.se_v[n].powi(2));
     let sum = |f: &dyn Fn(usize) -> f64| shared.iter().map(|n| f(*n)).sum::<f64>();
     let mut gain = first_gain(&shared, first, other);
     for _ in 0..STEPS {
         let weight = |n: usize| {
-            let (x, y) = variances(n);
+            let (x, y) = variances(first, other, n);
             1.0 / (y + gain * gain * x)
         };
         let total = sum(&weight);
@@ -223,14 +225,18 @@ fn line(first: &Trace, other: &Trace) -> Option<Link> {
         let (x_mean, y_mean) = (sum(&|n| weight(n) * x[n]) / total, sum(&|n| weight(n) * y[n]) / total);
         // Where the point lies on the line, along x.
         let place = |n: usize| {
-            let (x_variance, y_variance) = variances(n);
+            let (x_variance, y_variance) = variances(first, other, n);
             weight(n) * ((x[n] - x_mean) * y_variance + gain * (y[n] - y_mean) * x_variance)
         };
         let new = sum(&|n| weight(n) * place(n) * (y[n] - y_mean)) / sum(&|n| weight(n) * place(n) * (x[n] - x_mean));
         let place_mean = sum(&|n| weight(n) * place(n)) / total;
-        // Scatter of the places about the line's centre, and the part of it that is noise: York's `1 / scatter` is right where there is none.
+        // Scatter of the places about the line's centre, and the part of it that is noise: York's `1 / scatter` is
+        // right where there is none.
         let scatter = sum(&|n| weight(n) * (place(n) - place_mean).powi(2));
-        let noise = sum(&|n| weight(n).powi(2) * variances(n).0 * variances(n).1);
+        let noise = sum(&|n| {
+            let (x_variance, y_variance) = variances(first, other, n);
+            weight(n).powi(2) * x_variance * y_variance
+        });
         if !new.is_finite() || scatter <= noise {
             return None;
         }
@@ -256,6 +262,11 @@ fn line(first: &Trace, other: &Trace) -> Option<Link> {
     None
 }
 
+/// Variances of sample `n` in both ranges.
+fn variances(first: &Trace, other: &Trace, n: usize) -> (f64, f64) {
+    (first.se_v[n].powi(2), other.se_v[n].powi(2))
+}
+
 /// A gain to start from: root of the ratio of the powers, noise included: the line's iteration takes it from there.
 fn first_gain(shared: &[usize], first: &Trace, other: &Trace) -> f64 {
     let mean = |values: &[f64]| shared.iter().map(|n| values[*n]).sum::<f64>() / shared.len() as f64;
@@ -266,8 +277,8 @@ fn first_gain(shared: &[usize], first: &Trace, other: &Trace) -> f64 {
     (power(other, y_mean) / power(first, x_mean)).sqrt()
 }
 
-/// By how many samples more the other range is late, and the standard deviation of that: least squares of the line's residual on `x`, 1 and
-/// `-gain x'`.
+/// By how many samples more the other range is late, and the standard deviation of that: least squares of the line's
+/// residual on `x`, 1 and `-gain x'`.
 fn delay_step(first: &Trace, other: &Trace, line: &Link) -> Option<(f64, f64)> {
     let valid = |n: usize| first.valid[n] && other.valid[n];
     let neighbours = |n: &usize| valid(*n) && first.valid[n - 1] && first.valid[n + 1];
@@ -275,10 +286,11 @@ fn delay_step(first: &Trace, other: &Trace, line: &Link) -> Option<(f64, f64)> {
     if shared.len() < SHARED_MIN {
         return None;
     }
-    let x = |n: usize| first.mean_v[n];
+    let x = &first.mean_v;
     let column = |f: &dyn Fn(usize) -> f64| shared.iter().map(|n| f(*n)).collect::<Vec<f64>>();
-    let columns = [column(&x), vec![1.0; shared.len()], column(&|n| -line.gain * (x(n + 1) - x(n - 1)) / 2.0)];
-    let residual = column(&|n| other.mean_v[n] - line.offset_v - line.gain * x(n));
+    let slope = column(&|n| -line.gain * (x[n + 1] - x[n - 1]) / 2.0);
+    let columns = [column(&|n| x[n]), vec![1.0; shared.len()], slope];
+    let residual = column(&|n| other.mean_v[n] - line.offset_v - line.gain * x[n]);
     let sd = column(&|n| (other.se_v[n].powi(2) + (line.gain * first.se_v[n]).powi(2)).sqrt());
     let fit = least_squares(&columns, &residual, &sd)?;
     Some((fit.values[2], fit.sd(2)))

@@ -12,10 +12,11 @@ pub struct Noise {
     pub acf: Vec<f64>,
 }
 
-/// Noise of stretches of samples, each with its own mean removed; `lags` autocorrelations. Stretches of fewer than two samples do not count.
+/// Noise of stretches of samples, each with its own mean removed; `lags` autocorrelations. Stretches of fewer than two
+/// samples do not count.
 ///
-/// The mean that is removed takes its own variance with it at every lag: that part is given back, on the supposition that nothing is correlated
-/// beyond `lags` and half a stretch.
+/// The mean that is removed takes its own variance with it at every lag: that part is given back, on the supposition
+/// that nothing is correlated beyond `lags` and half a stretch.
 #[must_use]
 pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
     let stretches: Vec<&Vec<f64>> = stretches.iter().filter(|stretch| stretch.len() >= 2).collect();
@@ -35,12 +36,14 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
     Noise { sd: variance.sqrt(), acf: covariances.iter().enumerate().map(correlation).take(lags).collect() }
 }
 
-/// Covariances at lags 0, 1, .. from those of stretches of `length` samples whose means were removed: the fixed point of
-/// `c = centred + loss(c)`. The loss is the smaller the shorter the correlation, so that the iteration contracts.
+/// Covariances at lags 0, 1, .. from those of stretches of `length` samples whose means were removed: the fixed point
+/// of `c = centred + loss(c)`. The loss is the smaller the shorter the correlation, so that the iteration contracts.
 ///
-/// With m the mean of a stretch of L samples, the covariance at a lag k loses the mean over n of `cov(x_n, m) + cov(x_{n + k}, m) - var(m)`. Let
-/// `s(n)` be the sum of the covariances up to lag n, which stays as it is behind the last correlated one, and `u(n)` the sum of the first n of
-/// these: then `L cov(x_n, m) = s(n) + s(L - 1 - n) - c_0`, and the loss is `2/L ((u(L) + u(L - k) - u(k)) / (L - k) - u(L) / L) - c_0 / L`.
+/// With m the mean of a stretch of L samples, the covariance at a lag k loses the mean over n of
+/// `cov(x_n, m) + cov(x_{n + k}, m) - var(m)`. Let `s(n)` be the sum of the covariances up to lag n, which stays as it
+/// is behind the last correlated one, and `u(n)` the sum of the first n of these: then
+/// `L cov(x_n, m) = s(n) + s(L - 1 - n) - c_0`, and the loss is
+/// `2/L ((u(L) + u(L - k) - u(k)) / (L - k) - u(L) / L) - c_0 / L`.
 fn undo_centring(centred: &[f64], length: usize) -> Vec<f64> {
     const ROUNDS: usize = 60;
     /// Share of the variance: far less than any estimate knows.
@@ -78,14 +81,15 @@ fn running_sums(sums: &mut Vec<f64>, values: impl Iterator<Item = f64>) {
     }
 }
 
-/// Autocorrelation of the autoregressive process that describes an estimated one best: always a valid one, and without the scatter of lags that
-/// say nothing. `samples`: number of samples N behind the estimate.
+/// Autocorrelation of the autoregressive process that describes an estimated one best: always a valid one, and without
+/// the scatter of lags that say nothing. `samples`: number of samples N behind the estimate.
 ///
-/// The order m has the smallest Bayesian information criterion `N ln v_m + m ln N` (Schwarz, Ann. Stat. 6, 461 (1978)), `v_m` the variance of the
-/// error of prediction, among those whose `v_m` is known: lags that are wrong by `1 / sqrt(N)` make it wrong by `|a|^2 / sqrt(N)`, a the filter
-/// `1, -phi_1, .., -phi_m`. No order exceeds `N^(1/3) / 2` (Berk, Ann. Stat. 2, 489 (1974): spectra are consistent if m grows more slowly than
-/// `N^(1/3)`): an estimate that is nearly none otherwise tempts to the highest, which kills the lowest frequencies. Up to lag m the result
-/// is the estimate, behind it the process's continuation.
+/// The order m has the smallest Bayesian information criterion `N ln v_m + m ln N` (Schwarz, Ann. Stat. 6, 461 (1978)),
+/// `v_m` the variance of the error of prediction, among those whose `v_m` is known: lags that are wrong by
+/// `1 / sqrt(N)` make it wrong by `|a|^2 / sqrt(N)`, a the filter `1, -phi_1, .., -phi_m`. No order exceeds
+/// `N^(1/3) / 2` (Berk, Ann. Stat. 2, 489 (1974): spectra are consistent if m grows more slowly than `N^(1/3)`): an
+/// estimate that is nearly none otherwise tempts to the highest, which kills the lowest frequencies. Up to lag m the
+/// result is the estimate, behind it the process's continuation.
 #[must_use]
 pub fn autoregressive(acf: &[f64], samples: usize) -> Vec<f64> {
     let predictors = Predictors::new(acf);
@@ -203,7 +207,8 @@ mod tests {
         }
     }
 
-    /// Against the definition: every product of two samples about the mean of their stretch, by the covariances of samples.
+    /// Against the definition: every product of two samples about the mean of their stretch, by the covariances of
+    /// samples.
     #[test]
     fn what_centring_takes_is_given_back() {
         let covariances = [2.0, 1.1, -0.3, 0.2, 0.05, -0.1];

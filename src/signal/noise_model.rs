@@ -1,18 +1,20 @@
 //! Variance of a record's samples as a function of level and slope.
 //!
-//! `sd^2 = s0^2 + s1^2 |v| + s2^2 v^2 + j^2 (dv/dt)^2`: converter and amplifier; shot noise, in proportion to the light; the laser's energy, in
-//! proportion to the level; jitter, in proportion to the slope. The variance over shots scatters at each sample by `sqrt(2 / (N - 1))` of itself,
-//! 37 % for 16 shots, so that a weight or an interval taken from it is wrong by as much; a model with four unknowns fitted to all samples is not.
+//! `sd^2 = s0^2 + s1^2 |v| + s2^2 v^2 + j^2 (dv/dt)^2`: converter and amplifier; shot noise, in proportion to the
+//! light; the laser's energy, in proportion to the level; jitter, in proportion to the slope. The variance over shots
+//! scatters at each sample by `sqrt(2 / (N - 1))` of itself, 37 % for 16 shots, so that a weight or an interval taken
+//! from it is wrong by as much; a model with four unknowns fitted to all samples is not.
 //!
-//! The fit is by maximum likelihood for variances of normal shots, `(N - 1) s^2 / sd^2` distributed as chi squared: a gamma regression with
-//! identity link, least squares weighted by `(N - 1) / (2 sd^4)` with sd of the model, repeated until it stays (McCullagh and Nelder,
-//! *Generalized Linear Models*, chapter 8), the coefficients not negative. Level and slope are those of the mean, whose own noise passes for
-//! slope: the expected part is taken off the square of the slope, as if the noise were the same all along the samples of a difference. Not
-//! modelled: variances correlated between samples, which leave the coefficients right and their errors too small; noise of other kinds, which
+//! The fit is by maximum likelihood for variances of normal shots, `(N - 1) s^2 / sd^2` distributed as chi squared: a
+//! gamma regression with identity link, least squares weighted by `(N - 1) / (2 sd^4)` with sd of the model, repeated
+//! until it stays (McCullagh and Nelder, *Generalized Linear Models*, chapter 8), the coefficients not negative. Level
+//! and slope are those of the mean, whose own noise passes for slope: the expected part is taken off the square of the
+//! slope, as if the noise were the same all along the samples of a difference. Not modelled: variances correlated
+//! between samples, which leave the coefficients right and their errors too small; noise of other kinds, which
 //! `chi2_per_dof` shows.
 //!
-//! Every capture has such a fit, beside sums that cost next to nothing: a round is a pass over the samples that gathers the normal equations, and
-//! allocates nothing.
+//! Every capture has such a fit, beside sums that cost next to nothing: a round is a pass over the samples that gathers
+//! the normal equations, and allocates nothing.
 
 use super::regression::invert;
 use super::widest::widest;
@@ -25,7 +27,8 @@ const ROUNDS: usize = 100;
 const SETTLED: f64 = 1e-3;
 /// Derivative over eight steps, exact for polynomials of order 8.
 const WIDE: [f64; 9] = [1.0 / 280.0, -4.0 / 105.0, 0.2, -0.8, 0.0, 0.8, -0.2, 4.0 / 105.0, -1.0 / 280.0];
-/// A model variance is not taken below this share of the mean variance.
+/// A model variance is not taken below this share of the mean variance: its inverse square is a weight, and one sample
+/// must not decide the fit.
 const FLOOR: f64 = 1e-6;
 
 /// Spread over the shots of a capture.
@@ -69,8 +72,9 @@ pub fn fit(spread: &Spread) -> Option<NoiseModel> {
         return None;
     }
     let mut columns = Columns::of(spread.mean_v, spread.dt_ps);
-    let known: Vec<f64> = spread.variance_v2.iter().map(|v| f64::from(u8::from(v.is_finite()))).collect();
-    let mut weights = known.iter().map(|known| known / spread.weighing(mean)).collect::<Vec<f64>>();
+    // 1 for a sample that counts, 0 for one to be ignored.
+    let finite: Vec<f64> = spread.variance_v2.iter().map(|v| f64::from(u8::from(v.is_finite()))).collect();
+    let mut weights = finite.iter().map(|one| one / spread.weighing(mean)).collect::<Vec<f64>>();
     let mut model: Option<NoiseModel> = None;
     for _ in 0..ROUNDS {
         let smooth =
@@ -83,8 +87,8 @@ pub fn fit(spread: &Spread) -> Option<NoiseModel> {
         columns.variances(&next.values, &mut weights);
         let least = FLOOR * mean;
         widest(|| {
-            for (weight, known) in weights.iter_mut().zip(&known) {
-                *weight = known / spread.weighing(weight.max(least));
+            for (weight, one) in weights.iter_mut().zip(&finite) {
+                *weight = one / spread.weighing(weight.max(least));
             }
         });
         model = Some(next);
@@ -136,7 +140,8 @@ impl Columns {
     fn of(mean_v: &[f64], dt_ps: f64) -> Self {
         let len = mean_v.len();
         let (mut rise, mut gain) = (vec![0.0; len], vec![0.0; len]);
-        // Differences over eight samples follow the slope's square of a pulse of 1.5 samples' sd to 2 %; over four they would miss 8 %.
+        // Differences over eight samples follow the slope's square of a pulse of 1.5 samples' sd to 2 %; over four they
+        // would miss 8 %.
         for weights in [[-0.5, 0.0, 0.5].as_slice(), &WIDE] {
             let (before, per_ps2) = (weights.len() / 2, 1.0 / (dt_ps * dt_ps));
             let of_noise: f64 = weights.iter().map(|w| w * w).sum();
@@ -213,7 +218,8 @@ impl Equations {
         Self { matrix, right: std::array::from_fn(|_| next()), square: next() }
     }
 
-    /// The best of all least-squares fits on a part of the terms whose values are not negative: the optimum of the bounded problem is among them.
+    /// The best of all least-squares fits on a part of the terms whose values are not negative: the optimum of the
+    /// bounded problem is among them.
     fn solve(&self, rows: usize) -> Option<NoiseModel> {
         let mut best: Option<(f64, usize, NoiseModel)> = None;
         for set in (1..1_usize << TERMS).rev() {

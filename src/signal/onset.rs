@@ -1,13 +1,14 @@
 //! Onsets by classical timing: first response, threshold, leading edge, constant fraction, Akaike's criterion.
 //!
-//! The paper's "first non-zero response" (section 4.1) is the first sample above the noise. A fixed level walks with amplitude (tens of ps);
-//! a fraction of the pulse's own maximum does not. On an extended bounce the leading edge dates the earliest light, the near rim of the patch,
-//! where a fit of pulses ([`super::sparse`]) dates the centroid. Sources: Gedcke and McDonald, Nucl. Instrum. Methods 58, 253 (1968), for the
-//! constant fraction; Maeda, Zisin 38, 365 (1985), for Akaike's criterion of the record itself.
+//! The paper's "first non-zero response" (section 4.1) is the first sample above the noise. A fixed level walks with
+//! amplitude (tens of ps); a fraction of the pulse's own maximum does not. On an extended bounce the leading edge dates
+//! the earliest light, the near rim of the patch, where a fit of pulses ([`super::sparse`]) dates the centroid.
+//! Sources: Gedcke and McDonald, Nucl. Instrum. Methods 58, 253 (1968), for the constant fraction; Maeda, Zisin 38, 365
+//! (1985), for Akaike's criterion of the record itself.
 //!
-//! [`responses`] and [`thresholds`] find every onset of a record. Every other function looks for one in the samples that it is given: pass the
-//! stretch of a record that holds one pulse, baseline removed.
-//! Positions are in samples from the first one. Not modelled: overlap of pulses, noise that moves the place of the maximum.
+//! [`responses`] and [`thresholds`] find every onset of a record. Every other function looks for one in the samples
+//! that it is given: pass the stretch of a record that holds one pulse, baseline removed. Positions are in samples from
+//! the first one. Not modelled: overlap of pulses, noise that moves the place of the maximum.
 
 use super::largest::largest;
 
@@ -22,19 +23,21 @@ pub struct Crossing {
     pub level: f64,
 }
 
-/// First upward crossing of a fixed `level`, given the samples' noise. `None` if no sample below the level is followed by one at or above it.
+/// First upward crossing of a fixed `level`, given the samples' noise. `None` if no sample below the level is followed
+/// by one at or above it.
 #[must_use]
 pub fn threshold(samples: &[f64], level: f64, noise_sd: f64) -> Option<Crossing> {
     let i = samples.windows(2).position(|pair| pair[0] < level && pair[1] >= level)?;
     Some(interpolate(samples, i, level, noise_sd))
 }
 
-/// Every sample that is the first above `threshold_sigma * noise_sd` since one below `rearm_sigma * noise_sd`; a record is armed at its start. The
-/// first of them is the paper's "first non-zero response".
+/// Every sample that is the first above `threshold_sigma * noise_sd` since one below `rearm_sigma * noise_sd`; a record
+/// is armed at its start. The first of them is the paper's "first non-zero response".
 ///
-/// The position is a whole number of samples: on average half a sample after the level is crossed, scattering by `1 / sqrt(12)` sample, which is
-/// added in quadrature to noise over slope. It walks: on a Gaussian edge of sd `s` the level is crossed `s sqrt(2 ln(a / level))` before the
-/// maximum, hence an onset that is `e` times stronger comes `s / sqrt(2 ln(a / level))` earlier.
+/// The position is a whole number of samples: on average half a sample after the level is crossed, scattering by
+/// `1 / sqrt(12)` sample, which is added in quadrature to noise over slope. It walks: on a Gaussian edge of sd `s` the
+/// level is crossed `s sqrt(2 ln(a / level))` before the maximum, hence an onset that is `e` times stronger comes
+/// `s / sqrt(2 ln(a / level))` earlier.
 ///
 /// # Panics
 /// If the thresholds are not positive, or the record re-arms above the threshold.
@@ -69,13 +72,13 @@ fn armed(samples: &[f64], level: f64, rearm: f64, mut is_armed: bool) -> impl It
     })
 }
 
-/// Onset between noise and signal by Akaike's criterion, in the window from `before` samples before the (first) maximum to the maximum:
-/// the `k` that minimises `k ln var(y[..k]) + (N - k - 1) ln var(y[k..])`. `None` if the window holds fewer than six samples or
-/// the maximum is not positive.
+/// Onset between noise and signal by Akaike's criterion, in the window from `before` samples before the (first) maximum
+/// to the maximum: the `k` that minimises `k ln var(y[..k]) + (N - k - 1) ln var(y[k..])`. `None` if the window holds
+/// fewer than six samples or the maximum is not positive.
 ///
-/// Variances are not taken below the noise's: two or three samples that happen to agree are no onset. The position is that of the first sample of the
-/// signal. The criterion takes the signal for noise of another variance, which a rising edge is not: it has no sd of its own, and
-/// it walks with amplitude almost as a fixed level does.
+/// Variances are not taken below the noise's: two or three samples that happen to agree are no onset. The position is
+/// that of the first sample of the signal. The criterion takes the signal for noise of another variance, which a rising
+/// edge is not: it has no sd of its own, and it walks with amplitude almost as a fixed level does.
 ///
 /// # Panics
 /// If `noise_sd` is not positive.
@@ -104,8 +107,9 @@ pub fn akaike(samples: &[f64], before: usize, noise_sd: f64) -> Option<f64> {
     (2..len - 1).min_by(|a, b| total(*a).total_cmp(&total(*b))).map(|k| (start + k) as f64)
 }
 
-/// Crossing of `fraction` of the maximum on the way up to it: walking back from the (first) maximum, between the first sample below the
-/// level and its successor. `None` if the maximum is not positive or nothing before it is below the level.
+/// Crossing of `fraction` of the maximum on the way up to it: walking back from the (first) maximum, between the first
+/// sample below the level and its successor. `None` if the maximum is not positive or nothing before it is below the
+/// level.
 ///
 /// The level carries the maximum's noise, independent of the noise at the crossing.
 ///
@@ -124,9 +128,9 @@ pub fn leading_edge(samples: &[f64], fraction: f64, noise_sd: f64) -> Option<Cro
     Some(interpolate(samples, i, level, sd))
 }
 
-/// Constant fraction discriminator: zero of `y(t - delay) - fraction * y(t)` on the way up to its maximum, less the delay, so that the
-/// position lies on the pulse's own rising edge. `delay` is in samples, at least 1; values between samples are interpolated linearly.
-/// `None` if the difference does not rise through zero.
+/// Constant fraction discriminator: zero of `y(t - delay) - fraction * y(t)` on the way up to its maximum, less the
+/// delay, so that the position lies on the pulse's own rising edge. `delay` is in samples, at least 1; values between
+/// samples are interpolated linearly. `None` if the difference does not rise through zero.
 ///
 /// # Panics
 /// If `fraction` is not between 0 and 1, or `delay` below 1.

@@ -1,9 +1,10 @@
 //! A pulse shape on a grid finer than the samples, from many shots that hit the samples at different sub-sample times.
 //!
-//! Every sample of every shot is one value of the same pulse at a known time; a least-squares spline with knots every half sample runs through
-//! them all ([`super::spline_fit`]). The shape holds what rises above its noise: the pulse with its tail, and whatever comes later that is certain, such as
-//! an echo in the cable; between them it is zero. Where the times of the shots do not spread over a sample, the shots are averaged on their own grid and
-//! interpolated band-limited instead. Source: equivalent-time sampling.
+//! Every sample of every shot is one value of the same pulse at a known time; a least-squares spline with knots every
+//! half sample runs through them all ([`super::spline_fit`]). The shape holds what rises above its noise: the pulse
+//! with its tail, and whatever comes later that is certain, such as an echo in the cable; between them it is zero.
+//! Where the times of the shots do not spread over a sample, the shots are averaged on their own grid and interpolated
+//! band-limited instead. Source: equivalent-time sampling.
 
 use std::f64::consts::TAU;
 
@@ -89,7 +90,8 @@ pub fn shape(shots: &[Shot], dt_ps: f64) -> Option<Shape> {
     cut(&grid, values, noise)
 }
 
-/// Number of samples at the start of the records that count as baseline: a tenth, or half of what precedes the pulse where that is less.
+/// Number of samples at the start of the records that count as baseline: a tenth, or half of what precedes the pulse
+/// where that is less.
 fn quiet(shots: &[Shot], samples: usize) -> usize {
     let mean = |n: usize| shots.iter().map(|shot| shot.samples[n]).sum::<f64>() / shots.len() as f64;
     let start = mean(0);
@@ -99,18 +101,20 @@ fn quiet(shots: &[Shot], samples: usize) -> usize {
     ((samples as f64 * BASELINE_SHARE) as usize).min(rise / 2).max(1)
 }
 
-/// Times of the pulse in shots whose trigger jitters, and its shape: times and shape are found in turn.
+/// Times of the pulse in shots whose trigger jitters, and its shape: times and shape are estimated in turn.
 ///
-/// Gives for each shot the time of the pulse's maximum in the shot's own frame with its standard deviation; `None` where a shot has no pulse.
+/// Gives for each shot the time of the pulse's maximum in the shot's own frame with its standard deviation; `None`
+/// where a shot has no pulse.
 ///
 /// # Panics
 /// When there are no shots, or their lengths differ.
 #[must_use]
 pub fn shape_and_times(shots: &[Shot], dt_ps: f64) -> Option<(Shape, Vec<Option<(f64, f64)>>)> {
-    // The first guess of each time is its own highest sample; errors of half a sample widen the first shape, and the rounds take that off again.
+    // The first guess of each time is its own highest sample; errors of half a sample widen the first shape, and the
+    // rounds take that off again.
     let mut times: Vec<Option<(f64, f64)>> =
         shots.iter().map(|shot| Some((highest(&shot.samples) as f64 * dt_ps + shot.t0_ps, 0.0))).collect();
-    let mut found = None;
+    let mut latest = None;
     for _ in 0..ROUNDS {
         let pairs = shots.iter().zip(&times).filter_map(|(shot, time)| Some((shot, (*time)?.0)));
         let aligned: Vec<Shot> =
@@ -126,9 +130,9 @@ pub fn shape_and_times(shots: &[Shot], dt_ps: f64) -> Option<(Shape, Vec<Option<
                 fit_pulse(&shot.samples, dt_ps, &template).map(|fit| (shot.t0_ps + fit.time_ps, fit.time_sd_ps))
             })
             .collect();
-        found = Some(shape);
+        latest = Some(shape);
     }
-    found.map(|shape| (shape, times))
+    latest.map(|shape| (shape, times))
 }
 
 /// The fine grid.
@@ -155,7 +159,8 @@ fn spread_over_a_sample(shots: &[Shot], dt_ps: f64) -> bool {
     hits.iter().all(|hits| *hits >= needed)
 }
 
-/// A least-squares spline through all samples, with knots every half sample: what the shots' sub-sample times resolve, and no more noise than that.
+/// A least-squares spline through all samples, with knots every half sample: what the shots' sub-sample times resolve,
+/// and no more noise than that.
 fn regress(shots: &[Shot], floors: &[f64], dt_ps: f64, grid: &Grid) -> Option<Vec<f64>> {
     let place = |n: usize| grid.start_ps + n as f64 * grid.step_ps;
     let mut fit = SplineFit::new(grid.start_ps, place(grid.count - 1), KNOTS * dt_ps);
@@ -190,7 +195,8 @@ fn interpolate(shots: &[Shot], floors: &[f64], dt_ps: f64, grid: &Grid) -> Vec<f
         .collect();
     let value = |n: usize| {
         let place = (grid.start_ps - shots[0].t0_ps) / grid.step_ps + n as f64;
-        // The grid of the first shot is met to within rounding, since only then this path is taken for equal times; else the nearest fine step serves.
+        // The grid of the first shot is met to within rounding, since only then this path is taken for equal times;
+        // else the nearest fine step serves.
         let step = place.round().max(0.0) as usize;
         let (i, k) = (step / STEPS, step % STEPS);
         fine[k][(i + usize::from(k > 0)).min(samples - 1)]
@@ -253,7 +259,8 @@ fn cut(grid: &Grid, mut values: Vec<f64>, noise: f64) -> Option<Shape> {
     })
 }
 
-/// Silences what lies outside of the stretches, with margins that fade over `run` values; after the last one only if the shape ends there.
+/// Silences what lies outside of the stretches, with margins that fade over `run` values; after the last one only if
+/// the shape ends there.
 fn mask(values: &mut [f64], stretches: &[(usize, usize)], run: usize, step: bool) {
     let fade = |distance: usize| {
         if distance < run { 0.5 + 0.5 * (TAU / 2.0 * (distance as f64 + 0.5) / run as f64).cos() } else { 0.0 }

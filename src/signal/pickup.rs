@@ -1,11 +1,13 @@
 //! Pick-up that is synchronous with the laser, from captures with the light blocked, and its subtraction.
 //!
-//! Averaging does not remove what repeats with the trigger (the laser's driver, the modulator). A blocked capture holds it without the light: it is
-//! the mean of all blocked profiles, weighted by their variances. Subtracted from a profile, it adds its own error, which is
-//! common to all profiles that it is taken from: it is kept apart, and the two errors add in quadrature for a single profile only. Where
-//! the pick-up's error is larger than the pick-up, subtracting makes things worse: [`Pickup::power`] says how much pick-up there is.
+//! Averaging does not remove what repeats with the trigger (the laser's driver, the modulator). A blocked capture holds
+//! it without the light: it is the mean of all blocked profiles, weighted by their variances. Subtracted from a
+//! profile, it adds its own error, which is common to all profiles that it is taken from: it is kept apart, and the two
+//! errors add in quadrature for a single profile only. Where the pick-up's error is larger than the pick-up,
+//! subtracting makes things worse: [`Pickup::power`] says how much pick-up there is.
 //!
-//! Not modelled: pick-up that changes over a session (chi2 of the blocked captures about their mean shows it), or with the range.
+//! Not modelled: pick-up that changes over a session (chi2 of the blocked captures about their mean shows it), or with
+//! the range.
 
 /// A blocked profile: means and their standard errors.
 #[derive(Clone, Copy, Debug)]
@@ -38,7 +40,8 @@ pub struct Corrected {
     pub se_v: Vec<f64>,
 }
 
-/// Mean of blocked profiles on the same samples, the level of each removed: a profile's mean over its samples that count is no pick-up but baseline.
+/// Mean of blocked profiles on the same samples, the level of each removed: a profile's mean over its samples that
+/// count is no pick-up but baseline.
 ///
 /// # Panics
 /// If there is no profile, lengths differ, or a standard error is not positive.
@@ -82,8 +85,8 @@ fn level(profile: &Blocked) -> f64 {
 }
 
 impl Pickup {
-    /// Mean square of the pick-up without that of its errors, V^2, and its standard deviation. Within three of these of zero there is none to
-    /// subtract.
+    /// Mean square of the pick-up without that of its errors, V^2, and its standard deviation. Within three of these of
+    /// zero there is none to subtract.
     #[must_use]
     pub fn power(&self) -> (f64, f64) {
         let count = self.se_v.iter().filter(|se| **se > 0.0).count().max(1) as f64;

@@ -1,9 +1,10 @@
 //! One pulse in a mean record: amplitude, time, baseline and width, with the errors that correlated noise makes.
 //!
-//! Least squares on the columns `h`, `-a h'` and 1 ([`super::reference`] has found the pulse), then Gauss-Newton with a fourth column for a
-//! response that is stretched by `1 + w` about its maximum. All samples weigh the same, which is best for white noise; the covariance is that of
-//! noise with the given autocorrelation, `(A'A)^-1 A' C A (A'A)^-1`, so that a smooth front end does not make errors look small.
-//! Not modelled: errors of the response itself, and pulses that overlap.
+//! Least squares on the columns `h`, `-a h'` and 1 ([`super::reference`] locates the pulse), then Gauss-Newton with a
+//! fourth column for a response that is stretched by `1 + w` about its maximum. All samples weigh the same, which is
+//! best for white noise; the covariance is that of noise with the given autocorrelation, `(A'A)^-1 A' C A (A'A)^-1`, so
+//! that a smooth front end does not make errors look small. Not modelled: errors of the response itself, and pulses
+//! that overlap.
 
 use super::reference::PulseFit;
 use super::regression::{Regression, least_squares};
@@ -60,23 +61,24 @@ pub struct Pulse {
     pub width: Option<(f64, f64)>,
 }
 
-/// Errors and width of the pulse that [`super::reference::fit_pulse`] found; `None` when too little of it lies within the record.
+/// Errors and width of the pulse that [`super::reference::fit_pulse`] located; `None` when too little of it lies within
+/// the record.
 ///
 /// # Panics
 /// When the noise is not positive.
 #[must_use]
-pub fn fit(record: &Record<'_>, response: &Response, found: &PulseFit) -> Option<Pulse> {
+pub fn fit(record: &Record<'_>, response: &Response, start: &PulseFit) -> Option<Pulse> {
     assert!(record.noise > 0.0, "noise is positive");
-    let columns = columns(record, response, found.time_ps, found.amplitude, None)?;
-    let solved = solve(record, response, found.time_ps, &columns)?;
+    let columns = columns(record, response, start.time_ps, start.amplitude, None)?;
+    let solved = solve(record, response, start.time_ps, &columns)?;
     let sd = |k: usize| record.sd_of_sum(&solved.influence(&columns, record.noise, k));
     Some(Pulse {
-        amplitude: found.amplitude,
+        amplitude: start.amplitude,
         amplitude_sd: sd(0),
-        time_ps: found.time_ps,
+        time_ps: start.time_ps,
         time_sd_ps: sd(1),
-        baseline: found.offset,
-        width: width(record, response, found.time_ps, found.amplitude),
+        baseline: start.offset,
+        width: width(record, response, start.time_ps, start.amplitude),
     })
 }
 
@@ -162,8 +164,8 @@ mod tests {
         for (at_ps, width) in [(1900.0, 1.0), (2017.3, 1.0), (1833.0, 1.04), (2100.0, 0.97)] {
             let samples = pulse(at_ps, width);
             let fit = fitted(&Record { samples: &samples, dt_ps: DT_PS, noise: 1e-3, acf: &[1.0] });
-            let (found, _) = fit.width.unwrap();
-            assert!((fit.time_ps - at_ps).abs() < 1e-2 && (found / width - 1.0).abs() < 1e-3, "{fit:?}");
+            let (stretch, _) = fit.width.unwrap();
+            assert!((fit.time_ps - at_ps).abs() < 1e-2 && (stretch / width - 1.0).abs() < 1e-3, "{fit:?}");
             assert!(width != 1.0 || (fit.amplitude - 3.0).abs() < 1e-4 && (fit.baseline - 0.5).abs() < 1e-4, "{fit:?}");
         }
     }

@@ -1,7 +1,8 @@
 //! Time of the reference pulse in one shot: Gauss-Newton on amplitude, time and offset with a known template.
 //!
-//! Source: algorithm of section 5 of the paper's prototype (arrivals are relative to a reference pulse), as least squares: columns `h(t - tau)`,
-//! `-a h'(t - tau)` and 1. In white noise it attains the Cramer-Rao bound. Not modelled: saturated pulses, which the caller sets aside.
+//! Source: algorithm of section 5 of the paper's prototype (arrivals are relative to a reference pulse), as least
+//! squares: columns `h(t - tau)`, `-a h'(t - tau)` and 1. In white noise it attains the Cramer-Rao bound. Not modelled:
+//! saturated pulses, which the caller sets aside.
 
 use super::response::Response;
 
@@ -30,7 +31,8 @@ pub struct PulseFit {
     pub amplitude_sd: f64,
 }
 
-/// Fits the strongest pulse of a shot, positive or negative. `None` when there is none, or too little of it lies within the record.
+/// Fits the strongest pulse of a shot, positive or negative. `None` when there is none, or too little of it lies within
+/// the record.
 ///
 /// # Panics
 /// When `dt_ps` is not positive.
@@ -63,7 +65,8 @@ pub fn fit_pulse(samples: &[f64], dt_ps: f64, template: &Response) -> Option<Pul
     (stands_out && time_sd_ps.is_finite()).then_some(PulseFit { time_ps, amplitude, offset, time_sd_ps, amplitude_sd })
 }
 
-/// Integral over time of a fitted pulse as it was recorded, its offset taken off: it goes with the pulse's energy. In the unit of the samples, times ps.
+/// Integral over time of a fitted pulse as it was recorded, its offset taken off: it goes with the pulse's energy. In
+/// the unit of the samples, times ps.
 ///
 /// # Panics
 /// When `dt_ps` is not positive.
@@ -209,8 +212,9 @@ mod tests {
     #[test]
     fn noise_is_no_pulse() {
         let (template, mut rng) = (gaussian(), ChaCha8Rng::seed_from_u64(3));
-        let found = (0..300).filter(|_| fit_pulse(&shot(0.0, 0.0, 1.0, &mut rng), 50.0, &template).is_some()).count();
-        assert!(found <= 12, "{found} of 300");
+        let false_pulses =
+            (0..300).filter(|_| fit_pulse(&shot(0.0, 0.0, 1.0, &mut rng), 50.0, &template).is_some()).count();
+        assert!(false_pulses <= 12, "{false_pulses} of 300");
         assert!(fit_pulse(&[], 50.0, &template).is_none());
         assert!(fit_pulse(&[1.0; 40], 50.0, &template).is_none());
     }

@@ -1,7 +1,8 @@
 //! Linear least squares with few unknowns: the normal equations, and what noise makes of the solution.
 //!
-//! Source: Press et al., *Numerical Recipes*, section 15.4. Columns are scaled to length 1 before the normal matrix is inverted, so that units do not
-//! matter. Not modelled: correlated errors; a caller that has them propagates them through [`Regression::influence`].
+//! Source: Press et al., *Numerical Recipes*, section 15.4. Columns are scaled to length 1 before the normal matrix is
+//! inverted, so that units do not matter. Not modelled: correlated errors; a caller that has them propagates them
+//! through [`Regression::influence`].
 
 /// A fit of `right = sum_k values[k] columns[k]`, each row with its own standard deviation.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,7 +32,8 @@ impl Regression {
     }
 }
 
-/// The least-squares fit; `None` when the columns do not tell the coefficients apart, or there are fewer rows than columns.
+/// The least-squares fit; `None` when the columns do not tell the coefficients apart, or there are fewer rows than
+/// columns.
 ///
 /// # Panics
 /// When lengths differ, there are no columns, or a standard deviation is not positive.
@@ -65,8 +67,10 @@ pub fn least_squares(columns: &[Vec<f64>], right: &[f64], sd: &[f64]) -> Option<
     Some(Regression { values, covariance, chi2, dof: rows - size })
 }
 
-/// Inverse of a positive definite matrix of unit diagonal, row by row, by elimination; what the matrix held is lost. `None` if it is singular to rounding.
+/// Inverse of a positive definite matrix of unit diagonal, row by row, by elimination; what the matrix held is lost.
+/// `None` if it is singular to rounding.
 pub(super) fn invert(matrix: &mut [f64], inverse: &mut [f64]) -> Option<()> {
+    /// A pivot is the share of its column that the columns before it leave unexplained; less than this is rounding.
     const SINGULAR: f64 = 1e-12;
     let size = matrix.len().isqrt();
     inverse.iter_mut().enumerate().for_each(|(at, value)| *value = f64::from(u8::from(at % (size + 1) == 0)));

@@ -1,8 +1,8 @@
 //! Band-limited delay by a fraction of a sample.
 //!
-//! A sinc under a Kaiser window of 32 taps: flat to better than 1e-4 up to 0.8 of the highest frequency, where linear interpolation would
-//! low-pass by cos(pi f dt) at half a sample. Beyond the ends of a record its end values are taken to go on.
-//! Source: Oppenheim and Schafer, *Discrete-Time Signal Processing*, section 7.5 (Kaiser window).
+//! A sinc under a Kaiser window of 32 taps: flat to better than 1e-4 up to 0.8 of the highest frequency, where linear
+//! interpolation would low-pass by cos(pi f dt) at half a sample. Beyond the ends of a record its end values are taken
+//! to go on. Source: Oppenheim and Schafer, *Discrete-Time Signal Processing*, section 7.5 (Kaiser window).
 
 use std::f64::consts::PI;
 

@@ -1,11 +1,13 @@
 //! Impulse response of a sensor: what one infinitely short pulse of light leaves in a record.
 //!
-//! A natural cubic spline through equally spaced, usually oversampled, values; exactly zero outside their support. The spline gives
-//! value and slope at any time, which the fits of pulse times need (a slope by differences would cost accuracy at high SNR).
-//! Time 0 of a response is the arrival of the pulse: a pulse that arrives at `t_k` adds `a_k h(t - t_k)` to the record.
+//! A natural cubic spline through equally spaced, usually oversampled, values; exactly zero outside their support. The
+//! spline gives value and slope at any time, which the fits of pulse times need (a slope by differences would cost
+//! accuracy at high SNR). Time 0 of a response is the arrival of the pulse: a pulse that arrives at `t_k` adds
+//! `a_k h(t - t_k)` to the record.
 //!
-//! Source: natural spline as in Press et al., *Numerical Recipes*, section 3.3 (tridiagonal system for the second derivatives).
-//! Not modelled: dependence of the shape on amplitude (saturation), and echoes or tails beyond the support.
+//! Source: natural spline as in Press et al., *Numerical Recipes*, section 3.3 (tridiagonal system for the second
+//! derivatives). Not modelled: dependence of the shape on amplitude (saturation), and echoes or tails beyond the
+//! support.
 
 use std::ops::Range;
 
@@ -132,8 +134,8 @@ impl Response {
         self.t0_ps + position * self.step_ps
     }
 
-    /// Full width at half maximum, ps: distance between the half-maximum crossings next to the maximum on either side. For a step, its rise time:
-    /// height over steepest slope.
+    /// Full width at half maximum, ps: distance between the half-maximum crossings next to the maximum on either side.
+    /// For a step, its rise time: height over steepest slope.
     #[must_use]
     pub fn width_ps(&self) -> f64 {
         if self.is_step() {

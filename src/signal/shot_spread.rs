@@ -9,13 +9,16 @@ use super::widest::widest;
 pub const HEAD_SHOTS: usize = 32;
 /// Fewer shots say nothing about outliers.
 const JUDGES_MIN: usize = 8;
-/// Largest standard deviation, in steps of the converter, of noise whose median deviation after rounding may be 0: 0.5 / 0.6745.
+/// Largest standard deviation, in steps of the converter, of noise whose median deviation after rounding may be 0:
+/// 0.5 / 0.6745, since half of normal values lie within 0.6745 standard deviations.
 const QUIET_SD: f64 = 0.741;
 
-/// Variance over shots at each place of their mean, in codes squared, each shot's own baseline (mean of its first `baseline` samples) removed.
+/// Variance over shots at each place of their mean, in codes squared, each shot's own baseline (mean of its first
+/// `baseline` samples) removed.
 ///
-/// A shot that lies between two places of the grid is compared with the mean moved there by the band-limited filter that made it: a straight line
-/// between samples would add its error on fast edges to the spread. Places that fewer than two shots cover get NaN.
+/// A shot that lies between two places of the grid is compared with the mean moved there by the band-limited filter
+/// that made it: a straight line between samples would add its error on fast edges to the spread. Places that fewer
+/// than two shots cover get NaN.
 ///
 /// # Panics
 /// When `baseline` is 0 or exceeds a shot.
@@ -63,7 +66,8 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f
     squares
 }
 
-/// Tells outlying shots: those with a sample further from the median of the first shots than noise and the rounding to whole samples explain.
+/// Tells outlying shots: those with a sample further from the median of the first shots than noise and the rounding to
+/// whole samples explain.
 #[derive(Clone, Debug)]
 pub struct OutlierTest {
     first: i64,
@@ -73,7 +77,8 @@ pub struct OutlierTest {
 }
 
 impl OutlierTest {
-    /// From the first shots; `sigma` robust standard deviations are allowed. `None` with fewer than eight shots, or none that overlap.
+    /// From the first shots; `sigma` robust standard deviations are allowed. `None` with fewer than eight shots, or
+    /// none that overlap.
     #[must_use]
     pub fn new(shots: &[(Codes<'_>, i64)], baseline: usize, sigma: f64) -> Option<Self> {
         if shots.len() < JUDGES_MIN {
@@ -126,7 +131,8 @@ impl OutlierTest {
     }
 }
 
-/// Smallest difference of neighbouring samples: converters of fewer bits than their codes have count in steps of several codes.
+/// Smallest difference of neighbouring samples: converters of fewer bits than their codes have count in steps of
+/// several codes.
 fn step(shots: &[(Codes<'_>, i64)]) -> f64 {
     let (mut values, mut least) = (Vec::new(), f64::INFINITY);
     for (codes, _) in shots {
@@ -163,7 +169,8 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// Noise of a step or less, at any level between two: its median deviation is 0 or 1 step, whatever its sd. Steps are of one code, or of 16.
+    /// Noise of a step or less, at any level between two: its median deviation is 0 or 1 step, whatever its sd. Steps
+    /// are of one code, or of 16.
     #[test]
     fn good_shots_with_little_noise_are_not_rejected() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);

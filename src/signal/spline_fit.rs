@@ -1,8 +1,9 @@
 //! Least-squares cubic spline through scattered, noisy values: uniform knots, B-spline basis.
 //!
-//! Minimises `sum (v_n - s(t_n))^2`, plus a second-difference penalty so small that it only decides where no value lies. A spline with knots every `h`
-//! carries what lies below `1 / (2 h)` in frequency and averages out what lies above, so noise falls with the values a knot.
-//! Source: de Boor, *A Practical Guide to Splines*, chapter XIV; the normal matrix has three sub-diagonals and is solved by Cholesky.
+//! Minimises `sum (v_n - s(t_n))^2`, plus a second-difference penalty so small that it only decides where no value
+//! lies. A spline with knots every `h` carries what lies below `1 / (2 h)` in frequency and averages out what lies
+//! above, so noise falls with the values a knot. Source: de Boor, *A Practical Guide to Splines*, chapter XIV; the
+//! normal matrix has three sub-diagonals and is solved by Cholesky.
 
 /// Sub-diagonals of the normal matrix.
 const BAND: usize = 3;
@@ -92,19 +93,19 @@ impl SplineFit {
         for j in 0..count {
             for i in j..count.min(j + BAND + 1) {
                 let before = |k: usize| factor[k][j - k] * factor[k][i - k];
-                let known: f64 = (i.saturating_sub(BAND)..j).map(before).sum();
-                let rest = self.normal[j][i - j] - known;
+                let sum: f64 = (i.saturating_sub(BAND)..j).map(before).sum();
+                let rest = self.normal[j][i - j] - sum;
                 factor[j][i - j] =
                     if i == j { Some(rest).filter(|rest| *rest > 0.0)?.sqrt() } else { rest / factor[j][0] };
             }
         }
         for i in 0..count {
-            let known: f64 = (i.saturating_sub(BAND)..i).map(|k| factor[k][i - k] * solution[k]).sum();
-            solution[i] = (solution[i] - known) / factor[i][0];
+            let sum: f64 = (i.saturating_sub(BAND)..i).map(|k| factor[k][i - k] * solution[k]).sum();
+            solution[i] = (solution[i] - sum) / factor[i][0];
         }
         for i in (0..count).rev() {
-            let known: f64 = (i + 1..count.min(i + BAND + 1)).map(|k| factor[i][k - i] * solution[k]).sum();
-            solution[i] = (solution[i] - known) / factor[i][0];
+            let sum: f64 = (i + 1..count.min(i + BAND + 1)).map(|k| factor[i][k - i] * solution[k]).sum();
+            solution[i] = (solution[i] - sum) / factor[i][0];
         }
         Some(solution)
     }

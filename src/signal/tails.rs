@@ -1,7 +1,7 @@
 //! The chance that noise alone goes as far: tails of the normal, Student's and chi-square distributions.
 //!
-//! Source: incomplete gamma and beta functions by series and continued fractions, Press et al., *Numerical Recipes*, sections 6.2 and 6.4; the
-//! logarithm of the gamma function by Lanczos's sum (g = 7, nine terms), good to 1e-13.
+//! Source: incomplete gamma and beta functions by series and continued fractions, Press et al., *Numerical Recipes*,
+//! sections 6.2 and 6.4; the logarithm of the gamma function by Lanczos's sum (g = 7, nine terms), good to 1e-13.
 
 /// Terms after which a series or fraction has long settled, for the arguments that occur.
 const TERMS: usize = 10_000;

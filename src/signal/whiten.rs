@@ -1,19 +1,22 @@
 //! Whitening of noise that is correlated from sample to sample.
 //!
-//! Noise of covariance `C = D R D` (D: sd of each sample, R: Toeplitz matrix of the autocorrelation) is divided by its sd and passed through the
-//! filter of its prediction errors: `e_n = (u_n - sum_j phi_mj u_{n-j}) / sqrt(v_m)`, `u_n = y_n / sd_n`. Every sample takes the predictor of
-//! the order m that the samples before it allow, up to the order p of the process. For an autoregressive process of order p that is
-//! `C^-1/2` by Cholesky exactly: the errors are white from the first sample on, and sums of their squares are chi2. Behind a sample to be ignored
-//! (sd infinite) the filter starts anew: what the samples before it say about those behind it is given up.
+//! Noise of covariance `C = D R D` (D: sd of each sample, R: Toeplitz matrix of the autocorrelation) is divided by its
+//! sd and passed through the filter of its prediction errors: `e_n = (u_n - sum_j phi_mj u_{n-j}) / sqrt(v_m)`,
+//! `u_n = y_n / sd_n`. Every sample takes the predictor of the order m that the samples before it allow, up to the
+//! order p of the process. For an autoregressive process of order p that is `C^-1/2` by Cholesky exactly: the errors
+//! are white from the first sample on, and sums of their squares are chi2. Behind a sample to be ignored (sd infinite)
+//! the filter starts anew: what the samples before it say about those behind it is given up.
 //!
-//! Predictors: Levinson-Durbin recursion (Durbin, Rev. Inst. Int. Stat. 28, 233 (1960)). An autocorrelation that was estimated need not be
-//! one. The recursion ends before the first partial correlation beyond `PARTIAL_MAX`: up to there the sequence is positive definite and
-//! the filter's inverse stable, and what is used is the process of largest entropy that has these lags (Burg). Where the number of samples behind an
-//! estimate is known, [`super::noise::autoregressive`] chooses the order better beforehand.
+//! Predictors: Levinson-Durbin recursion (Durbin, Rev. Inst. Int. Stat. 28, 233 (1960)). An autocorrelation that was
+//! estimated need not be one. The recursion ends before the first partial correlation beyond `PARTIAL_MAX`: up to there
+//! the sequence is positive definite and the filter's inverse stable, and what is used is the process of largest
+//! entropy that has these lags (Burg). Where the number of samples behind an estimate is known,
+//! [`super::noise::autoregressive`] chooses the order better beforehand.
 
 use periscope_cancel::Cancel;
 
-/// Partial correlations beyond this end the recursion: noise less than 1/500 of which is new in each sample is more likely a wrong estimate.
+/// Partial correlations beyond this end the recursion: noise less than 1/500 of which is new in each sample is more
+/// likely a wrong estimate.
 const PARTIAL_MAX: f64 = 0.999;
 /// Partial correlations at the end that are smaller than this are rounding: they would lengthen the filter for nothing.
 const PARTIAL_MIN: f64 = 1e-3;
@@ -30,8 +33,8 @@ pub struct Predictors {
 }
 
 impl Predictors {
-    /// Predictors of the process with autocorrelation `acf` (lags 0, 1, ..; scaled to 1 at lag 0; nothing stands for white noise), as long as
-    /// it is one.
+    /// Predictors of the process with autocorrelation `acf` (lags 0, 1, ..; scaled to 1 at lag 0; nothing stands for
+    /// white noise), as long as it is one.
     ///
     /// # Panics
     /// If lag 0 is not positive, or a lag is not finite.
@@ -42,8 +45,8 @@ impl Predictors {
         let mut predictors = Self { coefficients: vec![Vec::new()], variances: vec![1.0] };
         for order in 1..acf.len() {
             let (shorter, variance) = (&predictors.coefficients[order - 1], predictors.variances[order - 1]);
-            let told: f64 = shorter.iter().enumerate().map(|(j, phi)| phi * acf[order - 1 - j]).sum();
-            let partial = (acf[order] - told) / acf[0] / variance;
+            let predicted: f64 = shorter.iter().enumerate().map(|(j, phi)| phi * acf[order - 1 - j]).sum();
+            let partial = (acf[order] - predicted) / acf[0] / variance;
             if partial.abs() > PARTIAL_MAX {
                 break;
             }
@@ -86,7 +89,8 @@ pub struct Whitener {
 }
 
 impl Whitener {
-    /// Filter for samples of the given sds (infinite: to be ignored) and autocorrelation (lags 0, 1, ..; `&[1.0]` or nothing: white).
+    /// Filter for samples of the given sds (infinite: to be ignored) and autocorrelation (lags 0, 1, ..; `&[1.0]` or
+    /// nothing: white).
     ///
     /// # Panics
     /// If an sd is not positive, or the autocorrelation not positive at lag 0 or not finite.
@@ -179,8 +183,8 @@ impl Whitener {
         record.iter().zip(&self.weights).map(|(value, weight)| value * weight).collect()
     }
 
-    /// `W y` in place for P records side by side that are zero before sample `first` and behind their end: pass as many zeros behind the end as
-    /// the filter's order for all of the result.
+    /// `W y` in place for P records side by side that are zero before sample `first` and behind their end: pass as many
+    /// zeros behind the end as the filter's order for all of the result.
     ///
     /// # Panics
     /// If the columns reach beyond the record.
@@ -324,8 +328,8 @@ mod tests {
         assert_eq!(Whitener::new(&sd, &[1.0, 0.5]).run_starts(), [0, 1, 1, 3, 4, 5, 6]);
     }
 
-    /// What is no autocorrelation is used as far as it is one: the response `g` of the inverse filter to an impulse has the energy of a
-    /// stationary process of variance 1, `sum g^2 = 1 / v`.
+    /// What is no autocorrelation is used as far as it is one: the response `g` of the inverse filter to an impulse has
+    /// the energy of a stationary process of variance 1, `sum g^2 = 1 / v`.
     #[test]
     fn what_is_no_autocorrelation_gives_a_stable_filter() {
         let mut rng = ChaCha8Rng::seed_from_u64(33);

@@ -1,7 +1,8 @@
 //! Kernels on the widest vectors that the processor has.
 //!
-//! What is built for every x86-64 adds two numbers at a time; most machines can do four. A kernel here is compiled for both, and the choice is made when
-//! it is called. Results do not depend on it: the order of additions is that of the source, and products are never fused into them.
+//! What is built for every x86-64 adds two numbers at a time; most machines can do four. A kernel here is compiled for
+//! both, and the choice is made when it is called. Results do not depend on it: the order of additions is that of the
+//! source, and products are never fused into them.
 
 /// Runs a kernel. What it calls must be inlined into it, or stays on narrow vectors.
 #[inline]

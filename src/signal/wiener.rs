@@ -1,11 +1,13 @@
 //! Wiener deconvolution: the regularised inverse of a known response, in the frequency domain.
 //!
-//! `X(f) = Y(f) conj(H(f)) / (|H(f)|^2 + L) * exp(-(f/f_c)^2 / 2)`, with `L` the ratio of the noise's power to the light's and an optional
-//! Gaussian low-pass against ringing. Source: Wiener, *Extrapolation, Interpolation, and Smoothing of Stationary Time Series* (1949), for
-//! white noise and white light (both spectra flat, so that `L` is one number).
+//! `X(f) = Y(f) conj(H(f)) / (|H(f)|^2 + L) * exp(-(f/f_c)^2 / 2)`, with `L` the ratio of the noise's power to the
+//! light's and an optional Gaussian low-pass against ringing. Source: Wiener, *Extrapolation, Interpolation, and
+//! Smoothing of Stationary Time Series* (1949), for white noise and white light (both spectra flat, so that `L` is one
+//! number).
 //!
-//! Good for a look at a profile and for the plain chain (deconvolve, then threshold). Not a separator of pulses: it knows neither that
-//! light is positive nor that it comes in pulses. Records are circular: light before the first sample appears at the end.
+//! Good for a look at a profile and for the plain chain (deconvolve, then threshold). Not a separator of pulses: it
+//! knows neither that light is positive nor that it comes in pulses. Records are circular: light before the first
+//! sample appears at the end.
 
 use std::f64::consts::TAU;
 
@@ -18,8 +20,8 @@ const LANES: usize = 8;
 
 /// Spectrum `H` of a response on the grid of records of one length, scaled to a largest gain of 1.
 ///
-/// The scale gives deconvolved light the unit of the profile, and the noise-to-signal ratio one meaning for all sensors. (A response of
-/// unit area whose values are not negative has this scale already.)
+/// The scale gives deconvolved light the unit of the profile, and the noise-to-signal ratio one meaning for all
+/// sensors. (A response of unit area whose values are not negative has this scale already.)
 #[derive(Clone, Debug)]
 pub struct Transfer {
     len: usize,
@@ -27,7 +29,8 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// From samples of the response on the record's grid, the first at the arrival of the pulse; `len` is the record's length.
+    /// From samples of the response on the record's grid, the first at the arrival of the pulse; `len` is the record's
+    /// length.
     ///
     /// # Panics
     /// If the samples are more than `len`, or all zero.
@@ -39,7 +42,8 @@ impl Transfer {
         Self::from_circular(fft, &padded)
     }
 
-    /// From a [`Response`], sampled every `dt_ps`; what precedes the arrival, or exceeds the record's `len`, wraps around.
+    /// From a [`Response`], sampled every `dt_ps`; what precedes the arrival, or exceeds the record's `len`, wraps
+    /// around.
     ///
     /// # Panics
     /// If `len` is 0, `dt_ps` not positive, or no sample of the response differs from zero.
@@ -65,11 +69,13 @@ impl Transfer {
         Self { len: samples.len(), gain }
     }
 
-    /// Noise-to-signal ratio of a profile (baseline removed) whose samples carry white noise of standard deviation `noise_sd`.
+    /// Noise-to-signal ratio of a profile (baseline removed) whose samples carry white noise of standard deviation
+    /// `noise_sd`.
     ///
-    /// By Parseval, `sum y^2 = N sd^2 + S mean|H|^2`, with `S` the power of white light in every bin, and the noise has power `N sd^2` in
-    /// every bin; hence `L = N sd^2 mean|H|^2 / (sum y^2 - N sd^2)`. The difference is not taken below its own standard deviation under noise
-    /// alone, `sd^2 sqrt(2N)`, so that a profile without light is smoothed, not amplified.
+    /// By Parseval, `sum y^2 = N sd^2 + S mean|H|^2`, with `S` the power of white light in every bin, and the noise has
+    /// power `N sd^2` in every bin; hence `L = N sd^2 mean|H|^2 / (sum y^2 - N sd^2)`. The difference is not taken
+    /// below its own standard deviation under noise alone, `sd^2 sqrt(2N)`, so that a profile without light is
+    /// smoothed, not amplified.
     ///
     /// # Panics
     /// If the profile has another length or `noise_sd` is not positive.
@@ -85,7 +91,8 @@ impl Transfer {
     }
 }
 
-/// Mean of the squared magnitude over all `len` bins of a real record's spectrum; those that it leaves out are conjugates.
+/// Mean of the squared magnitude over all `len` bins of a real record's spectrum; those that it leaves out are
+/// conjugates.
 fn mean_square(spectrum: &[Complex<f64>], len: usize) -> f64 {
     let total: f64 = spectrum.iter().map(Complex::norm_sqr).sum();
     let last = spectrum[spectrum.len() - 1].norm_sqr();
@@ -105,8 +112,8 @@ pub struct Wiener {
 }
 
 impl Wiener {
-    /// Filter for records of the length of `transfer`. `low_pass` is `f_c` in cycles per sample (0.5 is the highest frequency of a
-    /// record): the frequency at which the Gaussian low-pass has fallen to `exp(-1/2)`.
+    /// Filter for records of the length of `transfer`. `low_pass` is `f_c` in cycles per sample (0.5 is the highest
+    /// frequency of a record): the frequency at which the Gaussian low-pass has fallen to `exp(-1/2)`.
     ///
     /// # Panics
     /// If `noise_to_signal` or `low_pass` is not positive.
@@ -133,9 +140,10 @@ impl Wiener {
         Self { len, filter, power, turns }
     }
 
-    /// Standard deviation of deconvolved noise of standard deviation 1 and autocorrelation `acf` (lags 0, 1, ..; `&[1.0]` or nothing: white): root of
-    /// the sum of `|W|^2 / N` over all bins, each weighted by the noise's power in it, `1 + 2 sum_l r_l cos(l theta)`. That is not negative but for
-    /// the lags that an estimate leaves out. (The sum by Clenshaw's recurrence: Math. Tables Aids Comput. 9, 118 (1955).)
+    /// Standard deviation of deconvolved noise of standard deviation 1 and autocorrelation `acf` (lags 0, 1, ..;
+    /// `&[1.0]` or nothing: white): root of the sum of `|W|^2 / N` over all bins, each weighted by the noise's power in
+    /// it, `1 + 2 sum_l r_l cos(l theta)`. That is not negative but for the lags that an estimate leaves out. (The sum
+    /// by Clenshaw's recurrence: Math. Tables Aids Comput. 9, 118 (1955).)
     #[must_use]
     pub fn noise_gain(&self, acf: &[f64]) -> f64 {
         let lags = &acf[..acf.len().min(self.len.div_ceil(2))];
@@ -168,7 +176,8 @@ impl Wiener {
         ((sums.iter().sum::<f64>() + rest.sum::<f64>()) / first).sqrt()
     }
 
-    /// Deconvolves `profile` into `light`, both of the filter's length; `light` has the profile's unit, and its time 0 is the arrival.
+    /// Deconvolves `profile` into `light`, both of the filter's length; `light` has the profile's unit, and its time 0
+    /// is the arrival.
     ///
     /// # Panics
     /// If a length differs from the filter's.

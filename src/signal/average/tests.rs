@@ -158,8 +158,8 @@ fn the_spread_is_the_noise_with_and_without_jitter() {
         let mean = sum(&views).finish().unwrap();
         let variances = spread(&views, &mean, 32);
         let sd_of = |range: Range<usize>| {
-            let (count, known) = (range.len() as f64, &variances[range]);
-            (known.iter().sum::<f64>() / count).sqrt()
+            let (count, expected) = (range.len() as f64, &variances[range]);
+            (expected.iter().sum::<f64>() / count).sqrt()
         };
         let all = sd_of(0..variances.len() - 1);
         assert!((all / 40.0 - 1.0).abs() < 0.03, "{jitter}: {all}");

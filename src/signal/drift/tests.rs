@@ -110,6 +110,6 @@ fn a_step_is_refused_where_it_is_and_a_drift_is_not() {
         }
         alarms += i32::from(fit(&references(&|t| smooth(phase, t), 0.02, &mut rng), &OPTIONS).is_err());
     }
-    println!("steps of 4 ps found {placed} of 40, false alarms {alarms} of 40");
+    println!("steps of 4 ps located {placed} of 40, false alarms {alarms} of 40");
     assert!(placed >= 36 && alarms <= 1, "{placed} {alarms}");
 }

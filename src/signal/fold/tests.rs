@@ -35,14 +35,14 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 fn a_folded_record_is_the_light_of_one_period() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (mean_v, sd_v) = record(2000, 0.0, &mut rng);
-    let folded = fold(&Record { mean_v: &mean_v, sd_v: &sd_v, dt_ps: DT_PS }, PERIOD_PS);
+    let folded = fold(&PulseTrain { mean_v: &mean_v, sd_v: &sd_v, dt_ps: DT_PS }, PERIOD_PS);
     assert_eq!(folded.mean_v.len(), 213);
     for (b, v) in folded.mean_v.iter().enumerate() {
         let expected = light(b as f64 * folded.step_ps);
         assert!((v - expected).abs() < 2e-4, "sample {b}: {v} {expected}");
     }
     // A record of hardly more than a period: lines at its ends, where the filter does not reach.
-    let short = Record { mean_v: &mean_v[..216], sd_v: &sd_v[..216], dt_ps: DT_PS };
+    let short = PulseTrain { mean_v: &mean_v[..216], sd_v: &sd_v[..216], dt_ps: DT_PS };
     let folded = fold(&short, PERIOD_PS);
     for (b, v) in folded.mean_v.iter().enumerate() {
         let expected = light(b as f64 * folded.step_ps);
@@ -57,7 +57,7 @@ fn a_period_of_whole_samples_is_the_plain_mean_and_ignored_samples_do_not_count(
     let mean_v: Vec<f64> = (0..70).map(|_| rng.random_range(-1.0..1.0)).collect();
     let mut sd_v: Vec<f64> = (0..70).map(|_| rng.random_range(0.5..2.0)).collect();
     sd_v[13] = f64::INFINITY;
-    let folded = fold(&Record { mean_v: &mean_v, sd_v: &sd_v, dt_ps: 1.0 }, 10.0);
+    let folded = fold(&PulseTrain { mean_v: &mean_v, sd_v: &sd_v, dt_ps: 1.0 }, 10.0);
     for b in 0..10 {
         let weight = |r: usize| sd_v[b + 10 * r].powi(-2);
         let total: f64 = (0..7).map(weight).sum();
@@ -65,7 +65,7 @@ fn a_period_of_whole_samples_is_the_plain_mean_and_ignored_samples_do_not_count(
         assert!((folded.mean_v[b] - mean).abs() < 1e-12 && (folded.se_v[b] - total.sqrt().recip()).abs() < 1e-12);
     }
     let ignored = [f64::INFINITY; 70];
-    let nothing = fold(&Record { mean_v: &mean_v, sd_v: &ignored, dt_ps: 1.0 }, 10.0);
+    let nothing = fold(&PulseTrain { mean_v: &mean_v, sd_v: &ignored, dt_ps: 1.0 }, 10.0);
     assert!(nothing.se_v.iter().all(|se| se.is_infinite()));
 }
 
@@ -75,7 +75,7 @@ fn errors_of_folded_samples_have_the_right_size() {
     let (mut pulls, mut ses) = (Vec::new(), 0.0);
     for _ in 0..100 {
         let (mean_v, sd_v) = record(2000, 0.02, &mut rng);
-        let folded = fold(&Record { mean_v: &mean_v, sd_v: &sd_v, dt_ps: DT_PS }, PERIOD_PS);
+        let folded = fold(&PulseTrain { mean_v: &mean_v, sd_v: &sd_v, dt_ps: DT_PS }, PERIOD_PS);
         let place = |b: usize| b as f64 * folded.step_ps;
         pulls.extend((0..213).map(|b| (folded.mean_v[b] - light(place(b))) / folded.se_v[b]));
         ses += folded.se_v.iter().sum::<f64>() / 213.0 / 100.0;
@@ -94,10 +94,10 @@ fn the_period_is_found_at_its_bound() {
         let (mut errors, mut pulls) = (Vec::new(), Vec::new());
         for _ in 0..200 {
             let (mean_v, sd_v) = record(len, sd, &mut rng);
-            let record = Record { mean_v: &mean_v, sd_v: &sd_v, dt_ps: DT_PS };
-            let found = refine_period(&record, PERIOD_PS + rng.random_range(-30.0..30.0), 40.0).expect("light");
-            errors.push(found.period_ps - PERIOD_PS);
-            pulls.push((found.period_ps - PERIOD_PS) / found.sd_ps);
+            let record = PulseTrain { mean_v: &mean_v, sd_v: &sd_v, dt_ps: DT_PS };
+            let period = refine_period(&record, PERIOD_PS + rng.random_range(-30.0..30.0), 40.0).expect("light");
+            errors.push(period.period_ps - PERIOD_PS);
+            pulls.push((period.period_ps - PERIOD_PS) / period.sd_ps);
         }
         // Bound: a shape that is unknown, so each place tells the period by how its repetitions differ.
         let slope = |t_ps: f64| (light(t_ps + 0.5) - light(t_ps - 0.5)) / sd;
@@ -119,15 +119,15 @@ fn the_period_is_found_at_its_bound() {
 #[test]
 fn noise_has_no_period_and_a_single_period_tells_none() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let mut found = 0;
+    let mut false_alarms = 0;
     for _ in 0..20 {
         let mean_v: Vec<f64> = (0..2000).map(|_| StandardNormal.sample(&mut rng)).collect();
-        let record = Record { mean_v: &mean_v, sd_v: &[1.0; 2000], dt_ps: DT_PS };
-        found += usize::from(refine_period(&record, PERIOD_PS, 5.0).is_some_and(|period| period.sd_ps < 1.0));
+        let record = PulseTrain { mean_v: &mean_v, sd_v: &[1.0; 2000], dt_ps: DT_PS };
+        false_alarms += usize::from(refine_period(&record, PERIOD_PS, 5.0).is_some_and(|period| period.sd_ps < 1.0));
     }
-    assert!(found <= 2, "{found}");
+    assert!(false_alarms <= 2, "{false_alarms}");
     let (mean_v, sd_v) = record(300, 0.01, &mut rng);
-    assert_eq!(refine_period(&Record { mean_v: &mean_v, sd_v: &sd_v, dt_ps: DT_PS }, PERIOD_PS, 5.0), None);
+    assert_eq!(refine_period(&PulseTrain { mean_v: &mean_v, sd_v: &sd_v, dt_ps: DT_PS }, PERIOD_PS, 5.0), None);
 }
 
 #[test]

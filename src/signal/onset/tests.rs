@@ -26,8 +26,8 @@ fn leading_edge_equals_a_naive_scan() {
                 naive = Some(i as f64 + (level - a) / (b - a));
             }
         }
-        let found = leading_edge(&samples, 0.4, 0.1);
-        assert_eq!(found.map(|c| c.position), naive.filter(|_| largest > 0.0));
+        let onset = leading_edge(&samples, 0.4, 0.1);
+        assert_eq!(onset.map(|c| c.position), naive.filter(|_| largest > 0.0));
     }
 }
 
@@ -86,7 +86,7 @@ fn the_sd_bounds_the_scatter_in_white_noise() {
 #[test]
 fn a_record_re_arms_below_its_level() {
     let samples = [0.0, 6.0, 7.0, 3.0, 6.0, 0.5, 5.0, 9.0, 0.0, 4.9, 2.0, 5.1];
-    let places = |found: Vec<Crossing>| found.iter().map(|c| c.position).collect::<Vec<_>>();
+    let places = |crossings: Vec<Crossing>| crossings.iter().map(|c| c.position).collect::<Vec<_>>();
     assert_eq!(places(responses(&samples, 5.0, 2.0, 1.0)), [1.0, 6.0, 11.0]);
     assert_eq!(places(responses(&samples, 5.0, 5.0, 1.0)), [1.0, 4.0, 6.0, 11.0]);
     assert_eq!(places(responses(&samples[1..], 5.0, 2.0, 1.0)), [0.0, 5.0, 10.0]);
@@ -115,15 +115,16 @@ fn akaike_finds_the_change_of_variance_that_a_naive_scan_finds() {
             k as f64 * logarithm(&samples[5..5 + k]) + (34 - k) as f64 * logarithm(&samples[5 + k..])
         };
         let naive = (2..34).min_by(|a, b| total(*a).total_cmp(&total(*b))).expect("some");
-        let found = akaike(&samples, 34, 0.05).expect("a maximum");
-        assert_eq!(found, (naive + 5) as f64);
-        assert!((found - 22.0).abs() <= 4.0, "{found}");
+        let onset = akaike(&samples, 34, 0.05).expect("a maximum");
+        assert_eq!(onset, (naive + 5) as f64);
+        assert!((onset - 22.0).abs() <= 4.0, "{onset}");
     }
     assert_eq!(akaike(&[0.0, 0.1, 0.0, 0.1, 9.0], 10, 0.1), None);
 }
 
-/// Amplitudes from 0.3 to 1.7, sampled five times a width: scatter and walk (position by the logarithm of the amplitude) in ps of a pulse that is
-/// 250 ps wide, as independent prototypes measured them (section 3 of the method notes).
+/// Amplitudes from 0.3 to 1.7, sampled five times a width: scatter and walk (position by the logarithm of the
+/// amplitude) in ps of a pulse that is 250 ps wide, as independent prototypes measured them (section 3 of the method
+/// notes).
 #[test]
 fn levels_and_akaike_walk_with_amplitude_by_what_is_known_of_them() {
     let (sigma, dt_ps) = (106.165_225 / 50.0, 50.0);

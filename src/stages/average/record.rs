@@ -34,7 +34,7 @@ impl Record {
         };
         // Weights need errors: without any noise all samples weigh the same.
         let sd_v = if se_v.contains(&0.0) { vec![1.0; se_v.len()] } else { se_v.clone() };
-        let record = fold::Record { mean_v: &mean_v, sd_v: &sd_v, dt_ps };
+        let record = fold::PulseTrain { mean_v: &mean_v, sd_v: &sd_v, dt_ps };
         let Folded { mut mean_v, se_v: mut folded_se_v, step_ps } = fold::fold(&record, period_ps);
         let is_dark: Vec<bool> = mean_v.iter().zip(&folded_se_v).map(|(v, se)| v.abs() <= LIGHT_SIGMA * se).collect();
         let start = fold::opening(&is_dark);
