@@ -109,7 +109,7 @@ fn toolchain() -> String {
 }
 
 fn path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/counts/committed.txt")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../counts/committed.txt")
 }
 
 /// What was counted before, and with which compiler.
