@@ -1,12 +1,15 @@
 //! A calibrated sensor as the stages behind `average` use it, and what a profile says of its noise.
 
+use std::collections::BTreeMap;
+
+use super::sensor_range::{OfSensorRange, SensorRange, own_or_only};
 use crate::signal::averaged_response::averaged_response;
 use crate::signal::largest::largest;
 use crate::signal::noise;
 use crate::signal::response::Response;
-use crate::tables::{Calibration, Name, Profile};
+use crate::tables::{Calibration, Profile};
 
-/// Share of a record whose samples tell the noise, where the profile does not say.
+/// Share of a record whose samples give the noise, where the profile does not say.
 const BASELINE_SHARE: f64 = 0.1;
 
 /// Response and latency of one sensor at one vertical range.
@@ -51,25 +54,25 @@ pub fn averaged(response: &Response, profile: &Profile) -> Response {
     }
 }
 
-/// Campaign, sensor and range of a calibration.
-pub type Key = (Name, Name, Option<Name>);
+/// All calibrated sensors, by their vertical ranges.
+#[derive(Debug)]
+pub struct Sensors(BTreeMap<SensorRange, Calibrated>);
 
-/// What a row is the calibration of.
-pub fn key_of(row: &Calibration) -> Key {
-    (row.campaign.clone(), row.sensor.clone(), row.range.clone())
+impl Sensors {
+    /// From the rows of `calibration`.
+    pub fn new(rows: &[Calibration]) -> Self {
+        Self(rows.iter().map(|row| (row.sensor_range(), Calibrated::new(row))).collect())
+    }
+
+    /// The calibrated sensor of a profile, see [`own_or_only`], and what it is the calibration of.
+    pub fn of(&self, profile: &Profile) -> Option<(&SensorRange, &Calibrated)> {
+        let key = own_or_only(self.0.keys(), profile)?;
+        Some((key, &self.0[key]))
+    }
 }
 
-/// The calibration of a profile: that of its sensor and range, or the only one of its sensor.
-pub fn row_of<'a>(calibration: &'a [Calibration], profile: &Profile) -> Option<&'a Calibration> {
-    let of_sensor =
-        || calibration.iter().filter(|row| row.campaign == profile.campaign && row.sensor == profile.sensor);
-    of_sensor().find(|row| row.range == profile.range).or_else(|| {
-        let mut rows = of_sensor();
-        rows.next().filter(|_| rows.next().is_none())
-    })
-}
-
-/// Standard deviation of each sample of a profile's mean. A record without any noise (an ideal one) still has the rounding of its f32 samples.
+/// Standard deviation of each sample of a profile's mean. An ideal record, without noise, still has the rounding of its
+/// f32 samples.
 pub fn sd_v(profile: &Profile) -> Vec<f64> {
     let rounding_v = rounding_v(profile);
     profile.se_v.iter().map(|se| f64::from(*se).max(rounding_v)).collect()
@@ -80,9 +83,10 @@ pub fn rounding_v(profile: &Profile) -> f64 {
     f64::from(f32::EPSILON) * f64::from(largest(&profile.mean_v, f32::MIN_POSITIVE, f32::abs))
 }
 
-/// Autocorrelation of a profile's noise, smoothed to that of an autoregressive process of the order that its samples can tell.
+/// Autocorrelation of a profile's noise, smoothed to that of an autoregressive process of the order that its samples
+/// support.
 pub fn correlation(profile: &Profile) -> Vec<f64> {
-    // A table made elsewhere may not say how many samples tell the noise: at least a tenth of one shot's.
+    // A table made elsewhere may not say how many samples the noise comes from: at least a tenth of one shot's.
     let usual = || profile.mean_v.len() as f64 * BASELINE_SHARE;
     let samples = profile.noise_samples.map_or_else(usual, f64::from);
     noise::autoregressive(&profile.noise_acf.to_f64(), samples.max(1.0) as usize)

@@ -1,7 +1,7 @@
 //! What a session says of one profile: drift of its delay, and pick-up.
 
 use super::acquisition_time;
-use super::calibration::Key;
+use super::sensor_range::{OfSensorRange, SensorRange};
 use crate::tables::{Profile, Session};
 
 /// Places of profile and pick-up agree to this part of a sample.
@@ -22,9 +22,8 @@ impl<'a> Correction<'a> {
     ///
     /// # Errors
     /// When the sensor drifts and the profile has no acquisition time; the text names the fix.
-    pub fn of(sessions: &'a [Session], key: &Key, profile: &Profile) -> Result<Self, String> {
-        let is_of = |row: &&Session| (&row.campaign, &row.sensor, &row.range) == (&key.0, &key.1, &key.2);
-        let Some(row) = sessions.iter().find(is_of) else {
+    pub fn of(sessions: &'a [Session], key: &SensorRange, profile: &Profile) -> Result<Self, String> {
+        let Some(row) = sessions.iter().find(|row| row.ids() == key.ids()) else {
             return Ok(Self::default());
         };
         let pickup = row.pickup_v.is_some().then_some(row);
@@ -87,7 +86,8 @@ impl<'a> Correction<'a> {
     }
 }
 
-/// Drift and its standard deviation `position` knots after the first. Beyond the knots the line goes on, and may be wrong by as much as it changes.
+/// Drift and its standard deviation `position` knots after the first. Beyond the knots the line goes on, and its error
+/// is as large as its change.
 fn at(drift_ps: &[f64], sd_ps: &[f64], position: f64) -> (f64, f64) {
     let last = drift_ps.len() - 1;
     let knot = (position.max(0.0) as usize).min(last.saturating_sub(1));

@@ -1,5 +1,7 @@
 //! Covariances of patches as matrices, from their tables and into them.
 
+use std::collections::BTreeMap;
+
 use nalgebra::Matrix3;
 
 use crate::tables::{Patch, PatchCovariance};
@@ -41,5 +43,25 @@ pub fn row(a: PatchId, b: PatchId, cov_m2: &Matrix3<f64>) -> PatchCovariance {
         cov_zx_m2: cov_m2[(2, 0)],
         cov_zy_m2: cov_m2[(2, 1)],
         cov_zz_m2: cov_m2[(2, 2)],
+    }
+}
+
+/// Covariances of the positions of patches with one another.
+#[derive(Clone, Debug, Default)]
+pub struct PatchCovariances(BTreeMap<(PatchId, PatchId), Matrix3<f64>>);
+
+impl PatchCovariances {
+    /// From the rows of `patch_covariances`, which has each pair once.
+    pub fn new(rows: &[PatchCovariance]) -> Self {
+        let both = |row: &PatchCovariance| {
+            let cov_m2 = between(row);
+            [((row.a, row.b), cov_m2), ((row.b, row.a), cov_m2.transpose())]
+        };
+        Self(rows.iter().flat_map(both).collect())
+    }
+
+    /// Covariance of patch `a` (rows) and patch `b` (columns), in m^2: zero for patches without a row.
+    pub fn between(&self, a: PatchId, b: PatchId) -> Matrix3<f64> {
+        self.0.get(&(a, b)).copied().unwrap_or_else(Matrix3::zeros)
     }
 }

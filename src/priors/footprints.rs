@@ -1,4 +1,4 @@
-//! Normals and footprints of the patches: sizes from campaign.toml, normals from planes that were found, else from campaign.toml.
+//! Normals and footprints of the patches: sizes from campaign.toml, normals from fitted planes, else from campaign.toml.
 
 use std::collections::BTreeMap;
 
@@ -10,30 +10,34 @@ use crate::geometry::footprint::{Footprint, Footprints};
 use crate::tables::Plane;
 use crate::units::PatchId;
 
-/// What a campaign says of how a patch lies.
+/// Size and direction of a patch in campaign.toml.
 #[derive(Clone, Debug, Serialize)]
-pub struct Told {
+pub struct Extent {
     size_m: Option<f64>,
     normal: Option<[f64; 3]>,
 }
 
-impl Told {
+impl Extent {
     /// Whether campaign.toml gives both its size and its normal.
     pub fn is_whole(&self) -> bool {
         self.size_m.is_some() && self.normal.is_some()
     }
 }
 
-/// Of all patches.
-pub fn told(campaign: &Campaign) -> BTreeMap<PatchId, Told> {
-    campaign.patches.iter().map(|(id, patch)| (*id, Told { size_m: patch.size_m, normal: patch.normal })).collect()
+/// Of all patches of a campaign.
+pub fn extents(campaign: &Campaign) -> BTreeMap<PatchId, Extent> {
+    campaign.patches.iter().map(|(id, patch)| (*id, Extent { size_m: patch.size_m, normal: patch.normal })).collect()
 }
 
-/// Unit normals of patches that lie on one of the `planes`, which hold in the frame of the patches they were fitted to; where campaign.toml's frame `is_fixed`, also of
-/// others with a normal there.
-pub fn normals(told: &BTreeMap<PatchId, Told>, planes: &[Plane], is_fixed: bool) -> BTreeMap<PatchId, Vector3<f64>> {
+/// Unit normals of the patches on one of the `planes`, in the frame of the patches that these were fitted to. Where
+/// campaign.toml's frame `is_fixed`, also of others with a normal there.
+pub fn normals(
+    extents: &BTreeMap<PatchId, Extent>,
+    planes: &[Plane],
+    is_fixed: bool,
+) -> BTreeMap<PatchId, Vector3<f64>> {
     let from_file =
-        told.iter().filter(|_| is_fixed).filter_map(|(patch, told)| Some((*patch, Vector3::from(told.normal?))));
+        extents.iter().filter(|_| is_fixed).filter_map(|(patch, extent)| Some((*patch, Vector3::from(extent.normal?))));
     let of_plane = |plane: &Plane| {
         let normal = Vector3::new(plane.normal_x, plane.normal_y, plane.normal_z);
         plane.patches.iter().map(|patch| (*patch, normal)).collect::<Vec<_>>()
@@ -43,9 +47,9 @@ pub fn normals(told: &BTreeMap<PatchId, Told>, planes: &[Plane], is_fixed: bool)
 }
 
 /// Footprints of patches with a known size and one of the [`normals`].
-pub fn of(told: &BTreeMap<PatchId, Told>, normals: &BTreeMap<PatchId, Vector3<f64>>) -> Footprints {
+pub fn of(extents: &BTreeMap<PatchId, Extent>, normals: &BTreeMap<PatchId, Vector3<f64>>) -> Footprints {
     let footprint = |(patch, normal): (&PatchId, &Vector3<f64>)| {
-        Some((*patch, Footprint { normal: *normal, size_m: told.get(patch)?.size_m? }))
+        Some((*patch, Footprint { normal: *normal, size_m: extents.get(patch)?.size_m? }))
     };
     Footprints(normals.iter().filter_map(footprint).collect())
 }

@@ -1,8 +1,11 @@
-//! What the stages know before they solve: what calibration, sessions and earlier solutions say, in the form in which estimators take it.
+//! What the stages know before they solve: what campaign.toml, calibration, sessions and earlier solutions say, in the
+//! form in which estimators take it.
 
 pub mod acquisition_time;
 pub mod calibration;
+pub mod campaign_fields;
 pub mod corrections;
 pub mod covariances;
 pub mod delays;
 pub mod footprints;
+pub mod sensor_range;

@@ -50,6 +50,7 @@ use super::stage::{Beside, BesideTables, Fold, Grain, InPieces, Outcome, Rejecti
 use crate::campaign::Campaign;
 use crate::campaign::keys::SensorKind;
 use crate::parameter::{Condition, Count, NonNegative, Positive};
+use crate::priors::campaign_fields::ByCampaign;
 use crate::signal::response::Response;
 use crate::tables::cell::Cell;
 use crate::tables::traces::TraceColumns;
@@ -89,17 +90,17 @@ impl Default for Average {
     }
 }
 
-/// What a campaign says of its records.
+/// What campaign.toml says of the records.
 #[derive(Clone, Debug, Serialize)]
-pub struct Setup {
+pub struct Fields {
     repetition_ps: Option<f64>,
     /// Laser pulses behind each histogram, of the sensors that count photons.
     cycles: BTreeMap<String, Option<u64>>,
 }
 
-/// What is known beforehand.
-pub struct Known {
-    campaigns: BTreeMap<String, Setup>,
+/// Campaigns and calibrated sensors.
+pub struct Context {
+    campaigns: ByCampaign<Fields>,
     sensors: BTreeMap<(Name, Name), Sensor>,
 }
 
@@ -111,7 +112,7 @@ struct Sensor {
     jitter_ps2: f64,
 }
 
-impl Known {
+impl Context {
     fn sensor(&self, row: &Trace) -> Option<&Sensor> {
         self.sensors.get(&(row.campaign.clone(), row.sensor.clone()))
     }
@@ -141,12 +142,12 @@ impl Known {
     }
 
     fn period_ps(&self, row: &Trace) -> Option<f64> {
-        self.campaigns.get(&*row.campaign)?.repetition_ps
+        self.campaigns.get(&row.campaign)?.repetition_ps
     }
 
     /// Laser pulses behind each histogram of a sensor that counts.
     fn cycles(&self, row: &Trace) -> Option<u64> {
-        *self.campaigns.get(&*row.campaign)?.cycles.get(&*row.sensor)?
+        *self.campaigns.get(&row.campaign)?.cycles.get(&*row.sensor)?
     }
 }
 
@@ -158,21 +159,20 @@ impl Stage for Average {
     const CONDITIONS: &'static [Condition] = &[Condition("outlier_sigma", "reject_outliers", &["true"])];
     type Input = Trace;
     type Output = Profile;
-    type Fields = BTreeMap<String, Setup>;
-    type Context = Known;
+    type Fields = ByCampaign<Fields>;
+    type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let setup = |campaign: &Campaign| {
+        ByCampaign::new(campaigns, |campaign| {
             let counters = campaign.sensors.iter().filter(|(_, sensor)| sensor.kind == SensorKind::Counts);
             let cycles = counters.map(|(name, sensor)| (name.clone(), sensor.cycles)).collect();
-            Setup { repetition_ps: campaign.repetition_ps, cycles }
-        };
-        campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
+            Fields { repetition_ps: campaign.repetition_ps, cycles }
+        })
     }
 
-    fn context(&self, campaigns: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
-        for (campaign, setup) in &campaigns {
-            if let Some((sensor, _)) = setup.cycles.iter().find(|(_, cycles)| cycles.is_none()) {
+    fn context(&self, campaigns: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
+        for (campaign, fields) in campaigns.iter() {
+            if let Some((sensor, _)) = fields.cycles.iter().find(|(_, cycles)| cycles.is_none()) {
                 return Err(StageError::Refused(format!(
                     "sensor `{sensor}` of campaign `{campaign}` counts photons, but of how many laser pulses is not said; \
                      give `cycles` in [sensors.{sensor}] of campaign.toml"
@@ -186,7 +186,7 @@ impl Stage for Average {
             ((row.campaign, row.sensor), Sensor { template, jitter_ps2 })
         };
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
-        Ok(Known { campaigns, sensors: rows.into_iter().map(sensor).collect() })
+        Ok(Context { campaigns, sensors: rows.into_iter().map(sensor).collect() })
     }
 }
 
@@ -201,8 +201,8 @@ pub enum State {
 impl Fold for Average {
     type State = State;
 
-    fn begin(&self, known: &Known, first: Trace) -> State {
-        match known.cycles(&first) {
+    fn begin(&self, context: &Context, first: Trace) -> State {
+        match context.cycles(&first) {
             Some(cycles) => State::Counts(Box::new(Histogram::new(first, cycles))),
             None => State::Analog(Box::new(Capture::new(first, Extent::Whole))),
         }
@@ -210,7 +210,7 @@ impl Fold for Average {
 
     fn step(
         &self,
-        known: &Known,
+        context: &Context,
         state: &mut State,
         columns: &TraceColumns,
         rows: Range<usize>,
@@ -218,16 +218,16 @@ impl Fold for Average {
         for i in rows {
             match state {
                 State::Counts(histogram) => histogram.take(columns, i),
-                State::Analog(capture) if columns.is_reference.value(i) => capture.take_reference(known, columns, i),
-                State::Analog(capture) => capture.take_signal(self, known, columns, i),
+                State::Analog(capture) if columns.is_reference.value(i) => capture.take_reference(context, columns, i),
+                State::Analog(capture) => capture.take_signal(self, context, columns, i),
             }
         }
         Ok(())
     }
 
-    fn finish(&self, known: &Known, state: State) -> Result<Outcome<Profile>, StageError> {
+    fn finish(&self, context: &Context, state: State) -> Result<Outcome<Profile>, StageError> {
         match state {
-            State::Analog(capture) => capture.finish(self, known),
+            State::Analog(capture) => capture.finish(self, context),
             State::Counts(histogram) => Ok(histogram.finish(self)),
         }
     }

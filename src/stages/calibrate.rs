@@ -110,7 +110,7 @@ struct Reference {
 }
 
 /// What campaign.toml says of each campaign's sensors.
-pub struct Known {
+pub struct Context {
     priors: BTreeMap<String, BTreeMap<String, Prior>>,
     cancel: Cancel,
 }
@@ -122,7 +122,7 @@ impl Stage for Calibrate {
     type Input = Trace;
     type Output = Calibration;
     type Fields = BTreeMap<String, BTreeMap<String, Prior>>;
-    type Context = Known;
+    type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
         let counter =
@@ -139,8 +139,8 @@ impl Stage for Calibrate {
         campaigns.iter().map(|campaign| (campaign.name.clone(), sensors(campaign))).collect()
     }
 
-    fn context(&self, priors: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
-        Ok(Known { priors, cancel: beside.cancel.clone() })
+    fn context(&self, priors: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
+        Ok(Context { priors, cancel: beside.cancel.clone() })
     }
 }
 
@@ -164,8 +164,8 @@ impl Fold for Calibrate {
         Ok(())
     }
 
-    fn finish(&self, known: &Known, state: State) -> Result<Outcome<Calibration>, StageError> {
-        Ok(state.calibrate(&known.priors[&*state.campaign][&*state.sensor], &known.cancel))
+    fn finish(&self, context: &Context, state: State) -> Result<Outcome<Calibration>, StageError> {
+        Ok(state.calibrate(&context.priors[&*state.campaign][&*state.sensor], &context.cancel))
     }
 }
 

@@ -50,8 +50,10 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Stage
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
 use crate::parameter::{Condition, Count, NonNegative, Positive};
-use crate::priors::calibration::{self, Calibrated, Key, key_of};
+use crate::priors::calibration::{self, Calibrated};
+use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::corrections::Correction;
+use crate::priors::sensor_range::SensorRange;
 use crate::signal::fft::RealFft;
 use crate::signal::response::Response;
 use crate::signal::sparse::{self, SparseOptions, Unpiled};
@@ -105,9 +107,9 @@ fn method_of<'de, D: Deserializer<'de>>(name: D) -> Result<Method, D::Error> {
     method::named(name, &former, "use `sparse` (the default); there are also `wiener` and `none`")
 }
 
-/// What campaign.toml says that matters here.
+/// What campaign.toml says of laser and sensors.
 #[derive(Clone, Debug, Serialize)]
-pub struct Setup {
+pub struct Fields {
     repetition_ps: Option<f64>,
     /// Dead times of photon counters.
     dead_times_ps: BTreeMap<String, f64>,
@@ -116,11 +118,10 @@ pub struct Setup {
 }
 
 /// The calibrated sensors, and tools that wait for their next use.
-pub struct Sensors {
-    rows: Vec<Calibration>,
-    calibrated: BTreeMap<Key, Calibrated>,
+pub struct Context {
+    sensors: calibration::Sensors,
     sessions: Vec<Session>,
-    setups: BTreeMap<String, Setup>,
+    fields: ByCampaign<Fields>,
     tools: Mutex<Vec<Tools>>,
     cancel: Cancel,
 }
@@ -134,7 +135,7 @@ struct Tools {
 }
 
 /// What an averaged response depends on: sensor and range, time step, length, and phases of the shots.
-type Alike = (Key, u64, usize, Option<Vec<i32>>);
+type Alike = (SensorRange, u64, usize, Option<Vec<i32>>);
 
 /// A profile made ready: upwards, without pick-up, in times of flight.
 struct Ready {
@@ -172,15 +173,15 @@ impl Stage for Deconvolve {
     ];
     type Input = Profile;
     type Output = Stir;
-    type Fields = BTreeMap<String, Setup>;
-    type Context = Sensors;
+    type Fields = ByCampaign<Fields>;
+    type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let setup = |campaign: &Campaign| {
+        ByCampaign::new(campaigns, |campaign| {
             let with_laser = |name: &&String| {
                 campaign.station_of(name).is_some_and(|at| at.position_m == campaign.source().position_m)
             };
-            Setup {
+            Fields {
                 repetition_ps: campaign.repetition_ps,
                 dead_times_ps: campaign
                     .sensors
@@ -189,34 +190,32 @@ impl Stage for Deconvolve {
                     .collect(),
                 with_laser: campaign.sensors.keys().filter(with_laser).cloned().collect(),
             }
-        };
-        campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
+        })
     }
 
-    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Sensors, StageError> {
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         let sessions = beside.rows::<Session>("session")?.unwrap_or_default();
-        let calibrated = rows.iter().map(|row| (key_of(row), Calibrated::new(row))).collect();
-        let cancel = beside.cancel.clone();
-        Ok(Sensors { rows, calibrated, sessions, setups, tools: Mutex::default(), cancel })
+        let (sensors, cancel) = (calibration::Sensors::new(&rows), beside.cancel.clone());
+        Ok(Context { sensors, sessions, fields, tools: Mutex::default(), cancel })
     }
 }
 
 impl Apply for Deconvolve {
-    fn apply(&self, sensors: &Sensors, group: Vec<Profile>) -> Result<Outcome<Stir>, StageError> {
-        let waiting = || sensors.tools.lock().unwrap_or_else(PoisonError::into_inner);
+    fn apply(&self, context: &Context, group: Vec<Profile>) -> Result<Outcome<Stir>, StageError> {
+        let waiting = || context.tools.lock().unwrap_or_else(PoisonError::into_inner);
         let mut tools = waiting().pop().unwrap_or_default();
         let mut outcome = Outcome::rows(Vec::new());
         let mut ready: Vec<(&Profile, Ready)> = Vec::new();
         for profile in &group {
-            sensors.cancel.check();
-            match self.prepare(sensors, profile, &mut tools)? {
+            context.cancel.check();
+            match self.prepare(context, profile, &mut tools)? {
                 Ok(prepared) => ready.push((profile, prepared)),
                 Err(why) => outcome.rejections.push(rejection(profile, &why)),
             }
         }
         waiting().push(tools);
-        let explained = self.explain(sensors, &ready);
+        let explained = self.explain(context, &ready);
         for ((profile, ready), explained) in ready.into_iter().zip(explained) {
             outcome.rows.push(stir(profile, ready, explained));
         }
@@ -263,7 +262,7 @@ fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
 
 impl Deconvolve {
     /// What the impulses are; `None` for a profile whose impulses stand with its reciprocal one, or that has none to be found.
-    fn explain(&self, sensors: &Sensors, ready: &[(&Profile, Ready)]) -> Vec<Option<Explained>> {
+    fn explain(&self, context: &Context, ready: &[(&Profile, Ready)]) -> Vec<Option<Explained>> {
         if let [(first, a), (second, b)] = ready
             && self.joint
             && (first.lit, first.seen) == (second.seen, second.lit)
@@ -271,53 +270,51 @@ impl Deconvolve {
             && a.unpiled.is_none()
             && b.unpiled.is_none()
             && a.dt_ps == b.dt_ps
-            && sensors.setups[&*first.campaign].with_laser.iter().any(|sensor| **sensor == *first.sensor)
+            && context.fields.of(&first.campaign).with_laser.iter().any(|sensor| **sensor == *first.sensor)
         {
-            let together = explain::jointly(&[a.profile(), b.profile()], &self.options(&sensors.cancel));
+            let together = explain::jointly(&[a.profile(), b.profile()], &self.options(&context.cancel));
             return if first.lit < first.seen { vec![Some(together), None] } else { vec![None, Some(together)] };
         }
-        ready.iter().map(|(_, ready)| self.explain_alone(sensors, ready)).collect()
+        ready.iter().map(|(_, ready)| self.explain_alone(context, ready)).collect()
     }
 
-    fn explain_alone(&self, sensors: &Sensors, ready: &Ready) -> Option<Explained> {
+    fn explain_alone(&self, context: &Context, ready: &Ready) -> Option<Explained> {
         match (self.method, &ready.unpiled) {
             (Method::Wiener | Method::None, _) => None,
             (Method::Sparse, Some(unpiled)) => {
-                Some(explain::counts(unpiled, ready.profile(), &self.options(&sensors.cancel)))
+                Some(explain::counts(unpiled, ready.profile(), &self.options(&context.cancel)))
             }
-            (Method::Sparse, None) => Some(explain::jointly(&[ready.profile()], &self.options(&sensors.cancel))),
+            (Method::Sparse, None) => Some(explain::jointly(&[ready.profile()], &self.options(&context.cancel))),
         }
     }
 
     /// A profile made ready, or why it cannot be.
     fn prepare(
         &self,
-        sensors: &Sensors,
+        context: &Context,
         profile: &Profile,
         tools: &mut Tools,
     ) -> Result<Result<Ready, String>, StageError> {
         let (campaign, sensor) = (&profile.campaign, &profile.sensor);
-        let row = calibration::row_of(&sensors.rows, profile).ok_or_else(|| {
+        let (key, calibrated) = context.sensors.of(profile).ok_or_else(|| {
             let range = profile.range.as_ref().map(|range| format!(" at range `{range}`")).unwrap_or_default();
             StageError::Refused(format!("sensor `{sensor}` of campaign `{campaign}` is not calibrated{range}: capture its response, or import a calibration"))
         })?;
-        let key = key_of(row);
-        let calibrated = &sensors.calibrated[&key];
-        let setup = sensors.setups.get(&**campaign);
-        let correction = match Correction::of(&sensors.sessions, &key, profile) {
+        let fields = context.fields.get(campaign);
+        let correction = match Correction::of(&context.sessions, key, profile) {
             Ok(correction) => correction,
             Err(why) => return Ok(Err(why)),
         };
         let mut samples: Vec<f64> = profile.mean_v.to_f64();
         let mut sd_v = calibration::sd_v(profile);
-        let period_ps = setup.and_then(|setup| setup.repetition_ps);
+        let period_ps = fields.and_then(|fields| fields.repetition_ps);
         if let Err(why) = correction.take_pickup_off(profile, period_ps, &mut samples, &mut sd_v) {
             return Ok(Err(why));
         }
         samples.iter_mut().for_each(|sample| *sample *= calibrated.polarity);
         let rounding_v = calibration::rounding_v(profile);
         let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding_v);
-        let alike = tools.take_up(key, calibrated, profile);
+        let alike = tools.take_up(key.clone(), calibrated, profile);
         // What is no more than the rounding of the samples is white.
         let is_white = !self.correlated || noise_v <= rounding_v;
         let acf = if is_white { vec![1.0] } else { calibration::correlation(profile) };
@@ -325,7 +322,7 @@ impl Deconvolve {
             Method::None => (samples.clone(), noise_v),
             Method::Sparse | Method::Wiener => self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools),
         };
-        let dead_time_ps = setup.and_then(|setup| setup.dead_times_ps.get(&**sensor)).copied().unwrap_or(0.0);
+        let dead_time_ps = fields.and_then(|fields| fields.dead_times_ps.get(&**sensor)).copied().unwrap_or(0.0);
         let unpiled = match unpiled(profile, dead_time_ps) {
             Ok(unpiled) => unpiled,
             Err(why) => return Ok(Err(why)),
@@ -411,7 +408,7 @@ impl Ready {
 
 impl Tools {
     /// Makes the averaged response of a profile the one at hand.
-    fn take_up(&mut self, key: Key, sensor: &Calibrated, profile: &Profile) -> Alike {
+    fn take_up(&mut self, key: SensorRange, sensor: &Calibrated, profile: &Profile) -> Alike {
         let Profile { dt_ps, mean_v, phase_shots, .. } = profile;
         // Only shares of shots matter, but whole numbers compare exactly.
         let alike = (key, dt_ps.to_bits(), mean_v.len(), phase_shots.clone());

@@ -70,9 +70,11 @@ use crate::cancel::Cancel;
 use crate::geometry::Point;
 use crate::geometry::labelling::{self, Arrival, Medium, Options, Profile, Scene, SensorProfiles};
 use crate::parameter::{Condition, Count, NonNegative, Positive, Share, Within};
+use crate::priors::campaign_fields::{self, ByCampaign, StationPositions};
 use crate::priors::covariances;
-use crate::priors::footprints::{self, Told};
-use crate::tables::{Delay, Fit, Hypothesis, Label, Name, Onset, Patch, PatchCovariance, Plane, Row};
+use crate::priors::delays::Delays;
+use crate::priors::footprints::{self, Extent};
+use crate::tables::{Fit, Hypothesis, Label, Onset, Patch, PatchCovariance, Plane, Row};
 use crate::units::PatchId;
 
 /// Beyond, every profile is one onset.
@@ -130,50 +132,37 @@ enum HiddenPatches {
     Rank,
 }
 
-/// What a campaign says that paths depend on.
+/// What campaign.toml says that paths depend on.
 #[derive(Clone, Debug, Serialize)]
-pub struct Setup {
-    group_index: f64,
+pub struct Fields {
+    medium: campaign_fields::Medium,
     repetition_ps: Option<f64>,
-    source_m: [f64; 3],
-    sensors_m: BTreeMap<String, [f64; 3]>,
-    footprints: BTreeMap<PatchId, Told>,
+    stations: StationPositions,
+    extents: BTreeMap<PatchId, Extent>,
     dimensions: usize,
-    /// Largest number of a patch.
-    largest_patch: PatchId,
-    /// Number of hidden patches, where it is known.
-    hidden_count: Option<u32>,
+    hidden: campaign_fields::HiddenPatches,
 }
 
 /// What labelling starts from, beside the onsets.
 pub struct Context {
-    setups: BTreeMap<String, Setup>,
+    fields: ByCampaign<Fields>,
     scene: Option<Scene>,
     cancel: Cancel,
-    /// Delay that calibration left, and its standard deviation, by campaign, sensor and range.
-    delays_ps: BTreeMap<(Name, Name, Option<Name>), (f64, f64)>,
+    delays: Delays,
 }
 
 impl Context {
-    /// Delay of a profile: that of its range, or the only one of its sensor.
-    fn delay_ps(&self, onset: &Onset) -> (f64, f64) {
-        let key = (onset.campaign.clone(), onset.sensor.clone(), onset.range.clone());
-        let of_range = self.delays_ps.get(&key);
-        let mut of_sensor = self.delays_ps.iter().filter(|(of, _)| (&of.0, &of.1) == (&key.0, &key.1));
-        let only = || of_sensor.next().filter(|_| of_sensor.next().is_none()).map(|(_, delay)| delay);
-        of_range.or_else(only).copied().unwrap_or_default()
-    }
-
     /// The profiles of one sensor, from all its onsets.
     fn sensor_profiles(&self, onsets: &[Onset]) -> SensorProfiles {
-        let setup = &self.setups[&*onsets[0].campaign];
+        let Onset { campaign, sensor, .. } = &onsets[0];
+        let Fields { medium, repetition_ps, stations, dimensions, hidden, .. } = self.fields.of(campaign);
         SensorProfiles {
-            medium: Medium { group_index: setup.group_index, repetition_ps: setup.repetition_ps },
-            source: Point::from(setup.source_m),
-            sensor: Point::from(setup.sensors_m[&*onsets[0].sensor]),
-            dimensions: setup.dimensions,
-            largest_patch: setup.largest_patch,
-            hidden_count: setup.hidden_count,
+            medium: Medium { group_index: medium.group_index, repetition_ps: *repetition_ps },
+            source: stations.source(),
+            sensor: stations.sensor(sensor).expect("campaign.toml has the sensors of its captures"),
+            dimensions: *dimensions,
+            largest_patch: hidden.largest_patch,
+            hidden_count: hidden.count,
             profiles: onsets
                 .chunk_by(|a, b| (a.lit, a.seen) == (b.lit, b.seen))
                 .map(|onsets| self.profile(onsets))
@@ -183,7 +172,7 @@ impl Context {
 
     fn profile(&self, onsets: &[Onset]) -> Profile {
         let Onset { lit, seen, .. } = onsets[0];
-        let (delay_ps, delay_sd_ps) = self.delay_ps(&onsets[0]);
+        let (delay_ps, delay_sd_ps) = self.delays.delay_ps(&onsets[0]);
         let arrivals =
             onsets.iter().map(|onset| Arrival { time_ps: onset.time_ps, sd_ps: sd_ps(onset), snr: onset.snr });
         Profile { lit, seen, delay_ps, delay_sd_ps, arrivals: arrivals.collect() }
@@ -205,34 +194,25 @@ impl Stage for LabelOnsets {
     const CONDITIONS: &'static [Condition] = &[Condition("false_alarm", "hidden", &["search"])];
     type Input = Onset;
     type Output = Label;
-    type Fields = BTreeMap<String, Setup>;
+    type Fields = ByCampaign<Fields>;
     type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let setup = |campaign: &Campaign| Setup {
-            group_index: campaign.group_index,
+        ByCampaign::new(campaigns, |campaign| Fields {
+            medium: campaign.into(),
             repetition_ps: campaign.repetition_ps,
-            source_m: campaign.source().position_m,
-            sensors_m: campaign
-                .sensors
-                .keys()
-                .filter_map(|sensor| Some((sensor.clone(), campaign.station_of(sensor)?.position_m)))
-                .collect(),
-            footprints: footprints::told(campaign),
+            stations: campaign.into(),
+            extents: footprints::extents(campaign),
             dimensions: usize::from(campaign.dimensions),
-            largest_patch: campaign.patches.keys().copied().max().unwrap_or(0),
-            hidden_count: campaign.hidden.count,
-        };
-        campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
+            hidden: campaign.into(),
+        })
     }
 
-    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
-        let scene = scene(&setups, beside)?;
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
+        let scene = scene(&fields, beside)?;
         self.check(scene.is_some())?;
-        let delays = beside.rows::<Delay>("delays")?.unwrap_or_default();
-        let delay = |row: Delay| ((row.campaign, row.sensor, row.range), (row.delay_ps, row.sd_ps));
-        let delays_ps = delays.into_iter().map(delay).collect();
-        Ok(Context { setups, scene, cancel: beside.cancel.clone(), delays_ps })
+        let delays = Delays::new(&beside.rows("delays")?.unwrap_or_default());
+        Ok(Context { fields, scene, cancel: beside.cancel.clone(), delays })
     }
 }
 
@@ -287,7 +267,7 @@ impl Apply for LabelOnsets {
 }
 
 /// Patches in place of the best alternative, those with a covariance; `None` without the table `patches`.
-fn scene(setups: &BTreeMap<String, Setup>, beside: &BesideTables) -> Result<Option<Scene>, StageError> {
+fn scene(fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<Option<Scene>, StageError> {
     let Some(rows) = beside.rows::<Patch>("patches")? else { return Ok(None) };
     let best = rows.iter().filter(|row| row.alternative == 0);
     let patches: BTreeMap<PatchId, (Point, _)> = best
@@ -299,7 +279,7 @@ fn scene(setups: &BTreeMap<String, Setup>, beside: &BesideTables) -> Result<Opti
     }
     let between = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
     let between_m2 = between.iter().map(|row| ((row.a, row.b), covariances::between(row))).collect();
-    let given = setups.values().next().map(|setup| &setup.footprints);
+    let given = fields.first().map(|fields| &fields.extents);
     let normals = given.map(|given| normals(given, beside)).transpose()?.unwrap_or_default();
     let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
     Ok(Some(Scene::new(&patches, &between_m2, footprints, normals)))
@@ -307,7 +287,7 @@ fn scene(setups: &BTreeMap<String, Setup>, beside: &BesideTables) -> Result<Opti
 
 /// Normals of patches on the table `planes`, and where the frame is fixed those of campaign.toml.
 fn normals(
-    given: &BTreeMap<PatchId, Told>,
+    given: &BTreeMap<PatchId, Extent>,
     beside: &BesideTables,
 ) -> Result<BTreeMap<PatchId, Vector3<f64>>, StageError> {
     let planes = beside.rows::<Plane>("planes")?.unwrap_or_default();

@@ -21,7 +21,8 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::{Campaign, Role};
-use crate::priors::calibration::{self, Calibrated, Key};
+use crate::priors::calibration::{self, Calibrated};
+use crate::priors::sensor_range::{OfSensorRange, SensorRange, own_or_only};
 use crate::signal::echo::{self, Core};
 use crate::signal::pulse_fit::{self, Record};
 use crate::signal::reference::fit_pulse;
@@ -50,11 +51,8 @@ struct Sensor {
     width_ps: f64,
 }
 
-/// The calibrated sensors.
-pub struct Sensors {
-    rows: Vec<Calibration>,
-    sensors: BTreeMap<Key, Sensor>,
-}
+/// The calibrated sensors, by their vertical ranges.
+pub struct Context(BTreeMap<SensorRange, Sensor>);
 
 impl Stage for Measure {
     const KIND: &'static str = "measure";
@@ -64,14 +62,13 @@ impl Stage for Measure {
     type Input = Profile;
     type Output = Measurement;
     type Fields = ();
-    type Context = Sensors;
+    type Context = Context;
 
     fn fields(&self, _: &[Campaign]) {}
 
     fn context(&self, (): (), beside: &BesideTables) -> Result<Self::Context, StageError> {
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
-        let sensors = rows.iter().map(|row| (calibration::key_of(row), Sensor::of(row))).collect();
-        Ok(Sensors { rows, sensors })
+        Ok(Context(rows.iter().map(|row| (row.sensor_range(), Sensor::of(row))).collect()))
     }
 }
 
@@ -84,12 +81,10 @@ impl Sensor {
 }
 
 impl Apply for Measure {
-    fn apply(&self, sensors: &Self::Context, group: Vec<Profile>) -> Result<Outcome<Measurement>, StageError> {
+    fn apply(&self, Context(sensors): &Context, group: Vec<Profile>) -> Result<Outcome<Measurement>, StageError> {
         // A sensor without calibration has its noise measured all the same; `calibrate` has said why it has none.
-        let measure = |profile: &Profile| {
-            let row = calibration::row_of(&sensors.rows, profile);
-            measurement(profile, row.map(|row| &sensors.sensors[&calibration::key_of(row)]))
-        };
+        let measure =
+            |profile: &Profile| measurement(profile, own_or_only(sensors.keys(), profile).map(|key| &sensors[key]));
         Ok(Outcome::rows(group.iter().map(measure).collect()))
     }
 }

@@ -34,36 +34,31 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side,
 use crate::campaign::Campaign;
 use crate::campaign::keys::PatchRole;
 use crate::geometry::t2::{self, Distances, Length};
+use crate::priors::campaign_fields::{ByCampaign, Medium, StationPositions};
 use crate::tables::{Covariance, Distance, Label, Name, Row};
-use crate::units::{self, PatchId};
+use crate::units::PatchId;
 use hidden::{Places, Thirds};
-
-/// Stations closer than this are one.
-const ONE_STATION_M: f64 = 1e-6;
 
 /// Parameters of `range`: none.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Range {}
 
-/// What a campaign says that lengths depend on.
+/// What campaign.toml says that lengths depend on.
 #[derive(Clone, Debug, Serialize)]
-pub struct Setup {
-    group_index: f64,
-    /// Whether each sensor stands where the laser is.
-    with_laser: BTreeMap<String, bool>,
+pub struct Fields {
+    medium: Medium,
+    stations: StationPositions,
     /// Patches that campaign.toml lists as visible.
     visible: Vec<PatchId>,
     /// Patches that it lists as mirrors.
     mirrors: Vec<PatchId>,
-    source_m: [f64; 3],
-    sensors_m: BTreeMap<String, [f64; 3]>,
 }
 
-/// Setups of the campaigns, and patches in known places.
+/// Campaigns, and patches in given places.
 #[derive(Debug)]
 pub struct Context {
-    setups: BTreeMap<String, Setup>,
+    fields: ByCampaign<Fields>,
     places: Option<Places>,
 }
 
@@ -79,59 +74,45 @@ impl Stage for Range {
     const SIDES: &'static [Side] = &[Side { name: Covariance::TABLE, schema: Covariance::schema }];
     type Input = Label;
     type Output = Distance;
-    type Fields = BTreeMap<String, Setup>;
+    type Fields = ByCampaign<Fields>;
     type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let gap_m = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
-        let setup = |campaign: &Campaign| {
-            let source_m = campaign.source().position_m;
-            let with_laser = |sensor: &String| {
-                campaign.station_of(sensor).is_some_and(|station| gap_m(station.position_m, source_m) <= ONE_STATION_M)
-            };
-            let station_m = |sensor: &String| Some((sensor.clone(), campaign.station_of(sensor)?.position_m));
-            let of_role = |role: PatchRole| {
-                campaign.patches.iter().filter(move |(_, patch)| patch.role == role).map(|(id, _)| *id).collect()
-            };
-            Setup {
-                group_index: campaign.group_index,
-                with_laser: campaign.sensors.keys().map(|sensor| (sensor.clone(), with_laser(sensor))).collect(),
-                visible: of_role(PatchRole::Visible),
-                mirrors: of_role(PatchRole::Mirror),
-                source_m,
-                sensors_m: campaign.sensors.keys().filter_map(station_m).collect(),
-            }
-        };
-        campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
+        ByCampaign::new(campaigns, |campaign| Fields {
+            medium: campaign.into(),
+            stations: campaign.into(),
+            visible: of_role(campaign, PatchRole::Visible),
+            mirrors: of_role(campaign, PatchRole::Mirror),
+        })
     }
 
-    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Self::Context, StageError> {
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Self::Context, StageError> {
         let places = Places::new(beside)?;
-        let mut sensors =
-            setups.iter().flat_map(|(campaign, setup)| setup.with_laser.keys().map(move |s| (campaign, s)));
-        let is_any_with_laser = setups.values().any(|setup| setup.with_laser.values().any(|with_laser| *with_laser));
-        if let Some((campaign, sensor)) = sensors.next().filter(|_| !is_any_with_laser && places.is_none()) {
+        let is_any_with_laser = fields.values().any(|fields| fields.stations.is_any_with_laser());
+        let first_sensor =
+            fields.iter().find_map(|(campaign, fields)| Some((campaign, fields.stations.sensors().next()?)));
+        if let Some((campaign, sensor)) = first_sensor.filter(|_| !is_any_with_laser && places.is_none()) {
             return Err(StageError::Refused(format!(
                 "sensor `{sensor}` of campaign `{campaign}` does not stand where the laser is, and no other does: path lengths have no closed \
                  form; leave out `range` and `embed`; `refine` finds a start by itself from the labels"
             )));
         }
-        Ok(Context { setups, places })
+        Ok(Context { fields, places })
     }
 }
 
 impl Apply for Range {
     fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Distance>, StageError> {
-        let (setups, places) = (&context.setups, context.places.as_ref());
-        let over_hidden = hidden::over_hidden(setups, places, &group);
+        let (fields, places) = (&context.fields, context.places.as_ref());
+        let over_hidden = hidden::over_hidden(fields, places, &group);
         let (mut first, mut second, mut thirds) = (Vec::new(), Vec::new(), Thirds::new());
         let mut apart: BTreeMap<(Name, Name), usize> = BTreeMap::new();
         for label in group.iter().filter(|label| label.alternative == 0 && label.path.is_some()) {
-            let setup = &setups[&*label.campaign];
-            let sd_m = units::path_m(label.time_sd_ps, setup.group_index);
-            let length = Length { length_m: units::path_m(label.time_ps, setup.group_index), variance_m2: sd_m * sd_m };
+            let Fields { medium, stations, .. } = fields.of(&label.campaign);
+            let sd_m = medium.path_m(label.time_sd_ps);
+            let length = Length { length_m: medium.path_m(label.time_ps), variance_m2: sd_m * sd_m };
             let over_hidden = over_hidden(label);
-            match setup.with_laser.get(&*label.sensor) {
+            match stations.is_with_laser(&label.sensor) {
                 Some(true) => {}
                 Some(false) if over_hidden.is_some() && places.is_some() => {}
                 Some(false) => {
@@ -145,7 +126,7 @@ impl Apply for Range {
                 Some([lit, seen]) => second.push(((*lit, *seen), length)),
                 _ => {
                     if let Some(path) = over_hidden {
-                        thirds.add(path, setup, places, label, length);
+                        thirds.add(path, fields.of(&label.campaign), places, label, length);
                     }
                 }
             }
@@ -159,16 +140,21 @@ impl Apply for Range {
             bounces: distance.bounces,
             onsets: distance.onsets,
         });
-        let hidden = thirds.solve(setups, places, &found);
+        let hidden = thirds.solve(fields, places, &found);
         let campaign = group.first().map_or_else(|| "".into(), |label| label.campaign.clone());
         let told =
-            rejections(&campaign, setups, &found).into_iter().chain(hidden.rejections(&campaign, places.is_some()));
+            rejections(&campaign, fields, &found).into_iter().chain(hidden.rejections(&campaign, places.is_some()));
         Ok(Outcome {
             rejections: left_out(apart).chain(told).collect(),
             rows: rows.chain(hidden.distances).collect(),
             sides: vec![Covariance::to_batch(&[covariances(&found), hidden.covariances].concat())],
         })
     }
+}
+
+/// Patches that campaign.toml lists with a role.
+fn of_role(campaign: &Campaign, role: PatchRole) -> Vec<PatchId> {
+    campaign.patches.iter().filter(|(_, patch)| patch.role == role).map(|(id, _)| *id).collect()
 }
 
 fn covariances(found: &Distances) -> Vec<Covariance> {
@@ -201,11 +187,11 @@ fn about(campaign: Name, reason: String) -> Rejection {
 }
 
 /// What a user should know: distances that could not be had, or that contradict themselves.
-fn rejections(campaign: &Name, setups: &BTreeMap<String, Setup>, found: &Distances) -> Vec<Rejection> {
+fn rejections(campaign: &Name, fields: &ByCampaign<Fields>, found: &Distances) -> Vec<Rejection> {
     let has_first: BTreeSet<PatchId> = found.distances.iter().map(|distance| distance.b).collect();
     // Where no sensor stands at the laser, no patch can have a first bounce there.
-    let with_laser = setups.values().filter(|setup| setup.with_laser.values().any(|with_laser| *with_laser));
-    let listed = with_laser.flat_map(|setup| setup.visible.iter().copied());
+    let with_laser = fields.values().filter(|fields| fields.stations.is_any_with_laser());
+    let listed = with_laser.flat_map(|fields| fields.visible.iter().copied());
     let mut lost: BTreeMap<PatchId, usize> = listed.map(|patch| (patch, 0)).collect();
     for patch in found.skipped.iter().flat_map(|(a, b)| [*a, *b]) {
         *lost.entry(patch).or_default() += 1;

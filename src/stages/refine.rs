@@ -30,12 +30,11 @@
 //! with = { patches = "first", calibration = "calibration", planes = "first_planes" }
 //! ```
 
-mod known;
+mod context;
 mod model;
-mod written;
+mod rows;
 
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
@@ -44,13 +43,12 @@ use crate::campaign::Campaign;
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Problem, Solution, Unsolved};
 use crate::geometry::placement::{self, Kind};
-use crate::priors::footprints::{self, Told};
-use crate::tables::{
-    Ambiguity, Calibration, Delay, Fit, Label, Patch, PatchCovariance, Plane, Residual, Row, Station, Suspect,
-};
-use known::{Known, Setup};
+use crate::priors::campaign_fields::ByCampaign;
+use crate::priors::footprints::{self, Extent};
+use crate::tables::{Ambiguity, Delay, Fit, Label, Patch, PatchCovariance, Residual, Row, Station, Suspect};
+use context::{Context, Fields};
 use model::Model;
-use written::{Fitted, Other, Written};
+use rows::{Fitted, Other, Tables};
 
 /// Footprints are predicted anew until no path changes by more, for at most so many rounds.
 const SHIFTED_M: f64 = 1e-6;
@@ -78,12 +76,6 @@ impl Default for Refine {
     }
 }
 
-/// What is known beforehand, with the planes of an earlier solution.
-pub struct Context {
-    known: Known,
-    planes: Vec<Plane>,
-}
-
 impl Stage for Refine {
     const KIND: &'static str = "refine";
     const VERSION: u32 = 5;
@@ -104,18 +96,15 @@ impl Stage for Refine {
     ];
     type Input = Label;
     type Output = Patch;
-    type Fields = BTreeMap<String, Setup>;
+    type Fields = ByCampaign<Fields>;
     type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        campaigns.iter().map(|campaign| (campaign.name.clone(), Setup::new(campaign))).collect()
+        ByCampaign::new(campaigns, |campaign| campaign.into())
     }
 
-    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
-        let start = beside.rows::<Patch>("patches")?.unwrap_or_default();
-        let calibration = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
-        let planes = beside.rows::<Plane>("planes")?.unwrap_or_default();
-        Ok(Context { known: Known::new(setups, start, calibration, beside.cancel.clone()), planes })
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
+        Context::new(fields, beside)
     }
 }
 
@@ -127,7 +116,7 @@ impl Apply for Refine {
             let text = "no onset has a path; look at the tables `labels` and `onsets`";
             return Err(StageError::Refused(text.to_owned()));
         }
-        let model = Model::new(&context.known, &labels);
+        let model = Model::new(context, &labels);
         let mut problem = model.problem(if self.robust { Loss::Huber } else { Loss::Squared });
         let start = problem.start.clone();
         let refused = |unsolved: &Unsolved| StageError::Refused(model.refused(unsolved));
@@ -141,8 +130,8 @@ impl Apply for Refine {
             solved => solved.map_err(|unsolved| refused(&unsolved))?,
         };
         let is_fixed = solution.free_rotations.first() == Some(&0);
-        let told = &context.known.first().footprints;
-        let footprints = footprints::of(told, &footprints::normals(told, &context.planes, is_fixed));
+        let extents = &context.first().extents;
+        let footprints = footprints::of(extents, &footprints::normals(extents, &context.planes, is_fixed));
         let mut shifts_m = vec![0.0; labels.len()];
         for _ in 0..if footprints.is_empty() { 0 } else { ROUNDS } {
             let next_m = model.shifts_m(&footprints, &problem, &solution.points, &solution.stations);
@@ -173,18 +162,18 @@ impl Apply for Refine {
         }
         let (solution, others) = alternatives(&model, &problem, solution);
         let fitted = Fitted { solution, others, observations, used };
-        let written = Written::new(&model, &fitted, &shifts_m);
-        let residuals = written.residuals();
+        let tables = Tables::new(&model, &fitted, &shifts_m);
+        let residuals = tables.residuals();
         Ok(Outcome {
-            rows: written.patches(),
+            rows: tables.patches(),
             sides: vec![
-                PatchCovariance::to_batch(&written.patch_covariances()),
-                Delay::to_batch(&written.delays()),
-                Station::to_batch(&written.stations()),
+                PatchCovariance::to_batch(&tables.patch_covariances()),
+                Delay::to_batch(&tables.delays()),
+                Station::to_batch(&tables.stations()),
                 Residual::to_batch(&residuals),
-                Suspect::to_batch(&written.suspects(&residuals)),
-                Fit::to_batch(&written.fits()),
-                Ambiguity::to_batch(&written.ambiguities()),
+                Suspect::to_batch(&tables.suspects(&residuals)),
+                Fit::to_batch(&tables.fits()),
+                Ambiguity::to_batch(&tables.ambiguities()),
             ],
             rejections: unused_normals(context, is_fixed, &labels),
         })
@@ -206,10 +195,10 @@ fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (Soluti
     let is_turned = |kind: &Kind, best: &Solution| *kind == Kind::Mirror && best.free_rotations.first() != Some(&0);
     let mut others: Vec<Other> = Vec::new();
     for _ in 0..ROUNDS {
-        let found = placement::alternatives(problem, &best.points).into_iter();
-        let solved = found.filter(|found| !is_turned(&found.kind, &best)).filter_map(|found| {
-            let solution = maximum_likelihood::solve(&Problem { start: found.points, ..problem.clone() }).ok()?;
-            Some(Other { patches: found.patches, is_mirror_image: found.kind == Kind::Mirror, solution })
+        let starts = placement::alternatives(problem, &best.points).into_iter();
+        let solved = starts.filter(|start| !is_turned(&start.kind, &best)).filter_map(|start| {
+            let solution = maximum_likelihood::solve(&Problem { start: start.points, ..problem.clone() }).ok()?;
+            Some(Other { patches: start.patches, is_mirror_image: start.kind == Kind::Mirror, solution })
         });
         others = solved.filter(|other| other.solution.loss < best.loss + LIKELY).take(ALTERNATIVES).collect();
         let is_better = |other: &Other| {
@@ -230,7 +219,7 @@ fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (Soluti
 
 /// Says so where normals stand in campaign.toml, but in a frame that nothing ties to that of the patches.
 fn unused_normals(context: &Context, is_fixed: bool, labels: &[Label]) -> Vec<Rejection> {
-    let has_normal = context.known.first().footprints.values().any(Told::is_whole);
+    let has_normal = context.first().extents.values().any(Extent::is_whole);
     if is_fixed || !context.planes.is_empty() || !has_normal {
         return Vec::new();
     }

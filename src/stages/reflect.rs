@@ -28,10 +28,8 @@
 //! params = { method = "joint" }
 //! ```
 
+mod rows;
 mod scans;
-mod written;
-
-use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
@@ -39,10 +37,11 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side,
 use crate::campaign::Campaign;
 use crate::campaign::keys::PatchRole;
 use crate::geometry::{Point, mirror};
+use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::delays::Latencies;
-use crate::tables::{Ambiguity, Calibration, Name, Onset, Patch, PatchCovariance, Plane, Row};
-use scans::{Known, Scans, Setup};
-use written::Written;
+use crate::tables::{Ambiguity, Name, Onset, Patch, PatchCovariance, Plane, Row};
+use rows::Tables;
+use scans::{Context, Fields, Scans};
 
 /// A second place of the virtual source whose contradiction is higher than the best one's by less than this (a likelihood ratio of 3,000) cannot be ruled out.
 const LIKELY: f64 = 16.0;
@@ -85,19 +84,19 @@ impl Stage for Reflect {
     ];
     type Input = Onset;
     type Output = Patch;
-    type Fields = BTreeMap<String, Setup>;
-    type Context = Known;
+    type Fields = ByCampaign<Fields>;
+    type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        campaigns.iter().map(|campaign| (campaign.name.clone(), Setup::new(campaign))).collect()
+        ByCampaign::new(campaigns, |campaign| campaign.into())
     }
 
-    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
         let refused = |text: &str| Err(StageError::Refused(text.to_owned()));
-        let Some(first) = setups.values().next() else {
+        let Some(first) = fields.first() else {
             return refused("no campaign is given");
         };
-        if setups.values().any(|setup| !setup.is_of_scene(first)) {
+        if fields.values().any(|fields| !fields.is_of_scene(first)) {
             return refused(
                 "the campaigns differ in dimensions, stations or patches: campaigns of one scene must share them",
             );
@@ -108,21 +107,21 @@ impl Stage for Reflect {
             );
         }
         let patches = beside.rows::<Patch>("patches")?.unwrap_or_default();
-        let latencies = Latencies::new(beside.rows::<Calibration>("calibration")?.unwrap_or_default());
-        Ok(Known::new(setups, &patches, latencies, beside.cancel.clone()))
+        let latencies = Latencies::new(&beside.rows("calibration")?.unwrap_or_default());
+        Ok(Context::new(fields, &patches, latencies, beside.cancel.clone()))
     }
 }
 
 impl Apply for Reflect {
-    fn apply(&self, known: &Known, group: Vec<Onset>) -> Result<Outcome<Patch>, StageError> {
-        let (scans, mut reasons) = Scans::new(known, &group);
-        let written = if scans.experiment.scans.is_empty() {
+    fn apply(&self, context: &Context, group: Vec<Onset>) -> Result<Outcome<Patch>, StageError> {
+        let (scans, mut reasons) = Scans::new(context, &group);
+        let tables = if scans.experiment.scans.is_empty() {
             reasons.push("no scan of the mirror is left: see the reasons above".to_owned());
-            Written::default()
+            Tables::default()
         } else {
             self.solved(&scans, &mut reasons)
         };
-        let campaign = Name::from(known.setups.keys().next().expect("a run has a campaign").as_str());
+        let campaign = Name::from(context.fields.first_name());
         let reject = |reason: String| Rejection {
             campaign: campaign.clone(),
             file: None,
@@ -131,11 +130,11 @@ impl Apply for Reflect {
             reason,
         };
         Ok(Outcome {
-            rows: written.patches,
+            rows: tables.patches,
             sides: vec![
-                PatchCovariance::to_batch(&written.covariances),
-                Plane::to_batch(&written.planes),
-                Ambiguity::to_batch(&written.ambiguities),
+                PatchCovariance::to_batch(&tables.covariances),
+                Plane::to_batch(&tables.planes),
+                Ambiguity::to_batch(&tables.ambiguities),
             ],
             rejections: reasons.into_iter().map(reject).collect(),
         })
@@ -144,16 +143,16 @@ impl Apply for Reflect {
 
 impl Reflect {
     /// Rows by the method, and why there are none.
-    fn solved(&self, scans: &Scans, reasons: &mut Vec<String>) -> Written {
+    fn solved(&self, scans: &Scans, reasons: &mut Vec<String>) -> Tables {
         let experiment = &scans.experiment;
         let source = experiment.stations[0].position;
         let along = |n: usize, distance_m: f64| source + experiment.scans[n].direction * distance_m;
         let points: Vec<Option<Point>> = match self.method {
             Method::Joint => match mirror::solve(experiment) {
-                Ok(solution) => return Written::joint(scans, &solution),
+                Ok(solution) => return Tables::joint(scans, &solution),
                 Err(unsolved) => {
                     reasons.push(format!("{unsolved}; check rays, diffuser points and latency against one another"));
-                    return Written::default();
+                    return Tables::default();
                 }
             },
             Method::VirtualSource => {
@@ -164,7 +163,7 @@ impl Reflect {
                         experiment.scans.len(),
                         experiment.dimensions
                     ));
-                    return Written::default();
+                    return Tables::default();
                 };
                 let likely = mirrors.iter().take_while(|mirror| mirror.1 < best.1 + LIKELY);
                 let meets = |mirror: &mirror::Mirror| -> Vec<Option<Point>> {
@@ -172,7 +171,7 @@ impl Reflect {
                     scans.map(|(n, scan)| Some(along(n, mirror.meets(source, scan.direction)?))).collect()
                 };
                 let places: Vec<_> = likely.map(|(mirror, more)| (meets(mirror), more - best.1)).collect();
-                return Written::places(scans, &places, reasons);
+                return Tables::places(scans, &places, reasons);
             }
             Method::PerRay => {
                 let distances_m = mirror::per_ray(experiment).into_iter().enumerate();
@@ -183,7 +182,7 @@ impl Reflect {
                 (0..experiment.scans.len()).map(|n| Some(along(n, distance_m?))).collect()
             }
         };
-        Written::places(scans, &[(points, 0.0)], reasons)
+        Tables::places(scans, &[(points, 0.0)], reasons)
     }
 }
 

@@ -25,7 +25,7 @@
 //! ```
 
 mod record;
-mod written;
+mod rows;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -39,12 +39,14 @@ use crate::geometry::Point;
 use crate::geometry::faint::{self, Room};
 use crate::geometry::hidden::facing;
 use crate::parameter::{NonNegative, Share};
-use crate::priors::calibration::{self, Calibrated, Key, key_of};
+use crate::priors::calibration::Sensors;
+use crate::priors::campaign_fields::{ByCampaign, HiddenPatches, Medium, StationPositions};
+use crate::priors::delays::Delays;
 use crate::signal::sparse::{self, Open};
-use crate::tables::{Calibration, Delay, Hypothesis, Label, Patch, Profile, Row, Session, Stir};
-use crate::units::{self, PatchId};
+use crate::tables::{Hypothesis, Label, Patch, Profile, Row, Session, Stir};
+use crate::units::PatchId;
 use record::{Light, Record};
-use written::Search as Written;
+use rows::SearchRows;
 
 /// Patches found at most.
 const FOUND_MAX: usize = 32;
@@ -65,28 +67,25 @@ impl Default for Search {
     }
 }
 
-/// What a campaign says that matters here.
+/// What campaign.toml says of the scene.
 #[derive(Clone, Debug, Serialize)]
-pub struct Setup {
-    group_index: f64,
+pub struct Fields {
+    medium: Medium,
     repetition_ps: Option<f64>,
-    source_m: [f64; 3],
-    sensors_m: BTreeMap<String, [f64; 3]>,
+    stations: StationPositions,
     dimensions: usize,
-    largest_patch: PatchId,
-    hidden_count: Option<u32>,
+    hidden: HiddenPatches,
 }
 
-/// The tables beside.
-pub struct Known {
-    setups: BTreeMap<String, Setup>,
+/// Campaigns, and the tables beside the patches.
+pub struct Context {
+    fields: ByCampaign<Fields>,
     profiles: Vec<Profile>,
     stir: Vec<Stir>,
     labels: Vec<Label>,
-    calibration: Vec<Calibration>,
-    calibrated: BTreeMap<Key, Calibrated>,
+    sensors: Sensors,
     sessions: Vec<Session>,
-    delays: Vec<Delay>,
+    delays: Delays,
     cancel: Cancel,
 }
 
@@ -105,108 +104,101 @@ impl Stage for Search {
     const SIDES: &'static [Side] = &[Side { name: Hypothesis::TABLE, schema: Hypothesis::schema }];
     type Input = Patch;
     type Output = Patch;
-    type Fields = BTreeMap<String, Setup>;
-    type Context = Known;
+    type Fields = ByCampaign<Fields>;
+    type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        let setup = |campaign: &Campaign| {
-            let station = |sensor: &String| Some((sensor.clone(), campaign.station_of(sensor)?.position_m));
-            Setup {
-                group_index: campaign.group_index,
-                repetition_ps: campaign.repetition_ps,
-                source_m: campaign.source().position_m,
-                sensors_m: campaign.sensors.keys().filter_map(station).collect(),
-                dimensions: usize::from(campaign.dimensions),
-                largest_patch: campaign.patches.keys().copied().max().unwrap_or(0),
-                hidden_count: campaign.hidden.count,
-            }
-        };
-        campaigns.iter().map(|campaign| (campaign.name.clone(), setup(campaign))).collect()
+        ByCampaign::new(campaigns, |campaign| Fields {
+            medium: campaign.into(),
+            repetition_ps: campaign.repetition_ps,
+            stations: campaign.into(),
+            dimensions: usize::from(campaign.dimensions),
+            hidden: campaign.into(),
+        })
     }
 
-    fn context(&self, setups: Self::Fields, beside: &BesideTables) -> Result<Known, StageError> {
-        let calibration = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
         let mut profiles = beside.rows::<Profile>("profiles")?.unwrap_or_default();
         profiles.retain(|profile| &*profile.role == "scene");
-        Ok(Known {
-            setups,
+        Ok(Context {
+            fields,
             profiles,
             stir: beside.rows("stir")?.unwrap_or_default(),
             labels: beside.rows("labels")?.unwrap_or_default(),
-            calibrated: calibration.iter().map(|row| (key_of(row), Calibrated::new(row))).collect(),
-            calibration,
+            sensors: Sensors::new(&beside.rows("calibration")?.unwrap_or_default()),
             sessions: beside.rows("session")?.unwrap_or_default(),
-            delays: beside.rows("delays")?.unwrap_or_default(),
+            delays: Delays::new(&beside.rows("delays")?.unwrap_or_default()),
             cancel: beside.cancel.clone(),
         })
     }
 }
 
 impl Apply for Search {
-    fn apply(&self, known: &Known, group: Vec<Patch>) -> Result<Outcome<Patch>, StageError> {
+    fn apply(&self, context: &Context, group: Vec<Patch>) -> Result<Outcome<Patch>, StageError> {
         let best = group.iter().filter(|patch| patch.alternative == 0);
         let mut points: BTreeMap<PatchId, Point> =
             best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
-        let (mut records, mut rejections) = known.records(&points)?;
-        let mut written = Written::new(&records, -self.false_alarm.get().ln());
+        let (mut records, mut rejections) = context.records(&points)?;
+        let mut search = SearchRows::new(&records, -self.false_alarm.get().ln());
         let visible: Vec<PatchId> =
             records.iter().flat_map(|record| [record.lit, record.seen]).collect::<BTreeSet<_>>().into_iter().collect();
-        let room = match room(known, &points, &visible, &records) {
+        let room = match room(context, &points, &visible, &records) {
             Ok(room) => Some(room),
             Err(why) => {
-                rejections.push(rejection(&known.first_campaign(), why));
+                rejections.push(rejection(context.fields.first_name(), why));
                 None
             }
         };
-        let light = Light::new(known, &records, &visible);
+        let light = Light::new(context, &records, &visible);
         if room.is_some() {
-            light.learn(&mut records, &points, &known.cancel);
+            light.learn(&mut records, &points, &context.cancel);
         }
         let already = points.len() - visible.len();
-        let count = known.setups.values().next().and_then(|setup| setup.hidden_count);
+        let count = context.fields.first().and_then(|fields| fields.hidden.count);
         let most = count.map_or(FOUND_MAX, |count| (count as usize).saturating_sub(already));
-        let largest = known.setups.values().map(|setup| setup.largest_patch).chain(points.keys().copied()).max();
+        let listed = context.fields.values().map(|fields| fields.hidden.largest_patch);
+        let largest = listed.chain(points.keys().copied()).max();
         for patch in (largest.unwrap_or(0) + 1..).take(most) {
             let Some(room) = &room else { break };
             let scores = |record: &Record| {
                 let given = light.given(record, &points);
-                record.scores(&visible, &given, self.spread_ps.get(), &known.cancel)
+                record.scores(&visible, &given, self.spread_ps.get(), &context.cancel)
             };
             let profiles: Vec<faint::Profile> = records.par_iter().map(scores).collect();
             let Some(place) = faint::likeliest(&profiles, room) else { break };
-            if !written.add(patch, place, room.dimensions) {
+            if !search.add(patch, place, room.dimensions) {
                 break;
             }
             points.insert(patch, place.point);
         }
-        rejections.extend(written.message().map(|text| rejection(&known.first_campaign(), text)));
-        let hypotheses = written.hypotheses();
+        rejections.extend(search.message().map(|text| rejection(context.fields.first_name(), text)));
+        let hypotheses = search.hypotheses();
         let mut rows = group;
-        rows.extend(written.patches());
+        rows.extend(search.patches());
         Ok(Outcome { rows, sides: vec![Hypothesis::to_batch(&hypotheses)], rejections })
     }
 }
 
 /// What patches are searched in, or why they cannot be.
 fn room(
-    known: &Known,
+    context: &Context,
     points: &BTreeMap<PatchId, Point>,
     visible: &[PatchId],
     records: &[Record],
 ) -> Result<Room, String> {
-    let Some((setup, record)) = known.setups.values().next().zip(records.first()) else {
+    let Some((fields, record)) = context.fields.first().zip(records.first()) else {
         return Err("no profile of two patches with known places can be searched for hidden patches".to_owned());
     };
     let at: Vec<Point> = visible.iter().map(|patch| points[patch]).collect();
-    if !facing::spans(&at, setup.dimensions) {
+    if !facing::spans(&at, fields.dimensions) {
         let count = at.len();
         return Err(format!(
             "the {count} visible patches with known places lie in one line: hidden patches are known but for a turn about it, and are not looked for; light and see a patch off that line"
         ));
     }
-    let foci = facing::fronts(&at, &vec![None; at.len()], Point::from(setup.source_m), setup.dimensions);
-    let width_m = units::path_m(record.response.width_ps(), setup.group_index);
-    Ok(Room { foci, dimensions: setup.dimensions, width_m, cancel: known.cancel.clone() })
+    let foci = facing::fronts(&at, &vec![None; at.len()], fields.stations.source(), fields.dimensions);
+    let width_m = fields.medium.path_m(record.response.width_ps());
+    Ok(Room { foci, dimensions: fields.dimensions, width_m, cancel: context.cancel.clone() })
 }
 
 fn rejection(campaign: &str, reason: String) -> Rejection {

@@ -18,7 +18,7 @@
 //! params = { least = 5 }                                # or: groups = [[1, 2, 3, 4], [5, 6, 7]]
 //! ```
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
@@ -28,7 +28,8 @@ use crate::campaign::Campaign;
 use crate::cancel::Cancel;
 use crate::geometry::{Point, planes};
 use crate::parameter::{Condition, Conflict, Count, NonNegative};
-use crate::priors::covariances;
+use crate::priors::campaign_fields::ByCampaign;
+use crate::priors::covariances::{self, PatchCovariances};
 use crate::tables::{Patch, PatchCovariance, Plane};
 use crate::units::PatchId;
 
@@ -53,17 +54,16 @@ impl Default for Surface {
     }
 }
 
-/// What a campaign says that matters here.
+/// What campaign.toml says of the patches.
 #[derive(Clone, Debug, Serialize)]
-pub struct Setup {
-    campaign: String,
+pub struct Fields {
     dimensions: u8,
 }
 
-/// Whose patches they are, and the covariances between them.
-pub struct Known {
+/// Campaign of the patches, and the covariances between them.
+pub struct Context {
     campaign: String,
-    between: BTreeMap<(PatchId, PatchId), Matrix3<f64>>,
+    covariances: PatchCovariances,
     cancel: Cancel,
 }
 
@@ -75,8 +75,8 @@ impl Stage for Surface {
     const CONDITIONS: &'static [Condition] = &[Condition("least", "groups", &["absent"])];
     type Input = Patch;
     type Output = Plane;
-    type Fields = Vec<Setup>;
-    type Context = Known;
+    type Fields = ByCampaign<Fields>;
+    type Context = Context;
 
     fn conflict(&self) -> Option<Conflict> {
         let fault = |(n, group): (usize, &Vec<PatchId>)| {
@@ -91,32 +91,25 @@ impl Stage for Surface {
         self.groups.iter().flatten().enumerate().find_map(fault).map(|why| Conflict("groups", why))
     }
 
-    fn fields(&self, campaigns: &[Campaign]) -> Vec<Setup> {
-        let setup = |campaign: &Campaign| Setup { campaign: campaign.name.clone(), dimensions: campaign.dimensions };
-        campaigns.iter().map(setup).collect()
+    fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
+        ByCampaign::new(campaigns, |campaign| Fields { dimensions: campaign.dimensions })
     }
 
-    fn context(&self, setups: Vec<Setup>, beside: &BesideTables) -> Result<Known, StageError> {
-        if let Some(flat) = setups.iter().find(|setup| setup.dimensions < 3) {
-            let campaign = &flat.campaign;
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
+        if let Some((campaign, _)) = fields.iter().find(|(_, fields)| fields.dimensions < 3) {
             return Err(StageError::Refused(format!(
                 "campaign `{campaign}` is in flatland, where all patches lie in one plane; leave out `surface`"
             )));
         }
         let rows = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
-        let mut between = BTreeMap::new();
-        for row in &rows {
-            between.insert((row.a, row.b), covariances::between(row));
-            between.insert((row.b, row.a), covariances::between(row).transpose());
-        }
-        let campaign = setups.into_iter().next().map_or_else(String::new, |setup| setup.campaign);
-        Ok(Known { campaign, between, cancel: beside.cancel.clone() })
+        let campaign = fields.first_name().to_owned();
+        Ok(Context { campaign, covariances: PatchCovariances::new(&rows), cancel: beside.cancel.clone() })
     }
 }
 
 impl Apply for Surface {
-    fn apply(&self, known: &Known, group: Vec<Patch>) -> Result<Outcome<Plane>, StageError> {
-        let (placed, mut reasons) = Placed::new(known, &group, self.roughness_m.get());
+    fn apply(&self, context: &Context, group: Vec<Patch>) -> Result<Outcome<Plane>, StageError> {
+        let (placed, mut reasons) = Placed::new(context, &group, self.roughness_m.get());
         let found = match &self.groups {
             None => planes::find(&placed.points, self.least.get() as usize, |a, b| placed.covariance_m2(a, b)),
             Some(groups) => placed.through(groups, &mut reasons),
@@ -131,7 +124,7 @@ impl Apply for Surface {
             ));
         }
         let reject = |reason: String| Rejection {
-            campaign: known.campaign.as_str().into(),
+            campaign: context.campaign.as_str().into(),
             file: None,
             segment: None,
             byte_offset: None,
@@ -147,13 +140,20 @@ struct Placed<'a> {
     ids: Vec<PatchId>,
     points: Vec<Point>,
     own: Vec<Matrix3<f64>>,
-    known: &'a Known,
+    covariances: &'a PatchCovariances,
+    cancel: &'a Cancel,
 }
 
 impl<'a> Placed<'a> {
     /// Patches of the best alternative, and why others are left out.
-    fn new(known: &'a Known, rows: &[Patch], roughness_m: f64) -> (Self, Vec<String>) {
-        let mut placed = Self { ids: Vec::new(), points: Vec::new(), own: Vec::new(), known };
+    fn new(context: &'a Context, rows: &[Patch], roughness_m: f64) -> (Self, Vec<String>) {
+        let mut placed = Self {
+            ids: Vec::new(),
+            points: Vec::new(),
+            own: Vec::new(),
+            covariances: &context.covariances,
+            cancel: &context.cancel,
+        };
         let mut reasons = Vec::new();
         for row in rows.iter().filter(|row| row.alternative == 0) {
             // A variance of zero would be an infinite weight.
@@ -174,11 +174,11 @@ impl<'a> Placed<'a> {
 
     /// Covariance of two patches. All loops over planes ask for it, so it polls for them.
     fn covariance_m2(&self, a: usize, b: usize) -> Matrix3<f64> {
-        self.known.cancel.check();
+        self.cancel.check();
         if a == b {
             return self.own[a];
         }
-        self.known.between.get(&(self.ids[a], self.ids[b])).copied().unwrap_or_else(Matrix3::zeros)
+        self.covariances.between(self.ids[a], self.ids[b])
     }
 
     /// Planes through groups that were given by hand, and why some have none.

@@ -30,6 +30,7 @@ use crate::cancel::Cancel;
 use crate::parameter::Positive;
 use crate::priors::acquisition_time;
 use crate::priors::calibration::{self, Calibrated};
+use crate::priors::sensor_range::own_or_only;
 use crate::signal::drift::{self, Drift, DriftError, DriftOptions, Point};
 use crate::signal::pickup::{self, Blocked, Pickup};
 use crate::signal::sparse::{self, SparseOptions};
@@ -196,7 +197,7 @@ impl State {
         let bits = |value: Option<f64>| value.map(f64::to_bits);
         let settings = [bits(profile.path_m), bits(profile.attenuation_od), bits(profile.power_w)];
         let setting = (profile.range.clone(), settings, profile.bounces);
-        let Some(calibrated) = calibration::row_of(&sensors.calibration, profile) else { return };
+        let Some(calibrated) = own_or_only(&sensors.calibration, profile) else { return };
         if let Some((delay_ps, sd_ps)) = delay(profile, &Calibrated::new(calibrated), &sensors.cancel) {
             let run = Run { acquired_at: profile.acquired_at.clone(), delay_ps, sd_ps };
             self.fiducials.entry(setting).or_default().push(run);

@@ -36,7 +36,7 @@
 
 mod gap;
 mod model;
-mod written;
+mod rows;
 
 use std::collections::BTreeMap;
 
@@ -48,7 +48,9 @@ use crate::campaign::keys;
 use crate::cancel::Cancel;
 use crate::geometry::bistatic;
 use crate::parameter::{Interval, Number, Share};
-use crate::priors::calibration::{Calibrated, Key, key_of};
+use crate::priors::calibration::Sensors;
+use crate::priors::campaign_fields::{ByCampaign, Medium};
+use crate::priors::delays::Latencies;
 use crate::tables::{Calibration, Gap, Label, Onset, Patch, PatchCovariance, Profile, Row, Session};
 use crate::units::PatchId;
 use model::Model;
@@ -88,12 +90,11 @@ impl Default for Triangulate {
     }
 }
 
-/// What a campaign says that matters here.
+/// What campaign.toml says of the scene.
 #[derive(Clone, Debug, Serialize)]
-pub struct Setup {
-    campaign: String,
+pub struct Fields {
     dimensions: usize,
-    group_index: f64,
+    medium: Medium,
     repetition_ps: Option<f64>,
     source_m: [f64; 3],
     /// Station of each sensor.
@@ -103,30 +104,25 @@ pub struct Setup {
     hidden: keys::Hidden,
 }
 
-/// What is known beforehand.
-pub struct Known {
-    setup: Setup,
-    calibration: Vec<Calibration>,
-    calibrated: BTreeMap<Key, Calibrated>,
+/// The campaign, and the tables beside the onsets.
+pub struct Context {
+    campaign: String,
+    fields: Fields,
+    latencies: Latencies,
+    sensors: Sensors,
     profiles: Option<Vec<Profile>>,
     sessions: Vec<Session>,
     cancel: Cancel,
 }
 
-impl Known {
+impl Context {
     /// The patches that a number stands for.
     fn covers(&self, number: PatchId) -> Vec<PatchId> {
-        self.setup.views.get(&number).map_or_else(|| vec![number], |view| view.patches.clone())
+        self.fields.views.get(&number).map_or_else(|| vec![number], |view| view.patches.clone())
     }
 
     fn rejection(&self, reason: String) -> Rejection {
-        Rejection {
-            campaign: self.setup.campaign.as_str().into(),
-            file: None,
-            segment: None,
-            byte_offset: None,
-            reason,
-        }
+        Rejection { campaign: self.campaign.as_str().into(), file: None, segment: None, byte_offset: None, reason }
     }
 }
 
@@ -146,39 +142,38 @@ impl Stage for Triangulate {
     ];
     type Input = Onset;
     type Output = Patch;
-    type Fields = Vec<Setup>;
-    type Context = Known;
+    type Fields = ByCampaign<Fields>;
+    type Context = Context;
 
-    fn fields(&self, campaigns: &[Campaign]) -> Vec<Setup> {
-        let setup = |campaign: &Campaign| {
+    fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
+        ByCampaign::new(campaigns, |campaign| {
             let station = |name: &String| Some((name.clone(), campaign.station_of(name)?.clone()));
-            let silent =
+            // No label and no ray: nothing here reads them.
+            let read =
                 |(id, patch): (&PatchId, &keys::Patch)| (*id, keys::Patch { label: None, ray: None, ..patch.clone() });
-            Setup {
-                campaign: campaign.name.clone(),
+            Fields {
                 dimensions: usize::from(campaign.dimensions),
-                group_index: campaign.group_index,
+                medium: campaign.into(),
                 repetition_ps: campaign.repetition_ps,
                 source_m: campaign.source().position_m,
                 sensors: campaign.sensors.keys().filter_map(station).collect(),
-                patches: campaign.patches.iter().map(silent).collect(),
+                patches: campaign.patches.iter().map(read).collect(),
                 views: campaign.views.clone(),
                 hidden: campaign.hidden.clone(),
             }
-        };
-        campaigns.iter().map(setup).collect()
+        })
     }
 
-    fn context(&self, setups: Vec<Setup>, beside: &BesideTables) -> Result<Known, StageError> {
-        let count = setups.len();
-        let [setup] = <[Setup; 1]>::try_from(setups).map_err(|_| {
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
+        let (campaign, fields) = fields.into_only().map_err(|count| {
             StageError::Refused(format!("{count} campaigns; strips are placed campaign by campaign, give one"))
         })?;
         let calibration = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
-        Ok(Known {
-            setup,
-            calibrated: calibration.iter().map(|row| (key_of(row), Calibrated::new(row))).collect(),
-            calibration,
+        Ok(Context {
+            campaign,
+            fields,
+            latencies: Latencies::new(&calibration),
+            sensors: Sensors::new(&calibration),
             profiles: beside.rows("profiles")?,
             sessions: beside.rows("session")?.unwrap_or_default(),
             cancel: beside.cancel.clone(),
@@ -187,10 +182,10 @@ impl Stage for Triangulate {
 }
 
 impl Apply for Triangulate {
-    fn apply(&self, known: &Known, group: Vec<Onset>) -> Result<Outcome<Patch>, StageError> {
-        let (model, mut reasons) = match Model::new(known, group, self.method == Method::Ellipses) {
+    fn apply(&self, context: &Context, group: Vec<Onset>) -> Result<Outcome<Patch>, StageError> {
+        let (model, mut reasons) = match Model::new(context, group, self.method == Method::Ellipses) {
             Ok(made) => made,
-            Err(reason) => return Ok(Outcome::rejected(known.rejection(reason))),
+            Err(reason) => return Ok(Outcome::rejected(context.rejection(reason))),
         };
         let solutions = match bistatic::solve(&model.problem) {
             Ok(solutions) => solutions,
@@ -202,7 +197,7 @@ impl Apply for Triangulate {
         let mut gaps = Vec::new();
         if let Some(best) = solutions.first() {
             for pair in 1..model.strips.len() {
-                gaps.extend(self.gap(known, &model, best, pair - 1, &mut reasons));
+                gaps.extend(self.gap(context, &model, best, pair - 1, &mut reasons));
             }
         }
         Ok(Outcome {
@@ -212,7 +207,7 @@ impl Apply for Triangulate {
                 Label::to_batch(&model.labels(&solutions)),
                 Gap::to_batch(&gaps),
             ],
-            rejections: reasons.into_iter().map(|reason| known.rejection(reason)).collect(),
+            rejections: reasons.into_iter().map(|reason| context.rejection(reason)).collect(),
         })
     }
 }

@@ -6,7 +6,7 @@ use super::piece::Extent;
 use super::record::{self, Record};
 use super::reference::ReferencePulse;
 use super::shots::{Shots, view};
-use super::{Average, Known, is_alike, rejection};
+use super::{Average, Context, is_alike, rejection};
 use crate::campaign::Role;
 use crate::stages::stage::{Outcome, StageError};
 use crate::tables::cell::Cell;
@@ -51,9 +51,9 @@ impl Capture {
     }
 
     /// Takes the pulse that marks time zero of the next signal.
-    pub fn take_reference(&mut self, known: &Known, columns: &TraceColumns, i: usize) {
+    pub fn take_reference(&mut self, context: &Context, columns: &TraceColumns, i: usize) {
         self.has_reference = true;
-        let Some(template) = known.template(&self.first) else {
+        let Some(template) = context.template(&self.first) else {
             self.missing_template = true;
             return;
         };
@@ -66,7 +66,7 @@ impl Capture {
         self.reference_clipped = columns.clipped.values()[i] > 0;
         // A pulse that is cut off at the rails has its fitted time biased: such a shot is set aside.
         let mut pulse = pulse.flatten().filter(|_| !self.reference_clipped);
-        if let Some(period_ps) = known.period_ps(&self.first) {
+        if let Some(period_ps) = context.period_ps(&self.first) {
             pulse = pulse.map(|pulse| pulse.of_train(period_ps, self.first_pulse_ps.unwrap_or(0.0)));
             self.first_pulse_ps = self.first_pulse_ps.or(pulse.map(|pulse| pulse.time_ps));
         }
@@ -74,7 +74,7 @@ impl Capture {
     }
 
     /// Takes a signal.
-    pub fn take_signal(&mut self, average: &Average, known: &Known, columns: &TraceColumns, i: usize) {
+    pub fn take_signal(&mut self, average: &Average, context: &Context, columns: &TraceColumns, i: usize) {
         let reference = self.reference.take();
         let reference_clipped = std::mem::take(&mut self.reference_clipped);
         if self.first.is_reference {
@@ -82,7 +82,7 @@ impl Capture {
         }
         let range = columns.range.value(i);
         if !self.ranges.contains_key(range) {
-            let shots = Shots::new(average, known, Trace::read(columns, i), self.extent);
+            let shots = Shots::new(average, context, Trace::read(columns, i), self.extent);
             self.ranges.insert(range.into(), shots);
         }
         let shots = self.ranges.get_mut(range).expect("put there if it was not");
@@ -110,8 +110,8 @@ impl Capture {
     }
 
     /// Whether all is known by which later shots of the ranges seen so far are judged: their first shots, and of a train the first pulse.
-    pub fn is_primed(&self, known: &Known) -> bool {
-        let of_train = known.period_ps(&self.first).is_some() && known.template(&self.first).is_some();
+    pub fn is_primed(&self, context: &Context) -> bool {
+        let of_train = context.period_ps(&self.first).is_some() && context.template(&self.first).is_some();
         let is_timed = !of_train || self.first_pulse_ps.is_some();
         is_timed && !self.ranges.is_empty() && self.ranges.values().all(Shots::is_primed)
     }
@@ -144,13 +144,13 @@ impl Capture {
     }
 
     /// The capture's profile.
-    pub fn finish(self, average: &Average, known: &Known) -> Result<Outcome<Profile>, StageError> {
+    pub fn finish(self, average: &Average, context: &Context) -> Result<Outcome<Profile>, StageError> {
         let Self { first, ranges, missing_template, has_reference, .. } = self;
         if missing_template {
-            return Err(StageError::Refused(known.without_template(&first)));
+            return Err(StageError::Refused(context.without_template(&first)));
         }
         // The latency of such a sensor counts from its reference pulse; times from the trigger would be wrong by what lies between.
-        if !first.is_reference && !has_reference && needs_reference(&first) && known.template(&first).is_some() {
+        if !first.is_reference && !has_reference && needs_reference(&first) && context.template(&first).is_some() {
             let why = "has no reference pulse, but the response captures of its sensor have; \
                  give its [[captures]] rule the `reference` too, or take it out of both";
             return Ok(rejection(&first, why));
@@ -167,7 +167,7 @@ impl Capture {
             _ => record::merged(records),
         });
         Ok(match record {
-            Ok(record) => Outcome::rows(vec![record.into_profile(known.period_ps(&first))]),
+            Ok(record) => Outcome::rows(vec![record.into_profile(context.period_ps(&first))]),
             Err(why) => rejection(&first, &why),
         })
     }

@@ -5,7 +5,7 @@ use arrow_schema::SchemaRef;
 
 use super::capture::Capture;
 use super::histogram::Histogram;
-use super::{Average, Known, State};
+use super::{Average, Context, State};
 use crate::stages::stage::InPieces;
 use crate::tables::{Row, Subtotal, Trace};
 
@@ -26,16 +26,16 @@ impl InPieces<Self> for Average {
         Subtotal::schema()
     }
 
-    fn begin(&self, known: &Known, first: Trace) -> State {
-        match known.cycles(&first) {
+    fn begin(&self, context: &Context, first: Trace) -> State {
+        match context.cycles(&first) {
             Some(cycles) => State::Counts(Box::new(Histogram::new(first, cycles))),
             None => State::Analog(Box::new(Capture::new(first, Extent::Piece))),
         }
     }
 
-    fn is_primed(&self, known: &Known, state: &State) -> bool {
+    fn is_primed(&self, context: &Context, state: &State) -> bool {
         match state {
-            State::Analog(capture) => capture.is_primed(known),
+            State::Analog(capture) => capture.is_primed(context),
             State::Counts(histogram) => histogram.is_primed(),
         }
     }

@@ -9,7 +9,7 @@ use super::noise::Noise;
 use super::piece::Extent;
 use super::record::Record;
 use super::reference::{ReferencePulse, References};
-use super::{Average, Known};
+use super::{Average, Context};
 use crate::signal::average::{Mean, PHASES, PhaseSums};
 use crate::signal::codes::Codes as Samples;
 use crate::signal::noise;
@@ -88,13 +88,13 @@ pub struct Shots {
 
 impl Shots {
     /// None yet; those of a piece can be saved.
-    pub fn new(average: &Average, known: &Known, first: Trace, extent: Extent) -> Self {
+    pub fn new(average: &Average, context: &Context, first: Trace, extent: Extent) -> Self {
         let samples = first.samples as usize;
         Self {
             baseline: average.baseline_samples(&first),
             quiet: None,
-            circular: known.period_ps(&first).is_some(),
-            trigger_ps2: known.trigger_ps2(&first) / f64::from(first.averaged_shots),
+            circular: context.period_ps(&first).is_some(),
+            trigger_ps2: context.trigger_ps2(&first) / f64::from(first.averaged_shots),
             head: Vec::new(),
             test: None,
             noise: None,

@@ -4,73 +4,57 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{ONE_STATION_M, Setup, about};
+use super::{Fields, about};
 use crate::geometry::t2::{self, Length};
 use crate::geometry::t3::{self, Ranges, Sum};
 use crate::geometry::{Matrix, Point, dense};
-use crate::priors::covariances;
+use crate::priors::campaign_fields::{ByCampaign, ONE_STATION_M};
+use crate::priors::covariances::{self, PatchCovariances};
+use crate::priors::delays::Delays;
+use crate::priors::sensor_range::SensorRange;
 use crate::stages::stage::{BesideTables, Rejection, StageError};
-use crate::tables::{Covariance, Delay, Distance, Label, Name, Patch, PatchCovariance};
-use crate::units::{self, PatchId};
+use crate::tables::{Covariance, Distance, Label, Name, Patch};
+use crate::units::PatchId;
 
 /// Bounces of the paths.
 const BOUNCES: i32 = 3;
 /// Squared residuals this many standard deviations above their mean are not those of right labels.
 const UNLIKELY: f64 = 6.0;
 
-/// Campaign, sensor and vertical range whose delay is known.
-type DelayKey = (Name, Name, Option<Name>);
-
-/// Patches in known places, and delays.
+/// Patches in given places, and delays.
 #[derive(Debug)]
 pub struct Places {
-    points: BTreeMap<PatchId, Point>,
-    covariances_m2: BTreeMap<(PatchId, PatchId), Matrix3<f64>>,
+    /// With their covariances, m^2.
+    points: BTreeMap<PatchId, (Point, Matrix3<f64>)>,
+    covariances: PatchCovariances,
     visible: BTreeSet<PatchId>,
-    /// Delay that calibration left, and its standard deviation.
-    delays_ps: BTreeMap<DelayKey, (f64, f64)>,
+    delays: Delays,
 }
 
 impl Places {
     /// From the tables beside the stage; `None` without `patches`.
     pub fn new(beside: &BesideTables) -> Result<Option<Self>, StageError> {
         let Some(patches) = beside.rows::<Patch>("patches")? else { return Ok(None) };
-        let (mut points, mut covariances_m2, mut visible) = (BTreeMap::new(), BTreeMap::new(), BTreeSet::new());
+        let (mut points, mut visible) = (BTreeMap::new(), BTreeSet::new());
         for row in patches.iter().filter(|patch| patch.alternative == 0) {
             if &*row.kind == "visible" {
                 visible.insert(row.patch);
             }
             if let Some(own) = covariances::of_patch(row) {
-                points.insert(row.patch, Point::new(row.x_m, row.y_m, row.z_m));
-                covariances_m2.insert((row.patch, row.patch), own);
+                points.insert(row.patch, (Point::new(row.x_m, row.y_m, row.z_m), own));
             }
         }
         if points.is_empty() {
             let text = "with patches: no patch has a covariance, so nobody knows how far off its legs may be; give patches from `refine`";
             return Err(StageError::Refused(text.to_owned()));
         }
-        for row in beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default() {
-            let block = covariances::between(&row);
-            covariances_m2.insert((row.a, row.b), block);
-            covariances_m2.insert((row.b, row.a), block.transpose());
-        }
-        let delays = beside.rows::<Delay>("delays")?.unwrap_or_default();
-        let delay = |row: Delay| ((row.campaign, row.sensor, row.range), (row.delay_ps, row.sd_ps));
-        Ok(Some(Self { points, covariances_m2, visible, delays_ps: delays.into_iter().map(delay).collect() }))
-    }
-
-    /// Delay of an onset: that of its range, or the only one of its sensor.
-    fn delay_of(&self, label: &Label) -> Option<DelayKey> {
-        let key = (label.campaign.clone(), label.sensor.clone(), label.range.clone());
-        if self.delays_ps.contains_key(&key) {
-            return Some(key);
-        }
-        let mut of_sensor = self.delays_ps.keys().filter(|of| (&of.0, &of.1) == (&key.0, &key.1));
-        of_sensor.next().filter(|_| of_sensor.next().is_none()).cloned()
+        let covariances = PatchCovariances::new(&beside.rows("covariances")?.unwrap_or_default());
+        let delays = Delays::new(&beside.rows("delays")?.unwrap_or_default());
+        Ok(Some(Self { points, covariances, visible, delays }))
     }
 
     fn covariance_m2(&self, a: PatchId, b: PatchId) -> Matrix3<f64> {
-        self.covariances_m2.get(&(a, b)).copied().unwrap_or_else(Matrix3::zeros)
+        if a == b { self.points[&a].1 } else { self.covariances.between(a, b) }
     }
 }
 
@@ -82,7 +66,7 @@ struct Third {
     /// Stations where the light comes from and goes to.
     stations: [usize; 2],
     length: Length,
-    delay: Option<DelayKey>,
+    delay: Option<SensorRange>,
 }
 
 /// Third bounces over hidden patches, with the stations that they begin and end at.
@@ -93,14 +77,14 @@ pub struct Thirds {
 
 /// The path of a label whose light comes from a lit patch, meets one that laser and sensor do not reach, and goes on to a seen one.
 pub fn over_hidden<'a>(
-    setups: &'a BTreeMap<String, Setup>,
+    fields: &'a ByCampaign<Fields>,
     places: Option<&'a Places>,
     labels: &[Label],
 ) -> impl Fn(&Label) -> Option<[PatchId; 3]> + use<'a> {
     let reached: BTreeSet<PatchId> = labels.iter().flat_map(|label| [label.lit, label.seen]).collect();
     let is_hidden = move |patch: PatchId| {
         let is_visible = places.is_some_and(|places| places.visible.contains(&patch));
-        let is_mirror = setups.values().any(|setup| setup.mirrors.contains(&patch));
+        let is_mirror = fields.values().any(|fields| fields.mirrors.contains(&patch));
         !reached.contains(&patch) && !is_visible && !is_mirror
     };
     move |label| <[PatchId; 3]>::try_from(label.path.as_deref()?).ok().filter(|path| is_hidden(path[1]))
@@ -113,45 +97,45 @@ impl Thirds {
     }
 
     /// Adds a label with such a path.
-    pub fn add(&mut self, path: [PatchId; 3], setup: &Setup, places: Option<&Places>, label: &Label, length: Length) {
+    pub fn add(&mut self, path: [PatchId; 3], fields: &Fields, places: Option<&Places>, label: &Label, length: Length) {
         let [lit, hidden, seen] = path;
-        let stations = [setup.source_m, setup.sensors_m[&*label.sensor]].map(|station_m| self.station(station_m));
-        let delay = places.and_then(|places| places.delay_of(label));
-        let delay_ps = delay.as_ref().zip(places).map_or(0.0, |(key, places)| places.delays_ps[key].0);
-        let length = Length { length_m: length.length_m - units::path_m(delay_ps, setup.group_index), ..length };
+        let sensor = fields.stations.sensor(&label.sensor).expect("only labels of a sensor with a station come here");
+        let stations = [fields.stations.source(), sensor].map(|station| self.station(station));
+        let delay = places.and_then(|places| places.delays.key_of(label)).cloned();
+        let delay_ps = places.map_or(0.0, |places| places.delays.delay_ps(label).0);
+        let length = Length { length_m: length.length_m - fields.medium.path_m(delay_ps), ..length };
         self.thirds.push(Third { lit, hidden, seen, stations, length, delay });
     }
 
-    fn station(&mut self, station_m: [f64; 3]) -> usize {
-        let station = Point::from(station_m);
-        let known = self.stations.iter().position(|other| (other - station).norm() <= ONE_STATION_M);
-        known.unwrap_or_else(|| {
+    fn station(&mut self, station: Point) -> usize {
+        let place = self.stations.iter().position(|other| (other - station).norm() <= ONE_STATION_M);
+        place.unwrap_or_else(|| {
             self.stations.push(station);
             self.stations.len() - 1
         })
     }
 
     /// Ranges of all hidden patches, as rows. Legs come from `places`, else from the first bounces among `direct`.
-    pub fn solve(&self, setups: &BTreeMap<String, Setup>, places: Option<&Places>, direct: &t2::Distances) -> Solved {
+    pub fn solve(&self, fields: &ByCampaign<Fields>, places: Option<&Places>, direct: &t2::Distances) -> Solved {
         let legs = Legs::new(self, places, direct);
-        let delays: BTreeSet<&DelayKey> = self.thirds.iter().filter_map(|third| third.delay.as_ref()).collect();
-        let delays: Vec<&DelayKey> = delays.into_iter().collect();
-        let delay_sd_m = |key: &DelayKey| {
-            places.map_or(0.0, |places| units::path_m(places.delays_ps[key].1, setups[&*key.0].group_index))
+        let delays: BTreeSet<&SensorRange> = self.thirds.iter().filter_map(|third| third.delay.as_ref()).collect();
+        let delays: Vec<&SensorRange> = delays.into_iter().collect();
+        let delay_sd_m = |key: &SensorRange| {
+            places.map_or(0.0, |places| fields.of(&key.campaign).medium.path_m(places.delays.at(key).1))
         };
         let mut sums: BTreeMap<PatchId, Vec<Sum>> = BTreeMap::new();
         let mut solved = Solved::default();
         for third in &self.thirds {
             let ends = [(third.stations[0], third.lit), (third.stations[1], third.seen)];
-            let known = ends.map(|end| legs.place_of.get(&end).copied());
-            let [Some(lit), Some(seen)] = known else {
-                let unknown = ends.iter().zip(known).filter(|(_, known)| known.is_none());
-                let unknown: BTreeSet<PatchId> = unknown.map(|((_, patch), _)| *patch).collect();
-                unknown.into_iter().for_each(|patch| *solved.lost.entry(patch).or_default() += 1);
+            let legs_at = ends.map(|end| legs.place_of.get(&end).copied());
+            let [Some(lit), Some(seen)] = legs_at else {
+                let without_leg = ends.iter().zip(legs_at).filter(|(_, leg)| leg.is_none());
+                let without_leg: BTreeSet<PatchId> = without_leg.map(|((_, patch), _)| *patch).collect();
+                without_leg.into_iter().for_each(|patch| *solved.lost.entry(patch).or_default() += 1);
                 continue;
             };
             let of_legs = (0..legs.places.len()).map(|k| -legs.errors_m[(lit, k)] - legs.errors_m[(seen, k)]);
-            let of_delay = |key: &&DelayKey| if third.delay.as_ref() == Some(key) { -delay_sd_m(key) } else { 0.0 };
+            let of_delay = |key: &&SensorRange| if third.delay.as_ref() == Some(key) { -delay_sd_m(key) } else { 0.0 };
             let length_m = third.length.length_m - legs.lengths_m[lit] - legs.lengths_m[seen];
             sums.entry(third.hidden).or_default().push(Sum {
                 lit: third.lit,
@@ -191,23 +175,23 @@ struct Legs {
 }
 
 impl Legs {
-    /// Those of all third bounces that are known.
-    fn new(thirds: &Thirds, known: Option<&Places>, direct: &t2::Distances) -> Self {
+    /// Those that the third bounces have, from `given` places, else from the first bounces among `direct`.
+    fn new(thirds: &Thirds, given: Option<&Places>, direct: &t2::Distances) -> Self {
         let first: BTreeMap<PatchId, &t2::Distance> =
             direct.distances.iter().filter(|distance| distance.a == 0).map(|distance| (distance.b, distance)).collect();
-        let is_known = |patch: &PatchId| match known {
-            Some(known) => known.points.contains_key(patch),
+        let has_place = |patch: &PatchId| match given {
+            Some(given) => given.points.contains_key(patch),
             None => first.contains_key(patch),
         };
         let ends = thirds.thirds.iter().flat_map(|third| third.stations.into_iter().zip([third.lit, third.seen]));
-        let places: BTreeSet<(usize, PatchId)> = ends.filter(|(_, patch)| is_known(patch)).collect();
+        let places: BTreeSet<(usize, PatchId)> = ends.filter(|(_, patch)| has_place(patch)).collect();
         let places: Vec<(usize, PatchId)> = places.into_iter().collect();
-        let arm = |known: &Places, n: usize| known.points[&places[n].1] - thirds.stations[places[n].0];
-        let length_m = |n: usize| known.map_or_else(|| first[&places[n].1].distance_m, |known| arm(known, n).norm());
-        let covariance_m2 = |a: usize, b: usize| match known {
-            Some(known) => {
-                let slope = |n: usize| arm(known, n).try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
-                slope(a).dot(&(known.covariance_m2(places[a].1, places[b].1) * slope(b)))
+        let arm = |given: &Places, n: usize| given.points[&places[n].1].0 - thirds.stations[places[n].0];
+        let length_m = |n: usize| given.map_or_else(|| first[&places[n].1].distance_m, |given| arm(given, n).norm());
+        let covariance_m2 = |a: usize, b: usize| match given {
+            Some(given) => {
+                let slope = |n: usize| arm(given, n).try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
+                slope(a).dot(&(given.covariance_m2(places[a].1, places[b].1) * slope(b)))
             }
             None if places[a].1 == places[b].1 => first[&places[a].1].variance_m2,
             None => 0.0,

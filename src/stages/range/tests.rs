@@ -1,4 +1,5 @@
 use super::*;
+use crate::units;
 use std::path::Path;
 
 /// Labels of one sensor over these paths, source and sensor at the origin or the sensor `apart_m` aside along x; patch i at (0, 0, i) m.

@@ -4,16 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Vector3;
 
-use super::known::{Known, Setup};
+use super::context::{Context, Fields};
 use crate::campaign::keys::{self, LASER, PatchRole};
 use crate::geometry::footprint::Footprints;
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{Anchor, Node, Observation, Problem, Ray, Solution, Station, Unsolved};
 use crate::geometry::placement;
 use crate::geometry::{Matrix, Point, planes};
-use crate::priors::delays::DelayKey;
+use crate::priors::campaign_fields::{Medium, PatchPrior};
+use crate::priors::sensor_range::SensorRange;
 use crate::tables::{Label, Name};
-use crate::units::{self, PatchId};
+use crate::units::PatchId;
 
 /// Standard deviation of what campaign.toml gives as exact, as far as numbers go.
 const EXACT_M: f64 = 1e-6;
@@ -28,10 +29,10 @@ pub struct Place {
 
 /// The unknowns by their names.
 pub struct Model<'a> {
-    pub known: &'a Known,
+    pub context: &'a Context,
     pub labels: &'a [Label],
     pub patches: Vec<PatchId>,
-    pub delays: Vec<DelayKey>,
+    pub delays: Vec<SensorRange>,
     pub stations: Vec<Place>,
     /// Patches that laser or sensor sees.
     visible: BTreeSet<PatchId>,
@@ -40,43 +41,42 @@ pub struct Model<'a> {
 }
 
 impl<'a> Model<'a> {
-    pub fn new(known: &'a Known, labels: &'a [Label]) -> Self {
+    pub fn new(context: &'a Context, labels: &'a [Label]) -> Self {
         let patches: BTreeSet<PatchId> = labels.iter().flat_map(|label| label.path.iter().flatten().copied()).collect();
-        let delay = |label: &Label| known.latencies.delay_of(&label.campaign, &label.sensor, label.range.as_ref());
-        let delays: BTreeSet<DelayKey> = labels.iter().filter_map(delay).collect();
+        let delays: BTreeSet<&SensorRange> =
+            labels.iter().filter_map(|label| context.latencies.delay_of(label)).collect();
         let (mut stations, mut station_at) = (Vec::<Place>::new(), BTreeMap::new());
-        for (campaign, setup) in &known.setups {
-            // The laser comes first: about it the frame is turned.
-            let laser = setup.stations.iter().filter(|(name, _)| *name == LASER);
-            for (name, station) in laser.chain(setup.stations.iter().filter(|(name, _)| *name != LASER)) {
-                let same = |place: &Place| place.name == *name && place.station == *station;
+        for (campaign, fields) in context.fields.iter() {
+            for (name, station) in fields.stations.laser_first() {
+                let same = |place: &Place| place.name == name && place.station == *station;
                 let at = stations.iter().position(same).unwrap_or(stations.len());
                 if at == stations.len() {
-                    let campaign = Name::from(campaign.as_str());
-                    stations.push(Place { campaign, name: name.clone(), station: station.clone() });
+                    let campaign = Name::from(campaign);
+                    stations.push(Place { campaign, name: name.to_owned(), station: station.clone() });
                 }
-                station_at.insert((Name::from(campaign.as_str()), name.clone()), at);
+                station_at.insert((Name::from(campaign), name.to_owned()), at);
             }
         }
         Self {
-            known,
+            context,
             labels,
             patches: patches.into_iter().collect(),
-            delays: delays.into_iter().collect(),
+            delays: delays.into_iter().cloned().collect(),
             stations,
             visible: labels.iter().flat_map(|label| [label.lit, label.seen]).collect(),
             station_at,
         }
     }
 
-    pub fn setup(&self, label: &Label) -> &Setup {
-        &self.known.setups[&*label.campaign]
+    pub fn fields(&self, label: &Label) -> &Fields {
+        self.context.fields.of(&label.campaign)
     }
 
     /// How light reaches a patch.
     pub fn kind(&self, patch: PatchId) -> &'static str {
-        let is_mirror = |setup: &Setup| setup.patches.get(&patch).is_some_and(|known| known.role == PatchRole::Mirror);
-        if self.known.setups.values().any(is_mirror) {
+        let is_mirror =
+            |fields: &Fields| fields.patches.get(&patch).is_some_and(|prior| prior.role == PatchRole::Mirror);
+        if self.context.fields.values().any(is_mirror) {
             "mirror"
         } else if self.visible.contains(&patch) {
             "visible"
@@ -85,8 +85,8 @@ impl<'a> Model<'a> {
         }
     }
 
-    /// How many of some patches are hidden and lie behind the wall that shows them: across the plane nearest to the visible patches that they share a leg with
-    /// from the laser, which lights these from the front. Said of patches by their positions among the unknowns.
+    /// How many of some patches, by their positions among the unknowns, are hidden and lie behind the wall that shows
+    /// them. The wall is the plane nearest to the visible patches that they share a leg with; the laser is in front.
     pub fn behind(&self, problem: &Problem, solution: &Solution, patches: &[usize]) -> usize {
         let is_visible = |place: usize| self.kind(self.patches[place]) == "visible";
         let is_behind = |&&patch: &&usize| {
@@ -110,14 +110,14 @@ impl<'a> Model<'a> {
         self.patches.binary_search(&patch).expect("all patches of the labels are unknowns")
     }
 
-    pub fn index(&self, delay: &DelayKey) -> f64 {
-        self.known.setups[&*delay.0].group_index
+    pub fn medium(&self, delay: &SensorRange) -> Medium {
+        self.context.fields.of(&delay.campaign).medium
     }
 
     /// Where each patch is searched from; `None` if one has no place to start from.
     fn start(&self) -> Option<Vec<Point>> {
         let start = |patch: &PatchId| {
-            let row = self.known.start.get(patch)?;
+            let row = self.context.start.get(patch)?;
             Some(Point::new(row.x_m, row.y_m, row.z_m))
         };
         self.patches.iter().map(start).collect()
@@ -125,15 +125,13 @@ impl<'a> Model<'a> {
 
     /// The problem with patches as points, from the start that is given, else placed from nothing.
     pub fn problem(&self, loss: Loss) -> Problem {
-        let first = self.known.first();
+        let first = self.context.first();
         let station = |place: &Place| Station {
             position: Point::from(place.station.position_m),
             sd_m: place.station.sd_m.unwrap_or(0.0),
         };
-        let length_m2 = |a: &DelayKey, b: &DelayKey| {
-            units::path_m(1.0, self.index(a))
-                * units::path_m(1.0, self.index(b))
-                * self.known.latencies.covariance_ps2(a, b)
+        let length_m2 = |a: &SensorRange, b: &SensorRange| {
+            self.medium(a).path_m(1.0) * self.medium(b).path_m(1.0) * self.context.latencies.covariance_ps2(a, b)
         };
         let count = self.delays.len();
         let mut problem = Problem {
@@ -146,7 +144,7 @@ impl<'a> Model<'a> {
             delay_covariance_m2: Matrix::from_fn(count, count, |i, k| length_m2(&self.delays[i], &self.delays[k])),
             period_sd_m: self.period_sd_m(),
             loss,
-            cancel: self.known.cancel.clone(),
+            cancel: self.context.cancel.clone(),
         };
         problem.start = match self.start() {
             Some(start) => start,
@@ -156,19 +154,19 @@ impl<'a> Model<'a> {
     }
 
     /// Patches of known position.
-    fn anchors(&self, setup: &Setup) -> Vec<Anchor> {
-        let anchor = |(patch, known): (&PatchId, &keys::Patch)| {
+    fn anchors(&self, fields: &Fields) -> Vec<Anchor> {
+        let anchor = |(patch, prior): (&PatchId, &PatchPrior)| {
             let patch = self.patches.binary_search(patch).ok()?;
-            Some(Anchor { patch, position: Point::from(known.position_m?), sd_m: known.sd_m.unwrap_or(EXACT_M) })
+            Some(Anchor { patch, position: Point::from(prior.position_m?), sd_m: prior.sd_m.unwrap_or(EXACT_M) })
         };
-        setup.patches.iter().filter_map(anchor).collect()
+        fields.patches.iter().filter_map(anchor).collect()
     }
 
     /// Patches of known direction.
-    fn rays(&self, setup: &Setup) -> Vec<Ray> {
-        let campaign = Name::from(self.known.setups.keys().next().expect("a run has a campaign").as_str());
-        let ray = |(patch, known): (&PatchId, &keys::Patch)| {
-            let (patch, ray) = (self.patches.binary_search(patch).ok()?, known.ray.as_ref()?);
+    fn rays(&self, fields: &Fields) -> Vec<Ray> {
+        let campaign = Name::from(self.context.fields.first_name());
+        let ray = |(patch, prior): (&PatchId, &PatchPrior)| {
+            let (patch, ray) = (self.patches.binary_search(patch).ok()?, prior.ray.as_ref()?);
             Some(Ray {
                 patch,
                 from: self.station_at[&(campaign.clone(), ray.from.clone())],
@@ -176,31 +174,31 @@ impl<'a> Model<'a> {
                 sd_rad: ray.sd_rad.unwrap_or(EXACT_RAD),
             })
         };
-        setup.patches.iter().filter_map(ray).collect()
+        fields.patches.iter().filter_map(ray).collect()
     }
 
     /// Of all campaigns together; exact where they differ in it.
     fn period_sd_m(&self) -> f64 {
-        let first = self.known.first();
-        if self.known.setups.values().any(|setup| setup.repetition_ps != first.repetition_ps) {
+        let first = self.context.first();
+        if self.context.fields.values().any(|fields| fields.repetition_ps != first.repetition_ps) {
             return 0.0;
         }
-        first.period_sd_ps().map_or(0.0, |sd_ps| units::path_m(sd_ps, first.group_index))
+        first.period_sd_ps().map_or(0.0, |sd_ps| first.medium.path_m(sd_ps))
     }
 
     fn observation(&self, label: &Label) -> Observation {
-        let setup = self.setup(label);
+        let Fields { medium, stations, .. } = self.fields(label);
         let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
         let station = |name: &str| Node::Station(self.station_at[&(label.campaign.clone(), name.to_owned())]);
-        let delay = self.known.latencies.delay_of(&label.campaign, &label.sensor, label.range.as_ref());
+        let delay = self.context.latencies.delay_of(label);
         Observation {
             nodes: std::iter::once(station(LASER))
                 .chain(path)
-                .chain([station(&setup.sensors[&*label.sensor])])
+                .chain([station(stations.of_sensor(&label.sensor))])
                 .collect(),
-            length_m: units::path_m(label.time_ps, setup.group_index),
-            sd_m: units::path_m(label.time_sd_ps, setup.group_index),
-            delay: delay.and_then(|delay| self.delays.binary_search(&delay).ok()),
+            length_m: medium.path_m(label.time_ps),
+            sd_m: medium.path_m(label.time_sd_ps),
+            delay: delay.and_then(|delay| self.delays.binary_search(delay).ok()),
             turns: label.turns,
         }
     }
@@ -244,7 +242,7 @@ impl<'a> Model<'a> {
 
     /// Whether nothing but conventions fixes how the patches are turned about the stations.
     pub fn all_rotations_free(&self, solution: &Solution) -> bool {
-        let all = if self.known.first().dimensions == 2 { 1 } else { 3 };
+        let all = if self.context.first().dimensions == 2 { 1 } else { 3 };
         solution.free_rotations.first() == Some(&all)
     }
 }

@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
@@ -7,7 +8,8 @@ use rand_distr::{Distribution, StandardNormal};
 use super::*;
 use crate::cancel::Cancel;
 use crate::geometry::{Point, procrustes};
-use crate::tables::Name;
+use crate::priors::delays::Latencies;
+use crate::tables::{Calibration, Name};
 use crate::units::{PatchId, time_ps};
 
 /// Standard deviation of an onset.
@@ -72,8 +74,9 @@ impl<'a> Day<'a> {
 
 fn context(campaign: &str, calibration: Vec<Calibration>) -> Context {
     let campaign = Campaign::parse(Path::new("c"), campaign).unwrap();
-    let setups = BTreeMap::from([(campaign.name.clone(), Setup::new(&campaign))]);
-    Context { known: Known::new(setups, Vec::new(), calibration, Cancel::never()), planes: Vec::new() }
+    let fields = Refine::default().fields(&[campaign]);
+    let latencies = Latencies::new(&calibration);
+    Context { fields, start: BTreeMap::new(), latencies, planes: Vec::new(), cancel: Cancel::never() }
 }
 
 fn latency(range: Option<&str>, sd_ps: f64, common_sd_ps: f64) -> Calibration {

@@ -35,7 +35,7 @@ fn campaign(more: &str) -> String {
     text
 }
 
-fn context(campaign: &str) -> Result<Known, StageError> {
+fn context(campaign: &str) -> Result<Context, StageError> {
     let campaign = Campaign::parse(Path::new("c"), campaign).unwrap();
     let reflect = Reflect::default();
     reflect.context(reflect.fields(&[campaign]), &BesideTables::default())
@@ -92,9 +92,9 @@ fn astray(patches: &[Patch]) -> Vec<PatchId> {
 
 #[test]
 fn every_method_but_the_papers_finds_the_mirror_and_joint_knows_how_well() {
-    let known = context(&campaign("")).unwrap();
+    let context = context(&campaign("")).unwrap();
     for method in [Method::Joint, Method::VirtualSource, Method::PerRay, Method::EqualDistances] {
-        let outcome = Reflect { method }.apply(&known, onsets()).unwrap();
+        let outcome = Reflect { method }.apply(&context, onsets()).unwrap();
         assert!(outcome.rejections.is_empty(), "{:?}", outcome.rejections);
         let rows = outcome.rows;
         let expected = [(1, "mirror"), (2, "mirror"), (3, "mirror"), (11, "visible"), (12, "visible"), (13, "visible")];
@@ -122,9 +122,9 @@ fn every_method_but_the_papers_finds_the_mirror_and_joint_knows_how_well() {
 #[test]
 fn periods_are_added_until_light_could_have_come() {
     let period_ps = 3000.0;
-    let known = context(&campaign("repetition_ps = 3000.0\n")).unwrap();
+    let context = context(&campaign("repetition_ps = 3000.0\n")).unwrap();
     let folded = |onset: Onset| Onset { time_ps: onset.time_ps.rem_euclid(period_ps), ..onset };
-    let rows = Reflect::default().apply(&known, onsets().into_iter().map(folded).collect()).unwrap().rows;
+    let rows = Reflect::default().apply(&context, onsets().into_iter().map(folded).collect()).unwrap().rows;
     assert!(rows.len() == 6 && astray(&rows).is_empty());
 }
 

@@ -4,15 +4,18 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 
-use super::{Known, Open, Rejection, calibration, rejection, sparse};
+use super::{Context, Fields, Open, Rejection, rejection, sparse};
 use crate::cancel::Cancel;
 use crate::geometry::{Point, faint};
+use crate::priors::calibration;
+use crate::priors::campaign_fields::Medium;
 use crate::priors::corrections::Correction;
+use crate::priors::sensor_range::OfSensorRange;
 use crate::signal::response::Response;
 use crate::signal::sparse::Given;
 use crate::stages::stage::StageError;
 use crate::tables::{Impulse, Profile};
-use crate::units::{self, PatchId};
+use crate::units::PatchId;
 
 /// Scores in the full width of a response.
 const STEPS: f64 = 12.0;
@@ -37,7 +40,7 @@ pub(super) struct Record {
     /// Time of the first sample after light has left for the lit patch and come from the seen one.
     t0_ps: f64,
     dt_ps: f64,
-    group_index: f64,
+    medium: Medium,
     /// Share of the light that attenuators leave.
     transmission: f64,
     /// Impulses that were fitted, by the same time.
@@ -46,11 +49,7 @@ pub(super) struct Record {
     weak_score: f64,
 }
 
-impl Known {
-    pub(super) fn first_campaign(&self) -> String {
-        self.setups.keys().next().cloned().unwrap_or_default()
-    }
-
+impl Context {
     /// All profiles between patches in known places that can be searched; why others cannot.
     pub(super) fn records(
         &self,
@@ -79,18 +78,15 @@ impl Known {
         points: &BTreeMap<PatchId, Point>,
     ) -> Option<Result<Result<Record, String>, StageError>> {
         let (lit, seen) = (*points.get(&profile.lit)?, *points.get(&profile.seen)?);
-        let setup = &self.setups[&*profile.campaign];
-        let legs_m = (lit - Point::from(setup.source_m)).norm()
-            + (seen - Point::from(*setup.sensors_m.get(&*profile.sensor)?)).norm();
-        let Some(row) = calibration::row_of(&self.calibration, profile) else {
+        let Fields { medium, repetition_ps, stations, .. } = self.fields.of(&profile.campaign);
+        let legs_m = (lit - stations.source()).norm() + (seen - stations.sensor(&profile.sensor)?).norm();
+        let Some((key, sensor)) = self.sensors.of(profile) else {
             let (sensor, campaign) = (&profile.sensor, &profile.campaign);
             let text = format!(
                 "sensor `{sensor}` of campaign `{campaign}` is not calibrated: capture its response, or import a calibration"
             );
             return Some(Err(StageError::Refused(text)));
         };
-        let key = calibration::key_of(row);
-        let sensor = &self.calibrated[&key];
         let ready = || {
             if profile.counts.is_some() {
                 return Err(
@@ -99,12 +95,12 @@ impl Known {
                 );
             }
             let length_ps = profile.dt_ps * profile.mean_v.len() as f64;
-            if setup.repetition_ps.is_some_and(|period_ps| period_ps < length_ps * (1.0 + 1e-6)) {
+            if repetition_ps.is_some_and(|period_ps| period_ps < length_ps * (1.0 + 1e-6)) {
                 return Err(
                     "wraps around the laser's period; such records are not searched for hidden patches yet".to_owned()
                 );
             }
-            let correction = Correction::of(&self.sessions, &key, profile)?;
+            let correction = Correction::of(&self.sessions, key, profile)?;
             let mut samples = profile.mean_v.to_f64();
             let noise_v = profile.noise_v / f64::from(profile.shots).sqrt();
             // Away from impulses the noise is that before the pulse. What a model of it in level and slope makes of a mean that is noise itself is larger where the
@@ -112,12 +108,12 @@ impl Known {
             let quiet_v = noise_v.max(calibration::rounding_v(profile));
             let own_v = calibration::sd_v(profile);
             let mut sd_v: Vec<f64> = own_v.iter().map(|sd| if sd.is_finite() { quiet_v } else { *sd }).collect();
-            correction.take_pickup_off(profile, setup.repetition_ps, &mut samples, &mut sd_v)?;
+            correction.take_pickup_off(profile, *repetition_ps, &mut samples, &mut sd_v)?;
             samples.iter_mut().for_each(|sample| *sample *= sensor.polarity);
             // What is no more than the rounding of the samples is white.
             let acf =
                 if noise_v <= calibration::rounding_v(profile) { vec![1.0] } else { calibration::correlation(profile) };
-            let legs_ps = units::time_ps(legs_m, setup.group_index) + self.delay_ps(profile);
+            let legs_ps = medium.time_ps(legs_m) + self.delays.delay_ps(profile).0;
             let (response, impulses) = (sensor.averaged(profile), self.impulses(profile));
             let t0_ps = profile.t0_ps - sensor.latency_ps - correction.drift_ps;
             for impulse in impulses {
@@ -134,7 +130,7 @@ impl Known {
                 acf,
                 t0_ps: t0_ps - legs_ps,
                 dt_ps: profile.dt_ps,
-                group_index: setup.group_index,
+                medium: *medium,
                 transmission: 10_f64.powf(-profile.attenuation_od.unwrap_or(0.0)),
                 fitted: impulses.iter().map(|impulse| given(impulse, legs_ps)).collect(),
                 weak_score: 0.0,
@@ -143,23 +139,10 @@ impl Known {
         Some(Ok(ready()))
     }
 
-    /// Delay that calibration left: that of the profile's range, or the only one of its sensor.
-    fn delay_ps(&self, profile: &Profile) -> f64 {
-        let of_sensor =
-            || self.delays.iter().filter(|row| row.campaign == profile.campaign && row.sensor == profile.sensor);
-        let of_range = of_sensor().find(|row| row.range == profile.range);
-        let mut all = of_sensor();
-        let only = all.next().filter(|_| all.next().is_none());
-        of_range.or(only).map_or(0.0, |row| row.delay_ps)
-    }
-
     /// Impulses of a profile, or of the reciprocal one with which it was explained.
     fn impulses(&self, profile: &Profile) -> &[Impulse] {
         let of = |lit: PatchId, seen: PatchId| {
-            let is_it = |row: &&crate::tables::Stir| {
-                (&row.campaign, &row.sensor, &row.range) == (&profile.campaign, &profile.sensor, &profile.range)
-                    && (row.lit, row.seen) == (lit, seen)
-            };
+            let is_it = |row: &&crate::tables::Stir| row.ids() == profile.ids() && (row.lit, row.seen) == (lit, seen);
             self.stir.iter().find(is_it).map_or(&[][..], |row| &row.impulses)
         };
         let own = of(profile.lit, profile.seen);
@@ -213,7 +196,7 @@ impl Record {
         faint::Profile {
             foci: [place(self.lit), place(self.seen)],
             low_m: 0.0,
-            step_m: units::path_m(step_ps, self.group_index),
+            step_m: self.medium.path_m(step_ps),
             scores: matched.scores,
             gains: matched.gains.into_iter().map(|gain| gain * self.transmission).collect(),
         }
@@ -228,9 +211,10 @@ pub(super) struct Light<'a> {
 }
 
 impl<'a> Light<'a> {
-    pub(super) fn new(known: &Known, records: &[Record], visible: &'a [PatchId]) -> Self {
+    pub(super) fn new(context: &Context, records: &[Record], visible: &'a [PatchId]) -> Self {
         let pair = |a: PatchId, b: PatchId| (a.min(b), a.max(b));
-        let paths = known.labels.iter().filter(|label| label.alternative == 0).filter_map(|label| label.path.as_ref());
+        let paths =
+            context.labels.iter().filter(|label| label.alternative == 0).filter_map(|label| label.path.as_ref());
         let open: BTreeSet<_> = paths.flat_map(|path| path.windows(2).map(|legs| pair(legs[0], legs[1]))).collect();
         let captured = records.iter().map(|record| pair(record.lit, record.seen));
         Self { visible, closed: captured.filter(|pair| !open.contains(pair)).collect() }
@@ -248,7 +232,7 @@ impl<'a> Light<'a> {
                 continue;
             }
             let way_m = (point - points[&record.lit]).norm() + (point - points[&record.seen]).norm();
-            let time_ps = units::time_ps(way_m, record.group_index);
+            let time_ps = record.medium.time_ps(way_m);
             // A hidden patch in place is as strong as it likes.
             let is_visible = self.visible.binary_search(patch).is_ok();
             let open = if is_visible { Open::Score(record.weak_score) } else { Open::Amplitude };

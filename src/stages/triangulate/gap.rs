@@ -1,7 +1,7 @@
 //! Whether something stands in the middle between two strips.
 
 use super::model::Model;
-use super::{Known, Triangulate};
+use super::{Context, Triangulate};
 use crate::geometry::Point;
 use crate::geometry::bistatic::{Record, Solution};
 use crate::priors::calibration;
@@ -10,7 +10,6 @@ use crate::signal::between::{Between, Pair, Stray, between};
 use crate::signal::response::Response;
 use crate::signal::sparse;
 use crate::tables::{Gap, Onset, Profile};
-use crate::units;
 
 /// Share of a strip's light that leaves over the other's exit.
 const STRAY: f64 = 0.02;
@@ -40,13 +39,13 @@ impl Triangulate {
     /// The gap behind strip `a`. `None` without profiles.
     pub(super) fn gap(
         &self,
-        known: &Known,
+        context: &Context,
         model: &Model,
         solution: &Solution,
         a: usize,
         reasons: &mut Vec<String>,
     ) -> Option<Gap> {
-        let profiles = known.profiles.as_ref()?;
+        let profiles = context.profiles.as_ref()?;
         let strips = [a, a + 1];
         let middle = nalgebra::center(&solution.points[a], &solution.points[a + 1]);
         let mut evidence = [Evidence::default(), Evidence::default()];
@@ -58,9 +57,9 @@ impl Triangulate {
                     == (&onsets[a].sensor, onsets[a].lit, onsets[a].seen, &onsets[a].range)
                     && &*profile.role == "scene"
             };
-            known.cancel.check();
+            context.cancel.check();
             let Some(profile) = profiles.iter().find(is_its) else { continue };
-            let ready = match ready(known, profile) {
+            let ready = match ready(context, profile) {
                 Ok(ready) => ready,
                 Err(why) => {
                     let Profile { sensor, lit, seen, .. } = profile;
@@ -137,7 +136,7 @@ impl View<'_> {
             let exit = anchor(self.model.problem.strips[self.strips[side]].exit);
             (anchor(self.record.lit) - at).norm() + (exit - at).norm() + (anchor(self.record.station) - exit).norm()
         };
-        units::time_ps(way_m(to) - way_m(from), self.model.group_index)
+        self.model.medium.time_ps(way_m(to) - way_m(from))
     }
 
     /// Where between both pulses light of the middle comes. Counted from the neighbour over whose exit it leaves, so that what delays and positions have in common cancels.
@@ -156,18 +155,16 @@ impl View<'_> {
     }
 }
 
-fn ready(known: &Known, profile: &Profile) -> Result<Ready, String> {
+fn ready(context: &Context, profile: &Profile) -> Result<Ready, String> {
     if profile.counts.is_some() {
         return Err("holds photon counts, whose noise is not normal; gaps are not judged on them yet".to_owned());
     }
-    let row = calibration::row_of(&known.calibration, profile)
+    let (key, sensor) = (context.sensors.of(profile))
         .ok_or_else(|| "has no calibration; capture the sensor's response, or import one".to_owned())?;
-    let key = calibration::key_of(row);
-    let sensor = &known.calibrated[&key];
-    let correction = Correction::of(&known.sessions, &key, profile)?;
+    let correction = Correction::of(&context.sessions, key, profile)?;
     let mut samples = profile.mean_v.to_f64();
     let mut sd_v = calibration::sd_v(profile);
-    correction.take_pickup_off(profile, known.setup.repetition_ps, &mut samples, &mut sd_v)?;
+    correction.take_pickup_off(profile, context.fields.repetition_ps, &mut samples, &mut sd_v)?;
     samples.iter_mut().for_each(|sample| *sample *= sensor.polarity);
     let noise_v = profile.noise_v / f64::from(profile.shots).sqrt();
     // What is no more than the rounding of the samples is white.

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, Vector3};
 
-use super::Known;
+use super::Context;
 use crate::campaign::keys::PatchRole;
 use crate::geometry::Point;
 use crate::geometry::bistatic::{Anchor, Bounce, Problem, Record, Strip, Surface};
+use crate::priors::campaign_fields::Medium;
+use crate::priors::sensor_range::{OfSensorRange, SensorRange};
 use crate::tables::{Name, Onset};
-use crate::units::{self, PatchId};
+use crate::units::PatchId;
 
 /// The problem, and what its numbers stand for.
 pub(super) struct Model {
@@ -20,7 +22,7 @@ pub(super) struct Model {
     pub(super) points: Vec<PatchId>,
     /// Onsets of each record, and laser periods added to each.
     pub(super) onsets: Vec<Vec<(Onset, i32)>>,
-    pub(super) group_index: f64,
+    pub(super) medium: Medium,
 }
 
 /// Onsets of one profile: sensor, lit, seen, range.
@@ -28,58 +30,54 @@ type ProfileKey = (Name, PatchId, PatchId, Option<Name>);
 
 impl Model {
     /// The model, and which profiles it leaves out and why; or why there is none. `exact`: differences of arrival, with all else as it is told.
-    pub(super) fn new(known: &Known, onsets: Vec<Onset>, exact: bool) -> Result<(Self, Vec<String>), String> {
+    pub(super) fn new(context: &Context, onsets: Vec<Onset>, exact: bool) -> Result<(Self, Vec<String>), String> {
         let mut profiles: BTreeMap<ProfileKey, Vec<Onset>> = BTreeMap::new();
         for onset in onsets {
             let key = (onset.sensor.clone(), onset.lit, onset.seen, onset.range.clone());
             profiles.entry(key).or_default().push(onset);
         }
-        let strips = strips(known, &profiles)?;
+        let strips = strips(context, &profiles)?;
         let mut lit: Vec<PatchId> = profiles.keys().map(|(_, lit, ..)| *lit).collect();
         lit.extend(strips.values());
         lit.sort_unstable();
         lit.dedup();
         let points = lit;
         let mut anchors: Vec<Anchor> =
-            points.iter().map(|patch| anchor(known, *patch, exact)).collect::<Result<_, _>>()?;
-        let stations: Vec<&String> = known.setup.sensors.keys().collect();
-        anchors.extend(known.setup.sensors.values().map(|station| Anchor {
+            points.iter().map(|patch| anchor(context, *patch, exact)).collect::<Result<_, _>>()?;
+        let stations: Vec<&String> = context.fields.sensors.keys().collect();
+        anchors.extend(context.fields.sensors.values().map(|station| Anchor {
             at: Point::from(station.position_m),
             sd_m: station.sd_m.filter(|_| !exact).unwrap_or(0.0),
             normal: None,
         }));
-        let mut delays: Vec<(Name, Option<Name>)> =
-            profiles.keys().map(|(sensor, _, _, range)| (sensor.clone(), range.clone())).collect();
+        let mut delays: Vec<SensorRange> = profiles.values().map(|onsets| onsets[0].sensor_range()).collect();
         delays.dedup();
         let place = |patch: PatchId| points.binary_search(&patch).expect("all points were listed");
         let surfaces = strips.iter().map(|(strip, exit)| Strip {
             exit: place(*exit),
-            surface: surface(known, *strip),
+            surface: surface(context, *strip),
             is_central: false,
         });
         let mut model = Self {
             problem: Problem {
-                dimensions: known.setup.dimensions,
-                source: Point::from(known.setup.source_m),
-                delays_sd_m: delays
-                    .iter()
-                    .map(|(sensor, range)| if exact { 0.0 } else { delay_sd_m(known, sensor, range.as_ref()) })
-                    .collect(),
+                dimensions: context.fields.dimensions,
+                source: Point::from(context.fields.source_m),
+                delays_sd_m: delays.iter().map(|delay| if exact { 0.0 } else { delay_sd_m(context, delay) }).collect(),
                 strips: surfaces.collect(),
                 records: Vec::new(),
-                apart_max_m: known.setup.hidden.apart_max_m,
-                along: known.setup.hidden.along.map(Vector3::from),
+                apart_max_m: context.fields.hidden.apart_max_m,
+                along: context.fields.hidden.along.map(Vector3::from),
                 anchors,
-                cancel: known.cancel.clone(),
+                cancel: context.cancel.clone(),
             },
             strips: strips.keys().copied().collect(),
             points: points.clone(),
             onsets: Vec::new(),
-            group_index: known.setup.group_index,
+            medium: context.fields.medium,
         };
         let mut reasons = Vec::new();
-        for ((sensor, lit, seen, range), onsets) in profiles {
-            let covered = known.covers(seen);
+        for ((sensor, lit, seen, _), onsets) in profiles {
+            let covered = context.covers(seen);
             let bounce = if covered.contains(&lit) { Bounce::First } else { Bounce::Third };
             let station = stations.iter().position(|name| ***name == *sensor);
             let reject = |why: &str| format!("profile of sensor {sensor}, lit {lit}, seen {seen}, {why}");
@@ -99,9 +97,9 @@ impl Model {
                 )));
                 continue;
             }
-            let delay = delays.iter().position(|key| *key == (sensor.clone(), range.clone())).expect("all were listed");
+            let delay = delays.iter().position(|key| *key == onsets[0].sensor_range()).expect("all were listed");
             let station = points.len() + station;
-            model.add(known, Place { lit: place(lit), station, delay, bounce }, onsets);
+            model.add(context, Place { lit: place(lit), station, delay, bounce }, onsets);
         }
         if exact {
             model.take_differences()?;
@@ -110,32 +108,31 @@ impl Model {
     }
 
     /// Adds a record; of first bounces the earliest onset.
-    fn add(&mut self, known: &Known, place: Place, mut onsets: Vec<Onset>) {
+    fn add(&mut self, context: &Context, place: Place, mut onsets: Vec<Onset>) {
         onsets.sort_by_key(|onset| onset.rank);
         let all = onsets.len();
         if place.bounce == Bounce::First {
             onsets.truncate(1);
         }
-        let per_ps = units::path_m(1.0, self.group_index);
+        let per_ps = self.medium.path_m(1.0);
         let covariance_m2 = DMatrix::from_fn(onsets.len(), onsets.len(), |r, c| {
             let own = if onsets[r].covariance.len() == all { onsets[r].covariance[c] } else { 0.0 };
             let own = if r == c { onsets[r].time_sd_ps.powi(2) } else { own };
             (own + onsets[r].jitter_ps.powi(2)) * per_ps * per_ps
         });
-        let earliest_ps = units::time_ps(self.earliest_m(&place), self.group_index);
+        let earliest_ps = self.medium.time_ps(self.earliest_m(&place));
         let turned = |onset: Onset| {
             let late_ps = earliest_ps - onset.time_ps;
-            let turns = known.setup.repetition_ps.map_or(0.0, |period_ps| match place.bounce {
+            let turns = context.fields.repetition_ps.map_or(0.0, |period_ps| match place.bounce {
                 Bounce::First => (late_ps / period_ps).round(),
                 Bounce::Third => (late_ps / period_ps).ceil().max(0.0),
             });
             (onset, turns as i32)
         };
         let onsets: Vec<(Onset, i32)> = onsets.into_iter().map(turned).collect();
-        let period_ps = known.setup.repetition_ps.unwrap_or(0.0);
-        let length_m = |(onset, turns): &(Onset, i32)| {
-            units::path_m(onset.time_ps + f64::from(*turns) * period_ps, self.group_index)
-        };
+        let period_ps = context.fields.repetition_ps.unwrap_or(0.0);
+        let length_m =
+            |(onset, turns): &(Onset, i32)| self.medium.path_m(onset.time_ps + f64::from(*turns) * period_ps);
         let lengths_m = onsets.iter().map(length_m).collect();
         let heights = onsets.iter().map(|(onset, _)| onset.amplitude.abs()).collect();
         let Place { lit, station, delay, bounce } = place;
@@ -196,8 +193,11 @@ struct Place {
 }
 
 /// Strips and their exits: as campaign.toml lists them, or one for each patch of the views that do not cover what is lit.
-fn strips(known: &Known, profiles: &BTreeMap<ProfileKey, Vec<Onset>>) -> Result<BTreeMap<PatchId, PatchId>, String> {
-    let listed = known.setup.patches.iter().filter(|(_, patch)| patch.role == PatchRole::Hidden);
+fn strips(
+    context: &Context,
+    profiles: &BTreeMap<ProfileKey, Vec<Onset>>,
+) -> Result<BTreeMap<PatchId, PatchId>, String> {
+    let listed = context.fields.patches.iter().filter(|(_, patch)| patch.role == PatchRole::Hidden);
     let told: BTreeMap<PatchId, PatchId> =
         listed.clone().filter_map(|(strip, patch)| Some((*strip, patch.through?))).collect();
     if let Some((strip, _)) = listed.clone().find(|(strip, _)| !told.is_empty() && !told.contains_key(*strip)) {
@@ -206,12 +206,12 @@ fn strips(known: &Known, profiles: &BTreeMap<ProfileKey, Vec<Onset>>) -> Result<
         ));
     }
     let strips = if told.is_empty() {
-        let thirds = profiles.keys().map(|(_, lit, seen, _)| (lit, known.covers(*seen)));
+        let thirds = profiles.keys().map(|(_, lit, seen, _)| (lit, context.covers(*seen)));
         let mut exits: Vec<PatchId> =
             thirds.filter(|(lit, covered)| !covered.contains(lit)).flat_map(|(_, covered)| covered).collect();
         exits.sort_unstable();
         exits.dedup();
-        let largest = known.setup.patches.keys().chain(known.setup.views.keys()).chain(&exits).max().copied();
+        let largest = context.fields.patches.keys().chain(context.fields.views.keys()).chain(&exits).max().copied();
         (largest.unwrap_or(0) + 1..).zip(exits).collect()
     } else {
         told
@@ -219,7 +219,7 @@ fn strips(known: &Known, profiles: &BTreeMap<ProfileKey, Vec<Onset>>) -> Result<
     if strips.is_empty() {
         return Err("no profile has third bounces: light a diffuser point, and let a sensor see others".to_owned());
     }
-    match known.setup.hidden.count {
+    match context.fields.hidden.count {
         Some(count) if count as usize != strips.len() => Err(format!(
             "[hidden] count = {count}, but there are {} exits, each of one strip; list the strips with `through` in campaign.toml",
             strips.len()
@@ -228,8 +228,8 @@ fn strips(known: &Known, profiles: &BTreeMap<ProfileKey, Vec<Onset>>) -> Result<
     }
 }
 
-fn anchor(known: &Known, patch: PatchId, exact: bool) -> Result<Anchor, String> {
-    let told = known.setup.patches.get(&patch);
+fn anchor(context: &Context, patch: PatchId, exact: bool) -> Result<Anchor, String> {
+    let told = context.fields.patches.get(&patch);
     let position_m = told.and_then(|told| told.position_m).ok_or_else(|| {
         format!("diffuser point {patch} has no position; add `position_m` (and `sd_m`) under [patches.{patch}] in campaign.toml")
     })?;
@@ -241,8 +241,8 @@ fn anchor(known: &Known, patch: PatchId, exact: bool) -> Result<Anchor, String> 
     })
 }
 
-fn surface(known: &Known, strip: PatchId) -> Surface {
-    let Some((told, size_m)) = known.setup.patches.get(&strip).and_then(|told| Some((told, told.size_m?))) else {
+fn surface(context: &Context, strip: PatchId) -> Surface {
+    let Some((told, size_m)) = context.fields.patches.get(&strip).and_then(|told| Some((told, told.size_m?))) else {
         return Surface::Diffuse;
     };
     told.lobe_rad.map_or(Surface::Unknown { size_m }, |lobe_rad| Surface::Glossy {
@@ -253,9 +253,7 @@ fn surface(known: &Known, strip: PatchId) -> Surface {
 }
 
 /// What calibration leaves open of a sensor's delay, as a length.
-fn delay_sd_m(known: &Known, sensor: &Name, range: Option<&Name>) -> f64 {
-    let own = |row: &&crate::tables::Calibration| row.sensor == *sensor && row.range.as_ref() == range;
-    let of_sensor = || known.calibration.iter().find(|row| row.sensor == *sensor);
-    let row = known.calibration.iter().find(own).or_else(of_sensor);
-    row.map_or(0.0, |row| units::path_m(row.latency_sd_ps, known.setup.group_index))
+fn delay_sd_m(context: &Context, delay: &SensorRange) -> f64 {
+    let delay = context.latencies.delay_of(delay);
+    delay.map_or(0.0, |delay| context.fields.medium.path_m(context.latencies.latency(delay).sd_ps))
 }

@@ -7,7 +7,8 @@ use super::*;
 use crate::campaign::Campaign;
 use crate::stages::range::{Context, Range};
 use crate::stages::stage::{Apply, Outcome, Stage};
-use crate::tables::Row;
+use crate::tables::{Delay, PatchCovariance, Row};
+use crate::units;
 
 /// Standard deviation of an onset.
 const SD_PS: f64 = 5.0;

@@ -7,7 +7,7 @@ use crate::geometry::Point;
 use crate::geometry::bistatic::{Bounce, Solution};
 use crate::priors::covariances;
 use crate::tables::{Label, Patch, PatchCovariance};
-use crate::units::{self, PatchId};
+use crate::units::PatchId;
 
 impl Model {
     /// Diffuser points and strips of the best solution, strips of the others.
@@ -76,7 +76,7 @@ impl Model {
                         seen: onset.seen,
                         range: onset.range.clone(),
                         rank: onset.rank,
-                        time_ps: units::time_ps(of.lengths_m[strips[strip]], self.group_index),
+                        time_ps: self.medium.time_ps(of.lengths_m[strips[strip]]),
                         time_sd_ps: onset.time_sd_ps.hypot(onset.jitter_ps),
                         turns: *turns,
                         bounces: 3,

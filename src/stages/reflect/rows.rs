@@ -9,19 +9,20 @@ use crate::priors::covariances;
 use crate::tables::{Ambiguity, Patch, PatchCovariance, Plane};
 use crate::units::PatchId;
 
-/// A mirror point is weak where its largest principal standard deviation is more than this share of its distance: errors are then no longer small.
+/// A mirror point is weak where its largest principal standard deviation exceeds this share of its distance: errors are
+/// then no longer small.
 const WEAK: f64 = 0.1;
 
 /// Rows of all tables.
 #[derive(Default)]
-pub struct Written {
+pub struct Tables {
     pub patches: Vec<Patch>,
     pub covariances: Vec<PatchCovariance>,
     pub planes: Vec<Plane>,
     pub ambiguities: Vec<Ambiguity>,
 }
 
-impl Written {
+impl Tables {
     /// The likeliest mirror.
     pub fn joint(scans: &Scans, solution: &Solution) -> Self {
         let ids: Vec<PatchId> = scans
@@ -59,7 +60,7 @@ impl Written {
 
     /// Mirror points without errors, the likeliest first, each with what its contradiction has more, and diffuser points as given.
     pub fn places(scans: &Scans, places: &[(Vec<Option<Point>>, f64)], reasons: &mut Vec<String>) -> Self {
-        let mut written = Self::default();
+        let mut tables = Self::default();
         for (n, (points, more)) in places.iter().enumerate() {
             let log_likelihood = (n > 0).then_some(-0.5 * more);
             let alternative = n as i32;
@@ -67,7 +68,7 @@ impl Written {
                 match point {
                     Some(point) => {
                         let row = row(*mirror, "mirror", *point, None, scan.arrivals.len());
-                        written.patches.push(Patch { alternative, log_likelihood, ..row });
+                        tables.patches.push(Patch { alternative, log_likelihood, ..row });
                     }
                     None => reasons.push(format!(
                         "mirror point {mirror}: no place on its ray makes a path of the measured length; check ray, diffuser point and latency against one another"
@@ -75,7 +76,7 @@ impl Written {
                 }
             }
             if n > 0 {
-                written.ambiguities.push(Ambiguity {
+                tables.ambiguities.push(Ambiguity {
                     kind: "flip".into(),
                     patches: scans.patches.iter().map(|(mirror, _)| *mirror).collect(),
                     alternative: Some(alternative),
@@ -87,11 +88,11 @@ impl Written {
             }
         }
         let diffuser = scans.patches.iter().zip(&scans.experiment.scans);
-        written.patches.extend(diffuser.map(|((_, seen), scan)| {
+        tables.patches.extend(diffuser.map(|((_, seen), scan)| {
             row(*seen, "visible", scan.diffuser, Some(scan.diffuser_covariance_m2), scan.arrivals.len())
         }));
-        written.patches.sort_by_key(|row| (row.alternative, row.patch));
-        written
+        tables.patches.sort_by_key(|row| (row.alternative, row.patch));
+        tables
     }
 }
 

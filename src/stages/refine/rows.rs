@@ -8,9 +8,9 @@ use super::model::Model;
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
 use crate::priors::covariances;
-use crate::priors::delays::DelayKey;
+use crate::priors::sensor_range::SensorRange;
 use crate::tables::{Ambiguity, Delay, Fit, Name, Patch, PatchCovariance, Residual, Station, Suspect};
-use crate::units::{self, PatchId};
+use crate::units::PatchId;
 
 /// Residuals beyond this many of their own standard deviations are doubtful.
 const FAR_OFF: f64 = 4.0;
@@ -27,7 +27,7 @@ pub struct Other {
     pub solution: Solution,
 }
 
-/// What was solved.
+/// The best solution, and which onsets it rests on.
 pub struct Fitted {
     pub solution: Solution,
     pub others: Vec<Other>,
@@ -37,14 +37,14 @@ pub struct Fitted {
     pub used: Vec<Option<usize>>,
 }
 
-/// The best solution with what stands beside it.
-pub struct Written<'a> {
+/// The best solution, as rows of the tables that the stage writes.
+pub struct Tables<'a> {
     pub model: &'a Model<'a>,
     pub solution: &'a Solution,
     pub others: &'a [Other],
     /// What each onset is late by its patches' footprints.
     pub shifts_m: &'a [f64],
-    /// All onsets, their shifts taken off, and of each its place among those that the solution rests on.
+    /// All onsets without their shifts, and of each its place among those that the solution rests on.
     pub observations: &'a [Observation],
     pub used: &'a [Option<usize>],
     /// Onsets that each patch rests on.
@@ -53,7 +53,7 @@ pub struct Written<'a> {
     frame: &'static str,
 }
 
-impl<'a> Written<'a> {
+impl<'a> Tables<'a> {
     pub fn new(model: &'a Model<'a>, fitted: &'a Fitted, shifts_m: &'a [f64]) -> Self {
         let Fitted { solution, others, observations, used } = fitted;
         let (turn, frame) = if model.all_rotations_free(solution) {
@@ -89,7 +89,7 @@ impl<'a> Written<'a> {
         let patch = self.model.patches[place];
         let point = self.turned(solution.points[place]);
         let cov = self.turn * solution.patch_covariance_m2(place, place) * self.turn.transpose();
-        let known = (!solution.open.contains(&place)).then_some(cov);
+        let determined = (!solution.open.contains(&place)).then_some(cov);
         let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
         Patch {
             patch,
@@ -97,13 +97,13 @@ impl<'a> Written<'a> {
             x_m: point.x,
             y_m: point.y,
             z_m: point.z,
-            cov_xx_m2: known.map(|cov| cov[(0, 0)]),
-            cov_xy_m2: known.map(|cov| cov[(0, 1)]),
-            cov_xz_m2: known.map(|cov| cov[(0, 2)]),
-            cov_yy_m2: known.map(|cov| cov[(1, 1)]),
-            cov_yz_m2: known.map(|cov| cov[(1, 2)]),
-            cov_zz_m2: known.map(|cov| cov[(2, 2)]),
-            sd_m: known.map(|cov| cov.trace().sqrt()),
+            cov_xx_m2: determined.map(|cov| cov[(0, 0)]),
+            cov_xy_m2: determined.map(|cov| cov[(0, 1)]),
+            cov_xz_m2: determined.map(|cov| cov[(0, 2)]),
+            cov_yy_m2: determined.map(|cov| cov[(1, 1)]),
+            cov_yz_m2: determined.map(|cov| cov[(1, 2)]),
+            cov_zz_m2: determined.map(|cov| cov[(2, 2)]),
+            sd_m: determined.map(|cov| cov.trace().sqrt()),
             onsets: self.onsets.get(&patch).copied().unwrap_or(0),
             chi2_dof,
             alternative,
@@ -111,11 +111,11 @@ impl<'a> Written<'a> {
         }
     }
 
-    /// Of all pairs whose covariance is known.
+    /// Of all pairs of determined patches.
     pub fn patch_covariances(&self) -> Vec<PatchCovariance> {
         let has = |place: &usize| !self.solution.open.contains(place);
-        let known: Vec<usize> = (0..self.model.patches.len()).filter(has).collect();
-        let pairs = known.iter().enumerate().flat_map(|(n, &a)| known[n + 1..].iter().map(move |&b| (a, b)));
+        let determined: Vec<usize> = (0..self.model.patches.len()).filter(has).collect();
+        let pairs = determined.iter().enumerate().flat_map(|(n, &a)| determined[n + 1..].iter().map(move |&b| (a, b)));
         let row = |(a, b): (usize, usize)| {
             let cov = self.turn * self.solution.patch_covariance_m2(a, b) * self.turn.transpose();
             covariances::row(self.model.patches[a], self.model.patches[b], &cov)
@@ -124,15 +124,15 @@ impl<'a> Written<'a> {
     }
 
     pub fn delays(&self) -> Vec<Delay> {
-        let row = |(n, key): (usize, &DelayKey)| {
-            let time = |length_m| units::time_ps(length_m, self.model.index(key));
+        let row = |(n, key): (usize, &SensorRange)| {
+            let time = |length_m| self.model.medium(key).time_ps(length_m);
             Delay {
-                campaign: key.0.clone(),
-                sensor: key.1.clone(),
-                range: key.2.clone(),
+                campaign: key.campaign.clone(),
+                sensor: key.sensor.clone(),
+                range: key.range.clone(),
                 delay_ps: time(self.solution.delays_m[n]),
                 sd_ps: time(self.solution.delay_variance_m2(n).sqrt()),
-                prior_sd_ps: self.model.known.latencies.latency(key).sd_ps,
+                prior_sd_ps: self.model.context.latencies.latency(key).sd_ps,
             }
         };
         self.model.delays.iter().enumerate().map(row).collect()
@@ -159,7 +159,7 @@ impl<'a> Written<'a> {
     pub fn residuals(&self) -> Vec<Residual> {
         let residuals_m = self.solution.residuals_of_m(self.observations);
         let row = |(n, label): (usize, &crate::tables::Label)| {
-            let time = |length_m: f64| units::time_ps(length_m, self.model.setup(label).group_index);
+            let time = |length_m: f64| self.model.fields(label).medium.time_ps(length_m);
             let residual_ps = time(residuals_m[n]);
             let standardised = residual_ps / label.time_sd_ps;
             let redundancy = self.redundancy(n);
@@ -189,7 +189,8 @@ impl<'a> Written<'a> {
             return Some(1.0);
         };
         let predicted_m2 = self.solution.predicted_variance_m2.as_ref()?[at];
-        let sd_m = units::path_m(self.model.labels[n].time_sd_ps, self.model.setup(&self.model.labels[n]).group_index);
+        let label = &self.model.labels[n];
+        let sd_m = self.model.fields(label).medium.path_m(label.time_sd_ps);
         Some((1.0 - predicted_m2 / (sd_m * sd_m)).clamp(0.0, 1.0))
     }
 
@@ -226,11 +227,11 @@ impl<'a> Written<'a> {
 
     pub fn fits(&self) -> Vec<Fit> {
         let solutions = std::iter::once(self.solution).chain(self.others.iter().map(|other| &other.solution));
-        let setup = self.model.known.first();
-        let time = |length_m: f64| units::time_ps(length_m, setup.group_index);
+        let fields = self.model.context.first();
+        let time = |length_m: f64| fields.medium.time_ps(length_m);
         let row = |(n, solution): (usize, &Solution)| {
             let period_sd_ps = solution.period_variance_m2().map(|variance_m2| time(variance_m2.sqrt()));
-            let repetition_ps = setup.repetition_ps.filter(|_| period_sd_ps.is_some());
+            let repetition_ps = fields.repetition_ps.filter(|_| period_sd_ps.is_some());
             Fit {
                 alternative: n as i32,
                 frame: self.frame.into(),
@@ -300,15 +301,15 @@ impl<'a> Written<'a> {
         places.iter().map(|&place| self.model.patches[place]).collect()
     }
 
-    /// Patches that are known much worse than the others.
+    /// Patches that are determined much worse than the others.
     fn weak(&self) -> Option<Ambiguity> {
         let sd_m = |place: usize| {
             let covariance = self.solution.patch_covariance_m2(place, place);
             covariance.symmetric_eigenvalues().max().max(0.0).sqrt()
         };
-        let known = |place: &usize| !self.solution.open.contains(place);
+        let is_determined = |place: &usize| !self.solution.open.contains(place);
         let sds_m: Vec<(usize, f64)> =
-            (0..self.model.patches.len()).filter(known).map(|place| (place, sd_m(place))).collect();
+            (0..self.model.patches.len()).filter(is_determined).map(|place| (place, sd_m(place))).collect();
         let mut sorted: Vec<f64> = sds_m.iter().map(|(_, sd_m)| *sd_m).collect();
         sorted.sort_by(f64::total_cmp);
         let middle = *sorted.get(sorted.len() / 2)?;

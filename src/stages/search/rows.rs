@@ -1,4 +1,4 @@
-//! What a search came to, as rows and in words.
+//! Patches of a search, and the place that is not sure enough, as rows and in words.
 
 use super::record::Record;
 use crate::geometry::faint::Faint;
@@ -12,9 +12,9 @@ struct Declined {
     growth: f64,
 }
 
-/// What was found, and what was not sure enough.
-pub(super) struct Search {
-    found: Vec<(PatchId, Faint)>,
+/// Patches, and the place that is not sure enough.
+pub(super) struct SearchRows {
+    patches: Vec<(PatchId, Faint)>,
     declined: Option<Declined>,
     /// Evidence that a patch needs.
     needed: f64,
@@ -23,28 +23,28 @@ pub(super) struct Search {
     hours: Option<f64>,
 }
 
-impl Search {
+impl SearchRows {
     pub(super) fn new(records: &[Record], needed: f64) -> Self {
         let mut shots: Vec<i32> = records.iter().map(|record| record.shots).collect();
         shots.sort_unstable();
         let shots = f64::from(shots.get(shots.len() / 2).copied().unwrap_or(0));
-        Self { found: Vec::new(), declined: None, needed, shots, hours: hours(records) }
+        Self { patches: Vec::new(), declined: None, needed, shots, hours: hours(records) }
     }
 
     /// Takes a place as a patch, if it is sure enough; otherwise as the one that is not.
     pub(super) fn add(&mut self, patch: PatchId, place: Faint, dimensions: usize) -> bool {
         let is_sure = place.evidence > self.needed;
         if is_sure {
-            self.found.push((patch, place));
+            self.patches.push((patch, place));
         } else {
             self.declined = Some(Declined { place, growth: place.growth(self.needed, dimensions) });
         }
         is_sure
     }
 
-    /// Rows of the patches that were found.
+    /// Rows of the patches.
     pub(super) fn patches(&self) -> impl Iterator<Item = Patch> {
-        self.found.iter().map(|(patch, place)| {
+        self.patches.iter().map(|(patch, place)| {
             let cov = place.covariance;
             Patch {
                 patch: *patch,
@@ -69,7 +69,7 @@ impl Search {
 
     /// Rows of all places.
     pub(super) fn hypotheses(&self) -> Vec<Hypothesis> {
-        let found = self.found.iter().map(|(patch, place)| (Some(*patch), place, None));
+        let accepted = self.patches.iter().map(|(patch, place)| (Some(*patch), place, None));
         let declined = self.declined.iter().map(|declined| (None, &declined.place, Some(declined.growth)));
         let row = |(n, (patch, place, growth)): (usize, (Option<PatchId>, &Faint, Option<f64>))| {
             let (point, cov) = (place.point, place.covariance);
@@ -100,7 +100,7 @@ impl Search {
                 hours_needed: growth.and_then(|growth| Some(growth * self.hours?)),
             }
         };
-        found.chain(declined).enumerate().map(row).collect()
+        accepted.chain(declined).enumerate().map(row).collect()
     }
 
     /// What would show the place that was not sure enough, where more speaks for it than against.

@@ -1,0 +1,79 @@
+//! What campaign.toml, a start, a calibration and planes say before any onset is looked at.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use crate::campaign::Campaign;
+use crate::cancel::Cancel;
+use crate::priors::campaign_fields::{ByCampaign, Medium, PatchPrior, StationPriors};
+use crate::priors::delays::Latencies;
+use crate::priors::footprints::{self, Extent};
+use crate::stages::stage::{BesideTables, StageError};
+use crate::tables::{Patch, Plane};
+use crate::units::PatchId;
+
+/// Share of the laser's period that is its standard deviation where campaign.toml gives none.
+const PERIOD_SD: f64 = 1e-4;
+
+/// What campaign.toml says that paths depend on.
+#[derive(Clone, Debug, Serialize)]
+pub struct Fields {
+    pub dimensions: u8,
+    pub medium: Medium,
+    pub repetition_ps: Option<f64>,
+    repetition_sd_ps: Option<f64>,
+    pub stations: StationPriors,
+    pub patches: BTreeMap<PatchId, PatchPrior>,
+    pub extents: BTreeMap<PatchId, Extent>,
+}
+
+impl From<&Campaign> for Fields {
+    fn from(campaign: &Campaign) -> Self {
+        Self {
+            dimensions: campaign.dimensions,
+            medium: campaign.into(),
+            repetition_ps: campaign.repetition_ps,
+            repetition_sd_ps: campaign.repetition_sd_ps,
+            stations: campaign.into(),
+            patches: PatchPrior::of_all(campaign),
+            extents: footprints::extents(campaign),
+        }
+    }
+}
+
+impl Fields {
+    /// Standard deviation of the laser's period.
+    pub fn period_sd_ps(&self) -> Option<f64> {
+        self.repetition_ps.map(|period_ps| self.repetition_sd_ps.unwrap_or(PERIOD_SD * period_ps))
+    }
+}
+
+/// Campaigns, start, priors of the delays, and the planes of an earlier solution.
+pub struct Context {
+    pub fields: ByCampaign<Fields>,
+    pub start: BTreeMap<PatchId, Patch>,
+    pub latencies: Latencies,
+    pub planes: Vec<Plane>,
+    /// Ends the solution.
+    pub cancel: Cancel,
+}
+
+impl Context {
+    pub fn new(fields: ByCampaign<Fields>, beside: &BesideTables) -> Result<Self, StageError> {
+        let start = beside.rows::<Patch>("patches")?.unwrap_or_default().into_iter();
+        let best = start.filter(|patch| patch.alternative == 0);
+        Ok(Self {
+            fields,
+            start: best.map(|patch| (patch.patch, patch)).collect(),
+            latencies: Latencies::new(&beside.rows("calibration")?.unwrap_or_default()),
+            planes: beside.rows("planes")?.unwrap_or_default(),
+            cancel: beside.cancel.clone(),
+        })
+    }
+
+    /// The fields whose frame holds: those of the first campaign.
+    pub fn first(&self) -> &Fields {
+        self.fields.first().expect("a run has a campaign")
+    }
+}
