@@ -1,4 +1,6 @@
 //! Cholesky factor of a covariance whose correlation has a short reach.
+//!
+//! Not that of `signal::banded`: the bound shares no code with the estimators, and whitens where these solve.
 
 /// Lower factor of a symmetric positive definite matrix with few diagonals (Golub and Van Loan, *Matrix Computations*,
 /// section 4.3.5).

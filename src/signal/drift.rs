@@ -13,6 +13,8 @@
 //! that the session can be parted there. Not modelled: error common to all references, steps next to the session's
 //! ends.
 
+use super::banded::{Banded, BandedFactor};
+
 /// Residuals beyond this many sd count linearly: of normal ones 1 in 80, so that a drift without outliers loses little.
 const HUBER: f64 = 2.5;
 /// A point this many sd (or spreads, if larger) off the median of its neighbourhood does not count.
@@ -49,7 +51,7 @@ pub struct DriftOptions {
 /// Why there is no drift to speak of.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DriftError {
-    /// Fewer than three points at different times.
+    /// Fewer than three points, or all that count at one time.
     TooFew,
     /// The delay jumps.
     Step {
@@ -71,7 +73,7 @@ pub struct Drift {
     level_ps: f64,
     knots_ps: Vec<f64>,
     roughness_ps: f64,
-    factor: Band,
+    factor: BandedFactor<3>,
 }
 
 impl Drift {
@@ -160,7 +162,7 @@ pub fn fit(points: &[Point], options: &DriftOptions) -> Result<Drift, DriftError
     let enough = |counted: &[f64]| counted.iter().sum::<f64>() >= STEP_SIDE as f64;
     let steps = (1..system.points.len())
         .filter(|i| system.counted[*i] > 0.0 && enough(&system.counted[..*i]) && enough(&system.counted[*i..]))
-        .map(|i| (i, system.robust(Some(i))));
+        .filter_map(|i| Some((i, system.robust(Some(i))?)));
     let significance = |s: &Solution| s.step_ps.abs() / s.step_sd_ps;
     let largest = steps.max_by(|a, b| significance(&a.1).total_cmp(&significance(&b.1)));
     if let Some((i, solution)) = largest.filter(|(_, s)| significance(s) > options.step_sigma) {
@@ -170,7 +172,7 @@ pub fn fit(points: &[Point], options: &DriftOptions) -> Result<Drift, DriftError
             sd_ps: solution.step_sd_ps,
         });
     }
-    let Solution { knots_ps, factor, roughness_ps, .. } = system.robust(None);
+    let Solution { knots_ps, factor, roughness_ps, .. } = system.robust(None).ok_or(DriftError::TooFew)?;
     let (start_s, spacing_s) = (system.points[0].time_s, system.spacing_s);
     Ok(Drift { start_s, spacing_s, level_ps, knots_ps, roughness_ps, factor })
 }
@@ -192,7 +194,7 @@ struct Solution {
     knots_ps: Vec<f64>,
     step_ps: f64,
     step_sd_ps: f64,
-    factor: Band,
+    factor: BandedFactor<3>,
     roughness_ps: f64,
     /// Minus twice the logarithm of the likelihood, the knots integrated out, but for a constant.
     badness: f64,
@@ -212,9 +214,9 @@ impl System {
     }
 
     /// The most likely roughness with Huber's weights, a step before point `step` free beside.
-    fn robust(&self, step: Option<usize>) -> Solution {
+    fn robust(&self, step: Option<usize>) -> Option<Solution> {
         let mut weights = self.counted.clone();
-        let mut best = self.likeliest(&weights, step);
+        let mut best = self.likeliest(&weights, step)?;
         for _ in 1..ROUNDS {
             for (i, weight) in weights.iter_mut().enumerate() {
                 let (knot, part) = self.places[i];
@@ -223,25 +225,27 @@ impl System {
                 let residual = (self.points[i].delay_ps - line - jump).abs() / self.points[i].sd_ps;
                 *weight = self.counted[i] * (HUBER / residual).min(1.0);
             }
-            best = self.likeliest(&weights, step);
+            best = self.likeliest(&weights, step)?;
         }
-        best
+        Some(best)
     }
 
-    fn likeliest(&self, weights: &[f64], step: Option<usize>) -> Solution {
-        let solutions = self.roughnesses_ps.iter().map(|r| self.solve(weights, *r, step));
-        solutions.min_by(|a, b| a.badness.total_cmp(&b.badness)).expect("there are roughnesses to try")
+    fn likeliest(&self, weights: &[f64], step: Option<usize>) -> Option<Solution> {
+        let solutions = self.roughnesses_ps.iter().filter_map(|r| self.solve(weights, *r, step));
+        solutions.min_by(|a, b| a.badness.total_cmp(&b.badness))
     }
 
-    fn solve(&self, weights: &[f64], roughness_ps: f64, step: Option<usize>) -> Solution {
-        let mut matrix = Band::second_differences(self.knots, roughness_ps);
+    /// `None` where the points that count leave the knots undetermined.
+    fn solve(&self, weights: &[f64], roughness_ps: f64, step: Option<usize>) -> Option<Solution> {
+        let mut matrix = Banded::zeros(self.knots);
+        matrix.add_second_differences(roughness_ps.powi(-2));
         let (mut right, mut with_step) = (vec![0.0; self.knots], vec![0.0; self.knots]);
         let (mut total, mut step_right, mut step_square) = (0.0, 0.0, 0.0);
         for (i, (point, &(knot, part))) in self.points.iter().zip(&self.places).enumerate() {
             let weight = weights[i] / point.sd_ps.powi(2);
-            matrix.rows[knot][0] += weight * (1.0 - part).powi(2);
-            matrix.rows[knot + 1][0] += weight * part * part;
-            matrix.rows[knot + 1][1] += weight * part * (1.0 - part);
+            matrix.add(knot, knot, weight * (1.0 - part).powi(2));
+            matrix.add(knot + 1, knot + 1, weight * part * part);
+            matrix.add(knot + 1, knot, weight * part * (1.0 - part));
             right[knot] += weight * (1.0 - part) * point.delay_ps;
             right[knot + 1] += weight * part * point.delay_ps;
             total += weight * point.delay_ps.powi(2);
@@ -252,7 +256,7 @@ impl System {
                 step_square += weight;
             }
         }
-        let factor = matrix.factored();
+        let factor = matrix.cholesky()?;
         let mut knots_ps = right.clone();
         factor.solve(&mut knots_ps);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
@@ -268,7 +272,7 @@ impl System {
             knots_ps.iter_mut().zip(&imitated).for_each(|(knot, imitated)| *knot -= step_ps * imitated);
             badness += information.ln() - step_ps.powi(2) * information;
         }
-        Solution { knots_ps, step_ps, step_sd_ps, factor, roughness_ps, badness }
+        Some(Solution { knots_ps, step_ps, step_sd_ps, factor, roughness_ps, badness })
     }
 }
 
@@ -292,60 +296,6 @@ fn counted(points: &[Point]) -> Vec<f64> {
             f64::from(u8::from(!far))
         })
         .collect()
-}
-
-/// Symmetric matrix of five diagonals, or its factor `L L^T`: in row `i` the elements at columns `i`, `i - 1`, `i - 2`.
-#[derive(Clone, Debug)]
-struct Band {
-    rows: Vec<[f64; 3]>,
-}
-
-impl Band {
-    /// `D^T D / r^2` with D the second differences.
-    fn second_differences(knots: usize, roughness_ps: f64) -> Self {
-        let mut rows = vec![[0.0; 3]; knots];
-        let weight = roughness_ps.powi(-2);
-        for i in 0..knots - 2 {
-            for (j, diagonals) in [[1.0, 0.0, 0.0], [4.0, -2.0, 0.0], [1.0, -2.0, 1.0]].iter().enumerate() {
-                rows[i + j].iter_mut().zip(diagonals).for_each(|(element, d)| *element += weight * d);
-            }
-        }
-        Self { rows }
-    }
-
-    /// Cholesky factor. Three points at two times at least make it definite.
-    fn factored(mut self) -> Self {
-        for i in 0..self.rows.len() {
-            if i >= 2 {
-                self.rows[i][2] /= self.rows[i - 2][0];
-            }
-            if i >= 1 {
-                let done = self.rows[i][2] * self.rows[i - 1][1];
-                self.rows[i][1] = (self.rows[i][1] - done) / self.rows[i - 1][0];
-            }
-            let [diagonal, first, second] = self.rows[i];
-            self.rows[i][0] = (diagonal - first * first - second * second).sqrt();
-        }
-        self
-    }
-
-    fn log_determinant(&self) -> f64 {
-        2.0 * self.rows.iter().map(|row| row[0].ln()).sum::<f64>()
-    }
-
-    /// Solves `L L^T x = b` in place.
-    fn solve(&self, b: &mut [f64]) {
-        let count = b.len();
-        for i in 0..count {
-            let [diagonal, first, second] = self.rows[i];
-            let before = |lag: usize| if i >= lag { b[i - lag] } else { 0.0 };
-            b[i] = (b[i] - first * before(1) - second * before(2)) / diagonal;
-        }
-        for i in (0..count).rev() {
-            let after = |lag: usize| if i + lag < count { self.rows[i + lag][lag] * b[i + lag] } else { 0.0 };
-            b[i] = (b[i] - after(1) - after(2)) / self.rows[i][0];
-        }
-    }
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 pub mod average;
 pub mod averaged_response;
+pub mod banded;
 pub mod between;
 pub mod codes;
 pub mod drift;

@@ -74,27 +74,6 @@ fn a_line_is_fitted_as_a_line_and_goes_on_with_growing_error() {
 }
 
 #[test]
-fn the_banded_factor_is_that_of_the_dense_matrix() {
-    let mut matrix = Band::second_differences(7, 0.5);
-    for row in &mut matrix.rows {
-        row[0] += 1.3;
-    }
-    let dense = |i: usize, j: usize| if i.abs_diff(j) < 3 { matrix.rows[i.max(j)][i.abs_diff(j)] } else { 0.0 };
-    let dense = nalgebra::SMatrix::<f64, 7, 7>::from_fn(dense);
-    // Second differences of the unit vectors, multiplied out.
-    assert!((dense[(3, 3)] - 1.3 - 6.0 * 4.0).abs() < 1e-12 && (dense[(0, 1)] + 2.0 * 4.0).abs() < 1e-12);
-    let factor = matrix.factored();
-    let b = [1.0, -2.0, 0.5, 3.0, 0.0, 1.0, 2.0];
-    let mut x = b;
-    factor.solve(&mut x);
-    for i in 0..7 {
-        let product: f64 = (0..7).map(|j| dense[(i, j)] * x[j]).sum();
-        assert!((product - b[i]).abs() < 1e-12);
-    }
-    assert!((factor.log_determinant() - dense.determinant().ln()).abs() < 1e-10);
-}
-
-#[test]
 fn a_step_is_refused_where_it_is_and_a_drift_is_not() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let (mut placed, mut alarms) = (0, 0);
