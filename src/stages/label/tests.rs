@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::stages::stage::Rejection;
-use crate::tables::{Delay, Name};
+use crate::tables::Delay;
 use std::path::Path;
 
 const PERIOD_PS: f64 = 10_000.0;
