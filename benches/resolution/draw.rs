@@ -77,6 +77,5 @@ pub fn errors_ps(fit: &SparseFit, truth: &[(f64, f64)]) -> Option<Vec<f64>> {
 
 /// Standard deviations that `fit` gives its times.
 pub fn own_sds_ps(fit: &SparseFit) -> Vec<f64> {
-    let count = fit.pulses.len();
-    (0..count).map(|k| fit.covariance_ps2[k * (count + 1)].sqrt()).collect()
+    (0..fit.pulses.len()).map(|k| fit.time_sd_ps(k)).collect()
 }

@@ -1,5 +1,86 @@
-//! Scope files to records: one file for each format, behind one trait. The first bytes decide the format, then the
-//! extension.
+//! Readers for the files of oscilloscopes, digitisers and photon counters. Each file becomes a list of records: one
+//! [`Record`] is one segment of one channel, as codes with the numbers that turn them into volts and seconds.
+//!
+//! The crate finds the format by content first, then by extension. It reads headers at once and samples on demand, so a
+//! file may be larger than memory. Reading is pure Rust, without `unsafe`.
+//!
+//! # Example
+//!
+//! Open a file, whatever its format, and print its samples:
+//!
+//! ```
+//! # let folder = std::env::temp_dir().join(format!("periscope-formats-{}", std::process::id()));
+//! # std::fs::create_dir_all(&folder)?;
+//! # let path = folder.join("pulse.csv");
+//! // A file to read: four samples, 500 ps apart, the first 1 ns before the trigger.
+//! periscope_formats::csv::write(&mut std::fs::File::create(&path)?, -1e-9, 500e-12, &[0.0, 0.02, 0.31, 0.12])?;
+//!
+//! let mut file = periscope_formats::Source::open(&path)?;
+//! for record in periscope_formats::records(&mut file)? {
+//!     println!("{}, channel {:?}: {} samples", record.head.format, record.head.channel, record.head.samples);
+//!     for (sample, value) in file.values(&record)?.into_iter().enumerate() {
+//!         match record.time_s(sample) {
+//!             Some(time_s) => println!("{time_s:e} s  {value} V"),
+//!             None => println!("sample {sample}  {value}"), // this format has no time base
+//!         }
+//!     }
+//! #   assert_eq!(file.values(&record)?, [0.0, 0.02, 0.31, 0.12]);
+//! #   assert!((record.time_s(3).expect("CSV has a time base") - 0.5e-9).abs() < 1e-18);
+//! #   assert_eq!(record.head.unit.as_deref(), Some("V"));
+//! }
+//! # std::fs::remove_dir_all(&folder)?;
+//! # Ok::<(), periscope_formats::FormatError>(())
+//! ```
+//!
+//! A reader refuses a file that contradicts itself. [`FormatError`] says what is wrong, at which byte or line, and what
+//! to do. Match on it to tell a truncated file from an unknown one:
+//!
+//! ```
+//! use periscope_formats::{FormatError, Source, records};
+//!
+//! let bytes = std::io::Cursor::new(b"WFM#003".to_vec());
+//! match records(&mut Source::new(bytes, "shot.wfm".as_ref())?) {
+//!     Err(FormatError::Truncated { length, .. }) => println!("the copy ended after {length} bytes"),
+//!     Err(FormatError::Unknown) => println!("no reader knows this file"),
+//! #   Err(error) => panic!("{error}"),
+//! #   Ok(_) => panic!("seven bytes are no waveform"),
+//!     other => println!("{other:?}"),
+//! }
+//! # Ok::<(), FormatError>(())
+//! ```
+//!
+//! # Rooms
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`waveform`] | [`Record`]: head, time base, scale, and where its codes lie |
+//! | [`reader`] | the trait [`Reader`], the file as a reader sees it ([`Source`]), [`FormatError`] |
+//! | [`companions`] | the second file of formats that keep head and samples apart |
+//! | [`lecroy_trc`], [`lecroy_1_0`] | Teledyne LeCroy |
+//! | [`tek_wfm`], [`tek_isf`] | Tektronix; its `.h5` files are in [`hdf5`] |
+//! | [`keysight_bin`], [`hdf5`] | Keysight and Agilent |
+//! | [`rigol_wfm`], [`rigol_bin`] | Rigol |
+//! | [`rohde_schwarz`] | Rohde & Schwarz |
+//! | [`picoquant`], [`becker_hickl_sdt`] | photon counters |
+//! | [`caen_wavedump`] | CAEN digitisers |
+//! | [`csv`], [`npy`], [`npz`], [`wav`], [`sigrok_sr`] | formats that many programs write |
+//! | [`mat5`], [`array`](mod@array) | arrays by name, for files that hold whole data sets |
+//!
+//! [`READERS`] lists all readers; [`records`] asks them in that order. `lecroy_trc`, `tek_wfm`, `keysight_bin`, `npy`,
+//! `hdf5` and `csv` also write, for tests and simulations.
+//!
+//! # Conventions
+//!
+//! - Value of a code: `gain * code + offset`, in the unit that [`Head::unit`](waveform::Head) names (usually V).
+//!   A file without a scale gives codes.
+//! - Sample `i` lies `t0_s + i * dt_s` after the trigger, in seconds, with the sub-sample part of the trigger time.
+//! - What a file does not say is `None`; no reader guesses.
+//! - A reader checks every length against the file before it allocates, and never panics on what a file holds.
+//!
+//! # Not here
+//!
+//! No averaging, no plots, no conversion to picoseconds; no instrument control. Logic levels, spectra and envelopes are
+//! read and named ([`Kind`](waveform::Kind)), but arrival times cannot be taken from them.
 
 pub mod array;
 pub mod becker_hickl_sdt;

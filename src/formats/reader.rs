@@ -219,6 +219,15 @@ impl<F: Read + Seek> Source<F> {
         Ok(Self { length: length.min(whole.total), ..whole })
     }
 
+    /// Values of all samples of a record of this file: in the unit of its head, or codes where the file has no scale.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn values(&mut self, record: &Record) -> Result<Vec<f64>, FormatError> {
+        let codes = record.read(&mut self.file, 0..record.head.samples)?;
+        Ok(record.values(&codes))
+    }
+
     /// Extension of the file's name, in lower case.
     #[must_use]
     pub fn extension(&self) -> &str {

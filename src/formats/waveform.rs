@@ -285,6 +285,12 @@ impl Record {
         self.head.samples * self.head.code_type.bytes()
     }
 
+    /// Time of a sample after the trigger, if the file has a time base. (Of a spectrum: its frequency, Hz.)
+    #[must_use]
+    pub fn time_s(&self, sample: usize) -> Option<f64> {
+        Some(self.t0_s? + sample as f64 * self.head.dt_s?)
+    }
+
     /// Where its codes begin and whether they are big-endian, if the file holds them one after another.
     #[must_use]
     pub fn contiguous(&self) -> Option<(u64, bool)> {

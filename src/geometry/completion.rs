@@ -5,11 +5,12 @@
 use faer::Mat;
 use periscope_cancel::Cancel;
 
+use crate::Error;
+
 /// Fills what is not measured (`None`) of a symmetric distance matrix over p0 and all patches with the length of the shortest path over what is.
-/// Gives the indices that no path reaches as error.
 ///
 /// # Errors
-/// When a point is connected to no other that reaches point 0.
+/// [`Error::Unconnected`] with the points that no path joins to point 0.
 ///
 /// # Panics
 /// When `distance_m(i, j)` is negative.
@@ -17,7 +18,7 @@ pub fn complete(
     count: usize,
     distance_m: impl Fn(usize, usize) -> Option<f64>,
     cancel: &Cancel,
-) -> Result<Mat<f64>, Vec<usize>> {
+) -> Result<Mat<f64>, Error> {
     let mut lengths =
         Mat::from_fn(count, count, |i, j| if i == j { 0.0 } else { distance_m(i, j).unwrap_or(f64::INFINITY) });
     for via in 0..count {
@@ -32,7 +33,7 @@ pub fn complete(
         }
     }
     let lost: Vec<usize> = (0..count).filter(|&i| lengths[(0, i)].is_infinite()).collect();
-    if lost.is_empty() { Ok(lengths) } else { Err(lost) }
+    if lost.is_empty() { Ok(lengths) } else { Err(Error::Unconnected(lost)) }
 }
 
 #[cfg(test)]
@@ -50,6 +51,9 @@ mod tests {
         };
         let complete = complete(4, measured, &Cancel::never()).unwrap();
         assert_eq!((complete[(0, 2)], complete[(1, 3)], complete[(0, 1)]), (1.9, 2.4, 1.0));
-        assert_eq!(super::complete(3, |i, j| (i + j == 1).then_some(1.0), &Cancel::never()), Err(vec![2]));
+        assert_eq!(
+            super::complete(3, |i, j| (i + j == 1).then_some(1.0), &Cancel::never()),
+            Err(Error::Unconnected(vec![2]))
+        );
     }
 }

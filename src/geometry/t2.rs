@@ -64,6 +64,16 @@ pub struct Distances {
     pub disagreeing: Vec<(PatchId, PatchId, f64)>,
 }
 
+impl Distances {
+    /// The distance of two patches, in either order.
+    #[must_use]
+    pub fn between(&self, a: PatchId, b: PatchId) -> Option<&Distance> {
+        let pair = (a.min(b), a.max(b));
+        let place = self.distances.binary_search_by_key(&pair, |distance| (distance.a, distance.b));
+        place.ok().map(|n| &self.distances[n])
+    }
+}
+
 /// Inverse-variance mean of measurements of one length, and the largest deviation of two of them in standard deviations. When they disagree beyond
 /// [`RECIPROCITY_SIGMA`], the variance of the mean is raised to the disagreement's square.
 #[must_use]

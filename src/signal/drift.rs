@@ -48,12 +48,14 @@ pub struct DriftOptions {
     pub step_sigma: f64,
 }
 
-/// Why there is no drift to speak of.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Why a delay has no drift.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DriftError {
     /// Fewer than three points, or all that count at one time.
+    #[error("a drift needs three points that span some time")]
     TooFew,
     /// The delay jumps.
+    #[error("the delay jumps by {step_ps:.2} ps (sd {sd_ps:.2}) between {:.0} s and {:.0} s", between_s.0, between_s.1)]
     Step {
         /// Between which times, s.
         between_s: (f64, f64),

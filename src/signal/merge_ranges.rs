@@ -13,6 +13,7 @@
 //! must be known. Not modelled: a gain that depends on level or frequency, noise correlated between samples (in a
 //! shifted range it is, slightly), jitter.
 
+use super::Error;
 use super::regression::least_squares;
 use super::resample;
 
@@ -98,13 +99,14 @@ impl Merged {
     }
 }
 
-/// Merges `ranges` onto the first. `None` if a range shares too few valid samples with the first, or its gain is not
-/// told by them.
+/// Merges `ranges` onto the first.
+///
+/// # Errors
+/// [`Error::NoCommonSamples`] if a range shares too few valid samples with the first to determine its gain.
 ///
 /// # Panics
 /// If there is no range, lengths differ, a standard error is not positive, or `delay_dt_ps` is not positive.
-#[must_use]
-pub fn merge(ranges: &[RangeProfile], options: &MergeOptions) -> Option<Merged> {
+pub fn merge(ranges: &[RangeProfile], options: &MergeOptions) -> Result<Merged, Error> {
     let (first, others) = ranges.split_first().expect("there is a range");
     let len = first.mean_v.len();
     for range in ranges {
@@ -120,14 +122,14 @@ pub fn merge(ranges: &[RangeProfile], options: &MergeOptions) -> Option<Merged> 
     };
     let mut scaled = Vec::with_capacity(others.len());
     let mut links = Vec::with_capacity(others.len());
-    for range in others {
-        let (link, mut trace) = link(&first, range, options)?;
+    for (n, range) in others.iter().enumerate() {
+        let (link, mut trace) = link(&first, range, options).ok_or(Error::NoCommonSamples { range: n + 1 })?;
         trace.mean_v.iter_mut().for_each(|v| *v = (*v - link.offset_v) / link.gain);
         trace.se_v.iter_mut().for_each(|se| *se /= link.gain);
         links.push(link);
         scaled.push(trace);
     }
-    Some(weighted_mean(&first, &scaled, links))
+    Ok(weighted_mean(&first, &scaled, links))
 }
 
 /// A profile and which of its samples count.

@@ -392,10 +392,9 @@ fn unpiled(profile: &Profile, dead_time_ps: f64) -> Result<Option<Unpiled>, Stri
     };
     let counts: Vec<u32> = counts.iter().map(|count| u32::try_from(*count).unwrap_or(0)).collect();
     let dead_bins = (dead_time_ps / profile.dt_ps).round() as usize;
-    let unpiled = Unpiled::new(&counts, u64::try_from(cycles).unwrap_or(0), dead_bins);
-    let why =
-        "has more photons within a dead time than laser pulses; check `cycles` and `dead_time_ps` in campaign.toml";
-    unpiled.map(Some).ok_or_else(|| why.to_owned())
+    Unpiled::new(&counts, u64::try_from(cycles).unwrap_or(0), dead_bins)
+        .map(Some)
+        .map_err(|error| format!("has {error}; check `cycles` and `dead_time_ps` in campaign.toml"))
 }
 
 impl Ready {

@@ -253,7 +253,7 @@ fn delay(profile: &Profile, sensor: &Calibrated, cancel: &Cancel) -> Option<(f64
     let one = SparseOptions { pulses_max: 1, cancel: cancel.clone(), ..SparseOptions::default() };
     let fit = sparse::fit(&record, &response, &one);
     let pulse = fit.pulses.first()?;
-    Some((pulse.time_ps, fit.covariance_ps2[0].sqrt().hypot(profile.jitter_ps)))
+    Some((pulse.time_ps, fit.time_sd_ps(0).hypot(profile.jitter_ps)))
 }
 
 /// Pick-up in blocked profiles of one range, on the places that all of them have: time of its first sample, step, and the pick-up. `None` where there is

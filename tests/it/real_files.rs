@@ -64,7 +64,7 @@ fn the_trigger_time_of_each_segment_takes_the_sampling_out_of_a_sequence() {
     let (mut with, mut without) = (Vec::new(), Vec::new());
     for record in &records {
         let dt_ps = record.head.dt_s.unwrap() * 1e12;
-        let at_ps = crossing(&record.values(&record.read(source.file(), 0..record.head.samples).unwrap()), 1.0) * dt_ps;
+        let at_ps = crossing(&source.values(record).unwrap(), 1.0) * dt_ps;
         without.push(at_ps);
         with.push(at_ps + record.t0_s.unwrap() * 1e12);
     }

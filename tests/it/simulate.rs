@@ -19,7 +19,7 @@ const TINY: &str = include_str!("../../pipelines/scenes/tiny.toml");
 fn volts(lab: &Lab, file: &str) -> Vec<Vec<f64>> {
     let mut source = formats::Source::open(&lab.campaign().join(file)).unwrap();
     let records = formats::records(&mut source).unwrap();
-    records.iter().map(|record| record.values(&record.read(source.file(), 0..record.head.samples).unwrap())).collect()
+    records.iter().map(|record| source.values(record).unwrap()).collect()
 }
 
 fn mean_and_sd(shots: &[Vec<f64>], at: usize) -> (f64, f64) {

@@ -150,6 +150,6 @@ fn three_ranges_merge_by_their_variances_and_what_no_range_has_is_said() {
     assert!(merged.mean_v.iter().all(|v| v.is_finite()));
 
     ranges[1].2.fill(true);
-    assert_eq!(merge(&views(&ranges), &options(None)), None);
+    assert_eq!(merge(&views(&ranges), &options(None)), Err(Error::NoCommonSamples { range: 1 }));
     assert!(merge(&views(&ranges)[..1], &options(None)).expect("one range").links.is_empty());
 }

@@ -16,6 +16,7 @@ use super::greedy::Fitter;
 use super::joint::run;
 use super::model::Model;
 use super::{FALSE_PULSES, Profile, Response, SparseFit, SparseOptions};
+use crate::Error;
 
 /// Repetitions at most; the first few reach the fixed point but where a pulse is on the edge of its evidence.
 const ROUNDS: usize = 8;
@@ -39,16 +40,18 @@ pub struct Unpiled {
 
 impl Unpiled {
     /// Frees `counts` (of each bin, over `cycles` laser cycles) of pile-up by a dead time of `dead_bins` bins after each count; counts do not reach
-    /// into the next cycle. `None` if more counts fall into a dead time than there are cycles.
-    #[must_use]
-    pub fn new(counts: &[u32], cycles: u64, dead_bins: usize) -> Option<Self> {
+    /// into the next cycle.
+    ///
+    /// # Errors
+    /// [`Error::DeadTime`] if more counts fall into a dead time than there are cycles.
+    pub fn new(counts: &[u32], cycles: u64, dead_bins: usize) -> Result<Self, Error> {
         let total = cycles as f64;
         let mut busy = 0.0;
         let (mut corrected, mut ready) = (Vec::with_capacity(counts.len()), Vec::with_capacity(counts.len()));
         for (i, count) in counts.iter().enumerate() {
             let (count, free) = (f64::from(*count), total - busy);
             if count > free {
-                return None;
+                return Err(Error::DeadTime { bin: i });
             }
             // A bin that counts in every cycle says only that there was much light.
             let says = free > 0.0 && count < free;
@@ -59,7 +62,7 @@ impl Unpiled {
                 busy -= f64::from(counts[i - dead_bins]);
             }
         }
-        Some(Self { counts: corrected, ready, cycles: total })
+        Ok(Self { counts: corrected, ready, cycles: total })
     }
 
     /// Variance of each bin whose mean is as given; infinite where a bin says nothing.
@@ -140,7 +143,7 @@ fn mean_of(fit: &SparseFit, response: &Response, t0_ps: f64, dt_ps: f64, len: us
 fn is_same(first: &SparseFit, second: &SparseFit) -> bool {
     let count = second.pulses.len();
     let stays = |(k, (a, b)): (usize, (&super::Pulse, &super::Pulse))| {
-        (a.time_ps - b.time_ps).abs() < ARRIVED * second.covariance_ps2[k * count + k].sqrt()
+        (a.time_ps - b.time_ps).abs() < ARRIVED * second.time_sd_ps(k)
             && (a.amplitude_v - b.amplitude_v).abs() < ARRIVED * b.amplitude_sd_v
     };
     first.pulses.len() == count && first.pulses.iter().zip(&second.pulses).enumerate().all(stays)

@@ -161,6 +161,17 @@ pub struct SparseFit {
     pub evidence_min: f64,
 }
 
+impl SparseFit {
+    /// Standard deviation of the time of pulse `k`, ps.
+    ///
+    /// # Panics
+    /// When there is no such pulse.
+    #[must_use]
+    pub fn time_sd_ps(&self, k: usize) -> f64 {
+        self.covariance_ps2[k * (self.pulses.len() + 1)].sqrt()
+    }
+}
+
 /// Fits pulses to `profile`.
 ///
 /// # Panics

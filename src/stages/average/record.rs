@@ -82,7 +82,7 @@ pub fn merged(mut ranges: Vec<Record>) -> Result<Record, String> {
     let Clipping { before, after, .. } = ranges[0].clipping;
     let options = MergeOptions { margin_before: before, margin_after: after, delay_dt_ps: Some(dt_ps) };
     let known = |merged: &Merged| merged.links.iter().all(|link| link.gain_sd < GAIN_SD_MAX * link.gain);
-    let Some(merged) = merge(&views, &options).filter(known) else {
+    let Some(merged) = merge(&views, &options).ok().filter(known) else {
         return Err(
             "was taken at several vertical ranges, in all of which too little light is seen to tell how they scale; \
                     exclude all but one in campaign.toml"

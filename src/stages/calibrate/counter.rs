@@ -17,16 +17,15 @@ pub(super) fn found(histograms: &[Shot], dt_ps: f64, counter: Counter, cancel: &
         .map(|bin| alike.iter().map(|histogram| histogram.samples[bin].max(0.0)).sum::<f64>() as u32)
         .collect();
     let dead_bins = (counter.dead_time_ps / dt_ps).round() as usize;
-    let unpiled = Unpiled::new(&counts, cycles * alike.len() as u64, dead_bins).ok_or(
-        "its response has more photons within a dead time than laser pulses; check `cycles` and `dead_time_ps`",
-    )?;
+    let unpiled = Unpiled::new(&counts, cycles * alike.len() as u64, dead_bins)
+        .map_err(|error| format!("its response has {error}; check `cycles` and `dead_time_ps`"))?;
     let no_pulse = || "its response shows no pulse; check `samples` and the time window of the histogram".to_owned();
     let shape = oversample::shape(&[Shot { samples: unpiled.counts.clone(), t0_ps }], dt_ps).ok_or_else(no_pulse)?;
     let one = SparseOptions { pulses_max: 1, cancel: cancel.clone(), ..SparseOptions::default() };
     let fit = sparse::fit_counts(&unpiled, t0_ps, dt_ps, &shape.response(), &one);
     let pulse = fit.pulses.first().ok_or_else(no_pulse)?;
     Ok(Found {
-        arrival_ps: (pulse.time_ps, fit.covariance_ps2[0].sqrt()),
+        arrival_ps: (pulse.time_ps, fit.time_sd_ps(0)),
         width_sd_ps: None,
         noise_model: None,
         noise_acf: None,

@@ -40,10 +40,9 @@ pub(super) fn counts(
 
 impl Explained {
     fn of(fit: &SparseFit) -> Self {
-        let count = fit.pulses.len();
         let impulse = |(k, pulse): (usize, &Pulse)| Impulse {
             time_ps: pulse.time_ps,
-            time_sd_ps: fit.covariance_ps2[k * count + k].sqrt(),
+            time_sd_ps: fit.time_sd_ps(k),
             amplitude_v: pulse.amplitude_v,
             amplitude_sd_v: pulse.amplitude_sd_v,
             // A Gaussian and the tail behind it together.

@@ -29,7 +29,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
     let count = fit.pulses.len();
     let impulse = |k: usize| Impulse {
         time_ps: fit.pulses[k].time_ps,
-        time_sd_ps: fit.covariance_ps2[k * count + k].sqrt(),
+        time_sd_ps: fit.time_sd_ps(k),
         amplitude_v: fit.pulses[k].amplitude_v,
         amplitude_sd_v: fit.pulses[k].amplitude_sd_v,
         width_ps: 0.0,
