@@ -96,6 +96,20 @@ fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Res
         hours(outlook.hours),
         if scene.instrument.snr.is_some() { " (signal-to-noise ratio set, not derived)" } else { "" }
     )?;
+    positions(&mut text, outlook, bounces)?;
+    orders(&mut text, outlook, threshold)?;
+    blends(&mut text, outlook)?;
+    if !outlook.ambiguities.is_empty() {
+        writeln!(text, "\nWhat the data leave open")?;
+        for open in &outlook.ambiguities {
+            writeln!(text, "  {open}")?;
+        }
+    }
+    changes(&mut text, outlook)?;
+    Ok(text)
+}
+
+fn positions(text: &mut String, outlook: &Outlook, bounces: usize) -> std::fmt::Result {
     writeln!(text, "Positions, from bounces up to order {bounces} (Cramer-Rao bound of an unbiased estimate)")?;
     writeln!(
         text,
@@ -115,6 +129,10 @@ fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Res
             effort(row.shots, row.hours)
         )?;
     }
+    Ok(())
+}
+
+fn orders(text: &mut String, outlook: &Outlook, threshold: f64) -> std::fmt::Result {
     writeln!(
         text,
         "\nBounces, by the signal-to-noise ratio of the averaged pulse, and what it takes a profile to bring one to the threshold of {threshold}"
@@ -137,6 +155,10 @@ fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Res
             needs(0)
         )?;
     }
+    Ok(())
+}
+
+fn blends(text: &mut String, outlook: &Outlook) -> std::fmt::Result {
     if !outlook.blends.is_empty() {
         writeln!(text, "\nPulses that are seen as one: {} pairs", outlook.blends.len())?;
         for blend in outlook.blends.iter().take(LISTED) {
@@ -151,12 +173,10 @@ fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Res
             writeln!(text, "  and {} more (--json lists all)", outlook.blends.len() - LISTED)?;
         }
     }
-    if !outlook.ambiguities.is_empty() {
-        writeln!(text, "\nWhat the data leave open")?;
-        for open in &outlook.ambiguities {
-            writeln!(text, "  {open}")?;
-        }
-    }
+    Ok(())
+}
+
+fn changes(text: &mut String, outlook: &Outlook) -> std::fmt::Result {
     writeln!(text, "\nWhat a change would bring (root mean square over patches)")?;
     writeln!(text, "{:44} {:>12} {:>12} {:>7} {:>10}", "", "visible", "hidden", "onsets", "capture")?;
     for row in &outlook.changes {
@@ -170,7 +190,7 @@ fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Res
             hours(row.hours)
         )?;
     }
-    Ok(text)
+    Ok(())
 }
 
 /// JSON has no infinity: a value that no number of shots reaches becomes null.

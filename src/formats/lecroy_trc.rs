@@ -83,14 +83,8 @@ impl Descriptor {
         u64::try_from(count).map_err(|_| self.0.refuse(at, format!("{name} = {count} is negative")))
     }
 
-    fn records(&self, input: &mut dyn Input, format: &'static str) -> Result<Vec<Record>, FormatError> {
-        let code_type = match self.0.i16(32) {
-            0 => CodeType::I8,
-            1 => CodeType::I16,
-            other => {
-                return Err(self.0.refuse(32, format!("COMM_TYPE {other} is neither 8 nor 16 bit")));
-            }
-        };
+    /// Lengths in bytes of the blocks of the file, in their order.
+    fn blocks(&self) -> Result<[u64; 7], FormatError> {
         let mut blocks = [0; 7];
         let names = [
             "WAVE_DESCRIPTOR",
@@ -119,6 +113,18 @@ impl Descriptor {
         if self.count(64, "WAVE_ARRAY_2")? > 0 {
             return Err(self.0.refuse(64, "a second data array (complex or extrema) is no plain voltage over time"));
         }
+        Ok(blocks)
+    }
+
+    fn records(&self, input: &mut dyn Input, format: &'static str) -> Result<Vec<Record>, FormatError> {
+        let code_type = match self.0.i16(32) {
+            0 => CodeType::I8,
+            1 => CodeType::I16,
+            other => {
+                return Err(self.0.refuse(32, format!("COMM_TYPE {other} is neither 8 nor 16 bit")));
+            }
+        };
+        let blocks = self.blocks()?;
         let data = self.0.origin + blocks[..6].iter().sum::<u64>();
         let (count, segments) = (self.count(116, "WAVE_ARRAY_COUNT")?, self.count(144, "SUBARRAY_COUNT")?.max(1));
         if count * code_type.bytes() as u64 != blocks[6] {

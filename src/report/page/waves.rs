@@ -141,22 +141,19 @@ fn waveform_plot(waveform: &Waveform) -> Plot {
         let stems = stems.line(Line::new().color(colour).width(1.5)).marker(Marker::new().color(colour).size(6));
         plot.add_trace(stems.hover_template("%{hovertext}<extra></extra>"));
     }
-    let scale = if waveform.impulses.iter().all(|impulse| impulse.amplitude_v > 0.0) && most > LOGARITHMIC * least {
-        AxisType::Log
-    } else {
-        AxisType::Linear
-    };
+    let is_positive = waveform.impulses.iter().all(|impulse| impulse.amplitude_v > 0.0);
+    let scale = if is_positive && most > LOGARITHMIC * least { AxisType::Log } else { AxisType::Linear };
+    plot.set_layout(layout(scale));
+    plot
+}
+
+/// Axes and legend; `scale` is that of the volts.
+fn layout(scale: AxisType) -> Layout {
     let x_axis = Axis::new().title("time of flight (ps)").tick_format(",~f");
     let y_axis = Axis::new().title("signal (V)").type_(scale);
     let legend = Legend::new().orientation(plotly::common::Orientation::Horizontal).y(1.1);
-    plot.set_layout(
-        Layout::new()
-            .x_axis(x_axis)
-            .y_axis(y_axis)
-            .legend(legend)
-            .margin(Margin::new().left(70).right(10).top(30).bottom(50)),
-    );
-    plot
+    let margin = Margin::new().left(70).right(10).top(30).bottom(50);
+    Layout::new().x_axis(x_axis).y_axis(y_axis).legend(legend).margin(margin)
 }
 
 /// A tenth of the median standard error.

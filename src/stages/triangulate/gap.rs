@@ -85,13 +85,6 @@ impl Triangulate {
         let [first, second] = &evidence;
         let (strip, evidence) = if first.log_ratio <= second.log_ratio { (a, first) } else { (a + 1, second) };
         let free_probability = 1.0 / (1.0 + (-evidence.log_ratio).exp());
-        let verdict = if free_probability >= self.certain.get() {
-            "free"
-        } else if free_probability <= 1.0 - self.certain.get() {
-            "occupied"
-        } else {
-            "open"
-        };
         let is_told = evidence.weights > 0.0;
         Some(Gap {
             a: model.strips[a],
@@ -106,8 +99,18 @@ impl Triangulate {
             share_least: self.share_least.get(),
             log_ratio: evidence.log_ratio,
             free_probability,
-            verdict: verdict.into(),
+            verdict: self.verdict(free_probability).into(),
         })
+    }
+
+    fn verdict(&self, free_probability: f64) -> &'static str {
+        if free_probability >= self.certain.get() {
+            "free"
+        } else if free_probability <= 1.0 - self.certain.get() {
+            "occupied"
+        } else {
+            "open"
+        }
     }
 }
 
