@@ -1,11 +1,11 @@
-//! Seeds for the fuzzing of each reader: `seeds CORPUS [FOLDER...]` copies the smaller files in these folders to `CORPUS/FORMAT/` of the format that
-//! takes them.
+//! Seeds for the fuzzing of each reader: `seeds CORPUS [FOLDER...]` copies the smaller files in these folders to
+//! `CORPUS/FORMAT/` of the format that takes them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use fuzz::campaign::companions::companion;
-use fuzz::formats::{self, Source};
+use periscope_formats::companions::companion;
+use periscope_formats::{Source, reader};
 
 /// Larger files slow the fuzzer down more than they teach it.
 const SEED_BYTES: u64 = 128 << 10;
@@ -28,7 +28,7 @@ fn main() -> std::io::Result<()> {
 }
 
 fn seed(corpus: &Path, path: &Path) -> std::io::Result<()> {
-    let format = Source::open(path).ok().and_then(|mut source| formats::reader(&mut source).ok()).map(|reader| reader.format());
+    let format = Source::open(path).ok().and_then(|mut source| reader(&mut source).ok()).map(|reader| reader.format());
     let Some(format) = format else { return Ok(()) };
     let mut bytes = fs::read(path)?;
     if format == "rs-bin" {

@@ -4,8 +4,8 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use fuzz::formats::{FormatError, Input, READERS, Reader, Source};
 use libfuzzer_sys::fuzz_target;
+use periscope_formats::{FormatError, Input, READERS, Reader, Source};
 
 /// Codes that are unpacked of one record; a compressed record may be a thousand times its file.
 const UNPACKED_BYTES: usize = 1 << 22;
