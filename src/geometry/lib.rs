@@ -16,7 +16,8 @@
 //!
 //! let distances = t2::invert(&first, &second);
 //! for distance in &distances.distances {
-//!     println!("{} to {}: {:.4} ± {:.4} m", distance.a, distance.b, distance.distance_m, distance.variance_m2.sqrt());
+//!     let (length_m, sd_m) = (distance.distance_m, distance.variance_m2.sqrt());
+//!     println!("{} to {}: {length_m:.4} ± {sd_m:.4} m", distance.a, distance.b);
 //! }
 //! # let d_12 = distances.between(2, 1).expect("both first bounces are there");
 //! # assert!((d_12.distance_m - 5.0).abs() < 1e-12 && d_12.variance_m2 == 1e-6);
@@ -80,8 +81,8 @@
 //! # Conventions
 //!
 //! - Lengths are metres, times picoseconds, voltages volts. A name carries its unit: `distance_m`, `variance_m2`.
-//! - Patch 0 is `p0`, source and camera in one (paper section 3); patches count from 1. [`maximum_likelihood`] counts its
-//!   unknowns from 0, and names stations beside them.
+//! - Patch 0 is `p0`, source and camera in one (paper section 3); patches count from 1. [`maximum_likelihood`] counts
+//!   its unknowns from 0, and names stations beside them.
 //! - A path names its patches in the order in which light meets them.
 //! - Flatland is `dimensions` = 2: z stays.
 //! - [`Error`] says why there is no solution. A broken precondition, such as a path without a standard deviation, is a
@@ -89,9 +90,9 @@
 //!
 //! # Not here
 //!
-//! No file, no table and no clock. No kernel starts a thread of its own: sums over many paths use rayon's pool, in chunks
-//! that the data define, so results do not depend on the number of threads. What no length determines, such as a rotation
-//! or a mirror image, is reported, not guessed.
+//! No file, no table and no clock. No kernel starts a thread of its own: sums over many paths use rayon's pool, in
+//! chunks that the data define, so results do not depend on the number of threads. What no length determines, such as a
+//! rotation or a mirror image, is reported, not guessed.
 
 pub mod association;
 pub mod bistatic;

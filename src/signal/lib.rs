@@ -1,6 +1,6 @@
-//! Kernels on time-of-flight waveforms: from the recorded shots of a sensor to the arrival times of light, each with its
-//! standard deviation. Slices and spectra go in, values come out. The crate knows no file, no table, no thread and no
-//! clock, so the same samples give the same result anywhere.
+//! Kernels on time-of-flight waveforms: from the recorded shots of a sensor to the arrival times of light, each with
+//! its standard deviation. Slices and spectra go in, values come out. The crate knows no file, no table, no thread and
+//! no clock, so the same samples give the same result anywhere.
 //!
 //! # Example
 //!
@@ -29,7 +29,8 @@
 //! }
 //! # assert_eq!(fit.pulses.len(), 2, "{fit:?}");
 //! # for (k, arrival_ps) in [2000.0, 2040.0].into_iter().enumerate() {
-//! #     assert!((fit.pulses[k].time_ps - arrival_ps).abs() < 0.1 && (0.05..1.0).contains(&fit.time_sd_ps(k)), "{fit:?}");
+//! #     assert!((fit.pulses[k].time_ps - arrival_ps).abs() < 0.1, "{fit:?}");
+//! #     assert!((0.05..1.0).contains(&fit.time_sd_ps(k)), "{fit:?}");
 //! # }
 //! ```
 //!
@@ -38,8 +39,10 @@
 //! | modules | do |
 //! |---|---|
 //! | [`codes`], [`average`], [`resample`], [`merge_ranges`], [`fold`] | shots to one mean profile, on one time grid |
-//! | [`reference`](mod@reference), [`drift`], [`pickup`] | time of the reference pulse, drift over a session, synchronous pick-up |
-//! | [`noise`], [`noise_model`], [`shot_spread`], [`whiten`] | standard deviation and autocorrelation of samples, outlying shots |
+//! | [`reference`](mod@reference), [`drift`] | time of the reference pulse, and its drift over a session |
+//! | [`pickup`] | pick-up that is synchronous with the laser |
+//! | [`noise`], [`noise_model`], [`whiten`] | standard deviation and autocorrelation of samples |
+//! | [`shot_spread`] | outlying shots |
 //! | [`oversample`], [`response`], [`averaged_response`], [`echo`] | the impulse response of a sensor |
 //! | [`sparse`] | deconvolution into pulses by maximum likelihood, for volts and for photon counts |
 //! | [`wiener`] | deconvolution in the frequency domain |
