@@ -1,22 +1,28 @@
 //! Periscope: where light bounced, from oscilloscope traces of a time-of-flight campaign.
 //!
-//! A tour, from the ground up:
+//! A tour, from the ground up. Four crates of the workspace stand on their own and are re-exported here; the rest of
+//! the program stands on them.
 //!
-//! - [`units`] turns times into lengths, and is the only place that does; [`store`] keeps tables on disk under the lineage that made them.
-//! - [`path`] is a path of light over patches; [`campaign`] what was captured, and in which files; [`waveform`] one record of an oscilloscope.
-//! - [`signal`] and [`geometry`] are pure kernels: samples, matrices and points in, values out. [`tables`] declares each kind of row once;
-//!   [`formats`] reads scope files; [`parameter`] holds the types of stage parameters.
-//! - [`priors`] is what is known before a solve: calibration, drift, delays, covariances and footprints of patches, and what campaign.toml says.
-//! - [`stages`] are the verbs: each takes rows of one table, gives rows of another, and knows neither files nor threads. [`simulate`] makes
-//!   campaigns whose truth is known, and shares no code with them.
-//! - [`pipeline`] turns a pipeline file into a plan, and a plan into finished tables; it knows no physics. [`history`] goes the other way: from a row
-//!   back to the raw files, and from two result folders to what made them differ. [`report`] draws what a result folder says. [`exchange`] turns captures
-//!   of other programs into campaigns, and results into files that other programs open.
+//! - [`geometry`] (`periscope-geometry`): points and path lengths in, positions out. Its [`units`] turns times into
+//!   lengths, and is the only place that does; its [`path`] is a path of light over patches.
+//! - [`signal`] (`periscope-signal`): samples in, arrival times out.
+//! - [`formats`] (`periscope-formats`) reads scope files; [`waveform`] is one record of an oscilloscope.
+//! - [`cancel`] (`periscope-cancel`) ends long loops.
+//! - [`store`] keeps tables on disk under the lineage that made them; [`campaign`] is what was captured, and in which
+//!   files; [`tables`] declares each kind of row once, [`parameter`] the ranges of parameters.
+//! - [`stages`] are the verbs: each takes rows of one table, gives rows of another, and knows neither files nor
+//!   threads. [`priors`] is what they know before a solve. [`simulate`] makes campaigns whose truth is known, and
+//!   shares no code with them.
+//! - [`pipeline`] turns a pipeline file into a plan, and a plan into finished tables; it knows no physics. [`history`]
+//!   goes the other way: from a row back to the raw files, and from two result folders to what made them differ.
+//!   [`report`] draws what a result folder says. [`exchange`] turns captures of other programs into campaigns, and
+//!   results into files that other programs open. [`bound`] says what a planned campaign will see.
 //!
 //! How to use the program stands in the [`guide`].
 //!
 //! ```no_run
-//! use periscope::{campaign::Campaign, pipeline::{plan::Plan, progress::{Progress, Style}, run, spec::Spec}, store::Shelf};
+//! use periscope::pipeline::{plan::Plan, progress::{Progress, Style}, run, spec::Spec};
+//! use periscope::{campaign::Campaign, store::Shelf};
 //! # fn main() -> anyhow::Result<()> {
 //! let spec = Spec::load("pipelines/all-visible.toml".as_ref(), &[])?;
 //! let campaigns = [Campaign::load("my-campaign".as_ref())?];
