@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use periscope::campaign::Campaign;
-use periscope::formats::{self, Input, Source};
+use periscope::formats::{self, Source};
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::{self, Settings};

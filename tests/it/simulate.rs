@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use periscope::campaign::{Campaign, Role};
-use periscope::formats::{self, Input};
+use periscope::formats;
 use periscope::pipeline::run::Settings;
 use periscope::signal::codes::Codes;
 use periscope::simulate::{Format, Laboratory, Scene};
