@@ -33,19 +33,20 @@
 //! ```
 //!
 //! A reader refuses a file that contradicts itself. [`FormatError`] says what is wrong, at which byte or line, and what
-//! to do. Match on it to tell a truncated file from an unknown one:
+//! to do. Match on it to tell an empty file from a truncated one:
 //!
 //! ```
 //! use periscope_formats::{FormatError, Source, records};
 //!
-//! let bytes = std::io::Cursor::new(b"WFM#003".to_vec());
+//! let bytes = std::io::Cursor::new(Vec::new());
 //! match records(&mut Source::new(bytes, "shot.wfm".as_ref())?) {
+//!     Err(FormatError::Empty) => println!("the capture was interrupted"),
 //!     Err(FormatError::Truncated { length, .. }) => println!("the copy ended after {length} bytes"),
 //!     Err(FormatError::Unknown) => println!("no reader knows this file"),
-//! #   Err(error) => panic!("{error}"),
-//! #   Ok(_) => panic!("seven bytes are no waveform"),
 //!     other => println!("{other:?}"),
 //! }
+//! # let empty = std::io::Cursor::new(Vec::new());
+//! # assert!(matches!(records(&mut Source::new(empty, "shot.wfm".as_ref())?), Err(FormatError::Empty)));
 //! # Ok::<(), FormatError>(())
 //! ```
 //!
