@@ -72,7 +72,7 @@
 //! | [`completion`], [`classical`], [`smacof`], [`iso_embed`], [`reestimate`] | distances to positions, as a start |
 //! | [`maximum_likelihood`] | the likeliest positions, with covariances |
 //! | [`placement`], [`multilateration`] | positions from nothing; one patch from its lengths |
-//! | [`association`] | which path made which arrival |
+//! | [`association`], [`labelling`] | which path made which arrival |
 //! | [`hidden`], [`faint`] | patches that no first bounce reaches |
 //! | [`mirror`], [`bistatic`] | scenes behind a diffuser, source and sensor apart |
 //! | [`planes`], [`frame`], [`procrustes`], [`ellipsoid`], [`footprint`] | what positions say, and in which frame |

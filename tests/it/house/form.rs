@@ -48,16 +48,8 @@ const WIDE_NOT_YET: [&str; 18] = [
 ];
 
 /// Folders that do not yet name things by nouns. Shrinks, never grows.
-const PARTICIPLES_NOT_YET: [&str; 8] = [
-    "benches/",
-    "src/commands/",
-    "src/geometry/",
-    "src/pipeline/",
-    "src/priors/",
-    "src/signal/",
-    "src/stages/",
-    "tests/",
-];
+const PARTICIPLES_NOT_YET: [&str; 7] =
+    ["benches/", "src/commands/", "src/pipeline/", "src/priors/", "src/signal/", "src/stages/", "tests/"];
 
 /// Lists what is wrong with files outside of the folders given; asserts that those folders still need to be there.
 fn check(not_yet: &[&str], wrong: impl Fn(&Source) -> Vec<String>) {
