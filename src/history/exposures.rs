@@ -103,7 +103,7 @@ impl Exposures<'_> {
         remarks: &mut Vec<String>,
     ) -> Result<Vec<(CaptureKey, RawRecords)>, HistoryError> {
         if self.ancestry.record(traces).is_some() {
-            return self.from_traces(traces, numbers, wanted);
+            return self.read_traces(traces, numbers, wanted);
         }
         match self.survey(traces, campaigns) {
             Ok(captures) => {
@@ -128,7 +128,7 @@ impl Exposures<'_> {
         }
     }
 
-    fn from_traces(
+    fn read_traces(
         &self,
         traces: &Table,
         numbers: &[(&str, &BTreeSet<PatchId>)],

@@ -177,7 +177,7 @@ impl SerializeMap for Check {
     type Error = NotJson;
     fn serialize_key<T: Serialize + ?Sized>(&mut self, key: &T) -> Result<(), NotJson> {
         let key: String = serde_json::to_string(key).map_err(ser::Error::custom)?;
-        self.key = key.trim_matches('"').to_owned();
+        key.trim_matches('"').clone_into(&mut self.key);
         Ok(())
     }
     fn serialize_value<T: Serialize + ?Sized>(&mut self, value: &T) -> Result<(), NotJson> {

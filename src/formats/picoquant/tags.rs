@@ -54,7 +54,7 @@ struct Tag {
 
 /// The tags that are read, by name and index.
 pub(super) struct Tags {
-    tags: BTreeMap<(&'static str, i32), Tag>,
+    by_name: BTreeMap<(&'static str, i32), Tag>,
     instrument: Option<String>,
     /// Where the tags end and events begin.
     pub(super) end: u64,
@@ -66,7 +66,7 @@ impl Tags {
             let problem = format!("does not begin with {}; was it renamed?", String::from_utf8_lossy(&magic[..6]));
             return Err(FormatError::Field { byte_offset: 0, problem });
         }
-        let mut all = Self { tags: BTreeMap::new(), instrument: None, end: PREAMBLE_BYTES };
+        let mut all = Self { by_name: BTreeMap::new(), instrument: None, end: PREAMBLE_BYTES };
         loop {
             let (name, index, tag) = tag(&input.bytes("a tag of the header", all.end, TAG_BYTES)?, all.end);
             let content = all.end + TAG_BYTES;
@@ -84,20 +84,20 @@ impl Tags {
                     let text = String::from_utf8_lossy(&bytes);
                     all.instrument = Some(text.trim_matches(['\0', ' ']).to_owned()).filter(|name| !name.is_empty());
                 }
-                Some(name) => drop(all.tags.insert((name, index), tag)),
+                Some(name) => drop(all.by_name.insert((name, index), tag)),
                 None => {}
             }
         }
     }
 
     pub(super) fn refuse(&self, name: &'static str, index: i32, problem: impl AsRef<str>) -> FormatError {
-        let byte_offset = self.tags.get(&(name, index)).map_or(0, |tag| tag.at);
+        let byte_offset = self.by_name.get(&(name, index)).map_or(0, |tag| tag.at);
         let which = if index == WHOLE { String::new() } else { format!("({index})") };
         FormatError::Field { byte_offset, problem: format!("{name}{which} {}", problem.as_ref()) }
     }
 
     pub(super) fn integer(&self, name: &'static str, index: i32) -> Result<Option<i64>, FormatError> {
-        match self.tags.get(&(name, index)) {
+        match self.by_name.get(&(name, index)) {
             None => Ok(None),
             Some(tag) if tag.kind == INTEGER => Ok(Some(tag.value.cast_signed())),
             Some(tag) => Err(self.refuse(name, index, format!("has type {:#010x}, not Int8", tag.kind))),
@@ -113,7 +113,7 @@ impl Tags {
     /// Width of a bin in seconds. (The vendor's tag dictionary says picoseconds for histograms; its programs and the
     /// files use seconds.)
     pub(super) fn bin_s(&self, name: &'static str, index: i32) -> Result<Option<f64>, FormatError> {
-        let Some(tag) = self.tags.get(&(name, index)) else { return Ok(None) };
+        let Some(tag) = self.by_name.get(&(name, index)) else { return Ok(None) };
         let width_s = f64::from_bits(tag.value);
         if tag.kind == FLOAT && width_s > 0.0 && width_s < WIDEST_BIN_S {
             return Ok(Some(width_s));
@@ -144,7 +144,7 @@ impl Tags {
     }
 
     pub(super) fn date(&self, name: &'static str, index: i32) -> Option<String> {
-        let tag = self.tags.get(&(name, index)).filter(|tag| tag.kind == DATE)?;
+        let tag = self.by_name.get(&(name, index)).filter(|tag| tag.kind == DATE)?;
         iso(f64::from_bits(tag.value))
     }
 }

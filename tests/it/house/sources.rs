@@ -201,11 +201,9 @@ fn fields(body: TokenStream, names: &mut Vec<String>) {
         match (token, tokens.get(i + 1)) {
             (TokenTree::Group(variant), _) if is_brace(token) => fields(variant.stream(), names),
             (TokenTree::Ident(name), Some(TokenTree::Punct(colon)))
-                if is_field(name, colon.spacing(), &tokens[..i]) =>
+                if colon.as_char() == ':' && is_field(name, colon.spacing(), &tokens[..i]) =>
             {
-                if colon.as_char() == ':' {
-                    names.push(name.to_string());
-                }
+                names.push(name.to_string());
             }
             _ => {}
         }
