@@ -55,7 +55,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`waveform`] | [`Record`]: head, time base, scale, and where its codes lie |
-//! | [`reader`] | the trait [`Reader`], the file as a reader sees it ([`Source`]), [`FormatError`] |
+//! | [`mod@reader`] | the trait [`Reader`], the file as a reader sees it ([`Source`]), [`FormatError`] |
 //! | [`companions`] | the second file of formats that keep head and samples apart |
 //! | [`lecroy_trc`], [`lecroy_1_0`] | Teledyne LeCroy |
 //! | [`tek_wfm`], [`tek_isf`] | Tektronix; its `.h5` files are in [`hdf5`] |
