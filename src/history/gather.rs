@@ -1,6 +1,6 @@
 //! Finds the requested row, and the onsets that contribute to it.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use serde_json::{Map, Value};
@@ -12,6 +12,7 @@ use super::sql::{Selection, quoted};
 use super::target::Target;
 use super::values;
 use crate::campaign::suggest;
+use crate::priors::campaign_fields::StationPositions;
 use crate::store::{Shelf, scan};
 use crate::tables::{Distance, Label, Onset, Patch, Residual, Row};
 use crate::units::PatchId;
@@ -180,10 +181,12 @@ impl Explainer<'_> {
         let (distance, row) = all.swap_remove(place);
         let (mut onsets, mut selection) = (Vec::new(), None);
         if let Some(labels) = self.ancestry.nearest(table, Label::TABLE) {
-            let fields = &self.ancestry.stage(table).fields;
+            let stations = self.stations(table);
+            let is_with_laser = |row: &Label| {
+                stations.get(&*row.campaign).and_then(|stations| stations.is_with_laser(&row.sensor)) == Some(true)
+            };
             // T2 excludes path lengths of sensors that are not at the laser.
-            let counts =
-                |row: &Label| distance.bounces > 2 || fields[&*row.campaign]["with_laser"][&*row.sensor] == true;
+            let counts = |row: &Label| distance.bounces > 2 || is_with_laser(row);
             let is_between = |path: &[PatchId]| match distance.bounces {
                 1 => path == [b],
                 2 => path == [a] || path == [b] || path == [a, b] || path == [b, a],
@@ -212,6 +215,11 @@ impl Explainer<'_> {
             selection = Some(Selection { table: labels, condition });
         }
         Ok(Evidence { row, onsets, selection, condition: format!("a = {a} AND b = {b}") })
+    }
+
+    /// Stations of each campaign, which the stage of a table read; none of a table that was made elsewhere.
+    fn stations(&self, table: &Table) -> BTreeMap<String, StationPositions> {
+        serde_json::from_value(self.ancestry.stage(table).fields.clone()).unwrap_or_default()
     }
 
     fn onset(&self, table: &Table, target: &Target) -> Result<Evidence, HistoryError> {

@@ -1,11 +1,11 @@
 //! What campaign.toml says, in the pieces that stages read.
 //!
 //! A stage composes its fields of these pieces, and only what is in them enters its lineage: so a piece holds no more
-//! than what goes together.
+//! than what goes together. Stages flatten [`Medium`] and stations, so that `diff` names a key as campaign.toml does.
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::campaign::Campaign;
 use crate::campaign::keys::{self, LASER, PatchRole, Ray};
@@ -94,8 +94,8 @@ impl Medium {
     }
 }
 
-/// Where laser and sensors stand, taken as exact.
-#[derive(Clone, Debug, Serialize)]
+/// Where laser and sensors stand, taken as exact. It is read again from the lineage of a table.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct StationPositions {
     source_m: [f64; 3],
     /// By sensor.

@@ -178,7 +178,7 @@ fn a_stage_that_cannot_go_on_names_itself_and_what_stood_stays() {
     let lab = Lab::tiny();
     let set = ["labels.bounces=4".to_owned()];
     let error = chain(lab.run_with("out", ALL_VISIBLE, &set, &Settings::default()).unwrap_err());
-    assert!(error.contains("[labels]") && error.contains("bounces 1 to 3 are labelled"), "{error}");
+    assert!(error.contains("[labels]") && error.contains("must be at most 3 without `patches`"), "{error}");
     assert!(lab.path("out/onsets").exists() && !lab.path("out/labels").exists() && !lab.path("out/patches").exists());
     let before = lab.parts("out");
     let outcome = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();

@@ -43,16 +43,17 @@ struct Parameter {
 
 /// The parameters of a stage, by what it says of a key and of a value that it does not know.
 fn parameters(kind: &str) -> Vec<Parameter> {
-    let refused = |key: &str| match stages::parse(kind, table(&[(key, "no word".into())])) {
+    let refused = |key: &str, value: toml::Value| match stages::parse(kind, table(&[(key, value)])) {
         Ok(_) => String::new(),
         Err(why) => why,
     };
     let defaults = stages::parse(kind, needed(kind)).unwrap().params().unwrap();
-    let unknown = refused("no parameter has this name");
+    let unknown = refused("no parameter has this name", "no word".into());
     let keys = unknown.split_once("known: ").map_or("", |(_, keys)| keys).split(", ");
     keys.filter(|key| !key.is_empty() && *key != "path")
         .map(|key| {
-            let why = refused(key);
+            // A list refuses a single word before it looks at it.
+            let why = refused(key, "no word".into()) + &refused(key, vec!["no word"].into());
             let words = why.split_once("must be one of ").map_or("", |(_, words)| words.split(" (").next().unwrap());
             let words = if key == "table" { "onsets, stir" } else { words };
             let words = words.split(", ").filter(|word| !word.is_empty()).map(str::to_owned).collect();
