@@ -1,6 +1,7 @@
 //! Study: what bounces after the third are worth. Prints the tables of docs/accuracy.md, "Later bounces".
 //!
-//! `cargo bench --bench bounces` for all, `cargo bench --bench bounces -- gain` for one of gain, layers; a number sets the scenes.
+//! `cargo bench --bench bounces` for all, `cargo bench --bench bounces -- gain` for one of gain, layers; a number sets
+//! the scenes.
 
 use std::collections::BTreeMap;
 
@@ -74,7 +75,8 @@ impl Scene {
         Self { visible, hidden: points }
     }
 
-    /// Paths, hidden patches by their positions and visible ones as stations. Paths back to the lit patch and their reverse are one.
+    /// Paths, hidden patches by their positions and visible ones as stations. Paths back to the lit patch and their
+    /// reverse are one.
     fn paths(&self, fourth: Fourth) -> Vec<Vec<Node>> {
         let (visible, hidden) = (self.visible.len(), self.hidden.len());
         let ends = (0..visible).flat_map(|a| (0..visible).map(move |b| (a, b)));

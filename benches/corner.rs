@@ -1,6 +1,7 @@
 //! Study: hidden patches from unlabelled third bounces. Prints the tables of docs/accuracy.md, "Around the corner".
 //!
-//! `cargo bench --bench corner` for all, `cargo bench --bench corner -- cells` for one of cells, patterns, relief, clutter, blends, large; a number sets the scenes.
+//! `cargo bench --bench corner` for all, `cargo bench --bench corner -- cells` for one of cells, patterns, relief,
+//! clutter, blends, large; a number sets the scenes.
 
 use std::time::Instant;
 
@@ -85,7 +86,8 @@ fn row_with(setting: &Setting, scenes: u64, change: impl Fn(&mut Room)) -> Row {
     Row { right: rate(rights), missed, extra, hidden, squares_m2, rank: rate(ranks), seconds: seconds / scenes as f64 }
 }
 
-/// Whether labels by order of arrival are right: the same hidden patches in the same order in every profile, nothing missing and nothing false.
+/// Whether labels by order of arrival are right: the same hidden patches in the same order in every profile, nothing
+/// missing and nothing false.
 fn is_ordered(drawn: &Drawn) -> bool {
     let is_whole =
         |sources: &Vec<Option<usize>>| sources.len() == drawn.hidden.len() && sources.iter().all(Option::is_some);
@@ -149,7 +151,8 @@ fn patterns(scenes: u64) {
     }
 }
 
-/// One wall that the search does not know the front of, with relief to either side: how often the mirror image of a patch is told, and how often it is the likelier one.
+/// One wall that the search does not know the front of, with relief to either side: how often the mirror image of a
+/// patch is told, and how often it is the likelier one.
 fn relief(scenes: u64) {
     println!(
         "\n| relief (mm) | noise (ps) | patches found | mirror image told | likelier than the patch | neither place right |\n|---|---|---|---|---|---|"

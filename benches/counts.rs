@@ -1,5 +1,6 @@
-//! Instructions that each kernel executes, counted by callgrind and held against benches/counts/committed.txt: a guard that other work on the machine
-//! cannot blur. `cargo bench --bench counts`; `-- --accept` writes the counts down as the new ones; `-- NAME` counts one kernel. docs/counts.md.
+//! Instructions that each kernel executes, counted by callgrind and held against benches/counts/committed.txt: a guard
+//! that other work on the machine cannot blur. `cargo bench --bench counts`; `-- --accept` writes the counts down as
+//! the new ones; `-- NAME` counts one kernel. docs/counts.md.
 //!
 //! Every kernel runs once in a process of its own, of which callgrind counts what happens inside [`counted`] alone.
 
@@ -12,7 +13,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-/// A count that is off by more, up or down, is told. The same program counts the same; what is below is the compiler, which inlines otherwise where other code changes.
+/// A count that is off by more, up or down, is told. The same program counts the same; what is below is the compiler,
+/// which inlines otherwise where other code changes.
 const TOLERANCE: f64 = 0.02;
 /// How the program calls itself under callgrind.
 const ALONE: &str = "--kernel";
@@ -79,7 +81,8 @@ fn main() -> ExitCode {
 #[inline(never)]
 fn counted(kernel: &mut kernels::Kernel) {
     kernel();
-    std::hint::black_box(()); // The call above is not the last thing here, else it would be a jump, which callgrind does not see return.
+    // The call above is not the last thing here, else it would be a jump, which callgrind does not see return.
+    std::hint::black_box(());
 }
 
 /// Instructions of one kernel.

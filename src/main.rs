@@ -1,7 +1,7 @@
 //! The command line. Results go to standard output, all else to standard error.
 //!
-//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was rejected (`--strict` makes that 1), `check` found something to mend, or
-//! `diff` a difference; 130 ended by Ctrl-C or SIGTERM: what was finished is kept.
+//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was rejected (`--strict` makes that 1), `check`
+//! found something to mend, or `diff` a difference; 130 ended by Ctrl-C or SIGTERM: what was finished is kept.
 
 mod commands;
 
@@ -10,8 +10,8 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 use mimalloc::MiMalloc;
 
-/// Blocks of a record's size come and go by the thousand: the system's allocator gives each back to the kernel, which clears its pages for the next.
-/// It is built to ask for no huge pages, which double what small runs take.
+/// Blocks of a record's size come and go by the thousand: the system's allocator gives each back to the kernel, which
+/// clears its pages for the next. It is built to ask for no huge pages, which double what small runs take.
 #[global_allocator]
 static ALLOCATOR: MiMalloc = MiMalloc;
 
@@ -42,7 +42,8 @@ enum Command {
     Run(commands::run::Run),
     /// Say what `run` would reuse or compute, and why; runs nothing. With --shards: deal the work out for many machines
     Plan(commands::plan::PlanArgs),
-    /// Compute one shard of a plan: on any machine that sees campaign and result folder, beside others, again if need be
+    /// Compute one shard of a plan: on any machine that sees campaign and result folder, beside others, again if need
+    /// be
     RunShard(commands::run_shard::RunShard),
     /// When all shards of a plan are computed: show the tables, and run what needs all captures
     Gather(commands::gather::Gather),

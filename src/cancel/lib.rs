@@ -1,19 +1,20 @@
 //! Cancellation: one thread asks, long loops in other threads poll a token and end.
 //!
-//! Every loop that can run longer than 0.1 s calls [`Cancel::check`] once a turn, at a level where a turn takes microseconds to
-//! milliseconds. Innermost loops do not poll. After a cancel, the check unwinds the stack. [`Cancel::catch`] stands where the
-//! computation was started and turns that unwinding into the error [`Cancelled`].
+//! Every loop that can run longer than 0.1 s calls [`Cancel::check`] once a turn, at a level where a turn takes
+//! microseconds to milliseconds. Innermost loops do not poll. After a cancel, the check unwinds the stack.
+//! [`Cancel::catch`] stands where the computation was started and turns that unwinding into the error [`Cancelled`].
 //!
-//! Single calls into rustfft and faer do not poll: a transform of one record, a factor of 3,000 unknowns, eigenvectors of 1,500.
-//! Callers poll between them.
+//! Single calls into rustfft and faer do not poll: a transform of one record, a factor of 3,000 unknowns, eigenvectors
+//! of 1,500. Callers poll between them.
 //!
 //! # Why unwinding and not `Result`
 //!
-//! A kernel does not fail because its user presses Ctrl-C. With `Result`, every kernel, every helper and every closure that one
-//! hands to rayon or to a sort would return an error which no caller between loop and boundary can act on. Unwinding keeps the
-//! return types of kernels, drops what they hold, and rayon carries it from its workers to the caller.
-//! The payload is private to this crate, and starts with [`std::panic::resume_unwind`]: no panic hook runs, and nothing is
-//! printed. Other panics pass through [`Cancel::catch`] unchanged. The program must not be built with `panic = "abort"`.
+//! A kernel does not fail because its user presses Ctrl-C. With `Result`, every kernel, every helper and every closure
+//! that one hands to rayon or to a sort would return an error which no caller between loop and boundary can act on.
+//! Unwinding keeps the return types of kernels, drops what they hold, and rayon carries it from its workers to the
+//! caller. The payload is private to this crate, and starts with [`std::panic::resume_unwind`]: no panic hook runs, and
+//! nothing is printed. Other panics pass through [`Cancel::catch`] unchanged. The program must not be built with `panic
+//! = "abort"`.
 //!
 //! ```
 //! use periscope_cancel::{Cancel, Cancelled};
@@ -33,7 +34,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use thiserror::Error;
 
-/// Asks computations to end. Clones are one token: a cancel through any of them reaches all. The default is [`Cancel::never`].
+/// Asks computations to end. Clones are one token: a cancel through any of them reaches all. The default is
+/// [`Cancel::never`].
 #[derive(Clone, Debug, Default)]
 pub struct Cancel(Option<Arc<AtomicBool>>);
 

@@ -25,8 +25,8 @@ struct Timed<'a> {
 /// wall to wall if only these begin in whole bins. Samples between bins are interpolated with limited bandwidth.
 ///
 /// # Errors
-/// When the profiles have several sensors, ranges or time steps, a patch has no position, or pairs are missing. The text
-/// says how to fix it.
+/// When the profiles have several sensors, ranges or time steps, a patch has no position, or pairs are missing. The
+/// text says how to fix it.
 pub fn capture_of(
     profiles: &[Profile],
     patches: &[Patch],

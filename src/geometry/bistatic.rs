@@ -1,21 +1,30 @@
-//! Hidden strips from bistatic path lengths: source to lit point, to strip, to exit point, to sensor (paper section 6, figure 8 bottom).
+//! Hidden strips from bistatic path lengths: source to lit point, to strip, to exit point, to sensor (paper section 6,
+//! figure 8 bottom).
 //!
-//! Every scan lights another diffuser point D_k. The light of one strip P comes back over one diffuser point of its own, its exit E: the measured length less the known legs is
-//! `|D_k P| + |P E|`, so P lies on K ellipses (in space: spheroids) with foci D_k and E. Arrivals of all strips stand in one profile, and which is whose is not known: every
+//! Every scan lights another diffuser point D_k. The light of one strip P comes back over one diffuser point of its
+//! own, its exit E: the measured length less the known legs is `|D_k P| + |P E|`, so P lies on K ellipses (in space:
+//! spheroids) with foci D_k and E. Arrivals of all strips stand in one profile, and which is whose is not known: every
 //! assignment is a hypothesis.
 //!
-//! - *Start*: all ellipses share the focus E, which makes their equations linear in P and its distance from E (as in Bancroft, IEEE Trans. Aerosp. Electron. Syst. 21, 56
-//!   (1985)); what is left is a quadratic equation with two roots. Where all foci lie in one line these are mirror images in it.
-//! - *Fit*: maximum likelihood by Gauss and Newton. Unknown beside the strips are all anchors (diffuser points, stations) and delays that are known to a standard
-//!   deviation only: first bounces tell them too. Onsets of one profile are correlated, as pulses closer than the response are.
-//! - *Labels*: assignments are extended scan by scan, the likeliest first; chi-square, and what onsets cost that are left over, never fall by another scan, so the first that is complete is the best of all, and no other
+//! - *Start*: all ellipses share the focus E, which makes their equations linear in P and its distance from E (as in
+//!   Bancroft, IEEE Trans. Aerosp. Electron. Syst. 21, 56
+//! (1985)); what is left is a quadratic equation with two roots. Where all foci lie in one line these are mirror images
+//! in it.
+//! - *Fit*: maximum likelihood by Gauss and Newton. Unknown beside the strips are all anchors (diffuser points,
+//!   stations) and delays that are known to a standard
+//! deviation only: first bounces tell them too. Onsets of one profile are correlated, as pulses closer than the
+//! response are.
+//! - *Labels*: assignments are extended scan by scan, the likeliest first; chi-square, and what onsets cost that are
+//!   left over, never fall by another scan, so the first that is complete is the best of all, and no other
 //!   within [`CLOSE`] of it is missed (branch and bound).
 //! - *Glints*: over a glossy strip the light's centroid moves with the lit point.
 //!
-//! With as many scans as dimensions every assignment fits exactly. What then decides is what else is known: on which side of the diffuser strips are, how far apart at
-//! most, in which order. What nothing decides comes back as another solution.
+//! With as many scans as dimensions every assignment fits exactly. What then decides is what else is known: on which
+//! side of the diffuser strips are, how far apart at most, in which order. What nothing decides comes back as another
+//! solution.
 //!
-//! Onsets that no strip explains may be those of something undeclared in the middle between two strips: where that explains more, strips are placed beside it.
+//! Onsets that no strip explains may be those of something undeclared in the middle between two strips: where that
+//! explains more, strips are placed beside it.
 
 mod fit;
 mod glint;
@@ -248,7 +257,8 @@ fn solve_alone(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
 }
 
 impl Problem {
-    /// Records of third bounces with an onset for every strip, each lit point as far as possible from those before: the first few say most.
+    /// Records of third bounces with an onset for every strip, each lit point as far as possible from those before: the
+    /// first few say most.
     fn spread_out(&self) -> Vec<usize> {
         let is_whole = |record: &Record| record.bounce == Bounce::Third && record.lengths_m.len() >= self.strips.len();
         let mut left: Vec<usize> = (0..self.records.len()).filter(|n| is_whole(&self.records[*n])).collect();
@@ -286,7 +296,8 @@ impl Problem {
         })
     }
 
-    /// What onsets of these records cost that no strip explains: the more, the more light they have beside the weakest that one does. Strays are weak.
+    /// What onsets of these records cost that no strip explains: the more, the more light they have beside the weakest
+    /// that one does. Strays are weak.
     fn unexplained(&self, labels: &Labels) -> f64 {
         let of_record = |(record, onsets): &(usize, Vec<usize>)| {
             let heights = &self.records[*record].heights;

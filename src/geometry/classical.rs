@@ -1,13 +1,15 @@
 //! Double-centred classical scaling, p0 included: a start for a fit.
 //!
-//! `B = -J D^2 J / 2` with `J = I - 1 1' / (M + 1)`; coordinates are the eigenvectors of the largest (algebraic) eigenvalues, scaled by their roots.
-//! Source: Torgerson, Psychometrika 17, 401 (1952). About 1.35 times more exact than centring on p0 alone, since no single noisy point carries all.
+//! `B = -J D^2 J / 2` with `J = I - 1 1' / (M + 1)`; coordinates are the eigenvectors of the largest (algebraic)
+//! eigenvalues, scaled by their roots. Source: Torgerson, Psychometrika 17, 401 (1952). About 1.35 times more exact
+//! than centring on p0 alone, since no single noisy point carries all.
 
 use faer::Mat;
 
 use super::{Point, dense};
 
-/// Points of patches 1..M, p0 at the origin, from the full symmetric matrix of distances over p0..pM; the frame is arbitrary.
+/// Points of patches 1..M, p0 at the origin, from the full symmetric matrix of distances over p0..pM; the frame is
+/// arbitrary.
 ///
 /// # Panics
 /// When the matrix is not square or `dimensions` is neither 2 nor 3.

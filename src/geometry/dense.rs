@@ -1,5 +1,5 @@
-//! Dense symmetric systems and eigenproblems: the calls into faer that the other kernels share, on one thread, since the order of faer's sums
-//! depends on how many share them.
+//! Dense symmetric systems and eigenproblems: the calls into faer that the other kernels share, on one thread, since
+//! the order of faer's sums depends on how many share them.
 
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -126,7 +126,8 @@ pub fn inverse(matrix: &Mat<f64>) -> Option<Mat<f64>> {
     Some(Definite::new(matrix)?.inverse())
 }
 
-/// Pseudo-inverse of a semidefinite matrix whose null space is spanned by the orthonormal columns `nulls`; `None` if it has further nulls.
+/// Pseudo-inverse of a semidefinite matrix whose null space is spanned by the orthonormal columns `nulls`; `None` if it
+/// has further nulls.
 ///
 /// With `N` the nulls, `F + s N N'` is definite and its inverse is `F+ + N N' / s`, for any scale `s`.
 #[must_use]

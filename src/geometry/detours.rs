@@ -1,15 +1,16 @@
 //! Pairs of patches that exchange no light: the first light between them took a detour over a third patch.
 //!
-//! Coplanar, occluded and specular pairs have no second bounce; the first light from patch i to patch j is then a third bounce over some k
-//! that sees both. With `O_ij` the length of the path source, i, j, sensor,
+//! Coplanar, occluded and specular pairs have no second bounce; the first light from patch i to patch j is then a third
+//! bounce over some k that sees both. With `O_ij` the length of the path source, i, j, sensor,
 //!
 //! ```text
 //! O_ikj = O_ik + O_kj - O_kk
 //! ```
 //!
-//! exactly, for any places of source and sensor, with no coordinate known. By the triangle inequality no second bounce is longer than any such
-//! detour, and none is as long but over a patch on the straight line between the two. So a first arrival that comes no earlier than some detour is
-//! set aside. That takes some second bounces with it: those past a patch so near to the straight line that noise does not tell the two apart.
+//! exactly, for any places of source and sensor, with no coordinate known. By the triangle inequality no second bounce
+//! is longer than any such detour, and none is as long but over a patch on the straight line between the two. So a
+//! first arrival that comes no earlier than some detour is set aside. That takes some second bounces with it: those
+//! past a patch so near to the straight line that noise does not tell the two apart.
 //!
 //! With source and sensor in one point, path lengths also give the angle between two patches as seen from there:
 //!
@@ -17,11 +18,13 @@
 //! sin^2(angle_ij / 2) = (O_ij - O_i) (O_ij - O_j) / (O_i O_j)
 //! ```
 //!
-//! and the angle from i to j is no larger than that from i to k and on to j. A first arrival that asks for a larger one is a detour for certain,
-//! also one over a patch whose arrivals are missing. If it is certain, and the length of one patch's detour alone agrees, that patch is named.
+//! and the angle from i to j is no larger than that from i to k and on to j. A first arrival that asks for a larger one
+//! is a detour for certain, also one over a patch whose arrivals are missing. If it is certain, and the length of one
+//! patch's detour alone agrees, that patch is named.
 //!
-//! First arrivals on the right-hand sides that are themselves detours are too long, which can hide a detour but never make one up. Not found: most
-//! detours over patches whose own arrivals are missing; those show as residuals once coordinates are known.
+//! First arrivals on the right-hand sides that are themselves detours are too long, which can hide a detour but never
+//! make one up. Not found: most detours over patches whose own arrivals are missing; those show as residuals once
+//! coordinates are known.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -36,8 +39,9 @@ const GATE: f64 = 5.0;
 /// First arrivals, or what they tell, by (lit, seen).
 type Pairs<T> = BTreeMap<(PatchId, PatchId), T>;
 
-/// Which first arrivals between patches i and j, by (lit, seen), are set aside, and over which patch the light came if that is certain. `arrivals`
-/// holds all first arrivals of one sensor, those of (i, i) among them; `is_one_station` says whether that sensor stands where the source is.
+/// Which first arrivals between patches i and j, by (lit, seen), are set aside, and over which patch the light came if
+/// that is certain. `arrivals` holds all first arrivals of one sensor, those of (i, i) among them; `is_one_station`
+/// says whether that sensor stands where the source is.
 #[must_use]
 pub fn detours(arrivals: &Pairs<Length>, is_one_station: bool, cancel: &Cancel) -> Pairs<Option<PatchId>> {
     let patches: BTreeSet<PatchId> = arrivals.keys().flat_map(|(lit, seen)| [*lit, *seen]).collect();
@@ -54,7 +58,8 @@ pub fn detours(arrivals: &Pairs<Length>, is_one_station: bool, cancel: &Cancel) 
             else {
                 return false;
             };
-            // Errors of the first bounces that two of the angles share mostly cancel: on the whole they are counted too large.
+            // Errors of the first bounces that two of the angles share mostly cancel: on the whole they are counted too
+            // large.
             let error_rad = (across[1] - across[0]).hypot(there[2] - there[1]).hypot(back[2] - back[1]);
             across[1] - there[1] - back[1] > error_rad
         };
@@ -71,15 +76,16 @@ pub fn detours(arrivals: &Pairs<Length>, is_one_station: bool, cancel: &Cancel) 
     detours
 }
 
-/// By how many standard deviations an arrival comes after the detour over `via`; `None` where an arrival over that patch is missing.
+/// By how many standard deviations an arrival comes after the detour over `via`; `None` where an arrival over that
+/// patch is missing.
 fn late(arrivals: &Pairs<Length>, (lit, seen): (PatchId, PatchId), via: PatchId, found: Length) -> Option<f64> {
     let (there, back, own) = (arrivals.get(&(lit, via))?, arrivals.get(&(via, seen))?, arrivals.get(&(via, via))?);
     let variance_m2 = [&found, there, back, own].iter().map(|length| length.variance_m2).sum::<f64>();
     Some((found.length_m - (there.length_m + back.length_m - own.length_m)) / variance_m2.sqrt())
 }
 
-/// Angles between all pairs that have both first bounces, as seen from the station, in radians: the least that [`GATE`] standard deviations allow, the
-/// angle itself, and the most.
+/// Angles between all pairs that have both first bounces, as seen from the station, in radians: the least that [`GATE`]
+/// standard deviations allow, the angle itself, and the most.
 fn angles(arrivals: &Pairs<Length>) -> Pairs<[f64; 3]> {
     let angle = |(&(lit, seen), both): (&(PatchId, PatchId), &Length)| {
         let (i, j) = (arrivals.get(&(lit, lit))?, arrivals.get(&(seen, seen))?);
@@ -108,7 +114,8 @@ mod tests {
 
     const SD_M: f64 = 2e-4;
 
-    /// Patches on three walls; those of one wall exchange no light. First arrivals with noise, and for each pair the patch that its light came over.
+    /// Patches on three walls; those of one wall exchange no light. First arrivals with noise, and for each pair the
+    /// patch that its light came over.
     fn scene(rng: &mut ChaCha8Rng, sensor: Point) -> (Pairs<Length>, Pairs<Option<PatchId>>) {
         let wall = |patch: PatchId| patch % 3;
         let mut place = |patch: PatchId| {

@@ -2,8 +2,9 @@
 
 use nalgebra::Matrix3;
 
-/// Semi-axes of the ellipsoid of one standard deviation, longest first: the eigenvectors of a covariance (m^2), each as long as the root of its
-/// eigenvalue (m). Three orthogonal vectors; one of length zero where the covariance has no extent.
+/// Semi-axes of the ellipsoid of one standard deviation, longest first: the eigenvectors of a covariance (m^2), each as
+/// long as the root of its eigenvalue (m). Three orthogonal vectors; one of length zero where the covariance has no
+/// extent.
 #[must_use]
 pub fn semi_axes_m(covariance_m2: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     let matrix = Matrix3::from_fn(|row, column| covariance_m2[row][column]);

@@ -6,7 +6,8 @@
 //! log-likelihood ratio of one more patch is then
 //!
 //! ```text
-//! L(q, g) = sum over profiles of log(1 - p + p sum_f w_f exp(u_f z - u_f^2 / 2)),   u_f = f g gain(s) / (|q - a|^2 |q - b|^2)
+//! L(q, g) = sum over profiles of log(1 - p + p sum_f w_f exp(u_f z - u_f^2 / 2)),
+//! u_f = f g gain(s) / (|q - a|^2 |q - b|^2)
 //! ```
 //!
 //! Amplitudes are unknown, but alike: one strength g, the fall of light over both legs, and a factor f in each profile,

@@ -1,13 +1,14 @@
 //! The frame of a solution that path lengths leave free.
 //!
-//! With source and camera in one point p0, path lengths are the same for any rotation about p0 and for the mirror image. The canonical frame is:
-//! p0 where its station lies, the first patch on the +x axis, the next that is clearly not in line with it in the xy plane with y > 0, the next that is clearly not
-//! in that plane at z > 0. That also picks one of the two mirror images: the data do not say which is the true one. Clearly: by more than a tenth of its range,
+//! With source and camera in one point p0, path lengths are the same for any rotation about p0 and for the mirror
+//! image. The canonical frame is: p0 where its station lies, the first patch on the +x axis, the next that is clearly
+//! not in line with it in the xy plane with y > 0, the next that is clearly not in that plane at z > 0. That also picks
+//! one of the two mirror images: the data do not say which is the true one. Clearly: by more than a tenth of its range,
 //! so that noise does not choose; where no patch is, the one that is farthest off.
 //!
-//! With stations in line, path lengths are the same for any rotation about that line, and for the mirror image in any plane through it. There the first patch
-//! off the line lies in the half plane through the line and +y (for a line along y: +z), the next off that plane on the side of the line's direction
-//! crossed with that half plane's.
+//! With stations in line, path lengths are the same for any rotation about that line, and for the mirror image in any
+//! plane through it. There the first patch off the line lies in the half plane through the line and +y (for a line
+//! along y: +z), the next off that plane on the side of the line's direction crossed with that half plane's.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -18,7 +19,8 @@ const IN_LINE: f64 = 0.1;
 /// Closer than this they always do.
 const EXACTLY: f64 = 1e-9;
 
-/// The first direction that is off by more than [`IN_LINE`], else the one that is farthest off; `None` if none is off at all. `off` gives what of it is off.
+/// The first direction that is off by more than [`IN_LINE`], else the one that is farthest off; `None` if none is off
+/// at all. `off` gives what of it is off.
 fn first_off<T>(arms: &[Vector3<f64>], off: impl Fn(&Vector3<f64>) -> (f64, T)) -> Option<T> {
     let all: Vec<(f64, T)> =
         arms.iter().filter(|arm| arm.norm() > 0.0).map(|arm| (off(arm).0.abs() / arm.norm(), off(arm).1)).collect();
@@ -32,7 +34,8 @@ fn aside(arm: &Vector3<f64>, axis: &Vector3<f64>) -> (f64, Vector3<f64>) {
     (off.norm(), off.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros))
 }
 
-/// Orthogonal matrix that turns points (in order of their ids) about `centre` into the canonical frame; a reflection where need be.
+/// Orthogonal matrix that turns points (in order of their ids) about `centre` into the canonical frame; a reflection
+/// where need be.
 #[must_use]
 pub fn canonical(points: &[Point], centre: Point) -> Matrix3<f64> {
     let arms: Vec<Vector3<f64>> = points.iter().map(|point| point - centre).collect();
@@ -46,7 +49,8 @@ pub fn canonical(points: &[Point], centre: Point) -> Matrix3<f64> {
     Matrix3::from_rows(&[x.transpose(), y.transpose(), z.transpose()])
 }
 
-/// Orthogonal matrix that turns points about the line through `centre` along `axis` into the frame of stations in line; a reflection where need be.
+/// Orthogonal matrix that turns points about the line through `centre` along `axis` into the frame of stations in line;
+/// a reflection where need be.
 #[must_use]
 pub fn about(points: &[Point], centre: Point, axis: Vector3<f64>) -> Matrix3<f64> {
     let Some(along) = axis.try_normalize(f64::MIN_POSITIVE) else {

@@ -2,14 +2,16 @@
 //!
 //! `h_ij = (d_0i^2 + d_0j^2 - d_ij^2) / 2`, singular value decomposition `H = U S V'`, `Z = S_3^(1/2) V_3'`.
 //!
-//! Two weaknesses are part of it. Every entry hangs on the one noisy point p0 (double centring, [`super::classical`], does not). And singular values
-//! have no sign: a large negative eigenvalue, which noise makes, is taken for a direction of space.
+//! Two weaknesses are part of it. Every entry hangs on the one noisy point p0 (double centring, [`super::classical`],
+//! does not). And singular values have no sign: a large negative eigenvalue, which noise makes, is taken for a
+//! direction of space.
 
 use faer::Mat;
 
 use super::{Point, dense};
 
-/// Points of patches 1..M, p0 at the origin, from the full symmetric matrix of distances over p0..pM; the frame is arbitrary.
+/// Points of patches 1..M, p0 at the origin, from the full symmetric matrix of distances over p0..pM; the frame is
+/// arbitrary.
 ///
 /// # Panics
 /// When the matrix is not square or `dimensions` is neither 2 nor 3.

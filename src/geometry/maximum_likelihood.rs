@@ -1,4 +1,5 @@
-//! Maximum likelihood on path lengths: patches, stations, delays and the laser's period at once, what photogrammetry calls bundle adjustment.
+//! Maximum likelihood on path lengths: patches, stations, delays and the laser's period at once, what photogrammetry
+//! calls bundle adjustment.
 //!
 //! Minimises over patches `z`, stations `w`, delays `t` and the period's error `p`
 //!
@@ -8,12 +9,15 @@
 //!   + sum_k |w_k - station_k|^2 / s_k^2 + t' C^-1 t + (p / s_p)^2
 //! ```
 //!
-//! by Levenberg-Marquardt with a robust `rho` ([`super::loss`]; Huber's as a rule). Up to [`DENSE_MAX`] patches the normal matrix is in
-//! memory; beyond, its products are passes over the observations (`matrix_free`), with the bending of paths where steps overshoot without it. The covariance is the pseudo-inverse of the Fisher matrix without the
-//! rotations that no path length sees, so it is the Cramer-Rao bound at the solution; of a matrix-free solution it is blocks ([`Solution::is_exact`]).
+//! by Levenberg-Marquardt with a robust `rho` ([`super::loss`]; Huber's as a rule). Up to [`DENSE_MAX`] patches the
+//! normal matrix is in memory; beyond, its products are passes over the observations (`matrix_free`), with the bending
+//! of paths where steps overshoot without it. The covariance is the pseudo-inverse of the Fisher matrix without the
+//! rotations that no path length sees, so it is the Cramer-Rao bound at the solution; of a matrix-free solution it is
+//! blocks ([`Solution::is_exact`]).
 //!
-//! What nothing determines is told, not guessed: parts that share no path, rotations, and patches that can move freely. A mirror image or another minimum that
-//! explains the lengths as well is not seen from here. Not modelled: errors that onsets of one profile share.
+//! What nothing determines is told, not guessed: parts that share no path, rotations, and patches that can move freely.
+//! A mirror image or another minimum that explains the lengths as well is not seen from here. Not modelled: errors that
+//! onsets of one profile share.
 
 mod dense_steps;
 mod freedom;
@@ -36,7 +40,8 @@ use rows::{Layout, Rows};
 pub const DENSE_MAX: usize = 1000;
 /// Steps after which a solution that has not settled is given up.
 const STEPS: usize = 200;
-/// Steps that lower the objective by less than this share of it lead nowhere; after so many of them a solution has settled too, in a flat valley.
+/// Steps that lower the objective by less than this share of it lead nowhere; after so many of them a solution has
+/// settled too, in a flat valley.
 const IDLE: f64 = 1e-12;
 const IDLE_STEPS: usize = 10;
 /// A step that lowers the objective by less than this share is near the minimum.
@@ -59,8 +64,8 @@ pub struct Solution {
     pub period_m: f64,
     /// Residual of each observation: measured minus predicted length.
     pub residuals_m: Vec<f64>,
-    /// Of each observation, the variance of its predicted length: near its own variance, nothing else checks it. Not known without the normal matrix,
-    /// and for paths over open patches infinite.
+    /// Of each observation, the variance of its predicted length: near its own variance, nothing else checks it. Not
+    /// known without the normal matrix, and for paths over open patches infinite.
     pub predicted_variance_m2: Option<Vec<f64>>,
     /// Sum of squared standardised residuals, priors included.
     pub chi2: f64,
@@ -87,7 +92,8 @@ enum Covariance {
 }
 
 impl Solution {
-    /// Covariance of the coordinates of two patches; in flatland z has none. Of two patches of a matrix-free solution it is not known, and zero here.
+    /// Covariance of the coordinates of two patches; in flatland z has none. Of two patches of a matrix-free solution
+    /// it is not known, and zero here.
     #[must_use]
     pub fn patch_covariance_m2(&self, a: usize, b: usize) -> Matrix3<f64> {
         match &self.covariance {
@@ -209,7 +215,8 @@ impl Means {
 /// When no minimum is reached; when positions are undetermined and the scene is too large to find out which.
 ///
 /// # Panics
-/// When the problem contradicts itself: a path of fewer than two nodes, a standard deviation that is not positive, a station or delay that is not there.
+/// When the problem contradicts itself: a path of fewer than two nodes, a standard deviation that is not positive, a
+/// station or delay that is not there.
 pub fn solve(problem: &Problem) -> Result<Solution, Unsolved> {
     solve_by(problem, Means::of(problem))
 }

@@ -1,8 +1,9 @@
 //! A mirror that is seen only through a diffuser (paper Fig. 8, top: missing direct reflection).
 //!
-//! A beam leaves the source `L` along `u`, meets the mirror in `M` after `z`, and the diffuser in `D` after `y` more; a sensor `S` sees `D`. Directions and diffuser points
-//! are known with errors, and arrivals tell `z + y + x`, `x = |D - S|`. The mirror `n . p = h` unfolds the path: `D` is the mirror image of
-//! the point `Q = L + (z + y) u` that the beam would have come to.
+//! A beam leaves the source `L` along `u`, meets the mirror in `M` after `z`, and the diffuser in `D` after `y` more; a
+//! sensor `S` sees `D`. Directions and diffuser points are known with errors, and arrivals tell `z + y + x`, `x = |D -
+//! S|`. The mirror `n . p = h` unfolds the path: `D` is the mirror image of the point `Q = L + (z + y) u` that the beam
+//! would have come to.
 //!
 //! ```text
 //!            Q
@@ -20,8 +21,9 @@
 //! | [`per_ray`] | each scan alone: the conic with foci `L` and `D`, cut by the beam, in closed form |
 //! | [`equal_distances`] | the paper's: the same conics, all cut at one distance `z1 = z2 = z3` |
 //!
-//! The paper does not print its equations. "We conducted 3 raster scans and assumed z1 = z2 = z3 = z" is read as one unknown `z` that makes the three conics `z + |D - (L + z u)| = z + y`
-//! agree best in the sense of least squares. Not modelled: curved mirrors, several mirrors, the width of the beam.
+//! The paper does not print its equations. "We conducted 3 raster scans and assumed z1 = z2 = z3 = z" is read as one
+//! unknown `z` that makes the three conics `z + |D - (L + z u)| = z + y` agree best in the sense of least squares. Not
+//! modelled: curved mirrors, several mirrors, the width of the beam.
 
 mod closed_forms;
 mod joint;
@@ -90,7 +92,8 @@ impl Experiment {
         (variances_m2.sum::<f64>() / self.dimensions as f64).sqrt()
     }
 
-    /// Way of a scan from the source to the diffuser, `z + y`, with its standard deviation, as its arrivals and the diffuser's given position tell.
+    /// Way of a scan from the source to the diffuser, `z + y`, with its standard deviation, as its arrivals and the
+    /// diffuser's given position tell.
     fn folded_m(&self, scan: &Scan) -> (f64, f64) {
         let (mut sum, mut weights) = (0.0, 0.0);
         for arrival in &scan.arrivals {

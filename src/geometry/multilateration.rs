@@ -1,17 +1,19 @@
 //! A patch from its path lengths to points that are in place: every position that explains them, best first.
 //!
-//! A path whose other points are known puts a patch `z` on an ellipsoid, `|z - a| + |z - b| = l`; with `a = b` on a sphere. Ellipsoids that share the
-//! focus `a` are linear in `x = z - a` and `r = |x|`, as satellite positioning has it:
+//! A path whose other points are known puts a patch `z` on an ellipsoid, `|z - a| + |z - b| = l`; with `a = b` on a
+//! sphere. Ellipsoids that share the focus `a` are linear in `x = z - a` and `r = |x|`, as satellite positioning has
+//! it:
 //!
 //! ```text
 //! c . x - l r = (|c|^2 - l^2) / 2,    c = b - a;    a sphere: r = l / 2
 //! ```
 //!
-//! Three of them (in flatland two) leave a line in `(x, r)`, and `|x| = r` two points of it: often mirror images. Every three of the ellipsoids about a
-//! focus propose their two, as do every three spheres, a ray proposes its crossings with them, an anchor itself. The best of all proposals, judged on all ties by a robust loss, are
-//! refined by Gauss-Newton, and those that remain apart are kept. A wrong length or a wrongly placed neighbour is thus outvoted, and a mirror image
-//! that the lengths can hardly tell from the patch comes out beside it. Source of the closed form: Bancroft, IEEE Trans. AES-21, 56 (1985).
-//! Not modelled: the errors of the points that are in place.
+//! Three of them (in flatland two) leave a line in `(x, r)`, and `|x| = r` two points of it: often mirror images. Every
+//! three of the ellipsoids about a focus propose their two, as do every three spheres, a ray proposes its crossings
+//! with them, an anchor itself. The best of all proposals, judged on all ties by a robust loss, are refined by
+//! Gauss-Newton, and those that remain apart are kept. A wrong length or a wrongly placed neighbour is thus outvoted,
+//! and a mirror image that the lengths can hardly tell from the patch comes out beside it. Source of the closed form:
+//! Bancroft, IEEE Trans. AES-21, 56 (1985). Not modelled: the errors of the points that are in place.
 
 mod proposals;
 
@@ -111,7 +113,8 @@ pub fn cost(ties: &[Tie], point: Point, loss: Loss) -> f64 {
     sum
 }
 
-/// Positions that explain a patch's ties, best first, further apart than `apart_m`. Empty where the ties are too few to determine any.
+/// Positions that explain a patch's ties, best first, further apart than `apart_m`. Empty where the ties are too few to
+/// determine any.
 #[must_use]
 pub fn candidates(ties: &[Tie], dimensions: usize, apart_m: f64, loss: Loss) -> Vec<Candidate> {
     let proposed =

@@ -1,7 +1,7 @@
 //! A bounce path: the patches that light met, in order, between source and sensor (paper section 4).
 //!
-//! The path of a first bounce is `[i]`, of a second bounce `[j, i]` (lit `j`, seen `i`), of a third `[k, j, i]`.
-//! The paper writes the receiver first (`O_ij` is received at `i`, lit at `j`); here light's own order holds everywhere.
+//! The path of a first bounce is `[i]`, of a second bounce `[j, i]` (lit `j`, seen `i`), of a third `[k, j, i]`. The
+//! paper writes the receiver first (`O_ij` is received at `i`, lit at `j`); here light's own order holds everywhere.
 
 use crate::units::PatchId;
 

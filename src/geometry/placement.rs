@@ -1,21 +1,27 @@
-//! Positions from path lengths alone, from nothing: a start for [`maximum_likelihood`], and which other positions would explain the lengths.
+//! Positions from path lengths alone, from nothing: a start for [`maximum_likelihood`], and which other positions would
+//! explain the lengths.
 //!
-//! A descent from one start ends in a wrong minimum where many paths are missing, or where source and sensors are apart: a patch lies mirrored in the
-//! plane of its neighbours, a group is folded over, the whole is turned about the stations. Hence, until the lengths are explained as well as their
-//! noise lets expect, or several starts agree:
+//! A descent from one start ends in a wrong minimum where many paths are missing, or where source and sensors are
+//! apart: a patch lies mirrored in the plane of its neighbours, a group is folded over, the whole is turned about the
+//! stations. Hence, until the lengths are explained as well as their noise lets expect, or several starts agree:
 //!
-//! 1. a start (`starts`): all stations taken for one point, shortest paths and classical scaling, with or without SMACOF; or a few patches that many paths
+//! 1. a start (`starts`): all stations taken for one point, shortest paths and classical scaling, with or without
+//!    SMACOF; or a few patches that many paths
 //!    tie together, brought down from many random places;
 //! 2. growth (`growth`): the other patches, one by one, by multilateration from patches and stations in place;
-//! 3. orientation (`orientation`): stations are found from the patches, and the whole is turned so that they come to lie where they are;
+//! 3. orientation (`orientation`): stations are found from the patches, and the whole is turned so that they come to
+//!    lie where they are;
 //! 4. maximum likelihood of all from there, with Huber's loss;
-//! 5. moves (`mending`): each patch is multilaterated again; a place other than its own is taken where the loss of all, settled again, falls. Patches that fit
+//! 5. moves (`mending`): each patch is multilaterated again; a place other than its own is taken where the loss of all,
+//!    settled again, falls. Patches that fit
 //!    worst are taken out and grown again.
 //!
-//! The lowest loss wins. What no loss decides is told by [`alternatives`]. A patch with too few paths stays somewhere on its sphere or circle.
+//! The lowest loss wins. What no loss decides is told by [`alternatives`]. A patch with too few paths stays somewhere
+//! on its sphere or circle.
 //!
-//! Systems are dense: meant for some hundreds of patches. Not found: a second part (patches that share no path with the first) without first bounces, and
-//! groups of patches that fold over only together. A path that meets a patch twice does not help to place it, but counts where all are settled.
+//! Systems are dense: meant for some hundreds of patches. Not found: a second part (patches that share no path with the
+//! first) without first bounces, and groups of patches that fold over only together. A path that meets a patch twice
+//! does not help to place it, but counts where all are settled.
 
 mod alternatives;
 mod growth;
@@ -58,8 +64,9 @@ pub struct Placed {
     pub starts: usize,
 }
 
-/// Places all patches; the problem's `start` is not used. Where its lengths contradict one another under Huber's loss, places under the redescending loss
-/// are tried too, which bear many wrong lengths, and the better explanation is taken.
+/// Places all patches; the problem's `start` is not used. Where its lengths contradict one another under Huber's loss,
+/// places under the redescending loss are tried too, which bear many wrong lengths, and the better explanation is
+/// taken.
 ///
 /// # Panics
 /// Without patches or observations, and as [`maximum_likelihood::solve`].

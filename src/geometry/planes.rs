@@ -1,12 +1,14 @@
 //! Planes through groups of patches (paper Figs. 4d and 6d: surface fitting, near co-planarity).
 //!
-//! Total least squares: distances at right angles to the plane are what is minimised, each over its variance `n' C_i n`, which the normal itself decides, hence
-//! a few rounds. Errors follow from the covariances of all patches to first order, those between patches included: a tilt between two planes
-//! is known better than the normals of both, as it does not depend on the rotation that path lengths leave open.
+//! Total least squares: distances at right angles to the plane are what is minimised, each over its variance `n' C_i
+//! n`, which the normal itself decides, hence a few rounds. Errors follow from the covariances of all patches to first
+//! order, those between patches included: a tilt between two planes is known better than the normals of both, as it
+//! does not depend on the rotation that path lengths leave open.
 //!
-//! [`find`] groups patches by itself: of the planes through triples of patches the one with the most patches within [`NEAR`] standard deviations, fitted and counted anew until
-//! its members stay; then the same with what remains. Source: consensus as in Fischler and Bolles, Commun. ACM 24, 381 (1981), with every triple (from
-//! some 200 patches on, every n-th) in place of random ones. Not modelled: edges; a plane reaches as far as there are patches on it.
+//! [`find`] groups patches by itself: of the planes through triples of patches the one with the most patches within
+//! [`NEAR`] standard deviations, fitted and counted anew until its members stay; then the same with what remains.
+//! Source: consensus as in Fischler and Bolles, Commun. ACM 24, 381 (1981), with every triple (from some 200 patches
+//! on, every n-th) in place of random ones. Not modelled: edges; a plane reaches as far as there are patches on it.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -42,8 +44,8 @@ pub struct Plane {
     levers: Vec<Vector3<f64>>,
 }
 
-/// The plane nearest to the `members` of `points`; `covariance_m2(a, b)` is that of two patches (zero between two where it is not known). `None` for fewer than
-/// three patches, or patches in line.
+/// The plane nearest to the `members` of `points`; `covariance_m2(a, b)` is that of two patches (zero between two where
+/// it is not known). `None` for fewer than three patches, or patches in line.
 #[must_use]
 pub fn fit(points: &[Point], members: &[usize], covariance_m2: impl Fn(usize, usize) -> Matrix3<f64>) -> Option<Plane> {
     if members.len() < 3 {
@@ -79,7 +81,8 @@ pub fn fit(points: &[Point], members: &[usize], covariance_m2: impl Fn(usize, us
         normal = -normal;
     }
     let out = |member: usize| normal.dot(&(points[member].coords - middle));
-    // A plane tilts about two axes and moves along its normal; members move it by their distances, in proportion to weight and lever.
+    // A plane tilts about two axes and moves along its normal; members move it by their distances, in proportion to
+    // weight and lever.
     let rows: Vec<Vector3<f64>> = members
         .iter()
         .map(|&member| {
@@ -122,8 +125,8 @@ fn weighted<'a>(
     members.iter().zip(weights).map(|(&member, weight)| points[member].coords * *weight)
 }
 
-/// The plane (in flatland the line) of least squared distances to some points, all counted alike: a point of it and its unit normal. Arbitrary where points lie in
-/// line (in flatland in one place).
+/// The plane (in flatland the line) of least squared distances to some points, all counted alike: a point of it and its
+/// unit normal. Arbitrary where points lie in line (in flatland in one place).
 ///
 /// # Panics
 /// Without points.
@@ -141,8 +144,8 @@ pub fn nearest(points: &[Point], dimensions: usize) -> (Point, Vector3<f64>) {
     (Point::from(middle), eigen.eigenvectors.column(eigen.eigenvalues.imin()).into())
 }
 
-/// Whether a point lies on the other side of the plane (in flatland the line) nearest to some points than another does, as what a wall's patches see never does
-/// of the laser that lights them.
+/// Whether a point lies on the other side of the plane (in flatland the line) nearest to some points than another does,
+/// as what a wall's patches see never does of the laser that lights them.
 ///
 /// # Panics
 /// Without points.

@@ -1,10 +1,12 @@
 //! The paper's iterative re-estimation of distances (section 4.2), in our reading: to be compared with, not to be used.
 //!
-//! "We used the estimated coordinates iteratively to recompute robust distance estimates" is all that the paper says. Here: Algorithm 1 on the distances, each
-//! distance replaced by the mean of what was measured and what the coordinates say, Algorithm 1 again, until the coordinates stay. (Replacing distances
-//! altogether ends at once: those of an embedding are embedded without change.)
+//! "We used the estimated coordinates iteratively to recompute robust distance estimates" is all that the paper says.
+//! Here: Algorithm 1 on the distances, each distance replaced by the mean of what was measured and what the coordinates
+//! say, Algorithm 1 again, until the coordinates stay. (Replacing distances altogether ends at once: those of an
+//! embedding are embedded without change.)
 //!
-//! It changes Algorithm 1's error by less than 0.2 %, since both halves of the mean embed alike: no information is added that the first embedding did not have.
+//! It changes Algorithm 1's error by less than 0.2 %, since both halves of the mean embed alike: no information is
+//! added that the first embedding did not have.
 
 use faer::Mat;
 
@@ -17,7 +19,8 @@ const SETTLED_M: f64 = 1e-7;
 /// Most rounds.
 const ROUNDS: usize = 100;
 
-/// Points of patches 1..M, p0 at the origin, and rounds taken, from the full symmetric matrix of distances over p0..pM; the frame is arbitrary.
+/// Points of patches 1..M, p0 at the origin, and rounds taken, from the full symmetric matrix of distances over p0..pM;
+/// the frame is arbitrary.
 ///
 /// # Panics
 /// As [`iso_embed::embed`].

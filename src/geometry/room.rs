@@ -1,4 +1,5 @@
-//! Scenes for tests and studies, and what path lengths among their patches tell at best. Shares no code with the estimators but the linear algebra.
+//! Scenes for tests and studies, and what path lengths among their patches tell at best. Shares no code with the
+//! estimators but the linear algebra.
 
 use std::iter;
 
@@ -34,8 +35,8 @@ pub fn second_m(points: &[Point], a: usize, b: usize) -> f64 {
     points[a].coords.norm() + (points[a] - points[b]).norm() + points[b].coords.norm()
 }
 
-/// Fisher matrix of all coordinates, three a patch, of all first bounces and the second bounces over `pairs`, with sds `sd_m` (first, second), for a
-/// delay common to all that is known to `delay_sd_m`.
+/// Fisher matrix of all coordinates, three a patch, of all first bounces and the second bounces over `pairs`, with sds
+/// `sd_m` (first, second), for a delay common to all that is known to `delay_sd_m`.
 #[must_use]
 pub fn fisher(points: &[Point], pairs: &[(usize, usize)], sd_m: [f64; 2], delay_sd_m: f64) -> Mat<f64> {
     let size = 3 * points.len();
@@ -63,8 +64,8 @@ pub fn fisher(points: &[Point], pairs: &[(usize, usize)], sd_m: [f64; 2], delay_
     Mat::from_fn(size, size, |i, j| fisher[(i, j)] - coupling[i] * coupling[j] / stiffness)
 }
 
-/// Root of the mean squared error after alignment that no estimator goes below: from the pseudo-inverse without its three rotations. Infinite if more
-/// than those are open.
+/// Root of the mean squared error after alignment that no estimator goes below: from the pseudo-inverse without its
+/// three rotations. Infinite if more than those are open.
 #[must_use]
 pub fn bound_m(points: &[Point], pairs: &[(usize, usize)], sd_m: [f64; 2], delay_sd_m: f64) -> f64 {
     bound_of_m(&fisher(points, pairs, sd_m, delay_sd_m), 3)
@@ -101,7 +102,8 @@ impl Way {
     }
 }
 
-/// What lengths tell of all coordinates, three a patch, and of a delay common to all: the blocks of their Fisher matrix.
+/// What lengths tell of all coordinates, three a patch, and of a delay common to all: the blocks of their Fisher
+/// matrix.
 #[derive(Clone, Debug)]
 pub struct Information {
     positions: Mat<f64>,
@@ -161,7 +163,8 @@ impl Information {
         Mat::from_fn(size, size, |i, k| self.positions[(i, k)] - coupling[i] * coupling[k] / self.delay)
     }
 
-    /// Standard deviation of the delay that no estimator goes below, with `free` rotations of the whole that no length depends on.
+    /// Standard deviation of the delay that no estimator goes below, with `free` rotations of the whole that no length
+    /// depends on.
     #[must_use]
     pub fn delay_sd_m(&self, free: usize) -> f64 {
         let (values, vectors) = dense::symmetric_eigen(&self.positions);
@@ -171,7 +174,8 @@ impl Information {
     }
 }
 
-/// Root of the mean squared error, what `free` rotations of the whole bring apart, that no estimator goes below. Infinite if more is open.
+/// Root of the mean squared error, what `free` rotations of the whole bring apart, that no estimator goes below.
+/// Infinite if more is open.
 #[must_use]
 pub fn bound_of_m(fisher: &Mat<f64>, free: usize) -> f64 {
     let (values, _) = dense::symmetric_eigen(fisher);

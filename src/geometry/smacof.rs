@@ -7,10 +7,11 @@
 //! V z' = B(z) z        V = Laplacian of w_ij        B(z) = Laplacian of w_ij d_ij / |z_i - z_j|
 //! ```
 //!
-//! which never raises it. Row and column of p0, which stays at the origin, are left out, so that V is definite and factored once; a step is O(M^2).
-//! A weight of 0 stands for a distance that is not measured. Source: de Leeuw, in Recent Developments in Statistics (1977), 133; de Leeuw and Heiser
-//! (1980) for the weights. Not modelled: that distances share onsets (hence it stays above the bound), outliers. It finds the minimum nearest to
-//! its start, linearly, and crawls where weights differ much.
+//! which never raises it. Row and column of p0, which stays at the origin, are left out, so that V is definite and
+//! factored once; a step is O(M^2). A weight of 0 stands for a distance that is not measured. Source: de Leeuw, in
+//! Recent Developments in Statistics (1977), 133; de Leeuw and Heiser (1980) for the weights. Not modelled: that
+//! distances share onsets (hence it stays above the bound), outliers. It finds the minimum nearest to its start,
+//! linearly, and crawls where weights differ much.
 
 use faer::Mat;
 use nalgebra::Vector3;
@@ -33,8 +34,8 @@ pub struct Scaled {
     pub steps: usize,
 }
 
-/// Moves the `start` of patches 1..M to a minimum of the stress; the matrices of distances and weights are over p0..pM. In flatland z stays 0 where
-/// it starts so. `None` if the weights do not connect every patch with p0.
+/// Moves the `start` of patches 1..M to a minimum of the stress; the matrices of distances and weights are over p0..pM.
+/// In flatland z stays 0 where it starts so. `None` if the weights do not connect every patch with p0.
 ///
 /// # Panics
 /// When the matrices are not square over p0 and all patches.

@@ -1,4 +1,5 @@
-//! Distances from first and second onsets: the inverse of the paper's distance transform T2 (section 4.1), in closed form.
+//! Distances from first and second onsets: the inverse of the paper's distance transform T2 (section 4.1), in closed
+//! form.
 //!
 //! With source and camera in one point, c `O_i` = 2 `d_0i` and c `O_ij` = `d_0i` + `d_ij` + `d_0j`, hence
 //!
@@ -6,17 +7,19 @@
 //! d_0i = c O_i / 2        d_ij = c (O_ij - (O_i + O_j) / 2)
 //! ```
 //!
-//! T2 is square: once reciprocal onsets are averaged, this is also the weighted least-squares solution. A delay common to all onsets
-//! cancels in every `d_ij` and stays in `d_0i`. The matrix that the paper prints has its fourth row wrong (2 `d_23` for `O_2`), which swaps
-//! `d_02` and `d_23` and puts `d_12` off by their difference; the labels `O_1^2` and `O_1^3` of its right-hand side must read `O_2^1` and
-//! `O_3^1`. A distance may come out negative or against the triangle inequality; it is kept, since clipping would bias what follows.
+//! T2 is square: once reciprocal onsets are averaged, this is also the weighted least-squares solution. A delay common
+//! to all onsets cancels in every `d_ij` and stays in `d_0i`. The matrix that the paper prints has its fourth row wrong
+//! (2 `d_23` for `O_2`), which swaps `d_02` and `d_23` and puts `d_12` off by their difference; the labels `O_1^2` and
+//! `O_1^3` of its right-hand side must read `O_2^1` and `O_3^1`. A distance may come out negative or against the
+//! triangle inequality; it is kept, since clipping would bias what follows.
 //!
-//! Any pattern of onsets will do: `d_0i` needs `O_i`, `d_ij` needs `O_ij` (or `O_ji`), `O_i` and `O_j`. Nothing else gives them: as many unknowns as onsets
-//! are left, so a pair without one of its first bounces is skipped here, and a fit to coordinates ([`super::maximum_likelihood`]) still uses it.
-//! Distances with variances and covariances hold all that the onsets said; [`lengths`] takes them back.
+//! Any pattern of onsets will do: `d_0i` needs `O_i`, `d_ij` needs `O_ij` (or `O_ji`), `O_i` and `O_j`. Nothing else
+//! gives them: as many unknowns as onsets are left, so a pair without one of its first bounces is skipped here, and a
+//! fit to coordinates ([`super::maximum_likelihood`]) still uses it. Distances with variances and covariances hold all
+//! that the onsets said; [`lengths`] takes them back.
 //!
-//! With source and sensor apart, c `O_i` = `|s - p_i| + |p_i - k|` is a sum that no first bounce takes apart, and T2 does not close: what is known are
-//! path lengths, an ellipsoid a patch, and they go to the fit as they are.
+//! With source and sensor apart, c `O_i` = `|s - p_i| + |p_i - k|` is a sum that no first bounce takes apart, and T2
+//! does not close: what is known are path lengths, an ellipsoid a patch, and they go to the fit as they are.
 
 use std::collections::BTreeMap;
 
@@ -60,7 +63,8 @@ pub struct Distances {
     pub covariances: Vec<(usize, usize, f64)>,
     /// Pairs whose second onset has no first onsets to go with it.
     pub skipped: Vec<(PatchId, PatchId)>,
-    /// Pairs whose reciprocal onsets disagree, and by how many standard deviations; their variance covers the disagreement.
+    /// Pairs whose reciprocal onsets disagree, and by how many standard deviations; their variance covers the
+    /// disagreement.
     pub disagreeing: Vec<(PatchId, PatchId, f64)>,
 }
 
@@ -74,7 +78,8 @@ impl Distances {
     }
 }
 
-/// Inverse-variance mean of measurements of one length, and the largest deviation of two of them in standard deviations. When they disagree beyond
+/// Inverse-variance mean of measurements of one length, and the largest deviation of two of them in standard
+/// deviations. When they disagree beyond
 /// [`RECIPROCITY_SIGMA`], the variance of the mean is raised to the disagreement's square.
 #[must_use]
 pub fn mean(lengths: &[Length]) -> (Length, f64) {
@@ -91,8 +96,8 @@ pub fn mean(lengths: &[Length]) -> (Length, f64) {
     (Length { length_m, variance_m2 }, worst)
 }
 
-/// Inverts T2 for any pattern of measured and missing onsets. `first` are lengths c `O_i` by patch, `second` are lengths c `O_ij` by (lit, seen).
-/// Several measurements of one length are averaged, reciprocal ones included.
+/// Inverts T2 for any pattern of measured and missing onsets. `first` are lengths c `O_i` by patch, `second` are
+/// lengths c `O_ij` by (lit, seen). Several measurements of one length are averaged, reciprocal ones included.
 #[must_use]
 pub fn invert(first: &[(PatchId, Length)], second: &[((PatchId, PatchId), Length)]) -> Distances {
     let mut onsets: BTreeMap<PatchId, Vec<Length>> = BTreeMap::new();
@@ -138,8 +143,9 @@ pub fn invert(first: &[(PatchId, Length)], second: &[((PatchId, PatchId), Length
     result
 }
 
-/// T2 itself: path lengths of first bounces, and of second bounces with both their first, that distances from [`invert`] were made of. A second bounce's variance
-/// is what its distance's has beyond the first bounces'; where that is nothing, since the distance was not made by T2, it is the distance's.
+/// T2 itself: path lengths of first bounces, and of second bounces with both their first, that distances from
+/// [`invert`] were made of. A second bounce's variance is what its distance's has beyond the first bounces'; where that
+/// is nothing, since the distance was not made by T2, it is the distance's.
 #[must_use]
 pub fn lengths(distances: &[Distance]) -> (Vec<(PatchId, Length)>, Vec<((PatchId, PatchId), Length)>) {
     let to_p0 = distances.iter().filter(|distance| distance.a == 0);

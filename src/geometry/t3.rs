@@ -1,23 +1,27 @@
-//! Ranges of a hidden patch from third bounces: the inverse of the paper's distance transform T3 (section 4.3), for any pattern of onsets.
+//! Ranges of a hidden patch from third bounces: the inverse of the paper's distance transform T3 (section 4.3), for any
+//! pattern of onsets.
 //!
-//! Light that meets a hidden patch `q` comes from a lit patch i and goes on to a seen patch k. With both in known places, the path's length less its legs
-//! to laser and sensor is a sum of two ranges `r_i = |q - p_i|`:
+//! Light that meets a hidden patch `q` comes from a lit patch i and goes on to a seen patch k. With both in known
+//! places, the path's length less its legs to laser and sensor is a sum of two ranges `r_i = |q - p_i|`:
 //!
 //! ```text
 //! s_ik = c O_iqk - d_0i - d_0k = r_i + r_k        s_ii = 2 r_i
 //! ```
 //!
-//! The paper solves `s_11` and `s_14` for two ranges and leaves the others unused; here all sums go in, by least squares weighted by their covariance.
-//! With sums of all V (V + 1) / 2 pairs, of equal variance, that is `r = (y - 1 (1' y) / (2 V + 2)) / (V + 2)`, y the transpose of T3 times s
-//! (Sherman and Morrison). The right-hand side that the paper prints has three misprints: `O_124^2` and `O_134^23` are third bounces, `O_124^3`
-//! and `O_134^3`, and the first bounce that goes with `O_131^3` is `O_1^1`, as the hidden patch 3 has none.
+//! The paper solves `s_11` and `s_14` for two ranges and leaves the others unused; here all sums go in, by least
+//! squares weighted by their covariance. With sums of all V (V + 1) / 2 pairs, of equal variance, that is `r = (y - 1
+//! (1' y) / (2 V + 2)) / (V + 2)`, y the transpose of T3 times s (Sherman and Morrison). The right-hand side that the
+//! paper prints has three misprints: `O_124^2` and `O_134^23` are third bounces, `O_124^3` and `O_134^3`, and the first
+//! bounce that goes with `O_131^3` is `O_1^1`, as the hidden patch 3 has none.
 //!
-//! Known legs are not known exactly, and an error of theirs is common to all sums over that patch. It travels as such: each sum has its own variance, and what
-//! each of several independent errors adds to it. So do ranges, and by that the covariance between ranges of different hidden patches follows.
+//! Known legs are not known exactly, and an error of theirs is common to all sums over that patch. It travels as such:
+//! each sum has its own variance, and what each of several independent errors adds to it. So do ranges, and by that the
+//! covariance between ranges of different hidden patches follows.
 //!
-//! Sums determine ranges where they close: patches are nodes, sums edges, and a part of that graph with an odd cycle (a sum (i, i), or three patches
-//! all in pairs) has ranges. Without one, as with disjoint sets of lit and seen patches, the ranges of the one set may all grow by what those of the other shrink:
-//! such parts are [`Ranges::open`]. Their sums still tell the place of a patch ([`super::maximum_likelihood`] takes them as they are).
+//! Sums determine ranges where they close: patches are nodes, sums edges, and a part of that graph with an odd cycle (a
+//! sum (i, i), or three patches all in pairs) has ranges. Without one, as with disjoint sets of lit and seen patches,
+//! the ranges of the one set may all grow by what those of the other shrink: such parts are [`Ranges::open`]. Their
+//! sums still tell the place of a patch ([`super::maximum_likelihood`] takes them as they are).
 
 use std::collections::BTreeMap;
 
@@ -80,7 +84,8 @@ pub fn invert(sums: &[Sum]) -> Ranges {
     let mut patches: Vec<PatchId> = ranges.collect();
     patches.sort_unstable();
     let open: Vec<Vec<PatchId>> = parts.into_iter().filter(|part| !part.is_closed).map(|part| part.patches).collect();
-    // Of an open part one range is held, at nothing: the others are then determined, and what its even cycles tell of common errors is used.
+    // Of an open part one range is held, at nothing: the others are then determined, and what its even cycles tell of
+    // common errors is used.
     let held = open.iter().flat_map(|part| part[1..].iter().copied());
     let columns: BTreeMap<PatchId, usize> =
         patches.iter().copied().chain(held).enumerate().map(|(column, patch)| (patch, column)).collect();

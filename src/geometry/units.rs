@@ -1,6 +1,7 @@
 //! Units and ids: the one place where a time becomes a length.
 //!
-//! Times are `f64` picoseconds, lengths `f64` metres, voltages `f64` volts; a name carries its unit (`time_ps`, `distance_m`).
+//! Times are `f64` picoseconds, lengths `f64` metres, voltages `f64` volts; a name carries its unit (`time_ps`,
+//! `distance_m`).
 
 /// Speed of light in vacuum, metres per picosecond.
 pub const SPEED_OF_LIGHT_M_PER_PS: f64 = 2.997_924_58e-4;

@@ -1,7 +1,8 @@
 //! The guide: the pages of `docs/guide/`, here so that they stand beside the reference. Start at [`guide`](start).
 //!
-//! A page is Markdown that reads the same in both places. What it links to is defined twice: at its own end, as the files lie, and in `links.md`, as the modules do;
-//! the definition that comes first counts, and here that is the second.
+//! A page is Markdown that reads the same in both places. What it links to is defined twice: at its own end, as the
+//! files lie, and in `links.md`, as the modules do; the definition that comes first counts, and here that is the
+//! second.
 
 macro_rules! pages {
     ($($name:ident = $file:literal;)*) => {$(

@@ -2,7 +2,8 @@
 
 use serde_json::Value;
 
-/// A parameter that has an effect only while another one has one of some values: its name, the other's name, the values.
+/// A parameter that has an effect only while another one has one of some values: its name, the other's name, the
+/// values.
 #[derive(Clone, Copy, Debug)]
 pub struct Condition(pub &'static str, pub &'static str, pub &'static [&'static str]);
 

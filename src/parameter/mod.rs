@@ -1,6 +1,7 @@
 //! Types of stage parameters: each says which values it takes, and refuses all others where it is read.
 //!
-//! A parameter of a stage is one field with one of these types. [`read`] makes a stage from a pipeline file and words what it refuses.
+//! A parameter of a stage is one field with one of these types. [`read`] makes a stage from a pipeline file and words
+//! what it refuses.
 
 mod fault;
 mod read;

@@ -1,7 +1,7 @@
 //! One pass: a source or a stored table streams through a tree of stages, one thread a stage, over bounded channels.
 //!
-//! A tree cannot deadlock: rows only go down. A table appears only on an explicit end; a closed channel without it means that
-//! somebody failed, and the first cause is what the run reports.
+//! A tree cannot deadlock: rows only go down. A table appears only on an explicit end; a closed channel without it
+//! means that somebody failed, and the first cause is what the run reports.
 
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -136,8 +136,8 @@ impl From<StoreError> for Failure {
     }
 }
 
-/// Runs a pass to its end, or until more than `allowed` rows are set aside. Content digests of the source parts that it read join `content`, (step, part)
-/// to digest, also when it fails.
+/// Runs a pass to its end, or until more than `allowed` rows are set aside. Content digests of the source parts that it
+/// read join `content`, (step, part) to digest, also when it fails.
 ///
 /// # Errors
 /// The first failure of any of its threads.
@@ -422,7 +422,8 @@ fn commit<'a>(
     open(shared, step, writer)?;
     let writer = writer.take().expect("opened above");
     let part = writer.commit(lineage)?;
-    // Parts that were on the shelf before are counted already: rows that are not kept are made again for whoever needs them.
+    // Parts that were on the shelf before are counted already: rows that are not kept are made again for whoever needs
+    // them.
     let is_known = shared.plan.tables[step].present.iter().flatten().any(|known| known.lineage == lineage);
     let rejects = part.files.get(Reject::TABLE).filter(|_| !is_known).map_or(0, |file| file.rows);
     let mut allowed = shared.allowed.lock().unwrap_or_else(PoisonError::into_inner);

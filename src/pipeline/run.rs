@@ -26,7 +26,8 @@ pub struct Outcome {
     pub passes: Vec<PassRecord>,
 }
 
-/// Runs what the plan wants and does not have. Not to be called from one of rayon's own threads: stages would wait for workers that wait for them.
+/// Runs what the plan wants and does not have. Not to be called from one of rayon's own threads: stages would wait for
+/// workers that wait for them.
 ///
 /// # Errors
 /// The first failure, or that the run was stopped; parts that were finished before it are kept.
@@ -99,7 +100,8 @@ fn passes(
     Ok(())
 }
 
-/// The wanted tables and all that they are made from, also where that is not kept: what was set aside on the way is part of the outcome.
+/// The wanted tables and all that they are made from, also where that is not kept: what was set aside on the way is
+/// part of the outcome.
 fn behind(plan: &Plan<'_>) -> Vec<usize> {
     let mut behind: Vec<bool> = plan.tables.iter().map(|table| table.wanted).collect();
     for i in (0..behind.len()).rev() {

@@ -39,10 +39,12 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The least budget with which every stage and writer can hold its largest piece at once: beneath it a run could wait for itself.
+    /// The least budget with which every stage and writer can hold its largest piece at once: beneath it a run could
+    /// wait for itself.
     #[must_use]
     pub fn least_memory(&self) -> usize {
-        // The writer of raw traces gathers a row group a worker before it lets go; the reader needs room for one batch more.
+        // The writer of raw traces gathers a row group a worker before it lets go; the reader needs room for one batch
+        // more.
         let groups = rayon::current_num_threads() + 1;
         groups * (crate::store::parquet::ROW_GROUP_BYTES + self.batch_bytes)
             + (self.channel_batches + 2) * self.batch_bytes

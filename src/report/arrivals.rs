@@ -77,7 +77,8 @@ impl Arrivals {
     }
 }
 
-/// To sort by: how far an onset lies from where the solution has it, in standard deviations; 0 where nothing tells. Those that the solution left out come first.
+/// To sort by: how far an onset lies from where the solution has it, in standard deviations; 0 where nothing tells.
+/// Those that the solution left out come first.
 pub fn doubt(onset: &OnsetBehind) -> f64 {
     let pull = onset.pull.map_or(0.0, f64::abs);
     if onset.used == Some(false) { LEFT_OUT + pull } else { pull }

@@ -1,5 +1,5 @@
-//! What a result folder says, for the eye: one page of HTML ([`page`]) and figures for a paper ([`figures`]). Both draw what [`Report::of`] reads
-//! from the tables; nothing is computed again.
+//! What a result folder says, for the eye: one page of HTML ([`page`]) and figures for a paper ([`figures`]). Both draw
+//! what [`Report::of`] reads from the tables; nothing is computed again.
 //!
 //! | file | section |
 //! |---|---|
@@ -41,7 +41,8 @@ use sources::Sources;
 use stir::Stir;
 use waveforms::Waveforms;
 
-/// All that is drawn. Sizes are bounded, whatever the campaign's: what is chosen, and how to see the rest, stands beside each section.
+/// All that is drawn. Sizes are bounded, whatever the campaign's: what is chosen, and how to see the rest, stands
+/// beside each section.
 pub struct Report {
     folder: String,
     provenance: Provenance,

@@ -14,7 +14,8 @@ use crate::tables::{Ambiguity, Fit, Gap, Hypothesis, Patch, Plane, Suspect};
 
 /// Paths drawn at most.
 const RAYS: usize = 120;
-/// Ellipsoids are drawn so much larger that the longest semi-axes, but for a tenth of the patches, are about this share of the scene.
+/// Ellipsoids are drawn so much larger that the longest semi-axes, but for a tenth of the patches, are about this share
+/// of the scene.
 const ELLIPSOID_SHARE: f64 = 0.04;
 
 /// A patch with its ellipsoid.

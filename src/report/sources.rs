@@ -23,7 +23,8 @@ impl<'a> Sources<'a> {
         Self { ancestry, answer }
     }
 
-    /// The table of this name that goes with the answer: made by the same work, else the nearest that the answer was made from, else the last in the dataflow.
+    /// The table of this name that goes with the answer: made by the same work, else the nearest that the answer was
+    /// made from, else the last in the dataflow.
     pub fn table(&self, name: &str) -> Option<Table> {
         let of_answer = self.answer.as_ref().and_then(|answer| {
             if answer.name == name {

@@ -67,7 +67,8 @@ pub struct Image {
     pub lit: Lit,
     /// Seen patches, a row each.
     pub seen: Vec<PatchId>,
-    /// Decimal logarithm of signal over noise, row by row; the loudest sample that a pixel covers; 0 for what is below the noise.
+    /// Decimal logarithm of signal over noise, row by row; the loudest sample that a pixel covers; 0 for what is below
+    /// the noise.
     pub levels: Vec<Vec<f64>>,
     /// Onsets in it: time, place of the seen patch in `seen`, bounces (0: unexplained), path in words.
     pub onsets: Vec<OnsetBehind>,

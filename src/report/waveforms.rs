@@ -1,4 +1,5 @@
-//! Chosen profiles: the mean of their shots with its error band, the impulses that explain it, and the labels of their onsets.
+//! Chosen profiles: the mean of their shots with its error band, the impulses that explain it, and the labels of their
+//! onsets.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -207,7 +207,8 @@ pub fn record(laboratory: &Laboratory, seed: u64, out: &Path, format: Format) ->
     })?;
     let truth = laboratory.truth();
     folder::write_truth(out, scene, seed, &truth)?;
-    // Comes last: without it a folder is no campaign, so that a simulation that was ended leaves nothing that looks whole.
+    // Comes last: without it a folder is no campaign, so that a simulation that was ended leaves nothing that looks
+    // whole.
     folder::write_campaign(out, scene, seed, format, &laboratory.shootings)?;
     Ok(truth)
 }

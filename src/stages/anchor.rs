@@ -1,7 +1,9 @@
-//! `anchor`: patches whose places are known beforehand, as a table: the wall of a campaign that only looks for what is hidden.
+//! `anchor`: patches whose places are known beforehand, as a table: the wall of a campaign that only looks for what is
+//! hidden.
 //!
-//! Takes campaign.toml; writes `patches`: those with a `position_m`, with its standard deviation (`sd_m`; where none is given, a micrometre). `label`, `range`
-//! and `embed` take them beside them in place of patches that `refine` found. Their errors are independent of each other.
+//! Takes campaign.toml; writes `patches`: those with a `position_m`, with its standard deviation (`sd_m`; where none is
+//! given, a micrometre). `label`, `range` and `embed` take them beside them in place of patches that `refine` found.
+//! Their errors are independent of each other.
 //!
 //! ```toml
 //! [wall]

@@ -1,28 +1,35 @@
-//! `average`: the shots of a capture become one mean time profile (paper section 5: exposures averaged against Gaussian noise).
+//! `average`: the shots of a capture become one mean time profile (paper section 5: exposures averaged against Gaussian
+//! noise).
 //!
-//! Each shot is moved by its own sub-sample trigger time and onto its reference pulse, whose time is fitted with the calibrated template. The
-//! offset is rounded to 1/64 sample, codes are summed as integers by phase, and each phase is delayed once at the end: exact, and the same for
-//! any order and chunking. Shots at the converter's rails, outlying shots (tested against the first 32) and shots without reference pulse are
-//! set aside, as are those with a sample that is no number.
+//! Each shot is moved by its own sub-sample trigger time and onto its reference pulse, whose time is fitted with the
+//! calibrated template. The offset is rounded to 1/64 sample, codes are summed as integers by phase, and each phase is
+//! delayed once at the end: exact, and the same for any order and chunking. Shots at the converter's rails, outlying
+//! shots (tested against the first 32) and shots without reference pulse are set aside, as are those with a sample that
+//! is no number.
 //!
-//! The spread of the first 32 shots gives a model of a shot's variance over level and slope ([`crate::signal::noise_model`]). What a sample has for
-//! itself is its standard error; the laser's energy and jitter move all samples together, and are told where they are significant. Jitter is else
-//! what the fits of the reference pulses leave, or without reference channel the trigger's, as the calibration's noise model has it.
+//! The spread of the first 32 shots gives a model of a shot's variance over level and slope
+//! ([`crate::signal::noise_model`]). What a sample has for itself is its standard error; the laser's energy and jitter
+//! move all samples together, and are told where they are significant. Jitter is else what the fits of the reference
+//! pulses leave, or without reference channel the trigger's, as the calibration's noise model has it.
 //!
-//! A capture taken at several vertical ranges is averaged range by range; then each sample is the weighted mean of the ranges that do not clip there
-//! ([`crate::signal::merge_ranges`]), on scale and time of the most sensitive one, whose `shots`, `noise_v` and `noise_model` the profile has. Shots
-//! with clipped samples count in such captures, without these samples, what the aligning filter makes of them, and the amplifier's recovery. The
-//! error of the delay between ranges is in `jitter_ps`, that of their factor in `gain_sd`; `phase_shots` are those of all ranges.
+//! A capture taken at several vertical ranges is averaged range by range; then each sample is the weighted mean of the
+//! ranges that do not clip there ([`crate::signal::merge_ranges`]), on scale and time of the most sensitive one, whose
+//! `shots`, `noise_v` and `noise_model` the profile has. Shots with clipped samples count in such captures, without
+//! these samples, what the aligning filter makes of them, and the amplifier's recovery. The error of the delay between
+//! ranges is in `jitter_ps`, that of their factor in `gain_sd`; `phase_shots` are those of all ranges.
 //!
-//! Where light repeats with the laser (`repetition_ps` of the campaign) and a record holds a period, the profile is that one period, cut open in the
-//! middle of its longest dark part: times are then known modulo the period. Reference pulses of a train are taken for the one next to the trigger.
+//! Where light repeats with the laser (`repetition_ps` of the campaign) and a record holds a period, the profile is
+//! that one period, cut open in the middle of its longest dark part: times are then known modulo the period. Reference
+//! pulses of a train are taken for the one next to the trigger.
 //!
-//! Photon histograms (sensors of kind counts) are added up as they are: errors are those of Poisson's law, `shots_min` does not count.
+//! Photon histograms (sensors of kind counts) are added up as they are: errors are those of Poisson's law, `shots_min`
+//! does not count.
 //!
 //! Takes `traces`; writes `profiles`. Beside it: `calibration`, needed where captures have a reference channel.
 //!
-//! Not modelled: gain drift within a capture; ranges that differ in bandwidth; correlation between the repetitions of a folded record; histograms
-//! longer than a period, which stay as they are. Shot noise of a flash that is faster than the response passes for energy of the laser.
+//! Not modelled: gain drift within a capture; ranges that differ in bandwidth; correlation between the repetitions of a
+//! folded record; histograms longer than a period, which stay as they are. Shot noise of a flash that is faster than
+//! the response passes for energy of the laser.
 //!
 //! ```toml
 //! [profiles]
@@ -72,9 +79,11 @@ pub struct Average {
     baseline_ps: Option<Positive>,
     /// Whether outlying shots are set aside.
     reject_outliers: bool,
-    /// A shot is outlying when a sample of it lies this many robust standard deviations off the median of the first shots.
+    /// A shot is outlying when a sample of it lies this many robust standard deviations off the median of the first
+    /// shots.
     outlier_sigma: Positive,
-    /// Time that the amplifier needs after clipping, in captures with several vertical ranges: as long, samples of that range are left out.
+    /// Time that the amplifier needs after clipping, in captures with several vertical ranges: as long, samples of that
+    /// range are left out.
     recovery_ps: NonNegative,
 }
 

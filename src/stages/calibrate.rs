@@ -1,18 +1,22 @@
-//! `calibrate`: a sensor's impulse response, the template of its reference pulse, its latency and its noise (paper sections 5 and 6).
+//! `calibrate`: a sensor's impulse response, the template of its reference pulse, its latency and its noise (paper
+//! sections 5 and 6).
 //!
-//! From captures of role `response`: shots over a path of known length, at each vertical range for itself. Their trigger jitter and sub-sample
-//! offsets spread the samples over the pulse, so that response and template come out on a grid of 1/8 sample, with the tail as far as it rises
-//! above the noise, and with echoes that are certain. Shots whose amplitude or time strays are left out. The latency is the mean time of the
-//! response in the shots, each relative to its own reference pulse, less the light's time over the known path. It is measured with the same
-//! template that `deconvolve` uses, so that an error of the template's zero cancels; the reference's template is one for all ranges of a sensor.
-//! What the shots leave of the shape says how the noise goes with level and slope ([`crate::signal::noise_model`]).
+//! From captures of role `response`: shots over a path of known length, at each vertical range for itself. Their
+//! trigger jitter and sub-sample offsets spread the samples over the pulse, so that response and template come out on a
+//! grid of 1/8 sample, with the tail as far as it rises above the noise, and with echoes that are certain. Shots whose
+//! amplitude or time strays are left out. The latency is the mean time of the response in the shots, each relative to
+//! its own reference pulse, less the light's time over the known path. It is measured with the same template that
+//! `deconvolve` uses, so that an error of the template's zero cancels; the reference's template is one for all ranges
+//! of a sensor. What the shots leave of the shape says how the noise goes with level and slope
+//! ([`crate::signal::noise_model`]).
 //!
-//! Photon counters have one histogram a capture, freed of pile-up; its maximum is timed by the counts' likelihood, and the response lies on the bins'
-//! own grid, interpolated: bins no wider than a third of it are needed.
+//! Photon counters have one histogram a capture, freed of pile-up; its maximum is timed by the counts' likelihood, and
+//! the response lies on the bins' own grid, interpolated: bins no wider than a third of it are needed.
 //!
-//! Takes `traces`; writes `calibration`. At most [`SHOTS_MAX`] shots a range are used, and no more than [`KEPT_BYTES`] of samples: the first ones.
-//! Clipped shots, and those with a sample that is no number, are left out; a width or latency that no sensor has is told in `rejects`. Without `path_m` the latency is the prior of campaign.toml. What changes through a session (drift, pick-up) is
-//! added by `track`.
+//! Takes `traces`; writes `calibration`. At most [`SHOTS_MAX`] shots a range are used, and no more than [`KEPT_BYTES`]
+//! of samples: the first ones. Clipped shots, and those with a sample that is no number, are left out; a width or
+//! latency that no sensor has is told in `rejects`. Without `path_m` the latency is the prior of campaign.toml. What
+//! changes through a session (drift, pick-up) is added by `track`.
 //!
 //! ```toml
 //! [calibration]

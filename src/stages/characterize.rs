@@ -1,4 +1,5 @@
-//! `characterize`: is the instrument what the method takes it for? The checks of paper figure 7, and those that its figure leaves out.
+//! `characterize`: is the instrument what the method takes it for? The checks of paper figure 7, and those that its
+//! figure leaves out.
 //!
 //! | check | from | a good instrument |
 //! |---|---|---|
@@ -11,13 +12,15 @@
 //! | `noise_codes` | dark runs, else what precedes the pulse | 0.5 at least |
 //! | `noise`, `noise_correlation`, `noise_slope`, `width`, `dynamic_range_db` | | told |
 //!
-//! Runs of roles response and fiducial make series, each role its own, at fixed other settings, so that light, path and time are not taken for one
-//! another; of several series the longest is checked. `calibrate` uses responses of one path alone, so a path series is best captured as fiducial.
-//! Time is `acquired_at`, or the order of the runs' names where files do not say it.
+//! Runs of roles response and fiducial make series, each role its own, at fixed other settings, so that light, path and
+//! time are not taken for one another; of several series the longest is checked. `calibrate` uses responses of one path
+//! alone, so a path series is best captured as fiducial. Time is `acquired_at`, or the order of the runs' names where
+//! files do not say it.
 //!
-//! A check fails where a good instrument would go so far beyond the tolerance with a chance of less than `level` shared among all tested checks of
-//! the sensor (Bonferroni), and within a check among its trials. At tolerance 0 that is the chance that a good instrument fails any check; a
-//! tolerance makes it smaller. Standard deviations are those of the runs (normal), but for `power_drift`, where they come from the scatter (Student's t).
+//! A check fails where a good instrument would go so far beyond the tolerance with a chance of less than `level` shared
+//! among all tested checks of the sensor (Bonferroni), and within a check among its trials. At tolerance 0 that is the
+//! chance that a good instrument fails any check; a tolerance makes it smaller. Standard deviations are those of the
+//! runs (normal), but for `power_drift`, where they come from the scatter (Student's t).
 //!
 //! Takes `measurements`; writes `checks`.
 //!

@@ -1,4 +1,5 @@
-//! `deconvolve`: the sensor's response undone: which impulses of light explain a profile, and how sure (paper sections 3 and 6).
+//! `deconvolve`: the sensor's response undone: which impulses of light explain a profile, and how sure (paper sections
+//! 3 and 6).
 //!
 //! | method | result |
 //! |---|---|
@@ -8,27 +9,31 @@
 //!
 //! How `sparse` compares with other methods, which are not in the program, stands in docs/time-resolution.md.
 //!
-//! Light that an extended patch spreads in time is modelled by `sparse` where `extent_max_ps` is positive: an impulse whose samples ask for it is
-//! widened by a Gaussian, and by an exponential tail where that does not suffice; its time is that of the light's centroid, and `width_ps` the
-//! standard deviation of both together. Two impulses closer than twice that limit may then be taken for one.
+//! Light that an extended patch spreads in time is modelled by `sparse` where `extent_max_ps` is positive: an impulse
+//! whose samples ask for it is widened by a Gaussian, and by an exponential tail where that does not suffice; its time
+//! is that of the light's centroid, and `width_ps` the standard deviation of both together. Two impulses closer than
+//! twice that limit may then be taken for one.
 //!
-//! With a known response the limit of time resolution is noise and not the sensor: `sparse` separates pulses closer than the response is
-//! wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the response's sign, unless `signed` allows both.
+//! With a known response the limit of time resolution is noise and not the sensor: `sparse` separates pulses closer
+//! than the response is wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the
+//! response's sign, unless `signed` allows both.
 //!
-//! Profiles (i, k) and (k, i) hold the same paths walked in opposite directions, where laser and sensor stand together. With `joint` they are
-//! explained together: times better by up to the root of 2, and arrivals told apart as at so much more signal. The impulses then stand in the row
-//! of the smaller `lit` alone, so that nothing counts twice.
+//! Profiles (i, k) and (k, i) hold the same paths walked in opposite directions, where laser and sensor stand together.
+//! With `joint` they are explained together: times better by up to the root of 2, and arrivals told apart as at so much
+//! more signal. The impulses then stand in the row of the smaller `lit` alone, so that nothing counts twice.
 //!
-//! Photon counts are explained by the likelihood of counts, freed of pile-up by the dead time in campaign.toml; amplitudes are counts a bin.
+//! Photon counts are explained by the likelihood of counts, freed of pile-up by the dead time in campaign.toml;
+//! amplitudes are counts a bin.
 //!
-//! Takes `profiles`; writes `stir`. Beside it: `calibration`; and `session` (of `track`), whose drift and pick-up are taken off: a drift's own error
-//! joins `jitter_ps`, the pick-up's the noise. The noise of each sample is the profile's `se_v`, its autocorrelation `noise_acf`, smoothed to that of an
-//! autoregressive process of the order that `noise_samples` can tell. `wiener` knows equal noise along the record. Where the response fits far
-//! worse than the noise is (`chi2_dof` well above 1) and a single shot tells the noise, its estimate weighs the misfit otherwise in every record:
-//! `correlated = false` keeps times comparable there.
+//! Takes `profiles`; writes `stir`. Beside it: `calibration`; and `session` (of `track`), whose drift and pick-up are
+//! taken off: a drift's own error joins `jitter_ps`, the pick-up's the noise. The noise of each sample is the profile's
+//! `se_v`, its autocorrelation `noise_acf`, smoothed to that of an autoregressive process of the order that
+//! `noise_samples` can tell. `wiener` knows equal noise along the record. Where the response fits far worse than the
+//! noise is (`chi2_dof` well above 1) and a single shot tells the noise, its estimate weighs the misfit otherwise in
+//! every record: `correlated = false` keeps times comparable there.
 //!
-//! Not modelled: light that wraps around the end of a record (`average` cuts circular profiles open where they are quiet), counts explained jointly, the delay
-//! between two vertical ranges in a pair that is explained jointly.
+//! Not modelled: light that wraps around the end of a record (`average` cuts circular profiles open where they are
+//! quiet), counts explained jointly, the delay between two vertical ranges in a pair that is explained jointly.
 //!
 //! ```toml
 //! [stir]
@@ -78,7 +83,8 @@ pub struct Deconvolve {
     correlated: bool,
     /// Whether reciprocal profiles are explained together, for `sparse`: where laser and sensor stand together.
     joint: bool,
-    /// Largest standard deviation of the spread in time of one impulse's light, as extended patches give, for `sparse`; 0: points only.
+    /// Largest standard deviation of the spread in time of one impulse's light, as extended patches give, for `sparse`;
+    /// 0: points only.
     extent_max_ps: NonNegative,
     /// Noise over signal power, for `wiener`; absent: estimated for each profile.
     noise_to_signal: Option<Positive>,
@@ -261,7 +267,8 @@ fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
 }
 
 impl Deconvolve {
-    /// What the impulses are; `None` for a profile whose impulses stand with its reciprocal one, or that has none to be found.
+    /// What the impulses are; `None` for a profile whose impulses stand with its reciprocal one, or that has none to be
+    /// found.
     fn explain(&self, context: &Context, ready: &[(&Profile, Ready)]) -> Vec<Option<Explained>> {
         if let [(first, a), (second, b)] = ready
             && self.joint

@@ -8,18 +8,20 @@
 //! | `first-response` | the paper's "first non-zero response": the first sample above `threshold_sigma` | `profile` |
 //! | `aic` | where noise ends and signal begins by Akaike's criterion, within `window_ps` before each response's maximum | `profile` |
 //!
-//! A threshold walks with amplitude by tens of picoseconds, and Akaike's criterion almost as much; an edge at a fraction does not. Edges at a fraction see
-//! one onset a profile: that of its maximum. `first-response` and `aic` see as many as there are responses: after each, the profile must fall below
-//! `rearm_sigma` before the next. An onset needs a signal-to-noise ratio of `threshold_sigma`. Two impulses so close that neither amplitude is
-//! that certain are onsets all the same where leaving either out would cost a chi-square of `threshold_sigma` squared: that there are two is then
-//! certain, and how light divides between them is not. `aic` has no standard deviation of its own:
-//! given is that of rounding to a sample and of noise over the mean slope up to the maximum.
+//! A threshold walks with amplitude by tens of picoseconds, and Akaike's criterion almost as much; an edge at a
+//! fraction does not. Edges at a fraction see one onset a profile: that of its maximum. `first-response` and `aic` see
+//! as many as there are responses: after each, the profile must fall below `rearm_sigma` before the next. An onset
+//! needs a signal-to-noise ratio of `threshold_sigma`. Two impulses so close that neither amplitude is that certain are
+//! onsets all the same where leaving either out would cost a chi-square of `threshold_sigma` squared: that there are
+//! two is then certain, and how light divides between them is not. `aic` has no standard deviation of its own: given is
+//! that of rounding to a sample and of noise over the mean slope up to the maximum.
 //!
 //! With `sampled` edges are not interpolated between samples: what somebody reads off the screen of an oscilloscope.
 //!
-//! Takes `stir`; writes `onsets`. Flags: `blended` (its time is strongly correlated with a neighbour's), `misfit` (the fit leaves
-//! more than noise of the samples that it reaches), `at-edge` (near an end of the record), `extended` (its light is spread in time: `earliest_ps` is where it would begin if it
-//! were spread evenly, as by one flat patch; after two patches it begins up to 0.7 widths before that). Not modelled yet: saturated arrivals.
+//! Takes `stir`; writes `onsets`. Flags: `blended` (its time is strongly correlated with a neighbour's), `misfit` (the
+//! fit leaves more than noise of the samples that it reaches), `at-edge` (near an end of the record), `extended` (its
+//! light is spread in time: `earliest_ps` is where it would begin if it were spread evenly, as by one flat patch; after
+//! two patches it begins up to 0.7 widths before that). Not modelled yet: saturated arrivals.
 //!
 //! ```toml
 //! [onsets]
@@ -184,8 +186,8 @@ impl Detect {
         kept.iter().enumerate().map(onset).collect()
     }
 
-    /// Whether neither impulse `k` nor one whose time is correlated with its own has an amplitude that is certain, but no fit without either of
-    /// them explains the profile.
+    /// Whether neither impulse `k` nor one whose time is correlated with its own has an amplitude that is certain, but
+    /// no fit without either of them explains the profile.
     fn is_of_blended_pair(&self, stir: &Stir, k: usize) -> bool {
         let count = stir.impulses.len();
         // What a misfit adds to chi-square is no evidence.

@@ -12,17 +12,21 @@
 //! frame: p0 at its station; with three or more anchors (patches with `position_m`) turned onto them; else canonical,
 //! see [`crate::geometry::frame`].
 //!
-//! `incremental` names places that the lengths do not tell from the chosen ones (a patch with two neighbours and its mirror image) as alternatives.
+//! `incremental` names places that the lengths do not tell from the chosen ones (a patch with two neighbours and its
+//! mirror image) as alternatives.
 //!
-//! With `patches` beside, those are known: their rows are passed on as they are, and no method is used. Patches that the distances name beyond them, and in either case
-//! patches without a distance to p0, which are hidden, are placed by [multilateration] from their distances to known ones. Where several places explain these about
-//! equally, as both sides of a wall do, the one on the laser's side of the plane (in flatland the line) through these known patches is chosen, since a wall reflects only
-//! to there; the others are alternatives with their log-likelihood less its own. Patches with too few distances stand in `rejects`.
+//! With `patches` beside, those are known: their rows are passed on as they are, and no method is used. Patches that
+//! the distances name beyond them, and in either case patches without a distance to p0, which are hidden, are placed by
+//! [multilateration] from their distances to known ones. Where several places explain these about equally, as both
+//! sides of a wall do, the one on the laser's side of the plane (in flatland the line) through these known patches is
+//! chosen, since a wall reflects only to there; the others are alternatives with their log-likelihood less its own.
+//! Patches with too few distances stand in `rejects`.
 //!
-//! A patch that only hidden ones show has no distances: it stands where `hypotheses` of `label` beside has it, as do others that the distances do not place.
+//! A patch that only hidden ones show has no distances: it stands where `hypotheses` of `label` beside has it, as do
+//! others that the distances do not place.
 //!
-//! Takes `distances`; writes `patches`. Positions have no covariance here (null) but those passed on: it is `refine` that knows it. Not modelled: errors of known patches,
-//! and covariances of distances.
+//! Takes `distances`; writes `patches`. Positions have no covariance here (null) but those passed on: it is `refine`
+//! that knows it. Not modelled: errors of known patches, and covariances of distances.
 //!
 //! ```toml
 //! [start]

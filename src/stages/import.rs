@@ -1,8 +1,8 @@
 //! `import`: a table made elsewhere stands in for its stage, such as onsets from someone's own picker.
 //!
-//! Takes a Parquet file (or a folder of them, in order of name); writes the table that `table` names. Columns are found by name and brought to
-//! the table's own types; columns that may be null may be absent; columns that the table does not have are refused by name. Times
-//! and lengths must already be in the units of the column names.
+//! Takes a Parquet file (or a folder of them, in order of name); writes the table that `table` names. Columns are found
+//! by name and brought to the table's own types; columns that may be null may be absent; columns that the table does
+//! not have are refused by name. Times and lengths must already be in the units of the column names.
 //!
 //! ```toml
 //! [onsets]

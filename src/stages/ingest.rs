@@ -1,8 +1,8 @@
 //! `ingest`: raw oscilloscope files to `traces`, one row a channel and exposure. The one stage that reads raw files.
 //!
-//! Takes the campaign folder; writes `traces`. Codes stay as the converter gave them, with scale, time base and the sub-sample trigger time
-//! beside them. Files are hashed whenever they are read, and refused where another content is on record. A file that cannot be decoded is a row in
-//! `rejects`, and the rest goes on.
+//! Takes the campaign folder; writes `traces`. Codes stay as the converter gave them, with scale, time base and the
+//! sub-sample trigger time beside them. Files are hashed whenever they are read, and refused where another content is
+//! on record. A file that cannot be decoded is a row in `rejects`, and the rest goes on.
 //!
 //! ```toml
 //! [traces]
@@ -95,7 +95,8 @@ impl Source for Ingest {
         finite::to_json(&Self { roles, ..self.clone() })
     }
     fn fields(&self, _: &[Campaign]) -> Result<Value, NotJson> {
-        // Name and rules enter through what they match: each part's content names its campaign, files, exposures and keys.
+        // Name and rules enter through what they match: each part's content names its campaign, files, exposures and
+        // keys.
         Ok(Value::Null)
     }
     fn table(&self) -> WrittenTable {

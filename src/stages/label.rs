@@ -53,7 +53,10 @@
 //! [labels]
 //! stage = "label"
 //! from = "onsets"
-//! with = { patches = "visible", covariances = "visible.patch_covariances", delays = "visible.delays", planes = "planes" }
+//! with.patches = "visible"
+//! with.covariances = "visible.patch_covariances"
+//! with.delays = "visible.delays"
+//! with.planes = "planes"
 //! params = { bounces = 3 }
 //! ```
 

@@ -1,11 +1,13 @@
 //! `measure`: the pulse of each run of an instrument check (paper figure 7), as numbers that runs can be compared by.
 //!
-//! The strongest pulse of the mean record is fitted with what averaging leaves of the calibrated response: amplitude, time, baseline, then its width
-//! ([`pulse_fit`]); behind it an echo is sought ([`echo`]). Runs of roles dark and blocked have no pulse: told is the largest deviation of their mean
-//! record, which is what goes on in step with the trigger. Times keep the latency. The response is one for all runs of a sensor: its own error is
-//! common to them, and is in no standard deviation here.
+//! The strongest pulse of the mean record is fitted with what averaging leaves of the calibrated response: amplitude,
+//! time, baseline, then its width ([`pulse_fit`]); behind it an echo is sought ([`echo`]). Runs of roles dark and
+//! blocked have no pulse: told is the largest deviation of their mean record, which is what goes on in step with the
+//! trigger. Times keep the latency. The response is one for all runs of a sensor: its own error is common to them, and
+//! is in no standard deviation here.
 //!
-//! Takes `profiles`; writes `measurements`. Beside it: `calibration`. Not modelled: several pulses of a scene (the strongest is measured).
+//! Takes `profiles`; writes `measurements`. Beside it: `calibration`. Not modelled: several pulses of a scene (the
+//! strongest is measured).
 //!
 //! ```toml
 //! [measurements]
@@ -30,7 +32,8 @@ use crate::signal::response::Response;
 use crate::signal::shot_spread::HEAD_SHOTS;
 use crate::tables::{Calibration, Measurement, Profile};
 
-/// Share of a record whose samples tell the noise, for the significance of its autocorrelation, where the profile does not say.
+/// Share of a record whose samples tell the noise, for the significance of its autocorrelation, where the profile does
+/// not say.
 const BASELINE_SHARE: f64 = 0.1;
 /// An autocorrelation within this many standard deviations of 0 is none.
 const ACF_SIGMA: f64 = 3.0;
@@ -164,7 +167,8 @@ fn significant_acf(profile: &Profile) -> Vec<f64> {
 struct Spread {
     /// Standard deviation of one shot; `None` where it is not known.
     shot_v: Option<f64>,
-    /// What the spread beyond the noise adds to the standard deviation of the mean's amplitude: light that fluctuates moves all samples together.
+    /// What the spread beyond the noise adds to the standard deviation of the mean's amplitude: light that fluctuates
+    /// moves all samples together.
     extra_v: f64,
 }
 

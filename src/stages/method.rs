@@ -4,7 +4,8 @@ use serde::de::value::Error as NameError;
 use serde::de::{DeserializeOwned, Error, IntoDeserializer};
 use serde::{Deserialize, Deserializer};
 
-/// The method of a name. `former` are names of methods that left the program; `instead` says what to use in their place.
+/// The method of a name. `former` are names of methods that left the program; `instead` says what to use in their
+/// place.
 ///
 /// # Errors
 /// When the stage has no method of this name.

@@ -70,7 +70,8 @@ pub trait Operator: Send + Sync {
     fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError>;
     /// Schema of what pieces of its groups add up to; `None` where a group must be seen in one go.
     fn subtotals(&self) -> Option<SchemaRef>;
-    /// Gets ready for a piece of a group, whose subtotals come out as its main table; or, to join pieces, for heads and subtotals.
+    /// Gets ready for a piece of a group, whose subtotals come out as its main table; or, to join pieces, for heads and
+    /// subtotals.
     ///
     /// # Errors
     /// As [`Operator::start`].
@@ -92,7 +93,8 @@ pub trait Running: Send {
     /// # Errors
     /// When the table as a whole cannot be made.
     fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError>;
-    /// Ends the groups that are open: at the end of a part for grains that stream, at the end of all rows for the others.
+    /// Ends the groups that are open: at the end of a part for grains that stream, at the end of all rows for the
+    /// others.
     ///
     /// # Errors
     /// When the table as a whole cannot be made.

@@ -1,27 +1,36 @@
-//! `refine`: all patches and delays at once, by maximum likelihood on onset times (beyond the paper, whose Algorithm 1 embeds distances).
+//! `refine`: all patches and delays at once, by maximum likelihood on onset times (beyond the paper, whose Algorithm 1
+//! embeds distances).
 //!
-//! Every labelled onset is the length of a path, of first, second and later bounces alike, weighted by its own standard deviation. Unknown beside the
-//! patches are:
-//! - a delay for each sensor and vertical range, with what calibration leaves open as prior; ranges of one sensor share the error of the known path;
+//! Every labelled onset is the length of a path, of first, second and later bounces alike, weighted by its own standard
+//! deviation. Unknown beside the patches are:
+//! - a delay for each sensor and vertical range, with what calibration leaves open as prior; ranges of one sensor share
+//!   the error of the known path;
 //! - stations with an `sd_m` in campaign.toml;
 //! - the laser's period, where onsets lie in several (`repetition_sd_ps`; else a ten-thousandth).
 //!
-//! Patches that no label has as lit or seen are `hidden`: third bounces over them place them. `kind` says so, or `mirror` where campaign.toml does.
+//! Patches that no label has as lit or seen are `hidden`: third bounces over them place them. `kind` says so, or
+//! `mirror` where campaign.toml does.
 //!
-//! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation; they and stations apart fix the frame. Where nothing does, the
-//! frame of `patches` is a convention (table `fits`), and what else is open stands in `ambiguities`: parts that share no path, patches that can move, mirror
-//! images and flips that explain the onsets about as well, each with its likelihood and as an alternative in `patches`. Of a hidden patch's two places on either side of
-//! the wall that shows it, where the onsets leave both, the one on the laser's side is chosen.
+//! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation; they and
+//! stations apart fix the frame. Where nothing does, the frame of `patches` is a convention (table `fits`), and what
+//! else is open stands in `ambiguities`: parts that share no path, patches that can move, mirror images and flips that
+//! explain the onsets about as well, each with its likelihood and as an alternative in `patches`. Of a hidden patch's
+//! two places on either side of the wall that shows it, where the onsets leave both, the one on the laser's side is
+//! chosen.
 //!
-//! The light of a large patch does not come from its centre. Where patches have a `size_m`, and a normal from `planes` beside (of `surface`) or, in a fixed frame, from
-//! campaign.toml, the shift is predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays.
+//! The light of a large patch does not come from its centre. Where patches have a `size_m`, and a normal from `planes`
+//! beside (of `surface`) or, in a fixed frame, from campaign.toml, the shift is predicted and taken off
+//! ([`crate::geometry::footprint`]), again after each solution, until it stays.
 //!
-//! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm; where labels are wrong in larger part, onsets that contradict the others are
-//! left out ([`maximum_likelihood::outliers`]). These, residuals beyond four of their own standard deviations, and onsets that nothing checks are in `suspects`. Beyond 1,000 patches covariances are of each patch alone (`fits.covariance`), and alternatives are not searched for.
+//! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm; where labels are
+//! wrong in larger part, onsets that contradict the others are left out ([`maximum_likelihood::outliers`]). These,
+//! residuals beyond four of their own standard deviations, and onsets that nothing checks are in `suspects`. Beyond
+//! 1,000 patches covariances are of each patch alone (`fits.covariance`), and alternatives are not searched for.
 //!
-//! Takes `labels`; writes `patches` and, beside it, `patch_covariances`, `delays`, `stations`, `residuals`, `suspects`, `fits`, `ambiguities`. Beside it, all
-//! optional: `patches` to start from (without, or where one is missing, patches are placed from nothing, [`crate::geometry::placement`]); `calibration`, without which
-//! latencies are taken as exact; `planes`. Not modelled: errors that onsets of one profile share.
+//! Takes `labels`; writes `patches` and, beside it, `patch_covariances`, `delays`, `stations`, `residuals`, `suspects`,
+//! `fits`, `ambiguities`. Beside it, all optional: `patches` to start from (without, or where one is missing, patches
+//! are placed from nothing, [`crate::geometry::placement`]); `calibration`, without which latencies are taken as exact;
+//! `planes`. Not modelled: errors that onsets of one profile share.
 //!
 //! ```toml
 //! [patches]
@@ -186,7 +195,8 @@ fn is_explained(solution: &Solution) -> bool {
     solution.loss < freedom + UNLIKELY * (2.0 * freedom).sqrt()
 }
 
-/// The likeliest solution, and others that are about as likely. Among these, one with hidden patches in front of the wall that shows them comes before one with them behind.
+/// The likeliest solution, and others that are about as likely. Among these, one with hidden patches in front of the
+/// wall that shows them comes before one with them behind.
 fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>) {
     if problem.start.len() > DENSE_MAX {
         return (best, Vec::new());

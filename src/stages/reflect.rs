@@ -1,8 +1,9 @@
 //! `reflect`: a mirror that is seen only through a diffuser (paper Fig. 8, top: missing direct reflection).
 //!
-//! The laser is aimed at patches of role `mirror`, in known directions (`ray`); nothing comes straight back from there. The reflected beam meets the diffuser in a point whose
-//! position is known (`position_m`, `sd_m`, or `patches` beside, in the frame of campaign.toml), and the sensor sees that. How long light took says where on its ray each
-//! mirror point lies ([`crate::geometry::mirror`]).
+//! The laser is aimed at patches of role `mirror`, in known directions (`ray`); nothing comes straight back from there.
+//! The reflected beam meets the diffuser in a point whose position is known (`position_m`, `sd_m`, or `patches` beside,
+//! in the frame of campaign.toml), and the sensor sees that. How long light took says where on its ray each mirror
+//! point lies ([`crate::geometry::mirror`]).
 //!
 //! | method | |
 //! |---|---|
@@ -11,14 +12,17 @@
 //! | `per-ray` | each scan alone: its conic, cut by its ray |
 //! | `equal-distances` | the paper's, to compare with: the same, at one distance for all rays |
 //!
-//! Of all profiles with a mirror point lit, the strongest onset is the beam's way over the diffuser point seen there: other light has been scattered first. Where the laser repeats
-//! (`repetition_ps`), whole periods are added until the path is no shorter than the straight one from laser over diffuser point to sensor: its detour must be less than a period.
+//! Of all profiles with a mirror point lit, the strongest onset is the beam's way over the diffuser point seen there:
+//! other light has been scattered first. Where the laser repeats (`repetition_ps`), whole periods are added until the
+//! path is no shorter than the straight one from laser over diffuser point to sensor: its detour must be less than a
+//! period.
 //!
-//! Takes `onsets`; writes `patches` (mirror points, and diffuser points: of `joint` as adjusted, of the others as given) and, beside it, of `joint` alone `patch_covariances` and
-//! the mirror as one of `planes` (its points lie on it by construction: no distances from it); and `ambiguities`: points that are known badly, another place of the
-//! virtual source. Beside it, optional: `patches`; `calibration`, without which latencies are taken as exact. Scans that lack a ray or a
-//! diffuser point's position stand in `rejects`. Not modelled: several mirrors, curved ones, sensors that look into the mirror, errors of the laser's period, covariances
-//! between the given patches.
+//! Takes `onsets`; writes `patches` (mirror points, and diffuser points: of `joint` as adjusted, of the others as
+//! given) and, beside it, of `joint` alone `patch_covariances` and the mirror as one of `planes` (its points lie on it
+//! by construction: no distances from it); and `ambiguities`: points that are known badly, another place of the virtual
+//! source. Beside it, optional: `patches`; `calibration`, without which latencies are taken as exact. Scans that lack a
+//! ray or a diffuser point's position stand in `rejects`. Not modelled: several mirrors, curved ones, sensors that look
+//! into the mirror, errors of the laser's period, covariances between the given patches.
 //!
 //! ```toml
 //! [patches]
@@ -43,7 +47,8 @@ use crate::tables::{Ambiguity, Name, Onset, Patch, PatchCovariance, Plane, Row};
 use rows::Tables;
 use scans::{Context, Fields, Scans};
 
-/// A second place of the virtual source whose contradiction is higher than the best one's by less than this (a likelihood ratio of 3,000) cannot be ruled out.
+/// A second place of the virtual source whose contradiction is higher than the best one's by less than this (a
+/// likelihood ratio of 3,000) cannot be ruled out.
 const LIKELY: f64 = 16.0;
 
 /// Parameters of `reflect`.

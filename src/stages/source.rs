@@ -154,10 +154,12 @@ pub trait Divisible {
     /// # Errors
     /// As [`Divisible::most_pieces`].
     fn cut(&self, part: usize, count: usize) -> Result<Vec<Piece>, String>;
-    /// Reads a piece: the head of the capture that began before it, then its own records. Gives what it learnt of the files.
+    /// Reads a piece: the head of the capture that began before it, then its own records. Gives what it learnt of the
+    /// files.
     ///
     /// # Errors
-    /// [`StageError::Indivisible`] when the part must be read whole; another when the run must stop, or a file has changed since the part was cut.
+    /// [`StageError::Indivisible`] when the part must be read whole; another when the run must stop, or a file has
+    /// changed since the part was cut.
     fn read_piece(
         &self,
         part: usize,

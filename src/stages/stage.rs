@@ -1,8 +1,8 @@
 //! What a stage is: its parameters plus one pure function over groups of rows.
 //!
-//! A stage is [`Apply`] when it wants a whole group of rows at once, or [`Fold`] when it must not (10^5 shots of a capture do not fit in
-//! memory). A blanket implementation turns either into what the runtime sees (`operator.rs`); what has no streamed input is a source
-//! (`source.rs`).
+//! A stage is [`Apply`] when it wants a whole group of rows at once, or [`Fold`] when it must not (10^5 shots of a
+//! capture do not fit in memory). A blanket implementation turns either into what the runtime sees (`operator.rs`);
+//! what has no streamed input is a source (`source.rs`).
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -38,7 +38,8 @@ impl Grain {
     }
 }
 
-/// Why a stage cannot go on. Bad data is a row with a flag and a bad file a row in `rejects`; this is for what stops a whole table.
+/// Why a stage cannot go on. Bad data is a row with a flag and a bad file a row in `rejects`; this is for what stops a
+/// whole table.
 #[derive(Debug, Error)]
 pub enum StageError {
     /// An input table is not what its name says.
@@ -250,9 +251,10 @@ pub trait Fold: Stage {
 
 /// A fold of which a group can be computed in pieces, each a run of its rows, on different machines.
 ///
-/// Later rows may be judged by the first ones, the *head* of the group. So a piece sees the head first, until it is primed, and forgets what that added
-/// up to; then it takes its own rows, and saves their subtotals. Whoever joins the pieces sees the head too, forgets, absorbs the subtotals of all pieces in
-/// order, and finishes the group: to the bit what one pass over all rows gives.
+/// Later rows may be judged by the first ones, the *head* of the group. So a piece sees the head first, until it is
+/// primed, and forgets what that added up to; then it takes its own rows, and saves their subtotals. Whoever joins the
+/// pieces sees the head too, forgets, absorbs the subtotals of all pieces in order, and finishes the group: to the bit
+/// what one pass over all rows gives.
 pub trait InPieces<S: Fold>: Sync {
     /// Schema of the subtotals; they begin with the columns that tell groups apart.
     fn schema(&self) -> SchemaRef;
@@ -260,7 +262,8 @@ pub trait InPieces<S: Fold>: Sync {
     fn begin(&self, context: &S::Context, first: S::Input) -> S::State;
     /// Whether all is known by which rows of the kind seen last are judged.
     fn is_primed(&self, context: &S::Context, state: &S::State) -> bool;
-    /// Forgets what was added up, and keeps what later rows are judged by. Of the kinds of rows seen so far, all that belongs to their heads was seen.
+    /// Forgets what was added up, and keeps what later rows are judged by. Of the kinds of rows seen so far, all that
+    /// belongs to their heads was seen.
     fn forget(&self, state: &mut S::State);
     /// What a piece adds up to.
     ///

@@ -1,16 +1,20 @@
 //! `track`: what changes through a session, and what every shot of it has without any light.
 //!
-//! - Drift: captures of role `fiducial`, one fixed path again and again. Of the runs that differ in their time alone, the longest series is
-//!   followed ([`drift`]); given is the delay since the response captures, which the latency was measured from. A delay that jumps is
-//!   no drift: it goes to `rejects`, with its time.
-//! - Pick-up: captures of role `blocked`, the laser firing with its beam stopped. Their mean is what it induces in step with the shots
+//! - Drift: captures of role `fiducial`, one fixed path again and again. Of the runs that differ in their time alone,
+//!   the longest series is
+//! followed ([`drift`]); given is the delay since the response captures, which the latency was measured from. A delay
+//! that jumps is no drift: it goes to `rejects`, with its time.
+//! - Pick-up: captures of role `blocked`, the laser firing with its beam stopped. Their mean is what it induces in step
+//!   with the shots
 //!   ([`pickup`]); given where its power exceeds that of its errors by three standard deviations.
 //!
-//! `deconvolve` takes both off. What moves between reference pulse and trigger needs no tracking: every shot is aligned to its reference.
+//! `deconvolve` takes both off. What moves between reference pulse and trigger needs no tracking: every shot is aligned
+//! to its reference.
 //!
 //! Takes `profiles` (others than fiducial and blocked ones pass unseen); writes `session`. Beside it: `calibration`.
 //!
-//! Not modelled: drift that differs between the vertical ranges of a sensor, pick-up that changes through the session (its chi-square would tell).
+//! Not modelled: drift that differs between the vertical ranges of a sensor, pick-up that changes through the session
+//! (its chi-square would tell).
 //!
 //! ```toml
 //! [session]
@@ -256,8 +260,8 @@ fn delay(profile: &Profile, sensor: &Calibrated, cancel: &Cancel) -> Option<(f64
     Some((pulse.time_ps, fit.time_sd_ps(0).hypot(profile.jitter_ps)))
 }
 
-/// Pick-up in blocked profiles of one range, on the places that all of them have: time of its first sample, step, and the pick-up. `None` where there is
-/// none, or runs of another step.
+/// Pick-up in blocked profiles of one range, on the places that all of them have: time of its first sample, step, and
+/// the pick-up. `None` where there is none, or runs of another step.
 fn pickup_of(blocked: &[Profile]) -> Option<(f64, f64, Pickup)> {
     let dt_ps = blocked[0].dt_ps;
     let alike: Vec<&Profile> = blocked.iter().filter(|profile| profile.dt_ps == dt_ps).collect();

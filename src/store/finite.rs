@@ -1,7 +1,7 @@
 //! JSON for recipes, in which every number is finite.
 //!
-//! JSON has no word for infinity or NaN, and `serde_json` writes `null` for both. A recipe must not: `null` is what stands for "not given", so two
-//! different recipes would look the same.
+//! JSON has no word for infinity or NaN, and `serde_json` writes `null` for both. A recipe must not: `null` is what
+//! stands for "not given", so two different recipes would look the same.
 
 use std::fmt;
 

@@ -1,8 +1,10 @@
 //! Every command of README and guide, run as it is written, and what the page says it prints.
 //!
-//! - A block ```` ```sh ```` is run line by line in a folder of the page's own, with `pipelines/` of this repository in it and the program on the path.
+//! - A block ```` ```sh ```` is run line by line in a folder of the page's own, with `pipelines/` of this repository in
+//!   it and the program on the path.
 //! - A line may end with 0, or with a code that its comment names (`# ... exit code 3`).
-//! - A block ```` ```text ```` right after it is what it prints: each line must be in the output, blanks aside; `...` stands for what is left out.
+//! - A block ```` ```text ```` right after it is what it prints: each line must be in the output, blanks aside; `...`
+//!   stands for what is left out.
 //! - A block that cannot be run here has the reason above it, `<!-- not run: ... -->`. The test says which these are.
 
 use std::fmt::Write as _;
@@ -78,7 +80,8 @@ fn pages() -> Vec<(String, String)> {
     pages.iter().map(|page| (page.display().to_string(), fs::read_to_string(root.join(page)).unwrap())).collect()
 }
 
-/// A block's commands: a line each, with the lines that it goes on over (a `\\` at the end), and those that it is fed (`<<'END'`).
+/// A block's commands: a line each, with the lines that it goes on over (a `\\` at the end), and those that it is fed
+/// (`<<'END'`).
 fn commands(block: &str) -> Vec<String> {
     let mut commands: Vec<String> = Vec::new();
     let mut is_open = false;

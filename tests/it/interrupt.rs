@@ -1,6 +1,7 @@
 //! Ctrl-C and SIGTERM end the program within [`WITHIN`] from the inside of the kernels that compute longest.
 //!
-//! Each case imports tables that keep one stage busy for well over 10 s, and signals the program while that stage computes.
+//! Each case imports tables that keep one stage busy for well over 10 s, and signals the program while that stage
+//! computes.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -56,7 +57,8 @@ fn interrupt(lab: &Lab, pipeline: &str, signal: &str) {
     assert!(!lab.path("out/busy").exists());
 }
 
-/// Waits for the pass of the stage; standard error so far. What comes later is read and dropped, so that the program never waits for us.
+/// Waits for the pass of the stage; standard error so far. What comes later is read and dropped, so that the program
+/// never waits for us.
 fn wait_for_busy(child: &mut Child) -> String {
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     let mut text = String::new();

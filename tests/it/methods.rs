@@ -1,4 +1,5 @@
-//! The methods of `deconvolve` and `detect`, and those of `periscope-comparison`, next to one another, from files to onsets.
+//! The methods of `deconvolve` and `detect`, and those of `periscope-comparison`, next to one another, from files to
+//! onsets.
 
 use periscope::pipeline::run::Settings;
 use periscope::signal::averaged_response::averaged_response;
@@ -84,8 +85,8 @@ const COMPARED: [(&str, Method); 3] = [
     }),
 ];
 
-/// The pulses of all profiles by a method of comparison. `raw` are the profiles in times of flight, as `deconvolve` with
-/// method `none` leaves them, `profiles` what they were made of.
+/// The pulses of all profiles by a method of comparison. `raw` are the profiles in times of flight, as `deconvolve`
+/// with method `none` leaves them, `profiles` what they were made of.
 fn compared(method: Method, raw: &[Stir], profiles: &[Profile], calibration: &Calibration) -> Vec<Timed> {
     let upwards: Vec<f64> = calibration.response.iter().map(|value| f64::from(*value)).collect();
     let whole = Response::new(calibration.response_t0_ps, calibration.step_ps, &upwards);
@@ -159,7 +160,8 @@ fn every_method_of_detect_finds_the_onsets() {
     }
 }
 
-/// Patches of 25 mm spread their light by tens of picoseconds: one impulse of that width each, timed at its centroid, instead of two.
+/// Patches of 25 mm spread their light by tens of picoseconds: one impulse of that width each, timed at its centroid,
+/// instead of two.
 #[test]
 fn light_of_extended_patches_is_one_onset_of_the_right_width() {
     let lab = Lab::of(&PHOTODIODE.replace("size_m = 0.005", "size_m = 0.025"), 4, Format::Trc);

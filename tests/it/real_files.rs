@@ -1,5 +1,6 @@
-//! Whole pipelines on real recordings, where present: what alignment by the sub-sample trigger time is worth, and reflections on a line.
-//! docs/real-files.md holds what they print: `cargo test --release --test it real_files -- --nocapture`.
+//! Whole pipelines on real recordings, where present: what alignment by the sub-sample trigger time is worth, and
+//! reflections on a line. docs/real-files.md holds what they print: `cargo test --release --test it real_files --
+//! --nocapture`.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -55,7 +56,8 @@ fn crossing(samples: &[f64], level: f64) -> f64 {
     above as f64 - (samples[above] - level) / (samples[above] - samples[above - 1])
 }
 
-/// 20 segments of one pulser: the crossing of 1 V scatters by the sampling unless each segment's own trigger time is used.
+/// 20 segments of one pulser: the crossing of 1 V scatters by the sampling unless each segment's own trigger time is
+/// used.
 #[test]
 fn the_trigger_time_of_each_segment_takes_the_sampling_out_of_a_sequence() {
     let Some(folder) = samples() else { return };
@@ -75,7 +77,8 @@ fn the_trigger_time_of_each_segment_takes_the_sampling_out_of_a_sequence() {
     assert!((with - 72.0).abs() < 1.0 && (without - 217.0).abs() < 1.0, "{with} {without}");
 }
 
-/// 60 triggers of a scintillation counter: their trigger times spread over one sample of 50 ps, which a rise of 4 ns does not feel.
+/// 60 triggers of a scintillation counter: their trigger times spread over one sample of 50 ps, which a rise of 4 ns
+/// does not feel.
 #[test]
 fn triggers_of_a_slow_pulse_average_alike_with_and_without_their_trigger_times() {
     let Some(folder) = samples() else { return };
@@ -97,7 +100,8 @@ fn triggers_of_a_slow_pulse_average_alike_with_and_without_their_trigger_times()
         );
         rise.insert(name, (high - low) * profile.dt_ps);
     }
-    // A spread of 50 ps / sqrt(12) widens the rise by well below a picosecond; what differs is which samples the edges fall between.
+    // A spread of 50 ps / sqrt(12) widens the rise by well below a picosecond; what differs is which samples the edges
+    // fall between.
     assert!((rise["aligned"] - rise["plain"]).abs() < 5.0, "{rise:?}");
 }
 

@@ -1,5 +1,5 @@
-//! Real oscilloscope files, where present: every one against its reference decoding, by `inspect --json` and through a campaign; broken ones
-//! refused within a small multiple of their size. docs/formats.md says what they cover.
+//! Real oscilloscope files, where present: every one against its reference decoding, by `inspect --json` and through a
+//! campaign; broken ones refused within a small multiple of their size. docs/formats.md says what they cover.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -32,12 +32,14 @@ const NOT_IN_THE_FILE: [(&str, &[&str]); 3] = [
 ];
 /// Formats without a scale or time base of their own.
 const THROUGH_A_CAMPAIGN: [&str; 4] = ["npy-tdr", "sigrok-sr", "wav", "caen-wavedump"];
-/// Where the reference, another parser's arithmetic, is contradicted by the instrument itself: files, and keys that are not compared.
+/// Where the reference, another parser's arithmetic, is contradicted by the instrument itself: files, and keys that are
+/// not compared.
 const CONTRADICTED: [(&str, &[&str]); 3] = [
     // That parser takes off an offset of 2.5 divisions as 2.5 V: traces triggered at 13 mV would lie at -2.4 V.
     ("lecroy/lc7200a_trace1.000", &["volts"]),
     ("lecroy/lc7200a_trace2.000", &["volts"]),
-    // The scope's own CSV of the same capture has other volts (by up to 0.4 V) and begins 3.6 us later: the file has neither scale nor time.
+    // The scope's own CSV of the same capture has other volts (by up to 0.4 V) and begins 3.6 us later: the file has
+    // neither scale nor time.
     ("rigol/DS1054Z-ch1SquareCH4Uart.wfm", &["volts", "unit", "t0_s"]),
 ];
 /// Words and descriptions that lie beside a recording.

@@ -29,7 +29,8 @@ fn mean_and_sd(shots: &[Vec<f64>], at: usize) -> (f64, f64) {
     (mean, (squares / (count - 1.0)).sqrt())
 }
 
-/// Heights, noise and shot noise in the files are those of the truth: no trigger jitter, one sampling phase, an endless gain of light.
+/// Heights, noise and shot noise in the files are those of the truth: no trigger jitter, one sampling phase, an endless
+/// gain of light.
 #[test]
 fn heights_and_noise_are_those_that_the_truth_derives() {
     let text = PHOTODIODE
@@ -51,8 +52,8 @@ fn heights_and_noise_are_those_that_the_truth_derives() {
     let (height, at) = (0..count).map(|n| (mean_and_sd(&shots, n).0, n)).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
     let truth = first.height_v.unwrap();
     assert!((height / truth - 1.0).abs() < 0.1, "{height} {truth}");
-    // Electrons: at a fixed ratio of height to area, relative fluctuation by counting. The spread by sampling phase is larger on the edges, so it
-    // is taken from the sum over the pulse, which phases do not change.
+    // Electrons: at a fixed ratio of height to area, relative fluctuation by counting. The spread by sampling phase is
+    // larger on the edges, so it is taken from the sum over the pulse, which phases do not change.
     let sums: Vec<Vec<f64>> = shots.iter().map(|shot| vec![shot[at - 10..at + 60].iter().sum::<f64>()]).collect();
     let (sum, sum_sd) = mean_and_sd(&sums, 0);
     let electrons = {

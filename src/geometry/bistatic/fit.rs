@@ -10,7 +10,8 @@ const STEPS: usize = 50;
 const HALVINGS: usize = 12;
 /// A step that changes chi-square by less is the last.
 const SETTLED: f64 = 1e-9;
-/// Standard deviation of what stands in the middle between two strips from there, in each coordinate, over their distance.
+/// Standard deviation of what stands in the middle between two strips from there, in each coordinate, over their
+/// distance.
 const CENTRAL: f64 = 0.1;
 /// Step of derivatives by a tilt.
 const TILT_RAD: f64 = 1e-4;

@@ -1,7 +1,8 @@
 //! Where the light of a strip comes from: over a glossy one it moves with the lit point.
 //!
-//! A lobe throws most light back from those points of a strip whose mirror direction is nearest to the exit. The light's mean way then differs from the way over the strip's
-//! centre, by the more the farther the strip is turned from the mirror law. At the mirror law itself the way is stationary (Fermat), and nothing changes to first order.
+//! A lobe throws most light back from those points of a strip whose mirror direction is nearest to the exit. The
+//! light's mean way then differs from the way over the strip's centre, by the more the farther the strip is turned from
+//! the mirror law. At the mirror law itself the way is stationary (Fermat), and nothing changes to first order.
 
 use std::f64::consts::TAU;
 
@@ -45,7 +46,8 @@ impl Surface {
         }
     }
 
-    /// The normal before any tilt: as given, or the mean of the bisectors between the ways to the lit points and to the exit.
+    /// The normal before any tilt: as given, or the mean of the bisectors between the ways to the lit points and to the
+    /// exit.
     pub(super) fn normal(&self, centre: Point, lit: &[Point], exit: Point) -> Vector3<f64> {
         if let Self::Glossy { normal: Some(normal), .. } = self {
             return *normal;

@@ -4,7 +4,8 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::{Point, Problem};
 
-/// Places of all strips for labelled onsets of as many scans as there are dimensions: every combination of the roots that lie on the known side.
+/// Places of all strips for labelled onsets of as many scans as there are dimensions: every combination of the roots
+/// that lie on the known side.
 pub(super) fn places(problem: &Problem, labels: &[(usize, Vec<usize>)]) -> Vec<Vec<Point>> {
     let mut all = vec![Vec::new()];
     for strip in 0..problem.strips.len() {
@@ -17,8 +18,9 @@ pub(super) fn places(problem: &Problem, labels: &[(usize, Vec<usize>)]) -> Vec<V
     all
 }
 
-/// Where the ellipses of a strip meet. With x from the exit, `r = |x|`, and d from the exit to a lit point, `|x - d| = s - r` squared is linear in (x, r):
-/// `d x - s r = (d^2 - s^2) / 2`. The direction of (x, r) that the scans tell least is left free and follows from `r = |x|`.
+/// Where the ellipses of a strip meet. With x from the exit, `r = |x|`, and d from the exit to a lit point, `|x - d| =
+/// s - r` squared is linear in (x, r): `d x - s r = (d^2 - s^2) / 2`. The direction of (x, r) that the scans tell least
+/// is left free and follows from `r = |x|`.
 fn roots(problem: &Problem, labels: &[(usize, Vec<usize>)], strip: usize) -> Vec<Point> {
     let n = problem.dimensions;
     let exit = problem.anchors[problem.strips[strip].exit].at;

@@ -176,7 +176,8 @@ fn covariances_have_the_size_of_the_errors() {
     }
 }
 
-/// As many scans as dimensions fit with every assignment; what is known of distances and order decides, and nothing is guessed without.
+/// As many scans as dimensions fit with every assignment; what is known of distances and order decides, and nothing is
+/// guessed without.
 #[test]
 fn what_labels_leave_open_is_told() {
     let mut problem = Scene::flat(2).problem(None);
@@ -216,7 +217,8 @@ fn strips_are_placed_beside_something_between() {
     }
 }
 
-/// A weak onset of something else in one scan: two scans fit any two of three onsets exactly, and the light that is left over decides.
+/// A weak onset of something else in one scan: two scans fit any two of three onsets exactly, and the light that is
+/// left over decides.
 #[test]
 fn a_stray_is_not_taken_for_a_strip() {
     for later_m in [-0.015, 0.01, 0.03] {

@@ -8,7 +8,8 @@ use crate::dense;
 
 /// A coordinate whose variance is this many times what it would be with all others held is not determined.
 const UNDETERMINED: f64 = 1e9;
-/// Of a normal matrix scaled to ones on its diagonal, eigenvalues below this belong to directions that nothing determines.
+/// Of a normal matrix scaled to ones on its diagonal, eigenvalues below this belong to directions that nothing
+/// determines.
 const NULL: f64 = 1e-9;
 /// Unknowns beyond which directions that nothing determines are not searched for.
 const SEARCHED_MAX: usize = 1500;
@@ -46,12 +47,12 @@ pub fn step(rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
     dense::solve_in_place(normal, &right)
 }
 
-/// Pseudo-inverse of the normal matrix of all paths that avoid the patches `open`, without `nulls` (orthonormal columns that avoid them too). Open
-/// patches have no covariance here.
+/// Pseudo-inverse of the normal matrix of all paths that avoid the patches `open`, without `nulls` (orthonormal columns
+/// that avoid them too). Open patches have no covariance here.
 ///
 /// # Errors
-/// When more is undetermined than `nulls`: how much, and orthonormal columns that span it together with them. `None` where there are too many unknowns
-/// to search.
+/// When more is undetermined than `nulls`: how much, and orthonormal columns that span it together with them. `None`
+/// where there are too many unknowns to search.
 pub fn covariance(
     rows: &Rows,
     place: &Place,

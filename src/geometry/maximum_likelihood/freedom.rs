@@ -1,7 +1,8 @@
 //! Rotations that no path length sees.
 //!
-//! Patches that share a path form a part. With all stations in one point a part turns freely about it; with stations in line, about that line. A second part,
-//! which shares no path with the first, turns on its own. What else is free belongs to single patches that have too few paths.
+//! Patches that share a path form a part. With all stations in one point a part turns freely about it; with stations in
+//! line, about that line. A second part, which shares no path with the first, turns on its own. What else is free
+//! belongs to single patches that have too few paths.
 
 use faer::Mat;
 use nalgebra::Vector3;
@@ -11,8 +12,8 @@ use super::problem::{Node, Problem};
 use super::rows::{Place, Rows};
 use crate::dense;
 
-/// Rounds of weights in which motions are told apart from rotations, and the size of what is left of a patch's motion, relative to the largest, that makes
-/// it open.
+/// Rounds of weights in which motions are told apart from rotations, and the size of what is left of a patch's motion,
+/// relative to the largest, that makes it open.
 const ROUNDS: usize = 40;
 const OPEN: f64 = 1e-3;
 /// What is left of a direction of length 1 below this is nothing.
@@ -121,8 +122,8 @@ pub fn without(directions: &[Vec<f64>], rows: &Rows, open: &[usize]) -> Vec<Vec<
     kept
 }
 
-/// A covariance without the rotations `nulls` of all patches, without those of the patches instead that laser or sensor sees: the frame turns with them, and errors of
-/// hidden patches do not turn it. (An S-transformation, Baarda 1973.)
+/// A covariance without the rotations `nulls` of all patches, without those of the patches instead that laser or sensor
+/// sees: the frame turns with them, and errors of hidden patches do not turn it. (An S-transformation, Baarda 1973.)
 pub fn about_visible(rows: &Rows, covariance: Mat<f64>, nulls: &Mat<f64>) -> Mat<f64> {
     let mut is_visible = vec![false; rows.problem.start.len()];
     for observation in &rows.problem.observations {
@@ -149,8 +150,9 @@ pub fn about_visible(rows: &Rows, covariance: Mat<f64>, nulls: &Mat<f64>) -> Mat
     left * free.transpose()
 }
 
-/// Patches that move in any of the directions `free` (columns) by more than a rotation of all patches: rotations, in the span of `turns`, are fitted by least
-/// absolute values, so that the few patches that move on their own do not count.
+/// Patches that move in any of the directions `free` (columns) by more than a rotation of all patches: rotations, in
+/// the span of `turns`, are fitted by least absolute values, so that the few patches that move on their own do not
+/// count.
 pub fn open(rows: &Rows, free: &Mat<f64>, turns: &[Vec<f64>]) -> Vec<usize> {
     let patches = rows.problem.start.len();
     let mut moves = vec![0.0_f64; patches];

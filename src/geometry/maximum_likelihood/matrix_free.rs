@@ -1,11 +1,13 @@
 //! Steps without the normal matrix: for thousands of patches.
 //!
-//! A product of the normal matrix with a vector is one pass over all observations. Coordinates of the patches are solved for by conjugate gradients,
-//! preconditioned with the blocks of the patches; the few other unknowns (stations, delays, period) are eliminated first, a right-hand side each. Observations
-//! are cut into chunks by their number alone, and the chunks' sums are added in order: the same bits for any number of threads.
+//! A product of the normal matrix with a vector is one pass over all observations. Coordinates of the patches are
+//! solved for by conjugate gradients, preconditioned with the blocks of the patches; the few other unknowns (stations,
+//! delays, period) are eliminated first, a right-hand side each. Observations are cut into chunks by their number
+//! alone, and the chunks' sums are added in order: the same bits for any number of threads.
 //!
-//! Covariances are blocks: the inverse of a patch's block of the normal matrix, as if all other patches were held, plus the share of the other
-//! unknowns, which is exact. With nearly all pairs measured that is within some per cent of the exact one; where many are missing it is too small.
+//! Covariances are blocks: the inverse of a patch's block of the normal matrix, as if all other patches were held, plus
+//! the share of the other unknowns, which is exact. With nearly all pairs measured that is within some per cent of the
+//! exact one; where many are missing it is too small.
 
 use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
@@ -20,7 +22,8 @@ const CHUNKS: usize = 32;
 const DIRECTIONS: usize = 200;
 /// A step's equations are solved to this share of their right-hand side.
 const SOLVED: f64 = 1e-3;
-/// The same of the other unknowns': moving all patches outwards nearly makes up for a delay, and what remains of its stiffness is a small difference.
+/// The same of the other unknowns': moving all patches outwards nearly makes up for a delay, and what remains of its
+/// stiffness is a small difference.
 const SOLVED_OTHERS: f64 = 1e-6;
 
 /// Right-hand side, blocks of the patches, and what couples to the other unknowns.
@@ -72,8 +75,9 @@ pub fn cost(rows: &Rows, place: &Place) -> f64 {
 pub enum Matrix {
     /// The normal matrix, for lengths that change in proportion: the Fisher matrix.
     Normal,
-    /// The whole, given the residuals. Where only near patches are paired, a scene is so soft that noise times the bending of short legs counts: near the minimum steps
-    /// without it overshoot, and hundreds are needed. Far from there it need not be definite.
+    /// The whole, given the residuals. Where only near patches are paired, a scene is so soft that noise times the
+    /// bending of short legs counts: near the minimum steps without it overshoot, and hundreds are needed. Far from
+    /// there it need not be definite.
     Bent,
 }
 
@@ -204,7 +208,8 @@ impl<'a> Patches<'a> {
         answer
     }
 
-    /// What the patches do as each of the other unknowns moves by one, negated; and what is left of the others' normal matrix.
+    /// What the patches do as each of the other unknowns moves by one, negated; and what is left of the others' normal
+    /// matrix.
     fn eliminate(&self, others: &Mat<f64>) -> (Vec<Vec<f64>>, Mat<f64>) {
         let coordinates = self.rows.layout.coordinates;
         let column = |k: usize| -> Vec<f64> { (0..coordinates).map(|i| others[(i, k)]).collect() };

@@ -1,8 +1,9 @@
 //! Observations that contradict the others, though they be many.
 //!
-//! Huber's loss bears some gross errors, not a fifth of all lengths too long at once, as where the first light of many pairs took a detour that no captured pair
-//! gives away. From a place on, the lengths are weighted by `(c^2 / (c^2 + z^2))^2`, `z` their residuals in standard deviations, with a `c` that shrinks
-//! from thrice the middle residual to [`LAST`]: at first most have a say, in the end only those that agree. Source: graduated non-convexity with Geman and
+//! Huber's loss bears some gross errors, not a fifth of all lengths too long at once, as where the first light of many
+//! pairs took a detour that no captured pair gives away. From a place on, the lengths are weighted by `(c^2 / (c^2 +
+//! z^2))^2`, `z` their residuals in standard deviations, with a `c` that shrinks from thrice the middle residual to
+//! [`LAST`]: at first most have a say, in the end only those that agree. Source: graduated non-convexity with Geman and
 //! McClure's loss, Yang, Antonante, Tzoumas and Carlone, IEEE Robotics and Automation Letters 5, 1127 (2020).
 
 use super::rows::Place;
@@ -21,8 +22,8 @@ const SETTLED_M: f64 = 1e-7;
 /// Residuals beyond this many standard deviations contradict the rest.
 const CONTRADICTS: f64 = 6.0;
 
-/// Which observations contradict the others, and positions that explain those, from the best of some places; `None` where leaving some out explains no
-/// more than `points` do.
+/// Which observations contradict the others, and positions that explain those, from the best of some places; `None`
+/// where leaving some out explains no more than `points` do.
 #[must_use]
 pub fn outliers(problem: &Problem, points: &[Point], from: &[&[Point]]) -> Option<(Vec<bool>, Vec<Point>)> {
     let start = |points: &[Point]| Place::start(&Problem { start: points.to_vec(), ..problem.clone() });

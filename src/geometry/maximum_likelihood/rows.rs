@@ -9,7 +9,8 @@ use super::problem::{Node, Observation, Problem};
 use crate::loss::Loss;
 use crate::{Point, dense};
 
-/// Positions of the unknowns in a vector: coordinates of the patches, of the stations that are not exact, delays, the laser's period.
+/// Positions of the unknowns in a vector: coordinates of the patches, of the stations that are not exact, delays, the
+/// laser's period.
 #[derive(Clone, Debug)]
 pub struct Layout {
     pub dimensions: usize,
@@ -102,7 +103,8 @@ impl Place {
 /// Derivatives of a residual: unknown, value; an unknown may come twice.
 pub type Terms = Vec<(usize, f64)>;
 
-/// The squared terms: observations, then priors of anchors, rays, stations, delays and period. All in standard deviations.
+/// The squared terms: observations, then priors of anchors, rays, stations, delays and period. All in standard
+/// deviations.
 pub struct Rows<'a> {
     pub problem: &'a Problem,
     pub layout: Layout,
@@ -207,8 +209,9 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Adds what the bending of a path contributes to the product of the objective's second derivatives with a vector, given the path's residual and the weight of its square:
-    /// `-weight residual / s B (v_b - v_a)` at the end b of each leg from a, its negative at a, with `B = (I - u u') / length` for a leg along u.
+    /// Adds what the bending of a path contributes to the product of the objective's second derivatives with a vector,
+    /// given the path's residual and the weight of its square: `-weight residual / s B (v_b - v_a)` at the end b of
+    /// each leg from a, its negative at a, with `B = (I - u u') / length` for a leg along u.
     pub fn bend(&self, place: &Place, n: usize, (residual, weight): (f64, f64), vector: &[f64], sum: &mut [f64]) {
         let Some(observation) = self.problem.observations.get(n) else { return };
         let of = |node: Node| {
@@ -240,7 +243,8 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Component k of a ray less the direction in which its patch lies. Unlike two angles this also knows which way the ray goes.
+    /// Component k of a ray less the direction in which its patch lies. Unlike two angles this also knows which way the
+    /// ray goes.
     fn direction(&self, place: &Place, ray: usize, k: usize, terms: Option<&mut Terms>) -> f64 {
         let ray = &self.problem.rays[ray];
         let (patch, station) = (Node::Patch(ray.patch), Node::Station(ray.from));

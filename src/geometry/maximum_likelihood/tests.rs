@@ -50,7 +50,8 @@ fn distances(count: usize, observations: &[Observation]) -> Mat<f64> {
     })
 }
 
-/// Fisher matrix of all coordinates by numerical differentiation of lengths written anew: independent of the code under test.
+/// Fisher matrix of all coordinates by numerical differentiation of lengths written anew: independent of the code under
+/// test.
 fn fisher(points: &[Point], sd_m: f64) -> Mat<f64> {
     let lengths = |x: &[f64]| -> Vec<f64> {
         let p = |i: usize| Vector3::new(x[3 * i], x[3 * i + 1], x[3 * i + 2]);
@@ -75,7 +76,8 @@ fn fisher(points: &[Point], sd_m: f64) -> Mat<f64> {
     Mat::from_fn(x.len(), x.len(), |i, j| columns[i].iter().zip(&columns[j]).map(|(a, b)| a * b).sum())
 }
 
-/// Trace of the pseudo-inverse without its three rotations: the mean squared error after Procrustes alignment that no estimator goes below.
+/// Trace of the pseudo-inverse without its three rotations: the mean squared error after Procrustes alignment that no
+/// estimator goes below.
 fn bound_rms(points: &[Point], sd_m: f64) -> f64 {
     let (values, _) = dense::symmetric_eigen(&fisher(points, sd_m));
     assert!(values[2] < 1e-3 * values[3], "three rotations, and only three: {:?}", &values[..5]);

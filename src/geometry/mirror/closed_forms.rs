@@ -12,7 +12,8 @@ const APART: f64 = 4.0;
 /// Newton steps along the beams.
 const STEPS: usize = 50;
 
-/// Distance along each beam to the mirror, from its scan alone; `None` where light came sooner than straight from source to diffuser, or no later than along the beam.
+/// Distance along each beam to the mirror, from its scan alone; `None` where light came sooner than straight from
+/// source to diffuser, or no later than along the beam.
 ///
 /// With `d = D - L` and `s = z + y`, `|d - z u| = s - z` squared is linear: `z = (s^2 - |d|^2) / (2 (s - u . d))`.
 #[must_use]
@@ -26,7 +27,8 @@ pub fn per_ray(experiment: &Experiment) -> Vec<Option<f64>> {
     experiment.scans.iter().map(distance).collect()
 }
 
-/// The paper's assumption: one distance along all beams, that of least squared contradiction. `None` where no scan has one of its own.
+/// The paper's assumption: one distance along all beams, that of least squared contradiction. `None` where no scan has
+/// one of its own.
 #[must_use]
 pub fn equal_distances(experiment: &Experiment) -> Option<f64> {
     let own: Vec<f64> = per_ray(experiment).into_iter().flatten().collect();
@@ -52,8 +54,9 @@ pub fn equal_distances(experiment: &Experiment) -> Option<f64> {
     (distance_m.is_finite() && distance_m > 0.0).then_some(distance_m)
 }
 
-/// Mirrors whose virtual source has the scans' lengths from the diffuser points, each with the squared contradiction between reflected beams and diffuser points in standard
-/// deviations, least first. Several where lengths leave a choice: two scans (in space, three), diffuser points in line (in a plane). None where they are too few.
+/// Mirrors whose virtual source has the scans' lengths from the diffuser points, each with the squared contradiction
+/// between reflected beams and diffuser points in standard deviations, least first. Several where lengths leave a
+/// choice: two scans (in space, three), diffuser points in line (in a plane). None where they are too few.
 #[must_use]
 pub fn virtual_source(experiment: &Experiment) -> Vec<(Mirror, f64)> {
     let sphere = |scan: &Scan| {
@@ -79,9 +82,11 @@ fn contradiction(experiment: &Experiment, mirror: &Mirror) -> f64 {
     experiment.scans.iter().map(square).sum()
 }
 
-/// The mirror that turns the beams' ends onto the diffuser points, in the mean: where to start from. `None` where they are there already, within their errors.
+/// The mirror that turns the beams' ends onto the diffuser points, in the mean: where to start from. `None` where they
+/// are there already, within their errors.
 pub(super) fn from_beams(experiment: &Experiment) -> Option<Mirror> {
-    // End and diffuser point lie on one normal, as far apart as twice the way from the mirror: the farther, the better they tell it.
+    // End and diffuser point lie on one normal, as far apart as twice the way from the mirror: the farther, the better
+    // they tell it.
     let (mut apart, mut middle, mut variance_m2) = (Vector3::zeros(), Vector3::zeros(), 0.0);
     for scan in &experiment.scans {
         let (folded_m, sd_m) = experiment.folded_m(scan);

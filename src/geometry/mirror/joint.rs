@@ -1,7 +1,8 @@
 //! Maximum likelihood over mirror, beams, folded lengths, stations and delays, by Gauss-Newton.
 //!
-//! The reflected beam ends on the diffuser by construction (`D` is the mirror image of `Q`), so its given position is a measurement of `D` like the arrivals are of the length:
-//! no constraint is left to be weighed. Errors of what is given count as normal.
+//! The reflected beam ends on the diffuser by construction (`D` is the mirror image of `Q`), so its given position is a
+//! measurement of `D` like the arrivals are of the length: no constraint is left to be weighed. Errors of what is given
+//! count as normal.
 
 use nalgebra::Matrix3;
 use thiserror::Error;
@@ -100,7 +101,8 @@ pub fn solve(experiment: &Experiment) -> Result<Solution, Unsolved> {
     Err(Unsolved::NotSettled)
 }
 
-/// What the unknowns say of points, diffuser points and mirror; `None` where a beam does not meet the mirror on its way.
+/// What the unknowns say of points, diffuser points and mirror; `None` where a beam does not meet the mirror on its
+/// way.
 fn solution(layout: &Layout, state: &State, chi2: f64, inverse: &Matrix) -> Option<Solution> {
     let (dimensions, scans) = (layout.experiment.dimensions, layout.experiment.scans.len());
     let points: Option<Vec<_>> = (0..scans).map(|scan| layout.point(state, scan)).collect();

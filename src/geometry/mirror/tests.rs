@@ -182,7 +182,8 @@ fn light_that_nothing_turned_has_no_mirror() {
     assert!(per_ray(&exact).iter().all(Option::is_none) && equal_distances(&exact).is_none());
 }
 
-/// Covariance of the mirror points by finite differences of another model: onward ways in place of folded lengths, legs in place of images.
+/// Covariance of the mirror points by finite differences of another model: onward ways in place of folded lengths, legs
+/// in place of images.
 fn bound(truth: &Truth, delay_sd_m: Option<f64>) -> DMatrix<f64> {
     let (dimensions, scans) = (truth.dimensions, truth.directions.len());
     let count = dimensions + scans * dimensions + usize::from(delay_sd_m.is_some());

@@ -32,7 +32,8 @@ impl State {
 /// How a place (or a direction) moves with each unknown that it depends on.
 pub(super) type Slopes = Vec<(usize, Vector3<f64>)>;
 
-/// Places of the unknowns: tilts and offset of the mirror; angles and folded length of each scan; coordinates of stations with an error; delays.
+/// Places of the unknowns: tilts and offset of the mirror; angles and folded length of each scan; coordinates of
+/// stations with an error; delays.
 pub(super) struct Layout<'a> {
     pub(super) experiment: &'a Experiment,
     /// First place of each station that has any.

@@ -7,7 +7,8 @@ use crate::Point;
 
 /// Foci whose paths propose.
 const FOCI: usize = 2;
-/// A path whose ends are less than this share of its length apart is nearly a sphere, and gives the range from its focus.
+/// A path whose ends are less than this share of its length apart is nearly a sphere, and gives the range from its
+/// focus.
 const ROUND: f64 = 0.3;
 /// Paths about a focus that propose by threes, and by twos together with one that is nearly a sphere.
 const BY_THREES: usize = 8;
@@ -137,7 +138,8 @@ fn trilaterations(spheres: &[Path], dimensions: usize) -> Vec<Point> {
     points
 }
 
-/// The points `x` with `|x| = r` on the line in `(x, r)` that three linear conditions leave, each with a row of norm 1; where the line passes the cone, the nearest.
+/// The points `x` with `|x| = r` on the line in `(x, r)` that three linear conditions leave, each with a row of norm 1;
+/// where the line passes the cone, the nearest.
 #[must_use]
 pub fn meet(rows: [(Vector4<f64>, f64); 3]) -> [Option<Vector3<f64>>; 2] {
     let minor = |skip: usize| {

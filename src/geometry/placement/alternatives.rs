@@ -29,8 +29,8 @@ pub struct Alternative {
     pub more: f64,
 }
 
-/// Other solutions near in likelihood to the one at `points`, likeliest first. Where stations, anchors and rays leave a rotation free, the mirror image
-/// of the whole is a convention as the rotation is, and no alternative.
+/// Other solutions near in likelihood to the one at `points`, likeliest first. Where stations, anchors and rays leave a
+/// rotation free, the mirror image of the whole is a convention as the rotation is, and no alternative.
 ///
 /// # Panics
 /// As [`super::place`], and when there are not as many points as patches.

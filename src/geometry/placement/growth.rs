@@ -1,7 +1,7 @@
 //! Growth of a solution, patch by patch.
 //!
-//! The patch that comes next is the one whose best place explains its ties most clearly better than its second best, and among equals the one with
-//! most ties. Every few patches all are settled together, so that errors do not pile up.
+//! The patch that comes next is the one whose best place explains its ties most clearly better than its second best,
+//! and among equals the one with most ties. Every few patches all are settled together, so that errors do not pile up.
 
 use super::{Scene, State};
 use crate::Point;
@@ -64,7 +64,8 @@ impl Scene<'_> {
         next
     }
 
-    /// The patch with most ties, at a place that agrees with them, of those that they leave; `None` when all are in place.
+    /// The patch with most ties, at a place that agrees with them, of those that they leave; `None` when all are in
+    /// place.
     fn anywhere(&self, state: &State) -> Option<(usize, Point)> {
         let unplaced = (0..self.count()).filter(|&patch| state.places[patch].is_none());
         let tied = unplaced.map(|patch| (patch, self.ties(patch, state)));

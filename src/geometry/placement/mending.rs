@@ -23,8 +23,8 @@ impl Scene<'_> {
         now
     }
 
-    /// All settled with the patches that fit worst placed anew, at most a quarter of all; `None` where all fit. Patches that hold one another in wrong
-    /// places come free in this way.
+    /// All settled with the patches that fit worst placed anew, at most a quarter of all; `None` where all fit. Patches
+    /// that hold one another in wrong places come free in this way.
     fn replanted(&self, now: &State) -> Option<State> {
         let misfit = |(patch, here): (usize, Point)| {
             let ties = self.ties(patch, now);

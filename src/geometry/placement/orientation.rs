@@ -1,7 +1,8 @@
 //! How the whole lies about stations, anchors and rays.
 //!
-//! Lengths determine a scene's shape much better than how it is turned about stations that are close together, and fit its mirror image hardly worse.
-//! Stations are found from the patches as patches are from stations (resection); the whole is then turned so that they come to lie where they are.
+//! Lengths determine a scene's shape much better than how it is turned about stations that are close together, and fit
+//! its mirror image hardly worse. Stations are found from the patches as patches are from stations (resection); the
+//! whole is then turned so that they come to lie where they are.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -106,8 +107,9 @@ impl Scene<'_> {
         loose.points.iter().map(|point| Some(procrustes::turn(&fit.matrix, self.frame.centre, *point))).collect()
     }
 
-    /// Patches and stations from the path lengths, the stations as free as the patches. Stations in place keep a whole that is turned wrongly from turning:
-    /// the descent ends in a minimum that has the wrong way around and the wrong shape.
+    /// Patches and stations from the path lengths, the stations as free as the patches. Stations in place keep a whole
+    /// that is turned wrongly from turning: the descent ends in a minimum that has the wrong way around and the wrong
+    /// shape.
     fn loose(&self, state: &State) -> Place {
         let stations_m = self.resected(state);
         let observations = self.problem.observations.clone();
@@ -141,8 +143,8 @@ impl Scene<'_> {
         }
     }
 
-    /// The mirror image of the whole in the plane (in flatland the line) that stations, anchors and rays nearly span, settled; `None` where they leave
-    /// a rotation free, and with it the choice of the mirror image.
+    /// The mirror image of the whole in the plane (in flatland the line) that stations, anchors and rays nearly span,
+    /// settled; `None` where they leave a rotation free, and with it the choice of the mirror image.
     pub(super) fn mirrored(&self, state: &State) -> Option<State> {
         let Frame { middle, normal, .. } = self.frame;
         let mirror = |point: Point| point - 2.0 * normal.dot(&(point - middle)) * normal;

@@ -28,8 +28,8 @@ impl Scene<'_> {
         spectral.chain(direct.chain(seeded).map(|state| self.grow(state)))
     }
 
-    /// The patches with first bounces, all stations taken for one point: missing distances filled with shortest paths, then classical scaling; then
-    /// SMACOF on the measured ones where asked for. `None` where they do not span space.
+    /// The patches with first bounces, all stations taken for one point: missing distances filled with shortest paths,
+    /// then classical scaling; then SMACOF on the measured ones where asked for. `None` where they do not span space.
     fn spectral(&self, smooth: bool) -> Option<State> {
         let of: Vec<usize> = (0..self.count()).filter(|&patch| self.first_m[patch].is_some()).collect();
         if of.len() <= self.problem.dimensions {
@@ -92,8 +92,8 @@ impl Scene<'_> {
         self.frame.centre + range_m * direction.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::x)
     }
 
-    /// Seeds, best first: threes (in flatland twos) that all see one another and span space; without any, groups that many paths join. Each patch
-    /// once as far as there are others, then again.
+    /// Seeds, best first: threes (in flatland twos) that all see one another and span space; without any, groups that
+    /// many paths join. Each patch once as far as there are others, then again.
     pub(super) fn seeds(&self) -> Vec<Vec<usize>> {
         let mut scored: Vec<(f64, Vec<usize>)> = Vec::new();
         let mut neighbours = vec![Vec::new(); self.count()];

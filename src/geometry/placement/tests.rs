@@ -248,8 +248,8 @@ fn second_bounces_alone_place_lit_and_seen_patches() {
     assert!(placed.loss < 40.0, "{}", placed.loss);
 }
 
-/// The rectangles with pairs of one wall closed and a third of all pairs missing: where the captured pairs do not give it away, the shortest detour is
-/// taken for the direct path.
+/// The rectangles with pairs of one wall closed and a third of all pairs missing: where the captured pairs do not give
+/// it away, the shortest detour is taken for the direct path.
 fn with_hidden_detours(truth: &[Point], seed: u64) -> (Problem, Vec<bool>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let wall = |patch: usize| {
@@ -339,7 +339,8 @@ fn weak_third_bounces_beside_the_others_attain_the_bound() {
         let row = |i: usize| (0..errors.len()).map(|k| fisher[(i, k)] * errors[k]).sum::<f64>();
         normalised += (0..errors.len()).map(|i| errors[i] * row(i)).sum::<f64>() / 144.0 / 10.0;
     }
-    // The delay makes most of the error of positions, hence the wide margin; all 144 degrees of freedom together are known to 4 %.
+    // The delay makes most of the error of positions, hence the wide margin; all 144 degrees of freedom together are
+    // known to 4 %.
     assert!((0.8..1.25).contains(&squares.sqrt()), "{}", squares.sqrt());
     assert!((normalised - 1.0).abs() < 0.12, "{normalised}");
 }

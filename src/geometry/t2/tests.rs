@@ -14,7 +14,8 @@ const RIGHT: [[f64; 6]; 6] = [
     [0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
     [0.0, 0.0, 0.0, 0.0, 0.0, 2.0],
 ];
-/// The onsets of its right-hand side, as bounces (superscript) and patches (subscript): O^1_1, O^2_12, O^2_13, O^1_2, O^2_23, O^1_3.
+/// The onsets of its right-hand side, as bounces (superscript) and patches (subscript): O^1_1, O^2_12, O^2_13, O^1_2,
+/// O^2_23, O^1_3.
 const RIGHT_ONSETS: [(i32, &[PatchId]); 6] =
     [(1, &[1]), (2, &[1, 2]), (2, &[1, 3]), (1, &[2]), (2, &[2, 3]), (1, &[3])];
 
@@ -27,7 +28,8 @@ const PRINTED: [[f64; 6]; 6] = [
     [0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
     [0.0, 0.0, 0.0, 0.0, 0.0, 2.0],
 ];
-/// Its right-hand side as printed: the fourth and sixth onset, O^2_1 and O^3_1, have the bounces where the patch should stand, and the other way round.
+/// Its right-hand side as printed: the fourth and sixth onset, O^2_1 and O^3_1, have the bounces where the patch should
+/// stand, and the other way round.
 const PRINTED_ONSETS: [(i32, &[PatchId]); 6] =
     [(1, &[1]), (2, &[1, 2]), (2, &[1, 3]), (2, &[1]), (2, &[2, 3]), (3, &[1])];
 
@@ -75,8 +77,8 @@ fn the_closed_form_is_the_solution_of_t2() {
     }
 }
 
-/// An onset of n bounces names n patches; two of the printed ones do not. With the right onsets the printed matrix, invertible too, swaps `d02` and
-/// `d23`, which puts `d12` off by their difference.
+/// An onset of n bounces names n patches; two of the printed ones do not. With the right onsets the printed matrix,
+/// invertible too, swaps `d02` and `d23`, which puts `d12` off by their difference.
 #[test]
 fn the_printed_matrix_gives_three_wrong_distances() {
     let misprinted = |onsets: [(i32, &[PatchId]); 6]| -> Vec<usize> {
@@ -89,8 +91,8 @@ fn the_printed_matrix_gives_three_wrong_distances() {
     assert!(wrong.iter().zip(expected).all(|(wrong, expected)| (wrong - expected).abs() < 1e-9), "{wrong:?}");
 }
 
-/// Some pattern of onsets among `count` patches, some twice or both ways, each missing with this chance: lengths that agree, with variances of
-/// their own.
+/// Some pattern of onsets among `count` patches, some twice or both ways, each missing with this chance: lengths that
+/// agree, with variances of their own.
 fn pattern(
     rng: &mut ChaCha8Rng,
     count: PatchId,
@@ -174,7 +176,8 @@ fn a_common_delay_cancels_between_patches_and_reciprocal_onsets_are_averaged() {
     assert_eq!((lonely.skipped, lonely.distances.len()), (vec![(1, 2)], 1));
 }
 
-/// Two to eight patches, all onsets or some: the weighted least-squares solution of the rows of T2 that are there, solved densely.
+/// Two to eight patches, all onsets or some: the weighted least-squares solution of the rows of T2 that are there,
+/// solved densely.
 #[test]
 fn any_pattern_of_onsets_gives_the_weighted_least_squares_solution_and_its_covariance() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);

@@ -36,7 +36,8 @@ fn with_all_pairs_of_equal_variance_it_is_the_closed_form() {
     }
 }
 
-/// Onsets of the right-hand side as bounces (superscript) and patches (subscript): a third bounce less first bounces, or half of them.
+/// Onsets of the right-hand side as bounces (superscript) and patches (subscript): a third bounce less first bounces,
+/// or half of them.
 type Right = [(i32, &'static [PatchId], &'static [(i32, &'static [PatchId])]); 4];
 const RIGHT: Right = [
     (3, &[1, 2, 1], &[(1, &[1])]),
@@ -54,8 +55,9 @@ const PRINTED: Right = [
 /// The matrix, of `d_21`, `d_24`, `d_31`, `d_34`, as printed.
 const PAPER: [[f64; 4]; 4] = [[2.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0], [0.0, 0.0, 1.0, 1.0]];
 
-/// The paper's example: patches 1 and 4 visible, 2 and 3 hidden. An onset of n bounces names n patches, and hidden ones have no first bounce: three printed rows
-/// break that, and no more. The matrix is right, but leaves out the sums over patch 4 alone; with them the variance of `d_24` falls to a sixth.
+/// The paper's example: patches 1 and 4 visible, 2 and 3 hidden. An onset of n bounces names n patches, and hidden ones
+/// have no first bounce: three printed rows break that, and no more. The matrix is right, but leaves out the sums over
+/// patch 4 alone; with them the variance of `d_24` falls to a sixth.
 #[test]
 fn the_papers_t3_has_three_misprints_and_leaves_sums_out() {
     let misprinted = |rows: &Right| -> Vec<usize> {
@@ -84,7 +86,8 @@ fn the_papers_t3_has_three_misprints_and_leaves_sums_out() {
     }
 }
 
-/// Some pattern of sums among `count` patches, some both ways, each missing with this chance, with variances and common errors of their own.
+/// Some pattern of sums among `count` patches, some both ways, each missing with this chance, with variances and common
+/// errors of their own.
 fn pattern(rng: &mut ChaCha8Rng, count: PatchId, missing: f64, errors: usize) -> Vec<Sum> {
     let mut sums = Vec::new();
     for (lit, seen) in (1..=count).flat_map(|lit| (1..=count).map(move |seen| (lit, seen))) {
@@ -101,8 +104,8 @@ fn pattern(rng: &mut ChaCha8Rng, count: PatchId, missing: f64, errors: usize) ->
     sums
 }
 
-/// Weighted least squares by the full covariance of the sums, its minimum-norm solution; what the sums leave open of each range (the squares of its
-/// components in the null space), covariance, and chi-square.
+/// Weighted least squares by the full covariance of the sums, its minimum-norm solution; what the sums leave open of
+/// each range (the squares of its components in the null space), covariance, and chi-square.
 fn naive(sums: &[Sum], patches: &[PatchId]) -> (Vec<f64>, Vec<f64>, Matrix, f64) {
     let covariance = Matrix::from_fn(sums.len(), sums.len(), |n, m| {
         let common: f64 = sums[n].common_m.iter().zip(&sums[m].common_m).map(|(a, b)| a * b).sum();
@@ -184,7 +187,8 @@ fn disjoint_lit_and_seen_patches_leave_ranges_open_until_a_cycle_closes() {
     }
 }
 
-/// Two hidden patches seen over the same four visible ones, one of their legs off by 4 mm, another by 2 mm, all by 1 mm.
+/// Two hidden patches seen over the same four visible ones, one of their legs off by 4 mm, another by 2 mm, all by 1
+/// mm.
 #[test]
 fn claimed_errors_are_those_of_many_draws_also_between_hidden_patches() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);

@@ -84,7 +84,8 @@ fn lead(report: &Report) -> Markup {
     }
 }
 
-/// The plotting library's own script. Formulas, for which it brings a second script of two megabytes, are not used here.
+/// The plotting library's own script. Formulas, for which it brings a second script of two megabytes, are not used
+/// here.
 fn library() -> Markup {
     let scripts = plotly::Plot::offline_js_sources();
     let first = scripts.find("</script>").map_or(scripts.as_str(), |end| &scripts[..end + "</script>".len()]);

@@ -1,6 +1,7 @@
 //! Numbers in words.
 
-/// So many significant digits, without trailing zeros after the point; powers of ten where a number is very large or small.
+/// So many significant digits, without trailing zeros after the point; powers of ten where a number is very large or
+/// small.
 pub fn sig(value: f64, digits: usize) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();

@@ -1,13 +1,15 @@
 //! Pulses in histograms of single photons.
 //!
-//! A detector that counts at most one photon a dead time loses those that follow. Of N laser cycles, bin i finds `A_i = N - sum_j n_j` ready, j the
-//! bins that its dead time reaches back to; the number that it counts is binomial, `n_i ~ B(A_i, 1 - exp(-mu_i / N))`, `mu_i` the number of
-//! photons that N cycles bring (Coates, J. Phys. E 1, 878 (1968)). Hence the corrected counts `m_i = -N ln(1 - n_i / A_i)`, of variance
-//! `N^2 (exp(mu_i / N) - 1) / A_i`: Poisson's where counts are few.
+//! A detector that counts at most one photon a dead time loses those that follow. Of N laser cycles, bin i finds `A_i =
+//! N - sum_j n_j` ready, j the bins that its dead time reaches back to; the number that it counts is binomial, `n_i ~
+//! B(A_i, 1 - exp(-mu_i / N))`, `mu_i` the number of photons that N cycles bring (Coates, J. Phys. E 1, 878 (1968)).
+//! Hence the corrected counts `m_i = -N ln(1 - n_i / A_i)`, of variance `N^2 (exp(mu_i / N) - 1) / A_i`: Poisson's
+//! where counts are few.
 //!
-//! The variance belongs to the mean that is fitted and not to the counts: weights by counts favour bins that have too few by chance. Fits are
-//! repeated with the variance of the one before (iteratively reweighted least squares); their fixed point solves the likelihood equations, and its
-//! covariance is the inverse Fisher information (McCullagh and Nelder, *Generalized Linear Models*, section 2.5).
+//! The variance belongs to the mean that is fitted and not to the counts: weights by counts favour bins that have too
+//! few by chance. Fits are repeated with the variance of the one before (iteratively reweighted least squares); their
+//! fixed point solves the likelihood equations, and its covariance is the inverse Fisher information (McCullagh and
+//! Nelder, *Generalized Linear Models*, section 2.5).
 //!
 //! Not modelled: after-pulses, dead time that differs from count to count, light of more than one cycle before.
 
@@ -39,8 +41,8 @@ pub struct Unpiled {
 }
 
 impl Unpiled {
-    /// Frees `counts` (of each bin, over `cycles` laser cycles) of pile-up by a dead time of `dead_bins` bins after each count; counts do not reach
-    /// into the next cycle.
+    /// Frees `counts` (of each bin, over `cycles` laser cycles) of pile-up by a dead time of `dead_bins` bins after
+    /// each count; counts do not reach into the next cycle.
     ///
     /// # Errors
     /// [`Error::DeadTime`] if more counts fall into a dead time than there are cycles.
@@ -72,7 +74,8 @@ impl Unpiled {
     }
 }
 
-/// Fits pulses to a histogram, bin `i` at `t0_ps + i * dt_ps`, by maximum likelihood; amplitudes and baseline are in counts a bin.
+/// Fits pulses to a histogram, bin `i` at `t0_ps + i * dt_ps`, by maximum likelihood; amplitudes and baseline are in
+/// counts a bin.
 ///
 /// # Panics
 /// If there is no bin, or for what [`super::fit`] panics for.

@@ -10,9 +10,10 @@ const ROUNDS: usize = 12;
 
 /// Threshold on the drop of chi2 a pulse, for `false_pulses` a record of white noise alone.
 ///
-/// A matched filter's output, scaled to unit variance, crosses `u` upwards at the rate `beta / (2 pi) exp(-u^2 / 2)`, with
-/// `beta^2 = sum h'^2 / sum h^2` (Rice, Bell Syst. Tech. J. 24, 46 (1945)); the best pulse lowers chi2 by `u^2`. Hence
-/// `gamma = 2 ln(T beta / (2 pi false_pulses))`, T the record's length, and never below `LEAST`, against the splitting of single pulses.
+/// A matched filter's output, scaled to unit variance, crosses `u` upwards at the rate `beta / (2 pi) exp(-u^2 / 2)`,
+/// with `beta^2 = sum h'^2 / sum h^2` (Rice, Bell Syst. Tech. J. 24, 46 (1945)); the best pulse lowers chi2 by `u^2`.
+/// Hence `gamma = 2 ln(T beta / (2 pi false_pulses))`, T the record's length, and never below `LEAST`, against the
+/// splitting of single pulses.
 #[must_use]
 pub fn evidence_min(response: &Response, record_ps: f64, false_pulses: f64) -> f64 {
     threshold(response, &[1.0], 0.0, record_ps, false_pulses)
@@ -28,9 +29,10 @@ pub fn evidence_min_of(profile: &Profile, response: &Response, false_pulses: f64
 
 /// [`evidence_min`] for noise in all the records of `model`, of mean duration `record_ps`, together.
 ///
-/// The drop of chi2 by a pulse with amplitudes of its own in G groups of records is a sum of up to G squares. Upward crossings of `x` by the sum of m
-/// squares have the rate `beta / sqrt(pi) (x / 2)^((m - 1) / 2) exp(-x / 2) / Gamma(m / 2)` (Sharpe, Adv. Appl. Probab. 10, 373 (1978));
-/// with amplitudes >= 0, of the G squares m count in a part `binomial(G, m) / 2^G` of cases.
+/// The drop of chi2 by a pulse with amplitudes of its own in G groups of records is a sum of up to G squares. Upward
+/// crossings of `x` by the sum of m squares have the rate `beta / sqrt(pi) (x / 2)^((m - 1) / 2) exp(-x / 2) / Gamma(m
+/// / 2)` (Sharpe, Adv. Appl. Probab. 10, 373 (1978)); with amplitudes >= 0, of the G squares m count in a part
+/// `binomial(G, m) / 2^G` of cases.
 pub(super) fn evidence_min_joint(model: &Model, record_ps: f64, false_pulses: f64) -> f64 {
     let rates = model.groups.iter().map(|group| {
         let (mut energy, mut slope_energy) = (0.0, 0.0);

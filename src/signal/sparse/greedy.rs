@@ -12,10 +12,12 @@ use super::state::{Misfit, State};
 const CLUSTER_WIDTHS: f64 = 2.5;
 /// A pulse is tried as two if the first-order drop of chi2 by widening it exceeds this part of the evidence asked for.
 const WIDENED: f64 = 0.25;
-/// Drop of chi2 that the width, or the tail, of a pulse far from others must be worth: it makes no new pulse and costs the time little, and
-/// left out it moves the time. Between blended pulses a needless width costs much, and must be worth what a pulse is.
+/// Drop of chi2 that the width, or the tail, of a pulse far from others must be worth: it makes no new pulse and costs
+/// the time little, and left out it moves the time. Between blended pulses a needless width costs much, and must be
+/// worth what a pulse is.
 const WIDTH_EVIDENCE: f64 = 4.0;
-/// Chi2 of the samples of a widened pulse may lie this many of its standard deviations below its mean and still hide a misfit.
+/// Chi2 of the samples of a widened pulse may lie this many of its standard deviations below its mean and still hide a
+/// misfit.
 const EXCESS_SIGMA: f64 = 3.0;
 /// Fewer degrees of freedom than this say nothing about the fit of one pulse.
 const FREEDOM_MIN: f64 = 4.0;
@@ -90,8 +92,8 @@ impl<'a> Fitter<'a> {
         self.solve(best.places)
     }
 
-    /// Pulse `k`, if it looks widened, replaced by one of more extended light, or by the best pair in its place where that explains the
-    /// samples better by the evidence asked for.
+    /// Pulse `k`, if it looks widened, replaced by one of more extended light, or by the best pair in its place where
+    /// that explains the samples better by the evidence asked for.
     fn replacement(&self, state: &State, k: usize) -> Option<Change> {
         let place = state.fit.places[k];
         let (misfit, variance_ps2) = match place.shapes {
@@ -126,8 +128,8 @@ impl<'a> Fitter<'a> {
         (time_ps - other_ps).abs() < CLUSTER_WIDTHS * self.model.width_ps
     }
 
-    /// Pulse `k` with one more parameter of shape, the variance started from the given one. `None` if it has all, is not worth it, or the
-    /// best is as large as is allowed.
+    /// Pulse `k` with one more parameter of shape, the variance started from the given one. `None` if it has all, is
+    /// not worth it, or the best is as large as is allowed.
     fn extended(&self, state: &State, k: usize, variance_ps2: f64) -> Option<Change> {
         let most_ps = self.model.extent_max_ps;
         let place = state.fit.places[k];
@@ -162,9 +164,9 @@ impl<'a> Fitter<'a> {
         self.change(state, &[k], time_ps, &pair.map(Place::point))
     }
 
-    /// Drop of chi2, to first order, by widening the point `k`, and the variance that it takes: the residual's product with the part of its
-    /// derivative by the variance that no shift or amplitude of any pulse can imitate. Two pulses close together look like one widened
-    /// pulse.
+    /// Drop of chi2, to first order, by widening the point `k`, and the variance that it takes: the residual's product
+    /// with the part of its derivative by the variance that no shift or amplitude of any pulse can imitate. Two pulses
+    /// close together look like one widened pulse.
     fn widening(&self, state: &State, k: usize) -> (f64, f64) {
         let amplitudes = state.fit.groups.iter().zip(&self.model.groups);
         let amplitudes = amplitudes.flat_map(|(group, range)| range.clone().map(|_| group.amplitudes[k]));
@@ -209,8 +211,8 @@ impl<'a> Fitter<'a> {
         data
     }
 
-    /// Takes the pulses `out` away, puts pulses at `into` in, and refines them with the pulses near `center_ps`; the others stay. The last places are
-    /// those put in.
+    /// Takes the pulses `out` away, puts pulses at `into` in, and refines them with the pulses near `center_ps`; the
+    /// others stay. The last places are those put in.
     fn change(&self, state: &State, out: &[usize], center_ps: f64, into: &[Place]) -> Option<Change> {
         self.model.cancel.check();
         let (cluster, data) = self.cluster(state, center_ps);
@@ -227,8 +229,8 @@ impl<'a> Fitter<'a> {
         })
     }
 
-    /// Pulse `k` taken out. A neighbour that may have been split off from it starts from where one pulse would stand for both, a point or, where that
-    /// is allowed and better, an extended one.
+    /// Pulse `k` taken out. A neighbour that may have been split off from it starts from where one pulse would stand
+    /// for both, a point or, where that is allowed and better, an extended one.
     fn removal(&self, state: &State, k: usize) -> Option<Change> {
         let distance = |j: usize| (state.time_ps(j) - state.time_ps(k)).abs();
         let neighbour = (0..state.pulses())
@@ -255,8 +257,8 @@ impl<'a> Fitter<'a> {
         [point, extended, tailed].into_iter().flatten().max_by(|a, b| a.drop.total_cmp(&b.drop))
     }
 
-    /// Takes out pulses, and parameters of their shape, not worth their evidence, the weakest first. The state that remains, and the
-    /// evidence of each of its pulses.
+    /// Takes out pulses, and parameters of their shape, not worth their evidence, the weakest first. The state that
+    /// remains, and the evidence of each of its pulses.
     pub(super) fn prune(&self, mut state: State) -> (State, Vec<f64>) {
         loop {
             let removals: Vec<Option<Change>> = (0..state.pulses()).map(|k| self.removal(&state, k)).collect();
@@ -318,7 +320,8 @@ impl<'a> Fitter<'a> {
         Misfit { chi2, freedom, variance: 2.0 * freedom + kurtosis }
     }
 
-    /// Misfit of record `r` (all records for `None`), or of the samples that pulse `k` reaches (of the record, if these are too few).
+    /// Misfit of record `r` (all records for `None`), or of the samples that pulse `k` reaches (of the record, if these
+    /// are too few).
     pub(super) fn misfit(&self, state: &State, r: Option<usize>, k: Option<usize>) -> Misfit {
         let misfit = r.map_or_else(|| self.chi2(state, k), |r| self.chi2_of(state, r, k));
         if k.is_some() && misfit.freedom < FREEDOM_MIN { self.misfit(state, r, None) } else { misfit }

@@ -1,11 +1,13 @@
 //! Standard deviations of the times of blended pulses, by the profile likelihood.
 //!
-//! The inverse of the information is of first order: it takes chi2 for a parabola. Along the times of two pulses that are close against their
-//! sds it is none: a pulse that goes outwards becomes weaker and is held less. There the interval of a time is where chi2, all other
-//! unknowns fitted again, has risen by no more than the square of a normal quantile, and its sd is half the interval over that
-//! quantile. Source: Venzon and Moolgavkar, J. R. Stat. Soc. C 37, 87 (1988).
+//! The inverse of the information is of first order: it takes chi2 for a parabola. Along the times of two pulses that
+//! are close against their sds it is none: a pulse that goes outwards becomes weaker and is held less. There the
+//! interval of a time is where chi2, all other unknowns fitted again, has risen by no more than the square of a normal
+//! quantile, and its sd is half the interval over that quantile. Source: Venzon and Moolgavkar, J. R. Stat. Soc. C 37,
+//! 87 (1988).
 //!
-//! Not modelled: that one side is longer than the other, which no sd can say; that the time of pulses farther away is not known either.
+//! Not modelled: that one side is longer than the other, which no sd can say; that the time of pulses farther away is
+//! not known either.
 
 use super::greedy::Fitter;
 use super::model::Model;
@@ -68,8 +70,8 @@ impl Blend<'_> {
         0.5 * (self.end(-1.0, goal) + self.end(1.0, goal))
     }
 
-    /// How many sds to one side the time is where the root of the rise of chi2 reaches `goal`: by secants, kept between trials inside and
-    /// outside, and to the width of the response: a pulse farther away stands for something else.
+    /// How many sds to one side the time is where the root of the rise of chi2 reaches `goal`: by secants, kept between
+    /// trials inside and outside, and to the width of the response: a pulse farther away stands for something else.
     fn end(&self, side: f64, goal: f64) -> f64 {
         let (mut inside, mut outside) = (0.0, self.model.width_ps / self.sd_ps);
         let mut before = (0.0, 0.0);
@@ -95,8 +97,8 @@ impl Blend<'_> {
         sds
     }
 
-    /// The fit with the time `away_ps` from its best and all else fitted again, from places `near`. `None` where the pulse has merged with another: it
-    /// has passed it, or one of them has no amplitude.
+    /// The fit with the time `away_ps` from its best and all else fitted again, from places `near`. `None` where the
+    /// pulse has merged with another: it has passed it, or one of them has no amplitude.
     fn fit_at(&self, away_ps: f64, near: &[Place]) -> Option<Projection> {
         let mut start = near.to_vec();
         start[self.k] = Place { time_ps: self.places[self.k].time_ps + away_ps, is_pinned: true, ..near[self.k] };

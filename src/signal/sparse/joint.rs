@@ -1,8 +1,8 @@
 //! Several records that show the same pulses: a common fit, and the result as each record sees it.
 //!
-//! Profiles (i, k) and (k, i) of a pair of patches hold the same paths, walked in opposite directions: their pulses arrive at the same
-//! times, while noise, sampling and response differ. Fitted together, two records of equal noise give times better by `sqrt(2)`, and tell
-//! pulses apart as one of `sqrt(2)` times their SNR does.
+//! Profiles (i, k) and (k, i) of a pair of patches hold the same paths, walked in opposite directions: their pulses
+//! arrive at the same times, while noise, sampling and response differ. Fitted together, two records of equal noise
+//! give times better by `sqrt(2)`, and tell pulses apart as one of `sqrt(2)` times their SNR does.
 
 use super::evidence::{evidence_min_joint, evidence_min_of};
 use super::greedy::Fitter;
@@ -10,8 +10,9 @@ use super::model::Model;
 use super::state::State;
 use super::{FALSE_PULSES, Profile, Pulse, Response, SparseFit, SparseOptions};
 
-/// Fits pulses whose times, and widths, all `records` share; amplitudes too with `shared_amplitudes`, else each record has its own. One result a
-/// record: times, widths, their covariance and the evidence are common; amplitudes, baseline and chi2 are its own.
+/// Fits pulses whose times, and widths, all `records` share; amplitudes too with `shared_amplitudes`, else each record
+/// has its own. One result a record: times, widths, their covariance and the evidence are common; amplitudes, baseline
+/// and chi2 are its own.
 ///
 /// A pulse must have its maximum inside of every record.
 ///
@@ -60,7 +61,8 @@ fn check(profile: &Profile) {
     assert!(positive, "the sds must be positive");
 }
 
-/// The fit as record `r` sees it, pulses in order of time; of each pulse of the state the evidence, and the factor of the first-order sd of its time.
+/// The fit as record `r` sees it, pulses in order of time; of each pulse of the state the evidence, and the factor of
+/// the first-order sd of its time.
 fn describe(
     fitter: &Fitter,
     state: &State,

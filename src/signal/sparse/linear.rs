@@ -1,8 +1,8 @@
 //! The two small dense solvers of the fit: Cholesky, and least squares with non-negative unknowns.
 //!
-//! A fit solves thousands of systems of one to ten unknowns; a call into a blocked library costs more than such a system. Matrices are
-//! row-major slices of `n * n`. Sources: Golub and Van Loan, *Matrix Computations*, section 4.2; Lawson and Hanson, *Solving Least Squares
-//! Problems*, chapter 23.
+//! A fit solves thousands of systems of one to ten unknowns; a call into a blocked library costs more than such a
+//! system. Matrices are row-major slices of `n * n`. Sources: Golub and Van Loan, *Matrix Computations*, section 4.2;
+//! Lawson and Hanson, *Solving Least Squares Problems*, chapter 23.
 
 /// Pivots below this part of their diagonal element count as singular.
 const SINGULAR: f64 = 1e-13;

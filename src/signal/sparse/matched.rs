@@ -45,8 +45,9 @@ pub struct Matched {
     pub gains: Vec<f64>,
 }
 
-/// The matched filter for a pulse of spread `width_ps` at each of `times_ps`, in whitened samples freed of a constant and of `given` light: what these could explain
-/// does not count. Amplitude and standard deviation are those of the joint fit of the pulse with all of them.
+/// The matched filter for a pulse of spread `width_ps` at each of `times_ps`, in whitened samples freed of a constant
+/// and of `given` light: what these could explain does not count. Amplitude and standard deviation are those of the
+/// joint fit of the pulse with all of them.
 ///
 /// # Panics
 /// As [`super::fit`].
@@ -107,7 +108,8 @@ struct Known {
 }
 
 impl Known {
-    /// Adds a direction in which samples may lie off: by any amount, or so many standard deviations of noise (Sherman and Morrison's formula). What others explain is not new.
+    /// Adds a direction in which samples may lie off: by any amount, or so many standard deviations of noise (Sherman
+    /// and Morrison's formula). What others explain is not new.
     fn add(&mut self, direction: Vec<f64>, score_sd: Option<f64>) {
         let norm = squared(&direction);
         let mut axis = self.without(&direction);
@@ -188,7 +190,8 @@ mod tests {
         Profile { mean_v, sd_v, acf: &[1.0], t0_ps: 0.0, dt_ps: 50.0 }
     }
 
-    /// Score and gain are those of least squares with a constant, the given pulse and its slope, whatever the given pulse's amplitude.
+    /// Score and gain are those of least squares with a constant, the given pulse and its slope, whatever the given
+    /// pulse's amplitude.
     #[test]
     fn scores_are_those_of_least_squares_beside_given_light() {
         let response = gaussian(100.0);

@@ -1,24 +1,27 @@
 //! Sparse deconvolution: the pulses, between samples and closer than the response, that explain a profile best.
 //!
-//! Model: `y_n = b + sum_k a_k h(t_n - t_k) + w_n`, `a_k >= 0` (or of any sign), response h known, w of known sd a sample and
-//! autocorrelation, b a constant baseline. Everything happens after whitening ([`super::whiten`]): there least squares are maximum
-//! likelihood. Maximum likelihood for a number of pulses that grows greedily:
-//! 1. candidates: the matched filter's maximum in the residual, and the best pair in place of each pulse whose residual looks widened;
+//! Model: `y_n = b + sum_k a_k h(t_n - t_k) + w_n`, `a_k >= 0` (or of any sign), response h known, w of known sd a
+//! sample and autocorrelation, b a constant baseline. Everything happens after whitening ([`super::whiten`]): there
+//! least squares are maximum likelihood. Maximum likelihood for a number of pulses that grows greedily:
+//! 1. candidates: the matched filter's maximum in the residual, and the best pair in place of each pulse whose residual
+//!    looks widened;
 //! 2. each candidate is refined jointly with the pulses around it;
-//! 3. the best is kept if it lowers chi2 by more than `evidence_min` ([`evidence_min`]), and all pulses are refined together;
+//! 3. the best is kept if it lowers chi2 by more than `evidence_min` ([`evidence_min`]), and all pulses are refined
+//!    together;
 //! 4. at the end, pulses that turn out to be worth less than that are taken out again.
 //!
-//! Times then scatter at the Cramer-Rao bound `(J^T J)^-1` (J: whitened derivatives), and two equal pulses are told apart down to a
-//! distance that falls with the square root of the SNR, far below the response's width. Where pulses are so close that first order does not hold,
-//! the sds of their times come from the profile likelihood. Sources: alternating descent (Boyd, Schiebinger and Recht, SIAM J. Optim. 27,
-//! 616 (2017)) without its l1 penalty; resolution limit as in Smith, IEEE Trans. Signal Process. 53, 1597 (2005).
+//! Times then scatter at the Cramer-Rao bound `(J^T J)^-1` (J: whitened derivatives), and two equal pulses are told
+//! apart down to a distance that falls with the square root of the SNR, far below the response's width. Where pulses
+//! are so close that first order does not hold, the sds of their times come from the profile likelihood. Sources:
+//! alternating descent (Boyd, Schiebinger and Recht, SIAM J. Optim. 27, 616 (2017)) without its l1 penalty; resolution
+//! limit as in Smith, IEEE Trans. Signal Process. 53, 1597 (2005).
 //!
-//! Light that extended patches spread in time is modelled where [`SparseOptions::extent_max_ps`] allows it. Several records of the same pulses
-//! are fitted together by [`fit_joint`]; histograms of single photons by [`fit_counts`].
+//! Light that extended patches spread in time is modelled where [`SparseOptions::extent_max_ps`] allows it. Several
+//! records of the same pulses are fitted together by [`fit_joint`]; histograms of single photons by [`fit_counts`].
 //!
-//! Not modelled: light wrapped around the end of the record, an inexact response. An error of the response shows as `chi2_per_dof` above 1
-//! and, on strong pulses, as false pulses beside them; where its size is known, adding it to the sd of the samples under a strong pulse
-//! keeps both away.
+//! Not modelled: light wrapped around the end of the record, an inexact response. An error of the response shows as
+//! `chi2_per_dof` above 1 and, on strong pulses, as false pulses beside them; where its size is known, adding it to the
+//! sd of the samples under a strong pulse keeps both away.
 
 mod column;
 mod counts;
@@ -57,7 +60,8 @@ pub struct Profile<'a> {
     pub mean_v: &'a [f64],
     /// Standard deviation of each mean, V; infinite for a sample to be ignored.
     pub sd_v: &'a [f64],
-    /// Autocorrelation of the noise at lags 0, 1, ..; `&[1.0]` or nothing for white noise. An estimate is best passed through
+    /// Autocorrelation of the noise at lags 0, 1, ..; `&[1.0]` or nothing for white noise. An estimate is best passed
+    /// through
     /// [`super::noise::autoregressive`] first.
     pub acf: &'a [f64],
     /// Time of the first sample, ps.
@@ -75,12 +79,13 @@ pub struct SparseOptions {
     pub pulses_max: usize,
     /// Whether a constant is fitted with the pulses; it costs one degree of freedom.
     pub baseline: bool,
-    /// Whether amplitudes may be negative, as reflections on a line are; light is never. Pulses closer than the response is wide are then not
-    /// told apart: two of opposite sign imitate anything.
+    /// Whether amplitudes may be negative, as reflections on a line are; light is never. Pulses closer than the
+    /// response is wide are then not told apart: two of opposite sign imitate anything.
     pub signed: bool,
-    /// Largest sd (ps) of the spread in time of one pulse's light, as extended patches give; 0 for points only. A pulse whose samples ask for it
-    /// is widened by a Gaussian of sd up to that, and where they ask for more by an exponential tail behind it. What looks wider still is taken for
-    /// two pulses; two closer than twice this may be taken for one.
+    /// Largest sd (ps) of the spread in time of one pulse's light, as extended patches give; 0 for points only. A pulse
+    /// whose samples ask for it is widened by a Gaussian of sd up to that, and where they ask for more by an
+    /// exponential tail behind it. What looks wider still is taken for two pulses; two closer than twice this may be
+    /// taken for one.
     pub extent_max_ps: f64,
     /// Ends the fit: polled once a trial place of pulses, and once a tap or block in passes over a whole record.
     pub cancel: Cancel,
@@ -120,12 +125,14 @@ pub struct Pulse {
     pub evidence: f64,
     /// Chi2 over degrees of freedom of the samples that this pulse reaches.
     pub chi2_per_dof: f64,
-    /// By how many standard deviations that exceeds what noise alone makes it: beyond three something else than noise is left.
+    /// By how many standard deviations that exceeds what noise alone makes it: beyond three something else than noise
+    /// is left.
     pub misfit_sigma: f64,
 }
 
 impl Pulse {
-    /// What the pulse adds to a record (sample `n` at `t0_ps + n * dt_ps`): index and value of the samples that it reaches.
+    /// What the pulse adds to a record (sample `n` at `t0_ps + n * dt_ps`): index and value of the samples that it
+    /// reaches.
     pub fn samples(
         &self,
         response: &Response,
@@ -149,9 +156,10 @@ impl Pulse {
 pub struct SparseFit {
     /// Pulses by rising time.
     pub pulses: Vec<Pulse>,
-    /// Covariance of the times, ps^2, row-major: `(J^T J)^-1`, each pulse's sd multiplied by the square root of its `chi2_per_dof`
-    /// where that exceeds 1 by more than three of its standard deviations. Where an sd exceeds 1/20 of the distance of two pulses,
-    /// that of either is half the 95 % interval of its profile likelihood over 1.96, if that is more; rows and columns grow alike.
+    /// Covariance of the times, ps^2, row-major: `(J^T J)^-1`, each pulse's sd multiplied by the square root of its
+    /// `chi2_per_dof` where that exceeds 1 by more than three of its standard deviations. Where an sd exceeds 1/20 of
+    /// the distance of two pulses, that of either is half the 95 % interval of its profile likelihood over 1.96, if
+    /// that is more; rows and columns grow alike.
     pub covariance_ps2: Vec<f64>,
     /// Constant under the pulses, V; 0 if none is fitted.
     pub baseline_v: f64,
@@ -175,8 +183,9 @@ impl SparseFit {
 /// Fits pulses to `profile`.
 ///
 /// # Panics
-/// If the profile is empty, its slices differ in length, a mean is not finite, an sd is not positive, `dt_ps` is not positive, the
-/// autocorrelation is not finite or not positive at lag 0, the evidence asked for is not positive, or the extent allowed is negative or not finite.
+/// If the profile is empty, its slices differ in length, a mean is not finite, an sd is not positive, `dt_ps` is not
+/// positive, the autocorrelation is not finite or not positive at lag 0, the evidence asked for is not positive, or the
+/// extent allowed is negative or not finite.
 #[must_use]
 pub fn fit(profile: &Profile, response: &Response, options: &SparseOptions) -> SparseFit {
     fit_joint(&[(*profile, response)], options, true).remove(0)

@@ -1,9 +1,9 @@
 //! Where the light of a pulse lies and how it is spread in time, and what the spread makes of a response.
 //!
-//! Light from an extended patch arrives over an interval: a Gaussian of variance `v`, and where that does not suffice, one with a one-sided
-//! exponential tail of constant `tau`. Both are centred, so that the time of a place is the centroid of the light in every case. The variance is the
-//! parameter, not its root: by the heat equation the derivative of the widened response by `v` is half its second derivative, regular down to
-//! a point at `v = 0`.
+//! Light from an extended patch arrives over an interval: a Gaussian of variance `v`, and where that does not suffice,
+//! one with a one-sided exponential tail of constant `tau`. Both are centred, so that the time of a place is the
+//! centroid of the light in every case. The variance is the parameter, not its root: by the heat equation the
+//! derivative of the widened response by `v` is half its second derivative, regular down to a point at `v = 0`.
 
 use super::Response;
 use std::ops::Range;
@@ -14,7 +14,8 @@ const REACH_TAILS: f64 = 14.0;
 /// Widest step of a kernel's nodes and widest panel of the tail's, in widths of the response.
 const STEP_WIDTHS: f64 = 0.25;
 const PANEL_WIDTHS: f64 = 0.5;
-/// A tail starts from this part of the largest allowed, and falls to no less than the second: below it is no different from none.
+/// A tail starts from this part of the largest allowed, and falls to no less than the second: below it is no different
+/// from none.
 const TAIL_START: f64 = 0.3;
 const TAIL_MIN: f64 = 1e-3;
 
@@ -33,7 +34,8 @@ pub(super) struct Place {
     pub(super) is_pinned: bool,
 }
 
-/// Nodes of a kernel: time after the centroid, weight, and its weight in the derivative by the tail's constant, which takes slopes.
+/// Nodes of a kernel: time after the centroid, weight, and its weight in the derivative by the tail's constant, which
+/// takes slopes.
 pub(super) type Node = (f64, f64, f64);
 
 impl Place {
@@ -129,8 +131,8 @@ impl Place {
     }
 }
 
-/// Nodes and weights of a Gaussian of sd `sd_ps`, no farther apart than `step_max_ps` or an sd: the trapezoidal rule, which converges faster than any
-/// power for it.
+/// Nodes and weights of a Gaussian of sd `sd_ps`, no farther apart than `step_max_ps` or an sd: the trapezoidal rule,
+/// which converges faster than any power for it.
 fn gaussian_nodes(sd_ps: f64, step_max_ps: f64) -> Vec<(f64, f64)> {
     let per_sd = (sd_ps / step_max_ps).ceil().max(1.0);
     let side = (REACH_SD * per_sd) as i32;
@@ -161,7 +163,8 @@ fn tail_nodes(panel_max: f64) -> Vec<(f64, f64)> {
     (0..panels as i32).flat_map(nodes).collect()
 }
 
-/// Value of the response at `after_ps` spread over `nodes`, and its derivatives by the centroid, the variance and the tail's constant.
+/// Value of the response at `after_ps` spread over `nodes`, and its derivatives by the centroid, the variance and the
+/// tail's constant.
 pub(super) fn spread_response(response: &Response, nodes: &[Node], after_ps: f64) -> [f64; 4] {
     nodes.iter().fold([0.0; 4], |[value, by_time, by_variance, by_tail], &(x, weight, tail_weight)| {
         let (h, slope) = response.value_and_slope(after_ps - x);

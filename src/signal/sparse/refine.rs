@@ -1,7 +1,7 @@
 //! Joint refinement of places: Levenberg-Marquardt with the amplitudes eliminated.
 //!
-//! Source: Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973), variable projection, in Kaufman's simplification. It finds the optimum
-//! next to its start; [`super::search`] provides the starts.
+//! Source: Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973), variable projection, in Kaufman's simplification. It
+//! finds the optimum next to its start; [`super::search`] provides the starts.
 
 use super::model::Model;
 use super::place::Place;
@@ -13,8 +13,8 @@ const STEPS: usize = 60;
 /// Largest move of a pulse in one step, in widths of the response.
 const STEP_WIDTHS: f64 = 0.32;
 
-/// Pulses that fit whitened `data` best, near `places`. `None` if the start is degenerate (two pulses coincide, or one is outside of a
-/// record).
+/// Pulses that fit whitened `data` best, near `places`. `None` if the start is degenerate (two pulses coincide, or one
+/// is outside of a record).
 pub(super) fn refine(model: &Model, data: &[Vec<f64>], places: Vec<Place>) -> Option<Projection> {
     let mut best = Projection::new(model, data, places)?;
     let step_max_ps = STEP_WIDTHS * model.width_ps;

@@ -40,8 +40,8 @@ impl Misfit {
         self.chi2 / self.freedom.max(1.0)
     }
 
-    /// Factor of a standard deviation: the root of chi2 per degree of freedom, where noise alone does not explain it. (Multiplying by whatever
-    /// exceeds 1 would widen every second interval of a right model.)
+    /// Factor of a standard deviation: the root of chi2 per degree of freedom, where noise alone does not explain it.
+    /// (Multiplying by whatever exceeds 1 would widen every second interval of a right model.)
     pub(super) fn inflation(&self) -> f64 {
         if self.sigma() > MISFIT_SIGMA { self.per_dof().sqrt() } else { 1.0 }
     }
@@ -85,7 +85,8 @@ impl State {
         found.into_iter().next().expect("each record is in a group")
     }
 
-    /// Covariance of all unknowns, row-major, and their number: amplitude of pulse k in group g at `g * K + k`, then the parameters of the places.
+    /// Covariance of all unknowns, row-major, and their number: amplitude of pulse k in group g at `g * K + k`, then
+    /// the parameters of the places.
     pub(super) fn covariance(&self) -> (Vec<f64>, usize) {
         (self.factor.inverse(), self.fit.unknowns())
     }

@@ -109,7 +109,8 @@ impl Capture {
         shots.take(average, codes, columns.t0_ps.value(i), reference, clipped);
     }
 
-    /// Whether all is known by which later shots of the ranges seen so far are judged: their first shots, and of a train the first pulse.
+    /// Whether all is known by which later shots of the ranges seen so far are judged: their first shots, and of a
+    /// train the first pulse.
     pub fn is_primed(&self, context: &Context) -> bool {
         let of_train = context.period_ps(&self.first).is_some() && context.template(&self.first).is_some();
         let is_timed = !of_train || self.first_pulse_ps.is_some();
@@ -149,7 +150,8 @@ impl Capture {
         if missing_template {
             return Err(StageError::Refused(context.without_template(&first)));
         }
-        // The latency of such a sensor counts from its reference pulse; times from the trigger would be wrong by what lies between.
+        // The latency of such a sensor counts from its reference pulse; times from the trigger would be wrong by what
+        // lies between.
         if !first.is_reference && !has_reference && needs_reference(&first) && context.template(&first).is_some() {
             let why = "has no reference pulse, but the response captures of its sensor have; \
                  give its [[captures]] rule the `reference` too, or take it out of both";

@@ -1,4 +1,5 @@
-//! Photon histograms of a capture, added up. No shot is outlying, none is moved: detections are counted from the trigger on.
+//! Photon histograms of a capture, added up. No shot is outlying, none is moved: detections are counted from the
+//! trigger on.
 
 use super::piece::{exact, nothing};
 use super::{Average, is_alike, rejection};

@@ -1,5 +1,5 @@
-//! What the first shots of a range say of its noise: standard deviation, autocorrelation, and the variance of a record as a function of level and
-//! slope ([`noise_model`]).
+//! What the first shots of a range say of its noise: standard deviation, autocorrelation, and the variance of a record
+//! as a function of level and slope ([`noise_model`]).
 
 use crate::signal::average::Mean;
 use crate::signal::codes::Codes;
@@ -33,7 +33,8 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// Of `shots` with their `mean`, codes: their `stretches` without light, whose level is `level`, and which places are `clear` of clipping.
+    /// Of `shots` with their `mean`, codes: their `stretches` without light, whose level is `level`, and which places
+    /// are `clear` of clipping.
     pub fn of(
         shots: &[(Codes<'_>, i64)],
         stretches: &[Vec<f64>],

@@ -1,4 +1,5 @@
-//! Captures in pieces: what is judged by their first shots, what is added up exactly, and what is handed over to be added up in order.
+//! Captures in pieces: what is judged by their first shots, what is added up exactly, and what is handed over to be
+//! added up in order.
 
 use arrow_array::RecordBatch;
 use arrow_schema::SchemaRef;

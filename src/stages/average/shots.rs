@@ -146,7 +146,8 @@ impl Shots {
         }
     }
 
-    /// Judges the first shots by one another, adds those that pass, and takes the noise from them: from whole ones, unless most are clipped.
+    /// Judges the first shots by one another, adds those that pass, and takes the noise from them: from whole ones,
+    /// unless most are clipped.
     fn close_head(&mut self, average: &Average) {
         let head = std::mem::take(&mut self.head);
         let code_type = self.first.code_type.clone();
@@ -301,8 +302,8 @@ impl Shots {
         Record { first: mean.first_position, mean_v, se_v, clipping: self.clipping, profile }
     }
 
-    /// Variance of a record's time in the mean: what the fits of the reference pulses and the rounding to a phase leave, or without reference
-    /// pulses the trigger; or what the noise shows if that is significantly more.
+    /// Variance of a record's time in the mean: what the fits of the reference pulses and the rounding to a phase
+    /// leave, or without reference pulses the trigger; or what the noise shows if that is significantly more.
     fn jitter_ps2(&self, noise: &Noise) -> f64 {
         let step_ps = self.first.dt_ps / PHASES as f64;
         let fitted_ps2 = self.whole.references.alignment_ps2().map(|fits_ps2| fits_ps2 + step_ps * step_ps / 12.0);

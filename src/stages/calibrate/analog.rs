@@ -54,7 +54,8 @@ pub(super) fn found(range: &Shots, template: Option<&Shape>) -> Result<(Found, O
     Ok((found, reference))
 }
 
-/// Signals in the frame of their reference pulses, and the mean integral of these. Shots whose reference shows no pulse are left out.
+/// Signals in the frame of their reference pulses, and the mean integral of these. Shots whose reference shows no pulse
+/// are left out.
 fn aligned(range: &Shots, template: &Response) -> (Vec<Shot>, f64) {
     let dt_ps = range.first.dt_ps;
     let (mut shots, mut sum) = (Vec::new(), 0.0);
@@ -73,8 +74,8 @@ fn quiet(shot: &Shot) -> usize {
     ((shot.samples.len() as f64 * BASELINE_SHARE) as usize).clamp(2.min(shot.samples.len()), shot.samples.len())
 }
 
-/// Shots whose pulse lies where, and is as high as, that of most: one without light has its time anywhere. Where single shots are too noisy to be
-/// fitted, all.
+/// Shots whose pulse lies where, and is as high as, that of most: one without light has its time anywhere. Where single
+/// shots are too noisy to be fitted, all.
 fn without_strays(shots: Vec<Shot>, dt_ps: f64, template: &Response) -> Vec<Shot> {
     let fits: Vec<Option<PulseFit>> = shots.iter().map(|shot| fit_pulse(&shot.samples, dt_ps, template)).collect();
     if 2 * fits.iter().flatten().count() <= shots.len() {
@@ -89,7 +90,8 @@ fn without_strays(shots: Vec<Shot>, dt_ps: f64, template: &Response) -> Vec<Shot
     shots.into_iter().zip(good).filter_map(|(shot, good)| good.then_some(shot)).collect()
 }
 
-/// Which values lie within [`STRAY_SIGMA`] robust standard deviations of their median; the values' own standard deviation is a floor.
+/// Which values lie within [`STRAY_SIGMA`] robust standard deviations of their median; the values' own standard
+/// deviation is a floor.
 fn within(values: &[Option<(f64, f64)>]) -> Vec<bool> {
     let known = || values.iter().flatten();
     let median = middle(known().map(|(value, _)| *value).collect());
@@ -105,8 +107,8 @@ fn middle(mut values: Vec<f64>) -> f64 {
     *values.select_nth_unstable_by(half, f64::total_cmp).1
 }
 
-/// Mean time of the response in the shots, and its standard deviation from their spread. Where single shots are too noisy to be fitted, the maximum of
-/// the shape, known to about its width over the signal-to-noise ratio of the mean.
+/// Mean time of the response in the shots, and its standard deviation from their spread. Where single shots are too
+/// noisy to be fitted, the maximum of the shape, known to about its width over the signal-to-noise ratio of the mean.
 fn arrival(shots: &[Shot], dt_ps: f64, shape: &Shape, noise_v: f64) -> (f64, f64) {
     let template = shape.response();
     let fit = |shot: &Shot| {

@@ -6,7 +6,8 @@ use super::series::{Run, TimeSeries};
 use crate::signal::regression::{Regression, least_squares};
 use crate::units;
 
-/// `linearity`: relative compression at the largest amplitude, from `amplitude = k x (1 - q x / x_max)` with x the light.
+/// `linearity`: relative compression at the largest amplitude, from `amplitude = k x (1 - q x / x_max)` with x the
+/// light.
 pub fn linearity(params: &Characterize, runs: &[Run<'_>]) -> Option<Finding> {
     let light: Vec<f64> = runs.iter().map(Run::light).collect();
     let most = light.iter().copied().fold(0.0, f64::max);
@@ -87,7 +88,8 @@ pub fn drifts(params: &Characterize, series: &TimeSeries<'_>) -> Vec<Finding> {
         findings.push(Finding::tested("delay_scatter", found, (1.0, 0.0), "", test, count).because(cause));
     }
     let level = runs.iter().map(|run| run.amplitude_v).sum::<f64>() / count as f64;
-    // A laser fluctuates beyond what single runs know of themselves, so the scatter of the runs is their standard deviation.
+    // A laser fluctuates beyond what single runs know of themselves, so the scatter of the runs is their standard
+    // deviation.
     if let Some(fit) = fit(&columns, runs, |run| (run.amplitude_v / level, 1.0)) {
         let sd = fit.sd(1) * (fit.chi2 / fit.dof as f64).sqrt();
         let (unit, good) = (format!("1/{}", series.unit), (0.0, params.power_tolerance.get() / span));

@@ -65,7 +65,8 @@ pub fn path<'a>(runs: &[Run<'a>]) -> Option<Vec<Run<'a>>> {
     longest(&with_path, key, |run| bits(run.row.path_m))
 }
 
-/// The same setting again and again, and when: hours since the first, or the number of the run where the files do not say.
+/// The same setting again and again, and when: hours since the first, or the number of the run where the files do not
+/// say.
 pub struct TimeSeries<'a> {
     pub runs: Vec<Run<'a>>,
     pub at: Vec<f64>,
@@ -95,7 +96,8 @@ pub fn time<'a>(runs: &[Run<'a>]) -> Option<TimeSeries<'a>> {
     Some(TimeSeries { runs, at, unit })
 }
 
-/// Of the series whose runs have equal `key`, the one with most different values of `varied`, then most runs, then the first.
+/// Of the series whose runs have equal `key`, the one with most different values of `varied`, then most runs, then the
+/// first.
 fn longest<'a>(
     runs: &[Run<'a>],
     key: impl Fn(&Measurement) -> Fixed,

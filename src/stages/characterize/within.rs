@@ -102,8 +102,8 @@ pub fn noise(rows: &[&Measurement]) -> Vec<Finding> {
     findings
 }
 
-/// `noise_slope`: variance that light adds, over the amplitude (shot noise makes it positive, a laser that fluctuates too); `width`;
-/// `dynamic_range_db`: the largest pulse over the noise of its mean record.
+/// `noise_slope`: variance that light adds, over the amplitude (shot noise makes it positive, a laser that fluctuates
+/// too); `width`; `dynamic_range_db`: the largest pulse over the noise of its mean record.
 pub fn told_of_pulses(runs: &[Run<'_>]) -> Vec<Finding> {
     let mut findings = Vec::new();
     let added = runs.iter().filter_map(|run| {

@@ -55,7 +55,8 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
     }
 }
 
-/// Two equal pulses so close that each amplitude is uncertain by more than a fifth: dropped by their amplitudes, found by their evidence.
+/// Two equal pulses so close that each amplitude is uncertain by more than a fifth: dropped by their amplitudes, found
+/// by their evidence.
 #[test]
 fn a_blended_pair_is_not_lost_where_it_is_certain_that_it_is_there() {
     let (detect, response, mut rng) = (Detect::default(), response(), ChaCha8Rng::seed_from_u64(1));

@@ -136,7 +136,8 @@ fn without_known_patches_the_visible_are_embedded_first() {
     assert!(&*last.kind == "visible" && (point(last) - points[9]).norm() < 1e-6, "{last:?}");
 }
 
-/// A patch without distances stands where `label` has it, with its mirror image as alternative; one with distances where these have it.
+/// A patch without distances stands where `label` has it, with its mirror image as alternative; one with distances
+/// where these have it.
 #[test]
 fn hypotheses_place_what_distances_do_not() {
     let (points, truth) = (walls(), Point::new(0.3, 1.2, 0.1));

@@ -1,5 +1,5 @@
-//! Blocks of memory that raw files are read into, used again when no row needs them any more: a fresh block costs more than what is read into it, since
-//! the kernel clears its pages first.
+//! Blocks of memory that raw files are read into, used again when no row needs them any more: a fresh block costs more
+//! than what is read into it, since the kernel clears its pages first.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

@@ -1,4 +1,5 @@
-//! Which raw files hold which capture, as `ingest` would read them: for those who ask where a table comes from that was not kept.
+//! Which raw files hold which capture, as `ingest` would read them: for those who ask where a table comes from that was
+//! not kept.
 
 use std::path::{Path, PathBuf};
 
@@ -40,7 +41,8 @@ pub struct RawShare {
     pub is_reference: bool,
 }
 
-/// The captures of these roles, in the order of the tables. `notes` is where earlier runs noted the hashes of raw files.
+/// The captures of these roles, in the order of the tables. `notes` is where earlier runs noted the hashes of raw
+/// files.
 ///
 /// # Errors
 /// When a folder cannot be read, rules contradict each other, or a file has changed since it was sealed or first read.

@@ -41,7 +41,8 @@ pub fn digest(campaigns: &[Campaign], part: &[Capture], digests: &FileDigests) -
     Digest::of_bytes(serde_json::to_string(&content).expect("plain data").as_bytes())
 }
 
-/// All that the rows of a part depend on. The JSON of it is canonical, as [`Digest::of`] has it: fields stand in the order of their names.
+/// All that the rows of a part depend on. The JSON of it is canonical, as [`Digest::of`] has it: fields stand in the
+/// order of their names.
 #[derive(Serialize)]
 struct PartContent<'a> {
     captures: Vec<CaptureContent<'a>>,

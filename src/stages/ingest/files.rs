@@ -16,7 +16,8 @@ pub struct Files {
     signal: RawFile,
     signal_records: Vec<(usize, i32)>,
     reference: Option<RawFile>,
-    /// Records of the reference channel, in the same order of exposures; in the signal's own file when `reference` is none.
+    /// Records of the reference channel, in the same order of exposures; in the signal's own file when `reference` is
+    /// none.
     reference_records: Option<Vec<usize>>,
 }
 

@@ -209,8 +209,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Notes what came of a job; numbers its exposures where the files do not. A file of which another content is on record stops the run before
-    /// anything that was made of it counts.
+    /// Notes what came of a job; numbers its exposures where the files do not. A file of which another content is on
+    /// record stops the run before anything that was made of it counts.
     fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Records, StageError> {
         let campaign = job.capture.campaign;
         for Hashed { file, digest, metadata } in done.digests {
@@ -259,7 +259,8 @@ pub fn unread(campaign: &Campaign, file: &Path) -> StageError {
     })
 }
 
-/// Items of one file, with one reference: read whole where they take up most of it, else share by share, and hashed to its end unless this run has done so.
+/// Items of one file, with one reference: read whole where they take up most of it, else share by share, and hashed to
+/// its end unless this run has done so.
 fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
     let first = jobs[0];
     let is_share = jobs.len() > 1 || first.item.is_share();

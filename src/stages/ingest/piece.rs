@@ -1,7 +1,9 @@
-//! Pieces of a part: stretches of its exposures, cut within files where these are large, and read by different processes.
+//! Pieces of a part: stretches of its exposures, cut within files where these are large, and read by different
+//! processes.
 //!
-//! Each byte of a file is hashed by the piece that has it, so that the pieces together know the digest of all of it ([`tree_hash`]). What is odd about a piece (a file or record
-//! that is to be set aside, first shots that tell nothing) ends it with [`StageError::Indivisible`]: the part is then read whole, as it would have been without pieces.
+//! Each byte of a file is hashed by the piece that has it, so that the pieces together know the digest of all of it
+//! ([`tree_hash`]). What is odd about a piece (a file or record that is to be set aside, first shots that tell nothing)
+//! ends it with [`StageError::Indivisible`]: the part is then read whole, as it would have been without pieces.
 
 mod cut;
 
@@ -124,7 +126,8 @@ pub fn read_piece(
     }
 }
 
-/// Reads the first shots of each vertical range of a capture, as many as later ones are judged by; up to a place in it, behind which its last range may go on.
+/// Reads the first shots of each vertical range of a capture, as many as later ones are judged by; up to a place in it,
+/// behind which its last range may go on.
 pub fn read_head(
     surveyed: &Surveyed<'_>,
     capture: &Capture,

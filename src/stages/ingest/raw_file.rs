@@ -19,7 +19,8 @@ use crate::stages::stage::Rejection;
 use crate::tables::{Codes, Name};
 use crate::waveform::Record;
 
-/// Bytes that are read at once where only a part of a record counts; smaller records are read whole, with their neighbours.
+/// Bytes that are read at once where only a part of a record counts; smaller records are read whole, with their
+/// neighbours.
 const PIECE_BYTES: usize = 1 << 20;
 
 /// A file that was hashed: its name, its digest, and its size and times from before it was read.
@@ -29,7 +30,8 @@ pub struct Hashed {
     pub metadata: Metadata,
 }
 
-/// A file of which a stretch was hashed: its name, the subtrees of its hash, and its size and times from before it was read.
+/// A file of which a stretch was hashed: its name, the subtrees of its hash, and its size and times from before it was
+/// read.
 pub struct HashedStretch {
     pub file: PathBuf,
     pub subtrees: Vec<Subtree>,
@@ -261,8 +263,8 @@ impl RawFile {
         (length, self.records[record].contiguous().map_or(share as u64, |(at, _)| at))
     }
 
-    /// Codes of records, little-endian; of the samples `[first, last)` of each, where only those count. Records that lie one behind the other share one
-    /// read and one block.
+    /// Codes of records, little-endian; of the samples `[first, last)` of each, where only those count. Records that
+    /// lie one behind the other share one read and one block.
     pub fn codes(&mut self, records: &[usize], samples: Option<[u64; 2]>) -> Result<Vec<Codes>, Bad> {
         let mut codes = Vec::with_capacity(records.len());
         let mut start = 0;

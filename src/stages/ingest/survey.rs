@@ -62,8 +62,8 @@ pub struct Job<'a> {
     pub first_shot: i32,
 }
 
-/// What tells captures apart, in the order of the tables: campaign, sensor, smaller and larger patch, role, run, lit. So reciprocal captures stand
-/// side by side.
+/// What tells captures apart, in the order of the tables: campaign, sensor, smaller and larger patch, role, run, lit.
+/// So reciprocal captures stand side by side.
 type Order = (usize, String, PatchId, PatchId, Role, Option<String>, PatchId);
 
 impl Capture {
@@ -92,7 +92,8 @@ pub struct Surveyed<'a> {
     pub warnings: Vec<String>,
     /// What is on record of the files of each campaign.
     pub records: Vec<Record>,
-    /// Files that this run has read to their end, and hashed: whoever needs another share of one need not read all of it.
+    /// Files that this run has read to their end, and hashed: whoever needs another share of one need not read all of
+    /// it.
     read: Mutex<BTreeSet<(usize, PathBuf)>>,
     /// What files are read into.
     pub blocks: Arc<Blocks>,
@@ -157,7 +158,8 @@ impl<'a> Surveyed<'a> {
         Ok(surveyed)
     }
 
-    /// Files that changed since they were recorded are refused; those whose time stamp alone changed are hashed again here.
+    /// Files that changed since they were recorded are refused; those whose time stamp alone changed are hashed again
+    /// here.
     fn check_files(&self) -> Result<(), StageError> {
         let mut changed = BTreeSet::new();
         for (campaign, file) in content::files(self.parts.iter().flatten()) {
@@ -308,11 +310,13 @@ fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, St
     along_axes(&path, exposure, bytes)
 }
 
-/// Splits a file whose segments or leading axes count more than shots. Patches are numbered from 1 along their axis, ranges and channels too.
+/// Splits a file whose segments or leading axes count more than shots. Patches are numbered from 1 along their axis,
+/// ranges and channels too.
 fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, Item)>, StageError> {
     let refused = |message: String| StageError::Refused(format!("{}: {message}", path.display()));
     let Ok(records) = formats::Source::open(path).and_then(|mut file| formats::records(&mut file)) else {
-        // A file that does not decode, perhaps since it is still being written, is set aside with the reason when it is read.
+        // A file that does not decode, perhaps since it is still being written, is set aside with the reason when it is
+        // read.
         let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
         return Ok(vec![(key, Item { exposure, records: Some(Vec::new()), bytes })]);
     };

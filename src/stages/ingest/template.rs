@@ -8,7 +8,8 @@ use crate::tables::traces::OwnColumns;
 use crate::tables::{Codes, Name, Trace};
 use crate::waveform::Kind;
 
-/// A nominal rate may differ by this part from the step that a file rounded: a step printed with six digits is off by 5e-6 at most.
+/// A nominal rate may differ by this part from the step that a file rounded: a step printed with six digits is off by
+/// 5e-6 at most.
 const ROUNDED: f64 = 1e-5;
 
 /// What all rows of an item share.

@@ -1,4 +1,5 @@
-//! Parts that another process is to read: captures and what is on record of their files, so that it surveys nothing itself.
+//! Parts that another process is to read: captures and what is on record of their files, so that it surveys nothing
+//! itself.
 
 use std::path::Path;
 

@@ -1,4 +1,5 @@
-//! A stage as the runtime sees it where groups are computed in pieces: rows of a piece in, subtotals out; or heads and subtotals in, rows out.
+//! A stage as the runtime sees it where groups are computed in pieces: rows of a piece in, subtotals out; or heads and
+//! subtotals in, rows out.
 
 use arrow_array::RecordBatch;
 

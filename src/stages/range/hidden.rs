@@ -1,4 +1,5 @@
-//! Third bounces over hidden patches: sums of ranges by their known legs, and ranges from sums ([`crate::geometry::t3`]).
+//! Third bounces over hidden patches: sums of ranges by their known legs, and ranges from sums
+//! ([`crate::geometry::t3`]).
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -75,7 +76,8 @@ pub struct Thirds {
     stations: Vec<Point>,
 }
 
-/// The path of a label whose light comes from a lit patch, meets one that laser and sensor do not reach, and goes on to a seen one.
+/// The path of a label whose light comes from a lit patch, meets one that laser and sensor do not reach, and goes on to
+/// a seen one.
 pub fn over_hidden<'a>(
     fields: &'a ByCampaign<Fields>,
     places: Option<&'a Places>,

@@ -2,7 +2,8 @@ use super::*;
 use crate::units;
 use std::path::Path;
 
-/// Labels of one sensor over these paths, source and sensor at the origin or the sensor `apart_m` aside along x; patch i at (0, 0, i) m.
+/// Labels of one sensor over these paths, source and sensor at the origin or the sensor `apart_m` aside along x; patch
+/// i at (0, 0, i) m.
 fn labels(sensor: &str, apart_m: f64, paths: &[&[PatchId]]) -> Vec<Label> {
     let label = |path: &&[PatchId]| {
         let (lit, seen) = (path[0], path[path.len() - 1]);

@@ -58,7 +58,8 @@ impl Tables {
         }
     }
 
-    /// Mirror points without errors, the likeliest first, each with what its contradiction has more, and diffuser points as given.
+    /// Mirror points without errors, the likeliest first, each with what its contradiction has more, and diffuser
+    /// points as given.
     pub fn places(scans: &Scans, places: &[(Vec<Option<Point>>, f64)], reasons: &mut Vec<String>) -> Self {
         let mut tables = Self::default();
         for (n, (points, more)) in places.iter().enumerate() {

@@ -64,7 +64,8 @@ fn onset(lit: PatchId, seen: PatchId, time_ps: f64, amplitude: f64) -> Onset {
     }
 }
 
-/// The light of all scans, and some that was scattered before it came to another diffuser point or, earlier and weaker, to the same.
+/// The light of all scans, and some that was scattered before it came to another diffuser point or, earlier and weaker,
+/// to the same.
 fn onsets() -> Vec<Onset> {
     let all = POINTS.iter().zip(ONWARD_M).zip(diffuser()).enumerate();
     all.flat_map(|(n, ((point, onward_m), diffuser))| {

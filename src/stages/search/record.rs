@@ -19,7 +19,8 @@ use crate::units::PatchId;
 
 /// Scores in the full width of a response.
 const STEPS: f64 = 12.0;
-/// A calibrated response may be wrong by this share of its value near by, and by this share of its height: under strong pulses that is more than noise.
+/// A calibrated response may be wrong by this share of its value near by, and by this share of its height: under strong
+/// pulses that is more than noise.
 const WRONG_NEAR: f64 = 0.2;
 const WRONG_ANYWHERE: f64 = 5e-4;
 /// So long after its end too, in widths.
@@ -103,8 +104,9 @@ impl Context {
             let correction = Correction::of(&self.sessions, key, profile)?;
             let mut samples = profile.mean_v.to_f64();
             let noise_v = profile.noise_v / f64::from(profile.shots).sqrt();
-            // Away from impulses the noise is that before the pulse. What a model of it in level and slope makes of a mean that is noise itself is larger where the
-            // sample is, and takes a quarter of the information of all weak light.
+            // Away from impulses the noise is that before the pulse. What a model of it in level and slope makes of a
+            // mean that is noise itself is larger where the sample is, and takes a quarter of the information of all
+            // weak light.
             let quiet_v = noise_v.max(calibration::rounding_v(profile));
             let own_v = calibration::sd_v(profile);
             let mut sd_v: Vec<f64> = own_v.iter().map(|sd| if sd.is_finite() { quiet_v } else { *sd }).collect();
@@ -243,7 +245,8 @@ impl<'a> Light<'a> {
         given
     }
 
-    /// Learns how strong third bounces over visible patches are, where they were not fitted: noise alone makes scores of 1 in the root mean square.
+    /// Learns how strong third bounces over visible patches are, where they were not fitted: noise alone makes scores
+    /// of 1 in the root mean square.
     pub(super) fn learn(&self, records: &mut [Record], points: &BTreeMap<PatchId, Point>, cancel: &Cancel) {
         let scores = |record: &Record| {
             let weak = self.given(record, points).into_iter().filter(|light| matches!(light.open, Open::Score(_)));

@@ -129,7 +129,8 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// 200 draws each, without and with a rotation that all patches share: errors of normals, offsets and tilts are as large as the rows say.
+/// 200 draws each, without and with a rotation that all patches share: errors of normals, offsets and tilts are as
+/// large as the rows say.
 #[test]
 fn walls_are_found_with_errors_as_large_as_stated() {
     let walls = walls();
@@ -174,7 +175,8 @@ fn walls_are_found_with_errors_as_large_as_stated() {
     }
 }
 
-/// Groups by hand keep their order; the middle patch of a wall, moved out of it, is the farthest, on the side it was moved to.
+/// Groups by hand keep their order; the middle patch of a wall, moved out of it, is the farthest, on the side it was
+/// moved to.
 #[test]
 fn groups_may_be_given_by_hand() {
     let scene = Scene::new(0.0);

@@ -142,7 +142,8 @@ impl View<'_> {
         self.model.medium.time_ps(way_m(to) - way_m(from))
     }
 
-    /// Where between both pulses light of the middle comes. Counted from the neighbour over whose exit it leaves, so that what delays and positions have in common cancels.
+    /// Where between both pulses light of the middle comes. Counted from the neighbour over whose exit it leaves, so
+    /// that what delays and positions have in common cancels.
     fn place(&self, times_ps: [f64; 2], middle: Point, through: usize) -> f64 {
         let strip = self.solution.points[self.strips[through]];
         let time_ps = times_ps[through] + self.later_ps([(strip, through), (middle, through)]);

@@ -29,7 +29,8 @@ pub(super) struct Model {
 type ProfileKey = (Name, PatchId, PatchId, Option<Name>);
 
 impl Model {
-    /// The model, and which profiles it leaves out and why; or why there is none. `exact`: differences of arrival, with all else as it is told.
+    /// The model, and which profiles it leaves out and why; or why there is none. `exact`: differences of arrival, with
+    /// all else as it is told.
     pub(super) fn new(context: &Context, onsets: Vec<Onset>, exact: bool) -> Result<(Self, Vec<String>), String> {
         let mut profiles: BTreeMap<ProfileKey, Vec<Onset>> = BTreeMap::new();
         for onset in onsets {
@@ -192,7 +193,8 @@ struct Place {
     bounce: Bounce,
 }
 
-/// Strips and their exits: as campaign.toml lists them, or one for each patch of the views that do not cover what is lit.
+/// Strips and their exits: as campaign.toml lists them, or one for each patch of the views that do not cover what is
+/// lit.
 fn strips(
     context: &Context,
     profiles: &BTreeMap<ProfileKey, Vec<Onset>>,

@@ -19,37 +19,15 @@ const LONG: [(&str, &str); 4] = [
     ("tests/it/bound.rs", "by_differences"),
 ];
 
-/// Most columns of a line with a comment; the formatter sees to the others.
+/// Most columns of a line with a comment, but for rows of Markdown tables, which cannot be cut; the formatter sees to
+/// lines of code.
 const COLUMNS: usize = 120;
 
 /// Participles say what happened to a thing, not what it is.
 const PARTICIPLES: [&str; 5] = ["found", "known", "told", "written", "asked"];
 
-/// Folders whose comments are not yet short enough. Shrinks, never grows.
-const WIDE_NOT_YET: [&str; 18] = [
-    "benches/",
-    "src/campaign/",
-    "src/cancel/",
-    "src/commands/",
-    "src/formats/",
-    "src/geometry/",
-    "src/guide/",
-    "src/main.rs",
-    "src/parameter/",
-    "src/pipeline/",
-    "src/priors/",
-    "src/report/",
-    "src/signal/",
-    "src/simulate/",
-    "src/stages/",
-    "src/store/",
-    "tests/allocations.rs",
-    "tests/it/",
-];
-
 /// Folders that do not yet name things by nouns. Shrinks, never grows.
-const PARTICIPLES_NOT_YET: [&str; 7] =
-    ["benches/", "src/commands/", "src/pipeline/", "src/priors/", "src/signal/", "src/stages/", "tests/"];
+const PARTICIPLES_NOT_YET: [&str; 5] = ["benches/", "src/pipeline/", "src/signal/", "src/stages/", "tests/"];
 
 /// Lists what is wrong with files outside of the folders given; asserts that those folders still need to be there.
 fn check(not_yet: &[&str], wrong: impl Fn(&Source) -> Vec<String>) {
@@ -83,11 +61,13 @@ fn functions_fit_a_page() {
 fn comments_fit_the_page() {
     let wide = |source: &Source| {
         let lines = source.text.lines().enumerate();
-        let comments = lines.filter(|(_, line)| line.trim_start().starts_with("//") || line.contains(" // "));
+        let is_row = |line: &str| line.trim_start().trim_start_matches(['/', '!']).starts_with(" |");
+        let is_comment = |line: &str| line.trim_start().starts_with("//") || line.contains(" // ");
+        let comments = lines.filter(|(_, line)| is_comment(line) && !is_row(line));
         let wide = comments.filter(|(_, line)| line.chars().count() > COLUMNS);
         wide.map(|(n, line)| format!("{}:{} has {} columns", source.file, n + 1, line.chars().count())).collect()
     };
-    check(&WIDE_NOT_YET, wide);
+    check(&[], wide);
 }
 
 #[test]

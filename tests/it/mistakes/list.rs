@@ -119,7 +119,7 @@ pub const MISTAKES: &[Mistake] = &[
     ),
     Mistake(
         &[],
-        "run pipeline.toml --campaign campaign --out new --set patches.method=smacof",
+        "run pipeline.toml --campaign campaign --out new --set start.method=smacof",
         "`smacof` is no longer in the program",
         "use `incremental`",
     ),

@@ -5,7 +5,8 @@ use super::joint::{profile, two_records};
 use super::*;
 use rand_distr::Poisson;
 
-/// Times of pairs lie within 1 and 1.96 of their sds about as often as they should; first order holds 83 % within 1.96 (one record).
+/// Times of pairs lie within 1 and 1.96 of their sds about as often as they should; first order holds 83 % within 1.96
+/// (one record).
 fn assert_covered(name: &str, apart_ps: f64, mut estimate: impl FnMut(&[(f64, f64)], &mut ChaCha8Rng) -> SparseFit) {
     let mut rng = ChaCha8Rng::seed_from_u64(71);
     let mut pulls = Vec::new();

@@ -24,7 +24,8 @@ fn counted(means: &[f64], cycles: u64, dead_bins: usize, rng: &mut ChaCha8Rng) -
     counts
 }
 
-/// Cramer-Rao bound of the time of one pulse: Fisher information `sum (dmu_i)(dmu_j) / mu` of time, amplitude, background.
+/// Cramer-Rao bound of the time of one pulse: Fisher information `sum (dmu_i)(dmu_j) / mu` of time, amplitude,
+/// background.
 fn poisson_bound_ps(shape: &Shape, at: f64, photons: f64, background: f64) -> f64 {
     let mean = means(shape, &[(at, photons)], background);
     let (early, late) =
@@ -73,7 +74,8 @@ fn photons_are_timed_at_their_bound() {
     }
 }
 
-/// A third of the cycles counts: uncorrected, the pulse's later half is missing; corrected, the time is right within its error.
+/// A third of the cycles counts: uncorrected, the pulse's later half is missing; corrected, the time is right within
+/// its error.
 #[test]
 fn pile_up_is_taken_out() {
     let mut rng = ChaCha8Rng::seed_from_u64(62);

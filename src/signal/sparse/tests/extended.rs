@@ -2,7 +2,8 @@
 
 use super::*;
 
-/// Samples of a pulse whose light is spread by a Gaussian of sd `width`, and a centred exponential tail: rectangle rule.
+/// Samples of a pulse whose light is spread by a Gaussian of sd `width`, and a centred exponential tail: rectangle
+/// rule.
 fn spread(shape: &Shape, at: f64, width: f64, tail: f64, len: usize) -> Vec<f64> {
     let gaussian: Vec<(f64, f64)> = (-40..=40)
         .map(|i| 0.125 * f64::from(i))
@@ -49,7 +50,8 @@ fn a_widened_bounce_is_one_pulse_at_its_centroid() {
         println!("{}: time / sd {:.3}, width / sd {:.3}", shape.name, rms(&pulls), rms(&width_pulls));
         assert!((0.8..1.2).contains(&rms(&pulls)), "{}: {}", shape.name, rms(&pulls));
         assert!((0.8..1.25).contains(&rms(&width_pulls)), "{}: {}", shape.name, rms(&width_pulls));
-        // The width costs the time a few per cent beside the bound of a point; a tail, or chi2, widens the interval in a few cases.
+        // The width costs the time a few per cent beside the bound of a point; a tail, or chi2, widens the interval in
+        // a few cases.
         let near = ratios.iter().filter(|r| (1.0..1.09).contains(*r)).count();
         assert!(near > draws * 9 / 10, "{}: {near}", shape.name);
     }

@@ -13,7 +13,8 @@ impl Shots {
         self.noise.is_some()
     }
 
-    /// Forgets what was added up, but not what others are judged by. Where the first shots are fewer than it takes, there are no others.
+    /// Forgets what was added up, but not what others are judged by. Where the first shots are fewer than it takes,
+    /// there are no others.
     pub fn forget(&mut self, average: &Average) {
         if !self.head.is_empty() {
             self.close_head(average);

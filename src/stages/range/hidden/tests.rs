@@ -71,8 +71,8 @@ fn assert_right(rows: &[Distance], count: usize, off_m: f64) {
     }
 }
 
-/// The covariance that is claimed of every two distances, against what each of `moved` makes of the distances in place of `rows`: one standard deviation of each
-/// independent error.
+/// The covariance that is claimed of every two distances, against what each of `moved` makes of the distances in place
+/// of `rows`: one standard deviation of each independent error.
 fn assert_claimed(outcome: &Outcome<Distance>, moved: &[Vec<Distance>]) {
     let rows = &outcome.rows;
     let claimed: BTreeMap<_, f64> = Covariance::rows(&outcome.sides[0])
