@@ -135,11 +135,14 @@ enum HiddenPatches {
 /// What campaign.toml says that paths depend on.
 #[derive(Clone, Debug, Serialize)]
 pub struct Fields {
+    #[serde(flatten)]
     medium: campaign_fields::Medium,
     repetition_ps: Option<f64>,
+    #[serde(flatten)]
     stations: StationPositions,
     extents: BTreeMap<PatchId, Extent>,
     dimensions: usize,
+    #[serde(flatten)]
     hidden: campaign_fields::HiddenPatches,
 }
 

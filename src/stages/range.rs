@@ -47,7 +47,9 @@ pub struct Range {}
 /// What campaign.toml says that lengths depend on.
 #[derive(Clone, Debug, Serialize)]
 pub struct Fields {
+    #[serde(flatten)]
     medium: Medium,
+    #[serde(flatten)]
     stations: StationPositions,
     /// Patches that campaign.toml lists as visible.
     visible: Vec<PatchId>,

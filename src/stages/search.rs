@@ -70,10 +70,13 @@ impl Default for Search {
 /// What campaign.toml says of the scene.
 #[derive(Clone, Debug, Serialize)]
 pub struct Fields {
+    #[serde(flatten)]
     medium: Medium,
     repetition_ps: Option<f64>,
+    #[serde(flatten)]
     stations: StationPositions,
     dimensions: usize,
+    #[serde(flatten)]
     hidden: HiddenPatches,
 }
 

@@ -94,6 +94,7 @@ impl Default for Triangulate {
 #[derive(Clone, Debug, Serialize)]
 pub struct Fields {
     dimensions: usize,
+    #[serde(flatten)]
     medium: Medium,
     repetition_ps: Option<f64>,
     source_m: [f64; 3],

@@ -20,9 +20,11 @@ const PERIOD_SD: f64 = 1e-4;
 #[derive(Clone, Debug, Serialize)]
 pub struct Fields {
     pub dimensions: u8,
+    #[serde(flatten)]
     pub medium: Medium,
     pub repetition_ps: Option<f64>,
     repetition_sd_ps: Option<f64>,
+    #[serde(flatten)]
     pub stations: StationPriors,
     pub patches: BTreeMap<PatchId, PatchPrior>,
     pub extents: BTreeMap<PatchId, Extent>,

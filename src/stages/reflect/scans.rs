@@ -28,8 +28,10 @@ const GRACE: f64 = 0.05;
 #[derive(Clone, Debug, Serialize)]
 pub struct Fields {
     dimensions: u8,
+    #[serde(flatten)]
     medium: Medium,
     repetition_ps: Option<f64>,
+    #[serde(flatten)]
     stations: StationPriors,
     pub patches: BTreeMap<PatchId, PatchPrior>,
 }
