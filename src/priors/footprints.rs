@@ -1,4 +1,5 @@
-//! Normals and footprints of the patches: sizes from campaign.toml, normals from fitted planes, else from campaign.toml.
+//! Normals and footprints of the patches. Sizes come from campaign.toml, normals from fitted planes, else from
+//! campaign.toml.
 
 use std::collections::BTreeMap;
 

@@ -26,18 +26,16 @@ const COLUMNS: usize = 120;
 const PARTICIPLES: [&str; 5] = ["found", "known", "told", "written", "asked"];
 
 /// Folders whose comments are not yet short enough. Shrinks, never grows.
-const WIDE_NOT_YET: [&str; 18] = [
+const WIDE_NOT_YET: [&str; 16] = [
     "benches/",
     "src/campaign/",
     "src/cancel/",
-    "src/commands/",
     "src/formats/",
     "src/geometry/",
     "src/guide/",
     "src/main.rs",
     "src/parameter/",
     "src/pipeline/",
-    "src/priors/",
     "src/report/",
     "src/signal/",
     "src/simulate/",
@@ -48,8 +46,8 @@ const WIDE_NOT_YET: [&str; 18] = [
 ];
 
 /// Folders that do not yet name things by nouns. Shrinks, never grows.
-const PARTICIPLES_NOT_YET: [&str; 7] =
-    ["benches/", "src/commands/", "src/pipeline/", "src/priors/", "src/signal/", "src/stages/", "tests/"];
+const PARTICIPLES_NOT_YET: [&str; 6] =
+    ["benches/", "src/commands/", "src/pipeline/", "src/signal/", "src/stages/", "tests/"];
 
 /// Lists what is wrong with files outside of the folders given; asserts that those folders still need to be there.
 fn check(not_yet: &[&str], wrong: impl Fn(&Source) -> Vec<String>) {
