@@ -1,8 +1,9 @@
 //! Finds the requested row, and the onsets that contribute to it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
+use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::HistoryError;
@@ -12,7 +13,7 @@ use super::sql::{Selection, quoted};
 use super::target::Target;
 use super::values;
 use crate::campaign::suggest;
-use crate::priors::campaign_fields::StationPositions;
+use crate::priors::campaign_fields::{ByCampaign, StationPositions};
 use crate::store::{Shelf, scan};
 use crate::tables::{Distance, Label, Onset, Patch, Residual, Row};
 use crate::units::PatchId;
@@ -181,12 +182,10 @@ impl Explainer<'_> {
         let (distance, row) = all.swap_remove(place);
         let (mut onsets, mut selection) = (Vec::new(), None);
         if let Some(labels) = self.ancestry.nearest(table, Label::TABLE) {
-            let stations = self.stations(table);
-            let is_with_laser = |row: &Label| {
-                stations.get(&*row.campaign).and_then(|stations| stations.is_with_laser(&row.sensor)) == Some(true)
-            };
+            // A table that was made elsewhere has no campaign fields.
+            let stations = ByCampaign::<StationPositions>::deserialize(&self.ancestry.stage(table).fields).ok();
             // T2 excludes path lengths of sensors that are not at the laser.
-            let counts = |row: &Label| distance.bounces > 2 || is_with_laser(row);
+            let counts = |row: &Label| distance.bounces > 2 || is_with_laser(stations.as_ref(), row);
             let is_between = |path: &[PatchId]| match distance.bounces {
                 1 => path == [b],
                 2 => path == [a] || path == [b] || path == [a, b] || path == [b, a],
@@ -215,11 +214,6 @@ impl Explainer<'_> {
             selection = Some(Selection { table: labels, condition });
         }
         Ok(Evidence { row, onsets, selection, condition: format!("a = {a} AND b = {b}") })
-    }
-
-    /// Stations of each campaign, which the stage of a table read; none of a table that was made elsewhere.
-    fn stations(&self, table: &Table) -> BTreeMap<String, StationPositions> {
-        serde_json::from_value(self.ancestry.stage(table).fields.clone()).unwrap_or_default()
     }
 
     fn onset(&self, table: &Table, target: &Target) -> Result<Evidence, HistoryError> {
@@ -276,6 +270,12 @@ impl Explainer<'_> {
     fn unknown(&self, table: &Table, what: &str, hint: &str) -> HistoryError {
         HistoryError::Refused(format!("`{}` has no {what}; {hint}", self.ancestry.label(table)))
     }
+}
+
+/// Whether the sensor of a label stands where the laser is.
+fn is_with_laser(stations: Option<&ByCampaign<StationPositions>>, label: &Label) -> bool {
+    let of_campaign = stations.and_then(|stations| stations.get(&label.campaign));
+    of_campaign.and_then(|stations| stations.is_with_laser(&label.sensor)).unwrap_or(false)
 }
 
 /// Numbers for a message; of many, the first ones.

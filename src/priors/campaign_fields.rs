@@ -1,7 +1,7 @@
 //! What campaign.toml says, in the pieces that stages read.
 //!
 //! A stage composes its fields of these pieces, and only what is in them enters its lineage: so a piece holds no more
-//! than what goes together. Stages flatten [`Medium`] and stations, so that `diff` names a key as campaign.toml does.
+//! than what goes together. A stage flattens them, so that recipes and `diff` name the keys of campaign.toml.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ use crate::units::{self, PatchId};
 pub const ONE_STATION_M: f64 = 1e-6;
 
 /// The fields of each campaign of a run, by the campaign's name.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct ByCampaign<F>(BTreeMap<String, F>);
 
@@ -94,7 +94,7 @@ impl Medium {
     }
 }
 
-/// Where laser and sensors stand, taken as exact. It is read again from the lineage of a table.
+/// Where laser and sensors stand, taken as exact.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct StationPositions {
     source_m: [f64; 3],
@@ -212,6 +212,7 @@ pub struct HiddenPatches {
     /// Largest number of a patch in campaign.toml; 0 without patches.
     pub largest_patch: PatchId,
     /// Number of hidden patches, where campaign.toml gives it.
+    #[serde(rename = "hidden_count")]
     pub count: Option<u32>,
 }
 

@@ -1,4 +1,4 @@
-//! Normals and footprints of the patches: sizes from campaign.toml, normals from fitted planes, else from
+//! Normals and footprints of the patches. Sizes come from campaign.toml, normals from fitted planes, else from
 //! campaign.toml.
 
 use std::collections::BTreeMap;

@@ -145,6 +145,7 @@ pub struct Fields {
     stations: StationPositions,
     extents: BTreeMap<PatchId, Extent>,
     dimensions: usize,
+    #[serde(flatten)]
     hidden: campaign_fields::HiddenPatches,
 }
 

@@ -82,6 +82,7 @@ pub struct Fields {
     #[serde(flatten)]
     stations: StationPositions,
     dimensions: usize,
+    #[serde(flatten)]
     hidden: HiddenPatches,
 }
 
