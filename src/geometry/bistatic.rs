@@ -8,12 +8,12 @@
 //!
 //! - *Start*: all ellipses share the focus E, which makes their equations linear in P and its distance from E (as in
 //!   Bancroft, IEEE Trans. Aerosp. Electron. Syst. 21, 56
-//! (1985)); what is left is a quadratic equation with two roots. Where all foci lie in one line these are mirror images
-//! in it.
+//!   (1985)); what is left is a quadratic equation with two roots. Where all foci lie in one line these are mirror
+//!   images in it.
 //! - *Fit*: maximum likelihood by Gauss and Newton. Unknown beside the strips are all anchors (diffuser points,
 //!   stations) and delays that are known to a standard
-//! deviation only: first bounces tell them too. Onsets of one profile are correlated, as pulses closer than the
-//! response are.
+//!   deviation only: first bounces tell them too. Onsets of one profile are correlated, as pulses closer than the
+//!   response are.
 //! - *Labels*: assignments are extended scan by scan, the likeliest first; chi-square, and what onsets cost that are
 //!   left over, never fall by another scan, so the first that is complete is the best of all, and no other
 //!   within [`CLOSE`] of it is missed (branch and bound).

@@ -2,8 +2,8 @@
 //!
 //! - Drift: captures of role `fiducial`, one fixed path again and again. Of the runs that differ in their time alone,
 //!   the longest series is
-//! followed ([`drift`]); given is the delay since the response captures, which the latency was measured from. A delay
-//! that jumps is no drift: it goes to `rejects`, with its time.
+//!   followed ([`drift`]); given is the delay since the response captures, which the latency was measured from. A delay
+//!   that jumps is no drift: it goes to `rejects`, with its time.
 //! - Pick-up: captures of role `blocked`, the laser firing with its beam stopped. Their mean is what it induces in step
 //!   with the shots
 //!   ([`pickup`]); given where its power exceeds that of its errors by three standard deviations.

@@ -14,8 +14,8 @@
 //!   of the view;
 //! - of a glossy strip `size_m` and `lobe_rad`: the glint moves with the lit point, by the law of reflection, for a
 //!   normal that was turned to the most light unless `normal` gives it. Of
-//! a strip with `size_m` alone nobody knows how it reflects: its light may come from any point of it, and each onset
-//! has that error, half its size along the strip. Without both a strip is a point;
+//!   a strip with `size_m` alone nobody knows how it reflects: its light may come from any point of it, and each onset
+//!   has that error, half its size along the strip. Without both a strip is a point;
 //! - `[hidden]`: `apart_max_m`, `along`. Where as many scans as dimensions fit with any assignment, these decide. What
 //!   is not decided stands in `patches` as `alternative`.
 //!
