@@ -110,7 +110,7 @@ impl Default for Deconvolve {
 
 fn method_of<'de, D: Deserializer<'de>>(name: D) -> Result<Method, D::Error> {
     let former = ["nnls", "pencil", "richardson-lucy"];
-    method::named(name, &former, "use `sparse` (the default); there are also `wiener` and `none`")
+    method::named(name, &former, "use `sparse`; there are also `wiener` and `none`")
 }
 
 /// What campaign.toml says of laser and sensors.

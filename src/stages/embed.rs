@@ -86,11 +86,7 @@ enum Method {
 
 fn method_of<'de, D: Deserializer<'de>>(name: D) -> Result<Method, D::Error> {
     let former = ["smacof", "landmark", "semidefinite"];
-    method::named(
-        name,
-        &former,
-        "use `incremental`; there are also `classical` (the default), `iso-embed` and `reestimate`",
-    )
+    method::named(name, &former, "use `incremental`; there are also `classical`, `iso-embed` and `reestimate`")
 }
 
 /// What a campaign says of the frame.
