@@ -22,7 +22,7 @@ const RESPONSE: &str = "raw/response.npy";
 const SENSOR: &str = "sensor";
 /// Points nearer than this are one patch.
 const SAME_M: f64 = 1e-6;
-/// Default number of laser pulses of a histogram: so many that no photon hides another.
+/// Default number of laser pulses of a histogram: with as many, no photon hides another.
 const CYCLES: u64 = 1_000_000_000_000;
 /// Distance of laser and sensor from the wall, if neither times nor file depend on it.
 const FRONT_M: f64 = 1.0;
@@ -48,7 +48,7 @@ pub struct CampaignOptions {
     pub every: usize,
     /// Standard deviation of each coordinate of the points; absent: exact.
     pub sd_m: Option<f64>,
-    /// Laser pulses per histogram; absent: so many that no photon hides another.
+    /// Laser pulses per histogram; absent: enough that no photon hides another.
     pub cycles: Option<u64>,
     /// Dead time of the sensor after a detection.
     pub dead_time_ps: Option<f64>,

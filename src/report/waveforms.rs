@@ -18,9 +18,9 @@ const PROFILES: usize = 200;
 const DOUBTED: usize = 60;
 /// Points of a curve at most.
 const POINTS: usize = 320;
-/// Share of the time between the first and the last onset that is shown beside them.
+/// Margin before the first and after the last onset, as a share of the time between them.
 const MARGIN: f64 = 0.15;
-/// Samples that are shown beside the onsets at least.
+/// Least margin, in samples.
 const LEAST_BESIDE: f64 = 25.0;
 
 /// Role of the captures that are shown.
@@ -57,7 +57,7 @@ table! {
         role: Name,
         /// Shots averaged.
         shots: i32,
-        /// Shots set aside.
+        /// Rejected shots.
         rejected: i32,
         /// Time of sample 0 since the reference pulse.
         t0_ps: f64,
@@ -98,7 +98,7 @@ pub struct Waveform {
     pub capture: CaptureKey,
     /// Shots averaged.
     pub shots: i32,
-    /// Shots set aside.
+    /// Rejected shots.
     pub rejected: i32,
     /// Wall-clock time of the first shot.
     pub acquired_at: Option<Name>,

@@ -12,7 +12,7 @@ use crate::report::scene::{Placed, Scene};
 const VIEW_PX: (u32, u32) = (430, 430);
 /// Corners of a drawn ellipse.
 const CORNERS: usize = 48;
-/// Patches whose numbers stand beside them at most.
+/// Most patches with numbers next to them.
 const NUMBERED: usize = 40;
 /// What axes and margins take of a view.
 const AXES_PX: (u32, u32) = (85, 65);
