@@ -16,6 +16,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::Args;
 use periscope::campaign::keys::{Exclude, Match};
+use periscope::campaign::left_out::left_out;
 use periscope::campaign::{Campaign, Manifest, Survey};
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
@@ -109,9 +110,9 @@ fn look(campaign: &Campaign, survey: &Survey, out: &Path) -> Result<Report> {
     forget_changed(campaign, &shelf)?;
     let calibrating = run(campaign, &shelf, Some("calibration"))?;
     let calibrated: Vec<Calibration> = rows(&shelf, "calibration")?;
-    let left_out = coverage::without_template(survey, &calibrated);
+    let uncalibrated = coverage::without_template(survey, &calibrated);
     let mut measured = campaign.clone();
-    measured.exclude.extend(left_out.iter().map(|sensor| Exclude {
+    measured.exclude.extend(uncalibrated.iter().map(|sensor| Exclude {
         matches: Match { sensor: Some(sensor.clone()), ..Match::default() },
         reason: "its reference channel is not calibrated".to_owned(),
     }));
@@ -119,7 +120,8 @@ fn look(campaign: &Campaign, survey: &Survey, out: &Path) -> Result<Report> {
     rejects.extend(calibrating);
     let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
     let measurements = rows(&shelf, "measurements")?;
-    coverage::fill(&mut report, campaign, survey, &measurements, &left_out);
+    let left_out = left_out(&campaign.root, survey, Manifest::load(&campaign.root)?.as_ref());
+    coverage::fill(&mut report, campaign, survey, &measurements, &left_out, &uncalibrated);
     quality::fill(&mut report, &measurements, rows(&shelf, "checks")?, rejects);
     Ok(report)
 }

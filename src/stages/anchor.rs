@@ -19,7 +19,7 @@ use serde_json::Value;
 use super::operator::WrittenTable;
 use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
 use super::stage::StageError;
-use crate::campaign::Campaign;
+use crate::campaign::{Campaign, LeftOut};
 use crate::campaign::keys::{self, PatchRole};
 use crate::store::Digest;
 use crate::store::finite::{self, NotJson};
@@ -87,7 +87,7 @@ impl OpenSource for Opened {
     fn parts(&self) -> &[SourcePart] {
         &self.parts
     }
-    fn warnings(&self) -> &[String] {
+    fn left_out(&self) -> &[LeftOut] {
         &[]
     }
 
