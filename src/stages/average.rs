@@ -46,6 +46,7 @@ mod noise;
 mod piece;
 mod record;
 mod reference;
+mod rejected;
 mod shots;
 
 use std::collections::BTreeMap;
@@ -259,15 +260,15 @@ impl Average {
     }
 }
 
-fn rejection(first: &Trace, why: &str) -> Outcome<Profile> {
+fn rejection(first: &Trace, why: &str) -> Rejection {
     let Trace { campaign, sensor, lit, seen, role, file, .. } = first;
-    Outcome::rejected(Rejection {
+    Rejection {
         campaign: campaign.clone(),
         file: Some(file.clone()),
         segment: None,
         byte_offset: None,
         reason: format!("{role} capture of sensor {sensor}, lit {lit}, seen {seen}, {why}"),
-    })
+    }
 }
 
 /// Whether a row has scale, time base and setting of the first.

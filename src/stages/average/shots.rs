@@ -9,15 +9,13 @@ use super::noise::Noise;
 use super::piece::Extent;
 use super::record::Record;
 use super::reference::{ReferencePulse, References};
+use super::rejected::{Account, Rejected, Sought};
 use super::{Average, Context};
 use crate::signal::average::{Mean, PHASES, PhaseSums};
 use crate::signal::codes::Codes as Samples;
 use crate::signal::noise;
 use crate::signal::shot_spread::{HEAD_SHOTS, OutlierTest};
 use crate::tables::{Codes, Profile, Trace};
-
-/// Records of fewer samples are hardly ever meant.
-const SAMPLES_FEW: i32 = 100;
 
 /// A record with its place on the grid.
 struct Shot {
@@ -80,10 +78,8 @@ pub struct Shots {
     cut: Tally,
     extent: Extent,
     clipping: Clipping,
-    pub rejected: i32,
-    /// Of these, clipped.
-    pub clipped: i32,
-    pub other_scale: i32,
+    /// Shots that do not count.
+    pub rejected: Rejected,
 }
 
 impl Shots {
@@ -103,9 +99,7 @@ impl Shots {
             cut: Tally::new(samples, extent),
             extent,
             clipping: Clipping::new(average, first.dt_ps),
-            rejected: 0,
-            clipped: 0,
-            other_scale: 0,
+            rejected: Rejected::default(),
             first,
         }
     }
@@ -136,8 +130,10 @@ impl Shots {
     fn add(&mut self, shot: &Shot) {
         let codes = view(&self.first.code_type, &shot.codes);
         if self.test.as_ref().is_some_and(|test| test.is_outlier(codes, shot.position)) {
-            self.rejected += 1;
-            self.clipped += i32::from(shot.clipped > 0);
+            let is_clipped = i32::from(shot.clipped > 0);
+            self.rejected.clipped += is_clipped;
+            self.rejected.outlying += 1 - is_clipped;
+            self.rejected.at_rails += is_clipped;
         } else if shot.clipped > 0 {
             self.clipping.mark(codes, shot.position, shot.clipped);
             self.cut.add(codes, shot);
@@ -199,8 +195,14 @@ impl Shots {
         mean.mean[start..start + count].iter().sum::<f64>() / count as f64
     }
 
-    /// The mean of all shots; of those with clipped samples only where there are `several` ranges.
-    pub fn finish(mut self, average: &Average, several: bool) -> Result<Record, String> {
+    /// The mean of all shots; of those with clipped samples only where there are `several` ranges. Says why if many
+    /// shots do not count. `sought`: where the reference pulse was sought.
+    pub fn finish(
+        mut self,
+        average: &Average,
+        several: bool,
+        sought: Option<&Sought>,
+    ) -> Result<(Record, Option<String>), String> {
         if self.noise.is_none() {
             self.close_head(average);
         }
@@ -209,12 +211,13 @@ impl Shots {
             self.whole.absorb(cut);
         } else {
             let cut = cut.sums.shots() as i32;
-            self.rejected += cut;
-            self.clipped += cut;
+            self.rejected.clipped += cut;
+            self.rejected.at_rails += cut;
         }
-        let (shots, needed) = (self.whole.sums.shots(), average.shots_needed());
-        if shots < u64::from(needed) {
-            return Err(self.too_few(shots, needed));
+        let (shots, rejected) = (self.whole.sums.shots(), self.rejected);
+        let account = |first, valid| Account { average, first, sought, rejected, valid };
+        if shots < u64::from(average.shots_needed()) {
+            return Err(account(&self.first, shots).too_few());
         }
         // Where no other shots came, the mean is there already.
         let of_head = self.head_mean.take().filter(|(of, _)| *of == shots).map(|(_, mean)| mean);
@@ -225,29 +228,8 @@ impl Shots {
                     .to_owned(),
             );
         };
-        Ok(self.record(&mean, &noise))
-    }
-
-    /// Where the others went.
-    fn too_few(&self, shots: u64, needed: u32) -> String {
-        let Self { rejected, clipped, other_scale, .. } = *self;
-        let kinds = [
-            (clipped, "were clipped"),
-            (rejected - clipped, "were outlying, without reference pulse or not a number"),
-            (other_scale, "were of another scale, length or setting"),
-        ];
-        let gone: Vec<String> =
-            kinds.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
-        let gone = if gone.is_empty() { "no others were captured".to_owned() } else { gone.join(", ") };
-        let samples = self.first.samples;
-        let axes = if samples < SAMPLES_FEW && rejected + other_scale > samples {
-            format!(
-                " (more shots than the {samples} samples of each: are the axes of the array in the order shots, samples?)"
-            )
-        } else {
-            String::new()
-        };
-        format!("has {shots} valid shots of the {needed} that it needs; {gone}{axes}")
+        let lost_many = account(&self.first, shots).lost_many();
+        Ok((self.record(&mean, &noise), lost_many))
     }
 
     fn record(self, mean: &Mean, noise: &Noise) -> Record {
@@ -270,8 +252,8 @@ impl Shots {
             run: first.run,
             range: first.range,
             shots: records as i32 * averaged_shots,
-            rejected: self.rejected + self.other_scale,
-            clipped: self.clipped,
+            rejected: self.rejected.total(),
+            clipped: self.rejected.at_rails,
             t0_ps: 0.0,
             dt_ps: first.dt_ps,
             mean_v: empty::<f64>().collect(),
