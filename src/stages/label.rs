@@ -280,7 +280,7 @@ fn scene(fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<Option<Sc
         .filter_map(|row| Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariances::of_patch(row)?))))
         .collect();
     if patches.is_empty() {
-        let text = "with patches: no patch has a covariance, so nobody knows how far off its onsets may be; give patches from `refine`";
+        let text = "with patches: no patch has a covariance, so its onsets cannot be weighted: these are start values (give patches from `refine`), or too few pairs determine them (`rejects` has the missing ones)";
         return Err(StageError::Refused(text.to_owned()));
     }
     let between = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
