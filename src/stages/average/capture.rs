@@ -180,9 +180,9 @@ impl Capture {
         for (name, shots) in ranges {
             let place = place(&name);
             match shots.finish(average, several, sought.as_ref()) {
-                Ok((record, lost_many)) => {
+                Ok((record, doubts)) => {
                     records.push(record);
-                    troubles.extend(lost_many.map(|why| format!("{place}{why}")));
+                    troubles.extend(doubts.iter().map(|why| format!("{place}{why}")));
                 }
                 Err(why) => troubles.push(format!("{place}{why}")),
             }
@@ -190,7 +190,16 @@ impl Capture {
         let record = match records.len() {
             0 => None,
             1 if !several => records.pop(),
-            _ => record::merged(records).map_err(|why| troubles.push(why)).ok(),
+            _ => match record::merged(records, &|profile| context.latency(profile)) {
+                Ok((record, alone)) => {
+                    troubles.extend(alone);
+                    Some(record)
+                }
+                Err(why) => {
+                    troubles.push(why);
+                    None
+                }
+            },
         };
         if record.is_none() && troubles.is_empty() {
             troubles.push(format!("has no signal, but needs {} valid shots", average.shots_needed()));
