@@ -89,7 +89,10 @@ pub fn left_out(campaign: &Path, survey: &Survey, seal: Option<&Manifest>) -> Ve
     let causes = [
         (Cause::MatchesNothing, survey.empty.clone()),
         (Cause::NoRule, survey.unmatched.iter().map(|file| text(file)).collect()),
-        (Cause::NoReference, missing.map(|missing| format!("{} (wanted {})", text(&missing.file), missing.wanted)).collect()),
+        (
+            Cause::NoReference,
+            missing.map(|missing| format!("{} (wanted {})", text(&missing.file), missing.wanted)).collect(),
+        ),
         (Cause::NotSealed, unsealed.map(text).collect()),
     ];
     let entry = |(cause, items): (Cause, Vec<String>)| LeftOut { campaign: campaign.to_owned(), cause, items };

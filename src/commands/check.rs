@@ -18,8 +18,8 @@ use periscope::campaign::keys::{Exclude, Match};
 use periscope::campaign::left_out::left_out;
 use periscope::campaign::{Campaign, Manifest, Role, Survey};
 use periscope::pipeline::plan::Plan;
-use periscope::pipeline::rejects;
 use periscope::pipeline::progress::{Progress, Style};
+use periscope::pipeline::rejects;
 use periscope::pipeline::run::{self as runner, Settings};
 use periscope::pipeline::spec::{Spec, Step};
 use periscope::stages::Node;
@@ -94,7 +94,8 @@ pub fn check(args: &Check) -> Result<ExitCode> {
     let campaign = Campaign::load(&args.campaign)?;
     let survey = campaign.survey().with_context(|| format!("campaign {}", args.campaign.display()))?;
     let out = OutFolder::of(args.out.as_deref());
-    let spec = args.pipeline.as_ref().map_or_else(|| Spec::parse("all-visible", USUAL, &[]), |file| Spec::load(file, &[]))?;
+    let spec =
+        args.pipeline.as_ref().map_or_else(|| Spec::parse("all-visible", USUAL, &[]), |file| Spec::load(file, &[]))?;
     let report = look(&campaign, &survey, &rules(&spec)?, &out.path)?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);

@@ -29,7 +29,13 @@ fn warnings(lab: &Lab) -> String {
     let spec = Spec::parse("test", ALL_VISIBLE, &[]).unwrap();
     let campaigns = [Campaign::load(&lab.campaign()).unwrap()];
     let shelf = Shelf::imagine(&lab.path("out"));
-    Plan::new(&spec, &campaigns, &shelf, None).unwrap().left_out().iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
+    Plan::new(&spec, &campaigns, &shelf, None)
+        .unwrap()
+        .left_out()
+        .iter()
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join("\n")
 }
 
 fn edit(path: &Path, from: &str, to: &str) {

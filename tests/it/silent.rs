@@ -89,13 +89,16 @@ fn a_whole_campaign_leaves_nothing_out() {
 fn a_wrong_path_in_files_is_exit_code_3() {
     let lab = Lab::tiny();
     edit(&lab, "raw/scene/{sensor}_L{lit}_P{seen}_C1", "raw/scenes/{sensor}_L{lit}_P{seen}_C1");
-    contains(&incomplete(&lab), &[
-        "1 pattern of campaign.toml matches no file: [[captures]] number 2: files = \"raw/scenes/",
-        "32 files match no rule of campaign.toml and are left out: raw/scene/s1_L1_P1_C1.trc",
-        "Add a [[captures]] rule that takes them, or an [[exclude]] with the reason.",
-        "`periscope check --campaign campaign` lists all.",
-        "`patches`, `paper` came out empty",
-    ]);
+    contains(
+        &incomplete(&lab),
+        &[
+            "1 pattern of campaign.toml matches no file: [[captures]] number 2: files = \"raw/scenes/",
+            "32 files match no rule of campaign.toml and are left out: raw/scene/s1_L1_P1_C1.trc",
+            "Add a [[captures]] rule that takes them, or an [[exclude]] with the reason.",
+            "`periscope check --campaign campaign` lists all.",
+            "`patches`, `paper` came out empty",
+        ],
+    );
 }
 
 #[test]
@@ -106,11 +109,14 @@ fn missing_references_are_exit_code_3() {
             fs::remove_file(entry.path()).unwrap();
         }
     }
-    contains(&incomplete(&lab), &[
-        "16 files are left out, since their reference is missing: raw/scene/s1_L1_P1_C1.trc (wanted raw/scene/",
-        "Copy the reference files too, or correct `reference` in the [[captures]] rule.",
-        "came out empty",
-    ]);
+    contains(
+        &incomplete(&lab),
+        &[
+            "16 files are left out, since their reference is missing: raw/scene/s1_L1_P1_C1.trc (wanted raw/scene/",
+            "Copy the reference files too, or correct `reference` in the [[captures]] rule.",
+            "came out empty",
+        ],
+    );
 }
 
 /// One stray file among good ones: the result is whole, and the exit code says that the file is not in it.
@@ -132,10 +138,13 @@ fn a_stray_file_is_exit_code_3_and_excluding_it_is_the_fix() {
 fn a_wrong_time_base_is_the_cause_that_is_named() {
     let lab = Lab::tiny();
     edit(&lab, "role = \"scene\"", "role = \"scene\"\ndt_ps = 0.05");
-    both_say(&lab, &[
-        "0 valid shots of the 16 that it needs; of 24 shots: 24 without a reference pulse in raw/scene/s1_L",
-        "`dt_ps` = 0.05 in the [[captures]] rule, but the file says 50 ps: remove `dt_ps`, or give it in picoseconds",
-    ]);
+    both_say(
+        &lab,
+        &[
+            "0 valid shots of the 16 that it needs; of 24 shots: 24 without a reference pulse in raw/scene/s1_L",
+            "`dt_ps` = 0.05 in the [[captures]] rule, but the file says 50 ps: remove `dt_ps`, or give it in picoseconds",
+        ],
+    );
 }
 
 #[test]
@@ -148,11 +157,17 @@ fn causes_of_rejected_shots_are_counted_one_by_one() {
             codes[200] = 60;
         }
     });
-    both_say(&lab, &["lit 2, seen 2, has 0 valid shots of the 16 that it needs; of 24 shots: 24 without a reference pulse"]);
-    both_say(&lab, &[
-        "lit 1, seen 2, has 14 valid shots of the 16 that it needs; of 24 shots: 10 outlying",
-        "set `reject_outliers = false` if these shots are good",
-    ]);
+    both_say(
+        &lab,
+        &["lit 2, seen 2, has 0 valid shots of the 16 that it needs; of 24 shots: 24 without a reference pulse"],
+    );
+    both_say(
+        &lab,
+        &[
+            "lit 1, seen 2, has 14 valid shots of the 16 that it needs; of 24 shots: 10 outlying",
+            "set `reject_outliers = false` if these shots are good",
+        ],
+    );
 }
 
 /// A capture that is used, but has lost more than a quarter of its shots.

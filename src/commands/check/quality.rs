@@ -18,18 +18,14 @@ const REASONS: usize = 5;
 const FAINTEST: usize = 5;
 
 /// Fills in the measurements.
-pub fn fill(
-    report: &mut Report,
-    measurements: &[Measurement],
-    checks: Vec<tables::Check>,
-    rejects: &[Reject],
-) {
+pub fn fill(report: &mut Report, measurements: &[Measurement], checks: Vec<tables::Check>, rejects: &[Reject]) {
     let text = |name: &Name| name.to_string();
     let row = |row: &Reject| SetAside { file: row.file.as_ref().map(text), reason: text(&row.reason) };
     report.set_aside = rejects.iter().map(row).collect();
     let kinds = kinds(rejects);
     for (count, first) in kinds.iter().take(REASONS) {
-        let counted = if *count == 1 { "1 file or capture is".to_owned() } else { format!("{count} files or captures are") };
+        let counted =
+            if *count == 1 { "1 file or capture is".to_owned() } else { format!("{count} files or captures are") };
         report.mend.push(format!("{counted} rejected: {}", words(first)));
     }
     if kinds.len() > REASONS {

@@ -37,9 +37,8 @@ pub fn summary(scene: &Scene) -> String {
     // A place that was given is no answer, and its standard deviation no measure of the others.
     let (given, found): (Vec<&Placed>, Vec<&Placed>) =
         scene.patches.iter().partition(|placed| scene.anchors.contains(&placed.patch.patch));
-    let of = |kind: &str| -> Vec<&Placed> {
-        found.iter().copied().filter(|placed| &*placed.patch.kind == kind).collect()
-    };
+    let of =
+        |kind: &str| -> Vec<&Placed> { found.iter().copied().filter(|placed| &*placed.patch.kind == kind).collect() };
     let mut parts = Vec::new();
     for kind in ["visible", "hidden", "mirror"] {
         let of_kind = of(kind);

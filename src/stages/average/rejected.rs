@@ -77,9 +77,8 @@ impl Account<'_> {
     /// Why a profile rests on fewer shots than were captured, if it has lost many.
     pub fn lost_many(&self) -> Option<String> {
         let (lost, recorded) = (f64::from(self.rejected.total()), self.recorded());
-        (lost > SHARE_MAX * recorded as f64).then(|| {
-            format!("is averaged from {} shots only; {}", self.valid, self.causes())
-        })
+        (lost > SHARE_MAX * recorded as f64)
+            .then(|| format!("is averaged from {} shots only; {}", self.valid, self.causes()))
     }
 
     fn recorded(&self) -> u64 {
@@ -132,7 +131,9 @@ impl Account<'_> {
                  between samples, which is {dt_ps} ps"
             ),
             Cause::NotANumber => "Export the file again, or exclude these shots with [[exclude]]".to_owned(),
-            Cause::OtherScale => "Give captures of another setting a [[captures]] rule or a `range` of their own".to_owned(),
+            Cause::OtherScale => {
+                "Give captures of another setting a [[captures]] rule or a `range` of their own".to_owned()
+            }
         }
     }
 }

@@ -10,9 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::blocks::Blocks;
 use super::content::{self, FileDigests};
 use super::record::Record;
-use crate::campaign::{
-    Axis, Campaign, Exposure, FileState, LeftOut, Role, closes_part, hash_file, left_out,
-};
+use crate::campaign::{Axis, Campaign, Exposure, FileState, LeftOut, Role, closes_part, hash_file, left_out};
 use crate::formats;
 use crate::stages::source::SourcePart;
 use crate::stages::stage::StageError;
@@ -263,7 +261,6 @@ pub fn chain(root: &Path, error: &dyn std::error::Error) -> String {
     let texts: Vec<String> = causes.map(ToString::to_string).collect();
     format!("campaign {}: {}", root.display(), texts.join(": "))
 }
-
 
 /// Sensor, lit, seen.
 type Key = (String, PatchId, PatchId);
