@@ -110,8 +110,7 @@ fn merge_all(ranges: &[Record], latency: &dyn Fn(&Profile) -> Option<Latency>) -
         .collect();
     let Clipping { before, after, .. } = ranges[0].clipping;
     let options = MergeOptions { margin_before: before, margin_after: after, delay_dt_ps: Some(dt_ps) };
-    let known = |merged: &Merged| merged.links.iter().all(|link| link.gain_sd < GAIN_SD_MAX * link.gain);
-    let merged = merge(&views, &options).ok().filter(known);
+    let merged = merge(&views, &options).ok().filter(is_certain);
     merged.map(|merged| (first, merged)).ok_or(
         "too little light is seen in all of them to tell their scale and delay: capture the response at each range, so that their delays are known",
     )
@@ -139,6 +138,11 @@ fn joined(mut ranges: Vec<Record>, first: i64, merged: Merged) -> Record {
     let (jitter_ps, gain_sd) = (profile.jitter_ps.hypot(delay_sd_ps), profile.gain_sd.hypot(gain_sd));
     let profile = Profile { rejected, clipped, phase_shots, jitter_ps, gain_sd, ..profile };
     Record { first, mean_v: merged.mean_v, se_v: merged.se_v, clipping, profile }
+}
+
+/// Whether the ranges' factors are measured well enough.
+fn is_certain(merged: &Merged) -> bool {
+    merged.links.iter().all(|link| link.gain_sd < GAIN_SD_MAX * link.gain)
 }
 
 /// Shots of all ranges at each phase.
