@@ -22,7 +22,8 @@
 //! clipped samples count. Left out are these samples, those that the aligning filter makes of them, and those of the
 //! amplifier's recovery. The error of the delay between ranges is in `jitter_ps`, that of their factor in `gain_sd`.
 //! Where both see too little light to fit these, the stated gains (to 2 %) and the calibrated latencies of the ranges
-//! stand in. Where these are missing too, the most sensitive range that is whole stands alone, and `rejects` says why.
+//! stand in, on scale and time of the most sensitive range that does not clip. Where these are missing too, that range
+//! stands alone, and `rejects` says why.
 //!
 //! Light may repeat with the laser (`repetition_ps` of the campaign). If a record then holds a period, the profile is
 //! that one period, cut open in the middle of its longest dark part: its times hold modulo the period. Of a train of

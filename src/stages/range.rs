@@ -163,7 +163,8 @@ impl Apply for Range {
         });
         let hidden = thirds.solve(fields, places, &direct);
         let campaign = group.first().map_or_else(|| "".into(), |label| label.campaign.clone());
-        let is_alone = apart.is_empty() && places.is_none();
+        // Third bounces over hidden patches tell of their legs too.
+        let is_alone = apart.is_empty() && places.is_none() && thirds.is_empty();
         let too_few = if is_alone { missing::too_few(fields, &direct) } else { Vec::new() };
         let too_few = too_few.into_iter().map(|reason| Rejection::new(&campaign, reason));
         let doubts = rejections(&campaign, fields, &direct)

@@ -62,27 +62,36 @@ pub struct Latency {
     pub own_sd_ps: f64,
 }
 
-/// One record of all ranges, on the scale and at the times of the most sensitive; where they cannot be merged, the most
-/// sensitive of those that are whole, and why it stands alone. `latency`: what the calibration says of a range.
+/// One record of all ranges. Where the light that they share links them, it has scale and times of the most sensitive.
+/// Where it does not, what is stated of them does, and it has scale and times of the most sensitive that is whole: the
+/// light that clips in others is not shifted then, and keeps its time. Where nothing is stated, that range stands
+/// alone, and the text says why. `latency`: what the calibration says of a range.
 pub fn merged(
     mut ranges: Vec<Record>,
     latency: &dyn Fn(&Profile) -> Option<Latency>,
 ) -> Result<(Record, Option<String>), String> {
     ranges.sort_by(|a, b| a.profile.gain_v.abs().total_cmp(&b.profile.gain_v.abs()));
-    let why = match merge_all(&ranges, latency) {
+    let why = match merge_all(&ranges, None) {
         Ok((first, merged)) => return Ok((joined(ranges, first, merged), None)),
         Err(why) => why,
     };
     let Some(whole) = ranges.iter().position(|range| range.clipping.places().next().is_none()) else {
         return Err(format!("was taken at several vertical ranges, all of which clip, and {why}"));
     };
-    let name = ranges[whole].profile.range.clone().unwrap_or_default();
+    ranges[..=whole].rotate_right(1);
+    let latencies: Option<Vec<Latency>> = ranges.iter().map(|range| latency(&range.profile)).collect();
+    if let Some(Ok((first, merged))) = latencies.map(|latencies| merge_all(&ranges, Some(&latencies))) {
+        return Ok((joined(ranges, first, merged), None));
+    }
+    let record = ranges.swap_remove(0);
+    let name = record.profile.range.as_deref().unwrap_or_default();
     let alone = format!("is averaged from its vertical range {name} alone, since {why}");
-    Ok((ranges.swap_remove(whole), Some(alone)))
+    Ok((record, Some(alone)))
 }
 
-/// Place of the first sample that all ranges have, and the merged samples from there on; else why there are none.
-fn merge_all(ranges: &[Record], latency: &dyn Fn(&Profile) -> Option<Latency>) -> Result<(i64, Merged), &'static str> {
+/// Place of the first sample that all ranges have, and the merged samples from there on; else why there are none. The
+/// first range is the one that the others are linked to: by light, or with `latencies` by what is stated.
+fn merge_all(ranges: &[Record], latencies: Option<&[Latency]>) -> Result<(i64, Merged), &'static str> {
     let dt_ps = ranges[0].profile.dt_ps;
     if ranges.iter().any(|range| range.profile.dt_ps != dt_ps) {
         return Err("the times between their samples differ: record all with one time base");
@@ -97,17 +106,13 @@ fn merge_all(ranges: &[Record], latency: &dyn Fn(&Profile) -> Option<Latency>) -
     };
     let clipped: Vec<Vec<bool>> = ranges.iter().map(|range| range.clipping.at(first, count)).collect();
     let cut = |range: &Record| (first - range.first) as usize..(end - range.first) as usize;
-    let of_first = latency(&ranges[0].profile);
-    let views: Vec<RangeProfile<'_>> = ranges
-        .iter()
-        .zip(&clipped)
-        .map(|(range, clipped)| RangeProfile {
-            mean_v: &range.mean_v[cut(range)],
-            se_v: &range.se_v[cut(range)],
-            clipped,
-            prior: of_first.zip(latency(&range.profile)).map(|(first, own)| stated(first, own)),
-        })
-        .collect();
+    let view = |n: usize| RangeProfile {
+        mean_v: &ranges[n].mean_v[cut(&ranges[n])],
+        se_v: &ranges[n].se_v[cut(&ranges[n])],
+        clipped: &clipped[n],
+        prior: latencies.map(|latencies| stated(latencies[0], latencies[n])),
+    };
+    let views: Vec<RangeProfile<'_>> = (0..ranges.len()).map(view).collect();
     let Clipping { before, after, .. } = ranges[0].clipping;
     let options = MergeOptions { margin_before: before, margin_after: after, delay_dt_ps: Some(dt_ps) };
     let merged = merge(&views, &options).ok().filter(is_certain);
@@ -116,7 +121,7 @@ fn merge_all(ranges: &[Record], latency: &dyn Fn(&Profile) -> Option<Latency>) -
     )
 }
 
-/// What is known of a range beside the most sensitive one: both are in volts, and the calibration has both delays.
+/// What is stated of a range beside the first one: both are in volts, and the calibration has both delays.
 fn stated(first: Latency, own: Latency) -> Prior {
     Prior {
         gain: 1.0,
@@ -126,7 +131,7 @@ fn stated(first: Latency, own: Latency) -> Prior {
     }
 }
 
-/// The record of all ranges, with the most sensitive one's profile.
+/// The record of all ranges, with the first one's profile.
 fn joined(mut ranges: Vec<Record>, first: i64, merged: Merged) -> Record {
     let largest = |f: &dyn Fn(usize) -> f64| (0..merged.links.len()).map(f).fold(0.0, f64::max);
     let gain_sd = largest(&|k| merged.links[k].gain_sd / merged.links[k].gain);

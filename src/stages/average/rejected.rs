@@ -68,8 +68,8 @@ impl Account<'_> {
     pub fn too_few(&self) -> String {
         let (valid, needed) = (self.valid, self.average.shots_needed());
         let has = format!("has {valid} valid shots of the {needed} that it needs");
-        if self.rejected.total() == 0 {
-            return format!("{has}; no others were captured: capture more, or lower `shots_min`");
+        if self.recorded() < u64::from(needed) {
+            return format!("{has}; only {} were captured: capture more, or lower `shots_min`", self.recorded());
         }
         format!("{has}; {}", self.causes())
     }

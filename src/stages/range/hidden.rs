@@ -109,6 +109,11 @@ impl Thirds {
         Self { thirds: Vec::new(), stations: Vec::new() }
     }
 
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.thirds.is_empty()
+    }
+
     /// Adds a label with such a path.
     pub fn add(&mut self, path: [PatchId; 3], fields: &Fields, places: Option<&Places>, label: &Label, length: Length) {
         let [lit, hidden, seen] = path;

@@ -259,7 +259,7 @@ pub const MISTAKES: &[Mistake] = &[
         &[Edit::Write("campaign/raw/scene/s1_L1_P2_C1 (1).trc", b"a copy")],
         RUN,
         "s1_L1_P2_C1 (1).trc",
-        "match no rule of campaign.toml",
+        "matches no rule of campaign.toml",
     ),
     Mistake(
         &[Replace(CAMPAIGN, "path_m = 1.0", "samples = [0, 5000]\npath_m = 1.0")],
