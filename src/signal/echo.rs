@@ -1,10 +1,10 @@
 //! An echo: a second, weaker pulse of the same shape behind the main one, as a mismatched cable makes it.
 //!
-//! A response that was calibrated with the echo in it explains the echo away. So its *core* is taken, from where it
-//! rises above a hundredth of its maximum to where it has fallen below it for the first time; what the best fit of the
-//! core leaves of a record is searched with the core as matched filter (Turin, *An introduction to matched filters*,
-//! 1960). A tail that falls as an exponential goes on behind the core: the search begins where its continuation is well
-//! below the noise. Not modelled: echoes that overlap the core, and tails that are slower than the core's own end.
+//! A response that was calibrated with the echo in it explains the echo away. So only its *core* is fitted: from where
+//! it rises above a hundredth of its maximum to where it first falls below that again. The residual of the best fit is
+//! searched with the core as matched filter (Turin, *An introduction to matched filters*, 1960). A tail that falls as
+//! an exponential goes on behind the core: the search begins where its continuation is well below the noise. Not
+//! modelled: echoes that overlap the core, and tails that are slower than the core's own end.
 
 use super::pulse_fit::Record;
 use super::reference::fit_pulse;
@@ -154,7 +154,7 @@ fn begin_ps(core: &Core, ratio_sd: f64) -> f64 {
     (core.end_ps + core.decay_ps * below).max(core.end_ps - core.start_ps)
 }
 
-/// Number of independent positions: such that it times the chance of one is the expected number of excursions of the
+/// Number of independent positions: times the chance at one of them, it is the expected number of excursions of the
 /// filter's output beyond [`LEVEL`] (Rice, *Mathematical analysis of random noise*, 1944).
 fn trials(seen: &Response, core: &Core, dt_ps: f64, searched_ps: f64) -> f64 {
     let step_ps = dt_ps / 16.0;

@@ -40,8 +40,8 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
 /// of `c = centred + loss(c)`. The loss is the smaller the shorter the correlation, so that the iteration contracts.
 ///
 /// With m the mean of a stretch of L samples, the covariance at a lag k loses the mean over n of
-/// `cov(x_n, m) + cov(x_{n + k}, m) - var(m)`. Let `s(n)` be the sum of the covariances up to lag n, which stays as it
-/// is behind the last correlated one, and `u(n)` the sum of the first n of these: then
+/// `cov(x_n, m) + cov(x_{n + k}, m) - var(m)`. Let `s(n)` be the sum of the covariances up to lag n; it is constant
+/// beyond the last correlated lag. Let `u(n)` be the sum of the first n values of `s`. Then
 /// `L cov(x_n, m) = s(n) + s(L - 1 - n) - c_0`, and the loss is
 /// `2/L ((u(L) + u(L - k) - u(k)) / (L - k) - u(L) / L) - c_0 / L`.
 fn undo_centring(centred: &[f64], length: usize) -> Vec<f64> {

@@ -1,8 +1,8 @@
 //! One pulse in a mean record: amplitude, time, baseline and width, with the errors that correlated noise makes.
 //!
-//! Least squares on the columns `h`, `-a h'` and 1 ([`super::reference`] locates the pulse), then Gauss-Newton with a
-//! fourth column for a response that is stretched by `1 + w` about its maximum. All samples weigh the same, which is
-//! best for white noise; the covariance is that of noise with the given autocorrelation, `(A'A)^-1 A' C A (A'A)^-1`, so
+//! Least squares on the columns `h`, `-a h'` and 1 ([`super::reference`] locates the pulse). Then Gauss-Newton with a
+//! fourth column, for a response that is stretched by `1 + w` about its maximum. All samples weigh the same, which is
+//! best for white noise. The covariance is that of noise with the given autocorrelation, `(A'A)^-1 A' C A (A'A)^-1`, so
 //! that a smooth front end does not make errors look small. Not modelled: errors of the response itself, and pulses
 //! that overlap.
 
@@ -82,7 +82,7 @@ pub fn fit(record: &Record<'_>, response: &Response, start: &PulseFit) -> Option
     })
 }
 
-/// Stretch of the response that fits best, its amplitude, time and baseline free beside.
+/// Stretch of the response that fits best, with amplitude, time and baseline fitted too; its standard deviation.
 fn width(record: &Record<'_>, response: &Response, mut time_ps: f64, mut amplitude: f64) -> Option<(f64, f64)> {
     let mut stretch = 1.0;
     for _ in 0..STEPS {

@@ -66,7 +66,7 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f
     squares
 }
 
-/// Tells outlying shots: those with a sample further from the median of the first shots than noise and the rounding to
+/// Finds outlying shots: those with a sample further from the median of the first shots than noise and the rounding to
 /// whole samples explain.
 #[derive(Clone, Debug)]
 pub struct OutlierTest {

@@ -41,8 +41,8 @@ impl Column {
         Self { first, samples, shape: Vec::new() }
     }
 
-    /// Adds the products of the first `counts` of (value, derivatives by time, variance, tail) of two columns to the
-    /// block of `products` (rows of `n`) that starts at `corner`; the rows are this column's.
+    /// Adds products of two columns to the block of `products` (rows of `n`) that starts at `corner`; the rows are this
+    /// column's. Each column takes part with the first `counts` of (value, derivatives by time, variance, tail).
     pub(super) fn add_products(
         &self,
         other: &Self,

@@ -1,4 +1,4 @@
-//! One more pulse, too weak to be found, beside light of known places.
+//! Score of one more pulse, too weak for a fit of its own, in a profile whose other pulses have given times.
 
 use periscope_cancel::Cancel;
 
@@ -7,7 +7,7 @@ use super::model::Record;
 use super::place::{Place, spread_response};
 use super::{Profile, Response, SparseOptions};
 
-/// A column of which others leave no larger part of its length says nothing new.
+/// A column counts as explained by others if they leave no larger part of its length.
 const NEW: f64 = 0.05;
 /// Knots in the full width of a spread response.
 const SPREAD_STEPS: f64 = 20.0;
@@ -108,8 +108,8 @@ struct Known {
 }
 
 impl Known {
-    /// Adds a direction in which samples may lie off: by any amount, or so many standard deviations of noise (Sherman
-    /// and Morrison's formula). What others explain is not new.
+    /// Adds a direction in which samples may lie off: by any amount, or by one whose score has standard deviation
+    /// `score_sd` about 0 (Sherman and Morrison's formula). A direction that the others explain is left out.
     fn add(&mut self, direction: Vec<f64>, score_sd: Option<f64>) {
         let norm = squared(&direction);
         let mut axis = self.without(&direction);

@@ -1,7 +1,7 @@
 //! Whitened records that show the same pulses.
 //!
-//! All products are taken after whitening, over the response's support (and the whitening filter's order) only, so that
-//! a fit's cost follows its pulses and not the record's length.
+//! All products are taken after whitening, over the response's support (and the whitening filter's order) only. The
+//! cost of a fit therefore follows its pulses and not the record's length.
 
 use periscope_cancel::Cancel;
 

@@ -1,8 +1,8 @@
 //! The projection of whitened records on a set of pulses: best amplitudes for given places, and the next step of the
 //! places.
 //!
-//! The constant baseline is eliminated from every product in closed form (Schur complement), so that all fits, also
-//! those of a few pulses in a long record, are joint fits with it.
+//! The constant baseline is eliminated from every product in closed form (Schur complement). So all fits, also those of
+//! a few pulses in a long record, are joint fits with it.
 
 use super::column::Column;
 use super::linear::{Cholesky, least_squares, non_negative};
@@ -73,8 +73,8 @@ impl Projection {
     }
 
     /// Gauss-Newton step of the places with the amplitudes eliminated (variable projection after Kaufman, BIT 15, 49
-    /// (1975)), damped by Levenberg-Marquardt, and the drop of chi2 that it promises. A pulse of amplitude 0 has no
-    /// slope and stays, and so does a parameter that its limit holds back.
+    /// (1975)), damped by Levenberg-Marquardt; with the drop of chi2 that it promises. A pulse of amplitude 0 has no
+    /// slope and stays, and so does a parameter at its limit.
     pub(super) fn step(&self, damping: f64, extent_max_ps: f64) -> Option<(Vec<f64>, f64)> {
         let q = self.layout.slopes.len();
         let mut normal = vec![0.0; q * q];
@@ -118,7 +118,7 @@ impl Projection {
             .collect()
     }
 
-    /// Factor of the information matrix of all unknowns. `None` if two pulses cannot be told apart.
+    /// Factor of the information matrix of all unknowns. `None` if two pulses cannot be resolved.
     pub(super) fn factor(&self) -> Option<Cholesky> {
         let unknowns = self.unknowns();
         let mut information = vec![0.0; unknowns * unknowns];
@@ -172,9 +172,9 @@ impl Projection {
         self.groups.len() * self.places.len() + before
     }
 
-    /// What group `g` tells of the unknowns: unknown, value or derivative, and its factor. The derivative by a
-    /// parameter is the amplitude times that of a pulse of amplitude 1; of a pulse without any amplitude, as if it were
-    /// 1.
+    /// Columns of group `g` in the information matrix: unknown, value or derivative, and its factor. The derivative by
+    /// a parameter is the amplitude times that of a pulse of amplitude 1; of a pulse without any amplitude, as if it
+    /// were 1.
     fn basis(&self, g: usize) -> Vec<(usize, usize, f64)> {
         let k = self.places.len();
         let amplitude = |pulse: usize| {

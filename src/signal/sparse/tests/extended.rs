@@ -1,4 +1,4 @@
-//! Light spread in time by extended patches: centroid, width, tail, and pairs beside them.
+//! Light spread in time by extended patches: centroid, width, tail, and pairs of points that must stay pairs.
 
 use super::*;
 
@@ -50,8 +50,8 @@ fn a_widened_bounce_is_one_pulse_at_its_centroid() {
         println!("{}: time / sd {:.3}, width / sd {:.3}", shape.name, rms(&pulls), rms(&width_pulls));
         assert!((0.8..1.2).contains(&rms(&pulls)), "{}: {}", shape.name, rms(&pulls));
         assert!((0.8..1.25).contains(&rms(&width_pulls)), "{}: {}", shape.name, rms(&width_pulls));
-        // The width costs the time a few per cent beside the bound of a point; a tail, or chi2, widens the interval in
-        // a few cases.
+        // The unknown width costs the time a few per cent over the bound of a point; a tail, or chi2, widens the
+        // interval in a few cases.
         let near = ratios.iter().filter(|r| (1.0..1.09).contains(*r)).count();
         assert!(near > draws * 9 / 10, "{}: {near}", shape.name);
     }
