@@ -3,9 +3,9 @@
 //! An arrival at `t` of standard deviation s may be any path whose predicted time lies within the gate, or something
 //! that was not predicted. With a path seen with chance p and `clutter` unpredicted arrivals a picosecond about the
 //! arrival, arrival and path belong together with the weight `p / (1 - p) N(t; t_p, s^2 + s_p^2) / clutter`. A path
-//! makes at most one arrival, and an arrival comes from at most one path: an association of all of them is as likely as
-//! the product of its weights, and the probability of a pair is the share of those associations that hold it. Source:
-//! joint probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8, 173 (1983)).
+//! makes at most one arrival, and an arrival comes from at most one path. An association of all of them is as likely as
+//! the product of its weights. The probability of a pair is the share of those associations that hold it. Source: joint
+//! probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8, 173 (1983)).
 //!
 //! The sums run over arrivals in order of time, forwards and backwards. What is behind matters only by the paths that
 //! it took from those ahead, which are few; of more than 200 such sets the most likely are kept.
@@ -118,7 +118,7 @@ type Taken = BTreeMap<Vec<usize>, f64>;
 
 /// For each arrival, in order of time, the probability of each of its edges.
 fn probabilities(arrivals: &[&[Edge]]) -> Vec<Vec<f64>> {
-    // Last arrival that each path may have made: after it nobody asks whether the path is taken.
+    // Last arrival that each path may have made: after it, whether the path is taken no longer matters.
     let mut last: BTreeMap<usize, usize> = BTreeMap::new();
     for (n, edges) in arrivals.iter().enumerate() {
         last.extend(edges.iter().map(|edge| (edge.path, n)));
@@ -224,7 +224,7 @@ mod tests {
         }
     }
 
-    /// Beside the sum over all associations, for a few arrivals and paths near one another.
+    /// Compared with the sum over all associations, for a few arrivals and paths near one another.
     #[test]
     fn probabilities_are_those_of_all_associations() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
@@ -274,7 +274,7 @@ mod tests {
         assert!((found[0][1].probability - share(0.2)).abs() < 1e-6, "{found:?}");
     }
 
-    /// What is no predicted path is told by a low probability, the lower the more clutter there is.
+    /// An arrival that no predicted path made gets a low probability, the lower the more clutter there is.
     #[test]
     fn clutter_takes_its_share() {
         let p = |clutter| associate(&[at(4.0, 1.0)], &[path(0.0, 0.0)], &[clutter])[0][0].probability;

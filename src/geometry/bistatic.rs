@@ -10,21 +10,20 @@
 //!   Bancroft, IEEE Trans. Aerosp. Electron. Syst. 21, 56
 //!   (1985)); what is left is a quadratic equation with two roots. Where all foci lie in one line these are mirror
 //!   images in it.
-//! - *Fit*: maximum likelihood by Gauss and Newton. Unknown beside the strips are all anchors (diffuser points,
-//!   stations) and delays that are known to a standard
-//!   deviation only: first bounces tell them too. Onsets of one profile are correlated, as pulses closer than the
-//!   response are.
-//! - *Labels*: assignments are extended scan by scan, the likeliest first; chi-square, and what onsets cost that are
-//!   left over, never fall by another scan, so the first that is complete is the best of all, and no other
-//!   within [`CLOSE`] of it is missed (branch and bound).
+//! - *Fit*: maximum likelihood by Gauss and Newton. Anchors (diffuser points, stations) and delays that have a standard
+//!   deviation are fitted too; first bounces help to determine them. Onsets of one profile are correlated, as pulses
+//!   closer than the response are.
+//! - *Labels*: assignments are extended scan by scan, the likeliest first. Another scan never lowers chi-square or the
+//!   cost of unexplained onsets. So the first complete assignment is the best of all, and no other within [`CLOSE`] of
+//!   it is missed (branch and bound).
 //! - *Glints*: over a glossy strip the light's centroid moves with the lit point.
 //!
 //! With as many scans as dimensions every assignment fits exactly. What then decides is what else is known: on which
 //! side of the diffuser strips are, how far apart at most, in which order. What nothing decides comes back as another
 //! solution.
 //!
-//! Onsets that no strip explains may be those of something undeclared in the middle between two strips: where that
-//! explains more, strips are placed beside it.
+//! Onsets that no strip explains may be those of an undeclared object in the middle between two strips. Where that
+//! explains more, strips are placed together with such an object.
 
 mod fit;
 mod glint;
@@ -39,7 +38,7 @@ use super::Point;
 use fit::{Fit, State, fit};
 pub use glint::Surface;
 
-/// Solutions whose chi-square is higher by less are told.
+/// Solutions whose chi-square is higher by less are reported too.
 pub const CLOSE: f64 = 9.0;
 /// Chi-square that an onset costs which nothing explains, if it is as strong as those that something does.
 const UNEXPLAINED: f64 = 9.0;
@@ -296,8 +295,8 @@ impl Problem {
         })
     }
 
-    /// What onsets of these records cost that no strip explains: the more, the more light they have beside the weakest
-    /// that one does. Strays are weak.
+    /// Cost of the onsets of these records that no strip explains. It grows with their amplitude over that of the
+    /// weakest explained onset, as strays are weak.
     fn unexplained(&self, labels: &Labels) -> f64 {
         let of_record = |(record, onsets): &(usize, Vec<usize>)| {
             let heights = &self.records[*record].heights;

@@ -7,10 +7,10 @@
 //! O_ikj = O_ik + O_kj - O_kk
 //! ```
 //!
-//! exactly, for any places of source and sensor, with no coordinate known. By the triangle inequality no second bounce
-//! is longer than any such detour, and none is as long but over a patch on the straight line between the two. So a
-//! first arrival that comes no earlier than some detour is set aside. That takes some second bounces with it: those
-//! past a patch so near to the straight line that noise does not tell the two apart.
+//! exactly, for any places of source and sensor, with no coordinate known. By the triangle inequality a second bounce
+//! is never longer than such a detour. It is as long only if the patch lies on the straight line between the two. So a
+//! first arrival that comes no earlier than some detour is rejected. Some second bounces are rejected with it: those
+//! past a patch so near to the straight line that noise exceeds the difference.
 //!
 //! With source and sensor in one point, path lengths also give the angle between two patches as seen from there:
 //!
@@ -39,7 +39,7 @@ const GATE: f64 = 5.0;
 /// First arrivals, or what they tell, by (lit, seen).
 type Pairs<T> = BTreeMap<(PatchId, PatchId), T>;
 
-/// Which first arrivals between patches i and j, by (lit, seen), are set aside, and over which patch the light came if
+/// Which first arrivals between patches i and j, by (lit, seen), are rejected, and over which patch the light came if
 /// that is certain. `arrivals` holds all first arrivals of one sensor, those of (i, i) among them; `is_one_station`
 /// says whether that sensor stands where the source is.
 #[must_use]
@@ -148,7 +148,7 @@ mod tests {
         (arrivals, truth)
     }
 
-    /// What was found in some scenes, beside the truth.
+    /// Rejected and kept arrivals of some scenes, by what they truly are.
     #[derive(Debug, Default)]
     struct Count {
         closed: usize,

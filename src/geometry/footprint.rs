@@ -1,16 +1,16 @@
 //! Where the light of a finite patch comes from: not from its centre.
 //!
 //! What is timed is the mean path over all points of the patches, weighted by how much light takes each. For flat round
-//! patches whose size is small beside the legs, to second order,
+//! patches whose size is small against the legs, to second order,
 //!
 //! ```text
 //! mean - centre = sum over bounces of  grad(ln w)' S grad(l) + tr(S H(l)) / 2,     S = (size^2 / 16) (1 - n n')
 //! ```
 //!
-//! with the legs `l` that meet at the patch, the weight `w` of the light on them, and `S` the second moments of a disk
-//! of that diameter and normal `n`. The laser lights its patch evenly. A leg towards the sensor has `w = cos / r^2`,
-//! one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1 % of the shift
-//! where legs are longer than three sizes. Not modelled: glossy patches, a spot smaller than its patch.
+//! with the legs `l` that meet at the patch and the weight `w` of the light on them. `S` holds the second moments of a
+//! disk of the patch's diameter and normal `n`. The laser lights its patch evenly. A leg towards the sensor has
+//! `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1
+//! % of the shift where legs are longer than three sizes. Not modelled: glossy patches, a spot smaller than its patch.
 
 use std::collections::BTreeMap;
 

@@ -12,11 +12,11 @@
 //! by Levenberg-Marquardt with a robust `rho` ([`super::loss`]; Huber's as a rule). Up to [`DENSE_MAX`] patches the
 //! normal matrix is in memory; beyond, its products are passes over the observations (`matrix_free`), with the bending
 //! of paths where steps overshoot without it. The covariance is the pseudo-inverse of the Fisher matrix without the
-//! rotations that no path length sees, so it is the Cramer-Rao bound at the solution; of a matrix-free solution it is
-//! blocks ([`Solution::is_exact`]).
+//! rotations that no path length sees: the Cramer-Rao bound at the solution. A matrix-free solution has blocks of it
+//! ([`Solution::is_exact`]).
 //!
-//! What nothing determines is told, not guessed: parts that share no path, rotations, and patches that can move freely.
-//! A mirror image or another minimum that explains the lengths as well is not seen from here. Not modelled: errors that
+//! The solution names what nothing determines: parts that share no path, rotations, and patches that can move freely.
+//! It does not see a mirror image or another minimum that explains the lengths as well. Not modelled: errors that
 //! onsets of one profile share.
 
 mod dense_steps;
@@ -40,7 +40,7 @@ use rows::{Layout, Rows};
 pub const DENSE_MAX: usize = 1000;
 /// Steps after which a solution that has not settled is given up.
 const STEPS: usize = 200;
-/// Steps that lower the objective by less than this share of it lead nowhere; after so many of them a solution has
+/// Steps that lower the objective by less than this share of it lead nowhere; after `IDLE_STEPS` of them a solution has
 /// settled too, in a flat valley.
 const IDLE: f64 = 1e-12;
 const IDLE_STEPS: usize = 10;
@@ -139,7 +139,7 @@ impl Solution {
         self.variance_m2(self.layout.delays + delay)
     }
 
-    /// Variance of the laser's period; `None` where it was exact or no observation depends on it.
+    /// Variance of the laser's period; `None` if the period is exact or no observation depends on it.
     #[must_use]
     pub fn period_variance_m2(&self) -> Option<f64> {
         self.layout.period.map(|at| self.variance_m2(at))

@@ -16,8 +16,8 @@
 //!    settled again, falls. Patches that fit
 //!    worst are taken out and grown again.
 //!
-//! The lowest loss wins. What no loss decides is told by [`alternatives`]. A patch with too few paths stays somewhere
-//! on its sphere or circle.
+//! The lowest loss wins. [`alternatives`] lists the choices that no loss decides. A patch with too few paths stays
+//! somewhere on its sphere or circle.
 //!
 //! Systems are dense: meant for some hundreds of patches. Not found: a second part (patches that share no path with the
 //! first) without first bounces, and groups of patches that fold over only together. A path that meets a patch twice
@@ -65,8 +65,7 @@ pub struct Placed {
 }
 
 /// Places all patches; the problem's `start` is not used. Where its lengths contradict one another under Huber's loss,
-/// places under the redescending loss are tried too, which bear many wrong lengths, and the better explanation is
-/// taken.
+/// places under the redescending loss, which bears many wrong lengths, are tried too. The better explanation is taken.
 ///
 /// # Panics
 /// Without patches or observations, and as [`maximum_likelihood::solve`].
@@ -254,7 +253,7 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// The loss that a right solution with so many degrees of freedom stays below.
+/// The loss that a right solution with `freedom` degrees of freedom stays below.
 fn likely_loss(freedom: f64) -> f64 {
     freedom + UNLIKELY * (2.0 * freedom).sqrt()
 }

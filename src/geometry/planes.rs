@@ -1,9 +1,9 @@
 //! Planes through groups of patches (paper Figs. 4d and 6d: surface fitting, near co-planarity).
 //!
-//! Total least squares: distances at right angles to the plane are what is minimised, each over its variance `n' C_i
-//! n`, which the normal itself decides, hence a few rounds. Errors follow from the covariances of all patches to first
-//! order, those between patches included: a tilt between two planes is known better than the normals of both, as it
-//! does not depend on the rotation that path lengths leave open.
+//! Total least squares: it minimises distances at right angles to the plane, each over its variance `n' C_i n`. The
+//! normal itself decides these variances, hence a few rounds. Errors follow to first order from the covariances of all
+//! patches, those between patches included. A tilt between two planes is known better than the normals of both: it does
+//! not depend on the rotation that path lengths leave open.
 //!
 //! [`find`] groups patches by itself: of the planes through triples of patches the one with the most patches within
 //! [`NEAR`] standard deviations, fitted and counted anew until its members stay; then the same with what remains.
@@ -144,8 +144,8 @@ pub fn nearest(points: &[Point], dimensions: usize) -> (Point, Vector3<f64>) {
     (Point::from(middle), eigen.eigenvectors.column(eigen.eigenvalues.imin()).into())
 }
 
-/// Whether a point lies on the other side of the plane (in flatland the line) nearest to some points than another does,
-/// as what a wall's patches see never does of the laser that lights them.
+/// Whether two points lie on different sides of the plane (in flatland the line) nearest to some points. What a wall's
+/// patches see lies on the same side as the laser that lights them.
 ///
 /// # Panics
 /// Without points.

@@ -74,7 +74,7 @@ fn placement_ends_between_its_starts() {
     ends_soon(|cancel| placement::place(&Problem { cancel: cancel.clone(), ..problem }));
 }
 
-/// Arrivals without any order lead to many places, of which none is sure.
+/// Arrivals without any order lead to many places, none of them sure.
 #[test]
 fn the_search_for_hidden_patches_ends() {
     let mut rng = ChaCha8Rng::seed_from_u64(4);

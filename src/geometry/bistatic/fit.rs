@@ -170,7 +170,7 @@ impl Model<'_> {
         strips.map(|(strip, point)| strip.surface.normal(*point, &lit, state.anchors[strip.exit])).collect()
     }
 
-    /// The shift of a strip's light, and its derivatives by the tilt. Those by places are small beside the legs' own.
+    /// The shift of a strip's light, and its derivatives by the tilt. Those by places are small against the legs' own.
     fn add_glint(
         &self,
         row: &mut DVector<f64>,

@@ -4,8 +4,8 @@ use nalgebra::DMatrix;
 
 use super::{Bounce, Problem, Solution, Strip, Surface, UNEXPLAINED, solve_alone};
 
-/// Places of the strips beside something in the middle between two of them, over the exit of either: the likeliest
-/// such, where it explains more than `alone` does.
+/// Places of the strips, fitted together with an object in the middle between two of them, seen over the exit of
+/// either. The likeliest such places, if they explain more than `alone` does.
 pub(super) fn beside_one(problem: &Problem, alone: Option<&Solution>) -> Option<Vec<Solution>> {
     let strips = problem.strips.len();
     let thirds = || problem.records.iter().enumerate().filter(|(_, record)| record.bounce == Bounce::Third);

@@ -191,7 +191,7 @@ fn what_labels_leave_open_is_told() {
     assert!(solve(&problem).unwrap().len() > solutions.len());
 }
 
-/// A third strip in the middle, declared by nobody: told by its onset in every profile, over either exit.
+/// A third strip in the middle, undeclared: its onset in every profile reveals it, over either exit.
 #[test]
 fn strips_are_placed_beside_something_between() {
     for scans in [2, 5] {
@@ -271,7 +271,7 @@ fn the_glint_moves_with_the_lit_point() {
         let shift_m = surface.shift_m(centre, normal, lit, exit);
         assert!((shift_m - naive_m).abs() < 0.02 * naive_m.abs() + 1e-6, "{x}: {shift_m} {naive_m}");
     }
-    // Where nobody knows, the light may come from either rim.
+    // Where the surface is unknown, the light may come from either rim.
     let unknown = Surface::Unknown { size_m: 0.02 };
     let (lit, exit) = (Point::new(0.9, 1.0, 0.0), Point::new(0.5, 1.0, 0.0));
     let rim = |side: f64| {

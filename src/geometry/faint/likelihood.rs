@@ -20,11 +20,11 @@ const RATIO: f64 = 1.258_925_411_794_167_2; // ten a decade
 /// The smallest root-mean-square signal-to-noise ratio, and how many there are.
 const SNR_MIN: f64 = 0.158_489_319_246_111_36;
 pub(super) const STRENGTHS: usize = 21;
-/// Factors lie two steps apart, so many on either side of 1.
+/// Number of factors on either side of 1; they lie two steps apart.
 const SIDE: usize = 3;
 const FACTORS: usize = 2 * SIDE + 1;
 const LADDER: usize = STRENGTHS + 4 * SIDE;
-/// Products of so many profiles' ratios neither overflow nor vanish.
+/// Number of profiles whose product of ratios neither overflows nor vanishes.
 const TOGETHER: usize = 16;
 /// Points along each axis that the volume is counted by.
 const VOLUME_POINTS: i32 = 24;

@@ -33,8 +33,8 @@ fn pulses_too_weak_in_each_profile_are_a_patch_in_all_together() {
     }
 }
 
-/// The evidence is the integral that it says it is, and nothing near is likelier: beside a grid over all places within
-/// five standard deviations.
+/// The evidence is the integral that it claims to be, and nothing near is likelier. Compared with a grid over all
+/// places within five standard deviations.
 #[test]
 fn evidence_and_likelihood_are_those_of_a_grid() {
     let (profiles, room, _) = draw(6, 2.0, Strengths::Physical, 3);

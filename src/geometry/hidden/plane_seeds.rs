@@ -38,7 +38,7 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], domain: &Domain, cancel: &Cancel
     triples.into_iter().flat_map(|triple| of_triple(foci, pairs, triple, &position, domain, cancel)).collect()
 }
 
-/// Triangles of which all three sides have arrivals, the largest first; no two share a side.
+/// Triangles whose three sides all have arrivals, the largest first; no two share a side.
 fn triples(foci: &[Focus], pairs: &[Lengths], cancel: &Cancel) -> Vec<[usize; 3]> {
     let mut sides = vec![vec![false; foci.len()]; foci.len()];
     for Lengths { foci: [a, b], values_m, .. } in pairs {

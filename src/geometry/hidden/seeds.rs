@@ -1,11 +1,11 @@
 //! Places that a few arrivals agree on, from minimal sets.
 //!
 //! Three lengths over paths that share a focus meet in two points at most, in closed form; in flatland two do. Every
-//! such set of arrivals of three pairs of foci, the *base*, is a seed, and is held against further pairs one by one, in
-//! the order in which the base predicts them best: first those among the foci of the base itself, which for a base
-//! (i,i), (i,j), (i,k) are the tests `s_ij = (s_ii + s_jj) / 2` of one patch in (i,i), (i,j), (j,j), and for sets of
-//! lit and seen that are disjoint `s_ij + s_kl = s_il + s_kj`. An arrival near enough, by the seed's own covariance,
-//! moves the seed as in a Kalman filter. Seeds whose log-likelihood ratio falls behind are given up.
+//! such set of arrivals of three pairs of foci, the *base*, is a seed. It is tested against further pairs one by one,
+//! in the order in which the base predicts them best. First come those among the foci of the base itself. For a base
+//! (i,i), (i,j), (i,k) these test `s_ij = (s_ii + s_jj) / 2` of one patch in (i,i), (i,j), (j,j); for disjoint sets of
+//! lit and seen they test `s_ij + s_kl = s_il + s_kj`. An arrival near enough, by the seed's own covariance, moves the
+//! seed as in a Kalman filter. Seeds whose log-likelihood ratio falls behind are given up.
 //!
 //! The cost grows with the third power of the arrivals of a profile and is independent of noise; a patch is missed
 //! where its base misses an arrival, which another base or `search` makes good.
@@ -175,7 +175,7 @@ fn ellipsoid(to_other: Vector3<f64>, length_m: f64) -> (Vector4<f64>, f64) {
     (row / row.norm(), right / row.norm())
 }
 
-/// Pairs beside a base, that which is predicted best first.
+/// Pairs outside of a base, the best predicted first.
 fn checks(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) -> Vec<usize> {
     let typical = typical_points(foci, domain);
     let mut known: Vec<(Point, Matrix3<f64>)> = typical

@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Clutter, Pattern, Setting, Walls, draw, score};
 
-/// Of an onset timed to so many picoseconds.
+/// Standard deviation of a length, for an onset timed to `sd_ps`.
 fn sd_m(sd_ps: f64) -> f64 {
     units::path_m(sd_ps, 1.0)
 }
@@ -110,8 +110,8 @@ fn a_known_path_leaves_nothing_to_find() {
     assert!(found.len() == 1 && (found[0].point - drawn.hidden[1]).norm() < 0.02, "{found:?}");
 }
 
-/// Where paths that are seldom seen come within the error of every arrival, minimal sets find the patches all the same:
-/// a search of all space among so many arrivals would take long.
+/// Paths that are seldom seen come within the error of every arrival, and minimal sets still find the patches. A search
+/// of all space among that many arrivals would take long.
 #[test]
 fn paths_that_are_seldom_seen_hide_no_minimal_set() {
     let mut missed = 0;
@@ -155,7 +155,7 @@ fn a_turned_scene_gives_the_turned_answer() {
     }
 }
 
-/// Beside a scan of all space.
+/// Compared with a scan of all space.
 #[test]
 fn branch_and_bound_finds_the_largest_sum() {
     let drawn = draw(&Setting::new(5, 3, sd_m(100.0), 0.2, 2), 2);
@@ -212,7 +212,7 @@ fn a_flat_wall_leaves_two_places() {
     }
 }
 
-/// Beside the formula, written out.
+/// Compared with the formula, term by term.
 #[test]
 fn the_likelihood_is_that_of_the_formula() {
     let drawn = draw(&Setting::new(4, 2, sd_m(50.0), 0.2, 2), 3);

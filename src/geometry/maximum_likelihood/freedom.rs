@@ -12,8 +12,8 @@ use super::problem::{Node, Problem};
 use super::rows::{Place, Rows};
 use crate::dense;
 
-/// Rounds of weights in which motions are told apart from rotations, and the size of what is left of a patch's motion,
-/// relative to the largest, that makes it open.
+/// Rounds of weights that separate motions from rotations. A patch is open if what is left of its motion exceeds this
+/// size relative to the largest.
 const ROUNDS: usize = 40;
 const OPEN: f64 = 1e-3;
 /// What is left of a direction of length 1 below this is nothing.

@@ -5,9 +5,9 @@
 //! delays, period) are eliminated first, a right-hand side each. Observations are cut into chunks by their number
 //! alone, and the chunks' sums are added in order: the same bits for any number of threads.
 //!
-//! Covariances are blocks: the inverse of a patch's block of the normal matrix, as if all other patches were held, plus
-//! the share of the other unknowns, which is exact. With nearly all pairs measured that is within some per cent of the
-//! exact one; where many are missing it is too small.
+//! Covariances are blocks: the inverse of a patch's block of the normal matrix, as if all other patches were fixed,
+//! plus the share of the other unknowns. That share is exact. With nearly all pairs measured the block is within some
+//! per cent of the exact one; where many are missing it is too small.
 
 use faer::Mat;
 use nalgebra::{Matrix3, Vector3};

@@ -1,10 +1,10 @@
 //! Observations that contradict the others, though they be many.
 //!
-//! Huber's loss bears some gross errors, not a fifth of all lengths too long at once, as where the first light of many
-//! pairs took a detour that no captured pair gives away. From a place on, the lengths are weighted by `(c^2 / (c^2 +
-//! z^2))^2`, `z` their residuals in standard deviations, with a `c` that shrinks from thrice the middle residual to
-//! [`LAST`]: at first most have a say, in the end only those that agree. Source: graduated non-convexity with Geman and
-//! McClure's loss, Yang, Antonante, Tzoumas and Carlone, IEEE Robotics and Automation Letters 5, 1127 (2020).
+//! Huber's loss bears some gross errors, but not a fifth of all lengths too long at once. That happens where the first
+//! light of many pairs took a detour that no captured pair reveals. From a start on, the lengths are weighted by
+//! `(c^2 / (c^2 + z^2))^2`, `z` their residuals in standard deviations. `c` shrinks from thrice the median residual to
+//! [`LAST`]: at first most lengths count, in the end only those that agree. Source: graduated non-convexity with Geman
+//! and McClure's loss, Yang, Antonante, Tzoumas and Carlone, IEEE Robotics and Automation Letters 5, 1127 (2020).
 
 use super::rows::Place;
 use super::{Observation, Problem, approach};

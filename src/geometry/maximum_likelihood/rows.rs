@@ -209,9 +209,9 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Adds what the bending of a path contributes to the product of the objective's second derivatives with a vector,
-    /// given the path's residual and the weight of its square: `-weight residual / s B (v_b - v_a)` at the end b of
-    /// each leg from a, its negative at a, with `B = (I - u u') / length` for a leg along u.
+    /// Adds what the bending of a path contributes to the product of the objective's second derivatives with a vector.
+    /// The path has a residual, and its square a weight. A leg from a to b along u adds
+    /// `-weight residual / s B (v_b - v_a)` at b and its negative at a, with `B = (I - u u') / length`.
     pub fn bend(&self, place: &Place, n: usize, (residual, weight): (f64, f64), vector: &[f64], sum: &mut [f64]) {
         let Some(observation) = self.problem.observations.get(n) else { return };
         let of = |node: Node| {

@@ -340,11 +340,11 @@ fn a_scene_of_near_pairs_settles_in_few_steps() {
     let (_, loss, settled) = descend(&rows, Means::MatrixFree(Matrix::Normal), 30, SETTLED_MATRIX_FREE_M);
     assert!(settled);
     let dense = solve_by(&problem, Means::Dense).unwrap();
-    // Patches with few neighbours turn freely about them: the objective tells.
+    // Patches with few neighbours turn freely about them, so objectives are compared instead of positions.
     assert!((dense.loss - loss).abs() < 1e-9 * dense.loss, "{} {loss}", dense.loss);
 }
 
-/// Beside differences of the slope, whose derivatives they are.
+/// Compared with differences of the slope, whose derivatives they are.
 #[test]
 fn products_are_second_derivatives() {
     let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(17));

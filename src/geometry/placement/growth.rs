@@ -1,7 +1,7 @@
 //! Growth of a solution, patch by patch.
 //!
-//! The patch that comes next is the one whose best place explains its ties most clearly better than its second best,
-//! and among equals the one with most ties. Every few patches all are settled together, so that errors do not pile up.
+//! Next comes the patch whose best place explains its ties by the largest margin over its second best; among equals,
+//! the one with most ties. Every few patches all are settled together, so that errors do not pile up.
 
 use super::{Scene, State};
 use crate::Point;
@@ -53,7 +53,7 @@ impl Scene<'_> {
             let found = multilateration::candidates(&ties, dimensions, self.apart_m, self.problem.loss);
             let gap = |best: &Candidate, second: &Candidate| ((second.cost - best.cost) / (1.0 + best.cost)).min(SAFE);
             let best = found.first()?;
-            // Mirror images have no loss to be told apart by.
+            // Mirror images have the same loss.
             let certain = ties.len() > dimensions;
             let clearness = if certain { found.get(1).map_or(SAFE, |second| gap(best, second)) } else { 0.0 };
             Some(Next { clearness, ties: ties.len(), patch, point: best.point })

@@ -151,7 +151,7 @@ fn covariances_are_those_of_many_draws() {
     }
     assert!(size > 15 && exact.covariances.len() > size, "{size} distances");
     for (i, j) in (0..size).flat_map(|i| (0..size).map(move |j| (i, j))) {
-        // Standard deviation of a covariance that so many draws tell.
+        // Standard deviation of a covariance estimated from `draws` draws.
         let sd = ((claimed[(i, i)] * claimed[(j, j)] + claimed[(i, j)].powi(2)) / f64::from(draws)).sqrt();
         let (drawn, claimed) = (drawn[(i, j)], claimed[(i, j)]);
         assert!((drawn - claimed).abs() < 5.0 * sd, "{i} {j}: drawn {drawn} claimed {claimed}");

@@ -187,7 +187,7 @@ fn disjoint_lit_and_seen_patches_leave_ranges_open_until_a_cycle_closes() {
     }
 }
 
-/// Two hidden patches seen over the same four visible ones, one of their legs off by 4 mm, another by 2 mm, all by 1
+/// Two hidden patches seen over the same four visible ones. One of their legs is off by 4 mm, another by 2 mm, all by 1
 /// mm.
 #[test]
 fn claimed_errors_are_those_of_many_draws_also_between_hidden_patches() {

@@ -129,7 +129,7 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
     }
 }
 
-/// Root of the sum of variances of a patch of the second layer, those of the first layer unknown beside it but for
+/// Root of the sum of variances of a patch of the second layer, with the patches of the first layer unknown but for
 /// their prior.
 fn bound_m(slopes: &[(Vec<usize>, Vec<Vector3<f64>>)], prior: &[Matrix3<f64>], sd_m: f64) -> f64 {
     let size = 3 + 3 * prior.len();
