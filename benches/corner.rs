@@ -151,8 +151,8 @@ fn patterns(scenes: u64) {
     }
 }
 
-/// One wall that the search does not know the front of, with relief to either side: how often the mirror image of a
-/// patch is told, and how often it is the likelier one.
+/// One wall with relief to either side, whose front the search does not know: how often the mirror image of a patch is
+/// reported, and how often it is the likelier one.
 fn relief(scenes: u64) {
     println!(
         "\n| relief (mm) | noise (ps) | patches found | mirror image told | likelier than the patch | neither place right |\n|---|---|---|---|---|---|"

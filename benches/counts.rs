@@ -2,7 +2,7 @@
 //! that other work on the machine cannot blur. `cargo bench --bench counts`; `-- --accept` writes the counts down as
 //! the new ones; `-- NAME` counts one kernel. docs/counts.md.
 //!
-//! Every kernel runs once in a process of its own, of which callgrind counts what happens inside [`counted`] alone.
+//! Every kernel runs once in a process of its own. Callgrind counts only the instructions inside [`counted`].
 
 #[path = "counts/kernels.rs"]
 mod kernels;
@@ -13,8 +13,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-/// A count that is off by more, up or down, is told. The same program counts the same; what is below is the compiler,
-/// which inlines otherwise where other code changes.
+/// A count that is off by a larger share, up or down, is reported. The same program counts the same; smaller
+/// differences come from the compiler, which inlines otherwise where other code changes.
 const TOLERANCE: f64 = 0.02;
 /// How the program calls itself under callgrind.
 const ALONE: &str = "--kernel";

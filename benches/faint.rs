@@ -1,8 +1,8 @@
 //! Study: hidden patches too weak for an onset in any single profile. Prints the tables of docs/accuracy.md, "Too weak
 //! for an onset".
 //!
-//! `cargo bench --bench faint` for all, `cargo bench --bench faint -- power 100` or `-- none 300` for so many scenes of
-//! one, `-- power 100 1.5` for one signal-to-noise ratio.
+//! `cargo bench --bench faint` for all, `cargo bench --bench faint -- power 100` or `-- none 300` for that number of
+//! scenes of one, `-- power 100 1.5` for one signal-to-noise ratio.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/faint.rs"]
@@ -20,7 +20,7 @@ use score::{Estimate, Rate};
 
 /// Signal-to-noise ratios of the study.
 const SNRS: [f64; 6] = [0.5, 0.75, 1.0, 1.25, 1.5, 2.0];
-/// A patch that is found is within so many of its standard deviations.
+/// A patch counts as found within this many of its standard deviations.
 const NEAR: f64 = 5.0;
 /// 95 % of chi-square of three degrees of freedom.
 const CHI_95: f64 = 7.815;

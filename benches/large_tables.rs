@@ -22,7 +22,7 @@ const ONSETS: usize = 4;
 const CAMPAIGNS: [&str; 2] = ["monday", "tuesday"];
 /// Captures that are written at a time.
 const BATCH: usize = 256;
-/// What a look-up asks for beside the key.
+/// Columns that a look-up reads in addition to the key.
 const READ: [&str; 3] = ["rank", "time_ps", "time_sd_ps"];
 
 fn main() {

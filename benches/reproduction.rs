@@ -1,9 +1,9 @@
 //! Study: the paper's experiments from scope files, against what the paper prints. Prints the tables of
 //! docs/reproduction.md, and draws its figures.
 //!
-//! `cargo bench --bench reproduction -- hidden-plane 8`, `-- mirror 40`, `-- barcode errors 40`: so many campaigns of
-//! one experiment; of the last one part of errors, moved, gap, figure, and of these the rows of one response: `--
-//! barcode gap E 300`.
+//! `cargo bench --bench reproduction -- hidden-plane 8`, `-- mirror 40`, `-- barcode errors 40`: this number of
+//! campaigns of one experiment. The barcode has the parts errors, moved, gap, figure, and these have rows for each
+//! response: `-- barcode gap E 300`.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/barcode.rs"]

@@ -3,7 +3,7 @@
 //!
 //! `cargo bench --bench resolution`, `cargo bench --bench resolution -- quick` for a tenth of the draws; a letter runs
 //! one table. With `PERISCOPE_PYTHON`, a Python that has SciPy, its NNLS is timed on the same records
-//! (benches/nnls.py), which are written to a temporary folder, or to that of `PERISCOPE_BENCH_FOLDER`.
+//! (benches/nnls.py). They are written to a temporary folder, or to that of `PERISCOPE_BENCH_FOLDER`.
 
 #[path = "resolution/mod.rs"]
 mod resolution;

@@ -1,10 +1,10 @@
 //! Landmark scaling: coordinates of many points from their distances to a few.
 //!
-//! Classical scaling of the landmarks alone, then every point by `z = -L# (delta - mean delta) / 2`, where `delta` are
-//! its squared distances to the landmarks and L# has the landmarks' eigenvectors over the roots of their eigenvalues as
-//! rows. O(L^3 + M L). Source: de Silva and Tenenbaum, Sparse multidimensional scaling using landmark points (2004); it
-//! is a Nystrom approximation (Platt, AISTATS 2005). All other distances go unused, so its error does not fall with M:
-//! a start.
+//! Classical scaling of the landmarks alone, then every point by `z = -L# (delta - mean delta) / 2`. `delta` are its
+//! squared distances to the landmarks. The rows of L# are the landmarks' eigenvectors over the roots of their
+//! eigenvalues. O(L^3 + M L). Source: de Silva and Tenenbaum, Sparse multidimensional scaling using landmark points
+//! (2004); it is a Nystrom approximation (Platt, AISTATS 2005). All other distances go unused, so its error does not
+//! fall with M: it serves as a start.
 
 use faer::Mat;
 

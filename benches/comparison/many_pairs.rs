@@ -17,9 +17,9 @@
 //! Rows of pairs are cut into chunks by their number alone, and the chunks' sums are added in order: the same bits for
 //! any number of threads.
 //!
-//! Covariances are 3x3 blocks: the inverse of a patch's block of the normal matrix, as if all other patches were held,
-//! plus the share of the delay, which is exact, without rotations. With all pairs measured this is within 2 % of the
-//! exact standard deviation for 300 patches, and nearer for more; where many are missing it is too small.
+//! Covariances are 3x3 blocks without rotations: the inverse of a patch's block of the normal matrix, as if all other
+//! patches were fixed, plus the share of the delay. That share is exact. With all pairs measured the block is within 2
+//! % of the exact standard deviation for 300 patches, and nearer for more. Where many are missing it is too small.
 //!
 //! Not modelled: several delays, separate source and sensor, anchors, patches without first bounce; for those and for
 //! exact covariances there is [`periscope_geometry::maximum_likelihood`].
@@ -99,8 +99,8 @@ pub struct Solution {
 /// Positions of all patches; `None` if no minimum is reached.
 ///
 /// # Panics
-/// When the lengths are not those of all patches and pairs, a standard deviation is not positive, there are fewer than
-/// three patches, or `dimensions` is neither 2 nor 3.
+/// When the lengths are not those of all patches and pairs, or a standard deviation is not positive. When there are
+/// fewer than three patches, or `dimensions` is neither 2 nor 3.
 #[must_use]
 pub fn solve(lengths: &Lengths) -> Option<Solution> {
     let scene = Scene::new(lengths);

@@ -2,9 +2,9 @@
 //!
 //! Minimises `|| (y - H x) / sd ||^2` over `x >= 0`, by the active set of Lawson and Hanson, *Solving Least Squares
 //! Problems*, chapter 23. Pulses farther apart than the response is long do not meet in the normal matrix, so one round
-//! frees many arrivals, one in each neighbourhood, and the Cholesky factor of the free arrivals, in order of time,
-//! keeps the band of the matrix: rows before the first change stay. A pulse between two grid points becomes two
-//! neighbouring atoms: atoms are merged to their centroid, and weak ones dropped.
+//! frees many arrivals, one in each neighbourhood. The Cholesky factor of the free arrivals, in order of time, keeps
+//! the band of the matrix; rows before the first change stay. A pulse between two grid points becomes two neighbouring
+//! atoms: atoms are merged to their centroid, and weak ones dropped.
 //!
 //! Needs neither a start nor a number of pulses. What it does worse than `sparse`: pulses closer than a few grid steps
 //! merge, and noise splits a strong pulse where `sparse` asks for evidence ([`Pulses::pruned`] makes up for the
@@ -24,7 +24,7 @@ const STEP_WIDTHS: f64 = 0.1;
 const RESIDUAL_MIN: f64 = 1e-3;
 /// Pivots below this part of their diagonal element count as singular.
 const SINGULAR: f64 = 1e-12;
-/// Rounds of freeing after which the solution is taken as it is; only rounding can need so many.
+/// Rounds of freeing after which the solution is taken as it is; only rounding can need this many.
 const ROUNDS: usize = 1000;
 
 /// What is asked of a fit.
@@ -33,7 +33,7 @@ pub struct NnlsOptions {
     /// Grid step, ps; `None` for a tenth of the response's width.
     pub step_ps: Option<f64>,
     /// Atoms at most this many grid steps apart are one pulse. 1.5 leaves closer pairs to [`Pulses::pruned`], which
-    /// mends what is split.
+    /// joins a pulse that was split.
     pub merge_steps: f64,
     /// Pulses with a smaller amplitude over `sd / ||h||` are dropped.
     pub snr_min: f64,
@@ -118,7 +118,7 @@ struct Search<'a> {
     x: Vec<f64>,
     /// Arrivals that may differ from 0, rising.
     free: Vec<usize>,
-    /// Arrivals that cannot be told from free ones.
+    /// Arrivals whose columns depend linearly on those of free ones.
     refused: Vec<bool>,
 }
 

@@ -42,7 +42,7 @@ pub fn print(seeds: u64) {
         ];
         let delay = if delay_ps > 0.0 { format!("to {delay_ps} ps") } else { "known".to_owned() };
         for (name, way) in ways {
-            // Where a method is slow, a tenth of the seeds tells enough.
+            // Where a method is slow, a tenth of the seeds is enough.
             let seeds = if name == "semidefinite" { seeds.div_ceil(10) } else { seeds };
             let one = |seed: u64| {
                 let measured = Measured::new(&truth, 0.0, sd_m, delay_sd_m, seed);

@@ -1,4 +1,4 @@
-//! Third bounces beside first and second ones, source and sensor in one point, the delay free.
+//! Third bounces in addition to first and second ones, source and sensor in one point, the delay free.
 
 use periscope::geometry::{Point, procrustes};
 use periscope::units::{path_m, time_ps};
@@ -58,7 +58,7 @@ impl<'a> Bounces<'a> {
     }
 }
 
-/// Gain of the bound if a length told the same whatever its bounces, only its sd counted.
+/// Gain of the bound if a length gave the same information for any number of bounces, and only its sd mattered.
 fn counted(patches: usize, thirds: usize, weaker: f64) -> f64 {
     (1.0 + thirds as f64 / ((patches * patches) as f64 * weaker * weaker)).sqrt()
 }

@@ -24,8 +24,8 @@ const MISSING: f64 = 0.1;
 /// Where the laser and the sensor stand among the walls of the drawn scenes.
 const STATION: Point = Point::new(3.0, 3.0, 0.0);
 
-/// 24 visible patches on two walls and some hidden ones, 6 cm apart at least, all profiles, a tenth of the arrivals
-/// missing, one false in each.
+/// 24 visible patches on two walls and some hidden ones, 6 cm apart at least. All profiles, with a tenth of the
+/// arrivals missing and one false in each.
 fn setting(hidden: usize) -> Setting {
     Setting { apart_m: 0.06, ..Setting::new(VISIBLE, hidden, path_m(SD_PS, 1.0), MISSING, 1) }
 }

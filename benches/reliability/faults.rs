@@ -1,5 +1,5 @@
 //! Faults of disks, files and permissions: each must end in a message, and leave a folder into which the next run gives
-//! the bytes of a run that nobody disturbed.
+//! the bytes of an undisturbed run.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -23,7 +23,7 @@ use crate::score::Rate;
 /// A raw file in the middle of the campaign.
 const RAW_FILE: &str = "campaign/raw/scene/s1_L2_P4_C1.trc";
 
-/// The campaign, and the files of a run that nobody disturbed.
+/// The campaign, and the files of an undisturbed run.
 struct Bench {
     lab: ManyParts,
     whole: BTreeMap<PathBuf, blake3::Hash>,
@@ -54,7 +54,7 @@ impl Bench {
         out
     }
 
-    /// A line of the table: what was said, and whether all is well once the fault is mended.
+    /// A line of the table: the message, and whether all is well once the fault is fixed.
     fn row(&self, fault: &str, code: Option<i32>, said: &str, out: &str) {
         let next = self.lab.run(out);
         let is_same = next.status.code() == Some(0) && shown(self.lab.files(out)) == shown(self.whole.clone());

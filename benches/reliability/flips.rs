@@ -1,7 +1,7 @@
 //! Flipped bits: one bit of one file at a time, in a result folder and in raw files. Which command notices it, and does
 //! any give wrong numbers?
 //!
-//! `-- flips 500 200`: so many flips in a result folder, so many in raw files.
+//! `-- flips 500 200`: 500 flips in a result folder, 200 in raw files.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};

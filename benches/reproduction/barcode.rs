@@ -1,5 +1,5 @@
-//! The 1-0-1 barcode around the corner: strips out of the sum of their pulses, beside the paper's protocol and the
-//! bound.
+//! The 1-0-1 barcode around the corner: strips out of the sum of their pulses, compared with the paper's protocol and
+//! the bound.
 
 use periscope::campaign::Role;
 
@@ -10,13 +10,13 @@ use crate::score::{Estimate, Rate};
 
 /// The paper prints this as its largest error of a coordinate.
 const PRINTED_CM: f64 = 0.9574;
-/// Of so many seeds of free gaps one has an occupied one.
+/// For this many seeds of free gaps there is one of an occupied gap.
 const OCCUPIED: u64 = 3;
-/// And of so many of two scans, one of what stands beside them.
+/// And for this many seeds of two scans, one of an object next to the strips.
 const BESIDE: u64 = 10;
 /// A signal three times as strong.
 const STRONG: f64 = 300.0;
-/// Seeds whose median bound is printed beside that of all.
+/// Seeds whose median bound is printed next to that of all.
 const BOUNDS: u64 = 20;
 /// A strip counts as placed within this.
 const PLACED_M: f64 = 0.02;
@@ -144,7 +144,7 @@ fn moved(seeds: u64, is_asked: impl Fn(&str) -> bool) {
     }
 }
 
-/// What is said of the gap, where nothing is there and where something is.
+/// What the stage reports of the gap, where it is free and where it is occupied.
 fn gap(seeds: u64, is_asked: impl Fn(&str) -> bool) {
     println!(
         "\n| gap | response | scans | SNR | seeds | both strips placed [95 %] | free [95 %] | occupied [95 %] | open | sd of the share, median | its bound |"

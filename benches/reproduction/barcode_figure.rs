@@ -10,7 +10,7 @@ use periscope::tables::Patch;
 use super::svg::{Panel, Picture};
 use crate::barcode::{Barcode, PIPELINE, STRIPS, paper, run};
 
-/// Error ellipses are drawn so many standard deviations large.
+/// Error ellipses are drawn this many standard deviations large.
 const SIGMA: f64 = 3.0;
 const SEED: u64 = 1;
 

@@ -155,9 +155,9 @@ fn time_sds_ps(scene: &Scene) -> [f64; SCANS] {
     })
 }
 
-/// Cramer-Rao bound of each mirror point's position, in flatland, by finite differences of the paths leg by leg. What
-/// is measured: each path's time, with the bound of its onset from the instrument's (`periscope::bound`) and an error
-/// common to all, that of the response captures' known path; diffuser points; directions of beams.
+/// Cramer-Rao bound of each mirror point's position, in flatland, by finite differences of the paths leg by leg.
+/// Measured are each path's time, diffuser points, and directions of beams. A time has the instrument's bound of its
+/// onset (`periscope::bound`), and an error common to all: that of the response captures' known path.
 fn bound_m(geometry: &Geometry, scene: &str, diffuser_sd_m: f64) -> [f64; SCANS] {
     let scene = Scene::parse(Path::new("scene.toml"), scene).expect("the scene was simulated");
     let time_sds_m = time_sds_ps(&scene).map(|sd_ps| units::path_m(sd_ps, scene.group_index));

@@ -20,7 +20,7 @@ struct Draw {
     truth: usize,
     found: usize,
     matched: usize,
-    /// Pulses that can be told from their neighbours.
+    /// Pulses that can be resolved from their neighbours.
     distinct: usize,
     distinct_matched: usize,
     /// Mean squared error over the bound, of all that are matched.

@@ -1,4 +1,4 @@
-//! i: the methods beside one another.
+//! i: the methods compared.
 
 use std::fmt;
 
@@ -95,7 +95,7 @@ impl fmt::Display for Method {
     }
 }
 
-/// Errors of one pulse of which the logarithm of the height is from 0 to `log_max`; `None` if not one is found.
+/// Errors of one pulse whose height has a logarithm from 0 to `log_max`; `None` if not one is found.
 fn single(method: Method, sensor: &Sensor, log_max: f64, count: usize) -> Vec<Option<(f64, f64)>> {
     draws(&format!("methods {} {log_max}", sensor.name), count, |rng| {
         let log = log_max * rng.random_range(0.0..1.0);

@@ -1,4 +1,4 @@
-//! f: a response that is not what the estimator was told.
+//! f: a true response that differs from the one that the estimator is given.
 
 use periscope::signal::response::Response;
 use periscope::signal::sparse::SparseOptions;

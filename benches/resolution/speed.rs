@@ -1,4 +1,4 @@
-//! g: profiles a second, beside SciPy's non-negative least squares on the same records.
+//! g: profiles a second, compared with SciPy's non-negative least squares on the same records.
 
 use std::collections::BTreeMap;
 use std::hint::black_box;

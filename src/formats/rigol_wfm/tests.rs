@@ -86,7 +86,7 @@ fn block(id: u16, kind: u16, content: &[u8], packed: bool) -> Vec<u8> {
     block
 }
 
-/// A DHO with these channels, of which `on` are on, of four samples each.
+/// A DHO with channels `on` switched on, four samples each.
 fn dho(kind: u16, on: &[u16], packed: bool) -> Vec<u8> {
     let mut file = Built::new(24).put(0, &[2]).0;
     file.extend(block(11, 17, b"Rigol Scope", false));
