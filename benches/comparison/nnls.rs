@@ -286,11 +286,11 @@ mod tests {
         let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], t0_ps: 0.0, dt_ps: 50.0 };
         for step_ps in [20.0, 25.0, 37.0] {
             let options = NnlsOptions { step_ps: Some(step_ps), ..NnlsOptions::default() };
-            let found = fit(&profile, &response, &options).pruned(&profile, &response, 20.0);
-            assert_eq!(found.times_ps.len(), 3, "{step_ps}: {found:?}");
+            let solution = fit(&profile, &response, &options).pruned(&profile, &response, 20.0);
+            assert_eq!(solution.times_ps.len(), 3, "{step_ps}: {solution:?}");
             for (k, (at_ps, a)) in truth.iter().enumerate() {
-                let sd_ps = found.time_sd_ps(k).expect("apart");
-                assert!((found.times_ps[k] - at_ps).abs() < 4.0 * sd_ps && (found.amplitudes_v[k] - a).abs() < 0.02);
+                let sd_ps = solution.time_sd_ps(k).expect("apart");
+                assert!((solution.times_ps[k] - at_ps).abs() < 4.0 * sd_ps && (solution.amplitudes_v[k] - a).abs() < 0.02);
             }
         }
         let nothing = Profile { sd_v: &[f64::INFINITY; 300], ..profile };

@@ -86,7 +86,7 @@ pub fn fit(profile: &Profile, response: &Response, options: &PencilOptions) -> P
     let (times_ps, influences): (Vec<f64>, Vec<Vec<f64>>) = timed.into_iter().unzip();
     let covariance_ps2 = covariance(&influences, profile.sd_v);
     Pulses::at(profile, response, times_ps)
-        .map_or_else(|| Pulses::none(profile), |found| Pulses { covariance_ps2: Some(covariance_ps2), ..found })
+        .map_or_else(|| Pulses::none(profile), |pulses| Pulses { covariance_ps2: Some(covariance_ps2), ..pulses })
 }
 
 /// `sum_n g_in g_jn sd_n^2`, row-major.

@@ -48,25 +48,25 @@ impl Free {
         }
     }
 
-    fn rms_m(self, found: &[Point], truth: &[Point]) -> f64 {
+    fn rms_m(self, points: &[Point], truth: &[Point]) -> f64 {
         match self {
-            Self::Rotations => procrustes::rotation(found, truth, Point::origin(), true).rms_m,
-            Self::Turn => rms_about_x_m(found, truth),
-            Self::Nothing => rms_m(found, truth),
+            Self::Rotations => procrustes::rotation(points, truth, Point::origin(), true).rms_m,
+            Self::Turn => rms_about_x_m(points, truth),
+            Self::Nothing => rms_m(points, truth),
         }
     }
 }
 
-fn rms_m(found: &[Point], truth: &[Point]) -> f64 {
-    let squares: f64 = found.iter().zip(truth).map(|(found, truth)| (found - truth).norm_squared()).sum();
+fn rms_m(points: &[Point], truth: &[Point]) -> f64 {
+    let squares: f64 = points.iter().zip(truth).map(|(point, truth)| (point - truth).norm_squared()).sum();
     (squares / truth.len() as f64).sqrt()
 }
 
 /// Root mean square distance after the best rotation about the x axis, with or without a mirror image in a plane
 /// through it.
-fn rms_about_x_m(found: &[Point], truth: &[Point]) -> f64 {
+fn rms_about_x_m(points: &[Point], truth: &[Point]) -> f64 {
     let after = |sign: f64| {
-        let both = || found.iter().zip(truth).map(|(f, t)| (Vector3::new(f.x, sign * f.y, f.z), t));
+        let both = || points.iter().zip(truth).map(|(f, t)| (Vector3::new(f.x, sign * f.y, f.z), t));
         let sine: f64 = both().map(|(f, t)| f.y * t.z - f.z * t.y).sum();
         let cosine: f64 = both().map(|(f, t)| f.y * t.y + f.z * t.z).sum();
         let (sine, cosine) = (sine / sine.hypot(cosine), cosine / sine.hypot(cosine));
@@ -159,7 +159,7 @@ fn rays(truth: &[Point], source: Point, rng: &mut ChaCha8Rng) -> Vec<Ray> {
 }
 
 /// The estimate that is judged.
-struct Found {
+struct Judged {
     rms_m: f64,
     /// Whether its loss is above that of the descent from the truth.
     is_above: bool,
@@ -169,7 +169,7 @@ struct Found {
 struct Scene {
     bound_m: f64,
     /// None where the stage would refuse the scene, since no minimum is reached.
-    found: Option<Found>,
+    estimate: Option<Judged>,
     /// Error of the minimum that a descent from the truth ends in.
     from_truth_m: f64,
     time_ms: f64,
@@ -182,20 +182,20 @@ impl Scene {
         let ways = setup.ways(truth.len(), missing, &mut rng);
         let (sds_m, delay_sd_m) = (vec![path_m(noise_ps, 1.0); ways.len()], path_m(DELAY_SD_PS, 1.0));
         let (mut problem, _) = measured(&truth, stations, &ways, &sds_m, delay_sd_m, &mut rng);
-        let mut told = Information::of_ways(&truth, stations, &ways, &sds_m, delay_sd_m);
+        let mut information = Information::of_ways(&truth, stations, &ways, &sds_m, delay_sd_m);
         if setup.has_rays {
             problem.rays = rays(&truth, stations[0], &mut rng);
-            told = told.with_rays(&truth, stations[0], RAY_SD_RAD);
+            information = information.with_rays(&truth, stations[0], RAY_SD_RAD);
         }
         let begin = Instant::now();
-        let found = refined(&problem);
+        let solution = refined(&problem);
         let time_ms = 1e3 * begin.elapsed().as_secs_f64();
         let (near, loss) = maximum_likelihood::approach(&Problem { start: truth.clone(), ..problem }, 100, 1e-7);
         Self {
-            bound_m: room::bound_of_m(&told.of_positions(), setup.free.count()),
-            found: found.ok().map(|found| Found {
-                rms_m: setup.free.rms_m(&found.points, &truth),
-                is_above: found.loss > loss + ABOVE,
+            bound_m: room::bound_of_m(&information.of_positions(), setup.free.count()),
+            estimate: solution.ok().map(|solution| Judged {
+                rms_m: setup.free.rms_m(&solution.points, &truth),
+                is_above: solution.loss > loss + ABOVE,
             }),
             from_truth_m: setup.free.rms_m(&near.points, &truth),
             time_ms,
@@ -228,9 +228,9 @@ pub fn print(scenes: u64) {
             let closed: Vec<&Scene> = all.iter().filter(|scene| scene.bound_m.is_finite()).collect();
             let mean =
                 |value: fn(&Scene) -> f64| closed.iter().map(|scene| value(scene)).sum::<f64>() / closed.len() as f64;
-            let found: Vec<(&Found, f64)> =
-                closed.iter().filter_map(|scene| Some((scene.found.as_ref()?, scene.bound_m))).collect();
-            let squares: Vec<f64> = found.iter().map(|(found, bound_m)| (found.rms_m / bound_m).powi(2)).collect();
+            let judged: Vec<(&Judged, f64)> =
+                closed.iter().filter_map(|scene| Some((scene.estimate.as_ref()?, scene.bound_m))).collect();
+            let squares: Vec<f64> = judged.iter().map(|(estimate, bound_m)| (estimate.rms_m / bound_m).powi(2)).collect();
             let from_truth: Vec<f64> =
                 closed.iter().map(|scene| (scene.from_truth_m / scene.bound_m).powi(2)).collect();
             row(&[
@@ -240,12 +240,12 @@ pub fn print(scenes: u64) {
                 noise_ps.to_string(),
                 scenes.to_string(),
                 (all.len() - closed.len()).to_string(),
-                (closed.len() - found.len()).to_string(),
+                (closed.len() - judged.len()).to_string(),
                 format!("{:.2}", 1e3 * mean(|scene| scene.bound_m)),
                 Rate { hits: squares.iter().filter(|square| **square < 4.0).count(), of: closed.len() }.to_string(),
                 Estimate::rms(&squares).to_string(),
                 Estimate::rms(&from_truth).to_string(),
-                found.iter().filter(|(found, _)| found.is_above).count().to_string(),
+                judged.iter().filter(|(estimate, _)| estimate.is_above).count().to_string(),
                 format!("{:.0}", mean(|scene| scene.time_ms)),
             ]);
         }

@@ -49,12 +49,12 @@ impl<'a> Bounces<'a> {
         Self { truth, ways, sds_m }
     }
 
-    fn told(&self, delay_sd_ps: f64) -> Information {
+    fn information(&self, delay_sd_ps: f64) -> Information {
         Information::of_ways(self.truth, &[Point::origin()], &self.ways, &self.sds_m, path_m(delay_sd_ps, 1.0))
     }
 
     fn bound_m(&self, delay_sd_ps: f64) -> f64 {
-        room::bound_of_m(&self.told(delay_sd_ps).of_positions(), FREE)
+        room::bound_of_m(&self.information(delay_sd_ps).of_positions(), FREE)
     }
 }
 
@@ -66,7 +66,7 @@ fn counted(patches: usize, thirds: usize, weaker: f64) -> f64 {
 /// One scene.
 struct Scene {
     bound_m: f64,
-    known_delay_bound_m: f64,
+    exact_delay_bound_m: f64,
     delay_bound_ps: f64,
     /// Errors over these bounds.
     error: f64,
@@ -77,15 +77,15 @@ impl Scene {
     fn new(bounces: &Bounces, rng: &mut ChaCha8Rng) -> Self {
         let Bounces { truth, ways, sds_m } = bounces;
         let (problem, delay_m) = measured(truth, &[Point::origin()], ways, sds_m, path_m(DELAY_SD_PS, 1.0), rng);
-        let found = refined(&problem).expect("a scene in which all paths are measured has a solution");
-        let told = bounces.told(DELAY_SD_PS);
-        let (bound_m, delay_bound_m) = (room::bound_of_m(&told.of_positions(), FREE), told.delay_sd_m(FREE));
+        let solution = refined(&problem).expect("a scene in which all paths are measured has a solution");
+        let information = bounces.information(DELAY_SD_PS);
+        let (bound_m, delay_bound_m) = (room::bound_of_m(&information.of_positions(), FREE), information.delay_sd_m(FREE));
         Self {
             bound_m,
-            known_delay_bound_m: bounces.bound_m(0.0),
+            exact_delay_bound_m: bounces.bound_m(0.0),
             delay_bound_ps: time_ps(delay_bound_m, 1.0),
-            error: procrustes::rotation(&found.points, truth, Point::origin(), true).rms_m / bound_m,
-            delay_error: (found.delays_m[0] - delay_m) / delay_bound_m,
+            error: procrustes::rotation(&solution.points, truth, Point::origin(), true).rms_m / bound_m,
+            delay_error: (solution.delays_m[0] - delay_m) / delay_bound_m,
         }
     }
 }
@@ -128,7 +128,7 @@ pub fn print(scenes: u64) {
         let rms = |error: fn(&Scene) -> f64| {
             Estimate::rms(&drawn.iter().map(|scene| error(scene).powi(2)).collect::<Vec<_>>()).to_string()
         };
-        let some_m = [mean(|scene| scene.bound_m), mean(|scene| scene.known_delay_bound_m)];
+        let some_m = [mean(|scene| scene.bound_m), mean(|scene| scene.exact_delay_bound_m)];
         let every = Bounces::new(&truth, thirds[..all].to_vec(), weaker);
         let every_m = [every.bound_m(DELAY_SD_PS), every.bound_m(0.0)];
         let mut cells = vec![

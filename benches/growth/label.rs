@@ -107,7 +107,7 @@ fn beside(points: &[Point]) -> BesideTables {
 
 /// Prints the table of labels, the hidden patches known beforehand and not.
 pub fn print_labelling(sizes: &[usize]) {
-    for (what, params, known) in [("known", "bounces = 3\nhidden = 'none'", true), ("searched", "bounces = 3", false)] {
+    for (what, params, has_hidden) in [("known", "bounces = 3\nhidden = 'none'", true), ("searched", "bounces = 3", false)] {
         println!(
             "\n| hidden patches, {what} | onsets | s (min, median, max) | onsets with a path |\n|---|---|---|---|"
         );
@@ -116,7 +116,7 @@ pub fn print_labelling(sizes: &[usize]) {
             let points = points(hidden);
             let onsets = onsets(&points);
             let stage: LabelOnsets = toml::from_str(params).expect("parameters");
-            let context = context(&stage, &beside(if known { &points } else { &points[..VISIBLE] }));
+            let context = context(&stage, &beside(if has_hidden { &points } else { &points[..VISIBLE] }));
             let mut labelled = 0;
             let seconds = curve.time(hidden, || {
                 let rows = stage.apply(&context, onsets.clone()).expect("labels").rows;
@@ -135,9 +135,9 @@ pub fn print_search(sizes: &[usize]) {
     for &hidden in sizes {
         let drawn = draw(&setting(hidden), 1);
         let arrivals: usize = drawn.sources.iter().map(Vec::len).sum();
-        let mut found = 0;
-        let seconds = curve.time(hidden, || found = find(&drawn.profiles, &drawn.room).patches.len());
-        println!("| {hidden} | {arrivals} | {seconds} | {found} |");
+        let mut patches = 0;
+        let seconds = curve.time(hidden, || patches = find(&drawn.profiles, &drawn.room).patches.len());
+        println!("| {hidden} | {arrivals} | {seconds} | {patches} |");
     }
     curve.print(sizes[0], sizes[sizes.len() - 1]);
 }

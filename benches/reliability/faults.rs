@@ -77,7 +77,7 @@ impl Bench {
         let disk = self.lab.path("disk");
         fs::create_dir_all(&disk).unwrap();
         let need: u64 = self.lab.finished("reference").keys().map(|path| fs::metadata(path).unwrap().len()).sum();
-        let (mut told, mut same, mut of) = (0, 0, 0);
+        let (mut explained, mut same, mut of) = (0, 0, 0);
         let mut example = None;
         for percent in [1, 5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 95, 99] {
             if !mount(&["-t", "tmpfs", "-o", &format!("size={}", need * percent / 100), "tmpfs"], &disk) {
@@ -87,8 +87,8 @@ impl Bench {
             let run = self.lab.run("disk/out");
             of += 1;
             let said = last_line(&run);
-            let is_told = said.contains("free some space") || said.contains("the disk is not full");
-            told += usize::from(run.status.code() == Some(1) && is_told);
+            let is_explained = said.contains("free some space") || said.contains("the disk is not full");
+            explained += usize::from(run.status.code() == Some(1) && is_explained);
             assert!(mount(&["-o", &format!("remount,size={}", 10 * need)], &disk));
             let next = self.lab.run("disk/out");
             same += usize::from(
@@ -102,7 +102,7 @@ impl Bench {
         let said =
             example.unwrap_or_default().replace(&format!("{}/", self.lab.path("").display()).replace("//", "/"), "");
         println!(
-            "| full disk, at {of} sizes | {said} ({told} of {of}) | 1 | same bytes: {} |",
+            "| full disk, at {of} sizes | {said} ({explained} of {of}) | 1 | same bytes: {} |",
             Rate { hits: same, of }
         );
     }

@@ -93,12 +93,12 @@ pub fn print(effort: Effort) {
         for pulses in PULSES {
             let records = records(&sensor, pulses, effort.of(50));
             let name = format!("{}-{pulses}", sensor.name);
-            let told = json!({
+            let document = json!({
                 "dt_ps": DT_PS, "sd": SD, "records": records.iter().map(|r| &r.samples).collect::<Vec<_>>(),
                 "light_ps": records.iter().map(|r| r.light_ps).collect::<Vec<_>>(),
                 "response": { "t0_ps": first_ps, "step_ps": step_ps, "values": response },
             });
-            std::fs::write(folder.join(format!("{name}.json")), told.to_string()).expect("a folder to write to");
+            std::fs::write(folder.join(format!("{name}.json")), document.to_string()).expect("a folder to write to");
             let sparse = seconds(&records, |record| {
                 black_box(fit(&sensor.response, record, SD, &SparseOptions::default()));
             });

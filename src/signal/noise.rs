@@ -95,12 +95,12 @@ pub fn autoregressive(acf: &[f64], samples: usize) -> Vec<f64> {
     let predictors = Predictors::new(acf);
     let n = samples.max(1) as f64;
     let criterion = |m: &usize| n * predictors.variances[*m].ln() + *m as f64 * n.ln();
-    let is_known = |m: &usize| {
+    let is_reliable = |m: &usize| {
         let squared = 1.0 + predictors.coefficients[*m].iter().map(|phi| phi * phi).sum::<f64>();
         predictors.variances[*m] > squared / n.sqrt()
     };
     let order = (0..=predictors.order())
-        .take_while(|m| *m as f64 <= 0.5 * n.cbrt() && is_known(m))
+        .take_while(|m| *m as f64 <= 0.5 * n.cbrt() && is_reliable(m))
         .min_by(|a, b| criterion(a).total_cmp(&criterion(b)))
         .unwrap_or(0);
     let coefficients = &predictors.coefficients[order];
@@ -167,7 +167,7 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     #[test]
-    fn white_and_smoothed_noise_are_told() {
+    fn white_and_smoothed_noise_are_recognised() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let white: Vec<Vec<f64>> =
             (0..300).map(|_| (0..40).map(|_| StandardNormal.sample(&mut rng)).collect()).collect();

@@ -79,17 +79,17 @@ fn it_agrees_with_the_dense_method() {
     for (missing, delay_sd_m) in [(0.0, 0.0), (0.0, 0.01), (0.3, 0.01)] {
         let mut measured = Measured::new(&truth, missing, 0.5 * delay_sd_m, &mut rng);
         measured.second_m[700] += 1.0;
-        let found = solve(&measured.lengths(delay_sd_m)).unwrap();
-        let exact = measured.exactly(&found.points, delay_sd_m);
-        let apart = procrustes::rotation(&found.points, &exact.points, Point::origin(), true).rms_m;
+        let solution = solve(&measured.lengths(delay_sd_m)).unwrap();
+        let exact = measured.exactly(&solution.points, delay_sd_m);
+        let apart = procrustes::rotation(&solution.points, &exact.points, Point::origin(), true).rms_m;
         let sd_m = ((0..100).map(|i| exact.patch_covariance_m2(i, i).trace()).sum::<f64>() / 100.0).sqrt();
-        eprintln!("apart {apart:.2e} m of {sd_m:.2e} m, {} passes", found.passes);
+        eprintln!("apart {apart:.2e} m of {sd_m:.2e} m, {} passes", solution.passes);
         assert!(apart < 0.03 * sd_m);
-        assert_eq!(found.degrees_of_freedom, exact.degrees_of_freedom);
+        assert_eq!(solution.degrees_of_freedom, exact.degrees_of_freedom);
         if delay_sd_m > 0.0 {
             let delay_sd_m = exact.delay_variance_m2(0).sqrt();
-            assert!((found.delay_m - exact.delays_m[0]).abs() < 0.03 * delay_sd_m);
-            assert!((found.delay_variance_m2.sqrt() / delay_sd_m - 1.0).abs() < 0.02);
+            assert!((solution.delay_m - exact.delays_m[0]).abs() < 0.03 * delay_sd_m);
+            assert!((solution.delay_variance_m2.sqrt() / delay_sd_m - 1.0).abs() < 0.02);
         }
     }
 }
@@ -100,9 +100,9 @@ fn its_covariances_are_within_three_percent_of_the_exact_ones() {
     let truth = scene(300, &mut rng);
     for delay_sd_m in [0.0, 0.03] {
         let measured = Measured::new(&truth, 0.0, 0.0, &mut rng);
-        let found = solve(&measured.lengths(delay_sd_m)).unwrap();
-        let exact = measured.exactly(&found.points, delay_sd_m);
-        let ratio = |i: usize| (found.covariances_m2[i].trace() / exact.patch_covariance_m2(i, i).trace()).sqrt();
+        let solution = solve(&measured.lengths(delay_sd_m)).unwrap();
+        let exact = measured.exactly(&solution.points, delay_sd_m);
+        let ratio = |i: usize| (solution.covariances_m2[i].trace() / exact.patch_covariance_m2(i, i).trace()).sqrt();
         let ratios: Vec<f64> = (0..truth.len()).map(ratio).collect();
         let worst = ratios.iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, f64::max);
         let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
@@ -157,7 +157,7 @@ fn flatland_stays_flat() {
     let truth: Vec<Point> =
         scene(40, &mut rng).iter().map(|p| Point::new(p.x + 0.3 * p.z, p.y - 0.5 * p.z, 0.0)).collect();
     let measured = Measured::new(&truth, 0.0, 0.0, &mut rng);
-    let found = solve(&Lengths { dimensions: 2, ..measured.lengths(0.0) }).unwrap();
-    assert!(found.points.iter().all(|p| p.z == 0.0) && found.covariances_m2.iter().all(|c| c[(2, 2)] == 0.0));
-    assert!(procrustes::rotation(&found.points, &truth, Point::origin(), true).rms_m < SD_M);
+    let solution = solve(&Lengths { dimensions: 2, ..measured.lengths(0.0) }).unwrap();
+    assert!(solution.points.iter().all(|p| p.z == 0.0) && solution.covariances_m2.iter().all(|c| c[(2, 2)] == 0.0));
+    assert!(procrustes::rotation(&solution.points, &truth, Point::origin(), true).rms_m < SD_M);
 }
