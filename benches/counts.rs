@@ -33,7 +33,8 @@ fn main() -> ExitCode {
     let accept = arguments.iter().any(|argument| argument == "--accept");
     arguments.retain(|argument| argument != "--accept");
     let names = kernels::ALL.iter().map(|(name, _)| *name);
-    let selection: Vec<&str> = names.filter(|name| arguments.is_empty() || arguments.iter().any(|a| a == name)).collect();
+    let selection: Vec<&str> =
+        names.filter(|name| arguments.is_empty() || arguments.iter().any(|a| a == name)).collect();
     if Command::new("valgrind").arg("--version").output().is_err() {
         eprintln!("valgrind is not here: NO INSTRUCTION WAS COUNTED (Debian: apt-get install valgrind)");
         return ExitCode::FAILURE;

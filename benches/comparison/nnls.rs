@@ -89,30 +89,30 @@ fn merge(atoms: &[f64], merge_steps: f64) -> Vec<(f64, f64)> {
 /// If `data` has not the dictionary's number of samples.
 #[must_use]
 pub fn solve(dictionary: &Dictionary, data: &[f64]) -> Vec<f64> {
-    let mut search = Search {
+    let mut active = ActiveSet {
         dictionary,
         with_data: (0..dictionary.len()).map(|j| dictionary.dot_record(j, data)).collect(),
         x: vec![0.0; dictionary.len()],
         free: Vec::new(),
         refused: vec![false; dictionary.len()],
     };
-    let mut descent = search.with_data.clone();
+    let mut descent = active.with_data.clone();
     let mut fitted = vec![0.0; data.len()];
     for _ in 0..ROUNDS {
-        let added = search.wanted(&descent);
+        let added = active.wanted(&descent);
         if added.is_empty() {
             break;
         }
-        search.release(&added);
-        dictionary.apply(&search.x, &mut fitted);
+        active.release(&added);
+        dictionary.apply(&active.x, &mut fitted);
         let residual: Vec<f64> = data.iter().zip(&fitted).map(|(y, f)| y - f).collect();
         dictionary.apply_transposed(&residual, &mut descent);
     }
-    search.x
+    active.x
 }
 
 /// A feasible point and its free arrivals.
-struct Search<'a> {
+struct ActiveSet<'a> {
     dictionary: &'a Dictionary,
     with_data: Vec<f64>,
     x: Vec<f64>,
@@ -122,7 +122,7 @@ struct Search<'a> {
     refused: Vec<bool>,
 }
 
-impl Search<'_> {
+impl ActiveSet<'_> {
     /// Bound arrivals that want to grow, the strongest first, none within the reach of a stronger one.
     fn wanted(&self, descent: &[f64]) -> Vec<usize> {
         let strength = |j: usize| descent[j] / self.dictionary.norm(j);
@@ -290,7 +290,9 @@ mod tests {
             assert_eq!(solution.times_ps.len(), 3, "{step_ps}: {solution:?}");
             for (k, (at_ps, a)) in truth.iter().enumerate() {
                 let sd_ps = solution.time_sd_ps(k).expect("apart");
-                assert!((solution.times_ps[k] - at_ps).abs() < 4.0 * sd_ps && (solution.amplitudes_v[k] - a).abs() < 0.02);
+                assert!(
+                    (solution.times_ps[k] - at_ps).abs() < 4.0 * sd_ps && (solution.amplitudes_v[k] - a).abs() < 0.02
+                );
             }
         }
         let nothing = Profile { sd_v: &[f64::INFINITY; 300], ..profile };

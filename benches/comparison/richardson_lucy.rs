@@ -204,8 +204,14 @@ mod tests {
         };
         let (solution, iterations) = at(0.01);
         assert_eq!(solution.times_ps.len(), 2);
-        assert!((solution.times_ps[0] - 2013.0).abs() < 2.0 && (solution.times_ps[1] - 3477.0).abs() < 2.0, "{solution:?}");
-        assert!((solution.amplitudes_v[0] - 1.0).abs() < 0.02 && (solution.amplitudes_v[1] - 0.3).abs() < 0.02, "{solution:?}");
+        assert!(
+            (solution.times_ps[0] - 2013.0).abs() < 2.0 && (solution.times_ps[1] - 3477.0).abs() < 2.0,
+            "{solution:?}"
+        );
+        assert!(
+            (solution.amplitudes_v[0] - 1.0).abs() < 0.02 && (solution.amplitudes_v[1] - 0.3).abs() < 0.02,
+            "{solution:?}"
+        );
         let more = at(0.004).1;
         assert!(iterations > 3 && more > iterations && more < 2000, "{iterations}, {more}");
     }

@@ -166,7 +166,7 @@ struct Judged {
 }
 
 /// One scene.
-struct Scene {
+struct Draw {
     bound_m: f64,
     /// None where the stage would refuse the scene, since no minimum is reached.
     estimate: Option<Judged>,
@@ -175,7 +175,7 @@ struct Scene {
     time_ms: f64,
 }
 
-impl Scene {
+impl Draw {
     fn new(setup: &Setup, missing: f64, noise_ps: f64, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (truth, stations) = (setup.truth(), &setup.stations);
@@ -223,16 +223,16 @@ pub fn print(scenes: u64) {
     heading("## Separate stations", &columns);
     for setup in Setup::all() {
         for (&noise_ps, missing) in setup.noises_ps.iter().flat_map(|noise| [(noise, 0.0), (noise, 0.5)]) {
-            let one = |seed| Scene::new(&setup, missing, noise_ps, seed);
-            let all: Vec<Scene> = (0..scenes).into_par_iter().map(one).collect();
-            let closed: Vec<&Scene> = all.iter().filter(|scene| scene.bound_m.is_finite()).collect();
+            let one = |seed| Draw::new(&setup, missing, noise_ps, seed);
+            let all: Vec<Draw> = (0..scenes).into_par_iter().map(one).collect();
+            let closed: Vec<&Draw> = all.iter().filter(|draw| draw.bound_m.is_finite()).collect();
             let mean =
-                |value: fn(&Scene) -> f64| closed.iter().map(|scene| value(scene)).sum::<f64>() / closed.len() as f64;
+                |value: fn(&Draw) -> f64| closed.iter().map(|draw| value(draw)).sum::<f64>() / closed.len() as f64;
             let judged: Vec<(&Judged, f64)> =
-                closed.iter().filter_map(|scene| Some((scene.estimate.as_ref()?, scene.bound_m))).collect();
-            let squares: Vec<f64> = judged.iter().map(|(estimate, bound_m)| (estimate.rms_m / bound_m).powi(2)).collect();
-            let from_truth: Vec<f64> =
-                closed.iter().map(|scene| (scene.from_truth_m / scene.bound_m).powi(2)).collect();
+                closed.iter().filter_map(|draw| Some((draw.estimate.as_ref()?, draw.bound_m))).collect();
+            let squares: Vec<f64> =
+                judged.iter().map(|(estimate, bound_m)| (estimate.rms_m / bound_m).powi(2)).collect();
+            let from_truth: Vec<f64> = closed.iter().map(|draw| (draw.from_truth_m / draw.bound_m).powi(2)).collect();
             row(&[
                 setup.name.to_owned(),
                 setup.free.name().to_owned(),
@@ -241,12 +241,12 @@ pub fn print(scenes: u64) {
                 scenes.to_string(),
                 (all.len() - closed.len()).to_string(),
                 (closed.len() - judged.len()).to_string(),
-                format!("{:.2}", 1e3 * mean(|scene| scene.bound_m)),
+                format!("{:.2}", 1e3 * mean(|draw| draw.bound_m)),
                 Rate { hits: squares.iter().filter(|square| **square < 4.0).count(), of: closed.len() }.to_string(),
                 Estimate::rms(&squares).to_string(),
                 Estimate::rms(&from_truth).to_string(),
                 judged.iter().filter(|(estimate, _)| estimate.is_above).count().to_string(),
-                format!("{:.0}", mean(|scene| scene.time_ms)),
+                format!("{:.0}", mean(|draw| draw.time_ms)),
             ]);
         }
     }

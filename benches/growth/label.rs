@@ -107,7 +107,9 @@ fn beside(points: &[Point]) -> BesideTables {
 
 /// Prints the table of labels, the hidden patches known beforehand and not.
 pub fn print_labelling(sizes: &[usize]) {
-    for (what, params, has_hidden) in [("known", "bounces = 3\nhidden = 'none'", true), ("searched", "bounces = 3", false)] {
+    for (what, params, has_hidden) in
+        [("known", "bounces = 3\nhidden = 'none'", true), ("searched", "bounces = 3", false)]
+    {
         println!(
             "\n| hidden patches, {what} | onsets | s (min, median, max) | onsets with a path |\n|---|---|---|---|"
         );

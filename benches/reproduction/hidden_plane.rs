@@ -56,13 +56,13 @@ fn from_onsets(seeds: u64) {
         for (labels, rank) in [("by likelihood", false), ("by order of arrival", true)] {
             let all: Vec<Noisy> = draws(seeds, |seed| noisy(seed, noise_ps, rank));
             let errors_mm: Vec<f64> =
-                all.iter().flat_map(|noisy| noisy.placed.iter().flatten()).map(|error_m| 1e3 * error_m).collect();
+                all.iter().flat_map(|noisy| noisy.errors_m.iter().flatten()).map(|error_m| 1e3 * error_m).collect();
             let off_mm: Vec<f64> = all.iter().filter_map(|noisy| noisy.off_plane_m).map(|off_m| 1e3 * off_m).collect();
             println!(
                 "| {noise_ps} | {labels} | {seeds} | {} | {} of {} | {} | {:.1} | {:.1} | {} |",
                 all.iter().filter(|noisy| noisy.refused).count(),
                 errors_mm.len(),
-                all.iter().map(|noisy| noisy.placed.len()).sum::<usize>(),
+                all.iter().map(|noisy| noisy.errors_m.len()).sum::<usize>(),
                 all.iter().map(|noisy| noisy.extra).sum::<usize>(),
                 rms(&errors_mm),
                 1e3 * noisy_bound_m(noise_ps),

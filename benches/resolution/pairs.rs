@@ -92,9 +92,9 @@ pub fn print(effort: Effort) {
         let cell = |apart_ps: f64, snr: f64| {
             let timing = separation(&sensor, apart_ps, snr, count);
             let has_target = sensor.name == "G250" && apart_ps >= LIMITS * 149.0 * (10.0 / snr).sqrt();
-            let target = met(separation.two.share() >= 0.99 && separation.ratio.value <= 1.1);
+            let target = met(timing.two.share() >= 0.99 && timing.ratio.value <= 1.1);
             let target = if has_target { format!("; {target}") } else { String::new() };
-            format!("{}; {}; {:.2} ps{target}", separation.two, separation.ratio, separation.bound_ps)
+            format!("{}; {}; {:.2} ps{target}", timing.two, timing.ratio, timing.bound_ps)
         };
         for apart_ps in SEPARATIONS_PS {
             let cells = SNRS.map(|snr| cell(apart_ps, snr));

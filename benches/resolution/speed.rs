@@ -22,13 +22,13 @@ const ROUNDS: usize = 3;
 const PULSES: [usize; 3] = [1, 4, 12];
 
 /// A record and where its first and last pulse are.
-struct Record {
+struct TimedRecord {
     light_ps: [f64; 2],
     samples: Vec<f64>,
 }
 
 /// Records of `pulses` pulses of amplitudes from 0.3 to 1, 150 to 650 ps apart.
-fn records(sensor: &Sensor, pulses: usize, count: usize) -> Vec<Record> {
+fn records(sensor: &Sensor, pulses: usize, count: usize) -> Vec<TimedRecord> {
     draws(&format!("speed {} {pulses}", sensor.name), count, |rng| {
         let mut at_ps = middle_ps(LEN, rng);
         let pulse = |_| {
@@ -36,13 +36,13 @@ fn records(sensor: &Sensor, pulses: usize, count: usize) -> Vec<Record> {
             (at_ps, rng.random_range(0.3..1.0))
         };
         let truth: Vec<(f64, f64)> = (0..pulses).map(pulse).collect();
-        Record { light_ps: [truth[0].0, truth[pulses - 1].0], samples: noisy(&sensor.shape, &truth, SD, LEN, rng) }
+        TimedRecord { light_ps: [truth[0].0, truth[pulses - 1].0], samples: noisy(&sensor.shape, &truth, SD, LEN, rng) }
     })
 }
 
 /// Seconds a record that `solve` takes.
-fn seconds(records: &[Record], solve: impl Fn(&[f64])) -> f64 {
-    let timed = |record: &Record| {
+fn seconds(records: &[TimedRecord], solve: impl Fn(&[f64])) -> f64 {
+    let timed = |record: &TimedRecord| {
         let round = |_| {
             let start = Instant::now();
             solve(&record.samples);

@@ -80,7 +80,7 @@ pub enum Bounce {
 
 /// Onsets of one profile.
 #[derive(Clone, Debug)]
-pub struct Record {
+pub struct ProfileOnsets {
     /// Anchor that is lit.
     pub lit: usize,
     /// Anchor where the sensor stands.
@@ -111,7 +111,7 @@ pub struct Problem {
     /// Strips.
     pub strips: Vec<Strip>,
     /// Profiles.
-    pub records: Vec<Record>,
+    pub records: Vec<ProfileOnsets>,
     /// No two strips are farther apart, where that is known.
     pub apart_max_m: Option<f64>,
     /// Direction in which the strips follow one another in their order, where that is known.
@@ -259,7 +259,8 @@ impl Problem {
     /// Records of third bounces with an onset for every strip, each lit point as far as possible from those before: the
     /// first few say most.
     fn spread_out(&self) -> Vec<usize> {
-        let is_whole = |record: &Record| record.bounce == Bounce::Third && record.lengths_m.len() >= self.strips.len();
+        let is_whole =
+            |record: &ProfileOnsets| record.bounce == Bounce::Third && record.lengths_m.len() >= self.strips.len();
         let mut left: Vec<usize> = (0..self.records.len()).filter(|n| is_whole(&self.records[*n])).collect();
         let mut taken: Vec<usize> = Vec::new();
         let lit = |record: usize| self.anchors[self.records[record].lit].at;

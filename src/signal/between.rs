@@ -71,7 +71,7 @@ pub struct Between {
 #[must_use]
 pub fn between(profile: &Profile, response: &Response, pair: &Pair) -> Option<Between> {
     assert!(pair.heights_v.iter().all(|height_v| *height_v > 0.0), "pulses have a height");
-    let model = Model::new(profile, response, pair);
+    let model = PairModel::new(profile, response, pair);
     let free = model.fit(Third::None, pair.times_ps)?;
     let open = model.fit(Third::Open, free.times_ps)?;
     let Share { value: share, sd: share_sd } = open.share?;
@@ -117,7 +117,7 @@ impl Share {
     }
 }
 
-struct Model<'a> {
+struct PairModel<'a> {
     pair: &'a Pair<'a>,
     response: &'a Response,
     whitener: Whitener,
@@ -129,7 +129,7 @@ struct Model<'a> {
     sd: Vec<f64>,
 }
 
-impl<'a> Model<'a> {
+impl<'a> PairModel<'a> {
     fn new(profile: &Profile, response: &'a Response, pair: &'a Pair<'a>) -> Self {
         let whitener = Whitener::new(profile.sd_v, profile.acf);
         let priors = 2 * usize::from(pair.spread_sd_ps2 > 0.0) + pair.strays.len();

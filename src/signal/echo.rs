@@ -6,7 +6,7 @@
 //! an exponential goes on behind the core: the search begins where its continuation is well below the noise. Not
 //! modelled: echoes that overlap the core, and tails that are slower than the core's own end.
 
-use super::pulse_fit::Record;
+use super::pulse_fit::MeanRecord;
 use super::reference::fit_pulse;
 use super::response::Response;
 
@@ -82,7 +82,7 @@ impl Core {
 /// # Panics
 /// When the step or the noise of the record is not positive.
 #[must_use]
-pub fn largest(record: &Record<'_>, core: &Core, seen: &Response) -> Option<Echo> {
+pub fn largest(record: &MeanRecord<'_>, core: &Core, seen: &Response) -> Option<Echo> {
     assert!(record.dt_ps > 0.0 && record.noise > 0.0, "a record has a step and noise");
     let dt_ps = record.dt_ps;
     let main = fit_pulse(record.samples, dt_ps, seen)?;
@@ -212,7 +212,7 @@ mod tests {
     }
 
     fn search(samples: &[f64], core: &Core, noise: f64) -> Echo {
-        largest(&Record { samples, dt_ps: DT_PS, noise, acf: &[1.0] }, core, &core.response).unwrap()
+        largest(&MeanRecord { samples, dt_ps: DT_PS, noise, acf: &[1.0] }, core, &core.response).unwrap()
     }
 
     #[test]

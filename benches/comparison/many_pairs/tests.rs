@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 const SD_M: f64 = 0.0075;
 
 /// Patches on the three rectangles, at random.
-fn scene(count: usize, rng: &mut ChaCha8Rng) -> Vec<Point> {
+fn measurements(count: usize, rng: &mut ChaCha8Rng) -> Vec<Point> {
     let on = |n: usize, u: f64, v: f64| match n % 3 {
         0 => Point::new(-1.2 + 2.0 * u, 2.6, -0.8 + 1.6 * v),
         1 => Point::new(1.1, 1.0 + 1.4 * u, -0.8 + 1.6 * v),
@@ -75,7 +75,7 @@ impl Measured {
 #[test]
 fn it_agrees_with_the_dense_method() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let truth = scene(100, &mut rng);
+    let truth = measurements(100, &mut rng);
     for (missing, delay_sd_m) in [(0.0, 0.0), (0.0, 0.01), (0.3, 0.01)] {
         let mut measured = Measured::new(&truth, missing, 0.5 * delay_sd_m, &mut rng);
         measured.second_m[700] += 1.0;
@@ -97,7 +97,7 @@ fn it_agrees_with_the_dense_method() {
 #[test]
 fn its_covariances_are_within_three_percent_of_the_exact_ones() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let truth = scene(300, &mut rng);
+    let truth = measurements(300, &mut rng);
     for delay_sd_m in [0.0, 0.03] {
         let measured = Measured::new(&truth, 0.0, 0.0, &mut rng);
         let solution = solve(&measured.lengths(delay_sd_m)).unwrap();
@@ -114,7 +114,7 @@ fn its_covariances_are_within_three_percent_of_the_exact_ones() {
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let truth = scene(150, &mut rng);
+    let truth = measurements(150, &mut rng);
     let measured = Measured::new(&truth, 0.2, 0.001, &mut rng);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
@@ -131,18 +131,19 @@ fn any_number_of_threads_gives_the_same_bits() {
 #[test]
 fn products_are_the_change_of_the_slope() {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
-    let truth = scene(21, &mut rng);
+    let truth = measurements(21, &mut rng);
     let mut measured = Measured::new(&truth, 0.1, 0.0, &mut rng);
     // Exact lengths, so that second derivatives have no residual to weigh.
     measured.first_m = (0..21).map(|i| room::first_m(&truth, i)).collect();
     measured.second_m = room::all_pairs(21).iter().map(|&(j, i)| room::second_m(&truth, i, j) as f32).collect();
     let lengths = measured.lengths(0.02);
-    let scene = Scene::new(&lengths);
-    let mut motion = scene.gather(|i| Vector3::new((i as f64).sin(), (2.0 * i as f64).cos(), (3.0 * i as f64).sin()));
-    motion[3 * scene.stride] = 0.7;
-    let at = scene.place(&truth, 0.0);
-    let product = scene.product(&at, &motion);
-    let right = |share: f64| scene.slope(&scene.moved(&at, &motion, share)).right;
+    let measurements = Measurements::new(&lengths);
+    let mut motion =
+        measurements.gather(|i| Vector3::new((i as f64).sin(), (2.0 * i as f64).cos(), (3.0 * i as f64).sin()));
+    motion[3 * measurements.stride] = 0.7;
+    let at = measurements.values(&truth, 0.0);
+    let product = measurements.product(&at, &motion);
+    let right = |share: f64| measurements.slope(&measurements.moved(&at, &motion, share)).right;
     let (up, down) = (right(1e-5), right(-1e-5));
     let size = product.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
     for (i, product) in product.iter().enumerate() {
@@ -155,7 +156,7 @@ fn products_are_the_change_of_the_slope() {
 fn flatland_stays_flat() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let truth: Vec<Point> =
-        scene(40, &mut rng).iter().map(|p| Point::new(p.x + 0.3 * p.z, p.y - 0.5 * p.z, 0.0)).collect();
+        measurements(40, &mut rng).iter().map(|p| Point::new(p.x + 0.3 * p.z, p.y - 0.5 * p.z, 0.0)).collect();
     let measured = Measured::new(&truth, 0.0, 0.0, &mut rng);
     let solution = solve(&Lengths { dimensions: 2, ..measured.lengths(0.0) }).unwrap();
     assert!(solution.points.iter().all(|p| p.z == 0.0) && solution.covariances_m2.iter().all(|c| c[(2, 2)] == 0.0));

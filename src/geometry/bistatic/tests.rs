@@ -62,7 +62,7 @@ impl Scene {
         let mut records = Vec::new();
         for (k, lit) in self.lit.iter().enumerate() {
             let first = 2.0 * lit.coords.norm() + delays_m[0] + self.onset_sd_m * normal();
-            records.push(Record {
+            records.push(ProfileOnsets {
                 lit: k,
                 station: own,
                 delay: 0,
@@ -81,7 +81,7 @@ impl Scene {
                 way_m + self.surfaces[s].shift_m(self.strips[s], normal, *lit, self.exits[s]) + delays_m[1] + errors[s]
             };
             let variance = self.onset_sd_m.powi(2);
-            records.push(Record {
+            records.push(ProfileOnsets {
                 lit: k,
                 station: other,
                 delay: 1,

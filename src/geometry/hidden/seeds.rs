@@ -128,21 +128,14 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain,
     let order = checks(foci, pairs, base, domain);
     let shared = |focus: &usize| base.iter().all(|&pair| pairs[pair].foci.contains(focus));
     let Some(focus) = pairs[base[0]].foci.into_iter().find(shared) else { return Vec::new() };
-    let condition = |pair: usize, length_m: f64| -> (Vector4<f64>, f64) {
-        let [a, b] = pairs[pair].foci;
-        ellipsoid(foci[if a == focus { b } else { a }].point - foci[focus].point, length_m)
-    };
-    let rows: Vec<Vec<(Vector4<f64>, f64)>> = base
-        .iter()
-        .map(|&pair| pairs[pair].values_m.iter().map(|(length_m, _)| condition(pair, *length_m)).collect())
-        .collect();
+    let rows: Vec<Vec<(Vector4<f64>, f64)>> = base.iter().map(|&pair| conditions(foci, &pairs[pair], focus)).collect();
     let is_in_front =
         |at: Point| base.iter().flat_map(|&pair| pairs[pair].foci).all(|focus| foci[focus].faces(at, 0.0));
     let flat = vec![(Vector4::z(), 0.0)];
     let (first, second, third) = (&rows[0], &rows[1], rows.get(2).unwrap_or(&flat));
     let variance_m2 = base.iter().map(|&pair| pairs[pair].values_m[0].1.powi(2)).sum::<f64>() / base.len() as f64;
     let from_first = |a: &(Vector4<f64>, f64)| {
-        let mut found = Vec::new();
+        let mut seeds = Vec::new();
         for b in second {
             cancel.check();
             for c in third {
@@ -151,7 +144,7 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain,
                     if domain.holds(at, 0.0) && is_in_front(at) {
                         let slopes = base.iter().map(|&pair| slope(foci, &pairs[pair], at));
                         let covariance = covariance(slopes, variance_m2, domain.dimensions);
-                        found.extend(
+                        seeds.extend(
                             covariance
                                 .and_then(|covariance| follow(&Surface::Patch, foci, pairs, &order, at, covariance)),
                         );
@@ -159,9 +152,16 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain,
                 }
             }
         }
-        found
+        seeds
     };
     first.par_iter().flat_map_iter(from_first).collect()
+}
+
+/// Conditions of a pair's lengths in (x, |x|), x from `focus`, one of the pair's.
+fn conditions(foci: &[Focus], pair: &Lengths, focus: usize) -> Vec<(Vector4<f64>, f64)> {
+    let [a, b] = pair.foci;
+    let to_other = foci[if a == focus { b } else { a }].point - foci[focus].point;
+    pair.values_m.iter().map(|(length_m, _)| ellipsoid(to_other, *length_m)).collect()
 }
 
 /// The condition in (x, |x|) that puts x = q - a on an ellipsoid with foci a and a + `to_other`.

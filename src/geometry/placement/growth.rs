@@ -3,7 +3,7 @@
 //! Next comes the patch whose best place explains its ties by the largest margin over its second best; among equals,
 //! the one with most ties. Every few patches all are settled together, so that errors do not pile up.
 
-use super::{Scene, State};
+use super::{Measurements, State};
 use crate::Point;
 use crate::multilateration::{self, Candidate};
 
@@ -22,7 +22,7 @@ pub(super) struct Next {
     point: Point,
 }
 
-impl Scene<'_> {
+impl Measurements<'_> {
     /// Places for all patches, grown from those that have one; the last of them are not settled.
     pub(super) fn grow(&self, mut state: State) -> State {
         let mut since = 0;

@@ -6,7 +6,7 @@ use std::iter;
 use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
 
-use super::{SAME, STEPS, Scene, State, patches};
+use super::{Measurements, SAME, STEPS, State, patches};
 use crate::{Point, classical, completion, smacof};
 
 /// Most seeds that are grown from.
@@ -18,7 +18,7 @@ const NEIGHBOURS: usize = 30;
 /// Paths that a seed without first bounces has above its unknowns.
 const SURPLUS: usize = 6;
 
-impl Scene<'_> {
+impl Measurements<'_> {
     /// Starts, most promising first; all patches of each have a place.
     pub(super) fn starts(&self) -> impl Iterator<Item = State> {
         let spectral = [false, true].into_iter().filter_map(|smooth| Some(self.grow(self.spectral(smooth)?)));

@@ -110,8 +110,8 @@ fn growth_from_a_seed_alone_finds_the_room_and_a_patch_that_sees_none_stays_on_i
     let truth = room::rectangles();
     let (mut problem, _) = colocated(&truth, 0.6, 1e-4, 5);
     without(&mut problem, |p| p.len() == 2 && p.contains(&7));
-    let scene = Scene::new(&problem);
-    let mut grown = scene.grow(scene.sprout(&scene.seeds()[0], 0)).points();
+    let measurements = Measurements::new(&problem);
+    let mut grown = measurements.grow(measurements.sprout(&measurements.seeds()[0], 0)).points();
     assert!((2.0 * grown[7].coords.norm() - problem.observations[7].length_m).abs() < 1e-6);
     let mut others = truth.clone();
     grown.remove(7);
@@ -123,15 +123,15 @@ fn growth_from_a_seed_alone_finds_the_room_and_a_patch_that_sees_none_stays_on_i
 fn a_patch_at_its_mirror_image_is_moved_back() {
     let truth = room::rectangles();
     let (problem, _) = colocated(&truth, 0.7, 0.001, 6);
-    let scene = Scene::new(&problem);
-    let settled = |points: Vec<Point>| scene.settle(points.into_iter().map(Some).collect(), STEPS);
+    let measurements = Measurements::new(&problem);
+    let settled = |points: Vec<Point>| measurements.settle(points.into_iter().map(Some).collect(), STEPS);
     let right = settled(truth.clone());
     let mut start = right.points();
     // Through the plane of the origin and the vertical edge of the wall.
     let normal = truth[0].coords.cross(&Vector3::z()).normalize();
     let height = normal.dot(&start[30].coords);
     start[30] -= 2.0 * normal * height;
-    assert!(scene.mend(settled(start)).loss < right.loss + 1e-3);
+    assert!(measurements.repair(settled(start)).loss < right.loss + 1e-3);
 }
 
 #[test]

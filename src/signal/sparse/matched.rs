@@ -3,7 +3,7 @@
 use periscope_cancel::Cancel;
 
 use super::column::Column;
-use super::model::Record;
+use super::model::WhitenedRecord;
 use super::place::{Place, spread_response};
 use super::{Profile, Response, SparseOptions};
 
@@ -61,7 +61,7 @@ pub fn matched(
     cancel: &Cancel,
 ) -> Matched {
     let options = SparseOptions { cancel: cancel.clone(), ..SparseOptions::default() };
-    let record = Record::new(profile, response, &options);
+    let record = WhitenedRecord::new(profile, response, &options);
     let mut nuisance = Nuisance { axes: Vec::new() };
     nuisance.add(record.constant.clone(), None);
     for light in given {
@@ -70,7 +70,7 @@ pub fn matched(
     }
     let residual = nuisance.without(&record.whitener.apply(profile.mean_v));
     let spread = spread(response, width_ps);
-    let record = Record::new(profile, &spread, &options);
+    let record = WhitenedRecord::new(profile, &spread, &options);
     let mut matched = Matched::default();
     for time_ps in times_ps {
         cancel.check();
@@ -121,7 +121,7 @@ impl Nuisance {
         }
     }
 
-    fn add_light(&mut self, record: &Record, light: &Given) {
+    fn add_light(&mut self, record: &WhitenedRecord, light: &Given) {
         let column = Column::new(record, &place(light.time_ps, light.width_ps));
         let [value, slope] = column.dense(record.len());
         if let Open::Score(sd) = light.open {
@@ -198,7 +198,8 @@ mod tests {
         let (mean_v, sd_v) = (record(1), vec![SD_V; COUNT]);
         let given = [Given { time_ps: 1500.0, width_ps: 0.0, open: Open::Time }];
         let times_ps = [1700.0, 2100.0, 3000.0];
-        let filtered = matched(&profile(&mean_v, &sd_v), &response, &given, 0.0, times_ps.into_iter(), &Cancel::never());
+        let filtered =
+            matched(&profile(&mean_v, &sd_v), &response, &given, 0.0, times_ps.into_iter(), &Cancel::never());
         for (k, time_ps) in times_ps.into_iter().enumerate() {
             let column = |at_ps: f64| (0..COUNT).map(|n| response.value(50.0 * n as f64 - at_ps)).collect::<Vec<f64>>();
             let slope = (0..COUNT).map(|n| response.value_and_slope(50.0 * n as f64 - 1500.0).1).collect();
@@ -206,7 +207,12 @@ mod tests {
             let fit = least_squares(&columns, &mean_v, &sd_v).unwrap();
             let sd = fit.covariance[0][0].sqrt();
             assert!((filtered.gains[k] * sd - 1.0).abs() < 1e-9, "{} {sd}", filtered.gains[k]);
-            assert!((filtered.scores[k] - fit.values[0] / sd).abs() < 1e-8, "{} {}", filtered.scores[k], fit.values[0] / sd);
+            assert!(
+                (filtered.scores[k] - fit.values[0] / sd).abs() < 1e-8,
+                "{} {}",
+                filtered.scores[k],
+                fit.values[0] / sd
+            );
         }
     }
 

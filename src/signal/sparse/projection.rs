@@ -6,7 +6,7 @@
 
 use super::column::Column;
 use super::linear::{Cholesky, least_squares, non_negative};
-use super::model::{Model, Record};
+use super::model::{Model, WhitenedRecord};
 use super::place::Place;
 
 /// Best amplitudes for given places, and the products that the next step needs.
@@ -188,7 +188,13 @@ impl Projection {
 }
 
 impl Group {
-    fn new(records: &[Record], data: &[Vec<f64>], places: &[Place], layout: &Layout, signed: bool) -> Option<Self> {
+    fn new(
+        records: &[WhitenedRecord],
+        data: &[Vec<f64>],
+        places: &[Place],
+        layout: &Layout,
+        signed: bool,
+    ) -> Option<Self> {
         let mut products = vec![0.0; layout.n * layout.n];
         let mut with_data = vec![0.0; layout.n];
         let mut all = Vec::with_capacity(records.len());
@@ -240,7 +246,7 @@ impl Group {
 
 /// Adds the products of one record's columns, with one another and with its data, less what its baseline can imitate.
 fn add_record(
-    record: &Record,
+    record: &WhitenedRecord,
     data: &[f64],
     places: &[Place],
     columns: &[Column],

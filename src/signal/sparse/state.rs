@@ -81,7 +81,8 @@ impl State {
 
     pub(super) fn columns(&self, model: &Model, r: usize) -> &[Column] {
         let both = self.fit.groups.iter().zip(&model.groups);
-        let columns = both.filter(|(_, range)| range.contains(&r)).map(|(group, range)| &group.columns[r - range.start]);
+        let columns =
+            both.filter(|(_, range)| range.contains(&r)).map(|(group, range)| &group.columns[r - range.start]);
         columns.into_iter().next().expect("each record is in a group")
     }
 

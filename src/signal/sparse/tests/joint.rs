@@ -76,7 +76,8 @@ fn amplitudes_may_differ() {
     let sd_v = vec![0.01; 120];
     let of = |mean_v| (Profile { mean_v, sd_v: &sd_v, acf: &[], t0_ps: T0_PS, dt_ps: DT_PS }, &shape.response);
     let solutions = fit_joint(&[of(&first), of(&second)], &SparseOptions::default(), false);
-    let amplitudes: Vec<Vec<f64>> = solutions.iter().map(|f| f.pulses.iter().map(|p| p.amplitude_v).collect()).collect();
+    let amplitudes: Vec<Vec<f64>> =
+        solutions.iter().map(|f| f.pulses.iter().map(|p| p.amplitude_v).collect()).collect();
     assert_eq!(amplitudes[0].len(), 2);
     for (amplitude, expected) in amplitudes.concat().iter().zip([1.0, 0.5, 0.0, 2.0]) {
         assert!((amplitude - expected).abs() < 0.02, "{amplitudes:?}");

@@ -2,7 +2,7 @@
 
 use std::iter;
 
-use super::{SAME, STEPS, Scene, State, likely_loss};
+use super::{Measurements, SAME, STEPS, State, likely_loss};
 use crate::{Point, multilateration};
 
 /// A move that raises the loss by more than this, all other patches held, is not worth settling.
@@ -11,9 +11,9 @@ const HOPELESS: f64 = 300.0;
 const MOVES: usize = 15;
 const ROUNDS: usize = 20;
 
-impl Scene<'_> {
+impl Measurements<'_> {
     /// Moves patches while that lowers the loss of all.
-    pub(super) fn mend(&self, mut now: State) -> State {
+    pub(super) fn repair(&self, mut now: State) -> State {
         for _ in 0..ROUNDS {
             let moves = self.moves(&now).into_iter().take(MOVES).map(|(patch, point)| self.moved(&now, patch, point));
             let better = moves.chain(iter::once_with(|| self.replanted(&now)).flatten());
