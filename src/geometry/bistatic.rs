@@ -200,7 +200,7 @@ impl Node {
 /// When a record or strip names an anchor or delay that is not there.
 pub fn solve(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
     let alone = solve_alone(problem);
-    middle::beside_one(problem, alone.as_ref().ok().map(|found| &found[0])).map_or(alone, Ok)
+    middle::beside_one(problem, alone.as_ref().ok().map(|solutions| &solutions[0])).map_or(alone, Ok)
 }
 
 /// Nothing but the strips.
@@ -228,10 +228,10 @@ fn solve_alone(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
             return Err(Unsolved::TooMany);
         }
     }
-    let mut found: Vec<Solution> = Vec::new();
+    let mut solutions: Vec<Solution> = Vec::new();
     while let Some(next) = (0..open.len()).min_by(|a, b| open[*a].cost.total_cmp(&open[*b].cost)) {
         let node = open.swap_remove(next);
-        if found.first().is_some_and(|best| node.cost > best.cost + CLOSE) {
+        if solutions.first().is_some_and(|best| node.cost > best.cost + CLOSE) {
             break;
         }
         let depth = node.labels.len();
@@ -247,12 +247,12 @@ fn solve_alone(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
             }
         } else if problem.admits(&node.fit.state.strips) {
             let solution = node.fit.solution(problem, node.labels, node.cost);
-            if found.iter().all(|other| !is_same_place(other, &solution, problem.dimensions)) {
-                found.push(solution);
+            if solutions.iter().all(|other| !is_same_place(other, &solution, problem.dimensions)) {
+                solutions.push(solution);
             }
         }
     }
-    if found.is_empty() { Err(Unsolved::NoPlace) } else { Ok(found) }
+    if solutions.is_empty() { Err(Unsolved::NoPlace) } else { Ok(solutions) }
 }
 
 impl Problem {

@@ -105,8 +105,8 @@ mod tests {
             let by = Rotation3::new(Vector3::new(0.9, 0.4, -1.3)).into_inner()
                 * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, mirror));
             let turned: Vec<Point> = points.iter().map(|point| turn(&by, centre, *point)).collect();
-            let found = in_frame(&turned);
-            assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-12));
+            let solution = in_frame(&turned);
+            assert!(solution.iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-12));
         }
     }
 

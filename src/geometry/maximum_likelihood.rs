@@ -302,8 +302,8 @@ fn finish(rows: &Rows, means: Means, values: Values, loss: f64) -> Result<Soluti
             let columns = Mat::from_fn(rows.layout.size, nulls.len(), |i, k| nulls[k][i]);
             match dense_steps::covariance(rows, &values, &columns, &open) {
                 Ok(covariance) => break Covariance::Exact(freedom::about_visible(rows, covariance, &columns)),
-                Err(found) => {
-                    let (more, free) = found.ok_or_else(|| undetermined(problem))?;
+                Err(motions) => {
+                    let (more, free) = motions.ok_or_else(|| undetermined(problem))?;
                     let new = freedom::open(rows, &free, &nulls);
                     if open.is_empty() {
                         loose = more;

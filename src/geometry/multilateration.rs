@@ -121,13 +121,13 @@ pub fn candidates(ties: &[Tie], dimensions: usize, apart_m: f64, loss: Loss) -> 
         proposals::crossings(ties, dimensions).into_iter().map(|point| Candidate::new(ties, point, loss)).collect();
     let mut starts = distinct(proposed, apart_m);
     starts.truncate(REFINED);
-    let found = refined(ties, &starts, dimensions, apart_m, loss);
-    if !found.is_empty() || ties.len() < dimensions {
-        return found;
+    let candidates = refined(ties, &starts, dimensions, apart_m, loss);
+    if !candidates.is_empty() || ties.len() < dimensions {
+        return candidates;
     }
-    let mut found = anywhere(ties, dimensions, apart_m, loss);
-    found.retain(|candidate| is_determined(ties, candidate.point, dimensions, loss));
-    found
+    let mut candidates = anywhere(ties, dimensions, apart_m, loss);
+    candidates.retain(|candidate| is_determined(ties, candidate.point, dimensions, loss));
+    candidates
 }
 
 /// A position that explains a patch's ties, one of many where they are too few; `None` without a path.

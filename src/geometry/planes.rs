@@ -308,8 +308,11 @@ mod tests {
         let wall: Vec<Point> = (0..12).map(|n| on(0.3 * f64::from(n % 4), 0.2 * f64::from(n / 4))).collect();
         let line: Vec<Point> = (0..3).map(|n| on(0.001 * f64::from(n), 0.0)).collect();
         for (points, dimensions) in [(wall, 3), (line, 2)] {
-            let (middle, found) = nearest(&points, dimensions);
-            assert!((found.dot(&normal).abs() - 1.0).abs() < 1e-9 && (normal.dot(&middle.coords) - 0.5).abs() < 1e-9);
+            let (middle, nearest_normal) = nearest(&points, dimensions);
+            assert!(
+                (nearest_normal.dot(&normal).abs() - 1.0).abs() < 1e-9
+                    && (normal.dot(&middle.coords) - 0.5).abs() < 1e-9
+            );
         }
     }
 

@@ -129,7 +129,7 @@ fn an_offset_that_was_turned_later_leaves_the_time_open() {
 }
 
 #[test]
-fn ds1000e_and_ds1000c_are_told_apart_by_length() {
+fn ds1000e_and_ds1000c_are_distinguished_by_length() {
     // 0 V at code 120.
     let volts: Vec<f64> = [119.0, 120.0, 121.0, 122.0].map(|code| -DS1000_GAIN * code + DS1000_GAIN * 120.0).to_vec();
     let codes = [119, 120, 121, 122];

@@ -24,10 +24,10 @@ pub(super) fn beside_one(problem: &Problem, alone: Option<&Solution>) -> Option<
             let mut crowded = problem.clone();
             let exit = problem.strips[neighbour].exit;
             crowded.strips.insert(behind, Strip { exit, surface: Surface::Diffuse, is_central: true });
-            let Ok(found) = solve_alone(&crowded) else { continue };
-            if cost(&found[0]) < least {
-                least = cost(&found[0]);
-                best = Some(found.iter().map(|solution| solution.without(behind)).collect());
+            let Ok(solutions) = solve_alone(&crowded) else { continue };
+            if cost(&solutions[0]) < least {
+                least = cost(&solutions[0]);
+                best = Some(solutions.iter().map(|solution| solution.without(behind)).collect());
             }
         }
     }

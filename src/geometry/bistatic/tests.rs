@@ -179,7 +179,7 @@ fn covariances_have_the_size_of_the_errors() {
 /// As many scans as dimensions fit with every assignment; what is known of distances and order decides, and nothing is
 /// guessed without.
 #[test]
-fn what_labels_leave_open_is_told() {
+fn what_labels_leave_open_is_reported() {
     let mut problem = Scene::flat(2).problem(None);
     assert_eq!(solve(&problem).unwrap().len(), 1);
     problem.along = None;

@@ -165,11 +165,11 @@ fn bound(
     radius_m: f64,
     distances_m: &mut [Option<f64>],
 ) -> Option<f32> {
-    let (mut sum, mut known, mut blind) = (0.0_f32, 0, 0);
+    let (mut sum, mut computed, mut blind) = (0.0_f32, 0, 0);
     for Legs { foci: [a, b], profiles, curve } in order {
-        while known <= *b {
-            distances_m[known] = foci[known].faces(at, radius_m).then(|| (at - foci[known].point).norm());
-            known += 1;
+        while computed <= *b {
+            distances_m[computed] = foci[computed].faces(at, radius_m).then(|| (at - foci[computed].point).norm());
+            computed += 1;
         }
         let (Some(a), Some(b)) = (distances_m[*a], distances_m[*b]) else {
             blind += profiles;

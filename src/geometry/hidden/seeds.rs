@@ -178,7 +178,7 @@ fn ellipsoid(to_other: Vector3<f64>, length_m: f64) -> (Vector4<f64>, f64) {
 /// Pairs outside of a base, the best predicted first.
 fn checks(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) -> Vec<usize> {
     let typical = typical_points(foci, domain);
-    let mut known: Vec<(Point, Matrix3<f64>)> = typical
+    let mut sampled: Vec<(Point, Matrix3<f64>)> = typical
         .into_iter()
         .filter_map(|at| {
             Some((at, covariance(base.iter().map(|&pair| slope(foci, &pairs[pair], at)), 1.0, domain.dimensions)?))
@@ -188,7 +188,7 @@ fn checks(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) ->
     let mut order = Vec::new();
     while order.len() < CHECKS && !rest.is_empty() {
         let error = |&pair: &usize| {
-            let mut errors: Vec<f64> = known
+            let mut errors: Vec<f64> = sampled
                 .iter()
                 .map(|(at, c)| {
                     let g = slope(foci, &pairs[pair], *at);
@@ -201,7 +201,7 @@ fn checks(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) ->
         let errors: Vec<f64> = rest.iter().map(error).collect();
         let best = (0..rest.len()).min_by(|&a, &b| errors[a].total_cmp(&errors[b])).expect("there are some left");
         let pair = rest.swap_remove(best);
-        for (at, covariance) in &mut known {
+        for (at, covariance) in &mut sampled {
             let g = slope(foci, &pairs[pair], *at);
             let gain = *covariance * g / (1.0 + g.dot(&(*covariance * g)));
             *covariance -= gain * (g.transpose() * *covariance);

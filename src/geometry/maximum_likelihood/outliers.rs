@@ -31,9 +31,9 @@ pub fn outliers(problem: &Problem, points: &[Point], from: &[&[Point]]) -> Optio
         .iter()
         .map(|points| graduated(problem, start(points)))
         .min_by(|a, b| contradiction(&a.1).total_cmp(&contradiction(&b.1)))?;
-    let found: Vec<bool> = z.iter().map(|z| z.abs() > CONTRADICTS).collect();
+    let outliers: Vec<bool> = z.iter().map(|z| z.abs() > CONTRADICTS).collect();
     let before = contradiction(&standardised(problem, &start(points)));
-    (contradiction(&z) < before && found.contains(&true)).then_some((found, values.points))
+    (contradiction(&z) < before && outliers.contains(&true)).then_some((outliers, values.points))
 }
 
 fn standardised(problem: &Problem, values: &Values) -> Vec<f64> {

@@ -85,9 +85,9 @@ fn bound_rms(points: &[Point], sd_m: f64) -> f64 {
 }
 
 /// Coordinate errors after alignment about p0, tangent to first order.
-fn errors(found: &[Point], truth: &[Point]) -> Vec<f64> {
-    let fit = procrustes::rotation(found, truth, Point::origin(), true);
-    found
+fn errors(solution: &[Point], truth: &[Point]) -> Vec<f64> {
+    let fit = procrustes::rotation(solution, truth, Point::origin(), true);
+    solution
         .iter()
         .zip(truth)
         .flat_map(|(f, t)| {

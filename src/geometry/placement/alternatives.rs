@@ -50,10 +50,10 @@ pub fn alternatives(problem: &Problem, points: &[Point]) -> Vec<Alternative> {
         points: state.points(),
         more: state.loss - best.loss,
     };
-    let mut found: Vec<Alternative> = mirrored.into_iter().chain(flips).map(alternative).collect();
-    found.retain(|alternative| alternative.more < MORE && !alternative.patches.is_empty());
-    found.sort_by(|a, b| a.more.total_cmp(&b.more).then_with(|| a.patches.cmp(&b.patches)));
-    found
+    let mut alternatives: Vec<Alternative> = mirrored.into_iter().chain(flips).map(alternative).collect();
+    alternatives.retain(|alternative| alternative.more < MORE && !alternative.patches.is_empty());
+    alternatives.sort_by(|a, b| a.more.total_cmp(&b.more).then_with(|| a.patches.cmp(&b.patches)));
+    alternatives
 }
 
 impl Measurements<'_> {

@@ -50,12 +50,12 @@ impl Measurements<'_> {
         let of = |patch: usize| -> Option<Next> {
             self.problem.cancel.check();
             let ties = self.ties(patch, state);
-            let found = multilateration::candidates(&ties, dimensions, self.apart_m, self.problem.loss);
+            let candidates = multilateration::candidates(&ties, dimensions, self.apart_m, self.problem.loss);
             let gap = |best: &Candidate, second: &Candidate| ((second.cost - best.cost) / (1.0 + best.cost)).min(SAFE);
-            let best = found.first()?;
+            let best = candidates.first()?;
             // Mirror images have the same loss.
             let certain = ties.len() > dimensions;
-            let clearness = if certain { found.get(1).map_or(SAFE, |second| gap(best, second)) } else { 0.0 };
+            let clearness = if certain { candidates.get(1).map_or(SAFE, |second| gap(best, second)) } else { 0.0 };
             Some(Next { clearness, ties: ties.len(), patch, point: best.point })
         };
         let unplaced = (0..self.count()).filter(|&patch| state.places[patch].is_none());

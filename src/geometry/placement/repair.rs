@@ -46,8 +46,9 @@ impl Measurements<'_> {
             self.problem.cancel.check();
             let ties = self.ties(patch, now);
             let cost = multilateration::cost(&ties, here, self.problem.loss);
-            let found = multilateration::candidates(&ties, self.problem.dimensions, self.apart_m, self.problem.loss);
-            let elsewhere = found.into_iter().filter(|candidate| (candidate.point - here).norm() > self.apart_m);
+            let candidates =
+                multilateration::candidates(&ties, self.problem.dimensions, self.apart_m, self.problem.loss);
+            let elsewhere = candidates.into_iter().filter(|candidate| (candidate.point - here).norm() > self.apart_m);
             moves.extend(elsewhere.map(|candidate| (candidate.cost - cost, patch, candidate.point)));
         }
         moves.retain(|(rise, _, _)| *rise < HOPELESS);

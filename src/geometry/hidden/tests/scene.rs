@@ -236,9 +236,9 @@ impl Score {
 
 /// Holds what was found against the truth.
 #[must_use]
-pub fn score(drawn: &Drawn, found: &[Point]) -> Score {
+pub fn score(drawn: &Drawn, solution: &[Point]) -> Score {
     let mut score = Score::default();
-    let mut rest: Vec<Point> = found.to_vec();
+    let mut rest: Vec<Point> = solution.to_vec();
     for (q, bound_m) in drawn.hidden.iter().zip(&drawn.bounds_m) {
         let nearest = (0..rest.len()).min_by(|&a, &b| (rest[a] - q).norm().total_cmp(&(rest[b] - q).norm()));
         match nearest.map(|n| (n, (rest[n] - q).norm())).filter(|(_, error_m)| *error_m < (5.0 * bound_m).max(0.005)) {
