@@ -46,7 +46,8 @@ const SOLVED: f64 = 0.02;
 /// The same of the delay's: moving all patches outwards nearly makes up for a delay, and what remains of its stiffness
 /// is a small difference.
 const SOLVED_DELAY: f64 = 1e-5;
-/// Chunks that the rows are cut into.
+/// Chunks that the rows are cut into: a number that does not depend on the threads, so neither do the bytes of the
+/// sums.
 const CHUNKS: usize = 32;
 /// Pairs that are worked on at once.
 const LANES: usize = 8;

@@ -12,7 +12,8 @@
 
 use std::collections::BTreeMap;
 
-/// Predictions further off than this many standard deviations are another path.
+/// Predictions further off than this many standard deviations are another path: less than one in a million of a path's
+/// own arrivals lies beyond.
 pub const GATE: f64 = 5.0;
 /// Most sets of taken paths that are followed.
 const STATES: usize = 200;

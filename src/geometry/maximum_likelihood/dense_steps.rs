@@ -11,7 +11,8 @@ const UNDETERMINED: f64 = 1e9;
 /// Of a normal matrix scaled to ones on its diagonal, eigenvalues below this belong to directions that nothing
 /// determines.
 const NULL: f64 = 1e-9;
-/// Unknowns beyond which directions that nothing determines are not searched for.
+/// Unknowns beyond which directions that nothing determines are not searched for: all eigenvectors come out of a single
+/// call, which a cancel cannot end midway.
 const SEARCHED_MAX: usize = 1500;
 
 /// Normal matrix and its right-hand side.

@@ -16,7 +16,8 @@ use rayon::prelude::*;
 use super::rows::{Rows, Values};
 use crate::dense;
 
-/// Chunks that the observations are cut into.
+/// Chunks that the observations are cut into: a number that does not depend on the threads, so neither do the bytes of
+/// the sums.
 const CHUNKS: usize = 32;
 /// Most conjugate directions in a step.
 const DIRECTIONS: usize = 200;

@@ -8,7 +8,8 @@ use super::place::Place;
 
 /// Arrivals with less than this part of the pulse's energy in samples that count are not searched.
 const SEEN_MIN: f64 = 0.05;
-/// Positions searched per full width at half maximum of the response.
+/// Positions searched per full width at half maximum of the response. A pulse midway between two loses 7 % of its drop
+/// of chi2 (Gaussian response); candidates need only a quarter of the evidence, so none is missed for it.
 const POSITIONS_PER_WIDTH: f64 = 3.0;
 /// Candidates between two looks at the token.
 const POLL: usize = 4096;
