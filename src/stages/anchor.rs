@@ -2,8 +2,8 @@
 //! hidden.
 //!
 //! Takes campaign.toml; writes `patches`: those with a `position_m`, with its standard deviation (`sd_m`; where none is
-//! given, a micrometre). `label`, `range` and `embed` take them beside them in place of patches that `refine` found.
-//! Their errors are independent of each other.
+//! given, a micrometre). `label`, `range` and `embed` take them in place of patches that `refine` found. Their errors
+//! are independent of each other.
 //!
 //! ```toml
 //! [wall]

@@ -3,29 +3,29 @@
 //!
 //! Each shot is moved by its own sub-sample trigger time and onto its reference pulse, whose time is fitted with the
 //! calibrated template. The offset is rounded to 1/64 sample, codes are summed as integers by phase, and each phase is
-//! delayed once at the end: exact, and the same for any order and chunking. Shots at the converter's rails, outlying
-//! shots (tested against the first 32) and shots without reference pulse are set aside, as are those with a sample that
-//! is no number.
+//! delayed once at the end: exact, and the same for any order and chunking. Four kinds of shots are rejected: those at
+//! the converter's rails, outliers against the first 32, those without reference pulse, and those with a sample that is
+//! no number.
 //!
 //! The spread of the first 32 shots gives a model of a shot's variance over level and slope
-//! ([`crate::signal::noise_model`]). What a sample has for itself is its standard error; the laser's energy and jitter
-//! move all samples together, and are told where they are significant. Jitter is else what the fits of the reference
-//! pulses leave, or without reference channel the trigger's, as the calibration's noise model has it.
+//! ([`crate::signal::noise_model`]). A sample's own error is its standard error. The laser's energy and jitter move all
+//! samples together, and are reported where they are significant. Otherwise the jitter is what the fits of the
+//! reference pulses leave; without reference channel, it is the trigger's, from the calibration's noise model.
 //!
-//! A capture taken at several vertical ranges is averaged range by range; then each sample is the weighted mean of the
-//! ranges that do not clip there ([`crate::signal::merge_ranges`]), on scale and time of the most sensitive one, whose
-//! `shots`, `noise_v` and `noise_model` the profile has. Shots with clipped samples count in such captures, without
-//! these samples, what the aligning filter makes of them, and the amplifier's recovery. The error of the delay between
-//! ranges is in `jitter_ps`, that of their factor in `gain_sd`; `phase_shots` are those of all ranges.
+//! A capture taken at several vertical ranges is averaged range by range. Then each sample is the weighted mean of the
+//! ranges that do not clip there ([`crate::signal::merge_ranges`]), on scale and time of the most sensitive range. The
+//! profile has `shots`, `noise_v` and `noise_model` of that range, and the `phase_shots` of all. There, shots with
+//! clipped samples count. Left out are these samples, those that the aligning filter makes of them, and those of the
+//! amplifier's recovery. The error of the delay between ranges is in `jitter_ps`, that of their factor in `gain_sd`.
 //!
-//! Where light repeats with the laser (`repetition_ps` of the campaign) and a record holds a period, the profile is
-//! that one period, cut open in the middle of its longest dark part: times are then known modulo the period. Reference
-//! pulses of a train are taken for the one next to the trigger.
+//! Light may repeat with the laser (`repetition_ps` of the campaign). If a record then holds a period, the profile is
+//! that one period, cut open in the middle of its longest dark part: its times hold modulo the period. Of a train of
+//! reference pulses, the one next to the trigger counts.
 //!
-//! Photon histograms (sensors of kind counts) are added up as they are: errors are those of Poisson's law, `shots_min`
+//! Photon histograms (sensors of kind counts) are added up as they are. Errors follow Poisson's law, and `shots_min`
 //! does not count.
 //!
-//! Takes `traces`; writes `profiles`. Beside it: `calibration`, needed where captures have a reference channel.
+//! Takes `traces`, and `calibration` where captures have a reference channel; writes `profiles`.
 //!
 //! Not modelled: gain drift within a capture; ranges that differ in bandwidth; correlation between the repetitions of a
 //! folded record; histograms longer than a period, which stay as they are. Shot noise of a flash that is faster than
@@ -73,11 +73,11 @@ const BASELINE_SHARE: f64 = 0.1;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Average {
-    /// A capture with fewer shots left is set aside.
+    /// A capture with fewer valid shots is rejected.
     shots_min: Count,
     /// Length of the stretch at the start of a record that light has not reached; absent: a tenth of the record.
     baseline_ps: Option<Positive>,
-    /// Whether outlying shots are set aside.
+    /// Whether outlying shots are rejected.
     reject_outliers: bool,
     /// A shot is outlying when a sample of it lies this many robust standard deviations off the median of the first
     /// shots.
@@ -130,7 +130,7 @@ impl Context {
         self.sensor(row)?.template.as_ref()
     }
 
-    /// Why reference pulses cannot be timed, and the mend.
+    /// Why reference pulses cannot be timed, and what to do.
     fn without_template(&self, row: &Trace) -> String {
         let sensor = &row.sensor;
         if self.sensor(row).is_some() {

@@ -2,21 +2,21 @@
 //! sections 5 and 6).
 //!
 //! From captures of role `response`: shots over a path of known length, at each vertical range for itself. Their
-//! trigger jitter and sub-sample offsets spread the samples over the pulse, so that response and template come out on a
-//! grid of 1/8 sample, with the tail as far as it rises above the noise, and with echoes that are certain. Shots whose
-//! amplitude or time strays are left out. The latency is the mean time of the response in the shots, each relative to
-//! its own reference pulse, less the light's time over the known path. It is measured with the same template that
-//! `deconvolve` uses, so that an error of the template's zero cancels; the reference's template is one for all ranges
-//! of a sensor. What the shots leave of the shape says how the noise goes with level and slope
+//! trigger jitter and sub-sample offsets spread the samples over the pulse. So response and template come out on a grid
+//! of 1/8 sample. They include certain echoes, and the tail as far as it rises above the noise. Shots whose amplitude
+//! or time strays are left out. The latency is the mean time of the response in the shots less the time of flight over
+//! the known path. Each shot's time is relative to its own reference pulse. The latency is measured with the same
+//! template that `deconvolve` uses, so that an error of the template's zero cancels; the reference's template is one
+//! for all ranges of a sensor. The residuals of the shots give the noise by level and slope
 //! ([`crate::signal::noise_model`]).
 //!
 //! Photon counters have one histogram a capture, freed of pile-up; its maximum is timed by the counts' likelihood, and
 //! the response lies on the bins' own grid, interpolated: bins no wider than a third of it are needed.
 //!
 //! Takes `traces`; writes `calibration`. At most [`SHOTS_MAX`] shots a range are used, and no more than [`KEPT_BYTES`]
-//! of samples: the first ones. Clipped shots, and those with a sample that is no number, are left out; a width or
-//! latency that no sensor has is told in `rejects`. Without `path_m` the latency is the prior of campaign.toml. What
-//! changes through a session (drift, pick-up) is added by `track`.
+//! of samples: the first ones. Clipped shots, and those with a sample that is no number, are left out. A width or
+//! latency that no sensor has is reported in `rejects`. Without `path_m` the latency is the prior of campaign.toml.
+//! `track` adds what changes through a session (drift, pick-up).
 //!
 //! ```toml
 //! [calibration]
@@ -246,7 +246,7 @@ impl State {
                     continue;
                 }
             }
-            // Told only where more shots are left out than used: single bad shots are counted in the table.
+            // Reported only where more shots are left out than used: single bad shots are counted in the table.
             if range.other as usize > range.signals.len() {
                 let why = format!(
                     "{} response shots of sensor {} are left out of its calibration, more than are used: clipped, without reference pulse, or of another length or path than the first",
@@ -259,7 +259,7 @@ impl State {
     }
 }
 
-/// What cannot be of a real sensor: mostly a unit that was mistaken. It is told, and the calibration used as it is.
+/// What no real sensor has: mostly a wrong unit. It is reported, and the calibration used as it is.
 fn doubts(row: &Calibration, path_m: Option<f64>) -> impl Iterator<Item = String> {
     let Calibration { sensor, width_ps, latency_ps, .. } = row;
     let fast = (*width_ps < WIDTH_LEAST_PS).then(|| {

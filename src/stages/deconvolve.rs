@@ -18,22 +18,23 @@
 //! than the response is wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the
 //! response's sign, unless `signed` allows both.
 //!
-//! Profiles (i, k) and (k, i) hold the same paths walked in opposite directions, where laser and sensor stand together.
-//! With `joint` they are explained together: times better by up to the root of 2, and arrivals told apart as at so much
-//! more signal. The impulses then stand in the row of the smaller `lit` alone, so that nothing counts twice.
+//! Where laser and sensor stand together, profiles (i, k) and (k, i) hold the same paths walked in opposite directions.
+//! With `joint` they are explained together: times are better by up to the root of 2, and close arrivals are separated
+//! as at as much more signal. The impulses then stand in the row of the smaller `lit` alone, so that nothing counts
+//! twice.
 //!
 //! Photon counts are explained by the likelihood of counts, freed of pile-up by the dead time in campaign.toml;
 //! amplitudes are counts a bin.
 //!
-//! Takes `profiles`; writes `stir`. Beside it: `calibration`; and `session` (of `track`), whose drift and pick-up are
-//! taken off: a drift's own error joins `jitter_ps`, the pick-up's the noise. The noise of each sample is the profile's
-//! `se_v`, its autocorrelation `noise_acf`, smoothed to that of an autoregressive process of the order that
-//! `noise_samples` can tell. `wiener` knows equal noise along the record. Where the response fits far worse than the
-//! noise is (`chi2_dof` well above 1) and a single shot tells the noise, its estimate weighs the misfit otherwise in
-//! every record: `correlated = false` keeps times comparable there.
+//! Takes `profiles` and `calibration`; writes `stir`. With `session` (of `track`), drift and pick-up are taken off; the
+//! drift's error joins `jitter_ps`, the pick-up's the noise. The noise of each sample is the profile's `se_v`. Its
+//! autocorrelation is `noise_acf`, smoothed to that of an autoregressive process of the order that `noise_samples`
+//! support. `wiener` assumes equal noise along the record. Set `correlated = false` where the response fits far worse
+//! than the noise (`chi2_dof` well above 1) and a single shot gives the noise: else each record weighs the misfit
+//! differently, and times are not comparable.
 //!
 //! Not modelled: light that wraps around the end of a record (`average` cuts circular profiles open where they are
-//! quiet), counts explained jointly, the delay between two vertical ranges in a pair that is explained jointly.
+//! quiet); counts explained jointly; the delay between two vertical ranges in a jointly explained pair.
 //!
 //! ```toml
 //! [stir]
@@ -110,7 +111,7 @@ impl Default for Deconvolve {
 
 fn method_of<'de, D: Deserializer<'de>>(name: D) -> Result<Method, D::Error> {
     let former = ["nnls", "pencil", "richardson-lucy"];
-    method::named(name, &former, "use `sparse` (the default); there are also `wiener` and `none`")
+    method::named(name, &former, "use `sparse`; there are also `wiener` and `none`")
 }
 
 /// What campaign.toml says of laser and sensors.

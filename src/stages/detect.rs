@@ -11,17 +11,19 @@
 //! A threshold walks with amplitude by tens of picoseconds, and Akaike's criterion almost as much; an edge at a
 //! fraction does not. Edges at a fraction see one onset a profile: that of its maximum. `first-response` and `aic` see
 //! as many as there are responses: after each, the profile must fall below `rearm_sigma` before the next. An onset
-//! needs a signal-to-noise ratio of `threshold_sigma`. Two impulses so close that neither amplitude is that certain are
-//! onsets all the same where leaving either out would cost a chi-square of `threshold_sigma` squared: that there are
-//! two is then certain, and how light divides between them is not. `aic` has no standard deviation of its own: given is
-//! that of rounding to a sample and of noise over the mean slope up to the maximum.
+//! needs a signal-to-noise ratio of `threshold_sigma`. Of two very close impulses neither amplitude may be that
+//! certain. They are onsets all the same if leaving either out costs a chi-square of `threshold_sigma` squared: that
+//! there are two is then certain, and how the signal divides between them is not. `aic` has no standard deviation of
+//! its own: its error is that of rounding to a sample, and of noise over the mean slope up to the maximum.
 //!
-//! With `sampled` edges are not interpolated between samples: what somebody reads off the screen of an oscilloscope.
+//! With `sampled`, edges are not interpolated between samples, as when a person reads the screen of an oscilloscope.
 //!
-//! Takes `stir`; writes `onsets`. Flags: `blended` (its time is strongly correlated with a neighbour's), `misfit` (the
-//! fit leaves more than noise of the samples that it reaches), `at-edge` (near an end of the record), `extended` (its
-//! light is spread in time: `earliest_ps` is where it would begin if it were spread evenly, as by one flat patch; after
-//! two patches it begins up to 0.7 widths before that). Not modelled yet: saturated arrivals.
+//! Takes `stir`; writes `onsets`. Not modelled yet: saturated arrivals. Flags:
+//! - `blended`: its time is strongly correlated with a neighbour's;
+//! - `misfit`: the fit leaves more than noise in the samples that it reaches;
+//! - `at-edge`: near an end of the record;
+//! - `extended`: its light is spread in time. `earliest_ps` is where it would begin if it were spread evenly, as by one
+//!   flat patch; after two patches it begins up to 0.7 widths before that.
 //!
 //! ```toml
 //! [onsets]
@@ -43,7 +45,7 @@ use crate::tables::{Name, Onset, Stir};
 
 /// Correlation of two times beyond which both are called blended.
 const BLENDED: f64 = 0.5;
-/// An impulse whose chi-square exceeds what noise makes it by so many standard deviations is called a misfit.
+/// An impulse is called a misfit if its chi-square exceeds its mean under noise by this many standard deviations.
 const MISFIT_SIGMA: f64 = 3.0;
 /// Light that is spread evenly begins this many standard deviations before its centroid: the root of 3.
 const EARLIEST_WIDTHS: f64 = 1.732_050_807_568_877_2;
@@ -186,8 +188,8 @@ impl Detect {
         kept.iter().enumerate().map(onset).collect()
     }
 
-    /// Whether neither impulse `k` nor one whose time is correlated with its own has an amplitude that is certain, but
-    /// no fit without either of them explains the profile.
+    /// Whether impulse `k` belongs to a blended pair. Its amplitude is not certain, nor that of an impulse whose time
+    /// is correlated with its own. But no fit without either of them explains the profile.
     fn is_of_blended_pair(&self, stir: &Stir, k: usize) -> bool {
         let count = stir.impulses.len();
         // What a misfit adds to chi-square is no evidence.

@@ -15,15 +15,15 @@
 //! `incremental` names places that the lengths do not tell from the chosen ones (a patch with two neighbours and its
 //! mirror image) as alternatives.
 //!
-//! With `patches` beside, those are known: their rows are passed on as they are, and no method is used. Patches that
-//! the distances name beyond them, and in either case patches without a distance to p0, which are hidden, are placed by
-//! [multilateration] from their distances to known ones. Where several places explain these about equally, as both
-//! sides of a wall do, the one on the laser's side of the plane (in flatland the line) through these known patches is
-//! chosen, since a wall reflects only to there; the others are alternatives with their log-likelihood less its own.
-//! Patches with too few distances stand in `rejects`.
+//! With `patches`, these are taken as given: their rows are passed on as they are, and no method is used. Other patches
+//! are placed by [multilateration] from their distances to these: with `patches`, all that the distances name beyond
+//! them; without, the hidden ones, which have no distance to p0. Several places may explain the distances about
+//! equally, as both sides of a wall do. The chosen one is on the laser's side of the plane (in flatland the line)
+//! through the neighbours, since a wall reflects only to there. The others are alternatives, each with its
+//! log-likelihood less that of the chosen one. Patches with too few distances stand in `rejects`.
 //!
-//! A patch that only hidden ones show has no distances: it stands where `hypotheses` of `label` beside has it, as do
-//! others that the distances do not place.
+//! A patch that only hidden ones show has no distances: it stands where `hypotheses` of `label` has it, as do others
+//! that the distances do not place.
 //!
 //! Takes `distances`; writes `patches`. Positions have no covariance here (null) but those passed on: it is `refine`
 //! that knows it. Not modelled: errors of known patches, and covariances of distances.
@@ -86,11 +86,7 @@ enum Method {
 
 fn method_of<'de, D: Deserializer<'de>>(name: D) -> Result<Method, D::Error> {
     let former = ["smacof", "landmark", "semidefinite"];
-    method::named(
-        name,
-        &former,
-        "use `incremental`; there are also `classical` (the default), `iso-embed` and `reestimate`",
-    )
+    method::named(name, &former, "use `incremental`; there are also `classical`, `iso-embed` and `reestimate`")
 }
 
 /// What a campaign says of the frame.

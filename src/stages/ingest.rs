@@ -1,8 +1,8 @@
 //! `ingest`: raw oscilloscope files to `traces`, one row a channel and exposure. The one stage that reads raw files.
 //!
-//! Takes the campaign folder; writes `traces`. Codes stay as the converter gave them, with scale, time base and the
-//! sub-sample trigger time beside them. Files are hashed whenever they are read, and refused where another content is
-//! on record. A file that cannot be decoded is a row in `rejects`, and the rest goes on.
+//! Takes the campaign folder; writes `traces`. Codes stay as the converter gave them; scale, time base and the
+//! sub-sample trigger time stand next to them. Files are hashed whenever they are read, and refused where another
+//! content is on record. A file that cannot be decoded is a row in `rejects`, and the rest goes on.
 //!
 //! ```toml
 //! [traces]

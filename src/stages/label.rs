@@ -1,13 +1,13 @@
 //! `label`: which path of light made which onset (paper sections 4.1 and 4.3).
 //!
-//! Without patches in place, the first light of each profile decides: a first bounce, a second one, or no label where
-//! the light may have come over a third patch. With `patches`, every path of up to `bounces` bounces (5 at most) is
-//! predicted, and all onsets of a profile are associated with the predictions at once. [`crate::geometry::labelling`]
-//! says how.
+//! Without `patches`, the first light of each profile decides: a first bounce, a second one, or no label where the
+//! light may have come over a third patch. With `patches`, every path of up to `bounces` bounces (5 at most) is
+//! predicted. All onsets of a profile are then associated with the predictions at once
+//! ([`crate::geometry::labelling`]).
 //!
-//! The first order of which more than 0.3 paths lie within a standard deviation of a time is not labelled, nor are
-//! those above it. A label less probable than `probability_min` is left open (path null), its candidates listed as
-//! alternatives.
+//! Orders are labelled while at most 0.3 of their paths lie within a standard deviation of a time; the first order with
+//! more, and all above it, are not. A label less probable than `probability_min` is left open (path null), its
+//! candidates listed as alternatives.
 //!
 //! Onsets of a laser that repeats are known modulo its period (`repetition_ps` in campaign.toml); `turns` is how many
 //! periods were added.
@@ -25,29 +25,29 @@
 //! in line must show them (in flatland two). All are numbered on from the largest patch, `[hidden] count` of
 //! campaign.toml at most.
 //!
-//! A wall throws light back to the side that it is lit from only. Patches whose normal is known (`planes`, or
-//! campaign.toml in a fixed frame), and all if they lie on one plane, show nothing behind them. Where onsets leave both
-//! a place and its mirror image in a wall that is nearly flat, the one on the laser's side is taken and the other
-//! listed (`hypotheses.alternative`). About visible patches in one line nothing is looked for: their onsets leave a
-//! circle.
+//! A wall reflects only to the side that it is lit from. Patches whose normal is known (`planes`, or campaign.toml in a
+//! fixed frame) show nothing behind them; nor do any patches if all lie on one plane. Onsets may leave both a place and
+//! its mirror image in a nearly flat wall. The one on the laser's side is then chosen and the other listed
+//! (`hypotheses.alternative`). About visible patches in one line nothing is searched for: their onsets leave a circle.
 //!
-//! A floor or a wall that nobody declared throws light on too, by the shortest way over it. Such planes are looked for
-//! along with the patches and listed (`hypotheses.kind`), since they would pass for many patches; their onsets stay
+//! A floor or a wall outside of campaign.toml reflects light too, by the shortest way over it. Such planes would pass
+//! for many patches, so they are searched for along with the patches and listed (`hypotheses.kind`); their onsets stay
 //! without a path.
 //!
-//! Where another path comes within `blend_ps` of an onset and has none of its own, the label's `time_sd_ps` is as much
-//! larger as the other path's light may pull it; 0 takes every onset for single. The search for hidden patches expects
-//! no onset of its own from a patch where that of another path is so near.
+//! Another path may come within `blend_ps` of an onset and have none of its own. Its light may pull the onset, and the
+//! label's `time_sd_ps` is larger by that; 0 takes every onset for single. The search for hidden patches expects no
+//! onset of its own from a patch where that of another path is so near.
 //!
-//! Takes `onsets`; writes `labels` and `hypotheses`. Optional tables: `patches` (of `refine`, with their standard
-//! deviations), and for the full error of a prediction `covariances` (`patch_covariances` of the same stage) and
-//! `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the light's centroid over large
-//! patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that
-//! the frame is fixed, also by the normals of campaign.toml. Patches without covariance are not predicted from.
+//! Takes `onsets`; writes `labels` and `hypotheses`. Optional tables:
+//! - `patches` (of `refine`, with their standard deviations); no prediction uses a patch without covariance;
+//! - for the full error of a prediction, `covariances` (`patch_covariances` of the same stage) and `delays`;
+//! - `planes` (of `surface`, fitted to the same patches), for the shift of the light's centroid over large patches,
+//!   those with a `size_m` in campaign.toml;
+//! - `fits` (of the same `refine`): where it has a fixed frame, the normals of campaign.toml give that shift too.
 //!
-//! Known limits: a patch among `patches` that only hidden ones show is taken for one that visible ones show. Without
-//! `patches`, false onsets before a first bounce pass for it, and most detours over patches whose pairs are missing
-//! (not captured, or left open) pass for second bounces.
+//! Known limits: a patch of `patches` that only hidden ones show is taken for one that visible ones show. Without
+//! `patches`, false onsets before a first bounce pass for it. Also, most detours over patches with missing pairs (not
+//! captured, or left open) then pass for second bounces.
 //!
 //! ```toml
 //! [labels]
@@ -149,7 +149,7 @@ pub struct Fields {
     hidden: campaign_fields::HiddenPatches,
 }
 
-/// What labelling starts from, beside the onsets.
+/// What labelling starts from, in addition to the onsets.
 pub struct Context {
     fields: ByCampaign<Fields>,
     scene: Option<Scene>,
@@ -223,7 +223,7 @@ impl Stage for LabelOnsets {
 }
 
 impl LabelOnsets {
-    /// Whether so many bounces can be labelled, with patches in place and without.
+    /// Whether `bounces` can be labelled, with patches in place and without.
     fn check(&self, has_scene: bool) -> Result<(), StageError> {
         let bounces = self.bounces.get();
         if has_scene || bounces <= DEEPEST_BLIND {

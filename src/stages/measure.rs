@@ -1,13 +1,13 @@
 //! `measure`: the pulse of each run of an instrument check (paper figure 7), as numbers that runs can be compared by.
 //!
 //! The strongest pulse of the mean record is fitted with what averaging leaves of the calibrated response: amplitude,
-//! time, baseline, then its width ([`pulse_fit`]); behind it an echo is sought ([`echo`]). Runs of roles dark and
-//! blocked have no pulse: told is the largest deviation of their mean record, which is what goes on in step with the
-//! trigger. Times keep the latency. The response is one for all runs of a sensor: its own error is common to them, and
-//! is in no standard deviation here.
+//! time, baseline, then its width ([`pulse_fit`]). An echo is sought behind it ([`echo`]). Runs of roles dark and
+//! blocked have no pulse: their row has the largest deviation of their mean record, which is what goes on in step with
+//! the trigger. Times keep the latency. The response is one for all runs of a sensor: its own error is common to them,
+//! and is in no standard deviation here.
 //!
-//! Takes `profiles`; writes `measurements`. Beside it: `calibration`. Not modelled: several pulses of a scene (the
-//! strongest is measured).
+//! Takes `profiles` and `calibration`; writes `measurements`. Not modelled: several pulses of a scene (the strongest is
+//! measured).
 //!
 //! ```toml
 //! [measurements]

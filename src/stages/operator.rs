@@ -26,7 +26,7 @@ pub use pieces::{Joining, Task};
 pub struct Written {
     /// One entry a table in the order of [`Operator::tables`]; tables without rows may be left out at the end.
     pub tables: Vec<Vec<RecordBatch>>,
-    /// What was set aside.
+    /// What was rejected.
     pub rejections: Vec<Rejection>,
 }
 
@@ -59,7 +59,7 @@ pub trait Operator: Send + Sync {
     fn fields(&self, campaigns: &[Campaign]) -> Result<Value, NotJson>;
     /// Table that it takes.
     fn input(&self) -> &'static str;
-    /// Finished tables that it takes beside.
+    /// Finished tables that it takes whole.
     fn beside(&self) -> &'static [Beside];
     /// Main table, then side tables.
     fn tables(&self) -> Vec<WrittenTable>;
@@ -148,7 +148,7 @@ impl<S: Fold> Operator for S {
     }
 }
 
-/// What tells two groups apart. Order of keys is order of output for grains that gather.
+/// What identifies a group. Order of keys is order of output for grains that gather.
 type GroupKey = (String, String, i32, i32, String, String);
 
 /// A stage's groups: those that rows may still come for, by key.
@@ -270,7 +270,7 @@ impl<S: Fold> Running for Groups<'_, S> {
     }
 }
 
-/// Columns that tell rows apart; what a table does not have is the same for all of its rows.
+/// Columns that the groups of rows differ in. A column that a table lacks is the same for all of its rows.
 struct KeyColumns {
     campaign: Option<StringArray>,
     sensor: Option<StringArray>,
@@ -294,7 +294,7 @@ impl KeyColumns {
         }
     }
 
-    /// What tells a row's group apart, borrowed.
+    /// What identifies the group of a row, borrowed.
     fn key(&self, grain: Grain, i: usize) -> (&str, &str, i32, i32, &str, &str) {
         let text = |column| text_at(column, i);
         let number = |column: &Option<Int32Array>| column.as_ref().map_or(0, |column| column.value(i));

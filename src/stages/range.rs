@@ -3,24 +3,26 @@
 //!
 //! Among visible patches, in closed form: `d_0i = c O_i / 2`, `d_ij = c (O_ij - (O_i + O_j) / 2)`, with the covariances
 //! of distances that share onsets. Reciprocal onsets, and those of several sensors and campaigns, are averaged by their
-//! variances. See [`crate::geometry::t2`] for what is wrong in the paper's printed matrix. Used are onsets of sensors
-//! that stand where the laser is (paper section 3): the path lengths of sensors that stand apart are sums that T2
-//! cannot take apart; so are second bounces of a patch without a first bounce. `rejects` says which, and `refine` takes
-//! them as they are. A sensor's latency is common to all `d_0i` and cancels in every `d_ij`; here it is taken as known,
-//! `refine` gives it a prior.
+//! variances. See [`crate::geometry::t2`] for the error in the paper's printed matrix. Only onsets of sensors at the
+//! laser are used (paper section 3). The path lengths of other sensors are sums that T2 cannot take apart; so are
+//! second bounces of a patch without a first bounce. `rejects` lists these, and `refine` uses them as they are. A
+//! sensor's latency is common to all `d_0i` and cancels in every `d_ij`. It is taken as exact here; `refine` gives it a
+//! prior.
 //!
-//! A hidden patch is one that third bounces lead over, while no label has it as lit or seen, nor `patches` as visible.
+//! A patch is hidden if third bounces lead over it, while no label has it as lit or seen, nor `patches` as visible.
 //! Third bounces less their legs between stations and visible patches are sums of two ranges, which weighted least
-//! squares take apart ([`crate::geometry::t3`]). The legs come from `patches` beside, for sensors apart from the laser
-//! too; without, from first bounces (`c O_i / 2`, a latency cancels), of sensors at the laser. Their errors, which many
-//! sums share, travel as covariances, also between ranges of different hidden patches. Ranges that the sums leave open,
-//! as with disjoint sets of lit and seen patches, are told in `rejects`; so are sums that contradict one another.
+//! squares take apart ([`crate::geometry::t3`]). The legs come from `patches`, for sensors apart from the laser too.
+//! Without `patches` they come from first bounces (`c O_i / 2`, a latency cancels), of sensors at the laser. Their
+//! errors, which many sums share, travel as covariances, also between ranges of different hidden patches. `rejects`
+//! lists ranges that the sums leave open, as with disjoint sets of lit and seen patches, and sums that contradict one
+//! another.
 //!
-//! Takes `labels`; writes `distances` and, beside it, `covariances`. Beside it, all optional: `patches` (of `refine`,
-//! with their standard deviations), and for the full error of the legs `covariances` (`patch_covariances` of the same
-//! stage) and `delays`. Not used: third bounces among visible patches, and over a mirror, which they meet in another
-//! point each time. Not modelled: errors that `patches` share with the second bounces of these labels or with `delays`,
-//! which makes standard deviations too large where a delay is not well known; errors of stations; footprints.
+//! Takes `labels`; writes `distances` and `covariances`. Optional tables: `patches` (of `refine`, with their standard
+//! deviations), and for the full error of the legs `covariances` (`patch_covariances` of the same stage) and `delays`.
+//!
+//! Not used: third bounces among visible patches, and over a mirror, which they meet in another point each time. Not
+//! modelled: errors of stations; footprints; errors that `patches` share with the second bounces of these labels or
+//! with `delays`. The last make standard deviations too large where a delay is not well known.
 //!
 //! ```toml
 //! [distances]

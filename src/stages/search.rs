@@ -2,26 +2,26 @@
 //! (beyond the paper).
 //!
 //! `detect` needs a signal-to-noise ratio of about five in one profile. A hidden patch of 1.5 in each of 8 x 8 profiles
-//! has 12 in all of them together, at one place in space and no other: [`crate::geometry::faint`] finds it, on
-//! matched-filter scores of what known light leaves of each profile ([`sparse::matched`]). Known is
+//! has 12 in all together, at one place in space and no other. [`crate::geometry::faint`] finds it, on matched-filter
+//! scores of what known light leaves of each profile ([`sparse::matched`]). Known light is
 //!
-//! - what `stir` has fitted, explained or not: amplitude and time of each impulse are taken as open (of strong ones
-//!   their width too), so that nothing they could explain
-//!   counts for a patch, and none of its light is lost in them unseen;
-//! - third bounces over patches in place, where their pairs exchange light (`labels` tells): too weak to be fitted they
-//!   are as strong as the hidden one. How strong on average
-//!   is learned from all profiles, once; more than that nothing is assumed.
+//! - what `stir` has fitted, explained or not. Amplitude and time of each impulse are open (of strong ones their width
+//!   too): nothing they could explain counts for a patch, and they hide none of its light;
+//! - third bounces over patches in place, where their pairs exchange light (`labels`). Too weak to be fitted, they are
+//!   as strong as the hidden one. How strong on average is learned from all profiles, once; more than that nothing is
+//!   assumed.
 //!
-//! Patches are found one after the other, the light of one known to the search for the next. They are numbered on from
-//! the largest patch, as many as there are, or `[hidden] count` of campaign.toml at most. The likeliest place that is
-//! not sure enough stands in `hypotheses` with `patch` null, and with it what would show it: how many shots, and hours.
+//! Patches are found one after the other; each accepted patch is known light in the search for the next. They are
+//! numbered on from the largest patch, as many as there are, or `[hidden] count` of campaign.toml at most. The
+//! likeliest place that is not sure enough stands in `hypotheses` with `patch` null, and with it how many shots, and
+//! hours, would show it.
 //!
-//! Takes `patches` (of `refine`) and writes them on, new ones added; beside them `hypotheses`. Beside it `profiles`,
-//! `stir`, `labels` and `calibration`; optional `delays` (of the same `refine`) and `session` (of `track`).
+//! Takes `patches` (of `refine`), `profiles`, `stir`, `labels` and `calibration`; optional `delays` (of the same
+//! `refine`) and `session` (of `track`). Writes all `patches`, new ones added, and `hypotheses`.
 //!
-//! Not modelled: errors of visible patches and delays, small beside the width of a response; footprints (`spread_ps` is
-//! the spread of a hidden patch's light in time, the same in all profiles); records that a laser's period wraps; photon
-//! counts; fourth and later bounces too weak to be fitted.
+//! Not modelled: errors of visible patches and delays, small against the width of a response; footprints (`spread_ps`
+//! is the spread of a hidden patch's light in time, the same in all profiles); records that a laser's period wraps;
+//! photon counts; fourth and later bounces too weak to be fitted.
 //!
 //! ```toml
 //! [found]
@@ -86,7 +86,7 @@ pub struct Fields {
     hidden: HiddenPatches,
 }
 
-/// Campaigns, and the tables beside the patches.
+/// Campaigns, and the tables other than the patches.
 pub struct Context {
     fields: ByCampaign<Fields>,
     profiles: Vec<Profile>,

@@ -1,14 +1,14 @@
 //! `surface`: planes through groups of patches (paper Figs. 4d and 6d: surface fitting, near co-planarity).
 //!
 //! Which patches lie on one plane is searched for ([`crate::geometry::planes`]): the plane with most patches within 3.5
-//! standard deviations, then the same with those that are left, as long as `least` are found. Or it is given by hand,
-//! in `groups`; a patch may then be in several. Distances at right angles to the plane are what is minimised, each over
-//! its variance. The errors of a plane follow from those of its patches, those of the angle between two planes from
-//! what their patches do not share. `roughness_m` is how far patches may lie off a plane beyond their errors: real
-//! walls are not flat, and of a first solution that does not know footprints the errors are larger than stated.
+//! standard deviations, then the same with the rest, as long as `least` are found. Or the groups are given by hand, in
+//! `groups`; a patch may then be in several. Minimised are distances at right angles to the plane, each over its
+//! variance. The errors of a plane follow from those of its patches, those of the angle between two planes from what
+//! their patches do not share. `roughness_m` is how far patches may lie off a plane beyond their errors: real walls are
+//! not flat, and a first solution without footprints has larger errors than stated.
 //!
-//! Takes `patches` (of `refine`, with their covariances; best alternative only); writes `planes`. Beside it, optional:
-//! `covariances` (`patch_covariances` of the same stage); without them the errors of patches count as independent,
+//! Takes `patches` (of `refine`, with their covariances; best alternative only); writes `planes`. Optional:
+//! `covariances` (`patch_covariances` of the same stage). Without them the errors of patches count as independent,
 //! which makes those of planes too small or too large. Not modelled: edges, curved walls, flatland.
 //!
 //! ```toml
@@ -34,7 +34,7 @@ use crate::priors::covariances::{self, PatchCovariances};
 use crate::tables::{Patch, PatchCovariance, Plane};
 use crate::units::PatchId;
 
-/// Any so many patches have a plane, so that `least` is one more.
+/// Any three points span a plane: `least` is one more.
 const EXACT: usize = 3;
 
 /// Parameters of `surface`.

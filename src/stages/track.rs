@@ -1,20 +1,18 @@
 //! `track`: what changes through a session, and what every shot of it has without any light.
 //!
 //! - Drift: captures of role `fiducial`, one fixed path again and again. Of the runs that differ in their time alone,
-//!   the longest series is
-//!   followed ([`drift`]); given is the delay since the response captures, which the latency was measured from. A delay
-//!   that jumps is no drift: it goes to `rejects`, with its time.
+//!   the longest series is followed ([`drift`]). The result is the delay since the response captures, from which the
+//!   latency was measured. A delay that jumps is no drift: it goes to `rejects`, with its time.
 //! - Pick-up: captures of role `blocked`, the laser firing with its beam stopped. Their mean is what it induces in step
-//!   with the shots
-//!   ([`pickup`]); given where its power exceeds that of its errors by three standard deviations.
+//!   with the shots ([`pickup`]); given where its power exceeds that of its errors by three standard deviations.
 //!
 //! `deconvolve` takes both off. What moves between reference pulse and trigger needs no tracking: every shot is aligned
 //! to its reference.
 //!
-//! Takes `profiles` (others than fiducial and blocked ones pass unseen); writes `session`. Beside it: `calibration`.
+//! Takes `profiles` (only fiducial and blocked ones are used) and `calibration`; writes `session`.
 //!
-//! Not modelled: drift that differs between the vertical ranges of a sensor, pick-up that changes through the session
-//! (its chi-square would tell).
+//! Not modelled: drift that differs between the vertical ranges of a sensor; pick-up that changes through the session
+//! (its chi-square would show it).
 //!
 //! ```toml
 //! [session]
@@ -44,7 +42,7 @@ use crate::tables::{Calibration, Name, Profile, Session};
 
 /// Fewer runs are no series.
 const RUNS_MIN: usize = 3;
-/// Pick-up is told where its power exceeds its errors' by this many standard deviations.
+/// Pick-up is reported where its power exceeds its errors' by this many standard deviations.
 const PICKUP_SIGMA: f64 = 3.0;
 
 /// Parameters of `track`.

@@ -1,4 +1,4 @@
-//! What was set aside, and where the tables come from.
+//! What was rejected, and where the tables come from.
 
 use maud::{Markup, html};
 
@@ -6,7 +6,7 @@ use super::words::{bytes, count, seconds};
 use crate::report::Report;
 use crate::store::runs::{Ending, RunRecord};
 
-/// What was set aside.
+/// What was rejected.
 pub fn rejects(report: &Report) -> Markup {
     let provenance = &report.provenance;
     html! {

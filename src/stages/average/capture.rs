@@ -64,7 +64,7 @@ impl Capture {
         let pulse =
             whole.then(|| ReferencePulse::of(&samples_v, columns.t0_ps.value(i), columns.dt_ps.value(i), template));
         self.reference_clipped = columns.clipped.values()[i] > 0;
-        // A pulse that is cut off at the rails has its fitted time biased: such a shot is set aside.
+        // A pulse that is cut off at the rails has a biased time: such a shot is rejected.
         let mut pulse = pulse.flatten().filter(|_| !self.reference_clipped);
         if let Some(period_ps) = context.period_ps(&self.first) {
             pulse = pulse.map(|pulse| pulse.of_train(period_ps, self.first_pulse_ps.unwrap_or(0.0)));

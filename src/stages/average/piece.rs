@@ -10,7 +10,8 @@ use super::{Average, Context, State};
 use crate::stages::stage::InPieces;
 use crate::tables::{Row, Subtotal, Trace};
 
-/// Up to so many codes of 32 bits have sums below 2^53, in any order: whole numbers that `f64` holds exactly.
+/// Codes of 32 bits have sums below 2^53 up to this number of shots, in any order: whole numbers that `f64` holds
+/// exactly.
 const EXACT_SHOTS: u64 = 1 << 21;
 
 /// How much of a capture is added up.
@@ -65,7 +66,7 @@ impl InPieces<Self> for Average {
     }
 }
 
-/// Whether so many shots like the first add up to the same whatever their order.
+/// Whether this many shots like the first add up to the same whatever their order.
 ///
 /// # Errors
 /// When they may not; the text says why.

@@ -37,8 +37,8 @@ pub struct References {
     v_ps: Moments,
     /// Sum of the squared standard deviations of the times.
     variance_ps2: f64,
-    /// The pulses themselves, where they are to be handed over: rounded sums depend on the order, so that whoever joins
-    /// pieces adds one by one.
+    /// The pulses themselves, for pieces: rounded sums depend on the order, so the run that joins pieces adds one by
+    /// one.
     kept: Option<Vec<ReferencePulse>>,
 }
 

@@ -256,7 +256,7 @@ impl Shots {
         let (jitter_ps2, references) = (self.jitter_ps2(noise), self.whole.references);
         let Trace { gain_v, offset_v, averaged_shots, .. } = self.first;
         let mean_v: Vec<f64> = mean.mean.iter().map(|code| (code - baseline) * gain_v).collect();
-        // The noise is that of records, each of which the oscilloscope may have averaged.
+        // The noise is that of records; the oscilloscope may have averaged each.
         let averaged = f64::from(averaged_shots);
         let (reference_ps, reference_sd_ps) = references.time_ps();
         let (reference_v_ps, reference_sd_v_ps) = references.v_ps();

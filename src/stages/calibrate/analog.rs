@@ -108,7 +108,8 @@ fn middle(mut values: Vec<f64>) -> f64 {
 }
 
 /// Mean time of the response in the shots, and its standard deviation from their spread. Where single shots are too
-/// noisy to be fitted, the maximum of the shape, known to about its width over the signal-to-noise ratio of the mean.
+/// noisy to be fitted, it is the maximum of the shape. That is as good as its width over the signal-to-noise ratio of
+/// the mean.
 fn arrival(shots: &[Shot], dt_ps: f64, shape: &Shape, noise_v: f64) -> (f64, f64) {
     let template = shape.response();
     let fit = |shot: &Shot| {

@@ -6,13 +6,13 @@ use crate::tables::{Check, Name};
 /// How a value is judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Test {
-    /// Not at all: it is told.
+    /// Not at all: for information.
     Told,
     /// By a limit that is no matter of chance: whether it is kept.
     Limit(bool),
     /// By its known standard deviation.
     Normal,
-    /// By a standard deviation that was estimated with so many degrees of freedom.
+    /// By a standard deviation that was estimated with this number of degrees of freedom.
     Student(usize),
     /// As a chi-square over its degrees of freedom.
     ChiSquare(usize),
@@ -29,7 +29,7 @@ pub struct Finding {
     pub sd: Option<f64>,
     pub expected: Option<f64>,
     pub tolerance: Option<f64>,
-    /// Independent values of which this one is the most extreme.
+    /// Number of independent values among which this one is the most extreme.
     pub trials: f64,
     pub test: Test,
     /// What a fail means, or what is missing.
@@ -38,7 +38,7 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// A value that is told.
+    /// A value for information.
     pub fn told(check: &str, value: f64, unit: &str, runs: usize) -> Self {
         Self {
             check: check.to_owned(),

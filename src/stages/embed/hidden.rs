@@ -63,9 +63,9 @@ fn of_label_at(hypothesis: &Hypothesis) -> Candidate {
     Candidate { point, cost: -2.0 * hypothesis.evidence }
 }
 
-/// Places that the distances to neighbours do not rule out, the chosen one first. Where several do, the light tells:
-/// patches reflect to the side from which they are lit, so a patch that they show lies on the laser's side of the plane
-/// through them.
+/// Places that the distances to neighbours do not rule out, the chosen one first. Patches reflect to the side from
+/// which they are lit. So of several places, the chosen one lies on the laser's side of the plane through its
+/// neighbours.
 fn places(neighbours: &[(Distance, Point)], context: &Context) -> Vec<Candidate> {
     context.cancel.check();
     let dimensions = usize::from(context.frame.dimensions);

@@ -57,7 +57,7 @@ fn known_patches_are_passed_on_and_hidden_ones_placed_from_their_distances() {
     assert!(left_out.reason.contains("patch 23 has distances to 2 patches in known places (2, 8), too few"));
 }
 
-/// The wall alone leaves two places, of which the one on the laser's side is chosen.
+/// The wall alone leaves two places; the one on the laser's side is chosen.
 #[test]
 fn a_wall_leaves_a_mirror_image_which_is_told() {
     let (points, truth) = (walls(), Point::new(0.3, 1.2, 0.1));

@@ -183,7 +183,7 @@ fn select(records: &[Record], channel: Option<&str>, segment: Option<u32>) -> Re
         named && (segment.is_none() || record.segment == segment)
     };
     let mut found: Vec<usize> = (0..records.len()).filter(|&i| wanted(&records[i])).collect();
-    // Beside exposures, an average is the instrument's own of them (a summary frame), and no exposure.
+    // Next to exposures, an average is the instrument's own of them (a summary frame), and no exposure.
     if found.iter().any(|&i| records[i].head.kind == Kind::Waveform) {
         found.retain(|&i| records[i].head.kind != Kind::Average);
     }

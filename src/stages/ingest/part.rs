@@ -148,7 +148,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// A file that is larger than a batch, or of which not all is wanted: read in pieces.
+    /// A file that is larger than a batch, or that is wanted in part only: read in pieces.
     fn large(&mut self, captures: &[Capture], share: &Share<'_>) -> Result<(), StageError> {
         let Share { index, item, of_file } = share;
         let (index, capture) = (*index, &captures[*index]);
@@ -209,8 +209,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Notes what came of a job; numbers its exposures where the files do not. A file of which another content is on
-    /// record stops the run before anything that was made of it counts.
+    /// Notes what came of a job; numbers its exposures where the files do not. A file with another content on record
+    /// stops the run before anything that was made of it counts.
     fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Records, StageError> {
         let campaign = job.capture.campaign;
         for Hashed { file, digest, metadata } in done.digests {

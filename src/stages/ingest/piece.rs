@@ -1,9 +1,9 @@
 //! Pieces of a part: stretches of its exposures, cut within files where these are large, and read by different
 //! processes.
 //!
-//! Each byte of a file is hashed by the piece that has it, so that the pieces together know the digest of all of it
-//! ([`tree_hash`]). What is odd about a piece (a file or record that is to be set aside, first shots that tell nothing)
-//! ends it with [`StageError::Indivisible`]: the part is then read whole, as it would have been without pieces.
+//! Each byte of a file is hashed by the piece that has it, so that the pieces together give the digest of the whole
+//! ([`tree_hash`]). An exception in a piece (a rejected file or record, first shots without information) ends it
+//! with [`StageError::Indivisible`]: the part is then read whole, as it would have been without pieces.
 
 mod cut;
 
@@ -42,7 +42,7 @@ struct Stretch {
     to: Place,
     /// Its files as they were when it was cut.
     states: BTreeMap<PathBuf, State>,
-    /// Of files of which it has a share: the bytes that it hashes.
+    /// Of files that it shares with other pieces: the bytes that it hashes.
     hashed: BTreeMap<PathBuf, Range<u64>>,
 }
 
@@ -65,11 +65,11 @@ struct Learnt {
     states: BTreeMap<PathBuf, State>,
     /// Of files that it has read to their end.
     digests: BTreeMap<PathBuf, Digest>,
-    /// Of files of which it has read a share.
+    /// Of files that it has read in part.
     subtrees: BTreeMap<PathBuf, Vec<Subtree>>,
 }
 
-/// The items between two places with their exposures, all of which are `0..usize::MAX`.
+/// The items between two places with their exposures; `0..usize::MAX` stands for all.
 fn between(captures: &[Capture], from: Place, to: Place) -> impl Iterator<Item = (usize, &Item, Range<usize>)> {
     items(captures).filter_map(move |(capture, item_number, item)| {
         let at = |exposure| Place { capture, item: item_number, exposure };

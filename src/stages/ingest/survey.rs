@@ -62,7 +62,7 @@ pub struct Job<'a> {
     pub first_shot: i32,
 }
 
-/// What tells captures apart, in the order of the tables: campaign, sensor, smaller and larger patch, role, run, lit.
+/// What identifies a capture, in the order of the tables: campaign, sensor, smaller and larger patch, role, run, lit.
 /// So reciprocal captures stand side by side.
 type Order = (usize, String, PatchId, PatchId, Role, Option<String>, PatchId);
 
@@ -92,8 +92,7 @@ pub struct Surveyed<'a> {
     pub warnings: Vec<String>,
     /// What is on record of the files of each campaign.
     pub records: Vec<Record>,
-    /// Files that this run has read to their end, and hashed: whoever needs another share of one need not read all of
-    /// it.
+    /// Files that this run has read to their end, and hashed: reading another share of one need not read all of it.
     read: Mutex<BTreeSet<(usize, PathBuf)>>,
     /// What files are read into.
     pub blocks: Arc<Blocks>,
@@ -315,7 +314,7 @@ fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, St
 fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, Item)>, StageError> {
     let refused = |message: String| StageError::Refused(format!("{}: {message}", path.display()));
     let Ok(records) = formats::Source::open(path).and_then(|mut file| formats::records(&mut file)) else {
-        // A file that does not decode, perhaps since it is still being written, is set aside with the reason when it is
+        // A file that does not decode, perhaps since it is still being written, is rejected with the reason when it is
         // read.
         let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
         return Ok(vec![(key, Item { exposure, records: Some(Vec::new()), bytes })]);

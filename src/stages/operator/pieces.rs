@@ -28,7 +28,7 @@ pub trait Joining: Running {
     fn absorb(&mut self, subtotals: &RecordBatch) -> Result<(), StageError>;
 }
 
-/// Groups of which each is computed in pieces; one is open at a time.
+/// Groups that are computed in pieces; one is open at a time.
 pub(super) struct Pieces<'a, S: Fold> {
     pub(super) groups: Groups<'a, S>,
     pub(super) pieces: &'a dyn InPieces<S>,

@@ -33,7 +33,7 @@ pub struct Places {
 }
 
 impl Places {
-    /// From the tables beside the stage; `None` without `patches`.
+    /// From the optional tables of the stage; `None` without `patches`.
     pub fn new(beside: &BesideTables) -> Result<Option<Self>, StageError> {
         let Some(patches) = beside.rows::<Patch>("patches")? else { return Ok(None) };
         let (mut points, mut visible) = (BTreeMap::new(), BTreeSet::new());
@@ -76,8 +76,8 @@ pub struct Thirds {
     stations: Vec<Point>,
 }
 
-/// The path of a label whose light comes from a lit patch, meets one that laser and sensor do not reach, and goes on to
-/// a seen one.
+/// The path of a label whose light comes from a lit patch, meets a hidden one, and goes on to a seen one. Laser and
+/// sensor do not reach the one in the middle.
 pub fn over_hidden<'a>(
     fields: &'a ByCampaign<Fields>,
     places: Option<&'a Places>,

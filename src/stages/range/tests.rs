@@ -28,7 +28,7 @@ fn labels(sensor: &str, apart_m: f64, paths: &[&[PatchId]]) -> Vec<Label> {
     paths.iter().map(label).collect()
 }
 
-/// What the campaign of these sensors, by station, and of visible patches 1 to 4 tells `range`.
+/// What `range` takes from the campaign of these sensors, by station, and of visible patches 1 to 4.
 fn context(sensors: &[(&str, &str)]) -> Result<Context, StageError> {
     let sensor = |(name, station): &(&str, &str)| format!("[sensors.{name}]\nstation = '{station}'\n");
     let text = format!(

@@ -14,7 +14,7 @@ use crate::units::PatchId;
 
 /// Residuals beyond this many of their own standard deviations are doubtful.
 const FAR_OFF: f64 = 4.0;
-/// An onset of which others check no more than this share is not checked.
+/// An onset is unchecked where the others check no more than this share of it.
 const UNCHECKED: f64 = 0.01;
 /// A patch is weak where its largest principal standard deviation is this many times that of the middle patch.
 const WEAK: f64 = 5.0;

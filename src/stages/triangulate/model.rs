@@ -30,7 +30,7 @@ type ProfileKey = (Name, PatchId, PatchId, Option<Name>);
 
 impl Model {
     /// The model, and which profiles it leaves out and why; or why there is none. `exact`: differences of arrival, with
-    /// all else as it is told.
+    /// all else exact.
     pub(super) fn new(context: &Context, onsets: Vec<Onset>, exact: bool) -> Result<(Self, Vec<String>), String> {
         let mut profiles: BTreeMap<ProfileKey, Vec<Onset>> = BTreeMap::new();
         for onset in onsets {

@@ -69,8 +69,8 @@ fn place_of(files: &[(PathBuf, u64)], file: &Path) -> Option<u64> {
     files.iter().find(|(name, _)| name == file).map(|(_, at)| *at)
 }
 
-/// Cuts a part into so many pieces, or fewer, of about as many bytes: within items that are larger than a piece, if
-/// they can be, else between them.
+/// Cuts a part into `count` pieces, or fewer, of about as many bytes. It cuts within items that are larger than a
+/// piece, if they can be cut, else between items.
 pub fn cut(surveyed: &Surveyed<'_>, part: usize, count: usize) -> Result<Vec<Piece>, String> {
     let captures = &surveyed.parts[part];
     let total: u64 = captures.iter().map(Capture::bytes).sum();
