@@ -13,6 +13,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -21,6 +22,8 @@ use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
 use super::stage::StageError;
 use crate::campaign::Campaign;
 use crate::campaign::keys::{self, PatchRole};
+use crate::geometry::Point;
+use crate::priors::covariances;
 use crate::store::Digest;
 use crate::store::finite::{self, NotJson};
 use crate::tables::{Patch, Row};
@@ -108,24 +111,8 @@ impl OpenSource for Opened {
     }
 }
 
-fn row(patch: PatchId, (role, [x_m, y_m, z_m], sd_m): &Anchor) -> Patch {
+fn row(patch: PatchId, (role, position_m, sd_m): &Anchor) -> Patch {
     let variance_m2 = sd_m.unwrap_or(EXACT_M).powi(2);
-    Patch {
-        patch,
-        kind: role.name().into(),
-        x_m: *x_m,
-        y_m: *y_m,
-        z_m: *z_m,
-        cov_xx_m2: Some(variance_m2),
-        cov_xy_m2: Some(0.0),
-        cov_xz_m2: Some(0.0),
-        cov_yy_m2: Some(variance_m2),
-        cov_yz_m2: Some(0.0),
-        cov_zz_m2: Some(variance_m2),
-        sd_m: Some((3.0 * variance_m2).sqrt()),
-        onsets: 0,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-    }
+    let cov_m2 = Matrix3::from_diagonal_element(variance_m2);
+    covariances::patch_row(patch, role.name(), Point::from(*position_m), Some(&cov_m2))
 }

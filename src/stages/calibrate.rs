@@ -96,7 +96,7 @@ struct Shots {
 }
 
 /// What a range's shots say.
-struct Found {
+struct Estimate {
     shape: Shape,
     /// Time of the response after the reference pulse (or the trigger), and its standard deviation.
     arrival_ps: (f64, f64),
@@ -286,11 +286,11 @@ impl Shots {
             let other = self.other;
             return Err(format!("none of its {other} response shots is usable; check range and reference channel"));
         }
-        let (found, reference) = match prior.counter {
-            Some(counter) => (counter::found(&self.signals, self.first.dt_ps, counter, cancel)?, None),
-            None => analog::found(self, template)?,
+        let (estimate, reference) = match prior.counter {
+            Some(counter) => (counter::estimate(&self.signals, self.first.dt_ps, counter, cancel)?, None),
+            None => analog::estimate(self, template)?,
         };
-        let (arrival_ps, arrival_sd_ps) = found.arrival_ps;
+        let (arrival_ps, arrival_sd_ps) = estimate.arrival_ps;
         let (latency_ps, latency_sd_ps, latency_common_sd_ps) = match (self.first.path_m, prior.latency_ps) {
             (Some(path_m), _) => {
                 let path_sd_ps = units::time_ps(self.first.path_sd_m.unwrap_or(0.0), prior.group_index);
@@ -311,11 +311,11 @@ impl Shots {
             campaign: of.campaign.clone(),
             sensor: of.sensor.clone(),
             range: self.first.range.clone(),
-            shots: found.shots as i32,
-            rejected: self.other + (self.signals.len() - found.shots) as i32,
-            step_ps: found.shape.step_ps,
-            response_t0_ps: found.shape.t0_ps,
-            response: upward(&found.shape),
+            shots: estimate.shots as i32,
+            rejected: self.other + (self.signals.len() - estimate.shots) as i32,
+            step_ps: estimate.shape.step_ps,
+            response_t0_ps: estimate.shape.t0_ps,
+            response: upward(&estimate.shape),
             reference_t0_ps: reference.as_ref().map(|reference| reference.shape.t0_ps),
             reference: reference.as_ref().map(|reference| upward(&reference.shape)),
             latency_ps,
@@ -323,10 +323,10 @@ impl Shots {
             latency_common_sd_ps: Some(latency_common_sd_ps),
             acquired_at: self.first.acquired_at.clone(),
             reference_v_ps: reference.as_ref().map(|reference| reference.integral_v_ps),
-            noise_model: found.noise_model,
-            noise_acf: found.noise_acf.map(|acf| acf.into_iter().collect()),
-            width_ps: found.shape.response().width_ps(),
-            width_sd_ps: found.width_sd_ps,
+            noise_model: estimate.noise_model,
+            noise_acf: estimate.noise_acf.map(|acf| acf.into_iter().collect()),
+            width_ps: estimate.shape.response().width_ps(),
+            width_sd_ps: estimate.width_sd_ps,
         })
     }
 }

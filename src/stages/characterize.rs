@@ -160,7 +160,7 @@ impl Characterize {
         let mut findings =
             vec![across::inverse_square(self, &series).unwrap_or_else(|| Finding::missing("inverse_square", MISSING))];
         match across::shift_per_path(self, &series, group_index) {
-            Some(found) => findings.extend(found),
+            Some(more) => findings.extend(more),
             None => findings.push(Finding::missing("shift_per_path", MISSING)),
         }
         findings

@@ -114,13 +114,13 @@ fn measurement(profile: &Profile, sensor: Option<&Sensor>) -> Measurement {
 fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measurement {
     let samples: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.calibrated.polarity).collect();
     let response = sensor.calibrated.averaged(profile);
-    let Some(found) = fit_pulse(&samples, profile.dt_ps, &response) else {
+    let Some(start) = fit_pulse(&samples, profile.dt_ps, &response) else {
         return row;
     };
-    let noise = noise_of_mean(profile, &response.reach(found.time_ps, 0.0, profile.dt_ps, samples.len()));
+    let noise = noise_of_mean(profile, &response.reach(start.time_ps, 0.0, profile.dt_ps, samples.len()));
     let acf = significant_acf(profile);
     let record = MeanRecord { samples: &samples, dt_ps: profile.dt_ps, noise, acf: &acf };
-    let Some(pulse) = (noise > 0.0).then(|| pulse_fit::fit(&record, &response, &found)).flatten() else {
+    let Some(pulse) = (noise > 0.0).then(|| pulse_fit::fit(&record, &response, &start)).flatten() else {
         return row;
     };
     let spread = spread(profile, &response, &pulse);

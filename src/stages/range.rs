@@ -140,8 +140,8 @@ impl Apply for Range {
                 }
             }
         }
-        let found = t2::invert(&first, &second);
-        let rows = found.distances.iter().map(|distance| Distance {
+        let direct = t2::invert(&first, &second);
+        let rows = direct.distances.iter().map(|distance| Distance {
             a: distance.a,
             b: distance.b,
             distance_m: distance.distance_m,
@@ -149,14 +149,14 @@ impl Apply for Range {
             bounces: distance.bounces,
             onsets: distance.onsets,
         });
-        let hidden = thirds.solve(fields, places, &found);
+        let hidden = thirds.solve(fields, places, &direct);
         let campaign = group.first().map_or_else(|| "".into(), |label| label.campaign.clone());
-        let told =
-            rejections(&campaign, fields, &found).into_iter().chain(hidden.rejections(&campaign, places.is_some()));
+        let doubts =
+            rejections(&campaign, fields, &direct).into_iter().chain(hidden.rejections(&campaign, places.is_some()));
         Ok(Outcome {
-            rejections: left_out(apart).chain(told).collect(),
+            rejections: left_out(apart).chain(doubts).collect(),
             rows: rows.chain(hidden.distances).collect(),
-            sides: vec![Covariance::to_batch(&[covariances(&found), hidden.covariances].concat())],
+            sides: vec![Covariance::to_batch(&[covariances(&direct), hidden.covariances].concat())],
         })
     }
 }
@@ -166,12 +166,12 @@ fn of_role(campaign: &Campaign, role: PatchRole) -> Vec<PatchId> {
     campaign.patches.iter().filter(|(_, patch)| patch.role == role).map(|(id, _)| *id).collect()
 }
 
-fn covariances(found: &Distances) -> Vec<Covariance> {
+fn covariances(direct: &Distances) -> Vec<Covariance> {
     let row = |&(first, second, cov_m2): &(usize, usize, f64)| {
-        let (first, second) = (&found.distances[first], &found.distances[second]);
+        let (first, second) = (&direct.distances[first], &direct.distances[second]);
         Covariance { a1: first.a, b1: first.b, a2: second.a, b2: second.b, cov_m2 }
     };
-    found.covariances.iter().map(row).collect()
+    direct.covariances.iter().map(row).collect()
 }
 
 fn unknown_sensor(label: &Label) -> StageError {
@@ -184,25 +184,21 @@ fn unknown_sensor(label: &Label) -> StageError {
 /// Sensors that stand apart from the laser, with the onsets that are left out.
 fn left_out(apart: BTreeMap<(Name, Name), usize>) -> impl Iterator<Item = Rejection> {
     apart.into_iter().map(|((campaign, sensor), onsets)| {
-        about(campaign, format!(
+        Rejection::new(&campaign, format!(
             "sensor {sensor} stands apart from the laser: the path lengths of its {onsets} onsets are sums that T2 cannot take apart, so they are \
              left out here; `refine` takes them as they are"
         ))
     })
 }
 
-fn about(campaign: Name, reason: String) -> Rejection {
-    Rejection { campaign, file: None, segment: None, byte_offset: None, reason }
-}
-
 /// What a user should know: distances that could not be had, or that contradict themselves.
-fn rejections(campaign: &Name, fields: &ByCampaign<Fields>, found: &Distances) -> Vec<Rejection> {
-    let has_first: BTreeSet<PatchId> = found.distances.iter().map(|distance| distance.b).collect();
+fn rejections(campaign: &Name, fields: &ByCampaign<Fields>, direct: &Distances) -> Vec<Rejection> {
+    let has_first: BTreeSet<PatchId> = direct.distances.iter().map(|distance| distance.b).collect();
     // Where no sensor stands at the laser, no patch can have a first bounce there.
     let with_laser = fields.values().filter(|fields| fields.stations.is_any_with_laser());
     let listed = with_laser.flat_map(|fields| fields.visible.iter().copied());
     let mut lost: BTreeMap<PatchId, usize> = listed.map(|patch| (patch, 0)).collect();
-    for patch in found.skipped.iter().flat_map(|(a, b)| [*a, *b]) {
+    for patch in direct.skipped.iter().flat_map(|(a, b)| [*a, *b]) {
         *lost.entry(patch).or_default() += 1;
     }
     lost.retain(|patch, _| !has_first.contains(patch));
@@ -216,13 +212,13 @@ fn rejections(campaign: &Name, fields: &ByCampaign<Fields>, found: &Distances) -
              them; for distances, capture lit {patch}, seen {patch}"
         ),
     });
-    let disagreeing = found.disagreeing.iter().map(|(a, b, sigma)| {
+    let disagreeing = direct.disagreeing.iter().map(|(a, b, sigma)| {
         format!(
             "reciprocal onsets of patches {a} and {b} differ by {sigma:.1} standard deviations; their distance is kept with a variance that \
              covers it: look at both profiles"
         )
     });
-    lost.chain(disagreeing).map(|reason| about(campaign.clone(), reason)).collect()
+    lost.chain(disagreeing).map(|reason| Rejection::new(campaign, reason)).collect()
 }
 
 #[cfg(test)]

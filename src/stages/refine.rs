@@ -240,15 +240,9 @@ fn unused_normals(context: &Context, is_fixed: bool, labels: &[Label]) -> Vec<Re
     if is_fixed || !context.planes.is_empty() || !has_normal {
         return Vec::new();
     }
-    vec![Rejection {
-        campaign: labels[0].campaign.clone(),
-        file: None,
-        segment: None,
-        byte_offset: None,
-        reason: "normals in campaign.toml are left aside, since no anchor, ray or station tells how the patches are turned: footprints are taken as points; give `planes` of \
-                 a stage `surface` beside, or anchors"
-            .to_owned(),
-    }]
+    let reason = "normals in campaign.toml are left aside, since no anchor, ray or station tells how the patches are turned: footprints are taken as points; give `planes` of \
+                 a stage `surface` beside, or anchors";
+    vec![Rejection::new(&labels[0].campaign, reason.to_owned())]
 }
 
 #[cfg(test)]

@@ -45,7 +45,7 @@ use crate::campaign::keys::PatchRole;
 use crate::geometry::{Point, mirror};
 use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::delays::Latencies;
-use crate::tables::{Ambiguity, Name, Onset, Patch, PatchCovariance, Plane, Row};
+use crate::tables::{Ambiguity, Onset, Patch, PatchCovariance, Plane, Row};
 use rows::Tables;
 use scans::{Context, Fields, Scans};
 
@@ -128,14 +128,8 @@ impl Apply for Reflect {
         } else {
             self.solved(&scans, &mut reasons)
         };
-        let campaign = Name::from(context.fields.first_name());
-        let reject = |reason: String| Rejection {
-            campaign: campaign.clone(),
-            file: None,
-            segment: None,
-            byte_offset: None,
-            reason,
-        };
+        let campaign = context.fields.first_name();
+        let reject = |reason: String| Rejection::new(campaign, reason);
         Ok(Outcome {
             rows: tables.patches,
             sides: vec![

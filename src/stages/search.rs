@@ -30,7 +30,7 @@
 //! with = { profiles = "profiles", stir = "stir", labels = "labels", calibration = "calibration" }
 //! ```
 
-mod record;
+mod pair_profile;
 mod rows;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -51,7 +51,7 @@ use crate::priors::delays::Delays;
 use crate::signal::sparse::{self, Open};
 use crate::tables::{Hypothesis, Label, Patch, Profile, Row, Session, Stir};
 use crate::units::PatchId;
-use record::{Light, Record};
+use pair_profile::{Light, PairProfile};
 use rows::SearchRows;
 
 /// Patches found at most.
@@ -147,20 +147,20 @@ impl Apply for Search {
         let best = group.iter().filter(|patch| patch.alternative == 0);
         let mut points: BTreeMap<PatchId, Point> =
             best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
-        let (mut records, mut rejections) = context.records(&points)?;
-        let mut search = SearchRows::new(&records, -self.false_alarm.get().ln());
+        let (mut pairs, mut rejections) = context.pairs(&points)?;
+        let mut search = SearchRows::new(&pairs, -self.false_alarm.get().ln());
         let visible: Vec<PatchId> =
-            records.iter().flat_map(|record| [record.lit, record.seen]).collect::<BTreeSet<_>>().into_iter().collect();
-        let room = match room(context, &points, &visible, &records) {
+            pairs.iter().flat_map(|pair| [pair.lit, pair.seen]).collect::<BTreeSet<_>>().into_iter().collect();
+        let room = match room(context, &points, &visible, &pairs) {
             Ok(room) => Some(room),
             Err(why) => {
-                rejections.push(rejection(context.fields.first_name(), why));
+                rejections.push(Rejection::new(context.fields.first_name(), why));
                 None
             }
         };
-        let light = Light::new(context, &records, &visible);
+        let light = Light::new(context, &pairs, &visible);
         if room.is_some() {
-            light.learn(&mut records, &points, &context.cancel);
+            light.learn(&mut pairs, &points, &context.cancel);
         }
         let already = points.len() - visible.len();
         let count = context.fields.first().and_then(|fields| fields.hidden.count);
@@ -169,18 +169,18 @@ impl Apply for Search {
         let largest = listed.chain(points.keys().copied()).max();
         for patch in (largest.unwrap_or(0) + 1..).take(most) {
             let Some(room) = &room else { break };
-            let scores = |record: &Record| {
-                let given = light.given(record, &points);
-                record.scores(&visible, &given, self.spread_ps.get(), &context.cancel)
+            let scores = |pair: &PairProfile| {
+                let given = light.given(pair, &points);
+                pair.scores(&visible, &given, self.spread_ps.get(), &context.cancel)
             };
-            let profiles: Vec<faint::Profile> = records.par_iter().map(scores).collect();
+            let profiles: Vec<faint::Profile> = pairs.par_iter().map(scores).collect();
             let Some(place) = faint::likeliest(&profiles, room) else { break };
             if !search.add(patch, place, room.dimensions) {
                 break;
             }
             points.insert(patch, place.point);
         }
-        rejections.extend(search.message().map(|text| rejection(context.fields.first_name(), text)));
+        rejections.extend(search.message().map(|text| Rejection::new(context.fields.first_name(), text)));
         let hypotheses = search.hypotheses();
         let mut rows = group;
         rows.extend(search.patches());
@@ -193,9 +193,9 @@ fn room(
     context: &Context,
     points: &BTreeMap<PatchId, Point>,
     visible: &[PatchId],
-    records: &[Record],
+    pairs: &[PairProfile],
 ) -> Result<Room, String> {
-    let Some((fields, record)) = context.fields.first().zip(records.first()) else {
+    let Some((fields, pair)) = context.fields.first().zip(pairs.first()) else {
         return Err("no profile of two patches with known places can be searched for hidden patches".to_owned());
     };
     let at: Vec<Point> = visible.iter().map(|patch| points[patch]).collect();
@@ -206,10 +206,6 @@ fn room(
         ));
     }
     let foci = facing::fronts(&at, &vec![None; at.len()], fields.stations.source(), fields.dimensions);
-    let width_m = fields.medium.path_m(record.response.width_ps());
+    let width_m = fields.medium.path_m(pair.response.width_ps());
     Ok(Room { foci, dimensions: fields.dimensions, width_m, cancel: context.cancel.clone() })
-}
-
-fn rejection(campaign: &str, reason: String) -> Rejection {
-    Rejection { campaign: campaign.into(), file: None, segment: None, byte_offset: None, reason }
 }

@@ -133,6 +133,12 @@ pub struct Rejection {
 }
 
 impl Rejection {
+    /// About no file.
+    #[must_use]
+    pub fn new(campaign: &str, reason: String) -> Self {
+        Self { campaign: campaign.into(), file: None, segment: None, byte_offset: None, reason }
+    }
+
     /// As a row of the table `rejects`.
     #[must_use]
     pub fn row(self, heading: &str) -> Reject {

@@ -121,11 +121,11 @@ impl Apply for Surface {
             return Ok(Outcome::rows(Vec::new()));
         }
         let (placed, mut reasons) = Placed::new(context, &group, self.roughness_m.get());
-        let found = match &self.groups {
+        let planes = match &self.groups {
             None => planes::find(&placed.points, self.least.get() as usize, |a, b| placed.covariance_m2(a, b)),
             Some(groups) => placed.through(groups, &mut reasons),
         };
-        if self.groups.is_none() && found.is_empty() {
+        if self.groups.is_none() && planes.is_empty() {
             reasons.push(format!(
                 "no {} of the {} patches lie within {} standard deviations of a plane; name those that should in `groups`: their row tells how \
                  far off they are",
@@ -137,14 +137,8 @@ impl Apply for Surface {
         if self.optional {
             reasons.clear();
         }
-        let reject = |reason: String| Rejection {
-            campaign: context.campaign.as_str().into(),
-            file: None,
-            segment: None,
-            byte_offset: None,
-            reason,
-        };
-        let rows = found.iter().enumerate().map(|(n, plane)| placed.row(n, plane, &found[0])).collect();
+        let reject = |reason: String| Rejection::new(&context.campaign, reason);
+        let rows = planes.iter().enumerate().map(|(n, plane)| placed.row(n, plane, &planes[0])).collect();
         Ok(Outcome { rows, sides: Vec::new(), rejections: reasons.into_iter().map(reject).collect() })
     }
 }
@@ -197,7 +191,7 @@ impl<'a> Placed<'a> {
 
     /// Planes through groups that were given by hand, and why some have none.
     fn through(&self, groups: &[Vec<PatchId>], reasons: &mut Vec<String>) -> Vec<planes::Plane> {
-        let mut found = Vec::new();
+        let mut planes = Vec::new();
         for (n, group) in groups.iter().enumerate() {
             let (here, gone): (Vec<PatchId>, Vec<PatchId>) = group.iter().partition(|patch| self.ids.contains(patch));
             let group = n + 1;
@@ -210,14 +204,14 @@ impl<'a> Placed<'a> {
                 here.iter().filter_map(|patch| self.ids.iter().position(|id| id == patch)).collect();
             members.sort_by_key(|place| self.ids[*place]);
             match planes::fit(&self.points, &members, |a, b| self.covariance_m2(a, b)) {
-                Some(plane) => found.push(plane),
+                Some(plane) => planes.push(plane),
                 None => reasons.push(format!(
                     "the {} patches of group {group} are fewer than {EXACT} or in line, which leaves no plane: add one aside of the others",
                     members.len()
                 )),
             }
         }
-        found
+        planes
     }
 
     /// The row of the `n`-th plane, from 0; tilted against the `first`.

@@ -159,11 +159,11 @@ impl Track {
         };
         let of_sensor = |row: &&Calibration| row.campaign == state.campaign && row.sensor == state.sensor;
         let origin = calibration.iter().filter(of_sensor).find_map(|row| row.acquired_at.clone());
-        let time_s = |name: &Option<Name>| name.as_deref().and_then(acquisition_time::seconds);
-        let point =
-            |run: &Run| Some(Point { time_s: time_s(&run.acquired_at)?, delay_ps: run.delay_ps, sd_ps: run.sd_ps });
+        let point = |run: &Run| {
+            Some(Point { time_s: time_s(run.acquired_at.as_ref())?, delay_ps: run.delay_ps, sd_ps: run.sd_ps })
+        };
         let points: Option<Vec<Point>> = runs.iter().map(point).collect();
-        let (Some(points), Some(origin_s)) = (points, time_s(&origin)) else {
+        let (Some(points), Some(origin_s)) = (points, time_s(origin.as_ref())) else {
             return Err(
                 "its fiducial or response files do not say when they were taken: drift is not followed".to_owned()
             );
@@ -194,6 +194,10 @@ impl Track {
     }
 }
 
+fn time_s(moment: Option<&Name>) -> Option<f64> {
+    acquisition_time::seconds(moment?)
+}
+
 impl State {
     fn take_fiducial(&mut self, sensors: &Sensors, profile: &Profile) {
         let bits = |value: Option<f64>| value.map(f64::to_bits);
@@ -207,13 +211,7 @@ impl State {
     }
 
     fn rejection(&self, why: String) -> Rejection {
-        Rejection {
-            campaign: self.campaign.clone(),
-            file: None,
-            segment: None,
-            byte_offset: None,
-            reason: format!("sensor {}: {why}", self.sensor),
-        }
+        Rejection::new(&self.campaign, format!("sensor {}: {why}", self.sensor))
     }
 
     fn row(&self, range: Option<Name>, followed: Option<&Followed>) -> Session {

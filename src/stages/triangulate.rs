@@ -134,7 +134,7 @@ impl Context {
     }
 
     fn rejection(&self, reason: String) -> Rejection {
-        Rejection { campaign: self.campaign.as_str().into(), file: None, segment: None, byte_offset: None, reason }
+        Rejection::new(&self.campaign, reason)
     }
 }
 

@@ -83,12 +83,12 @@ impl Noise {
         self.exceeding(JITTER, known_ps2)
     }
 
-    fn exceeding(&self, term: usize, known: f64) -> Option<f64> {
+    fn exceeding(&self, term: usize, expected: f64) -> Option<f64> {
         let model = self.model.as_ref()?;
         // Correlated samples say less than as many independent ones: variances correlate by the square.
         let alike = 1.0 + 2.0 * self.acf.iter().skip(1).map(|r| r * r).sum::<f64>();
         let sd = (alike * model.covariance[term][term]).sqrt();
         let value = model.values[term];
-        (value - known > CLAIM_SIGMA * sd).then_some(value)
+        (value - expected > CLAIM_SIGMA * sd).then_some(value)
     }
 }

@@ -81,8 +81,7 @@ pub fn merged(mut ranges: Vec<Record>) -> Result<Record, String> {
         .collect();
     let Clipping { before, after, .. } = ranges[0].clipping;
     let options = MergeOptions { margin_before: before, margin_after: after, delay_dt_ps: Some(dt_ps) };
-    let known = |merged: &Merged| merged.links.iter().all(|link| link.gain_sd < GAIN_SD_MAX * link.gain);
-    let Some(merged) = merge(&views, &options).ok().filter(known) else {
+    let Some(merged) = merge(&views, &options).ok().filter(is_certain) else {
         return Err(
             "was taken at several vertical ranges, in all of which too little light is seen to tell how they scale; \
                     exclude all but one in campaign.toml"
@@ -99,6 +98,11 @@ pub fn merged(mut ranges: Vec<Record>) -> Result<Record, String> {
     let (jitter_ps, gain_sd) = (profile.jitter_ps.hypot(delay_sd_ps), profile.gain_sd.hypot(gain_sd));
     let profile = Profile { rejected, clipped, phase_shots, jitter_ps, gain_sd, ..profile };
     Ok(Record { first, mean_v: merged.mean_v, se_v: merged.se_v, clipping, profile })
+}
+
+/// Whether the ranges' factors are measured well enough.
+fn is_certain(merged: &Merged) -> bool {
+    merged.links.iter().all(|link| link.gain_sd < GAIN_SD_MAX * link.gain)
 }
 
 /// Shots of all ranges at each phase.

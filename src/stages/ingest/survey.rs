@@ -109,12 +109,12 @@ impl<'a> Surveyed<'a> {
         let mut records = Vec::new();
         for (index, campaign) in campaigns.iter().enumerate() {
             let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&campaign.root, error));
-            let found = campaign.survey().map_err(|error| refused(&error))?;
+            let survey = campaign.survey().map_err(|error| refused(&error))?;
             let record = Record::load(campaign, notes).map_err(|error| refused(&error))?;
-            warn(campaign, &found, &record, &mut warnings);
+            warn(campaign, &survey, &record, &mut warnings);
             let sealed =
                 |exposure: &Exposure| record.seal.as_ref().is_none_or(|seal| seal.get(&exposure.file).is_some());
-            let mut exposures = found.exposures;
+            let mut exposures = survey.exposures;
             exposures.retain(|exposure| roles.contains(&exposure.role) && sealed(exposure));
             records.push(record);
             for exposure in exposures {
@@ -196,7 +196,7 @@ impl<'a> Surveyed<'a> {
     }
 
     /// The digest of a file, if it is on record and the file still has the size and time that it had then.
-    pub fn known(&self, campaign: usize, file: &Path) -> Option<Digest> {
+    pub fn digest_of(&self, campaign: usize, file: &Path) -> Option<Digest> {
         match self.records[campaign].check(&self.campaigns[campaign].root, file) {
             Ok(FileState::Same(digest)) => Some(digest.into()),
             _ => None,
@@ -212,12 +212,13 @@ impl<'a> Surveyed<'a> {
     /// Whether this run has read a file to its end before, and it is as it was then.
     pub fn was_read(&self, campaign: usize, file: &Path) -> bool {
         let read = self.read.lock().unwrap_or_else(PoisonError::into_inner).contains(&(campaign, file.to_owned()));
-        read && self.known(campaign, file).is_some()
+        read && self.digest_of(campaign, file).is_some()
     }
 
     fn source_part(&self, part: &[Capture]) -> SourcePart {
-        let known = |(campaign, file): (usize, &Path)| Some(((campaign, file.to_owned()), self.known(campaign, file)?));
-        let digests: Option<FileDigests> = content::files(part).into_iter().map(known).collect();
+        let entry =
+            |(campaign, file): (usize, &Path)| Some(((campaign, file.to_owned()), self.digest_of(campaign, file)?));
+        let digests: Option<FileDigests> = content::files(part).into_iter().map(entry).collect();
         let content = digests.map(|digests| content::digest(self.campaigns, part, &digests));
         let records = part.iter().map(|capture| capture.items.len() as u64).sum();
         SourcePart { content, bytes: part.iter().map(Capture::bytes).sum(), records }
@@ -263,7 +264,7 @@ pub fn chain(root: &Path, error: &dyn std::error::Error) -> String {
 }
 
 /// What a user should know of a survey.
-fn warn(campaign: &Campaign, found: &Survey, record: &Record, warnings: &mut Vec<String>) {
+fn warn(campaign: &Campaign, survey: &Survey, record: &Record, warnings: &mut Vec<String>) {
     let place = campaign.root.display();
     let mut list = |what: &str, files: Vec<String>| {
         let more = if files.len() > 3 { ", ..." } else { "" };
@@ -272,16 +273,16 @@ fn warn(campaign: &Campaign, found: &Survey, record: &Record, warnings: &mut Vec
         }
     };
     let text = |file: &Path| file.display().to_string();
-    list("patterns of campaign.toml match no file", found.empty.clone());
+    list("patterns of campaign.toml match no file", survey.empty.clone());
     list(
         "files match no rule of campaign.toml and are left out",
-        found.unmatched.iter().map(|file| text(file)).collect(),
+        survey.unmatched.iter().map(|file| text(file)).collect(),
     );
     let missing =
-        found.missing_references.iter().map(|missing| format!("{} (wanted {})", text(&missing.file), missing.wanted));
+        survey.missing_references.iter().map(|missing| format!("{} (wanted {})", text(&missing.file), missing.wanted));
     list("files are left out, since their reference is missing", missing.collect());
     if let Some(seal) = &record.seal {
-        let new = found.files().into_iter().filter(|file| seal.get(file).is_none());
+        let new = survey.files().into_iter().filter(|file| seal.get(file).is_none());
         list(
             "files came since the campaign was sealed and are left out until `periscope seal --update`",
             new.map(text).collect(),

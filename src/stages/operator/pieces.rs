@@ -3,7 +3,7 @@
 
 use arrow_array::RecordBatch;
 
-use super::{Groups, Running, Written, groups};
+use super::{Groups, OutputBatches, Running, groups};
 use crate::stages::stage::{Fold, InPieces, StageError};
 
 /// What is done with pieces of groups.
@@ -35,10 +35,10 @@ pub(super) struct Pieces<'a, S: Fold> {
 }
 
 impl<S: Fold> Running for Pieces<'_, S> {
-    fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError> {
+    fn push(&mut self, batch: &RecordBatch) -> Result<OutputBatches, StageError> {
         self.groups.push(batch)
     }
-    fn flush(&mut self) -> Result<Written, StageError> {
+    fn flush(&mut self) -> Result<OutputBatches, StageError> {
         self.groups.flush()
     }
 }
