@@ -1,5 +1,7 @@
 //! Messages at the end of a run: what it rejected and why, and tables without rows.
 
+mod decisions;
+
 use std::collections::BTreeSet;
 use std::process::ExitCode;
 
@@ -24,6 +26,7 @@ pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool) -> R
             println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
         }
     }
+    decisions::print(spec, outcome, shelf)?;
     tell_empty(spec, outcome);
     if outcome.rejects > 0 {
         tell_rejects(shelf)?;

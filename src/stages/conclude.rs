@@ -236,7 +236,8 @@ impl Context {
 
     /// Which pulses are wider than the response, and which blend.
     fn pulse_shapes(&self) -> Decision {
-        let with = |flag: &str| self.onsets.iter().filter(|onset| onset.flags.iter().any(|name| &**name == flag)).count();
+        let with =
+            |flag: &str| self.onsets.iter().filter(|onset| onset.flags.iter().any(|name| &**name == flag)).count();
         let (all, wide, blended) = (self.onsets.len(), with("extended"), with("blended"));
         decision(
             "pulse shapes",
@@ -249,7 +250,10 @@ impl Context {
     /// Vertical ranges that gave onsets, where a sensor has several.
     fn ranges(&self) -> Option<Decision> {
         let mut ranges = BTreeMap::<&Name, usize>::new();
-        self.onsets.iter().filter_map(|onset| onset.range.as_ref()).for_each(|range| *ranges.entry(range).or_default() += 1);
+        self.onsets
+            .iter()
+            .filter_map(|onset| onset.range.as_ref())
+            .for_each(|range| *ranges.entry(range).or_default() += 1);
         (ranges.len() > 1).then(|| {
             let list: Vec<String> = ranges.iter().map(|(range, count)| format!("{range}: {count} onsets")).collect();
             let text = "a range that does not clip";
@@ -263,7 +267,9 @@ fn other_solution(ambiguity: &Ambiguity) -> Decision {
     let patches: Vec<String> = ambiguity.patches.iter().map(ToString::to_string).collect();
     let which = if patches.is_empty() { "all patches".to_owned() } else { format!("patches {}", patches.join(", ")) };
     let known = match ambiguity.log_likelihood {
-        Some(log_likelihood) => format!("the other solution is less likely by a factor of {:.3e}", (-log_likelihood).exp()),
+        Some(log_likelihood) => {
+            format!("the other solution is less likely by a factor of {:.3e}", (-log_likelihood).exp())
+        }
         None => "no onset decides".to_owned(),
     };
     Decision {

@@ -78,7 +78,8 @@ impl Stage for Surface {
     const VERSION: u32 = 1;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[Beside { name: "covariances", table: "patch_covariances", required: false }];
-    const CONDITIONS: &'static [Condition] = &[Condition("least", "groups", &["absent"]), Condition("optional", "groups", &["absent"])];
+    const CONDITIONS: &'static [Condition] =
+        &[Condition("least", "groups", &["absent"]), Condition("optional", "groups", &["absent"])];
     type Input = Patch;
     type Output = Plane;
     type Fields = ByCampaign<Fields>;
