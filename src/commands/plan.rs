@@ -69,8 +69,8 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
 }
 
 fn tell_warnings(plan: &Plan<'_>) {
-    for warning in plan.warnings() {
-        eprintln!("warning: {warning}");
+    for left_out in plan.left_out() {
+        eprintln!("warning: {left_out}");
     }
 }
 

@@ -62,7 +62,7 @@ pub struct Run {
     /// First read all raw files again, even those with the recorded size and time of change
     #[arg(long)]
     rehash: bool,
-    /// Exit with 1 if any input was rejected
+    /// Exit with 1 if any input was left out or rejected, or a result is empty
     #[arg(long)]
     strict: bool,
     /// Bytes to read at a time; results do not depend on it
@@ -131,6 +131,7 @@ impl Job<'_> {
         let ending = match &outcome {
             Ok(outcome) => {
                 record.rejects = outcome.rejects;
+                record.left_out = outcome.left_out.iter().map(ToString::to_string).collect();
                 record.passes.clone_from(&outcome.passes);
                 Ending::Done
             }
@@ -166,8 +167,8 @@ impl Job<'_> {
             shards.join(self.shelf, &self.settings, &progress, &mut |warning| eprintln!("warning: {warning}"))?;
         }
         let mut plan = Plan::new(self.spec, self.campaigns, self.shelf, self.until)?;
-        for warning in plan.warnings() {
-            eprintln!("warning: {warning}");
+        for left_out in plan.left_out() {
+            eprintln!("warning: {left_out}");
         }
         if let Some(shards) = self.shards {
             shards.check(&plan)?;

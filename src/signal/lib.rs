@@ -68,6 +68,7 @@ pub mod averaged_response;
 pub mod banded;
 pub mod between;
 pub mod codes;
+pub mod dark;
 pub mod drift;
 pub mod echo;
 mod failure;

@@ -20,8 +20,8 @@ use serde_json::Value;
 use super::operator::WrittenTable;
 use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
 use super::stage::StageError;
-use crate::campaign::Campaign;
 use crate::campaign::keys::{self, PatchRole};
+use crate::campaign::{Campaign, LeftOut};
 use crate::geometry::Point;
 use crate::priors::covariances;
 use crate::store::Digest;
@@ -94,7 +94,7 @@ impl OpenSource for Opened {
     fn parts(&self) -> &[SourcePart] {
         &self.parts
     }
-    fn warnings(&self) -> &[String] {
+    fn left_out(&self) -> &[LeftOut] {
         &[]
     }
 

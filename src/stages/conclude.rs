@@ -91,6 +91,10 @@ impl Stage for Conclude {
 
 impl Apply for Conclude {
     fn apply(&self, context: &Context, patches: Vec<Patch>) -> Result<Outcome<Decision>, StageError> {
+        // An empty result is reported where its rows were lost.
+        if patches.is_empty() {
+            return Ok(Outcome::rows(Vec::new()));
+        }
         let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
         let mut decisions = vec![context.fit(), context.labelled(), context.hidden(&best)];
         decisions.extend(context.walls());

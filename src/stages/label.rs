@@ -314,7 +314,7 @@ fn places(rows: &[Patch]) -> Result<BTreeMap<PatchId, (Point, Matrix3<f64>)>, St
     };
     let places: BTreeMap<PatchId, _> = rows.iter().filter(|row| row.alternative == 0).filter_map(place).collect();
     if places.is_empty() {
-        let text = "with patches: no patch has a covariance, so its onset times cannot be weighted; give patches from `refine`";
+        let text = "with patches: no patch has a covariance, so its onsets cannot be weighted: these are start values (give patches from `refine`), or too few pairs determine them (`rejects` has the missing ones)";
         return Err(StageError::Refused(text.to_owned()));
     }
     Ok(places)

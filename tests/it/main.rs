@@ -52,6 +52,7 @@ mod scope_samples;
 mod session;
 mod sessions;
 mod shards;
+mod silent;
 mod simulate;
 mod surface;
 mod verify;

@@ -28,7 +28,25 @@ fn context(fit: Fit) -> Context {
 }
 
 fn decisions(context: &Context) -> Vec<Decision> {
-    Conclude {}.apply(context, Vec::new()).expect("it computes nothing").rows
+    let patch = Patch {
+        patch: 1,
+        kind: "visible".into(),
+        x_m: 0.0,
+        y_m: 1.0,
+        z_m: 0.0,
+        cov_xx_m2: None,
+        cov_xy_m2: None,
+        cov_xz_m2: None,
+        cov_yy_m2: None,
+        cov_yz_m2: None,
+        cov_zz_m2: None,
+        sd_m: None,
+        onsets: 1,
+        chi2_dof: None,
+        alternative: 0,
+        log_likelihood: None,
+    };
+    Conclude {}.apply(context, vec![patch]).expect("it computes nothing").rows
 }
 
 /// A right model exceeds the limit once in some 10,000 campaigns.
