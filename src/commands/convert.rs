@@ -25,7 +25,7 @@ pub struct Convert {
     /// Standard deviation of each coordinate of the wall's points; else they count as exact
     #[arg(long, value_name = "M")]
     wall_sd_m: Option<f64>,
-    /// Laser pulses per histogram, to correct for photons that hide others; default: so many that none does
+    /// Laser pulses per histogram, to correct for photons that hide others; default: no correction
     #[arg(long)]
     cycles: Option<u64>,
     /// Dead time of the sensor after a photon

@@ -28,7 +28,7 @@ mod whole_file;
 
 pub use interrupt::is_interruption;
 
-/// Done, but some input was rejected, or something is to be mended.
+/// Done, but some input was rejected, or something needs to be fixed.
 pub const SOME_REJECTED: u8 = 3;
 
 /// Ended by Ctrl-C or SIGTERM.

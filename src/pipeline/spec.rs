@@ -183,9 +183,9 @@ impl Spec {
                     self.expect(from, operator.input())
                         .map_err(|message| refused(format!("from = \"{from}\": {message}")))?;
                     for (name, heading) in &step.with {
-                        let known: Vec<&str> = operator.beside().iter().map(|beside| beside.name).collect();
+                        let names: Vec<&str> = operator.beside().iter().map(|beside| beside.name).collect();
                         let Some(beside) = operator.beside().iter().find(|beside| beside.name == name) else {
-                            return Err(refused(suggest::unknown("name in `with`", name, &known)));
+                            return Err(refused(suggest::unknown("name in `with`", name, &names)));
                         };
                         self.expect(heading, beside.table)
                             .map_err(|message| refused(format!("with {name} = \"{heading}\": {message}")))?;
@@ -205,14 +205,14 @@ impl Spec {
 
     /// Checks that `heading` or `heading.side` is a table `table`.
     fn expect(&self, heading: &str, table: &str) -> Result<(), String> {
-        let (step, found) = self.table(heading).ok_or_else(|| {
-            let known: Vec<&str> = self.steps.iter().map(|step| step.heading.as_str()).collect();
-            format!("there is no such table in this pipeline; {}", suggest::hint(heading, known))
+        let (step, kind) = self.table(heading).ok_or_else(|| {
+            let names: Vec<&str> = self.steps.iter().map(|step| step.heading.as_str()).collect();
+            format!("there is no such table in this pipeline; {}", suggest::hint(heading, names))
         })?;
-        if found == table {
+        if kind == table {
             Ok(())
         } else {
-            Err(format!("`{}` makes a table `{found}`, but a table `{table}` is needed", self.steps[step].heading))
+            Err(format!("`{}` makes a table `{kind}`, but a table `{table}` is needed", self.steps[step].heading))
         }
     }
 
@@ -255,12 +255,12 @@ fn apply(table: &mut toml::Table, setting: &str) -> Result<(), String> {
     let form = "write TABLE.PARAM=VALUE";
     let (key, value) = setting.split_once('=').ok_or(form)?;
     let (heading, param) = key.trim().split_once('.').ok_or(form)?;
-    let known: Vec<String> = table.keys().cloned().collect();
-    let known: Vec<&str> = known.iter().map(String::as_str).collect();
+    let names: Vec<String> = table.keys().cloned().collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let step = table
         .get_mut(heading)
         .and_then(toml::Value::as_table_mut)
-        .ok_or_else(|| suggest::unknown("table", heading, &known))?;
+        .ok_or_else(|| suggest::unknown("table", heading, &names))?;
     // Anything but a number, a boolean, a list or a quoted text counts as text: --set onsets.method=impulses.
     let value = format!("value = {value}")
         .parse::<toml::Table>()

@@ -53,7 +53,7 @@ fn is_open(a: i32, b: i32) -> bool {
 
 /// All light of a profile over up to five patches; of a path and its reverse that come back to the lit patch, one.
 fn light(lit: i32, seen: i32) -> Vec<Vec<i32>> {
-    let mut found = vec![if lit == seen { vec![lit] } else { vec![lit, seen] }];
+    let mut paths = vec![if lit == seen { vec![lit] } else { vec![lit, seen] }];
     let mut begun = vec![vec![lit]];
     for _ in 3..=5 {
         let longer = |path: &Vec<i32>| -> Vec<Vec<i32>> {
@@ -63,9 +63,9 @@ fn light(lit: i32, seen: i32) -> Vec<Vec<i32>> {
         begun = begun.iter().flat_map(longer).collect();
         let ended = begun.iter().filter(|path| is_open(path[path.len() - 1], seen));
         let ended = ended.map(|path| [&path[..], &[seen]].concat());
-        found.extend(ended.filter(|path| lit != seen || path.iter().le(path.iter().rev())));
+        paths.extend(ended.filter(|path| lit != seen || path.iter().le(path.iter().rev())));
     }
-    found
+    paths
 }
 
 fn onsets(rng: &mut ChaCha8Rng) -> Vec<Onset> {

@@ -11,7 +11,7 @@ pub enum Edit {
     Empty(&'static str),
     /// This file holds these bytes.
     Write(&'static str, &'static [u8]),
-    /// This file ends after so many bytes.
+    /// This file ends after this number of bytes.
     Cut(&'static str, u64),
     /// This folder comes a second time, as that.
     Copy(&'static str, &'static str),
@@ -22,7 +22,7 @@ pub enum Edit {
 }
 use Edit::{Append, Copy, Cut, Empty, Replace, Spoil, Transpose};
 
-/// A mistake, the command that meets it, and words of the answer: the place, and the mend.
+/// A mistake, the command that meets it, and words of the answer: the place, and the fix.
 pub struct Mistake(pub &'static [Edit], pub &'static str, pub &'static str, pub &'static str);
 
 const CAMPAIGN: &str = "campaign/campaign.toml";
