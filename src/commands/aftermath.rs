@@ -24,6 +24,7 @@ pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool) -> R
             println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
         }
     }
+    println!("results: {out}; look at them with `periscope report {out}`");
     tell_empty(spec, outcome);
     if outcome.rejects > 0 {
         tell_rejects(shelf)?;

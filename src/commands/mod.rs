@@ -13,6 +13,7 @@ pub mod inspect;
 mod interrupt;
 mod machine;
 pub mod man;
+pub mod pipelines;
 pub mod plan;
 pub mod query;
 pub mod report;

@@ -36,9 +36,9 @@ pub use pieces::Cut;
 /// What all shards of a job have in common.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Work {
-    /// Pipeline file, absolute: its name in messages.
+    /// Pipeline: the absolute path of its file, or the name of one in the program.
     pub pipeline: PathBuf,
-    /// Its text.
+    /// Its text, bases included.
     pub text: String,
     /// Parameters changed on the command line, as typed.
     pub set: Vec<String>,

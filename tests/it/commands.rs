@@ -20,12 +20,12 @@ const ASSUMED: [(&str, &str); 3] = [
     (
         "README.md",
         "periscope simulate pipelines/scenes/tiny.toml --out my-campaign
-         periscope run pipelines/all-visible.toml --campaign my-campaign --out other-results --set onsets.threshold_sigma=8",
+         periscope run --campaign my-campaign --out other-results --set onsets.threshold_sigma=8 # or exit code 3",
     ),
     (
         "docs/guide/report.md",
         "periscope simulate pipelines/scenes/tiny.toml --out my-campaign
-         periscope run pipelines/all-visible.toml --campaign my-campaign --out results",
+         periscope run all-visible --campaign my-campaign --out results",
     ),
     ("docs/guide/running.md", "periscope simulate pipelines/scenes/tiny.toml --out my-campaign"),
 ];

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use nalgebra::{DMatrix, Vector3};
 use periscope::pipeline::run::{RunError, Settings};
+use periscope::pipeline::spec::Definition;
 use periscope::simulate::Scene;
 use periscope::tables::{Calibration, Onset, Patch, Plane};
 use periscope::units::{path_m, time_ps};
@@ -134,8 +135,9 @@ pub fn noisy(seed: u64, noise_ps: f64, rank: bool) -> Noisy {
     fs::write(lab.campaign().join("campaign.toml"), "[campaign]\nname = 'noisy'\n[sensors.s1]\n").unwrap();
     write_table(&lab.path("onsets.parquet"), &onsets);
     write_table(&lab.path("calibration.parquet"), &[calibration()]);
-    let from = PIPELINE.find("[visible_labels]").expect("the pipeline labels visible patches first");
-    let solved = PIPELINE[from..].to_owned();
+    let whole = Definition::parse("hidden-plane", PIPELINE).unwrap().to_toml();
+    let from = whole.find("[visible_labels]").expect("the pipeline labels visible patches first");
+    let solved = whole[from..].to_owned();
     let solved = if rank { solved.replace("bounces = 3", "bounces = 3, hidden = \"rank\"") } else { solved };
     let import = |table: &str| {
         let path = lab.path(&format!("{table}.parquet"));

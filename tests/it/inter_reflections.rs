@@ -4,6 +4,7 @@
 use std::fs;
 
 use periscope::pipeline::run::Settings;
+use periscope::pipeline::spec::Definition;
 use periscope::tables::{Hypothesis, Label, Onset, Patch};
 use periscope::units::time_ps;
 use rand::{RngExt, SeedableRng};
@@ -109,6 +110,7 @@ fn onsets(rng: &mut ChaCha8Rng) -> Vec<Onset> {
 /// The published pipeline from its labels on, over onsets that are given.
 fn pipeline(lab: &Lab) -> String {
     let text = include_str!("../../pipelines/inter-reflections.toml");
+    let text = Definition::parse("inter-reflections", text).unwrap().to_toml();
     let from = text.find("[visible_labels]").expect("the pipeline labels visible patches first");
     // Onsets that are given have no latency.
     let solved = text[from..].replace(", calibration = \"calibration\"", "");

@@ -35,7 +35,13 @@ const SCENE_REFERENCE: &str = "reference = { files = \"raw/scene/{sensor}_L{lit}
 pub const MISTAKES: &[Mistake] = &[
     // What stands on the command line.
     Mistake(&[], "run pipelin.toml --campaign campaign --out new", "pipelin.toml", "did you mean `pipeline.toml`?"),
-    Mistake(&[], "run campaign --campaign campaign --out new", "pipeline campaign", "it is a folder"),
+    Mistake(&[], "run campaign", "campaign is a campaign", "`periscope run --campaign campaign`"),
+    Mistake(&[], "run arrays --campaign campaign", "arrays is a campaign", "`periscope run --campaign arrays`"),
+    Mistake(&[], "run ./campaign/raw --campaign campaign --out new", "pipeline ./campaign/raw", "it is a folder"),
+    Mistake(&[], "run visibel --campaign campaign", "unknown pipeline `visibel`", "did you mean `visible`?"),
+    Mistake(&[], "run pipelines/visible.toml --campaign campaign", "pipelines/visible.toml", "write `visible`"),
+    Mistake(&[], "pipelines mirrors", "unknown pipeline `mirrors`", "did you mean `mirror`?"),
+    Mistake(&[], "run --campaign campaign --campaign arrays", "2 campaigns", "--out DIR"),
     Mistake(
         &[],
         "run campaign/campaign.toml --campaign campaign --out new",
