@@ -23,8 +23,7 @@ struct Cli {
     command: Command,
 }
 
-const AFTER_HELP: &str =
-    "First time here:\n  periscope demo\nA campaign of your own:\n  periscope run PIPELINE --campaign DIR --out DIR";
+const AFTER_HELP: &str = "First time here:\n  periscope demo\nA campaign of your own:\n  periscope run --campaign DIR";
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -40,6 +39,8 @@ enum Command {
     Demo(commands::demo::Demo),
     /// Turn campaigns into tables: the main job
     Run(commands::run::Run),
+    /// List the pipelines in the program, each with the scene that it is for; with a name: print one
+    Pipelines(commands::pipelines::Pipelines),
     /// Say what `run` would reuse or compute, and why; runs nothing. With --shards: deal the work out for many machines
     Plan(commands::plan::PlanArgs),
     /// Compute one shard of a plan: on any machine that sees campaign and result folder, beside others, again if need
@@ -89,6 +90,7 @@ fn main() -> ExitCode {
     let result = match cli.command {
         Command::Demo(args) => commands::demo::demo(&args),
         Command::Run(args) => commands::run::run(&args),
+        Command::Pipelines(args) => commands::pipelines::pipelines(&args),
         Command::Plan(args) => commands::plan::plan(&args),
         Command::RunShard(args) => commands::run_shard::run_shard(&args),
         Command::Gather(args) => commands::gather::gather(&args),

@@ -23,6 +23,7 @@ pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool) -> R
             println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
         }
     }
+    println!("results: {out}; look at them with `periscope report {out}`");
     decisions::print(spec, outcome, shelf)?;
     let is_incomplete = losses::print(spec, outcome, shelf)?;
     Ok(match (is_incomplete, is_strict) {

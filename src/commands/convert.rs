@@ -25,7 +25,7 @@ pub struct Convert {
     /// Standard deviation of each coordinate of the wall's points; else they count as exact
     #[arg(long, value_name = "M")]
     wall_sd_m: Option<f64>,
-    /// Laser pulses per histogram, to correct for photons that hide others; default: so many that none does
+    /// Laser pulses per histogram, to correct for photons that hide others; default: no correction
     #[arg(long)]
     cycles: Option<u64>,
     /// Dead time of the sensor after a photon
@@ -50,7 +50,8 @@ pub struct Convert {
 const COARSE_BINS: f64 = 2.0;
 const FINE_BINS: f64 = 3.0;
 
-const AFTER_HELP: &str = "Then:  periscope run pipelines/relay-wall.toml --campaign DIR --out RESULTS\nWhat is taken from each format: docs/interoperation.md";
+const AFTER_HELP: &str =
+    "Then:  periscope run relay-wall --campaign DIR\nWhat is taken from each format: docs/interoperation.md";
 
 /// The command.
 pub fn convert(args: &Convert) -> Result<ExitCode> {

@@ -10,7 +10,7 @@ use periscope::campaign::Campaign;
 use periscope::geometry::{Point, procrustes};
 use periscope::pipeline::progress::Style;
 use periscope::pipeline::run::Settings;
-use periscope::pipeline::spec::Spec;
+use periscope::pipeline::spec::{BuiltIn, Spec};
 use periscope::simulate::{self, Format, Scene};
 use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
@@ -22,28 +22,12 @@ use super::run::Job;
 
 /// Demonstrations: name, scene, pipeline.
 const DEMOS: [(&str, &str, &str); 6] = [
-    (
-        "around-the-corner",
-        include_str!("../../pipelines/scenes/around-the-corner.toml"),
-        include_str!("../../pipelines/around-the-corner.toml"),
-    ),
-    (
-        "all-visible",
-        include_str!("../../pipelines/scenes/all-visible.toml"),
-        include_str!("../../pipelines/all-visible.toml"),
-    ),
-    (
-        "rectangles",
-        include_str!("../../pipelines/scenes/rectangles.toml"),
-        include_str!("../../pipelines/visible.toml"),
-    ),
-    (
-        "hidden-plane",
-        include_str!("../../pipelines/scenes/hidden-plane.toml"),
-        include_str!("../../pipelines/hidden-plane.toml"),
-    ),
-    ("mirror", include_str!("../../pipelines/scenes/paper-mirror.toml"), include_str!("../../pipelines/mirror.toml")),
-    ("barcode", include_str!("../../pipelines/scenes/barcode.toml"), include_str!("../../pipelines/barcode.toml")),
+    ("around-the-corner", include_str!("../../pipelines/scenes/around-the-corner.toml"), "around-the-corner"),
+    ("all-visible", include_str!("../../pipelines/scenes/all-visible.toml"), "all-visible"),
+    ("rectangles", include_str!("../../pipelines/scenes/rectangles.toml"), "visible"),
+    ("hidden-plane", include_str!("../../pipelines/scenes/hidden-plane.toml"), "hidden-plane"),
+    ("mirror", include_str!("../../pipelines/scenes/paper-mirror.toml"), "mirror"),
+    ("barcode", include_str!("../../pipelines/scenes/barcode.toml"), "barcode"),
 ];
 /// Kind of patches that neither laser nor sensor sees.
 const HIDDEN: &str = "hidden";
@@ -78,14 +62,16 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
     // The pipeline comes first: by it the next demo knows the folder, also where this one is ended early.
     let pipeline_file = args.out.join(format!("{name}.toml"));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create {}", args.out.display()))?;
-    std::fs::write(&pipeline_file, pipeline).with_context(|| format!("cannot write {}", pipeline_file.display()))?;
+    let pipeline = BuiltIn::named(pipeline).expect("demos name pipelines of the program");
+    std::fs::write(&pipeline_file, pipeline.text)
+        .with_context(|| format!("cannot write {}", pipeline_file.display()))?;
     let truth = simulate::simulate(&scene, args.seed, &campaign, Format::Trc)?;
-    let spec = Spec::parse(&pipeline_file.display().to_string(), pipeline, &[])?;
+    let spec = Spec::load(&pipeline_file, &[])?;
     let campaigns = [Campaign::load(&campaign)?];
     let shelf = Shelf::open(&results)?;
     let job = Job {
         spec: &spec,
-        pipeline: &pipeline_file,
+        pipeline: &std::path::absolute(&pipeline_file)?,
         set: &[],
         campaigns: &campaigns,
         shelf: &shelf,

@@ -18,7 +18,7 @@ use super::INTERRUPTED;
 /// answer. What it leaves is what a killed run leaves; the next run sweeps it away.
 const PATIENCE: Duration = Duration::from_millis(1700);
 
-/// From now on the first Ctrl-C or SIGTERM cancels the token. Whoever holds the token cleans up. A second signal ends
+/// From now on the first Ctrl-C or SIGTERM cancels the token. The holder of the token cleans up. A second signal ends
 /// the program at once, and so does the end of [`PATIENCE`].
 pub fn cancel_on_signals(cancel: &Cancel) -> Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;

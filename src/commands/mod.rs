@@ -13,6 +13,7 @@ pub mod inspect;
 mod interrupt;
 mod machine;
 pub mod man;
+pub mod pipelines;
 pub mod plan;
 pub mod query;
 pub mod report;
@@ -28,7 +29,7 @@ mod whole_file;
 
 pub use interrupt::is_interruption;
 
-/// Done, but some input was rejected, or something is to be mended.
+/// Done, but some input was rejected, or something needs to be fixed.
 pub const SOME_REJECTED: u8 = 3;
 
 /// Ended by Ctrl-C or SIGTERM.

@@ -5,31 +5,35 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
 use periscope::pipeline::plan::{Action, Plan};
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::Settings;
 use periscope::pipeline::shards::{self, Cut, Dealt, Job, Shard, Work};
-use periscope::pipeline::spec::Spec;
+use periscope::pipeline::spec::{DEFAULT, Definition, Reference, Spec};
 use periscope::store::Shelf;
 use periscope::store::runs::RunRecord;
 use serde_json::json;
 
 use super::interrupt::cancel_on_signals;
-use super::run::campaigns;
+use super::run::{campaigns, reference, results};
 
 /// Arguments of `plan`.
 #[derive(Args)]
 pub struct PlanArgs {
-    /// Pipeline file (TOML)
-    pipeline: PathBuf,
+    /// Pipeline: a name that `periscope pipelines` lists, or a file (TOML)
+    #[arg(default_value = DEFAULT, value_parser = reference())]
+    pipeline: Reference,
     /// Campaign folder; may be given several times
-    #[arg(long, required = true, value_name = "DIR")]
+    #[arg(long, required_unless_present = "resolved", value_name = "DIR")]
     campaign: Vec<PathBuf>,
-    /// Result folder
+    /// Result folder (default: `<campaign>-results`, next to the campaign)
     #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    out: Option<PathBuf>,
+    /// Print the whole pipeline, with what its bases give and what --set changes, as a file that can be run
+    #[arg(long, conflicts_with_all = ["campaign", "out", "until", "shards"])]
+    resolved: bool,
     /// Stop after this table
     #[arg(long, value_name = "TABLE")]
     until: Option<String>,
@@ -47,12 +51,26 @@ pub struct PlanArgs {
 
 /// The command.
 pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
-    let spec = Spec::load(&args.pipeline, &args.set)?;
+    let definition = Definition::load(&args.pipeline)?;
+    let mut changed = definition.clone();
+    changed.set(&args.set)?;
+    let spec = Spec::new(&changed)?;
+    if args.resolved {
+        print!("{}", changed.to_toml());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let out = results(args.out.as_deref(), &args.campaign)?;
     if let Some(count) = args.shards {
-        return deal(args, &spec, count as usize);
+        let work = Work {
+            pipeline: args.pipeline.absolute()?,
+            text: definition.to_toml(),
+            set: args.set.clone(),
+            ..Work::default()
+        };
+        return deal(args, &spec, work, &out, count as usize);
     }
     let campaigns = campaigns(&args.campaign)?;
-    let shelf = Shelf::imagine(&args.out);
+    let shelf = Shelf::imagine(&out);
     let plan = Plan::new(&spec, &campaigns, &shelf, args.until.as_deref())?;
     tell_warnings(&plan);
     for step in 0..spec.steps.len() {
@@ -75,13 +93,13 @@ fn tell_warnings(plan: &Plan<'_>) {
 }
 
 /// Writes shards into the result folder, and lists them.
-fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
+fn deal(args: &PlanArgs, spec: &Spec, work: Work, out: &Path, count: usize) -> Result<ExitCode> {
     // Absolute paths: a worker may start in another folder.
     let absolute = |path: &PathBuf| std::path::absolute(path);
     let campaigns = campaigns(&args.campaign.iter().map(absolute).collect::<Result<Vec<_>, _>>()?)?;
-    let shelf = Shelf::join(&args.out)?;
+    let shelf = Shelf::join(out)?;
     let roots = campaigns.iter().map(|campaign| (campaign.name.as_str(), campaign.root.as_path()));
-    let run = RunRecord::start(&args.pipeline, &args.set, roots)?;
+    let run = RunRecord::start(work.pipeline.clone(), &args.set, roots)?;
     // As long as this record has no end, `tables --prune` keeps the results of shards.
     shelf.write_run(&run)?;
     let mut plan = Plan::new(spec, &campaigns, &shelf, args.until.as_deref())?;
@@ -90,14 +108,7 @@ fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
     let settings = Settings { memory_bytes: settings.memory_bytes.max(settings.least_memory()), ..settings };
     cancel_on_signals(&settings.cancel)?;
     shards::prepare(&mut plan, &settings, &Progress::new(Style::auto()))?;
-    let work = Work {
-        pipeline: absolute(&args.pipeline)?,
-        text: std::fs::read_to_string(&args.pipeline)
-            .with_context(|| format!("cannot read {}", args.pipeline.display()))?,
-        set: args.set.clone(),
-        campaigns: campaigns.iter().map(|campaign| campaign.root.clone()).collect(),
-        ..Work::default()
-    };
+    let work = Work { campaigns: campaigns.iter().map(|campaign| campaign.root.clone()).collect(), ..work };
     let Dealt { work, shards, cut, uncut } = shards::deal(&plan, work, count)?;
     for why in uncut {
         eprintln!("a part that is more than a fair share is not cut: {why}");
@@ -125,10 +136,7 @@ fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
     shards.iter().for_each(|(key, shard)| tell(key, shard, args.json));
     let dealt = job.shards.len();
     if dealt == 0 {
-        eprintln!(
-            "nothing is missing that shards make; `periscope gather --out {}` makes the rest",
-            args.out.display()
-        );
+        eprintln!("nothing is missing that shards make; `periscope gather --out {}` makes the rest", out.display());
     } else if dealt < count {
         eprintln!(
             "{dealt} shards and not {count}: a shard holds whole parts, or a piece of one; a smaller `part_bytes` in [campaign] of campaign.toml makes more of them"

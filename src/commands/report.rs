@@ -43,7 +43,7 @@ fn page_of(out: &Path) -> PathBuf {
     out.join("report.html")
 }
 
-/// Writes the page into its result folder, and tells where.
+/// Writes the page into its result folder; returns its path.
 pub fn write_page(out: &Path) -> Result<PathBuf> {
     let file = page_of(out);
     let page = page::page(&report::Report::of(out)?);

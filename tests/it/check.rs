@@ -21,7 +21,7 @@ fn json(lab: &Lab, args: &[&str]) -> (Option<i32>, Value) {
     (output.status.code(), serde_json::from_slice(&output.stdout).expect(&text))
 }
 
-/// Whether something that is to be mended says so.
+/// Whether one of the things to fix says so.
 fn mend(report: &Value, text: &str) -> bool {
     report["mend"].as_array().unwrap().iter().any(|mend| mend.as_str().unwrap().contains(text))
 }

@@ -221,7 +221,7 @@ fn arrays_without_jitter_and_photon_histograms_are_cut_too() {
     }
 }
 
-/// A shot a file: pieces of whole files. The last but one is cut short, which nobody knows before it is read.
+/// A shot a file: pieces of whole files. The last but one is cut short, which shows only when it is read.
 #[test]
 fn a_capture_of_many_files_is_cut_between_them_and_computed_whole_where_one_is_bad() {
     let large = Large::arrays("", &[20, 30]);
@@ -302,7 +302,7 @@ fn finished_pieces_are_kept_by_the_next_plan_and_a_run_does_without_them() {
     large.make_all(pieces.iter().take(2).chain(&whole), "out");
     let (left, none) = large.plan("out", "8");
     assert_eq!((left.as_slice(), none.len()), (&pieces[2..], 0), "the same pieces, though less is missing");
-    // Not of a file that is another by then: nobody could say what the first pieces have read.
+    // Not of a file that has changed by then: what the first pieces have read is unknown.
     let file = fs::File::options().append(true).open(large.raw("L2_P1.npy")).unwrap();
     let time = file.metadata().unwrap().modified().unwrap();
     file.set_modified(time + Duration::from_secs(1)).unwrap();

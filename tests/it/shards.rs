@@ -96,8 +96,8 @@ fn three_workers_one_killed_at_a_third_leave_the_bytes_of_a_single_run() {
     std::thread::scope(|scope| (0..3).for_each(|_| drop(scope.spawn(work))));
     assert_eq!(killed.lock().unwrap().len(), 1);
     assert!(!lab.path("out/onsets").exists(), "nothing is shown before it is gathered");
-    let told = printed(&lab, &["gather", "--out", "out"]);
-    assert!(told.contains("patches") && told.contains("out/patches"), "{told}");
+    let text = printed(&lab, &["gather", "--out", "out"]);
+    assert!(text.contains("patches") && text.contains("out/patches"), "{text}");
     assert_eq!(lab.files("out"), lab.files("single"));
     assert!(lab.left_over("out").is_empty(), "{:?}", lab.left_over("out"));
     printed(&lab, &["verify", "out"]);
