@@ -43,7 +43,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::campaign::keys::PatchRole;
+use crate::campaign::keys::{self, PatchRole};
 use crate::geometry::t2::{self, Distances, Length};
 use crate::priors::campaign_fields::{ByCampaign, Medium, StationPositions};
 use crate::tables::{Covariance, Distance, Label, Name, Row};
@@ -64,8 +64,10 @@ pub struct Fields {
     stations: StationPositions,
     /// Patches that campaign.toml lists as visible, and gives no position.
     visible: Vec<PatchId>,
-    /// Patches with a position or a ray: they need fewer distances.
-    fixed: Vec<PatchId>,
+    /// Patches to which it gives a position.
+    anchors: Vec<PatchId>,
+    /// Patches to which it gives a ray, which needs fewer distances.
+    rays: Vec<PatchId>,
     dimensions: usize,
     /// Patches that it lists as mirrors.
     mirrors: Vec<PatchId>,
@@ -97,18 +99,11 @@ impl Stage for Range {
         ByCampaign::new(campaigns, |campaign| Fields {
             medium: campaign.into(),
             stations: campaign.into(),
-            visible: of_role(campaign, PatchRole::Visible)
-                .into_iter()
-                .filter(|patch| campaign.patches[patch].position_m.is_none())
-                .collect(),
-            fixed: campaign
-                .patches
-                .iter()
-                .filter(|(_, patch)| patch.position_m.is_some() || patch.ray.is_some())
-                .map(|(id, _)| *id)
-                .collect(),
+            visible: patches(campaign, |patch| patch.role == PatchRole::Visible && patch.position_m.is_none()),
+            anchors: patches(campaign, |patch| patch.position_m.is_some()),
+            rays: patches(campaign, |patch| patch.ray.is_some()),
             dimensions: usize::from(campaign.dimensions),
-            mirrors: of_role(campaign, PatchRole::Mirror),
+            mirrors: patches(campaign, |patch| patch.role == PatchRole::Mirror),
         })
     }
 
@@ -183,9 +178,9 @@ impl Apply for Range {
     }
 }
 
-/// Patches that campaign.toml lists with a role.
-fn of_role(campaign: &Campaign, role: PatchRole) -> Vec<PatchId> {
-    campaign.patches.iter().filter(|(_, patch)| patch.role == role).map(|(id, _)| *id).collect()
+/// Patches of campaign.toml of which this is true.
+fn patches(campaign: &Campaign, is_meant: impl Fn(&keys::Patch) -> bool) -> Vec<PatchId> {
+    campaign.patches.iter().filter(|(_, patch)| is_meant(patch)).map(|(id, _)| *id).collect()
 }
 
 fn covariances(direct: &Distances) -> Vec<Covariance> {
@@ -224,8 +219,8 @@ fn rejections(campaign: &Name, fields: &ByCampaign<Fields>, direct: &Distances) 
         *lost.entry(patch).or_default() += 1;
     }
     // Where an anchor is, needs no distance: its own light may be gated away.
-    let is_fixed = |patch: &PatchId| fields.values().any(|fields| fields.fixed.contains(patch));
-    lost.retain(|patch, _| !has_first.contains(patch) && !is_fixed(patch));
+    let is_anchor = |patch: &PatchId| fields.values().any(|fields| fields.anchors.contains(patch));
+    lost.retain(|patch, _| !has_first.contains(patch) && !is_anchor(patch));
     let lost = lost.into_iter().map(|(patch, pairs)| match pairs {
         0 => format!(
             "patch {patch} stands in campaign.toml, but no bounce of it was found where the laser is, so it has no distance: capture lit {patch}, \

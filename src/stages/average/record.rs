@@ -110,7 +110,6 @@ fn merge_all(ranges: &[Record], latency: &dyn Fn(&Profile) -> Option<Latency>) -
         .collect();
     let Clipping { before, after, .. } = ranges[0].clipping;
     let options = MergeOptions { margin_before: before, margin_after: after, delay_dt_ps: Some(dt_ps) };
-    let is_certain = |merged: &Merged| merged.links.iter().all(|link| link.gain_sd < GAIN_SD_MAX * link.gain);
     let merged = merge(&views, &options).ok().filter(is_certain);
     merged.map(|merged| (first, merged)).ok_or(
         "too little light is seen in all of them to tell their scale and delay: capture the response at each range, so that their delays are known",

@@ -21,7 +21,8 @@ pub fn too_few(fields: &ByCampaign<Fields>, found: &Distances) -> Vec<String> {
         }
     }
     let patches: Vec<PatchId> = neighbours.keys().copied().filter(|patch| *patch != 0).collect();
-    let is_fixed = |patch: PatchId| fields.values().any(|fields| fields.fixed.contains(&patch));
+    let is_fixed =
+        |patch: PatchId| fields.values().any(|fields| fields.anchors.contains(&patch) || fields.rays.contains(&patch));
     let mut lines = Vec::new();
     // So few patches have no shape: `embed` refuses them.
     if patches.len() < dimensions {
