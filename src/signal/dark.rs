@@ -99,8 +99,8 @@ impl Scale {
     }
 }
 
-/// Each shot less the mean of all, moved to where the shot lies, on the places that both have. Light is the same in both;
-/// the variance of the differences is that of a shot, less its share in the mean.
+/// Each shot less the mean of all, moved to where the shot lies, on the places that both have. Light is the same in
+/// both; the variance of the differences is that of a shot, less its share in the mean.
 #[must_use]
 pub fn differences(shots: &[(Codes<'_>, i64)], mean: &Mean) -> Vec<Vec<f64>> {
     let (mut values, mut moved, mut moved_by) = (Vec::new(), mean.mean.clone(), 0);
@@ -122,7 +122,7 @@ pub fn differences(shots: &[(Codes<'_>, i64)], mean: &Mean) -> Vec<Vec<f64>> {
 
 /// Where a mean record is dark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Found {
+pub enum Place {
     /// At its start.
     AtStart,
     /// From this sample on.
@@ -136,14 +136,14 @@ pub enum Found {
 /// # Panics
 /// If `samples` is 0 or exceeds the record, or `clear` has another length.
 #[must_use]
-pub fn find(mean: &[f64], clear: &[bool], samples: usize, scale: &Scale) -> Found {
+pub fn find(mean: &[f64], clear: &[bool], samples: usize, scale: &Scale) -> Place {
     assert!(samples > 0 && samples <= mean.len(), "a stretch lies within the record");
     assert_eq!(mean.len(), clear.len(), "a flag for each sample");
     let sums = Sums::new(mean, clear, samples);
     let limit = limit(&sums, scale);
     let is_flat = |start: usize| sums.is_clear(start) && sums.squares_about_mean(start) <= limit;
     if is_flat(0) {
-        return Found::AtStart;
+        return Place::AtStart;
     }
     let flat: Vec<usize> = (0..=mean.len() - samples).filter(|start| is_flat(*start)).collect();
     // Light raises the level, or lowers that of a sensor whose pulses go down.
@@ -152,13 +152,13 @@ pub fn find(mean: &[f64], clear: &[bool], samples: usize, scale: &Scale) -> Foun
     let Some(darkest) = flat.iter().map(|start| level(*start)).min_by(f64::total_cmp) else {
         let quietest = (0..=mean.len() - samples)
             .min_by(|a, b| sums.squares_about_mean(*a).total_cmp(&sums.squares_about_mean(*b)));
-        return Found::Nowhere(quietest.unwrap_or(0));
+        return Place::Nowhere(quietest.unwrap_or(0));
     };
     let alike = darkest + ALIKE_SIGMA * (limit / samples as f64 * scale.spread / samples as f64).sqrt();
     let dark: Vec<usize> = flat.into_iter().filter(|start| level(*start) <= alike).collect();
     // The first of them may touch light that is too weak to be claimed.
     let run = dark.iter().enumerate().take_while(|(n, start)| **start == dark[0] + n).count();
-    Found::At(dark[0] + (run / 2).min(samples))
+    Place::At(dark[0] + (run / 2).min(samples))
 }
 
 /// Sum of squares about their mean that noise alone gives the samples of a stretch.
@@ -175,8 +175,8 @@ fn limit(sums: &Sums, scale: &Scale) -> f64 {
     floor + of_noise
 }
 
-/// Chi-square over its degrees of freedom at so many standard deviations of a normal variable (Wilson and Hilferty, Proc.
-/// Natl. Acad. Sci. 17, 684 (1931)).
+/// Chi-square over its degrees of freedom at so many standard deviations of a normal variable (Wilson and Hilferty,
+/// Proc. Natl. Acad. Sci. 17, 684 (1931)).
 fn chi_square_share(freedom: f64, sigma: f64) -> f64 {
     let variance = 2.0 / (9.0 * freedom);
     (1.0 - variance + sigma * variance.sqrt()).powi(3)
@@ -283,7 +283,7 @@ mod tests {
         for smooth in [1, 4] {
             for _ in 0..2000 {
                 let mean = record(|n| pulse(n, 100.0, 50.0), smooth, &mut rng);
-                assert_eq!(find(&mean, &clear(), SAMPLES, &scale(smooth)), Found::AtStart, "{smooth}");
+                assert_eq!(find(&mean, &clear(), SAMPLES, &scale(smooth)), Place::AtStart, "{smooth}");
             }
         }
     }
@@ -296,7 +296,7 @@ mod tests {
                 // A tail lies above the level of the rest, flat as it is.
                 let tail = |n: usize| if (40..120).contains(&n) { height.signum() * 6.0 } else { 0.0 };
                 let mean = record(|n| pulse(n, 20.0, height) + tail(n), smooth, &mut rng);
-                let Found::At(start) = find(&mean, &clear(), SAMPLES, &scale(smooth)) else {
+                let Place::At(start) = find(&mean, &clear(), SAMPLES, &scale(smooth)) else {
                     panic!("{height} is not found");
                 };
                 assert!((120..160).contains(&start), "{height}: {start}");
@@ -308,11 +308,11 @@ mod tests {
     fn a_record_that_is_lit_everywhere_says_so() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let mean = record(|n| 20.0 * (n as f64 / 5.0).sin(), 1, &mut rng);
-        assert!(matches!(find(&mean, &clear(), SAMPLES, &scale(1)), Found::Nowhere(_)));
+        assert!(matches!(find(&mean, &clear(), SAMPLES, &scale(1)), Place::Nowhere(_)));
         // Clipped places are no dark ones.
         let mean = record(|_| 0.0, 1, &mut rng);
         let clipped: Vec<bool> = (0..LEN).map(|n| n % 20 > 0).collect();
-        assert!(matches!(find(&mean, &clipped, SAMPLES, &scale(1)), Found::Nowhere(_)));
+        assert!(matches!(find(&mean, &clipped, SAMPLES, &scale(1)), Place::Nowhere(_)));
     }
 
     /// One record has no differences: its quieter stretches say what noise is.
@@ -322,11 +322,11 @@ mod tests {
         let lone = Scale { variance: None, spread: 1.0 };
         for _ in 0..1000 {
             let dark = record(|n| pulse(n, 100.0, 50.0), 3, &mut rng);
-            assert_eq!(find(&dark, &clear(), SAMPLES, &lone), Found::AtStart);
+            assert_eq!(find(&dark, &clear(), SAMPLES, &lone), Place::AtStart);
             let lit = record(|n| pulse(n, 20.0, 50.0), 3, &mut rng);
-            assert!(matches!(find(&lit, &clear(), SAMPLES, &lone), Found::At(_)));
+            assert!(matches!(find(&lit, &clear(), SAMPLES, &lone), Place::At(_)));
         }
-        assert_eq!(find(&[3.0; LEN], &clear(), SAMPLES, &lone), Found::AtStart);
+        assert_eq!(find(&[3.0; LEN], &clear(), SAMPLES, &lone), Place::AtStart);
     }
 
     #[test]

@@ -7,8 +7,8 @@
 //! the converter's rails, outliers against the first 32, those without reference pulse, and those with a sample that is
 //! no number.
 //!
-//! Baseline and noise come from the first tenth of the record. Where the mean of the first shots varies there by more than
-//! the differences between shots explain, there is light; then the earliest dark stretch takes its place
+//! Baseline and noise come from the first tenth of the record. Where the mean of the first shots varies there by more
+//! than the differences between shots explain, there is light; then the earliest dark stretch takes its place
 //! ([`crate::signal::dark`]). A record without one stands in `rejects`, and its noise comes from these differences.
 //!
 //! The spread of the first 32 shots gives a model of a shot's variance over level and slope

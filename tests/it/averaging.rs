@@ -288,8 +288,8 @@ fn heights_pulls(seed: u64) -> [f64; 2] {
     std::array::from_fn(|k| (fit[k] - heights[k]) / covariance[(k, k)].sqrt().hypot(profile.gain_sd * heights[k]))
 }
 
-/// Error of the strong bounce's time, its standard deviation, and the profile, of the whole campaign or of the range that
-/// does not clip alone.
+/// Error of the strong bounce's time, its standard deviation, and the profile, of the whole campaign or of the range
+/// that does not clip alone.
 fn strong_bounce(scene: &str, seed: u64, alone: bool) -> (f64, f64, Profile) {
     let lab = Lab::of(scene, seed, Format::Trc);
     if alone {

@@ -172,7 +172,7 @@ fn causes_of_rejected_shots_are_counted_one_by_one() {
 
 /// A capture that is used, but has lost more than a quarter of its shots.
 #[test]
-fn a_capture_that_loses_many_shots_is_told() {
+fn a_capture_that_loses_many_shots_is_reported() {
     let lab = Lab::tiny();
     edit_codes(&lab, "raw/scene/s1_L1_P2_C1.trc", |shot, codes| {
         if shot >= 17 {

@@ -154,8 +154,8 @@ fn three_ranges_merge_by_their_variances_and_what_no_range_has_is_said() {
     assert!(merge(&views(&ranges)[..1], &options(None)).expect("one range").links.is_empty());
 }
 
-/// Light that ends while the sensitive range recovers: nothing that both ranges have says how they scale. What is stated
-/// of gain and delay does, and the merged profile is the truth within its errors.
+/// Light that ends while the sensitive range recovers: nothing that both ranges have says how they scale. What is
+/// stated of gain and delay does, and the merged profile is the truth within its errors.
 #[test]
 fn stated_gains_scale_what_no_light_does() {
     let strong = |sample: f64| 4.0 * (-0.5 * ((sample - 60.3) / 2.2).powi(2)).exp();

@@ -140,6 +140,11 @@ fn joined(mut ranges: Vec<Record>, first: i64, merged: Merged) -> Record {
     Record { first, mean_v: merged.mean_v, se_v: merged.se_v, clipping, profile }
 }
 
+/// Whether the factors between ranges are measured well enough.
+fn is_certain(merged: &Merged) -> bool {
+    merged.links.iter().all(|link| link.gain_sd < GAIN_SD_MAX * link.gain)
+}
+
 /// Shots of all ranges at each phase.
 fn phase_shots(ranges: &[Record]) -> Option<Vec<i32>> {
     let all = ranges.iter().map(|range| range.profile.phase_shots.clone()).collect::<Option<Vec<_>>>()?;

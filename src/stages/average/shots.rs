@@ -236,9 +236,9 @@ impl Shots {
         self.scale = Some((passed.len(), scale));
         let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
         let place = match dark::find(&mean.mean, &clear, samples, &scale) {
-            dark::Found::AtStart => return false,
-            dark::Found::At(place) => place,
-            dark::Found::Nowhere(place) => {
+            dark::Place::AtStart => return false,
+            dark::Place::At(place) => place,
+            dark::Place::Nowhere(place) => {
                 self.is_lit = true;
                 place
             }
@@ -288,8 +288,8 @@ impl Shots {
         dark.iter().sum::<f64>() / dark.len() as f64
     }
 
-    /// The mean of all shots, and what is doubtful about it; of those with clipped samples only where there are `several`
-    /// ranges. `sought`: where the reference pulse was sought.
+    /// The mean of all shots, and what is doubtful about it; of those with clipped samples only where there are
+    /// `several` ranges. `sought`: where the reference pulse was sought.
     pub fn finish(
         mut self,
         average: &Average,
@@ -334,7 +334,7 @@ impl Shots {
         let Some((of, scale)) = self.scale.filter(|(of, _)| shots > *of as u64 && !self.is_lit) else { return };
         let samples = self.dark.samples.min(mean.mean.len());
         let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
-        if let dark::Found::At(place) = dark::find(&mean.mean, &clear, samples, &scale.of_more(of, shots)) {
+        if let dark::Place::At(place) = dark::find(&mean.mean, &clear, samples, &scale.of_more(of, shots)) {
             self.dark.place = Some(mean.first_position + place as i64);
         }
     }

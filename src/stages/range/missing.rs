@@ -12,10 +12,10 @@ const LISTED: usize = 12;
 
 /// Why patches cannot be placed by their distances, one line for each. Patches that campaign.toml places, or gives a
 /// ray, are no part of it.
-pub fn too_few(fields: &ByCampaign<Fields>, found: &Distances) -> Vec<String> {
+pub fn too_few(fields: &ByCampaign<Fields>, direct: &Distances) -> Vec<String> {
     let dimensions = fields.values().map(|fields| fields.dimensions).max().unwrap_or(3);
     let mut neighbours: BTreeMap<PatchId, BTreeSet<PatchId>> = BTreeMap::new();
-    for distance in &found.distances {
+    for distance in &direct.distances {
         for (patch, other) in [(distance.a, distance.b), (distance.b, distance.a)] {
             neighbours.entry(patch).or_default().insert(other);
         }

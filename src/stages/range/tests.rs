@@ -116,7 +116,7 @@ fn anchors_without_a_bounce_are_no_fault() {
 
 /// Patch 4 has its own bounce and one pair: what is missing is named here, and not where its position is asked for.
 #[test]
-fn a_patch_with_too_few_pairs_is_told_of_with_those_that_are_missing() {
+fn a_patch_with_too_few_pairs_is_named_with_those_that_are_missing() {
     let paths: [&[PatchId]; 8] = [&[1], &[2], &[3], &[4], &[1, 2], &[1, 3], &[2, 3], &[4, 1]];
     let with = |more: &str| {
         let context = context_with(&[("near", "laser")], more).unwrap();
