@@ -169,13 +169,13 @@ fn crop_to_light(lab: &Lab, truth: &[Onset]) {
     let end = files + text[files..].find('\n').unwrap();
     fs::write(&path, format!("{}table = \"captures.csv\"{}", &text[..files], &text[end..])).unwrap();
     let latency_ps = lab.truth::<Calibration>()[0].latency_ps;
-    let mut table = "file,sensor,lit,seen,samples\n".to_owned();
-    for onset in truth {
+    let row = |Onset { lit, seen, time_ps, .. }: &Onset| {
         // Records begin 1 ns before the trigger, to a sample.
-        let at = ((onset.time_ps + latency_ps + 1000.0) / 20.0) as i64 - 12;
-        let file = format!("raw/scene/s1_L{}_P{}_C1.trc", onset.lit, onset.seen);
-        table += &format!("{file},s1,{},{},\"[{at}, {}]\"\n", onset.lit, onset.seen, at + 220);
-    }
+        let at = ((time_ps + latency_ps + 1000.0) / 20.0) as i64 - 12;
+        format!("raw/scene/s1_L{lit}_P{seen}_C1.trc,s1,{lit},{seen},\"[{at}, {}]\"", at + 220)
+    };
+    let rows: Vec<String> = truth.iter().map(row).collect();
+    let table = format!("file,sensor,lit,seen,samples\n{}\n", rows.join("\n"));
     fs::write(lab.campaign().join("captures.csv"), table).unwrap();
 }
 
