@@ -38,6 +38,7 @@ mod missed;
 mod mistakes;
 mod monte_carlo;
 mod pieces;
+mod pulses;
 mod python;
 #[cfg(feature = "query")]
 mod query;
