@@ -39,6 +39,7 @@ mod mistakes;
 mod monte_carlo;
 mod pieces;
 mod pipelines;
+mod pulses;
 mod python;
 #[cfg(feature = "query")]
 mod query;
