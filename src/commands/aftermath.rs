@@ -8,26 +8,36 @@ use periscope::pipeline::rejects::{kinds, rows, words};
 use periscope::pipeline::run::Outcome;
 use periscope::pipeline::spec::{Spec, Step};
 use periscope::store::Shelf;
+use serde_json::json;
 
 use super::SOME_REJECTED;
+use super::output::{Format, Rows, note, say};
 
 /// Number of reasons shown; the table has all.
 const SHOWN: usize = 5;
 
-/// Prints the tables to standard output, one per line, then warnings. Returns the exit code.
-pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool) -> Result<ExitCode> {
+/// Prints the tables to standard output, a row each, then warnings. Returns the exit code.
+pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool, format: Format) -> Result<ExitCode> {
     let out = shelf.out().display();
+    let mut tables = Rows::new(&["table", "rows", "made", "folder"]);
     for step in &spec.steps {
         if let Some(record) = outcome.tables.get(&step.heading) {
             let rows: u64 = record.rows(&step.node.tables()[0].name);
             let made = if outcome.computed.contains(&step.heading) { "computed" } else { "reused" };
-            println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
+            tables.push([json!(step.heading), json!(rows), json!(made), json!(format!("{out}/{}", step.heading))]);
         }
     }
-    println!("results: {out}; look at them with `periscope report {out}`");
+    let mut printed = tables.print(format);
+    if format == Format::Table {
+        printed = printed.and_then(|()| say!("results: {out}; look at them with `periscope report {out}`"));
+    }
+    // Warnings come also where nothing reads standard output.
     tell_empty(spec, outcome);
     if outcome.rejects > 0 {
         tell_rejects(shelf)?;
+    }
+    printed?;
+    if outcome.rejects > 0 {
         return Ok(if is_strict { ExitCode::FAILURE } else { ExitCode::from(SOME_REJECTED) });
     }
     Ok(ExitCode::SUCCESS)
@@ -41,13 +51,13 @@ pub fn tell_rejects(shelf: &Shelf) -> Result<()> {
     }
     let kinds = kinds(&rows);
     let all = shelf.out().join("rejects");
-    eprintln!("warning: {} records were rejected; {} has all", rows.len(), all.display());
+    note!("warning: {} records were rejected; {} has all", rows.len(), all.display());
     for (count, row) in kinds.iter().take(SHOWN) {
         let times = if *count > 1 { format!("{count} like ") } else { String::new() };
-        eprintln!("  {times}{}", words(row));
+        note!("  {times}{}", words(row));
     }
     if kinds.len() > SHOWN {
-        eprintln!("  and {} kinds more", kinds.len() - SHOWN);
+        note!("  and {} kinds more", kinds.len() - SHOWN);
     }
     Ok(())
 }
@@ -83,6 +93,6 @@ fn tell_empty(spec: &Spec, outcome: &Outcome) {
         // A result that was lost in its own stage is named only once.
         let own = results == [format!("`{}`", at.heading)];
         let at = if own { String::new() } else { format!("`{}` has no rows, ", at.heading) };
-        eprintln!("warning: {} came out empty: {at}{had}", results.join(", "));
+        note!("warning: {} came out empty: {at}{had}", results.join(", "));
     }
 }

@@ -2,11 +2,12 @@
 //!
 //! A built-in pipeline measures every capture through the ordinary runtime. With `--out` its tables stay, and the next
 //! check reads only new files; otherwise they go to a temporary folder, which is removed. The results are data
-//! ([`report`]), printed as text ([`text`]) or as JSON.
+//! ([`report`]), printed as text ([`text`]), as JSON or as rows ([`rows`]).
 
 pub mod coverage;
 mod quality;
 pub mod report;
+mod rows;
 mod text;
 
 use std::collections::BTreeSet;
@@ -25,6 +26,7 @@ use periscope::store::Shelf;
 use periscope::tables::{Calibration, Reject, Row};
 
 use super::SOME_REJECTED;
+use super::output::{Format, Output, json, print};
 use report::Report;
 
 /// The built-in pipeline. Traces are not kept: they are as large as the campaign.
@@ -62,9 +64,8 @@ pub struct Check {
     /// Folder for the measurements, so that the next check reads only new files
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Print one JSON object instead of text
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// The command.
@@ -73,10 +74,10 @@ pub fn check(args: &Check) -> Result<ExitCode> {
     let survey = campaign.survey().with_context(|| format!("campaign {}", args.campaign.display()))?;
     let out = OutFolder::of(args.out.as_deref());
     let report = look(&campaign, &survey, &out.path)?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print!("{}", text::text(&report));
+    match args.output.format {
+        Format::Table => print(text::text(&report))?,
+        Format::Json => print(json(&report)?)?,
+        Format::Csv => rows::rows(&report).print(Format::Csv)?,
     }
     Ok(if report.mend.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(SOME_REJECTED) })
 }
@@ -108,7 +109,7 @@ fn look(campaign: &Campaign, survey: &Survey, out: &Path) -> Result<Report> {
     let shelf = Shelf::open(out)?;
     forget_changed(campaign, &shelf)?;
     let calibrating = run(campaign, &shelf, Some("calibration"))?;
-    let calibrated: Vec<Calibration> = rows(&shelf, "calibration")?;
+    let calibrated: Vec<Calibration> = table(&shelf, "calibration")?;
     let left_out = coverage::without_template(survey, &calibrated);
     let mut measured = campaign.clone();
     measured.exclude.extend(left_out.iter().map(|sensor| Exclude {
@@ -118,9 +119,9 @@ fn look(campaign: &Campaign, survey: &Survey, out: &Path) -> Result<Report> {
     let mut rejects = run(&measured, &shelf, None)?;
     rejects.extend(calibrating);
     let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
-    let measurements = rows(&shelf, "measurements")?;
+    let measurements = table(&shelf, "measurements")?;
     coverage::fill(&mut report, campaign, survey, &measurements, &left_out);
-    quality::fill(&mut report, &measurements, rows(&shelf, "checks")?, rejects);
+    quality::fill(&mut report, &measurements, table(&shelf, "checks")?, rejects);
     Ok(report)
 }
 
@@ -148,7 +149,7 @@ fn run(campaign: &Campaign, shelf: &Shelf, until: Option<&str>) -> Result<BTreeS
 }
 
 /// Rows of a table; none if it could not be made since nothing was captured.
-fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
+fn table<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
     if shelf.view(view)?.is_none() {
         return Ok(Vec::new());
     }

@@ -133,30 +133,26 @@ impl Definition {
         for name in &without {
             let of_base: Vec<&str> = self.headings.iter().map(|heading| heading.name.as_str()).collect();
             let at = of_base.iter().position(|heading| heading == name).ok_or_else(|| {
-                refused(format!("without = [\"{name}\"]: its base has none such; {}", suggest::hint(name, of_base)))
+                refused(format!(
+                    "without = [\"{name}\"]: its base has no such heading; {}",
+                    suggest::hint(name, of_base)
+                ))
             })?;
             self.headings.remove(at);
         }
         for (name, part) in headings {
-            match self.headings.iter_mut().find(|heading| heading.name == name) {
-                Some(heading) => heading.change(part, &place)?,
-                None => {
-                    if base.is_some() && part.stage.is_none() {
-                        let of_base = self.headings.iter().map(|heading| heading.name.as_str());
-                        return Err(SpecError::Heading {
-                            pipeline: place.clone(),
-                            message: format!(
-                                "it has no `stage`, and its base has none such; {}",
-                                suggest::hint(&name, of_base)
-                            ),
-                            heading: name,
-                        });
-                    }
-                    let mut heading = Heading::new(name, place.clone());
-                    heading.change(part, &place)?;
-                    self.headings.push(heading);
-                }
+            let at = self.headings.iter().position(|heading| heading.name == name);
+            if at.is_none() && base.is_some() && part.stage.is_none() {
+                let of_base = self.headings.iter().map(|heading| heading.name.as_str());
+                let message =
+                    format!("it has no `stage`, and its base has no such heading; {}", suggest::hint(&name, of_base));
+                return Err(SpecError::Heading { pipeline: place.clone(), heading: name, message });
             }
+            let at = at.unwrap_or_else(|| {
+                self.headings.push(Heading::new(name, place.clone()));
+                self.headings.len() - 1
+            });
+            self.headings[at].change(part, &place)?;
         }
         self.check_dropped(&without, &place)?;
         self.place = place;
