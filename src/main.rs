@@ -1,8 +1,8 @@
 //! The command line. Results go to standard output, all else to standard error.
 //!
-//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was rejected (`--strict` makes that 1), `check`
-//! found something to mend, or `diff` a difference; 130 ended by Ctrl-C or SIGTERM: what was finished is kept; 141
-//! standard output was closed before all was printed.
+//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was left out or rejected, or a result is empty
+//! (`--strict` makes that 1), `check` found something to mend, or `diff` a difference; 130 ended by Ctrl-C or SIGTERM:
+//! what was finished is kept; 141 standard output was closed before all was printed.
 
 mod commands;
 
@@ -33,7 +33,7 @@ Exit codes:
   0    done
   1    failed
   2    wrong usage
-  3    done, but input was rejected, `check` found something to mend, or `diff` a difference
+  3    done, but input was left out or rejected, a result is empty, `check` found something to mend, or `diff` a difference
   130  ended by Ctrl-C or SIGTERM; what was finished is kept
   141  standard output was closed before all was printed, as by `| head`";
 

@@ -30,7 +30,7 @@ pub struct Gather {
     /// Stop if more than this many records are rejected, or more than this share of all, such as 5%
     #[arg(long, value_name = "N|P%")]
     max_rejects: Option<MaxRejects>,
-    /// Exit with 1 if any input was rejected
+    /// Exit with 1 if any input was left out or rejected, or a result is empty
     #[arg(long)]
     strict: bool,
     #[command(flatten)]

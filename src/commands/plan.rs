@@ -89,8 +89,8 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
 }
 
 fn tell_warnings(plan: &Plan<'_>) {
-    for warning in plan.warnings() {
-        note!("warning: {warning}");
+    for left_out in plan.left_out() {
+        note!("warning: {left_out}");
     }
 }
 

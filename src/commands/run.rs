@@ -66,7 +66,7 @@ pub struct Run {
     /// First read all raw files again, even those with the recorded size and time of change
     #[arg(long)]
     rehash: bool,
-    /// Exit with 1 if any input was rejected
+    /// Exit with 1 if any input was left out or rejected, or a result is empty
     #[arg(long)]
     strict: bool,
     #[command(flatten)]
@@ -142,6 +142,7 @@ impl Job<'_> {
         let ending = match &outcome {
             Ok(outcome) => {
                 record.rejects = outcome.rejects;
+                record.left_out = outcome.left_out.iter().map(ToString::to_string).collect();
                 record.passes.clone_from(&outcome.passes);
                 Ending::Done
             }
@@ -177,8 +178,8 @@ impl Job<'_> {
             shards.join(self.shelf, &self.settings, &progress, &mut |warning| note!("warning: {warning}"))?;
         }
         let mut plan = Plan::new(self.spec, self.campaigns, self.shelf, self.until)?;
-        for warning in plan.warnings() {
-            note!("warning: {warning}");
+        for left_out in plan.left_out() {
+            note!("warning: {left_out}");
         }
         if let Some(shards) = self.shards {
             shards.check(&plan)?;

@@ -10,7 +10,8 @@ use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result};
-use periscope::campaign::{Campaign, walk};
+use periscope::campaign::left_out::left_out;
+use periscope::campaign::{Campaign, Manifest, walk};
 use periscope::pipeline::run::Outcome;
 use periscope::store::runs::RunRecord;
 
@@ -107,7 +108,9 @@ fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result
     job.shelf.remove(&job.shelf.replaced()?)?;
     for campaign in campaigns {
         let mut report = Report::default();
-        coverage::fill(&mut report, campaign, &campaign.survey()?, &[], &BTreeSet::new());
+        let survey = campaign.survey()?;
+        let left_out = left_out(&campaign.root, &survey, Manifest::load(&campaign.root)?.as_ref());
+        coverage::fill(&mut report, campaign, &survey, &[], &left_out, &BTreeSet::new());
         report.mend.iter().for_each(|missing| note!("still missing in {}: {missing}", campaign.name));
     }
     Ok(outcome)

@@ -17,7 +17,7 @@ use super::progress::Progress;
 use super::settings::{RunError, Settings};
 use crate::cancel::{Cancel, Cancelled};
 use crate::stages::Node;
-use crate::stages::operator::{Running, Written};
+use crate::stages::operator::{OutputBatches, Running};
 use crate::stages::source::{Credit, Feed, PartRead};
 use crate::stages::stage::{BesideTables, Rejection, StageError};
 use crate::store::shelf::PartWriter;
@@ -56,7 +56,7 @@ pub struct Joined {
     /// Step below the source.
     pub step: usize,
     /// What that step makes of it.
-    pub output: Written,
+    pub output: OutputBatches,
 }
 
 /// How a pass ended, if nothing failed.
@@ -294,22 +294,22 @@ impl Feed for Channel<'_> {
 struct Through;
 
 impl Running for Through {
-    fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError> {
-        Ok(Written { tables: vec![vec![batch.clone()]], rejections: Vec::new() })
+    fn push(&mut self, batch: &RecordBatch) -> Result<OutputBatches, StageError> {
+        Ok(OutputBatches { tables: vec![vec![batch.clone()]], rejections: Vec::new() })
     }
-    fn flush(&mut self) -> Result<Written, StageError> {
-        Ok(Written::default())
+    fn flush(&mut self) -> Result<OutputBatches, StageError> {
+        Ok(OutputBatches::default())
     }
 }
 
 /// What was joined of pieces comes as the rows of a part.
-struct Given(Written);
+struct Given(OutputBatches);
 
 impl Running for Given {
-    fn push(&mut self, _: &RecordBatch) -> Result<Written, StageError> {
-        Ok(Written::default())
+    fn push(&mut self, _: &RecordBatch) -> Result<OutputBatches, StageError> {
+        Ok(OutputBatches::default())
     }
-    fn flush(&mut self) -> Result<Written, StageError> {
+    fn flush(&mut self) -> Result<OutputBatches, StageError> {
         Ok(std::mem::take(&mut self.0))
     }
 }
@@ -373,7 +373,7 @@ fn emit<'a>(
     shared: &Shared<'a>,
     step: usize,
     writer: &mut Option<PartWriter<'a>>,
-    output: Written,
+    output: OutputBatches,
     children: &[Sender<Message>],
     credit: Option<&Credit>,
 ) -> Result<(), Failure> {

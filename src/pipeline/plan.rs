@@ -6,7 +6,7 @@ use arrow_schema::SchemaRef;
 
 use super::recipe::stage_id;
 use super::spec::Spec;
-use crate::campaign::Campaign;
+use crate::campaign::{Campaign, LeftOut};
 use crate::stages::Node;
 use crate::stages::source::{OpenSource, SourcePart};
 use crate::stages::stage::StageError;
@@ -156,14 +156,14 @@ impl<'a> Plan<'a> {
         before
     }
 
-    /// Warnings about the campaigns before the run, each line once.
+    /// What the sources leave out of the campaigns, each once.
     #[must_use]
-    pub fn warnings(&self) -> Vec<String> {
-        let mut warnings: Vec<String> =
-            self.sources.values().flat_map(|source| source.warnings().iter().cloned()).collect();
-        warnings.sort();
-        warnings.dedup();
-        warnings
+    pub fn left_out(&self) -> Vec<LeftOut> {
+        let mut left_out: Vec<LeftOut> =
+            self.sources.values().flat_map(|source| source.left_out().iter().cloned()).collect();
+        left_out.sort();
+        left_out.dedup();
+        left_out
     }
 
     /// Looks at the shelf again. `content` has the content digests of source parts read since: (step, part) to digest.

@@ -9,6 +9,7 @@ use super::plan::Plan;
 use super::progress::{Amount, Progress};
 use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
+use crate::campaign::LeftOut;
 use crate::store::runs::PassRecord;
 use crate::store::{Digest, StoreError, TableRecord};
 use crate::tables::{Reject, Row};
@@ -22,6 +23,8 @@ pub struct Outcome {
     pub computed: Vec<String>,
     /// Rejected rows, in all wanted tables.
     pub rejects: u64,
+    /// What the campaigns have and no table is made from.
+    pub left_out: Vec<LeftOut>,
     /// Passes that it took.
     pub passes: Vec<PassRecord>,
 }
@@ -45,6 +48,7 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     // What stopped it comes first: on a full disk, say, this fails too.
     ended?;
     outcome.rejects = rejects?;
+    outcome.left_out = plan.left_out();
     if outcome.rejects > most_rejects {
         return Err(RunError::Rejects(TooMany::of(plan.shelf, outcome.rejects, most_rejects, records(plan))?));
     }

@@ -38,7 +38,7 @@ impl Arrivals {
         for label in sources.rows(|label: &Label| label.alternative == 0)? {
             let mut onset = OnsetBehind::of_label(&label);
             if is_solved {
-                // Told from where the patches were thought to be before.
+                // They refer to the positions of an earlier solution.
                 (onset.residual_ps, onset.pull) = (None, None);
             }
             let known = all.remove(&onset.id());
@@ -77,8 +77,8 @@ impl Arrivals {
     }
 }
 
-/// To sort by: how far an onset lies from where the solution has it, in standard deviations; 0 where nothing tells.
-/// Those that the solution left out come first.
+/// To sort by: how far an onset lies from the solution, in standard deviations; 0 where that is unknown. Those that the
+/// solution left out come first.
 pub fn doubt(onset: &OnsetBehind) -> f64 {
     let pull = onset.pull.map_or(0.0, f64::abs);
     if onset.used == Some(false) { LEFT_OUT + pull } else { pull }

@@ -65,6 +65,9 @@ pub struct RunRecord {
     pub failure: Option<String>,
     /// Rejected rows in all its tables.
     pub rejects: u64,
+    /// What the campaigns have and no table is made from, a line for each cause.
+    #[serde(default)]
+    pub left_out: Vec<String>,
     /// Lineages of the tables that were complete at its end, by view.
     pub tables: BTreeMap<String, Digest>,
     /// Its passes, in order; empty for a run that failed.
@@ -96,6 +99,7 @@ impl RunRecord {
             ending: None,
             failure: None,
             rejects: 0,
+            left_out: Vec::new(),
             tables: BTreeMap::new(),
             passes: Vec::new(),
         })
@@ -183,6 +187,7 @@ mod tests {
             ending: None,
             failure: None,
             rejects: 0,
+            left_out: Vec::new(),
             tables: BTreeMap::new(),
             passes: Vec::new(),
         }

@@ -59,7 +59,10 @@ fn what_is_missing_or_unknown_is_a_line_and_the_rest_is_checked() {
     let (code, report) = json(&lab, &[]);
     assert_eq!(code, Some(3));
     assert!(mend(&report, "2 pairs (lit, seen) are missing: capture (1, 1) (3, 4)"), "{report:#}");
-    assert!(mend(&report, "1 files match no rule") && mend(&report, "1 patterns or rows match no file"), "{report:#}");
+    assert!(
+        mend(&report, "1 file matches no rule") && mend(&report, "1 pattern of campaign.toml matches no file"),
+        "{report:#}"
+    );
     assert_eq!(report["unmatched"][0], "raw/notes.txt");
     assert!(report["missing_references"][0].as_str().unwrap().contains("s1_L1_P1_C1.trc"), "{report:#}");
     assert_eq!(report["captures"][0]["count"], 14);

@@ -178,6 +178,7 @@ fn run_record(started: &str, campaigns: BTreeMap<String, std::path::PathBuf>) ->
         ending: None,
         failure: None,
         rejects: 0,
+        left_out: Vec::new(),
         tables: BTreeMap::new(),
         passes: Vec::new(),
     }

@@ -40,6 +40,7 @@ mod monte_carlo;
 mod output;
 mod pieces;
 mod pipelines;
+mod pulses;
 mod python;
 #[cfg(feature = "query")]
 mod query;
@@ -54,6 +55,7 @@ mod scope_samples;
 mod session;
 mod sessions;
 mod shards;
+mod silent;
 mod simulate;
 mod surface;
 mod verify;

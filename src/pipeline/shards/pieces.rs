@@ -19,7 +19,7 @@ use crate::pipeline::plan::Plan;
 use crate::pipeline::progress::{Amount, Progress};
 use crate::pipeline::settings::{RunError, Settings};
 use crate::stages::Node;
-use crate::stages::operator::{Joining, Operator, Task, Written};
+use crate::stages::operator::{Joining, Operator, OutputBatches, Task};
 use crate::stages::source::{Credit, Divisible, Feed, Piece, PieceFeed};
 use crate::stages::stage::StageError;
 use crate::store::{Digest, PieceRecord, Shelf, StoreError};
@@ -70,7 +70,7 @@ fn operator<'a>(plan: &Plan<'a>, step: usize) -> Option<&'a dyn Operator> {
 /// Passes what a source reads to the step that sums it.
 struct Adding<'a> {
     running: RefCell<Box<dyn Joining + 'a>>,
-    output: RefCell<Written>,
+    output: RefCell<OutputBatches>,
     /// Whether rows have arrived since the last query.
     is_fed: Cell<bool>,
     settings: &'a Settings,
@@ -93,7 +93,7 @@ impl<'a> Adding<'a> {
         Ok(Self { running, output, is_fed: Cell::new(false), settings, progress })
     }
 
-    fn take(&self, output: Written) {
+    fn take(&self, output: OutputBatches) {
         let mut all = self.output.borrow_mut();
         all.rejections.extend(output.rejections);
         for (table, batches) in output.tables.into_iter().enumerate() {
@@ -109,7 +109,7 @@ impl<'a> Adding<'a> {
     }
 
     /// Ends the last group; returns all output.
-    fn end(self) -> Result<Written, StageError> {
+    fn end(self) -> Result<OutputBatches, StageError> {
         let output = Cancel::catch(|| self.running.borrow_mut().flush())??;
         self.take(output);
         Ok(self.output.into_inner())
