@@ -17,6 +17,7 @@ use periscope::tables::{Patch, Row};
 
 use super::interrupt::cancel_on_signals;
 use super::machine::use_threads;
+use super::output::{print, say};
 use super::report::write_page;
 use super::run::Job;
 
@@ -83,29 +84,24 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
     cancel_on_signals(&job.settings.cancel)?;
     let outcome = job.execute(&mut job.record()?)?;
 
-    println!(
+    say!(
         "Simulated {} captures of {} shots each as LeCroy .trc files, and solved for {} patches from the light that bounced between them.\n",
         truth.captures.iter().filter(|capture| &*capture.role == "scene").count(),
         scene.captures.shots,
         truth.patches.len()
-    );
+    )?;
     let paper = if spec.steps.iter().any(|step| step.heading == "paper") { rows(&shelf, "paper")? } else { Vec::new() };
-    print!("{}", comparison(&rows(&shelf, "patches")?, &paper, &truth.patches, &scene)?);
-    println!("\nTables (Parquet; read them with Polars, DuckDB or anything else):");
+    print(comparison(&rows(&shelf, "patches")?, &paper, &truth.patches, &scene)?)?;
+    say!("\nTables (Parquet; read them with Polars, DuckDB or anything else):")?;
     for step in &spec.steps {
         let rows = outcome.tables.get(&step.heading).map_or(0, |record| record.rows(&step.node.tables()[0].name));
-        println!("  {:20} {rows:>6} rows  {}", step.heading, results.join(&step.heading).display());
+        say!("  {:20} {rows:>6} rows  {}", step.heading, results.join(&step.heading).display())?;
     }
-    println!("\nThe same for the eye, in a browser: {}", write_page(&results)?.display());
+    say!("\nThe same for the eye, in a browser: {}", write_page(&results)?.display())?;
     // The path by which it was called, so that the printed command works if the program is not on PATH.
     let program = std::env::args().next().unwrap_or_else(|| "periscope".to_owned());
-    println!("\nThe same again, from the files:");
-    println!(
-        "  {program} run {} --campaign {} --out {}",
-        pipeline_file.display(),
-        campaign.display(),
-        results.display()
-    );
+    say!("\nThe same again, from the files:")?;
+    say!("  {program} run {} --campaign {} --out {}", pipeline_file.display(), campaign.display(), results.display())?;
     Ok(ExitCode::SUCCESS)
 }
 

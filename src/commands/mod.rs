@@ -13,6 +13,7 @@ pub mod inspect;
 mod interrupt;
 mod machine;
 pub mod man;
+pub mod output;
 pub mod pipelines;
 pub mod plan;
 pub mod query;
@@ -34,3 +35,6 @@ pub const SOME_REJECTED: u8 = 3;
 
 /// Ended by Ctrl-C or SIGTERM.
 pub const INTERRUPTED: u8 = 130;
+
+/// Standard output was closed before all was printed: the code that a shell shows for a tool that SIGPIPE ends.
+pub const CLOSED: u8 = 141;

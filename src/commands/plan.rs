@@ -17,6 +17,7 @@ use periscope::store::runs::RunRecord;
 use serde_json::json;
 
 use super::interrupt::cancel_on_signals;
+use super::output::{Format, Output, Rows, note, print};
 use super::run::{campaigns, reference, results};
 
 /// Arguments of `plan`.
@@ -44,9 +45,8 @@ pub struct PlanArgs {
     /// end; makes the whole tables that they need, such as the calibration
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     shards: Option<u32>,
-    /// With --shards: one JSON object per shard, one per line
-    #[arg(long, requires = "shards")]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// The command.
@@ -56,7 +56,7 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
     changed.set(&args.set)?;
     let spec = Spec::new(&changed)?;
     if args.resolved {
-        print!("{}", changed.to_toml());
+        print(changed.to_toml())?;
         return Ok(ExitCode::SUCCESS);
     }
     let out = results(args.out.as_deref(), &args.campaign)?;
@@ -73,6 +73,7 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
     let shelf = Shelf::imagine(&out);
     let plan = Plan::new(&spec, &campaigns, &shelf, args.until.as_deref())?;
     tell_warnings(&plan);
+    let mut rows = Rows::new(&["action", "table", "stage", "why"]);
     for step in 0..spec.steps.len() {
         let decision = plan.decision(step)?;
         let action = match decision.action {
@@ -81,14 +82,15 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
             Action::Pass => "pass",
             Action::Skip => "skip",
         };
-        println!("{action:8} {:24} {:10} {}", decision.heading, decision.stage, decision.why);
+        rows.push([json!(action), json!(decision.heading), json!(decision.stage), json!(decision.why)]);
     }
+    rows.print(args.output.format)?;
     Ok(ExitCode::SUCCESS)
 }
 
 fn tell_warnings(plan: &Plan<'_>) {
     for left_out in plan.left_out() {
-        eprintln!("warning: {left_out}");
+        note!("warning: {left_out}");
     }
 }
 
@@ -111,7 +113,7 @@ fn deal(args: &PlanArgs, spec: &Spec, work: Work, out: &Path, count: usize) -> R
     let work = Work { campaigns: campaigns.iter().map(|campaign| campaign.root.clone()).collect(), ..work };
     let Dealt { work, shards, cut, uncut } = shards::deal(&plan, work, count)?;
     for why in uncut {
-        eprintln!("a part that is more than a fair share is not cut: {why}");
+        note!("a part that is more than a fair share is not cut: {why}");
     }
     let mut pieces = Vec::new();
     for (key, cut) in cut.iter().flat_map(|(_, _, pieces)| pieces) {
@@ -132,53 +134,84 @@ fn deal(args: &PlanArgs, spec: &Spec, work: Work, out: &Path, count: usize) -> R
     let files: Vec<_> = shards.iter().map(|(key, shard)| (key, shard)).chain(whole).collect();
     let cuts: Vec<_> = cut.iter().flat_map(|(_, _, pieces)| pieces).map(|(key, cut)| (key, cut)).collect();
     shelf.write_shards(&job, &files, &cuts)?;
-    pieces.iter().for_each(|(key, cut)| tell_piece(key, cut, args.json));
-    shards.iter().for_each(|(key, shard)| tell(key, shard, args.json));
+    let pieces = pieces.iter().map(|(key, cut)| Listed::of_piece(key, cut));
+    let listed = pieces.chain(shards.iter().map(|(key, shard)| Listed::of_shard(key, shard))).collect();
+    list(listed, args.output.format)?;
     let dealt = job.shards.len();
     if dealt == 0 {
-        eprintln!("nothing is missing that shards make; `periscope gather --out {}` makes the rest", out.display());
+        note!("nothing is missing that shards make; `periscope gather --out {}` makes the rest", out.display());
     } else if dealt < count {
-        eprintln!(
+        note!(
             "{dealt} shards and not {count}: a shard holds whole parts, or a piece of one; a smaller `part_bytes` in [campaign] of campaign.toml makes more of them"
         );
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn tell_piece(key: &str, cut: &Cut, is_json: bool) {
-    let Cut { number, count, piece, .. } = cut;
-    let shots = |shots: &Range<usize>| [shots.start, shots.end];
-    let shots: BTreeMap<&Path, [usize; 2]> =
-        piece.shots.iter().map(|(file, of_file)| (file.as_path(), shots(of_file))).collect();
-    if is_json {
-        println!(
-            "{}",
-            json!({
-                "key": key, "captures": piece.captures.len(), "parts": 0, "piece": number, "pieces": count, "shots": shots,
-                "bytes": piece.bytes, "inputs": piece.files,
-            })
-        );
-    } else {
-        let (captures, bytes, files) = (piece.captures.len(), piece.bytes, piece.files.len());
-        let shots: Vec<String> =
-            shots.iter().map(|(file, [first, end])| format!("  shots {first}..{end} of {}", file.display())).collect();
-        println!(
-            "{key}  {captures:>9} captures  piece {number} of {count}  {bytes:>14} bytes  {files:>7} files{}",
-            shots.concat()
-        );
+/// A shard or a piece as it is listed.
+struct Listed {
+    key: String,
+    captures: usize,
+    parts: usize,
+    bytes: u64,
+    /// Number of the piece, and of how many.
+    piece: Option<(usize, usize)>,
+    /// First shot and end, by file, of a piece.
+    shots: Option<BTreeMap<PathBuf, [usize; 2]>>,
+    /// Raw files.
+    inputs: Vec<PathBuf>,
+}
+
+impl Listed {
+    fn of_piece(key: &str, cut: &Cut) -> Self {
+        let Cut { number, count, piece, .. } = cut;
+        let shots = |(file, shots): (&PathBuf, &Range<usize>)| (file.clone(), [shots.start, shots.end]);
+        Self {
+            key: key.to_owned(),
+            captures: piece.captures.len(),
+            parts: 0,
+            bytes: piece.bytes,
+            piece: Some((*number, *count)),
+            shots: Some(piece.shots.iter().map(shots).collect()),
+            inputs: piece.files.clone(),
+        }
+    }
+
+    fn of_shard(key: &str, shard: &Shard) -> Self {
+        let tickets = || shard.tickets();
+        let mut inputs: Vec<PathBuf> = tickets().flat_map(|ticket| &ticket.files).cloned().collect();
+        inputs.sort();
+        inputs.dedup();
+        Self {
+            key: key.to_owned(),
+            captures: tickets().map(|ticket| ticket.captures).sum(),
+            parts: tickets().count(),
+            bytes: tickets().map(|ticket| ticket.bytes).sum(),
+            piece: None,
+            shots: None,
+            inputs,
+        }
     }
 }
 
-fn tell(key: &str, shard: &Shard, is_json: bool) {
-    let tickets = || shard.tickets();
-    let captures: usize = tickets().map(|ticket| ticket.captures).sum();
-    let (parts, bytes) = (tickets().count(), tickets().map(|ticket| ticket.bytes).sum::<u64>());
-    let mut inputs: Vec<&Path> = tickets().flat_map(|ticket| &ticket.files).map(PathBuf::as_path).collect();
-    inputs.sort();
-    inputs.dedup();
-    if is_json {
-        println!("{}", json!({ "key": key, "captures": captures, "parts": parts, "bytes": bytes, "inputs": inputs }));
-    } else {
-        println!("{key}  {captures:>9} captures  {parts:>6} parts  {bytes:>14} bytes  {:>7} files", inputs.len());
+/// Lists shards; a table has the number of their files in place of their names.
+fn list(shards: Vec<Listed>, format: Format) -> Result<()> {
+    let is_table = format == Format::Table;
+    let last = if is_table { "files" } else { "inputs" };
+    let mut rows = Rows::new(&["key", "captures", "parts", "bytes", "piece", "pieces", "shots", last]);
+    for Listed { key, captures, parts, bytes, piece, shots, inputs } in shards {
+        let (number, count) = piece.unzip();
+        let inputs = if is_table { json!(inputs.len()) } else { json!(inputs) };
+        rows.push([
+            json!(key),
+            json!(captures),
+            json!(parts),
+            json!(bytes),
+            json!(number),
+            json!(count),
+            json!(shots),
+            inputs,
+        ]);
     }
+    rows.print(format)
 }

@@ -24,6 +24,7 @@ use periscope::store::{Digest, Shelf, StoreError};
 use super::aftermath;
 use super::interrupt::{cancel_on_signals, is_interruption};
 use super::machine::{Machine, size};
+use super::output::{Output, note};
 use super::watch;
 
 /// Time between two attempts to open a folder that another run holds.
@@ -68,6 +69,8 @@ pub struct Run {
     /// Exit with 1 if any input was left out or rejected, or a result is empty
     #[arg(long)]
     strict: bool,
+    #[command(flatten)]
+    output: Output,
     /// Bytes to read at a time; results do not depend on it
     #[arg(long, value_name = "SIZE", value_parser = size, help_heading = "Tuning")]
     batch: Option<usize>,
@@ -172,11 +175,11 @@ impl Job<'_> {
     fn compute(&self, whole: &mut BTreeMap<String, Digest>) -> Result<Outcome> {
         let progress = Progress::new(self.style);
         if let Some(shards) = self.shards {
-            shards.join(self.shelf, &self.settings, &progress, &mut |warning| eprintln!("warning: {warning}"))?;
+            shards.join(self.shelf, &self.settings, &progress, &mut |warning| note!("warning: {warning}"))?;
         }
         let mut plan = Plan::new(self.spec, self.campaigns, self.shelf, self.until)?;
         for left_out in plan.left_out() {
-            eprintln!("warning: {left_out}");
+            note!("warning: {left_out}");
         }
         if let Some(shards) = self.shards {
             shards.check(&plan)?;
@@ -196,7 +199,7 @@ pub fn open(out: &Path, wait: bool) -> Result<Shelf> {
         match Shelf::open(out) {
             Err(error @ StoreError::Busy { .. }) if wait => {
                 if !is_told {
-                    eprintln!("waiting: {error}");
+                    note!("waiting: {error}");
                     is_told = true;
                 }
                 std::thread::sleep(LOOK_AGAIN);
@@ -270,7 +273,7 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     } else {
         job.execute_and_tell(&mut job.record()?)?
     };
-    aftermath::tell(&spec, &outcome, &shelf, args.strict)
+    aftermath::tell(&spec, &outcome, &shelf, args.strict, args.output.format)
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ fn check(lab: &Lab, args: &[&str]) -> Output {
 }
 
 fn json(lab: &Lab, args: &[&str]) -> (Option<i32>, Value) {
-    let output = check(lab, &[&["--json"], args].concat());
+    let output = check(lab, &[&["--format", "json"], args].concat());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     (output.status.code(), serde_json::from_slice(&output.stdout).expect(&text))
 }

@@ -202,7 +202,7 @@ fn exit_codes_and_text() {
     for words in ["onsets differs:", "only in A: ", &change(), "(--all)"] {
         assert!(text.contains(words), "{words}: {text}");
     }
-    let json = periscope(&["diff", "a", "b", "--json"]);
+    let json = periscope(&["diff", "a", "b", "--format", "json"]);
     let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
     assert_eq!(json["same"], false);
     assert_eq!(periscope(&["diff", "a", "nowhere"]).status.code(), Some(1));

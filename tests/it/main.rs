@@ -37,6 +37,7 @@ mod mirror;
 mod missed;
 mod mistakes;
 mod monte_carlo;
+mod output;
 mod pieces;
 mod pipelines;
 mod pulses;

@@ -96,9 +96,9 @@ impl Large {
 
     /// Plans shards: the lines of pieces, and those of whole parts.
     fn plan(&self, out: &str, count: &str) -> (Vec<Value>, Vec<Value>) {
-        let output = self.job("plan", out, &["--set", TRACES, "--shards", count, "--json"]);
-        let lines = String::from_utf8(output.stdout).unwrap();
-        lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap()).partition(|line| line["pieces"].is_u64())
+        let output = self.job("plan", out, &["--set", TRACES, "--shards", count, "--format", "json"]);
+        let lines: Vec<Value> = serde_json::from_slice(&output.stdout).unwrap();
+        lines.into_iter().partition(|line| line["pieces"].is_u64())
     }
 
     fn make(&self, line: &Value, out: &str) -> Value {

@@ -1,4 +1,4 @@
-//! Real oscilloscope files, where present: every one against its reference decoding, by `inspect --json` and through a
+//! Real oscilloscope files, where present: every one against its reference decoding, by `inspect --format json` and through a
 //! campaign; broken ones refused within a small multiple of their size. docs/formats.md says what they cover.
 
 use std::collections::BTreeMap;
@@ -70,7 +70,7 @@ fn reference(folder: &Path) -> Value {
 }
 
 fn inspect(file: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_periscope")).args(["inspect", "--json"]).arg(file).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_periscope")).args(["inspect", "--format", "json"]).arg(file).output().unwrap()
 }
 
 /// The reference's entries: file, format, waveforms.
@@ -98,8 +98,7 @@ fn inspect_equals_every_reference_decoding() {
     for (file, format, expected) in entries(&reference).filter(|(_, format, _)| !BESIDE.contains(format)) {
         let output = inspect(&folder.join(file));
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        let text = String::from_utf8(output.stdout).unwrap();
-        let actual: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let actual: Vec<Value> = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(actual.len(), expected.len(), "{file}");
         for (actual, expected) in actual.iter().zip(expected) {
             compare(file, format, actual, expected);

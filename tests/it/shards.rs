@@ -44,10 +44,9 @@ fn refused(lab: &ManyParts, args: &[&str]) -> String {
 
 /// Plans shards into a result folder: their lines by key.
 fn plan(lab: &ManyParts, out: &str, count: &str, more: &[&str]) -> BTreeMap<String, Value> {
-    let args = ["plan", "pipeline.toml", "--campaign", "campaign", "--out", out, "--shards", count, "--json"];
-    let lines = printed(lab, &[&args, more].concat());
-    let lines = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
-    lines.map(|line| (line["key"].as_str().unwrap().to_owned(), line)).collect()
+    let args = ["plan", "pipeline.toml", "--campaign", "campaign", "--out", out, "--shards", count, "--format", "json"];
+    let lines: Vec<Value> = serde_json::from_str(&printed(lab, &[&args[..], more].concat())).unwrap();
+    lines.into_iter().map(|line| (line["key"].as_str().unwrap().to_owned(), line)).collect()
 }
 
 fn shard<'a>(key: &'a str, out: &'a str) -> [&'a str; 6] {

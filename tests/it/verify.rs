@@ -228,7 +228,7 @@ fn a_campaign_is_held_to_its_seal() {
     flip(&raw.join("s1_L2_P3_C1.trc"), 8 * 3000);
     assert_eq!(periscope(&lab, &["verify", "campaign"]).0, Some(0));
     fs::remove_file(raw.join("s1_L3_P4_C1.trc")).unwrap();
-    let (code, text) = periscope(&lab, &["verify", "campaign", "--rehash", "--json"]);
+    let (code, text) = periscope(&lab, &["verify", "campaign", "--rehash", "--format", "json"]);
     let said: serde_json::Value = serde_json::from_str(&text).unwrap();
     let about = |file: &str, what: &str| {
         let findings = said["findings"].as_array().unwrap().iter();
