@@ -33,11 +33,11 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
     let scenes: Option<u64> = arguments.iter().find_map(|argument| argument.parse().ok());
     let names: Vec<&String> = arguments.iter().filter(|argument| argument.parse::<u64>().is_err()).collect();
-    let asked = |name: &str| names.is_empty() || names.iter().any(|asked| *asked == name);
-    if asked("gain") {
+    let is_selected = |name: &str| names.is_empty() || names.iter().any(|given| *given == name);
+    if is_selected("gain") {
         gain(scenes.unwrap_or(20));
     }
-    if asked("layers") {
+    if is_selected("layers") {
         second_layer(scenes.unwrap_or(20));
     }
 }
@@ -147,8 +147,8 @@ impl Scene {
     fn error_m2(&self, observations: Vec<Observation>) -> f64 {
         let problem =
             Problem { loss: Loss::Squared, ..Problem::new(self.hidden.clone(), 3, &self.visible, observations) };
-        let found = maximum_likelihood::solve(&problem).expect("visible patches on two walls place the hidden ones");
-        found.points.iter().zip(&self.hidden).map(|(found, hidden)| (found - hidden).norm_squared()).sum()
+        let solution = maximum_likelihood::solve(&problem).expect("visible patches on two walls place the hidden ones");
+        solution.points.iter().zip(&self.hidden).map(|(point, hidden)| (point - hidden).norm_squared()).sum()
     }
 }
 
@@ -210,10 +210,10 @@ fn second_layer(scenes: u64) {
                 });
             }
             let of = 2 * scenes as usize;
-            let found = Rate { hits: of - missed, of };
-            let bound_mm = 1e3 * (sums_m2[1] / found.hits.max(1) as f64).sqrt();
+            let rate = Rate { hits: of - missed, of };
+            let bound_mm = 1e3 * (sums_m2[1] / rate.hits.max(1) as f64).sqrt();
             let ratio = (sums_m2[0] / sums_m2[1]).sqrt();
-            println!("| {first} | {noise_ps} | {seen} | {scenes} | {found} | {extra} | {bound_mm:.2} | {ratio:.2} |");
+            println!("| {first} | {noise_ps} | {seen} | {scenes} | {rate} | {extra} | {bound_mm:.2} | {ratio:.2} |");
         }
     }
 }

@@ -23,23 +23,23 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
     let scenes: Option<u64> = arguments.iter().find_map(|argument| argument.parse().ok());
     let names: Vec<&String> = arguments.iter().filter(|argument| argument.parse::<u64>().is_err()).collect();
-    let asked = |name: &str| names.is_empty() || names.iter().any(|asked| *asked == name);
-    if asked("cells") {
+    let is_selected = |name: &str| names.is_empty() || names.iter().any(|given| *given == name);
+    if is_selected("cells") {
         cells(scenes);
     }
-    if asked("patterns") {
+    if is_selected("patterns") {
         patterns(scenes.unwrap_or(100));
     }
-    if asked("relief") {
+    if is_selected("relief") {
         relief(scenes.unwrap_or(100));
     }
-    if asked("clutter") {
+    if is_selected("clutter") {
         clutter(scenes.unwrap_or(100));
     }
-    if asked("blends") {
+    if is_selected("blends") {
         blends(scenes.unwrap_or(100));
     }
-    if asked("large") {
+    if is_selected("large") {
         large(scenes.unwrap_or(10));
     }
 }
@@ -71,9 +71,9 @@ fn row_with(setting: &Setting, scenes: u64, change: impl Fn(&mut Room)) -> Row {
         let mut drawn = draw(setting, seed);
         change(&mut drawn.room);
         let start = Instant::now();
-        let found = find(&drawn.profiles, &drawn.room);
+        let solution = find(&drawn.profiles, &drawn.room);
         seconds += start.elapsed().as_secs_f64();
-        let points: Vec<Point> = found.patches.iter().map(|hidden| hidden.point).collect();
+        let points: Vec<Point> = solution.patches.iter().map(|hidden| hidden.point).collect();
         let score = scene::score(&drawn, &points);
         rights += usize::from(score.is_right());
         ranks += usize::from(is_ordered(&drawn));
@@ -151,8 +151,8 @@ fn patterns(scenes: u64) {
     }
 }
 
-/// One wall that the search does not know the front of, with relief to either side: how often the mirror image of a
-/// patch is told, and how often it is the likelier one.
+/// One wall with relief to either side, whose front the search does not know: how often the mirror image of a patch is
+/// reported, and how often it is the likelier one.
 fn relief(scenes: u64) {
     println!(
         "\n| relief (mm) | noise (ps) | patches found | mirror image told | likelier than the patch | neither place right |\n|---|---|---|---|---|---|"
@@ -160,22 +160,22 @@ fn relief(scenes: u64) {
     for noise_ps in [5.0, 25.0] {
         for relief_mm in [0.0, 1.0, 3.0, 10.0, 30.0, 100.0] {
             let base = Setting::new(8, 4, sd_m(noise_ps), 0.1, 1);
-            let (mut count, mut told, mut behind, mut wrong) = (0, 0, 0, 0);
+            let (mut count, mut rivals, mut behind, mut wrong) = (0, 0, 0, 0);
             for seed in 0..scenes {
                 let drawn = draw(&Setting { walls: Walls::Rough(1e-3 * relief_mm), ..base }, seed);
-                let found = find(&drawn.profiles, &drawn.room);
-                count += found.patches.len();
-                told += found.rivals.iter().flatten().count();
+                let solution = find(&drawn.profiles, &drawn.room);
+                count += solution.patches.len();
+                rivals += solution.rivals.iter().flatten().count();
                 // The wall is y = 0, its front y > 0.
-                behind += found.patches.iter().filter(|patch| patch.point.y < 0.0).count();
-                let in_front = found.patches.iter().zip(&found.rivals).map(|(patch, rival)| match rival {
+                behind += solution.patches.iter().filter(|patch| patch.point.y < 0.0).count();
+                let in_front = solution.patches.iter().zip(&solution.rivals).map(|(patch, rival)| match rival {
                     Some(rival) if patch.point.y < 0.0 => rival.point,
                     _ => patch.point,
                 });
                 let score = scene::score(&drawn, &in_front.collect::<Vec<Point>>());
                 wrong += score.missed + score.extra;
             }
-            println!("| {relief_mm} | {noise_ps} | {count} of {} | {told} | {behind} | {wrong} |", 4 * scenes);
+            println!("| {relief_mm} | {noise_ps} | {count} of {} | {rivals} | {behind} | {wrong} |", 4 * scenes);
         }
     }
 }

@@ -2,7 +2,7 @@
 //! that other work on the machine cannot blur. `cargo bench --bench counts`; `-- --accept` writes the counts down as
 //! the new ones; `-- NAME` counts one kernel. docs/counts.md.
 //!
-//! Every kernel runs once in a process of its own, of which callgrind counts what happens inside [`counted`] alone.
+//! Every kernel runs once in a process of its own. Callgrind counts only the instructions inside [`counted`].
 
 #[path = "counts/kernels.rs"]
 mod kernels;
@@ -13,8 +13,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-/// A count that is off by more, up or down, is told. The same program counts the same; what is below is the compiler,
-/// which inlines otherwise where other code changes.
+/// A count that is off by a larger share, up or down, is reported. The same program counts the same; smaller
+/// differences come from the compiler, which inlines otherwise where other code changes.
 const TOLERANCE: f64 = 0.02;
 /// How the program calls itself under callgrind.
 const ALONE: &str = "--kernel";
@@ -24,7 +24,7 @@ fn main() -> ExitCode {
     if let [flag, name] = &arguments[..]
         && flag == ALONE
     {
-        let (_, prepare) = kernels::ALL.iter().find(|(known, _)| known == name).expect("a kernel of the list");
+        let (_, prepare) = kernels::ALL.iter().find(|(listed, _)| listed == name).expect("a kernel of the list");
         let mut kernel = prepare();
         kernel(); // Tables that are made once, and the allocator's first pages, are no part of the kernel.
         counted(&mut kernel);
@@ -33,12 +33,13 @@ fn main() -> ExitCode {
     let accept = arguments.iter().any(|argument| argument == "--accept");
     arguments.retain(|argument| argument != "--accept");
     let names = kernels::ALL.iter().map(|(name, _)| *name);
-    let asked: Vec<&str> = names.filter(|name| arguments.is_empty() || arguments.iter().any(|a| a == name)).collect();
+    let selection: Vec<&str> =
+        names.filter(|name| arguments.is_empty() || arguments.iter().any(|a| a == name)).collect();
     if Command::new("valgrind").arg("--version").output().is_err() {
         eprintln!("valgrind is not here: NO INSTRUCTION WAS COUNTED (Debian: apt-get install valgrind)");
         return ExitCode::FAILURE;
     }
-    let counts: BTreeMap<&str, u64> = asked.iter().map(|name| (*name, instructions(name))).collect();
+    let counts: BTreeMap<&str, u64> = selection.iter().map(|name| (*name, instructions(name))).collect();
     let committed = Committed::read();
     println!("| kernel | instructions | committed | change |\n|---|---|---|---|");
     let mut off = Vec::new();
@@ -133,7 +134,7 @@ impl Committed {
 
     fn with(mut self, counts: &BTreeMap<&str, u64>) -> Self {
         self.toolchain = toolchain();
-        self.counts.retain(|name, _| kernels::ALL.iter().any(|(known, _)| known == name));
+        self.counts.retain(|name, _| kernels::ALL.iter().any(|(listed, _)| listed == name));
         self.counts.extend(counts.iter().map(|(name, count)| ((*name).to_owned(), *count)));
         self
     }

@@ -1,8 +1,8 @@
 //! Study: hidden patches too weak for an onset in any single profile. Prints the tables of docs/accuracy.md, "Too weak
 //! for an onset".
 //!
-//! `cargo bench --bench faint` for all, `cargo bench --bench faint -- power 100` or `-- none 300` for so many scenes of
-//! one, `-- power 100 1.5` for one signal-to-noise ratio.
+//! `cargo bench --bench faint` for all, `cargo bench --bench faint -- power 100` or `-- none 300` for that number of
+//! scenes of one, `-- power 100 1.5` for one signal-to-noise ratio.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/faint.rs"]
@@ -20,7 +20,7 @@ use score::{Estimate, Rate};
 
 /// Signal-to-noise ratios of the study.
 const SNRS: [f64; 6] = [0.5, 0.75, 1.0, 1.25, 1.5, 2.0];
-/// A patch that is found is within so many of its standard deviations.
+/// A patch counts as found within this many of its standard deviations.
 const NEAR: f64 = 5.0;
 /// 95 % of chi-square of three degrees of freedom.
 const CHI_95: f64 = 7.815;
@@ -28,16 +28,16 @@ const CHI_95: f64 = 7.815;
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
     let scenes: Option<u64> = arguments.iter().find_map(|argument| argument.parse().ok());
-    let asked = |name: &str| {
+    let is_selected = |name: &str| {
         let names: Vec<&String> = arguments.iter().filter(|argument| argument.parse::<f64>().is_err()).collect();
-        names.is_empty() || names.iter().any(|asked| *asked == name)
+        names.is_empty() || names.iter().any(|given| *given == name)
     };
-    if asked("power") {
+    if is_selected("power") {
         let snrs: Vec<f64> =
             arguments.iter().filter(|argument| argument.contains('.')).flat_map(|snr| snr.parse()).collect();
         power(if snrs.is_empty() { &SNRS } else { &snrs }, scenes.unwrap_or(100));
     }
-    if asked("none") {
+    if is_selected("none") {
         none(scenes.unwrap_or(300));
     }
 }
@@ -64,10 +64,10 @@ fn power(snrs: &[f64], scenes: u64) {
             let drawn = draw(snr, seed);
             (run(&drawn.scene, seed), drawn.hidden, drawn.largest_snr)
         });
-        let (mut found, mut wrong, mut evidence) = (Vec::new(), 0, 0.0);
+        let (mut patches, mut wrong, mut evidence) = (Vec::new(), 0, 0.0);
         for (seen, hidden, _) in &runs {
             let near = |patch: &&Placed| patch.squares(hidden).0 < NEAR * NEAR;
-            found.extend(seen.patches.iter().find(near).map(|patch| patch.squares(hidden)));
+            patches.extend(seen.patches.iter().find(near).map(|patch| patch.squares(hidden)));
             wrong += seen.patches.iter().filter(|patch| !near(patch)).count();
             evidence += seen.hypotheses.first().map_or(0.0, |row| row.evidence) / runs.len() as f64;
         }
@@ -78,14 +78,14 @@ fn power(snrs: &[f64], scenes: u64) {
         };
         let mut shots: Vec<f64> = runs.iter().filter_map(declined).map(|shots| shots / 50.0).collect();
         shots.sort_by(f64::total_cmp);
-        let mean_m2 = found.iter().map(|(_, square_m2)| square_m2).sum::<f64>() / found.len() as f64;
+        let mean_m2 = patches.iter().map(|(_, square_m2)| square_m2).sum::<f64>() / patches.len() as f64;
         println!(
             "| {snr} | {largest:.1} | {} | {} | {by_label} | {wrong} | {evidence:.1} | {} | {} | {} | {} |",
             runs.len(),
-            Rate { hits: found.len(), of: runs.len() },
-            number((!found.is_empty()).then_some(1e3 * mean_m2.sqrt())),
-            Estimate::mean(&found.iter().map(|(normalised, _)| *normalised).collect::<Vec<_>>()),
-            Rate::of(found.iter().map(|(normalised, _)| *normalised < CHI_95)),
+            Rate { hits: patches.len(), of: runs.len() },
+            number((!patches.is_empty()).then_some(1e3 * mean_m2.sqrt())),
+            Estimate::mean(&patches.iter().map(|(normalised, _)| *normalised).collect::<Vec<_>>()),
+            Rate::of(patches.iter().map(|(normalised, _)| *normalised < CHI_95)),
             number(shots.get(shots.len() / 2).copied()),
         );
     }

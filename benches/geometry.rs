@@ -14,23 +14,23 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
     let scenes: Option<u64> = arguments.iter().find_map(|argument| argument.parse().ok());
     let names: Vec<&String> = arguments.iter().filter(|argument| argument.parse::<u64>().is_err()).collect();
-    let asked = |name: &str| names.is_empty() || names.iter().any(|asked| *asked == name);
-    if asked("methods") {
+    let is_selected = |name: &str| names.is_empty() || names.iter().any(|given| *given == name);
+    if is_selected("methods") {
         methods::print(scenes.unwrap_or(200));
     }
-    if asked("missing") {
+    if is_selected("missing") {
         missing::print(scenes.unwrap_or(300));
     }
-    if asked("separate") {
+    if is_selected("separate") {
         separate::print(scenes.unwrap_or(100));
     }
-    if asked("thirds") {
+    if is_selected("thirds") {
         thirds::print(scenes.unwrap_or(100));
     }
-    if asked("scale") {
+    if is_selected("scale") {
         scale::print();
     }
-    if asked("chi-square") {
+    if is_selected("chi-square") {
         chi_square::print(scenes.unwrap_or(300));
     }
 }

@@ -12,28 +12,28 @@ use growth::{label, refine, sparse};
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
-    let asked_sizes: Vec<usize> = arguments.iter().filter_map(|argument| argument.parse().ok()).collect();
+    let given_sizes: Vec<usize> = arguments.iter().filter_map(|argument| argument.parse().ok()).collect();
     let names: Vec<&String> = arguments.iter().filter(|argument| argument.parse::<usize>().is_err()).collect();
-    let asked = |name: &str| names.is_empty() || names.iter().any(|asked| *asked == name);
-    let sizes = |usual: &[usize]| if asked_sizes.is_empty() { usual.to_vec() } else { asked_sizes.clone() };
+    let is_selected = |name: &str| names.is_empty() || names.iter().any(|given| *given == name);
+    let sizes = |usual: &[usize]| if given_sizes.is_empty() { usual.to_vec() } else { given_sizes.clone() };
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool of one thread");
     one_thread.install(|| {
-        if asked("sparse") {
+        if is_selected("sparse") {
             sparse::print(&sizes(&[100, 1000, 10_000]));
         }
-        if asked("label") {
+        if is_selected("label") {
             label::print_labelling(&sizes(&[8, 16, 32, 64]));
         }
-        if asked("search") {
+        if is_selected("search") {
             label::print_search(&sizes(&[8, 16, 32, 64]));
         }
-        if asked("near") {
+        if is_selected("near") {
             refine::print(Pairs::Near, &sizes(&[100, 300, 1000, 3000, 10_000, 20_000]));
         }
-        if asked("scattered") {
+        if is_selected("scattered") {
             refine::print(Pairs::Scattered, &sizes(&[100, 300, 1000, 3000, 10_000, 20_000]));
         }
-        if asked("all-pairs") {
+        if is_selected("all-pairs") {
             refine::print(Pairs::All, &sizes(&[100, 300, 1000]));
         }
     });

@@ -52,15 +52,15 @@ fn main() {
         let scene = faulty(flaw);
         let runs: Vec<(bool, Vec<String>)> = draws(seeds / 3, |seed| {
             let (_lab, checks) = checks(&scene, seed, &[]);
-            let found = &*checks[check].verdict == "fail" && checks[check].cause.contains(cause);
+            let is_named = &*checks[check].verdict == "fail" && checks[check].cause.contains(cause);
             let others = failed(&checks).into_iter().filter(|other| *other != check).map(str::to_owned).collect();
-            (found, others)
+            (is_named, others)
         });
-        let found = runs.iter().filter(|(found, _)| *found).count();
+        let hits = runs.iter().filter(|(is_named, _)| *is_named).count();
         let mut others: BTreeMap<&str, usize> = BTreeMap::new();
         runs.iter().flat_map(|(_, others)| others).for_each(|check| *others.entry(check).or_default() += 1);
-        let (low, high) = interval(found, runs.len());
-        let rate = 100.0 * found as f64 / runs.len() as f64;
+        let (low, high) = interval(hits, runs.len());
+        let rate = 100.0 * hits as f64 / runs.len() as f64;
         println!("| `{flaw}` | {} | {rate:.1} % ({check}) | {low:.1} to {high:.1} | {others:?} |", runs.len());
     }
 }

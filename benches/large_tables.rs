@@ -22,7 +22,7 @@ const ONSETS: usize = 4;
 const CAMPAIGNS: [&str; 2] = ["monday", "tuesday"];
 /// Captures that are written at a time.
 const BATCH: usize = 256;
-/// What a look-up asks for beside the key.
+/// Columns that a look-up reads in addition to the key.
 const READ: [&str; 3] = ["rank", "time_ps", "time_sd_ps"];
 
 fn main() {
@@ -151,9 +151,8 @@ fn touched(out: &Path, pair: [i32; 2]) {
         let mut is_touched = false;
         for (n, group) in metadata.row_groups().iter().enumerate() {
             let index = metadata.page_index_for_row_group(n);
-            let column = |name: &str| group.columns().iter().position(|column| column.column_path().string() == name);
-            let keys: [usize; 2] = ["lit", "seen"].map(|name| column(name).expect("a key"));
-            let read: Vec<usize> = READ.iter().filter_map(|name| column(name)).chain(keys).collect();
+            let keys: [usize; 2] = ["lit", "seen"].map(|name| column(group, name).expect("a key"));
+            let read: Vec<usize> = READ.iter().filter_map(|name| column(group, name)).chain(keys).collect();
             let size = |k: &usize| group.column(*k).compressed_size() as u64;
             let all: u64 = read.iter().map(size).sum();
             footers += group.columns().iter().filter_map(ColumnChunkMetaData::column_index_length).sum::<i32>() as u64;
@@ -200,6 +199,10 @@ fn touched(out: &Path, pair: [i32; 2]) {
         "lit {}, seen {}: {} of {} files, {} of {} row groups ({} bytes), {} of {} pages ({} bytes), of {} bytes; page indexes {footers} bytes",
         pair[0], pair[1], files[0], files[1], groups[0], groups[1], bytes[0], pages[0], pages[1], bytes[1], bytes[2]
     );
+}
+
+fn column(group: &RowGroupMetaData, name: &str) -> Option<usize> {
+    group.columns().iter().position(|column| column.column_path().string() == name)
 }
 
 fn may_hold(group: &RowGroupMetaData, column: usize, value: i32) -> bool {

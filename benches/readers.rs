@@ -1,5 +1,5 @@
-//! How fast files are read from the page cache, for `benches/readers.py`, which sets it beside Python readers in the
-//! same minute: `readers codes|volts FILE ROUNDS` prints the best time of so many rounds in seconds. `codes`: what
+//! How fast files are read from the page cache, for `benches/readers.py`, which compares it with Python readers in the
+//! same minute: `readers codes|volts FILE ROUNDS` prints the best time of `ROUNDS` rounds in seconds. `codes`: what
 //! `ingest` takes on, raw codes in pieces; `volts`: every sample as f64 volts, as the Python readers give it, a piece
 //! at a time.
 

@@ -37,7 +37,7 @@ fn main() {
     let numbers: Vec<usize> = arguments.iter().filter_map(|argument| argument.parse().ok()).collect();
     let names: Vec<&String> = arguments.iter().filter(|argument| argument.parse::<usize>().is_err()).collect();
     for (name, study) in STUDIES {
-        if names.is_empty() || names.iter().any(|asked| *asked == name) {
+        if names.is_empty() || names.iter().any(|argument| *argument == name) {
             study(&numbers);
         }
     }

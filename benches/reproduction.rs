@@ -1,9 +1,9 @@
 //! Study: the paper's experiments from scope files, against what the paper prints. Prints the tables of
 //! docs/reproduction.md, and draws its figures.
 //!
-//! `cargo bench --bench reproduction -- hidden-plane 8`, `-- mirror 40`, `-- barcode errors 40`: so many campaigns of
-//! one experiment; of the last one part of errors, moved, gap, figure, and of these the rows of one response: `--
-//! barcode gap E 300`.
+//! `cargo bench --bench reproduction -- hidden-plane 8`, `-- mirror 40`, `-- barcode errors 40`: this number of
+//! campaigns of one experiment. The barcode has the parts errors, moved, gap, figure, and these have rows for each
+//! response: `-- barcode gap E 300`.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/barcode.rs"]
@@ -34,14 +34,14 @@ fn main() {
     let count: Option<u64> = arguments.iter().find_map(|argument| argument.parse().ok());
     let mut names = arguments.iter().filter(|argument| argument.parse::<u64>().is_err()).map(String::as_str);
     let (name, part, response) = (names.next(), names.next(), names.next());
-    let asked = |experiment: &str| name.is_none_or(|name| name == experiment);
-    if asked("hidden-plane") {
+    let is_selected = |experiment: &str| name.is_none_or(|name| name == experiment);
+    if is_selected("hidden-plane") {
         reproduction::hidden_plane::print(count.unwrap_or(8));
     }
-    if asked("mirror") {
+    if is_selected("mirror") {
         reproduction::mirror::print(count.unwrap_or(40));
     }
-    if asked("barcode") {
+    if is_selected("barcode") {
         reproduction::barcode::study(part, response, count.unwrap_or(40));
     }
 }

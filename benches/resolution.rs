@@ -3,7 +3,7 @@
 //!
 //! `cargo bench --bench resolution`, `cargo bench --bench resolution -- quick` for a tenth of the draws; a letter runs
 //! one table. With `PERISCOPE_PYTHON`, a Python that has SciPy, its NNLS is timed on the same records
-//! (benches/nnls.py), which are written to a temporary folder, or to that of `PERISCOPE_BENCH_FOLDER`.
+//! (benches/nnls.py). They are written to a temporary folder, or to that of `PERISCOPE_BENCH_FOLDER`.
 
 #[path = "resolution/mod.rs"]
 mod resolution;
@@ -12,9 +12,9 @@ use resolution::draw::Effort;
 use resolution::{counts, coverage, false_pulses, many, methods, mismatch, pairs, single, speed};
 
 fn main() {
-    let asked: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with("--")).collect();
-    let effort = Effort { one_in: if asked.iter().any(|arg| arg == "quick") { 10 } else { 1 } };
-    let letters: Vec<&String> = asked.iter().filter(|arg| arg.len() == 1).collect();
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with("--")).collect();
+    let effort = Effort { one_in: if arguments.iter().any(|arg| arg == "quick") { 10 } else { 1 } };
+    let letters: Vec<&String> = arguments.iter().filter(|arg| arg.len() == 1).collect();
     let tables: [(&str, fn(Effort)); 9] = [
         ("a", single::print),
         ("b", pairs::print),
@@ -27,7 +27,7 @@ fn main() {
         ("i", methods::print),
     ];
     for (letter, print) in tables {
-        if letters.is_empty() || letters.iter().any(|asked| *asked == letter) {
+        if letters.is_empty() || letters.iter().any(|argument| *argument == letter) {
             let start = std::time::Instant::now();
             print(effort);
             eprintln!("table {letter}: {:.0} s", start.elapsed().as_secs_f64());

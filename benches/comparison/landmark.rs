@@ -1,10 +1,10 @@
 //! Landmark scaling: coordinates of many points from their distances to a few.
 //!
-//! Classical scaling of the landmarks alone, then every point by `z = -L# (delta - mean delta) / 2`, where `delta` are
-//! its squared distances to the landmarks and L# has the landmarks' eigenvectors over the roots of their eigenvalues as
-//! rows. O(L^3 + M L). Source: de Silva and Tenenbaum, Sparse multidimensional scaling using landmark points (2004); it
-//! is a Nystrom approximation (Platt, AISTATS 2005). All other distances go unused, so its error does not fall with M:
-//! a start.
+//! Classical scaling of the landmarks alone, then every point by `z = -L# (delta - mean delta) / 2`. `delta` are its
+//! squared distances to the landmarks. The rows of L# are the landmarks' eigenvectors over the roots of their
+//! eigenvalues. O(L^3 + M L). Source: de Silva and Tenenbaum, Sparse multidimensional scaling using landmark points
+//! (2004); it is a Nystrom approximation (Platt, AISTATS 2005). All other distances go unused, so its error does not
+//! fall with M: it serves as a start.
 
 use faer::Mat;
 
@@ -86,8 +86,8 @@ mod tests {
         assert_eq!(landmarks[0], 0);
         let closest = landmarks.iter().enumerate().flat_map(|(n, &a)| landmarks[..n].iter().map(move |&b| (a, b)));
         assert!(closest.map(|(a, b)| distance(a, b)).fold(f64::INFINITY, f64::min) > 0.8, "{landmarks:?}");
-        let found = embed(all.len(), &landmarks, distance, 3);
-        assert!(procrustes::rotation(&found, &truth, Point::origin(), true).rms_m < 1e-9);
+        let solution = embed(all.len(), &landmarks, distance, 3);
+        assert!(procrustes::rotation(&solution, &truth, Point::origin(), true).rms_m < 1e-9);
     }
 
     #[test]
@@ -98,7 +98,7 @@ mod tests {
         let distances = Mat::from_fn(all.len(), all.len(), |i, j| if i == j { 0.0 } else { wrong(i, j) });
         let classical = classical::embed(&distances, 3);
         let landmarks: Vec<usize> = (0..all.len()).collect();
-        let found = embed(all.len(), &landmarks, |i, j| distances[(i, j)], 3);
-        assert!(procrustes::rotation(&found, &classical, Point::origin(), true).rms_m < 1e-9);
+        let solution = embed(all.len(), &landmarks, |i, j| distances[(i, j)], 3);
+        assert!(procrustes::rotation(&solution, &classical, Point::origin(), true).rms_m < 1e-9);
     }
 }

@@ -17,9 +17,9 @@
 //! Rows of pairs are cut into chunks by their number alone, and the chunks' sums are added in order: the same bits for
 //! any number of threads.
 //!
-//! Covariances are 3x3 blocks: the inverse of a patch's block of the normal matrix, as if all other patches were held,
-//! plus the share of the delay, which is exact, without rotations. With all pairs measured this is within 2 % of the
-//! exact standard deviation for 300 patches, and nearer for more; where many are missing it is too small.
+//! Covariances are 3x3 blocks without rotations: the inverse of a patch's block of the normal matrix, as if all other
+//! patches were fixed, plus the share of the delay. That share is exact. With all pairs measured the block is within 2
+//! % of the exact standard deviation for 300 patches, and nearer for more. Where many are missing it is too small.
 //!
 //! Not modelled: several delays, separate source and sensor, anchors, patches without first bounce; for those and for
 //! exact covariances there is [`periscope_geometry::maximum_likelihood`].
@@ -46,7 +46,8 @@ const SOLVED: f64 = 0.02;
 /// The same of the delay's: moving all patches outwards nearly makes up for a delay, and what remains of its stiffness
 /// is a small difference.
 const SOLVED_DELAY: f64 = 1e-5;
-/// Chunks that the rows are cut into.
+/// Chunks that the rows are cut into: a number that does not depend on the threads, so neither do the bytes of the
+/// sums.
 const CHUNKS: usize = 32;
 /// Pairs that are worked on at once.
 const LANES: usize = 8;
@@ -99,21 +100,21 @@ pub struct Solution {
 /// Positions of all patches; `None` if no minimum is reached.
 ///
 /// # Panics
-/// When the lengths are not those of all patches and pairs, a standard deviation is not positive, there are fewer than
-/// three patches, or `dimensions` is neither 2 nor 3.
+/// When the lengths are not those of all patches and pairs, or a standard deviation is not positive. When there are
+/// fewer than three patches, or `dimensions` is neither 2 nor 3.
 #[must_use]
 pub fn solve(lengths: &Lengths) -> Option<Solution> {
-    let scene = Scene::new(lengths);
-    let mut place = scene.place(&scene.start(), 0.0);
-    let mut slope = scene.slope(&place);
+    let measurements = Measurements::new(lengths);
+    let mut values = measurements.values(&measurements.start(), 0.0);
+    let mut slope = measurements.slope(&values);
     let mut answer = vec![0.0; slope.right.len()];
     let mut passes = 1;
     for _ in 0..STEPS {
-        let (step, size) = scene.newton_step(&place, &slope, &mut answer, &mut passes);
+        let (step, size) = measurements.newton_step(&values, &slope, &mut answer, &mut passes);
         let mut share = 1.0;
         let next = loop {
-            let next = scene.moved(&place, &step, share);
-            let next_slope = scene.slope(&next);
+            let next = measurements.moved(&values, &step, share);
+            let next_slope = measurements.slope(&next);
             passes += 1;
             if next_slope.loss <= slope.loss || size < SETTLED {
                 break (next, next_slope);
@@ -123,9 +124,9 @@ pub fn solve(lengths: &Lengths) -> Option<Solution> {
                 return None;
             }
         };
-        (place, slope) = next;
+        (values, slope) = next;
         if size < SETTLED {
-            return Some(scene.finish(&place, &slope, answer, passes));
+            return Some(measurements.finish(&values, &slope, answer, passes));
         }
     }
     None
@@ -137,14 +138,14 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// What was measured. Vectors over unknowns hold x of all patches, then y, z, and the delay; each of the three is
 /// padded by `LANES`.
-struct Scene<'a> {
+struct Measurements<'a> {
     lengths: &'a Lengths<'a>,
     count: usize,
     stride: usize,
 }
 
 /// A place of all unknowns, with range and direction of each patch from p0.
-struct Place {
+struct Values {
     x: Vec<f64>,
     range: Vec<f64>,
     out: Vec<f64>,
@@ -162,7 +163,7 @@ struct Slope {
     delay: f64,
 }
 
-impl<'a> Scene<'a> {
+impl<'a> Measurements<'a> {
     fn new(lengths: &'a Lengths<'a>) -> Self {
         let count = lengths.first_m.len();
         let pairs = count * count.saturating_sub(1) / 2;
@@ -185,31 +186,33 @@ impl<'a> Scene<'a> {
 
     /// Landmark scaling of the distances; one that is missing is the shortest detour over another landmark.
     fn start(&self) -> Vec<Point> {
-        let distance = |a: usize, b: usize| -> Option<f64> {
-            let range = |i: usize| 0.5 * self.lengths.first_m[i - 1];
-            match (a.max(b), a.min(b)) {
-                (i, j) if i == j => Some(0.0),
-                (i, 0) => Some(range(i)),
-                (i, j) => {
-                    let pair = (i - 1) * (i - 2) / 2 + j - 1;
-                    let across = || (f64::from(self.lengths.second_m[pair]) - range(i) - range(j)).max(0.0);
-                    self.sd_m(pair).is_finite().then(across)
-                }
-            }
-        };
         let over_p0 = |a: usize, b: usize| {
-            distance(a, b).unwrap_or_else(|| 0.5 * (self.lengths.first_m[a - 1] + self.lengths.first_m[b - 1]))
+            self.distance_m(a, b).unwrap_or_else(|| 0.5 * (self.lengths.first_m[a - 1] + self.lengths.first_m[b - 1]))
         };
         let landmarks = landmark::spread(self.count + 1, LANDMARKS.min(self.count + 1), over_p0);
         let detour = |a: usize, b: usize| {
-            let over = |&via: &usize| Some(distance(a, via)? + distance(via, b)?);
+            let over = |&via: &usize| Some(self.distance_m(a, via)? + self.distance_m(via, b)?);
             landmarks.iter().filter_map(over).fold(f64::INFINITY, f64::min)
         };
-        let filled = |a: usize, b: usize| distance(a, b).unwrap_or_else(|| detour(a, b));
+        let filled = |a: usize, b: usize| self.distance_m(a, b).unwrap_or_else(|| detour(a, b));
         landmark::embed(self.count + 1, &landmarks, filled, self.lengths.dimensions)
     }
 
-    fn place(&self, points: &[Point], delay_m: f64) -> Place {
+    /// Distance of two patches, 0 for p0, by their bounces alone; `None` if that of the pair is missing.
+    fn distance_m(&self, a: usize, b: usize) -> Option<f64> {
+        let range_m = |i: usize| 0.5 * self.lengths.first_m[i - 1];
+        match (a.max(b), a.min(b)) {
+            (i, j) if i == j => Some(0.0),
+            (i, 0) => Some(range_m(i)),
+            (i, j) => {
+                let pair = (i - 1) * (i - 2) / 2 + j - 1;
+                let across_m = || (f64::from(self.lengths.second_m[pair]) - range_m(i) - range_m(j)).max(0.0);
+                self.sd_m(pair).is_finite().then(across_m)
+            }
+        }
+    }
+
+    fn values(&self, points: &[Point], delay_m: f64) -> Values {
         let mut x = vec![0.0; 3 * self.stride + 1];
         for (i, k) in (0..self.count).flat_map(|i| (0..3).map(move |k| (i, k))) {
             x[k * self.stride + i] = points[i][k];
@@ -218,11 +221,11 @@ impl<'a> Scene<'a> {
         self.seen_from_p0(x)
     }
 
-    fn moved(&self, from: &Place, step: &[f64], share: f64) -> Place {
+    fn moved(&self, from: &Values, step: &[f64], share: f64) -> Values {
         self.seen_from_p0(from.x.iter().zip(step).map(|(x, step)| x + share * step).collect())
     }
 
-    fn seen_from_p0(&self, x: Vec<f64>) -> Place {
+    fn seen_from_p0(&self, x: Vec<f64>) -> Values {
         let (mut range, mut out) = (vec![0.0; self.stride], vec![0.0; 3 * self.stride]);
         for i in 0..self.count {
             let arm = self.patch(&x, i);
@@ -230,7 +233,7 @@ impl<'a> Scene<'a> {
             let direction = arm.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
             (0..3).for_each(|k| out[k * self.stride + i] = direction[k]);
         }
-        Place { x, range, out }
+        Values { x, range, out }
     }
 
     /// Part of a vector that belongs to a patch.
@@ -243,7 +246,7 @@ impl<'a> Scene<'a> {
     /// left of the right-hand side.
     fn solve_positions(
         &self,
-        place: &Place,
+        values: &Values,
         slope: &Slope,
         right: &[f64],
         solved: f64,
@@ -251,7 +254,7 @@ impl<'a> Scene<'a> {
         passes: &mut usize,
     ) -> Vec<f64> {
         let product = |vector: &[f64]| {
-            let mut product = self.product(place, vector);
+            let mut product = self.product(values, vector);
             product[3 * self.stride] = 0.0;
             product
         };
@@ -296,26 +299,26 @@ impl<'a> Scene<'a> {
 
     /// How positions answer to the delay: the solution for its column, improved from a guess, and what stiffness of the
     /// delay that leaves.
-    fn answer(&self, place: &Place, slope: &Slope, answer: &mut [f64], passes: &mut usize) -> f64 {
+    fn answer(&self, values: &Values, slope: &Slope, answer: &mut [f64], passes: &mut usize) -> f64 {
         let column = self.gather(|i| slope.coupling[i]);
-        let left = self.solve_positions(place, slope, &column, SOLVED_DELAY, answer, passes);
+        let left = self.solve_positions(values, slope, &column, SOLVED_DELAY, answer, passes);
         // To second order in the error of the answer.
         slope.delay - dot(&column, answer) - dot(&left, answer)
     }
 
     /// The step, with the delay eliminated, which would spoil the condition; and its size in standard deviations.
-    fn newton_step(&self, place: &Place, slope: &Slope, answer: &mut [f64], passes: &mut usize) -> (Vec<f64>, f64) {
+    fn newton_step(&self, values: &Values, slope: &Slope, answer: &mut [f64], passes: &mut usize) -> (Vec<f64>, f64) {
         let delay = 3 * self.stride;
         let mut right = slope.right.clone();
         right[delay] = 0.0;
         let mut step = vec![0.0; right.len()];
-        self.solve_positions(place, slope, &right, SOLVED, &mut step, passes);
+        self.solve_positions(values, slope, &right, SOLVED, &mut step, passes);
         let size = (dot(&step, &right) / (self.count * self.lengths.dimensions) as f64).max(0.0).sqrt();
         // Far from the solution the delay would cost many passes and tell little.
         if self.delay_weight().is_none() || size > NEAR {
             return (step, size);
         }
-        let stiffness = self.answer(place, slope, answer, passes);
+        let stiffness = self.answer(values, slope, answer, passes);
         let change = (slope.right[delay] - dot(answer, &right)) / stiffness;
         step.iter_mut().zip(answer).for_each(|(step, answer)| *step -= change * *answer);
         step[delay] = change;
@@ -323,24 +326,24 @@ impl<'a> Scene<'a> {
     }
 
     /// The rotation about p0 in a motion of all patches.
-    fn rotation(&self, place: &Place, motion: &[f64]) -> Vector3<f64> {
+    fn rotation(&self, values: &Values, motion: &[f64]) -> Vector3<f64> {
         let (mut inertia, mut momentum) = (Matrix3::zeros(), Vector3::zeros());
         for i in 0..self.count {
-            let arm = self.patch(&place.x, i);
+            let arm = self.patch(&values.x, i);
             inertia += Matrix3::identity() * arm.norm_squared() - arm * arm.transpose();
             momentum += arm.cross(&self.patch(motion, i));
         }
         definite_inverse(&inertia) * momentum
     }
 
-    fn finish(&self, place: &Place, slope: &Slope, mut answer: Vec<f64>, mut passes: usize) -> Solution {
+    fn finish(&self, values: &Values, slope: &Slope, mut answer: Vec<f64>, mut passes: usize) -> Solution {
         let mut covariances_m2 = slope.inverses.clone();
         let mut delay_variance_m2 = 0.0;
         if self.delay_weight().is_some() {
-            delay_variance_m2 = 1.0 / self.answer(place, slope, &mut answer, &mut passes);
-            let turn = self.rotation(place, &answer);
+            delay_variance_m2 = 1.0 / self.answer(values, slope, &mut answer, &mut passes);
+            let turn = self.rotation(values, &answer);
             for (i, covariance) in covariances_m2.iter_mut().enumerate() {
-                let answer = self.patch(&answer, i) - turn.cross(&self.patch(&place.x, i));
+                let answer = self.patch(&answer, i) - turn.cross(&self.patch(&values.x, i));
                 *covariance += delay_variance_m2 * answer * answer.transpose();
             }
         }
@@ -353,9 +356,9 @@ impl<'a> Scene<'a> {
         let data = self.count + self.lengths.second_m.len() - missing + delays;
         let unknowns = self.count * self.lengths.dimensions + delays;
         Solution {
-            points: (0..self.count).map(|i| Point::from(self.patch(&place.x, i))).collect(),
+            points: (0..self.count).map(|i| Point::from(self.patch(&values.x, i))).collect(),
             covariances_m2,
-            delay_m: place.x[3 * self.stride],
+            delay_m: values.x[3 * self.stride],
             delay_variance_m2,
             loss: slope.loss,
             degrees_of_freedom: (data + rotations) as i64 - unknowns as i64,

@@ -2,9 +2,9 @@
 //!
 //! Minimises `|| (y - H x) / sd ||^2` over `x >= 0`, by the active set of Lawson and Hanson, *Solving Least Squares
 //! Problems*, chapter 23. Pulses farther apart than the response is long do not meet in the normal matrix, so one round
-//! frees many arrivals, one in each neighbourhood, and the Cholesky factor of the free arrivals, in order of time,
-//! keeps the band of the matrix: rows before the first change stay. A pulse between two grid points becomes two
-//! neighbouring atoms: atoms are merged to their centroid, and weak ones dropped.
+//! frees many arrivals, one in each neighbourhood. The Cholesky factor of the free arrivals, in order of time, keeps
+//! the band of the matrix; rows before the first change stay. A pulse between two grid points becomes two neighbouring
+//! atoms: atoms are merged to their centroid, and weak ones dropped.
 //!
 //! Needs neither a start nor a number of pulses. What it does worse than `sparse`: pulses closer than a few grid steps
 //! merge, and noise splits a strong pulse where `sparse` asks for evidence ([`Pulses::pruned`] makes up for the
@@ -24,7 +24,7 @@ const STEP_WIDTHS: f64 = 0.1;
 const RESIDUAL_MIN: f64 = 1e-3;
 /// Pivots below this part of their diagonal element count as singular.
 const SINGULAR: f64 = 1e-12;
-/// Rounds of freeing after which the solution is taken as it is; only rounding can need so many.
+/// Rounds of freeing after which the solution is taken as it is; only rounding can need this many.
 const ROUNDS: usize = 1000;
 
 /// What is asked of a fit.
@@ -33,7 +33,7 @@ pub struct NnlsOptions {
     /// Grid step, ps; `None` for a tenth of the response's width.
     pub step_ps: Option<f64>,
     /// Atoms at most this many grid steps apart are one pulse. 1.5 leaves closer pairs to [`Pulses::pruned`], which
-    /// mends what is split.
+    /// joins a pulse that was split.
     pub merge_steps: f64,
     /// Pulses with a smaller amplitude over `sd / ||h||` are dropped.
     pub snr_min: f64,
@@ -89,40 +89,40 @@ fn merge(atoms: &[f64], merge_steps: f64) -> Vec<(f64, f64)> {
 /// If `data` has not the dictionary's number of samples.
 #[must_use]
 pub fn solve(dictionary: &Dictionary, data: &[f64]) -> Vec<f64> {
-    let mut search = Search {
+    let mut active = ActiveSet {
         dictionary,
         with_data: (0..dictionary.len()).map(|j| dictionary.dot_record(j, data)).collect(),
         x: vec![0.0; dictionary.len()],
         free: Vec::new(),
         refused: vec![false; dictionary.len()],
     };
-    let mut descent = search.with_data.clone();
+    let mut descent = active.with_data.clone();
     let mut fitted = vec![0.0; data.len()];
     for _ in 0..ROUNDS {
-        let added = search.wanted(&descent);
+        let added = active.wanted(&descent);
         if added.is_empty() {
             break;
         }
-        search.release(&added);
-        dictionary.apply(&search.x, &mut fitted);
+        active.release(&added);
+        dictionary.apply(&active.x, &mut fitted);
         let residual: Vec<f64> = data.iter().zip(&fitted).map(|(y, f)| y - f).collect();
         dictionary.apply_transposed(&residual, &mut descent);
     }
-    search.x
+    active.x
 }
 
 /// A feasible point and its free arrivals.
-struct Search<'a> {
+struct ActiveSet<'a> {
     dictionary: &'a Dictionary,
     with_data: Vec<f64>,
     x: Vec<f64>,
     /// Arrivals that may differ from 0, rising.
     free: Vec<usize>,
-    /// Arrivals that cannot be told from free ones.
+    /// Arrivals whose columns depend linearly on those of free ones.
     refused: Vec<bool>,
 }
 
-impl Search<'_> {
+impl ActiveSet<'_> {
     /// Bound arrivals that want to grow, the strongest first, none within the reach of a stronger one.
     fn wanted(&self, descent: &[f64]) -> Vec<usize> {
         let strength = |j: usize| descent[j] / self.dictionary.norm(j);
@@ -286,11 +286,13 @@ mod tests {
         let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], t0_ps: 0.0, dt_ps: 50.0 };
         for step_ps in [20.0, 25.0, 37.0] {
             let options = NnlsOptions { step_ps: Some(step_ps), ..NnlsOptions::default() };
-            let found = fit(&profile, &response, &options).pruned(&profile, &response, 20.0);
-            assert_eq!(found.times_ps.len(), 3, "{step_ps}: {found:?}");
+            let solution = fit(&profile, &response, &options).pruned(&profile, &response, 20.0);
+            assert_eq!(solution.times_ps.len(), 3, "{step_ps}: {solution:?}");
             for (k, (at_ps, a)) in truth.iter().enumerate() {
-                let sd_ps = found.time_sd_ps(k).expect("apart");
-                assert!((found.times_ps[k] - at_ps).abs() < 4.0 * sd_ps && (found.amplitudes_v[k] - a).abs() < 0.02);
+                let sd_ps = solution.time_sd_ps(k).expect("apart");
+                assert!(
+                    (solution.times_ps[k] - at_ps).abs() < 4.0 * sd_ps && (solution.amplitudes_v[k] - a).abs() < 0.02
+                );
             }
         }
         let nothing = Profile { sd_v: &[f64::INFINITY; 300], ..profile };

@@ -1,9 +1,9 @@
 //! Times of pulses as poles of a spectrum: a method of comparison for [`periscope_signal::sparse`].
 //!
 //! In the band where the response is above the noise, `S_k = Y_k / H_k = sum_j a_j z_j^k` with
-//! `z_j = exp(-2 pi i (t_j - t0) / (N dt))`: a sum of exponentials. Its Hankel matrix has rank K, and the rotation
-//! between the signal space's rows and the same rows one further has the poles as eigenvalues (ESPRIT). Sources: Roy
-//! and Kailath, IEEE Trans. Acoust. Speech Signal Process. 37, 984 (1989); Hua and Sarkar, ibid. 38, 814 (1990); for
+//! `z_j = exp(-2 pi i (t_j - t0) / (N dt))`: a sum of exponentials. Its Hankel matrix has rank K. The rotation between
+//! the signal space's rows and the same rows one further has the poles as eigenvalues (ESPRIT). Sources: Roy and
+//! Kailath, IEEE Trans. Acoust. Speech Signal Process. 37, 984 (1989); Hua and Sarkar, ibid. 38, 814 (1990); for
 //! pulses, Vetterli, Marziliano and Blu, IEEE Trans. Signal Process. 50, 1417 (2002).
 //!
 //! It needs no start and no iteration. Every bin weighs the same although the quotient's noise grows as the response
@@ -46,7 +46,7 @@ impl Default for PencilOptions {
 }
 
 /// Pulses of `profile`, whose baseline is removed, with amplitudes by least squares and the covariance of the times to
-/// first order in the noise. Fewer than asked for if the band is too narrow; none if two of them cannot be told apart.
+/// first order in the noise. Fewer than asked for if the band is too narrow; none if two of them cannot be resolved.
 ///
 /// # Panics
 /// If the profile is empty, its slices differ in length, an sd is not positive and finite, or a step is not positive.
@@ -86,7 +86,7 @@ pub fn fit(profile: &Profile, response: &Response, options: &PencilOptions) -> P
     let (times_ps, influences): (Vec<f64>, Vec<Vec<f64>>) = timed.into_iter().unzip();
     let covariance_ps2 = covariance(&influences, profile.sd_v);
     Pulses::at(profile, response, times_ps)
-        .map_or_else(|| Pulses::none(profile), |found| Pulses { covariance_ps2: Some(covariance_ps2), ..found })
+        .map_or_else(|| Pulses::none(profile), |pulses| Pulses { covariance_ps2: Some(covariance_ps2), ..pulses })
 }
 
 /// `sum_n g_in g_jn sd_n^2`, row-major.
@@ -105,7 +105,7 @@ struct Band {
 }
 
 impl Band {
-    /// `None` if no bin beside the first is above the noise.
+    /// `None` if no bin but the first is above the noise.
     fn new(fft: &mut RealFft, profile: &Profile, response: &Response) -> Option<Self> {
         let len = profile.mean_v.len();
         let circular = wrapped_response(response, profile.dt_ps, len);

@@ -30,7 +30,7 @@ pub struct Pulses {
     pub times_ps: Vec<f64>,
     /// Factors of the response, V for a response whose maximum is 1.
     pub amplitudes_v: Vec<f64>,
-    /// Covariance of the times, ps^2, row-major; `None` where the method has none, or two pulses cannot be told apart.
+    /// Covariance of the times, ps^2, row-major; `None` where the method has none, or two pulses cannot be resolved.
     pub covariance_ps2: Option<Vec<f64>>,
     /// Sum of squared residuals over their variances.
     pub chi2: f64,
@@ -38,7 +38,7 @@ pub struct Pulses {
 
 impl Pulses {
     /// Pulses at `times_ps`, sorted, their amplitudes by least squares without a bound; `covariance_ps2` is left empty.
-    /// `None` if two pulses cannot be told apart.
+    /// `None` if two pulses cannot be resolved.
     #[must_use]
     pub fn at(profile: &Profile, response: &Response, mut times_ps: Vec<f64>) -> Option<Self> {
         times_ps.sort_by(f64::total_cmp);
@@ -99,8 +99,8 @@ impl Pulses {
     }
 
     /// Of each pulse, the standard deviation of its amplitude (V) in the least-squares fit at these pulses, and its
-    /// evidence: by how much chi2 rises without it when the others are fitted again. Where two pulses cannot be told
-    /// apart, each has the standard deviation that it would have alone.
+    /// evidence: by how much chi2 rises without it when the others are fitted again. Where two pulses cannot be
+    /// resolved, each has the standard deviation that it would have alone.
     #[must_use]
     pub fn judged(&self, profile: &Profile, response: &Response) -> Vec<(f64, f64)> {
         let fit = self.linearised(profile, response);
@@ -172,8 +172,8 @@ impl Pulses {
         }
     }
 
-    /// Times without each of the pulses whose amplitude, squared over its variance, is below `evidence_max`, and with
-    /// each two neighbours within a width of the response at their centroid.
+    /// Trials with one pulse less. One trial for each pulse whose amplitude, squared over its variance, is below
+    /// `evidence_max`: without it. One for each two neighbours within a width of the response: both at their centroid.
     fn with_one_less(&self, profile: &Profile, response: &Response, evidence_max: f64) -> Vec<Vec<f64>> {
         let count = self.times_ps.len();
         let fit = self.linearised(profile, response);
@@ -224,7 +224,7 @@ impl Pulses {
         })
     }
 
-    /// Amplitudes, then shifts of the times. `None` without pulses, or if two cannot be told apart.
+    /// Amplitudes, then shifts of the times. `None` without pulses, or if two cannot be resolved.
     fn linearised(&self, profile: &Profile, response: &Response) -> Option<Regression> {
         if self.times_ps.is_empty() {
             return None;

@@ -68,8 +68,8 @@ pub fn positive(response: &Response, dt_ps: f64) -> Response {
 /// Light of `profile`, whose baseline is removed.
 ///
 /// # Panics
-/// If the profile is empty, its slices differ in length, an sd is not positive, a step is not positive, or the response
-/// is negative somewhere.
+/// If the profile is empty, its slices differ in length, or an sd or a step is not positive. Also if the response is
+/// negative somewhere.
 #[must_use]
 pub fn deconvolve(profile: &Profile, response: &Response, options: &RichardsonLucyOptions) -> Light {
     let dictionary = dictionary(profile, response, options);
@@ -131,7 +131,7 @@ fn explained(profile: &Profile, fitted: &[f64]) -> bool {
     residuals.map(|((y, f), sd)| ((y - f) / sd).powi(2)).sum::<f64>() <= counted
 }
 
-/// Centroid (in grid steps) and sum of the light around each maximum, up to the minima beside it.
+/// Centroid (in grid steps) and sum of the light around each maximum, up to the minima on either side.
 fn lumps(values: &[f64]) -> Vec<(f64, f64)> {
     let mut lumps = Vec::new();
     let mut start = 0;
@@ -202,10 +202,16 @@ mod tests {
             let options = RichardsonLucyOptions::default();
             (fit(&profile, &response(), &options), deconvolve(&profile, &response(), &options).iterations)
         };
-        let (found, iterations) = at(0.01);
-        assert_eq!(found.times_ps.len(), 2);
-        assert!((found.times_ps[0] - 2013.0).abs() < 2.0 && (found.times_ps[1] - 3477.0).abs() < 2.0, "{found:?}");
-        assert!((found.amplitudes_v[0] - 1.0).abs() < 0.02 && (found.amplitudes_v[1] - 0.3).abs() < 0.02, "{found:?}");
+        let (solution, iterations) = at(0.01);
+        assert_eq!(solution.times_ps.len(), 2);
+        assert!(
+            (solution.times_ps[0] - 2013.0).abs() < 2.0 && (solution.times_ps[1] - 3477.0).abs() < 2.0,
+            "{solution:?}"
+        );
+        assert!(
+            (solution.amplitudes_v[0] - 1.0).abs() < 0.02 && (solution.amplitudes_v[1] - 0.3).abs() < 0.02,
+            "{solution:?}"
+        );
         let more = at(0.004).1;
         assert!(iterations > 3 && more > iterations && more < 2000, "{iterations}, {more}");
     }

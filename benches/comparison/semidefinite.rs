@@ -101,8 +101,8 @@ impl Problem {
         );
         let measured = |(i, j): &(usize, usize)| i != j && weights[(*i, *j)] > 0.0;
         let squares = Mat::from_fn(count, count, |i, j| distances_m[(i, j)] * distances_m[(i, j)]);
-        let known = entries(count).filter(measured);
-        let (sum, number) = known.fold((0.0, 0.0), |(sum, number), at| (sum + squares[at], number + 1.0));
+        let distances = entries(count).filter(measured);
+        let (sum, number) = distances.fold((0.0, 0.0), |(sum, number), at| (sum + squares[at], number + 1.0));
         let floor = SHORT * sum / number;
         let weights = Mat::from_fn(count, count, |i, j| {
             if measured(&(i, j)) { weights[(i, j)] / (4.0 * squares[(i, j)].max(floor)) } else { 0.0 }
@@ -159,8 +159,8 @@ mod tests {
         let count = all.len();
         let distances = Mat::from_fn(count, count, |i, j| (all[i] - all[j]).norm());
         let weights = Mat::from_fn(count, count, |i, j| if i * j % 5 == 2 { 0.0 } else { 1.0 });
-        let found = embed(&distances, &weights, 3);
-        let fit = procrustes::rotation(&found, &truth, Point::origin(), true);
+        let solution = embed(&distances, &weights, 3);
+        let fit = procrustes::rotation(&solution, &truth, Point::origin(), true);
         assert!(fit.rms_m < 0.01, "{}", fit.rms_m);
     }
 

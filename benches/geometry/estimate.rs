@@ -42,9 +42,9 @@ pub fn measured(
 /// As [`maximum_likelihood::solve`] from where they are placed.
 pub fn refined(problem: &Problem) -> Result<Solution, Unsolved> {
     let from = |start: Vec<Point>| maximum_likelihood::solve(&Problem { start, ..problem.clone() });
-    let found = from(placement::place(problem).points)?;
-    let other = placement::alternatives(problem, &found.points).into_iter().next();
+    let solution = from(placement::place(problem).points)?;
+    let other = placement::alternatives(problem, &solution.points).into_iter().next();
     // An alternative that is no minimum is none.
     let other = other.and_then(|other| from(other.points).ok());
-    Ok(other.filter(|other| other.loss < found.loss).unwrap_or(found))
+    Ok(other.filter(|other| other.loss < solution.loss).unwrap_or(solution))
 }

@@ -59,8 +59,8 @@ impl Measured {
             let across = length.length_m - 0.5 * (self.first[*a].length_m + self.first[*b].length_m);
             set(a + 1, b + 1, across.max(0.0), 1.0);
         }
-        let known = |i: usize, j: usize| Some(distances[(i, j)]).filter(|distance: &f64| !distance.is_nan());
-        (completion::complete(size, known, &Cancel::never()).expect("all patches have a range"), weights)
+        let distance = |i: usize, j: usize| Some(distances[(i, j)]).filter(|distance: &f64| !distance.is_nan());
+        (completion::complete(size, distance, &Cancel::never()).expect("all patches have a range"), weights)
     }
 
     pub fn problem(&self, start: Vec<Point>, delay_sd_m: f64) -> Problem {
@@ -87,6 +87,6 @@ impl Measured {
     }
 }
 
-pub fn rms_m(found: &[Point], truth: &[Point]) -> f64 {
-    procrustes::rotation(found, truth, Point::origin(), true).rms_m
+pub fn rms_m(points: &[Point], truth: &[Point]) -> f64 {
+    procrustes::rotation(points, truth, Point::origin(), true).rms_m
 }

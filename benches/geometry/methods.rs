@@ -42,7 +42,7 @@ pub fn print(seeds: u64) {
         ];
         let delay = if delay_ps > 0.0 { format!("to {delay_ps} ps") } else { "known".to_owned() };
         for (name, way) in ways {
-            // Where a method is slow, a tenth of the seeds tells enough.
+            // Where a method is slow, a tenth of the seeds is enough.
             let seeds = if name == "semidefinite" { seeds.div_ceil(10) } else { seeds };
             let one = |seed: u64| {
                 let measured = Measured::new(&truth, 0.0, sd_m, delay_sd_m, seed);
@@ -87,8 +87,8 @@ fn peer(truth: &[Point], sd_m: f64, delay_sd_m: f64, bound_m: f64) -> String {
     let square = |line: &str| {
         let values: Vec<f64> = line.split_whitespace().map(|value| value.parse().expect("a number")).collect();
         let points: Vec<Point> = values.chunks(3).map(|c| Point::new(c[0], c[1], c[2])).collect();
-        let found: Vec<Point> = points[1..].iter().map(|point| point - points[0].coords).collect();
-        (rms_m(&found, truth) / bound_m).powi(2)
+        let estimate: Vec<Point> = points[1..].iter().map(|point| point - points[0].coords).collect();
+        (rms_m(&estimate, truth) / bound_m).powi(2)
     };
     let squares: Vec<f64> = String::from_utf8_lossy(&output.stdout).lines().map(square).collect();
     format!("{:.3} | {time:.0} |", Estimate::rms(&squares))

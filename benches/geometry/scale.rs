@@ -65,10 +65,10 @@ pub fn print() {
                 dimensions: 3,
             };
             let (begin, processor) = (Instant::now(), processor_s());
-            let found = many_pairs::solve(&lengths).expect("a minimum");
+            let solution = many_pairs::solve(&lengths).expect("a minimum");
             let time = begin.elapsed().as_secs_f64();
             let processor = processor_s().zip(processor).map_or(f64::NAN, |(now, then)| now - then);
-            let variance_m2 = found.covariances_m2.iter().map(nalgebra::Matrix3::trace).sum::<f64>() / count as f64;
+            let variance_m2 = solution.covariances_m2.iter().map(nalgebra::Matrix3::trace).sum::<f64>() / count as f64;
             if delay_ps == 0.0 && count > 1000 {
                 logs.push(((count as f64).ln(), processor.ln()));
             }
@@ -76,10 +76,10 @@ pub fn print() {
                 "| {count} | {} | {} | {} | {time:.2} | {processor:.2} | {:.0} | {:.1} | {:.3} |",
                 second_m.len(),
                 if delay_ps > 0.0 { "to 10 ps" } else { "known" },
-                found.passes,
+                solution.passes,
                 peak_mib().unwrap_or(f64::NAN),
                 start_m / variance_m2.sqrt(),
-                rms_m(&found.points, &truth) / variance_m2.sqrt(),
+                rms_m(&solution.points, &truth) / variance_m2.sqrt(),
             );
         }
     }

@@ -48,25 +48,25 @@ impl Free {
         }
     }
 
-    fn rms_m(self, found: &[Point], truth: &[Point]) -> f64 {
+    fn rms_m(self, points: &[Point], truth: &[Point]) -> f64 {
         match self {
-            Self::Rotations => procrustes::rotation(found, truth, Point::origin(), true).rms_m,
-            Self::Turn => rms_about_x_m(found, truth),
-            Self::Nothing => rms_m(found, truth),
+            Self::Rotations => procrustes::rotation(points, truth, Point::origin(), true).rms_m,
+            Self::Turn => rms_about_x_m(points, truth),
+            Self::Nothing => rms_m(points, truth),
         }
     }
 }
 
-fn rms_m(found: &[Point], truth: &[Point]) -> f64 {
-    let squares: f64 = found.iter().zip(truth).map(|(found, truth)| (found - truth).norm_squared()).sum();
+fn rms_m(points: &[Point], truth: &[Point]) -> f64 {
+    let squares: f64 = points.iter().zip(truth).map(|(point, truth)| (point - truth).norm_squared()).sum();
     (squares / truth.len() as f64).sqrt()
 }
 
 /// Root mean square distance after the best rotation about the x axis, with or without a mirror image in a plane
 /// through it.
-fn rms_about_x_m(found: &[Point], truth: &[Point]) -> f64 {
+fn rms_about_x_m(points: &[Point], truth: &[Point]) -> f64 {
     let after = |sign: f64| {
-        let both = || found.iter().zip(truth).map(|(f, t)| (Vector3::new(f.x, sign * f.y, f.z), t));
+        let both = || points.iter().zip(truth).map(|(f, t)| (Vector3::new(f.x, sign * f.y, f.z), t));
         let sine: f64 = both().map(|(f, t)| f.y * t.z - f.z * t.y).sum();
         let cosine: f64 = both().map(|(f, t)| f.y * t.y + f.z * t.z).sum();
         let (sine, cosine) = (sine / sine.hypot(cosine), cosine / sine.hypot(cosine));
@@ -159,43 +159,43 @@ fn rays(truth: &[Point], source: Point, rng: &mut ChaCha8Rng) -> Vec<Ray> {
 }
 
 /// The estimate that is judged.
-struct Found {
+struct Judged {
     rms_m: f64,
     /// Whether its loss is above that of the descent from the truth.
     is_above: bool,
 }
 
 /// One scene.
-struct Scene {
+struct Draw {
     bound_m: f64,
     /// None where the stage would refuse the scene, since no minimum is reached.
-    found: Option<Found>,
+    estimate: Option<Judged>,
     /// Error of the minimum that a descent from the truth ends in.
     from_truth_m: f64,
     time_ms: f64,
 }
 
-impl Scene {
+impl Draw {
     fn new(setup: &Setup, missing: f64, noise_ps: f64, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (truth, stations) = (setup.truth(), &setup.stations);
         let ways = setup.ways(truth.len(), missing, &mut rng);
         let (sds_m, delay_sd_m) = (vec![path_m(noise_ps, 1.0); ways.len()], path_m(DELAY_SD_PS, 1.0));
         let (mut problem, _) = measured(&truth, stations, &ways, &sds_m, delay_sd_m, &mut rng);
-        let mut told = Information::of_ways(&truth, stations, &ways, &sds_m, delay_sd_m);
+        let mut information = Information::of_ways(&truth, stations, &ways, &sds_m, delay_sd_m);
         if setup.has_rays {
             problem.rays = rays(&truth, stations[0], &mut rng);
-            told = told.with_rays(&truth, stations[0], RAY_SD_RAD);
+            information = information.with_rays(&truth, stations[0], RAY_SD_RAD);
         }
         let begin = Instant::now();
-        let found = refined(&problem);
+        let solution = refined(&problem);
         let time_ms = 1e3 * begin.elapsed().as_secs_f64();
         let (near, loss) = maximum_likelihood::approach(&Problem { start: truth.clone(), ..problem }, 100, 1e-7);
         Self {
-            bound_m: room::bound_of_m(&told.of_positions(), setup.free.count()),
-            found: found.ok().map(|found| Found {
-                rms_m: setup.free.rms_m(&found.points, &truth),
-                is_above: found.loss > loss + ABOVE,
+            bound_m: room::bound_of_m(&information.of_positions(), setup.free.count()),
+            estimate: solution.ok().map(|solution| Judged {
+                rms_m: setup.free.rms_m(&solution.points, &truth),
+                is_above: solution.loss > loss + ABOVE,
             }),
             from_truth_m: setup.free.rms_m(&near.points, &truth),
             time_ms,
@@ -223,16 +223,16 @@ pub fn print(scenes: u64) {
     heading("## Separate stations", &columns);
     for setup in Setup::all() {
         for (&noise_ps, missing) in setup.noises_ps.iter().flat_map(|noise| [(noise, 0.0), (noise, 0.5)]) {
-            let one = |seed| Scene::new(&setup, missing, noise_ps, seed);
-            let all: Vec<Scene> = (0..scenes).into_par_iter().map(one).collect();
-            let closed: Vec<&Scene> = all.iter().filter(|scene| scene.bound_m.is_finite()).collect();
+            let one = |seed| Draw::new(&setup, missing, noise_ps, seed);
+            let all: Vec<Draw> = (0..scenes).into_par_iter().map(one).collect();
+            let closed: Vec<&Draw> = all.iter().filter(|draw| draw.bound_m.is_finite()).collect();
             let mean =
-                |value: fn(&Scene) -> f64| closed.iter().map(|scene| value(scene)).sum::<f64>() / closed.len() as f64;
-            let found: Vec<(&Found, f64)> =
-                closed.iter().filter_map(|scene| Some((scene.found.as_ref()?, scene.bound_m))).collect();
-            let squares: Vec<f64> = found.iter().map(|(found, bound_m)| (found.rms_m / bound_m).powi(2)).collect();
-            let from_truth: Vec<f64> =
-                closed.iter().map(|scene| (scene.from_truth_m / scene.bound_m).powi(2)).collect();
+                |value: fn(&Draw) -> f64| closed.iter().map(|draw| value(draw)).sum::<f64>() / closed.len() as f64;
+            let judged: Vec<(&Judged, f64)> =
+                closed.iter().filter_map(|draw| Some((draw.estimate.as_ref()?, draw.bound_m))).collect();
+            let squares: Vec<f64> =
+                judged.iter().map(|(estimate, bound_m)| (estimate.rms_m / bound_m).powi(2)).collect();
+            let from_truth: Vec<f64> = closed.iter().map(|draw| (draw.from_truth_m / draw.bound_m).powi(2)).collect();
             row(&[
                 setup.name.to_owned(),
                 setup.free.name().to_owned(),
@@ -240,13 +240,13 @@ pub fn print(scenes: u64) {
                 noise_ps.to_string(),
                 scenes.to_string(),
                 (all.len() - closed.len()).to_string(),
-                (closed.len() - found.len()).to_string(),
-                format!("{:.2}", 1e3 * mean(|scene| scene.bound_m)),
+                (closed.len() - judged.len()).to_string(),
+                format!("{:.2}", 1e3 * mean(|draw| draw.bound_m)),
                 Rate { hits: squares.iter().filter(|square| **square < 4.0).count(), of: closed.len() }.to_string(),
                 Estimate::rms(&squares).to_string(),
                 Estimate::rms(&from_truth).to_string(),
-                found.iter().filter(|(found, _)| found.is_above).count().to_string(),
-                format!("{:.0}", mean(|scene| scene.time_ms)),
+                judged.iter().filter(|(estimate, _)| estimate.is_above).count().to_string(),
+                format!("{:.0}", mean(|draw| draw.time_ms)),
             ]);
         }
     }

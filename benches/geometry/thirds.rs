@@ -1,4 +1,4 @@
-//! Third bounces beside first and second ones, source and sensor in one point, the delay free.
+//! Third bounces in addition to first and second ones, source and sensor in one point, the delay free.
 
 use periscope::geometry::{Point, procrustes};
 use periscope::units::{path_m, time_ps};
@@ -49,43 +49,44 @@ impl<'a> Bounces<'a> {
         Self { truth, ways, sds_m }
     }
 
-    fn told(&self, delay_sd_ps: f64) -> Information {
+    fn information(&self, delay_sd_ps: f64) -> Information {
         Information::of_ways(self.truth, &[Point::origin()], &self.ways, &self.sds_m, path_m(delay_sd_ps, 1.0))
     }
 
     fn bound_m(&self, delay_sd_ps: f64) -> f64 {
-        room::bound_of_m(&self.told(delay_sd_ps).of_positions(), FREE)
+        room::bound_of_m(&self.information(delay_sd_ps).of_positions(), FREE)
     }
 }
 
-/// Gain of the bound if a length told the same whatever its bounces, only its sd counted.
+/// Gain of the bound if a length gave the same information for any number of bounces, and only its sd mattered.
 fn counted(patches: usize, thirds: usize, weaker: f64) -> f64 {
     (1.0 + thirds as f64 / ((patches * patches) as f64 * weaker * weaker)).sqrt()
 }
 
 /// One scene.
-struct Scene {
+struct Draw {
     bound_m: f64,
-    known_delay_bound_m: f64,
+    exact_delay_bound_m: f64,
     delay_bound_ps: f64,
     /// Errors over these bounds.
     error: f64,
     delay_error: f64,
 }
 
-impl Scene {
+impl Draw {
     fn new(bounces: &Bounces, rng: &mut ChaCha8Rng) -> Self {
         let Bounces { truth, ways, sds_m } = bounces;
         let (problem, delay_m) = measured(truth, &[Point::origin()], ways, sds_m, path_m(DELAY_SD_PS, 1.0), rng);
-        let found = refined(&problem).expect("a scene in which all paths are measured has a solution");
-        let told = bounces.told(DELAY_SD_PS);
-        let (bound_m, delay_bound_m) = (room::bound_of_m(&told.of_positions(), FREE), told.delay_sd_m(FREE));
+        let solution = refined(&problem).expect("a scene in which all paths are measured has a solution");
+        let information = bounces.information(DELAY_SD_PS);
+        let (bound_m, delay_bound_m) =
+            (room::bound_of_m(&information.of_positions(), FREE), information.delay_sd_m(FREE));
         Self {
             bound_m,
-            known_delay_bound_m: bounces.bound_m(0.0),
+            exact_delay_bound_m: bounces.bound_m(0.0),
             delay_bound_ps: time_ps(delay_bound_m, 1.0),
-            error: procrustes::rotation(&found.points, truth, Point::origin(), true).rms_m / bound_m,
-            delay_error: (found.delays_m[0] - delay_m) / delay_bound_m,
+            error: procrustes::rotation(&solution.points, truth, Point::origin(), true).rms_m / bound_m,
+            delay_error: (solution.delays_m[0] - delay_m) / delay_bound_m,
         }
     }
 }
@@ -121,22 +122,22 @@ pub fn print(scenes: u64) {
             // Random numbers of their own, so that delay and noise of the other bounces are the same in all rows.
             let mut rng = ChaCha8Rng::seed_from_u64(scenes + seed);
             let drawn = index::sample(&mut rng, thirds.len(), some).iter().map(|n| thirds[n].clone()).collect();
-            Scene::new(&Bounces::new(&truth, drawn, weaker), &mut ChaCha8Rng::seed_from_u64(seed))
+            Draw::new(&Bounces::new(&truth, drawn, weaker), &mut ChaCha8Rng::seed_from_u64(seed))
         };
-        let drawn: Vec<Scene> = (0..scenes).into_par_iter().map(one).collect();
-        let mean = |value: fn(&Scene) -> f64| drawn.iter().map(value).sum::<f64>() / drawn.len() as f64;
-        let rms = |error: fn(&Scene) -> f64| {
-            Estimate::rms(&drawn.iter().map(|scene| error(scene).powi(2)).collect::<Vec<_>>()).to_string()
+        let drawn: Vec<Draw> = (0..scenes).into_par_iter().map(one).collect();
+        let mean = |value: fn(&Draw) -> f64| drawn.iter().map(value).sum::<f64>() / drawn.len() as f64;
+        let rms = |error: fn(&Draw) -> f64| {
+            Estimate::rms(&drawn.iter().map(|draw| error(draw).powi(2)).collect::<Vec<_>>()).to_string()
         };
-        let some_m = [mean(|scene| scene.bound_m), mean(|scene| scene.known_delay_bound_m)];
+        let some_m = [mean(|draw| draw.bound_m), mean(|draw| draw.exact_delay_bound_m)];
         let every = Bounces::new(&truth, thirds[..all].to_vec(), weaker);
         let every_m = [every.bound_m(DELAY_SD_PS), every.bound_m(0.0)];
         let mut cells = vec![
             name.to_owned(),
             format!("{:.2}", 1e3 * some_m[0]),
-            rms(|scene| scene.error),
-            format!("{:.1}", mean(|scene| scene.delay_bound_ps)),
-            rms(|scene| scene.delay_error),
+            rms(|draw| draw.error),
+            format!("{:.1}", mean(|draw| draw.delay_bound_ps)),
+            rms(|draw| draw.delay_error),
         ];
         for (with_m, count) in [(some_m, some), (every_m, all)] {
             let gains = [without_m[0] / with_m[0], without_m[1] / with_m[1], counted(truth.len(), count, weaker)];

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 /// A round goes on for so long; the time of a call is its mean.
 const ROUND_S: f64 = 0.3;
-/// Rounds, of which the median counts; calls longer than `LONG_S` are made once.
+/// Rounds of a call; their median counts. Calls longer than `LONG_S` are made once.
 const ROUNDS: usize = 3;
 const LONG_S: f64 = 20.0;
 

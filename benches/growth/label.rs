@@ -24,8 +24,8 @@ const MISSING: f64 = 0.1;
 /// Where the laser and the sensor stand among the walls of the drawn scenes.
 const STATION: Point = Point::new(3.0, 3.0, 0.0);
 
-/// 24 visible patches on two walls and some hidden ones, 6 cm apart at least, all profiles, a tenth of the arrivals
-/// missing, one false in each.
+/// 24 visible patches on two walls and some hidden ones, 6 cm apart at least. All profiles, with a tenth of the
+/// arrivals missing and one false in each.
 fn setting(hidden: usize) -> Setting {
     Setting { apart_m: 0.06, ..Setting::new(VISIBLE, hidden, path_m(SD_PS, 1.0), MISSING, 1) }
 }
@@ -107,7 +107,9 @@ fn beside(points: &[Point]) -> BesideTables {
 
 /// Prints the table of labels, the hidden patches known beforehand and not.
 pub fn print_labelling(sizes: &[usize]) {
-    for (what, params, known) in [("known", "bounces = 3\nhidden = 'none'", true), ("searched", "bounces = 3", false)] {
+    for (what, params, has_hidden) in
+        [("known", "bounces = 3\nhidden = 'none'", true), ("searched", "bounces = 3", false)]
+    {
         println!(
             "\n| hidden patches, {what} | onsets | s (min, median, max) | onsets with a path |\n|---|---|---|---|"
         );
@@ -116,7 +118,7 @@ pub fn print_labelling(sizes: &[usize]) {
             let points = points(hidden);
             let onsets = onsets(&points);
             let stage: LabelOnsets = toml::from_str(params).expect("parameters");
-            let context = context(&stage, &beside(if known { &points } else { &points[..VISIBLE] }));
+            let context = context(&stage, &beside(if has_hidden { &points } else { &points[..VISIBLE] }));
             let mut labelled = 0;
             let seconds = curve.time(hidden, || {
                 let rows = stage.apply(&context, onsets.clone()).expect("labels").rows;
@@ -135,9 +137,9 @@ pub fn print_search(sizes: &[usize]) {
     for &hidden in sizes {
         let drawn = draw(&setting(hidden), 1);
         let arrivals: usize = drawn.sources.iter().map(Vec::len).sum();
-        let mut found = 0;
-        let seconds = curve.time(hidden, || found = find(&drawn.profiles, &drawn.room).patches.len());
-        println!("| {hidden} | {arrivals} | {seconds} | {found} |");
+        let mut patches = 0;
+        let seconds = curve.time(hidden, || patches = find(&drawn.profiles, &drawn.room).patches.len());
+        println!("| {hidden} | {arrivals} | {seconds} | {patches} |");
     }
     curve.print(sizes[0], sizes[sizes.len() - 1]);
 }

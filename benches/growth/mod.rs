@@ -17,7 +17,7 @@ pub fn campaign() -> Campaign {
     Campaign::parse(Path::new("c"), "[campaign]\nname = 'c'\ngroup_index = 1.0\n[sensors.s1]\n").expect("a campaign")
 }
 
-/// What a stage prepares from that campaign and the tables beside it.
+/// What a stage prepares from that campaign and its side tables.
 pub fn context<S: Apply>(stage: &S, beside: &BesideTables) -> S::Context {
     stage.context(stage.fields(&[campaign()]), beside).expect("parameters and tables go together")
 }

@@ -132,8 +132,8 @@ pub fn print(pairs: Pairs, sizes: &[usize]) {
         let mut rms_m = f64::NAN;
         let seconds = curve.time(count, || {
             let rows = stage.apply(&context, labels.clone()).expect("a solution").rows;
-            let found: Vec<Point> = rows.iter().take(count).map(|row| Point::new(row.x_m, row.y_m, row.z_m)).collect();
-            rms_m = procrustes::rotation(&found, &truth, Point::origin(), true).rms_m;
+            let points: Vec<Point> = rows.iter().take(count).map(|row| Point::new(row.x_m, row.y_m, row.z_m)).collect();
+            rms_m = procrustes::rotation(&points, &truth, Point::origin(), true).rms_m;
         });
         println!("| {count} | {} | {seconds} | {:.3} |", labels.len(), 1e3 * rms_m);
     }

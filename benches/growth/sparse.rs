@@ -98,12 +98,12 @@ pub fn print(sizes: &[usize]) {
     let mut curve = Curve::default();
     for &count in sizes {
         let profiles: Vec<Profile> = (0..count).map(profile).collect();
-        let mut found = 0;
+        let mut impulses = 0;
         let seconds = curve.time(count, || {
             let rows = |profile: &Profile| stage.apply(&context, vec![profile.clone()]).expect("an explanation").rows;
-            found = profiles.iter().flat_map(rows).map(|row| row.impulses.len()).sum();
+            impulses = profiles.iter().flat_map(rows).map(|row| row.impulses.len()).sum();
         });
-        println!("| {count} | {seconds} | {found} |");
+        println!("| {count} | {seconds} | {impulses} |");
     }
     curve.print(sizes[0], sizes[sizes.len() - 1]);
 }

@@ -1,5 +1,5 @@
 //! Faults of disks, files and permissions: each must end in a message, and leave a folder into which the next run gives
-//! the bytes of a run that nobody disturbed.
+//! the bytes of an undisturbed run.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -23,7 +23,7 @@ use crate::score::Rate;
 /// A raw file in the middle of the campaign.
 const RAW_FILE: &str = "campaign/raw/scene/s1_L2_P4_C1.trc";
 
-/// The campaign, and the files of a run that nobody disturbed.
+/// The campaign, and the files of an undisturbed run.
 struct Bench {
     lab: ManyParts,
     whole: BTreeMap<PathBuf, blake3::Hash>,
@@ -54,7 +54,7 @@ impl Bench {
         out
     }
 
-    /// A line of the table: what was said, and whether all is well once the fault is mended.
+    /// A line of the table: the message, and whether all is well once the fault is fixed.
     fn row(&self, fault: &str, code: Option<i32>, said: &str, out: &str) {
         let next = self.lab.run(out);
         let is_same = next.status.code() == Some(0) && shown(self.lab.files(out)) == shown(self.whole.clone());
@@ -77,7 +77,7 @@ impl Bench {
         let disk = self.lab.path("disk");
         fs::create_dir_all(&disk).unwrap();
         let need: u64 = self.lab.finished("reference").keys().map(|path| fs::metadata(path).unwrap().len()).sum();
-        let (mut told, mut same, mut of) = (0, 0, 0);
+        let (mut explained, mut same, mut of) = (0, 0, 0);
         let mut example = None;
         for percent in [1, 5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 95, 99] {
             if !mount(&["-t", "tmpfs", "-o", &format!("size={}", need * percent / 100), "tmpfs"], &disk) {
@@ -87,8 +87,8 @@ impl Bench {
             let run = self.lab.run("disk/out");
             of += 1;
             let said = last_line(&run);
-            let is_told = said.contains("free some space") || said.contains("the disk is not full");
-            told += usize::from(run.status.code() == Some(1) && is_told);
+            let is_explained = said.contains("free some space") || said.contains("the disk is not full");
+            explained += usize::from(run.status.code() == Some(1) && is_explained);
             assert!(mount(&["-o", &format!("remount,size={}", 10 * need)], &disk));
             let next = self.lab.run("disk/out");
             same += usize::from(
@@ -102,7 +102,7 @@ impl Bench {
         let said =
             example.unwrap_or_default().replace(&format!("{}/", self.lab.path("").display()).replace("//", "/"), "");
         println!(
-            "| full disk, at {of} sizes | {said} ({told} of {of}) | 1 | same bytes: {} |",
+            "| full disk, at {of} sizes | {said} ({explained} of {of}) | 1 | same bytes: {} |",
             Rate { hits: same, of }
         );
     }

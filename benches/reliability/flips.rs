@@ -1,7 +1,7 @@
 //! Flipped bits: one bit of one file at a time, in a result folder and in raw files. Which command notices it, and does
 //! any give wrong numbers?
 //!
-//! `-- flips 500 200`: so many flips in a result folder, so many in raw files.
+//! `-- flips 500 200`: 500 flips in a result folder, 200 in raw files.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -56,7 +56,7 @@ pub fn study(numbers: &[usize]) {
 
 /// Whether a file's name ends so.
 fn is(file: &str, ending: &str) -> bool {
-    Path::new(file).extension().is_some_and(|found| found == ending)
+    Path::new(file).extension().is_some_and(|suffix| suffix == ending)
 }
 
 fn kind(path: &str) -> &'static str {
@@ -86,13 +86,13 @@ fn files(folder: &Path) -> BTreeMap<String, u64> {
     let mut folders = vec![folder.to_owned()];
     while let Some(inside) = folders.pop() {
         for entry in fs::read_dir(&inside).unwrap().flatten() {
-            let (path, found) = (entry.path(), entry.metadata().unwrap());
-            if found.is_dir() {
+            let (path, metadata) = (entry.path(), entry.metadata().unwrap());
+            if metadata.is_dir() {
                 folders.push(path);
-            } else if found.is_file() && found.len() > 0 && path.file_name().is_some_and(|name| name != "lock") {
+            } else if metadata.is_file() && metadata.len() > 0 && path.file_name().is_some_and(|name| name != "lock") {
                 let name = path.strip_prefix(folder).unwrap().display().to_string();
                 if !name.contains("/table-") || is(&name, "json") {
-                    files.insert(name, found.len());
+                    files.insert(name, metadata.len());
                 }
             }
         }
@@ -155,8 +155,7 @@ impl Whole {
         let out = lab.path("whole");
         lab.run("whole", PIPELINE, &Settings::default()).unwrap();
         let campaign = lab.campaign();
-        let run =
-            RunRecord::start(Path::new("around-the-corner.toml"), &[], [("around-the-corner", campaign.as_path())]);
+        let run = RunRecord::start("around-the-corner".into(), &[], [("around-the-corner", campaign.as_path())]);
         Shelf::open(&out).unwrap().write_run(&run.unwrap()).unwrap();
         let files = files(&out);
         let stage = |folder: &str| {
@@ -174,7 +173,7 @@ impl Whole {
         copy(&self.lab.path("whole"), &out);
         flip(&out.join(file), bit);
         let name = Path::new(file).file_name().unwrap().to_str().unwrap();
-        let found = verified(&out, &[], name);
+        let is_detected = verified(&out, &[], name);
         let read = match values(&out) {
             // Tables are read by their views, whose files have names of their own.
             Err(error) => refused(&error, "read", if is(name, "parquet") { ".parquet" } else { name }),
@@ -190,10 +189,10 @@ impl Whole {
             Ok(_) if self.made_alike(work, name) => Outcome::Harmless,
             Ok(_) => Outcome::Silent,
         };
-        if !found || read == Outcome::Silent || run == Outcome::Silent {
-            eprintln!("{file} bit {bit}: found {found}, read {read:?}, run {run:?}");
+        if !is_detected || read == Outcome::Silent || run == Outcome::Silent {
+            eprintln!("{file} bit {bit}: found {is_detected}, read {read:?}, run {run:?}");
         }
-        (found, read, run)
+        (is_detected, read, run)
     }
 
     /// Whether every part, that with the flip apart, has the bytes that it had.
@@ -254,13 +253,13 @@ fn broken(error: RunError) -> String {
 }
 
 fn print(name: &str, rows: Vec<Row>) {
-    let found = Rate::of(rows.iter().map(|(found, ..)| *found));
+    let detection = Rate::of(rows.iter().map(|(is_detected, ..)| *is_detected));
     let outcomes = |of: fn(&Row) -> Outcome| {
         let count = |what: Outcome| rows.iter().filter(|row| of(row) == what).count().to_string();
         [Outcome::Refused, Outcome::Harmless, Outcome::Silent].map(count).join(" | ")
     };
     let (read, run) = (outcomes(|row| row.1), outcomes(|row| row.2));
-    println!("| {name} | {} | {} = {found} | {read} | {run} |", rows.len(), found.hits);
+    println!("| {name} | {} | {} = {detection} | {read} | {run} |", rows.len(), detection.hits);
 }
 
 /// Flips in raw files of a sealed campaign.

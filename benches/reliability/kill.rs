@@ -1,5 +1,5 @@
-//! Killed at any moment: the program ends by SIGKILL somewhere in a run, the same command goes on, and what comes out
-//! is compared with a run that nobody disturbed.
+//! Killed at any moment: the program ends by SIGKILL somewhere in a run, and the same command goes on. The result is
+//! compared with that of an undisturbed run.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// Budget that the runs are given.
 const BUDGET_MIB: usize = 128;
-/// One capture: shots of so many samples, 16 bit each, 4 MiB.
+/// One capture of 4 MiB: number of shots, and of 16 bit samples in each.
 const SHOTS: usize = 256;
 const SAMPLES: usize = 8192;
 

@@ -136,11 +136,11 @@ fn megabytes(out: &Path) -> u64 {
     let (mut files, mut folders) = (BTreeMap::new(), vec![out.join(".shelf")]);
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(folder).expect("a folder of results").flatten() {
-            let found = entry.metadata().expect("a file of results");
-            if found.is_dir() {
+            let metadata = entry.metadata().expect("a file of results");
+            if metadata.is_dir() {
                 folders.push(entry.path());
             } else {
-                files.insert(found.ino(), found.len());
+                files.insert(metadata.ino(), metadata.len());
             }
         }
     }

@@ -1,5 +1,5 @@
-//! The 1-0-1 barcode around the corner: strips out of the sum of their pulses, beside the paper's protocol and the
-//! bound.
+//! The 1-0-1 barcode around the corner: strips out of the sum of their pulses, compared with the paper's protocol and
+//! the bound.
 
 use periscope::campaign::Role;
 
@@ -10,31 +10,31 @@ use crate::score::{Estimate, Rate};
 
 /// The paper prints this as its largest error of a coordinate.
 const PRINTED_CM: f64 = 0.9574;
-/// Of so many seeds of free gaps one has an occupied one.
+/// For this many seeds of free gaps there is one of an occupied gap.
 const OCCUPIED: u64 = 3;
-/// And of so many of two scans, one of what stands beside them.
+/// And for this many seeds of two scans, one of an object next to the strips.
 const BESIDE: u64 = 10;
 /// A signal three times as strong.
 const STRONG: f64 = 300.0;
-/// Seeds whose median bound is printed beside that of all.
+/// Seeds whose median bound is printed next to that of all.
 const BOUNDS: u64 = 20;
 /// A strip counts as placed within this.
 const PLACED_M: f64 = 0.02;
 
 /// All parts, or one of: errors, moved, gap, figure; of both responses or one.
 pub fn study(part: Option<&str>, response: Option<&str>, seeds: u64) {
-    let asked = |name: &str| part.is_none_or(|part| part == name);
-    let is_asked = |of: &str| response.is_none_or(|response| response == name(of));
-    if asked("errors") {
-        errors(seeds, is_asked);
+    let is_selected = |name: &str| part.is_none_or(|part| part == name);
+    let has_rows = |of: &str| response.is_none_or(|response| response == name(of));
+    if is_selected("errors") {
+        errors(seeds, has_rows);
     }
-    if asked("moved") {
-        moved(seeds, is_asked);
+    if is_selected("moved") {
+        moved(seeds, has_rows);
     }
-    if asked("gap") {
-        gap(seeds, is_asked);
+    if is_selected("gap") {
+        gap(seeds, has_rows);
     }
-    if asked("figure") {
+    if is_selected("figure") {
         barcode_figure::write();
     }
 }
@@ -80,9 +80,9 @@ fn print_head() {
 }
 
 fn print_row(room: &str, barcode: &Barcode, runs: &[Drawn]) {
-    let found: Vec<&Drawn> = runs.iter().filter(|run| run.error_m.is_some()).collect();
+    let placed: Vec<&Drawn> = runs.iter().filter(|run| run.error_m.is_some()).collect();
     let in_cm = |errors_m: Vec<f64>| -> Vec<f64> { errors_m.iter().map(|error_m| 1e2 * error_m).collect() };
-    let errors_cm = in_cm(found.iter().filter_map(|run| run.error_m).collect());
+    let errors_cm = in_cm(placed.iter().filter_map(|run| run.error_m).collect());
     let paper_cm = in_cm(runs.iter().filter_map(|run| run.paper_m).collect());
     let of_paper = if paper_cm.is_empty() {
         "- | - | -".to_owned()
@@ -90,7 +90,7 @@ fn print_row(room: &str, barcode: &Barcode, runs: &[Drawn]) {
         let (median_cm, most_cm) = (quantile(&paper_cm, 0.5), quantile(&paper_cm, 0.9));
         format!("{median_cm:.2} | {most_cm:.2} | {:.1}", median_cm / quantile(&errors_cm, 0.5))
     };
-    let over_bound = Estimate::rms(&found.iter().map(|run| run.over_bound).collect::<Vec<_>>());
+    let over_bound = Estimate::rms(&placed.iter().map(|run| run.over_bound).collect::<Vec<_>>());
     println!(
         "| {room} | {} | {} | {} | {} | {} | {} | {:.3} | {:.3} | {of_paper} | {over_bound} | {} |",
         name(barcode.response),
@@ -101,7 +101,7 @@ fn print_row(room: &str, barcode: &Barcode, runs: &[Drawn]) {
         runs.iter().filter(|run| run.alternatives).count(),
         quantile(&errors_cm, 0.5),
         quantile(&errors_cm, 0.9),
-        Estimate::mean(&found.iter().map(|run| run.normalised).collect::<Vec<_>>()),
+        Estimate::mean(&placed.iter().map(|run| run.normalised).collect::<Vec<_>>()),
     );
 }
 
@@ -110,7 +110,7 @@ fn name(response: &str) -> &'static str {
 }
 
 /// The demo's room, mirrors turned by hand anew for each seed.
-fn errors(seeds: u64, is_asked: impl Fn(&str) -> bool) {
+fn errors(seeds: u64, has_rows: impl Fn(&str) -> bool) {
     println!("Largest error of a coordinate; the paper prints {PRINTED_CM} cm for its own scene.\n");
     let shots: Vec<f64> = draws(seeds, |seed| {
         let barcode = Barcode::new(2).turned(seed);
@@ -125,7 +125,7 @@ fn errors(seeds: u64, is_asked: impl Fn(&str) -> bool) {
     println!("Records a scan: median {}, 90 % {}.\n", quantile(&shots, 0.5), quantile(&shots, 0.9));
     print_head();
     let rows = [(2, SLOW), (2, FAST), (5, SLOW), (5, FAST)];
-    for (scans, response) in rows.into_iter().filter(|(_, response)| is_asked(response)) {
+    for (scans, response) in rows.into_iter().filter(|(_, response)| has_rows(response)) {
         for anchor_sd_m in [0.0, 5e-4, 1e-3] {
             let room = |seed: u64| Barcode { anchor_sd_m, response, ..Barcode::new(scans).turned(seed) };
             print_row("demo", &room(1), &draws(seeds, |seed| drawn(&room(seed), seed)));
@@ -134,24 +134,24 @@ fn errors(seeds: u64, is_asked: impl Fn(&str) -> bool) {
 }
 
 /// Rooms with everything moved.
-fn moved(seeds: u64, is_asked: impl Fn(&str) -> bool) {
+fn moved(seeds: u64, has_rows: impl Fn(&str) -> bool) {
     println!();
     print_head();
     let rows = [(2, SLOW), (2, FAST), (5, SLOW)];
-    for (scans, response) in rows.into_iter().filter(|(_, response)| is_asked(response)) {
+    for (scans, response) in rows.into_iter().filter(|(_, response)| has_rows(response)) {
         let room = |seed: u64| Barcode { anchor_sd_m: 5e-4, response, ..Barcode::moved(scans, seed) };
         print_row("moved", &room(1), &draws(seeds, |seed| drawn(&room(seed), seed)));
     }
 }
 
-/// What is said of the gap, where nothing is there and where something is.
-fn gap(seeds: u64, is_asked: impl Fn(&str) -> bool) {
+/// What the stage reports of the gap, where it is free and where it is occupied.
+fn gap(seeds: u64, has_rows: impl Fn(&str) -> bool) {
     println!(
         "\n| gap | response | scans | SNR | seeds | both strips placed [95 %] | free [95 %] | occupied [95 %] | open | sd of the share, median | its bound |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
     let rows = [(2, SLOW, 100.0), (2, FAST, 100.0), (5, SLOW, 100.0), (5, FAST, 100.0), (2, SLOW, STRONG)];
-    for (scans, response, snr) in rows.into_iter().filter(|(_, response, _)| is_asked(response)) {
+    for (scans, response, snr) in rows.into_iter().filter(|(_, response, _)| has_rows(response)) {
         for occupied in [false, true] {
             let room = |seed: u64| {
                 let turned = Barcode::new(scans).turned(seed);

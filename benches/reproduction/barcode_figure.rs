@@ -10,7 +10,7 @@ use periscope::tables::Patch;
 use super::svg::{Panel, Picture};
 use crate::barcode::{Barcode, PIPELINE, STRIPS, paper, run};
 
-/// Error ellipses are drawn so many standard deviations large.
+/// Error ellipses are drawn this many standard deviations large.
 const SIGMA: f64 = 3.0;
 const SEED: u64 = 1;
 
@@ -78,7 +78,7 @@ fn room(picture: &mut Picture, panel: &Panel, barcode: &Barcode) {
 }
 
 /// True strips, found ones with their ellipses, and the paper's.
-fn strips(picture: &mut Picture, panel: &Panel, barcode: &Barcode, found: &[Patch], of_paper: &[Patch]) {
+fn strips(picture: &mut Picture, panel: &Panel, barcode: &Barcode, of_stage: &[Patch], of_paper: &[Patch]) {
     for (s, name) in ["P1", "P3"].iter().enumerate() {
         let at = barcode.strips[s];
         picture.ring(panel, [at.x, at.y], 6.0, "black");
@@ -88,7 +88,7 @@ fn strips(picture: &mut Picture, panel: &Panel, barcode: &Barcode, found: &[Patc
         if let Some(row) = of(of_paper) {
             picture.cross(panel, [row.x_m, row.y_m], 4.0, "#ff7f0e");
         }
-        let Some(row) = of(found) else { continue };
+        let Some(row) = of(of_stage) else { continue };
         let cov = [row.cov_xx_m2, row.cov_xy_m2, row.cov_xy_m2, row.cov_yy_m2].map(Option::unwrap_or_default);
         let eigen = Matrix2::from_row_slice(&cov).symmetric_eigen();
         let sds = eigen.eigenvalues.map(f64::sqrt);

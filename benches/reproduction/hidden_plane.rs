@@ -25,10 +25,10 @@ fn rms(values: &[f64]) -> f64 {
 fn from_files(seeds: u64) {
     let all: Vec<Drawn> = draws(seeds, drawn);
     let places: Vec<&Place> = all.iter().flat_map(|drawn| &drawn.scored.places).collect();
-    let found: Vec<(f64, f64, f64)> =
+    let placed: Vec<(f64, f64, f64)> =
         places.iter().filter_map(|place| place.found_m.map(|(error, sd)| (error, sd, place.bound_m))).collect();
-    let errors_mm: Vec<f64> = found.iter().map(|(error_m, ..)| 1e3 * error_m).collect();
-    let bounds_mm: Vec<f64> = found.iter().map(|(.., bound_m)| 1e3 * bound_m).collect();
+    let errors_mm: Vec<f64> = placed.iter().map(|(error_m, ..)| 1e3 * error_m).collect();
+    let bounds_mm: Vec<f64> = placed.iter().map(|(.., bound_m)| 1e3 * bound_m).collect();
     let planes: Vec<f64> = all.iter().filter_map(|drawn| drawn.plane.map(|(_, rms_m)| 1e3 * rms_m)).collect();
     let on_plane: usize = all.iter().filter_map(|drawn| drawn.plane.map(|(patches, _)| patches)).sum();
     println!(
@@ -36,7 +36,7 @@ fn from_files(seeds: u64) {
     );
     println!(
         "| {seeds} | {} of {} | {} | {:.2} | {:.2} | {:.2} | {:.2} | {on_plane} | {:.2} |",
-        found.len(),
+        placed.len(),
         places.len(),
         all.iter().map(|drawn| drawn.scored.extra).sum::<usize>(),
         quantile(&errors_mm, 0.5),
@@ -79,14 +79,14 @@ fn draw_figure(drawn: &Drawn) {
     let aside = Panel { left: 640.0, bottom: 500.0, x0: 0.4, y0: -0.65, scale: 330.0 };
     let from_above = |point: &Vector3<f64>| [point.x, point.y];
     let from_aside = |point: &Vector3<f64>| [point.y, point.z];
-    for (point, found) in &drawn.scored.points {
+    for (point, estimate) in &drawn.scored.points {
         let is_hidden = point.x > 0.5;
         for (panel, at) in [(&above, from_above as fn(&Vector3<f64>) -> [f64; 2]), (&aside, from_aside)] {
             if is_hidden || panel.scale < 300.0 {
                 picture.ring(panel, at(point), 6.0, "black");
             }
-            if let Some(found) = found.filter(|_| is_hidden || panel.scale < 300.0) {
-                picture.dot(panel, at(&found), 3.0, "#2f5fbf");
+            if let Some(estimate) = estimate.filter(|_| is_hidden || panel.scale < 300.0) {
+                picture.dot(panel, at(&estimate), 3.0, "#2f5fbf");
             }
         }
     }

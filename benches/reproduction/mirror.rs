@@ -11,7 +11,7 @@ use periscope::units;
 
 use super::svg::{Panel, Picture};
 use super::{draws, quantile};
-use crate::mirror::{Found, Geometry, RESPONSES, SCANS, run, square, worst};
+use crate::mirror::{Geometry, RESPONSES, SCANS, Solution, run, square, worst};
 use crate::score::{Estimate, heading, row};
 
 /// Standard deviations of diffuser points in the random geometries.
@@ -23,7 +23,7 @@ const STEP: f64 = 1e-6;
 
 /// One campaign: what was found, where things are, and the bound of each mirror point's error.
 struct Draw {
-    found: Found,
+    outcome: Solution,
     truth: [Point; SCANS],
     bound_m: [f64; SCANS],
 }
@@ -31,22 +31,22 @@ struct Draw {
 impl Draw {
     fn new(geometry: &Geometry, response: &str, diffuser_sd_m: f64, seed: u64) -> Self {
         let scene = geometry.scene(response, diffuser_sd_m);
-        let found = run(&scene, seed);
-        Self { found, truth: geometry.points(), bound_m: bound_m(geometry, &scene, diffuser_sd_m) }
+        let outcome = run(&scene, seed);
+        Self { outcome, truth: geometry.points(), bound_m: bound_m(geometry, &scene, diffuser_sd_m) }
     }
 
     /// Position error of the worst point, and relative distance error, of a method by its place.
     fn worst(&self, method: usize) -> (f64, f64) {
-        worst(&self.found.methods[method].1, &self.truth)
+        worst(&self.outcome.methods[method].1, &self.truth)
     }
 
     /// Squared errors of the joint fit, in the mean over the points: over the squared bound, and over the claimed
     /// covariance.
     fn squares(&self) -> (f64, f64) {
-        let points = || self.found.joint.iter().zip(&self.found.methods[0].1).zip(&self.truth);
+        let points = || self.outcome.joint.iter().zip(&self.outcome.methods[0].1).zip(&self.truth);
         let to_bound = points()
             .zip(self.bound_m)
-            .map(|(((_, found), truth), bound_m)| (found - truth).norm_squared() / bound_m.powi(2));
+            .map(|(((_, point), truth), bound_m)| (point - truth).norm_squared() / bound_m.powi(2));
         let to_claim = points().map(|((row, _), truth)| square(row, truth));
         (to_bound.sum::<f64>() / SCANS as f64, to_claim.sum::<f64>() / SCANS as f64)
     }
@@ -70,7 +70,7 @@ pub fn print(campaigns: u64) {
             ],
         );
         for method in 0..4 {
-            let label = all[0].found.methods[method].0;
+            let label = all[0].outcome.methods[method].0;
             let claims = if method == 0 { claims(&all) } else { [const { String::new() }; 2] };
             row(&[&[label.to_owned()], &cells(&all, method)[..], &claims].concat());
         }
@@ -155,9 +155,9 @@ fn time_sds_ps(scene: &Scene) -> [f64; SCANS] {
     })
 }
 
-/// Cramer-Rao bound of each mirror point's position, in flatland, by finite differences of the paths leg by leg. What
-/// is measured: each path's time, with the bound of its onset from the instrument's (`periscope::bound`) and an error
-/// common to all, that of the response captures' known path; diffuser points; directions of beams.
+/// Cramer-Rao bound of each mirror point's position, in flatland, by finite differences of the paths leg by leg.
+/// Measured are each path's time, diffuser points, and directions of beams. A time has the instrument's bound of its
+/// onset (`periscope::bound`), and an error common to all: that of the response captures' known path.
 fn bound_m(geometry: &Geometry, scene: &str, diffuser_sd_m: f64) -> [f64; SCANS] {
     let scene = Scene::parse(Path::new("scene.toml"), scene).expect("the scene was simulated");
     let time_sds_m = time_sds_ps(&scene).map(|sd_ps| units::path_m(sd_ps, scene.group_index));
@@ -199,9 +199,9 @@ fn bound_m(geometry: &Geometry, scene: &str, diffuser_sd_m: f64) -> [f64; SCANS]
 /// The matched geometry as it is and as it is found, like figure 8 (c) of the paper.
 fn draw_figure() {
     let geometry = Geometry::matched();
-    let found = run(&geometry.scene(RESPONSES[0].1, 0.0005), 1);
+    let outcome = run(&geometry.scene(RESPONSES[0].1, 0.0005), 1);
     let (points, diffuser) = (geometry.points(), geometry.diffuser());
-    let [(_, joint), .., (_, papers)] = &found.methods;
+    let [(_, joint), .., (_, papers)] = &outcome.methods;
     let (first, last) = (points[0], points[SCANS - 1]);
     let along = last - first;
     let mut picture = Picture::new(1040.0, 620.0);

@@ -30,7 +30,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// An empty one of so many pixels.
+    /// An empty one; width and height in pixels.
     pub fn new(width: f64, height: f64) -> Self {
         let text = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" font-family=\"sans-serif\" font-size=\"14\">\n\

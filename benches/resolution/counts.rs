@@ -27,7 +27,7 @@ pub struct Counter {
 #[derive(Clone, Copy, Debug)]
 pub struct Timing {
     /// One pulse found.
-    pub found: Rate,
+    pub detected: Rate,
     /// Mean bound, ps.
     pub bound_ps: f64,
     /// Root of the mean squared error over the bound.
@@ -75,16 +75,16 @@ pub fn timing(sensor: &Sensor, counter: Counter, count: usize) -> Timing {
         let bound_ps = time_sds_weighted_ps(&sensor.shape, &truth, &counter.information(&means))[0];
         let histogram = Unpiled::new(&counter.histogram(&means, rng), counter.cycles, counter.dead_bins)
             .expect("fewer photons than pulses");
-        let found = fit_counts(&histogram, 0.0, DT_PS, &sensor.response, &SparseOptions::default());
-        let sds_ps = own_sds_ps(&found);
-        (bound_ps, errors_ps(&found, &truth).map(|errors| (errors[0] / bound_ps, errors[0].abs() / sds_ps[0])))
+        let solution = fit_counts(&histogram, 0.0, DT_PS, &sensor.response, &SparseOptions::default());
+        let sds_ps = own_sds_ps(&solution);
+        (bound_ps, errors_ps(&solution, &truth).map(|errors| (errors[0] / bound_ps, errors[0].abs() / sds_ps[0])))
     });
-    let found: Vec<(f64, f64)> = results.iter().filter_map(|(_, found)| *found).collect();
+    let timed: Vec<(f64, f64)> = results.iter().filter_map(|(_, timing)| *timing).collect();
     Timing {
-        found: Rate { hits: found.len(), of: count },
+        detected: Rate { hits: timed.len(), of: count },
         bound_ps: results.iter().map(|(bound, _)| bound).sum::<f64>() / count as f64,
-        ratio: Estimate::rms(&found.iter().map(|(error, _)| error * error).collect::<Vec<_>>()),
-        within: [0.994_458, 1.959_964].map(|z| Rate::of(found.iter().map(|(_, pull)| *pull < z))),
+        ratio: Estimate::rms(&timed.iter().map(|(error, _)| error * error).collect::<Vec<_>>()),
+        within: [0.994_458, 1.959_964].map(|z| Rate::of(timed.iter().map(|(_, pull)| *pull < z))),
     }
 }
 
@@ -117,7 +117,7 @@ pub fn print(effort: Effort) {
                 cycles.to_string(),
                 dead_bins.to_string(),
                 count.to_string(),
-                timing.found.to_string(),
+                timing.detected.to_string(),
                 format!("{:.3}", timing.bound_ps),
                 timing.ratio.to_string(),
                 within_68.to_string(),

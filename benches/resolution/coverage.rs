@@ -33,16 +33,16 @@ fn measure(
     let pulls: Vec<Option<Vec<f64>>> = draws(label, count, |rng| {
         let at_ps = middle_ps(LEN, rng);
         let truth: Vec<(f64, f64)> = (0..pulses).map(|k| (at_ps + k as f64 * apart_ps, 1.0)).collect();
-        let found = estimate(&truth, rng);
-        let sds_ps = own_sds_ps(&found);
-        errors_ps(&found, &truth).map(|errors| errors.iter().zip(sds_ps).map(|(e, sd)| (e / sd).abs()).collect())
+        let solution = estimate(&truth, rng);
+        let sds_ps = own_sds_ps(&solution);
+        errors_ps(&solution, &truth).map(|errors| errors.iter().zip(sds_ps).map(|(e, sd)| (e / sd).abs()).collect())
     });
-    let found: Vec<&Vec<f64>> = pulls.iter().flatten().collect();
+    let detected: Vec<&Vec<f64>> = pulls.iter().flatten().collect();
     let within = QUANTILES.map(|z| {
-        let hits = found.iter().map(|pulls| pulls.iter().filter(|pull| **pull < z).count()).sum::<usize>();
-        Rate { hits: hits.div_ceil(pulses), of: found.len() }
+        let hits = detected.iter().map(|pulls| pulls.iter().filter(|pull| **pull < z).count()).sum::<usize>();
+        Rate { hits: hits.div_ceil(pulses), of: detected.len() }
     });
-    Coverage { detected: Rate { hits: found.len(), of: count }, within }
+    Coverage { detected: Rate { hits: detected.len(), of: count }, within }
 }
 
 /// White noise of known size.

@@ -17,7 +17,7 @@ pub const LEN: usize = 200;
 /// How many of the full study's draws are made.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
-    /// One in so many.
+    /// One draw in this many is made.
     pub one_in: usize,
 }
 

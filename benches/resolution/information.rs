@@ -9,7 +9,7 @@ use super::shape::Shape;
 const DROP_99: f64 = 46.0;
 
 /// Cramer-Rao bound of the standard deviations of the times of `pulses` (time, amplitude) in white noise of `sd`;
-/// amplitudes and baseline are unknown too. Infinite where pulses cannot be told apart to working precision.
+/// amplitudes and baseline are unknown too. Infinite where pulses cannot be resolved to working precision.
 pub fn time_sds_ps(shape: &Shape, pulses: &[(f64, f64)], sd: f64, len: usize) -> Vec<f64> {
     time_sds_weighted_ps(shape, pulses, &vec![1.0 / (sd * sd); len])
 }
@@ -23,9 +23,9 @@ pub fn time_sds_weighted_ps(shape: &Shape, pulses: &[(f64, f64)], weights: &[f64
     (0..pulses.len()).map(|k| inverse.as_ref().map_or(f64::INFINITY, |inverse| inverse[(k, k)].sqrt())).collect()
 }
 
-/// Distance of two equal pulses of height 1 that are told from one in 99 % of draws in noise of `1 / snr`. Two differ
-/// from one twice as high by `d^2 / 4 h''`, less what a shift, another height and a baseline can imitate of it: the
-/// drop of chi2 grows with the fourth power of the distance.
+/// Distance of two equal pulses of height 1 that are resolved in 99 % of draws in noise of `1 / snr`. Two differ from
+/// one twice as high by `d^2 / 4 h''`, less what a shift, another height and a baseline can imitate of it. So the drop
+/// of chi2 grows with the fourth power of the distance.
 pub fn resolution_limit_ps(shape: &Shape, snr: f64) -> f64 {
     const PHASES: usize = 10;
     let energy = |phase: usize| {

@@ -18,9 +18,9 @@ const DISTINCT: f64 = 1.0 / 6.0;
 /// One draw.
 struct Draw {
     truth: usize,
-    found: usize,
+    pulses: usize,
     matched: usize,
-    /// Pulses that can be told from their neighbours.
+    /// Pulses that can be resolved from their neighbours.
     distinct: usize,
     distinct_matched: usize,
     /// Mean squared error over the bound, of all that are matched.
@@ -48,16 +48,16 @@ fn room_ps(truth: &[(f64, f64)], i: usize) -> f64 {
 
 /// Indices of the truth, and errors, of matched pulses: the nearest first, each once, at most half the distance to the
 /// next neighbour away.
-fn matches(truth: &[(f64, f64)], found_ps: &[f64]) -> Vec<(usize, f64)> {
+fn matches(truth: &[(f64, f64)], times_ps: &[f64]) -> Vec<(usize, f64)> {
     let mut pairs: Vec<(usize, usize, f64)> = (0..truth.len())
-        .flat_map(|i| found_ps.iter().enumerate().map(move |(j, at)| (i, j, at - truth[i].0)))
+        .flat_map(|i| times_ps.iter().enumerate().map(move |(j, at)| (i, j, at - truth[i].0)))
         .filter(|(i, _, error)| error.abs() < 0.5 * room_ps(truth, *i))
         .collect();
     pairs.sort_by(|a, b| a.2.abs().total_cmp(&b.2.abs()));
-    let (mut known, mut taken) = (vec![false; truth.len()], vec![false; found_ps.len()]);
+    let (mut matched, mut taken) = (vec![false; truth.len()], vec![false; times_ps.len()]);
     pairs.retain(|(i, j, _)| {
-        let is_free = !known[*i] && !taken[*j];
-        known[*i] |= is_free;
+        let is_free = !matched[*i] && !taken[*j];
+        matched[*i] |= is_free;
         taken[*j] |= is_free;
         is_free
     });
@@ -69,20 +69,20 @@ fn measure(sensor: &Sensor, spacing_ps: f64, snr: f64, count: usize) -> Vec<Draw
         let truth = light(spacing_ps, rng);
         let bounds_ps = time_sds_ps(&sensor.shape, &truth, 1.0 / snr, LEN);
         let samples = noisy(&sensor.shape, &truth, 1.0 / snr, LEN, rng);
-        let found = fit(&sensor.response, &samples, 1.0 / snr, &SparseOptions::default());
-        let found_ps: Vec<f64> = found.pulses.iter().map(|pulse| pulse.time_ps).collect();
+        let solution = fit(&sensor.response, &samples, 1.0 / snr, &SparseOptions::default());
+        let times_ps: Vec<f64> = solution.pulses.iter().map(|pulse| pulse.time_ps).collect();
         let chi2 = |pulses: &[(f64, f64)], baseline: f64| -> f64 {
             let fitted = clean(&sensor.shape, pulses, LEN);
             samples.iter().zip(fitted).map(|(y, f)| (snr * (y - f - baseline)).powi(2)).sum()
         };
-        let fitted: Vec<(f64, f64)> = found.pulses.iter().map(|pulse| (pulse.time_ps, pulse.amplitude_v)).collect();
-        let pairs = matches(&truth, &found_ps);
+        let fitted: Vec<(f64, f64)> = solution.pulses.iter().map(|pulse| (pulse.time_ps, pulse.amplitude_v)).collect();
+        let pairs = matches(&truth, &times_ps);
         let is_distinct = |i: &usize| bounds_ps[*i] < DISTINCT * room_ps(&truth, *i);
         Draw {
             truth: truth.len(),
-            found: found_ps.len(),
+            pulses: times_ps.len(),
             matched: pairs.len(),
-            is_worse: chi2(&fitted, found.baseline_v) > chi2(&truth, 0.0) + found.evidence_min,
+            is_worse: chi2(&fitted, solution.baseline_v) > chi2(&truth, 0.0) + solution.evidence_min,
             square: mean_square(pairs.iter().map(|(i, error)| error / bounds_ps[*i])),
             distinct: (0..truth.len()).filter(is_distinct).count(),
             distinct_matched: pairs.iter().filter(|(i, _)| is_distinct(i)).count(),
@@ -115,7 +115,7 @@ pub fn print(effort: Effort) {
                 let draws = measure(&sensor, spacing * limit_ps, snr, effort.of(200));
                 let sum = |part: fn(&Draw) -> usize| draws.iter().map(part).sum::<usize>();
                 let matched = sum(|draw| draw.matched);
-                let is_right = |draw: &&Draw| draw.found == draw.truth && draw.matched == draw.truth;
+                let is_right = |draw: &&Draw| draw.pulses == draw.truth && draw.matched == draw.truth;
                 let squares: Vec<f64> = draws.iter().filter(|draw| draw.matched > 0).map(|draw| draw.square).collect();
                 let right: Vec<f64> = draws.iter().filter(is_right).map(|draw| draw.square).collect();
                 let distinct = sum(|draw| draw.distinct);
@@ -125,7 +125,7 @@ pub fn print(effort: Effort) {
                     format!("{limit_ps:.1}"),
                     spacing.to_string(),
                     draws.len().to_string(),
-                    Rate { hits: matched, of: sum(|draw| draw.found) }.to_string(),
+                    Rate { hits: matched, of: sum(|draw| draw.pulses) }.to_string(),
                     Rate { hits: matched, of: sum(|draw| draw.truth) }.to_string(),
                     Rate { hits: right.len(), of: draws.len() }.to_string(),
                     draws.iter().filter(|draw| draw.is_worse).count().to_string(),

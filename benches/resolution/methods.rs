@@ -1,4 +1,4 @@
-//! i: the methods beside one another.
+//! i: the methods compared.
 
 use std::fmt;
 
@@ -60,16 +60,16 @@ impl Method {
         let at = |position: Option<f64>| position.map(|position| DT_PS * position).into_iter().collect();
         match self {
             Self::Sparse => {
-                let found = sparse::fit(&record, response, &SparseOptions::default());
-                found.pulses.iter().map(|pulse| pulse.time_ps).collect()
+                let solution = sparse::fit(&record, response, &SparseOptions::default());
+                solution.pulses.iter().map(|pulse| pulse.time_ps).collect()
             }
             Self::Nnls => {
                 let options = NnlsOptions { merge_steps: MERGE_STEPS, ..NnlsOptions::default() };
                 nnls::fit(&record, response, &options).pruned(&record, response, evidence_min).times_ps
             }
             Self::Pencil => {
-                let found = pencil::fit(&record, response, &PencilOptions::default());
-                found.pruned(&record, response, evidence_min).times_ps
+                let solution = pencil::fit(&record, response, &PencilOptions::default());
+                solution.pruned(&record, response, evidence_min).times_ps
             }
             Self::RichardsonLucy => richardson_lucy::fit(&record, response, &RichardsonLucyOptions::default()).times_ps,
             Self::LeadingEdge => at(onset::leading_edge(samples, 0.5, sd).map(|edge| edge.position)),
@@ -95,7 +95,7 @@ impl fmt::Display for Method {
     }
 }
 
-/// Errors of one pulse of which the logarithm of the height is from 0 to `log_max`; `None` if not one is found.
+/// Errors of one pulse whose height has a logarithm from 0 to `log_max`; `None` if not one is found.
 fn single(method: Method, sensor: &Sensor, log_max: f64, count: usize) -> Vec<Option<(f64, f64)>> {
     draws(&format!("methods {} {log_max}", sensor.name), count, |rng| {
         let log = log_max * rng.random_range(0.0..1.0);

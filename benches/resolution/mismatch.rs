@@ -1,4 +1,4 @@
-//! f: a response that is not what the estimator was told.
+//! f: a true response that differs from the one that the estimator is given.
 
 use periscope::signal::response::Response;
 use periscope::signal::sparse::SparseOptions;
@@ -17,7 +17,7 @@ const ECHO_PS: f64 = 700.0;
 struct Draw {
     /// Of each true pulse, the error of the nearest found.
     errors_ps: Vec<f64>,
-    found: usize,
+    pulses: usize,
     bound_ps: f64,
     /// Share of true pulses within the 95 % interval of the nearest found.
     within: f64,
@@ -39,19 +39,19 @@ fn measure(
         let truth: Vec<(f64, f64)> =
             std::iter::once(at_ps).chain(apart_ps.map(|d| at_ps + d)).map(|at| (at, 1.0)).collect();
         let samples = noisy(light, &truth, 1.0 / snr, LEN, rng);
-        let found = fit(response, &samples, 1.0 / snr, &SparseOptions::default());
-        let own = own_sds_ps(&found);
+        let solution = fit(response, &samples, 1.0 / snr, &SparseOptions::default());
+        let own = own_sds_ps(&solution);
         let nearest = |at: f64| {
-            let errors = found.pulses.iter().zip(&own).map(|(pulse, sd_ps)| (pulse.time_ps - at, *sd_ps));
+            let errors = solution.pulses.iter().zip(&own).map(|(pulse, sd_ps)| (pulse.time_ps - at, *sd_ps));
             errors.min_by(|a, b| a.0.abs().total_cmp(&b.0.abs())).expect("a strong pulse is found")
         };
         let nearest: Vec<(f64, f64)> = truth.iter().map(|(at, _)| nearest(*at)).collect();
         Draw {
             errors_ps: nearest.iter().map(|(error, _)| *error).collect(),
             within: Rate::of(nearest.iter().map(|(error, sd_ps)| error.abs() < 1.959_964 * sd_ps)).share(),
-            found: found.pulses.len(),
+            pulses: solution.pulses.len(),
             bound_ps: time_sds_ps(light, &truth, 1.0 / snr, LEN)[0],
-            is_flagged: found.pulses.iter().any(|pulse| pulse.misfit_sigma > MISFIT_SIGMA),
+            is_flagged: solution.pulses.iter().any(|pulse| pulse.misfit_sigma > MISFIT_SIGMA),
         }
     })
 }
@@ -83,11 +83,11 @@ pub fn print(effort: Effort) {
             ("echo of -40 dB", shape.with_echo(ECHO_PS, 0.01), response.clone()),
             ("tail of 2 %, 1 ns", shape.with_tail(1000.0, 0.02), response.clone()),
         ];
-        for (case, light, told) in &cases {
+        for (case, light, given) in &cases {
             for (pulses, apart_ps) in [("one", None), ("pair, 100 ps", Some(100.0)), ("pair, 150 ps", Some(150.0))] {
                 for snr in [100.0, 300.0] {
                     let label = format!("mismatch {name} {case} {pulses} {snr}");
-                    let draws = measure(&label, light, told, apart_ps, snr, count);
+                    let draws = measure(&label, light, given, apart_ps, snr, count);
                     let truth = draws[0].errors_ps.len();
                     let mean = |value: &dyn Fn(&Draw) -> f64| draws.iter().map(value).sum::<f64>() / count as f64;
                     let bias = (0..truth).map(|k| format!("{:+.2}", mean(&|draw| draw.errors_ps[k])));
@@ -99,8 +99,8 @@ pub fn print(effort: Effort) {
                         (*case).to_owned(),
                         pulses.to_owned(),
                         snr.to_string(),
-                        rate(&|draw| draw.found == truth),
-                        rate(&|draw| draw.found > truth),
+                        rate(&|draw| draw.pulses == truth),
+                        rate(&|draw| draw.pulses > truth),
                         bias.collect::<Vec<_>>().join(", "),
                         format!("{:.2}", square.sqrt()),
                         format!("{:.2}", mean(&|draw| draw.bound_ps)),

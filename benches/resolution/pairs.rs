@@ -90,11 +90,11 @@ pub fn print(effort: Effort) {
             &columns,
         );
         let cell = |apart_ps: f64, snr: f64| {
-            let found = separation(&sensor, apart_ps, snr, count);
-            let is_asked = sensor.name == "G250" && apart_ps >= LIMITS * 149.0 * (10.0 / snr).sqrt();
-            let target = met(found.two.share() >= 0.99 && found.ratio.value <= 1.1);
-            let target = if is_asked { format!("; {target}") } else { String::new() };
-            format!("{}; {}; {:.2} ps{target}", found.two, found.ratio, found.bound_ps)
+            let timing = separation(&sensor, apart_ps, snr, count);
+            let has_target = sensor.name == "G250" && apart_ps >= LIMITS * 149.0 * (10.0 / snr).sqrt();
+            let target = met(timing.two.share() >= 0.99 && timing.ratio.value <= 1.1);
+            let target = if has_target { format!("; {target}") } else { String::new() };
+            format!("{}; {}; {:.2} ps{target}", timing.two, timing.ratio, timing.bound_ps)
         };
         for apart_ps in SEPARATIONS_PS {
             let cells = SNRS.map(|snr| cell(apart_ps, snr));
@@ -113,14 +113,14 @@ fn print_joint(effort: Effort) {
         ("both, one amplitude a pulse", joint_separation(&sensor, 30.0, 100.0, true, count)),
         ("both, amplitudes of their own", joint_separation(&sensor, 30.0, 100.0, false, count)),
     ];
-    for (i, (name, found)) in rows.into_iter().enumerate() {
+    for (i, (name, separation)) in rows.into_iter().enumerate() {
         row(&[
             name.to_owned(),
             count.to_string(),
-            found.two.to_string(),
-            found.ratio.to_string(),
-            format!("{:.2}", found.bound_ps),
-            if i == 0 { String::new() } else { met(found.two.share() >= 0.95).to_owned() },
+            separation.two.to_string(),
+            separation.ratio.to_string(),
+            format!("{:.2}", separation.bound_ps),
+            if i == 0 { String::new() } else { met(separation.two.share() >= 0.95).to_owned() },
         ]);
     }
 }

@@ -42,9 +42,9 @@ impl Average {
             mean_v.iter_mut().zip(&shot).for_each(|(mean, noise)| *mean += noise / shots as f64);
             quiet.push(shot[..QUIET].to_vec());
         }
-        let told = noise::estimate(&quiet, LAGS);
-        let acf = noise::autoregressive(&told.acf, shots * QUIET);
-        Self { sd_v: vec![told.sd / root; clean.len()], mean_v, acf }
+        let noise_estimate = noise::estimate(&quiet, LAGS);
+        let acf = noise::autoregressive(&noise_estimate.acf, shots * QUIET);
+        Self { sd_v: vec![noise_estimate.sd / root; clean.len()], mean_v, acf }
     }
 
     /// Fit of the mean.

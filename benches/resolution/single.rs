@@ -15,7 +15,7 @@ const WALK: f64 = 10.0;
 #[derive(Clone, Copy, Debug)]
 pub struct Timing {
     /// One pulse found.
-    pub found: Rate,
+    pub detected: Rate,
     /// Mean bound, ps.
     pub bound_ps: f64,
     /// Root of the mean squared error over the bound.
@@ -34,7 +34,7 @@ pub fn timing(sensor: &Sensor, snr: f64, count: usize) -> Timing {
     });
     let squares: Vec<f64> = results.iter().filter_map(|(_, square)| *square).collect();
     Timing {
-        found: Rate::of(results.iter().map(|(_, square)| square.is_some())),
+        detected: Rate::of(results.iter().map(|(_, square)| square.is_some())),
         bound_ps: results.iter().map(|(bound, _)| bound).sum::<f64>() / count as f64,
         ratio: Estimate::rms(&squares),
     }
@@ -46,8 +46,8 @@ fn walk_ps(sensor: &Sensor, snr: f64, count: usize) -> Estimate {
         let log = rng.random_range(0.0..WALK.ln());
         let truth = [(middle_ps(LEN, rng), log.exp())];
         let samples = noisy(&sensor.shape, &truth, 1.0 / snr, LEN, rng);
-        let found = fit(&sensor.response, &samples, 1.0 / snr, &SparseOptions::default());
-        errors_ps(&found, &truth).map(|errors| (log, errors[0]))
+        let solution = fit(&sensor.response, &samples, 1.0 / snr, &SparseOptions::default());
+        errors_ps(&solution, &truth).map(|errors| (log, errors[0]))
     });
     Estimate::slope(&results.into_iter().flatten().collect::<Vec<_>>())
 }
@@ -66,7 +66,7 @@ pub fn print(effort: Effort) {
                 sensor.name.to_owned(),
                 snr.to_string(),
                 count.to_string(),
-                timing.found.to_string(),
+                timing.detected.to_string(),
                 format!("{:.3}", timing.bound_ps),
                 timing.ratio.to_string(),
                 format!("{walk:.3}"),

@@ -1,4 +1,4 @@
-//! g: profiles a second, beside SciPy's non-negative least squares on the same records.
+//! g: profiles a second, compared with SciPy's non-negative least squares on the same records.
 
 use std::collections::BTreeMap;
 use std::hint::black_box;
@@ -22,13 +22,13 @@ const ROUNDS: usize = 3;
 const PULSES: [usize; 3] = [1, 4, 12];
 
 /// A record and where its first and last pulse are.
-struct Record {
+struct TimedRecord {
     light_ps: [f64; 2],
     samples: Vec<f64>,
 }
 
 /// Records of `pulses` pulses of amplitudes from 0.3 to 1, 150 to 650 ps apart.
-fn records(sensor: &Sensor, pulses: usize, count: usize) -> Vec<Record> {
+fn records(sensor: &Sensor, pulses: usize, count: usize) -> Vec<TimedRecord> {
     draws(&format!("speed {} {pulses}", sensor.name), count, |rng| {
         let mut at_ps = middle_ps(LEN, rng);
         let pulse = |_| {
@@ -36,13 +36,13 @@ fn records(sensor: &Sensor, pulses: usize, count: usize) -> Vec<Record> {
             (at_ps, rng.random_range(0.3..1.0))
         };
         let truth: Vec<(f64, f64)> = (0..pulses).map(pulse).collect();
-        Record { light_ps: [truth[0].0, truth[pulses - 1].0], samples: noisy(&sensor.shape, &truth, SD, LEN, rng) }
+        TimedRecord { light_ps: [truth[0].0, truth[pulses - 1].0], samples: noisy(&sensor.shape, &truth, SD, LEN, rng) }
     })
 }
 
 /// Seconds a record that `solve` takes.
-fn seconds(records: &[Record], solve: impl Fn(&[f64])) -> f64 {
-    let timed = |record: &Record| {
+fn seconds(records: &[TimedRecord], solve: impl Fn(&[f64])) -> f64 {
+    let timed = |record: &TimedRecord| {
         let round = |_| {
             let start = Instant::now();
             solve(&record.samples);
@@ -93,12 +93,12 @@ pub fn print(effort: Effort) {
         for pulses in PULSES {
             let records = records(&sensor, pulses, effort.of(50));
             let name = format!("{}-{pulses}", sensor.name);
-            let told = json!({
+            let document = json!({
                 "dt_ps": DT_PS, "sd": SD, "records": records.iter().map(|r| &r.samples).collect::<Vec<_>>(),
                 "light_ps": records.iter().map(|r| r.light_ps).collect::<Vec<_>>(),
                 "response": { "t0_ps": first_ps, "step_ps": step_ps, "values": response },
             });
-            std::fs::write(folder.join(format!("{name}.json")), told.to_string()).expect("a folder to write to");
+            std::fs::write(folder.join(format!("{name}.json")), document.to_string()).expect("a folder to write to");
             let sparse = seconds(&records, |record| {
                 black_box(fit(&sensor.response, record, SD, &SparseOptions::default()));
             });

@@ -1,5 +1,6 @@
-//! What a scene's bound means for a planned measurement: which patches can be found and how precisely, which bounces
-//! are too weak, which pulses blend, which ambiguities remain, how long it takes, and the effect of changes.
+//! What a scene's bound means for a planned measurement. It says which patches can be found and how precisely, which
+//! bounces are too weak, which pulses blend, and which ambiguities remain. It also says how long the measurement takes,
+//! and the effect of changes.
 
 use std::collections::BTreeMap;
 

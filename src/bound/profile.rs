@@ -125,8 +125,8 @@ fn profile(laboratory: &Laboratory, shooting: &Shooting, threshold_sigma: f64) -
     }
 }
 
-/// Unresolved neighbours. The weaker pulse's height, given the stronger's height and time as unknowns, is so uncertain
-/// that one pulse instead of two costs less than [`APART`] in chi-square.
+/// Unresolved neighbours: one pulse instead of two costs less than [`APART`] in chi-square. That follows from the
+/// variance of the weaker pulse's height, with the stronger's height and time unknown.
 fn blends(detected: &[usize], full: &DMatrix<f64>) -> Vec<usize> {
     let count = detected.len();
     // Information on the height of pulse `own` that no change of height and time of pulse `other` can imitate.

@@ -1,5 +1,6 @@
 //! Messages at the end of a run: its tables, and what is missing from them.
 
+mod decisions;
 mod losses;
 
 use std::process::ExitCode;
@@ -8,21 +9,31 @@ use anyhow::Result;
 use periscope::pipeline::run::Outcome;
 use periscope::pipeline::spec::Spec;
 use periscope::store::Shelf;
+use serde_json::json;
 
 use super::SOME_REJECTED;
+use super::output::{Format, Rows, say};
 pub use losses::print_rejects as tell_rejects;
 
-/// Prints the tables to standard output, one per line, then warnings. Returns the exit code.
-pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool) -> Result<ExitCode> {
+/// Prints the tables to standard output, a row each, then warnings. Returns the exit code.
+pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool, format: Format) -> Result<ExitCode> {
     let out = shelf.out().display();
+    let mut tables = Rows::new(&["table", "rows", "made", "folder"]);
     for step in &spec.steps {
         if let Some(record) = outcome.tables.get(&step.heading) {
             let rows: u64 = record.rows(&step.node.tables()[0].name);
             let made = if outcome.computed.contains(&step.heading) { "computed" } else { "reused" };
-            println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
+            tables.push([json!(step.heading), json!(rows), json!(made), json!(format!("{out}/{}", step.heading))]);
         }
     }
+    let mut printed = tables.print(format);
+    if format == Format::Table {
+        printed = printed.and_then(|()| say!("results: {out}; look at them with `periscope report {out}`"));
+        printed = printed.and_then(|()| decisions::print(spec, outcome, shelf));
+    }
+    // Warnings come also where nothing reads standard output.
     let is_incomplete = losses::print(spec, outcome, shelf)?;
+    printed?;
     Ok(match (is_incomplete, is_strict) {
         (false, _) => ExitCode::SUCCESS,
         (true, true) => ExitCode::FAILURE,

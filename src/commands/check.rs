@@ -2,11 +2,12 @@
 //!
 //! A built-in pipeline measures every capture through the ordinary runtime. With `--out` its tables stay, and the next
 //! check reads only new files; otherwise they go to a temporary folder, which is removed. The results are data
-//! ([`report`]), printed as text ([`text`]) or as JSON.
+//! ([`report`]), printed as text ([`text`]), as JSON or as rows ([`rows`]).
 
 pub mod coverage;
 mod quality;
 pub mod report;
+mod rows;
 mod text;
 
 use std::path::{Path, PathBuf};
@@ -21,13 +22,15 @@ use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::rejects;
 use periscope::pipeline::run::{self as runner, Settings};
-use periscope::pipeline::spec::{Spec, Step};
+use periscope::pipeline::spec::{DEFAULT, Definition, Reference, Spec, Step};
 use periscope::stages::Node;
 use periscope::store::Shelf;
 use periscope::store::finite::NotJson;
 use periscope::tables::{Calibration, Reject, Row};
 
 use super::SOME_REJECTED;
+use super::output::{Format, Output, json, print};
+use super::run::reference;
 use report::Report;
 
 /// The built-in pipeline. Traces are not kept: they are as large as the campaign. Captures of the scene are averaged by
@@ -69,24 +72,20 @@ from = "profiles"
 with = { calibration = "calibration" }
 "#;
 
-/// The pipeline whose rules apply if none is named.
-const USUAL: &str = include_str!("../../pipelines/all-visible.toml");
-
 /// Arguments of `check`.
 #[derive(Args)]
 pub struct Check {
     /// Campaign folder
     #[arg(long, value_name = "DIR")]
     campaign: PathBuf,
-    /// Pipeline that will run: captures of the scene are rejected by its rules (default: those of all-visible)
-    #[arg(long, value_name = "FILE")]
-    pipeline: Option<PathBuf>,
+    /// Pipeline that will run, a name or a file: captures of the scene are rejected by its rules
+    #[arg(long, value_name = "PIPELINE", default_value = DEFAULT, value_parser = reference())]
+    pipeline: Reference,
     /// Folder for the measurements, so that the next check reads only new files
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Print one JSON object instead of text
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// The command.
@@ -94,13 +93,11 @@ pub fn check(args: &Check) -> Result<ExitCode> {
     let campaign = Campaign::load(&args.campaign)?;
     let survey = campaign.survey().with_context(|| format!("campaign {}", args.campaign.display()))?;
     let out = OutFolder::of(args.out.as_deref());
-    let spec =
-        args.pipeline.as_ref().map_or_else(|| Spec::parse("all-visible", USUAL, &[]), |file| Spec::load(file, &[]))?;
-    let report = look(&campaign, &survey, &rules(&spec)?, &out.path)?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print!("{}", text::text(&report));
+    let report = look(&campaign, &survey, &rules(&Spec::new(&Definition::load(&args.pipeline)?)?)?, &out.path)?;
+    match args.output.format {
+        Format::Table => print(text::text(&report))?,
+        Format::Json => print(json(&report)?)?,
+        Format::Csv => rows::rows(&report).print(Format::Csv)?,
     }
     Ok(if report.mend.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(SOME_REJECTED) })
 }
@@ -132,7 +129,7 @@ fn look(campaign: &Campaign, survey: &Survey, rules: &[String], out: &Path) -> R
     let shelf = Shelf::open(out)?;
     forget_changed(campaign, &shelf)?;
     let calibrating = run(campaign, &shelf, rules, Some("calibration"))?;
-    let calibrated: Vec<Calibration> = rows(&shelf, "calibration")?;
+    let calibrated: Vec<Calibration> = table(&shelf, "calibration")?;
     let uncalibrated = coverage::without_template(survey, &calibrated);
     let mut measured = campaign.clone();
     measured.exclude.extend(uncalibrated.iter().map(|sensor| Exclude {
@@ -143,11 +140,11 @@ fn look(campaign: &Campaign, survey: &Survey, rules: &[String], out: &Path) -> R
     let calibrating: Vec<Reject> = calibrating.into_iter().filter(|reject| !rejects.contains(reject)).collect();
     rejects.extend(calibrating);
     let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
-    let mut measurements = rows(&shelf, "measurements")?;
-    measurements.extend(rows(&shelf, "session_measurements")?);
+    let mut measurements = table(&shelf, "measurements")?;
+    measurements.extend(table(&shelf, "session_measurements")?);
     let left_out = left_out(&campaign.root, survey, Manifest::load(&campaign.root)?.as_ref());
     coverage::fill(&mut report, campaign, survey, &measurements, &left_out, &uncalibrated);
-    quality::fill(&mut report, &measurements, rows(&shelf, "checks")?, &rejects);
+    quality::fill(&mut report, &measurements, table(&shelf, "checks")?, &rejects);
     Ok(report)
 }
 
@@ -199,7 +196,7 @@ fn run(campaign: &Campaign, shelf: &Shelf, rules: &[String], until: Option<&str>
 }
 
 /// Rows of a table; none if it could not be made since nothing was captured.
-fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
+fn table<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
     if shelf.view(view)?.is_none() {
         return Ok(Vec::new());
     }

@@ -18,6 +18,7 @@ use periscope::store::runs::RunRecord;
 use super::check::report::Report;
 use super::check::{self, coverage};
 use super::interrupt::is_interruption;
+use super::output::note;
 use super::run::{Job, campaigns};
 
 /// A file that changed less than this ago may still be open for writing.
@@ -87,7 +88,7 @@ pub fn follow(job: &Job<'_>, folders: &[PathBuf], idle: Option<Duration>) -> Res
                 Err(error) => format!("not yet: {error:#}"),
             };
             let (count, waiting) = (files.settled.len(), files.waiting);
-            eprintln!("pass {passes}: {count} files, {new} new or changed, {waiting} still being written: {state}");
+            note!("pass {passes}: {count} files, {new} new or changed, {waiting} still being written: {state}");
             last = Some(outcome);
             seen = files;
         }
@@ -110,7 +111,7 @@ fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result
         let survey = campaign.survey()?;
         let left_out = left_out(&campaign.root, &survey, Manifest::load(&campaign.root)?.as_ref());
         coverage::fill(&mut report, campaign, &survey, &[], &left_out, &BTreeSet::new());
-        report.mend.iter().for_each(|missing| eprintln!("still missing in {}: {missing}", campaign.name));
+        report.mend.iter().for_each(|missing| note!("still missing in {}: {missing}", campaign.name));
     }
     Ok(outcome)
 }

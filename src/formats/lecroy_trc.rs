@@ -303,8 +303,8 @@ pub struct Acquired {
 /// When `out` cannot be written.
 ///
 /// # Panics
-/// When there is no segment, their lengths differ, a code does not fit, or the file exceeds 2 GiB, the limit of its
-/// header.
+/// When there is no segment, their lengths differ, or a code does not fit. Also when the file exceeds 2 GiB, the limit
+/// of its header.
 pub fn write_sequence(
     out: &mut impl Write,
     head: &SequenceHead,

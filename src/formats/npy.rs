@@ -112,7 +112,7 @@ impl Array {
         (self.records > 1).then_some(record as u32)
     }
 
-    /// Refuses an array of so many short records that their heads, `each` bytes long, would far exceed the file in
+    /// Refuses an array of very many short records: their heads, `each` bytes long, would far exceed the file in
     /// memory.
     pub fn limit(&self, file_bytes: u64, before: usize, each: usize) -> Result<(), FormatError> {
         let most = (3 * file_bytes.min(1 << 60) + (1 << 19)) / each as u64;

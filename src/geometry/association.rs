@@ -3,16 +3,17 @@
 //! An arrival at `t` of standard deviation s may be any path whose predicted time lies within the gate, or something
 //! that was not predicted. With a path seen with chance p and `clutter` unpredicted arrivals a picosecond about the
 //! arrival, arrival and path belong together with the weight `p / (1 - p) N(t; t_p, s^2 + s_p^2) / clutter`. A path
-//! makes at most one arrival, and an arrival comes from at most one path: an association of all of them is as likely as
-//! the product of its weights, and the probability of a pair is the share of those associations that hold it. Source:
-//! joint probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8, 173 (1983)).
+//! makes at most one arrival, and an arrival comes from at most one path. An association of all of them is as likely as
+//! the product of its weights. The probability of a pair is the share of those associations that hold it. Source: joint
+//! probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8, 173 (1983)).
 //!
 //! The sums run over arrivals in order of time, forwards and backwards. What is behind matters only by the paths that
 //! it took from those ahead, which are few; of more than 200 such sets the most likely are kept.
 
 use std::collections::BTreeMap;
 
-/// Predictions further off than this many standard deviations are another path.
+/// Predictions further off than this many standard deviations are another path: less than one in a million of a path's
+/// own arrivals lies beyond.
 pub const GATE: f64 = 5.0;
 /// Most sets of taken paths that are followed.
 const STATES: usize = 200;
@@ -59,28 +60,28 @@ pub fn associate(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[
     let mut order: Vec<usize> = (0..arrivals.len()).collect();
     order.sort_by(|&a, &b| arrivals[a].time_ps.total_cmp(&arrivals[b].time_ps));
     let in_order: Vec<&[Edge]> = order.iter().map(|&arrival| &edges[arrival][..]).collect();
-    let mut found: Vec<Vec<Candidate>> = vec![Vec::new(); arrivals.len()];
+    let mut candidates: Vec<Vec<Candidate>> = vec![Vec::new(); arrivals.len()];
     for (&arrival, probabilities) in order.iter().zip(probabilities(&in_order)) {
         let candidate = |(edge, probability): (&Edge, f64)| Candidate {
             path: edge.path,
             residual_ps: edge.residual_ps,
             probability,
         };
-        found[arrival] = edges[arrival].iter().zip(probabilities).map(candidate).collect();
-        found[arrival].sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.path.cmp(&b.path)));
+        candidates[arrival] = edges[arrival].iter().zip(probabilities).map(candidate).collect();
+        candidates[arrival].sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.path.cmp(&b.path)));
     }
     // The surest arrival chooses first; what it takes is gone for the others.
     let mut open: Vec<usize> = (0..arrivals.len()).collect();
     let sureness = |candidates: &[Candidate]| candidates.first().map_or(0.0, |best| best.probability);
     while let Some(surest) =
-        open.iter().copied().reduce(|a, b| if sureness(&found[b]) > sureness(&found[a]) { b } else { a })
+        open.iter().copied().reduce(|a, b| if sureness(&candidates[b]) > sureness(&candidates[a]) { b } else { a })
     {
         open.retain(|&arrival| arrival != surest);
-        if let Some(best) = found[surest].first().copied() {
-            open.iter().for_each(|&arrival| found[arrival].retain(|candidate| candidate.path != best.path));
+        if let Some(best) = candidates[surest].first().copied() {
+            open.iter().for_each(|&arrival| candidates[arrival].retain(|candidate| candidate.path != best.path));
         }
     }
-    found
+    candidates
 }
 
 /// A path that may have made an arrival.
@@ -118,7 +119,7 @@ type Taken = BTreeMap<Vec<usize>, f64>;
 
 /// For each arrival, in order of time, the probability of each of its edges.
 fn probabilities(arrivals: &[&[Edge]]) -> Vec<Vec<f64>> {
-    // Last arrival that each path may have made: after it nobody asks whether the path is taken.
+    // Last arrival that each path may have made: after it, whether the path is taken no longer matters.
     let mut last: BTreeMap<usize, usize> = BTreeMap::new();
     for (n, edges) in arrivals.iter().enumerate() {
         last.extend(edges.iter().map(|edge| (edge.path, n)));
@@ -139,7 +140,7 @@ fn probabilities(arrivals: &[&[Edge]]) -> Vec<Vec<f64>> {
         }
         forwards.push(likeliest(next));
     }
-    let mut found = vec![Vec::new(); arrivals.len()];
+    let mut shares = vec![Vec::new(); arrivals.len()];
     let mut ahead = Taken::from([(Vec::new(), 1.0)]);
     for (n, edges) in arrivals.iter().enumerate().rev() {
         let rest = |taken: &[usize], more| ahead.get(&after(n, taken, more)).copied().unwrap_or(0.0);
@@ -156,10 +157,10 @@ fn probabilities(arrivals: &[&[Edge]]) -> Vec<Vec<f64>> {
             here.insert(taken.clone(), total);
         }
         let all = none + sums.iter().sum::<f64>();
-        found[n] = sums.iter().map(|sum| sum / all).collect();
+        shares[n] = sums.iter().map(|sum| sum / all).collect();
         ahead = likeliest(here);
     }
-    found
+    shares
 }
 
 /// The most likely sets, weights over that of the largest.
@@ -188,43 +189,46 @@ mod tests {
 
     #[test]
     fn the_nearest_path_is_sure_where_no_other_is_near() {
-        let found = associate(&[at(100.0, 1.0), at(500.0, 1.0)], &[path(101.0, 0.5), path(300.0, 0.5)], &[1e-4; 2]);
+        let candidates =
+            associate(&[at(100.0, 1.0), at(500.0, 1.0)], &[path(101.0, 0.5), path(300.0, 0.5)], &[1e-4; 2]);
         assert!(
-            found[0][0].path == 0 && found[0][0].probability > 0.999 && (found[0][0].residual_ps + 1.0).abs() < 1e-12
+            candidates[0][0].path == 0
+                && candidates[0][0].probability > 0.999
+                && (candidates[0][0].residual_ps + 1.0).abs() < 1e-12
         );
-        assert!(found[1].is_empty());
+        assert!(candidates[1].is_empty());
     }
 
     /// Two paths of equal time share the probability; by Bayes' rule at unequal distances.
     #[test]
     fn paths_that_coincide_share_the_probability() {
-        let found = associate(&[at(0.0, 1.0)], &[path(0.0, 0.0), path(0.0, 0.0), path(2.0, 0.0)], &[1e-9]);
+        let candidates = associate(&[at(0.0, 1.0)], &[path(0.0, 0.0), path(0.0, 0.0), path(2.0, 0.0)], &[1e-9]);
         let expected = 1.0 / (2.0 + (-2.0_f64).exp());
-        assert!((found[0][0].probability - expected).abs() < 1e-6, "{found:?}");
-        assert_eq!(found[0].len(), 3);
+        assert!((candidates[0][0].probability - expected).abs() < 1e-6, "{candidates:?}");
+        assert_eq!(candidates[0].len(), 3);
     }
 
     #[test]
     fn a_path_makes_one_arrival_only() {
-        let found = associate(&[at(0.5, 1.0), at(0.0, 1.0)], &[path(0.0, 0.1), path(3.0, 0.1)], &[1e-4; 2]);
-        assert_eq!((found[1][0].path, found[0][0].path), (0, 1));
+        let candidates = associate(&[at(0.5, 1.0), at(0.0, 1.0)], &[path(0.0, 0.1), path(3.0, 0.1)], &[1e-4; 2]);
+        assert_eq!((candidates[1][0].path, candidates[0][0].path), (0, 1));
     }
 
     /// Two arrivals between two paths: the surer one does not make the other surer than it is itself.
     #[test]
     fn rivals_share_their_doubt() {
-        let found = associate(&[at(0.0, 20.0), at(10.0, 20.0)], &[path(-30.0, 0.0), path(40.0, 0.0)], &[1e-6; 2]);
-        let [first, second] = [found[0][0], found[1][0]];
+        let candidates = associate(&[at(0.0, 20.0), at(10.0, 20.0)], &[path(-30.0, 0.0), path(40.0, 0.0)], &[1e-6; 2]);
+        let [first, second] = [candidates[0][0], candidates[1][0]];
         assert_eq!((first.path, second.path), (0, 1));
         let likelihood = |a: f64, b: f64| (-0.5 * (a * a + b * b) / 400.0).exp();
         let right = likelihood(30.0, 30.0);
         let expected = right / (right + likelihood(40.0, 40.0));
         for candidate in [first, second] {
-            assert!((candidate.probability - expected).abs() < 1e-3, "{found:?} {expected}");
+            assert!((candidate.probability - expected).abs() < 1e-3, "{candidates:?} {expected}");
         }
     }
 
-    /// Beside the sum over all associations, for a few arrivals and paths near one another.
+    /// Compared with the sum over all associations, for a few arrivals and paths near one another.
     #[test]
     fn probabilities_are_those_of_all_associations() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
@@ -235,8 +239,8 @@ mod tests {
             let edges = edges(&arrivals, &paths, &[0.01; 4]);
             let in_order: Vec<&[Edge]> = edges.iter().map(|edges| &edges[..]).collect();
             let all = sum(&edges, &mut Vec::new(), 0, None);
-            for (arrival, found) in probabilities(&in_order).iter().enumerate() {
-                for (edge, probability) in edges[arrival].iter().zip(found) {
+            for (arrival, shares) in probabilities(&in_order).iter().enumerate() {
+                for (edge, probability) in edges[arrival].iter().zip(shares) {
                     let exact = sum(&edges, &mut Vec::new(), 0, Some((arrival, edge.path))) / all;
                     assert!((probability - exact).abs() < 1e-12, "{probability} {exact}");
                     count += 1;
@@ -268,13 +272,16 @@ mod tests {
     #[test]
     fn chances_weigh_paths() {
         let seen = |seen: f64| Expected { seen, ..path(0.0, 0.0) };
-        let found = associate(&[at(0.0, 1.0)], &[seen(0.2), seen(0.8)], &[1e-9]);
+        let candidates = associate(&[at(0.0, 1.0)], &[seen(0.2), seen(0.8)], &[1e-9]);
         let share = |chance: f64| chance / (1.0 - chance) / (0.25 + 4.0);
-        assert!(found[0][0].path == 1 && (found[0][0].probability - share(0.8)).abs() < 1e-6, "{found:?}");
-        assert!((found[0][1].probability - share(0.2)).abs() < 1e-6, "{found:?}");
+        assert!(
+            candidates[0][0].path == 1 && (candidates[0][0].probability - share(0.8)).abs() < 1e-6,
+            "{candidates:?}"
+        );
+        assert!((candidates[0][1].probability - share(0.2)).abs() < 1e-6, "{candidates:?}");
     }
 
-    /// What is no predicted path is told by a low probability, the lower the more clutter there is.
+    /// An arrival that no predicted path made gets a low probability, the lower the more clutter there is.
     #[test]
     fn clutter_takes_its_share() {
         let p = |clutter| associate(&[at(4.0, 1.0)], &[path(0.0, 0.0)], &[clutter])[0][0].probability;

@@ -10,21 +10,20 @@
 //!   Bancroft, IEEE Trans. Aerosp. Electron. Syst. 21, 56
 //!   (1985)); what is left is a quadratic equation with two roots. Where all foci lie in one line these are mirror
 //!   images in it.
-//! - *Fit*: maximum likelihood by Gauss and Newton. Unknown beside the strips are all anchors (diffuser points,
-//!   stations) and delays that are known to a standard
-//!   deviation only: first bounces tell them too. Onsets of one profile are correlated, as pulses closer than the
-//!   response are.
-//! - *Labels*: assignments are extended scan by scan, the likeliest first; chi-square, and what onsets cost that are
-//!   left over, never fall by another scan, so the first that is complete is the best of all, and no other
-//!   within [`CLOSE`] of it is missed (branch and bound).
+//! - *Fit*: maximum likelihood by Gauss and Newton. Anchors (diffuser points, stations) and delays that have a standard
+//!   deviation are fitted too; first bounces help to determine them. Onsets of one profile are correlated, as pulses
+//!   closer than the response are.
+//! - *Labels*: assignments are extended scan by scan, the likeliest first. Another scan never lowers chi-square or the
+//!   cost of unexplained onsets. So the first complete assignment is the best of all, and no other within [`CLOSE`] of
+//!   it is missed (branch and bound).
 //! - *Glints*: over a glossy strip the light's centroid moves with the lit point.
 //!
 //! With as many scans as dimensions every assignment fits exactly. What then decides is what else is known: on which
 //! side of the diffuser strips are, how far apart at most, in which order. What nothing decides comes back as another
 //! solution.
 //!
-//! Onsets that no strip explains may be those of something undeclared in the middle between two strips: where that
-//! explains more, strips are placed beside it.
+//! Onsets that no strip explains may be those of an undeclared object in the middle between two strips. Where that
+//! explains more, strips are placed together with such an object.
 
 mod fit;
 mod glint;
@@ -39,7 +38,7 @@ use super::Point;
 use fit::{Fit, State, fit};
 pub use glint::Surface;
 
-/// Solutions whose chi-square is higher by less are told.
+/// Solutions whose chi-square is higher by less are reported too.
 pub const CLOSE: f64 = 9.0;
 /// Chi-square that an onset costs which nothing explains, if it is as strong as those that something does.
 const UNEXPLAINED: f64 = 9.0;
@@ -81,7 +80,7 @@ pub enum Bounce {
 
 /// Onsets of one profile.
 #[derive(Clone, Debug)]
-pub struct Record {
+pub struct ProfileOnsets {
     /// Anchor that is lit.
     pub lit: usize,
     /// Anchor where the sensor stands.
@@ -112,7 +111,7 @@ pub struct Problem {
     /// Strips.
     pub strips: Vec<Strip>,
     /// Profiles.
-    pub records: Vec<Record>,
+    pub records: Vec<ProfileOnsets>,
     /// No two strips are farther apart, where that is known.
     pub apart_max_m: Option<f64>,
     /// Direction in which the strips follow one another in their order, where that is known.
@@ -201,7 +200,7 @@ impl Node {
 /// When a record or strip names an anchor or delay that is not there.
 pub fn solve(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
     let alone = solve_alone(problem);
-    middle::beside_one(problem, alone.as_ref().ok().map(|found| &found[0])).map_or(alone, Ok)
+    middle::beside_one(problem, alone.as_ref().ok().map(|solutions| &solutions[0])).map_or(alone, Ok)
 }
 
 /// Nothing but the strips.
@@ -229,10 +228,10 @@ fn solve_alone(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
             return Err(Unsolved::TooMany);
         }
     }
-    let mut found: Vec<Solution> = Vec::new();
+    let mut solutions: Vec<Solution> = Vec::new();
     while let Some(next) = (0..open.len()).min_by(|a, b| open[*a].cost.total_cmp(&open[*b].cost)) {
         let node = open.swap_remove(next);
-        if found.first().is_some_and(|best| node.cost > best.cost + CLOSE) {
+        if solutions.first().is_some_and(|best| node.cost > best.cost + CLOSE) {
             break;
         }
         let depth = node.labels.len();
@@ -248,19 +247,20 @@ fn solve_alone(problem: &Problem) -> Result<Vec<Solution>, Unsolved> {
             }
         } else if problem.admits(&node.fit.state.strips) {
             let solution = node.fit.solution(problem, node.labels, node.cost);
-            if found.iter().all(|other| !is_same_place(other, &solution, problem.dimensions)) {
-                found.push(solution);
+            if solutions.iter().all(|other| !is_same_place(other, &solution, problem.dimensions)) {
+                solutions.push(solution);
             }
         }
     }
-    if found.is_empty() { Err(Unsolved::NoPlace) } else { Ok(found) }
+    if solutions.is_empty() { Err(Unsolved::NoPlace) } else { Ok(solutions) }
 }
 
 impl Problem {
     /// Records of third bounces with an onset for every strip, each lit point as far as possible from those before: the
     /// first few say most.
     fn spread_out(&self) -> Vec<usize> {
-        let is_whole = |record: &Record| record.bounce == Bounce::Third && record.lengths_m.len() >= self.strips.len();
+        let is_whole =
+            |record: &ProfileOnsets| record.bounce == Bounce::Third && record.lengths_m.len() >= self.strips.len();
         let mut left: Vec<usize> = (0..self.records.len()).filter(|n| is_whole(&self.records[*n])).collect();
         let mut taken: Vec<usize> = Vec::new();
         let lit = |record: usize| self.anchors[self.records[record].lit].at;
@@ -296,8 +296,8 @@ impl Problem {
         })
     }
 
-    /// What onsets of these records cost that no strip explains: the more, the more light they have beside the weakest
-    /// that one does. Strays are weak.
+    /// Cost of the onsets of these records that no strip explains. It grows with their amplitude over that of the
+    /// weakest explained onset, as strays are weak.
     fn unexplained(&self, labels: &Labels) -> f64 {
         let of_record = |(record, onsets): &(usize, Vec<usize>)| {
             let heights = &self.records[*record].heights;

@@ -50,8 +50,8 @@ mod tests {
             ];
             let all: Vec<Point> = std::iter::once(Point::origin()).chain(truth).collect();
             let distances = Mat::from_fn(5, 5, |i, j| (all[i] - all[j]).norm());
-            let found = embed(&distances, dimensions);
-            let fit = procrustes::rotation(&found, &truth, Point::origin(), true);
+            let solution = embed(&distances, dimensions);
+            let fit = procrustes::rotation(&solution, &truth, Point::origin(), true);
             assert!(fit.rms_m < 1e-9, "{}", fit.rms_m);
         }
     }

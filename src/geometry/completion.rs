@@ -7,8 +7,8 @@ use periscope_cancel::Cancel;
 
 use crate::Error;
 
-/// Fills what is not measured (`None`) of a symmetric distance matrix over p0 and all patches with the length of the
-/// shortest path over what is.
+/// Completes a symmetric distance matrix over p0 and all patches: an entry that was not measured (`None`) becomes the
+/// length of the shortest path over measured ones.
 ///
 /// # Errors
 /// [`Error::Unconnected`] with the points that no path joins to point 0.

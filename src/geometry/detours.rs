@@ -7,10 +7,10 @@
 //! O_ikj = O_ik + O_kj - O_kk
 //! ```
 //!
-//! exactly, for any places of source and sensor, with no coordinate known. By the triangle inequality no second bounce
-//! is longer than any such detour, and none is as long but over a patch on the straight line between the two. So a
-//! first arrival that comes no earlier than some detour is set aside. That takes some second bounces with it: those
-//! past a patch so near to the straight line that noise does not tell the two apart.
+//! exactly, for any places of source and sensor, with no coordinate known. By the triangle inequality a second bounce
+//! is never longer than such a detour. It is as long only if the patch lies on the straight line between the two. So a
+//! first arrival that comes no earlier than some detour is rejected. Some second bounces are rejected with it: those
+//! past a patch so near to the straight line that noise exceeds the difference.
 //!
 //! With source and sensor in one point, path lengths also give the angle between two patches as seen from there:
 //!
@@ -39,7 +39,7 @@ const GATE: f64 = 5.0;
 /// First arrivals, or what they tell, by (lit, seen).
 type Pairs<T> = BTreeMap<(PatchId, PatchId), T>;
 
-/// Which first arrivals between patches i and j, by (lit, seen), are set aside, and over which patch the light came if
+/// Which first arrivals between patches i and j, by (lit, seen), are rejected, and over which patch the light came if
 /// that is certain. `arrivals` holds all first arrivals of one sensor, those of (i, i) among them; `is_one_station`
 /// says whether that sensor stands where the source is.
 #[must_use]
@@ -47,11 +47,11 @@ pub fn detours(arrivals: &Pairs<Length>, is_one_station: bool, cancel: &Cancel) 
     let patches: BTreeSet<PatchId> = arrivals.keys().flat_map(|(lit, seen)| [*lit, *seen]).collect();
     let angles = if is_one_station { angles(arrivals) } else { Pairs::new() };
     let mut detours = Pairs::new();
-    for (&(lit, seen), found) in arrivals.iter().filter(|((lit, seen), _)| lit != seen) {
+    for (&(lit, seen), first) in arrivals.iter().filter(|((lit, seen), _)| lit != seen) {
         cancel.check();
         let others = patches.iter().filter(|via| **via != lit && **via != seen);
         let late: Vec<(PatchId, Option<f64>)> =
-            others.clone().map(|&via| (via, late(arrivals, (lit, seen), via, *found))).collect();
+            others.clone().map(|&via| (via, late(arrivals, (lit, seen), via, *first))).collect();
         let is_larger = |via: &PatchId| {
             let angle = |a: PatchId, b: PatchId| angles.get(&(a, b));
             let (Some(across), Some(there), Some(back)) = (angle(lit, seen), angle(lit, *via), angle(*via, seen))
@@ -78,10 +78,10 @@ pub fn detours(arrivals: &Pairs<Length>, is_one_station: bool, cancel: &Cancel) 
 
 /// By how many standard deviations an arrival comes after the detour over `via`; `None` where an arrival over that
 /// patch is missing.
-fn late(arrivals: &Pairs<Length>, (lit, seen): (PatchId, PatchId), via: PatchId, found: Length) -> Option<f64> {
+fn late(arrivals: &Pairs<Length>, (lit, seen): (PatchId, PatchId), via: PatchId, first: Length) -> Option<f64> {
     let (there, back, own) = (arrivals.get(&(lit, via))?, arrivals.get(&(via, seen))?, arrivals.get(&(via, via))?);
-    let variance_m2 = [&found, there, back, own].iter().map(|length| length.variance_m2).sum::<f64>();
-    Some((found.length_m - (there.length_m + back.length_m - own.length_m)) / variance_m2.sqrt())
+    let variance_m2 = [&first, there, back, own].iter().map(|length| length.variance_m2).sum::<f64>();
+    Some((first.length_m - (there.length_m + back.length_m - own.length_m)) / variance_m2.sqrt())
 }
 
 /// Angles between all pairs that have both first bounces, as seen from the station, in radians: the least that [`GATE`]
@@ -148,7 +148,7 @@ mod tests {
         (arrivals, truth)
     }
 
-    /// What was found in some scenes, beside the truth.
+    /// Rejected and kept arrivals of some scenes, by what they truly are.
     #[derive(Debug, Default)]
     struct Count {
         closed: usize,
@@ -166,14 +166,14 @@ mod tests {
         for _ in 0..20 {
             let (mut arrivals, truth) = scene(&mut rng, sensor);
             arrivals.retain(|(i, j), _| i == j || rng.random_bool(captured));
-            let found = detours(&arrivals, sensor == Point::origin(), &Cancel::never());
+            let rejections = detours(&arrivals, sensor == Point::origin(), &Cancel::never());
             for pair in arrivals.keys().filter(|(i, j)| i != j) {
-                let (found, via) = (found.get(pair), truth[pair]);
+                let (rejection, via) = (rejections.get(pair), truth[pair]);
                 count.closed += usize::from(via.is_some());
-                count.missed += usize::from(via.is_some() && found.is_none());
+                count.missed += usize::from(via.is_some() && rejection.is_none());
                 count.open += usize::from(via.is_none());
-                count.made_up += usize::from(via.is_none() && found.is_some());
-                if let Some(Some(named)) = found {
+                count.made_up += usize::from(via.is_none() && rejection.is_some());
+                if let Some(Some(named)) = rejection {
                     count.named += 1;
                     count.misnamed += usize::from(via != Some(*named));
                 }
@@ -233,8 +233,8 @@ mod tests {
         let length = |length_m| Length { length_m, variance_m2: 1e-8 };
         let (first, second) = (a.coords.norm(), b.coords.norm());
         let arrivals = [((1, 1), 2.0 * first), ((2, 2), 2.0 * second), ((1, 2), first + (a - b).norm() + second)];
-        let found = angles(&arrivals.map(|(pair, l)| (pair, length(l))).into());
-        let [least, angle, most] = found[&(1, 2)];
+        let ranges = angles(&arrivals.map(|(pair, l)| (pair, length(l))).into());
+        let [least, angle, most] = ranges[&(1, 2)];
         assert!((angle - a.coords.angle(&b.coords)).abs() < 1e-12);
         assert!(least < angle && angle < most && most - least < 0.01, "{least} {angle} {most}");
     }

@@ -1,8 +1,8 @@
 //! A hidden patch too weak for an onset in any single profile, from its light in all profiles together.
 //!
-//! For each profile a matched filter gives, by the length s of a way over a hidden point, the score z of one more
-//! pulse: its amplitude in standard deviations. A patch at q makes a pulse at `s = |q - a| + |q - b|` in the profile of
-//! visible patches a and b, of a score that is normal about its signal-to-noise ratio u with variance 1. The
+//! For each profile a matched filter gives the score z of one more pulse: its amplitude in standard deviations. It
+//! depends on the length s of a way over a hidden point. A patch at q makes a pulse at `s = |q - a| + |q - b|` in the
+//! profile of visible patches a and b. Its score is normal about its signal-to-noise ratio u with variance 1. The
 //! log-likelihood ratio of one more patch is then
 //!
 //! ```text
@@ -20,17 +20,17 @@
 //! B = mean over the volume and the strengths of exp(L)
 //! ```
 //!
-//! Without a patch B is 1 on average, so that chance makes it exceed 1 / alpha with a probability of at most alpha
-//! (Markov's inequality), whatever the geometry. Strengths are taken as equally probable on a logarithmic scale, from a
-//! root-mean-square signal-to-noise ratio of 0.16 in a profile to 16. The integral over places is that about the best
-//! one, by importance sampling at fixed points of low discrepancy, fitted to the integrand in a few rounds (Cappé et
-//! al., J. Comput. Graph. Stat. 13, 907 (2004)); what it leaves out makes it smaller. Candidates come from a grid as
-//! fine as the response is short.
+//! Without a patch B is 1 on average. Chance therefore makes it exceed 1 / alpha with a probability of at most alpha
+//! (Markov's inequality), whatever the geometry. Strengths are equally probable on a logarithmic scale, from a
+//! root-mean-square signal-to-noise ratio of 0.16 in a profile to 16. Of the integral over places only the part about
+//! the best one is taken, by importance sampling at fixed points of low discrepancy. The sampling density is fitted to
+//! the integrand in a few rounds (Cappé et al., J. Comput. Graph. Stat. 13, 907 (2004)). The omitted part would only
+//! make B larger. Candidates come from a grid as fine as the response is short.
 //!
 //! One patch at a time: light of known places is to be projected out of the scores before, that of a patch just found
 //! included.
 //!
-//! Not modelled: errors of the foci and of delays, which are small beside the response's width; unknown light in few
+//! Not modelled: errors of the foci and of delays, which are small against the response's width; unknown light in few
 //! profiles that is weaker than an onset.
 
 mod grid;
@@ -81,15 +81,15 @@ pub struct Faint {
     pub seen: f64,
 }
 
-/// Chance with which the shots that [`Faint::growth`] tells show the patch, as standard deviations.
+/// Chance with which the shots that [`Faint::growth`] calls for show the patch, as standard deviations.
 const CHANCE_SD: f64 = 1.28;
 
 impl Faint {
     /// How many times as many shots would show this patch, if it is one, in nine of ten campaigns.
     ///
-    /// Its log-likelihood ratio G grows with the shots n, its standard deviation as `sqrt(2 G n)`, and the share of the
+    /// Its log-likelihood ratio G grows with the shots n, and its standard deviation as `sqrt(2 G n)`. The share of the
     /// volume that it is known to shrinks: `evidence + (n - 1) G - (d + 1) / 2 log n`, for d coordinates and the
-    /// strength. Of the largest log-likelihood ratio chance makes half a unit for each of these.
+    /// strength. Each of these adds half a unit to the largest log-likelihood ratio by chance.
     #[must_use]
     pub fn growth(&self, needed: f64, dimensions: usize) -> f64 {
         let unknowns = (dimensions + 1) as f64;

@@ -1,16 +1,16 @@
 //! Where the light of a finite patch comes from: not from its centre.
 //!
 //! What is timed is the mean path over all points of the patches, weighted by how much light takes each. For flat round
-//! patches whose size is small beside the legs, to second order,
+//! patches whose size is small against the legs, to second order,
 //!
 //! ```text
 //! mean - centre = sum over bounces of  grad(ln w)' S grad(l) + tr(S H(l)) / 2,     S = (size^2 / 16) (1 - n n')
 //! ```
 //!
-//! with the legs `l` that meet at the patch, the weight `w` of the light on them, and `S` the second moments of a disk
-//! of that diameter and normal `n`. The laser lights its patch evenly. A leg towards the sensor has `w = cos / r^2`,
-//! one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1 % of the shift
-//! where legs are longer than three sizes. Not modelled: glossy patches, a spot smaller than its patch.
+//! with the legs `l` that meet at the patch and the weight `w` of the light on them. `S` holds the second moments of a
+//! disk of the patch's diameter and normal `n`. The laser lights its patch evenly. A leg towards the sensor has
+//! `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1
+//! % of the shift where legs are longer than three sizes. Not modelled: glossy patches, a spot smaller than its patch.
 
 use std::collections::BTreeMap;
 
@@ -177,10 +177,10 @@ mod tests {
         let far = patch([0.2, 0.6, 0.7], [0.1, -0.3, -1.0], 0.05);
         for path in [vec![wall], vec![wall, side], vec![side, wall], vec![wall, far, side], vec![far, side, far]] {
             let brute = brute_m(source, &path, sensor);
-            let known: Vec<(Point, Option<Footprint>)> = path.iter().map(|(p, f)| (*p, Some(*f))).collect();
-            let found = shift_m(source, &known, sensor);
-            eprintln!("{} bounces: {:.2} um, by brute force {:.2} um", path.len(), 1e6 * found, 1e6 * brute);
-            assert!(brute.abs() > 5e-5 && (found / brute - 1.0).abs() < 0.02, "{found} {brute}");
+            let spots: Vec<(Point, Option<Footprint>)> = path.iter().map(|(p, f)| (*p, Some(*f))).collect();
+            let shift = shift_m(source, &spots, sensor);
+            eprintln!("{} bounces: {:.2} um, by brute force {:.2} um", path.len(), 1e6 * shift, 1e6 * brute);
+            assert!(brute.abs() > 5e-5 && (shift / brute - 1.0).abs() < 0.02, "{shift} {brute}");
         }
     }
 

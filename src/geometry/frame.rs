@@ -1,10 +1,10 @@
 //! The frame of a solution that path lengths leave free.
 //!
 //! With source and camera in one point p0, path lengths are the same for any rotation about p0 and for the mirror
-//! image. The canonical frame is: p0 where its station lies, the first patch on the +x axis, the next that is clearly
-//! not in line with it in the xy plane with y > 0, the next that is clearly not in that plane at z > 0. That also picks
-//! one of the two mirror images: the data do not say which is the true one. Clearly: by more than a tenth of its range,
-//! so that noise does not choose; where no patch is, the one that is farthest off.
+//! image. In the canonical frame p0 is where its station lies and the first patch is on the +x axis. The next patch
+//! that is clearly not in line with it is in the xy plane with y > 0. The next that is clearly not in that plane is at
+//! z > 0. That also picks one of the two mirror images: the data do not say which is the true one. Clearly means by
+//! more than a tenth of its range, so that noise does not choose; where no patch is, the one farthest off is taken.
 //!
 //! With stations in line, path lengths are the same for any rotation about that line, and for the mirror image in any
 //! plane through it. There the first patch off the line lies in the half plane through the line and +y (for a line
@@ -105,8 +105,8 @@ mod tests {
             let by = Rotation3::new(Vector3::new(0.9, 0.4, -1.3)).into_inner()
                 * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, mirror));
             let turned: Vec<Point> = points.iter().map(|point| turn(&by, centre, *point)).collect();
-            let found = in_frame(&turned);
-            assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-12));
+            let solution = in_frame(&turned);
+            assert!(solution.iter().zip(&expected).all(|(a, b)| (a - b).norm() < 1e-12));
         }
     }
 

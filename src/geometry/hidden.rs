@@ -18,8 +18,8 @@
 //! log B = L + log(sqrt((2 pi)^d |Cov|) / volume)
 //! ```
 //!
-//! says so. B is the Bayes factor of a patch somewhere in the volume over none: without a patch its mean is 1, so that
-//! it exceeds 1 / alpha with a probability of at most alpha (Markov's inequality), whatever the geometry. With a patch
+//! says so. B is the Bayes factor of a patch somewhere in the volume over none. Without a patch its mean is 1, so it
+//! exceeds 1 / alpha with a probability of at most alpha (Markov's inequality), whatever the geometry. With a patch
 //! more, all patches are climbed again and those without evidence dropped, until nothing is found and nothing dropped.
 //!
 //! A continuous floor or wall throws light back too, over the shortest way between each two patches
@@ -32,9 +32,10 @@
 //! an arrival of its own: the sum above runs over ways, and what one takes of an arrival is gone for the next. All
 //! profiles repeat the same sums `|x - q| + |x - q'|`.
 //!
-//! Pulses of two paths nearer than `blend_m` may make one arrival between them (`blend`): where other paths claim an
-//! arrival near a way's length, one of its own is less expected there; and an arrival near which one of the patches
-//! found, or the path straight from lit to seen, has none of its own errs by up to half their distance.
+//! Pulses of two paths nearer than `blend_m` may make one arrival between them (`blend`). Where other paths claim an
+//! arrival near a way's length, one of its own is less expected there. An arrival may also stand for a second path near
+//! it that has no arrival of its own: one over a patch found before, or straight from lit to seen. Such an arrival errs
+//! by up to half the distance of both.
 //!
 //! Not modelled: errors that profiles share (of known legs, of foci, of delays), amplitudes.
 
@@ -125,7 +126,7 @@ impl Profile {
         Self::over(vec![Way::new(foci, 0.0, 0.0)], arrivals, paths, span_m)
     }
 
-    /// With several ways, each of which may make its own arrival.
+    /// With several ways; each may make its own arrival.
     #[must_use]
     pub fn over(ways: Vec<Way>, mut arrivals: Vec<Arrival>, paths: Vec<Path>, span_m: [f64; 2]) -> Self {
         arrivals.retain(|arrival| (span_m[0]..=span_m[1]).contains(&arrival.length_m));

@@ -10,26 +10,27 @@
 //! - No second bounce is shorter than both first bounces nor longer than their sum. Where laser and sensor stand
 //!   together, (j, i) has the same first light as (i, j). Both rule out false arrivals.
 //!
-//! With a [`Scene`], every path of up to [`Options::bounces`] bounces is predicted (`paths`), but for those over a pair
-//! whose direct light is missing, or was not captured where both lie on one wall (`closed`). All arrivals of a profile
-//! are associated with the predictions at once (`assignment`, [`crate::association`]). How often paths of an order are
-//! seen, with and without hidden patches among theirs, is learned from the campaign, once (`chances`).
+//! With a [`Scene`], every path of up to [`Options::bounces`] bounces is predicted (`paths`). Excepted are paths over a
+//! pair whose direct light is missing, or was not captured where both lie on one wall (`closed`). All arrivals of a
+//! profile are associated with the predictions at once (`assignment`, [`crate::association`]). How often paths of an
+//! order are seen, with and without hidden patches among theirs, is learned from the campaign, once (`chances`).
 //!
 //! With three bounces or more, patches that neither laser nor sensor sees are searched for over all profiles (`layers`,
-//! [`crate::hidden`]), or taken in order of arrival as in the paper (`rank`). With five bounces, patches that only
-//! hidden ones show are searched for next, in fifth bounces (lit, hidden, such a patch, hidden, seen), among what all
-//! paths over patches in place leave. Their places come from minimal sets of arrivals alone: a search of all space
-//! would follow the many later bounces.
+//! [`crate::hidden`]). Or they are taken in order of arrival as in the paper (`rank`). With five bounces, patches that
+//! only hidden ones show are searched for next, in fifth bounces (lit, hidden, such a patch, hidden, seen). That search
+//! takes the arrivals that no path over patches in place explains. Their places come from minimal sets of arrivals
+//! alone: a search of all space would follow the many later bounces.
 //!
 //! Pulses that the response does not resolve make one arrival between their times; its error is then larger (`blends`).
 //!
-//! A laser that repeats leaves times modulo its period. Without a scene, periods are added such that first bounces
-//! (then the strongest arrival, since later light may come before it) lie within one period beyond [`Options::near_m`],
-//! and second bounces where their first bounces leave one choice. With a scene they are added as predicted.
+//! A laser that repeats leaves times modulo its period. Without a scene, periods are added such that first bounces lie
+//! within one period beyond [`Options::near_m`]. The first bounce is then the strongest arrival, since later light may
+//! come before it. Second bounces get periods where their first bounces leave one choice. With a scene periods are
+//! added as predicted.
 //!
 //! Not modelled: amplitudes, which could distinguish paths of equal length; arrivals of one profile whose errors are
-//! correlated; a density of later bounces that grows with time. Hence a false patch may come out of a room where more
-//! than a tenth of all fourth bounces are seen before hidden patches are in place.
+//! correlated; a density of later bounces that grows with time. Hence a room may show a false patch if more than a
+//! tenth of all fourth bounces are seen before hidden patches are in place.
 //!
 //! The files are a stack, each imports only those before it: problem, scene, paths, chances, legs, blends, assignment,
 //! closed, layers, rank, blind.

@@ -82,7 +82,7 @@
 //!
 //! - Lengths are metres, times picoseconds, voltages volts. A name carries its unit: `distance_m`, `variance_m2`.
 //! - Patch 0 is `p0`, source and camera in one (paper section 3); patches count from 1. [`maximum_likelihood`] counts
-//!   its unknowns from 0, and names stations beside them.
+//!   its unknowns from 0, and numbers stations separately.
 //! - A path names its patches in the order in which light meets them.
 //! - Flatland is `dimensions` = 2: z stays.
 //! - [`Error`] says why there is no solution. A broken precondition, such as a path without a standard deviation, is a

@@ -12,11 +12,11 @@
 //! by Levenberg-Marquardt with a robust `rho` ([`super::loss`]; Huber's as a rule). Up to [`DENSE_MAX`] patches the
 //! normal matrix is in memory; beyond, its products are passes over the observations (`matrix_free`), with the bending
 //! of paths where steps overshoot without it. The covariance is the pseudo-inverse of the Fisher matrix without the
-//! rotations that no path length sees, so it is the Cramer-Rao bound at the solution; of a matrix-free solution it is
-//! blocks ([`Solution::is_exact`]).
+//! rotations that no path length sees: the Cramer-Rao bound at the solution. A matrix-free solution has blocks of it
+//! ([`Solution::is_exact`]).
 //!
-//! What nothing determines is told, not guessed: parts that share no path, rotations, and patches that can move freely.
-//! A mirror image or another minimum that explains the lengths as well is not seen from here. Not modelled: errors that
+//! The solution names what nothing determines: parts that share no path, rotations, and patches that can move freely.
+//! It does not see a mirror image or another minimum that explains the lengths as well. Not modelled: errors that
 //! onsets of one profile share.
 
 mod dense_steps;
@@ -33,14 +33,15 @@ use nalgebra::Matrix3;
 use super::Point;
 pub use outliers::outliers;
 pub use problem::{Anchor, Node, Observation, Problem, Ray, Station};
-pub use rows::Place;
+pub use rows::Values;
 use rows::{Layout, Rows};
 
-/// Most patches for which the normal matrix is held in memory.
+/// Most patches for which the normal matrix is held in memory: 72 MB for 3,000 coordinates. One factorisation of it is
+/// a single call, which a cancel cannot end midway.
 pub const DENSE_MAX: usize = 1000;
 /// Steps after which a solution that has not settled is given up.
 const STEPS: usize = 200;
-/// Steps that lower the objective by less than this share of it lead nowhere; after so many of them a solution has
+/// Steps that lower the objective by less than this share of it lead nowhere; after `IDLE_STEPS` of them a solution has
 /// settled too, in a flat valley.
 const IDLE: f64 = 1e-12;
 const IDLE_STEPS: usize = 10;
@@ -124,13 +125,13 @@ impl Solution {
     /// Measured less predicted lengths of observations of the same stations, patches and delays.
     #[must_use]
     pub fn residuals_of_m(&self, observations: &[Observation]) -> Vec<f64> {
-        let place = Place {
+        let values = Values {
             points: self.points.clone(),
             stations: self.stations.clone(),
             delays_m: self.delays_m.clone(),
             period_m: self.period_m,
         };
-        observations.iter().map(|observation| place.residual_m(observation)).collect()
+        observations.iter().map(|observation| values.residual_m(observation)).collect()
     }
 
     /// Variance of a delay.
@@ -139,7 +140,7 @@ impl Solution {
         self.variance_m2(self.layout.delays + delay)
     }
 
-    /// Variance of the laser's period; `None` where it was exact or no observation depends on it.
+    /// Variance of the laser's period; `None` if the period is exact or no observation depends on it.
     #[must_use]
     pub fn period_variance_m2(&self) -> Option<f64> {
         self.layout.period.map(|at| self.variance_m2(at))
@@ -194,17 +195,17 @@ impl Means {
         if problem.start.len() <= DENSE_MAX { Self::Dense } else { Self::MatrixFree(Matrix::Normal) }
     }
 
-    fn step(self, rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
+    fn step(self, rows: &Rows, values: &Values, damping: f64) -> Option<Vec<f64>> {
         match self {
-            Self::Dense => dense_steps::step(rows, place, damping),
-            Self::MatrixFree(matrix) => matrix_free::step(rows, place, matrix, damping),
+            Self::Dense => dense_steps::step(rows, values, damping),
+            Self::MatrixFree(matrix) => matrix_free::step(rows, values, matrix, damping),
         }
     }
 
-    fn cost(self, rows: &Rows, place: &Place) -> f64 {
+    fn cost(self, rows: &Rows, values: &Values) -> f64 {
         match self {
-            Self::Dense => rows.cost(place, 0..rows.count),
-            Self::MatrixFree(_) => matrix_free::cost(rows, place),
+            Self::Dense => rows.cost(values, 0..rows.count),
+            Self::MatrixFree(_) => matrix_free::cost(rows, values),
         }
     }
 }
@@ -224,8 +225,8 @@ pub fn solve(problem: &Problem) -> Result<Solution, Unsolved> {
 fn solve_by(problem: &Problem, means: Means) -> Result<Solution, Unsolved> {
     let rows = Rows::new(problem);
     let settled_m = if means == Means::Dense { SETTLED_M } else { SETTLED_MATRIX_FREE_M };
-    let (place, loss, settled) = descend(&rows, means, STEPS, settled_m);
-    if settled { finish(&rows, means, place, loss) } else { Err(Unsolved::NotSettled) }
+    let (values, loss, settled) = descend(&rows, means, STEPS, settled_m);
+    if settled { finish(&rows, means, values, loss) } else { Err(Unsolved::NotSettled) }
 }
 
 /// Where at most `steps` steps lead, with the objective there, without covariance: to judge many starts by.
@@ -233,9 +234,9 @@ fn solve_by(problem: &Problem, means: Means) -> Result<Solution, Unsolved> {
 /// # Panics
 /// As [`solve`].
 #[must_use]
-pub fn approach(problem: &Problem, steps: usize, settled_m: f64) -> (Place, f64) {
-    let (place, cost, _) = descend(&Rows::new(problem), Means::of(problem), steps, settled_m);
-    (place, cost)
+pub fn approach(problem: &Problem, steps: usize, settled_m: f64) -> (Values, f64) {
+    let (values, cost, _) = descend(&Rows::new(problem), Means::of(problem), steps, settled_m);
+    (values, cost)
 }
 
 /// Measurements and priors less unknowns; what nothing determines is not given back.
@@ -249,30 +250,30 @@ pub fn redundancy(problem: &Problem) -> i64 {
 }
 
 /// Levenberg-Marquardt: the place reached, the objective there, and whether it has settled.
-fn descend(rows: &Rows, mut means: Means, steps: usize, settled_m: f64) -> (Place, f64, bool) {
-    let mut place = Place::start(rows.problem);
-    let mut now = means.cost(rows, &place);
+fn descend(rows: &Rows, mut means: Means, steps: usize, settled_m: f64) -> (Values, f64, bool) {
+    let mut values = Values::start(rows.problem);
+    let mut now = means.cost(rows, &values);
     let (mut damping, mut idle, mut gained) = (1e-3, 0, f64::INFINITY);
     for _ in 0..steps {
         rows.problem.cancel.check();
-        let Some(step) = means.step(rows, &place, damping) else {
+        let Some(step) = means.step(rows, &values, damping) else {
             damping *= 10.0;
             continue;
         };
-        let trial = place.moved(&step, &rows.layout);
+        let trial = values.moved(&step, &rows.layout);
         let then = means.cost(rows, &trial);
         let longest = step.iter().fold(0.0, |most: f64, step| most.max(step.abs()));
         if then <= now {
             idle = if now - then <= IDLE * now { idle + 1 } else { 0 };
             gained = (now - then) / now;
-            place = trial;
+            values = trial;
             now = then;
             damping = (damping * 0.1).max(1e-12);
             if longest < settled_m || idle >= IDLE_STEPS {
-                return (place, now, true);
+                return (values, now, true);
             }
         } else if longest < settled_m || damping > 1e12 {
-            return (place, now, true);
+            return (values, now, true);
         } else {
             damping *= 10.0;
             if gained < NEAR && means == Means::MatrixFree(Matrix::Normal) {
@@ -280,30 +281,30 @@ fn descend(rows: &Rows, mut means: Means, steps: usize, settled_m: f64) -> (Plac
             }
         }
     }
-    (place, now, false)
+    (values, now, false)
 }
 
-fn finish(rows: &Rows, means: Means, place: Place, loss: f64) -> Result<Solution, Unsolved> {
+fn finish(rows: &Rows, means: Means, values: Values, loss: f64) -> Result<Solution, Unsolved> {
     let problem = rows.problem;
     let parts = freedom::parts(problem);
-    let stiffest = stiffest(rows, &place);
+    let stiffest = stiffest(rows, &values);
     let turns: Vec<Vec<Vec<f64>>> =
-        parts.iter().map(|part| freedom::free_rotations(rows, &place, part, stiffest)).collect();
+        parts.iter().map(|part| freedom::free_rotations(rows, &values, part, stiffest)).collect();
     let nulls: Vec<Vec<f64>> = turns.iter().flatten().cloned().collect();
     let (mut open, mut loose) = (Vec::new(), 0);
     let covariance = match means {
         Means::MatrixFree(_) => {
-            let (blocks, others) = matrix_free::covariance(rows, &place).ok_or_else(|| undetermined(problem))?;
+            let (blocks, others) = matrix_free::covariance(rows, &values).ok_or_else(|| undetermined(problem))?;
             Covariance::Blocks(blocks, others)
         }
         Means::Dense => loop {
             problem.cancel.check();
             let nulls = freedom::without(&nulls, rows, &open);
             let columns = Mat::from_fn(rows.layout.size, nulls.len(), |i, k| nulls[k][i]);
-            match dense_steps::covariance(rows, &place, &columns, &open) {
+            match dense_steps::covariance(rows, &values, &columns, &open) {
                 Ok(covariance) => break Covariance::Exact(freedom::about_visible(rows, covariance, &columns)),
-                Err(found) => {
-                    let (more, free) = found.ok_or_else(|| undetermined(problem))?;
+                Err(motions) => {
+                    let (more, free) = motions.ok_or_else(|| undetermined(problem))?;
                     let new = freedom::open(rows, &free, &nulls);
                     if open.is_empty() {
                         loose = more;
@@ -320,36 +321,36 @@ fn finish(rows: &Rows, means: Means, place: Place, loss: f64) -> Result<Solution
         },
     };
     let predicted_variance_m2 = match &covariance {
-        Covariance::Exact(covariance) => Some(predicted_variances_m2(rows, &place, covariance, &open)),
+        Covariance::Exact(covariance) => Some(predicted_variances_m2(rows, &values, covariance, &open)),
         Covariance::Blocks(..) => None,
     };
-    let squares = (0..rows.count).map(|n| rows.residual(&place, n, None).powi(2));
+    let squares = (0..rows.count).map(|n| rows.residual(&values, n, None).powi(2));
     Ok(Solution {
         chi2: squares.sum(),
         loss,
         predicted_variance_m2,
-        residuals_m: (0..problem.observations.len()).map(|n| rows.residual_m(&place, n)).collect(),
+        residuals_m: (0..problem.observations.len()).map(|n| rows.residual_m(&values, n)).collect(),
         degrees_of_freedom: rows.data as i64 - rows.layout.size as i64 + (nulls.len() + loose) as i64,
         free_rotations: turns.iter().map(Vec::len).collect(),
         parts,
         open,
-        points: place.points,
-        stations: place.stations,
-        delays_m: place.delays_m,
-        period_m: place.period_m,
+        points: values.points,
+        stations: values.stations,
+        delays_m: values.delays_m,
+        period_m: values.period_m,
         layout: rows.layout.clone(),
         covariance,
     })
 }
 
-fn predicted_variances_m2(rows: &Rows, place: &Place, covariance: &Mat<f64>, open: &[usize]) -> Vec<f64> {
+fn predicted_variances_m2(rows: &Rows, values: &Values, covariance: &Mat<f64>, open: &[usize]) -> Vec<f64> {
     let mut terms = Vec::new();
     let mut variance = |(n, observation): (usize, &Observation)| {
         if observation.nodes.iter().any(|node| matches!(node, Node::Patch(patch) if open.contains(patch))) {
             return f64::INFINITY;
         }
         rows.problem.cancel.check();
-        rows.residual(place, n, Some(&mut terms));
+        rows.residual(values, n, Some(&mut terms));
         let pairs = terms.iter().flat_map(|a| terms.iter().map(move |b| (a, b)));
         let sum: f64 = pairs.map(|(&(i, a), &(j, b))| a * covariance[(i, j)] * b).sum();
         sum * observation.sd_m * observation.sd_m
@@ -358,10 +359,10 @@ fn predicted_variances_m2(rows: &Rows, place: &Place, covariance: &Mat<f64>, ope
 }
 
 /// About the largest stiffness of a single unknown.
-fn stiffest(rows: &Rows, place: &Place) -> f64 {
+fn stiffest(rows: &Rows, values: &Values) -> f64 {
     let (mut diagonal, mut terms) = (vec![0.0; rows.layout.size], Vec::new());
     for n in 0..rows.count {
-        rows.residual(place, n, Some(&mut terms));
+        rows.residual(values, n, Some(&mut terms));
         terms.iter().for_each(|&(i, a)| diagonal[i] += a * a);
     }
     diagonal.into_iter().take(rows.layout.coordinates).fold(0.0, f64::max)

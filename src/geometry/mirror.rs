@@ -21,8 +21,8 @@
 //! | [`per_ray`] | each scan alone: the conic with foci `L` and `D`, cut by the beam, in closed form |
 //! | [`equal_distances`] | the paper's: the same conics, all cut at one distance `z1 = z2 = z3` |
 //!
-//! The paper does not print its equations. "We conducted 3 raster scans and assumed z1 = z2 = z3 = z" is read as one
-//! unknown `z` that makes the three conics `z + |D - (L + z u)| = z + y` agree best in the sense of least squares. Not
+//! The paper does not print its equations. It says "We conducted 3 raster scans and assumed z1 = z2 = z3 = z". That is
+//! read as one unknown `z` that makes the three conics `z + |D - (L + z u)| = z + y` agree best by least squares. Not
 //! modelled: curved mirrors, several mirrors, the width of the beam.
 
 mod closed_forms;

@@ -9,11 +9,11 @@
 //! ```
 //!
 //! Three of them (in flatland two) leave a line in `(x, r)`, and `|x| = r` two points of it: often mirror images. Every
-//! three of the ellipsoids about a focus propose their two, as do every three spheres, a ray proposes its crossings
-//! with them, an anchor itself. The best of all proposals, judged on all ties by a robust loss, are refined by
-//! Gauss-Newton, and those that remain apart are kept. A wrong length or a wrongly placed neighbour is thus outvoted,
-//! and a mirror image that the lengths can hardly tell from the patch comes out beside it. Source of the closed form:
-//! Bancroft, IEEE Trans. AES-21, 56 (1985). Not modelled: the errors of the points that are in place.
+//! three ellipsoids about a focus propose their two points, as do every three spheres. A ray proposes its crossings
+//! with them, an anchor itself. A robust loss judges all proposals on all ties. The best are refined by Gauss-Newton,
+//! and those that remain apart are kept. A wrong length or a wrongly placed neighbour is thus outvoted. A mirror image
+//! that fits the lengths almost as well is returned as a second solution. Source of the closed form: Bancroft, IEEE
+//! Trans. AES-21, 56 (1985). Not modelled: the errors of the points that are in place.
 
 mod proposals;
 
@@ -121,13 +121,13 @@ pub fn candidates(ties: &[Tie], dimensions: usize, apart_m: f64, loss: Loss) -> 
         proposals::crossings(ties, dimensions).into_iter().map(|point| Candidate::new(ties, point, loss)).collect();
     let mut starts = distinct(proposed, apart_m);
     starts.truncate(REFINED);
-    let found = refined(ties, &starts, dimensions, apart_m, loss);
-    if !found.is_empty() || ties.len() < dimensions {
-        return found;
+    let candidates = refined(ties, &starts, dimensions, apart_m, loss);
+    if !candidates.is_empty() || ties.len() < dimensions {
+        return candidates;
     }
-    let mut found = anywhere(ties, dimensions, apart_m, loss);
-    found.retain(|candidate| is_determined(ties, candidate.point, dimensions, loss));
-    found
+    let mut candidates = anywhere(ties, dimensions, apart_m, loss);
+    candidates.retain(|candidate| is_determined(ties, candidate.point, dimensions, loss));
+    candidates
 }
 
 /// A position that explains a patch's ties, one of many where they are too few; `None` without a path.

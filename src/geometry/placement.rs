@@ -12,12 +12,12 @@
 //! 3. orientation (`orientation`): stations are found from the patches, and the whole is turned so that they come to
 //!    lie where they are;
 //! 4. maximum likelihood of all from there, with Huber's loss;
-//! 5. moves (`mending`): each patch is multilaterated again; a place other than its own is taken where the loss of all,
+//! 5. moves (`repair`): each patch is multilaterated again; a place other than its own is taken where the loss of all,
 //!    settled again, falls. Patches that fit
 //!    worst are taken out and grown again.
 //!
-//! The lowest loss wins. What no loss decides is told by [`alternatives`]. A patch with too few paths stays somewhere
-//! on its sphere or circle.
+//! The lowest loss wins. [`alternatives`] lists the choices that no loss decides. A patch with too few paths stays
+//! somewhere on its sphere or circle.
 //!
 //! Systems are dense: meant for some hundreds of patches. Not found: a second part (patches that share no path with the
 //! first) without first bounces, and groups of patches that fold over only together. A path that meets a patch twice
@@ -25,8 +25,8 @@
 
 mod alternatives;
 mod growth;
-mod mending;
 mod orientation;
+mod repair;
 mod starts;
 
 use std::collections::BTreeMap;
@@ -65,8 +65,7 @@ pub struct Placed {
 }
 
 /// Places all patches; the problem's `start` is not used. Where its lengths contradict one another under Huber's loss,
-/// places under the redescending loss are tried too, which bear many wrong lengths, and the better explanation is
-/// taken.
+/// places under the redescending loss, which bears many wrong lengths, are tried too. The better explanation is taken.
 ///
 /// # Panics
 /// Without patches or observations, and as [`maximum_likelihood::solve`].
@@ -85,12 +84,12 @@ pub fn place(problem: &Problem) -> Placed {
 
 /// The place with the lowest loss of many starts.
 fn placed(problem: &Problem) -> Placed {
-    let scene = Scene::new(problem);
+    let measurements = Measurements::new(problem);
     let mut best: Option<State> = None;
     let (mut starts, mut agreed) = (0, 0);
-    for start in scene.starts() {
+    for start in measurements.starts() {
         starts += 1;
-        let end = scene.mend(scene.settle_turned(start));
+        let end = measurements.repair(measurements.settle_turned(start));
         let is_likely = end.loss < end.likely_loss;
         let ahead = best.as_ref().map_or(f64::INFINITY, |best| best.loss - end.loss);
         if ahead > SAME {
@@ -105,10 +104,10 @@ fn placed(problem: &Problem) -> Placed {
         }
     }
     let mut best = best.expect("there is a start");
-    if let Some(mirrored) = scene.mirrored(&best).filter(|mirrored| mirrored.loss < best.loss - SAME) {
-        best = scene.mend(mirrored);
+    if let Some(mirrored) = measurements.mirrored(&best).filter(|mirrored| mirrored.loss < best.loss - SAME) {
+        best = measurements.repair(mirrored);
     }
-    let degrees_of_freedom = maximum_likelihood::redundancy(problem) + scene.frame.free_rotations();
+    let degrees_of_freedom = maximum_likelihood::redundancy(problem) + measurements.frame.free_rotations();
     Placed { points: best.points(), loss: best.loss, degrees_of_freedom, starts }
 }
 
@@ -138,7 +137,7 @@ impl State {
 }
 
 /// What was measured, by patch.
-struct Scene<'a> {
+struct Measurements<'a> {
     problem: &'a Problem,
     /// Observations of each patch.
     of_patch: Vec<Vec<usize>>,
@@ -149,7 +148,7 @@ struct Scene<'a> {
     apart_m: f64,
 }
 
-impl<'a> Scene<'a> {
+impl<'a> Measurements<'a> {
     fn new(problem: &'a Problem) -> Self {
         let count = problem.start.len();
         assert!(count > 0 && !problem.observations.is_empty(), "there are patches and observations");
@@ -214,25 +213,19 @@ impl<'a> Scene<'a> {
         let mut start = Vec::new();
         let at: Vec<usize> = places.iter().map(|place| (start.len(), start.extend(*place)).0).collect();
         let has = |patch: usize| places[patch].is_some();
-        let renumbered = |observation: &Observation| {
-            let node = |node: &Node| match *node {
-                Node::Patch(patch) => Node::Patch(at[patch]),
-                Node::Station(station) => Node::Station(station),
-            };
-            Observation { nodes: observation.nodes.iter().map(node).collect(), ..*observation }
-        };
         let mut problem = Problem { start, observations: Vec::new(), ..self.problem_without_observations() };
         let all_placed = |observation: &&Observation| patches(observation).all(has);
-        problem.observations = self.problem.observations.iter().filter(all_placed).map(renumbered).collect();
+        let observations = self.problem.observations.iter().filter(all_placed);
+        problem.observations = observations.map(|observation| renumbered(observation, &at)).collect();
         problem.anchors.retain(|anchor| has(anchor.patch));
         problem.anchors.iter_mut().for_each(|anchor| anchor.patch = at[anchor.patch]);
         problem.rays.retain(|ray| has(ray.patch));
         problem.rays.iter_mut().for_each(|ray| ray.patch = at[ray.patch]);
         let freedom = maximum_likelihood::redundancy(&problem) + self.frame.free_rotations();
-        let (place, loss) = maximum_likelihood::approach(&problem, steps, SETTLED_M);
-        places.iter_mut().filter(|place| place.is_some()).zip(place.points).for_each(|(to, point)| *to = Some(point));
+        let (values, loss) = maximum_likelihood::approach(&problem, steps, SETTLED_M);
+        places.iter_mut().filter(|place| place.is_some()).zip(values.points).for_each(|(to, point)| *to = Some(point));
         let likely_loss = likely_loss(freedom.max(1) as f64);
-        let (stations, delays_m, period_m) = (place.stations, place.delays_m, place.period_m);
+        let (stations, delays_m, period_m) = (values.stations, values.delays_m, values.period_m);
         State { places, stations, delays_m, period_m, loss, likely_loss }
     }
 
@@ -254,9 +247,18 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// The loss that a right solution with so many degrees of freedom stays below.
+/// The loss that a right solution with `freedom` degrees of freedom stays below.
 fn likely_loss(freedom: f64) -> f64 {
     freedom + UNLIKELY * (2.0 * freedom).sqrt()
+}
+
+/// The observation with patch `n` at `positions[n]`.
+fn renumbered(observation: &Observation, positions: &[usize]) -> Observation {
+    let node = |node: &Node| match *node {
+        Node::Patch(patch) => Node::Patch(positions[patch]),
+        Node::Station(station) => Node::Station(station),
+    };
+    Observation { nodes: observation.nodes.iter().map(node).collect(), ..*observation }
 }
 
 fn patches(observation: &Observation) -> impl Iterator<Item = usize> {

@@ -1,9 +1,9 @@
 //! Planes through groups of patches (paper Figs. 4d and 6d: surface fitting, near co-planarity).
 //!
-//! Total least squares: distances at right angles to the plane are what is minimised, each over its variance `n' C_i
-//! n`, which the normal itself decides, hence a few rounds. Errors follow from the covariances of all patches to first
-//! order, those between patches included: a tilt between two planes is known better than the normals of both, as it
-//! does not depend on the rotation that path lengths leave open.
+//! Total least squares: it minimises distances at right angles to the plane, each over its variance `n' C_i n`. The
+//! normal itself decides these variances, hence a few rounds. Errors follow to first order from the covariances of all
+//! patches, those between patches included. A tilt between two planes is known better than the normals of both: it does
+//! not depend on the rotation that path lengths leave open.
 //!
 //! [`find`] groups patches by itself: of the planes through triples of patches the one with the most patches within
 //! [`NEAR`] standard deviations, fitted and counted anew until its members stay; then the same with what remains.
@@ -14,7 +14,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::Point;
 
-/// Standard deviations within which a patch counts as on a plane.
+/// Standard deviations within which a patch counts as on a plane: 1 in 2,000 of those that are lies beyond.
 pub const NEAR: f64 = 3.5;
 /// Rounds of weights, and of members.
 const ROUNDS: usize = 10;
@@ -144,8 +144,8 @@ pub fn nearest(points: &[Point], dimensions: usize) -> (Point, Vector3<f64>) {
     (Point::from(middle), eigen.eigenvectors.column(eigen.eigenvalues.imin()).into())
 }
 
-/// Whether a point lies on the other side of the plane (in flatland the line) nearest to some points than another does,
-/// as what a wall's patches see never does of the laser that lights them.
+/// Whether two points lie on different sides of the plane (in flatland the line) nearest to some points. What a wall's
+/// patches see lies on the same side as the laser that lights them.
 ///
 /// # Panics
 /// Without points.
@@ -308,8 +308,11 @@ mod tests {
         let wall: Vec<Point> = (0..12).map(|n| on(0.3 * f64::from(n % 4), 0.2 * f64::from(n / 4))).collect();
         let line: Vec<Point> = (0..3).map(|n| on(0.001 * f64::from(n), 0.0)).collect();
         for (points, dimensions) in [(wall, 3), (line, 2)] {
-            let (middle, found) = nearest(&points, dimensions);
-            assert!((found.dot(&normal).abs() - 1.0).abs() < 1e-9 && (normal.dot(&middle.coords) - 0.5).abs() < 1e-9);
+            let (middle, nearest_normal) = nearest(&points, dimensions);
+            assert!(
+                (nearest_normal.dot(&normal).abs() - 1.0).abs() < 1e-9
+                    && (normal.dot(&middle.coords) - 0.5).abs() < 1e-9
+            );
         }
     }
 

@@ -1,9 +1,9 @@
 //! The paper's iterative re-estimation of distances (section 4.2), in our reading: to be compared with, not to be used.
 //!
 //! "We used the estimated coordinates iteratively to recompute robust distance estimates" is all that the paper says.
-//! Here: Algorithm 1 on the distances, each distance replaced by the mean of what was measured and what the coordinates
-//! say, Algorithm 1 again, until the coordinates stay. (Replacing distances altogether ends at once: those of an
-//! embedding are embedded without change.)
+//! Here: Algorithm 1 on the distances; each distance replaced by the mean of its measured value and that of the
+//! coordinates; Algorithm 1 again, until the coordinates settle. (Replacing distances altogether ends at once: those of
+//! an embedding are embedded without change.)
 //!
 //! It changes Algorithm 1's error by less than 0.2 %, since both halves of the mean embed alike: no information is
 //! added that the first embedding did not have.

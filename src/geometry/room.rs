@@ -35,8 +35,8 @@ pub fn second_m(points: &[Point], a: usize, b: usize) -> f64 {
     points[a].coords.norm() + (points[a] - points[b]).norm() + points[b].coords.norm()
 }
 
-/// Fisher matrix of all coordinates, three a patch, of all first bounces and the second bounces over `pairs`, with sds
-/// `sd_m` (first, second), for a delay common to all that is known to `delay_sd_m`.
+/// Fisher matrix of all coordinates, three a patch, from all first bounces and the second bounces over `pairs`. Their
+/// sds are `sd_m` (first, second); a delay common to all is known to `delay_sd_m`.
 #[must_use]
 pub fn fisher(points: &[Point], pairs: &[(usize, usize)], sd_m: [f64; 2], delay_sd_m: f64) -> Mat<f64> {
     let size = 3 * points.len();

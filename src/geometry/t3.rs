@@ -8,20 +8,20 @@
 //! s_ik = c O_iqk - d_0i - d_0k = r_i + r_k        s_ii = 2 r_i
 //! ```
 //!
-//! The paper solves `s_11` and `s_14` for two ranges and leaves the others unused; here all sums go in, by least
-//! squares weighted by their covariance. With sums of all V (V + 1) / 2 pairs, of equal variance, that is `r = (y - 1
-//! (1' y) / (2 V + 2)) / (V + 2)`, y the transpose of T3 times s (Sherman and Morrison). The right-hand side that the
-//! paper prints has three misprints: `O_124^2` and `O_134^23` are third bounces, `O_124^3` and `O_134^3`, and the first
-//! bounce that goes with `O_131^3` is `O_1^1`, as the hidden patch 3 has none.
+//! The paper solves `s_11` and `s_14` for two ranges and leaves the others unused. Here all sums count, by least
+//! squares weighted by their covariance. For sums of all V (V + 1) / 2 pairs, of equal variance,
+//! `r = (y - 1 (1' y) / (2 V + 2)) / (V + 2)`, y the transpose of T3 times s (Sherman-Morrison). The right-hand side
+//! that the paper prints has three misprints. `O_124^2` and `O_134^23` are third bounces, `O_124^3` and `O_134^3`. The
+//! first bounce that goes with `O_131^3` is `O_1^1`, as the hidden patch 3 has none.
 //!
 //! Known legs are not known exactly, and an error of theirs is common to all sums over that patch. It travels as such:
 //! each sum has its own variance, and what each of several independent errors adds to it. So do ranges, and by that the
 //! covariance between ranges of different hidden patches follows.
 //!
-//! Sums determine ranges where they close: patches are nodes, sums edges, and a part of that graph with an odd cycle (a
-//! sum (i, i), or three patches all in pairs) has ranges. Without one, as with disjoint sets of lit and seen patches,
-//! the ranges of the one set may all grow by what those of the other shrink: such parts are [`Ranges::open`]. Their
-//! sums still tell the place of a patch ([`super::maximum_likelihood`] takes them as they are).
+//! Sums determine ranges where they close: patches are nodes, sums edges. A part of that graph has ranges if it has an
+//! odd cycle: a sum (i, i), or three patches all in pairs. Disjoint sets of lit and seen patches have none: the ranges
+//! of one set may all grow by what those of the other shrink. Such parts are [`Ranges::open`]. Their sums still
+//! constrain the place of a patch ([`super::maximum_likelihood`] takes them as they are).
 
 use std::collections::BTreeMap;
 

@@ -10,7 +10,7 @@ use crate::campaign::Campaign;
 use crate::campaign::keys::LASER;
 use crate::geometry::ellipsoid::semi_axes_m;
 use crate::history::HistoryError;
-use crate::tables::{Ambiguity, Fit, Gap, Hypothesis, Patch, Plane, Suspect};
+use crate::tables::{Ambiguity, Decision, Fit, Gap, Hypothesis, Patch, Plane, Suspect};
 
 /// Paths drawn at most.
 const RAYS: usize = 120;
@@ -80,6 +80,8 @@ pub struct Scene {
     pub planes: Vec<Plane>,
     /// Middles between hidden strips.
     pub gaps: Vec<Gap>,
+    /// What the solution rests on.
+    pub decisions: Vec<Decision>,
     /// Factor by which ellipsoids are drawn larger.
     pub ellipsoid_factor: f64,
 }
@@ -142,6 +144,7 @@ impl Scene {
             declined: sources.rows(|found: &Hypothesis| &*found.kind == "patch" && found.patch.is_none())?,
             planes: sources.rows(|_: &Plane| true)?,
             gaps: sources.rows(|_: &Gap| true)?,
+            decisions: sources.rows(|_: &Decision| true)?,
             patches,
         }))
     }

@@ -2,9 +2,9 @@
 //!
 //! The time of a shot's sample 0 is rounded to 1/64 sample. Codes are summed as integers, a sum for each of the 64
 //! phases that occurs; at the end each phase is delayed once onto the grid, by a band-limited filter
-//! ([`super::resample`]), and the phases are added. So the sums are the same for any order of shots, a shot costs one
-//! addition a sample, and a capture without jitter has one phase and no filter at all. Source: averaging of exposures,
-//! paper section 5.
+//! ([`super::resample`]), and the phases are added. The sums are therefore the same for any order of shots, and a shot
+//! costs one addition a sample. A capture without jitter has one phase and no filter at all. Source: averaging of
+//! exposures, paper section 5.
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ use super::resample;
 
 /// Phases of a sample: the grid to which a shot's time is rounded, so an error of at most 1/128 sample.
 pub const PHASES: usize = 64;
-/// Sums of so many 16 bit codes stay within 32 bits.
+/// Number of shots whose sums of 16 bit codes stay within 32 bits.
 const SPILL_SHOTS: u32 = 1 << 15;
 
 /// Sums of the shots of one capture.

@@ -3,7 +3,7 @@
 //! With `n` unknowns and `b` sub-diagonals the factor costs O(n b^2) and a solution O(n b), where a full matrix takes
 //! O(n^3) and O(n^2). Source: Golub and Van Loan, *Matrix Computations*, section 4.3.5.
 
-/// Symmetric n x n matrix with `W - 1` sub-diagonals, of which the lower half is stored.
+/// Symmetric n x n matrix with `W - 1` sub-diagonals. Only its lower half is stored.
 #[derive(Clone, Debug)]
 pub struct Banded<const W: usize> {
     /// Row `i`: the elements at columns `i`, `i - 1`, .., `i - (W - 1)`. Those left of column 0 are 0.

@@ -1,12 +1,11 @@
 //! Whether a third pulse stands between two that blend.
 //!
-//! Two pulses of open times imitate a third between them, the better the closer they are: at a distance d and a
-//! Gaussian response of sd s, what they leave of it has `(d / 2 s)^4` for its order of size, so that a fit of two
-//! pulses looks good whether or not a third is there. What can be told is in the difference: least squares with nothing
-//! between against least squares with at least a stated share of the weaker of both, times and amplitudes of both free
-//! in either (a likelihood ratio over their profile likelihood, see Murphy and van der Vaart, J. Am. Stat. Assoc. 95,
-//! 449 (2000)). Nothing is linearised over the distances that times move: a strong third pulse moves its neighbours by
-//! tens of picoseconds.
+//! Two pulses of open times imitate a third between them, the better the closer they are. At a distance d and a
+//! Gaussian response of sd s, the residual of the third is of the order `(d / 2 s)^4`: a fit of two pulses looks good
+//! whether or not a third is there. So two fits are compared by their likelihood ratio: one with nothing between, one
+//! with at least a stated share of the weaker pulse. Times and amplitudes of both pulses are free in either fit
+//! (profile likelihood, see Murphy and van der Vaart, J. Am. Stat. Assoc. 95, 449 (2000)). Nothing is linearised over
+//! the distances that times move: a strong third pulse moves its neighbours by tens of picoseconds.
 //!
 //! What the model may lack comes in as light with a prior: the spread in time of each pulse's light, and strays at
 //! known places.
@@ -24,7 +23,7 @@ const SETTLED: f64 = 1e-6;
 /// Column of a third pulse that is open, behind both pulses and a constant.
 const THIRD: usize = 3;
 
-/// Two pulses of a profile, and what may be beside them.
+/// Two pulses of a profile, and what else the profile may hold near them.
 #[derive(Clone, Debug)]
 pub struct Pair<'a> {
     /// Their times, about.
@@ -72,7 +71,7 @@ pub struct Between {
 #[must_use]
 pub fn between(profile: &Profile, response: &Response, pair: &Pair) -> Option<Between> {
     assert!(pair.heights_v.iter().all(|height_v| *height_v > 0.0), "pulses have a height");
-    let model = Model::new(profile, response, pair);
+    let model = PairModel::new(profile, response, pair);
     let free = model.fit(Third::None, pair.times_ps)?;
     let open = model.fit(Third::Open, free.times_ps)?;
     let Share { value: share, sd: share_sd } = open.share?;
@@ -118,7 +117,7 @@ impl Share {
     }
 }
 
-struct Model<'a> {
+struct PairModel<'a> {
     pair: &'a Pair<'a>,
     response: &'a Response,
     whitener: Whitener,
@@ -130,7 +129,7 @@ struct Model<'a> {
     sd: Vec<f64>,
 }
 
-impl<'a> Model<'a> {
+impl<'a> PairModel<'a> {
     fn new(profile: &Profile, response: &'a Response, pair: &'a Pair<'a>) -> Self {
         let whitener = Whitener::new(profile.sd_v, profile.acf);
         let priors = 2 * usize::from(pair.spread_sd_ps2 > 0.0) + pair.strays.len();

@@ -185,7 +185,7 @@ fn chi_square_share(freedom: f64, sigma: f64) -> f64 {
 /// Running sums of a record, about its median.
 struct Sums {
     samples: usize,
-    sums: Vec<f64>,
+    totals: Vec<f64>,
     squares: Vec<f64>,
     unclear: Vec<usize>,
     middle: f64,
@@ -215,7 +215,7 @@ impl Sums {
         }));
         Self {
             samples,
-            sums: running(&|n| mean[n] - middle),
+            totals: running(&|n| mean[n] - middle),
             squares: running(&|n| (mean[n] - middle).powi(2)),
             unclear,
             middle,
@@ -229,17 +229,17 @@ impl Sums {
     }
 
     fn mean(&self, start: usize) -> f64 {
-        self.middle + (self.sums[start + self.samples] - self.sums[start]) / self.samples as f64
+        self.middle + (self.totals[start + self.samples] - self.totals[start]) / self.samples as f64
     }
 
     fn squares_about_mean(&self, start: usize) -> f64 {
-        let sum = self.sums[start + self.samples] - self.sums[start];
+        let sum = self.totals[start + self.samples] - self.totals[start];
         (self.squares[start + self.samples] - self.squares[start] - sum * sum / self.samples as f64).max(0.0)
     }
 
     /// Sum of squares of the stretch that a quarter of all fall below.
     fn quiet_quarter(&self) -> f64 {
-        let starts = (0..self.sums.len() - self.samples).step_by(self.samples);
+        let starts = (0..self.totals.len() - self.samples).step_by(self.samples);
         let mut squares: Vec<f64> = starts.map(|start| self.squares_about_mean(start)).collect();
         let quarter = squares.len() / 4;
         *squares.select_nth_unstable_by(quarter, f64::total_cmp).1

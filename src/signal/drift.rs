@@ -1,17 +1,17 @@
 //! Drift of a delay over a session, from references that are repeated between captures.
 //!
-//! The delay is a polygon with equally spaced knots: it minimises
-//! `sum rho((d_i - p(t_i)) / sd_i) + sum (second difference of the knots)^2 / r^2` with Huber's `rho`, by iterated
-//! weights (Huber, Ann. Math. Stat. 35, 73 (1964)), over the points that are not far off the median of their
-//! neighbourhood. Read as a walk whose slope changes at each knot by a normal number of sd r, the inverse of the normal
-//! matrix is the covariance of the knots, and r, the roughness, follows by maximum likelihood with the knots integrated
-//! out (Wahba, *Spline Models for Observational Data*, chapters 1 and 4). Beyond the points the delay goes on as a
-//! line, and its error grows as the walk's does.
+//! The delay is a polygon with equally spaced knots: it minimises `sum rho((d_i - p(t_i)) / sd_i) + sum (second
+//! difference of the knots)^2 / r^2` with Huber's `rho`, by iterated weights (Huber, Ann. Math. Stat. 35, 73 (1964)).
+//! Points far off the median of their neighbourhood do not count. The same is the estimate of a walk whose slope
+//! changes at each knot by a normal number of sd r. The inverse of the normal matrix is then the covariance of the
+//! knots. r, the roughness, follows by maximum likelihood with the knots integrated out. Source: Wahba, *Spline Models
+//! for Observational Data*, chapters 1 and 4. Beyond the points the delay goes on as a line, and its error grows as the
+//! walk's does.
 //!
 //! A step of the delay (a cable that was touched) is no drift. At each gap that has enough points on either side, a
-//! step is fitted beside the polygon, roughness anew; one that stands out from its error is refused, with its place, so
-//! that the session can be parted there. Not modelled: error common to all references, steps next to the session's
-//! ends.
+//! step is fitted together with the polygon and a new roughness. A step that stands out from its error is an error that
+//! names the gap, so that the session can be split there. Not modelled: error common to all references, steps next to
+//! the session's ends.
 
 use super::banded::{Banded, BandedFactor};
 
@@ -215,7 +215,7 @@ impl System {
         Self { points, spacing_s, knots, places, roughnesses_ps, counted }
     }
 
-    /// The most likely roughness with Huber's weights, a step before point `step` free beside.
+    /// The most likely roughness with Huber's weights; a step before point `step` is fitted too.
     fn robust(&self, step: Option<usize>) -> Option<Solution> {
         let mut weights = self.counted.clone();
         let mut best = self.likeliest(&weights, step)?;

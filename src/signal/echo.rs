@@ -1,12 +1,12 @@
 //! An echo: a second, weaker pulse of the same shape behind the main one, as a mismatched cable makes it.
 //!
-//! A response that was calibrated with the echo in it explains the echo away. So its *core* is taken, from where it
-//! rises above a hundredth of its maximum to where it has fallen below it for the first time; what the best fit of the
-//! core leaves of a record is searched with the core as matched filter (Turin, *An introduction to matched filters*,
-//! 1960). A tail that falls as an exponential goes on behind the core: the search begins where its continuation is well
-//! below the noise. Not modelled: echoes that overlap the core, and tails that are slower than the core's own end.
+//! A response that was calibrated with the echo in it explains the echo away. So only its *core* is fitted: from where
+//! it rises above a hundredth of its maximum to where it first falls below that again. The residual of the best fit is
+//! searched with the core as matched filter (Turin, *An introduction to matched filters*, 1960). A tail that falls as
+//! an exponential goes on behind the core: the search begins where its continuation is well below the noise. Not
+//! modelled: echoes that overlap the core, and tails that are slower than the core's own end.
 
-use super::pulse_fit::Record;
+use super::pulse_fit::MeanRecord;
 use super::reference::fit_pulse;
 use super::response::Response;
 
@@ -82,7 +82,7 @@ impl Core {
 /// # Panics
 /// When the step or the noise of the record is not positive.
 #[must_use]
-pub fn largest(record: &Record<'_>, core: &Core, seen: &Response) -> Option<Echo> {
+pub fn largest(record: &MeanRecord<'_>, core: &Core, seen: &Response) -> Option<Echo> {
     assert!(record.dt_ps > 0.0 && record.noise > 0.0, "a record has a step and noise");
     let dt_ps = record.dt_ps;
     let main = fit_pulse(record.samples, dt_ps, seen)?;
@@ -154,8 +154,8 @@ fn begin_ps(core: &Core, ratio_sd: f64) -> f64 {
     (core.end_ps + core.decay_ps * below).max(core.end_ps - core.start_ps)
 }
 
-/// Number of independent positions: such that it times the chance of one is the expected number of excursions of the
-/// filter's output beyond [`LEVEL`] (Rice, *Mathematical analysis of random noise*, 1944).
+/// Number of independent positions: times the chance at one of them, it is the expected number of excursions of the
+/// filter's output beyond [`LEVEL`]. Source: Rice, *Mathematical analysis of random noise*, 1944.
 fn trials(seen: &Response, core: &Core, dt_ps: f64, searched_ps: f64) -> f64 {
     let step_ps = dt_ps / 16.0;
     let count = ((core.end_ps - core.start_ps) / step_ps) as usize;
@@ -212,7 +212,7 @@ mod tests {
     }
 
     fn search(samples: &[f64], core: &Core, noise: f64) -> Echo {
-        largest(&Record { samples, dt_ps: DT_PS, noise, acf: &[1.0] }, core, &core.response).unwrap()
+        largest(&MeanRecord { samples, dt_ps: DT_PS, noise, acf: &[1.0] }, core, &core.response).unwrap()
     }
 
     #[test]

@@ -1,15 +1,15 @@
 //! Records longer than the laser's period, folded into one period.
 //!
-//! All light repeats with the laser, so sample `b` of a circular profile of `B` samples is the mean of the record at
+//! All light repeats with the laser. Sample `b` of a circular profile of `B` samples is the mean of the record at
 //! `t0 + (b / B + r) T` over the repetitions `r`, weighted by their variances. The period is in general no whole number
-//! of samples: the record is interpolated, band-limited ([`super::resample`]) where the filter's reach lies within the
-//! record, else, if no other repetition has that place, on the line between two samples. Errors follow the weights;
-//! neighbouring samples share a little of their noise.
+//! of samples, so the record is interpolated. Interpolation is band-limited ([`super::resample`]) where the filter's
+//! reach lies within the record; a place that no such repetition covers is taken from the line between two samples.
+//! Errors follow the weights; neighbouring samples share a little of their noise.
 //!
 //! The period by maximum likelihood: repetitions `r` sampled with a period that is wrong by `d` differ from their mean
-//! by `-r d s'(t)`, hence `d = -sum w (r - mean r) e s' / sum w (r - mean r)^2 s'^2` over all samples and repetitions,
-//! the period corrected until it stays. It starts from the period at which the folded profile has most energy. Not
-//! modelled: jitter of the laser, drift of its period, aliases of the response.
+//! by `-r d s'(t)`. Hence `d = -sum w (r - mean r) e s' / sum w (r - mean r)^2 s'^2` over all samples and repetitions;
+//! the period is corrected by it until it settles. It starts from the period at which the folded profile has most
+//! energy. Not modelled: jitter of the laser, drift of its period, aliases of the response.
 
 use super::resample;
 
@@ -166,7 +166,7 @@ impl<'a> Repetitions<'a> {
 }
 
 /// The period of the light in `record`, sought from `start_ps - search_ps` to `start_ps + search_ps`. `None` if the
-/// record holds fewer than two periods, or no light that tells it.
+/// record holds fewer than two periods, or no light that determines the period.
 ///
 /// # Panics
 /// As [`fold`], for the longest period sought; or if `search_ps` is negative.

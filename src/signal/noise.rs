@@ -40,8 +40,8 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
 /// of `c = centred + loss(c)`. The loss is the smaller the shorter the correlation, so that the iteration contracts.
 ///
 /// With m the mean of a stretch of L samples, the covariance at a lag k loses the mean over n of
-/// `cov(x_n, m) + cov(x_{n + k}, m) - var(m)`. Let `s(n)` be the sum of the covariances up to lag n, which stays as it
-/// is behind the last correlated one, and `u(n)` the sum of the first n of these: then
+/// `cov(x_n, m) + cov(x_{n + k}, m) - var(m)`. Let `s(n)` be the sum of the covariances up to lag n; it is constant
+/// beyond the last correlated lag. Let `u(n)` be the sum of the first n values of `s`. Then
 /// `L cov(x_n, m) = s(n) + s(L - 1 - n) - c_0`, and the loss is
 /// `2/L ((u(L) + u(L - k) - u(k)) / (L - k) - u(L) / L) - c_0 / L`.
 fn undo_centring(centred: &[f64], length: usize) -> Vec<f64> {
@@ -95,12 +95,12 @@ pub fn autoregressive(acf: &[f64], samples: usize) -> Vec<f64> {
     let predictors = Predictors::new(acf);
     let n = samples.max(1) as f64;
     let criterion = |m: &usize| n * predictors.variances[*m].ln() + *m as f64 * n.ln();
-    let is_known = |m: &usize| {
+    let is_reliable = |m: &usize| {
         let squared = 1.0 + predictors.coefficients[*m].iter().map(|phi| phi * phi).sum::<f64>();
         predictors.variances[*m] > squared / n.sqrt()
     };
     let order = (0..=predictors.order())
-        .take_while(|m| *m as f64 <= 0.5 * n.cbrt() && is_known(m))
+        .take_while(|m| *m as f64 <= 0.5 * n.cbrt() && is_reliable(m))
         .min_by(|a, b| criterion(a).total_cmp(&criterion(b)))
         .unwrap_or(0);
     let coefficients = &predictors.coefficients[order];
@@ -167,7 +167,7 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     #[test]
-    fn white_and_smoothed_noise_are_told() {
+    fn white_and_smoothed_noise_are_recognised() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let white: Vec<Vec<f64>> =
             (0..300).map(|_| (0..40).map(|_| StandardNormal.sample(&mut rng)).collect()).collect();

@@ -2,19 +2,19 @@
 //!
 //! `sd^2 = s0^2 + s1^2 |v| + s2^2 v^2 + j^2 (dv/dt)^2`: converter and amplifier; shot noise, in proportion to the
 //! light; the laser's energy, in proportion to the level; jitter, in proportion to the slope. The variance over shots
-//! scatters at each sample by `sqrt(2 / (N - 1))` of itself, 37 % for 16 shots, so that a weight or an interval taken
-//! from it is wrong by as much; a model with four unknowns fitted to all samples is not.
+//! scatters at each sample by `sqrt(2 / (N - 1))` of itself, 37 % for 16 shots. A weight or an interval taken from it
+//! is wrong by as much; a model with four unknowns fitted to all samples is not.
 //!
 //! The fit is by maximum likelihood for variances of normal shots, `(N - 1) s^2 / sd^2` distributed as chi squared: a
-//! gamma regression with identity link, least squares weighted by `(N - 1) / (2 sd^4)` with sd of the model, repeated
-//! until it stays (McCullagh and Nelder, *Generalized Linear Models*, chapter 8), the coefficients not negative. Level
-//! and slope are those of the mean, whose own noise passes for slope: the expected part is taken off the square of the
-//! slope, as if the noise were the same all along the samples of a difference. Not modelled: variances correlated
-//! between samples, which leave the coefficients right and their errors too small; noise of other kinds, which
-//! `chi2_per_dof` shows.
+//! gamma regression with identity link (McCullagh and Nelder, *Generalized Linear Models*, chapter 8). It is solved by
+//! least squares weighted by `(N - 1) / (2 sd^4)` with sd of the model, repeated until it settles; no coefficient is
+//! negative. Level and slope are those of the mean, whose own noise passes for slope. The expected part is taken off
+//! the square of the slope, as if the noise were the same all along the samples of a difference. Not modelled:
+//! variances correlated between samples, which leave the coefficients right and their errors too small; noise of other
+//! kinds, which `chi2_per_dof` shows.
 //!
-//! Every capture has such a fit, beside sums that cost next to nothing: a round is a pass over the samples that gathers
-//! the normal equations, and allocates nothing.
+//! Every capture has such a fit, so it must cost as little as the sums of the average: a round is one pass over the
+//! samples that gathers the normal equations, and allocates nothing.
 
 use super::regression::invert;
 use super::widest::widest;
@@ -238,7 +238,8 @@ impl Equations {
         best.map(|(.., model)| model)
     }
 
-    /// Values and covariance of the terms in `set`, the others 0; `None` where they cannot be told apart.
+    /// Values and covariance of the terms in `set`, the others 0; `None` where the samples do not determine each of
+    /// them.
     fn solve_of(&self, set: usize) -> Option<([f64; TERMS], [[f64; TERMS]; TERMS])> {
         let is_in = |k: usize| set >> k & 1 == 1;
         let scale: [f64; TERMS] = std::array::from_fn(|k| self.matrix[k][k].sqrt());

@@ -2,9 +2,9 @@
 //!
 //! The paper's "first non-zero response" (section 4.1) is the first sample above the noise. A fixed level walks with
 //! amplitude (tens of ps); a fraction of the pulse's own maximum does not. On an extended bounce the leading edge dates
-//! the earliest light, the near rim of the patch, where a fit of pulses ([`super::sparse`]) dates the centroid.
-//! Sources: Gedcke and McDonald, Nucl. Instrum. Methods 58, 253 (1968), for the constant fraction; Maeda, Zisin 38, 365
-//! (1985), for Akaike's criterion of the record itself.
+//! the earliest light, from the near rim of the patch; a fit of pulses ([`super::sparse`]) dates the centroid. Sources:
+//! Gedcke and McDonald, Nucl. Instrum. Methods 58, 253 (1968), for the constant fraction; Maeda, Zisin 38, 365 (1985),
+//! for Akaike's criterion of the record itself.
 //!
 //! [`responses`] and [`thresholds`] find every onset of a record. Every other function looks for one in the samples
 //! that it is given: pass the stretch of a record that holds one pulse, baseline removed. Positions are in samples from
@@ -36,7 +36,7 @@ pub fn threshold(samples: &[f64], level: f64, noise_sd: f64) -> Option<Crossing>
 ///
 /// The position is a whole number of samples: on average half a sample after the level is crossed, scattering by
 /// `1 / sqrt(12)` sample, which is added in quadrature to noise over slope. It walks: on a Gaussian edge of sd `s` the
-/// level is crossed `s sqrt(2 ln(a / level))` before the maximum, hence an onset that is `e` times stronger comes
+/// level is crossed `s sqrt(2 ln(a / level))` before the maximum. An onset that is `e` times stronger therefore comes
 /// `s / sqrt(2 ln(a / level))` earlier.
 ///
 /// # Panics

@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_power_of_pickup_is_told_from_that_of_noise() {
+    fn the_power_of_pickup_is_separated_from_that_of_noise() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let variance = {
             let mean = (0..LEN).map(ringing).sum::<f64>() / LEN as f64;

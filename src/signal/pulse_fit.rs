@@ -1,8 +1,8 @@
 //! One pulse in a mean record: amplitude, time, baseline and width, with the errors that correlated noise makes.
 //!
-//! Least squares on the columns `h`, `-a h'` and 1 ([`super::reference`] locates the pulse), then Gauss-Newton with a
-//! fourth column for a response that is stretched by `1 + w` about its maximum. All samples weigh the same, which is
-//! best for white noise; the covariance is that of noise with the given autocorrelation, `(A'A)^-1 A' C A (A'A)^-1`, so
+//! Least squares on the columns `h`, `-a h'` and 1 ([`super::reference`] locates the pulse). Then Gauss-Newton with a
+//! fourth column, for a response that is stretched by `1 + w` about its maximum. All samples weigh the same, which is
+//! best for white noise. The covariance is that of noise with the given autocorrelation, `(A'A)^-1 A' C A (A'A)^-1`, so
 //! that a smooth front end does not make errors look small. Not modelled: errors of the response itself, and pulses
 //! that overlap.
 
@@ -19,7 +19,7 @@ const STRETCH_LIMITS: (f64, f64) = (0.25, 4.0);
 
 /// A mean record, and the noise of its samples.
 #[derive(Clone, Copy, Debug)]
-pub struct Record<'a> {
+pub struct MeanRecord<'a> {
     /// Samples.
     pub samples: &'a [f64],
     /// Time between samples.
@@ -30,7 +30,7 @@ pub struct Record<'a> {
     pub acf: &'a [f64],
 }
 
-impl Record<'_> {
+impl MeanRecord<'_> {
     /// Standard deviation of the sum of the samples with these weights.
     #[must_use]
     pub fn sd_of_sum(&self, weights: &[f64]) -> f64 {
@@ -46,7 +46,7 @@ impl Record<'_> {
 
 /// A fitted pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pulse {
+pub struct MeanPulse {
     /// Factor of the response.
     pub amplitude: f64,
     /// Standard deviation of the amplitude, from noise alone.
@@ -67,12 +67,12 @@ pub struct Pulse {
 /// # Panics
 /// When the noise is not positive.
 #[must_use]
-pub fn fit(record: &Record<'_>, response: &Response, start: &PulseFit) -> Option<Pulse> {
+pub fn fit(record: &MeanRecord<'_>, response: &Response, start: &PulseFit) -> Option<MeanPulse> {
     assert!(record.noise > 0.0, "noise is positive");
     let columns = columns(record, response, start.time_ps, start.amplitude, None)?;
     let solved = solve(record, response, start.time_ps, &columns)?;
     let sd = |k: usize| record.sd_of_sum(&solved.influence(&columns, record.noise, k));
-    Some(Pulse {
+    Some(MeanPulse {
         amplitude: start.amplitude,
         amplitude_sd: sd(0),
         time_ps: start.time_ps,
@@ -82,8 +82,8 @@ pub fn fit(record: &Record<'_>, response: &Response, start: &PulseFit) -> Option
     })
 }
 
-/// Stretch of the response that fits best, its amplitude, time and baseline free beside.
-fn width(record: &Record<'_>, response: &Response, mut time_ps: f64, mut amplitude: f64) -> Option<(f64, f64)> {
+/// Stretch of the response that fits best, with amplitude, time and baseline fitted too; its standard deviation.
+fn width(record: &MeanRecord<'_>, response: &Response, mut time_ps: f64, mut amplitude: f64) -> Option<(f64, f64)> {
     let mut stretch = 1.0;
     for _ in 0..STEPS {
         let columns = columns(record, response, time_ps, amplitude, Some(stretch))?;
@@ -103,7 +103,7 @@ fn width(record: &Record<'_>, response: &Response, mut time_ps: f64, mut amplitu
 
 /// Derivatives of the model by amplitude, time, baseline and, where a stretch is given, by it.
 fn columns(
-    record: &Record<'_>,
+    record: &MeanRecord<'_>,
     response: &Response,
     time_ps: f64,
     amplitude: f64,
@@ -126,7 +126,7 @@ fn columns(
 }
 
 /// Amplitude and baseline as they are, time and stretch as steps from where the columns were taken.
-fn solve(record: &Record<'_>, response: &Response, time_ps: f64, columns: &[Vec<f64>]) -> Option<Regression> {
+fn solve(record: &MeanRecord<'_>, response: &Response, time_ps: f64, columns: &[Vec<f64>]) -> Option<Regression> {
     let reach = response.reach(time_ps, 0.0, record.dt_ps, record.samples.len());
     let sd = vec![record.noise; reach.len()];
     least_squares(columns, &record.samples[reach], &sd)
@@ -154,7 +154,7 @@ mod tests {
             .collect()
     }
 
-    fn fitted(record: &Record<'_>) -> Pulse {
+    fn fitted(record: &MeanRecord<'_>) -> MeanPulse {
         let response = gaussian();
         fit(record, &response, &fit_pulse(record.samples, record.dt_ps, &response).unwrap()).unwrap()
     }
@@ -163,7 +163,7 @@ mod tests {
     fn a_pulse_without_noise_is_found_exactly_where_it_is() {
         for (at_ps, width) in [(1900.0, 1.0), (2017.3, 1.0), (1833.0, 1.04), (2100.0, 0.97)] {
             let samples = pulse(at_ps, width);
-            let fit = fitted(&Record { samples: &samples, dt_ps: DT_PS, noise: 1e-3, acf: &[1.0] });
+            let fit = fitted(&MeanRecord { samples: &samples, dt_ps: DT_PS, noise: 1e-3, acf: &[1.0] });
             let (stretch, _) = fit.width.unwrap();
             assert!((fit.time_ps - at_ps).abs() < 1e-2 && (stretch / width - 1.0).abs() < 1e-3, "{fit:?}");
             assert!(width != 1.0 || (fit.amplitude - 3.0).abs() < 1e-4 && (fit.baseline - 0.5).abs() < 1e-4, "{fit:?}");
@@ -181,7 +181,7 @@ mod tests {
             let noise = |n: usize| if smoothed { (white[n] + white[n + 1]) / 2_f64.sqrt() } else { white[n] };
             let samples: Vec<f64> =
                 pulse(at_ps, 1.0).iter().enumerate().map(|(n, value)| value + 0.05 * noise(n)).collect();
-            let fit = fitted(&Record { samples: &samples, dt_ps: DT_PS, noise: 0.05, acf });
+            let fit = fitted(&MeanRecord { samples: &samples, dt_ps: DT_PS, noise: 0.05, acf });
             let (width, width_sd) = fit.width.unwrap();
             let errors = [fit.amplitude - 3.0, fit.time_ps - at_ps, width - 1.0];
             let sds = [fit.amplitude_sd, fit.time_sd_ps, width_sd];
@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn the_sd_of_a_sum_is_that_of_the_naive_double_sum() {
-        let record = Record { samples: &[], dt_ps: DT_PS, noise: 2.0, acf: &[1.0, 0.4, -0.1] };
+        let record = MeanRecord { samples: &[], dt_ps: DT_PS, noise: 2.0, acf: &[1.0, 0.4, -0.1] };
         let weights = [0.3, -1.0, 2.0, 0.7];
         let rho = |lag: usize| record.acf.get(lag).copied().unwrap_or(0.0);
         let mut naive = 0.0;

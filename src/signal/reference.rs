@@ -2,7 +2,7 @@
 //!
 //! Source: algorithm of section 5 of the paper's prototype (arrivals are relative to a reference pulse), as least
 //! squares: columns `h(t - tau)`, `-a h'(t - tau)` and 1. In white noise it attains the Cramer-Rao bound. Not modelled:
-//! saturated pulses, which the caller sets aside.
+//! saturated pulses, which the caller rejects.
 
 use super::response::Response;
 

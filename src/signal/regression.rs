@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_told_apart_is_not_solved() {
+    fn columns_that_depend_on_one_another_are_not_solved() {
         let column = vec![1.0, 2.0, 3.0];
         assert!(least_squares(&[column.clone(), column.clone()], &column, &[1.0; 3]).is_none());
         assert!(least_squares(&[vec![1.0], vec![2.0]], &[1.0], &[1.0]).is_none());

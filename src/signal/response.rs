@@ -1,9 +1,9 @@
 //! Impulse response of a sensor: what one infinitely short pulse of light leaves in a record.
 //!
 //! A natural cubic spline through equally spaced, usually oversampled, values; exactly zero outside their support. The
-//! spline gives value and slope at any time, which the fits of pulse times need (a slope by differences would cost
-//! accuracy at high SNR). Time 0 of a response is the arrival of the pulse: a pulse that arrives at `t_k` adds
-//! `a_k h(t - t_k)` to the record.
+//! spline gives value and slope at any time, as the fits of pulse times need. A slope by differences would cost
+//! accuracy at high SNR. Time 0 of a response is the arrival of the pulse: a pulse that arrives at `t_k` adds `a_k h(t
+//! - t_k)` to the record.
 //!
 //! Source: natural spline as in Press et al., *Numerical Recipes*, section 3.3 (tridiagonal system for the second
 //! derivatives). Not modelled: dependence of the shape on amplitude (saturation), and echoes or tails beyond the

@@ -69,7 +69,7 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Vec<f64> 
     squares
 }
 
-/// Tells outlying shots: those with a sample further from the median of the first shots than noise and the rounding to
+/// Finds outlying shots: those with a sample further from the median of the first shots than noise and the rounding to
 /// whole samples explain.
 #[derive(Clone, Debug)]
 pub struct OutlierTest {

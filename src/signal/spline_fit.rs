@@ -1,9 +1,9 @@
 //! Least-squares cubic spline through scattered, noisy values: uniform knots, B-spline basis.
 //!
 //! Minimises `sum (v_n - s(t_n))^2`, plus a second-difference penalty so small that it only decides where no value
-//! lies. A spline with knots every `h` carries what lies below `1 / (2 h)` in frequency and averages out what lies
-//! above, so noise falls with the values a knot. Source: de Boor, *A Practical Guide to Splines*, chapter XIV; the
-//! normal matrix has three sub-diagonals.
+//! lies. A spline with knots every `h` carries frequencies below `1 / (2 h)` and averages out those above, so noise
+//! falls with the number of values per knot. Source: de Boor, *A Practical Guide to Splines*, chapter XIV; the normal
+//! matrix has three sub-diagonals.
 
 use super::banded::Banded;
 

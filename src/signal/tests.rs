@@ -16,15 +16,15 @@ const LATE: Duration = Duration::from_millis(400);
 fn ends_soon<T>(kernel: impl FnOnce(&Cancel) -> T) {
     let cancel = Cancel::new();
     let asking = cancel.clone();
-    let asked = std::thread::spawn(move || {
+    let cancelled_at = std::thread::spawn(move || {
         std::thread::sleep(Duration::from_millis(50));
         asking.cancel();
         Instant::now()
     });
     let ended = Cancel::catch(|| drop(kernel(&cancel)));
-    let asked = asked.join().expect("it only waits");
+    let cancelled_at = cancelled_at.join().expect("it only waits");
     assert_eq!(ended, Err(Cancelled), "the kernel was too quick");
-    assert!(asked.elapsed() < LATE, "{:?}", asked.elapsed());
+    assert!(cancelled_at.elapsed() < LATE, "{:?}", cancelled_at.elapsed());
 }
 
 const SD_V: f64 = 0.01;

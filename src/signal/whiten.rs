@@ -8,15 +8,15 @@
 //! the filter starts anew: what the samples before it say about those behind it is given up.
 //!
 //! Predictors: Levinson-Durbin recursion (Durbin, Rev. Inst. Int. Stat. 28, 233 (1960)). An autocorrelation that was
-//! estimated need not be one. The recursion ends before the first partial correlation beyond `PARTIAL_MAX`: up to there
-//! the sequence is positive definite and the filter's inverse stable, and what is used is the process of largest
-//! entropy that has these lags (Burg). Where the number of samples behind an estimate is known,
+//! estimated need not be one. The recursion ends before the first partial correlation beyond `PARTIAL_MAX`. Up to there
+//! the sequence is positive definite and the filter's inverse stable; the filter is that of the process of largest
+//! entropy with these lags (Burg). Where the number of samples behind an estimate is known,
 //! [`super::noise::autoregressive`] chooses the order better beforehand.
 
 use periscope_cancel::Cancel;
 
-/// Partial correlations beyond this end the recursion: noise less than 1/500 of which is new in each sample is more
-/// likely a wrong estimate.
+/// Partial correlations beyond this end the recursion: noise with less than 1/500 of new variance in each sample is
+/// more likely a wrong estimate.
 const PARTIAL_MAX: f64 = 0.999;
 /// Partial correlations at the end that are smaller than this are rounding: they would lengthen the filter for nothing.
 const PARTIAL_MIN: f64 = 1e-3;

@@ -40,6 +40,8 @@
 //!
 //! Takes `onsets`; writes `labels` and `hypotheses`. Optional tables:
 //! - `patches` (of `refine`, with their standard deviations); no prediction uses a patch without covariance;
+//! - `anchors` (of `anchor`), used in place of `patches` where that is absent and every patch that is lit or seen is an
+//!   anchor;
 //! - for the full error of a prediction, `covariances` (`patch_covariances` of the same stage) and `delays`;
 //! - `planes` (of `surface`, fitted to the same patches), for the shift of the light's centroid over large patches,
 //!   those with a `size_m` in campaign.toml;
@@ -64,7 +66,7 @@ mod rows;
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
@@ -153,11 +155,20 @@ pub struct Fields {
 pub struct Context {
     fields: ByCampaign<Fields>,
     scene: Option<Scene>,
+    /// Places that campaign.toml gives.
+    anchors: Option<Scene>,
     cancel: Cancel,
     delays: Delays,
 }
 
 impl Context {
+    /// The patches in place: those given, else the anchors where every patch that is lit or seen is one.
+    fn scene_of(&self, sensors: &[SensorProfiles]) -> Option<&Scene> {
+        let profiles = || sensors.iter().flat_map(|sensor| &sensor.profiles);
+        let is_whole = |anchors: &&Scene| profiles().all(|profile| anchors.has(&[profile.lit, profile.seen]));
+        self.scene.as_ref().or_else(|| self.anchors.as_ref().filter(is_whole))
+    }
+
     /// The profiles of one sensor, from all its onsets.
     fn sensor_profiles(&self, onsets: &[Onset]) -> SensorProfiles {
         let Onset { campaign, sensor, .. } = &onsets[0];
@@ -191,6 +202,7 @@ impl Stage for LabelOnsets {
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
+        Beside { name: "anchors", table: "patches", required: false },
         Beside { name: "covariances", table: "patch_covariances", required: false },
         Beside { name: "delays", table: "delays", required: false },
         Beside { name: "planes", table: "planes", required: false },
@@ -215,10 +227,13 @@ impl Stage for LabelOnsets {
     }
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
-        let scene = scene(&fields, beside)?;
+        let given = beside.rows::<Patch>("patches")?;
+        let scene = given.map(|rows| scene(&rows, &fields, beside)).transpose()?;
+        let anchors = beside.rows::<Patch>("anchors")?.filter(|rows| !rows.is_empty());
+        let anchors = anchors.map(|rows| scene_of_anchors(&rows, &fields)).transpose()?;
         self.check(scene.is_some())?;
         let delays = Delays::new(&beside.rows("delays")?.unwrap_or_default());
-        Ok(Context { fields, scene, cancel: beside.cancel.clone(), delays })
+        Ok(Context { fields, scene, anchors, cancel: beside.cancel.clone(), delays })
     }
 }
 
@@ -262,7 +277,8 @@ impl Apply for LabelOnsets {
         let is_one_sensor = |a: &Onset, b: &Onset| (&a.campaign, &a.sensor) == (&b.campaign, &b.sensor);
         let sensors: Vec<SensorProfiles> =
             group.chunk_by(is_one_sensor).map(|onsets| context.sensor_profiles(onsets)).collect();
-        let solution = labelling::label(&sensors, context.scene.as_ref(), &self.options(), &context.cancel);
+        let scene = context.scene_of(&sensors);
+        let solution = labelling::label(&sensors, scene, &self.options(), &context.cancel);
         let hypotheses = rows::hypotheses(&solution.hypotheses, self.false_alarm.get());
         Ok(Outcome {
             rows: rows::labels(&group, &sensors, solution.verdicts),
@@ -272,23 +288,36 @@ impl Apply for LabelOnsets {
     }
 }
 
-/// Patches in place of the best alternative, those with a covariance; `None` without the table `patches`.
-fn scene(fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<Option<Scene>, StageError> {
-    let Some(rows) = beside.rows::<Patch>("patches")? else { return Ok(None) };
-    let best = rows.iter().filter(|row| row.alternative == 0);
-    let patches: BTreeMap<PatchId, (Point, _)> = best
-        .filter_map(|row| Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariances::of_patch(row)?))))
-        .collect();
-    if patches.is_empty() {
-        let text = "with patches: no patch has a covariance, so its onsets cannot be weighted: these are start values (give patches from `refine`), or too few pairs determine them (`rejects` has the missing ones)";
-        return Err(StageError::Refused(text.to_owned()));
-    }
+/// Patches of the best alternative, those with a covariance.
+fn scene(rows: &[Patch], fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<Scene, StageError> {
     let between = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
     let between_m2 = between.iter().map(|row| ((row.a, row.b), covariances::between(row))).collect();
     let given = fields.first().map(|fields| &fields.extents);
     let normals = given.map(|given| normals(given, beside)).transpose()?.unwrap_or_default();
     let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
-    Ok(Some(Scene::new(&patches, &between_m2, footprints, normals)))
+    Ok(Scene::new(&places(rows)?, &between_m2, footprints, normals))
+}
+
+/// Anchors, whose errors are independent. They fix the frame, so that the normals of campaign.toml hold in it.
+fn scene_of_anchors(rows: &[Patch], fields: &ByCampaign<Fields>) -> Result<Scene, StageError> {
+    let given = fields.first().map(|fields| &fields.extents);
+    let normals = given.map(|given| footprints::normals(given, &[], true)).unwrap_or_default();
+    let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
+    Ok(Scene::new(&places(rows)?, &BTreeMap::new(), footprints, normals))
+}
+
+/// Places of the best alternative, with their covariances.
+fn places(rows: &[Patch]) -> Result<BTreeMap<PatchId, (Point, Matrix3<f64>)>, StageError> {
+    let place = |row: &Patch| {
+        let covariance_m2 = covariances::of_patch(row)?;
+        Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariance_m2)))
+    };
+    let places: BTreeMap<PatchId, _> = rows.iter().filter(|row| row.alternative == 0).filter_map(place).collect();
+    if places.is_empty() {
+        let text = "with patches: no patch has a covariance, so its onsets cannot be weighted: these are start values (give patches from `refine`), or too few pairs determine them (`rejects` has the missing ones)";
+        return Err(StageError::Refused(text.to_owned()));
+    }
+    Ok(places)
 }
 
 /// Normals of patches on the table `planes`, and where the frame is fixed those of campaign.toml.

@@ -26,7 +26,7 @@ use crate::campaign::{Campaign, Role};
 use crate::priors::calibration::{self, Calibrated};
 use crate::priors::sensor_range::{OfSensorRange, SensorRange, own_or_only};
 use crate::signal::echo::{self, Core};
-use crate::signal::pulse_fit::{self, Record};
+use crate::signal::pulse_fit::{self, MeanRecord};
 use crate::signal::reference::fit_pulse;
 use crate::signal::response::Response;
 use crate::signal::shot_spread::HEAD_SHOTS;
@@ -119,7 +119,7 @@ fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measureme
     };
     let noise = noise_of_mean(profile, &response.reach(start.time_ps, 0.0, profile.dt_ps, samples.len()));
     let acf = significant_acf(profile);
-    let record = Record { samples: &samples, dt_ps: profile.dt_ps, noise, acf: &acf };
+    let record = MeanRecord { samples: &samples, dt_ps: profile.dt_ps, noise, acf: &acf };
     let Some(pulse) = (noise > 0.0).then(|| pulse_fit::fit(&record, &response, &start)).flatten() else {
         return row;
     };
@@ -172,7 +172,7 @@ struct Spread {
     extra_v: f64,
 }
 
-fn spread(profile: &Profile, response: &Response, pulse: &pulse_fit::Pulse) -> Spread {
+fn spread(profile: &Profile, response: &Response, pulse: &pulse_fit::MeanPulse) -> Spread {
     let Some(&[quiet, level, energy, _]) = profile.noise_model.as_deref() else {
         return Spread { shot_v: None, extra_v: 0.0 };
     };

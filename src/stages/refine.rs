@@ -22,6 +22,9 @@
 //! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. Normals come
 //! from `planes` (of `surface`) or, in a fixed frame, from campaign.toml.
 //!
+//! Without a labelled onset, `patches` that all have a covariance are passed on: anchors whose own light was not
+//! recorded.
+//!
 //! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm. Where more labels
 //! are wrong, onsets that contradict the others are left out ([`maximum_likelihood::outliers`]). The table `suspects`
 //! lists these, residuals beyond four of their own standard deviations, and onsets that no other checks. Beyond 1,000
@@ -122,6 +125,9 @@ impl Apply for Refine {
     fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Patch>, StageError> {
         let labels: Vec<Label> =
             group.into_iter().filter(|label| label.alternative == 0 && label.path.is_some()).collect();
+        if labels.is_empty() && context.are_all_placed() {
+            return Ok(Outcome::rows(context.start.values().cloned().collect()));
+        }
         if labels.is_empty() {
             let text = "no onset has a path; look at the tables `labels` and `onsets`";
             return Err(StageError::Refused(text.to_owned()));

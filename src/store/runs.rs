@@ -45,7 +45,7 @@ pub struct PassRecord {
 pub struct RunRecord {
     /// Version of the program.
     pub periscope: String,
-    /// Pipeline file, absolute.
+    /// Pipeline: the absolute path of its file, or the name of one in the program.
     pub pipeline: PathBuf,
     /// Parameters changed on the command line, as typed.
     pub set: Vec<String>,
@@ -76,12 +76,12 @@ pub struct RunRecord {
 }
 
 impl RunRecord {
-    /// A run of this process that starts now. `campaigns`: name and folder of each.
+    /// A run of this process that starts now. `pipeline`: absolute path or name; `campaigns`: name and folder of each.
     ///
     /// # Errors
     /// When the current folder is gone, so that relative paths have no base.
     pub fn start<'a>(
-        pipeline: &Path,
+        pipeline: PathBuf,
         set: &[String],
         campaigns: impl IntoIterator<Item = (&'a str, &'a Path)>,
     ) -> io::Result<Self> {
@@ -89,7 +89,7 @@ impl RunRecord {
         let Holder { host, process, started } = Holder::here();
         Ok(Self {
             periscope: env!("CARGO_PKG_VERSION").to_owned(),
-            pipeline: std::path::absolute(pipeline)?,
+            pipeline,
             set: set.to_vec(),
             campaigns: campaigns.into_iter().map(absolute).collect::<io::Result<_>>()?,
             host,

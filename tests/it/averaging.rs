@@ -1,4 +1,4 @@
-//! Profiles of simulated captures beside what is true of them.
+//! Profiles of simulated captures, compared with the truth.
 
 use std::f64::consts::PI;
 use std::fs;
@@ -74,9 +74,9 @@ fn positions_without_reference_know_their_jitter() {
         let lab = Lab::of(NO_REFERENCE, seed, Format::Trc);
         lab.run("first", ALL_VISIBLE, &Settings::default()).unwrap();
         let rows: Vec<Calibration> = lab.rows("first", "calibration");
-        let told = rows.into_iter().map(|row| Calibration { noise_model: Some(vec![0.0, 0.0, 0.0, 16.0]), ..row });
+        let stated = rows.into_iter().map(|row| Calibration { noise_model: Some(vec![0.0, 0.0, 0.0, 16.0]), ..row });
         let path = lab.path("calibration.parquet");
-        write_table(&path, &told.collect::<Vec<_>>());
+        write_table(&path, &stated.collect::<Vec<_>>());
         let import =
             format!("[calibration]\nstage = 'import'\nparams = {{ table = 'calibration', path = {path:?} }}\n");
         let scene = ALL_VISIBLE.split_once("[traces]").unwrap().1.replace(", session = \"session\"", "");
@@ -169,13 +169,13 @@ fn crop_to_light(lab: &Lab, truth: &[Onset]) {
     let end = files + text[files..].find('\n').unwrap();
     fs::write(&path, format!("{}table = \"captures.csv\"{}", &text[..files], &text[end..])).unwrap();
     let latency_ps = lab.truth::<Calibration>()[0].latency_ps;
-    let mut table = "file,sensor,lit,seen,samples\n".to_owned();
-    for onset in truth {
+    let row = |Onset { lit, seen, time_ps, .. }: &Onset| {
         // Records begin 1 ns before the trigger, to a sample.
-        let at = ((onset.time_ps + latency_ps + 1000.0) / 20.0) as i64 - 12;
-        let file = format!("raw/scene/s1_L{}_P{}_C1.trc", onset.lit, onset.seen);
-        table += &format!("{file},s1,{},{},\"[{at}, {}]\"\n", onset.lit, onset.seen, at + 220);
-    }
+        let at = ((time_ps + latency_ps + 1000.0) / 20.0) as i64 - 12;
+        format!("raw/scene/s1_L{lit}_P{seen}_C1.trc,s1,{lit},{seen},\"[{at}, {}]\"", at + 220)
+    };
+    let rows: Vec<String> = truth.iter().map(row).collect();
+    let table = format!("file,sensor,lit,seen,samples\n{}\n", rows.join("\n"));
     fs::write(lab.campaign().join("captures.csv"), table).unwrap();
 }
 
@@ -278,14 +278,14 @@ fn heights_pulls(seed: u64) -> [f64; 2] {
     let weighted = DMatrix::from_fn(samples, 5, |n, k| column(n, k) / f64::from(profile.se_v[n]));
     let right = DVector::from_fn(samples, |n, _| f64::from(profile.mean_v[n]) / f64::from(profile.se_v[n]));
     let covariance = (weighted.transpose() * &weighted).try_inverse().unwrap();
-    let found = &covariance * weighted.transpose() * &right;
-    let chi2 = (&weighted * &found - &right).norm_squared() / (samples - 5) as f64;
-    let delay_ps = found[2] / found[0];
+    let fit = &covariance * weighted.transpose() * &right;
+    let chi2 = (&weighted * &fit - &right).norm_squared() / (samples - 5) as f64;
+    let delay_ps = fit[2] / fit[0];
     eprintln!("chi2 {chi2:.3}; the strong bounce {delay_ps:.3} ps late, {:.3} ps known", profile.jitter_ps);
     // The strong bounce is 1,600 standard errors high, so the residual of shifting the coarse range near half the
     // sample rate, 0.3 %, is visible.
     assert!((0.7..2.0).contains(&chi2) && delay_ps.abs() < 4.0 * profile.jitter_ps, "{chi2} {delay_ps}");
-    std::array::from_fn(|k| (found[k] - heights[k]) / covariance[(k, k)].sqrt().hypot(profile.gain_sd * heights[k]))
+    std::array::from_fn(|k| (fit[k] - heights[k]) / covariance[(k, k)].sqrt().hypot(profile.gain_sd * heights[k]))
 }
 
 /// Error of the strong bounce's time, its standard deviation, and the profile, of the whole campaign or of the range
@@ -476,15 +476,15 @@ fn noise_falls_with_the_root_of_the_shots_but_for_what_the_converter_adds() {
         for (shots, samples) in [(100, 4000), (10_000, 2000), (100_000, 1000)] {
             let bias = (-2.0 * PI * PI * noise * noise).exp() / (PI * 2_f64.sqrt());
             let expected = (1.0 + 1.0 / (12.0 * noise * noise) + shots as f64 * (bias / noise).powi(2)).sqrt();
-            let found = noise_law(noise, shots, samples);
-            eprintln!("noise {noise} codes, {shots} shots: {found:.3} of noise / sqrt shots, expected {expected:.3}");
-            assert!((found / expected - 1.0).abs() < 0.08, "{noise} {shots}: {found} {expected}");
+            let ratio = noise_law(noise, shots, samples);
+            eprintln!("noise {noise} codes, {shots} shots: {ratio:.3} of noise / sqrt shots, expected {expected:.3}");
+            assert!((ratio / expected - 1.0).abs() < 0.08, "{noise} {shots}: {ratio} {expected}");
         }
     }
 }
 
-/// Shots with a jitter of 100 ps, aligned by reference pulses of SNR 30, leave the width of a pulse of 250 ps as it is,
-/// to less than 1 %.
+/// Shots with a jitter of 100 ps are aligned by reference pulses of SNR 30. A pulse of 250 ps keeps its width to less
+/// than 1 %.
 #[test]
 fn alignment_leaves_no_blur() {
     let gaussian = |t_ps: f64| (-0.5 * (t_ps / 106.2).powi(2)).exp();

@@ -16,12 +16,12 @@ fn check(lab: &Lab, args: &[&str]) -> Output {
 }
 
 fn json(lab: &Lab, args: &[&str]) -> (Option<i32>, Value) {
-    let output = check(lab, &[&["--json"], args].concat());
+    let output = check(lab, &[&["--format", "json"], args].concat());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     (output.status.code(), serde_json::from_slice(&output.stdout).expect(&text))
 }
 
-/// Whether something that is to be mended says so.
+/// Whether one of the things to fix says so.
 fn mend(report: &Value, text: &str) -> bool {
     report["mend"].as_array().unwrap().iter().any(|mend| mend.as_str().unwrap().contains(text))
 }

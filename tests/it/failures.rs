@@ -1,4 +1,4 @@
-//! Laws 5 and 10: what is bad, and what becomes of it. Each message must name the place and the mend.
+//! Laws 5 and 10: what is bad, and what becomes of it. Each message must name the place and the fix.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -37,7 +37,10 @@ mod mirror;
 mod missed;
 mod mistakes;
 mod monte_carlo;
+mod output;
 mod pieces;
+mod pipelines;
+mod pulses;
 mod python;
 #[cfg(feature = "query")]
 mod query;

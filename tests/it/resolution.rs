@@ -2,7 +2,7 @@
 
 #[allow(dead_code, reason = "the study uses more of it")]
 #[path = "../../benches/resolution/mod.rs"]
-mod study;
+pub mod study;
 
 use study::coverage::{self, Coverage};
 use study::information::resolution_limit_ps;
@@ -14,7 +14,7 @@ fn a_pulse_is_timed_at_its_bound() {
     for sensor in Sensor::both() {
         let timing = single::timing(&sensor, 100.0, 400);
         eprintln!("{}: {timing:?}", sensor.name);
-        assert!(timing.found.hits >= 399);
+        assert!(timing.detected.hits >= 399);
         assert!((0.88..1.12).contains(&timing.ratio.value), "{timing:?}");
     }
 }

@@ -6,7 +6,7 @@ use std::ops::Range;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
-use super::{CHUNKS, HUBER, LANES, Place, Scene, Sds, Slope, definite_inverse};
+use super::{CHUNKS, HUBER, LANES, Measurements, Sds, Slope, Values, definite_inverse};
 
 /// Pairs of patch i with j, j + 1, ...: direction from them to i, residual over standard deviation, weight.
 struct Block {
@@ -14,6 +14,34 @@ struct Block {
     residual_sd: [f64; LANES],
     residual: [f64; LANES],
     weight: [f64; LANES],
+}
+
+/// Fields of the sums of [`Measurements::slope`], by patch over its pairs: weight w, residual r, direction e from the
+/// other patch. A vector stands in three fields: x, y, z.
+mod slope_field {
+    /// w.
+    pub const STIFFNESS: usize = 0;
+    /// w r.
+    pub const PULL: usize = 1;
+    /// w e.
+    pub const STIFFNESS_ALONG: usize = 2;
+    /// w r e.
+    pub const PULL_ALONG: usize = 5;
+    /// w e e': xx, yy, zz, xy, xz, yz.
+    pub const MOMENTS: usize = 8;
+    /// Number of fields.
+    pub const COUNT: usize = 14;
+}
+
+/// Fields of the sums of [`Measurements::product`], by patch over its pairs: pull p on a pair, direction e from the
+/// other patch.
+mod product_field {
+    /// p.
+    pub const PULL: usize = 0;
+    /// p e: x, y, z.
+    pub const PULL_ALONG: usize = 1;
+    /// Number of fields.
+    pub const COUNT: usize = 4;
 }
 
 /// Sums over a chunk's pairs by patch, field by field.
@@ -33,6 +61,17 @@ impl<const FIELDS: usize> Sums<FIELDS> {
         let at: &mut [f64; LANES] = (&mut self.fields[field][j..j + LANES]).try_into().expect("LANES values");
         (0..LANES).for_each(|l| at[l] += values[l]);
     }
+
+    /// The vector of patch `i` that begins at field `x`.
+    fn vector(&self, x: usize, i: usize) -> Vector3<f64> {
+        Vector3::from_fn(|k, _| self.fields[x + k][i])
+    }
+
+    /// The symmetric matrix of patch `i` that begins at field `xx`.
+    fn symmetric(&self, xx: usize, i: usize) -> Matrix3<f64> {
+        let [xx, yy, zz, xy, xz, yz] = std::array::from_fn(|n| self.fields[xx + n][i]);
+        Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    }
 }
 
 #[inline]
@@ -45,7 +84,7 @@ fn lanes(f: impl Fn(usize) -> f64) -> [f64; LANES] {
     std::array::from_fn(f)
 }
 
-impl Scene<'_> {
+impl Measurements<'_> {
     /// Rows of each chunk: about as many pairs in each.
     fn chunks(&self) -> Vec<Range<usize>> {
         let row = |chunk: usize| (self.count as f64 * (chunk as f64 / CHUNKS as f64).sqrt()).round() as usize;
@@ -72,10 +111,10 @@ impl Scene<'_> {
 
     /// Pairs of patch i with the patches from j on; those that are not below i have no weight.
     #[inline]
-    fn block(&self, place: &Place, i: usize, j: usize) -> Block {
+    fn block(&self, values: &Values, i: usize, j: usize) -> Block {
         let stride = self.stride;
         let arm: [[f64; LANES]; 3] = std::array::from_fn(|k| {
-            let (x, from) = (place.x[k * stride + i], load(&place.x, k * stride + j));
+            let (x, from) = (values.x[k * stride + i], load(&values.x, k * stride + j));
             lanes(|l| x - from[l])
         });
         let square = lanes(|l| arm[0][l] * arm[0][l] + arm[1][l] * arm[1][l] + arm[2][l] * arm[2][l]);
@@ -93,7 +132,7 @@ impl Scene<'_> {
                 over_sd.iter_mut().zip(sds).for_each(|(over, sd_m)| *over = 1.0 / f64::from(*sd_m));
             }
         }
-        let (range, delay) = (load(&place.range, j), place.range[i] + place.x[3 * stride]);
+        let (range, delay) = (load(&values.range, j), values.range[i] + values.x[3 * stride]);
         let residual = lanes(|l| measured[l] - length[l] - range[l] - delay);
         let residual_sd = lanes(|l| residual[l] * over_sd[l]);
         let mut weight = lanes(|l| over_sd[l] * over_sd[l]);
@@ -104,8 +143,8 @@ impl Scene<'_> {
     }
 
     /// Residual of a first bounce and its weight.
-    pub(super) fn first(&self, place: &Place, i: usize) -> (f64, f64) {
-        let residual = self.lengths.first_m[i] - 2.0 * place.range[i] - place.x[3 * self.stride];
+    pub(super) fn first(&self, values: &Values, i: usize) -> (f64, f64) {
+        let residual = self.lengths.first_m[i] - 2.0 * values.range[i] - values.x[3 * self.stride];
         let sd = self.lengths.first_sd_m;
         (residual, (HUBER * sd / residual.abs()).min(1.0) / (sd * sd))
     }
@@ -116,13 +155,12 @@ impl Scene<'_> {
     }
 
     /// One pass: the objective, its downhill direction and the blocks of the normal matrix.
-    pub(super) fn slope(&self, place: &Place) -> Slope {
-        // By patch, over its pairs: weight w, w r, w e, w r e and w e e', with the direction e from the other patch.
-        let sums: Sums<14> = self.sums(|i, sums| {
-            let mut row = [[0.0; LANES]; 14];
+    pub(super) fn slope(&self, values: &Values) -> Slope {
+        let sums: Sums<{ slope_field::COUNT }> = self.sums(|i, sums| {
+            let mut row = [[0.0; LANES]; slope_field::COUNT];
             let mut loss = [0.0; LANES];
             for j in (0..i).step_by(LANES) {
-                let Block { along: e, residual_sd, residual, weight: w } = self.block(place, i, j);
+                let Block { along: e, residual_sd, residual, weight: w } = self.block(values, i, j);
                 let pull = lanes(|l| w[l] * residual[l]);
                 let we = e.map(|e| lanes(|l| w[l] * e[l]));
                 let re = e.map(|e| lanes(|l| pull[l] * e[l]));
@@ -133,10 +171,13 @@ impl Scene<'_> {
                     let (size, kept) = (residual_sd[l].abs(), residual_sd[l].abs().min(HUBER));
                     loss[l] += kept * (2.0 * size - kept);
                 });
+                // In the order of `slope_field`.
                 let fields =
                     [w, pull, we[0], we[1], we[2], re[0], re[1], re[2], ee[0], ee[1], ee[2], ee[3], ee[4], ee[5]];
                 for (field, values) in fields.into_iter().enumerate() {
-                    let sign = if (2..8).contains(&field) { -1.0 } else { 1.0 };
+                    // Seen from the other patch the direction is reversed, which vectors feel and moments do not.
+                    let is_vector = (slope_field::STIFFNESS_ALONG..slope_field::MOMENTS).contains(&field);
+                    let sign = if is_vector { -1.0 } else { 1.0 };
                     sums.add(field, j, values.map(|value| sign * value));
                     (0..LANES).for_each(|l| row[field][l] += values[l]);
                 }
@@ -146,33 +187,32 @@ impl Scene<'_> {
         });
         let mut slope = Slope {
             loss: sums.loss,
-            right: vec![0.0; place.x.len()],
+            right: vec![0.0; values.x.len()],
             inverses: Vec::with_capacity(self.count),
             coupling: Vec::with_capacity(self.count),
             delay: 1.0,
         };
         let (mut delay_pull, mut delay_stiffness) = (0.0, 0.0);
         for i in 0..self.count {
-            let field = |n: usize| sums.fields[n][i];
-            let (u, (residual, w)) = (self.patch(&place.out, i), self.first(place, i));
-            let (we, re) = (Vector3::new(field(2), field(3), field(4)), Vector3::new(field(5), field(6), field(7)));
-            let downhill = u * (field(1) + 2.0 * w * residual) + re;
+            let (stiffness, pull) = (sums.fields[slope_field::STIFFNESS][i], sums.fields[slope_field::PULL][i]);
+            let stiffness_along = sums.vector(slope_field::STIFFNESS_ALONG, i);
+            let (u, (residual, w)) = (self.patch(&values.out, i), self.first(values, i));
+            let downhill = u * (pull + 2.0 * w * residual) + sums.vector(slope_field::PULL_ALONG, i);
             (0..3).for_each(|k| slope.right[k * self.stride + i] = downhill[k]);
-            let (xy, xz, yz) = (field(11), field(12), field(13));
-            let ee = Matrix3::new(field(8), xy, xz, xy, field(9), yz, xz, yz, field(10));
-            let cross = u * we.transpose();
-            let block = u * u.transpose() * (field(0) + 4.0 * w) + cross + cross.transpose() + ee;
+            let cross = u * stiffness_along.transpose();
+            let moments = sums.symmetric(slope_field::MOMENTS, i);
+            let block = u * u.transpose() * (stiffness + 4.0 * w) + cross + cross.transpose() + moments;
             slope.inverses.push(definite_inverse(&block));
-            slope.coupling.push(u * (field(0) + 2.0 * w) + we);
+            slope.coupling.push(u * (stiffness + 2.0 * w) + stiffness_along);
             // A pair is in the sums of both its patches.
-            delay_pull += 0.5 * field(1) + w * residual;
-            delay_stiffness += 0.5 * field(0) + w;
+            delay_pull += 0.5 * pull + w * residual;
+            delay_stiffness += 0.5 * stiffness + w;
             let (size, kept) =
                 (residual.abs() / self.lengths.first_sd_m, (w * residual).abs() * self.lengths.first_sd_m);
             slope.loss += kept * (2.0 * size - kept);
         }
         if let Some(prior) = self.delay_weight() {
-            let delay_m = place.x[3 * self.stride];
+            let delay_m = values.x[3 * self.stride];
             slope.right[3 * self.stride] = delay_pull - prior * delay_m;
             slope.delay = delay_stiffness + prior;
             slope.loss += prior * delay_m * delay_m;
@@ -181,16 +221,16 @@ impl Scene<'_> {
     }
 
     /// One pass: the normal matrix times a vector.
-    pub(super) fn product(&self, place: &Place, vector: &[f64]) -> Vec<f64> {
+    pub(super) fn product(&self, values: &Values, vector: &[f64]) -> Vec<f64> {
         let stride = self.stride;
         let delay = vector[3 * stride];
         let mut radial: Vec<f64> = vec![0.0; stride];
-        (0..self.count).for_each(|i| radial[i] = self.patch(vector, i).dot(&self.patch(&place.out, i)));
-        let sums: Sums<4> = self.sums(|i, sums| {
-            let mut row = [[0.0; LANES]; 4];
+        (0..self.count).for_each(|i| radial[i] = self.patch(vector, i).dot(&self.patch(&values.out, i)));
+        let sums: Sums<{ product_field::COUNT }> = self.sums(|i, sums| {
+            let mut row = [[0.0; LANES]; product_field::COUNT];
             let own = radial[i] + delay;
             for j in (0..i).step_by(LANES) {
-                let Block { along, weight, .. } = self.block(place, i, j);
+                let Block { along, weight, .. } = self.block(values, i, j);
                 let others = load(&radial, j);
                 let mut change = lanes(|l| own + others[l]);
                 for (k, along) in along.iter().enumerate() {
@@ -198,12 +238,12 @@ impl Scene<'_> {
                     (0..LANES).for_each(|l| change[l] += along[l] * (own - others[l]));
                 }
                 let pull = lanes(|l| weight[l] * change[l]);
-                sums.add(0, j, pull);
-                (0..LANES).for_each(|l| row[0][l] += pull[l]);
+                sums.add(product_field::PULL, j, pull);
+                (0..LANES).for_each(|l| row[product_field::PULL][l] += pull[l]);
                 for (k, along) in along.iter().enumerate() {
                     let pull = lanes(|l| pull[l] * along[l]);
-                    sums.add(k + 1, j, pull.map(|pull| -pull));
-                    (0..LANES).for_each(|l| row[k + 1][l] += pull[l]);
+                    sums.add(product_field::PULL_ALONG + k, j, pull.map(|pull| -pull));
+                    (0..LANES).for_each(|l| row[product_field::PULL_ALONG + k][l] += pull[l]);
                 }
             }
             row.iter().enumerate().for_each(|(field, row)| sums.fields[field][i] += row.iter().sum::<f64>());
@@ -211,11 +251,12 @@ impl Scene<'_> {
         let mut product = vec![0.0; vector.len()];
         let mut delay_pull = 0.0;
         for i in 0..self.count {
-            let field = |n: usize| sums.fields[n][i];
-            let pull = self.first(place, i).1 * (2.0 * radial[i] + delay);
-            let all = self.patch(&place.out, i) * (field(0) + 2.0 * pull) + Vector3::new(field(1), field(2), field(3));
+            let of_pairs = sums.fields[product_field::PULL][i];
+            let of_first = self.first(values, i).1 * (2.0 * radial[i] + delay);
+            let out = self.patch(&values.out, i);
+            let all = out * (of_pairs + 2.0 * of_first) + sums.vector(product_field::PULL_ALONG, i);
             (0..3).for_each(|k| product[k * stride + i] = all[k]);
-            delay_pull += 0.5 * field(0) + pull;
+            delay_pull += 0.5 * of_pairs + of_first;
         }
         if let Some(prior) = self.delay_weight() {
             product[3 * stride] = delay_pull + prior * delay;

@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 const SD_M: f64 = 0.0075;
 
 /// Patches on the three rectangles, at random.
-fn scene(count: usize, rng: &mut ChaCha8Rng) -> Vec<Point> {
+fn measurements(count: usize, rng: &mut ChaCha8Rng) -> Vec<Point> {
     let on = |n: usize, u: f64, v: f64| match n % 3 {
         0 => Point::new(-1.2 + 2.0 * u, 2.6, -0.8 + 1.6 * v),
         1 => Point::new(1.1, 1.0 + 1.4 * u, -0.8 + 1.6 * v),
@@ -75,21 +75,21 @@ impl Measured {
 #[test]
 fn it_agrees_with_the_dense_method() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let truth = scene(100, &mut rng);
+    let truth = measurements(100, &mut rng);
     for (missing, delay_sd_m) in [(0.0, 0.0), (0.0, 0.01), (0.3, 0.01)] {
         let mut measured = Measured::new(&truth, missing, 0.5 * delay_sd_m, &mut rng);
         measured.second_m[700] += 1.0;
-        let found = solve(&measured.lengths(delay_sd_m)).unwrap();
-        let exact = measured.exactly(&found.points, delay_sd_m);
-        let apart = procrustes::rotation(&found.points, &exact.points, Point::origin(), true).rms_m;
+        let solution = solve(&measured.lengths(delay_sd_m)).unwrap();
+        let exact = measured.exactly(&solution.points, delay_sd_m);
+        let apart = procrustes::rotation(&solution.points, &exact.points, Point::origin(), true).rms_m;
         let sd_m = ((0..100).map(|i| exact.patch_covariance_m2(i, i).trace()).sum::<f64>() / 100.0).sqrt();
-        eprintln!("apart {apart:.2e} m of {sd_m:.2e} m, {} passes", found.passes);
+        eprintln!("apart {apart:.2e} m of {sd_m:.2e} m, {} passes", solution.passes);
         assert!(apart < 0.03 * sd_m);
-        assert_eq!(found.degrees_of_freedom, exact.degrees_of_freedom);
+        assert_eq!(solution.degrees_of_freedom, exact.degrees_of_freedom);
         if delay_sd_m > 0.0 {
             let delay_sd_m = exact.delay_variance_m2(0).sqrt();
-            assert!((found.delay_m - exact.delays_m[0]).abs() < 0.03 * delay_sd_m);
-            assert!((found.delay_variance_m2.sqrt() / delay_sd_m - 1.0).abs() < 0.02);
+            assert!((solution.delay_m - exact.delays_m[0]).abs() < 0.03 * delay_sd_m);
+            assert!((solution.delay_variance_m2.sqrt() / delay_sd_m - 1.0).abs() < 0.02);
         }
     }
 }
@@ -97,12 +97,12 @@ fn it_agrees_with_the_dense_method() {
 #[test]
 fn its_covariances_are_within_three_percent_of_the_exact_ones() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let truth = scene(300, &mut rng);
+    let truth = measurements(300, &mut rng);
     for delay_sd_m in [0.0, 0.03] {
         let measured = Measured::new(&truth, 0.0, 0.0, &mut rng);
-        let found = solve(&measured.lengths(delay_sd_m)).unwrap();
-        let exact = measured.exactly(&found.points, delay_sd_m);
-        let ratio = |i: usize| (found.covariances_m2[i].trace() / exact.patch_covariance_m2(i, i).trace()).sqrt();
+        let solution = solve(&measured.lengths(delay_sd_m)).unwrap();
+        let exact = measured.exactly(&solution.points, delay_sd_m);
+        let ratio = |i: usize| (solution.covariances_m2[i].trace() / exact.patch_covariance_m2(i, i).trace()).sqrt();
         let ratios: Vec<f64> = (0..truth.len()).map(ratio).collect();
         let worst = ratios.iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, f64::max);
         let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
@@ -114,7 +114,7 @@ fn its_covariances_are_within_three_percent_of_the_exact_ones() {
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let truth = scene(150, &mut rng);
+    let truth = measurements(150, &mut rng);
     let measured = Measured::new(&truth, 0.2, 0.001, &mut rng);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
@@ -131,18 +131,19 @@ fn any_number_of_threads_gives_the_same_bits() {
 #[test]
 fn products_are_the_change_of_the_slope() {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
-    let truth = scene(21, &mut rng);
+    let truth = measurements(21, &mut rng);
     let mut measured = Measured::new(&truth, 0.1, 0.0, &mut rng);
     // Exact lengths, so that second derivatives have no residual to weigh.
     measured.first_m = (0..21).map(|i| room::first_m(&truth, i)).collect();
     measured.second_m = room::all_pairs(21).iter().map(|&(j, i)| room::second_m(&truth, i, j) as f32).collect();
     let lengths = measured.lengths(0.02);
-    let scene = Scene::new(&lengths);
-    let mut motion = scene.gather(|i| Vector3::new((i as f64).sin(), (2.0 * i as f64).cos(), (3.0 * i as f64).sin()));
-    motion[3 * scene.stride] = 0.7;
-    let at = scene.place(&truth, 0.0);
-    let product = scene.product(&at, &motion);
-    let right = |share: f64| scene.slope(&scene.moved(&at, &motion, share)).right;
+    let measurements = Measurements::new(&lengths);
+    let mut motion =
+        measurements.gather(|i| Vector3::new((i as f64).sin(), (2.0 * i as f64).cos(), (3.0 * i as f64).sin()));
+    motion[3 * measurements.stride] = 0.7;
+    let at = measurements.values(&truth, 0.0);
+    let product = measurements.product(&at, &motion);
+    let right = |share: f64| measurements.slope(&measurements.moved(&at, &motion, share)).right;
     let (up, down) = (right(1e-5), right(-1e-5));
     let size = product.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
     for (i, product) in product.iter().enumerate() {
@@ -155,9 +156,9 @@ fn products_are_the_change_of_the_slope() {
 fn flatland_stays_flat() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let truth: Vec<Point> =
-        scene(40, &mut rng).iter().map(|p| Point::new(p.x + 0.3 * p.z, p.y - 0.5 * p.z, 0.0)).collect();
+        measurements(40, &mut rng).iter().map(|p| Point::new(p.x + 0.3 * p.z, p.y - 0.5 * p.z, 0.0)).collect();
     let measured = Measured::new(&truth, 0.0, 0.0, &mut rng);
-    let found = solve(&Lengths { dimensions: 2, ..measured.lengths(0.0) }).unwrap();
-    assert!(found.points.iter().all(|p| p.z == 0.0) && found.covariances_m2.iter().all(|c| c[(2, 2)] == 0.0));
-    assert!(procrustes::rotation(&found.points, &truth, Point::origin(), true).rms_m < SD_M);
+    let solution = solve(&Lengths { dimensions: 2, ..measured.lengths(0.0) }).unwrap();
+    assert!(solution.points.iter().all(|p| p.z == 0.0) && solution.covariances_m2.iter().all(|c| c[(2, 2)] == 0.0));
+    assert!(procrustes::rotation(&solution.points, &truth, Point::origin(), true).rms_m < SD_M);
 }

@@ -22,10 +22,10 @@ fn poles_without_noise_are_the_times() {
             .collect();
         let sd_v = vec![1e-6; y.len()];
         let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], t0_ps: -130.0, dt_ps: 50.0 };
-        let found = fit(&profile, &response(), &PencilOptions { pulses: Some(4), ..PencilOptions::default() });
+        let solution = fit(&profile, &response(), &PencilOptions { pulses: Some(4), ..PencilOptions::default() });
         for (k, (at_ps, a)) in truth.iter().enumerate() {
-            assert!((found.times_ps[k] - at_ps).abs() < 0.05, "{len}: {found:?}");
-            assert!((found.amplitudes_v[k] - a).abs() < 1e-3, "{len}: {found:?}");
+            assert!((solution.times_ps[k] - at_ps).abs() < 0.05, "{len}: {solution:?}");
+            assert!((solution.amplitudes_v[k] - a).abs() < 1e-3, "{len}: {solution:?}");
         }
     }
 }
@@ -45,18 +45,18 @@ fn the_covariance_is_what_a_change_of_the_samples_does() {
     let two = PencilOptions { pulses: Some(2), ..PencilOptions::default() };
     let times =
         |y: &[f64]| fit(&Profile { mean_v: y, sd_v: &sd_v, acf: &[1.0], t0_ps: 0.0, dt_ps: 50.0 }, &response(), &two);
-    let found = times(&y);
+    let solution = times(&y);
     let mut expected = [0.0; 4];
     for n in 0..80 {
         let step = 1e-6;
         y[n] += step;
         let moved = times(&y);
         y[n] -= step;
-        let slope: Vec<f64> = (0..2).map(|k| (moved.times_ps[k] - found.times_ps[k]) / step * sd_v[n]).collect();
+        let slope: Vec<f64> = (0..2).map(|k| (moved.times_ps[k] - solution.times_ps[k]) / step * sd_v[n]).collect();
         (0..4).for_each(|e| expected[e] += slope[e / 2] * slope[e % 2]);
     }
-    for (found, expected) in found.covariance_ps2.expect("has one").iter().zip(expected) {
-        assert!((found / expected - 1.0).abs() < 0.02, "{found} {expected}");
+    for (solution, expected) in solution.covariance_ps2.expect("has one").iter().zip(expected) {
+        assert!((solution / expected - 1.0).abs() < 0.02, "{solution} {expected}");
     }
 }
 

@@ -44,13 +44,13 @@ fn cell(draws: usize, snr: f64, distance_ps: f64, method: impl Fn(&Profile, &Res
             .collect();
         let profile = Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &[1.0], t0_ps: 0.0, dt_ps: DT_PS };
         let near = |t_ps: f64, at_ps: f64| (t_ps - at_ps).abs() < distance_ps / 2.0;
-        let Some(found) = method(&profile, &response) else { continue };
-        if let [a, b] = found.times_ps[..]
+        let Some(solution) = method(&profile, &response) else { continue };
+        if let [a, b] = solution.times_ps[..]
             && near(a, first_ps)
             && near(b, second_ps)
         {
             errors.push(a - first_ps);
-            pulls.extend(found.time_sd_ps(0).map(|sd_ps| (a - first_ps) / sd_ps));
+            pulls.extend(solution.time_sd_ps(0).map(|sd_ps| (a - first_ps) / sd_ps));
             let truth = Pulses::with_amplitudes(&profile, &response, &[first_ps, second_ps], &[1.0, 1.0]);
             bounds.push(truth.with_covariance(&profile, &response).time_sd_ps(0).expect("apart"));
         }

@@ -8,6 +8,8 @@ use periscope::pipeline::run::Outcome;
 use periscope::pipeline::spec::{Spec, Step};
 use periscope::store::Shelf;
 
+use super::super::output::note;
+
 /// Number of reasons shown; the table has all.
 const SHOWN: usize = 5;
 /// Stages that may answer that there is nothing: patches need not lie on a plane.
@@ -17,8 +19,8 @@ const MAY_BE_EMPTY: [&str; 1] = ["surface"];
 pub fn print(spec: &Spec, outcome: &Outcome, shelf: &Shelf) -> Result<bool> {
     for left_out in &outcome.left_out {
         let campaign = left_out.campaign.display();
-        eprintln!("warning: {left_out}");
-        eprintln!("  {} `periscope check --campaign {campaign}` lists all.", left_out.cause.fix());
+        note!("warning: {left_out}");
+        note!("  {} `periscope check --campaign {campaign}` lists all.", left_out.cause.fix());
     }
     if outcome.rejects > 0 {
         print_rejects(shelf)?;
@@ -36,13 +38,13 @@ pub fn print_rejects(shelf: &Shelf) -> Result<()> {
     let kinds = kinds(&rows);
     let all = shelf.out().join("rejects");
     let counted = if rows.len() == 1 { "1 record was".to_owned() } else { format!("{} records were", rows.len()) };
-    eprintln!("warning: {counted} rejected; {} has all", all.display());
+    note!("warning: {counted} rejected; {} has all", all.display());
     for (count, row) in kinds.iter().take(SHOWN) {
         let times = if *count > 1 { format!("{count} like ") } else { String::new() };
-        eprintln!("  {times}{}", words(row));
+        note!("  {times}{}", words(row));
     }
     if kinds.len() > SHOWN {
-        eprintln!("  and {} kinds more", kinds.len() - SHOWN);
+        note!("  and {} kinds more", kinds.len() - SHOWN);
     }
     Ok(())
 }
@@ -81,7 +83,7 @@ fn print_empty(spec: &Spec, outcome: &Outcome) -> bool {
         // A result that was lost in its own stage is named only once.
         let own = *results == [format!("`{}`", at.heading)];
         let at = if own { String::new() } else { format!("`{}` has no rows, ", at.heading) };
-        eprintln!("warning: {} came out empty: {at}{had}", results.join(", "));
+        note!("warning: {} came out empty: {at}{had}", results.join(", "));
     }
     !lost.is_empty()
 }

@@ -3,7 +3,7 @@
 //! | dialect | head | times |
 //! |---|---|---|
 //! | lecroy-csv | `LECROY...` / `Segments,n,SegmentSize,m` / `Segment,TrigTime,TimeSinceSegment1` / `#1,date,s` / `Time,Ampl` | column |
-//! | lecroy-ascii | `"Record Length"`, `"Sample Interval"`, ... in the first columns, beside the rows | head |
+//! | lecroy-ascii | `"Record Length"`, `"Sample Interval"`, ... in the first columns of the rows | head |
 //! | tek-csv | `Sample Interval,4e-11`, `Record Length,...`, ... / `TIME,CH1` | head, checked against the column |
 //! | keysight-csv | `x-axis,1,2` / `second,Volt,Volt` | column |
 //! | rigol-csv | `X,CH1,Start,Increment,` / `Sequence,Volt,-1e-6,1e-9`; `,CH1` / `Second,Volt` | head; column |

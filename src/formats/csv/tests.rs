@@ -230,7 +230,7 @@ fn columns_without_names_are_times_if_they_increase() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_its_line() {
+fn errors_name_their_line() {
     for (text, says) in [
         ("", "line 1: no line of numbers"),
         ("time,volts\n", "line 1: no line of numbers"),

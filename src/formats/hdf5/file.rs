@@ -29,7 +29,7 @@ const SPARE_BYTES: u64 = 1 << 16;
 /// Start of the HDF5 content in files with a user block, such as MATLAB's.
 const USER_BLOCK: u64 = 512;
 
-/// A file of which each byte is read once. Circular references exhaust the file's length before they cost time or
+/// A file whose every byte may be read once. Circular references exhaust the file's length before they cost time or
 /// memory.
 pub(super) struct File<'a> {
     input: &'a mut dyn Input,

@@ -81,7 +81,7 @@ fn the_two_templates_have_one_reader_each() {
 }
 
 #[test]
-fn kinds_are_told_and_others_refused() {
+fn kinds_are_recognised_and_others_refused() {
     let with = |at: usize, bytes: &[u8]| {
         let mut file = file(false, true, false);
         file[at..at + bytes.len()].copy_from_slice(bytes);

@@ -1,10 +1,11 @@
 //! DS1000B, DS1000C, DS1000D and DS1000E: two headers with the same fields in different places.
 //!
-//! volts = V/div / 25 * (zero - position - code), with zero = 99 (B) or 125 (C, D, E), V/div = scale * 1e-6 * probe,
-//! position in codes. Sample i is at offset * 1 ps + (i - depth / 2) / rate. One DS1000B capture with the trigger in
-//! the middle was compared with the scope's own CSV: all four channels are equal in every sample and in time. The sign
-//! of the offset is as in the DS2000. If the knob was turned after the scope stopped, the offset on the screen differs
-//! from that of the measurement. The file does not say which counts, and then there is no time of sample 0.
+//! `volts = V/div / 25 * (zero - position - code)`, with zero = 99 (B) or 125 (C, D, E),
+//! `V/div = scale * 1e-6 * probe`, position in codes. Sample i is at offset * 1 ps + (i - depth / 2) / rate. One
+//! DS1000B capture with the trigger in the middle was compared with the scope's own CSV: all four channels are equal in
+//! every sample and in time. The sign of the offset is as in the DS2000. If the knob was turned after the scope
+//! stopped, the offset on the screen differs from that of the measurement. The file does not say which counts, and then
+//! there is no time of sample 0.
 //!
 //! Probe: the DS1000E stores the scale without it, the DS1000D with it, and nothing in the file distinguishes the two.
 //! The reader assumes a DS1000E: with a probe other than 1x, volts of a DS1000D come out larger by its factor. An

@@ -4,11 +4,11 @@
 //! rise with volts. All channels of a file share their times.
 //!
 //! One DS1054Z capture (firmware 00.04.04.SP3, two channels, 1 V/div) was compared with the scope's own CSV, which has
-//! the same samples. There a code is 0.0440 V of one channel and 0.0435 V of the other, with 0 V at code 104.6 and
-//! 117.2, and the CSV begins 38 samples after the first of the file. The public reading is a code of volts/div / 20,
-//! with the middle of the memory at the trigger's delay. It gives 0.050 V, values off by up to 0.4 V, and 128 samples:
-//! 3.6 us too early. The CSV is right: its triggering edge is at time 0, within a sample. No field of the header gives
-//! its numbers.
+//! the same samples. There a code is 0.0440 V of one channel and 0.0435 V of the other. 0 V is at code 104.6 and 117.2,
+//! and the CSV begins 38 samples after the first of the file. The public reading is a code of volts/div / 20, with the
+//! middle of the memory at the trigger's delay. It gives 0.050 V, values off by up to 0.4 V, and 128 samples: 3.6 us
+//! too early. The CSV is right: its triggering edge is at time 0, within a sample. No field of the header gives its
+//! numbers.
 //!
 //! Lanes: with two channels on, the first one has the odd bytes; with three or four, four bytes are CH4, CH3, CH2, CH1.
 //! Records with logic channels are refused by name: how they share the memory is unknown. `dt_s` is 1 / (sample rate in

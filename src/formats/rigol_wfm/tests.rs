@@ -86,7 +86,7 @@ fn block(id: u16, kind: u16, content: &[u8], packed: bool) -> Vec<u8> {
     block
 }
 
-/// A DHO with these channels, of which `on` are on, of four samples each.
+/// A DHO with channels `on` switched on, four samples each.
 fn dho(kind: u16, on: &[u16], packed: bool) -> Vec<u8> {
     let mut file = Built::new(24).put(0, &[2]).0;
     file.extend(block(11, 17, b"Rigol Scope", false));
@@ -129,7 +129,7 @@ fn an_offset_that_was_turned_later_leaves_the_time_open() {
 }
 
 #[test]
-fn ds1000e_and_ds1000c_are_told_apart_by_length() {
+fn ds1000e_and_ds1000c_are_distinguished_by_length() {
     // 0 V at code 120.
     let volts: Vec<f64> = [119.0, 120.0, 121.0, 122.0].map(|code| -DS1000_GAIN * code + DS1000_GAIN * 120.0).to_vec();
     let codes = [119, 120, 121, 122];

@@ -31,8 +31,8 @@ pub struct FrameHead {
 /// When `out` cannot be written.
 ///
 /// # Panics
-/// When there is no frame, their lengths differ, or their times of sample 0 differ by a sample or more (the TT offset
-/// is a fraction of a sample). Also when a code does not fit, a trigger is not between 1970 and 2038, or the file
+/// When there is no frame, or their lengths differ. When their times of sample 0 differ by a sample or more: the TT
+/// offset is a fraction of a sample. When a code does not fit, or a trigger is not between 1970 and 2038. When the file
 /// exceeds 2 GiB, the limit of its header.
 pub fn write(out: &mut impl Write, head: &FrameHead, frames: &[(f64, f64, Vec<i16>)]) -> io::Result<()> {
     let samples = frames.first().expect("a file has at least one frame").2.len();

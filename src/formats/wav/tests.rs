@@ -58,7 +58,7 @@ fn floating_numbers_are_as_they_are() {
     assert_eq!(values(&file(&plain(3, 1, 64), &0.1_f64.to_le_bytes())).unwrap(), [[0.1]]);
 }
 
-/// 12 bits in the upper part of 16, the format told in `WAVEFORMATEXTENSIBLE`.
+/// 12 bits in the upper part of 16, declared in `WAVEFORMATEXTENSIBLE`.
 fn extensible() -> Vec<u8> {
     let mut format = plain(1, 1, 16)[8..].to_vec();
     format[..2].copy_from_slice(&0xFFFE_u16.to_le_bytes());

@@ -72,7 +72,7 @@ impl Columns {
 
 /// The likeliest state near `start`; `None` where the onsets do not tell it.
 pub(super) fn fit(problem: &Problem, labels: &[(usize, Vec<usize>)], start: &State) -> Option<Fit> {
-    let model = Model { problem, labels, columns: Columns::new(problem) };
+    let model = StripModel { problem, labels, columns: Columns::new(problem) };
     let mut state = start.clone();
     let (mut matrix, mut left) = model.equations(&state)?;
     let mut chi2 = left.norm_squared();
@@ -97,13 +97,13 @@ pub(super) fn fit(problem: &Problem, labels: &[(usize, Vec<usize>)], start: &Sta
 }
 
 /// Onsets and priors as equations.
-struct Model<'a> {
+struct StripModel<'a> {
     problem: &'a Problem,
     labels: &'a [(usize, Vec<usize>)],
     columns: Columns,
 }
 
-impl Model<'_> {
+impl StripModel<'_> {
     /// Derivatives and what is left over, in standard deviations.
     fn equations(&self, state: &State) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let (problem, columns) = (self.problem, &self.columns);
@@ -170,7 +170,7 @@ impl Model<'_> {
         strips.map(|(strip, point)| strip.surface.normal(*point, &lit, state.anchors[strip.exit])).collect()
     }
 
-    /// The shift of a strip's light, and its derivatives by the tilt. Those by places are small beside the legs' own.
+    /// The shift of a strip's light, and its derivatives by the tilt. Those by places are small against the legs' own.
     fn add_glint(
         &self,
         row: &mut DVector<f64>,

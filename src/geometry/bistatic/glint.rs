@@ -1,8 +1,8 @@
 //! Where the light of a strip comes from: over a glossy one it moves with the lit point.
 //!
 //! A lobe throws most light back from those points of a strip whose mirror direction is nearest to the exit. The
-//! light's mean way then differs from the way over the strip's centre, by the more the farther the strip is turned from
-//! the mirror law. At the mirror law itself the way is stationary (Fermat), and nothing changes to first order.
+//! light's mean way then differs from the way over the strip's centre; the difference grows as the strip is turned away
+//! from the mirror law. At the mirror law itself the way is stationary (Fermat), and nothing changes to first order.
 
 use std::f64::consts::TAU;
 
@@ -21,7 +21,7 @@ const ALIGNED: f64 = 0.25;
 pub enum Surface {
     /// Diffusely, or from a point: from its centre.
     Diffuse,
-    /// Nobody knows how: light may come from anywhere on it, other parts of it for other lit points.
+    /// Unknown: light may come from anywhere on the strip, from other parts of it for other lit points.
     Unknown {
         /// Diameter.
         size_m: f64,
@@ -76,11 +76,11 @@ impl Surface {
                 ways_m += weight * way_m(at);
             }
         }
-        // Far beside the lobe no light is left to have a mean.
+        // Far off the lobe all weights underflow to 0, and no mean is defined.
         if weights > 0.0 { ways_m / weights - way_m(centre) } else { 0.0 }
     }
 
-    /// Variance of the way, as nobody knows where on the strip the light comes from, m^2.
+    /// Variance of the way, m^2, for light from an unknown point of the strip.
     pub(super) fn variance_m2(&self, centre: Point, normal: Vector3<f64>, lit: Point, exit: Point) -> f64 {
         let Self::Unknown { size_m } = self else { return 0.0 };
         let slope = (lit - centre).normalize() + (exit - centre).normalize();

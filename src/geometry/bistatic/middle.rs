@@ -4,8 +4,8 @@ use nalgebra::DMatrix;
 
 use super::{Bounce, Problem, Solution, Strip, Surface, UNEXPLAINED, solve_alone};
 
-/// Places of the strips beside something in the middle between two of them, over the exit of either: the likeliest
-/// such, where it explains more than `alone` does.
+/// Places of the strips, fitted together with an object in the middle between two of them, seen over the exit of
+/// either. The likeliest such places, if they explain more than `alone` does.
 pub(super) fn beside_one(problem: &Problem, alone: Option<&Solution>) -> Option<Vec<Solution>> {
     let strips = problem.strips.len();
     let thirds = || problem.records.iter().enumerate().filter(|(_, record)| record.bounce == Bounce::Third);
@@ -24,10 +24,10 @@ pub(super) fn beside_one(problem: &Problem, alone: Option<&Solution>) -> Option<
             let mut crowded = problem.clone();
             let exit = problem.strips[neighbour].exit;
             crowded.strips.insert(behind, Strip { exit, surface: Surface::Diffuse, is_central: true });
-            let Ok(found) = solve_alone(&crowded) else { continue };
-            if cost(&found[0]) < least {
-                least = cost(&found[0]);
-                best = Some(found.iter().map(|solution| solution.without(behind)).collect());
+            let Ok(solutions) = solve_alone(&crowded) else { continue };
+            if cost(&solutions[0]) < least {
+                least = cost(&solutions[0]);
+                best = Some(solutions.iter().map(|solution| solution.without(behind)).collect());
             }
         }
     }

@@ -62,7 +62,7 @@ impl Scene {
         let mut records = Vec::new();
         for (k, lit) in self.lit.iter().enumerate() {
             let first = 2.0 * lit.coords.norm() + delays_m[0] + self.onset_sd_m * normal();
-            records.push(Record {
+            records.push(ProfileOnsets {
                 lit: k,
                 station: own,
                 delay: 0,
@@ -81,7 +81,7 @@ impl Scene {
                 way_m + self.surfaces[s].shift_m(self.strips[s], normal, *lit, self.exits[s]) + delays_m[1] + errors[s]
             };
             let variance = self.onset_sd_m.powi(2);
-            records.push(Record {
+            records.push(ProfileOnsets {
                 lit: k,
                 station: other,
                 delay: 1,
@@ -179,7 +179,7 @@ fn covariances_have_the_size_of_the_errors() {
 /// As many scans as dimensions fit with every assignment; what is known of distances and order decides, and nothing is
 /// guessed without.
 #[test]
-fn what_labels_leave_open_is_told() {
+fn what_labels_leave_open_is_reported() {
     let mut problem = Scene::flat(2).problem(None);
     assert_eq!(solve(&problem).unwrap().len(), 1);
     problem.along = None;
@@ -191,7 +191,7 @@ fn what_labels_leave_open_is_told() {
     assert!(solve(&problem).unwrap().len() > solutions.len());
 }
 
-/// A third strip in the middle, declared by nobody: told by its onset in every profile, over either exit.
+/// A third strip in the middle, undeclared: its onset in every profile reveals it, over either exit.
 #[test]
 fn strips_are_placed_beside_something_between() {
     for scans in [2, 5] {
@@ -271,7 +271,7 @@ fn the_glint_moves_with_the_lit_point() {
         let shift_m = surface.shift_m(centre, normal, lit, exit);
         assert!((shift_m - naive_m).abs() < 0.02 * naive_m.abs() + 1e-6, "{x}: {shift_m} {naive_m}");
     }
-    // Where nobody knows, the light may come from either rim.
+    // Where the surface is unknown, the light may come from either rim.
     let unknown = Surface::Unknown { size_m: 0.02 };
     let (lit, exit) = (Point::new(0.9, 1.0, 0.0), Point::new(0.5, 1.0, 0.0));
     let rim = |side: f64| {

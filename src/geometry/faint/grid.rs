@@ -1,8 +1,8 @@
 //! Where a patch may be: the best points of a grid.
 //!
-//! Noise makes every profile's best score within the reach of a large cube as good as that of a patch, so that bounds
-//! over cubes rule out nothing before these are as small as the response is short: a grid of points as dense is as
-//! good, and needs no bounds.
+//! Noise makes every profile's best score within the reach of a large cube as good as that of a patch. So bounds over
+//! cubes rule out nothing before the cubes are as small as the response is short. A grid of points as dense is as good,
+//! and needs no bounds.
 
 use nalgebra::Vector3;
 use periscope_cancel::Cancel;

@@ -20,11 +20,11 @@ const RATIO: f64 = 1.258_925_411_794_167_2; // ten a decade
 /// The smallest root-mean-square signal-to-noise ratio, and how many there are.
 const SNR_MIN: f64 = 0.158_489_319_246_111_36;
 pub(super) const STRENGTHS: usize = 21;
-/// Factors lie two steps apart, so many on either side of 1.
+/// Number of factors on either side of 1; they lie two steps apart.
 const SIDE: usize = 3;
 const FACTORS: usize = 2 * SIDE + 1;
 const LADDER: usize = STRENGTHS + 4 * SIDE;
-/// Products of so many profiles' ratios neither overflow nor vanish.
+/// Number of profiles whose product of ratios neither overflows nor vanishes.
 const TOGETHER: usize = 16;
 /// Points along each axis that the volume is counted by.
 const VOLUME_POINTS: i32 = 24;
@@ -108,13 +108,13 @@ pub(super) fn searched(profiles: &[Profile], snr: f64, cancel: &Cancel) -> Vec<C
 
 /// The likelihood at a place: for each strength its log-likelihood ratio.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct PlaceLikelihood {
     pub(super) by_strength: [f64; STRENGTHS],
     /// Profiles that could have recorded a patch here.
     pub(super) profiles: usize,
 }
 
-impl Place {
+impl PlaceLikelihood {
     /// Log of the mean likelihood ratio over strengths.
     pub(super) fn mean(&self) -> f64 {
         let most = self.most();
@@ -191,7 +191,7 @@ impl<'a> Likelihood<'a> {
     }
 
     /// The likelihood of a patch at a point; `None` where too few profiles could have recorded it.
-    pub(super) fn place(&self, point: &Point) -> Option<Place> {
+    pub(super) fn place(&self, point: &Point) -> Option<PlaceLikelihood> {
         let signals = self.signals(point)?;
         let squares: f64 = signals.iter().map(|(_, gain)| gain * gain).sum();
         if squares == 0.0 {
@@ -199,7 +199,7 @@ impl<'a> Likelihood<'a> {
         }
         // Strengths are such that the root-mean-square signal-to-noise ratio is on the ladder.
         let first = SNR_MIN * RATIO.powi(-2 * SIDE as i32) / (squares / signals.len() as f64).sqrt();
-        let mut place = Place { by_strength: [0.0; STRENGTHS], profiles: signals.len() };
+        let mut place = PlaceLikelihood { by_strength: [0.0; STRENGTHS], profiles: signals.len() };
         let mut rungs = [0.0; LADDER];
         for together in signals.chunks(TOGETHER) {
             let mut products = [1.0; STRENGTHS];

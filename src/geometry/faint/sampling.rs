@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
 use super::Faint;
-use super::likelihood::{Likelihood, Place};
+use super::likelihood::{Likelihood, PlaceLikelihood};
 use crate::Point;
 
 /// Points of a round, of the last one, and rounds before it.
@@ -28,7 +28,7 @@ struct Proposal {
 /// A sample: its place, and the log of its weight.
 struct Sample {
     point: Point,
-    place: Place,
+    place: PlaceLikelihood,
     log_weight: f64,
 }
 
@@ -109,7 +109,7 @@ impl Likelihood<'_> {
         if self.domain.dimensions == 2 {
             (0..3).for_each(|k| (covariance[(2, k)], covariance[(k, 2)]) = (0.0, 0.0));
         }
-        let mean = |value: &dyn Fn(&Place) -> f64| {
+        let mean = |value: &dyn Fn(&PlaceLikelihood) -> f64| {
             samples.iter().zip(&weights).map(|(sample, weight)| weight * value(&sample.place)).sum::<f64>() / total
         };
         Some(Faint {
@@ -117,7 +117,7 @@ impl Likelihood<'_> {
             covariance,
             evidence: most + (total / normals.len() as f64).ln() - self.log_volume,
             likelihood: samples.iter().map(|sample| sample.place.most()).fold(f64::NEG_INFINITY, f64::max),
-            snr: mean(&Place::squared_snr).sqrt(),
+            snr: mean(&PlaceLikelihood::squared_snr).sqrt(),
             seen: mean(&|place| place.profiles as f64) / self.profiles.len() as f64,
         })
     }

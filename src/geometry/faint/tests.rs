@@ -19,9 +19,9 @@ fn pulses_too_weak_in_each_profile_are_a_patch_in_all_together() {
         let (mut normalised, count) = (0.0, 10);
         for seed in 0..count {
             let (profiles, room, hidden) = draw(8, 1.5, strengths, seed);
-            let found = likeliest(&profiles, &room).unwrap();
-            assert!(found.evidence > NEEDED, "{strengths:?} {seed}: {}", found.evidence);
-            normalised += squared(&found, &hidden) / 3.0 / count as f64;
+            let solution = likeliest(&profiles, &room).unwrap();
+            assert!(solution.evidence > NEEDED, "{strengths:?} {seed}: {}", solution.evidence);
+            normalised += squared(&solution, &hidden) / 3.0 / count as f64;
         }
         eprintln!("{strengths:?}: squared errors over covariances {normalised:.2}");
         assert!((0.3..1.8).contains(&normalised), "{strengths:?}: {normalised}");
@@ -33,17 +33,17 @@ fn pulses_too_weak_in_each_profile_are_a_patch_in_all_together() {
     }
 }
 
-/// The evidence is the integral that it says it is, and nothing near is likelier: beside a grid over all places within
-/// five standard deviations.
+/// The evidence is the integral that it claims to be, and nothing near is likelier. Compared with a grid over all
+/// places within five standard deviations.
 #[test]
 fn evidence_and_likelihood_are_those_of_a_grid() {
     let (profiles, room, _) = draw(6, 2.0, Strengths::Physical, 3);
-    let found = likeliest(&profiles, &room).unwrap();
+    let solution = likeliest(&profiles, &room).unwrap();
     let longest_m = profiles.iter().map(Profile::end_m).fold(0.0, f64::max);
     let middle = room.foci.iter().map(|focus| focus.point.coords).sum::<Vector3<f64>>() / room.foci.len() as f64;
     let domain = Domain { centre: Point::from(middle), half_m: 0.5 * longest_m, dimensions: 3 };
     let all = Likelihood::new(&profiles, &room, &domain);
-    let axes = found.covariance.symmetric_eigen();
+    let axes = solution.covariance.symmetric_eigen();
     let (side, step) = (12_i32, 5.0 / 12.0);
     let (mut sum, mut most) = (0.0, f64::NEG_INFINITY);
     for (i, j, k) in
@@ -51,14 +51,14 @@ fn evidence_and_likelihood_are_those_of_a_grid() {
     {
         let along = Vector3::new(f64::from(i), f64::from(j), f64::from(k)) * step;
         let off = axes.eigenvectors * along.component_mul(&axes.eigenvalues.map(f64::sqrt));
-        let Some(place) = all.place(&(found.point + off)) else { continue };
-        sum += (place.mean() - found.likelihood).exp();
+        let Some(place) = all.place(&(solution.point + off)) else { continue };
+        sum += (place.mean() - solution.likelihood).exp();
         most = most.max(place.most());
     }
     let cell = axes.eigenvalues.map(f64::sqrt).product() * step.powi(3);
-    let evidence = found.likelihood + (sum * cell).ln() - all.log_volume;
-    assert!((found.evidence - evidence).abs() < 0.15, "{} {evidence}", found.evidence);
-    assert!(found.likelihood > most - 0.3, "{} {most}", found.likelihood);
+    let evidence = solution.likelihood + (sum * cell).ln() - all.log_volume;
+    assert!((solution.evidence - evidence).abs() < 0.15, "{} {evidence}", solution.evidence);
+    assert!(solution.likelihood > most - 0.3, "{} {most}", solution.likelihood);
 }
 
 /// A patch that is not sure is sure with as many shots as it asks for.

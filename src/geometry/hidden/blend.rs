@@ -3,8 +3,8 @@
 use super::superposition::Pair;
 use super::{Arrival, Path, Profile};
 
-/// Chance that two pulses at the same time make one arrival; it falls to none over the length that the response tells
-/// apart.
+/// Chance that two pulses at the same time make one arrival; it falls to none over the length that the response
+/// resolves.
 const MERGED: f64 = 0.95;
 /// Paths less likely than this to be seen are too faint to pull an arrival.
 const BRIGHT: f64 = 0.3;
@@ -23,7 +23,7 @@ pub fn hidden(arrivals: &[Arrival], left: &[f64], length_m: f64, blend_m: f64) -
     near.map(|(arrival, left)| (1.0 - left) * chance(arrival.length_m - length_m, blend_m)).fold(0.0, f64::max)
 }
 
-/// The same beside lengths that are surely claimed, in order.
+/// The same for lengths that are surely claimed, in order.
 pub fn hidden_by(claimed_m: &[f64], length_m: f64, blend_m: f64) -> f64 {
     let next = claimed_m.partition_point(|other_m| *other_m < length_m);
     let near = &claimed_m[next.saturating_sub(1)..(next + 1).min(claimed_m.len())];

@@ -12,7 +12,7 @@ use crate::Point;
 const SEEN_RANGE: [f64; 2] = [0.3, 0.98];
 /// A patch that moves by more standard deviations explains other arrivals than before.
 const FAR: f64 = 0.5;
-/// Rounds of climbing all patches, beside one for each that is dropped, and the move in standard deviations that ends
+/// Rounds of climbing all patches, plus one for each that is dropped, and the move in standard deviations that ends
 /// them.
 const POLISH: usize = 12;
 const SETTLED: f64 = 1e-3;

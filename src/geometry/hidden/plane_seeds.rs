@@ -38,7 +38,7 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], domain: &Domain, cancel: &Cancel
     triples.into_iter().flat_map(|triple| of_triple(foci, pairs, triple, &position, domain, cancel)).collect()
 }
 
-/// Triangles of which all three sides have arrivals, the largest first; no two share a side.
+/// Triangles whose three sides all have arrivals, the largest first; no two share a side.
 fn triples(foci: &[Focus], pairs: &[Lengths], cancel: &Cancel) -> Vec<[usize; 3]> {
     let mut sides = vec![vec![false; foci.len()]; foci.len()];
     for Lengths { foci: [a, b], values_m, .. } in pairs {
@@ -74,23 +74,18 @@ fn of_triple(
     cancel: &Cancel,
 ) -> Vec<Seed> {
     let (Some(ij), Some(ik), Some(jk)) = (position(i, j), position(i, k), position(j, k)) else { return Vec::new() };
-    // The triple's own pairs tell most at least cost.
+    // The triple's own pairs test a seed best, at least cost.
     let own = [i, j, k].into_iter().filter_map(|focus| position(focus, focus));
     let others = (0..pairs.len()).filter(|pair| ![ij, ik, jk].contains(pair));
     let mut order: Vec<usize> = own.collect();
     let others: Vec<usize> = others.filter(|pair| !order.contains(pair)).collect();
     order.extend(others.iter().step_by((others.len() / CHECKS).max(1)));
     let surface = Surface::Plane { middle: domain.centre };
-    let products = |pair: usize| -> Vec<f64> {
-        let [a, b] = pairs[pair].foci.map(|focus| foci[focus].point);
-        let product = |(length_m, _): &(f64, f64)| 0.25 * (length_m * length_m - (a - b).norm_squared());
-        pairs[pair].values_m.iter().map(product).collect()
-    };
-    let (of_ij, of_ik, of_jk) = (products(ij), products(ik), products(jk));
+    let [of_ij, of_ik, of_jk] = [ij, ik, jk].map(|pair| products_m2(foci, &pairs[pair]));
     let base = [ij, ik, jk];
     let variance_m2 = base.iter().map(|&pair| pairs[pair].values_m[0].1.powi(2)).sum::<f64>() / 3.0;
     let from_first = |&ij: &f64| {
-        let mut found = Vec::new();
+        let mut seeds = Vec::new();
         for &ik in &of_ik {
             cancel.check();
             for &jk in &of_jk {
@@ -102,13 +97,20 @@ fn of_triple(
                 for at in planes([i, j, k].map(|focus| foci[focus].point), heights_m, domain).into_iter().flatten() {
                     let ways = || base.iter().filter_map(|&pair| surface.way(pairs[pair].foci.map(|f| &foci[f]), at));
                     let start = covariance(ways().map(|(_, slope)| slope), variance_m2, domain.dimensions);
-                    found.extend(start.and_then(|start| follow(&surface, foci, pairs, &order, at, start)));
+                    seeds.extend(start.and_then(|start| follow(&surface, foci, pairs, &order, at, start)));
                 }
             }
         }
-        found
+        seeds
     };
     of_ij.par_iter().flat_map_iter(from_first).collect()
+}
+
+/// Product of the heights of both foci over a plane, by each length of a pair.
+fn products_m2(foci: &[Focus], pair: &Lengths) -> Vec<f64> {
+    let [a, b] = pair.foci.map(|focus| foci[focus].point);
+    let product_m2 = |(length_m, _): &(f64, f64)| 0.25 * (length_m * length_m - (a - b).norm_squared());
+    pair.values_m.iter().map(product_m2).collect()
 }
 
 /// Feet of the planes over which three points have some heights.

@@ -6,7 +6,7 @@ use crate::{Point, planes};
 
 /// Another place with a log-likelihood ratio of less than this cannot be ruled out.
 const LIKELY: f64 = 9.0;
-/// Places within so many standard deviations are one.
+/// Places within this many standard deviations are one.
 const APART: f64 = 4.0;
 
 impl Explanation<'_> {

@@ -2,12 +2,12 @@
 //! quadtree).
 //!
 //! The sum is a log-likelihood ratio `L(q) = sum_ab l_ab(|q - a| + |q - b|)`. Within a cube of half diagonal r a path
-//! over q changes by at most 2 r, so with every curve replaced by its maximum over that reach the sum at the centre
-//! bounds the sum everywhere in the cube. Cubes whose bound is too low are left behind, the others cut. Nothing is
-//! sampled and nothing is missed, with two exceptions that are stated: a place right behind the plane of one wall may
-//! be given up with what lies before it, and the sum over curves ends early once it is below `-SURE`. A true patch's
-//! sum comes that low on its way with a probability of `exp(-SURE)` at most (Ville's inequality: under a true patch
-//! `exp(-L)` of the curves so far is a martingale of mean 1, and a bound lies above it).
+//! over q changes by at most 2 r. Each curve is replaced by its maximum over that reach; the sum at the centre then
+//! bounds the sum everywhere in the cube. Cubes whose bound is too low are dropped, the others cut. Nothing is sampled,
+//! and nothing is missed with two exceptions. A place right behind the plane of one wall may be given up with what lies
+//! before it. And the sum over curves ends early once it is below `-SURE`. A true patch's sum comes that low on its way
+//! with a probability of `exp(-SURE)` at most (Ville's inequality: under a true patch `exp(-L)` of the curves so far is
+//! a martingale of mean 1, and a bound lies above it).
 
 use nalgebra::Vector3;
 use periscope_cancel::Cancel;
@@ -165,11 +165,11 @@ fn bound(
     radius_m: f64,
     distances_m: &mut [Option<f64>],
 ) -> Option<f32> {
-    let (mut sum, mut known, mut blind) = (0.0_f32, 0, 0);
+    let (mut sum, mut computed, mut blind) = (0.0_f32, 0, 0);
     for Legs { foci: [a, b], profiles, curve } in order {
-        while known <= *b {
-            distances_m[known] = foci[known].faces(at, radius_m).then(|| (at - foci[known].point).norm());
-            known += 1;
+        while computed <= *b {
+            distances_m[computed] = foci[computed].faces(at, radius_m).then(|| (at - foci[computed].point).norm());
+            computed += 1;
         }
         let (Some(a), Some(b)) = (distances_m[*a], distances_m[*b]) else {
             blind += profiles;
@@ -195,7 +195,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// Beside the largest of all values near, at many lengths and reaches.
+    /// Compared with the largest of all values near, at many lengths and reaches.
     #[test]
     fn a_widened_curve_holds_what_is_near() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);

@@ -1,11 +1,11 @@
 //! Places that a few arrivals agree on, from minimal sets.
 //!
 //! Three lengths over paths that share a focus meet in two points at most, in closed form; in flatland two do. Every
-//! such set of arrivals of three pairs of foci, the *base*, is a seed, and is held against further pairs one by one, in
-//! the order in which the base predicts them best: first those among the foci of the base itself, which for a base
-//! (i,i), (i,j), (i,k) are the tests `s_ij = (s_ii + s_jj) / 2` of one patch in (i,i), (i,j), (j,j), and for sets of
-//! lit and seen that are disjoint `s_ij + s_kl = s_il + s_kj`. An arrival near enough, by the seed's own covariance,
-//! moves the seed as in a Kalman filter. Seeds whose log-likelihood ratio falls behind are given up.
+//! such set of arrivals of three pairs of foci, the *base*, is a seed. It is tested against further pairs one by one,
+//! in the order in which the base predicts them best. First come those among the foci of the base itself. For a base
+//! (i,i), (i,j), (i,k) these test `s_ij = (s_ii + s_jj) / 2` of one patch in (i,i), (i,j), (j,j); for disjoint sets of
+//! lit and seen they test `s_ij + s_kl = s_il + s_kj`. An arrival near enough, by the seed's own covariance, moves the
+//! seed as in a Kalman filter. Seeds whose log-likelihood ratio falls behind are given up.
 //!
 //! The cost grows with the third power of the arrivals of a profile and is independent of noise; a patch is missed
 //! where its base misses an arrival, which another base or `search` makes good.
@@ -128,21 +128,14 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain,
     let order = checks(foci, pairs, base, domain);
     let shared = |focus: &usize| base.iter().all(|&pair| pairs[pair].foci.contains(focus));
     let Some(focus) = pairs[base[0]].foci.into_iter().find(shared) else { return Vec::new() };
-    let condition = |pair: usize, length_m: f64| -> (Vector4<f64>, f64) {
-        let [a, b] = pairs[pair].foci;
-        ellipsoid(foci[if a == focus { b } else { a }].point - foci[focus].point, length_m)
-    };
-    let rows: Vec<Vec<(Vector4<f64>, f64)>> = base
-        .iter()
-        .map(|&pair| pairs[pair].values_m.iter().map(|(length_m, _)| condition(pair, *length_m)).collect())
-        .collect();
+    let rows: Vec<Vec<(Vector4<f64>, f64)>> = base.iter().map(|&pair| conditions(foci, &pairs[pair], focus)).collect();
     let is_in_front =
         |at: Point| base.iter().flat_map(|&pair| pairs[pair].foci).all(|focus| foci[focus].faces(at, 0.0));
     let flat = vec![(Vector4::z(), 0.0)];
     let (first, second, third) = (&rows[0], &rows[1], rows.get(2).unwrap_or(&flat));
     let variance_m2 = base.iter().map(|&pair| pairs[pair].values_m[0].1.powi(2)).sum::<f64>() / base.len() as f64;
     let from_first = |a: &(Vector4<f64>, f64)| {
-        let mut found = Vec::new();
+        let mut seeds = Vec::new();
         for b in second {
             cancel.check();
             for c in third {
@@ -151,7 +144,7 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain,
                     if domain.holds(at, 0.0) && is_in_front(at) {
                         let slopes = base.iter().map(|&pair| slope(foci, &pairs[pair], at));
                         let covariance = covariance(slopes, variance_m2, domain.dimensions);
-                        found.extend(
+                        seeds.extend(
                             covariance
                                 .and_then(|covariance| follow(&Surface::Patch, foci, pairs, &order, at, covariance)),
                         );
@@ -159,9 +152,16 @@ pub fn seeds(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain,
                 }
             }
         }
-        found
+        seeds
     };
     first.par_iter().flat_map_iter(from_first).collect()
+}
+
+/// Conditions of a pair's lengths in (x, |x|), x from `focus`, one of the pair's.
+fn conditions(foci: &[Focus], pair: &Lengths, focus: usize) -> Vec<(Vector4<f64>, f64)> {
+    let [a, b] = pair.foci;
+    let to_other = foci[if a == focus { b } else { a }].point - foci[focus].point;
+    pair.values_m.iter().map(|(length_m, _)| ellipsoid(to_other, *length_m)).collect()
 }
 
 /// The condition in (x, |x|) that puts x = q - a on an ellipsoid with foci a and a + `to_other`.
@@ -175,10 +175,10 @@ fn ellipsoid(to_other: Vector3<f64>, length_m: f64) -> (Vector4<f64>, f64) {
     (row / row.norm(), right / row.norm())
 }
 
-/// Pairs beside a base, that which is predicted best first.
+/// Pairs outside of a base, the best predicted first.
 fn checks(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) -> Vec<usize> {
     let typical = typical_points(foci, domain);
-    let mut known: Vec<(Point, Matrix3<f64>)> = typical
+    let mut sampled: Vec<(Point, Matrix3<f64>)> = typical
         .into_iter()
         .filter_map(|at| {
             Some((at, covariance(base.iter().map(|&pair| slope(foci, &pairs[pair], at)), 1.0, domain.dimensions)?))
@@ -188,7 +188,7 @@ fn checks(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) ->
     let mut order = Vec::new();
     while order.len() < CHECKS && !rest.is_empty() {
         let error = |&pair: &usize| {
-            let mut errors: Vec<f64> = known
+            let mut errors: Vec<f64> = sampled
                 .iter()
                 .map(|(at, c)| {
                     let g = slope(foci, &pairs[pair], *at);
@@ -201,7 +201,7 @@ fn checks(foci: &[Focus], pairs: &[Lengths], base: &[usize], domain: &Domain) ->
         let errors: Vec<f64> = rest.iter().map(error).collect();
         let best = (0..rest.len()).min_by(|&a, &b| errors[a].total_cmp(&errors[b])).expect("there are some left");
         let pair = rest.swap_remove(best);
-        for (at, covariance) in &mut known {
+        for (at, covariance) in &mut sampled {
             let g = slope(foci, &pairs[pair], *at);
             let gain = *covariance * g / (1.0 + g.dot(&(*covariance * g)));
             *covariance -= gain * (g.transpose() * *covariance);

@@ -22,7 +22,7 @@ const PROMISING: f64 = 0.6;
 const CLIMBS: usize = 400;
 /// Bases whose arrivals are crossed at a time.
 const BASES: usize = 4;
-/// An arrival of which paths leave more than this is unexplained.
+/// An arrival is unexplained if the probabilities of paths leave more than this of it.
 const UNEXPLAINED: f64 = 0.5;
 /// Reciprocal arrivals nearer than this many standard deviations are one.
 const TOGETHER_SD: f64 = 2.5;
@@ -131,7 +131,7 @@ impl Explanation<'_> {
         self.of_foci().into_par_iter().map(of_foci).collect()
     }
 
-    /// At most so many places, none near another that comes before it.
+    /// The first [`CLIMBS`] places, none near an earlier one.
     fn thinned(&self, surface: Surface, places: impl Iterator<Item = Point>) -> Vec<(Surface, Point)> {
         let mut kept: Vec<Point> = Vec::new();
         for place in places {

@@ -113,8 +113,8 @@ mod tests {
             let all = sum(&pairs, 0, &mut Vec::new(), None);
             let exact: Vec<f64> = (0..pairs.len()).map(|n| sum(&pairs, 0, &mut Vec::new(), Some(n)) / all).collect();
             settle(&mut pairs, 4, 5);
-            for (found, exact) in probabilities(&pairs, 4).iter().zip(&exact) {
-                assert!((found - exact).abs() < 1e-3, "{found} {exact}");
+            for (estimate, exact) in probabilities(&pairs, 4).iter().zip(&exact) {
+                assert!((estimate - exact).abs() < 1e-3, "{estimate} {exact}");
             }
         }
     }

@@ -87,7 +87,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// Beside the shortest of many ways over points of the plane, and finite differences.
+    /// Compared with the shortest of many ways over points of the plane, and with finite differences.
     #[test]
     fn the_way_over_a_plane_is_the_shortest() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);

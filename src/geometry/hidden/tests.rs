@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Clutter, Pattern, Setting, Walls, draw, score};
 
-/// Of an onset timed to so many picoseconds.
+/// Standard deviation of a length, for an onset timed to `sd_ps`.
 fn sd_m(sd_ps: f64) -> f64 {
     units::path_m(sd_ps, 1.0)
 }
@@ -84,34 +84,34 @@ fn covariances_are_as_large_as_the_errors() {
 #[test]
 fn where_nothing_is_hidden_nothing_is_found() {
     let setting = Setting::new(8, 0, sd_m(25.0), 0.0, 8);
-    let found = (0..30).filter(|&seed| {
+    let false_ones = (0..30).filter(|&seed| {
         let drawn = draw(&setting, seed);
         let room = Room { false_alarm: 0.1, ..drawn.room };
         !find(&drawn.profiles, &room).patches.is_empty()
     });
-    let found = found.count();
+    let false_ones = false_ones.count();
     // At most 3 are expected; 8 or more have a probability of 1 %.
-    assert!(found < 8, "{found} of 30");
+    assert!(false_ones < 8, "{false_ones} of 30");
 }
 
 #[test]
 fn a_known_path_leaves_nothing_to_find() {
     let drawn = draw(&Setting::new(8, 2, sd_m(25.0), 0.0, 0), 1);
-    let known = |profile: &Profile| -> Profile {
+    let explained = |profile: &Profile| -> Profile {
         let of_first = {
             let [a, b] = profile.ways[0].foci.map(|focus| drawn.room.foci[focus].point);
             (drawn.hidden[0] - a).norm() + (drawn.hidden[0] - b).norm()
         };
-        let known = vec![Path { length_m: of_first, sd_m: 1e-4, seen: 0.9 }];
-        Profile::new(profile.ways[0].foci, profile.arrivals.clone(), known, profile.span_m)
+        let explained = vec![Path { length_m: of_first, sd_m: 1e-4, seen: 0.9 }];
+        Profile::new(profile.ways[0].foci, profile.arrivals.clone(), explained, profile.span_m)
     };
-    let profiles: Vec<Profile> = drawn.profiles.iter().map(known).collect();
-    let found = find(&profiles, &drawn.room).patches;
-    assert!(found.len() == 1 && (found[0].point - drawn.hidden[1]).norm() < 0.02, "{found:?}");
+    let profiles: Vec<Profile> = drawn.profiles.iter().map(explained).collect();
+    let solution = find(&profiles, &drawn.room).patches;
+    assert!(solution.len() == 1 && (solution[0].point - drawn.hidden[1]).norm() < 0.02, "{solution:?}");
 }
 
-/// Where paths that are seldom seen come within the error of every arrival, minimal sets find the patches all the same:
-/// a search of all space among so many arrivals would take long.
+/// Paths that are seldom seen come within the error of every arrival, and minimal sets still find the patches. A search
+/// of all space among that many arrivals would take long.
 #[test]
 fn paths_that_are_seldom_seen_hide_no_minimal_set() {
     let mut missed = 0;
@@ -121,8 +121,8 @@ fn paths_that_are_seldom_seen_hide_no_minimal_set() {
             let [low_m, high_m] = profile.span_m;
             let paths = ((high_m - low_m) / sd_m(5.0)) as usize;
             let at = |n: usize| low_m + (n as f64 + 0.5) * sd_m(5.0);
-            let known = (0..paths).map(|n| Path { length_m: at(n), sd_m: 1e-4, seen: 0.1 }).collect();
-            Profile::new(profile.ways[0].foci, profile.arrivals.clone(), known, profile.span_m)
+            let explained = (0..paths).map(|n| Path { length_m: at(n), sd_m: 1e-4, seen: 0.1 }).collect();
+            Profile::new(profile.ways[0].foci, profile.arrivals.clone(), explained, profile.span_m)
         };
         let profiles: Vec<Profile> = drawn.profiles.iter().map(faint).collect();
         let mut all = Explanation::new(&profiles, &drawn.room).expect("arrivals");
@@ -147,15 +147,15 @@ fn a_turned_scene_gives_the_turned_answer() {
     }
     let mut profiles = drawn.profiles.clone();
     profiles.reverse();
-    let (found, turned) = (find(&drawn.profiles, &drawn.room).patches, find(&profiles, &room).patches);
-    assert_eq!(found.len(), 3);
-    for hidden in &found {
+    let (solution, turned) = (find(&drawn.profiles, &drawn.room).patches, find(&profiles, &room).patches);
+    assert_eq!(solution.len(), 3);
+    for hidden in &solution {
         let gaps = turned.iter().map(|other| (other.point - rotation * hidden.point).norm());
-        assert!(gaps.fold(f64::INFINITY, f64::min) < 1e-4, "{found:?} {turned:?}");
+        assert!(gaps.fold(f64::INFINITY, f64::min) < 1e-4, "{solution:?} {turned:?}");
     }
 }
 
-/// Beside a scan of all space.
+/// Compared with a scan of all space.
 #[test]
 fn branch_and_bound_finds_the_largest_sum() {
     let drawn = draw(&Setting::new(5, 3, sd_m(100.0), 0.2, 2), 2);
@@ -196,9 +196,9 @@ fn a_flat_wall_leaves_two_places() {
     for seed in 0..4 {
         let base = Setting::new(8, 2, sd_m(25.0), 0.1, 1);
         let drawn = draw(&Setting { walls: Walls::Rough(0.0), ..base }, seed);
-        let found = find(&drawn.profiles, &drawn.room);
-        assert_eq!((found.patches.len(), found.rivals.len()), (2, 2));
-        for (hidden, rival) in found.patches.iter().zip(&found.rivals) {
+        let solution = find(&drawn.profiles, &drawn.room);
+        assert_eq!((solution.patches.len(), solution.rivals.len()), (2, 2));
+        for (hidden, rival) in solution.patches.iter().zip(&solution.rivals) {
             let rival = rival.expect("nothing tells the sides apart");
             let image = Point::new(hidden.point.x, -hidden.point.y, hidden.point.z);
             assert!(
@@ -207,12 +207,15 @@ fn a_flat_wall_leaves_two_places() {
             );
         }
         let rough = draw(&Setting { walls: Walls::Rough(0.3), ..base }, seed);
-        let found = find(&rough.profiles, &rough.room);
-        assert!(found.rivals.iter().all(Option::is_none) && score(&rough, &points(&found)).is_right(), "{found:?}");
+        let solution = find(&rough.profiles, &rough.room);
+        assert!(
+            solution.rivals.iter().all(Option::is_none) && score(&rough, &points(&solution)).is_right(),
+            "{solution:?}"
+        );
     }
 }
 
-/// Beside the formula, written out.
+/// Compared with the formula, term by term.
 #[test]
 fn the_likelihood_is_that_of_the_formula() {
     let drawn = draw(&Setting::new(4, 2, sd_m(50.0), 0.2, 2), 3);
@@ -276,14 +279,14 @@ fn a_second_layer_is_found_and_nothing_else() {
 #[test]
 fn where_there_is_no_second_layer_none_is_found() {
     let setting = layers::Setting { visible: 5, first: 5, second: 0, sd_m: sd_m(25.0), seen: 0.0, spurious: 60 };
-    let found = (0..20).filter(|&seed| {
+    let false_ones = (0..20).filter(|&seed| {
         let drawn = layers::draw(&setting, seed);
         let room = Room { false_alarm: 0.1, ..drawn.room };
         !find_by_minimal_sets(&drawn.profiles, &room).patches.is_empty()
     });
-    let found = found.count();
+    let false_ones = false_ones.count();
     // At most 2 are expected; 7 or more have a probability of 1 %.
-    assert!(found < 7, "{found} of 20");
+    assert!(false_ones < 7, "{false_ones} of 20");
 }
 
 /// Two ways on which a patch would make one and the same arrival do not count it twice.

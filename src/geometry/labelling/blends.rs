@@ -93,8 +93,8 @@ impl<'a> Blends<'a> {
     }
 }
 
-/// Probability that an arrival `off_ps` off its own path has light of another too, which shines with some chance and
-/// would pull it by up to `pull_ps`.
+/// Probability that an arrival `off_ps` off its own path also has light of another path. That path shines with
+/// probability `chance` and would pull the arrival by up to `pull_ps`.
 fn blend_probability(chance: f64, off_ps: f64, sd_ps: f64, pull_ps: f64) -> f64 {
     let root = (2.0 * std::f64::consts::PI).sqrt() * sd_ps;
     let normal = |off_ps: f64| (-0.5 * (off_ps / sd_ps).powi(2)).exp();

@@ -123,7 +123,7 @@ impl First {
     }
 }
 
-/// Arrivals of a profile with so many laser periods added that they lie within bounds, in order of time.
+/// Arrivals of a profile in order of time, with the laser periods added that bring them within bounds.
 fn readings(profile: &Profile, medium: Medium, bounds_ps: (f64, f64)) -> Vec<First> {
     let of_arrival = |(n, arrival)| readings_of(n, arrival, medium, bounds_ps);
     let mut readings: Vec<First> = profile.arrivals.iter().enumerate().flat_map(of_arrival).collect();

@@ -18,7 +18,8 @@ const PRIOR: [f64; 5] = [0.95, 0.95, 0.7, 0.2, 0.1];
 const PRIOR_COUNT: f64 = 8.0;
 /// No chance is smaller or larger.
 const RANGE: [f64; 2] = [1e-3, 0.98];
-/// An arrival within so many standard deviations of a path may be its own; a path further from all others stands alone.
+/// An arrival within this many standard deviations of a path may be its own; a path further from all others stands
+/// alone.
 const OWN_SD: f64 = 3.0;
 const ALONE_SD: f64 = 6.0;
 /// In place of a number of hidden patches: paths of a dense order, whatever they lead over.

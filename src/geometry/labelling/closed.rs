@@ -39,7 +39,7 @@ pub(super) fn closed(
     closed
 }
 
-/// Pairs of visible patches of which one lies behind the other's wall.
+/// Pairs of visible patches, one behind the other's wall.
 fn behind_walls(scene: &Scene, sensor: &SensorProfiles, visible: &[PatchId]) -> Pairs {
     let foci = scene.foci(visible, sensor.source, sensor.dimensions);
     let mut pairs = Pairs::new();

@@ -86,7 +86,7 @@ impl<'a> Layers<'a> {
         }
         let profiles = legs::deep_profiles(self.sensors, graphs, chances, self.visible, &shown_by);
         let foci = points.iter().map(|&point| Focus { point, normal: None }).collect();
-        // There are so many ways that each arrival is near some: blends would hide all.
+        // Every arrival is near one of the many ways: with blends, all would be hidden.
         let room = Room { blend_m: 0.0, ..self.room(foci) };
         let solution = hidden::find_by_minimal_sets(&profiles, &room);
         // A hidden patch throws light back to where it has it from: the side of the visible ones.

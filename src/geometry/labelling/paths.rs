@@ -1,9 +1,9 @@
 //! Which paths of light over patches in place a profile may hold.
 //!
 //! Paths grow with the number of patches to the power of their bounces less two. They are counted order by order. The
-//! count ends at the first order of which more than 0.3 paths lie within a standard deviation of any time: there an
-//! arrival no longer shows which path made it. That order stands as a density from its first path on; higher orders are
-//! as dense and weaker. Paths that are longer than any arrival of the sensor are left out on the way.
+//! count ends at the first order that has more than 0.3 paths within a standard deviation of any time: there an arrival
+//! no longer shows which path made it. That order stands as a density from its first path on; higher orders are as
+//! dense and weaker. Paths that are longer than any arrival of the sensor are left out on the way.
 
 use std::collections::BTreeSet;
 
@@ -17,7 +17,7 @@ use crate::units::PatchId;
 
 /// Paths of one order within a standard deviation of a time, beyond which labels lose their meaning.
 const DENSE: f64 = 0.3;
-/// One path of so many shows how well the others of its order are predicted.
+/// One path in this many is sampled to see how well all of its order are predicted.
 const SAMPLE: usize = 64;
 /// Least bounces of paths that are not direct.
 pub(super) const INDIRECT: usize = 3;
@@ -153,7 +153,7 @@ impl<'a> Graph<'a> {
         Some(Ends { lit, seen, time_ps: view.profile.delay_ps + view.medium().time_ps(legs_m) })
     }
 
-    /// `None` where no path has so many bounces.
+    /// `None` where no path has that many bounces.
     fn order(&self, ends: &Ends, bounces: usize, view: View) -> Option<Order> {
         let (mut count, mut first_ps, mut variances_ps2) = (0_usize, f64::INFINITY, Vec::new());
         self.walk(&mut vec![ends.lit], ends.seen, bounces, ends.time_ps, &mut |path, path_ps| {

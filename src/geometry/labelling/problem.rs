@@ -28,7 +28,7 @@ impl Medium {
         self.repetition_ps.map_or(0, |period_ps| (time_ps / period_ps).round() as i32)
     }
 
-    /// Time of so many laser periods; 0 without a period.
+    /// Time of `turns` laser periods; 0 without a period.
     #[must_use]
     pub fn turns_ps(self, turns: i32) -> f64 {
         f64::from(turns) * self.repetition_ps.unwrap_or(0.0)

@@ -1,8 +1,8 @@
 //! The paper's labelling of third bounces by order of arrival (section 4.3), to compare with.
 //!
 //! In each profile, arrivals that no path over visible patches explains are hidden patches in the order of their times.
-//! That is right only where every visible patch has the hidden ones in the same order of distance, no third bounce is
-//! missing or false, and none comes after a fourth.
+//! That is right only where every visible patch has the hidden ones in the same order of distance. Also, no third
+//! bounce may be missing or false, or come after a fourth.
 
 use super::problem::{Profile, SensorProfiles, Verdict, Verdicts};
 

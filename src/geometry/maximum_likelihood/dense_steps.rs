@@ -3,7 +3,7 @@
 use faer::Mat;
 
 use super::problem::Node;
-use super::rows::{Place, Rows};
+use super::rows::{Rows, Values};
 use crate::dense;
 
 /// A coordinate whose variance is this many times what it would be with all others held is not determined.
@@ -11,21 +11,22 @@ const UNDETERMINED: f64 = 1e9;
 /// Of a normal matrix scaled to ones on its diagonal, eigenvalues below this belong to directions that nothing
 /// determines.
 const NULL: f64 = 1e-9;
-/// Unknowns beyond which directions that nothing determines are not searched for.
+/// Unknowns beyond which directions that nothing determines are not searched for: all eigenvectors come out of a single
+/// call, which a cancel cannot end midway.
 const SEARCHED_MAX: usize = 1500;
 
 /// Normal matrix and its right-hand side.
-fn normal_equations(rows: &Rows, place: &Place) -> (Mat<f64>, Vec<f64>) {
-    sums(rows, place, |_| true)
+fn normal_equations(rows: &Rows, values: &Values) -> (Mat<f64>, Vec<f64>) {
+    sums(rows, values, |_| true)
 }
 
 /// The same of some terms.
-fn sums(rows: &Rows, place: &Place, counts: impl Fn(usize) -> bool) -> (Mat<f64>, Vec<f64>) {
+fn sums(rows: &Rows, values: &Values, counts: impl Fn(usize) -> bool) -> (Mat<f64>, Vec<f64>) {
     let size = rows.layout.size;
     let (mut normal, mut right) = (Mat::zeros(size, size), vec![0.0; size]);
     let mut terms = Vec::new();
     for n in (0..rows.count).filter(|n| counts(*n)) {
-        let residual = rows.residual(place, n, Some(&mut terms));
+        let residual = rows.residual(values, n, Some(&mut terms));
         let weight = rows.loss(n, residual).1;
         for &(i, a) in &terms {
             right[i] += weight * a * residual;
@@ -38,8 +39,8 @@ fn sums(rows: &Rows, place: &Place, counts: impl Fn(usize) -> bool) -> (Mat<f64>
 }
 
 /// A damped Gauss-Newton step; `None` if the matrix is not definite.
-pub fn step(rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
-    let (mut normal, right) = normal_equations(rows, place);
+pub fn step(rows: &Rows, values: &Values, damping: f64) -> Option<Vec<f64>> {
+    let (mut normal, right) = normal_equations(rows, values);
     let scale = (0..normal.nrows()).map(|i| normal[(i, i)]).fold(0.0, f64::max);
     // The floor keeps rotations, which have no stiffness of their own, from blowing up.
     let floor = 1e-9 * damping.max(1e-3) * scale;
@@ -55,13 +56,13 @@ pub fn step(rows: &Rows, place: &Place, damping: f64) -> Option<Vec<f64>> {
 /// where there are too many unknowns to search.
 pub fn covariance(
     rows: &Rows,
-    place: &Place,
+    values: &Values,
     nulls: &Mat<f64>,
     open: &[usize],
 ) -> Result<Mat<f64>, Option<(usize, Mat<f64>)>> {
     let is_open = |node: &Node| matches!(node, Node::Patch(patch) if open.contains(patch));
     let avoids = |n: usize| rows.problem.observations.get(n).is_none_or(|o| !o.nodes.iter().any(is_open));
-    let (mut normal, _) = sums(rows, place, avoids);
+    let (mut normal, _) = sums(rows, values, avoids);
     let size = normal.nrows();
     let stiff = (0..size).map(|i| normal[(i, i)]).fold(0.0, f64::max);
     open.iter().flat_map(|&patch| rows.layout.patch(patch)).for_each(|i| normal[(i, i)] += stiff);

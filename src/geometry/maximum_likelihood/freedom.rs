@@ -9,11 +9,11 @@ use nalgebra::Vector3;
 
 use super::matrix_free::{self, Matrix};
 use super::problem::{Node, Problem};
-use super::rows::{Place, Rows};
+use super::rows::{Rows, Values};
 use crate::dense;
 
-/// Rounds of weights in which motions are told apart from rotations, and the size of what is left of a patch's motion,
-/// relative to the largest, that makes it open.
+/// Rounds of weights that separate motions from rotations. A patch is open if what is left of its motion exceeds this
+/// size relative to the largest.
 const ROUNDS: usize = 40;
 const OPEN: f64 = 1e-3;
 /// What is left of a direction of length 1 below this is nothing.
@@ -54,12 +54,12 @@ pub fn parts(problem: &Problem) -> Vec<Vec<usize>> {
 }
 
 /// Orthonormal directions of the unknowns that turn a part about the first station of its paths and change no path.
-pub fn free_rotations(rows: &Rows, place: &Place, part: &[usize], stiffest: f64) -> Vec<Vec<f64>> {
+pub fn free_rotations(rows: &Rows, values: &Values, part: &[usize], stiffest: f64) -> Vec<Vec<f64>> {
     let problem = rows.problem;
     let of_part = |node: &Node| matches!(node, Node::Patch(patch) if part.binary_search(patch).is_ok());
     let path = problem.observations.iter().find(|observation| observation.nodes.iter().any(of_part));
     let centre = path.and_then(|observation| match observation.nodes[0] {
-        Node::Station(station) => Some(place.stations[station]),
+        Node::Station(station) => Some(values.stations[station]),
         Node::Patch(_) => None,
     });
     let Some(centre) = centre else {
@@ -73,20 +73,12 @@ pub fn free_rotations(rows: &Rows, place: &Place, part: &[usize], stiffest: f64)
     let generator = |axis: &Vector3<f64>| -> Vec<f64> {
         let mut direction = vec![0.0; rows.layout.size];
         for &patch in part {
-            let motion = axis.cross(&(place.points[patch] - centre));
+            let motion = axis.cross(&(values.points[patch] - centre));
             direction[rows.layout.patch(patch)].copy_from_slice(&motion.as_slice()[..problem.dimensions]);
         }
         direction
     };
     let generators: Vec<Vec<f64>> = axes.iter().map(generator).collect();
-    let gram = |a: &[Vec<f64>], b: &[Vec<f64>]| {
-        Mat::from_fn(a.len(), b.len(), |i, k| a[i].iter().zip(&b[k]).map(|(a, b)| a * b).sum::<f64>())
-    };
-    let combined = |vectors: &[Vec<f64>], matrix: &Mat<f64>, column: usize, scale: f64| -> Vec<f64> {
-        (0..rows.layout.size)
-            .map(|i| (0..vectors.len()).map(|k| vectors[k][i] * matrix[(k, column)] * scale).sum())
-            .collect()
-    };
     // In the span of the generators: how much motion, and how much stiffness.
     let (sizes, turns) = dense::symmetric_eigen(&gram(&generators, &generators));
     let largest = sizes.last().copied().unwrap_or(0.0);
@@ -98,9 +90,21 @@ pub fn free_rotations(rows: &Rows, place: &Place, part: &[usize], stiffest: f64)
         return Vec::new();
     }
     let moved: Vec<Vec<f64>> =
-        basis.iter().map(|vector| matrix_free::product(rows, place, Matrix::Normal, vector)).collect();
-    let (values, vectors) = dense::symmetric_eigen(&gram(&basis, &moved));
-    (0..basis.len()).filter(|&k| values[k] < FREE * stiffest).map(|k| combined(&basis, &vectors, k, 1.0)).collect()
+        basis.iter().map(|vector| matrix_free::product(rows, values, Matrix::Normal, vector)).collect();
+    let (stiffnesses, vectors) = dense::symmetric_eigen(&gram(&basis, &moved));
+    let is_free = |&k: &usize| stiffnesses[k] < FREE * stiffest;
+    (0..basis.len()).filter(is_free).map(|k| combined(&basis, &vectors, k, 1.0)).collect()
+}
+
+/// Inner products of two sets of vectors.
+fn gram(a: &[Vec<f64>], b: &[Vec<f64>]) -> Mat<f64> {
+    Mat::from_fn(a.len(), b.len(), |i, k| a[i].iter().zip(&b[k]).map(|(a, b)| a * b).sum::<f64>())
+}
+
+/// Sum of vectors by the weights in a column of `matrix`, times `scale`.
+fn combined(vectors: &[Vec<f64>], matrix: &Mat<f64>, column: usize, scale: f64) -> Vec<f64> {
+    let sum = |i: usize| (0..vectors.len()).map(|k| vectors[k][i] * matrix[(k, column)] * scale).sum();
+    (0..vectors[0].len()).map(sum).collect()
 }
 
 /// The part of orthonormal directions that does not move the patches `open`, orthonormal again.

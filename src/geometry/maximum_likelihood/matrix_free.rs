@@ -5,18 +5,19 @@
 //! delays, period) are eliminated first, a right-hand side each. Observations are cut into chunks by their number
 //! alone, and the chunks' sums are added in order: the same bits for any number of threads.
 //!
-//! Covariances are blocks: the inverse of a patch's block of the normal matrix, as if all other patches were held, plus
-//! the share of the other unknowns, which is exact. With nearly all pairs measured that is within some per cent of the
-//! exact one; where many are missing it is too small.
+//! Covariances are blocks: the inverse of a patch's block of the normal matrix, as if all other patches were fixed,
+//! plus the share of the other unknowns. That share is exact. With nearly all pairs measured the block is within some
+//! per cent of the exact one; where many are missing it is too small.
 
 use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
-use super::rows::{Place, Rows};
+use super::rows::{Rows, Values};
 use crate::dense;
 
-/// Chunks that the observations are cut into.
+/// Chunks that the observations are cut into: a number that does not depend on the threads, so neither do the bytes of
+/// the sums.
 const CHUNKS: usize = 32;
 /// Most conjugate directions in a step.
 const DIRECTIONS: usize = 200;
@@ -61,13 +62,19 @@ fn add_to(sum: &mut [f64], other: &[f64]) {
     sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += other);
 }
 
+fn add_sums(sums: &mut Sums, others: Sums) {
+    add_to(&mut sums.0, &others.0);
+    add_to(&mut sums.1, &others.1);
+    add_to(&mut sums.2, &others.2);
+}
+
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// Objective.
-pub fn cost(rows: &Rows, place: &Place) -> f64 {
-    summed(rows, || 0.0, |sum, n| *sum += rows.cost(place, n..n + 1), |sum, other| *sum += other)
+pub fn cost(rows: &Rows, values: &Values) -> f64 {
+    summed(rows, || 0.0, |sum, n| *sum += rows.cost(values, n..n + 1), |sum, other| *sum += other)
 }
 
 /// Which second derivatives of the objective.
@@ -82,22 +89,22 @@ pub enum Matrix {
 }
 
 /// Product of a matrix with a vector.
-pub fn product(rows: &Rows, place: &Place, matrix: Matrix, vector: &[f64]) -> Vec<f64> {
+pub fn product(rows: &Rows, values: &Values, matrix: Matrix, vector: &[f64]) -> Vec<f64> {
     let zero = || (vec![0.0; rows.layout.size], Vec::new());
     let add_row = |(sum, terms): &mut (Vec<f64>, Vec<(usize, f64)>), n: usize| {
-        let residual = rows.residual(place, n, Some(terms));
+        let residual = rows.residual(values, n, Some(terms));
         let weight = rows.loss(n, residual).1;
         let along: f64 = weight * terms.iter().map(|&(i, a)| a * vector[i]).sum::<f64>();
         terms.iter().for_each(|&(i, a)| sum[i] += a * along);
         if matrix == Matrix::Bent {
-            rows.bend(place, n, (residual, weight), vector, sum);
+            rows.bend(values, n, (residual, weight), vector, sum);
         }
     };
     summed(rows, zero, add_row, |(sum, _), (other, _)| add_to(sum, &other)).0
 }
 
 impl Slope {
-    fn new(rows: &Rows, place: &Place) -> Self {
+    fn new(rows: &Rows, values: &Values) -> Self {
         let layout = &rows.layout;
         let (size, dimensions, coordinates) = (layout.size, layout.dimensions, layout.coordinates);
         let patches = rows.problem.start.len();
@@ -106,7 +113,7 @@ impl Slope {
             (vec![0.0; size], vec![0.0; 9 * patches], others, Vec::new())
         };
         let add_row = |(right, blocks, others, terms): &mut Sums, n: usize| {
-            let residual = rows.residual(place, n, Some(terms));
+            let residual = rows.residual(values, n, Some(terms));
             let weight = rows.loss(n, residual).1;
             for &(i, a) in terms.iter() {
                 right[i] += weight * a * residual;
@@ -119,12 +126,7 @@ impl Slope {
                 }
             }
         };
-        let add = |sum: &mut Sums, other: Sums| {
-            add_to(&mut sum.0, &other.0);
-            add_to(&mut sum.1, &other.1);
-            add_to(&mut sum.2, &other.2);
-        };
-        let (right, blocks, others, _) = summed(rows, zero, add_row, add);
+        let (right, blocks, others, _) = summed(rows, zero, add_row, add_sums);
         let block = |patch: usize| Matrix3::from_fn(|i, k| blocks[9 * patch + 3 * i + k]);
         Self {
             right,
@@ -137,7 +139,7 @@ impl Slope {
 /// A matrix of the patches' coordinates, damped.
 struct Patches<'a> {
     rows: &'a Rows<'a>,
-    place: &'a Place,
+    values: &'a Values,
     matrix: Matrix,
     extra: Vec<f64>,
     inverses: Vec<Matrix3<f64>>,
@@ -145,7 +147,7 @@ struct Patches<'a> {
 
 impl<'a> Patches<'a> {
     /// `None` if a block is not definite.
-    fn new(rows: &'a Rows<'a>, place: &'a Place, matrix: Matrix, slope: &Slope, damping: f64) -> Option<Self> {
+    fn new(rows: &'a Rows<'a>, values: &'a Values, matrix: Matrix, slope: &Slope, damping: f64) -> Option<Self> {
         let dimensions = rows.layout.dimensions;
         let diagonal = |i: usize| slope.blocks[i / dimensions][(i % dimensions, i % dimensions)];
         let scale = (0..rows.layout.coordinates).map(diagonal).fold(0.0, f64::max);
@@ -157,13 +159,13 @@ impl<'a> Patches<'a> {
             (block + Matrix3::from_diagonal(&Vector3::from_fn(|i, _| at(i)))).try_inverse()
         };
         let inverses: Option<Vec<_>> = slope.blocks.iter().enumerate().map(inverse).collect();
-        Some(Self { rows, place, matrix, inverses: inverses?, extra })
+        Some(Self { rows, values, matrix, inverses: inverses?, extra })
     }
 
     fn times(&self, vector: &[f64]) -> Vec<f64> {
         let mut all = vector.to_vec();
         all.resize(self.rows.layout.size, 0.0);
-        let mut product = product(self.rows, self.place, self.matrix, &all);
+        let mut product = product(self.rows, self.values, self.matrix, &all);
         product.truncate(vector.len());
         product.iter_mut().zip(&self.extra).zip(vector).for_each(|((sum, extra), value)| *sum += extra * value);
         product
@@ -224,9 +226,9 @@ impl<'a> Patches<'a> {
 }
 
 /// A damped Gauss-Newton step, or Newton step; `None` if a block is not definite.
-pub fn step(rows: &Rows, place: &Place, matrix: Matrix, damping: f64) -> Option<Vec<f64>> {
-    let slope = Slope::new(rows, place);
-    let patches = Patches::new(rows, place, matrix, &slope, damping)?;
+pub fn step(rows: &Rows, values: &Values, matrix: Matrix, damping: f64) -> Option<Vec<f64>> {
+    let slope = Slope::new(rows, values);
+    let patches = Patches::new(rows, values, matrix, &slope, damping)?;
     let coordinates = rows.layout.coordinates;
     let mut step = patches.solve(&slope.right[..coordinates], SOLVED);
     if slope.others.ncols() == 0 {
@@ -246,9 +248,9 @@ pub fn step(rows: &Rows, place: &Place, matrix: Matrix, damping: f64) -> Option<
 }
 
 /// Blocks of the patches (infinite where nothing determines one), and covariance of the other unknowns.
-pub fn covariance(rows: &Rows, place: &Place) -> Option<(Vec<Matrix3<f64>>, Mat<f64>)> {
-    let slope = Slope::new(rows, place);
-    let patches = Patches::new(rows, place, Matrix::Normal, &slope, 0.0)?;
+pub fn covariance(rows: &Rows, values: &Values) -> Option<(Vec<Matrix3<f64>>, Mat<f64>)> {
+    let slope = Slope::new(rows, values);
+    let patches = Patches::new(rows, values, Matrix::Normal, &slope, 0.0)?;
     let (follow, left) = patches.eliminate(&slope.others);
     let others = dense::inverse(&left)?;
     let dimensions = rows.layout.dimensions;

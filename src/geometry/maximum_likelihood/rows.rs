@@ -52,7 +52,7 @@ impl Layout {
 
 /// Values of all unknowns.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Place {
+pub struct Values {
     /// Positions of the patches.
     pub points: Vec<Point>,
     /// Positions of the stations.
@@ -63,7 +63,7 @@ pub struct Place {
     pub period_m: f64,
 }
 
-impl Place {
+impl Values {
     pub(super) fn start(problem: &Problem) -> Self {
         Self {
             points: problem.start.clone(),
@@ -89,14 +89,14 @@ impl Place {
     }
 
     pub(super) fn moved(&self, step: &[f64], layout: &Layout) -> Self {
-        let mut place = self.clone();
+        let mut values = self.clone();
         let shift = |point: &mut Point, at: usize| (0..layout.dimensions).for_each(|k| point[k] += step[at + k]);
-        place.points.iter_mut().enumerate().for_each(|(patch, point)| shift(point, patch * layout.dimensions));
-        let stations = place.stations.iter_mut().zip(&layout.stations);
+        values.points.iter_mut().enumerate().for_each(|(patch, point)| shift(point, patch * layout.dimensions));
+        let stations = values.stations.iter_mut().zip(&layout.stations);
         stations.for_each(|(point, at)| at.iter().for_each(|at| shift(point, *at)));
-        place.delays_m.iter_mut().zip(&step[layout.delays..]).for_each(|(delay, step)| *delay += step);
-        place.period_m += layout.period.map_or(0.0, |at| step[at]);
-        place
+        values.delays_m.iter_mut().zip(&step[layout.delays..]).for_each(|(delay, step)| *delay += step);
+        values.period_m += layout.period.map_or(0.0, |at| step[at]);
+        values
     }
 }
 
@@ -136,13 +136,13 @@ impl<'a> Rows<'a> {
     }
 
     /// Residual of an observation: measured less predicted length.
-    pub fn residual_m(&self, place: &Place, n: usize) -> f64 {
-        place.residual_m(&self.problem.observations[n])
+    pub fn residual_m(&self, values: &Values, n: usize) -> f64 {
+        values.residual_m(&self.problem.observations[n])
     }
 
     /// Sum of the losses of some terms.
-    pub fn cost(&self, place: &Place, which: Range<usize>) -> f64 {
-        which.map(|n| self.loss(n, self.residual(place, n, None)).0).sum()
+    pub fn cost(&self, values: &Values, which: Range<usize>) -> f64 {
+        which.map(|n| self.loss(n, self.residual(values, n, None)).0).sum()
     }
 
     /// Loss of a term (a prior's is its square), and the weight of its square.
@@ -152,7 +152,7 @@ impl<'a> Rows<'a> {
     }
 
     /// A term's residual, and where asked for the derivatives of what is predicted there.
-    pub fn residual(&self, place: &Place, n: usize, mut terms: Option<&mut Terms>) -> f64 {
+    pub fn residual(&self, values: &Values, n: usize, mut terms: Option<&mut Terms>) -> f64 {
         if let Some(terms) = &mut terms {
             terms.clear();
         }
@@ -160,41 +160,41 @@ impl<'a> Rows<'a> {
         let dimensions = self.layout.dimensions;
         let Some(n) = n.checked_sub(observations.len()) else {
             if let Some(terms) = terms {
-                self.path(place, n, terms);
+                self.path(values, n, terms);
             }
-            return self.residual_m(place, n) / observations[n].sd_m;
+            return self.residual_m(values, n) / observations[n].sd_m;
         };
         let Some(n) = n.checked_sub(anchors.len() * dimensions) else {
             let (anchor, k) = (&anchors[n / dimensions], n % dimensions);
             push(terms, self.layout.patch(anchor.patch).start + k, 1.0 / anchor.sd_m);
-            return (anchor.position[k] - place.points[anchor.patch][k]) / anchor.sd_m;
+            return (anchor.position[k] - values.points[anchor.patch][k]) / anchor.sd_m;
         };
         let Some(n) = n.checked_sub(rays.len() * dimensions) else {
-            return self.direction(place, n / dimensions, n % dimensions, terms);
+            return self.direction(values, n / dimensions, n % dimensions, terms);
         };
         let uncertain = || self.layout.stations.iter().enumerate().filter_map(|(station, at)| Some((station, (*at)?)));
         let Some(n) = n.checked_sub(uncertain().count() * dimensions) else {
             let (station, at) = uncertain().nth(n / dimensions).expect("counted");
             let (prior, k) = (&self.problem.stations[station], n % dimensions);
             push(terms, at + k, 1.0 / prior.sd_m);
-            return (prior.position[k] - place.stations[station][k]) / prior.sd_m;
+            return (prior.position[k] - values.stations[station][k]) / prior.sd_m;
         };
-        if n < place.delays_m.len() {
+        if n < values.delays_m.len() {
             if let Some(terms) = terms {
                 terms.extend((0..=n).map(|k| (self.layout.delays + k, self.whitener[(n, k)])));
             }
-            return -(0..=n).map(|k| self.whitener[(n, k)] * place.delays_m[k]).sum::<f64>();
+            return -(0..=n).map(|k| self.whitener[(n, k)] * values.delays_m[k]).sum::<f64>();
         }
         push(terms, self.layout.period.expect("the last term is its prior"), 1.0 / self.problem.period_sd_m);
-        -place.period_m / self.problem.period_sd_m
+        -values.period_m / self.problem.period_sd_m
     }
 
     /// Derivatives of a path's length over its standard deviation.
-    fn path(&self, place: &Place, n: usize, terms: &mut Terms) {
+    fn path(&self, values: &Values, n: usize, terms: &mut Terms) {
         let (observation, layout) = (&self.problem.observations[n], &self.layout);
         let scale = 1.0 / observation.sd_m;
         for ends in observation.nodes.windows(2) {
-            let arm = place.position(ends[1]) - place.position(ends[0]);
+            let arm = values.position(ends[1]) - values.position(ends[0]);
             // Ends that coincide pull nowhere.
             let direction = arm.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros) * scale;
             for (node, sign) in [(ends[0], -1.0), (ends[1], 1.0)] {
@@ -209,17 +209,17 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Adds what the bending of a path contributes to the product of the objective's second derivatives with a vector,
-    /// given the path's residual and the weight of its square: `-weight residual / s B (v_b - v_a)` at the end b of
-    /// each leg from a, its negative at a, with `B = (I - u u') / length` for a leg along u.
-    pub fn bend(&self, place: &Place, n: usize, (residual, weight): (f64, f64), vector: &[f64], sum: &mut [f64]) {
+    /// Adds what the bending of a path contributes to the product of the objective's second derivatives with a vector.
+    /// The path has a residual, and its square a weight. A leg from a to b along u adds
+    /// `-weight residual / s B (v_b - v_a)` at b and its negative at a, with `B = (I - u u') / length`.
+    pub fn bend(&self, values: &Values, n: usize, (residual, weight): (f64, f64), vector: &[f64], sum: &mut [f64]) {
         let Some(observation) = self.problem.observations.get(n) else { return };
         let of = |node: Node| {
             let at = self.at(node);
             Vector3::from_fn(|k, _| at.filter(|_| k < self.layout.dimensions).map_or(0.0, |at| vector[at + k]))
         };
         for ends in observation.nodes.windows(2) {
-            let arm = place.position(ends[1]) - place.position(ends[0]);
+            let arm = values.position(ends[1]) - values.position(ends[0]);
             let length_m = arm.norm();
             if length_m == 0.0 {
                 continue;
@@ -245,10 +245,10 @@ impl<'a> Rows<'a> {
 
     /// Component k of a ray less the direction in which its patch lies. Unlike two angles this also knows which way the
     /// ray goes.
-    fn direction(&self, place: &Place, ray: usize, k: usize, terms: Option<&mut Terms>) -> f64 {
+    fn direction(&self, values: &Values, ray: usize, k: usize, terms: Option<&mut Terms>) -> f64 {
         let ray = &self.problem.rays[ray];
         let (patch, station) = (Node::Patch(ray.patch), Node::Station(ray.from));
-        let arm = place.position(patch) - place.position(station);
+        let arm = values.position(patch) - values.position(station);
         let range_m = arm.norm().max(f64::MIN_POSITIVE);
         let along = arm / range_m;
         if let Some(terms) = terms {

@@ -85,9 +85,9 @@ fn bound_rms(points: &[Point], sd_m: f64) -> f64 {
 }
 
 /// Coordinate errors after alignment about p0, tangent to first order.
-fn errors(found: &[Point], truth: &[Point]) -> Vec<f64> {
-    let fit = procrustes::rotation(found, truth, Point::origin(), true);
-    found
+fn errors(solution: &[Point], truth: &[Point]) -> Vec<f64> {
+    let fit = procrustes::rotation(solution, truth, Point::origin(), true);
+    solution
         .iter()
         .zip(truth)
         .flat_map(|(f, t)| {
@@ -340,11 +340,11 @@ fn a_scene_of_near_pairs_settles_in_few_steps() {
     let (_, loss, settled) = descend(&rows, Means::MatrixFree(Matrix::Normal), 30, SETTLED_MATRIX_FREE_M);
     assert!(settled);
     let dense = solve_by(&problem, Means::Dense).unwrap();
-    // Patches with few neighbours turn freely about them: the objective tells.
+    // Patches with few neighbours turn freely about them, so objectives are compared instead of positions.
     assert!((dense.loss - loss).abs() < 1e-9 * dense.loss, "{} {loss}", dense.loss);
 }
 
-/// Beside differences of the slope, whose derivatives they are.
+/// Compared with differences of the slope, whose derivatives they are.
 #[test]
 fn products_are_second_derivatives() {
     let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(17));
@@ -356,20 +356,20 @@ fn products_are_second_derivatives() {
     }
     problem.loss = Loss::Squared;
     let rows = Rows::new(&problem);
-    let place = Place::start(&problem);
+    let values = Values::start(&problem);
     let vector: Vec<f64> = (0..rows.layout.size).map(|_| StandardNormal.sample(&mut rng)).collect();
     let slope = |by: f64| {
         let step: Vec<f64> = vector.iter().map(|value| by * value).collect();
-        let (place, mut sum, mut terms) = (place.moved(&step, &rows.layout), vec![0.0; rows.layout.size], Vec::new());
+        let (values, mut sum, mut terms) = (values.moved(&step, &rows.layout), vec![0.0; rows.layout.size], Vec::new());
         for n in 0..rows.count {
-            let residual = rows.residual(&place, n, Some(&mut terms));
+            let residual = rows.residual(&values, n, Some(&mut terms));
             terms.iter().for_each(|&(i, a)| sum[i] -= a * residual);
         }
         sum
     };
     let (up, down) = (slope(1e-6), slope(-1e-6));
-    let product = matrix_free::product(&rows, &place, Matrix::Bent, &vector);
-    let straight = matrix_free::product(&rows, &place, Matrix::Normal, &vector);
+    let product = matrix_free::product(&rows, &values, Matrix::Bent, &vector);
+    let straight = matrix_free::product(&rows, &values, Matrix::Normal, &vector);
     let largest = product.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
     let off = |product: &[f64]| {
         let off =
@@ -405,17 +405,17 @@ fn derivatives_are_those_of_the_residuals() {
     problem.rays = vec![Ray { patch: 5, from: 1, direction: Vector3::new(0.0, 0.6, 0.8), sd_rad: 0.1 }];
     problem.delay_covariance_m2 = Mat::from_fn(2, 2, |i, k| if i == k { 2.0 } else { 1.0 });
     let rows = Rows::new(&problem);
-    let place = Place::start(&problem);
+    let values = Values::start(&problem);
     let mut terms = Vec::new();
     for n in (0..rows.count).filter(|n| *n >= 50 || n % 7 == 0) {
-        rows.residual(&place, n, Some(&mut terms));
+        rows.residual(&values, n, Some(&mut terms));
         for k in 0..rows.layout.size {
             let analytic: f64 = terms.iter().filter(|(i, _)| *i == k).map(|(_, value)| value).sum();
             let mut step = vec![0.0; rows.layout.size];
             step[k] = 1e-6;
-            let up = rows.residual(&place.moved(&step, &rows.layout), n, None);
+            let up = rows.residual(&values.moved(&step, &rows.layout), n, None);
             step[k] = -1e-6;
-            let down = rows.residual(&place.moved(&step, &rows.layout), n, None);
+            let down = rows.residual(&values.moved(&step, &rows.layout), n, None);
             // What is predicted grows where the residual falls.
             assert!(((down - up) / 2e-6 - analytic).abs() < 1e-3 * (1.0 + analytic.abs()), "{n} {k}");
         }

@@ -54,9 +54,10 @@ pub fn equal_distances(experiment: &Experiment) -> Option<f64> {
     (distance_m.is_finite() && distance_m > 0.0).then_some(distance_m)
 }
 
-/// Mirrors whose virtual source has the scans' lengths from the diffuser points, each with the squared contradiction
-/// between reflected beams and diffuser points in standard deviations, least first. Several where lengths leave a
-/// choice: two scans (in space, three), diffuser points in line (in a plane). None where they are too few.
+/// Mirrors whose virtual source has the scans' lengths from the diffuser points, those with the least contradiction
+/// first. The contradiction is between reflected beams and diffuser points, in squared standard deviations. Several
+/// where lengths leave a choice: two scans (in space, three), diffuser points in line (in a plane). None where they are
+/// too few.
 #[must_use]
 pub fn virtual_source(experiment: &Experiment) -> Vec<(Mirror, f64)> {
     let sphere = |scan: &Scan| {

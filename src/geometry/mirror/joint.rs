@@ -1,8 +1,8 @@
 //! Maximum likelihood over mirror, beams, folded lengths, stations and delays, by Gauss-Newton.
 //!
-//! The reflected beam ends on the diffuser by construction (`D` is the mirror image of `Q`), so its given position is a
-//! measurement of `D` like the arrivals are of the length: no constraint is left to be weighed. Errors of what is given
-//! count as normal.
+//! The reflected beam ends on the diffuser by construction (`D` is the mirror image of `Q`). So the diffuser point's
+//! given position is a measurement of `D`, as the arrivals are of the length; no constraint needs a weight. Errors of
+//! what is given count as normal.
 
 use nalgebra::Matrix3;
 use thiserror::Error;

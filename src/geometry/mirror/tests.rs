@@ -266,9 +266,9 @@ fn claimed_errors_are_those_of_many_draws() {
                 own[(2, 2)] += if dimensions == 2 { 1.0 } else { 0.0 };
                 error.dot(&(own.try_inverse().unwrap() * error)) / dimensions as f64
             };
-            let mean = |found: &[Point], truth: Vec<Point>, first: usize| {
-                let errors = found.iter().zip(truth).enumerate();
-                errors.map(|(n, (found, truth))| square(found - truth, first + n)).sum::<f64>() / scans as f64
+            let mean = |solution: &[Point], truth: Vec<Point>, first: usize| {
+                let errors = solution.iter().zip(truth).enumerate();
+                errors.map(|(n, (point, truth))| square(point - truth, first + n)).sum::<f64>() / scans as f64
             };
             points += mean(&solution.points, truth.points(), 0) / f64::from(draws);
             diffuser += mean(&solution.diffuser, truth.diffuser(), scans) / f64::from(draws);

@@ -38,8 +38,8 @@ fn three_neighbours_place_a_patch_and_two_leave_its_mirror_image() {
 #[test]
 fn without_a_first_bounce_four_neighbours_place_a_patch() {
     let points = room::rectangles();
-    let found = candidates(&ties(&points, &[0, 27, 30, 44])[1..], 3, 0.05, Loss::Huber);
-    assert!((found[0].point - points[48]).norm() < 1e-6 && found[0].cost < 1e-9);
+    let solution = candidates(&ties(&points, &[0, 27, 30, 44])[1..], 3, 0.05, Loss::Huber);
+    assert!((solution[0].point - points[48]).norm() < 1e-6 && solution[0].cost < 1e-9);
 }
 
 #[test]
@@ -47,8 +47,8 @@ fn first_bounces_to_separate_sensors_place_a_patch() {
     let truth = Point::new(0.4, 2.0, 0.7);
     let source = Point::new(0.1, 0.0, 0.0);
     let sensors = [Point::new(1.0, 0.0, 0.0), Point::new(-1.0, 0.1, 0.0), Point::new(0.0, 0.2, 1.0)];
-    let found = candidates(&sensors.map(|sensor| path(source, truth, sensor)), 3, 0.05, Loss::Huber);
-    assert!(found.iter().any(|candidate| (candidate.point - truth).norm() < 1e-6), "{found:?}");
+    let solution = candidates(&sensors.map(|sensor| path(source, truth, sensor)), 3, 0.05, Loss::Huber);
+    assert!(solution.iter().any(|candidate| (candidate.point - truth).norm() < 1e-6), "{solution:?}");
 }
 
 #[test]
@@ -60,8 +60,8 @@ fn paths_without_a_common_focus_place_a_patch() {
         path(at(-1.0, 0.0, 0.2), truth, at(2.0, 2.0, 1.0)),
         path(at(0.0, 0.0, 1.0), truth, at(-2.0, 2.0, -1.0)),
     ];
-    let found = candidates(&ties, 3, 0.05, Loss::Huber);
-    assert!(found.iter().any(|candidate| (candidate.point - truth).norm() < 1e-6), "{found:?}");
+    let solution = candidates(&ties, 3, 0.05, Loss::Huber);
+    assert!(solution.iter().any(|candidate| (candidate.point - truth).norm() < 1e-6), "{solution:?}");
 }
 
 #[test]
@@ -69,10 +69,10 @@ fn a_ray_and_a_path_place_a_patch_and_so_does_an_anchor() {
     let truth = Point::new(0.4, 2.0, 0.7);
     let (from, sensor) = (Point::new(0.0, 0.0, 0.1), Point::new(1.0, 0.0, 0.0));
     let ray = Tie::Ray { from, direction: (truth - from).normalize(), sd_rad: 1e-3 };
-    let found = candidates(&[path(from, truth, sensor), path(sensor, truth, sensor), ray], 3, 0.05, Loss::Huber);
-    assert!((found[0].point - truth).norm() < 1e-6 && found[0].cost < 1e-6);
-    let found = candidates(&[Tie::Anchor { position: truth, sd_m: 0.01 }], 3, 0.05, Loss::Huber);
-    assert!(found.len() == 1 && found[0].point == truth);
+    let solution = candidates(&[path(from, truth, sensor), path(sensor, truth, sensor), ray], 3, 0.05, Loss::Huber);
+    assert!((solution[0].point - truth).norm() < 1e-6 && solution[0].cost < 1e-6);
+    let solution = candidates(&[Tie::Anchor { position: truth, sd_m: 0.01 }], 3, 0.05, Loss::Huber);
+    assert!(solution.len() == 1 && solution[0].point == truth);
 }
 
 #[test]
@@ -81,8 +81,8 @@ fn a_neighbour_in_a_wrong_place_is_outvoted() {
     let mut ties = ties(&points, &[3, 11, 20, 27, 33, 44]);
     let Tie::Path { to, .. } = &mut ties[4] else { panic!("a path") };
     *to = Point::new(0.0, 1.0, 1.0);
-    let found = candidates(&ties, 3, 0.05, Loss::Huber);
-    assert!((found[0].point - points[48]).norm() < 0.01, "{:?}", found[0]);
+    let solution = candidates(&ties, 3, 0.05, Loss::Huber);
+    assert!((solution[0].point - points[48]).norm() < 0.01, "{:?}", solution[0]);
 }
 
 #[test]
@@ -103,15 +103,15 @@ fn ranges_place_a_patch_and_from_one_plane_its_mirror_image_too() {
     let truth = Point::new(0.3, 1.1, 0.2);
     let range = |&n: &usize| path(points[n], truth, points[n]);
     let two_walls: Vec<Tie> = [0, 4, 22, 27, 40].iter().map(range).collect();
-    let found = candidates(&two_walls, 3, 0.05, Loss::Huber);
-    assert!((found[0].point - truth).norm() < 1e-6 && found[0].cost < 1e-9);
-    assert!(found[1..].iter().all(|other| other.cost > 10.0));
+    let solution = candidates(&two_walls, 3, 0.05, Loss::Huber);
+    assert!((solution[0].point - truth).norm() < 1e-6 && solution[0].cost < 1e-9);
+    assert!(solution[1..].iter().all(|other| other.cost > 10.0));
     // The wall of patches 0 to 24 stands at y = 2.6 m.
     let wall: Vec<Tie> = [0, 4, 22, 12].iter().map(range).collect();
-    let found = candidates(&wall, 3, 0.05, Loss::Huber);
-    assert!(found.len() == 2 && found.iter().all(|candidate| candidate.cost < 1e-9), "{found:?}");
+    let solution = candidates(&wall, 3, 0.05, Loss::Huber);
+    assert!(solution.len() == 2 && solution.iter().all(|candidate| candidate.cost < 1e-9), "{solution:?}");
     for place in [truth, Point::new(truth.x, 5.2 - truth.y, truth.z)] {
-        assert!(found.iter().any(|candidate| (candidate.point - place).norm() < 1e-6));
+        assert!(solution.iter().any(|candidate| (candidate.point - place).norm() < 1e-6));
     }
     // Patches 0 to 4 stand in line.
     let line: Vec<Tie> = [0, 1, 2, 4].iter().map(range).collect();
@@ -119,6 +119,6 @@ fn ranges_place_a_patch_and_from_one_plane_its_mirror_image_too() {
     // In flatland two patches leave two places.
     let truth = Point::new(0.3, 1.1, 0.0);
     let flat = [Point::new(-1.0, 2.0, 0.0), Point::new(1.0, 2.0, 0.0)].map(|end| path(end, truth, end));
-    let found = candidates(&flat, 2, 0.05, Loss::Huber);
-    assert!(found.len() == 2 && found.iter().all(|candidate| candidate.point.z == 0.0 && candidate.cost < 1e-9));
+    let solution = candidates(&flat, 2, 0.05, Loss::Huber);
+    assert!(solution.len() == 2 && solution.iter().all(|candidate| candidate.point.z == 0.0 && candidate.cost < 1e-9));
 }

@@ -1,6 +1,6 @@
 //! Other positions that explain the lengths about as well.
 
-use super::{STEPS, Scene, State};
+use super::{Measurements, STEPS, State};
 use crate::Point;
 use crate::maximum_likelihood::Problem;
 
@@ -37,26 +37,26 @@ pub struct Alternative {
 #[must_use]
 pub fn alternatives(problem: &Problem, points: &[Point]) -> Vec<Alternative> {
     assert!(points.len() == problem.start.len(), "{} points, {} patches", points.len(), problem.start.len());
-    let scene = Scene::new(problem);
-    let best = scene.settle(points.iter().copied().map(Some).collect(), STEPS);
-    let mirrored = scene.mirrored(&best).map(|state| (Kind::Mirror, state));
-    let flips = scene.moves(&best).into_iter().filter_map(|(patch, point)| {
-        let flipped = scene.moved(&best, patch, point);
-        scene.elsewhere(&flipped, &best).contains(&patch).then_some((Kind::Flip, flipped))
+    let measurements = Measurements::new(problem);
+    let best = measurements.settle(points.iter().copied().map(Some).collect(), STEPS);
+    let mirrored = measurements.mirrored(&best).map(|state| (Kind::Mirror, state));
+    let flips = measurements.moves(&best).into_iter().filter_map(|(patch, point)| {
+        let flipped = measurements.moved(&best, patch, point);
+        measurements.elsewhere(&flipped, &best).contains(&patch).then_some((Kind::Flip, flipped))
     });
     let alternative = |(kind, state): (Kind, State)| Alternative {
         kind,
-        patches: scene.elsewhere(&state, &best),
+        patches: measurements.elsewhere(&state, &best),
         points: state.points(),
         more: state.loss - best.loss,
     };
-    let mut found: Vec<Alternative> = mirrored.into_iter().chain(flips).map(alternative).collect();
-    found.retain(|alternative| alternative.more < MORE && !alternative.patches.is_empty());
-    found.sort_by(|a, b| a.more.total_cmp(&b.more).then_with(|| a.patches.cmp(&b.patches)));
-    found
+    let mut alternatives: Vec<Alternative> = mirrored.into_iter().chain(flips).map(alternative).collect();
+    alternatives.retain(|alternative| alternative.more < MORE && !alternative.patches.is_empty());
+    alternatives.sort_by(|a, b| a.more.total_cmp(&b.more).then_with(|| a.patches.cmp(&b.patches)));
+    alternatives
 }
 
-impl Scene<'_> {
+impl Measurements<'_> {
     /// Patches whose places differ.
     fn elsewhere(&self, a: &State, b: &State) -> Vec<usize> {
         let places = a.points().into_iter().zip(b.points()).enumerate();

@@ -1,9 +1,9 @@
 //! Growth of a solution, patch by patch.
 //!
-//! The patch that comes next is the one whose best place explains its ties most clearly better than its second best,
-//! and among equals the one with most ties. Every few patches all are settled together, so that errors do not pile up.
+//! Next comes the patch whose best place explains its ties by the largest margin over its second best; among equals,
+//! the one with most ties. Every few patches all are settled together, so that errors do not pile up.
 
-use super::{Scene, State};
+use super::{Measurements, State};
 use crate::Point;
 use crate::multilateration::{self, Candidate};
 
@@ -22,7 +22,7 @@ pub(super) struct Next {
     point: Point,
 }
 
-impl Scene<'_> {
+impl Measurements<'_> {
     /// Places for all patches, grown from those that have one; the last of them are not settled.
     pub(super) fn grow(&self, mut state: State) -> State {
         let mut since = 0;
@@ -50,12 +50,12 @@ impl Scene<'_> {
         let of = |patch: usize| -> Option<Next> {
             self.problem.cancel.check();
             let ties = self.ties(patch, state);
-            let found = multilateration::candidates(&ties, dimensions, self.apart_m, self.problem.loss);
+            let candidates = multilateration::candidates(&ties, dimensions, self.apart_m, self.problem.loss);
             let gap = |best: &Candidate, second: &Candidate| ((second.cost - best.cost) / (1.0 + best.cost)).min(SAFE);
-            let best = found.first()?;
-            // Mirror images have no loss to be told apart by.
+            let best = candidates.first()?;
+            // Mirror images have the same loss.
             let certain = ties.len() > dimensions;
-            let clearness = if certain { found.get(1).map_or(SAFE, |second| gap(best, second)) } else { 0.0 };
+            let clearness = if certain { candidates.get(1).map_or(SAFE, |second| gap(best, second)) } else { 0.0 };
             Some(Next { clearness, ties: ties.len(), patch, point: best.point })
         };
         let unplaced = (0..self.count()).filter(|&patch| state.places[patch].is_none());

@@ -6,8 +6,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{SETTLED_M, STEPS, Scene, State};
-use crate::maximum_likelihood::{self, Node, Observation, Place, Problem};
+use super::{Measurements, SETTLED_M, STEPS, State};
+use crate::maximum_likelihood::{self, Node, Observation, Problem, Values};
 use crate::{Point, procrustes};
 
 /// What spans less than this share of the longest path spans nothing.
@@ -75,7 +75,7 @@ fn mean(points: &[Point]) -> Point {
     Point::from(points.iter().map(|point| point.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64)
 }
 
-impl Scene<'_> {
+impl Measurements<'_> {
     /// Settled from there, turned about the stations where that is better.
     pub(super) fn settle_turned(&self, start: State) -> State {
         if self.frame.rank == 0 {
@@ -110,7 +110,7 @@ impl Scene<'_> {
     /// Patches and stations from the path lengths, the stations as free as the patches. Stations in place keep a whole
     /// that is turned wrongly from turning: the descent ends in a minimum that has the wrong way around and the wrong
     /// shape.
-    fn loose(&self, state: &State) -> Place {
+    fn loose(&self, state: &State) -> Values {
         let stations_m = self.resected(state);
         let observations = self.problem.observations.clone();
         let mut problem = self.paths(state.points(), &stations_m, observations);

@@ -6,7 +6,7 @@ use std::iter;
 use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
 
-use super::{SAME, STEPS, Scene, State, patches};
+use super::{Measurements, SAME, STEPS, State, patches};
 use crate::{Point, classical, completion, smacof};
 
 /// Most seeds that are grown from.
@@ -18,7 +18,7 @@ const NEIGHBOURS: usize = 30;
 /// Paths that a seed without first bounces has above its unknowns.
 const SURPLUS: usize = 6;
 
-impl Scene<'_> {
+impl Measurements<'_> {
     /// Starts, most promising first; all patches of each have a place.
     pub(super) fn starts(&self) -> impl Iterator<Item = State> {
         let spectral = [false, true].into_iter().filter_map(|smooth| Some(self.grow(self.spectral(smooth)?)));
@@ -35,17 +35,17 @@ impl Scene<'_> {
         if of.len() <= self.problem.dimensions {
             return None;
         }
-        let known = |i: usize, j: usize| match (i.min(j), i.max(j)) {
+        let distance_m = |i: usize, j: usize| match (i.min(j), i.max(j)) {
             (0, 0) => Some(0.0),
             (0, j) => self.range_m(of[j - 1]),
             (i, j) => self.across_m(of[i - 1], of[j - 1]),
         };
         let size = of.len() + 1;
         let complete_m =
-            completion::complete(size, known, &self.problem.cancel).expect("every patch here has a first bounce");
+            completion::complete(size, distance_m, &self.problem.cancel).expect("every patch here has a first bounce");
         let mut points = classical::embed(&complete_m, self.problem.dimensions);
         if smooth {
-            let weights = Mat::from_fn(size, size, |i, j| if known(i, j).is_some() { 1.0 } else { 0.0 });
+            let weights = Mat::from_fn(size, size, |i, j| if distance_m(i, j).is_some() { 1.0 } else { 0.0 });
             points = smacof::scale(&points, &complete_m, &weights).expect("every patch here has a first bounce").points;
         }
         let mut state = self.nothing();

@@ -47,12 +47,12 @@ fn without(problem: &mut Problem, unwanted: impl Fn(&[usize]) -> bool) {
     problem.observations.retain(|o| !unwanted(&patches(o).collect::<Vec<_>>()));
 }
 
-fn rms_m(found: &[Point], truth: &[Point]) -> f64 {
-    procrustes::rotation(found, truth, Point::origin(), true).rms_m
+fn rms_m(solution: &[Point], truth: &[Point]) -> f64 {
+    procrustes::rotation(solution, truth, Point::origin(), true).rms_m
 }
 
-fn plain_rms_m(found: &[Point], truth: &[Point]) -> f64 {
-    (found.iter().zip(truth).map(|(a, b)| (a - b).norm_squared()).sum::<f64>() / truth.len() as f64).sqrt()
+fn plain_rms_m(solution: &[Point], truth: &[Point]) -> f64 {
+    (solution.iter().zip(truth).map(|(a, b)| (a - b).norm_squared()).sum::<f64>() / truth.len() as f64).sqrt()
 }
 
 #[test]
@@ -110,8 +110,8 @@ fn growth_from_a_seed_alone_finds_the_room_and_a_patch_that_sees_none_stays_on_i
     let truth = room::rectangles();
     let (mut problem, _) = colocated(&truth, 0.6, 1e-4, 5);
     without(&mut problem, |p| p.len() == 2 && p.contains(&7));
-    let scene = Scene::new(&problem);
-    let mut grown = scene.grow(scene.sprout(&scene.seeds()[0], 0)).points();
+    let measurements = Measurements::new(&problem);
+    let mut grown = measurements.grow(measurements.sprout(&measurements.seeds()[0], 0)).points();
     assert!((2.0 * grown[7].coords.norm() - problem.observations[7].length_m).abs() < 1e-6);
     let mut others = truth.clone();
     grown.remove(7);
@@ -123,15 +123,15 @@ fn growth_from_a_seed_alone_finds_the_room_and_a_patch_that_sees_none_stays_on_i
 fn a_patch_at_its_mirror_image_is_moved_back() {
     let truth = room::rectangles();
     let (problem, _) = colocated(&truth, 0.7, 0.001, 6);
-    let scene = Scene::new(&problem);
-    let settled = |points: Vec<Point>| scene.settle(points.into_iter().map(Some).collect(), STEPS);
+    let measurements = Measurements::new(&problem);
+    let settled = |points: Vec<Point>| measurements.settle(points.into_iter().map(Some).collect(), STEPS);
     let right = settled(truth.clone());
     let mut start = right.points();
     // Through the plane of the origin and the vertical edge of the wall.
     let normal = truth[0].coords.cross(&Vector3::z()).normalize();
     let height = normal.dot(&start[30].coords);
     start[30] -= 2.0 * normal * height;
-    assert!(scene.mend(settled(start)).loss < right.loss + 1e-3);
+    assert!(measurements.repair(settled(start)).loss < right.loss + 1e-3);
 }
 
 #[test]
@@ -175,16 +175,16 @@ fn separate_stations_that_span_space_leave_nothing_free() {
 }
 
 /// Root of the mean squared error after the best turn about the x axis; `mirrored` first in the plane of x and z.
-fn rms_about_x_m(found: &[Point], truth: &[Point], mirrored: bool) -> f64 {
+fn rms_about_x_m(solution: &[Point], truth: &[Point], mirrored: bool) -> f64 {
     let sign = if mirrored { -1.0 } else { 1.0 };
     let (mut sine, mut cosine) = (0.0, 0.0);
-    for (f, t) in found.iter().zip(truth) {
+    for (f, t) in solution.iter().zip(truth) {
         cosine += sign * f.y * t.y + f.z * t.z;
         sine += sign * f.y * t.z - f.z * t.y;
     }
     let (sine, cosine) = (sine / sine.hypot(cosine), cosine / sine.hypot(cosine));
     let turned = |p: &Point| Point::new(p.x, cosine * sign * p.y - sine * p.z, sine * sign * p.y + cosine * p.z);
-    plain_rms_m(&found.iter().map(turned).collect::<Vec<_>>(), truth)
+    plain_rms_m(&solution.iter().map(turned).collect::<Vec<_>>(), truth)
 }
 
 #[test]
@@ -203,8 +203,8 @@ fn one_separate_sensor_attains_the_bound() {
         let placed = place(&problem);
         let rms_m = |mirrored| rms_about_x_m(&placed.points, &truth, mirrored);
         squares += rms_m(false).min(rms_m(true)).powi(2);
-        let told = Information::of_ways(&truth, &stations, &ways, &vec![SD_M; ways.len()], 0.0);
-        bounds += room::bound_of_m(&told.of_positions(), 1).powi(2);
+        let information = Information::of_ways(&truth, &stations, &ways, &vec![SD_M; ways.len()], 0.0);
+        bounds += room::bound_of_m(&information.of_positions(), 1).powi(2);
         assert!(alternatives(&problem, &placed.points).is_empty());
     }
     let ratio = (squares / bounds).sqrt();
@@ -279,13 +279,13 @@ fn with_hidden_detours(truth: &[Point], seed: u64) -> (Problem, Vec<bool>) {
             problem_ways.push((vec![a, b], vec![a, via, b]));
         }
     }
-    let taken = |(told, true_path): &(Vec<usize>, Vec<usize>)| (told.clone(), true_path.clone());
-    let told: Vec<(Vec<usize>, Vec<usize>)> = problem_ways.iter().map(taken).collect();
-    all.extend(told.iter().map(|(_, path)| Way { source: 0, patches: path.clone(), sensor: 0 }));
-    wrong.extend(told.iter().map(|(told, path)| told != path));
+    let taken = |(labels, true_path): &(Vec<usize>, Vec<usize>)| (labels.clone(), true_path.clone());
+    let labels: Vec<(Vec<usize>, Vec<usize>)> = problem_ways.iter().map(taken).collect();
+    all.extend(labels.iter().map(|(_, path)| Way { source: 0, patches: path.clone(), sensor: 0 }));
+    wrong.extend(labels.iter().map(|(labels, path)| labels != path));
     let mut problem = measured(truth, &[Point::origin()], &all, SD_M, seed);
-    for (observation, (told, _)) in problem.observations[truth.len()..].iter_mut().zip(&told) {
-        observation.nodes = vec![Node::Station(0), Node::Patch(told[0]), Node::Patch(told[1]), Node::Station(0)];
+    for (observation, (labels, _)) in problem.observations[truth.len()..].iter_mut().zip(&labels) {
+        observation.nodes = vec![Node::Station(0), Node::Patch(labels[0]), Node::Patch(labels[1]), Node::Station(0)];
     }
     (problem, wrong)
 }
@@ -329,10 +329,10 @@ fn weak_third_bounces_beside_the_others_attain_the_bound() {
         let start = place(&problem).points;
         let solution = maximum_likelihood::solve(&Problem { start, ..problem }).unwrap();
         let fit = procrustes::rotation(&solution.points, &truth, Point::origin(), true);
-        let told = Information::of_ways(&truth, &origin, &ways, &sds_m, delay_sd_m);
-        let delay_ratio = solution.delay_variance_m2(0).sqrt() / told.delay_sd_m(3);
+        let information = Information::of_ways(&truth, &origin, &ways, &sds_m, delay_sd_m);
+        let delay_ratio = solution.delay_variance_m2(0).sqrt() / information.delay_sd_m(3);
         assert!((delay_ratio - 1.0).abs() < 0.05, "{delay_ratio}");
-        let fisher = told.of_positions();
+        let fisher = information.of_positions();
         squares += (fit.rms_m / room::bound_of_m(&fisher, 3)).powi(2) / 10.0;
         let turned = solution.points.iter().map(|point| procrustes::turn(&fit.matrix, Point::origin(), *point));
         let errors: Vec<f64> = turned.zip(&truth).flat_map(|(a, b)| <[f64; 3]>::from(a - b)).collect();
@@ -354,8 +354,8 @@ fn rays_fix_the_frame_and_the_covariance_is_the_bound() {
     problem.rays = truth.iter().enumerate().map(ray).collect();
     let start = place(&problem).points;
     let solution = maximum_likelihood::solve(&Problem { start, ..problem }).unwrap();
-    let told = Information::of_ways(&truth, &origin, &ways, &vec![1e-3; ways.len()], 0.0);
-    let bound_m = room::bound_of_m(&told.with_rays(&truth, origin[0], sd_rad).of_positions(), 0);
+    let information = Information::of_ways(&truth, &origin, &ways, &vec![1e-3; ways.len()], 0.0);
+    let bound_m = room::bound_of_m(&information.with_rays(&truth, origin[0], sd_rad).of_positions(), 0);
     let trace_m2: f64 = (0..truth.len()).map(|i| solution.patch_covariance_m2(i, i).trace()).sum();
     let ratio = (trace_m2 / truth.len() as f64).sqrt() / bound_m;
     assert!((ratio - 1.0).abs() < 0.02, "{ratio}");

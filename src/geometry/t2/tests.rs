@@ -71,9 +71,9 @@ fn values(distances: &Distances) -> [f64; 6] {
 fn the_closed_form_is_the_solution_of_t2() {
     let o = onsets(&TRUTH);
     let solved = solve_square(&RIGHT, &o);
-    let found = values(&closed(&o, 1e-6));
+    let outcome = values(&closed(&o, 1e-6));
     for k in 0..6 {
-        assert!((solved[k] - TRUTH[k]).abs() < 1e-9 && (found[k] - TRUTH[k]).abs() < 1e-12);
+        assert!((solved[k] - TRUTH[k]).abs() < 1e-9 && (outcome[k] - TRUTH[k]).abs() < 1e-12);
     }
 }
 
@@ -119,10 +119,10 @@ fn pattern(
 }
 
 /// All covariances that are claimed, variances on the diagonal.
-fn claimed(found: &Distances) -> Mat<f64> {
-    let size = found.distances.len();
-    let mut claimed = Mat::from_fn(size, size, |i, j| if i == j { found.distances[i].variance_m2 } else { 0.0 });
-    for &(i, j, value) in &found.covariances {
+fn claimed(outcome: &Distances) -> Mat<f64> {
+    let size = outcome.distances.len();
+    let mut claimed = Mat::from_fn(size, size, |i, j| if i == j { outcome.distances[i].variance_m2 } else { 0.0 });
+    for &(i, j, value) in &outcome.covariances {
         (claimed[(i, j)], claimed[(j, i)]) = (value, value);
     }
     claimed
@@ -151,7 +151,7 @@ fn covariances_are_those_of_many_draws() {
     }
     assert!(size > 15 && exact.covariances.len() > size, "{size} distances");
     for (i, j) in (0..size).flat_map(|i| (0..size).map(move |j| (i, j))) {
-        // Standard deviation of a covariance that so many draws tell.
+        // Standard deviation of a covariance estimated from `draws` draws.
         let sd = ((claimed[(i, i)] * claimed[(j, j)] + claimed[(i, j)].powi(2)) / f64::from(draws)).sqrt();
         let (drawn, claimed) = (drawn[(i, j)], claimed[(i, j)]);
         assert!((drawn - claimed).abs() < 5.0 * sd, "{i} {j}: drawn {drawn} claimed {claimed}");
@@ -162,8 +162,8 @@ fn covariances_are_those_of_many_draws() {
 fn a_common_delay_cancels_between_patches_and_reciprocal_onsets_are_averaged() {
     let delay = 0.0375 * 2.0;
     let o = onsets(&TRUTH).map(|o| o + delay);
-    let found = values(&closed(&o, 1e-6));
-    assert!((found[1] - TRUTH[1]).abs() < 1e-12 && (found[0] - TRUTH[0] - delay / 2.0).abs() < 1e-12);
+    let outcome = values(&closed(&o, 1e-6));
+    assert!((outcome[1] - TRUTH[1]).abs() < 1e-12 && (outcome[0] - TRUTH[0] - delay / 2.0).abs() < 1e-12);
     let length = |length_m: f64, variance_m2: f64| Length { length_m, variance_m2 };
     let first = [(1, length(2.0, 1e-6)), (2, length(2.0, 1e-6))];
     let both = invert(&first, &[((1, 2), length(3.0, 1e-6)), ((2, 1), length(3.003, 2e-6))]);
@@ -183,20 +183,20 @@ fn any_pattern_of_onsets_gives_the_weighted_least_squares_solution_and_its_covar
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     for (count, missing) in (2..=8).flat_map(|count| [0.0, 0.2, 0.5, 0.7].map(|missing| (count, missing))) {
         let (first, second) = pattern(&mut rng, count, missing);
-        let found = invert(&first, &second);
-        let column = |a: PatchId, b: PatchId| found.distances.iter().position(|d| (d.a, d.b) == (a.min(b), a.max(b)));
+        let outcome = invert(&first, &second);
+        let column = |a: PatchId, b: PatchId| outcome.distances.iter().position(|d| (d.a, d.b) == (a.min(b), a.max(b)));
         // Rows of T2: coefficients by distance, right-hand side.
         let mut rows: Vec<(Vec<(usize, f64)>, Length)> =
             first.iter().map(|(i, length)| (vec![(column(0, *i).unwrap(), 2.0)], *length)).collect();
         for ((i, j), length) in &second {
             let Some(across) = column(*i, *j) else {
-                assert!(found.skipped.contains(&(*i.min(j), *i.max(j))));
+                assert!(outcome.skipped.contains(&(*i.min(j), *i.max(j))));
                 assert!(column(0, *i).is_none() || column(0, *j).is_none());
                 continue;
             };
             rows.push((vec![(column(0, *i).unwrap(), 1.0), (across, 1.0), (column(0, *j).unwrap(), 1.0)], *length));
         }
-        let size = found.distances.len();
+        let size = outcome.distances.len();
         if missing == 0.0 {
             assert_eq!(size as PatchId, count * (count + 1) / 2);
         }
@@ -213,9 +213,9 @@ fn any_pattern_of_onsets_gives_the_weighted_least_squares_solution_and_its_covar
             }
         }
         let (solution, covariance) = (dense::solve(&normal, &right).unwrap(), dense::inverse(&normal).unwrap());
-        let claimed = claimed(&found);
+        let claimed = claimed(&outcome);
         for i in 0..size {
-            assert!((found.distances[i].distance_m - solution[i]).abs() < 1e-9);
+            assert!((outcome.distances[i].distance_m - solution[i]).abs() < 1e-9);
             for j in 0..size {
                 assert!((claimed[(i, j)] - covariance[(i, j)]).abs() < 1e-12, "{i} {j}");
             }

@@ -19,7 +19,7 @@ fn with_all_pairs_of_equal_variance_it_is_the_closed_form() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for count in [1, 2, 3, 8, 20] {
         let sums = all(count, &mut rng);
-        let found = invert(&sums);
+        let outcome = invert(&sums);
         let of = |patch: PatchId| {
             let ends = |sum: &Sum| f64::from(i32::from(sum.lit == patch) + i32::from(sum.seen == patch));
             sums.iter().map(|sum| ends(sum) * sum.length.length_m).sum::<f64>()
@@ -28,11 +28,11 @@ fn with_all_pairs_of_equal_variance_it_is_the_closed_form() {
         let v = f64::from(count);
         for (n, patch) in (1..=count).enumerate() {
             let expected = (of(patch) - total / (2.0 * v + 2.0)) / (v + 2.0);
-            assert!((found.ranges_m[n] - expected).abs() < 1e-12);
+            assert!((outcome.ranges_m[n] - expected).abs() < 1e-12);
             let variance_m2 = 1e-6 * (1.0 - 1.0 / (2.0 * v + 2.0)) / (v + 2.0);
-            assert!((found.covariance_m2[(n, n)] - variance_m2).abs() < 1e-15);
+            assert!((outcome.covariance_m2[(n, n)] - variance_m2).abs() < 1e-15);
         }
-        assert!(found.open.is_empty() && found.degrees_of_freedom as PatchId == count * (count - 1) / 2);
+        assert!(outcome.open.is_empty() && outcome.degrees_of_freedom as PatchId == count * (count - 1) / 2);
     }
 }
 
@@ -142,27 +142,27 @@ fn any_pattern_of_sums_gives_the_generalised_least_squares_solution_or_says_what
         let mut patches: Vec<PatchId> = sums.iter().flat_map(|sum| [sum.lit, sum.seen]).collect();
         patches.sort_unstable();
         patches.dedup();
-        let found = invert(&sums);
+        let outcome = invert(&sums);
         if patches.is_empty() {
-            assert!(found.patches.is_empty() && found.open.is_empty());
+            assert!(outcome.patches.is_empty() && outcome.open.is_empty());
             continue;
         }
         let (solution, nulls, covariance, chi2) = naive(&sums, &patches);
         let place = |patch: PatchId| patches.binary_search(&patch).unwrap();
-        for patch in found.open.iter().flatten() {
+        for patch in outcome.open.iter().flatten() {
             open += 1;
-            assert!(nulls[place(*patch)] > 1e-6 && !found.patches.contains(patch));
+            assert!(nulls[place(*patch)] > 1e-6 && !outcome.patches.contains(patch));
         }
-        assert_eq!(found.patches.len() + found.open.iter().flatten().count(), patches.len());
-        for (n, a) in found.patches.iter().enumerate() {
+        assert_eq!(outcome.patches.len() + outcome.open.iter().flatten().count(), patches.len());
+        for (n, a) in outcome.patches.iter().enumerate() {
             closed += 1;
             assert!(nulls[place(*a)] < 1e-9);
-            assert!((found.ranges_m[n] - solution[place(*a)]).abs() < 1e-9);
-            for (m, b) in found.patches.iter().enumerate() {
-                assert!((found.covariance_m2[(n, m)] - covariance[(place(*a), place(*b))]).abs() < 1e-12);
+            assert!((outcome.ranges_m[n] - solution[place(*a)]).abs() < 1e-9);
+            for (m, b) in outcome.patches.iter().enumerate() {
+                assert!((outcome.covariance_m2[(n, m)] - covariance[(place(*a), place(*b))]).abs() < 1e-12);
             }
         }
-        assert!((found.chi2 - chi2).abs() < 1e-6 * (1.0 + chi2), "{} {chi2}", found.chi2);
+        assert!((outcome.chi2 - chi2).abs() < 1e-6 * (1.0 + chi2), "{} {chi2}", outcome.chi2);
     }
     assert!(closed > 100 && open > 20, "{closed} {open}");
 }
@@ -173,21 +173,21 @@ fn disjoint_lit_and_seen_patches_leave_ranges_open_until_a_cycle_closes() {
     let pair = |(lit, seen): (PatchId, PatchId)| sum(lit, seen, range_m(lit) + range_m(seen));
     let disjoint: Vec<Sum> =
         (1..=3).flat_map(|lit| (4..=6).map(move |seen| (lit, seen))).chain([(8, 9)]).map(pair).collect();
-    let found = invert(&disjoint);
-    assert!(found.patches.is_empty() && found.ranges_m.is_empty());
-    assert_eq!(found.open, [vec![1, 2, 3, 4, 5, 6], vec![8, 9]]);
-    assert_eq!((found.degrees_of_freedom, found.chi2 < 1e-12), (4, true));
+    let outcome = invert(&disjoint);
+    assert!(outcome.patches.is_empty() && outcome.ranges_m.is_empty());
+    assert_eq!(outcome.open, [vec![1, 2, 3, 4, 5, 6], vec![8, 9]]);
+    assert_eq!((outcome.degrees_of_freedom, outcome.chi2 < 1e-12), (4, true));
     let closed = invert(&[disjoint, vec![pair((5, 6))]].concat());
     assert_eq!(
         (closed.patches.as_slice(), closed.open.as_slice()),
         ([1, 2, 3, 4, 5, 6].as_slice(), [vec![8, 9]].as_slice())
     );
-    for (patch, found_m) in closed.patches.iter().zip(&closed.ranges_m) {
-        assert!((found_m - range_m(*patch)).abs() < 1e-9);
+    for (patch, outcome_m) in closed.patches.iter().zip(&closed.ranges_m) {
+        assert!((outcome_m - range_m(*patch)).abs() < 1e-9);
     }
 }
 
-/// Two hidden patches seen over the same four visible ones, one of their legs off by 4 mm, another by 2 mm, all by 1
+/// Two hidden patches seen over the same four visible ones. One of their legs is off by 4 mm, another by 2 mm, all by 1
 /// mm.
 #[test]
 fn claimed_errors_are_those_of_many_draws_also_between_hidden_patches() {
@@ -228,9 +228,9 @@ fn claimed_errors_are_those_of_many_draws_also_between_hidden_patches() {
             }
             invert(&sums)
         };
-        let found = [noisy(&scenes[0]), noisy(&scenes[1])];
-        chi2 += found[0].chi2 / f64::from(draws);
-        let error = |i: usize| found[i / 4].ranges_m[i % 4] - (i % 4 + 1) as f64;
+        let outcome = [noisy(&scenes[0]), noisy(&scenes[1])];
+        chi2 += outcome[0].chi2 / f64::from(draws);
+        let error = |i: usize| outcome[i / 4].ranges_m[i % 4] - (i % 4 + 1) as f64;
         let mut squares = 0.0;
         for (i, k) in (0..8).flat_map(|i| (0..8).map(move |k| (i, k))) {
             drawn[(i, k)] += error(i) * error(k) / f64::from(draws);

@@ -22,6 +22,7 @@ pub fn section(report: &Report) -> Markup {
     };
     html! {
         section #answer {
+            (decisions(scene))
             h2 { "Where the surfaces are" }
             (space::figure(scene))
             (open_questions(scene))
@@ -61,6 +62,34 @@ pub fn summary(scene: &Scene) -> String {
         anchors => format!(" {} given by campaign.toml.", count(anchors, "patch is", "patches are")),
     };
     format!("Patches found: {found}.{given}{left_open}")
+}
+
+/// What the solution rests on, each choice with its evidence; first of all, since all below depends on it.
+fn decisions(scene: &Scene) -> Markup {
+    html! {
+        @if !scene.decisions.is_empty() {
+            h2 { "What the answer rests on" }
+            div.scroll {
+                table.words {
+                    thead { tr { th.text { "choice" } th.text { "chosen" } th.text { "evidence" } th.text { "next best" } th.text { "what would change it" } } }
+                    tbody {
+                        @for row in &scene.decisions {
+                            tr {
+                                td.text { (row.what) }
+                                td.text { (row.chosen) }
+                                td.text { (row.evidence) }
+                                td.text {
+                                    (row.runner_up.as_deref().unwrap_or("-"))
+                                    @if let Some(ratio) = row.log_likelihood_ratio { ", log-likelihood less by " (sig(ratio, 3)) }
+                                }
+                                td.text { (row.would_change) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
 }
 
 fn open_questions(scene: &Scene) -> Markup {

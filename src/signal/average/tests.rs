@@ -172,7 +172,7 @@ fn the_spread_is_the_noise_with_and_without_jitter() {
 }
 
 #[test]
-fn outliers_are_told_and_others_are_not() {
+fn outliers_are_rejected_and_others_are_not() {
     let good = shots(64, 1.0, 40.0, 5);
     let test = OutlierTest::new(&views(&good), Dark::at_start(32), 6.0).unwrap();
     let more = shots(2000, 1.0, 40.0, 6);

@@ -99,7 +99,7 @@ fn the_period_is_found_at_its_bound() {
             errors.push(period.period_ps - PERIOD_PS);
             pulls.push((period.period_ps - PERIOD_PS) / period.sd_ps);
         }
-        // Bound: a shape that is unknown, so each place tells the period by how its repetitions differ.
+        // Bound: the shape is unknown, so each place informs about the period only by how its repetitions differ.
         let slope = |t_ps: f64| (light(t_ps + 0.5) - light(t_ps - 0.5)) / sd;
         let information: f64 = (0..213)
             .map(|b| {

@@ -122,8 +122,8 @@ fn akaike_finds_the_change_of_variance_that_a_naive_scan_finds() {
     assert_eq!(akaike(&[0.0, 0.1, 0.0, 0.1, 9.0], 10, 0.1), None);
 }
 
-/// Amplitudes from 0.3 to 1.7, sampled five times a width: scatter and walk (position by the logarithm of the
-/// amplitude) in ps of a pulse that is 250 ps wide, as independent prototypes measured them (section 3 of the method
+/// Scatter and walk (position by the logarithm of the amplitude) in ps of a pulse that is 250 ps wide. Amplitudes are
+/// from 0.3 to 1.7, sampled five times a width. The values are those of independent prototypes (section 3 of the method
 /// notes).
 #[test]
 fn levels_and_akaike_walk_with_amplitude_by_what_is_known_of_them() {

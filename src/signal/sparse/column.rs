@@ -1,6 +1,6 @@
 //! One pulse of amplitude 1 in a whitened record, and its products with other pulses and with data.
 
-use super::model::Record;
+use super::model::WhitenedRecord;
 use super::place::{Place, spread_response};
 use std::ops::Range;
 
@@ -14,7 +14,7 @@ pub(super) struct Column {
 }
 
 impl Column {
-    pub(super) fn new(record: &Record, place: &Place) -> Self {
+    pub(super) fn new(record: &WhitenedRecord, place: &Place) -> Self {
         if place.shapes == 0 {
             return Self::of_point(record, place.time_ps, |after_ps| {
                 let (value, slope) = record.response.value_and_slope(after_ps);
@@ -31,18 +31,18 @@ impl Column {
     }
 
     /// The derivative by the variance of a point, in place of the value; the derivative is left 0.
-    pub(super) fn widening(record: &Record, time_ps: f64) -> Self {
+    pub(super) fn widening(record: &WhitenedRecord, time_ps: f64) -> Self {
         Self::of_point(record, time_ps, |after_ps| [0.5 * record.response.curvature(after_ps), 0.0])
     }
 
-    fn of_point(record: &Record, time_ps: f64, shape: impl Fn(f64) -> [f64; 2]) -> Self {
+    fn of_point(record: &WhitenedRecord, time_ps: f64, shape: impl Fn(f64) -> [f64; 2]) -> Self {
         let range = record.response.reach(time_ps, record.t0_ps, record.dt_ps, record.len());
         let (first, samples) = sample(record, time_ps, range, shape);
         Self { first, samples, shape: Vec::new() }
     }
 
-    /// Adds the products of the first `counts` of (value, derivatives by time, variance, tail) of two columns to the
-    /// block of `products` (rows of `n`) that starts at `corner`; the rows are this column's.
+    /// Adds products of two columns to the block of `products` (rows of `n`) that starts at `corner`; the rows are this
+    /// column's. Each column takes part with the first `counts` of (value, derivatives by time, variance, tail).
     pub(super) fn add_products(
         &self,
         other: &Self,
@@ -123,7 +123,7 @@ impl Column {
 
 /// Whitened samples `range` of `shape`, a function of the time after the arrival.
 fn sample<const P: usize>(
-    record: &Record,
+    record: &WhitenedRecord,
     time_ps: f64,
     range: Range<usize>,
     shape: impl Fn(f64) -> [f64; P],

@@ -1,10 +1,10 @@
 //! Standard deviations of the times of blended pulses, by the profile likelihood.
 //!
 //! The inverse of the information is of first order: it takes chi2 for a parabola. Along the times of two pulses that
-//! are close against their sds it is none: a pulse that goes outwards becomes weaker and is held less. There the
-//! interval of a time is where chi2, all other unknowns fitted again, has risen by no more than the square of a normal
-//! quantile, and its sd is half the interval over that quantile. Source: Venzon and Moolgavkar, J. R. Stat. Soc. C 37,
-//! 87 (1988).
+//! are close against their sds chi2 is no parabola: a pulse that goes outwards becomes weaker and is held less. There
+//! the interval of a time ends where chi2, all other unknowns fitted again, has risen by the square of a normal
+//! quantile. The sd is half the interval over that quantile. Source: Venzon and Moolgavkar, J. R. Stat. Soc. C 37, 87
+//! (1988).
 //!
 //! Not modelled: that one side is longer than the other, which no sd can say; that the time of pulses farther away is
 //! not known either.

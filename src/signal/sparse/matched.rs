@@ -1,13 +1,13 @@
-//! One more pulse, too weak to be found, beside light of known places.
+//! Score of one more pulse, too weak for a fit of its own, in a profile whose other pulses have given times.
 
 use periscope_cancel::Cancel;
 
 use super::column::Column;
-use super::model::Record;
+use super::model::WhitenedRecord;
 use super::place::{Place, spread_response};
 use super::{Profile, Response, SparseOptions};
 
-/// A column of which others leave no larger part of its length says nothing new.
+/// A column counts as explained by others if they leave no larger part of its length.
 const NEW: f64 = 0.05;
 /// Knots in the full width of a spread response.
 const SPREAD_STEPS: f64 = 20.0;
@@ -61,24 +61,24 @@ pub fn matched(
     cancel: &Cancel,
 ) -> Matched {
     let options = SparseOptions { cancel: cancel.clone(), ..SparseOptions::default() };
-    let record = Record::new(profile, response, &options);
-    let mut known = Known { axes: Vec::new() };
-    known.add(record.constant.clone(), None);
+    let record = WhitenedRecord::new(profile, response, &options);
+    let mut nuisance = Nuisance { axes: Vec::new() };
+    nuisance.add(record.constant.clone(), None);
     for light in given {
         cancel.check();
-        known.add_light(&record, light);
+        nuisance.add_light(&record, light);
     }
-    let residual = known.without(&record.whitener.apply(profile.mean_v));
+    let residual = nuisance.without(&record.whitener.apply(profile.mean_v));
     let spread = spread(response, width_ps);
-    let record = Record::new(profile, &spread, &options);
+    let record = WhitenedRecord::new(profile, &spread, &options);
     let mut matched = Matched::default();
     for time_ps in times_ps {
         cancel.check();
         let column = Column::new(&record, &Place::point(time_ps));
-        let (norm, left) = known.left_of(&column);
-        let is_told = record.holds(time_ps) && left > NEW * NEW * norm;
-        let gain = if is_told { left.sqrt() } else { 0.0 };
-        matched.scores.push(if is_told { column.dot_record(&residual)[0] / gain } else { 0.0 });
+        let (norm, left) = nuisance.left_of(&column);
+        let is_determined = record.holds(time_ps) && left > NEW * NEW * norm;
+        let gain = if is_determined { left.sqrt() } else { 0.0 };
+        matched.scores.push(if is_determined { column.dot_record(&residual)[0] / gain } else { 0.0 });
         matched.gains.push(gain);
     }
     matched
@@ -103,13 +103,13 @@ fn place(time_ps: f64, width_ps: f64) -> Place {
 }
 
 /// What given light may look like: the inverse covariance of whitened samples is `Q = 1 - sum v v^T` over these axes v.
-struct Known {
+struct Nuisance {
     axes: Vec<Vec<f64>>,
 }
 
-impl Known {
-    /// Adds a direction in which samples may lie off: by any amount, or so many standard deviations of noise (Sherman
-    /// and Morrison's formula). What others explain is not new.
+impl Nuisance {
+    /// Adds a direction in which samples may lie off: by any amount, or by one whose score has standard deviation
+    /// `score_sd` about 0 (Sherman and Morrison's formula). A direction that the others explain is left out.
     fn add(&mut self, direction: Vec<f64>, score_sd: Option<f64>) {
         let norm = squared(&direction);
         let mut axis = self.without(&direction);
@@ -121,7 +121,7 @@ impl Known {
         }
     }
 
-    fn add_light(&mut self, record: &Record, light: &Given) {
+    fn add_light(&mut self, record: &WhitenedRecord, light: &Given) {
         let column = Column::new(record, &place(light.time_ps, light.width_ps));
         let [value, slope] = column.dense(record.len());
         if let Open::Score(sd) = light.open {
@@ -198,15 +198,21 @@ mod tests {
         let (mean_v, sd_v) = (record(1), vec![SD_V; COUNT]);
         let given = [Given { time_ps: 1500.0, width_ps: 0.0, open: Open::Time }];
         let times_ps = [1700.0, 2100.0, 3000.0];
-        let found = matched(&profile(&mean_v, &sd_v), &response, &given, 0.0, times_ps.into_iter(), &Cancel::never());
+        let filtered =
+            matched(&profile(&mean_v, &sd_v), &response, &given, 0.0, times_ps.into_iter(), &Cancel::never());
         for (k, time_ps) in times_ps.into_iter().enumerate() {
             let column = |at_ps: f64| (0..COUNT).map(|n| response.value(50.0 * n as f64 - at_ps)).collect::<Vec<f64>>();
             let slope = (0..COUNT).map(|n| response.value_and_slope(50.0 * n as f64 - 1500.0).1).collect();
             let columns = [column(time_ps), vec![1.0; COUNT], column(1500.0), slope];
             let fit = least_squares(&columns, &mean_v, &sd_v).unwrap();
             let sd = fit.covariance[0][0].sqrt();
-            assert!((found.gains[k] * sd - 1.0).abs() < 1e-9, "{} {sd}", found.gains[k]);
-            assert!((found.scores[k] - fit.values[0] / sd).abs() < 1e-8, "{} {}", found.scores[k], fit.values[0] / sd);
+            assert!((filtered.gains[k] * sd - 1.0).abs() < 1e-9, "{} {sd}", filtered.gains[k]);
+            assert!(
+                (filtered.scores[k] - fit.values[0] / sd).abs() < 1e-8,
+                "{} {}",
+                filtered.scores[k],
+                fit.values[0] / sd
+            );
         }
     }
 

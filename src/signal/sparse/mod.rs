@@ -10,18 +10,18 @@
 //!    together;
 //! 4. at the end, pulses that turn out to be worth less than that are taken out again.
 //!
-//! Times then scatter at the Cramer-Rao bound `(J^T J)^-1` (J: whitened derivatives), and two equal pulses are told
-//! apart down to a distance that falls with the square root of the SNR, far below the response's width. Where pulses
-//! are so close that first order does not hold, the sds of their times come from the profile likelihood. Sources:
-//! alternating descent (Boyd, Schiebinger and Recht, SIAM J. Optim. 27, 616 (2017)) without its l1 penalty; resolution
-//! limit as in Smith, IEEE Trans. Signal Process. 53, 1597 (2005).
+//! Times then scatter at the Cramer-Rao bound `(J^T J)^-1` (J: whitened derivatives). Two equal pulses are resolved
+//! down to a distance that falls with the square root of the SNR, far below the response's width. Where pulses are so
+//! close that first order does not hold, the sds of their times come from the profile likelihood. Sources: alternating
+//! descent (Boyd, Schiebinger and Recht, SIAM J. Optim. 27, 616 (2017)) without its l1 penalty; resolution limit as in
+//! Smith, IEEE Trans. Signal Process. 53, 1597 (2005).
 //!
 //! Light that extended patches spread in time is modelled where [`SparseOptions::extent_max_ps`] allows it. Several
 //! records of the same pulses are fitted together by [`fit_joint`]; histograms of single photons by [`fit_counts`].
 //!
 //! Not modelled: light wrapped around the end of the record, an inexact response. An error of the response shows as
-//! `chi2_per_dof` above 1 and, on strong pulses, as false pulses beside them; where its size is known, adding it to the
-//! sd of the samples under a strong pulse keeps both away.
+//! `chi2_per_dof` above 1 and, near strong pulses, as false pulses. Where its size is known, adding it to the sd of the
+//! samples under a strong pulse keeps both away.
 
 mod column;
 mod counts;
@@ -80,12 +80,12 @@ pub struct SparseOptions {
     /// Whether a constant is fitted with the pulses; it costs one degree of freedom.
     pub baseline: bool,
     /// Whether amplitudes may be negative, as reflections on a line are; light is never. Pulses closer than the
-    /// response is wide are then not told apart: two of opposite sign imitate anything.
+    /// response is wide are then not resolved: two of opposite sign imitate anything.
     pub signed: bool,
-    /// Largest sd (ps) of the spread in time of one pulse's light, as extended patches give; 0 for points only. A pulse
-    /// whose samples ask for it is widened by a Gaussian of sd up to that, and where they ask for more by an
-    /// exponential tail behind it. What looks wider still is taken for two pulses; two closer than twice this may be
-    /// taken for one.
+    /// Largest sd (ps) of the spread in time of one pulse's light, as extended patches give; 0 for points only. Where
+    /// the samples are better explained so, a pulse is widened by a Gaussian of sd up to this; where that is not
+    /// enough, also by an exponential tail. What looks wider still is taken for two pulses; two closer than twice this
+    /// may be taken for one.
     pub extent_max_ps: f64,
     /// Ends the fit: polled once a trial place of pulses, and once a tap or block in passes over a whole record.
     pub cancel: Cancel,
@@ -156,10 +156,10 @@ impl Pulse {
 pub struct SparseFit {
     /// Pulses by rising time.
     pub pulses: Vec<Pulse>,
-    /// Covariance of the times, ps^2, row-major: `(J^T J)^-1`, each pulse's sd multiplied by the square root of its
+    /// Covariance of the times, ps^2, row-major: `(J^T J)^-1`. Each pulse's sd is multiplied by the square root of its
     /// `chi2_per_dof` where that exceeds 1 by more than three of its standard deviations. Where an sd exceeds 1/20 of
-    /// the distance of two pulses, that of either is half the 95 % interval of its profile likelihood over 1.96, if
-    /// that is more; rows and columns grow alike.
+    /// the distance of two pulses, a second sd is taken from the profile likelihood: half the 95 % interval over 1.96.
+    /// The larger counts; rows and columns grow alike.
     pub covariance_ps2: Vec<f64>,
     /// Constant under the pulses, V; 0 if none is fitted.
     pub baseline_v: f64,
@@ -183,9 +183,9 @@ impl SparseFit {
 /// Fits pulses to `profile`.
 ///
 /// # Panics
-/// If the profile is empty, its slices differ in length, a mean is not finite, an sd is not positive, `dt_ps` is not
-/// positive, the autocorrelation is not finite or not positive at lag 0, the evidence asked for is not positive, or the
-/// extent allowed is negative or not finite.
+/// If the profile is empty, its slices differ in length, a mean is not finite, or an sd or `dt_ps` is not positive.
+/// Also if the autocorrelation is not finite or not positive at lag 0, `evidence_min` is not positive, or
+/// `extent_max_ps` is negative or not finite.
 #[must_use]
 pub fn fit(profile: &Profile, response: &Response, options: &SparseOptions) -> SparseFit {
     fit_joint(&[(*profile, response)], options, true).remove(0)

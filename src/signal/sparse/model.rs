@@ -1,7 +1,7 @@
 //! Whitened records that show the same pulses.
 //!
-//! All products are taken after whitening, over the response's support (and the whitening filter's order) only, so that
-//! a fit's cost follows its pulses and not the record's length.
+//! All products are taken after whitening, over the response's support (and the whitening filter's order) only. The
+//! cost of a fit therefore follows its pulses and not the record's length.
 
 use periscope_cancel::Cancel;
 
@@ -9,7 +9,7 @@ use super::place::Place;
 use super::{Profile, Response, SparseOptions, Whitener};
 
 /// One record's noise and response.
-pub(super) struct Record<'a> {
+pub(super) struct WhitenedRecord<'a> {
     pub(super) response: &'a Response,
     pub(super) width_ps: f64,
     pub(super) t0_ps: f64,
@@ -25,7 +25,7 @@ pub(super) struct Record<'a> {
 
 /// Everything that stays fixed during a fit.
 pub(super) struct Model<'a> {
-    pub(super) records: Vec<Record<'a>>,
+    pub(super) records: Vec<WhitenedRecord<'a>>,
     /// Records that share the amplitudes of their pulses: all, or each on its own.
     pub(super) groups: Vec<std::ops::Range<usize>>,
     /// Whether amplitudes may be negative.
@@ -38,7 +38,7 @@ pub(super) struct Model<'a> {
     pub(super) cancel: Cancel,
 }
 
-impl<'a> Record<'a> {
+impl<'a> WhitenedRecord<'a> {
     pub(super) fn new(profile: &Profile, response: &'a Response, options: &SparseOptions) -> Self {
         let whitener = Whitener::new(profile.sd_v, profile.acf).ended_by(&options.cancel);
         let constant = whitener.apply(&vec![1.0; profile.sd_v.len()]);
@@ -88,8 +88,8 @@ impl<'a> Record<'a> {
 impl<'a> Model<'a> {
     pub(super) fn new(records: &[(Profile, &'a Response)], options: &SparseOptions, shared_amplitudes: bool) -> Self {
         let count = records.len();
-        let records: Vec<Record> =
-            records.iter().map(|(profile, response)| Record::new(profile, response, options)).collect();
+        let records: Vec<WhitenedRecord> =
+            records.iter().map(|(profile, response)| WhitenedRecord::new(profile, response, options)).collect();
         Self {
             groups: if shared_amplitudes {
                 std::iter::once(0..count).collect()

@@ -8,7 +8,8 @@
 use super::Response;
 use std::ops::Range;
 
-/// Gaussian kernels reach this many sds to either side, exponential ones this many constants.
+/// Gaussian kernels reach this many sds to either side, exponential ones this many constants: less than a millionth of
+/// the light lies beyond.
 const REACH_SD: f64 = 5.0;
 const REACH_TAILS: f64 = 14.0;
 /// Widest step of a kernel's nodes and widest panel of the tail's, in widths of the response.

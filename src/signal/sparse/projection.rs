@@ -1,12 +1,12 @@
 //! The projection of whitened records on a set of pulses: best amplitudes for given places, and the next step of the
 //! places.
 //!
-//! The constant baseline is eliminated from every product in closed form (Schur complement), so that all fits, also
-//! those of a few pulses in a long record, are joint fits with it.
+//! The constant baseline is eliminated from every product in closed form (Schur complement). So all fits, also those of
+//! a few pulses in a long record, are joint fits with it.
 
 use super::column::Column;
 use super::linear::{Cholesky, least_squares, non_negative};
-use super::model::{Model, Record};
+use super::model::{Model, WhitenedRecord};
 use super::place::Place;
 
 /// Best amplitudes for given places, and the products that the next step needs.
@@ -73,8 +73,8 @@ impl Projection {
     }
 
     /// Gauss-Newton step of the places with the amplitudes eliminated (variable projection after Kaufman, BIT 15, 49
-    /// (1975)), damped by Levenberg-Marquardt, and the drop of chi2 that it promises. A pulse of amplitude 0 has no
-    /// slope and stays, and so does a parameter that its limit holds back.
+    /// (1975)), damped by Levenberg-Marquardt; with the drop of chi2 that it promises. A pulse of amplitude 0 has no
+    /// slope and stays, and so does a parameter at its limit.
     pub(super) fn step(&self, damping: f64, extent_max_ps: f64) -> Option<(Vec<f64>, f64)> {
         let q = self.layout.slopes.len();
         let mut normal = vec![0.0; q * q];
@@ -118,7 +118,7 @@ impl Projection {
             .collect()
     }
 
-    /// Factor of the information matrix of all unknowns. `None` if two pulses cannot be told apart.
+    /// Factor of the information matrix of all unknowns. `None` if two pulses cannot be resolved.
     pub(super) fn factor(&self) -> Option<Cholesky> {
         let unknowns = self.unknowns();
         let mut information = vec![0.0; unknowns * unknowns];
@@ -172,9 +172,9 @@ impl Projection {
         self.groups.len() * self.places.len() + before
     }
 
-    /// What group `g` tells of the unknowns: unknown, value or derivative, and its factor. The derivative by a
-    /// parameter is the amplitude times that of a pulse of amplitude 1; of a pulse without any amplitude, as if it were
-    /// 1.
+    /// Columns of group `g` in the information matrix: unknown, value or derivative, and its factor. The derivative by
+    /// a parameter is the amplitude times that of a pulse of amplitude 1; of a pulse without any amplitude, as if it
+    /// were 1.
     fn basis(&self, g: usize) -> Vec<(usize, usize, f64)> {
         let k = self.places.len();
         let amplitude = |pulse: usize| {
@@ -188,7 +188,13 @@ impl Projection {
 }
 
 impl Group {
-    fn new(records: &[Record], data: &[Vec<f64>], places: &[Place], layout: &Layout, signed: bool) -> Option<Self> {
+    fn new(
+        records: &[WhitenedRecord],
+        data: &[Vec<f64>],
+        places: &[Place],
+        layout: &Layout,
+        signed: bool,
+    ) -> Option<Self> {
         let mut products = vec![0.0; layout.n * layout.n];
         let mut with_data = vec![0.0; layout.n];
         let mut all = Vec::with_capacity(records.len());
@@ -240,7 +246,7 @@ impl Group {
 
 /// Adds the products of one record's columns, with one another and with its data, less what its baseline can imitate.
 fn add_record(
-    record: &Record,
+    record: &WhitenedRecord,
     data: &[f64],
     places: &[Place],
     columns: &[Column],

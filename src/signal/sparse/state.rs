@@ -81,8 +81,9 @@ impl State {
 
     pub(super) fn columns(&self, model: &Model, r: usize) -> &[Column] {
         let both = self.fit.groups.iter().zip(&model.groups);
-        let found = both.filter(|(_, range)| range.contains(&r)).map(|(group, range)| &group.columns[r - range.start]);
-        found.into_iter().next().expect("each record is in a group")
+        let columns =
+            both.filter(|(_, range)| range.contains(&r)).map(|(group, range)| &group.columns[r - range.start]);
+        columns.into_iter().next().expect("each record is in a group")
     }
 
     /// Covariance of all unknowns, row-major, and their number: amplitude of pulse k in group g at `g * K + k`, then

@@ -114,11 +114,11 @@ fn a_single_pulse_is_timed_at_the_bound() {
             for _ in 0..600 {
                 let truth = [(3000.0 + rng.random_range(0.0..DT_PS), 1.0)];
                 let y = with_noise(&clean(&shape, &truth, 0.3, 120), 1.0 / snr, &mut rng);
-                let found = fit_white(&shape, &y, 1.0 / snr, &SparseOptions::default());
-                assert_eq!(found.pulses.len(), 1, "{} at {snr} {truth:?} {found:?}", shape.name);
-                let error = found.pulses[0].time_ps - truth[0].0;
+                let solution = fit_white(&shape, &y, 1.0 / snr, &SparseOptions::default());
+                assert_eq!(solution.pulses.len(), 1, "{} at {snr} {truth:?} {solution:?}", shape.name);
+                let error = solution.pulses[0].time_ps - truth[0].0;
                 errors.push(error / bound_ps(&shape, &truth, 1.0 / snr, 120)[0]);
-                pulls.push(error / found.covariance_ps2[0].sqrt());
+                pulls.push(error / solution.covariance_ps2[0].sqrt());
             }
             let (ratio, pull) = (rms(&errors), rms(&pulls));
             println!("{} SNR {snr}: rms / bound {ratio:.3}, rms / own sd {pull:.3}", shape.name);
@@ -139,11 +139,11 @@ fn pairs_closer_than_the_response_are_separated_at_the_bound() {
                 let first = 3000.0 + rng.random_range(0.0..DT_PS);
                 let truth = [(first, 1.0), (first + distance, 1.0)];
                 let y = with_noise(&clean(&shape, &truth, 0.0, 120), sd, &mut rng);
-                let found = fit_white(&shape, &y, sd, &SparseOptions::default());
-                if found.pulses.len() == 2 {
+                let solution = fit_white(&shape, &y, sd, &SparseOptions::default());
+                if solution.pulses.len() == 2 {
                     let bound = bound_ps(&shape, &truth, sd, 120);
-                    let error = |k: usize| found.pulses[k].time_ps - truth[k].0;
-                    let c = &found.covariance_ps2;
+                    let error = |k: usize| solution.pulses[k].time_ps - truth[k].0;
+                    let c = &solution.covariance_ps2;
                     errors.extend([error(0) / bound[0], error(1) / bound[1]]);
                     // The distance scatters far less than either time: the covariance must know.
                     pulls.push((error(1) - error(0)) / (c[0] + c[3] - 2.0 * c[1]).sqrt());
@@ -169,8 +169,8 @@ fn one_pulse_never_becomes_two() {
         for _ in 0..500 {
             let truth = [(rng.random_range(500.0..48_000.0), 1.0)];
             let y = with_noise(&clean(&shape, &truth, 0.0, 1000), 0.01, &mut rng);
-            let found = fit_white(&shape, &y, 0.01, &SparseOptions::default());
-            assert_eq!(found.pulses.len(), 1, "{} at {truth:?} {found:?}", shape.name);
+            let solution = fit_white(&shape, &y, 0.01, &SparseOptions::default());
+            assert_eq!(solution.pulses.len(), 1, "{} at {truth:?} {solution:?}", shape.name);
         }
     }
 }
@@ -205,12 +205,12 @@ fn shift_in_is_shift_out() {
     let shape = exponential();
     let truth = [(2000.0, 1.0), (2140.0, 0.5), (6000.0, 0.2)];
     let y = with_noise(&clean(&shape, &truth, 0.0, 200), 0.01, &mut rng);
-    let found = fit_white(&shape, &y, 0.01, &SparseOptions::default());
-    assert_eq!(found.pulses.len(), 3);
+    let solution = fit_white(&shape, &y, 0.01, &SparseOptions::default());
+    assert_eq!(solution.pulses.len(), 3);
     let mut later = y;
     later.rotate_right(17);
     let shifted = fit_white(&shape, &later, 0.01, &SparseOptions::default());
-    for (a, b) in found.pulses.iter().zip(&shifted.pulses) {
+    for (a, b) in solution.pulses.iter().zip(&shifted.pulses) {
         assert!((b.time_ps - a.time_ps - 17.0 * DT_PS).abs() < 0.01);
         assert!((b.amplitude_v - a.amplitude_v).abs() < 1e-4);
     }
@@ -223,16 +223,16 @@ fn many_pulses_on_a_baseline_are_all_found() {
         let truth: Vec<(f64, f64)> =
             (0..12).map(|k| (2000.0 + 330.0 * f64::from(k), 1.0 - 0.06 * f64::from(k))).collect();
         let y = with_noise(&clean(&shape, &truth, -0.7, 2048), 0.01, &mut rng);
-        let found = fit_white(&shape, &y, 0.01, &SparseOptions::default());
-        assert_eq!(found.pulses.len(), 12, "{}", shape.name);
-        for (k, ((at, a), pulse)) in truth.iter().zip(&found.pulses).enumerate() {
-            let sd = found.covariance_ps2[13 * k].sqrt();
+        let solution = fit_white(&shape, &y, 0.01, &SparseOptions::default());
+        assert_eq!(solution.pulses.len(), 12, "{}", shape.name);
+        for (k, ((at, a), pulse)) in truth.iter().zip(&solution.pulses).enumerate() {
+            let sd = solution.covariance_ps2[13 * k].sqrt();
             assert!((pulse.time_ps - at).abs() < 4.0 * sd, "{} pulse {k}", shape.name);
             assert!((pulse.amplitude_v - a).abs() < 4.0 * pulse.amplitude_sd_v);
-            assert!(pulse.evidence > found.evidence_min);
+            assert!(pulse.evidence > solution.evidence_min);
         }
-        assert!((found.baseline_v + 0.7).abs() < 0.002);
-        assert!((found.chi2_per_dof - 1.0).abs() < 0.1);
+        assert!((solution.baseline_v + 0.7).abs() < 0.002);
+        assert!((solution.chi2_per_dof - 1.0).abs() < 0.1);
     }
 }
 
@@ -241,10 +241,10 @@ fn evidence_of_a_lone_pulse_is_its_energy() {
     let shape = gaussian();
     let y = clean(&shape, &[(3000.0, 1.0)], 0.0, 120);
     let options = SparseOptions { baseline: false, ..SparseOptions::default() };
-    let found = fit_white(&shape, &y, 0.1, &options);
+    let solution = fit_white(&shape, &y, 0.1, &options);
     let energy = y.iter().map(|v| v * v).sum::<f64>() / 0.01;
-    assert!((found.pulses[0].evidence / energy - 1.0).abs() < 1e-6);
-    assert_eq!(found.baseline_v, 0.0);
+    assert!((solution.pulses[0].evidence / energy - 1.0).abs() < 1e-6);
+    assert_eq!(solution.baseline_v, 0.0);
 }
 
 #[test]
@@ -261,10 +261,10 @@ fn ignored_samples_do_not_count_and_noisy_ones_count_less() {
         (y[n], sd_v[n]) = (0.5, 1.0);
     }
     let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[], t0_ps: T0_PS, dt_ps: DT_PS };
-    let found = fit(&profile, &shape.response, &SparseOptions::default());
-    assert_eq!(found.pulses.len(), 1);
-    let sd = found.covariance_ps2[0].sqrt();
-    assert!((found.pulses[0].time_ps - 3000.0).abs() < 4.0 * sd);
+    let solution = fit(&profile, &shape.response, &SparseOptions::default());
+    assert_eq!(solution.pulses.len(), 1);
+    let sd = solution.covariance_ps2[0].sqrt();
+    assert!((solution.pulses[0].time_ps - 3000.0).abs() < 4.0 * sd);
     // Nothing but ignored samples: no pulse, no panic.
     let nothing = Profile { sd_v: &[f64::INFINITY; 120], ..profile };
     assert!(fit(&nothing, &shape.response, &SparseOptions::default()).pulses.is_empty());
@@ -285,7 +285,7 @@ fn an_inexact_response_shows_in_chi2_and_is_borne_by_its_own_variance() {
     let mut sd_v = vec![0.002; 120];
     sd_v[50..76].fill(0.02); // 325 ps to either side of the maximum
     let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[], t0_ps: T0_PS, dt_ps: DT_PS };
-    let found = fit(&profile, &shape.response, &SparseOptions::default());
-    assert_eq!(found.pulses.len(), 1);
-    assert!((found.pulses[0].time_ps - 3000.0).abs() < 4.0 * found.covariance_ps2[0].sqrt());
+    let solution = fit(&profile, &shape.response, &SparseOptions::default());
+    assert_eq!(solution.pulses.len(), 1);
+    assert!((solution.pulses[0].time_ps - 3000.0).abs() < 4.0 * solution.covariance_ps2[0].sqrt());
 }

@@ -9,8 +9,8 @@ use super::room::Room;
 use crate::simulate::scene::Scene;
 use crate::units::PatchId;
 
-/// Light by path: the patches in the order in which the light meets them (0 for objects that are no patch), and its
-/// arrivals at the lens with strengths in joules per pulse.
+/// Light by path. A path lists the patches in the order in which the light meets them, 0 for objects that are no patch.
+/// Its light holds the arrivals at the lens, with strengths in joules per pulse.
 pub type PathLights = BTreeMap<Vec<PatchId>, Light>;
 
 /// Light at one point of a facet.

@@ -204,7 +204,7 @@ fn a_narrow_lobe_points_where_the_mirror_does() {
         patch(1, [0.0, 0.0, 1.0], [0.6, 0.0, -0.8], 0.01, ""),
         patch(2, [0.5, 0.0, 0.5], [-1.0, 0.0, 0.0], 0.03, glossy),
     ];
-    // Light from (0, 0, 1) to (0.5, 0, 0.5) goes on to (0, 0, 0), which the third patch is beside.
+    // Light from (0, 0, 1) to (0.5, 0, 0.5) goes on to (0, 0, 0), which is outside the third patch.
     patches.push(patch(3, [0.0, 0.02, 0.02], [0.6, 0.0, 0.8], 0.01, ""));
     patches.push(patch(4, [0.0, 0.02, 0.3], [1.0, 0.0, 0.0], 0.01, ""));
     let stations = "[stations.laser]\nposition_m = [0.3, 0.0, 0.0]\n";

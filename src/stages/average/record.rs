@@ -145,7 +145,7 @@ fn joined(mut ranges: Vec<Record>, first: i64, merged: Merged) -> Record {
     Record { first, mean_v: merged.mean_v, se_v: merged.se_v, clipping, profile }
 }
 
-/// Whether the ranges' factors are measured well enough.
+/// Whether the factors between ranges are measured well enough.
 fn is_certain(merged: &Merged) -> bool {
     merged.links.iter().all(|link| link.gain_sd < GAIN_SD_MAX * link.gain)
 }

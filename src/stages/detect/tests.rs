@@ -1,7 +1,6 @@
 use super::*;
 use crate::signal::response::Response;
 use crate::signal::sparse::{self, Profile, SparseOptions};
-use crate::tables::Impulse;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

@@ -3,7 +3,7 @@
 use super::model::Model;
 use super::{Context, Triangulate};
 use crate::geometry::Point;
-use crate::geometry::bistatic::{Record, Solution};
+use crate::geometry::bistatic::{ProfileOnsets, Solution};
 use crate::priors::calibration;
 use crate::priors::flight_profile::FlightProfile;
 use crate::signal::between::{Between, Pair, Stray, between};
@@ -116,7 +116,7 @@ impl Evidence {
 struct View<'a> {
     model: &'a Model,
     solution: &'a Solution,
-    record: &'a Record,
+    record: &'a ProfileOnsets,
     strips: [usize; 2],
 }
 

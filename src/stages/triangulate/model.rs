@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, Vector3};
 use super::Context;
 use crate::campaign::keys::PatchRole;
 use crate::geometry::Point;
-use crate::geometry::bistatic::{Anchor, Bounce, Problem, Record, Strip, Surface};
+use crate::geometry::bistatic::{Anchor, Bounce, Problem, ProfileOnsets, Strip, Surface};
 use crate::priors::campaign_fields::Medium;
 use crate::priors::sensor_range::{OfSensorRange, SensorRange};
 use crate::tables::{Name, Onset};
@@ -137,7 +137,7 @@ impl Model {
         let lengths_m = onsets.iter().map(length_m).collect();
         let heights = onsets.iter().map(|(onset, _)| onset.amplitude.abs()).collect();
         let Course { lit, station, delay, bounce } = course;
-        self.problem.records.push(Record { lit, station, delay, bounce, lengths_m, covariance_m2, heights });
+        self.problem.records.push(ProfileOnsets { lit, station, delay, bounce, lengths_m, covariance_m2, heights });
         self.onsets.push(onsets);
     }
 
@@ -159,7 +159,7 @@ impl Model {
     /// Counts third bounces from the first bounce off the same point, which then has done its work.
     fn take_differences(&mut self) -> Result<(), String> {
         let problem = &mut self.problem;
-        let early_m = |lit: usize, records: &[Record], anchors: &[Anchor], source: Point| {
+        let early_m = |lit: usize, records: &[ProfileOnsets], anchors: &[Anchor], source: Point| {
             let first = records.iter().find(|record| record.bounce == Bounce::First && record.lit == lit)?;
             let way_m = (anchors[lit].at - source).norm() + (anchors[first.station].at - anchors[lit].at).norm();
             Some(first.lengths_m[0] - way_m)

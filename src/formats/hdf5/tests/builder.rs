@@ -195,7 +195,7 @@ impl Builder {
         self.tree(1, u8::from(pairs.len() > 2), &pairs, &last)
     }
 
-    /// The file, of which this is the root group.
+    /// The file; `root` is its root group.
     pub fn finish(mut self, root: u64) -> Vec<u8> {
         let end = self.0.len() as u64;
         let sizes = [8, 8, 0, 4, 0, 16, 0, 0, 0, 0, 0];

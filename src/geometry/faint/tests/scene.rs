@@ -17,7 +17,7 @@ const RESPONSE_M: f64 = 0.032;
 /// Records end so far behind the shortest way.
 const WINDOW_M: f64 = 4.6;
 
-/// How strong the pulses of a patch are beside one another.
+/// How strong the pulses of a patch are relative to one another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Strengths {
     /// As light falls off over both legs, and with four cosines.

@@ -86,7 +86,7 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
     let mut slopes: Vec<Vec<(Vec<usize>, Vec<Vector3<f64>>)>> = vec![Vec::new(); hidden.len()];
     let mut profiles = Vec::new();
     for (a, b) in pairs() {
-        let known_m = |q: &[Point], (p, r): (usize, usize)| (visible[a] - q[p]).norm() + (q[r] - visible[b]).norm();
+        let explained_m = |q: &[Point], (p, r): (usize, usize)| (visible[a] - q[p]).norm() + (q[r] - visible[b]).norm();
         let at: Vec<Point> = placed.iter().map(|(point, _)| *point).collect();
         let (mut ways, mut arrivals) = (Vec::new(), Vec::new());
         for (p, r) in (0..first.len()).flat_map(|p| (0..first.len()).map(move |r| (p, r))) {
@@ -100,12 +100,12 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
                 along.dot(&(placed[n].1 * along))
             };
             let sd_m = (along(p, a) + along(r, b) + mean_m2(p) + mean_m2(r)).sqrt();
-            ways.push(Way::new([p, r], known_m(&at, (p, r)), sd_m));
+            ways.push(Way::new([p, r], explained_m(&at, (p, r)), sd_m));
             for (n, x) in hidden.iter().enumerate() {
                 if rng.random_bool(setting.seen) {
                     let error: f64 = StandardNormal.sample(&mut rng);
                     let inner_m = (x - first[p]).norm() + (x - first[r]).norm();
-                    let length_m = known_m(&first, (p, r)) + inner_m + setting.sd_m * error;
+                    let length_m = explained_m(&first, (p, r)) + inner_m + setting.sd_m * error;
                     arrivals.push(Arrival { length_m, sd_m: setting.sd_m });
                     let of = |q: usize, v: usize| slope(first[q], [visible[v], *x]);
                     slopes[n].push((vec![p, r], vec![slope(*x, [first[p], first[r]]), of(p, a), of(r, b)]));
@@ -129,7 +129,7 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
     }
 }
 
-/// Root of the sum of variances of a patch of the second layer, those of the first layer unknown beside it but for
+/// Root of the sum of variances of a patch of the second layer, with the patches of the first layer unknown but for
 /// their prior.
 fn bound_m(slopes: &[(Vec<usize>, Vec<Vector3<f64>>)], prior: &[Matrix3<f64>], sd_m: f64) -> f64 {
     let size = 3 + 3 * prior.len();
@@ -152,8 +152,8 @@ fn bound_m(slopes: &[(Vec<usize>, Vec<Vector3<f64>>)], prior: &[Matrix3<f64>], s
 /// Hidden patches with no found one within ten bounds or 10 mm, from where a fit of all patches together settles; found
 /// ones that are none; squared errors and squared bounds of those that were found.
 #[must_use]
-pub fn score(drawn: &Drawn, found: &[Point]) -> (usize, usize, Vec<(f64, f64)>) {
-    let mut rest: Vec<Point> = found.to_vec();
+pub fn score(drawn: &Drawn, solution: &[Point]) -> (usize, usize, Vec<(f64, f64)>) {
+    let mut rest: Vec<Point> = solution.to_vec();
     let (mut missed, mut squares_m2) = (0, Vec::new());
     for (q, bound_m) in drawn.hidden.iter().zip(&drawn.bounds_m) {
         match rest.iter().position(|point| (point - q).norm() < (10.0 * bound_m).max(0.01)) {

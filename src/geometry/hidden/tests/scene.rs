@@ -12,7 +12,7 @@ use super::{Arrival, Focus, Point, Profile, Room};
 /// Least range of lengths that a record holds: 8 ns. It holds all hidden patches, and this much before and after.
 const WINDOW_M: f64 = 2.4;
 const MARGIN_M: f64 = 0.1;
-/// A search is told that pulses blend up to so many times the distance where they do.
+/// The search assumes that pulses blend up to this many times the distance where they do.
 const REACH: f64 = 1.35;
 /// Delay of a cable's echo, as a length.
 const ECHO_M: f64 = 1.9;
@@ -46,7 +46,7 @@ pub enum Pattern {
 pub enum Clutter {
     /// None.
     None,
-    /// Six more patches that nobody declared, each seen in a third of the profiles.
+    /// Six more patches, undeclared, each seen in a third of the profiles.
     Furniture,
     /// The light that comes straight from one visible patch to the other, again after a cable's length.
     Echo,
@@ -96,7 +96,7 @@ pub struct Drawn {
     pub profiles: Vec<Profile>,
     /// Hidden patches.
     pub hidden: Vec<Point>,
-    /// Patches that nobody declared.
+    /// Undeclared patches.
     pub furniture: Vec<Point>,
     /// Bound of each hidden patch from the arrivals that are there, their paths known: root of the sum of variances.
     pub bounds_m: Vec<f64>,
@@ -236,9 +236,9 @@ impl Score {
 
 /// Holds what was found against the truth.
 #[must_use]
-pub fn score(drawn: &Drawn, found: &[Point]) -> Score {
+pub fn score(drawn: &Drawn, solution: &[Point]) -> Score {
     let mut score = Score::default();
-    let mut rest: Vec<Point> = found.to_vec();
+    let mut rest: Vec<Point> = solution.to_vec();
     for (q, bound_m) in drawn.hidden.iter().zip(&drawn.bounds_m) {
         let nearest = (0..rest.len()).min_by(|&a, &b| (rest[a] - q).norm().total_cmp(&(rest[b] - q).norm()));
         match nearest.map(|n| (n, (rest[n] - q).norm())).filter(|(_, error_m)| *error_m < (5.0 * bound_m).max(0.005)) {

@@ -8,8 +8,8 @@ const SD_PS: f64 = 2.0;
 const OWN_PS: f64 = 5000.0;
 const OTHER_PS: f64 = 5060.0;
 
-/// What an arrival at some time, near which two equally strong paths 60 ps apart are predicted, is given beside its own
-/// standard deviation of 2 ps; with `is_resolved` the other path has an arrival of its own.
+/// Standard deviation that an arrival gets in addition to its own of 2 ps. Near it two equally strong paths 60 ps apart
+/// are predicted; with `is_resolved` the other path has an arrival of its own.
 fn added_ps(time_ps: f64, is_resolved: bool) -> f64 {
     let visible: Vec<PatchId> = (1..=4).collect();
     let chances = Chances::prior(&visible);
@@ -30,8 +30,8 @@ fn added_ps(time_ps: f64, is_resolved: bool) -> f64 {
     Blends { chances: &chances, snrs, reach_ps: 100.0 }.sds_ps(&profile, &predictions, &candidates)[0]
 }
 
-/// An arrival between two paths may be off by half their distance; one in its place, on the far side, or beside an
-/// arrival of the other path's own is what it seems.
+/// An arrival between two paths may be off by half their distance. One in its place, on the far side, or near an
+/// arrival of the other path's own gets no further error.
 #[test]
 fn arrivals_between_two_paths_are_the_uncertain_ones() {
     let between_ps = added_ps(OWN_PS + 30.0, false);

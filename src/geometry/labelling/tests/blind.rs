@@ -90,7 +90,7 @@ fn detours_between_coplanar_patches_are_found() {
     }
 }
 
-/// A detour over a patch whose own pairs are missing is mostly not told from a second bounce; nothing else goes wrong.
+/// A detour over a patch whose own pairs are missing mostly passes for a second bounce; nothing else goes wrong.
 #[test]
 fn with_a_third_of_all_pairs_missing_no_label_is_wrong_but_those_of_detours_over_missing_pairs() {
     for (flat, least) in [(false, 0.5), (true, 0.98)] {

@@ -144,7 +144,7 @@ fn later_bounces_are_labelled_right_as_often_as_stated() {
     }
 }
 
-/// Orders of which too many paths lie within an arrival's error stand as clutter.
+/// Orders with too many paths within an arrival's error stand as clutter.
 #[test]
 fn dense_orders_are_left_open() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);

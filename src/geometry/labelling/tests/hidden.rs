@@ -85,7 +85,7 @@ fn about_visible_patches_in_line_nothing_is_looked_for_and_that_is_said() {
     assert!(direct > 50, "{direct} of 64");
 }
 
-/// A floor that nobody declared throws light from each patch to each other.
+/// An undeclared floor throws light from each patch to each other.
 #[test]
 fn a_floor_is_a_plane_and_no_patches() {
     let points = wall(0.3);

@@ -13,11 +13,11 @@ fn assert_covered(name: &str, apart_ps: f64, mut estimate: impl FnMut(&[(f64, f6
     for _ in 0..300 {
         let at = 3000.0 + rng.random_range(0.0..DT_PS);
         let truth = [(at, 1.0), (at + apart_ps, 1.0)];
-        let found = estimate(&truth, &mut rng);
-        if found.pulses.len() == 2 {
-            let c = &found.covariance_ps2;
+        let solution = estimate(&truth, &mut rng);
+        if solution.pulses.len() == 2 {
+            let c = &solution.covariance_ps2;
             assert!(c[0] * c[3] >= c[1] * c[2], "{name}: not a covariance {c:?}");
-            pulls.extend([0, 1].map(|k| (found.pulses[k].time_ps - truth[k].0).abs() / c[3 * k].sqrt()));
+            pulls.extend([0, 1].map(|k| (solution.pulses[k].time_ps - truth[k].0).abs() / c[3 * k].sqrt()));
         }
     }
     assert!(pulls.len() >= 590, "{name}: {} found", pulls.len());

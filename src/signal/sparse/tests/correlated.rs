@@ -61,11 +61,11 @@ fn onsets_in_correlated_noise_are_at_its_bound_with_honest_errors() {
                 let noise = pole_noise(sd, len, &mut rng);
                 let y: Vec<f64> = samples_of(&shape, at, len).iter().zip(noise).map(|(y, w)| y + w).collect();
                 let profile = Profile { mean_v: &y, sd_v: &vec![sd_v; len], acf: &acf, t0_ps: T0_PS, dt_ps: STEP_PS };
-                let found = fit(&profile, &shape.response, &SparseOptions::default());
-                assert_eq!(found.pulses.len(), 1, "{}", shape.name);
-                let error = found.pulses[0].time_ps - at;
+                let solution = fit(&profile, &shape.response, &SparseOptions::default());
+                assert_eq!(solution.pulses.len(), 1, "{}", shape.name);
+                let error = solution.pulses[0].time_ps - at;
                 errors.push(error / pole_bound_ps(&shape, at, sd, len));
-                let pull = error.abs() / found.covariance_ps2[0].sqrt();
+                let pull = error.abs() / solution.covariance_ps2[0].sqrt();
                 within[0] += usize::from(pull < 0.9945);
                 within[1] += usize::from(pull < 1.96);
             }
@@ -88,8 +88,8 @@ fn false_pulses_in_correlated_noise_are_as_rare_as_promised() {
     let mut counts = [0, 0];
     for _ in 0..records {
         let y = pole_noise(1.0, len, &mut rng);
-        let known = Profile { mean_v: &y, sd_v: &vec![1.0; len], acf: &acf, t0_ps: T0_PS, dt_ps: STEP_PS };
-        for (count, profile) in counts.iter_mut().zip([known, Profile { acf: &[1.0], ..known }]) {
+        let correlated = Profile { mean_v: &y, sd_v: &vec![1.0; len], acf: &acf, t0_ps: T0_PS, dt_ps: STEP_PS };
+        for (count, profile) in counts.iter_mut().zip([correlated, Profile { acf: &[1.0], ..correlated }]) {
             let threshold = evidence_min_of(&profile, &shape.response, 1e-4) - 2.0 * 1000_f64.ln();
             let options = SparseOptions { evidence_min: Some(threshold), pulses_max: 1, ..SparseOptions::default() };
             *count += fit(&profile, &shape.response, &options).pulses.len();

@@ -58,11 +58,11 @@ fn photons_are_timed_at_their_bound() {
                     .map(|mean| Poisson::new(*mean).expect("positive").sample(&mut rng) as u32)
                     .collect();
                 let histogram = Unpiled::new(&counts, 1_000_000_000, 0).unwrap();
-                let found = fit_counts(&histogram, T0_PS, DT_PS, &shape.response, &SparseOptions::default());
-                assert_eq!(found.pulses.len(), 1, "{} {photons} {:?}", shape.name, found.pulses);
-                let error = found.pulses[0].time_ps - at;
+                let solution = fit_counts(&histogram, T0_PS, DT_PS, &shape.response, &SparseOptions::default());
+                assert_eq!(solution.pulses.len(), 1, "{} {photons} {:?}", shape.name, solution.pulses);
+                let error = solution.pulses[0].time_ps - at;
                 errors.push(error / poisson_bound_ps(&shape, at, photons, 0.3));
-                let pull = error.abs() / found.covariance_ps2[0].sqrt();
+                let pull = error.abs() / solution.covariance_ps2[0].sqrt();
                 within[0] += usize::from(pull < 0.9945);
                 within[1] += usize::from(pull < 1.96);
             }
@@ -85,8 +85,8 @@ fn pile_up_is_taken_out() {
         let at = 3000.0 + rng.random_range(0.0..DT_PS);
         let counts = counted(&means(&shape, &[(at, 40_000.0)], 5.0), cycles, BINS, &mut rng);
         let time_of = |histogram: &Unpiled, options: &SparseOptions| {
-            let found = fit_counts(histogram, T0_PS, DT_PS, &shape.response, options);
-            (found.pulses.len(), found.pulses[0].time_ps - at, found.covariance_ps2[0].sqrt())
+            let solution = fit_counts(histogram, T0_PS, DT_PS, &shape.response, options);
+            (solution.pulses.len(), solution.pulses[0].time_ps - at, solution.covariance_ps2[0].sqrt())
         };
         let one = SparseOptions { pulses_max: 1, ..SparseOptions::default() };
         biased.push(time_of(&Unpiled::new(&counts, 1_000_000_000, 0).unwrap(), &one).1);
@@ -105,13 +105,13 @@ fn background_alone_has_no_pulse() {
     let shape = exponential();
     for background in [0.02, 1.0, 50.0] {
         let poisson = Poisson::new(background).expect("positive");
-        let mut found = 0;
+        let mut pulses = 0;
         for _ in 0..300 {
             let counts: Vec<u32> = (0..400).map(|_| poisson.sample(&mut rng) as u32).collect();
             let histogram = Unpiled::new(&counts, 1_000_000, 0).unwrap();
-            found += fit_counts(&histogram, T0_PS, DT_PS, &shape.response, &SparseOptions::default()).pulses.len();
+            pulses += fit_counts(&histogram, T0_PS, DT_PS, &shape.response, &SparseOptions::default()).pulses.len();
         }
-        assert!(found <= 1, "{background}: {found}");
+        assert!(pulses <= 1, "{background}: {pulses}");
     }
 }
 

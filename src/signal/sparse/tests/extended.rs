@@ -1,4 +1,4 @@
-//! Light spread in time by extended patches: centroid, width, tail, and pairs beside them.
+//! Light spread in time by extended patches: centroid, width, tail, and pairs of points that must stay pairs.
 
 use super::*;
 
@@ -37,10 +37,10 @@ fn a_widened_bounce_is_one_pulse_at_its_centroid() {
             let at = 3000.0 + rng.random_range(0.0..DT_PS);
             let y = with_noise(&spread(&shape, at, 14.0, 0.0, len), sd, &mut rng);
             assert!(fit_white(&shape, &y, sd, &SparseOptions::default()).pulses.len() > 1, "{}", shape.name);
-            let found = fit_white(&shape, &y, sd, &extended(50.0));
-            assert_eq!(found.pulses.len(), 1, "{}", shape.name);
-            let pulse = found.pulses[0];
-            let own_sd = found.covariance_ps2[0].sqrt();
+            let solution = fit_white(&shape, &y, sd, &extended(50.0));
+            assert_eq!(solution.pulses.len(), 1, "{}", shape.name);
+            let pulse = solution.pulses[0];
+            let own_sd = solution.covariance_ps2[0].sqrt();
             if pulse.tail_ps == 0.0 {
                 ratios.push(own_sd / bound_ps(&shape, &[(at, 1.0)], sd, len)[0]);
                 width_pulls.push((pulse.width_ps - 14.0) / pulse.width_sd_ps);
@@ -50,8 +50,8 @@ fn a_widened_bounce_is_one_pulse_at_its_centroid() {
         println!("{}: time / sd {:.3}, width / sd {:.3}", shape.name, rms(&pulls), rms(&width_pulls));
         assert!((0.8..1.2).contains(&rms(&pulls)), "{}: {}", shape.name, rms(&pulls));
         assert!((0.8..1.25).contains(&rms(&width_pulls)), "{}: {}", shape.name, rms(&width_pulls));
-        // The width costs the time a few per cent beside the bound of a point; a tail, or chi2, widens the interval in
-        // a few cases.
+        // The unknown width costs the time a few per cent over the bound of a point; a tail, or chi2, widens the
+        // interval in a few cases.
         let near = ratios.iter().filter(|r| (1.0..1.09).contains(*r)).count();
         assert!(near > draws * 9 / 10, "{}: {near}", shape.name);
     }
@@ -66,10 +66,10 @@ fn a_point_stays_a_point_and_a_pair_stays_a_pair() {
         for _ in 0..200 {
             let truth = [(3000.0 + rng.random_range(0.0..DT_PS), 1.0)];
             let y = with_noise(&clean(&shape, &truth, 0.0, 120), sd, &mut rng);
-            let found = fit_white(&shape, &y, sd, &extended(30.0));
-            assert_eq!(found.pulses.len(), 1);
-            widened += usize::from(found.pulses[0].width_ps > 0.0);
-            errors.push((found.pulses[0].time_ps - truth[0].0) / bound_ps(&shape, &truth, sd, 120)[0]);
+            let solution = fit_white(&shape, &y, sd, &extended(30.0));
+            assert_eq!(solution.pulses.len(), 1);
+            widened += usize::from(solution.pulses[0].width_ps > 0.0);
+            errors.push((solution.pulses[0].time_ps - truth[0].0) / bound_ps(&shape, &truth, sd, 120)[0]);
         }
         println!("{}: rms / bound {:.3}, {widened} widened", shape.name, rms(&errors));
         assert!((0.85..1.15).contains(&rms(&errors)) && widened < 16, "{widened} {}", rms(&errors));
@@ -90,10 +90,10 @@ fn a_tail_does_not_move_the_centroid() {
     let mut pulls = Vec::new();
     for _ in 0..25 {
         let y = with_noise(&spread(&shape, 3010.0, 10.0, 30.0, 120), sd, &mut rng);
-        let found = fit_white(&shape, &y, sd, &extended(50.0));
-        assert_eq!(found.pulses.len(), 1);
-        let pulse = found.pulses[0];
-        pulls.push((pulse.time_ps - 3010.0) / found.covariance_ps2[0].sqrt());
+        let solution = fit_white(&shape, &y, sd, &extended(50.0));
+        assert_eq!(solution.pulses.len(), 1);
+        let pulse = solution.pulses[0];
+        pulls.push((pulse.time_ps - 3010.0) / solution.covariance_ps2[0].sqrt());
         assert!((pulse.tail_ps - 30.0).abs() < 4.5 * pulse.tail_sd_ps, "{pulse:?}");
     }
     assert!((0.65..1.4).contains(&rms(&pulls)), "{}", rms(&pulls));

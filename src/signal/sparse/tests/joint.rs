@@ -75,13 +75,14 @@ fn amplitudes_may_differ() {
     let second = with_noise(&clean(&shape, &[(3500.0, 2.0)], 0.4, 120), 0.01, &mut rng);
     let sd_v = vec![0.01; 120];
     let of = |mean_v| (Profile { mean_v, sd_v: &sd_v, acf: &[], t0_ps: T0_PS, dt_ps: DT_PS }, &shape.response);
-    let found = fit_joint(&[of(&first), of(&second)], &SparseOptions::default(), false);
-    let amplitudes: Vec<Vec<f64>> = found.iter().map(|f| f.pulses.iter().map(|p| p.amplitude_v).collect()).collect();
+    let solutions = fit_joint(&[of(&first), of(&second)], &SparseOptions::default(), false);
+    let amplitudes: Vec<Vec<f64>> =
+        solutions.iter().map(|f| f.pulses.iter().map(|p| p.amplitude_v).collect()).collect();
     assert_eq!(amplitudes[0].len(), 2);
     for (amplitude, expected) in amplitudes.concat().iter().zip([1.0, 0.5, 0.0, 2.0]) {
         assert!((amplitude - expected).abs() < 0.02, "{amplitudes:?}");
     }
-    assert!((found[1].baseline_v - 0.4).abs() < 0.01);
+    assert!((solutions[1].baseline_v - 0.4).abs() < 0.01);
 }
 
 /// Noise alone: at a threshold for one record in ten, that many have a false pulse, also with two amplitudes a pulse.
@@ -92,7 +93,7 @@ fn false_pulses_of_pairs_of_records_are_as_rare_as_promised() {
     let sd_v = vec![1.0; 500];
     let draws = 600;
     for shared in [true, false] {
-        let mut found = 0;
+        let mut pulses = 0;
         for _ in 0..draws {
             let records = [0, 1].map(|_| with_noise(&vec![0.0; 500], 1.0, &mut rng));
             let of = |mean_v| (Profile { mean_v, sd_v: &sd_v, acf: &[], t0_ps: 0.0, dt_ps: DT_PS }, &shape.response);
@@ -100,9 +101,9 @@ fn false_pulses_of_pairs_of_records_are_as_rare_as_promised() {
             let strict = fit_joint(&both, &SparseOptions { pulses_max: 0, ..SparseOptions::default() }, shared);
             let threshold = strict[0].evidence_min - 2.0 * 1000_f64.ln();
             let options = SparseOptions { evidence_min: Some(threshold), pulses_max: 1, ..SparseOptions::default() };
-            found += fit_joint(&both, &options, shared)[0].pulses.len();
+            pulses += fit_joint(&both, &options, shared)[0].pulses.len();
         }
-        println!("shared {shared}: {found} of {draws}");
-        assert!((30..95).contains(&found), "{shared}: {found}");
+        println!("shared {shared}: {pulses} of {draws}");
+        assert!((30..95).contains(&pulses), "{shared}: {pulses}");
     }
 }

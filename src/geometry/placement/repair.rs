@@ -2,7 +2,7 @@
 
 use std::iter;
 
-use super::{SAME, STEPS, Scene, State, likely_loss};
+use super::{Measurements, SAME, STEPS, State, likely_loss};
 use crate::{Point, multilateration};
 
 /// A move that raises the loss by more than this, all other patches held, is not worth settling.
@@ -11,9 +11,9 @@ const HOPELESS: f64 = 300.0;
 const MOVES: usize = 15;
 const ROUNDS: usize = 20;
 
-impl Scene<'_> {
+impl Measurements<'_> {
     /// Moves patches while that lowers the loss of all.
-    pub(super) fn mend(&self, mut now: State) -> State {
+    pub(super) fn repair(&self, mut now: State) -> State {
         for _ in 0..ROUNDS {
             let moves = self.moves(&now).into_iter().take(MOVES).map(|(patch, point)| self.moved(&now, patch, point));
             let better = moves.chain(iter::once_with(|| self.replanted(&now)).flatten());
@@ -46,8 +46,9 @@ impl Scene<'_> {
             self.problem.cancel.check();
             let ties = self.ties(patch, now);
             let cost = multilateration::cost(&ties, here, self.problem.loss);
-            let found = multilateration::candidates(&ties, self.problem.dimensions, self.apart_m, self.problem.loss);
-            let elsewhere = found.into_iter().filter(|candidate| (candidate.point - here).norm() > self.apart_m);
+            let candidates =
+                multilateration::candidates(&ties, self.problem.dimensions, self.apart_m, self.problem.loss);
+            let elsewhere = candidates.into_iter().filter(|candidate| (candidate.point - here).norm() > self.apart_m);
             moves.extend(elsewhere.map(|candidate| (candidate.cost - cost, patch, candidate.point)));
         }
         moves.retain(|(rise, _, _)| *rise < HOPELESS);
