@@ -1,6 +1,7 @@
 //! What commands print to standard output: text, or rows as a table, as JSON or as CSV.
 //!
-//! A closed pipe ends a command quietly: what is printed then fails as [`Closed`], which `main` turns into an exit code.
+//! A closed pipe ends a command quietly: what is printed then fails as [`Closed`], which `main` turns into an exit
+//! code.
 //! Messages to standard error are dropped there, and the command goes on.
 
 use std::fmt;

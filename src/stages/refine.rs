@@ -125,12 +125,8 @@ impl Apply for Refine {
     fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Patch>, StageError> {
         let labels: Vec<Label> =
             group.into_iter().filter(|label| label.alternative == 0 && label.path.is_some()).collect();
-        if labels.is_empty() && context.are_all_placed() {
-            return Ok(Outcome::rows(context.start.values().cloned().collect()));
-        }
         if labels.is_empty() {
-            let text = "no onset has a path; look at the tables `labels` and `onsets`";
-            return Err(StageError::Refused(text.to_owned()));
+            return unlabelled(context);
         }
         let model = Model::new(context, &labels);
         let mut problem = model.problem(if self.robust { Loss::Huber } else { Loss::Squared });
@@ -194,6 +190,14 @@ impl Apply for Refine {
             rejections: unused_normals(context, is_fixed, &labels),
         })
     }
+}
+
+/// Without a labelled onset: patches that need none, passed on.
+fn unlabelled(context: &Context) -> Result<Outcome<Patch>, StageError> {
+    if context.are_all_placed() {
+        return Ok(Outcome::rows(context.start.values().cloned().collect()));
+    }
+    Err(StageError::Refused("no onset has a path; look at the tables `labels` and `onsets`".to_owned()))
 }
 
 /// Whether a solution's loss is what noise lets expect.

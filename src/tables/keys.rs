@@ -18,6 +18,7 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "covariances" => &["a1", "b1", "a2", "b2"],
         "patches" => &["patch", "alternative"],
         "planes" => &["plane"],
+        "decisions" => &["decision"],
         "stations" => &["campaign", "station"],
         "fits" => &["alternative"],
         "ambiguities" => &["kind", "patches", "alternative"],

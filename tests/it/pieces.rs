@@ -315,7 +315,7 @@ fn finished_pieces_are_kept_by_the_next_plan_and_a_run_does_without_them() {
     large.job("run", "single", &["--set", TRACES]);
     assert_eq!(large.0.rows::<Profile>("out", "profiles"), large.0.rows::<Profile>("single", "profiles"));
     let pruned = String::from_utf8(large.output(&["tables", "out", "--prune"]).stdout).unwrap();
-    assert!(pruned.contains("of shards                                  2 parts"), "{pruned}");
+    assert!(pruned.contains("removed  some   shards      2 "), "{pruned}");
     assert_eq!(large.0.parts("out"), large.0.parts("single"));
 }
 
@@ -331,7 +331,8 @@ fn what_cannot_be_cut_is_said_with_its_reason() {
     let output = large.job("plan", "out", &["--set", TRACES, "--shards", "6"]);
     assert!(errors(&output).contains("L1_P1.npy has codes in floating point"), "{}", errors(&output));
     let listed = String::from_utf8(output.stdout).unwrap();
-    assert!(!listed.contains("piece"), "{listed}");
+    let pieces = |row: &str| row.split_whitespace().count() > 4;
+    assert!(!listed.lines().skip(1).any(pieces), "{listed}");
     // A history of 2,000 acquisitions of an RTO: settings in one file, samples in another.
     let file = large.0.campaign().join("campaign.toml");
     fs::write(&file, fs::read_to_string(&file).unwrap().replace("{seen}.npy", "{seen}.bin")).unwrap();

@@ -154,7 +154,7 @@ fn raw_traces_that_are_not_kept_other_parameters_seals_and_rejects() {
         assert!(made.iter().map(|line| line["parts"].as_u64().unwrap()).sum::<u64>() >= parts);
         let gathered = output(&lab, &["gather", "--out", "out", "--progress", "none"]);
         assert_eq!(gathered.status.code(), Some(3), "{}", errors(&gathered));
-        assert!(errors(&gathered).contains("1 records were rejected"), "{}", errors(&gathered));
+        assert!(errors(&gathered).contains("1 record was rejected"), "{}", errors(&gathered));
         let run = [&["run", "pipeline.toml", "--campaign", "campaign", "--out", "single"], more].concat();
         assert_eq!(output(&lab, &run).status.code(), Some(3));
         assert_eq!(lab.files("out"), lab.files("single"));

@@ -41,9 +41,10 @@ fn both_say(lab: &Lab, words: &[&str]) {
     assert_eq!(code, 3, "{text}");
     contains(&text, words);
     assert!(!text.contains("all is well"), "{text}");
-    for reason in reasons(lab).iter().filter(|reason| reason.contains(words[0])) {
-        assert!(text.contains(reason.as_str()), "`{reason}` is not in:\n{text}");
-    }
+    // `check` prints a few of each kind.
+    let reasons = reasons(lab);
+    let mut alike = reasons.iter().filter(|reason| reason.contains(words[0])).peekable();
+    assert!(alike.peek().is_none() || alike.any(|reason| text.contains(reason.as_str())), "{reasons:#?} in:\n{text}");
 }
 
 /// Exit code and messages of a run of the usual pipeline.

@@ -292,7 +292,7 @@ pub const MISTAKES: &[Mistake] = &[
         "arrays/raw/response/s1_C1.npy",
         "such as segments = \"shot\"",
     ),
-    Mistake(&[Spoil("arrays/raw/scene/s1_L1_P2_C1.npy")], RUN_ARRAYS, "raw/scene/s1_L1_P2_C1.npy", "not a number"),
+    Mistake(&[Spoil("arrays/raw/scene/s1_L1_P2_C1.npy")], RUN_ARRAYS, "raw/scene/s1_L1_P2_C1.npy", "no number"),
     // The pipeline.
     Mistake(
         &[Replace("pipeline.toml", "stage = \"detect\"", "stage = \"detct\"")],
