@@ -20,7 +20,7 @@ Keys of the JSON object (times in ps, voltages in V, lengths in m; null: no tabl
   stage              the stage that made it
   row                the row by its columns, as `periscope schema` lists them
   tables             all that it goes back to: table, stage, lineage (null: not kept), from, with
-  onsets             campaign, sensor, lit, seen, rank, path, time_ps, time_sd_ps, turns,
+  onsets             campaign, sensor, lit, seen, rank, part, path, time_ps, time_sd_ps, turns,
                      residual_ps, pull (residual in standard deviations), used, probability,
                      snr, flags
   captures           campaign, sensor, lit, seen, shots, rejected, noise_v, jitter_ps, chi2_dof,

@@ -20,9 +20,10 @@
 //! With `sampled` edges are not interpolated between samples: what somebody reads off the screen of an oscilloscope.
 //!
 //! Takes `stir`; writes `onsets`. Flags: `blended` (its time is strongly correlated with a neighbour's, or its light
-//! divides uncertainly between both), `misfit` (the fit leaves more than noise of the samples that it reaches), `at-edge` (near an end of the record), `extended` (its
-//! light is spread in time: `earliest_ps` is where it would begin if it were spread evenly, as by one flat patch; after
-//! two patches it begins up to 0.7 widths before that). Not modelled yet: saturated arrivals.
+//! divides uncertainly between both), `misfit` (the fit leaves more than noise of the samples that it reaches),
+//! `at-edge` (near an end of the record), `extended` (its light is spread in time: `earliest_ps` is where it would begin
+//! if it were spread evenly, as by one flat patch; after two patches it begins up to 0.7 widths before that). Not
+//! modelled yet: saturated arrivals.
 //!
 //! ```toml
 //! [onsets]
@@ -162,6 +163,7 @@ impl Detect {
             let at_edge = impulse.time_ps < stir.t0_ps + margin_ps || impulse.time_ps > end_ps - margin_ps;
             let extended = impulse.width_ps > 0.0;
             let misfit = impulse.misfit_sigma > MISFIT_SIGMA;
+            let pair = impulse.pair;
             Onset {
                 rank: rank as i32 + 1,
                 time_ps: impulse.time_ps,
@@ -170,6 +172,15 @@ impl Detect {
                 amplitude: impulse.amplitude_v,
                 amplitude_sd: Some(impulse.amplitude_sd_v.hypot(stir.gain_sd * impulse.amplitude_v)),
                 width_ps: impulse.width_ps,
+                width_sd_ps: impulse.width_sd_ps,
+                pair_first_ps: pair.map(|pair| pair.first_ps),
+                pair_second_ps: pair.map(|pair| pair.second_ps),
+                pair_first_sd_ps: pair.map(|pair| pair.first_sd_ps),
+                pair_second_sd_ps: pair.map(|pair| pair.second_sd_ps),
+                pair_correlation: pair.map(|pair| pair.correlation),
+                pair_first_amplitude: pair.map(|pair| pair.first_amplitude_v),
+                pair_second_amplitude: pair.map(|pair| pair.second_amplitude_v),
+                pair_gain: pair.map(|pair| pair.gain),
                 snr: snr(impulse),
                 evidence: Some(impulse.evidence),
                 covariance,
@@ -327,6 +338,15 @@ fn blank(stir: &Stir) -> Onset {
         amplitude: 0.0,
         amplitude_sd: None,
         width_ps: 0.0,
+        width_sd_ps: None,
+        pair_first_ps: None,
+        pair_second_ps: None,
+        pair_first_sd_ps: None,
+        pair_second_sd_ps: None,
+        pair_correlation: None,
+        pair_first_amplitude: None,
+        pair_second_amplitude: None,
+        pair_gain: None,
         snr: 0.0,
         evidence: None,
         covariance: Vec::new(),

@@ -39,6 +39,12 @@
 //! larger as the other path's light may pull it; 0 takes every onset for single. The search for hidden patches expects
 //! no onset of its own from a patch where that of another path is so near.
 //!
+//! A wide onset may be light that patches spread, or two pulses that came close together: `deconvolve` keeps both. With
+//! `patches`, whichever reading the predicted paths and the widths of first bounces make likelier is labelled; read as
+//! two it has two rows, `part` 1 and 2, each with its own time. The other reading stays among the alternatives with its
+//! probability. Light that either reading explains is no sign of a hidden patch. Without patches the likelier reading
+//! counts by widths alone, and the error of first light covers the other.
+//!
 //! Takes `onsets`; writes `labels` and `hypotheses`. Optional tables: `patches` (of `refine`, with their standard
 //! deviations), and for the full error of a prediction `covariances` (`patch_covariances` of the same stage) and
 //! `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the light's centroid over large
@@ -71,7 +77,7 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, Sta
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::labelling::{self, Arrival, Medium, Options, Profile, Scene, SensorProfiles};
+use crate::geometry::labelling::{self, Arrival, Medium, Options, Pair, Profile, Scene, SensorProfiles};
 use crate::parameter::{Condition, Count, NonNegative, Positive, Share, Within};
 use crate::priors::campaign_fields::{self, ByCampaign, StationPositions};
 use crate::priors::covariances;
@@ -179,15 +185,13 @@ impl Context {
     fn profile(&self, onsets: &[Onset]) -> Profile {
         let Onset { lit, seen, .. } = onsets[0];
         let (delay_ps, delay_sd_ps) = self.delays.delay_ps(&onsets[0]);
-        let arrivals =
-            onsets.iter().map(|onset| Arrival { time_ps: onset.time_ps, sd_ps: sd_ps(onset), snr: onset.snr });
-        Profile { lit, seen, delay_ps, delay_sd_ps, arrivals: arrivals.collect() }
+        Profile { lit, seen, delay_ps, delay_sd_ps, arrivals: onsets.iter().map(arrival).collect() }
     }
 }
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 11;
+    const VERSION: u32 = 12;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -265,9 +269,9 @@ impl Apply for LabelOnsets {
         let solution = labelling::label(&sensors, context.scene.as_ref(), &self.options(), &context.cancel);
         let hypotheses = rows::hypotheses(&solution.hypotheses, self.false_alarm.get());
         Ok(Outcome {
-            rows: rows::labels(&group, &sensors, solution.verdicts),
-            sides: vec![Hypothesis::to_batch(&hypotheses)],
             rejections: rows::rejections(&group, &sensors, solution.visible_in_line),
+            rows: rows::labels(&group, &sensors, solution),
+            sides: vec![Hypothesis::to_batch(&hypotheses)],
         })
     }
 }
@@ -300,6 +304,27 @@ fn normals(
     let fits = beside.rows::<Fit>("fits")?.unwrap_or_default();
     let is_fixed = fits.iter().any(|fit| fit.alternative == 0 && &*fit.frame == "fixed");
     Ok(footprints::normals(given, &planes, is_fixed))
+}
+
+fn arrival(onset: &Onset) -> Arrival {
+    let width_sd_ps = onset.width_sd_ps.unwrap_or(0.0);
+    let point = Arrival::point(onset.time_ps, sd_ps(onset), onset.snr);
+    Arrival { width_ps: onset.width_ps, width_sd_ps, pair: pair(onset), ..point }
+}
+
+/// The two pulses that a wide onset may be; `None` where none fit.
+fn pair(onset: &Onset) -> Option<Pair> {
+    let sds_ps = [onset.pair_first_sd_ps?, onset.pair_second_sd_ps?];
+    let amplitudes = [onset.pair_first_amplitude?, onset.pair_second_amplitude?];
+    // What the profile's onsets share moves both alike.
+    let shared_ps2 = onset.jitter_ps.powi(2);
+    let both_ps2 = onset.pair_correlation? * sds_ps[0] * sds_ps[1];
+    Some(Pair {
+        times_ps: [onset.pair_first_ps?, onset.pair_second_ps?],
+        covariance_ps2: [sds_ps[0].powi(2), both_ps2, sds_ps[1].powi(2)].map(|own_ps2| own_ps2 + shared_ps2),
+        snrs: amplitudes.map(|amplitude| onset.snr * (amplitude / onset.amplitude).abs()),
+        gain: onset.pair_gain?,
+    })
 }
 
 /// Standard deviation of an onset's time, with the part that its profile shares.

@@ -42,7 +42,7 @@ pub use rejects::Reject;
 pub use row::{Row, SchemaError};
 pub use session::Session;
 pub use solution::{Ambiguity, Delay, Fit, Residual, Station, Suspect};
-pub use stir::{Impulse, Stir};
+pub use stir::{Impulse, ImpulsePair, Stir};
 pub use subtotals::Subtotal;
 pub use traces::Trace;
 pub use truth::{TrueCapture, TrueCentroid, TruePath};

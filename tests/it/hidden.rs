@@ -61,6 +61,7 @@ fn labels(sensor_m: [f64; 3], rng: &mut ChaCha8Rng) -> Vec<Label> {
                 seen,
                 range: None,
                 rank: rank as i32 + 1,
+                part: 0,
                 time_ps: time_ps(way_m, INDEX) + SD_PS * noise,
                 time_sd_ps: SD_PS,
                 turns: 0,

@@ -42,6 +42,7 @@ mod pulses;
 mod python;
 #[cfg(feature = "query")]
 mod query;
+mod readings;
 mod real_files;
 mod recipes;
 mod rectangles;
@@ -58,3 +59,5 @@ mod surface;
 mod verify;
 mod version;
 mod watch;
+
+use resolution::study::shape;

@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::lab::{Lab, write_table};
-use crate::resolution::study::shape::{Sensor, Shape};
+use crate::shape::{Sensor, Shape};
 
 const CAMPAIGN: &str = "[campaign]\nname = 'pulses'\n[sensors.s1]\n[[captures]]\nrole = 'scene'\nfiles = 'raw/L{lit}_P{seen}.npy'\n\
     dt_ps = 50.0\nt0_ps = 0.0\ngain_v = 0.0001\noffset_v = 0.0\n";

@@ -15,6 +15,7 @@ fn labels(sensor: &str, apart_m: f64, paths: &[&[PatchId]]) -> Vec<Label> {
             seen,
             range: None,
             rank: 1,
+            part: 0,
             time_ps: units::time_ps(f64::from(lit) + legs + f64::from(seen).hypot(apart_m), 1.0),
             time_sd_ps: 1.0,
             turns: 0,

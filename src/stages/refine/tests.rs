@@ -50,6 +50,7 @@ impl<'a> Day<'a> {
             seen: path[path.len() - 1],
             range: range.map(Name::from),
             rank: 1,
+            part: 0,
             time_ps: time_ps(way_m + (self.sensor - end).norm(), 1.0) + late_ps + SD_PS * noise,
             time_sd_ps: SD_PS,
             turns: 0,
