@@ -1,8 +1,8 @@
 //! Responses by formula: sums of exponentially modified Gaussians, with their derivatives.
 //!
-//! Everything that the study draws is made of them: both sensors, light spread by a patch, and sensors that differ from
-//! the response given to the estimator (too wide, with an echo, with a tail). The estimator sees them only as
-//! fine-gridded values ([`Shape::response`]).
+//! Everything that the study draws is made of them: both sensors, light spread by a patch, and other sensors than the
+//! estimator assumes (too wide, with an echo, with a tail). The estimator sees them only as fine-gridded values
+//! ([`Shape::response`]).
 
 use std::f64::consts::{PI, SQRT_2, TAU};
 

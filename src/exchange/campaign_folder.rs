@@ -22,7 +22,7 @@ const RESPONSE: &str = "raw/response.npy";
 const SENSOR: &str = "sensor";
 /// Points nearer than this are one patch.
 const SAME_M: f64 = 1e-6;
-/// Default number of laser pulses of a histogram: so many that no photon hides another.
+/// Default number of laser pulses of a histogram: with as many, no photon hides another.
 const CYCLES: u64 = 1_000_000_000_000;
 /// Distance of laser and sensor from the wall, if neither times nor file depend on it.
 const FRONT_M: f64 = 1.0;
@@ -48,7 +48,7 @@ pub struct CampaignOptions {
     pub every: usize,
     /// Standard deviation of each coordinate of the points; absent: exact.
     pub sd_m: Option<f64>,
-    /// Laser pulses per histogram; absent: so many that no photon hides another.
+    /// Laser pulses per histogram; absent: enough that no photon hides another.
     pub cycles: Option<u64>,
     /// Dead time of the sensor after a detection.
     pub dead_time_ps: Option<f64>,
@@ -71,9 +71,6 @@ pub struct Summary {
 /// When the folder is in use or cannot be written, or the capture cannot be a campaign.
 pub fn write(capture: &Capture, options: &CampaignOptions, out: &Path) -> Result<Summary, ExchangeError> {
     let unfit = |problem: String| ExchangeError::Unfit { path: out.to_owned(), problem };
-    let or_write_error = |path: &Path, result: io::Result<()>| {
-        result.map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
-    };
     if out.exists() && fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some()) {
         return Err(unfit("is not empty; choose another folder, or remove it".to_owned()));
     }
@@ -83,21 +80,21 @@ pub fn write(capture: &Capture, options: &CampaignOptions, out: &Path) -> Result
     let folder = Folder { capture, options, layout: Layout::new(capture, &pairs), pairs };
     let counts = folder.are_counts().map_err(unfit)?;
     let raw = out.join("raw");
-    or_write_error(&raw, fs::create_dir_all(&raw))?;
-    let save = |name: &str, write: &dyn Fn(&mut BufWriter<File>) -> io::Result<()>| {
-        let path = out.join(name);
-        let saved = File::create(&path).map(BufWriter::new).and_then(|mut file| {
-            write(&mut file)?;
-            file.flush()
-        });
-        or_write_error(&path, saved)
-    };
-    save(HISTOGRAMS, &|file| folder.write_histograms(file, counts))?;
-    save(RESPONSE, &|file| folder.write_response(file, counts))?;
-    save(TABLE, &|file| file.write_all(folder.table().as_bytes()))?;
-    save(RESPONSE_TABLE, &|file| file.write_all(folder.response_table(counts).as_bytes()))?;
-    save(CAMPAIGN_FILE, &|file| file.write_all(folder.campaign(counts).as_bytes()))?;
+    fs::create_dir_all(&raw).map_err(|source| ExchangeError::Write { path: raw, source })?;
+    save(&out.join(HISTOGRAMS), |file| folder.write_histograms(file, counts))?;
+    save(&out.join(RESPONSE), |file| folder.write_response(file, counts))?;
+    save(&out.join(TABLE), |file| file.write_all(folder.table().as_bytes()))?;
+    save(&out.join(RESPONSE_TABLE), |file| file.write_all(folder.response_table(counts).as_bytes()))?;
+    save(&out.join(CAMPAIGN_FILE), |file| file.write_all(folder.campaign(counts).as_bytes()))?;
     Ok(Summary { patches: folder.layout.patches.len(), histograms: folder.pairs.len(), counts })
+}
+
+fn save(path: &Path, write: impl Fn(&mut BufWriter<File>) -> io::Result<()>) -> Result<(), ExchangeError> {
+    let saved = File::create(path).map(BufWriter::new).and_then(|mut file| {
+        write(&mut file)?;
+        file.flush()
+    });
+    saved.map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
 }
 
 /// The patches, their numbers by position, and the stations.

@@ -1,8 +1,8 @@
 //! Patches as a point cloud: PLY, the format of MeshLab, CloudCompare and Open3D.
 //!
-//! A vertex a patch, of the best solution: place in metres, a colour for the eye (visible grey, hidden orange, mirror
-//! blue), then number, kind (0, 1, 2), standard deviation and the six numbers of the covariance; these are NaN for
-//! start values, which have none.
+//! One vertex for each patch of the best solution: place in metres, a colour for the eye (visible grey, hidden orange,
+//! mirror blue), number, kind (0, 1, 2). Then the standard deviation and the six numbers of the covariance; these are
+//! NaN for start values, which have none.
 
 use std::io::{self, Write};
 

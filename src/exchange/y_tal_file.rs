@@ -16,7 +16,7 @@ const T_LI_SI: i32 = 4;
 const N_3: i32 = 1;
 const X_Y_3: i32 = 2;
 
-/// Writes a capture whose histograms all begin at one time, and whose pairs are all those of lit and seen points, or
+/// Writes a capture. Its histograms must all begin at one time, and its pairs be all those of lit and seen points, or
 /// each point with itself.
 ///
 /// # Errors

@@ -59,13 +59,8 @@ pub(super) fn read(mut arrays: Arrays) -> Result<Capture, String> {
     })?;
     let (seen, lit) = (grid(&arrays, "cameraGrid")?, grid(&arrays, "laserGrid")?);
     let stride = strides(&data.axes);
-    let places = |[first, second]: [usize; 2]| {
-        let (axes, stride) = (&data.axes, &stride);
-        let place = move |a: usize| (0..axes[second]).map(move |b| a * stride[first] + b * stride[second]);
-        (0..axes[first]).flat_map(place).collect::<Vec<usize>>()
-    };
-    let of_seen = places(order.seen);
-    let of_lit = order.lit.map(places);
+    let of_seen = offsets(&data.axes, &stride, order.seen);
+    let of_lit = order.lit.map(|axes| offsets(&data.axes, &stride, axes));
     let start_ps = units::time_ps(need(&arrays, "t0")?, 1.0);
     let fits = seen.spots.len() == of_seen.len() && lit.spots.len() == of_lit.as_ref().map_or(of_seen.len(), Vec::len);
     if !fits || data.count() == 0 {
@@ -109,6 +104,12 @@ pub(super) fn read(mut arrays: Arrays) -> Result<Capture, String> {
         seen,
         histograms: Histograms { bins: data.axes[order.time], stride: stride[order.time], parts, array: data },
     })
+}
+
+/// Offsets into `data` of the points of a grid, by its first and second axis.
+fn offsets(axes: &[usize], stride: &[usize], [first, second]: [usize; 2]) -> Vec<usize> {
+    let row = |a: usize| (0..axes[second]).map(move |b| a * stride[first] + b * stride[second]);
+    (0..axes[first]).flat_map(row).collect()
 }
 
 /// Positions and normals. If x, y and z are on the first axis, all axes are in reverse order.

@@ -78,6 +78,11 @@ pub fn sd_v(profile: &Profile) -> Vec<f64> {
     profile.se_v.iter().map(|se| f64::from(*se).max(rounding_v)).collect()
 }
 
+/// Standard deviation of a sample of a profile's mean away from pulses, at least the rounding of its f32 samples.
+pub fn noise_v(profile: &Profile) -> f64 {
+    (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding_v(profile))
+}
+
 /// Rounding of a profile's f32 samples.
 pub fn rounding_v(profile: &Profile) -> f64 {
     f64::from(f32::EPSILON) * f64::from(largest(&profile.mean_v, f32::MIN_POSITIVE, f32::abs))

@@ -1,10 +1,11 @@
-//! Covariances of patches as matrices, from their tables and into them.
+//! Positions of patches and their covariances, as points and matrices, from their tables and into them.
 
 use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
 
-use crate::tables::{Patch, PatchCovariance};
+use crate::geometry::Point;
+use crate::tables::{Hypothesis, Patch, PatchCovariance};
 use crate::units::PatchId;
 
 /// Covariance of a patch's position, in m^2; `None` for a start value.
@@ -29,7 +30,68 @@ pub fn between(row: &PatchCovariance) -> Matrix3<f64> {
     )
 }
 
-/// The row of such a covariance.
+/// The row of a patch by its position and covariance in m^2 (`None`: a start value), without onsets, chi-square and
+/// likelihood.
+pub fn patch_row(patch: PatchId, kind: &str, point: Point, cov_m2: Option<&Matrix3<f64>>) -> Patch {
+    let entry = |i: usize, k: usize| cov_m2.map(|cov_m2| cov_m2[(i, k)]);
+    Patch {
+        patch,
+        kind: kind.into(),
+        x_m: point.x,
+        y_m: point.y,
+        z_m: point.z,
+        cov_xx_m2: entry(0, 0),
+        cov_xy_m2: entry(0, 1),
+        cov_xz_m2: entry(0, 2),
+        cov_yy_m2: entry(1, 1),
+        cov_yz_m2: entry(1, 2),
+        cov_zz_m2: entry(2, 2),
+        sd_m: cov_m2.map(|cov_m2| cov_m2.trace().sqrt()),
+        onsets: 0,
+        chi2_dof: None,
+        alternative: 0,
+        log_likelihood: None,
+    }
+}
+
+/// The row of a possible hidden patch, of layer 1 and without number. `evidence` is its own and that needed; `seen` is
+/// the share of profiles that show it.
+pub fn hypothesis_row(
+    hypothesis: i32,
+    point: Point,
+    cov_m2: &Matrix3<f64>,
+    [evidence, evidence_needed]: [f64; 2],
+    seen: f64,
+) -> Hypothesis {
+    Hypothesis {
+        hypothesis,
+        kind: "patch".into(),
+        layer: 1,
+        patch: None,
+        alternative: 0,
+        x_m: point.x,
+        y_m: point.y,
+        z_m: point.z,
+        cov_xx_m2: cov_m2[(0, 0)],
+        cov_xy_m2: cov_m2[(0, 1)],
+        cov_xz_m2: cov_m2[(0, 2)],
+        cov_yy_m2: cov_m2[(1, 1)],
+        cov_yz_m2: cov_m2[(1, 2)],
+        cov_zz_m2: cov_m2[(2, 2)],
+        sd_m: cov_m2.trace().sqrt(),
+        normal_x: None,
+        normal_y: None,
+        normal_z: None,
+        evidence,
+        evidence_needed,
+        seen,
+        onsets: 0.0,
+        shots_needed: None,
+        hours_needed: None,
+    }
+}
+
+/// The row of a covariance [`between`] two patches.
 pub fn row(a: PatchId, b: PatchId, cov_m2: &Matrix3<f64>) -> PatchCovariance {
     PatchCovariance {
         a,

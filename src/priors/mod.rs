@@ -7,5 +7,6 @@ pub mod campaign_fields;
 pub mod corrections;
 pub mod covariances;
 pub mod delays;
+pub mod flight_profile;
 pub mod footprints;
 pub mod sensor_range;

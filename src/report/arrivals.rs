@@ -41,7 +41,7 @@ impl Arrivals {
         for label in sources.rows(|label: &Label| label.alternative == 0)? {
             let mut onset = OnsetBehind::of_label(&label);
             if is_solved {
-                // Told from where the patches were thought to be before.
+                // They refer to the positions of an earlier solution.
                 (onset.residual_ps, onset.pull) = (None, None);
             }
             let known = all.remove(&onset.id());
@@ -53,8 +53,8 @@ impl Arrivals {
             let parts: Vec<_> = (0..=PARTS).map(|part| (capture.clone(), rank, part)).collect();
             let mut is_new = true;
             for id in parts {
-                if let Some(known) = all.remove(&id) {
-                    all.insert(id, known.detected(&detected));
+                if let Some(earlier) = all.remove(&id) {
+                    all.insert(id, earlier.detected(&detected));
                     is_new = false;
                 }
             }
@@ -90,8 +90,8 @@ impl Arrivals {
     }
 }
 
-/// To sort by: how far an onset lies from where the solution has it, in standard deviations; 0 where nothing tells.
-/// Those that the solution left out come first.
+/// To sort by: how far an onset lies from the solution, in standard deviations; 0 where that is unknown. Those that the
+/// solution left out come first.
 pub fn doubt(onset: &OnsetBehind) -> f64 {
     let pull = onset.pull.map_or(0.0, f64::abs);
     if onset.used == Some(false) { LEFT_OUT + pull } else { pull }

@@ -11,7 +11,7 @@
 //! | `responses` | the sensors |
 //! | `residuals` | what the solution leaves over |
 //! | `distances` | the matrix of distances, with its gaps |
-//! | `provenance` | what was set aside; runs, their times, tables and their lineage |
+//! | `provenance` | what was rejected; runs, their times, tables and their lineage |
 
 mod arrivals;
 mod distances;
@@ -41,8 +41,8 @@ use sources::Sources;
 use stir::Stir;
 use waveforms::Waveforms;
 
-/// All that is drawn. Sizes are bounded, whatever the campaign's: what is chosen, and how to see the rest, stands
-/// beside each section.
+/// All that is drawn. Sizes are bounded, whatever the campaign's. Each section says which part it shows, and how to see
+/// the rest.
 pub struct Report {
     folder: String,
     provenance: Provenance,
@@ -80,7 +80,7 @@ impl Report {
     }
 }
 
-/// So many of `all` at most, evenly spread over them; their order is kept.
+/// At most `most` of `all`, evenly spread over them; their order is kept.
 fn spread<T: Clone>(all: &[T], most: usize) -> Vec<T> {
     if all.len() <= most {
         return all.to_vec();

@@ -1,4 +1,4 @@
-//! Where the tables come from: runs and their times, tables and what each was made from, and what was set aside.
+//! Where the tables come from: runs and their times, tables and what each was made from, and what was rejected.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ pub struct Shown {
     pub inputs: Vec<(String, String)>,
 }
 
-/// Records that were set aside for one reason.
+/// Records that were rejected for one reason.
 pub struct Rejected {
     /// How many.
     pub count: usize,
@@ -55,7 +55,7 @@ pub struct Provenance {
     pub tables: Vec<Shown>,
     /// Commonest first.
     pub rejected: Vec<Rejected>,
-    /// Records set aside, those of reasons not listed too.
+    /// Rejected records, those of reasons not listed too.
     pub rejects: usize,
     /// Reasons.
     pub reasons: usize,

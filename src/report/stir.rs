@@ -19,7 +19,7 @@ const PIXELS: usize = 450_000;
 const IMAGES: usize = 60;
 /// Signal over noise that is black.
 const FLOOR: f64 = 1.0;
-/// Share of the time between the first and the last onset that is shown beside them.
+/// Margin before the first and after the last onset, as a share of the time between them.
 const MARGIN: f64 = 0.08;
 
 table! {

@@ -18,9 +18,9 @@ const PROFILES: usize = 200;
 const DOUBTED: usize = 60;
 /// Points of a curve at most.
 const POINTS: usize = 320;
-/// Share of the time between the first and the last onset that is shown beside them.
+/// Margin before the first and after the last onset, as a share of the time between them.
 const MARGIN: f64 = 0.15;
-/// Samples that are shown beside the onsets at least.
+/// Least margin, in samples.
 const LEAST_BESIDE: f64 = 25.0;
 
 /// Role of the captures that are shown.
@@ -57,7 +57,7 @@ table! {
         role: Name,
         /// Shots averaged.
         shots: i32,
-        /// Shots set aside.
+        /// Rejected shots.
         rejected: i32,
         /// Time of sample 0 since the reference pulse.
         t0_ps: f64,
@@ -98,7 +98,7 @@ pub struct Waveform {
     pub capture: CaptureKey,
     /// Shots averaged.
     pub shots: i32,
-    /// Shots set aside.
+    /// Rejected shots.
     pub rejected: i32,
     /// Wall-clock time of the first shot.
     pub acquired_at: Option<Name>,
@@ -153,21 +153,9 @@ impl Waveforms {
         let averaged = sources.rows_near(&near, |row: &Averaged| &*row.role == SCENE && wanted.contains(&key(row)))?;
         let waveform = |row: Averaged| {
             let capture = key(&row);
+            let onsets = arrivals.by_capture.get(&capture).cloned().unwrap_or_default();
             let explained = explained.get(&capture);
-            // Times of the mean have the sensor's latency in them; those of the deconvolution have not.
-            let t0_ps = explained.map_or(row.t0_ps, |explained| explained.t0_ps);
-            let impulses = explained.map(|explained| explained.impulses.clone()).unwrap_or_default();
-            let times_ps: Vec<f64> = impulses.iter().map(|impulse| impulse.time_ps).collect();
-            Waveform {
-                points: thinned(&row, t0_ps, &times_ps),
-                onsets: arrivals.by_capture.get(&capture).cloned().unwrap_or_default(),
-                capture,
-                shots: row.shots,
-                rejected: row.rejected,
-                acquired_at: row.acquired_at,
-                chi2_dof: explained.and_then(|explained| explained.chi2_dof),
-                impulses,
-            }
+            Waveform::new(row, explained, capture, onsets)
         };
         let mut chosen: Vec<Waveform> = averaged.into_iter().map(waveform).collect();
         chosen.sort_by(|a, b| a.capture.cmp(&b.capture));
@@ -175,13 +163,32 @@ impl Waveforms {
     }
 }
 
+impl Waveform {
+    fn new(row: Averaged, explained: Option<&Explained>, capture: CaptureKey, onsets: Vec<OnsetBehind>) -> Self {
+        // Times of the mean have the sensor's latency in them; those of the deconvolution have not.
+        let t0_ps = explained.map_or(row.t0_ps, |explained| explained.t0_ps);
+        let impulses = explained.map(|explained| explained.impulses.clone()).unwrap_or_default();
+        let times_ps: Vec<f64> = impulses.iter().map(|impulse| impulse.time_ps).collect();
+        Self {
+            points: thinned(&row, t0_ps, &times_ps),
+            onsets,
+            capture,
+            shots: row.shots,
+            rejected: row.rejected,
+            acquired_at: row.acquired_at,
+            chi2_dof: explained.and_then(|explained| explained.chi2_dof),
+            impulses,
+        }
+    }
+}
+
 impl Waveforms {
     /// The profile with the most labelled onsets, or with the most onsets; the first of equals.
     pub fn telling(&self) -> Option<&Waveform> {
-        let told = |waveform: &&Waveform| {
+        let labels_and_onsets = |waveform: &&Waveform| {
             (waveform.onsets.iter().filter(|onset| onset.path.is_some()).count(), waveform.onsets.len())
         };
-        self.chosen.iter().rev().filter(|waveform| !waveform.points.is_empty()).max_by_key(told)
+        self.chosen.iter().rev().filter(|waveform| !waveform.points.is_empty()).max_by_key(labels_and_onsets)
     }
 }
 
@@ -199,13 +206,14 @@ fn thinned(row: &Averaged, t0_ps: f64, impulses_ps: &[f64]) -> Vec<(f64, f64, f6
         return samples.into_iter().map(point).collect();
     }
     let stretch = (2 * samples.len()).div_ceil(POINTS);
-    let extremes = |stretch: &[usize]| {
-        let by_mean = |a: &&usize, b: &&usize| row.mean_v[**a].total_cmp(&row.mean_v[**b]);
-        let (low, high) = (stretch.iter().min_by(by_mean).copied(), stretch.iter().max_by(by_mean).copied());
-        let both: BTreeSet<usize> = low.into_iter().chain(high).collect();
-        both
-    };
-    samples.chunks(stretch).flat_map(extremes).map(point).collect()
+    samples.chunks(stretch).flat_map(|stretch| extremes(&row.mean_v, stretch)).map(point).collect()
+}
+
+/// The lowest and the highest of some samples, in their order.
+fn extremes(mean_v: &[f32], samples: &[usize]) -> BTreeSet<usize> {
+    let by_mean = |a: &&usize, b: &&usize| mean_v[**a].total_cmp(&mean_v[**b]);
+    let (low, high) = (samples.iter().min_by(by_mean).copied(), samples.iter().max_by(by_mean).copied());
+    low.into_iter().chain(high).collect()
 }
 
 #[cfg(test)]

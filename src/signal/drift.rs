@@ -4,8 +4,8 @@
 //! difference of the knots)^2 / r^2` with Huber's `rho`, by iterated weights (Huber, Ann. Math. Stat. 35, 73 (1964)).
 //! Points far off the median of their neighbourhood do not count. The same is the estimate of a walk whose slope
 //! changes at each knot by a normal number of sd r. The inverse of the normal matrix is then the covariance of the
-//! knots, and r, the roughness, follows by maximum likelihood with the knots integrated out (Wahba, *Spline Models for
-//! Observational Data*, chapters 1 and 4). Beyond the points the delay goes on as a line, and its error grows as the
+//! knots. r, the roughness, follows by maximum likelihood with the knots integrated out. Source: Wahba, *Spline Models
+//! for Observational Data*, chapters 1 and 4. Beyond the points the delay goes on as a line, and its error grows as the
 //! walk's does.
 //!
 //! A step of the delay (a cable that was touched) is no drift. At each gap that has enough points on either side, a

@@ -155,7 +155,7 @@ fn begin_ps(core: &Core, ratio_sd: f64) -> f64 {
 }
 
 /// Number of independent positions: times the chance at one of them, it is the expected number of excursions of the
-/// filter's output beyond [`LEVEL`] (Rice, *Mathematical analysis of random noise*, 1944).
+/// filter's output beyond [`LEVEL`]. Source: Rice, *Mathematical analysis of random noise*, 1944.
 fn trials(seen: &Response, core: &Core, dt_ps: f64, searched_ps: f64) -> f64 {
     let step_ps = dt_ps / 16.0;
     let count = ((core.end_ps - core.start_ps) / step_ps) as usize;

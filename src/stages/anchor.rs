@@ -2,8 +2,8 @@
 //! hidden.
 //!
 //! Takes campaign.toml; writes `patches`: those with a `position_m`, with its standard deviation (`sd_m`; where none is
-//! given, a micrometre). `label`, `range` and `embed` take them beside them in place of patches that `refine` found.
-//! Their errors are independent of each other.
+//! given, a micrometre). `label`, `range` and `embed` take them in place of patches that `refine` found. Their errors
+//! are independent of each other.
 //!
 //! ```toml
 //! [wall]
@@ -13,14 +13,17 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::operator::WrittenTable;
 use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
 use super::stage::StageError;
-use crate::campaign::Campaign;
 use crate::campaign::keys::{self, PatchRole};
+use crate::campaign::{Campaign, LeftOut};
+use crate::geometry::Point;
+use crate::priors::covariances;
 use crate::store::Digest;
 use crate::store::finite::{self, NotJson};
 use crate::tables::{Patch, Row};
@@ -29,10 +32,14 @@ use crate::units::PatchId;
 /// Standard deviation of a coordinate that is called exact.
 const EXACT_M: f64 = 1e-6;
 
-/// Parameters of `anchor`: none.
+/// Parameters of `anchor`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AnchorPatches {}
+#[serde(deny_unknown_fields, default)]
+pub struct AnchorPatches {
+    /// Whether the table may be empty: of a campaign without anchors.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    optional: bool,
+}
 
 impl Source for AnchorPatches {
     fn kind(&self) -> &'static str {
@@ -54,7 +61,7 @@ impl Source for AnchorPatches {
     fn open<'a>(&'a self, campaigns: &'a [Campaign], _: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
         let mut all = campaigns.iter().map(anchors);
         let anchors = all.next().unwrap_or_default();
-        if anchors.is_empty() {
+        if anchors.is_empty() && !self.optional {
             let text =
                 "no patch in campaign.toml has a `position_m`; add [patches.N] with one for each point of the wall";
             return Err(StageError::Refused(text.to_owned()));
@@ -87,7 +94,7 @@ impl OpenSource for Opened {
     fn parts(&self) -> &[SourcePart] {
         &self.parts
     }
-    fn warnings(&self) -> &[String] {
+    fn left_out(&self) -> &[LeftOut] {
         &[]
     }
 
@@ -104,24 +111,8 @@ impl OpenSource for Opened {
     }
 }
 
-fn row(patch: PatchId, (role, [x_m, y_m, z_m], sd_m): &Anchor) -> Patch {
+fn row(patch: PatchId, (role, position_m, sd_m): &Anchor) -> Patch {
     let variance_m2 = sd_m.unwrap_or(EXACT_M).powi(2);
-    Patch {
-        patch,
-        kind: role.name().into(),
-        x_m: *x_m,
-        y_m: *y_m,
-        z_m: *z_m,
-        cov_xx_m2: Some(variance_m2),
-        cov_xy_m2: Some(0.0),
-        cov_xz_m2: Some(0.0),
-        cov_yy_m2: Some(variance_m2),
-        cov_yz_m2: Some(0.0),
-        cov_zz_m2: Some(variance_m2),
-        sd_m: Some((3.0 * variance_m2).sqrt()),
-        onsets: 0,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-    }
+    let cov_m2 = Matrix3::from_diagonal_element(variance_m2);
+    covariances::patch_row(patch, role.name(), Point::from(*position_m), Some(&cov_m2))
 }

@@ -2,21 +2,21 @@
 //! sections 5 and 6).
 //!
 //! From captures of role `response`: shots over a path of known length, at each vertical range for itself. Their
-//! trigger jitter and sub-sample offsets spread the samples over the pulse, so that response and template come out on a
-//! grid of 1/8 sample, with the tail as far as it rises above the noise, and with echoes that are certain. Shots whose
-//! amplitude or time strays are left out. The latency is the mean time of the response in the shots, each relative to
-//! its own reference pulse, less the light's time over the known path. It is measured with the same template that
-//! `deconvolve` uses, so that an error of the template's zero cancels; the reference's template is one for all ranges
-//! of a sensor. What the shots leave of the shape says how the noise goes with level and slope
+//! trigger jitter and sub-sample offsets spread the samples over the pulse. So response and template come out on a grid
+//! of 1/8 sample. They include certain echoes, and the tail as far as it rises above the noise. Shots whose amplitude
+//! or time strays are left out. The latency is the mean time of the response in the shots less the time of flight over
+//! the known path. Each shot's time is relative to its own reference pulse. The latency is measured with the same
+//! template that `deconvolve` uses, so that an error of the template's zero cancels; the reference's template is one
+//! for all ranges of a sensor. The residuals of the shots give the noise by level and slope
 //! ([`crate::signal::noise_model`]).
 //!
 //! Photon counters have one histogram a capture, freed of pile-up; its maximum is timed by the counts' likelihood, and
 //! the response lies on the bins' own grid, interpolated: bins no wider than a third of it are needed.
 //!
 //! Takes `traces`; writes `calibration`. At most [`SHOTS_MAX`] shots a range are used, and no more than [`KEPT_BYTES`]
-//! of samples: the first ones. Clipped shots, and those with a sample that is no number, are left out; a width or
-//! latency that no sensor has is told in `rejects`. Without `path_m` the latency is the prior of campaign.toml. What
-//! changes through a session (drift, pick-up) is added by `track`.
+//! of samples: the first ones. Clipped shots, and those with a sample that is no number, are left out. A width or
+//! latency that no sensor has is reported in `rejects`. Without `path_m` the latency is the prior of campaign.toml.
+//! `track` adds what changes through a session (drift, pick-up).
 //!
 //! ```toml
 //! [calibration]
@@ -96,7 +96,7 @@ struct Shots {
 }
 
 /// What a range's shots say.
-struct Found {
+struct Estimate {
     shape: Shape,
     /// Time of the response after the reference pulse (or the trigger), and its standard deviation.
     arrival_ps: (f64, f64),
@@ -237,7 +237,7 @@ impl State {
             cancel.check();
             match range.row(self, prior, template.as_ref(), cancel) {
                 Ok(row) => {
-                    let doubts = doubts(&row, range.first.path_m);
+                    let doubts = doubts(&row, &range.first);
                     rejections.extend(doubts.map(|why| Rejection { reason: why, ..self.rejection(Some(range), "") }));
                     rows.push(row);
                 }
@@ -246,7 +246,7 @@ impl State {
                     continue;
                 }
             }
-            // Told only where more shots are left out than used: single bad shots are counted in the table.
+            // Reported only where more shots are left out than used: single bad shots are counted in the table.
             if range.other as usize > range.signals.len() {
                 let why = format!(
                     "{} response shots of sensor {} are left out of its calibration, more than are used: clipped, without reference pulse, or of another length or path than the first",
@@ -259,15 +259,14 @@ impl State {
     }
 }
 
-/// What cannot be of a real sensor: mostly a unit that was mistaken. It is told, and the calibration used as it is.
-fn doubts(row: &Calibration, path_m: Option<f64>) -> impl Iterator<Item = String> {
+/// What no real sensor has: mostly a wrong unit. It is reported, and the calibration used as it is.
+fn doubts(row: &Calibration, first: &Trace) -> impl Iterator<Item = String> {
     let Calibration { sensor, width_ps, latency_ps, .. } = row;
     let fast = (*width_ps < WIDTH_LEAST_PS).then(|| {
-        format!(
-            "the response of sensor {sensor} is {width_ps:.3} ps wide, less than of any photodiode: is `dt_ps` in ps?"
-        )
+        let why = first.time_base_doubt().unwrap_or_else(|| "is `dt_ps` in ps?".to_owned());
+        format!("the response of sensor {sensor} is {width_ps:.3} ps wide, less than of any photodiode: {why}")
     });
-    let early = path_m.filter(|_| *latency_ps < LATENCY_LEAST_PS).map(|path_m| {
+    let early = first.path_m.filter(|_| *latency_ps < LATENCY_LEAST_PS).map(|path_m| {
         format!(
             "the response of sensor {sensor} comes {:.0} ns before light can have gone path_m = {path_m}: is it in m? is its t0_ps right?",
             -latency_ps * 1e-3
@@ -286,11 +285,11 @@ impl Shots {
             let other = self.other;
             return Err(format!("none of its {other} response shots is usable; check range and reference channel"));
         }
-        let (found, reference) = match prior.counter {
-            Some(counter) => (counter::found(&self.signals, self.first.dt_ps, counter, cancel)?, None),
-            None => analog::found(self, template)?,
+        let (estimate, reference) = match prior.counter {
+            Some(counter) => (counter::estimate(&self.signals, self.first.dt_ps, counter, cancel)?, None),
+            None => analog::estimate(self, template)?,
         };
-        let (arrival_ps, arrival_sd_ps) = found.arrival_ps;
+        let (arrival_ps, arrival_sd_ps) = estimate.arrival_ps;
         let (latency_ps, latency_sd_ps, latency_common_sd_ps) = match (self.first.path_m, prior.latency_ps) {
             (Some(path_m), _) => {
                 let path_sd_ps = units::time_ps(self.first.path_sd_m.unwrap_or(0.0), prior.group_index);
@@ -311,11 +310,11 @@ impl Shots {
             campaign: of.campaign.clone(),
             sensor: of.sensor.clone(),
             range: self.first.range.clone(),
-            shots: found.shots as i32,
-            rejected: self.other + (self.signals.len() - found.shots) as i32,
-            step_ps: found.shape.step_ps,
-            response_t0_ps: found.shape.t0_ps,
-            response: upward(&found.shape),
+            shots: estimate.shots as i32,
+            rejected: self.other + (self.signals.len() - estimate.shots) as i32,
+            step_ps: estimate.shape.step_ps,
+            response_t0_ps: estimate.shape.t0_ps,
+            response: upward(&estimate.shape),
             reference_t0_ps: reference.as_ref().map(|reference| reference.shape.t0_ps),
             reference: reference.as_ref().map(|reference| upward(&reference.shape)),
             latency_ps,
@@ -323,10 +322,10 @@ impl Shots {
             latency_common_sd_ps: Some(latency_common_sd_ps),
             acquired_at: self.first.acquired_at.clone(),
             reference_v_ps: reference.as_ref().map(|reference| reference.integral_v_ps),
-            noise_model: found.noise_model,
-            noise_acf: found.noise_acf.map(|acf| acf.into_iter().collect()),
-            width_ps: found.shape.response().width_ps(),
-            width_sd_ps: found.width_sd_ps,
+            noise_model: estimate.noise_model,
+            noise_acf: estimate.noise_acf.map(|acf| acf.into_iter().collect()),
+            width_ps: estimate.shape.response().width_ps(),
+            width_sd_ps: estimate.width_sd_ps,
         })
     }
 }

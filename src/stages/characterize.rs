@@ -10,17 +10,17 @@
 //! | `echo` | all runs with a pulse | 0 |
 //! | `pickup` | runs of role blocked | 0 |
 //! | `noise_codes` | dark runs, else what precedes the pulse | 0.5 at least |
-//! | `noise`, `noise_correlation`, `noise_slope`, `width`, `dynamic_range_db` | | told |
+//! | `noise`, `noise_correlation`, `noise_slope`, `width`, `dynamic_range_db` | | for information |
 //!
-//! Runs of roles response and fiducial make series, each role its own, at fixed other settings, so that light, path and
-//! time are not taken for one another; of several series the longest is checked. `calibrate` uses responses of one path
-//! alone, so a path series is best captured as fiducial. Time is `acquired_at`, or the order of the runs' names where
-//! files do not say it.
+//! Runs of roles response and fiducial make series, each role its own. All other settings are the same in a series, so
+//! that signal, path and time are not confused; of several series the longest is checked. `calibrate` uses responses of
+//! one path alone, so a path series is best captured as fiducial. Time is `acquired_at`, or the order of the runs'
+//! names where files do not state it.
 //!
-//! A check fails where a good instrument would go so far beyond the tolerance with a chance of less than `level` shared
-//! among all tested checks of the sensor (Bonferroni), and within a check among its trials. At tolerance 0 that is the
-//! chance that a good instrument fails any check; a tolerance makes it smaller. Standard deviations are those of the
-//! runs (normal), but for `power_drift`, where they come from the scatter (Student's t).
+//! A check fails where chance would hardly take a good instrument as far beyond the tolerance. The limit is the
+//! probability `level`, shared among all tested checks of the sensor (Bonferroni), and within a check among its trials.
+//! At tolerance 0 `level` is the chance that a good instrument fails any check; a tolerance makes it smaller. Standard
+//! deviations are those of the runs (normal), but for `power_drift`, where they come from the scatter (Student's t).
 //!
 //! Takes `measurements`; writes `checks`.
 //!
@@ -160,7 +160,7 @@ impl Characterize {
         let mut findings =
             vec![across::inverse_square(self, &series).unwrap_or_else(|| Finding::missing("inverse_square", MISSING))];
         match across::shift_per_path(self, &series, group_index) {
-            Some(found) => findings.extend(found),
+            Some(more) => findings.extend(more),
             None => findings.push(Finding::missing("shift_per_path", MISSING)),
         }
         findings

@@ -19,22 +19,23 @@
 //! than the response is wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the
 //! response's sign, unless `signed` allows both.
 //!
-//! Profiles (i, k) and (k, i) hold the same paths walked in opposite directions, where laser and sensor stand together.
-//! With `joint` they are explained together: times better by up to the root of 2, and arrivals told apart as at so much
-//! more signal. The impulses then stand in the row of the smaller `lit` alone, so that nothing counts twice.
+//! Where laser and sensor stand together, profiles (i, k) and (k, i) hold the same paths walked in opposite directions.
+//! With `joint` they are explained together: times are better by up to the root of 2, and close arrivals are separated
+//! as at as much more signal. The impulses then stand in the row of the smaller `lit` alone, so that nothing counts
+//! twice.
 //!
 //! Photon counts are explained by the likelihood of counts, freed of pile-up by the dead time in campaign.toml;
 //! amplitudes are counts a bin.
 //!
-//! Takes `profiles`; writes `stir`. Beside it: `calibration`; and `session` (of `track`), whose drift and pick-up are
-//! taken off: a drift's own error joins `jitter_ps`, the pick-up's the noise. The noise of each sample is the profile's
-//! `se_v`, its autocorrelation `noise_acf`, smoothed to that of an autoregressive process of the order that
-//! `noise_samples` can tell. `wiener` knows equal noise along the record. Where the response fits far worse than the
-//! noise is (`chi2_dof` well above 1) and a single shot tells the noise, its estimate weighs the misfit otherwise in
-//! every record: `correlated = false` keeps times comparable there.
+//! Takes `profiles` and `calibration`; writes `stir`. With `session` (of `track`), drift and pick-up are taken off; the
+//! drift's error joins `jitter_ps`, the pick-up's the noise. The noise of each sample is the profile's `se_v`. Its
+//! autocorrelation is `noise_acf`, smoothed to that of an autoregressive process of the order that `noise_samples`
+//! support. `wiener` assumes equal noise along the record. Set `correlated = false` where the response fits far worse
+//! than the noise (`chi2_dof` well above 1) and a single shot gives the noise: else each record weighs the misfit
+//! differently, and times are not comparable.
 //!
 //! Not modelled: light that wraps around the end of a record (`average` cuts circular profiles open where they are
-//! quiet), counts explained jointly, the delay between two vertical ranges in a pair that is explained jointly.
+//! quiet); counts explained jointly; the delay between two vertical ranges in a jointly explained pair.
 //!
 //! ```toml
 //! [stir]
@@ -58,7 +59,7 @@ use crate::cancel::Cancel;
 use crate::parameter::{Condition, Count, NonNegative, Positive};
 use crate::priors::calibration::{self, Calibrated};
 use crate::priors::campaign_fields::ByCampaign;
-use crate::priors::corrections::Correction;
+use crate::priors::flight_profile::FlightProfile;
 use crate::priors::sensor_range::SensorRange;
 use crate::signal::fft::RealFft;
 use crate::signal::response::Response;
@@ -111,7 +112,7 @@ impl Default for Deconvolve {
 
 fn method_of<'de, D: Deserializer<'de>>(name: D) -> Result<Method, D::Error> {
     let former = ["nnls", "pencil", "richardson-lucy"];
-    method::named(name, &former, "use `sparse` (the default); there are also `wiener` and `none`")
+    method::named(name, &former, "use `sparse`; there are also `wiener` and `none`")
 }
 
 /// What campaign.toml says of laser and sensors.
@@ -144,13 +145,9 @@ struct Tools {
 /// What an averaged response depends on: sensor and range, time step, length, and phases of the shots.
 type Alike = (SensorRange, u64, usize, Option<Vec<i32>>);
 
-/// A profile made ready: upwards, without pick-up, in times of flight.
+/// A profile made ready.
 struct Ready {
-    samples: Vec<f64>,
-    sd_v: Vec<f64>,
-    acf: Vec<f64>,
-    t0_ps: f64,
-    dt_ps: f64,
+    flight: FlightProfile,
     /// Time error that all its arrivals share.
     jitter_ps: f64,
     response: Arc<Response>,
@@ -217,7 +214,7 @@ impl Apply for Deconvolve {
         for profile in &group {
             context.cancel.check();
             match self.prepare(context, profile, &mut tools)? {
-                Ok(prepared) => ready.push((profile, prepared)),
+                Ok(one) => ready.push((profile, one)),
                 Err(why) => outcome.rejections.push(rejection(profile, &why)),
             }
         }
@@ -232,13 +229,7 @@ impl Apply for Deconvolve {
 
 fn rejection(profile: &Profile, why: &str) -> Rejection {
     let Profile { campaign, sensor, lit, seen, .. } = profile;
-    Rejection {
-        campaign: campaign.clone(),
-        file: None,
-        segment: None,
-        byte_offset: None,
-        reason: format!("profile of sensor {sensor}, lit {lit}, seen {seen}, {why}"),
-    }
+    Rejection::new(campaign, format!("profile of sensor {sensor}, lit {lit}, seen {seen}, {why}"))
 }
 
 fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
@@ -258,8 +249,8 @@ fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
         lit: profile.lit,
         seen: profile.seen,
         range: profile.range.clone(),
-        t0_ps: ready.t0_ps,
-        dt_ps: ready.dt_ps,
+        t0_ps: ready.flight.t0_ps,
+        dt_ps: ready.flight.dt_ps,
         profile: ready.light.into_iter().collect(),
         profile_noise: ready.light_noise_v,
         impulses,
@@ -281,7 +272,7 @@ impl Deconvolve {
             && first.lit != first.seen
             && a.unpiled.is_none()
             && b.unpiled.is_none()
-            && a.dt_ps == b.dt_ps
+            && a.flight.dt_ps == b.flight.dt_ps
             && context.fields.of(&first.campaign).with_laser.iter().any(|sensor| **sensor == *first.sensor)
         {
             let together = explain::jointly(&[a.profile(), b.profile()], &self.options(&context.cancel));
@@ -307,53 +298,46 @@ impl Deconvolve {
         profile: &Profile,
         tools: &mut Tools,
     ) -> Result<Result<Ready, String>, StageError> {
-        let (campaign, sensor) = (&profile.campaign, &profile.sensor);
-        let (key, calibrated) = context.sensors.of(profile).ok_or_else(|| {
+        let sensor = context.sensors.of(profile).ok_or_else(|| {
+            let (campaign, sensor) = (&profile.campaign, &profile.sensor);
             let range = profile.range.as_ref().map(|range| format!(" at range `{range}`")).unwrap_or_default();
             StageError::Refused(format!("sensor `{sensor}` of campaign `{campaign}` is not calibrated{range}: capture its response, or import a calibration"))
         })?;
-        let fields = context.fields.get(campaign);
-        let correction = match Correction::of(&context.sessions, key, profile) {
-            Ok(correction) => correction,
-            Err(why) => return Ok(Err(why)),
-        };
-        let mut samples: Vec<f64> = profile.mean_v.to_f64();
-        let mut sd_v = calibration::sd_v(profile);
-        let period_ps = fields.and_then(|fields| fields.repetition_ps);
-        if let Err(why) = correction.take_pickup_off(profile, period_ps, &mut samples, &mut sd_v) {
-            return Ok(Err(why));
+        Ok(self.ready(context, profile, sensor, tools))
+    }
+
+    fn ready(
+        &self,
+        context: &Context,
+        profile: &Profile,
+        (key, calibrated): (&SensorRange, &Calibrated),
+        tools: &mut Tools,
+    ) -> Result<Ready, String> {
+        let fields = context.fields.get(&profile.campaign);
+        let (sd_v, period_ps) = (calibration::sd_v(profile), fields.and_then(|fields| fields.repetition_ps));
+        let mut flight = FlightProfile::new(profile, (key, calibrated), &context.sessions, period_ps, sd_v)?;
+        if !self.correlated {
+            flight.acf = vec![1.0];
         }
-        samples.iter_mut().for_each(|sample| *sample *= calibrated.polarity);
-        let rounding_v = calibration::rounding_v(profile);
-        let noise_v = (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding_v);
+        let noise_v = calibration::noise_v(profile);
         let alike = tools.take_up(key.clone(), calibrated, profile);
-        // What is no more than the rounding of the samples is white.
-        let is_white = !self.correlated || noise_v <= rounding_v;
-        let acf = if is_white { vec![1.0] } else { calibration::correlation(profile) };
         let (light, light_noise_v) = match self.method {
-            Method::None => (samples.clone(), noise_v),
-            Method::Sparse | Method::Wiener => self.wiener(alike, profile.dt_ps, &samples, noise_v, &acf, tools),
+            Method::None => (flight.mean_v.clone(), noise_v),
+            Method::Sparse | Method::Wiener => self.wiener(alike, &flight, noise_v, tools),
         };
-        let dead_time_ps = fields.and_then(|fields| fields.dead_times_ps.get(&**sensor)).copied().unwrap_or(0.0);
-        let unpiled = match unpiled(profile, dead_time_ps) {
-            Ok(unpiled) => unpiled,
-            Err(why) => return Ok(Err(why)),
-        };
+        let dead_time_ps = fields.and_then(|fields| fields.dead_times_ps.get(&*profile.sensor));
+        let unpiled = unpiled(profile, dead_time_ps.copied().unwrap_or(0.0))?;
         let power = |reference_v_ps: f64| Some(reference_v_ps / calibrated.reference_v_ps?);
-        Ok(Ok(Ready {
-            samples,
-            sd_v,
-            acf,
-            t0_ps: profile.t0_ps - calibrated.latency_ps - correction.drift_ps,
-            dt_ps: profile.dt_ps,
-            jitter_ps: profile.jitter_ps.hypot(correction.drift_sd_ps),
+        Ok(Ready {
+            jitter_ps: profile.jitter_ps.hypot(flight.drift_sd_ps),
+            flight,
             response: Arc::clone(&tools.response.as_ref().expect("taken up above").1),
             unpiled,
             polarity: calibrated.polarity,
             power_ratio: profile.reference_v_ps.and_then(power),
             light,
             light_noise_v,
-        }))
+        })
     }
 
     fn options(&self, cancel: &Cancel) -> SparseOptions {
@@ -368,31 +352,24 @@ impl Deconvolve {
     }
 
     /// The Wiener estimate and the standard deviation of its noise.
-    fn wiener(
-        &self,
-        alike: Alike,
-        dt_ps: f64,
-        samples: &[f64],
-        noise_v: f64,
-        acf: &[f64],
-        tools: &mut Tools,
-    ) -> (Vec<f64>, f64) {
+    fn wiener(&self, alike: Alike, flight: &FlightProfile, noise_v: f64, tools: &mut Tools) -> (Vec<f64>, f64) {
+        let samples = &flight.mean_v;
         let Tools { fft, response, filter } = tools;
         let ready = |(of, ratio, _): &(Alike, f64, Wiener)| {
             *of == alike && self.noise_to_signal.map(Positive::get) == Some(*ratio)
         };
         if !filter.as_ref().is_some_and(ready) {
             let (_, response) = response.as_ref().expect("taken up before");
-            let transfer = Transfer::from_response(fft, response, dt_ps, samples.len());
+            let transfer = Transfer::from_response(fft, response, flight.dt_ps, samples.len());
             let noise_to_signal = self.noise_to_signal.map(Positive::get);
             let noise_to_signal = noise_to_signal.unwrap_or_else(|| transfer.noise_to_signal(samples, noise_v));
-            let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz.get() * dt_ps / 1000.0);
+            let low_pass = self.lowpass_ghz.map(|lowpass_ghz| lowpass_ghz.get() * flight.dt_ps / 1000.0);
             *filter = Some((alike, noise_to_signal, Wiener::new(&transfer, noise_to_signal, low_pass)));
         }
         let (_, _, wiener) = filter.as_ref().expect("made above");
         let mut light = vec![0.0; samples.len()];
         wiener.apply(fft, samples, &mut light);
-        let light_noise_v = noise_v * wiener.noise_gain(acf);
+        let light_noise_v = noise_v * wiener.noise_gain(&flight.acf);
         (light, light_noise_v)
     }
 }
@@ -412,8 +389,7 @@ fn unpiled(profile: &Profile, dead_time_ps: f64) -> Result<Option<Unpiled>, Stri
 impl Ready {
     /// The profile as the kernel takes it, and the response that its pulses have in it.
     fn profile(&self) -> (sparse::Profile<'_>, &Response) {
-        let Self { samples: mean_v, sd_v, acf, t0_ps, dt_ps, response, .. } = self;
-        (sparse::Profile { mean_v, sd_v, acf, t0_ps: *t0_ps, dt_ps: *dt_ps }, response)
+        (self.flight.view(), &self.response)
     }
 }
 

@@ -12,18 +12,18 @@
 //! fraction does not. Edges at a fraction see one onset a profile: that of its maximum. `first-response` and `aic` see
 //! as many as there are responses: after each, the profile must fall below `rearm_sigma` before the next. An onset
 //! needs a signal-to-noise ratio of `threshold_sigma`. An impulse is an onset also where chi-square would rise by
-//! `threshold_sigma` squared without it: light blended with a neighbour's may be certain to be there while its share,
-//! and so its amplitude, is not. Of blended impulses none of which is certain, all are onsets: their light is certain.
-//! `aic` has no standard deviation of its own: given is that of rounding to a sample and of noise over the mean slope
-//! up to the maximum.
+//! `threshold_sigma` squared without it: blended light may be certain to be there while its share, and so its
+//! amplitude, is not. Of blended impulses none of which is certain, all are onsets. `aic` has no standard deviation of
+//! its own: its error is that of rounding to a sample, and of noise over the mean slope up to the maximum.
 //!
-//! With `sampled` edges are not interpolated between samples: what somebody reads off the screen of an oscilloscope.
+//! With `sampled`, edges are not interpolated between samples, as when a person reads the screen of an oscilloscope.
 //!
-//! Takes `stir`; writes `onsets`. Flags: `blended` (its time is strongly correlated with a neighbour's, or its light
-//! divides uncertainly between both), `misfit` (the fit leaves more than noise of the samples that it reaches),
-//! `at-edge` (near an end of the record), `extended` (its light is spread in time: `earliest_ps` is where it would begin
-//! if it were spread evenly, as by one flat patch; after two patches it begins up to 0.7 widths before that). Not
-//! modelled yet: saturated arrivals.
+//! Takes `stir`; writes `onsets`. Not modelled yet: saturated arrivals. Flags:
+//! - `blended`: its time is strongly correlated with a neighbour's, or its light divides uncertainly between both;
+//! - `misfit`: the fit leaves more than noise in the samples that it reaches;
+//! - `at-edge`: near an end of the record;
+//! - `extended`: its light is spread in time. `earliest_ps` is where it would begin if it were spread evenly, as by one
+//!   flat patch; after two patches it begins up to 0.7 widths before that.
 //!
 //! ```toml
 //! [onsets]
@@ -45,7 +45,7 @@ use crate::tables::{Impulse, Name, Onset, Stir};
 
 /// Correlation of two times beyond which both are called blended.
 const BLENDED: f64 = 0.5;
-/// An impulse whose chi-square exceeds what noise makes it by so many standard deviations is called a misfit.
+/// An impulse is called a misfit if its chi-square exceeds its mean under noise by this many standard deviations.
 const MISFIT_SIGMA: f64 = 3.0;
 /// Light that is spread evenly begins this many standard deviations before its centroid: the root of 3.
 const EARLIEST_WIDTHS: f64 = 1.732_050_807_568_877_2;

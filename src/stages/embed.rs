@@ -15,15 +15,15 @@
 //! `incremental` names places that the lengths do not tell from the chosen ones (a patch with two neighbours and its
 //! mirror image) as alternatives.
 //!
-//! With `patches` beside, those are known: their rows are passed on as they are, and no method is used. Patches that
-//! the distances name beyond them, and in either case patches without a distance to p0, which are hidden, are placed by
-//! [multilateration] from their distances to known ones. Where several places explain these about equally, as both
-//! sides of a wall do, the one on the laser's side of the plane (in flatland the line) through these known patches is
-//! chosen, since a wall reflects only to there; the others are alternatives with their log-likelihood less its own.
-//! Patches with too few distances stand in `rejects`.
+//! With `patches`, these are taken as given: their rows are passed on as they are, and no method is used. Other patches
+//! are placed by [multilateration] from their distances to these: with `patches`, all that the distances name beyond
+//! them; without, the hidden ones, which have no distance to p0. Several places may explain the distances about
+//! equally, as both sides of a wall do. The chosen one is on the laser's side of the plane (in flatland the line)
+//! through the neighbours, since a wall reflects only to there. The others are alternatives, each with its
+//! log-likelihood less that of the chosen one. Patches with too few distances stand in `rejects`.
 //!
-//! A patch that only hidden ones show has no distances: it stands where `hypotheses` of `label` beside has it, as do
-//! others that the distances do not place.
+//! A patch that only hidden ones show has no distances: it stands where `hypotheses` of `label` has it, as do others
+//! that the distances do not place.
 //!
 //! Takes `distances`; writes `patches`. Positions have no covariance here (null) but those passed on: it is `refine`
 //! that knows it. Not modelled: errors of known patches, and covariances of distances.
@@ -53,6 +53,7 @@ use crate::geometry::maximum_likelihood::{Node, Observation, Problem};
 use crate::geometry::placement::{self, Alternative};
 use crate::geometry::t2::{self, Length};
 use crate::geometry::{Matrix, Point, classical, completion, frame, iso_embed, procrustes, reestimate};
+use crate::priors::covariances;
 use crate::tables::{Distance, Hypothesis, Patch};
 use crate::units::PatchId;
 
@@ -86,11 +87,7 @@ enum Method {
 
 fn method_of<'de, D: Deserializer<'de>>(name: D) -> Result<Method, D::Error> {
     let former = ["smacof", "landmark", "semidefinite"];
-    method::named(
-        name,
-        &former,
-        "use `incremental`; there are also `classical` (the default), `iso-embed` and `reestimate`",
-    )
+    method::named(name, &former, "use `incremental`; there are also `classical`, `iso-embed` and `reestimate`")
 }
 
 /// What a campaign says of the frame.
@@ -105,7 +102,7 @@ pub struct Frame {
 pub struct Context {
     campaign: String,
     frame: Frame,
-    known: Option<Vec<Patch>>,
+    patches: Option<Vec<Patch>>,
     hypotheses: Vec<Hypothesis>,
     cancel: Cancel,
 }
@@ -142,20 +139,20 @@ impl Stage for Embed {
             let text = "the campaigns differ in dimensions, in the laser's station or in anchors: campaigns of one scene must share them";
             return Err(StageError::Refused(text.to_owned()));
         }
-        let known = beside.rows::<Patch>("patches")?;
+        let patches = beside.rows::<Patch>("patches")?;
         let hypotheses = beside.rows::<Hypothesis>("hypotheses")?.unwrap_or_default();
-        if known.is_none() && !hypotheses.is_empty() {
+        if patches.is_none() && !hypotheses.is_empty() {
             let text = "with hypotheses, but without patches: the places of hypotheses are in the frame of the patches given to `label`; give these here too";
             return Err(StageError::Refused(text.to_owned()));
         }
-        Ok(Context { campaign, frame, known, hypotheses, cancel: beside.cancel.clone() })
+        Ok(Context { campaign, frame, patches, hypotheses, cancel: beside.cancel.clone() })
     }
 }
 
 impl Apply for Embed {
     fn apply(&self, context: &Context, group: Vec<Distance>) -> Result<Outcome<Patch>, StageError> {
-        let mut rows = match &context.known {
-            Some(known) => known.clone(),
+        let mut rows = match &context.patches {
+            Some(patches) => patches.clone(),
             None => self.visible(context, &group)?,
         };
         let (hidden, rejections) = hidden::place(context, &rows, &group);
@@ -166,30 +163,13 @@ impl Apply for Embed {
 
 /// A position to start from.
 fn start(patch: PatchId, kind: &str, point: Point, onsets: i32) -> Patch {
-    Patch {
-        patch,
-        kind: kind.into(),
-        x_m: point.x,
-        y_m: point.y,
-        z_m: point.z,
-        cov_xx_m2: None,
-        cov_xy_m2: None,
-        cov_xz_m2: None,
-        cov_yy_m2: None,
-        cov_yz_m2: None,
-        cov_zz_m2: None,
-        sd_m: None,
-        onsets,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-    }
+    Patch { onsets, ..covariances::patch_row(patch, kind, point, None) }
 }
 
 /// Distances as measured, patch 0 being p0.
 struct Measured<'a> {
     ids: &'a [PatchId],
-    known: &'a BTreeMap<(PatchId, PatchId), &'a Distance>,
+    distances: &'a BTreeMap<(PatchId, PatchId), &'a Distance>,
     dimensions: usize,
     cancel: &'a Cancel,
 }
@@ -201,7 +181,7 @@ impl Measured<'_> {
 
     fn distance(&self, i: usize, j: usize) -> Option<&Distance> {
         let id = |i: usize| if i == 0 { 0 } else { self.ids[i - 1] };
-        self.known.get(&(id(i).min(id(j)), id(i).max(id(j)))).copied()
+        self.distances.get(&(id(i).min(id(j)), id(i).max(id(j)))).copied()
     }
 
     /// All distances, those not measured by shortest paths. Noise may push a short distance below zero.
@@ -220,7 +200,7 @@ impl Measured<'_> {
             bounces: distance.bounces,
             onsets: distance.onsets,
         };
-        let distances: Vec<t2::Distance> = self.known.values().map(plain).collect();
+        let distances: Vec<t2::Distance> = self.distances.values().map(plain).collect();
         let (first, second) = t2::lengths(&distances);
         let place = |patch: PatchId| {
             first.iter().position(|(of, _)| *of == patch).expect("lengths are between patches with a first bounce")
@@ -251,7 +231,7 @@ impl Embed {
         let ids: Vec<PatchId> = ids.into_iter().collect();
         let is_visible = |patch: PatchId| patch == 0 || ids.binary_search(&patch).is_ok();
         let among = group.iter().filter(|distance| is_visible(distance.a) && is_visible(distance.b));
-        let known: BTreeMap<(PatchId, PatchId), &Distance> =
+        let distances: BTreeMap<(PatchId, PatchId), &Distance> =
             among.map(|distance| ((distance.a, distance.b), distance)).collect();
         let dimensions = usize::from(frame.dimensions);
         if ids.len() < dimensions {
@@ -261,9 +241,9 @@ impl Embed {
             )));
         }
         let (points, alternatives) =
-            self.points(&Measured { ids: &ids, known: &known, dimensions, cancel: &context.cancel });
+            self.points(&Measured { ids: &ids, distances: &distances, dimensions, cancel: &context.cancel });
         let row = |place: usize, point: Point| {
-            let of_patch = known.values().filter(|distance| distance.a == ids[place] || distance.b == ids[place]);
+            let of_patch = distances.values().filter(|distance| distance.a == ids[place] || distance.b == ids[place]);
             start(ids[place], "visible", point, of_patch.map(|distance| distance.onsets).sum())
         };
         let turn = frame.turn(&ids, &points);

@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 use super::operator::WrittenTable;
 use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
 use super::stage::StageError;
-use crate::campaign::{Campaign, hash_file, suggest};
+use crate::campaign::{Campaign, LeftOut, hash_file, suggest};
 use crate::store::finite::NotJson;
 use crate::store::{Digest, parquet};
 use crate::tables;
@@ -40,11 +40,11 @@ pub struct Import {
 
 fn known_table<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
     let name = String::deserialize(deserializer)?;
-    let known: Vec<&str> = tables::all().into_iter().map(|(name, _)| name).collect();
-    if known.contains(&name.as_str()) {
+    let names: Vec<&str> = tables::all().into_iter().map(|(name, _)| name).collect();
+    if names.contains(&name.as_str()) {
         return Ok(name);
     }
-    Err(serde::de::Error::custom(format!("unknown table `{name}`; {}", suggest::hint(&name, known))))
+    Err(serde::de::Error::custom(format!("unknown table `{name}`; {}", suggest::hint(&name, names))))
 }
 
 impl Import {
@@ -75,9 +75,9 @@ impl Import {
         let place = |column: &str, message: String| {
             StageError::Refused(format!("{}: column `{column}`: {message}", file.display()))
         };
-        let known: Vec<&str> = schema.fields().iter().map(|field| field.name().as_str()).collect();
-        if let Some(other) = batch.schema_ref().fields().iter().find(|field| !known.contains(&field.name().as_str())) {
-            let hint = suggest::hint(other.name(), known.iter().copied());
+        let names: Vec<&str> = schema.fields().iter().map(|field| field.name().as_str()).collect();
+        if let Some(other) = batch.schema_ref().fields().iter().find(|field| !names.contains(&field.name().as_str())) {
+            let hint = suggest::hint(other.name(), names.iter().copied());
             return Err(place(other.name(), format!("table `{}` has none such; {hint}", self.table)));
         }
         let column = |field: &Arc<arrow_schema::Field>| -> Result<ArrayRef, StageError> {
@@ -142,7 +142,7 @@ impl OpenSource for Opened<'_> {
     fn parts(&self) -> &[SourcePart] {
         &self.parts
     }
-    fn warnings(&self) -> &[String] {
+    fn left_out(&self) -> &[LeftOut] {
         &[]
     }
 

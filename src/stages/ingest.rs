@@ -1,8 +1,8 @@
 //! `ingest`: raw oscilloscope files to `traces`, one row a channel and exposure. The one stage that reads raw files.
 //!
-//! Takes the campaign folder; writes `traces`. Codes stay as the converter gave them, with scale, time base and the
-//! sub-sample trigger time beside them. Files are hashed whenever they are read, and refused where another content is
-//! on record. A file that cannot be decoded is a row in `rejects`, and the rest goes on.
+//! Takes the campaign folder; writes `traces`. Codes stay as the converter gave them; scale, time base and the
+//! sub-sample trigger time stand next to them. Files are hashed whenever they are read, and refused where another
+//! content is on record. A file that cannot be decoded is a row in `rejects`, and the rest goes on.
 //!
 //! ```toml
 //! [traces]
@@ -32,7 +32,7 @@ use serde_json::Value;
 use super::operator::WrittenTable;
 use super::source::{Divisible, Feed, OpenSource, PartRead, Piece, PieceFeed, Source, SourcePart, Ticket};
 use super::stage::StageError;
-use crate::campaign::{Campaign, Role};
+use crate::campaign::{Campaign, LeftOut, Role};
 use crate::store::finite::{self, NotJson};
 use crate::store::{Digest, uncompressed};
 use crate::tables::{Row, Trace};
@@ -119,8 +119,8 @@ impl OpenSource for Surveyed<'_> {
     fn parts(&self) -> &[SourcePart] {
         &self.source_parts
     }
-    fn warnings(&self) -> &[String] {
-        &self.warnings
+    fn left_out(&self) -> &[LeftOut] {
+        &self.left_out
     }
     fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError> {
         part::read_part(self, part, batch_bytes, feed)

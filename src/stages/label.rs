@@ -1,13 +1,13 @@
 //! `label`: which path of light made which onset (paper sections 4.1 and 4.3).
 //!
-//! Without patches in place, the first light of each profile decides: a first bounce, a second one, or no label where
-//! the light may have come over a third patch. With `patches`, every path of up to `bounces` bounces (5 at most) is
-//! predicted, and all onsets of a profile are associated with the predictions at once. [`crate::geometry::labelling`]
-//! says how.
+//! Without `patches`, the first light of each profile decides: a first bounce, a second one, or no label where the
+//! light may have come over a third patch. With `patches`, every path of up to `bounces` bounces (5 at most) is
+//! predicted. All onsets of a profile are then associated with the predictions at once
+//! ([`crate::geometry::labelling`]).
 //!
-//! The first order of which more than 0.3 paths lie within a standard deviation of a time is not labelled, nor are
-//! those above it. A label less probable than `probability_min` is left open (path null), its candidates listed as
-//! alternatives.
+//! Orders are labelled while at most 0.3 of their paths lie within a standard deviation of a time; the first order with
+//! more, and all above it, are not. A label less probable than `probability_min` is left open (path null), its
+//! candidates listed as alternatives.
 //!
 //! Onsets of a laser that repeats are known modulo its period (`repetition_ps` in campaign.toml); `turns` is how many
 //! periods were added.
@@ -25,19 +25,18 @@
 //! in line must show them (in flatland two). All are numbered on from the largest patch, `[hidden] count` of
 //! campaign.toml at most.
 //!
-//! A wall throws light back to the side that it is lit from only. Patches whose normal is known (`planes`, or
-//! campaign.toml in a fixed frame), and all if they lie on one plane, show nothing behind them. Where onsets leave both
-//! a place and its mirror image in a wall that is nearly flat, the one on the laser's side is taken and the other
-//! listed (`hypotheses.alternative`). About visible patches in one line nothing is looked for: their onsets leave a
-//! circle.
+//! A wall reflects only to the side that it is lit from. Patches whose normal is known (`planes`, or campaign.toml in a
+//! fixed frame) show nothing behind them; nor do any patches if all lie on one plane. Onsets may leave both a place and
+//! its mirror image in a nearly flat wall. The one on the laser's side is then chosen and the other listed
+//! (`hypotheses.alternative`). About visible patches in one line nothing is searched for: their onsets leave a circle.
 //!
-//! A floor or a wall that nobody declared throws light on too, by the shortest way over it. Such planes are looked for
-//! along with the patches and listed (`hypotheses.kind`), since they would pass for many patches; their onsets stay
+//! A floor or a wall outside of campaign.toml reflects light too, by the shortest way over it. Such planes would pass
+//! for many patches, so they are searched for along with the patches and listed (`hypotheses.kind`); their onsets stay
 //! without a path.
 //!
-//! Where another path comes within `blend_ps` of an onset and has none of its own, the label's `time_sd_ps` is as much
-//! larger as the other path's light may pull it; 0 takes every onset for single. The search for hidden patches expects
-//! no onset of its own from a patch where that of another path is so near.
+//! Another path may come within `blend_ps` of an onset and have none of its own. Its light may pull the onset, and the
+//! label's `time_sd_ps` is larger by that; 0 takes every onset for single. The search for hidden patches expects no
+//! onset of its own from a patch where that of another path is so near.
 //!
 //! A wide onset may be light that patches spread, or two pulses that came close together: `deconvolve` keeps both. With
 //! `patches`, whichever reading the predicted paths and the widths of first bounces make likelier is labelled; read as
@@ -45,15 +44,18 @@
 //! probability. Light that either reading explains is no sign of a hidden patch. Without patches the likelier reading
 //! counts by widths alone, and the error of first light covers the other.
 //!
-//! Takes `onsets`; writes `labels` and `hypotheses`. Optional tables: `patches` (of `refine`, with their standard
-//! deviations), and for the full error of a prediction `covariances` (`patch_covariances` of the same stage) and
-//! `delays`. With `planes` (of `surface`, fitted to the same patches) the shift of the light's centroid over large
-//! patches is predicted too, for those with a `size_m` in campaign.toml; where `fits` (of the same `refine`) says that
-//! the frame is fixed, also by the normals of campaign.toml. Patches without covariance are not predicted from.
+//! Takes `onsets`; writes `labels` and `hypotheses`. Optional tables:
+//! - `patches` (of `refine`, with their standard deviations); no prediction uses a patch without covariance;
+//! - `anchors` (of `anchor`), used in place of `patches` where that is absent and every patch that is lit or seen is an
+//!   anchor;
+//! - for the full error of a prediction, `covariances` (`patch_covariances` of the same stage) and `delays`;
+//! - `planes` (of `surface`, fitted to the same patches), for the shift of the light's centroid over large patches,
+//!   those with a `size_m` in campaign.toml;
+//! - `fits` (of the same `refine`): where it has a fixed frame, the normals of campaign.toml give that shift too.
 //!
-//! Known limits: a patch among `patches` that only hidden ones show is taken for one that visible ones show. Without
-//! `patches`, false onsets before a first bounce pass for it, and most detours over patches whose pairs are missing
-//! (not captured, or left open) pass for second bounces.
+//! Known limits: a patch of `patches` that only hidden ones show is taken for one that visible ones show. Without
+//! `patches`, false onsets before a first bounce pass for it. Also, most detours over patches with missing pairs (not
+//! captured, or left open) then pass for second bounces.
 //!
 //! ```toml
 //! [labels]
@@ -70,7 +72,7 @@ mod rows;
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
@@ -155,15 +157,24 @@ pub struct Fields {
     hidden: campaign_fields::HiddenPatches,
 }
 
-/// What labelling starts from, beside the onsets.
+/// What labelling starts from, in addition to the onsets.
 pub struct Context {
     fields: ByCampaign<Fields>,
     scene: Option<Scene>,
+    /// Places that campaign.toml gives.
+    anchors: Option<Scene>,
     cancel: Cancel,
     delays: Delays,
 }
 
 impl Context {
+    /// The patches in place: those given, else the anchors where every patch that is lit or seen is one.
+    fn scene_of(&self, sensors: &[SensorProfiles]) -> Option<&Scene> {
+        let profiles = || sensors.iter().flat_map(|sensor| &sensor.profiles);
+        let is_whole = |anchors: &&Scene| profiles().all(|profile| anchors.has(&[profile.lit, profile.seen]));
+        self.scene.as_ref().or_else(|| self.anchors.as_ref().filter(is_whole))
+    }
+
     /// The profiles of one sensor, from all its onsets.
     fn sensor_profiles(&self, onsets: &[Onset]) -> SensorProfiles {
         let Onset { campaign, sensor, .. } = &onsets[0];
@@ -195,6 +206,7 @@ impl Stage for LabelOnsets {
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
+        Beside { name: "anchors", table: "patches", required: false },
         Beside { name: "covariances", table: "patch_covariances", required: false },
         Beside { name: "delays", table: "delays", required: false },
         Beside { name: "planes", table: "planes", required: false },
@@ -219,15 +231,18 @@ impl Stage for LabelOnsets {
     }
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
-        let scene = scene(&fields, beside)?;
+        let given = beside.rows::<Patch>("patches")?;
+        let scene = given.map(|rows| scene(&rows, &fields, beside)).transpose()?;
+        let anchors = beside.rows::<Patch>("anchors")?.filter(|rows| !rows.is_empty());
+        let anchors = anchors.map(|rows| scene_of_anchors(&rows, &fields)).transpose()?;
         self.check(scene.is_some())?;
         let delays = Delays::new(&beside.rows("delays")?.unwrap_or_default());
-        Ok(Context { fields, scene, cancel: beside.cancel.clone(), delays })
+        Ok(Context { fields, scene, anchors, cancel: beside.cancel.clone(), delays })
     }
 }
 
 impl LabelOnsets {
-    /// Whether so many bounces can be labelled, with patches in place and without.
+    /// Whether `bounces` can be labelled, with patches in place and without.
     fn check(&self, has_scene: bool) -> Result<(), StageError> {
         let bounces = self.bounces.get();
         if has_scene || bounces <= DEEPEST_BLIND {
@@ -266,7 +281,8 @@ impl Apply for LabelOnsets {
         let is_one_sensor = |a: &Onset, b: &Onset| (&a.campaign, &a.sensor) == (&b.campaign, &b.sensor);
         let sensors: Vec<SensorProfiles> =
             group.chunk_by(is_one_sensor).map(|onsets| context.sensor_profiles(onsets)).collect();
-        let solution = labelling::label(&sensors, context.scene.as_ref(), &self.options(), &context.cancel);
+        let scene = context.scene_of(&sensors);
+        let solution = labelling::label(&sensors, scene, &self.options(), &context.cancel);
         let hypotheses = rows::hypotheses(&solution.hypotheses, self.false_alarm.get());
         Ok(Outcome {
             rejections: rows::rejections(&group, &sensors, solution.visible_in_line),
@@ -276,23 +292,36 @@ impl Apply for LabelOnsets {
     }
 }
 
-/// Patches in place of the best alternative, those with a covariance; `None` without the table `patches`.
-fn scene(fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<Option<Scene>, StageError> {
-    let Some(rows) = beside.rows::<Patch>("patches")? else { return Ok(None) };
-    let best = rows.iter().filter(|row| row.alternative == 0);
-    let patches: BTreeMap<PatchId, (Point, _)> = best
-        .filter_map(|row| Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariances::of_patch(row)?))))
-        .collect();
-    if patches.is_empty() {
-        let text = "with patches: no patch has a covariance, so nobody knows how far off its onsets may be; give patches from `refine`";
-        return Err(StageError::Refused(text.to_owned()));
-    }
+/// Patches of the best alternative, those with a covariance.
+fn scene(rows: &[Patch], fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<Scene, StageError> {
     let between = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
     let between_m2 = between.iter().map(|row| ((row.a, row.b), covariances::between(row))).collect();
     let given = fields.first().map(|fields| &fields.extents);
     let normals = given.map(|given| normals(given, beside)).transpose()?.unwrap_or_default();
     let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
-    Ok(Some(Scene::new(&patches, &between_m2, footprints, normals)))
+    Ok(Scene::new(&places(rows)?, &between_m2, footprints, normals))
+}
+
+/// Anchors, whose errors are independent. They fix the frame, so that the normals of campaign.toml hold in it.
+fn scene_of_anchors(rows: &[Patch], fields: &ByCampaign<Fields>) -> Result<Scene, StageError> {
+    let given = fields.first().map(|fields| &fields.extents);
+    let normals = given.map(|given| footprints::normals(given, &[], true)).unwrap_or_default();
+    let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
+    Ok(Scene::new(&places(rows)?, &BTreeMap::new(), footprints, normals))
+}
+
+/// Places of the best alternative, with their covariances.
+fn places(rows: &[Patch]) -> Result<BTreeMap<PatchId, (Point, Matrix3<f64>)>, StageError> {
+    let place = |row: &Patch| {
+        let covariance_m2 = covariances::of_patch(row)?;
+        Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariance_m2)))
+    };
+    let places: BTreeMap<PatchId, _> = rows.iter().filter(|row| row.alternative == 0).filter_map(place).collect();
+    if places.is_empty() {
+        let text = "with patches: no patch has a covariance, so its onsets cannot be weighted: these are start values (give patches from `refine`), or too few pairs determine them (`rejects` has the missing ones)";
+        return Err(StageError::Refused(text.to_owned()));
+    }
+    Ok(places)
 }
 
 /// Normals of patches on the table `planes`, and where the frame is fixed those of campaign.toml.

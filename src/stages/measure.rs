@@ -1,13 +1,13 @@
 //! `measure`: the pulse of each run of an instrument check (paper figure 7), as numbers that runs can be compared by.
 //!
 //! The strongest pulse of the mean record is fitted with what averaging leaves of the calibrated response: amplitude,
-//! time, baseline, then its width ([`pulse_fit`]); behind it an echo is sought ([`echo`]). Runs of roles dark and
-//! blocked have no pulse: told is the largest deviation of their mean record, which is what goes on in step with the
-//! trigger. Times keep the latency. The response is one for all runs of a sensor: its own error is common to them, and
-//! is in no standard deviation here.
+//! time, baseline, then its width ([`pulse_fit`]). An echo is sought behind it ([`echo`]). Runs of roles dark and
+//! blocked have no pulse: their row has the largest deviation of their mean record, which is what goes on in step with
+//! the trigger. Times keep the latency. The response is one for all runs of a sensor: its own error is common to them,
+//! and is in no standard deviation here.
 //!
-//! Takes `profiles`; writes `measurements`. Beside it: `calibration`. Not modelled: several pulses of a scene (the
-//! strongest is measured).
+//! Takes `profiles` and `calibration`; writes `measurements`. Not modelled: several pulses of a scene (the strongest is
+//! measured).
 //!
 //! ```toml
 //! [measurements]
@@ -114,13 +114,13 @@ fn measurement(profile: &Profile, sensor: Option<&Sensor>) -> Measurement {
 fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measurement {
     let samples: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.calibrated.polarity).collect();
     let response = sensor.calibrated.averaged(profile);
-    let Some(found) = fit_pulse(&samples, profile.dt_ps, &response) else {
+    let Some(start) = fit_pulse(&samples, profile.dt_ps, &response) else {
         return row;
     };
-    let noise = noise_of_mean(profile, &response.reach(found.time_ps, 0.0, profile.dt_ps, samples.len()));
+    let noise = noise_of_mean(profile, &response.reach(start.time_ps, 0.0, profile.dt_ps, samples.len()));
     let acf = significant_acf(profile);
     let record = MeanRecord { samples: &samples, dt_ps: profile.dt_ps, noise, acf: &acf };
-    let Some(pulse) = (noise > 0.0).then(|| pulse_fit::fit(&record, &response, &found)).flatten() else {
+    let Some(pulse) = (noise > 0.0).then(|| pulse_fit::fit(&record, &response, &start)).flatten() else {
         return row;
     };
     let spread = spread(profile, &response, &pulse);

@@ -23,10 +23,10 @@ pub use pieces::{Joining, Task};
 
 /// Rows that came out of a batch: main table first, then side tables, then rejects.
 #[derive(Clone, Default)]
-pub struct Written {
+pub struct OutputBatches {
     /// One entry a table in the order of [`Operator::tables`]; tables without rows may be left out at the end.
     pub tables: Vec<Vec<RecordBatch>>,
-    /// What was set aside.
+    /// What was rejected.
     pub rejections: Vec<Rejection>,
 }
 
@@ -59,7 +59,7 @@ pub trait Operator: Send + Sync {
     fn fields(&self, campaigns: &[Campaign]) -> Result<Value, NotJson>;
     /// Table that it takes.
     fn input(&self) -> &'static str;
-    /// Finished tables that it takes beside.
+    /// Finished tables that it takes whole.
     fn beside(&self) -> &'static [Beside];
     /// Main table, then side tables.
     fn tables(&self) -> Vec<WrittenTable>;
@@ -92,13 +92,13 @@ pub trait Running: Send {
     ///
     /// # Errors
     /// When the table as a whole cannot be made.
-    fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError>;
+    fn push(&mut self, batch: &RecordBatch) -> Result<OutputBatches, StageError>;
     /// Ends the groups that are open: at the end of a part for grains that stream, at the end of all rows for the
     /// others.
     ///
     /// # Errors
     /// When the table as a whole cannot be made.
-    fn flush(&mut self) -> Result<Written, StageError>;
+    fn flush(&mut self) -> Result<OutputBatches, StageError>;
 }
 
 impl<S: Fold> Operator for S {
@@ -148,7 +148,7 @@ impl<S: Fold> Operator for S {
     }
 }
 
-/// What tells two groups apart. Order of keys is order of output for grains that gather.
+/// What identifies a group. Order of keys is order of output for grains that gather.
 type GroupKey = (String, String, i32, i32, String, String);
 
 /// A stage's groups: those that rows may still come for, by key.
@@ -196,20 +196,20 @@ impl<'a, S: Fold> Groups<'a, S> {
     }
 
     /// Ends groups.
-    fn end(&self, states: Vec<S::State>) -> Result<Written, StageError> {
+    fn end(&self, states: Vec<S::State>) -> Result<OutputBatches, StageError> {
         let (stage, context, cancel) = (self.stage, &self.context, &self.cancel);
         let Some(pieces) = self.saves else {
             let finish = |state| {
                 cancel.check();
                 stage.finish(context, state)
             };
-            return Self::written(states.into_par_iter().map(finish).collect::<Result<_, _>>()?);
+            return Self::batches(states.into_par_iter().map(finish).collect::<Result<_, _>>()?);
         };
         let saved = states.into_iter().map(|state| pieces.save(state).map_err(StageError::Indivisible));
-        Ok(Written { tables: vec![saved.collect::<Result<_, _>>()?], rejections: Vec::new() })
+        Ok(OutputBatches { tables: vec![saved.collect::<Result<_, _>>()?], rejections: Vec::new() })
     }
 
-    fn written(outcomes: Vec<Outcome<S::Output>>) -> Result<Written, StageError> {
+    fn batches(outcomes: Vec<Outcome<S::Output>>) -> Result<OutputBatches, StageError> {
         let mut rows = Vec::new();
         let mut sides: Vec<Vec<RecordBatch>> = vec![Vec::new(); S::SIDES.len()];
         let mut rejections = Vec::new();
@@ -226,12 +226,12 @@ impl<'a, S: Fold> Groups<'a, S> {
                 vec![concat_batches(&(side.schema)(), &batches)?]
             });
         }
-        Ok(Written { tables, rejections })
+        Ok(OutputBatches { tables, rejections })
     }
 }
 
 impl<S: Fold> Running for Groups<'_, S> {
-    fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError> {
+    fn push(&mut self, batch: &RecordBatch) -> Result<OutputBatches, StageError> {
         let columns = S::Input::columns(batch)?;
         let groups = groups(batch, S::GRAIN);
         if !S::GRAIN.streams() {
@@ -241,7 +241,7 @@ impl<S: Fold> Running for Groups<'_, S> {
                 self.stage.step(&self.context, &mut state, &columns, rows)?;
                 self.open.insert(key, state);
             }
-            return Ok(Written::default());
+            return Ok(OutputBatches::default());
         }
         let last = groups.last().map(|(key, _)| key.clone());
         let mut work: Vec<(GroupKey, Option<Range<usize>>, Option<S::State>)> = Vec::new();
@@ -264,13 +264,13 @@ impl<S: Fold> Running for Groups<'_, S> {
         self.end(done.into_iter().map(|(_, state)| state).collect())
     }
 
-    fn flush(&mut self) -> Result<Written, StageError> {
+    fn flush(&mut self) -> Result<OutputBatches, StageError> {
         let states: Vec<_> = std::mem::take(&mut self.open).into_values().collect();
         self.end(states)
     }
 }
 
-/// Columns that tell rows apart; what a table does not have is the same for all of its rows.
+/// Columns that the groups of rows differ in. A column that a table lacks is the same for all of its rows.
 struct KeyColumns {
     campaign: Option<StringArray>,
     sensor: Option<StringArray>,
@@ -294,7 +294,7 @@ impl KeyColumns {
         }
     }
 
-    /// What tells a row's group apart, borrowed.
+    /// What identifies the group of a row, borrowed.
     fn key(&self, grain: Grain, i: usize) -> (&str, &str, i32, i32, &str, &str) {
         let text = |column| text_at(column, i);
         let number = |column: &Option<Int32Array>| column.as_ref().map_or(0, |column| column.value(i));

@@ -3,24 +3,29 @@
 //!
 //! Among visible patches, in closed form: `d_0i = c O_i / 2`, `d_ij = c (O_ij - (O_i + O_j) / 2)`, with the covariances
 //! of distances that share onsets. Reciprocal onsets, and those of several sensors and campaigns, are averaged by their
-//! variances. See [`crate::geometry::t2`] for what is wrong in the paper's printed matrix. Used are onsets of sensors
-//! that stand where the laser is (paper section 3): the path lengths of sensors that stand apart are sums that T2
-//! cannot take apart; so are second bounces of a patch without a first bounce. `rejects` says which, and `refine` takes
-//! them as they are. A sensor's latency is common to all `d_0i` and cancels in every `d_ij`; here it is taken as known,
-//! `refine` gives it a prior.
+//! variances. See [`crate::geometry::t2`] for the error in the paper's printed matrix. Only onsets of sensors at the
+//! laser are used (paper section 3). The path lengths of other sensors are sums that T2 cannot take apart; so are
+//! second bounces of a patch without a first bounce. `rejects` lists these, and `refine` uses them as they are. A
+//! sensor's latency is common to all `d_0i` and cancels in every `d_ij`. It is taken as exact here; `refine` gives it a
+//! prior.
 //!
-//! A hidden patch is one that third bounces lead over, while no label has it as lit or seen, nor `patches` as visible.
+//! An anchor needs no distance. Other patches with fewer distances than coordinates stand in `rejects`, with the pairs
+//! that are missing: no later stage can place them.
+//!
+//! A patch is hidden if third bounces lead over it, while no label has it as lit or seen, nor `patches` as visible.
 //! Third bounces less their legs between stations and visible patches are sums of two ranges, which weighted least
-//! squares take apart ([`crate::geometry::t3`]). The legs come from `patches` beside, for sensors apart from the laser
-//! too; without, from first bounces (`c O_i / 2`, a latency cancels), of sensors at the laser. Their errors, which many
-//! sums share, travel as covariances, also between ranges of different hidden patches. Ranges that the sums leave open,
-//! as with disjoint sets of lit and seen patches, are told in `rejects`; so are sums that contradict one another.
+//! squares take apart ([`crate::geometry::t3`]). The legs come from `patches`, for sensors apart from the laser too.
+//! Without `patches` they come from first bounces (`c O_i / 2`, a latency cancels), of sensors at the laser. Their
+//! errors, which many sums share, travel as covariances, also between ranges of different hidden patches. `rejects`
+//! lists ranges that the sums leave open, as with disjoint sets of lit and seen patches, and sums that contradict one
+//! another.
 //!
-//! Takes `labels`; writes `distances` and, beside it, `covariances`. Beside it, all optional: `patches` (of `refine`,
-//! with their standard deviations), and for the full error of the legs `covariances` (`patch_covariances` of the same
-//! stage) and `delays`. Not used: third bounces among visible patches, and over a mirror, which they meet in another
-//! point each time. Not modelled: errors that `patches` share with the second bounces of these labels or with `delays`,
-//! which makes standard deviations too large where a delay is not well known; errors of stations; footprints.
+//! Takes `labels`; writes `distances` and `covariances`. Optional tables: `patches` (of `refine`, with their standard
+//! deviations), and for the full error of the legs `covariances` (`patch_covariances` of the same stage) and `delays`.
+//!
+//! Not used: third bounces among visible patches, and over a mirror, which they meet in another point each time. Not
+//! modelled: errors of stations; footprints; errors that `patches` share with the second bounces of these labels or
+//! with `delays`. The last make standard deviations too large where a delay is not well known.
 //!
 //! ```toml
 //! [distances]
@@ -30,6 +35,7 @@
 //! ```
 
 mod hidden;
+mod missing;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -37,7 +43,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::campaign::keys::PatchRole;
+use crate::campaign::keys::{self, PatchRole};
 use crate::geometry::t2::{self, Distances, Length};
 use crate::priors::campaign_fields::{ByCampaign, Medium, StationPositions};
 use crate::tables::{Covariance, Distance, Label, Name, Row};
@@ -56,8 +62,13 @@ pub struct Fields {
     medium: Medium,
     #[serde(flatten)]
     stations: StationPositions,
-    /// Patches that campaign.toml lists as visible.
+    /// Patches that campaign.toml lists as visible, and gives no position.
     visible: Vec<PatchId>,
+    /// Patches to which it gives a position.
+    anchors: Vec<PatchId>,
+    /// Patches to which it gives a ray, which needs fewer distances.
+    rays: Vec<PatchId>,
+    dimensions: usize,
     /// Patches that it lists as mirrors.
     mirrors: Vec<PatchId>,
 }
@@ -71,7 +82,7 @@ pub struct Context {
 
 impl Stage for Range {
     const KIND: &'static str = "range";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -88,8 +99,11 @@ impl Stage for Range {
         ByCampaign::new(campaigns, |campaign| Fields {
             medium: campaign.into(),
             stations: campaign.into(),
-            visible: of_role(campaign, PatchRole::Visible),
-            mirrors: of_role(campaign, PatchRole::Mirror),
+            visible: patches(campaign, |patch| patch.role == PatchRole::Visible && patch.position_m.is_none()),
+            anchors: patches(campaign, |patch| patch.position_m.is_some()),
+            rays: patches(campaign, |patch| patch.ray.is_some()),
+            dimensions: usize::from(campaign.dimensions),
+            mirrors: patches(campaign, |patch| patch.role == PatchRole::Mirror),
         })
     }
 
@@ -138,8 +152,8 @@ impl Apply for Range {
                 }
             }
         }
-        let found = t2::invert(&first, &second);
-        let rows = found.distances.iter().map(|distance| Distance {
+        let direct = t2::invert(&first, &second);
+        let rows = direct.distances.iter().map(|distance| Distance {
             a: distance.a,
             b: distance.b,
             distance_m: distance.distance_m,
@@ -147,29 +161,35 @@ impl Apply for Range {
             bounces: distance.bounces,
             onsets: distance.onsets,
         });
-        let hidden = thirds.solve(fields, places, &found);
+        let hidden = thirds.solve(fields, places, &direct);
         let campaign = group.first().map_or_else(|| "".into(), |label| label.campaign.clone());
-        let told =
-            rejections(&campaign, fields, &found).into_iter().chain(hidden.rejections(&campaign, places.is_some()));
+        // Third bounces over hidden patches tell of their legs too.
+        let is_alone = apart.is_empty() && places.is_none() && thirds.is_empty();
+        let too_few = if is_alone { missing::too_few(fields, &direct) } else { Vec::new() };
+        let too_few = too_few.into_iter().map(|reason| Rejection::new(&campaign, reason));
+        let doubts = rejections(&campaign, fields, &direct)
+            .into_iter()
+            .chain(too_few)
+            .chain(hidden.rejections(&campaign, places.is_some()));
         Ok(Outcome {
-            rejections: left_out(apart).chain(told).collect(),
+            rejections: left_out(apart).chain(doubts).collect(),
             rows: rows.chain(hidden.distances).collect(),
-            sides: vec![Covariance::to_batch(&[covariances(&found), hidden.covariances].concat())],
+            sides: vec![Covariance::to_batch(&[covariances(&direct), hidden.covariances].concat())],
         })
     }
 }
 
-/// Patches that campaign.toml lists with a role.
-fn of_role(campaign: &Campaign, role: PatchRole) -> Vec<PatchId> {
-    campaign.patches.iter().filter(|(_, patch)| patch.role == role).map(|(id, _)| *id).collect()
+/// Patches of campaign.toml of which this is true.
+fn patches(campaign: &Campaign, is_meant: impl Fn(&keys::Patch) -> bool) -> Vec<PatchId> {
+    campaign.patches.iter().filter(|(_, patch)| is_meant(patch)).map(|(id, _)| *id).collect()
 }
 
-fn covariances(found: &Distances) -> Vec<Covariance> {
+fn covariances(direct: &Distances) -> Vec<Covariance> {
     let row = |&(first, second, cov_m2): &(usize, usize, f64)| {
-        let (first, second) = (&found.distances[first], &found.distances[second]);
+        let (first, second) = (&direct.distances[first], &direct.distances[second]);
         Covariance { a1: first.a, b1: first.b, a2: second.a, b2: second.b, cov_m2 }
     };
-    found.covariances.iter().map(row).collect()
+    direct.covariances.iter().map(row).collect()
 }
 
 fn unknown_sensor(label: &Label) -> StageError {
@@ -182,28 +202,26 @@ fn unknown_sensor(label: &Label) -> StageError {
 /// Sensors that stand apart from the laser, with the onsets that are left out.
 fn left_out(apart: BTreeMap<(Name, Name), usize>) -> impl Iterator<Item = Rejection> {
     apart.into_iter().map(|((campaign, sensor), onsets)| {
-        about(campaign, format!(
+        Rejection::new(&campaign, format!(
             "sensor {sensor} stands apart from the laser: the path lengths of its {onsets} onsets are sums that T2 cannot take apart, so they are \
              left out here; `refine` takes them as they are"
         ))
     })
 }
 
-fn about(campaign: Name, reason: String) -> Rejection {
-    Rejection { campaign, file: None, segment: None, byte_offset: None, reason }
-}
-
 /// What a user should know: distances that could not be had, or that contradict themselves.
-fn rejections(campaign: &Name, fields: &ByCampaign<Fields>, found: &Distances) -> Vec<Rejection> {
-    let has_first: BTreeSet<PatchId> = found.distances.iter().map(|distance| distance.b).collect();
+fn rejections(campaign: &Name, fields: &ByCampaign<Fields>, direct: &Distances) -> Vec<Rejection> {
+    let has_first: BTreeSet<PatchId> = direct.distances.iter().map(|distance| distance.b).collect();
     // Where no sensor stands at the laser, no patch can have a first bounce there.
     let with_laser = fields.values().filter(|fields| fields.stations.is_any_with_laser());
     let listed = with_laser.flat_map(|fields| fields.visible.iter().copied());
     let mut lost: BTreeMap<PatchId, usize> = listed.map(|patch| (patch, 0)).collect();
-    for patch in found.skipped.iter().flat_map(|(a, b)| [*a, *b]) {
+    for patch in direct.skipped.iter().flat_map(|(a, b)| [*a, *b]) {
         *lost.entry(patch).or_default() += 1;
     }
-    lost.retain(|patch, _| !has_first.contains(patch));
+    // Where an anchor is, needs no distance: its own light may be gated away.
+    let is_anchor = |patch: &PatchId| fields.values().any(|fields| fields.anchors.contains(patch));
+    lost.retain(|patch, _| !has_first.contains(patch) && !is_anchor(patch));
     let lost = lost.into_iter().map(|(patch, pairs)| match pairs {
         0 => format!(
             "patch {patch} stands in campaign.toml, but no bounce of it was found where the laser is, so it has no distance: capture lit {patch}, \
@@ -214,13 +232,13 @@ fn rejections(campaign: &Name, fields: &ByCampaign<Fields>, found: &Distances) -
              them; for distances, capture lit {patch}, seen {patch}"
         ),
     });
-    let disagreeing = found.disagreeing.iter().map(|(a, b, sigma)| {
+    let disagreeing = direct.disagreeing.iter().map(|(a, b, sigma)| {
         format!(
             "reciprocal onsets of patches {a} and {b} differ by {sigma:.1} standard deviations; their distance is kept with a variance that \
              covers it: look at both profiles"
         )
     });
-    lost.chain(disagreeing).map(|reason| about(campaign.clone(), reason)).collect()
+    lost.chain(disagreeing).map(|reason| Rejection::new(campaign, reason)).collect()
 }
 
 #[cfg(test)]

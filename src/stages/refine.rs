@@ -2,35 +2,39 @@
 //! embeds distances).
 //!
 //! Every labelled onset is the length of a path, of first, second and later bounces alike, weighted by its own standard
-//! deviation. Unknown beside the patches are:
+//! deviation. Unknown, in addition to the patches, are:
 //! - a delay for each sensor and vertical range, with what calibration leaves open as prior; ranges of one sensor share
 //!   the error of the known path;
 //! - stations with an `sd_m` in campaign.toml;
 //! - the laser's period, where onsets lie in several (`repetition_sd_ps`; else a ten-thousandth).
 //!
-//! Patches that no label has as lit or seen are `hidden`: third bounces over them place them. `kind` says so, or
-//! `mirror` where campaign.toml does.
+//! Patches that no label has as lit or seen are `hidden`: third bounces over them place them. The column `kind` has
+//! this, or `mirror` where campaign.toml does.
 //!
-//! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation; they and
-//! stations apart fix the frame. Where nothing does, the frame of `patches` is a convention (table `fits`), and what
-//! else is open stands in `ambiguities`: parts that share no path, patches that can move, mirror images and flips that
-//! explain the onsets about as well, each with its likelihood and as an alternative in `patches`. Of a hidden patch's
-//! two places on either side of the wall that shows it, where the onsets leave both, the one on the laser's side is
+//! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation. Anchors, rays
+//! and stations apart fix the frame. Without them, the frame of `patches` is a convention (table `fits`). What else is
+//! open stands in `ambiguities`: parts that share no path, patches that can move, mirror images, and flips. Mirror
+//! images and flips explain the onsets about as well; each has its likelihood, and is an alternative in `patches`.
+//! Onsets may leave a hidden patch two places, on either side of the wall that shows it: the one on the laser's side is
 //! chosen.
 //!
-//! The light of a large patch does not come from its centre. Where patches have a `size_m`, and a normal from `planes`
-//! beside (of `surface`) or, in a fixed frame, from campaign.toml, the shift is predicted and taken off
-//! ([`crate::geometry::footprint`]), again after each solution, until it stays.
+//! The light of a large patch does not come from its centre. Where a patch has a `size_m` and a normal, the shift is
+//! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. Normals come
+//! from `planes` (of `surface`) or, in a fixed frame, from campaign.toml.
 //!
-//! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm; where labels are
-//! wrong in larger part, onsets that contradict the others are left out ([`maximum_likelihood::outliers`]). These,
-//! residuals beyond four of their own standard deviations, and onsets that nothing checks are in `suspects`. Beyond
-//! 1,000 patches covariances are of each patch alone (`fits.covariance`), and alternatives are not searched for.
+//! Without a labelled onset, `patches` that all have a covariance are passed on: anchors whose own light was not
+//! recorded.
 //!
-//! Takes `labels`; writes `patches` and, beside it, `patch_covariances`, `delays`, `stations`, `residuals`, `suspects`,
-//! `fits`, `ambiguities`. Beside it, all optional: `patches` to start from (without, or where one is missing, patches
-//! are placed from nothing, [`crate::geometry::placement`]); `calibration`, without which latencies are taken as exact;
-//! `planes`. Not modelled: errors that onsets of one profile share.
+//! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm. Where more labels
+//! are wrong, onsets that contradict the others are left out ([`maximum_likelihood::outliers`]). The table `suspects`
+//! lists these, residuals beyond four of their own standard deviations, and onsets that no other checks. Beyond 1,000
+//! patches covariances are of each patch alone (`fits.covariance`), and alternatives are not searched for.
+//!
+//! Takes `labels`; writes `patches`, `patch_covariances`, `delays`, `stations`, `residuals`, `suspects`, `fits`,
+//! `ambiguities`. Not modelled: errors that onsets of one profile share. Optional tables:
+//! - `patches` to start from; those that are missing are placed from nothing ([`crate::geometry::placement`]);
+//! - `calibration`, without which latencies are taken as exact;
+//! - `planes`.
 //!
 //! ```toml
 //! [patches]
@@ -59,14 +63,14 @@ use context::{Context, Fields};
 use model::Model;
 use rows::{Fitted, Other, Tables};
 
-/// Footprints are predicted anew until no path changes by more, for at most so many rounds.
+/// Footprints are predicted anew until no path changes by more than `SHIFTED_M`, for at most `ROUNDS` rounds.
 const SHIFTED_M: f64 = 1e-6;
 const ROUNDS: usize = 6;
 /// Other solutions whose loss is higher by less than this (a likelihood ratio of 3,000) are alternatives.
 const LIKELY: f64 = 16.0;
 /// A loss this many standard deviations above its mean is not that of right labels.
 const UNLIKELY: f64 = 4.0;
-/// Most alternatives that are told.
+/// Largest number of alternatives that are reported.
 const ALTERNATIVES: usize = 16;
 /// A loss that is lower by less is the same.
 const LOWER: f64 = 1e-3;
@@ -121,6 +125,9 @@ impl Apply for Refine {
     fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Patch>, StageError> {
         let labels: Vec<Label> =
             group.into_iter().filter(|label| label.alternative == 0 && label.path.is_some()).collect();
+        if labels.is_empty() && context.are_all_placed() {
+            return Ok(Outcome::rows(context.start.values().cloned().collect()));
+        }
         if labels.is_empty() {
             let text = "no onset has a path; look at the tables `labels` and `onsets`";
             return Err(StageError::Refused(text.to_owned()));
@@ -227,21 +234,15 @@ fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (Soluti
     (best, others)
 }
 
-/// Says so where normals stand in campaign.toml, but in a frame that nothing ties to that of the patches.
+/// A message where campaign.toml has normals, but nothing ties its frame to that of the patches.
 fn unused_normals(context: &Context, is_fixed: bool, labels: &[Label]) -> Vec<Rejection> {
     let has_normal = context.first().extents.values().any(Extent::is_whole);
     if is_fixed || !context.planes.is_empty() || !has_normal {
         return Vec::new();
     }
-    vec![Rejection {
-        campaign: labels[0].campaign.clone(),
-        file: None,
-        segment: None,
-        byte_offset: None,
-        reason: "normals in campaign.toml are left aside, since no anchor, ray or station tells how the patches are turned: footprints are taken as points; give `planes` of \
-                 a stage `surface` beside, or anchors"
-            .to_owned(),
-    }]
+    let reason = "normals in campaign.toml are left aside, since no anchor, ray or station tells how the patches are turned: footprints are taken as points; give `planes` of \
+                 a stage `surface` beside, or anchors";
+    vec![Rejection::new(&labels[0].campaign, reason.to_owned())]
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! `reflect`: a mirror that is seen only through a diffuser (paper Fig. 8, top: missing direct reflection).
 //!
-//! The laser is aimed at patches of role `mirror`, in known directions (`ray`); nothing comes straight back from there.
-//! The reflected beam meets the diffuser in a point whose position is known (`position_m`, `sd_m`, or `patches` beside,
-//! in the frame of campaign.toml), and the sensor sees that. How long light took says where on its ray each mirror
-//! point lies ([`crate::geometry::mirror`]).
+//! The laser is aimed at patches of role `mirror`, in known directions (`ray`); no light comes straight back from
+//! there. The reflected beam meets the diffuser in a point, which the sensor sees. The position of that point is known:
+//! `position_m` and `sd_m`, or the table `patches`, in the frame of campaign.toml. The time of flight places each
+//! mirror point on its ray ([`crate::geometry::mirror`]).
 //!
 //! | method | |
 //! |---|---|
@@ -14,15 +14,17 @@
 //!
 //! Of all profiles with a mirror point lit, the strongest onset is the beam's way over the diffuser point seen there:
 //! other light has been scattered first. Where the laser repeats (`repetition_ps`), whole periods are added until the
-//! path is no shorter than the straight one from laser over diffuser point to sensor: its detour must be less than a
+//! path is no shorter than the straight one over the diffuser point. The detour over the mirror must be less than a
 //! period.
 //!
-//! Takes `onsets`; writes `patches` (mirror points, and diffuser points: of `joint` as adjusted, of the others as
-//! given) and, beside it, of `joint` alone `patch_covariances` and the mirror as one of `planes` (its points lie on it
-//! by construction: no distances from it); and `ambiguities`: points that are known badly, another place of the virtual
-//! source. Beside it, optional: `patches`; `calibration`, without which latencies are taken as exact. Scans that lack a
-//! ray or a diffuser point's position stand in `rejects`. Not modelled: several mirrors, curved ones, sensors that look
-//! into the mirror, errors of the laser's period, covariances between the given patches.
+//! Takes `onsets`; writes `patches`: mirror points and diffuser points, the latter as `joint` adjusts them, or as
+//! given. `ambiguities` lists points that are badly determined, and another place of the virtual source. `joint` also
+//! writes `patch_covariances`, and the mirror as one of `planes` (its points lie on it by construction: no distances
+//! from it). Optional tables: `patches`; `calibration`, without which latencies are taken as exact. Scans that lack a
+//! ray or a diffuser point's position stand in `rejects`.
+//!
+//! Not modelled: several mirrors, curved ones, sensors that look into the mirror, errors of the laser's period,
+//! covariances between the given patches.
 //!
 //! ```toml
 //! [patches]
@@ -43,12 +45,12 @@ use crate::campaign::keys::PatchRole;
 use crate::geometry::{Point, mirror};
 use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::delays::Latencies;
-use crate::tables::{Ambiguity, Name, Onset, Patch, PatchCovariance, Plane, Row};
+use crate::tables::{Ambiguity, Onset, Patch, PatchCovariance, Plane, Row};
 use rows::Tables;
 use scans::{Context, Fields, Scans};
 
-/// A second place of the virtual source whose contradiction is higher than the best one's by less than this (a
-/// likelihood ratio of 3,000) cannot be ruled out.
+/// A second place of the virtual source is likely too if its contradiction exceeds that of the best one by less than
+/// this. The limit is a likelihood ratio of 3,000.
 const LIKELY: f64 = 16.0;
 
 /// Parameters of `reflect`.
@@ -126,14 +128,8 @@ impl Apply for Reflect {
         } else {
             self.solved(&scans, &mut reasons)
         };
-        let campaign = Name::from(context.fields.first_name());
-        let reject = |reason: String| Rejection {
-            campaign: campaign.clone(),
-            file: None,
-            segment: None,
-            byte_offset: None,
-            reason,
-        };
+        let campaign = context.fields.first_name();
+        let reject = |reason: String| Rejection::new(campaign, reason);
         Ok(Outcome {
             rows: tables.patches,
             sides: vec![

@@ -2,26 +2,26 @@
 //! (beyond the paper).
 //!
 //! `detect` needs a signal-to-noise ratio of about five in one profile. A hidden patch of 1.5 in each of 8 x 8 profiles
-//! has 12 in all of them together, at one place in space and no other: [`crate::geometry::faint`] finds it, on
-//! matched-filter scores of what known light leaves of each profile ([`sparse::matched`]). Known is
+//! has 12 in all together, at one place in space and no other. [`crate::geometry::faint`] finds it, on matched-filter
+//! scores of what known light leaves of each profile ([`sparse::matched`]). Known light is
 //!
-//! - what `stir` has fitted, explained or not: amplitude and time of each impulse are taken as open (of strong ones
-//!   their width too), so that nothing they could explain
-//!   counts for a patch, and none of its light is lost in them unseen;
-//! - third bounces over patches in place, where their pairs exchange light (`labels` tells): too weak to be fitted they
-//!   are as strong as the hidden one. How strong on average
-//!   is learned from all profiles, once; more than that nothing is assumed.
+//! - what `stir` has fitted, explained or not. Amplitude and time of each impulse are open (of strong ones their width
+//!   too): nothing they could explain counts for a patch, and they hide none of its light;
+//! - third bounces over patches in place, where their pairs exchange light (`labels`). Too weak to be fitted, they are
+//!   as strong as the hidden one. How strong on average is learned from all profiles, once; more than that nothing is
+//!   assumed.
 //!
-//! Patches are found one after the other, the light of one known to the search for the next. They are numbered on from
-//! the largest patch, as many as there are, or `[hidden] count` of campaign.toml at most. The likeliest place that is
-//! not sure enough stands in `hypotheses` with `patch` null, and with it what would show it: how many shots, and hours.
+//! Patches are found one after the other; each accepted patch is known light in the search for the next. They are
+//! numbered on from the largest patch, as many as there are, or `[hidden] count` of campaign.toml at most. The
+//! likeliest place that is not sure enough stands in `hypotheses` with `patch` null, and with it how many shots, and
+//! hours, would show it.
 //!
-//! Takes `patches` (of `refine`) and writes them on, new ones added; beside them `hypotheses`. Beside it `profiles`,
-//! `stir`, `labels` and `calibration`; optional `delays` (of the same `refine`) and `session` (of `track`).
+//! Takes `patches` (of `refine`), `profiles`, `stir`, `labels` and `calibration`; optional `delays` (of the same
+//! `refine`) and `session` (of `track`). Writes all `patches`, new ones added, and `hypotheses`.
 //!
-//! Not modelled: errors of visible patches and delays, small beside the width of a response; footprints (`spread_ps` is
-//! the spread of a hidden patch's light in time, the same in all profiles); records that a laser's period wraps; photon
-//! counts; fourth and later bounces too weak to be fitted.
+//! Not modelled: errors of visible patches and delays, small against the width of a response; footprints (`spread_ps`
+//! is the spread of a hidden patch's light in time, the same in all profiles); records that a laser's period wraps;
+//! photon counts; fourth and later bounces too weak to be fitted.
 //!
 //! ```toml
 //! [found]
@@ -30,7 +30,7 @@
 //! with = { profiles = "profiles", stir = "stir", labels = "labels", calibration = "calibration" }
 //! ```
 
-mod record;
+mod pair_profile;
 mod rows;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -51,7 +51,7 @@ use crate::priors::delays::Delays;
 use crate::signal::sparse::{self, Open};
 use crate::tables::{Hypothesis, Label, Patch, Profile, Row, Session, Stir};
 use crate::units::PatchId;
-use record::{Light, Record};
+use pair_profile::{Light, PairProfile};
 use rows::SearchRows;
 
 /// Patches found at most.
@@ -86,7 +86,7 @@ pub struct Fields {
     hidden: HiddenPatches,
 }
 
-/// Campaigns, and the tables beside the patches.
+/// Campaigns, and the tables other than the patches.
 pub struct Context {
     fields: ByCampaign<Fields>,
     profiles: Vec<Profile>,
@@ -147,20 +147,20 @@ impl Apply for Search {
         let best = group.iter().filter(|patch| patch.alternative == 0);
         let mut points: BTreeMap<PatchId, Point> =
             best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
-        let (mut records, mut rejections) = context.records(&points)?;
-        let mut search = SearchRows::new(&records, -self.false_alarm.get().ln());
+        let (mut pairs, mut rejections) = context.pairs(&points)?;
+        let mut search = SearchRows::new(&pairs, -self.false_alarm.get().ln());
         let visible: Vec<PatchId> =
-            records.iter().flat_map(|record| [record.lit, record.seen]).collect::<BTreeSet<_>>().into_iter().collect();
-        let room = match room(context, &points, &visible, &records) {
+            pairs.iter().flat_map(|pair| [pair.lit, pair.seen]).collect::<BTreeSet<_>>().into_iter().collect();
+        let room = match room(context, &points, &visible, &pairs) {
             Ok(room) => Some(room),
             Err(why) => {
-                rejections.push(rejection(context.fields.first_name(), why));
+                rejections.push(Rejection::new(context.fields.first_name(), why));
                 None
             }
         };
-        let light = Light::new(context, &records, &visible);
+        let light = Light::new(context, &pairs, &visible);
         if room.is_some() {
-            light.learn(&mut records, &points, &context.cancel);
+            light.learn(&mut pairs, &points, &context.cancel);
         }
         let already = points.len() - visible.len();
         let count = context.fields.first().and_then(|fields| fields.hidden.count);
@@ -169,18 +169,18 @@ impl Apply for Search {
         let largest = listed.chain(points.keys().copied()).max();
         for patch in (largest.unwrap_or(0) + 1..).take(most) {
             let Some(room) = &room else { break };
-            let scores = |record: &Record| {
-                let given = light.given(record, &points);
-                record.scores(&visible, &given, self.spread_ps.get(), &context.cancel)
+            let scores = |pair: &PairProfile| {
+                let given = light.given(pair, &points);
+                pair.scores(&visible, &given, self.spread_ps.get(), &context.cancel)
             };
-            let profiles: Vec<faint::Profile> = records.par_iter().map(scores).collect();
+            let profiles: Vec<faint::Profile> = pairs.par_iter().map(scores).collect();
             let Some(place) = faint::likeliest(&profiles, room) else { break };
             if !search.add(patch, place, room.dimensions) {
                 break;
             }
             points.insert(patch, place.point);
         }
-        rejections.extend(search.message().map(|text| rejection(context.fields.first_name(), text)));
+        rejections.extend(search.message().map(|text| Rejection::new(context.fields.first_name(), text)));
         let hypotheses = search.hypotheses();
         let mut rows = group;
         rows.extend(search.patches());
@@ -193,9 +193,9 @@ fn room(
     context: &Context,
     points: &BTreeMap<PatchId, Point>,
     visible: &[PatchId],
-    records: &[Record],
+    pairs: &[PairProfile],
 ) -> Result<Room, String> {
-    let Some((fields, record)) = context.fields.first().zip(records.first()) else {
+    let Some((fields, pair)) = context.fields.first().zip(pairs.first()) else {
         return Err("no profile of two patches with known places can be searched for hidden patches".to_owned());
     };
     let at: Vec<Point> = visible.iter().map(|patch| points[patch]).collect();
@@ -206,10 +206,6 @@ fn room(
         ));
     }
     let foci = facing::fronts(&at, &vec![None; at.len()], fields.stations.source(), fields.dimensions);
-    let width_m = fields.medium.path_m(record.response.width_ps());
+    let width_m = fields.medium.path_m(pair.response.width_ps());
     Ok(Room { foci, dimensions: fields.dimensions, width_m, cancel: context.cancel.clone() })
-}
-
-fn rejection(campaign: &str, reason: String) -> Rejection {
-    Rejection { campaign: campaign.into(), file: None, segment: None, byte_offset: None, reason }
 }

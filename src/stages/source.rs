@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use super::operator::WrittenTable;
 use super::stage::{Rejection, StageError};
-use crate::campaign::Campaign;
+use crate::campaign::{Campaign, LeftOut};
 use crate::store::Digest;
 use crate::store::finite::NotJson;
 
@@ -51,7 +51,7 @@ pub struct SourcePart {
     pub content: Option<Digest>,
     /// Raw bytes, for progress.
     pub bytes: u64,
-    /// Records: files, or shares of files, that may each be set aside.
+    /// Records: files, or shares of files, that are rejected one by one.
     pub records: u64,
 }
 
@@ -83,11 +83,11 @@ pub struct Piece {
     pub stretch: Value,
 }
 
-/// What reading a part gave beside its rows.
+/// What reading a part gave, in addition to the rows.
 pub struct PartRead {
     /// Digest of its raw content and of what the source makes of it.
     pub content: Digest,
-    /// What was set aside.
+    /// What was rejected.
     pub rejections: Vec<Rejection>,
 }
 
@@ -149,7 +149,7 @@ pub trait Divisible {
     /// # Errors
     /// Why into none.
     fn most_pieces(&self, part: usize) -> Result<usize, String>;
-    /// Cuts a part into so many pieces of about as many bytes, or fewer, in the order of its records.
+    /// Cuts a part into `count` pieces of about as many bytes, or fewer, in the order of its records.
     ///
     /// # Errors
     /// As [`Divisible::most_pieces`].
@@ -189,8 +189,8 @@ pub trait Divisible {
 pub trait OpenSource: Send + Sync {
     /// Its parts, in order.
     fn parts(&self) -> &[SourcePart];
-    /// What a user should know before the run: files that no rule matches, and the like.
-    fn warnings(&self) -> &[String];
+    /// What it leaves out of the campaigns: files that no rule matches, and the like.
+    fn left_out(&self) -> &[LeftOut];
     /// Reads a part. Chunk and batch sizes are the caller's; the rows do not depend on them.
     ///
     /// # Errors

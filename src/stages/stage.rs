@@ -1,8 +1,8 @@
 //! What a stage is: its parameters plus one pure function over groups of rows.
 //!
-//! A stage is [`Apply`] when it wants a whole group of rows at once, or [`Fold`] when it must not (10^5 shots of a
-//! capture do not fit in memory). A blanket implementation turns either into what the runtime sees (`operator.rs`);
-//! what has no streamed input is a source (`source.rs`).
+//! A stage is [`Apply`] when it wants a whole group of rows at once, or [`Fold`] when it must not: 10^5 shots of a
+//! capture do not fit in memory. A blanket implementation turns either into what the runtime sees (`operator.rs`); what
+//! has no streamed input is a source (`source.rs`).
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -54,7 +54,7 @@ pub enum StageError {
     /// A group that was to be computed in pieces must be computed whole; the text says why.
     #[error("{0}")]
     Indivisible(String),
-    /// Anything else; the text names the place and the mend.
+    /// Anything else; the text names the place and the fix.
     #[error("{0}")]
     Refused(String),
 }
@@ -65,7 +65,7 @@ impl From<Cancelled> for StageError {
     }
 }
 
-/// A finished table that stands beside a stage's streamed input.
+/// A finished table that a stage takes whole, in addition to its streamed input.
 #[derive(Clone, Copy, Debug)]
 pub struct Beside {
     /// Name in the pipeline file: `with = { name = "heading" }`.
@@ -76,7 +76,7 @@ pub struct Beside {
     pub required: bool,
 }
 
-/// What a stage is started with beside its streamed input.
+/// What a stage is started with: finished tables, and the token of cancelling.
 #[derive(Clone, Debug, Default)]
 pub struct BesideTables {
     /// Finished tables, by their names in `with`.
@@ -108,7 +108,7 @@ impl BesideTables {
     }
 }
 
-/// A side table that a stage writes beside its main one.
+/// A side table that a stage writes in addition to its main one.
 #[derive(Clone, Copy, Debug)]
 pub struct Side {
     /// Name: the view is `<heading>.<name>`.
@@ -117,7 +117,7 @@ pub struct Side {
     pub schema: fn() -> SchemaRef,
 }
 
-/// Something set aside.
+/// A record, capture or value that was rejected.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rejection {
     /// Campaign.
@@ -128,11 +128,17 @@ pub struct Rejection {
     pub segment: Option<i32>,
     /// Where in the file.
     pub byte_offset: Option<i64>,
-    /// Why, and the mend.
+    /// Why, and the fix.
     pub reason: String,
 }
 
 impl Rejection {
+    /// About no file.
+    #[must_use]
+    pub fn new(campaign: &str, reason: String) -> Self {
+        Self { campaign: campaign.into(), file: None, segment: None, byte_offset: None, reason }
+    }
+
     /// As a row of the table `rejects`.
     #[must_use]
     pub fn row(self, heading: &str) -> Reject {
@@ -153,7 +159,7 @@ pub struct Outcome<R> {
     pub rows: Vec<R>,
     /// Rows of its side tables, in the order of [`Stage::SIDES`]; shorter when there are none.
     pub sides: Vec<RecordBatch>,
-    /// What it set aside.
+    /// What it rejected.
     pub rejections: Vec<Rejection>,
 }
 
@@ -179,7 +185,7 @@ pub trait Stage: Serialize + Send + Sync + 'static {
     const VERSION: u32;
     /// Rows that it must see together.
     const GRAIN: Grain;
-    /// Finished tables beside its input.
+    /// Finished tables that it takes whole.
     const BESIDE: &'static [Beside] = &[];
     /// Side tables that it writes.
     const SIDES: &'static [Side] = &[];
@@ -249,12 +255,12 @@ pub trait Fold: Stage {
     }
 }
 
-/// A fold of which a group can be computed in pieces, each a run of its rows, on different machines.
+/// A fold whose groups can be computed in pieces, each a run of the group's rows, on different machines.
 ///
 /// Later rows may be judged by the first ones, the *head* of the group. So a piece sees the head first, until it is
-/// primed, and forgets what that added up to; then it takes its own rows, and saves their subtotals. Whoever joins the
-/// pieces sees the head too, forgets, absorbs the subtotals of all pieces in order, and finishes the group: to the bit
-/// what one pass over all rows gives.
+/// primed, and forgets what that added up to; then it takes its own rows, and saves their subtotals. To join the
+/// pieces, a fold sees the head too, forgets, absorbs the subtotals of all pieces in order, and finishes the group. The
+/// result is to the bit that of one pass over all rows.
 pub trait InPieces<S: Fold>: Sync {
     /// Schema of the subtotals; they begin with the columns that tell groups apart.
     fn schema(&self) -> SchemaRef;

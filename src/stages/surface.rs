@@ -1,14 +1,14 @@
 //! `surface`: planes through groups of patches (paper Figs. 4d and 6d: surface fitting, near co-planarity).
 //!
 //! Which patches lie on one plane is searched for ([`crate::geometry::planes`]): the plane with most patches within 3.5
-//! standard deviations, then the same with those that are left, as long as `least` are found. Or it is given by hand,
-//! in `groups`; a patch may then be in several. Distances at right angles to the plane are what is minimised, each over
-//! its variance. The errors of a plane follow from those of its patches, those of the angle between two planes from
-//! what their patches do not share. `roughness_m` is how far patches may lie off a plane beyond their errors: real
-//! walls are not flat, and of a first solution that does not know footprints the errors are larger than stated.
+//! standard deviations, then the same with the rest, as long as `least` are found. Or the groups are given by hand, in
+//! `groups`; a patch may then be in several. Minimised are distances at right angles to the plane, each over its
+//! variance. The errors of a plane follow from those of its patches, those of the angle between two planes from what
+//! their patches do not share. `roughness_m` is how far patches may lie off a plane beyond their errors: real walls are
+//! not flat, and a first solution without footprints has larger errors than stated.
 //!
-//! Takes `patches` (of `refine`, with their covariances; best alternative only); writes `planes`. Beside it, optional:
-//! `covariances` (`patch_covariances` of the same stage); without them the errors of patches count as independent,
+//! Takes `patches` (of `refine`, with their covariances; best alternative only); writes `planes`. Optional:
+//! `covariances` (`patch_covariances` of the same stage). Without them the errors of patches count as independent,
 //! which makes those of planes too small or too large. Not modelled: edges, curved walls, flatland.
 //!
 //! ```toml
@@ -34,7 +34,7 @@ use crate::priors::covariances::{self, PatchCovariances};
 use crate::tables::{Patch, PatchCovariance, Plane};
 use crate::units::PatchId;
 
-/// Any so many patches have a plane, so that `least` is one more.
+/// Any three points span a plane: `least` is one more.
 const EXACT: usize = 3;
 
 /// Parameters of `surface`.
@@ -47,11 +47,14 @@ pub struct Surface {
     roughness_m: NonNegative,
     /// Patches of each plane, in place of the search.
     groups: Option<Vec<Vec<PatchId>>>,
+    /// Whether the table may be empty: patches that span no plane, or lie in flatland, are then no fault.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    optional: bool,
 }
 
 impl Default for Surface {
     fn default() -> Self {
-        Self { least: Count::new(4), roughness_m: NonNegative::new(0.0), groups: None }
+        Self { least: Count::new(4), roughness_m: NonNegative::new(0.0), groups: None, optional: false }
     }
 }
 
@@ -64,6 +67,8 @@ pub struct Fields {
 /// Campaign of the patches, and the covariances between them.
 pub struct Context {
     campaign: String,
+    /// Whether the patches lie in flatland, which is one plane.
+    is_flat: bool,
     covariances: PatchCovariances,
     cancel: Cancel,
 }
@@ -73,7 +78,8 @@ impl Stage for Surface {
     const VERSION: u32 = 1;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[Beside { name: "covariances", table: "patch_covariances", required: false }];
-    const CONDITIONS: &'static [Condition] = &[Condition("least", "groups", &["absent"])];
+    const CONDITIONS: &'static [Condition] =
+        &[Condition("least", "groups", &["absent"]), Condition("optional", "groups", &["absent"])];
     type Input = Patch;
     type Output = Plane;
     type Fields = ByCampaign<Fields>;
@@ -97,25 +103,30 @@ impl Stage for Surface {
     }
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
-        if let Some((campaign, _)) = fields.iter().find(|(_, fields)| fields.dimensions < 3) {
+        let in_flatland = fields.iter().find(|(_, fields)| fields.dimensions < 3);
+        if let Some((campaign, _)) = in_flatland.filter(|_| !self.optional) {
             return Err(StageError::Refused(format!(
                 "campaign `{campaign}` is in flatland, where all patches lie in one plane; leave out `surface`"
             )));
         }
         let rows = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
         let campaign = fields.first_name().to_owned();
-        Ok(Context { campaign, covariances: PatchCovariances::new(&rows), cancel: beside.cancel.clone() })
+        let is_flat = in_flatland.is_some();
+        Ok(Context { campaign, is_flat, covariances: PatchCovariances::new(&rows), cancel: beside.cancel.clone() })
     }
 }
 
 impl Apply for Surface {
     fn apply(&self, context: &Context, group: Vec<Patch>) -> Result<Outcome<Plane>, StageError> {
+        if context.is_flat {
+            return Ok(Outcome::rows(Vec::new()));
+        }
         let (placed, mut reasons) = Placed::new(context, &group, self.roughness_m.get());
-        let found = match &self.groups {
+        let planes = match &self.groups {
             None => planes::find(&placed.points, self.least.get() as usize, |a, b| placed.covariance_m2(a, b)),
             Some(groups) => placed.through(groups, &mut reasons),
         };
-        if self.groups.is_none() && found.is_empty() {
+        if self.groups.is_none() && planes.is_empty() {
             reasons.push(format!(
                 "no {} of the {} patches lie within {} standard deviations of a plane; name those that should in `groups`: their row tells how \
                  far off they are",
@@ -124,14 +135,11 @@ impl Apply for Surface {
                 planes::NEAR
             ));
         }
-        let reject = |reason: String| Rejection {
-            campaign: context.campaign.as_str().into(),
-            file: None,
-            segment: None,
-            byte_offset: None,
-            reason,
-        };
-        let rows = found.iter().enumerate().map(|(n, plane)| placed.row(n, plane, &found[0])).collect();
+        if self.optional {
+            reasons.clear();
+        }
+        let reject = |reason: String| Rejection::new(&context.campaign, reason);
+        let rows = planes.iter().enumerate().map(|(n, plane)| placed.row(n, plane, &planes[0])).collect();
         Ok(Outcome { rows, sides: Vec::new(), rejections: reasons.into_iter().map(reject).collect() })
     }
 }
@@ -184,7 +192,7 @@ impl<'a> Placed<'a> {
 
     /// Planes through groups that were given by hand, and why some have none.
     fn through(&self, groups: &[Vec<PatchId>], reasons: &mut Vec<String>) -> Vec<planes::Plane> {
-        let mut found = Vec::new();
+        let mut planes = Vec::new();
         for (n, group) in groups.iter().enumerate() {
             let (here, gone): (Vec<PatchId>, Vec<PatchId>) = group.iter().partition(|patch| self.ids.contains(patch));
             let group = n + 1;
@@ -197,14 +205,14 @@ impl<'a> Placed<'a> {
                 here.iter().filter_map(|patch| self.ids.iter().position(|id| id == patch)).collect();
             members.sort_by_key(|place| self.ids[*place]);
             match planes::fit(&self.points, &members, |a, b| self.covariance_m2(a, b)) {
-                Some(plane) => found.push(plane),
+                Some(plane) => planes.push(plane),
                 None => reasons.push(format!(
                     "the {} patches of group {group} are fewer than {EXACT} or in line, which leaves no plane: add one aside of the others",
                     members.len()
                 )),
             }
         }
-        found
+        planes
     }
 
     /// The row of the `n`-th plane, from 0; tilted against the `first`.

@@ -1,20 +1,18 @@
 //! `track`: what changes through a session, and what every shot of it has without any light.
 //!
 //! - Drift: captures of role `fiducial`, one fixed path again and again. Of the runs that differ in their time alone,
-//!   the longest series is
-//!   followed ([`drift`]); given is the delay since the response captures, which the latency was measured from. A delay
-//!   that jumps is no drift: it goes to `rejects`, with its time.
+//!   the longest series is followed ([`drift`]). The result is the delay since the response captures, from which the
+//!   latency was measured. A delay that jumps is no drift: it goes to `rejects`, with its time.
 //! - Pick-up: captures of role `blocked`, the laser firing with its beam stopped. Their mean is what it induces in step
-//!   with the shots
-//!   ([`pickup`]); given where its power exceeds that of its errors by three standard deviations.
+//!   with the shots ([`pickup`]); given where its power exceeds that of its errors by three standard deviations.
 //!
 //! `deconvolve` takes both off. What moves between reference pulse and trigger needs no tracking: every shot is aligned
 //! to its reference.
 //!
-//! Takes `profiles` (others than fiducial and blocked ones pass unseen); writes `session`. Beside it: `calibration`.
+//! Takes `profiles` (only fiducial and blocked ones are used) and `calibration`; writes `session`.
 //!
-//! Not modelled: drift that differs between the vertical ranges of a sensor, pick-up that changes through the session
-//! (its chi-square would tell).
+//! Not modelled: drift that differs between the vertical ranges of a sensor; pick-up that changes through the session
+//! (its chi-square would show it).
 //!
 //! ```toml
 //! [session]
@@ -44,7 +42,7 @@ use crate::tables::{Calibration, Name, Profile, Session};
 
 /// Fewer runs are no series.
 const RUNS_MIN: usize = 3;
-/// Pick-up is told where its power exceeds its errors' by this many standard deviations.
+/// Pick-up is reported where its power exceeds its errors' by this many standard deviations.
 const PICKUP_SIGMA: f64 = 3.0;
 
 /// Parameters of `track`.
@@ -161,11 +159,11 @@ impl Track {
         };
         let of_sensor = |row: &&Calibration| row.campaign == state.campaign && row.sensor == state.sensor;
         let origin = calibration.iter().filter(of_sensor).find_map(|row| row.acquired_at.clone());
-        let time_s = |name: &Option<Name>| name.as_deref().and_then(acquisition_time::seconds);
-        let point =
-            |run: &Run| Some(Point { time_s: time_s(&run.acquired_at)?, delay_ps: run.delay_ps, sd_ps: run.sd_ps });
+        let point = |run: &Run| {
+            Some(Point { time_s: time_s(run.acquired_at.as_ref())?, delay_ps: run.delay_ps, sd_ps: run.sd_ps })
+        };
         let points: Option<Vec<Point>> = runs.iter().map(point).collect();
-        let (Some(points), Some(origin_s)) = (points, time_s(&origin)) else {
+        let (Some(points), Some(origin_s)) = (points, time_s(origin.as_ref())) else {
             return Err(
                 "its fiducial or response files do not say when they were taken: drift is not followed".to_owned()
             );
@@ -196,6 +194,10 @@ impl Track {
     }
 }
 
+fn time_s(moment: Option<&Name>) -> Option<f64> {
+    acquisition_time::seconds(moment?)
+}
+
 impl State {
     fn take_fiducial(&mut self, sensors: &Sensors, profile: &Profile) {
         let bits = |value: Option<f64>| value.map(f64::to_bits);
@@ -209,13 +211,7 @@ impl State {
     }
 
     fn rejection(&self, why: String) -> Rejection {
-        Rejection {
-            campaign: self.campaign.clone(),
-            file: None,
-            segment: None,
-            byte_offset: None,
-            reason: format!("sensor {}: {why}", self.sensor),
-        }
+        Rejection::new(&self.campaign, format!("sensor {}: {why}", self.sensor))
     }
 
     fn row(&self, range: Option<Name>, followed: Option<&Followed>) -> Session {

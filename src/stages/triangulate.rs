@@ -1,39 +1,39 @@
 //! `triangulate`: hidden strips from light that goes over them from one visible diffuser point to another (paper
 //! section 6, figure 8 bottom: the 1-0-1 barcode).
 //!
-//! The beam lights diffuser points D_k in turn. A hidden strip throws the light on to its own exit, another diffuser
-//! point E, and a sensor sees the third bounce D_k, strip, E there. One pixel (`[views]`) covers the exits of all
+//! The beam lights diffuser points D_k in turn. A hidden strip reflects the light to its own exit, another diffuser
+//! point E. There a sensor sees the third bounce, over D_k, strip and E. One pixel (`[views]`) covers the exits of all
 //! strips, so that their pulses stand in one profile. First bounces off D_k, in a pixel that covers it, mark time zero.
-//! [`crate::geometry::bistatic`] places the strips: every assignment of pulses to strips, diffuser points and delays
-//! open within their standard deviations. The laser fires again before late light is back: times are taken as the
+//! [`crate::geometry::bistatic`] places the strips: every assignment of pulses to strips, with diffuser points and
+//! delays open within their standard deviations. The laser fires again before late light is back. So each time is the
 //! earliest that a way over anything but the straight line from D_k to E can have.
 //!
-//! What campaign.toml tells:
+//! campaign.toml gives:
 //! - `position_m` (and `sd_m`) of every D_k and E; their `normal`, for the side on which strips are;
-//! - hidden patches with `through`, their exit, in the order in which they stand. Without any, one strip for each patch
-//!   of the view;
-//! - of a glossy strip `size_m` and `lobe_rad`: the glint moves with the lit point, by the law of reflection, for a
-//!   normal that was turned to the most light unless `normal` gives it. Of
-//!   a strip with `size_m` alone nobody knows how it reflects: its light may come from any point of it, and each onset
-//!   has that error, half its size along the strip. Without both a strip is a point;
+//! - hidden patches with `through`, their exit, in the order in which they stand. Without any, there is one strip for
+//!   each patch of the view;
+//! - of a glossy strip `size_m` and `lobe_rad`. The glint moves with the lit point, by the law of reflection; unless
+//!   `normal` gives the normal, it was turned to the most light;
+//! - of a strip of unknown reflection, `size_m` alone: its light may come from any point of it, and each onset has that
+//!   error, half its size along the strip. Without `size_m` a strip is a point;
 //! - `[hidden]`: `apart_max_m`, `along`. Where as many scans as dimensions fit with any assignment, these decide. What
 //!   is not decided stands in `patches` as `alternative`.
 //!
-//! `gaps` says whether the middle between two strips is free: something there that throws back at least `share_least`
-//! of the weaker neighbour's light, over either exit, would have added a pulse. Every profile is fitted with the
-//! strips' pulses alone and with at least that much between, times and amplitudes free ([`crate::signal::between`]); a
-//! little light over the other's exit, and light spread over some picoseconds, are allowed for. `certain` is how
-//! probable a verdict must be. Pulses closer than the response is wide leave the gap open unless the signal is strong:
-//! `share_sd` says how closely the middle is known. Strips are placed as if the gap were free; where the middle has
-//! onsets of its own, beside it.
+//! `gaps` has the verdict whether the middle between two strips is free. An object there that reflects at least
+//! `share_least` of the weaker neighbour's light, over either exit, would have added a pulse. Every profile is fitted
+//! with the strips' pulses alone and with at least that much between, times and amplitudes free
+//! ([`crate::signal::between`]). A little light over the other's exit, and light spread over some picoseconds, are
+//! allowed for. `certain` is how probable a verdict must be. Pulses closer than the response is wide leave the gap open
+//! unless the signal is strong; `share_sd` is the error of the middle's share. Strips are placed as if the gap were
+//! free; where the middle has onsets of its own, they are displaced.
 //!
 //! | method | |
 //! |---|---|
 //! | `likelihood` | the above |
 //! | `ellipses` | the paper's: differences of arrival of third and first bounce, all else taken as exact, ellipses crossed |
 //!
-//! Takes `onsets`; writes `patches`: strips, and diffuser points as adjusted. Beside it: `calibration`; `profiles` for
-//! `gaps`, with `session` where `deconvolve` had one.
+//! Takes `onsets`; writes `patches`: strips, and diffuser points as adjusted. Also takes `calibration`; for `gaps`
+//! `profiles`, and `session` where `deconvolve` had one.
 //!
 //! Not modelled: footprints of diffuser points; a strip whose light leaves over several exits; pixels that cover the
 //! exits of some strips only; photon counts in `gaps`.
@@ -116,7 +116,7 @@ pub struct Fields {
     hidden: keys::Hidden,
 }
 
-/// The campaign, and the tables beside the onsets.
+/// The campaign, and the tables other than the onsets.
 pub struct Context {
     campaign: String,
     fields: Fields,
@@ -134,7 +134,7 @@ impl Context {
     }
 
     fn rejection(&self, reason: String) -> Rejection {
-        Rejection { campaign: self.campaign.as_str().into(), file: None, segment: None, byte_offset: None, reason }
+        Rejection::new(&self.campaign, reason)
     }
 }
 

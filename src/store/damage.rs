@@ -188,7 +188,7 @@ fn pages(metadata: &ParquetMetaData) -> Vec<Page> {
     pages
 }
 
-/// The first and the last record of a page, by those key columns of which no page is damaged.
+/// The first and the last record of a page, by the key columns without damaged pages.
 fn records(path: &Path, metadata: &ParquetMetaData, page: &Page, damaged: &[Page]) -> Option<String> {
     let schema = metadata.file_metadata().schema_descr();
     let sound = |key: &&str| !damaged.iter().any(|page| page.column.split('.').next() == Some(*key));

@@ -11,7 +11,7 @@ use serde::ser::{
 };
 use serde_json::Value;
 
-/// A value of which JSON would lose something.
+/// A value that JSON cannot keep.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}{why}", at(.path))]
 pub struct NotJson {

@@ -1,8 +1,8 @@
 //! Lineage: a BLAKE3 digest of everything that determines a table.
 //!
 //! A *recipe* covers a stage's kind, version, parameters, campaign fields and schema, and the recipes of its inputs; it
-//! is computed before anything is read. A part's *lineage* joins its recipe with the lineages of the parts that it was
-//! made from, and at the root with the content hashes of the raw files.
+//! is computed before anything is read. A part's *lineage* joins its recipe with the lineages of its inputs' parts; at
+//! the root stand the content hashes of the raw files.
 
 use std::fmt;
 

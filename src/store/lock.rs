@@ -2,8 +2,8 @@
 //!
 //! The holder locks `OUT/.shelf/lock` and writes its name into it. The system releases the lock when the process ends,
 //! in whatever way, so that no lock is left over; the text of an earlier holder has no meaning. Shards share the lock:
-//! each writes files of its own, or files with the same bytes whoever writes them. A run, which switches views and
-//! removes leftovers, holds the lock alone.
+//! each writes files of its own, or the same bytes as another. A run, which switches views and removes leftovers, holds
+//! the lock alone.
 
 use std::fmt;
 use std::fs::{self, File};

@@ -2,7 +2,7 @@
 //! reader.
 //!
 //! The Parquet crate checks them where they exist, but writes none. Therefore this file keeps the pages of a column
-//! chunk as the crate makes them, and adds the checksum to each header before the chunk enters the file.
+//! chunk as the crate makes them. It adds the checksum to each header before the chunk enters the file.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -1,8 +1,8 @@
 //! Results on the shelf that no view shows: from earlier parameters, or of parts of a campaign that has changed since.
 //!
-//! Needed are: what the views show, what unfinished runs made since the last one that succeeded, and the lists of
-//! rejects of tables that are not kept (without these, a run would make the tables below them again). To release a
-//! table that a view shows, remove the view first (`rm OUT/stir`).
+//! Needed are: what the views show, and what unfinished runs made since the last one that succeeded. Needed too are the
+//! lists of rejects of tables that are not kept: without these, a run would make the tables below them again. To
+//! release a table that a view shows, remove the view first (`rm OUT/stir`).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, Metadata};

@@ -76,7 +76,7 @@ impl Shelf {
         for (key, cut) in cuts {
             self.write_json(&self.file_of(key.as_ref(), "cut.json"), cut)?;
         }
-        // Written last: whoever reads the job must find its shards.
+        // Written last: a reader of the job must find its shards.
         self.write_json(&self.shard_file(JOB), job)?;
         let keys = shards.iter().map(|(key, _)| key.as_ref()).chain(cuts.iter().map(|(key, _)| key.as_ref()));
         let keys: BTreeSet<&str> = keys.chain([JOB]).collect();

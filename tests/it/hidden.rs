@@ -119,7 +119,7 @@ fn expected_kinds() -> Vec<&'static str> {
     [["visible"; 8].as_slice(), ["hidden"; 3].as_slice()].concat()
 }
 
-/// Distances of hidden patches and positions of all are right to their standard deviations, over so many campaigns.
+/// Distances of hidden patches and positions of all are right to their standard deviations, over several campaigns.
 #[test]
 fn hidden_patches_are_found_by_range_embed_and_refine_to_their_standard_deviations() {
     let (mut normalised, mut freedom) = (0.0, 0);

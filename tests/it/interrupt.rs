@@ -201,7 +201,7 @@ fn deconvolve_ends_in_the_midst_of_a_long_record() {
     interrupt(&lab, &pipeline, "-TERM");
 }
 
-/// 64 hidden patches, of which nothing but third bounces tells, each lost in a tenth of the profiles.
+/// 64 hidden patches that only third bounces show, each lost in a tenth of the profiles.
 #[test]
 fn label_ends_in_the_midst_of_the_search_for_hidden_patches() {
     let (lab, mut rng) = (Lab::tiny(), ChaCha8Rng::seed_from_u64(2));

@@ -37,7 +37,9 @@ mod mirror;
 mod missed;
 mod mistakes;
 mod monte_carlo;
+mod output;
 mod pieces;
+mod pipelines;
 mod pulses;
 mod python;
 #[cfg(feature = "query")]
@@ -54,6 +56,7 @@ mod scope_samples;
 mod session;
 mod sessions;
 mod shards;
+mod silent;
 mod simulate;
 mod surface;
 mod verify;

@@ -96,9 +96,9 @@ impl Large {
 
     /// Plans shards: the lines of pieces, and those of whole parts.
     fn plan(&self, out: &str, count: &str) -> (Vec<Value>, Vec<Value>) {
-        let output = self.job("plan", out, &["--set", TRACES, "--shards", count, "--json"]);
-        let lines = String::from_utf8(output.stdout).unwrap();
-        lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap()).partition(|line| line["pieces"].is_u64())
+        let output = self.job("plan", out, &["--set", TRACES, "--shards", count, "--format", "json"]);
+        let lines: Vec<Value> = serde_json::from_slice(&output.stdout).unwrap();
+        lines.into_iter().partition(|line| line["pieces"].is_u64())
     }
 
     fn make(&self, line: &Value, out: &str) -> Value {
@@ -221,7 +221,7 @@ fn arrays_without_jitter_and_photon_histograms_are_cut_too() {
     }
 }
 
-/// A shot a file: pieces of whole files. The last but one is cut short, which nobody knows before it is read.
+/// A shot a file: pieces of whole files. The last but one is cut short, which shows only when it is read.
 #[test]
 fn a_capture_of_many_files_is_cut_between_them_and_computed_whole_where_one_is_bad() {
     let large = Large::arrays("", &[20, 30]);
@@ -302,7 +302,7 @@ fn finished_pieces_are_kept_by_the_next_plan_and_a_run_does_without_them() {
     large.make_all(pieces.iter().take(2).chain(&whole), "out");
     let (left, none) = large.plan("out", "8");
     assert_eq!((left.as_slice(), none.len()), (&pieces[2..], 0), "the same pieces, though less is missing");
-    // Not of a file that is another by then: nobody could say what the first pieces have read.
+    // Not of a file that has changed by then: what the first pieces have read is unknown.
     let file = fs::File::options().append(true).open(large.raw("L2_P1.npy")).unwrap();
     let time = file.metadata().unwrap().modified().unwrap();
     file.set_modified(time + Duration::from_secs(1)).unwrap();

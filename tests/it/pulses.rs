@@ -53,7 +53,7 @@ impl Setting<'_> {
             npy::write(&mut File::create(path).unwrap(), &[SHOTS as u64, SAMPLES as u64], &codes).unwrap();
         }
         let calibration = lab.path("calibration.parquet");
-        write_table(&calibration, &[known(&shape.stretched(self.stretch))]);
+        write_table(&calibration, &[calibration_of(&shape.stretched(self.stretch))]);
         let import = format!(
             "[calibration]\nstage = 'import'\nparams = {{ table = 'calibration', path = '{}' }}\n",
             calibration.display()
@@ -85,7 +85,7 @@ impl Setting<'_> {
 }
 
 /// A calibration that knows this response.
-fn known(shape: &Shape) -> Calibration {
+fn calibration_of(shape: &Shape) -> Calibration {
     let response: Vec<f64> = (-280..=280).map(|i| shape.at(f64::from(i) * STEP_PS)[0]).collect();
     Calibration {
         campaign: "pulses".into(),

@@ -44,10 +44,9 @@ fn refused(lab: &ManyParts, args: &[&str]) -> String {
 
 /// Plans shards into a result folder: their lines by key.
 fn plan(lab: &ManyParts, out: &str, count: &str, more: &[&str]) -> BTreeMap<String, Value> {
-    let args = ["plan", "pipeline.toml", "--campaign", "campaign", "--out", out, "--shards", count, "--json"];
-    let lines = printed(lab, &[&args, more].concat());
-    let lines = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
-    lines.map(|line| (line["key"].as_str().unwrap().to_owned(), line)).collect()
+    let args = ["plan", "pipeline.toml", "--campaign", "campaign", "--out", out, "--shards", count, "--format", "json"];
+    let lines: Vec<Value> = serde_json::from_str(&printed(lab, &[&args[..], more].concat())).unwrap();
+    lines.into_iter().map(|line| (line["key"].as_str().unwrap().to_owned(), line)).collect()
 }
 
 fn shard<'a>(key: &'a str, out: &'a str) -> [&'a str; 6] {
@@ -96,8 +95,8 @@ fn three_workers_one_killed_at_a_third_leave_the_bytes_of_a_single_run() {
     std::thread::scope(|scope| (0..3).for_each(|_| drop(scope.spawn(work))));
     assert_eq!(killed.lock().unwrap().len(), 1);
     assert!(!lab.path("out/onsets").exists(), "nothing is shown before it is gathered");
-    let told = printed(&lab, &["gather", "--out", "out"]);
-    assert!(told.contains("patches") && told.contains("out/patches"), "{told}");
+    let text = printed(&lab, &["gather", "--out", "out"]);
+    assert!(text.contains("patches") && text.contains("out/patches"), "{text}");
     assert_eq!(lab.files("out"), lab.files("single"));
     assert!(lab.left_over("out").is_empty(), "{:?}", lab.left_over("out"));
     printed(&lab, &["verify", "out"]);

@@ -26,10 +26,10 @@ pub const HIDDEN: RGBColor = RGBColor(201, 95, 18);
 pub const MIRROR: RGBColor = RGBColor(122, 80, 190);
 /// Laser and sensors.
 pub const STATION: RGBColor = RGBColor(170, 40, 30);
-/// What is beside the matter.
+/// For what matters less.
 pub const PALE: RGBColor = RGBColor(130, 135, 145);
 
-/// Colour of an arrival of so many bounces (0: unexplained).
+/// Colour of an arrival of `bounces` (0: unexplained).
 pub fn of_bounces(bounces: usize) -> RGBColor {
     [PALE, RGBColor(27, 130, 100), VISIBLE, HIDDEN, RGBColor(190, 40, 95)][bounces.min(4)]
 }

@@ -12,8 +12,10 @@ use crate::report::scene::{Placed, Scene};
 const VIEW_PX: (u32, u32) = (430, 430);
 /// Corners of a drawn ellipse.
 const CORNERS: usize = 48;
-/// Patches whose numbers stand beside them at most.
+/// Most patches with numbers next to them.
 const NUMBERED: usize = 40;
+/// Titles of the axes.
+const TITLES: [&str; 3] = ["x (m)", "y (m)", "z (m)"];
 /// What axes and margins take of a view.
 const AXES_PX: (u32, u32) = (85, 65);
 
@@ -34,8 +36,7 @@ fn view(area: &Area<'_>, scene: &Scene, [across, up]: [usize; 2]) -> Result<(), 
     let places: Vec<[f64; 3]> = scene.patches.iter().map(Placed::at).chain(scene.stations.values().copied()).collect();
     let along = |axis: usize| range(places.iter().map(move |place| place[axis]), 0.08);
     let (x, y) = equal_scales(along(across), along(up));
-    let title = |axis: usize| ["x (m)", "y (m)", "z (m)"][axis];
-    let mut chart = axes(area, x, y, (title(across), title(up)), number)?;
+    let mut chart = axes(area, x, y, (TITLES[across], TITLES[up]), number)?;
     let at = |place: [f64; 3]| (place[across], place[up]);
     for ray in scene.rays.iter().filter(|ray| ray.is_hidden) {
         let corners: Vec<(f64, f64)> = ray.corners_m.iter().map(|corner| at(*corner)).collect();

@@ -9,7 +9,7 @@ pub const VISIBLE: &str = "#2f7fc1";
 pub const HIDDEN: &str = "#e2711d";
 /// Patches that nothing comes straight back from.
 pub const MIRROR: &str = "#8f5fd0";
-/// What is beside the matter.
+/// For what matters less.
 pub const PALE: &str = "#8a8f98";
 /// Laser and sensors.
 pub const STATION: &str = "#c0392b";
@@ -21,7 +21,7 @@ pub fn of_bounces(bounces: usize) -> &'static str {
     BOUNCES[bounces.min(BOUNCES.len() - 1)]
 }
 
-/// What arrivals of so many bounces are called.
+/// Name of the arrivals of `bounces`.
 pub fn bounces_text(bounces: usize) -> &'static str {
     ["no path known", "1st bounce", "2nd bounce", "3rd bounce", "4th bounce and later"][bounces.min(4)]
 }
@@ -42,7 +42,7 @@ pub fn data(id: &str, json: &str) -> Markup {
     html! { script type="application/json" id=(id) { (PreEscaped(json.replace('<', "\\u003c"))) } }
 }
 
-/// A value with so many significant digits, so that its text is short.
+/// A value with `digits` significant digits, so that its text is short.
 pub fn short(value: f64, digits: i32) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return value;

@@ -1,4 +1,4 @@
-//! What was set aside, and where the tables come from.
+//! What was rejected, and where the tables come from.
 
 use maud::{Markup, html};
 
@@ -6,15 +6,18 @@ use super::words::{bytes, count, seconds};
 use crate::report::Report;
 use crate::store::runs::{Ending, RunRecord};
 
-/// What was set aside.
+/// What was rejected.
 pub fn rejects(report: &Report) -> Markup {
     let provenance = &report.provenance;
     html! {
         section #rejects {
             h2 { "What was set aside" }
-            @if provenance.rejects == 0 {
+            @let left_out = provenance.last_run.as_ref().map_or(&[][..], |run| &run.left_out);
+            @if provenance.rejects == 0 && left_out.is_empty() {
                 p { "Nothing: every record of the campaign went in." }
-            } @else {
+            }
+            @for line in left_out { p { (line) "." } }
+            @if provenance.rejects > 0 {
                 p { (count(provenance.rejects, "record was", "records were")) " set aside, for " (count(provenance.reasons, "reason", "reasons")) "; the rest went on without them." }
                 div.scroll {
                     table.numbers {

@@ -14,9 +14,9 @@ const RINGS: usize = 6;
 const SECTORS: usize = 10;
 /// Ellipsoids that are drawn at most: beyond, points alone.
 const ELLIPSOIDS: usize = 600;
-/// Patches whose numbers stand beside them at most.
+/// Most patches with numbers next to them.
 const NUMBERED: usize = 60;
-/// Share of the scene's extent that is shown beside it.
+/// Margin around the scene, as a share of its extent.
 const MARGIN: f64 = 0.12;
 /// Digits of drawn coordinates.
 const DIGITS: i32 = 6;

@@ -97,7 +97,7 @@ fn stir_plot(stir: &Stir) -> Plot {
     plot
 }
 
-/// Onsets of so many bounces; of three and more together.
+/// Onsets of `bounces`; of three and more together.
 fn onsets_of(image: &Image, bounces: usize) -> Option<Box<Scatter<f64, String>>> {
     let is_of =
         |onset: &&OnsetBehind| onset.path.as_ref().map_or(0, Vec::len).min(3) == bounces && onset.time_ps.is_some();

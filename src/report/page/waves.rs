@@ -119,23 +119,10 @@ fn waveform_plot(waveform: &Waveform) -> Plot {
         if of_these.is_empty() {
             continue;
         }
-        // A logarithmic axis shows no stem that begins at 0: it begins well below the noise.
-        let stem =
-            |height: f64| [Some(short(floor.min(height.abs()).copysign(height), 3)), Some(short(height, 4)), None];
         let x: Vec<Option<f64>> =
             of_these.iter().flat_map(|(impulse, _)| [Some(short(impulse.time_ps, 7)); 3]).collect();
-        let y: Vec<Option<f64>> = of_these.iter().flat_map(|(impulse, _)| stem(impulse.amplitude_v)).collect();
-        let words = |(impulse, onset): &(&Impulse, Option<&OnsetBehind>)| {
-            let path = onset.map_or_else(|| "below the threshold".to_owned(), |onset| path_text(onset.path.as_deref()));
-            format!(
-                "{path}<br>{:.2} +- {} ps<br>{} V, {} times its sd",
-                impulse.time_ps,
-                sig(impulse.time_sd_ps, 2),
-                sig(impulse.amplitude_v, 3),
-                sig(impulse.amplitude_v / impulse.amplitude_sd_v, 3)
-            )
-        };
-        let text: Vec<String> = of_these.iter().flat_map(|of| [String::new(), words(of), String::new()]).collect();
+        let y: Vec<Option<f64>> = of_these.iter().flat_map(|(impulse, _)| stem(floor, impulse.amplitude_v)).collect();
+        let text: Vec<String> = of_these.iter().flat_map(|of| [String::new(), words(*of), String::new()]).collect();
         let colour = of_bounces(bounces);
         let stems = Scatter::new(x, y).mode(Mode::LinesMarkers).name(bounces_text(bounces)).hover_text_array(text);
         let stems = stems.line(Line::new().color(colour).width(1.5)).marker(Marker::new().color(colour).size(6));
@@ -145,6 +132,23 @@ fn waveform_plot(waveform: &Waveform) -> Plot {
     let scale = if is_positive && most > LOGARITHMIC * least { AxisType::Log } else { AxisType::Linear };
     plot.set_layout(layout(scale));
     plot
+}
+
+/// Volts of a stem. A logarithmic axis shows none that begins at 0: it begins at the `floor`, well below the noise.
+fn stem(floor: f64, height: f64) -> [Option<f64>; 3] {
+    [Some(short(floor.min(height.abs()).copysign(height), 3)), Some(short(height, 4)), None]
+}
+
+/// What stands over a stem under the pointer.
+fn words((impulse, onset): (&Impulse, Option<&OnsetBehind>)) -> String {
+    let path = onset.map_or_else(|| "below the threshold".to_owned(), |onset| path_text(onset.path.as_deref()));
+    format!(
+        "{path}<br>{:.2} +- {} ps<br>{} V, {} times its sd",
+        impulse.time_ps,
+        sig(impulse.time_sd_ps, 2),
+        sig(impulse.amplitude_v, 3),
+        sig(impulse.amplitude_v / impulse.amplitude_sd_v, 3)
+    )
 }
 
 /// Axes and legend; `scale` is that of the volts.

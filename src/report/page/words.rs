@@ -1,7 +1,7 @@
 //! Numbers in words.
 
-/// So many significant digits, without trailing zeros after the point; powers of ten where a number is very large or
-/// small.
+/// A value with `digits` significant digits, without trailing zeros after the point; powers of ten where it is very
+/// large or small.
 pub fn sig(value: f64, digits: usize) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();
@@ -26,7 +26,7 @@ pub fn millimetres(value_m: f64) -> String {
     format!("{} mm", sig(1e3 * value_m, 3))
 }
 
-/// So many things.
+/// A number of things.
 pub fn count(number: usize, one: &str, many: &str) -> String {
     format!("{number} {}", if number == 1 { one } else { many })
 }

@@ -162,8 +162,8 @@ pub struct SparseFit {
     pub pulses: Vec<Pulse>,
     /// Covariance of the times, ps^2, row-major: `(J^T J)^-1`. Each pulse's sd is multiplied by the square root of its
     /// `chi2_per_dof` where that exceeds 1 by more than three of its standard deviations. Where an sd exceeds 1/20 of
-    /// the distance of two pulses, a second sd of each is half its profile likelihood's 95 % interval over 1.96. The
-    /// larger counts; rows and columns grow alike.
+    /// the distance of two pulses, a second sd is taken from the profile likelihood: half the 95 % interval over 1.96.
+    /// The larger counts; rows and columns grow alike.
     pub covariance_ps2: Vec<f64>,
     /// Constant under the pulses, V; 0 if none is fitted.
     pub baseline_v: f64,

@@ -25,8 +25,8 @@ impl Clipping {
         Self { places: BTreeSet::new(), before: reach, after: reach + recovery }
     }
 
-    /// Marks the `count` clipped samples of a shot: those at its own highest or lowest code, or at both, whichever are
-    /// so many; where rails are more than one code wide, those furthest from its median.
+    /// Marks the `count` clipped samples of a shot: those at its own highest code, at its lowest, or at both, whichever
+    /// are `count`. Where rails are more than one code wide, it marks those furthest from the median.
     pub fn mark(&mut self, codes: Codes<'_>, position: i64, count: usize) {
         let values = codes.to_f64();
         let mut sorted = values.clone();

@@ -10,7 +10,8 @@ use super::{Average, Context, State};
 use crate::stages::stage::InPieces;
 use crate::tables::{Row, Subtotal, Trace};
 
-/// Up to so many codes of 32 bits have sums below 2^53, in any order: whole numbers that `f64` holds exactly.
+/// Codes of 32 bits have sums below 2^53 up to this number of shots, in any order: whole numbers that `f64` holds
+/// exactly.
 const EXACT_SHOTS: u64 = 1 << 21;
 
 /// How much of a capture is added up.
@@ -65,7 +66,7 @@ impl InPieces<Self> for Average {
     }
 }
 
-/// Whether so many shots like the first add up to the same whatever their order.
+/// Whether this many shots like the first add up to the same whatever their order.
 ///
 /// # Errors
 /// When they may not; the text says why.
@@ -101,9 +102,13 @@ pub fn nothing(first: &Trace) -> Subtotal {
         reference_sd_ps: Vec::new(),
         reference_v_ps: Vec::new(),
         clipped_places: Vec::new(),
-        rejected: 0,
         clipped: 0,
+        outlying: 0,
+        reference_clipped: 0,
+        without_reference: 0,
+        not_a_number: 0,
         other_scale: 0,
+        at_rails: 0,
         has_reference: false,
         missing_template: false,
     }

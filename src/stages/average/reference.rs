@@ -37,8 +37,8 @@ pub struct References {
     v_ps: Moments,
     /// Sum of the squared standard deviations of the times.
     variance_ps2: f64,
-    /// The pulses themselves, where they are to be handed over: rounded sums depend on the order, so that whoever joins
-    /// pieces adds one by one.
+    /// The pulses themselves, for pieces: rounded sums depend on the order, so the run that joins pieces adds one by
+    /// one.
     kept: Option<Vec<ReferencePulse>>,
 }
 
@@ -133,7 +133,7 @@ mod tests {
             v_ps: rng.random_range(1.0..3.0),
         };
         let pulses: Vec<ReferencePulse> = (0..1000).map(&mut pulse).collect();
-        let told = |references: &References| (references.time_ps(), references.v_ps(), references.alignment_ps2());
+        let values = |references: &References| (references.time_ps(), references.v_ps(), references.alignment_ps2());
         let mut whole = References::default();
         pulses.iter().for_each(|pulse| whole.add(*pulse));
         for _ in 0..20 {
@@ -145,7 +145,7 @@ mod tests {
                 handed.kept().iter().for_each(|pulse| joined.add(*pulse));
                 rest = after;
             }
-            assert_eq!(told(&joined), told(&whole));
+            assert_eq!(values(&joined), values(&whole));
         }
     }
 }

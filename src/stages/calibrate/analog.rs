@@ -1,6 +1,6 @@
 //! Response, arrival and noise from shots of voltages.
 
-use super::{Found, Reference, Shots};
+use super::{Estimate, Reference, Shots};
 use crate::signal::noise;
 use crate::signal::noise_model::{self, Spread};
 use crate::signal::oversample::{self, Shape, Shot};
@@ -25,7 +25,7 @@ pub(super) fn template(references: &[Shot], dt_ps: f64) -> Option<Shape> {
 }
 
 /// What the shots of a range say, and its reference pulse if it has one.
-pub(super) fn found(range: &Shots, template: Option<&Shape>) -> Result<(Found, Option<Reference>), String> {
+pub(super) fn estimate(range: &Shots, template: Option<&Shape>) -> Result<(Estimate, Option<Reference>), String> {
     let no_pulse = |what: &str| format!("its {what} shows no pulse; check channel, vertical range and `samples`");
     let dt_ps = range.first.dt_ps;
     let (shots, reference) = if range.references.is_empty() {
@@ -43,7 +43,7 @@ pub(super) fn found(range: &Shots, template: Option<&Shape>) -> Result<(Found, O
     let shape = oversample::shape(&shots, dt_ps).ok_or_else(|| no_pulse("response"))?;
     let quiet: Vec<Vec<f64>> = shots.iter().map(|shot| shot.samples[..quiet(shot)].to_vec()).collect();
     let noise = noise::estimate(&quiet, ACF_LAGS);
-    let found = Found {
+    let estimate = Estimate {
         arrival_ps: arrival(&shots, dt_ps, &shape, noise.sd),
         width_sd_ps: width_sd_ps(&shots, dt_ps),
         noise_model: noise_model(&shots, dt_ps, &shape),
@@ -51,7 +51,7 @@ pub(super) fn found(range: &Shots, template: Option<&Shape>) -> Result<(Found, O
         shots: shots.len(),
         shape,
     };
-    Ok((found, reference))
+    Ok((estimate, reference))
 }
 
 /// Signals in the frame of their reference pulses, and the mean integral of these. Shots whose reference shows no pulse
@@ -93,10 +93,10 @@ fn without_strays(shots: Vec<Shot>, dt_ps: f64, template: &Response) -> Vec<Shot
 /// Which values lie within [`STRAY_SIGMA`] robust standard deviations of their median; the values' own standard
 /// deviation is a floor.
 fn within(values: &[Option<(f64, f64)>]) -> Vec<bool> {
-    let known = || values.iter().flatten();
-    let median = middle(known().map(|(value, _)| *value).collect());
-    let deviation = middle(known().map(|(value, _)| (value - median).abs()).collect());
-    let own = middle(known().map(|(_, sd)| *sd).collect());
+    let fitted = || values.iter().flatten();
+    let median = middle(fitted().map(|(value, _)| *value).collect());
+    let deviation = middle(fitted().map(|(value, _)| (value - median).abs()).collect());
+    let own = middle(fitted().map(|(_, sd)| *sd).collect());
     let limit = STRAY_SIGMA * (1.4826 * deviation).max(own);
     values.iter().map(|value| value.is_some_and(|(value, _)| (value - median).abs() <= limit)).collect()
 }
@@ -108,7 +108,8 @@ fn middle(mut values: Vec<f64>) -> f64 {
 }
 
 /// Mean time of the response in the shots, and its standard deviation from their spread. Where single shots are too
-/// noisy to be fitted, the maximum of the shape, known to about its width over the signal-to-noise ratio of the mean.
+/// noisy to be fitted, it is the maximum of the shape. That is as good as its width over the signal-to-noise ratio of
+/// the mean.
 fn arrival(shots: &[Shot], dt_ps: f64, shape: &Shape, noise_v: f64) -> (f64, f64) {
     let template = shape.response();
     let fit = |shot: &Shot| {

@@ -1,12 +1,12 @@
 //! Response and arrival from histograms of photons.
 
-use super::{Counter, Found};
+use super::{Counter, Estimate};
 use crate::cancel::Cancel;
 use crate::signal::oversample::{self, Shot};
 use crate::signal::sparse::{self, SparseOptions, Unpiled};
 
 /// What the histograms of a range say.
-pub(super) fn found(histograms: &[Shot], dt_ps: f64, counter: Counter, cancel: &Cancel) -> Result<Found, String> {
+pub(super) fn estimate(histograms: &[Shot], dt_ps: f64, counter: Counter, cancel: &Cancel) -> Result<Estimate, String> {
     let cycles = counter
         .cycles
         .ok_or("the laser pulses behind a histogram are unknown; give its [sensors] entry in campaign.toml `cycles`")?;
@@ -24,7 +24,7 @@ pub(super) fn found(histograms: &[Shot], dt_ps: f64, counter: Counter, cancel: &
     let one = SparseOptions { pulses_max: 1, cancel: cancel.clone(), ..SparseOptions::default() };
     let fit = sparse::fit_counts(&unpiled, t0_ps, dt_ps, &shape.response(), &one);
     let pulse = fit.pulses.first().ok_or_else(no_pulse)?;
-    Ok(Found {
+    Ok(Estimate {
         arrival_ps: (pulse.time_ps, fit.time_sd_ps(0)),
         width_sd_ps: None,
         noise_model: None,

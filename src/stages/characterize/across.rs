@@ -37,8 +37,8 @@ pub fn signal_dependent_delay(params: &Characterize, runs: &[Run<'_>]) -> Option
     let fit = fit(&columns, runs, |run| (run.time_ps, run.time_sd_ps))?;
     let cause = "walk: the time depends on the height of the pulse, through the amplifier's slew rate or the discriminator of the reference; capture with equal amplitudes, or lower them";
     let good = (0.0, params.delay_tolerance_ps.get());
-    let found = (fit.values[1], fit.sd(1));
-    Some(Finding::tested("signal_dependent_delay", found, good, "ps", Test::Normal, runs.len()).because(cause))
+    let estimate = (fit.values[1], fit.sd(1));
+    Some(Finding::tested("signal_dependent_delay", estimate, good, "ps", Test::Normal, runs.len()).because(cause))
 }
 
 /// `inverse_square`: exponent of the amplitude against the length of the path.
@@ -52,8 +52,8 @@ pub fn inverse_square(params: &Characterize, runs: &[Run<'_>]) -> Option<Finding
         (run.amplitude_v.ln(), (run.amplitude_sd_v / run.amplitude_v).hypot(2.0 * path_sd_m / path_m))
     })?;
     let cause = "the light does not fall off as from a diffuser: the patch overfills the sensor's view or the beam is not diffused (exponent nearer 0), or the near runs saturate; see `linearity`";
-    let (found, good) = ((fit.values[1], fit.sd(1)), (-2.0, params.exponent_tolerance.get()));
-    Some(Finding::tested("inverse_square", found, good, "", Test::Normal, runs.len()).because(cause))
+    let (estimate, good) = ((fit.values[1], fit.sd(1)), (-2.0, params.exponent_tolerance.get()));
+    Some(Finding::tested("inverse_square", estimate, good, "", Test::Normal, runs.len()).because(cause))
 }
 
 /// `shift_per_path`: time against length of the path, over that of light; and `latency_ps`, what is left at length 0.
@@ -62,9 +62,9 @@ pub fn shift_per_path(params: &Characterize, runs: &[Run<'_>], group_index: f64)
     let columns = [vec![1.0; runs.len()], runs.iter().map(|run| flight(path(run).0)).collect()];
     let fit = fit(&columns, runs, |run| (run.time_ps, run.time_sd_ps.hypot(flight(path(run).1))))?;
     let cause = "time is not proportional to length: the oscilloscope's time base is off, or path_m, or group_index in campaign.toml; a distance is wrong by the same share";
-    let (found, good) = ((fit.values[1], fit.sd(1)), (1.0, params.shift_tolerance.get()));
-    let slope = Finding::tested("shift_per_path", found, good, "", Test::Normal, runs.len()).because(cause);
-    let latency = Finding { sd: Some(fit.sd(0)), ..Finding::told("latency_ps", fit.values[0], "ps", runs.len()) };
+    let (estimate, good) = ((fit.values[1], fit.sd(1)), (1.0, params.shift_tolerance.get()));
+    let slope = Finding::tested("shift_per_path", estimate, good, "", Test::Normal, runs.len()).because(cause);
+    let latency = Finding { sd: Some(fit.sd(0)), ..Finding::info("latency_ps", fit.values[0], "ps", runs.len()) };
     Some([slope, latency])
 }
 
@@ -77,15 +77,15 @@ pub fn drifts(params: &Characterize, series: &TimeSeries<'_>) -> Vec<Finding> {
     let columns = [vec![1.0; count], series.at.iter().map(|at| at - mean).collect()];
     let mut findings = Vec::new();
     if let Some(fit) = fit(&columns, runs, |run| (run.time_ps, run.time_sd_ps)) {
-        let (found, good) = ((fit.values[1], fit.sd(1)), (0.0, params.drift_tolerance_ps.get() / span));
+        let (estimate, good) = ((fit.values[1], fit.sd(1)), (0.0, params.drift_tolerance_ps.get() / span));
         let unit = format!("ps/{}", series.unit);
         let cause = "cable, amplifier or trigger is warming up: wait until this passes, and interleave fiducials with the scene";
-        findings.push(Finding::tested("delay_drift", found, good, &unit, Test::Normal, count).because(cause));
+        findings.push(Finding::tested("delay_drift", estimate, good, &unit, Test::Normal, count).because(cause));
         let dof = fit.dof as f64;
-        let found = (fit.chi2 / dof, (2.0 / dof).sqrt());
+        let estimate = (fit.chi2 / dof, (2.0 / dof).sqrt());
         let cause = "times jump by more than noise and alignment explain: a loose cable, or a trigger that moves between runs; captures cannot be compared to better than that";
         let test = Test::ChiSquare(fit.dof);
-        findings.push(Finding::tested("delay_scatter", found, (1.0, 0.0), "", test, count).because(cause));
+        findings.push(Finding::tested("delay_scatter", estimate, (1.0, 0.0), "", test, count).because(cause));
     }
     let level = runs.iter().map(|run| run.amplitude_v).sum::<f64>() / count as f64;
     // A laser fluctuates beyond what single runs know of themselves, so the scatter of the runs is their standard
@@ -104,8 +104,8 @@ pub fn drifts(params: &Characterize, series: &TimeSeries<'_>) -> Vec<Finding> {
         if let Some(fit) = least_squares(&columns, &values, &sds) {
             let (unit, good) = (format!("1/{}", series.unit), (0.0, params.width_tolerance.get() / span));
             let cause = "the response grows wider or narrower: bias of the photodiode, focus, or temperature; calibrate again, and more often";
-            let found = (fit.values[1], fit.sd(1));
-            findings.push(Finding::tested("width_drift", found, good, &unit, Test::Normal, count).because(cause));
+            let estimate = (fit.values[1], fit.sd(1));
+            findings.push(Finding::tested("width_drift", estimate, good, &unit, Test::Normal, count).because(cause));
         }
     }
     findings

@@ -6,13 +6,13 @@ use crate::tables::{Check, Name};
 /// How a value is judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Test {
-    /// Not at all: it is told.
-    Told,
+    /// Not at all: for information.
+    Info,
     /// By a limit that is no matter of chance: whether it is kept.
     Limit(bool),
     /// By its known standard deviation.
     Normal,
-    /// By a standard deviation that was estimated with so many degrees of freedom.
+    /// By a standard deviation that was estimated with this number of degrees of freedom.
     Student(usize),
     /// As a chi-square over its degrees of freedom.
     ChiSquare(usize),
@@ -29,7 +29,7 @@ pub struct Finding {
     pub sd: Option<f64>,
     pub expected: Option<f64>,
     pub tolerance: Option<f64>,
-    /// Independent values of which this one is the most extreme.
+    /// Number of independent values among which this one is the most extreme.
     pub trials: f64,
     pub test: Test,
     /// What a fail means, or what is missing.
@@ -38,8 +38,8 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// A value that is told.
-    pub fn told(check: &str, value: f64, unit: &str, runs: usize) -> Self {
+    /// A value for information.
+    pub fn info(check: &str, value: f64, unit: &str, runs: usize) -> Self {
         Self {
             check: check.to_owned(),
             value: Some(value),
@@ -48,31 +48,31 @@ impl Finding {
             expected: None,
             tolerance: None,
             trials: 1.0,
-            test: Test::Told,
+            test: Test::Info,
             cause: String::new(),
             runs,
         }
     }
 
-    /// A value that is tested: (found, its standard deviation), (expected, tolerance).
-    pub fn tested(check: &str, found: (f64, f64), good: (f64, f64), unit: &str, test: Test, runs: usize) -> Self {
+    /// A value that is tested: (estimate, its standard deviation), (expected, tolerance).
+    pub fn tested(check: &str, estimate: (f64, f64), good: (f64, f64), unit: &str, test: Test, runs: usize) -> Self {
         Self {
-            sd: Some(found.1),
+            sd: Some(estimate.1),
             expected: Some(good.0),
             tolerance: Some(good.1),
             test,
-            ..Self::told(check, found.0, unit, runs)
+            ..Self::info(check, estimate.0, unit, runs)
         }
     }
 
     /// A value with a least one.
     pub fn limited(check: &str, value: f64, least: f64, unit: &str, runs: usize) -> Self {
-        Self { expected: Some(least), test: Test::Limit(value >= least), ..Self::told(check, value, unit, runs) }
+        Self { expected: Some(least), test: Test::Limit(value >= least), ..Self::info(check, value, unit, runs) }
     }
 
     /// A check without captures.
     pub fn missing(check: &str, cause: &str) -> Self {
-        Self { value: None, test: Test::Missing, cause: cause.to_owned(), ..Self::told(check, 0.0, "", 0) }
+        Self { value: None, test: Test::Missing, cause: cause.to_owned(), ..Self::info(check, 0.0, "", 0) }
     }
 
     /// The same with what a fail would mean.
@@ -89,7 +89,7 @@ impl Finding {
     /// Chance that a good instrument goes as far; `None` where that is no matter of chance.
     pub fn chance(&self) -> Option<f64> {
         let single = match self.test {
-            Test::Told | Test::Limit(_) | Test::Missing => return None,
+            Test::Info | Test::Limit(_) | Test::Missing => return None,
             Test::Normal => tails::normal(self.z()?),
             Test::Student(dof) => tails::student(self.z()?, dof),
             Test::ChiSquare(dof) => tails::chi_square(self.value? * dof as f64, dof),
@@ -102,7 +102,7 @@ impl Finding {
         let chance = self.chance();
         let verdict =
             match self.test {
-                Test::Told => "info",
+                Test::Info => "info",
                 Test::Missing => "missing",
                 Test::Limit(true) => "pass",
                 Test::Limit(false) => "fail",
@@ -110,7 +110,7 @@ impl Finding {
                     if chance.is_some_and(|chance| chance >= least) { "pass" } else { "fail" }
                 }
             };
-        let told = ["fail", "missing"].contains(&verdict);
+        let needs_cause = ["fail", "missing"].contains(&verdict);
         Check {
             campaign: campaign.clone(),
             sensor: sensor.clone(),
@@ -124,7 +124,7 @@ impl Finding {
             trials: chance.map(|_| self.trials),
             chance,
             verdict: verdict.into(),
-            cause: if told { self.cause.as_str().into() } else { "".into() },
+            cause: if needs_cause { self.cause.as_str().into() } else { "".into() },
             runs: self.runs as i32,
         }
     }

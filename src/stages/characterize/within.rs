@@ -91,13 +91,13 @@ pub fn noise(rows: &[&Measurement]) -> Vec<Finding> {
     let mean = |value: &dyn Fn(&Measurement) -> f64| rows.iter().map(|row| value(row)).sum::<f64>() / count as f64;
     let cause = "the noise is smaller than half a code, so that averaging leaves the converter's steps: choose a smaller vertical range, or add noise";
     let mut findings = vec![
-        Finding::told("noise", mean(&|row| row.noise_v), "V", count),
+        Finding::info("noise", mean(&|row| row.noise_v), "V", count),
         Finding::limited("noise_codes", mean(&|row| row.noise_v / row.gain_v.abs()), DITHER_CODES, "codes", count)
             .because(cause),
     ];
     if rows.iter().all(|row| row.noise_acf.is_some()) {
         let correlation = mean(&|row| row.noise_acf.unwrap_or(0.0));
-        findings.push(Finding::told("noise_correlation", correlation, "", count));
+        findings.push(Finding::info("noise_correlation", correlation, "", count));
     }
     findings
 }
@@ -114,18 +114,18 @@ pub fn told_of_pulses(runs: &[Run<'_>]) -> Vec<Finding> {
     let squares: f64 = added.iter().map(|(amplitude_v, _)| amplitude_v * amplitude_v).sum();
     if squares > 0.0 {
         let slope_v = added.iter().map(|(amplitude_v, extra_v2)| amplitude_v * extra_v2).sum::<f64>() / squares;
-        findings.push(Finding::told("noise_slope", slope_v, "V", added.len()));
+        findings.push(Finding::info("noise_slope", slope_v, "V", added.len()));
     }
     let widths: Vec<f64> = runs.iter().filter_map(|run| run.row.width_ps).collect();
     if !widths.is_empty() {
         let width_ps = widths.iter().sum::<f64>() / widths.len() as f64;
-        findings.push(Finding::told("width", width_ps, "ps", widths.len()));
+        findings.push(Finding::info("width", width_ps, "ps", widths.len()));
     }
     let largest = runs.iter().max_by(|a, b| a.amplitude_v.abs().total_cmp(&b.amplitude_v.abs()));
     if let Some(run) = largest.filter(|run| run.row.noise_v > 0.0) {
         let noise_v = run.row.noise_v / f64::from(run.row.shots).sqrt();
         let range_db = 20.0 * (run.amplitude_v.abs() / noise_v).log10();
-        findings.push(Finding::told("dynamic_range_db", range_db, "dB", 1));
+        findings.push(Finding::info("dynamic_range_db", range_db, "dB", 1));
     }
     findings
 }

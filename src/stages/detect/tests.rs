@@ -61,7 +61,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
 #[test]
 fn a_blended_pair_is_not_lost_where_it_is_certain_that_it_is_there() {
     let (detect, response, mut rng) = (Detect::default(), response(), ChaCha8Rng::seed_from_u64(1));
-    let (mut by_amplitude, mut found, mut pairs, mut empty, mut squares) = (0, 0, 0, 0, Vec::new());
+    let (mut by_amplitude, mut kept, mut pairs, mut empty, mut squares) = (0, 0, 0, 0, Vec::new());
     for _ in 0..200 {
         let first_ps = 3000.0 + rng.random_range(0.0..DT_PS);
         let stir = stir(&[(first_ps, 100.0), (first_ps + 50.0, 100.0)], &response, &mut rng);
@@ -69,7 +69,7 @@ fn a_blended_pair_is_not_lost_where_it_is_certain_that_it_is_there() {
         by_amplitude += usize::from(stir.impulses.iter().any(|impulse| snr(impulse) >= 5.0));
         let onsets = detect.impulses(&stir);
         empty += usize::from(onsets.is_empty());
-        found += usize::from(!onsets.is_empty());
+        kept += usize::from(!onsets.is_empty());
         if let [a, b] = &onsets[..] {
             pairs += 1;
             squares
@@ -79,7 +79,7 @@ fn a_blended_pair_is_not_lost_where_it_is_certain_that_it_is_there() {
     }
     let normalised = squares.iter().sum::<f64>() / squares.len() as f64;
     eprintln!(
-        "{by_amplitude} by amplitude, {found} found, {pairs} as pairs, {empty} lost; squared errors {normalised:.2}"
+        "{by_amplitude} by amplitude, {kept} found, {pairs} as pairs, {empty} lost; squared errors {normalised:.2}"
     );
     assert!(by_amplitude < 100 && empty <= 2, "{by_amplitude} by amplitude, {empty} lost");
     assert!(normalised < 2.0, "{normalised}");
@@ -126,9 +126,9 @@ fn responses_and_beginnings_are_found_each() {
     };
     for (method, places) in [(Method::FirstResponse, [20.0, 80.0]), (Method::Aic, [20.0, 80.0])] {
         let onsets = Detect { method, ..Detect::default() }.edges(&stir).unwrap();
-        let found: Vec<f64> = onsets.iter().map(|onset| onset.time_ps / DT_PS).collect();
-        assert_eq!(found.len(), 2, "{method:?}: {found:?}");
-        assert!(found.iter().zip(places).all(|(found, place)| (found - place).abs() <= 3.0), "{method:?}: {found:?}");
+        let starts: Vec<f64> = onsets.iter().map(|onset| onset.time_ps / DT_PS).collect();
+        assert_eq!(starts.len(), 2, "{method:?}: {starts:?}");
+        assert!(starts.iter().zip(places).all(|(start, place)| (start - place).abs() <= 3.0), "{method:?}: {starts:?}");
         assert_eq!([onsets[0].amplitude, onsets[1].amplitude], [100.0, 40.0]);
         assert_eq!(onsets[1].covariance, [0.0, onsets[1].time_sd_ps.powi(2)]);
     }

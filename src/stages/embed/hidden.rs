@@ -15,16 +15,16 @@ const APART: f64 = 4.0;
 /// A place whose loss is higher than the best by less than this (a log-likelihood ratio of 9) cannot be ruled out.
 const LIKELY: f64 = 18.0;
 
-/// Places for all patches that distances or hypotheses name beyond the `known` ones, as rows, and those that have none.
-pub fn place(context: &Context, known: &[Patch], distances: &[Distance]) -> (Vec<Patch>, Vec<Rejection>) {
-    let best = known.iter().filter(|patch| patch.alternative == 0);
+/// Places for all patches that distances or hypotheses name beyond those `given`, as rows, and those that have none.
+pub fn place(context: &Context, given: &[Patch], distances: &[Distance]) -> (Vec<Patch>, Vec<Rejection>) {
+    let best = given.iter().filter(|patch| patch.alternative == 0);
     let mut points: BTreeMap<PatchId, Point> =
         best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
     points.insert(0, Point::from(context.frame.source_m));
     let of_label = context.hypotheses.iter().filter_map(|hypothesis| hypothesis.patch);
     let named = distances.iter().flat_map(|distance| [distance.a, distance.b]).chain(of_label);
     let unknown: BTreeSet<PatchId> = named.filter(|patch| !points.contains_key(patch)).collect();
-    let mut next_alternative = 1 + known.iter().map(|patch| patch.alternative).max().unwrap_or(0);
+    let mut next_alternative = 1 + given.iter().map(|patch| patch.alternative).max().unwrap_or(0);
     let (mut rows, mut rejections) = (Vec::new(), Vec::new());
     for patch in unknown {
         let seen_from = |distance: &Distance| {
@@ -37,9 +37,9 @@ pub fn place(context: &Context, known: &[Patch], distances: &[Distance]) -> (Vec
         let mut onsets: i32 = neighbours.iter().map(|(distance, _)| distance.onsets).sum();
         if places.is_empty() {
             let of_patch = context.hypotheses.iter().filter(|hypothesis| hypothesis.patch == Some(patch));
-            let found: Vec<&Hypothesis> = of_patch.collect();
-            onsets = found.first().map_or(0, |best| best.onsets.round() as i32);
-            places = found.into_iter().map(of_label_at).collect();
+            let hypotheses: Vec<&Hypothesis> = of_patch.collect();
+            onsets = hypotheses.first().map_or(0, |best| best.onsets.round() as i32);
+            places = hypotheses.into_iter().map(of_label_at).collect();
         }
         let Some(first) = places.first() else {
             rejections.push(left_out(context, patch, &neighbours));
@@ -63,9 +63,9 @@ fn of_label_at(hypothesis: &Hypothesis) -> Candidate {
     Candidate { point, cost: -2.0 * hypothesis.evidence }
 }
 
-/// Places that the distances to neighbours do not rule out, the chosen one first. Where several do, the light tells:
-/// patches reflect to the side from which they are lit, so a patch that they show lies on the laser's side of the plane
-/// through them.
+/// Places that the distances to neighbours do not rule out, the chosen one first. Patches reflect to the side from
+/// which they are lit. So of several places, the chosen one lies on the laser's side of the plane through its
+/// neighbours.
 fn places(neighbours: &[(Distance, Point)], context: &Context) -> Vec<Candidate> {
     context.cancel.check();
     let dimensions = usize::from(context.frame.dimensions);
@@ -111,5 +111,5 @@ fn left_out(context: &Context, patch: PatchId, neighbours: &[(Distance, Point)])
             to.join(", ")
         )
     };
-    Rejection { campaign: context.campaign.as_str().into(), file: None, segment: None, byte_offset: None, reason }
+    Rejection::new(&context.campaign, reason)
 }

@@ -9,7 +9,7 @@ fn walls() -> Vec<Point> {
 }
 
 /// As `refine` writes them: patches 1, 2...
-fn known(points: &[Point]) -> Vec<Patch> {
+fn patches(points: &[Point]) -> Vec<Patch> {
     let row = |(n, point): (usize, &Point)| {
         let row = start(n as PatchId + 1, "visible", *point, 7);
         Patch { cov_xx_m2: Some(1e-6), cov_xy_m2: Some(2e-7), sd_m: Some(0.001), log_likelihood: Some(-3.0), ..row }
@@ -17,9 +17,9 @@ fn known(points: &[Point]) -> Vec<Patch> {
     points.iter().enumerate().map(row).collect()
 }
 
-fn context(dimensions: u8, known: Option<Vec<Patch>>) -> Context {
+fn context(dimensions: u8, given: Option<Vec<Patch>>) -> Context {
     let frame = Frame { dimensions, source_m: [0.0; 3], anchors_m: BTreeMap::new() };
-    Context { campaign: "c".to_owned(), frame, known, hypotheses: Vec::new(), cancel: Cancel::never() }
+    Context { campaign: "c".to_owned(), frame, patches: given, hypotheses: Vec::new(), cancel: Cancel::never() }
 }
 
 /// Distances of a hidden patch to known ones.
@@ -42,12 +42,12 @@ fn point(row: &Patch) -> Point {
 #[test]
 fn known_patches_are_passed_on_and_hidden_ones_placed_from_their_distances() {
     let (points, truth) = (walls(), [Point::new(0.2, 0.9, 0.3), Point::new(-0.4, 1.3, -0.6)]);
-    let known = known(&points);
+    let patches = patches(&points);
     let mut distances = ranges(21, truth[0], &points, &[1, 3, 4, 7, 8]);
     distances.extend(ranges(22, truth[1], &points, &[2, 3, 5, 6, 9, 10]));
     distances.extend(ranges(23, truth[1], &points, &[2, 8]));
-    let outcome = Embed::default().apply(&context(3, Some(known.clone())), distances).unwrap();
-    assert_eq!(outcome.rows[..10], known);
+    let outcome = Embed::default().apply(&context(3, Some(patches.clone())), distances).unwrap();
+    assert_eq!(outcome.rows[..10], patches);
     let [a, b] = &outcome.rows[10..] else { panic!("{:?}", &outcome.rows[10..]) };
     for (row, (patch, truth)) in [a, b].into_iter().zip([(21, truth[0]), (22, truth[1])]) {
         assert_eq!((row.patch, &*row.kind, row.alternative, row.cov_xx_m2), (patch, "hidden", 0, None));
@@ -57,16 +57,16 @@ fn known_patches_are_passed_on_and_hidden_ones_placed_from_their_distances() {
     assert!(left_out.reason.contains("patch 23 has distances to 2 patches in known places (2, 8), too few"));
 }
 
-/// The wall alone leaves two places, of which the one on the laser's side is chosen.
+/// The wall alone leaves two places; the one on the laser's side is chosen.
 #[test]
 fn a_wall_leaves_a_mirror_image_which_is_told() {
     let (points, truth) = (walls(), Point::new(0.3, 1.2, 0.1));
     let mirrored = Point::new(0.3, 2.8, 0.1);
-    let mut known = known(&points);
-    known.push(Patch { alternative: 2, ..known[3].clone() });
+    let mut patches = patches(&points);
+    patches.push(Patch { alternative: 2, ..patches[3].clone() });
     for at in [truth, mirrored] {
         let distances = ranges(21, at, &points, &[1, 2, 3, 4, 5]);
-        let outcome = Embed::default().apply(&context(3, Some(known.clone())), distances).unwrap();
+        let outcome = Embed::default().apply(&context(3, Some(patches.clone())), distances).unwrap();
         let [chosen, other] = &outcome.rows[11..] else { panic!("{:?}", &outcome.rows[11..]) };
         assert!((point(chosen) - truth).norm() < 1e-6 && (point(other) - mirrored).norm() < 1e-6);
         assert_eq!(
@@ -78,7 +78,7 @@ fn a_wall_leaves_a_mirror_image_which_is_told() {
     // In line, they leave a circle.
     let line: Vec<Point> = (0..4).map(|n| Point::new(0.3 * f64::from(n), 2.0, 0.0)).collect();
     let distances = ranges(21, truth, &line, &[1, 2, 3, 4]);
-    let outcome = Embed::default().apply(&context(3, Some(self::known(&line))), distances).unwrap();
+    let outcome = Embed::default().apply(&context(3, Some(self::patches(&line))), distances).unwrap();
     assert_eq!(outcome.rows.len(), 4);
     assert!(outcome.rejections[0].reason.contains("these lie in line"), "{:?}", outcome.rejections);
 }
@@ -89,7 +89,7 @@ fn in_flatland_a_line_leaves_a_mirror_image_and_two_lines_none() {
     let truth = Point::new(-0.2, 0.8, 0.0);
     let placed = |to: &[PatchId]| {
         let outcome =
-            Embed::default().apply(&context(2, Some(known(&points))), ranges(21, truth, &points, to)).unwrap();
+            Embed::default().apply(&context(2, Some(patches(&points))), ranges(21, truth, &points, to)).unwrap();
         outcome.rows[10..].iter().map(point).collect::<Vec<Point>>()
     };
     for to in [[1, 4].as_slice(), &[1, 2, 3]] {
@@ -131,7 +131,7 @@ fn without_known_patches_the_visible_are_embedded_first() {
     distances.retain(|distance| distance.b < 10);
     distances.push(distance(0, 10));
     distances.extend([3, 4, 7].map(|a| distance(a, 10)));
-    let outcome = Embed::default().apply(&context(3, Some(known(&points[..9]))), distances).unwrap();
+    let outcome = Embed::default().apply(&context(3, Some(patches(&points[..9]))), distances).unwrap();
     let last = outcome.rows.iter().find(|row| row.patch == 10).unwrap();
     assert!(&*last.kind == "visible" && (point(last) - points[9]).norm() < 1e-6, "{last:?}");
 }
@@ -168,7 +168,7 @@ fn hypotheses_place_what_distances_do_not() {
         onsets: 40.2,
     };
     let hypotheses = vec![hypothesis(21, 0, -3.0), hypothesis(22, 0, -1.0), hypothesis(22, 1, -2.0)];
-    let context = Context { hypotheses, ..context(3, Some(known(&points))) };
+    let context = Context { hypotheses, ..context(3, Some(patches(&points))) };
     let all: Vec<PatchId> = (1..=10).collect();
     let outcome = Embed::default().apply(&context, ranges(21, truth, &points, &all)).unwrap();
     let [first, second, other] = &outcome.rows[10..] else { panic!("{:?}", &outcome.rows[10..]) };

@@ -22,7 +22,7 @@ struct Lent {
 }
 
 impl Blocks {
-    /// An empty block with room for so many bytes.
+    /// An empty block with room for `bytes`.
     pub fn take(&self, bytes: usize) -> Vec<u8> {
         let mut free = self.free();
         let fits = |block: &Vec<u8>| (bytes..=bytes.saturating_mul(USED_SHARE)).contains(&block.capacity());

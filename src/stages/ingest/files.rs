@@ -151,7 +151,7 @@ impl Rows<'_> {
     fn push(&mut self, file: &RawFile, record: usize, shot: i32, is_reference: bool, codes: &Codes) -> Result<(), Bad> {
         let last = &mut self.shared[usize::from(is_reference)];
         let head = &file.records[record].head;
-        if last.as_ref().is_none_or(|(known, ..)| !Arc::ptr_eq(known, head)) {
+        if last.as_ref().is_none_or(|(last_head, ..)| !Arc::ptr_eq(last_head, head)) {
             let row = self.template.shared(file, record, is_reference, codes.len())?;
             *last = Some((Arc::clone(head), self.records.share(row.clone()), row));
         }
@@ -182,14 +182,14 @@ fn select(records: &[Record], channel: Option<&str>, segment: Option<u32>) -> Re
         let named = channel.is_none() || record.head.channel.is_none() || record.head.channel.as_deref() == channel;
         named && (segment.is_none() || record.segment == segment)
     };
-    let mut found: Vec<usize> = (0..records.len()).filter(|&i| wanted(&records[i])).collect();
-    // Beside exposures, an average is the instrument's own of them (a summary frame), and no exposure.
-    if found.iter().any(|&i| records[i].head.kind == Kind::Waveform) {
-        found.retain(|&i| records[i].head.kind != Kind::Average);
+    let mut selection: Vec<usize> = (0..records.len()).filter(|&i| wanted(&records[i])).collect();
+    // Next to exposures, an average is the instrument's own of them (a summary frame), and no exposure.
+    if selection.iter().any(|&i| records[i].head.kind == Kind::Waveform) {
+        selection.retain(|&i| records[i].head.kind != Kind::Average);
     }
     match segment {
-        Some(segment) if found.is_empty() => Err(format!("has no segment {segment}")),
-        _ => Ok(found),
+        Some(segment) if selection.is_empty() => Err(format!("has no segment {segment}")),
+        _ => Ok(selection),
     }
 }
 

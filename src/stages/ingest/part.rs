@@ -148,15 +148,15 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// A file that is larger than a batch, or of which not all is wanted: read in pieces.
+    /// A file that is larger than a batch, or that is wanted in part only: read in pieces.
     fn large(&mut self, captures: &[Capture], share: &Share<'_>) -> Result<(), StageError> {
         let Share { index, item, of_file } = share;
         let (index, capture) = (*index, &captures[*index]);
         let job = Job { capture, item, first_shot: self.shots.get(&index).copied().unwrap_or(0) };
-        let known = item.is_share() && was_read(self.surveyed, &job);
+        let is_hashed = item.is_share() && was_read(self.surveyed, &job);
         let reading = match of_file {
             Some((_, hashed)) => Reading::Stretch(hashed),
-            None if known => Reading::Unhashed,
+            None if is_hashed => Reading::Unhashed,
             None => Reading::Long,
         };
         let mut files = match Files::open(self.surveyed, &job, reading) {
@@ -199,7 +199,7 @@ impl Reader<'_> {
                 Ok(stretches) => self.stretches.extend(stretches),
                 Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
             }
-        } else if !known {
+        } else if !is_hashed {
             match files.digests() {
                 Ok(digests) => outcome.digests = digests,
                 Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
@@ -209,8 +209,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Notes what came of a job; numbers its exposures where the files do not. A file of which another content is on
-    /// record stops the run before anything that was made of it counts.
+    /// Notes what came of a job; numbers its exposures where the files do not. A file with another content on record
+    /// stops the run before anything that was made of it counts.
     fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Records, StageError> {
         let campaign = job.capture.campaign;
         for Hashed { file, digest, metadata } in done.digests {
@@ -241,7 +241,7 @@ pub fn content(surveyed: &Surveyed<'_>, captures: &[Capture], mut digests: FileD
         if digests.contains_key(&key) {
             continue;
         }
-        let digest = surveyed.known(campaign, file).ok_or_else(|| unread(&surveyed.campaigns[campaign], file))?;
+        let digest = surveyed.digest_of(campaign, file).ok_or_else(|| unread(&surveyed.campaigns[campaign], file))?;
         digests.insert(key, digest);
     }
     let campaign = captures[0].campaign;
@@ -271,9 +271,9 @@ fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
         done[0].digests = digests_of_bad(surveyed, first);
         done
     };
-    let known = is_share && was_read(surveyed, first);
+    let is_hashed = is_share && was_read(surveyed, first);
     let reading = match is_share {
-        true if known => Reading::Unhashed,
+        true if is_hashed => Reading::Unhashed,
         true if !is_most_of_its_file(surveyed, jobs) => Reading::Long,
         _ => Reading::Whole,
     };
@@ -282,7 +282,7 @@ fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
         Err(error) => return reject_all(&error),
     };
     let mut done: Vec<Done> = jobs.iter().map(|job| read_item(surveyed, &mut files, job)).collect();
-    if !known {
+    if !is_hashed {
         match files.digests() {
             Ok(digests) => done[0].digests = digests,
             Err(error) => return reject_all(&error),

@@ -1,9 +1,9 @@
 //! Pieces of a part: stretches of its exposures, cut within files where these are large, and read by different
 //! processes.
 //!
-//! Each byte of a file is hashed by the piece that has it, so that the pieces together know the digest of all of it
-//! ([`tree_hash`]). What is odd about a piece (a file or record that is to be set aside, first shots that tell nothing)
-//! ends it with [`StageError::Indivisible`]: the part is then read whole, as it would have been without pieces.
+//! Each byte of a file is hashed by the piece that has it, so that the pieces together give the digest of the whole
+//! ([`tree_hash`]). An exception in a piece (a rejected file or record, first shots without information) ends it
+//! with [`StageError::Indivisible`]: the part is then read whole, as it would have been without pieces.
 
 mod cut;
 
@@ -29,7 +29,7 @@ pub use cut::{cut, most_pieces};
 
 /// A place between two exposures of a part: number of the capture, of its item, and of the exposure in that.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct Place {
+pub struct Boundary {
     capture: usize,
     item: usize,
     exposure: usize,
@@ -38,11 +38,11 @@ pub struct Place {
 /// A piece, as the runtime passes it on.
 #[derive(Serialize, Deserialize)]
 struct Stretch {
-    from: Place,
-    to: Place,
+    from: Boundary,
+    to: Boundary,
     /// Its files as they were when it was cut.
     states: BTreeMap<PathBuf, State>,
-    /// Of files of which it has a share: the bytes that it hashes.
+    /// Of files that it shares with other pieces: the bytes that it hashes.
     hashed: BTreeMap<PathBuf, Range<u64>>,
 }
 
@@ -65,16 +65,16 @@ struct Learnt {
     states: BTreeMap<PathBuf, State>,
     /// Of files that it has read to their end.
     digests: BTreeMap<PathBuf, Digest>,
-    /// Of files of which it has read a share.
+    /// Of files that it has read in part.
     subtrees: BTreeMap<PathBuf, Vec<Subtree>>,
 }
 
-/// The items between two places with their exposures, all of which are `0..usize::MAX`.
-fn between(captures: &[Capture], from: Place, to: Place) -> impl Iterator<Item = (usize, &Item, Range<usize>)> {
+/// The items between two places with their exposures; `0..usize::MAX` stands for all.
+fn between(captures: &[Capture], from: Boundary, to: Boundary) -> impl Iterator<Item = (usize, &Item, Range<usize>)> {
     items(captures).filter_map(move |(capture, item_number, item)| {
-        let at = |exposure| Place { capture, item: item_number, exposure };
+        let at = |exposure| Boundary { capture, item: item_number, exposure };
         let start = from.max(at(0));
-        let is_here = |place: Place| (place.capture, place.item) == (capture, item_number);
+        let is_here = |place: Boundary| (place.capture, place.item) == (capture, item_number);
         let end = match to {
             to if is_here(to) => to.exposure,
             to if to > at(0) => usize::MAX,
@@ -98,7 +98,7 @@ pub fn read_piece(
         .map_err(|error| StageError::Refused(format!("a piece of the shard cannot be read: {error}")))?;
     check(surveyed, captures, &stretch.states, "it was planned; plan anew")?;
     let Stretch { from, to, states, hashed } = stretch;
-    if from > (Place { capture: from.capture, ..Place::default() }) {
+    if from > (Boundary { capture: from.capture, ..Boundary::default() }) {
         read_head(surveyed, &captures[from.capture], Some(from), batch_bytes, feed)?;
     }
     let mut reader = Reader::new(surveyed, batch_bytes, feed);
@@ -131,7 +131,7 @@ pub fn read_piece(
 pub fn read_head(
     surveyed: &Surveyed<'_>,
     capture: &Capture,
-    to: Option<Place>,
+    to: Option<Boundary>,
     batch_bytes: usize,
     feed: &dyn PieceFeed,
 ) -> Result<(), StageError> {
@@ -188,7 +188,7 @@ fn check(
     for (file, state) in states {
         let path = campaign.path_of(file);
         match std::fs::metadata(&path) {
-            Ok(found) if State::of(&found) == *state => {}
+            Ok(metadata) if State::of(&metadata) == *state => {}
             Ok(_) => {
                 let path = path.display();
                 return Err(StageError::Refused(format!(
@@ -226,11 +226,11 @@ pub fn join(surveyed: &Surveyed<'_>, part: usize, learnt: &[Value]) -> Result<Di
     }
     for (file, digest) in &digests {
         surveyed.hold(index, file, (*digest).into())?;
-        let found = std::fs::metadata(surveyed.campaigns[index].path_of(file));
-        let found = found.map_err(|_| unread(&surveyed.campaigns[index], file))?;
+        let metadata = std::fs::metadata(surveyed.campaigns[index].path_of(file));
+        let metadata = metadata.map_err(|_| unread(&surveyed.campaigns[index], file))?;
         // As it was when the last piece was looked at, or it goes down in no notes.
-        if states.get(file as &Path) == Some(&State::of(&found)) {
-            surveyed.record(index, file, (*digest).into(), &found);
+        if states.get(file as &Path) == Some(&State::of(&metadata)) {
+            surveyed.record(index, file, (*digest).into(), &metadata);
         }
     }
     content(surveyed, captures, digests.into_iter().map(|(file, digest)| ((index, file), digest)).collect())

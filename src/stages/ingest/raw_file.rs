@@ -30,7 +30,7 @@ pub struct Hashed {
     pub metadata: Metadata,
 }
 
-/// A file of which a stretch was hashed: its name, the subtrees of its hash, and its size and times from before it was
+/// A file with a stretch that was hashed: its name, the subtrees of its hash, and its size and times from before it was
 /// read.
 pub struct HashedStretch {
     pub file: PathBuf,
@@ -86,7 +86,7 @@ impl Hashing {
     }
 }
 
-/// Why an item is set aside.
+/// Why an item is rejected.
 #[derive(Clone)]
 pub struct Bad {
     pub file: PathBuf,

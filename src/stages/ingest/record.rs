@@ -6,9 +6,9 @@
 //! OUT/.shelf/notes/<campaign>/part-<name>/manifest.json   a slip: what one part taught, not yet gathered
 //! ```
 //!
-//! A killed run forgets no part that it has finished, and processes that read other parts at the same time write no
-//! file of one another. No run waits until its notes are on the disk, which takes longer than a part: a machine that
-//! goes down may lose them, and files are hashed again.
+//! A killed run loses no part that it has finished. Processes that read other parts at the same time write separate
+//! files. No run waits until its notes are on the disk, which takes longer than a part: a machine that goes down may
+//! lose them, and files are hashed again.
 
 use std::fs::{self, Metadata};
 use std::io;
@@ -114,8 +114,8 @@ impl Record {
         manifest.save_without_waiting(&folder)
     }
 
-    /// Gathers in one file what was learnt and all slips, also those that other sources of the run have written,
-    /// shards, or an earlier run that was killed.
+    /// Gathers in one file what was learnt and all slips. These include slips of other sources of the run, of shards,
+    /// and of an earlier run that was killed.
     pub fn save(&self) -> Result<(), ManifestError> {
         let new = std::mem::take(&mut self.noted().new);
         let slips = slips(&self.notes)?;

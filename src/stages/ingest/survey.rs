@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::blocks::Blocks;
 use super::content::{self, FileDigests};
 use super::record::Record;
-use crate::campaign::{Axis, Campaign, Exposure, FileState, Role, Survey, closes_part, hash_file};
+use crate::campaign::{Axis, Campaign, Exposure, FileState, LeftOut, Role, closes_part, hash_file, left_out};
 use crate::formats;
 use crate::stages::source::SourcePart;
 use crate::stages::stage::StageError;
@@ -62,7 +62,7 @@ pub struct Job<'a> {
     pub first_shot: i32,
 }
 
-/// What tells captures apart, in the order of the tables: campaign, sensor, smaller and larger patch, role, run, lit.
+/// What identifies a capture, in the order of the tables: campaign, sensor, smaller and larger patch, role, run, lit.
 /// So reciprocal captures stand side by side.
 type Order = (usize, String, PatchId, PatchId, Role, Option<String>, PatchId);
 
@@ -88,12 +88,11 @@ pub struct Surveyed<'a> {
     pub parts: Vec<Vec<Capture>>,
     /// The same as the runtime sees them.
     pub source_parts: Vec<SourcePart>,
-    /// What a user should know.
-    pub warnings: Vec<String>,
+    /// What the campaigns leave out.
+    pub left_out: Vec<LeftOut>,
     /// What is on record of the files of each campaign.
     pub records: Vec<Record>,
-    /// Files that this run has read to their end, and hashed: whoever needs another share of one need not read all of
-    /// it.
+    /// Files that this run has read to their end, and hashed: reading another share of one need not read all of it.
     read: Mutex<BTreeSet<(usize, PathBuf)>>,
     /// What files are read into.
     pub blocks: Arc<Blocks>,
@@ -106,16 +105,16 @@ impl<'a> Surveyed<'a> {
     /// When a folder cannot be read, rules contradict each other, or a sealed file has changed.
     pub fn new(campaigns: &'a [Campaign], roles: &[Role], notes: &Path) -> Result<Self, StageError> {
         let mut captures: BTreeMap<Order, Capture> = BTreeMap::new();
-        let mut warnings = Vec::new();
+        let mut left_out = Vec::new();
         let mut records = Vec::new();
         for (index, campaign) in campaigns.iter().enumerate() {
             let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&campaign.root, error));
-            let found = campaign.survey().map_err(|error| refused(&error))?;
+            let survey = campaign.survey().map_err(|error| refused(&error))?;
             let record = Record::load(campaign, notes).map_err(|error| refused(&error))?;
-            warn(campaign, &found, &record, &mut warnings);
+            left_out.extend(left_out::left_out(&campaign.root, &survey, record.seal.as_ref()));
             let sealed =
                 |exposure: &Exposure| record.seal.as_ref().is_none_or(|seal| seal.get(&exposure.file).is_some());
-            let mut exposures = found.exposures;
+            let mut exposures = survey.exposures;
             exposures.retain(|exposure| roles.contains(&exposure.role) && sealed(exposure));
             records.push(record);
             for exposure in exposures {
@@ -130,7 +129,7 @@ impl<'a> Surveyed<'a> {
                 }
             }
         }
-        Self::of(campaigns, cut(campaigns, captures.into_values()), warnings, records)
+        Self::of(campaigns, cut(campaigns, captures.into_values()), left_out, records)
     }
 
     /// Of parts that were cut already.
@@ -140,14 +139,14 @@ impl<'a> Surveyed<'a> {
     pub fn of(
         campaigns: &'a [Campaign],
         parts: Vec<Vec<Capture>>,
-        warnings: Vec<String>,
+        left_out: Vec<LeftOut>,
         records: Vec<Record>,
     ) -> Result<Self, StageError> {
         let mut surveyed = Self {
             campaigns,
             parts,
             source_parts: Vec::new(),
-            warnings,
+            left_out,
             records,
             read: Mutex::default(),
             blocks: Arc::default(),
@@ -197,7 +196,7 @@ impl<'a> Surveyed<'a> {
     }
 
     /// The digest of a file, if it is on record and the file still has the size and time that it had then.
-    pub fn known(&self, campaign: usize, file: &Path) -> Option<Digest> {
+    pub fn digest_of(&self, campaign: usize, file: &Path) -> Option<Digest> {
         match self.records[campaign].check(&self.campaigns[campaign].root, file) {
             Ok(FileState::Same(digest)) => Some(digest.into()),
             _ => None,
@@ -213,12 +212,13 @@ impl<'a> Surveyed<'a> {
     /// Whether this run has read a file to its end before, and it is as it was then.
     pub fn was_read(&self, campaign: usize, file: &Path) -> bool {
         let read = self.read.lock().unwrap_or_else(PoisonError::into_inner).contains(&(campaign, file.to_owned()));
-        read && self.known(campaign, file).is_some()
+        read && self.digest_of(campaign, file).is_some()
     }
 
     fn source_part(&self, part: &[Capture]) -> SourcePart {
-        let known = |(campaign, file): (usize, &Path)| Some(((campaign, file.to_owned()), self.known(campaign, file)?));
-        let digests: Option<FileDigests> = content::files(part).into_iter().map(known).collect();
+        let entry =
+            |(campaign, file): (usize, &Path)| Some(((campaign, file.to_owned()), self.digest_of(campaign, file)?));
+        let digests: Option<FileDigests> = content::files(part).into_iter().map(entry).collect();
         let content = digests.map(|digests| content::digest(self.campaigns, part, &digests));
         let records = part.iter().map(|capture| capture.items.len() as u64).sum();
         SourcePart { content, bytes: part.iter().map(Capture::bytes).sum(), records }
@@ -263,33 +263,6 @@ pub fn chain(root: &Path, error: &dyn std::error::Error) -> String {
     format!("campaign {}: {}", root.display(), texts.join(": "))
 }
 
-/// What a user should know of a survey.
-fn warn(campaign: &Campaign, found: &Survey, record: &Record, warnings: &mut Vec<String>) {
-    let place = campaign.root.display();
-    let mut list = |what: &str, files: Vec<String>| {
-        let more = if files.len() > 3 { ", ..." } else { "" };
-        if !files.is_empty() {
-            warnings.push(format!("{place}: {} {what}: {}{more}", files.len(), files[..files.len().min(3)].join(", ")));
-        }
-    };
-    let text = |file: &Path| file.display().to_string();
-    list("patterns of campaign.toml match no file", found.empty.clone());
-    list(
-        "files match no rule of campaign.toml and are left out",
-        found.unmatched.iter().map(|file| text(file)).collect(),
-    );
-    let missing =
-        found.missing_references.iter().map(|missing| format!("{} (wanted {})", text(&missing.file), missing.wanted));
-    list("files are left out, since their reference is missing", missing.collect());
-    if let Some(seal) = &record.seal {
-        let new = found.files().into_iter().filter(|file| seal.get(file).is_none());
-        list(
-            "files came since the campaign was sealed and are left out until `periscope seal --update`",
-            new.map(text).collect(),
-        );
-    }
-}
-
 /// Sensor, lit, seen.
 type Key = (String, PatchId, PatchId);
 
@@ -315,7 +288,7 @@ fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, St
 fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, Item)>, StageError> {
     let refused = |message: String| StageError::Refused(format!("{}: {message}", path.display()));
     let Ok(records) = formats::Source::open(path).and_then(|mut file| formats::records(&mut file)) else {
-        // A file that does not decode, perhaps since it is still being written, is set aside with the reason when it is
+        // A file that does not decode, perhaps since it is still being written, is rejected with the reason when it is
         // read.
         let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
         return Ok(vec![(key, Item { exposure, records: Some(Vec::new()), bytes })]);

@@ -134,7 +134,7 @@ impl<'a> Template<'a> {
         })
     }
 
-    /// What a record has of its own beside the row `shared`; `codes` are those of its samples that count.
+    /// What a record has of its own, in addition to the row `shared`; `codes` are those of its samples that count.
     pub fn own(
         &self,
         file: &RawFile,

@@ -2,9 +2,9 @@
 
 use crate::geometry::hidden::{Hidden, Surface};
 use crate::geometry::labelling::{self, Loser, Medium, SensorProfiles, Solution, Verdict};
+use crate::priors::covariances;
 use crate::stages::stage::Rejection;
 use crate::tables::{Hypothesis, Label, Onset};
-use crate::units::PatchId;
 
 /// Labels of the onsets that the profiles of all sensors were made of, in the same order.
 pub(super) fn labels(onsets: &[Onset], sensors: &[SensorProfiles], solution: Solution) -> Vec<Label> {
@@ -69,44 +69,27 @@ pub(super) fn hypotheses(hypotheses: &[labelling::Hypothesis], false_alarm: f64)
     for (number, one) in (1..).zip(hypotheses) {
         let places = std::iter::once(one.surface).chain(one.rival);
         let of_place = |(alternative, place): (i32, Hidden)| Hypothesis {
-            hypothesis: number,
+            layer: one.layer,
+            patch: one.patch,
             alternative,
-            ..hypothesis(one.layer, one.patch, &place, needed)
+            ..hypothesis(number, &place, needed)
         };
         rows.extend((0..).zip(places).map(of_place));
     }
     rows
 }
 
-fn hypothesis(layer: i32, patch: Option<PatchId>, hidden: &Hidden, evidence_needed: f64) -> Hypothesis {
-    let (point, cov) = (hidden.point, hidden.covariance);
+fn hypothesis(number: i32, hidden: &Hidden, needed: f64) -> Hypothesis {
     let kind = if hidden.surface == Surface::Patch { "patch" } else { "plane" };
-    let normal = hidden.surface.normal(point);
+    let normal = hidden.surface.normal(hidden.point);
+    let evidence = [hidden.evidence, needed];
     Hypothesis {
-        hypothesis: 1,
         kind: kind.into(),
-        layer,
-        patch,
-        alternative: 0,
-        x_m: point.x,
-        y_m: point.y,
-        z_m: point.z,
-        cov_xx_m2: cov[(0, 0)],
-        cov_xy_m2: cov[(0, 1)],
-        cov_xz_m2: cov[(0, 2)],
-        cov_yy_m2: cov[(1, 1)],
-        cov_yz_m2: cov[(1, 2)],
-        cov_zz_m2: cov[(2, 2)],
-        sd_m: cov.trace().sqrt(),
         normal_x: normal.map(|normal| normal.x),
         normal_y: normal.map(|normal| normal.y),
         normal_z: normal.map(|normal| normal.z),
-        evidence: hidden.evidence,
-        evidence_needed,
-        seen: hidden.seen,
         onsets: hidden.arrivals,
-        shots_needed: None,
-        hours_needed: None,
+        ..covariances::hypothesis_row(number, hidden.point, &hidden.covariance, evidence, hidden.seen)
     }
 }
 
@@ -117,12 +100,8 @@ pub(super) fn rejections(
     visible_in_line: Option<usize>,
 ) -> Vec<Rejection> {
     let first = onsets.first().zip(sensors.first()).zip(visible_in_line);
-    let in_line = |((onset, sensor), visible): ((&Onset, &SensorProfiles), usize)| Rejection {
-        campaign: onset.campaign.clone(),
-        file: None,
-        segment: None,
-        byte_offset: None,
-        reason: in_line(visible, sensor.dimensions),
+    let in_line = |((onset, sensor), visible): ((&Onset, &SensorProfiles), usize)| {
+        Rejection::new(&onset.campaign, in_line(visible, sensor.dimensions))
     };
     first.map(in_line).into_iter().collect()
 }

@@ -3,7 +3,7 @@
 
 use arrow_array::RecordBatch;
 
-use super::{Groups, Running, Written, groups};
+use super::{Groups, OutputBatches, Running, groups};
 use crate::stages::stage::{Fold, InPieces, StageError};
 
 /// What is done with pieces of groups.
@@ -28,17 +28,17 @@ pub trait Joining: Running {
     fn absorb(&mut self, subtotals: &RecordBatch) -> Result<(), StageError>;
 }
 
-/// Groups of which each is computed in pieces; one is open at a time.
+/// Groups that are computed in pieces; one is open at a time.
 pub(super) struct Pieces<'a, S: Fold> {
     pub(super) groups: Groups<'a, S>,
     pub(super) pieces: &'a dyn InPieces<S>,
 }
 
 impl<S: Fold> Running for Pieces<'_, S> {
-    fn push(&mut self, batch: &RecordBatch) -> Result<Written, StageError> {
+    fn push(&mut self, batch: &RecordBatch) -> Result<OutputBatches, StageError> {
         self.groups.push(batch)
     }
-    fn flush(&mut self) -> Result<Written, StageError> {
+    fn flush(&mut self) -> Result<OutputBatches, StageError> {
         self.groups.flush()
     }
 }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Fields, about};
+use super::Fields;
 use crate::geometry::t2::{self, Length};
 use crate::geometry::t3::{self, Ranges, Sum};
 use crate::geometry::{Matrix, Point, dense};
@@ -33,7 +33,7 @@ pub struct Places {
 }
 
 impl Places {
-    /// From the tables beside the stage; `None` without `patches`.
+    /// From the optional tables of the stage; `None` without `patches`.
     pub fn new(beside: &BesideTables) -> Result<Option<Self>, StageError> {
         let Some(patches) = beside.rows::<Patch>("patches")? else { return Ok(None) };
         let (mut points, mut visible) = (BTreeMap::new(), BTreeSet::new());
@@ -46,7 +46,7 @@ impl Places {
             }
         }
         if points.is_empty() {
-            let text = "with patches: no patch has a covariance, so nobody knows how far off its legs may be; give patches from `refine`";
+            let text = "with patches: no patch has a covariance, so its legs cannot be weighted: these are start values (give patches from `refine`), or too few pairs determine them (`rejects` has the missing ones)";
             return Err(StageError::Refused(text.to_owned()));
         }
         let covariances = PatchCovariances::new(&beside.rows("covariances")?.unwrap_or_default());
@@ -56,6 +56,17 @@ impl Places {
 
     fn covariance_m2(&self, a: PatchId, b: PatchId) -> Matrix3<f64> {
         if a == b { self.points[&a].1 } else { self.covariances.between(a, b) }
+    }
+
+    /// The leg from a station to a patch.
+    fn leg(&self, (station, patch): (Point, PatchId)) -> Vector3<f64> {
+        self.points[&patch].0 - station
+    }
+
+    /// Covariance of the lengths of two legs.
+    fn leg_covariance_m2(&self, a: (Point, PatchId), b: (Point, PatchId)) -> f64 {
+        let slope = |leg| self.leg(leg).try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
+        slope(a).dot(&(self.covariance_m2(a.1, b.1) * slope(b)))
     }
 }
 
@@ -76,8 +87,8 @@ pub struct Thirds {
     stations: Vec<Point>,
 }
 
-/// The path of a label whose light comes from a lit patch, meets one that laser and sensor do not reach, and goes on to
-/// a seen one.
+/// The path of a label whose light comes from a lit patch, meets a hidden one, and goes on to a seen one. Laser and
+/// sensor do not reach the one in the middle.
 pub fn over_hidden<'a>(
     fields: &'a ByCampaign<Fields>,
     places: Option<&'a Places>,
@@ -96,6 +107,11 @@ impl Thirds {
     /// No third bounce yet.
     pub fn new() -> Self {
         Self { thirds: Vec::new(), stations: Vec::new() }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.thirds.is_empty()
     }
 
     /// Adds a label with such a path.
@@ -188,24 +204,32 @@ impl Legs {
         let ends = thirds.thirds.iter().flat_map(|third| third.stations.into_iter().zip([third.lit, third.seen]));
         let places: BTreeSet<(usize, PatchId)> = ends.filter(|(_, patch)| has_place(patch)).collect();
         let places: Vec<(usize, PatchId)> = places.into_iter().collect();
-        let arm = |given: &Places, n: usize| given.points[&places[n].1].0 - thirds.stations[places[n].0];
-        let length_m = |n: usize| given.map_or_else(|| first[&places[n].1].distance_m, |given| arm(given, n).norm());
+        let legs: Vec<(Point, PatchId)> =
+            places.iter().map(|(station, patch)| (thirds.stations[*station], *patch)).collect();
+        let length_m =
+            |leg: &(Point, PatchId)| given.map_or_else(|| first[&leg.1].distance_m, |given| given.leg(*leg).norm());
         let covariance_m2 = |a: usize, b: usize| match given {
-            Some(given) => {
-                let slope = |n: usize| arm(given, n).try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
-                slope(a).dot(&(given.covariance_m2(places[a].1, places[b].1) * slope(b)))
-            }
+            Some(given) => given.leg_covariance_m2(legs[a], legs[b]),
             None if places[a].1 == places[b].1 => first[&places[a].1].variance_m2,
             None => 0.0,
         };
         let count = places.len();
         let (values, vectors) = dense::symmetric_eigen(&Matrix::from_fn(count, count, covariance_m2));
         Self {
-            lengths_m: (0..count).map(length_m).collect(),
+            lengths_m: legs.iter().map(length_m).collect(),
             errors_m: Matrix::from_fn(count, count, |n, k| vectors[(n, k)] * values[k].max(0.0).sqrt()),
             place_of: places.iter().enumerate().map(|(n, place)| (*place, n)).collect(),
             places,
         }
+    }
+
+    /// What the errors add to a distance of T2: d_0i is a leg, and of d_ij both legs were taken off.
+    fn adds_m(&self, distance: &t2::Distance) -> Vec<f64> {
+        let ends: &[(PatchId, f64)] =
+            if distance.a == 0 { &[(distance.b, 1.0)] } else { &[(distance.a, -1.0), (distance.b, -1.0)] };
+        let leg = |patch: PatchId| self.places.iter().position(|place| place.1 == patch);
+        let add_m = |k, (patch, sign): &(PatchId, f64)| leg(*patch).map_or(0.0, |n| sign * self.errors_m[(n, k)]);
+        (0..self.places.len()).map(|k| ends.iter().map(|end| add_m(k, end)).sum()).collect()
     }
 }
 
@@ -223,31 +247,14 @@ pub struct Solved {
 impl Solved {
     /// Covariances of the ranges with one another, and with the distances of T2 whose first bounces their legs are.
     fn between(&self, legs: &Legs, by_first_bounces: bool, direct: &t2::Distances) -> Vec<Covariance> {
-        let row = |first: (PatchId, PatchId), second: (PatchId, PatchId), cov_m2: f64| Covariance {
-            a1: first.0,
-            b1: first.1,
-            a2: second.0,
-            b2: second.1,
-            cov_m2,
-        };
-        let pair = |hidden: PatchId, patch: PatchId| (patch.min(hidden), patch.max(hidden));
         let mut rows = Vec::new();
         if by_first_bounces {
             for distance in &direct.distances {
-                // d_0i is the leg; of d_ij both legs were taken off.
-                let ends: &[(PatchId, f64)] =
-                    if distance.a == 0 { &[(distance.b, 1.0)] } else { &[(distance.a, -1.0), (distance.b, -1.0)] };
-                let leg = |patch: PatchId| legs.places.iter().position(|place| place.1 == patch);
-                let adds_m = |k: usize| -> f64 {
-                    let share =
-                        |(patch, sign): &(PatchId, f64)| leg(*patch).map_or(0.0, |n| sign * legs.errors_m[(n, k)]);
-                    ends.iter().map(share).sum()
-                };
-                let adds_m: Vec<f64> = (0..legs.places.len()).map(adds_m).collect();
+                let adds_m = legs.adds_m(distance);
                 for (hidden, ranges) in &self.ranges {
                     for (n, &patch) in ranges.patches.iter().enumerate() {
                         let cov_m2 = adds_m.iter().enumerate().map(|(k, add_m)| add_m * ranges.common_m[(n, k)]).sum();
-                        rows.push(row((distance.a, distance.b), pair(*hidden, patch), cov_m2));
+                        rows.push(covariance((distance.a, distance.b), pair(*hidden, patch), cov_m2));
                     }
                 }
             }
@@ -255,14 +262,14 @@ impl Solved {
         for (n, (hidden, ranges)) in self.ranges.iter().enumerate() {
             for (i, &a) in ranges.patches.iter().enumerate() {
                 for (k, &b) in ranges.patches.iter().enumerate().skip(i + 1) {
-                    rows.push(row(pair(*hidden, a), pair(*hidden, b), ranges.covariance_m2[(i, k)]));
+                    rows.push(covariance(pair(*hidden, a), pair(*hidden, b), ranges.covariance_m2[(i, k)]));
                 }
             }
             for (other_hidden, other) in &self.ranges[n + 1..] {
                 let cov_m2 = dense::product(ranges.common_m.as_ref(), other.common_m.transpose());
                 for (i, &a) in ranges.patches.iter().enumerate() {
                     for (k, &b) in other.patches.iter().enumerate() {
-                        rows.push(row(pair(*hidden, a), pair(*other_hidden, b), cov_m2[(i, k)]));
+                        rows.push(covariance(pair(*hidden, a), pair(*other_hidden, b), cov_m2[(i, k)]));
                     }
                 }
             }
@@ -304,8 +311,17 @@ impl Solved {
                 ranges.chi2, ranges.degrees_of_freedom
             )
         });
-        lost.chain(open).chain(unlikely).map(|reason| about(campaign.clone(), reason)).collect()
+        lost.chain(open).chain(unlikely).map(|reason| Rejection::new(campaign, reason)).collect()
     }
+}
+
+fn covariance(first: (PatchId, PatchId), second: (PatchId, PatchId), cov_m2: f64) -> Covariance {
+    Covariance { a1: first.0, b1: first.1, a2: second.0, b2: second.1, cov_m2 }
+}
+
+/// The patches of a range, the smaller first.
+fn pair(hidden: PatchId, patch: PatchId) -> (PatchId, PatchId) {
+    (patch.min(hidden), patch.max(hidden))
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ const EXACT_M: f64 = 1e-6;
 const EXACT_RAD: f64 = 1e-6;
 
 /// A station of a campaign: two campaigns that agree on one share it.
-pub struct Place {
+pub struct NamedStation {
     pub campaign: Name,
     pub name: String,
     pub station: keys::Station,
@@ -33,7 +33,7 @@ pub struct Model<'a> {
     pub labels: &'a [Label],
     pub patches: Vec<PatchId>,
     pub delays: Vec<SensorRange>,
-    pub stations: Vec<Place>,
+    pub stations: Vec<NamedStation>,
     /// Patches that laser or sensor sees.
     visible: BTreeSet<PatchId>,
     /// Station of a campaign, by its position in `stations`.
@@ -45,14 +45,14 @@ impl<'a> Model<'a> {
         let patches: BTreeSet<PatchId> = labels.iter().flat_map(|label| label.path.iter().flatten().copied()).collect();
         let delays: BTreeSet<&SensorRange> =
             labels.iter().filter_map(|label| context.latencies.delay_of(label)).collect();
-        let (mut stations, mut station_at) = (Vec::<Place>::new(), BTreeMap::new());
+        let (mut stations, mut station_at) = (Vec::<NamedStation>::new(), BTreeMap::new());
         for (campaign, fields) in context.fields.iter() {
             for (name, station) in fields.stations.laser_first() {
-                let same = |place: &Place| place.name == name && place.station == *station;
+                let same = |other: &NamedStation| other.name == name && other.station == *station;
                 let at = stations.iter().position(same).unwrap_or(stations.len());
                 if at == stations.len() {
                     let campaign = Name::from(campaign);
-                    stations.push(Place { campaign, name: name.to_owned(), station: station.clone() });
+                    stations.push(NamedStation { campaign, name: name.to_owned(), station: station.clone() });
                 }
                 station_at.insert((Name::from(campaign), name.to_owned()), at);
             }
@@ -72,13 +72,14 @@ impl<'a> Model<'a> {
         self.context.fields.of(&label.campaign)
     }
 
-    /// How light reaches a patch.
+    /// How light reaches a patch. An anchor has a place in campaign.toml and a role there: that no label has it as lit
+    /// or seen, since its first light was gated away, makes it no hidden patch.
     pub fn kind(&self, patch: PatchId) -> &'static str {
-        let is_mirror =
-            |fields: &Fields| fields.patches.get(&patch).is_some_and(|prior| prior.role == PatchRole::Mirror);
-        if self.context.fields.values().any(is_mirror) {
+        let priors = || self.context.fields.values().filter_map(|fields| fields.patches.get(&patch));
+        let is_anchor = |prior: &PatchPrior| prior.position_m.is_some() && prior.role == PatchRole::Visible;
+        if priors().any(|prior| prior.role == PatchRole::Mirror) {
             "mirror"
-        } else if self.visible.contains(&patch) {
+        } else if self.visible.contains(&patch) || priors().any(is_anchor) {
             "visible"
         } else {
             "hidden"
@@ -126,9 +127,9 @@ impl<'a> Model<'a> {
     /// The problem with patches as points, from the start that is given, else placed from nothing.
     pub fn problem(&self, loss: Loss) -> Problem {
         let first = self.context.first();
-        let station = |place: &Place| Station {
-            position: Point::from(place.station.position_m),
-            sd_m: place.station.sd_m.unwrap_or(0.0),
+        let station = |named: &NamedStation| Station {
+            position: Point::from(named.station.position_m),
+            sd_m: named.station.sd_m.unwrap_or(0.0),
         };
         let length_m2 = |a: &SensorRange, b: &SensorRange| {
             self.medium(a).path_m(1.0) * self.medium(b).path_m(1.0) * self.context.latencies.covariance_ps2(a, b)

@@ -4,17 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::model::Model;
+use super::model::{Model, NamedStation};
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
 use crate::priors::covariances;
 use crate::priors::sensor_range::SensorRange;
-use crate::tables::{Ambiguity, Delay, Fit, Name, Patch, PatchCovariance, Residual, Station, Suspect};
+use crate::tables::{Ambiguity, Delay, Fit, Label, Name, Patch, PatchCovariance, Residual, Station, Suspect};
 use crate::units::PatchId;
 
 /// Residuals beyond this many of their own standard deviations are doubtful.
 const FAR_OFF: f64 = 4.0;
-/// An onset of which others check no more than this share is not checked.
+/// An onset is unchecked where the others check no more than this share of it.
 const UNCHECKED: f64 = 0.01;
 /// A patch is weak where its largest principal standard deviation is this many times that of the middle patch.
 const WEAK: f64 = 5.0;
@@ -92,22 +92,11 @@ impl<'a> Tables<'a> {
         let determined = (!solution.open.contains(&place)).then_some(cov);
         let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
         Patch {
-            patch,
-            kind: self.model.kind(patch).into(),
-            x_m: point.x,
-            y_m: point.y,
-            z_m: point.z,
-            cov_xx_m2: determined.map(|cov| cov[(0, 0)]),
-            cov_xy_m2: determined.map(|cov| cov[(0, 1)]),
-            cov_xz_m2: determined.map(|cov| cov[(0, 2)]),
-            cov_yy_m2: determined.map(|cov| cov[(1, 1)]),
-            cov_yz_m2: determined.map(|cov| cov[(1, 2)]),
-            cov_zz_m2: determined.map(|cov| cov[(2, 2)]),
-            sd_m: determined.map(|cov| cov.trace().sqrt()),
             onsets: self.onsets.get(&patch).copied().unwrap_or(0),
             chi2_dof,
             alternative,
             log_likelihood: Some(-0.5 * solution.loss),
+            ..covariances::patch_row(patch, self.model.kind(patch), point, determined.as_ref())
         }
     }
 
@@ -139,17 +128,17 @@ impl<'a> Tables<'a> {
     }
 
     pub fn stations(&self) -> Vec<Station> {
-        let row = |(n, place): (usize, &super::model::Place)| {
-            let prior_sd_m = place.station.sd_m?;
+        let row = |(n, named): (usize, &NamedStation)| {
+            let prior_sd_m = named.station.sd_m?;
             let point = self.turned(self.solution.stations[n]);
             Some(Station {
-                campaign: place.campaign.clone(),
-                station: place.name.as_str().into(),
+                campaign: named.campaign.clone(),
+                station: named.name.as_str().into(),
                 x_m: point.x,
                 y_m: point.y,
                 z_m: point.z,
                 sd_m: self.solution.station_covariance_m2(n).trace().sqrt(),
-                moved_m: (self.solution.stations[n] - Point::from(place.station.position_m)).norm(),
+                moved_m: (self.solution.stations[n] - Point::from(named.station.position_m)).norm(),
                 prior_sd_m,
             })
         };
@@ -158,7 +147,7 @@ impl<'a> Tables<'a> {
 
     pub fn residuals(&self) -> Vec<Residual> {
         let residuals_m = self.solution.residuals_of_m(self.observations);
-        let row = |(n, label): (usize, &crate::tables::Label)| {
+        let row = |(n, label): (usize, &Label)| {
             let time = |length_m: f64| self.model.fields(label).medium.time_ps(length_m);
             let residual_ps = time(residuals_m[n]);
             let standardised = residual_ps / label.time_sd_ps;

@@ -105,7 +105,7 @@ fn latency(range: Option<&str>, sd_ps: f64, common_sd_ps: f64) -> Calibration {
 }
 
 /// What the stage writes, as rows.
-struct Written {
+struct SolutionRows {
     patches: Vec<Patch>,
     delays: Vec<Delay>,
     stations: Vec<Station>,
@@ -114,11 +114,11 @@ struct Written {
     ambiguities: Vec<Ambiguity>,
 }
 
-fn refined(context: &Context, labels: Vec<Label>) -> Written {
+fn refined(context: &Context, labels: Vec<Label>) -> SolutionRows {
     let outcome = Refine::default().apply(context, labels).unwrap();
     assert!(outcome.rejections.is_empty());
     let [_, delays, stations, _, suspects, fits, ambiguities] = &outcome.sides[..] else { panic!("seven side tables") };
-    Written {
+    SolutionRows {
         patches: outcome.rows,
         delays: Delay::rows(delays).unwrap(),
         stations: Station::rows(stations).unwrap(),
@@ -136,14 +136,14 @@ fn points(patches: &[Patch], alternative: i32) -> Vec<Point> {
 #[test]
 fn from_nothing_a_room_is_found_in_the_canonical_frame_which_is_said() {
     let room = room();
-    let written = refined(&context(CAMPAIGN, Vec::new()), Day::new(&room, 1).all(|_, _| true).labels);
-    let found = points(&written.patches, 0);
-    assert!(procrustes::rotation(&found, &room, Point::origin(), true).rms_m < 1e-3);
-    assert!(found[0].y.abs() < 1e-9 && found[0].z.abs() < 1e-9 && found[1].z.abs() < 1e-9);
-    assert_eq!((&*written.fit.frame, written.fit.free_rotations, &*written.fit.covariance), ("canonical", 3, "exact"));
-    assert_eq!(written.ambiguities.iter().map(|row| &*row.kind).collect::<Vec<_>>(), ["rotation"]);
-    assert!(written.suspects.is_empty() && written.stations.is_empty());
-    assert!((written.patches[0].chi2_dof.unwrap() - 1.0).abs() < 0.5);
+    let rows = refined(&context(CAMPAIGN, Vec::new()), Day::new(&room, 1).all(|_, _| true).labels);
+    let positions = points(&rows.patches, 0);
+    assert!(procrustes::rotation(&positions, &room, Point::origin(), true).rms_m < 1e-3);
+    assert!(positions[0].y.abs() < 1e-9 && positions[0].z.abs() < 1e-9 && positions[1].z.abs() < 1e-9);
+    assert_eq!((&*rows.fit.frame, rows.fit.free_rotations, &*rows.fit.covariance), ("canonical", 3, "exact"));
+    assert_eq!(rows.ambiguities.iter().map(|row| &*row.kind).collect::<Vec<_>>(), ["rotation"]);
+    assert!(rows.suspects.is_empty() && rows.stations.is_empty());
+    assert!((rows.patches[0].chi2_dof.unwrap() - 1.0).abs() < 0.5);
 }
 
 #[test]
@@ -155,8 +155,8 @@ fn every_range_has_its_own_delay_and_ranges_share_the_error_of_the_known_path() 
         (1..=12).filter(|&b| b != a).for_each(|b| day.add(&[a, b], "s1", Some("fine"), 36.0));
     }
     let calibration = vec![latency(Some("coarse"), 41.0, 40.0), latency(Some("fine"), 41.0, 40.0)];
-    let written = refined(&context(CAMPAIGN, calibration), day.labels.clone());
-    let [coarse, fine] = &written.delays[..] else { panic!("two delays") };
+    let rows = refined(&context(CAMPAIGN, calibration), day.labels.clone());
+    let [coarse, fine] = &rows.delays[..] else { panic!("two delays") };
     assert_eq!((coarse.range.as_deref(), fine.range.as_deref()), (Some("coarse"), Some("fine")));
     for (delay, truth_ps) in [(coarse, 30.0), (fine, 36.0)] {
         assert!((delay.delay_ps - truth_ps).abs() < 4.0 * delay.sd_ps && delay.sd_ps < 41.0, "{delay:?}");
@@ -165,31 +165,31 @@ fn every_range_has_its_own_delay_and_ranges_share_the_error_of_the_known_path() 
     let apart_ps = fine.delay_ps - coarse.delay_ps;
     assert!((apart_ps - 6.0).abs() < 6.0, "{apart_ps}");
     // One row of calibration without a range stands for all.
-    let written = refined(&context(CAMPAIGN, vec![latency(None, 50.0, 0.0)]), day.labels);
-    assert_eq!((written.delays.len(), written.delays[0].range.as_deref()), (1, None));
+    let rows = refined(&context(CAMPAIGN, vec![latency(None, 50.0, 0.0)]), day.labels);
+    assert_eq!((rows.delays.len(), rows.delays[0].range.as_deref()), (1, None));
 }
 
 #[test]
 fn a_sensor_apart_needs_no_start_and_anchors_rays_and_stations_fix_the_frame() {
     let room = room();
     let sensor = Point::new(0.4, 0.1, 0.2);
-    let told = sensor + nalgebra::Vector3::new(0.003, -0.002, 0.004);
+    let given = sensor + nalgebra::Vector3::new(0.003, -0.002, 0.004);
     let ray = room[4].coords.normalize();
     let campaign = format!(
         "[campaign]\nname = 'c'\ngroup_index = 1.0\n[stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [{}, {}, {}]\nsd_m = 0.004\n\
          [sensors.s1]\nstation = 'aside'\n[patches.1]\nposition_m = [{}, {}, {}]\nsd_m = 0.001\n[patches.5]\nray = {{ from = 'laser', direction = [{}, {}, {}], sd_rad = 0.001 }}\n",
-        told.x, told.y, told.z, room[0].x, room[0].y, room[0].z, ray.x, ray.y, ray.z
+        given.x, given.y, given.z, room[0].x, room[0].y, room[0].z, ray.x, ray.y, ray.z
     );
     let mut day = Day::new(&room, 3);
     day.sensor = sensor;
-    let written = refined(&context(&campaign, Vec::new()), day.all(|_, _| true).labels);
-    assert_eq!((&*written.fit.frame, written.fit.free_rotations), ("fixed", 0));
-    let off_m = points(&written.patches, 0).iter().zip(&room).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+    let rows = refined(&context(&campaign, Vec::new()), day.all(|_, _| true).labels);
+    assert_eq!((&*rows.fit.frame, rows.fit.free_rotations), ("fixed", 0));
+    let off_m = points(&rows.patches, 0).iter().zip(&room).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
     assert!(off_m < 0.01, "{off_m}");
-    let [station] = &written.stations[..] else { panic!("one station is uncertain") };
+    let [station] = &rows.stations[..] else { panic!("one station is uncertain") };
     let left_m = (Point::new(station.x_m, station.y_m, station.z_m) - sensor).norm();
     assert!(left_m < 3.0 * station.sd_m && station.sd_m < 0.004 * 3_f64.sqrt() && station.moved_m > 0.0);
-    assert!(!written.ambiguities.iter().any(|row| &*row.kind == "rotation"), "{:?}", written.ambiguities);
+    assert!(!rows.ambiguities.iter().any(|row| &*row.kind == "rotation"), "{:?}", rows.ambiguities);
 }
 
 #[test]
@@ -201,17 +201,17 @@ fn what_is_not_determined_is_told_with_its_patches() {
         (a, 12) => a == 6,
         (a, b) => (a <= 5) == (b <= 5),
     };
-    let written = refined(&context(CAMPAIGN, Vec::new()), Day::new(&room, 4).all(open).labels);
+    let rows = refined(&context(CAMPAIGN, Vec::new()), Day::new(&room, 4).all(open).labels);
     let of_kind =
-        |kind: &str| -> Vec<&Ambiguity> { written.ambiguities.iter().filter(|row| &*row.kind == kind).collect() };
+        |kind: &str| -> Vec<&Ambiguity> { rows.ambiguities.iter().filter(|row| &*row.kind == kind).collect() };
     assert_eq!(of_kind("part").iter().map(|row| row.patches.clone()).collect::<Vec<_>>(), [vec![1, 2, 3, 4, 5]]);
     assert_eq!(of_kind("open")[0].patches, [12]);
     let flip = of_kind("flip").into_iter().find(|row| row.patches.contains(&11)).expect("11 has two places");
     assert!(flip.log_likelihood.unwrap().abs() < 3.0);
     let n = flip.alternative.unwrap();
-    let places: Vec<&Patch> = written.patches.iter().filter(|patch| patch.patch == 11).collect();
+    let places: Vec<&Patch> = rows.patches.iter().filter(|patch| patch.patch == 11).collect();
     assert!(places.iter().any(|patch| patch.alternative == n) && places.iter().any(|patch| patch.alternative == 0));
-    let row = |patch: PatchId| written.patches.iter().find(|row| row.patch == patch && row.alternative == 0).unwrap();
+    let row = |patch: PatchId| rows.patches.iter().find(|row| row.patch == patch && row.alternative == 0).unwrap();
     assert!(row(12).sd_m.is_none() && row(11).sd_m.is_some() && row(3).sd_m.unwrap() < 0.01);
 }
 
@@ -223,11 +223,11 @@ fn a_wrong_label_leads_the_suspects_and_an_unchecked_onset_is_among_them() {
     let mut labels = Day::new(&room, 5).all(open).labels;
     let wrong = labels.iter().position(|label| label.path.as_deref() == Some(&[2, 7])).unwrap();
     labels[wrong].time_ps += 400.0;
-    let written = refined(&context(CAMPAIGN, Vec::new()), labels);
-    let worst = &written.suspects[0];
+    let rows = refined(&context(CAMPAIGN, Vec::new()), labels);
+    let worst = &rows.suspects[0];
     assert_eq!((worst.path.as_slice(), &*worst.reason), ([2, 7].as_slice(), "left-out"));
     assert!(worst.studentised.unwrap().abs() > 50.0);
-    let unchecked: Vec<&Suspect> = written.suspects.iter().filter(|row| &*row.reason == "unchecked").collect();
+    let unchecked: Vec<&Suspect> = rows.suspects.iter().filter(|row| &*row.reason == "unchecked").collect();
     assert!(unchecked.iter().any(|row| row.path == [11]) && unchecked.iter().all(|row| row.path.contains(&11)));
 }
 
@@ -248,9 +248,9 @@ fn the_laser_period_is_refined_where_light_arrives_in_several() {
         label.time_ps += f64::from(label.turns) * (nominal_ps - true_ps);
     }
     assert!(labels.iter().any(|label| label.turns != labels[0].turns));
-    let written = refined(&context(&campaign, Vec::new()), labels);
-    let (found_ps, sd_ps) = (written.fit.repetition_ps.unwrap(), written.fit.repetition_sd_ps.unwrap());
-    assert!((found_ps - true_ps).abs() < 4.0 * sd_ps && sd_ps < 0.4, "{found_ps} {sd_ps}");
+    let rows = refined(&context(&campaign, Vec::new()), labels);
+    let (period_ps, sd_ps) = (rows.fit.repetition_ps.unwrap(), rows.fit.repetition_sd_ps.unwrap());
+    assert!((period_ps - true_ps).abs() < 4.0 * sd_ps && sd_ps < 0.4, "{period_ps} {sd_ps}");
 }
 
 #[test]
@@ -261,11 +261,11 @@ fn a_station_that_no_sensor_stands_at_leaves_the_frame_of_stations_in_line() {
                     [stations.door]\nposition_m = [0.0, 3.0, 1.0]\n[sensors.s1]\nstation = 'aside'\n";
     let mut day = Day::new(&room, 8);
     day.sensor = sensor;
-    let written = refined(&context(campaign, Vec::new()), day.all(|_, _| true).labels);
-    assert_eq!((&*written.fit.frame, written.fit.free_rotations), ("stations", 1));
+    let rows = refined(&context(campaign, Vec::new()), day.all(|_, _| true).labels);
+    assert_eq!((&*rows.fit.frame, rows.fit.free_rotations), ("stations", 1));
     // Turning about the line keeps every distance from both stations.
-    for (found, truth) in points(&written.patches, 0).iter().zip(&room) {
-        assert!(((found - sensor).norm() - (truth - sensor).norm()).abs() < 0.02, "{found} {truth}");
+    for (point, truth) in points(&rows.patches, 0).iter().zip(&room) {
+        assert!(((point - sensor).norm() - (truth - sensor).norm()).abs() < 0.02, "{point} {truth}");
     }
 }
 
@@ -283,13 +283,13 @@ fn a_hidden_patch_lies_on_the_laser_s_side_of_its_wall_and_the_other_place_is_to
             (1..=8).filter(|&b| b != a).for_each(|b| day.add(&[a, b], "s1", None, 0.0));
             (a..=8).for_each(|b| day.add(&[a, 9, b], "s1", None, 0.0));
         }
-        let written = refined(&context(CAMPAIGN, Vec::new()), day.labels);
-        let found = points(&written.patches, 0);
-        let turned = procrustes::rotation(&found, &room, Point::origin(), true);
-        assert!(turned.rms_m < 2e-3, "{} {found:?}", turned.rms_m);
-        let other: Vec<&Patch> = written.patches.iter().filter(|row| row.alternative > 0 && row.patch == 9).collect();
-        assert!(other.len() == 1 && written.ambiguities.iter().any(|row| &*row.kind == "flip"), "{other:?}");
-        assert!((Point::new(other[0].x_m, other[0].y_m, other[0].z_m) - found[8]).norm() > 1.5);
+        let rows = refined(&context(CAMPAIGN, Vec::new()), day.labels);
+        let positions = points(&rows.patches, 0);
+        let turned = procrustes::rotation(&positions, &room, Point::origin(), true);
+        assert!(turned.rms_m < 2e-3, "{} {positions:?}", turned.rms_m);
+        let other: Vec<&Patch> = rows.patches.iter().filter(|row| row.alternative > 0 && row.patch == 9).collect();
+        assert!(other.len() == 1 && rows.ambiguities.iter().any(|row| &*row.kind == "flip"), "{other:?}");
+        assert!((Point::new(other[0].x_m, other[0].y_m, other[0].z_m) - positions[8]).norm() > 1.5);
     }
 }
 
@@ -305,10 +305,31 @@ fn hidden_patches_are_placed_from_nothing_by_third_bounces_and_kinds_are_told() 
         }
     }
     let campaign = CAMPAIGN.to_owned() + "[patches.12]\nrole = 'mirror'\n";
-    let written = refined(&context(&campaign, Vec::new()), day.labels);
-    let kinds: Vec<&str> = written.patches.iter().map(|patch| &*patch.kind).collect();
+    let rows = refined(&context(&campaign, Vec::new()), day.labels);
+    let kinds: Vec<&str> = rows.patches.iter().map(|patch| &*patch.kind).collect();
     assert_eq!((&kinds[..9], &kinds[9..]), (["visible"; 9].as_slice(), ["hidden", "hidden", "mirror"].as_slice()));
-    let found = points(&written.patches, 0);
-    assert!(procrustes::rotation(&found, &room, Point::origin(), true).rms_m < 1e-3);
-    assert!(written.patches[9..].iter().all(|patch| patch.sd_m.unwrap() < 0.002));
+    let positions = points(&rows.patches, 0);
+    assert!(procrustes::rotation(&positions, &room, Point::origin(), true).rms_m < 1e-3);
+    assert!(rows.patches[9..].iter().all(|patch| patch.sd_m.unwrap() < 0.002));
+}
+
+/// A point of the wall whose own light was gated away, met by third bounces alone: given, and so not hidden.
+#[test]
+fn an_anchor_that_no_label_has_as_lit_or_seen_is_not_hidden() {
+    let points = room();
+    let mut day = Day::new(&points[..11], 3).all(|_, _| true);
+    day.points = &points;
+    for path in [[1, 12, 2], [2, 12, 3], [3, 12, 4], [4, 12, 5], [5, 12, 6]] {
+        day.add(&path, "s1", None, 0.0);
+    }
+    let kind = |campaign: &str| {
+        let rows = refined(&context(campaign, vec![latency(None, 0.0, 0.0)]), day.labels.clone());
+        rows.patches.iter().find(|row| row.patch == 12 && row.alternative == 0).unwrap().kind.to_string()
+    };
+    let at = points[11];
+    let anchor = |role: &str| {
+        format!("{CAMPAIGN}[patches.12]\nposition_m = [{:?}, {:?}, {:?}]\nrole = '{role}'\n", at.x, at.y, at.z)
+    };
+    assert_eq!((kind(CAMPAIGN).as_str(), kind(&anchor("visible")).as_str()), ("hidden", "visible"));
+    assert_eq!(kind(&anchor("hidden")), "hidden", "campaign.toml has the last word");
 }

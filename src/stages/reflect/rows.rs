@@ -98,25 +98,7 @@ impl Tables {
 }
 
 fn row(patch: PatchId, kind: &str, point: Point, covariance_m2: Option<Matrix3<f64>>, onsets: usize) -> Patch {
-    let entry = |i: usize, k: usize| covariance_m2.map(|covariance_m2| covariance_m2[(i, k)]);
-    Patch {
-        patch,
-        kind: kind.into(),
-        x_m: point.x,
-        y_m: point.y,
-        z_m: point.z,
-        cov_xx_m2: entry(0, 0),
-        cov_xy_m2: entry(0, 1),
-        cov_xz_m2: entry(0, 2),
-        cov_yy_m2: entry(1, 1),
-        cov_yz_m2: entry(1, 2),
-        cov_zz_m2: entry(2, 2),
-        sd_m: covariance_m2.map(|covariance_m2| covariance_m2.trace().sqrt()),
-        onsets: onsets as i32,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-    }
+    Patch { onsets: onsets as i32, ..covariances::patch_row(patch, kind, point, covariance_m2.as_ref()) }
 }
 
 /// The mirror, on which its points lie by construction.

@@ -178,7 +178,7 @@ impl Scans {
     }
 }
 
-/// One mirror point with the light that tells it.
+/// One mirror point with the light that measures it.
 struct Used<'a> {
     mirror: PatchId,
     diffuser: PatchId,

@@ -142,34 +142,37 @@ fn periods_are_added_until_light_could_have_come() {
 fn what_is_missing_is_named() {
     let reasons = |text: &str, onsets: Vec<Onset>, method: Method| -> (Vec<PatchId>, String) {
         let outcome = Reflect { method }.apply(&context(text).unwrap(), onsets).unwrap();
-        let found = outcome.rows.iter().filter(|row| &*row.kind == "mirror").map(|row| row.patch).collect();
-        (found, outcome.rejections.into_iter().map(|rejection| rejection.reason + "\n").collect())
+        let mirrors = outcome.rows.iter().filter(|row| &*row.kind == "mirror").map(|row| row.patch).collect();
+        (mirrors, outcome.rejections.into_iter().map(|rejection| rejection.reason + "\n").collect())
     };
     let text = campaign("");
     let no_ray = text.replace("ray = { from = 'laser', direction = [0.1, 0.45, 0.0], sd_rad = 0.001 }", "");
-    let (found, reason) = reasons(&no_ray, onsets(), Method::Joint);
-    assert!(found == [1, 3] && reason.contains("mirror point 2 has no ray from the laser; give patches.2"), "{reason}");
+    let (mirrors, reason) = reasons(&no_ray, onsets(), Method::Joint);
+    assert!(
+        mirrors == [1, 3] && reason.contains("mirror point 2 has no ray from the laser; give patches.2"),
+        "{reason}"
+    );
     let lost =
         text.replace(&format!("position_m = [{}, {}, 0.0]\nsd_m = 0.0005\n", diffuser()[2].x, diffuser()[2].y), "");
-    let (found, reason) = reasons(&lost, onsets(), Method::Joint);
+    let (mirrors, reason) = reasons(&lost, onsets(), Method::Joint);
     assert!(
-        found == [1, 2] && reason.contains("diffuser point 13, where the beam over mirror point 3 lands"),
+        mirrors == [1, 2] && reason.contains("diffuser point 13, where the beam over mirror point 3 lands"),
         "{reason}"
     );
     let dark = onsets().into_iter().filter(|onset| onset.lit == 2).collect();
-    let (found, reason) = reasons(&text, dark, Method::VirtualSource);
+    let (mirrors, reason) = reasons(&text, dark, Method::VirtualSource);
     assert!(
-        found.is_empty() && reason.contains("mirror point 1 has no onset") && reason.contains("1 scans are too few"),
+        mirrors.is_empty() && reason.contains("mirror point 1 has no onset") && reason.contains("1 scans are too few"),
         "{reason}"
     );
-    let (found, reason) = reasons(&text, Vec::new(), Method::Joint);
-    assert!(found.is_empty() && reason.contains("no scan of the mirror is left"), "{reason}");
+    let (mirrors, reason) = reasons(&text, Vec::new(), Method::Joint);
+    assert!(mirrors.is_empty() && reason.contains("no scan of the mirror is left"), "{reason}");
     let both = onsets().into_iter().map(|onset| Onset { seen: if onset.lit == 2 { 11 } else { onset.seen }, ..onset });
-    let (found, reason) = reasons(&text, both.collect(), Method::Joint);
-    assert!(found == [1, 3] && reason.contains("shows in diffuser point 11, like another"), "{reason}");
+    let (mirrors, reason) = reasons(&text, both.collect(), Method::Joint);
+    assert!(mirrors == [1, 3] && reason.contains("shows in diffuser point 11, like another"), "{reason}");
     let early = onsets().into_iter().map(|onset| Onset { time_ps: 0.3 * onset.time_ps, ..onset }).collect();
-    let (found, reason) = reasons(&text, early, Method::PerRay);
-    assert!(found.is_empty() && reason.contains("mirror point 3: no place on its ray"), "{reason}");
+    let (mirrors, reason) = reasons(&text, early, Method::PerRay);
+    assert!(mirrors.is_empty() && reason.contains("mirror point 3: no place on its ray"), "{reason}");
     let refused = context("[campaign]\nname = 'c'\n[sensors.s1]\n").err().unwrap().to_string();
     assert!(refused.contains("no patch of role `mirror`"), "{refused}");
 }

@@ -1,8 +1,8 @@
 //! Patches of a search, and the place that is not sure enough, as rows and in words.
 
-use super::record::Record;
+use super::pair_profile::PairProfile;
 use crate::geometry::faint::Faint;
-use crate::priors::acquisition_time;
+use crate::priors::{acquisition_time, covariances};
 use crate::tables::{Hypothesis, Patch};
 use crate::units::PatchId;
 
@@ -24,11 +24,11 @@ pub(super) struct SearchRows {
 }
 
 impl SearchRows {
-    pub(super) fn new(records: &[Record], needed: f64) -> Self {
-        let mut shots: Vec<i32> = records.iter().map(|record| record.shots).collect();
+    pub(super) fn new(pairs: &[PairProfile], needed: f64) -> Self {
+        let mut shots: Vec<i32> = pairs.iter().map(|pair| pair.shots).collect();
         shots.sort_unstable();
         let shots = f64::from(shots.get(shots.len() / 2).copied().unwrap_or(0));
-        Self { patches: Vec::new(), declined: None, needed, shots, hours: hours(records) }
+        Self { patches: Vec::new(), declined: None, needed, shots, hours: hours(pairs) }
     }
 
     /// Takes a place as a patch, if it is sure enough; otherwise as the one that is not.
@@ -44,27 +44,10 @@ impl SearchRows {
 
     /// Rows of the patches.
     pub(super) fn patches(&self) -> impl Iterator<Item = Patch> {
-        self.patches.iter().map(|(patch, place)| {
-            let cov = place.covariance;
-            Patch {
-                patch: *patch,
-                kind: "hidden".into(),
-                x_m: place.point.x,
-                y_m: place.point.y,
-                z_m: place.point.z,
-                cov_xx_m2: Some(cov[(0, 0)]),
-                cov_xy_m2: Some(cov[(0, 1)]),
-                cov_xz_m2: Some(cov[(0, 2)]),
-                cov_yy_m2: Some(cov[(1, 1)]),
-                cov_yz_m2: Some(cov[(1, 2)]),
-                cov_zz_m2: Some(cov[(2, 2)]),
-                sd_m: Some(cov.trace().sqrt()),
-                onsets: 0,
-                chi2_dof: None,
-                alternative: 0,
-                log_likelihood: None,
-            }
-        })
+        let row = |(patch, place): &(PatchId, Faint)| {
+            covariances::patch_row(*patch, "hidden", place.point, Some(&place.covariance))
+        };
+        self.patches.iter().map(row)
     }
 
     /// Rows of all places.
@@ -72,32 +55,12 @@ impl SearchRows {
         let accepted = self.patches.iter().map(|(patch, place)| (Some(*patch), place, None));
         let declined = self.declined.iter().map(|declined| (None, &declined.place, Some(declined.growth)));
         let row = |(n, (patch, place, growth)): (usize, (Option<PatchId>, &Faint, Option<f64>))| {
-            let (point, cov) = (place.point, place.covariance);
+            let evidence = [place.evidence, self.needed];
             Hypothesis {
-                hypothesis: n as i32 + 1,
-                kind: "patch".into(),
-                layer: 1,
                 patch,
-                alternative: 0,
-                x_m: point.x,
-                y_m: point.y,
-                z_m: point.z,
-                cov_xx_m2: cov[(0, 0)],
-                cov_xy_m2: cov[(0, 1)],
-                cov_xz_m2: cov[(0, 2)],
-                cov_yy_m2: cov[(1, 1)],
-                cov_yz_m2: cov[(1, 2)],
-                cov_zz_m2: cov[(2, 2)],
-                sd_m: cov.trace().sqrt(),
-                normal_x: None,
-                normal_y: None,
-                normal_z: None,
-                evidence: place.evidence,
-                evidence_needed: self.needed,
-                seen: place.seen,
-                onsets: 0.0,
                 shots_needed: growth.map(|growth| (growth * self.shots).ceil()),
                 hours_needed: growth.and_then(|growth| Some(growth * self.hours?)),
+                ..covariances::hypothesis_row(n as i32 + 1, place.point, &place.covariance, evidence, place.seen)
             }
         };
         accepted.chain(declined).enumerate().map(row).collect()
@@ -120,9 +83,9 @@ impl SearchRows {
 }
 
 /// Hours that the captures took, from when each of them began; `None` where that is not known.
-fn hours(records: &[Record]) -> Option<f64> {
+fn hours(pairs: &[PairProfile]) -> Option<f64> {
     let moments: Option<Vec<f64>> =
-        records.iter().map(|record| acquisition_time::seconds(record.acquired_at.as_deref()?)).collect();
+        pairs.iter().map(|pair| acquisition_time::seconds(pair.acquired_at.as_deref()?)).collect();
     let moments = moments?;
     let first = moments.iter().copied().fold(f64::INFINITY, f64::min);
     let last = moments.iter().copied().fold(f64::NEG_INFINITY, f64::max);

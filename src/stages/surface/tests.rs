@@ -63,24 +63,7 @@ impl Scene {
         let row = |(a, point): (usize, &Point)| {
             let at = point.coords + turn.cross(&point.coords) + self.own(a) * normals();
             let cov = self.covariance(a, a);
-            Patch {
-                patch: a as i32 + 1,
-                kind: "visible".into(),
-                x_m: at.x,
-                y_m: at.y,
-                z_m: at.z,
-                cov_xx_m2: Some(cov[(0, 0)]),
-                cov_xy_m2: Some(cov[(0, 1)]),
-                cov_xz_m2: Some(cov[(0, 2)]),
-                cov_yy_m2: Some(cov[(1, 1)]),
-                cov_yz_m2: Some(cov[(1, 2)]),
-                cov_zz_m2: Some(cov[(2, 2)]),
-                sd_m: Some(cov.trace().sqrt()),
-                onsets: 1,
-                chi2_dof: None,
-                alternative: 0,
-                log_likelihood: None,
-            }
+            Patch { onsets: 1, ..covariances::patch_row(a as i32 + 1, "visible", at.into(), Some(&cov)) }
         };
         self.truth.iter().enumerate().map(row).collect()
     }
@@ -116,8 +99,8 @@ fn campaign(dimensions: u8) -> Vec<Campaign> {
 }
 
 fn planes_of(surface: &Surface, beside: &BesideTables, rows: Vec<Patch>) -> (Vec<Plane>, Vec<String>) {
-    let known = surface.context(surface.fields(&campaign(3)), beside).unwrap();
-    let Outcome { rows, rejections, .. } = surface.apply(&known, rows).unwrap();
+    let context = surface.context(surface.fields(&campaign(3)), beside).unwrap();
+    let Outcome { rows, rejections, .. } = surface.apply(&context, rows).unwrap();
     (rows, rejections.into_iter().map(|rejection| rejection.reason).collect())
 }
 
@@ -143,12 +126,12 @@ fn walls_are_found_with_errors_as_large_as_stated() {
         let mut normals = [(Matrix3::zeros(), 0.0); 3];
         let draws = 200;
         for _ in 0..draws {
-            let (found, reasons) = planes_of(&Surface::default(), &beside, scene.rows(&mut rng));
+            let (planes, reasons) = planes_of(&Surface::default(), &beside, scene.rows(&mut rng));
             assert!(reasons.is_empty(), "{reasons:?}");
-            let sizes: Vec<usize> = found.iter().map(|plane| plane.patches.len()).collect();
+            let sizes: Vec<usize> = planes.iter().map(|plane| plane.patches.len()).collect();
             whole += usize::from(sizes == [16, 12, 9]);
             assert_eq!(sizes.len(), 3, "{sizes:?}");
-            for (n, (plane, wall)) in found.iter().zip(&walls).enumerate() {
+            for (n, (plane, wall)) in planes.iter().zip(&walls).enumerate() {
                 let error = normal(plane) - wall.normal();
                 normals[n].0 += error * error.transpose() / f64::from(draws);
                 normals[n].1 += plane.normal_sd_rad.powi(2) / f64::from(draws);
@@ -189,14 +172,14 @@ fn groups_may_be_given_by_hand() {
         (row.x_m, row.y_m, row.z_m) = (at.x, at.y, at.z);
     }
     let groups = vec![(29..=37).rev().collect(), (1..=16).collect(), vec![1, 2, 3, 4], vec![17, 18, 99]];
-    let (found, reasons) = planes_of(&Surface { groups: Some(groups), ..Surface::default() }, &scene.beside(), rows);
+    let (planes, reasons) = planes_of(&Surface { groups: Some(groups), ..Surface::default() }, &scene.beside(), rows);
     assert_eq!(
-        found.iter().map(|plane| plane.patches.clone()).collect::<Vec<_>>(),
+        planes.iter().map(|plane| plane.patches.clone()).collect::<Vec<_>>(),
         [(29..=37).collect::<Vec<i32>>(), (1..=16).collect()]
     );
-    assert_eq!((found[0].plane, found[1].plane), (1, 2));
-    assert!(found[0].farthest == 33 && (-0.03..-0.01).contains(&found[0].farthest_m), "{:?}", found[0]);
-    assert!(found[0].chi2 > 30.0 && found[0].rms_m < 0.01 && found[1].chi2 < 30.0, "{found:?}");
+    assert_eq!((planes[0].plane, planes[1].plane), (1, 2));
+    assert!(planes[0].farthest == 33 && (-0.03..-0.01).contains(&planes[0].farthest_m), "{:?}", planes[0]);
+    assert!(planes[0].chi2 > 30.0 && planes[0].rms_m < 0.01 && planes[1].chi2 < 30.0, "{planes:?}");
     assert!(reasons.len() == 3, "{reasons:?}");
     assert!(reasons[0].contains("the 4 patches of group 3") && reasons[0].contains("in line"), "{reasons:?}");
     assert!(
@@ -213,13 +196,13 @@ fn patches_without_covariance_and_alternatives_are_left_out() {
     rows[1].cov_yz_m2 = None;
     rows[2] = Patch { cov_xx_m2: Some(0.0), cov_xy_m2: Some(0.0), cov_xz_m2: Some(0.0), ..rows[2].clone() };
     rows.push(image);
-    let (found, reasons) = planes_of(&Surface::default(), &BesideTables::default(), rows.clone());
-    assert_eq!(found[0].patches, [vec![1], (4..=16).collect()].concat());
+    let (planes, reasons) = planes_of(&Surface::default(), &BesideTables::default(), rows.clone());
+    assert_eq!(planes[0].patches, [vec![1], (4..=16).collect()].concat());
     assert!(reasons.len() == 2 && reasons[0].contains("patch 2 has no covariance"), "{reasons:?}");
     // Four patches in space have no plane.
-    let (found, reasons) =
+    let (planes, reasons) =
         planes_of(&Surface::default(), &BesideTables::default(), [0, 5, 20, 33].map(|n| rows[n].clone()).to_vec());
-    assert!(found.is_empty() && reasons.len() == 1 && reasons[0].contains("no 4 of the 4 patches"), "{reasons:?}");
+    assert!(planes.is_empty() && reasons.len() == 1 && reasons[0].contains("no 4 of the 4 patches"), "{reasons:?}");
 }
 
 #[test]

@@ -5,10 +5,9 @@ use super::{Context, Triangulate};
 use crate::geometry::Point;
 use crate::geometry::bistatic::{ProfileOnsets, Solution};
 use crate::priors::calibration;
-use crate::priors::corrections::Correction;
+use crate::priors::flight_profile::FlightProfile;
 use crate::signal::between::{Between, Pair, Stray, between};
 use crate::signal::response::Response;
-use crate::signal::sparse;
 use crate::tables::{Gap, Onset, Profile};
 
 /// Share of a strip's light that leaves over the other's exit.
@@ -23,16 +22,6 @@ struct Evidence {
     /// Sums of share over variance, and of one over variance.
     weighted: f64,
     weights: f64,
-}
-
-/// A profile made ready: upwards, without pick-up, in times of flight.
-struct Ready {
-    samples: Vec<f64>,
-    sd_v: Vec<f64>,
-    acf: Vec<f64>,
-    t0_ps: f64,
-    dt_ps: f64,
-    response: Response,
 }
 
 impl Triangulate {
@@ -59,7 +48,7 @@ impl Triangulate {
             };
             context.cancel.check();
             let Some(profile) = profiles.iter().find(is_its) else { continue };
-            let ready = match ready(context, profile) {
+            let (flight, response) = match ready(context, profile) {
                 Ok(ready) => ready,
                 Err(why) => {
                     let Profile { sensor, lit, seen, .. } = profile;
@@ -78,7 +67,7 @@ impl Triangulate {
                     spread_sd_ps2: SPREAD_SD_PS2,
                     strays: &strays,
                 };
-                between(&ready.profile(), &ready.response, &pair).iter().for_each(|said| evidence.add(said));
+                between(&flight.view(), &response, &pair).iter().for_each(|said| evidence.add(said));
             }
             looked_at += 1;
         }
@@ -159,33 +148,15 @@ impl View<'_> {
     }
 }
 
-fn ready(context: &Context, profile: &Profile) -> Result<Ready, String> {
+/// A profile in times of flight, with the response of its pulses; or why gaps are not judged on it.
+fn ready(context: &Context, profile: &Profile) -> Result<(FlightProfile, Response), String> {
     if profile.counts.is_some() {
         return Err("holds photon counts, whose noise is not normal; gaps are not judged on them yet".to_owned());
     }
-    let (key, sensor) = (context.sensors.of(profile))
-        .ok_or_else(|| "has no calibration; capture the sensor's response, or import one".to_owned())?;
-    let correction = Correction::of(&context.sessions, key, profile)?;
-    let mut samples = profile.mean_v.to_f64();
-    let mut sd_v = calibration::sd_v(profile);
-    correction.take_pickup_off(profile, context.fields.repetition_ps, &mut samples, &mut sd_v)?;
-    samples.iter_mut().for_each(|sample| *sample *= sensor.polarity);
-    let noise_v = profile.noise_v / f64::from(profile.shots).sqrt();
-    // What is no more than the rounding of the samples is white.
-    let acf = if noise_v <= calibration::rounding_v(profile) { vec![1.0] } else { calibration::correlation(profile) };
-    Ok(Ready {
-        samples,
-        sd_v,
-        acf,
-        t0_ps: profile.t0_ps - sensor.latency_ps - correction.drift_ps,
-        dt_ps: profile.dt_ps,
-        response: sensor.averaged(profile),
-    })
-}
-
-impl Ready {
-    fn profile(&self) -> sparse::Profile<'_> {
-        let Self { samples: mean_v, sd_v, acf, t0_ps, dt_ps, .. } = self;
-        sparse::Profile { mean_v, sd_v, acf, t0_ps: *t0_ps, dt_ps: *dt_ps }
-    }
+    let calibrated = context.sensors.of(profile);
+    let calibrated =
+        calibrated.ok_or_else(|| "has no calibration; capture the sensor's response, or import one".to_owned())?;
+    let (sd_v, period_ps) = (calibration::sd_v(profile), context.fields.repetition_ps);
+    let flight = FlightProfile::new(profile, calibrated, &context.sessions, period_ps, sd_v)?;
+    Ok((flight, calibrated.1.averaged(profile)))
 }

@@ -30,7 +30,7 @@ type ProfileKey = (Name, PatchId, PatchId, Option<Name>);
 
 impl Model {
     /// The model, and which profiles it leaves out and why; or why there is none. `exact`: differences of arrival, with
-    /// all else as it is told.
+    /// all else exact.
     pub(super) fn new(context: &Context, onsets: Vec<Onset>, exact: bool) -> Result<(Self, Vec<String>), String> {
         let mut profiles: BTreeMap<ProfileKey, Vec<Onset>> = BTreeMap::new();
         for onset in onsets {
@@ -92,15 +92,15 @@ impl Model {
                 continue;
             }
             if bounce == Bounce::Third && onsets.len() < model.strips.len() {
-                let (found, needed) = (onsets.len(), model.strips.len());
+                let (count, needed) = (onsets.len(), model.strips.len());
                 reasons.push(reject(&format!(
-                    "is left out: {found} onsets for {needed} strips; average more shots, or light a point from where their pulses are farther apart"
+                    "is left out: {count} onsets for {needed} strips; average more shots, or light a point from where their pulses are farther apart"
                 )));
                 continue;
             }
             let delay = delays.iter().position(|key| *key == onsets[0].sensor_range()).expect("all were listed");
             let station = points.len() + station;
-            model.add(context, Place { lit: place(lit), station, delay, bounce }, onsets);
+            model.add(context, Course { lit: place(lit), station, delay, bounce }, onsets);
         }
         if exact {
             model.take_differences()?;
@@ -109,10 +109,10 @@ impl Model {
     }
 
     /// Adds a record; of first bounces the earliest onset.
-    fn add(&mut self, context: &Context, place: Place, mut onsets: Vec<Onset>) {
+    fn add(&mut self, context: &Context, course: Course, mut onsets: Vec<Onset>) {
         onsets.sort_by_key(|onset| onset.rank);
         let all = onsets.len();
-        if place.bounce == Bounce::First {
+        if course.bounce == Bounce::First {
             onsets.truncate(1);
         }
         let per_ps = self.medium.path_m(1.0);
@@ -121,10 +121,10 @@ impl Model {
             let own = if r == c { onsets[r].time_sd_ps.powi(2) } else { own };
             (own + onsets[r].jitter_ps.powi(2)) * per_ps * per_ps
         });
-        let earliest_ps = self.medium.time_ps(self.earliest_m(&place));
+        let earliest_ps = self.medium.time_ps(self.earliest_m(&course));
         let turned = |onset: Onset| {
             let late_ps = earliest_ps - onset.time_ps;
-            let turns = context.fields.repetition_ps.map_or(0.0, |period_ps| match place.bounce {
+            let turns = context.fields.repetition_ps.map_or(0.0, |period_ps| match course.bounce {
                 Bounce::First => (late_ps / period_ps).round(),
                 Bounce::Third => (late_ps / period_ps).ceil().max(0.0),
             });
@@ -136,18 +136,18 @@ impl Model {
             |(onset, turns): &(Onset, i32)| self.medium.path_m(onset.time_ps + f64::from(*turns) * period_ps);
         let lengths_m = onsets.iter().map(length_m).collect();
         let heights = onsets.iter().map(|(onset, _)| onset.amplitude.abs()).collect();
-        let Place { lit, station, delay, bounce } = place;
+        let Course { lit, station, delay, bounce } = course;
         self.problem.records.push(ProfileOnsets { lit, station, delay, bounce, lengths_m, covariance_m2, heights });
         self.onsets.push(onsets);
     }
 
     /// The first bounce's way, or the shortest way of a third bounce: straight to the nearest exit.
-    fn earliest_m(&self, place: &Place) -> f64 {
+    fn earliest_m(&self, course: &Course) -> f64 {
         let problem = &self.problem;
-        let (lit, station) = (problem.anchors[place.lit].at, problem.anchors[place.station].at);
+        let (lit, station) = (problem.anchors[course.lit].at, problem.anchors[course.station].at);
         let in_m = (lit - problem.source).norm();
         let out_m = |from: Point| (station - from).norm();
-        match place.bounce {
+        match course.bounce {
             Bounce::First => in_m + out_m(lit),
             Bounce::Third => {
                 let exits = problem.strips.iter().map(|strip| problem.anchors[strip.exit].at);
@@ -185,8 +185,8 @@ impl Model {
     }
 }
 
-/// Where a record was taken.
-struct Place {
+/// Which way the light of a record goes: numbers of its anchors and of its delay.
+struct Course {
     lit: usize,
     station: usize,
     delay: usize,
@@ -200,14 +200,14 @@ fn strips(
     profiles: &BTreeMap<ProfileKey, Vec<Onset>>,
 ) -> Result<BTreeMap<PatchId, PatchId>, String> {
     let listed = context.fields.patches.iter().filter(|(_, patch)| patch.role == PatchRole::Hidden);
-    let told: BTreeMap<PatchId, PatchId> =
+    let through: BTreeMap<PatchId, PatchId> =
         listed.clone().filter_map(|(strip, patch)| Some((*strip, patch.through?))).collect();
-    if let Some((strip, _)) = listed.clone().find(|(strip, _)| !told.is_empty() && !told.contains_key(*strip)) {
+    if let Some((strip, _)) = listed.clone().find(|(strip, _)| !through.is_empty() && !through.contains_key(*strip)) {
         return Err(format!(
             "hidden patch {strip} has no exit; add `through` under [patches.{strip}] in campaign.toml"
         ));
     }
-    let strips = if told.is_empty() {
+    let strips = if through.is_empty() {
         let thirds = profiles.keys().map(|(_, lit, seen, _)| (lit, context.covers(*seen)));
         let mut exits: Vec<PatchId> =
             thirds.filter(|(lit, covered)| !covered.contains(lit)).flat_map(|(_, covered)| covered).collect();
@@ -216,7 +216,7 @@ fn strips(
         let largest = context.fields.patches.keys().chain(context.fields.views.keys()).chain(&exits).max().copied();
         (largest.unwrap_or(0) + 1..).zip(exits).collect()
     } else {
-        told
+        through
     };
     if strips.is_empty() {
         return Err("no profile has third bounces: light a diffuser point, and let a sensor see others".to_owned());
@@ -231,26 +231,27 @@ fn strips(
 }
 
 fn anchor(context: &Context, patch: PatchId, exact: bool) -> Result<Anchor, String> {
-    let told = context.fields.patches.get(&patch);
-    let position_m = told.and_then(|told| told.position_m).ok_or_else(|| {
+    let prior = context.fields.patches.get(&patch);
+    let position_m = prior.and_then(|prior| prior.position_m).ok_or_else(|| {
         format!("diffuser point {patch} has no position; add `position_m` (and `sd_m`) under [patches.{patch}] in campaign.toml")
     })?;
-    let told = told.expect("it has a position");
+    let prior = prior.expect("it has a position");
     Ok(Anchor {
         at: Point::from(position_m),
-        sd_m: told.sd_m.filter(|_| !exact).unwrap_or(0.0),
-        normal: told.normal.map(Vector3::from),
+        sd_m: prior.sd_m.filter(|_| !exact).unwrap_or(0.0),
+        normal: prior.normal.map(Vector3::from),
     })
 }
 
 fn surface(context: &Context, strip: PatchId) -> Surface {
-    let Some((told, size_m)) = context.fields.patches.get(&strip).and_then(|told| Some((told, told.size_m?))) else {
+    let Some((prior, size_m)) = context.fields.patches.get(&strip).and_then(|prior| Some((prior, prior.size_m?)))
+    else {
         return Surface::Diffuse;
     };
-    told.lobe_rad.map_or(Surface::Unknown { size_m }, |lobe_rad| Surface::Glossy {
+    prior.lobe_rad.map_or(Surface::Unknown { size_m }, |lobe_rad| Surface::Glossy {
         size_m,
         lobe_rad,
-        normal: told.normal.map(Vector3::from),
+        normal: prior.normal.map(Vector3::from),
     })
 }
 

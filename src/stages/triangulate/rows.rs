@@ -14,23 +14,14 @@ impl Model {
     pub(super) fn patches(&self, solutions: &[Solution]) -> Vec<Patch> {
         let mut rows = Vec::new();
         for (alternative, solution) in solutions.iter().enumerate() {
-            let row = |patch: PatchId, kind: &str, at: Point, cov: Matrix3<f64>, onsets: usize| Patch {
-                patch,
-                kind: kind.into(),
-                x_m: at.x,
-                y_m: at.y,
-                z_m: at.z,
-                cov_xx_m2: Some(cov[(0, 0)]),
-                cov_xy_m2: Some(cov[(0, 1)]),
-                cov_xz_m2: Some(cov[(0, 2)]),
-                cov_yy_m2: Some(cov[(1, 1)]),
-                cov_yz_m2: Some(cov[(1, 2)]),
-                cov_zz_m2: Some(cov[(2, 2)]),
-                sd_m: Some(cov.trace().max(0.0).sqrt()),
+            let row = |patch: PatchId, kind: &str, at: Point, cov_m2: Matrix3<f64>, onsets: usize| Patch {
+                // Rounding may leave the variances of an exact patch below zero.
+                sd_m: Some(cov_m2.trace().max(0.0).sqrt()),
                 onsets: onsets as i32,
                 chi2_dof: (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64),
                 alternative: alternative as i32,
                 log_likelihood: Some(-0.5 * solution.cost),
+                ..covariances::patch_row(patch, kind, at, Some(&cov_m2))
             };
             if alternative == 0 {
                 rows.extend(self.points.iter().zip(&solution.anchors).enumerate().map(|(n, (patch, (at, cov)))| {

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use super::{Place, State, Stretch, between};
+use super::{Boundary, State, Stretch, between};
 use crate::campaign::tree_hash::BLOCK_BYTES;
 use crate::stages::ingest::files::Files;
 use crate::stages::ingest::part::items;
@@ -62,20 +62,20 @@ fn kept_whole(files: &Files, item: &Item) -> Option<String> {
 }
 
 /// A cut of a part, and where it cuts the files that it goes through.
-type Cut = (Place, Vec<(PathBuf, u64)>);
+type Cut = (Boundary, Vec<(PathBuf, u64)>);
 
 /// Where a cut goes through a file.
 fn place_of(files: &[(PathBuf, u64)], file: &Path) -> Option<u64> {
     files.iter().find(|(name, _)| name == file).map(|(_, at)| *at)
 }
 
-/// Cuts a part into so many pieces, or fewer, of about as many bytes: within items that are larger than a piece, if
-/// they can be, else between them.
+/// Cuts a part into `count` pieces, or fewer, of about as many bytes. It cuts within items that are larger than a
+/// piece, if they can be cut, else between items.
 pub fn cut(surveyed: &Surveyed<'_>, part: usize, count: usize) -> Result<Vec<Piece>, String> {
     let captures = &surveyed.parts[part];
     let total: u64 = captures.iter().map(Capture::bytes).sum();
     let wanted = |k: usize| (u128::from(total) * k as u128 / count as u128) as u64;
-    let mut cuts: Vec<Cut> = vec![(Place::default(), Vec::new())];
+    let mut cuts: Vec<Cut> = vec![(Boundary::default(), Vec::new())];
     let (mut k, mut before, mut uncut) = (1, 0, None);
     for (capture, item_number, item) in items(captures) {
         let end = before + item.bytes;
@@ -99,12 +99,13 @@ pub fn cut(surveyed: &Surveyed<'_>, part: usize, count: usize) -> Result<Vec<Pie
                     let last = cuts.last().filter(|(place, _)| (place.capture, place.item) == (capture, item_number));
                     let least = |file| last.and_then(|(_, files)| place_of(files, file)).unwrap_or(0);
                     let places = places.map(|(file, bytes, at)| (file.clone(), block(bytes, at).max(least(file))));
-                    (Place { capture, item: item_number, exposure }, places.collect())
+                    (Boundary { capture, item: item_number, exposure }, places.collect())
                 }
                 // Before it or behind it, whichever is nearer.
-                None => {
-                    (Place { capture, item: item_number + usize::from(2 * at > item.bytes), exposure: 0 }, Vec::new())
-                }
+                None => (
+                    Boundary { capture, item: item_number + usize::from(2 * at > item.bytes), exposure: 0 },
+                    Vec::new(),
+                ),
             };
             if cut.0 > cuts.last().expect("the start").0 {
                 cuts.push(cut);
@@ -113,11 +114,11 @@ pub fn cut(surveyed: &Surveyed<'_>, part: usize, count: usize) -> Result<Vec<Pie
         }
         before = end;
     }
-    let end = Place { capture: captures.len(), ..Place::default() };
+    let end = Boundary { capture: captures.len(), ..Boundary::default() };
     // A cut behind the last item of a capture is one before the next.
     cuts.iter_mut().for_each(|(place, _)| {
         if captures.get(place.capture).is_some_and(|capture| place.item == capture.items.len()) {
-            *place = Place { capture: place.capture + 1, ..Place::default() };
+            *place = Boundary { capture: place.capture + 1, ..Boundary::default() };
         }
     });
     cuts.dedup_by_key(|(place, _)| *place);
@@ -138,12 +139,12 @@ fn piece(surveyed: &Surveyed<'_>, captures: &[Capture], from: &Cut, to: &Cut) ->
         let whole = exposures == (0..usize::MAX);
         let mut share = 0;
         for file in item.exposure.files().collect::<BTreeSet<_>>() {
-            let found = std::fs::metadata(root.path_of(file)).map_err(|error| error.to_string())?;
-            states.insert(file.clone(), State::of(&found));
+            let metadata = std::fs::metadata(root.path_of(file)).map_err(|error| error.to_string())?;
+            states.insert(file.clone(), State::of(&metadata));
             if !whole {
                 let start = if exposures.start == 0 { 0 } else { place_of(&from.1, file).unwrap_or(0) };
                 let end =
-                    if exposures.end == usize::MAX { found.len() } else { place_of(&to.1, file).unwrap_or(start) };
+                    if exposures.end == usize::MAX { metadata.len() } else { place_of(&to.1, file).unwrap_or(start) };
                 hashed.insert(file.clone(), start..end.max(start));
                 share += end.max(start) - start;
             }
@@ -159,7 +160,7 @@ fn piece(surveyed: &Surveyed<'_>, captures: &[Capture], from: &Cut, to: &Cut) ->
         bytes += if whole { item.bytes } else { share };
     }
     let root = &surveyed.campaigns[captures[0].campaign];
-    let end = to.0.capture + usize::from(to.0 > Place { capture: to.0.capture, ..Place::default() });
+    let end = to.0.capture + usize::from(to.0 > Boundary { capture: to.0.capture, ..Boundary::default() });
     let files = states.keys().map(|file: &PathBuf| root.path_of(file)).collect();
     let stretch = Stretch { from: from.0, to: to.0, states, hashed };
     let stretch = serde_json::to_value(stretch).expect("places and names are plain data");

@@ -86,10 +86,10 @@ fn assert_claimed(outcome: &Outcome<Distance>, moved: &[Vec<Distance>]) {
         for (m, b) in rows.iter().enumerate().skip(n) {
             let error = |moved: &[Distance], k: usize| moved[k].distance_m - rows[k].distance_m;
             let expected: f64 = moved.iter().map(|moved| error(moved, n) * error(moved, m)).sum();
-            let found =
+            let cov_m2 =
                 if n == m { a.sd_m * a.sd_m } else { claimed.get(&((a.a, a.b), (b.a, b.b))).copied().unwrap_or(0.0) };
-            shared += usize::from(n != m && found != 0.0);
-            assert!((found - expected).abs() < 1e-3 * a.sd_m * b.sd_m, "{a:?} {b:?}: {found} {expected}");
+            shared += usize::from(n != m && cov_m2 != 0.0);
+            assert!((cov_m2 - expected).abs() < 1e-3 * a.sd_m * b.sd_m, "{a:?} {b:?}: {cov_m2} {expected}");
         }
     }
     assert!(shared > rows.len() && shared == claimed.len(), "{shared} {}", claimed.len());
@@ -132,24 +132,7 @@ fn legs_from_first_bounces_give_ranges_free_of_delay_and_all_covariances() {
 }
 
 fn patch(patch: PatchId, kind: &str, point: Point, own: &Matrix3<f64>) -> Patch {
-    Patch {
-        patch,
-        kind: kind.into(),
-        x_m: point.x,
-        y_m: point.y,
-        z_m: point.z,
-        cov_xx_m2: Some(own[(0, 0)]),
-        cov_xy_m2: Some(own[(0, 1)]),
-        cov_xz_m2: Some(own[(0, 2)]),
-        cov_yy_m2: Some(own[(1, 1)]),
-        cov_yz_m2: Some(own[(1, 2)]),
-        cov_zz_m2: Some(own[(2, 2)]),
-        sd_m: Some(own.trace().sqrt()),
-        onsets: 1,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-    }
+    Patch { onsets: 1, ..covariances::patch_row(patch, kind, point, Some(own)) }
 }
 
 /// Errors of patches 1 to 4, alike in all: what each of `errors_m`, of variance 1, moves each patch by.

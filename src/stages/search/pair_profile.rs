@@ -1,19 +1,19 @@
-//! Profiles as records of light over hidden places, and the light in them that is known.
+//! Profiles in which hidden patches are searched for, and the light in them that is known.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 
-use super::{Context, Fields, Open, Rejection, rejection, sparse};
+use super::{Context, Fields, Open, sparse};
 use crate::cancel::Cancel;
 use crate::geometry::{Point, faint};
-use crate::priors::calibration;
+use crate::priors::calibration::{self, Calibrated};
 use crate::priors::campaign_fields::Medium;
-use crate::priors::corrections::Correction;
-use crate::priors::sensor_range::OfSensorRange;
+use crate::priors::flight_profile::FlightProfile;
+use crate::priors::sensor_range::{OfSensorRange, SensorRange};
 use crate::signal::response::Response;
 use crate::signal::sparse::Given;
-use crate::stages::stage::StageError;
+use crate::stages::stage::{Rejection, StageError};
 use crate::tables::{Impulse, Profile};
 use crate::units::PatchId;
 
@@ -28,19 +28,15 @@ const TAIL_WIDTHS: f64 = 4.0;
 /// The width of impulses as strong as that, in standard deviations of their amplitude, is taken as open.
 const STRONG: f64 = 30.0;
 
-/// A profile of two patches in known places, made ready: upwards, without pick-up, in lengths over hidden places.
-pub(super) struct Record {
+/// A profile of two patches in known places; its times are those of the way between them, over hidden places.
+pub(super) struct PairProfile {
     pub(super) lit: PatchId,
     pub(super) seen: PatchId,
     pub(super) shots: i32,
     pub(super) acquired_at: Option<String>,
     pub(super) response: Response,
-    samples: Vec<f64>,
-    sd_v: Vec<f64>,
-    acf: Vec<f64>,
-    /// Time of the first sample after light has left for the lit patch and come from the seen one.
-    t0_ps: f64,
-    dt_ps: f64,
+    /// Times begin when light leaves the lit patch, and the way from the seen one to the sensor is taken off.
+    flight: FlightProfile,
     medium: Medium,
     /// Share of the light that attenuators leave.
     transmission: f64,
@@ -52,93 +48,89 @@ pub(super) struct Record {
 
 impl Context {
     /// All profiles between patches in known places that can be searched; why others cannot.
-    pub(super) fn records(
+    pub(super) fn pairs(
         &self,
         points: &BTreeMap<PatchId, Point>,
-    ) -> Result<(Vec<Record>, Vec<Rejection>), StageError> {
+    ) -> Result<(Vec<PairProfile>, Vec<Rejection>), StageError> {
         let ready: Vec<_> =
-            self.profiles.par_iter().filter_map(|profile| Some((profile, self.record(profile, points)?))).collect();
-        let (mut records, mut rejections) = (Vec::new(), Vec::new());
-        for (profile, record) in ready {
-            match record? {
-                Ok(record) => records.push(record),
+            self.profiles.par_iter().filter_map(|profile| Some((profile, self.pair(profile, points)?))).collect();
+        let (mut pairs, mut rejections) = (Vec::new(), Vec::new());
+        for (profile, pair) in ready {
+            match pair? {
+                Ok(pair) => pairs.push(pair),
                 Err(why) => {
                     let Profile { sensor, lit, seen, .. } = profile;
                     let text = format!("profile of sensor {sensor}, lit {lit}, seen {seen}, {why}");
-                    rejections.push(rejection(&profile.campaign, text));
+                    rejections.push(Rejection::new(&profile.campaign, text));
                 }
             }
         }
-        Ok((records, rejections))
+        Ok((pairs, rejections))
     }
 
     /// `None` where a patch has no place.
-    fn record(
+    fn pair(
         &self,
         profile: &Profile,
         points: &BTreeMap<PatchId, Point>,
-    ) -> Option<Result<Result<Record, String>, StageError>> {
+    ) -> Option<Result<Result<PairProfile, String>, StageError>> {
         let (lit, seen) = (*points.get(&profile.lit)?, *points.get(&profile.seen)?);
-        let Fields { medium, repetition_ps, stations, .. } = self.fields.of(&profile.campaign);
+        let stations = &self.fields.of(&profile.campaign).stations;
         let legs_m = (lit - stations.source()).norm() + (seen - stations.sensor(&profile.sensor)?).norm();
-        let Some((key, sensor)) = self.sensors.of(profile) else {
+        let Some(calibrated) = self.sensors.of(profile) else {
             let (sensor, campaign) = (&profile.sensor, &profile.campaign);
             let text = format!(
                 "sensor `{sensor}` of campaign `{campaign}` is not calibrated: capture its response, or import a calibration"
             );
             return Some(Err(StageError::Refused(text)));
         };
-        let ready = || {
-            if profile.counts.is_some() {
-                return Err(
-                    "holds photon counts, whose noise is not normal; they are not searched for hidden patches yet"
-                        .to_owned(),
-                );
-            }
-            let length_ps = profile.dt_ps * profile.mean_v.len() as f64;
-            if repetition_ps.is_some_and(|period_ps| period_ps < length_ps * (1.0 + 1e-6)) {
-                return Err(
-                    "wraps around the laser's period; such records are not searched for hidden patches yet".to_owned()
-                );
-            }
-            let correction = Correction::of(&self.sessions, key, profile)?;
-            let mut samples = profile.mean_v.to_f64();
-            let noise_v = profile.noise_v / f64::from(profile.shots).sqrt();
-            // Away from impulses the noise is that before the pulse. What a model of it in level and slope makes of a
-            // mean that is noise itself is larger where the sample is, and takes a quarter of the information of all
-            // weak light.
-            let quiet_v = noise_v.max(calibration::rounding_v(profile));
-            let own_v = calibration::sd_v(profile);
-            let mut sd_v: Vec<f64> = own_v.iter().map(|sd| if sd.is_finite() { quiet_v } else { *sd }).collect();
-            correction.take_pickup_off(profile, *repetition_ps, &mut samples, &mut sd_v)?;
-            samples.iter_mut().for_each(|sample| *sample *= sensor.polarity);
-            // What is no more than the rounding of the samples is white.
-            let acf =
-                if noise_v <= calibration::rounding_v(profile) { vec![1.0] } else { calibration::correlation(profile) };
-            let legs_ps = medium.time_ps(legs_m) + self.delays.delay_ps(profile).0;
-            let (response, impulses) = (sensor.averaged(profile), self.impulses(profile));
-            let t0_ps = profile.t0_ps - sensor.latency_ps - correction.drift_ps;
-            for impulse in impulses {
-                add_misfit(&mut sd_v, &own_v, &response, impulse, t0_ps, profile.dt_ps);
-            }
-            Ok(Record {
-                lit: profile.lit,
-                seen: profile.seen,
-                shots: profile.shots,
-                acquired_at: profile.acquired_at.as_deref().map(str::to_owned),
-                response,
-                samples,
-                sd_v,
-                acf,
-                t0_ps: t0_ps - legs_ps,
-                dt_ps: profile.dt_ps,
-                medium: *medium,
-                transmission: 10_f64.powf(-profile.attenuation_od.unwrap_or(0.0)),
-                fitted: impulses.iter().map(|impulse| given(impulse, legs_ps)).collect(),
-                weak_score: 0.0,
-            })
-        };
-        Some(Ok(ready()))
+        Some(Ok(self.ready(profile, calibrated, legs_m)))
+    }
+
+    /// A profile made ready, or why it cannot be searched. `legs_m`: from the laser to the lit patch, and from the seen
+    /// one to the sensor.
+    fn ready(
+        &self,
+        profile: &Profile,
+        (key, sensor): (&SensorRange, &Calibrated),
+        legs_m: f64,
+    ) -> Result<PairProfile, String> {
+        let Fields { medium, repetition_ps, .. } = self.fields.of(&profile.campaign);
+        if profile.counts.is_some() {
+            return Err("holds photon counts, whose noise is not normal; they are not searched for hidden patches yet"
+                .to_owned());
+        }
+        let length_ps = profile.dt_ps * profile.mean_v.len() as f64;
+        if repetition_ps.is_some_and(|period_ps| period_ps < length_ps * (1.0 + 1e-6)) {
+            return Err(
+                "wraps around the laser's period; such records are not searched for hidden patches yet".to_owned()
+            );
+        }
+        // Away from impulses the noise is that before the pulse. The profile's own noise comes from a model in level
+        // and slope of a mean that is noise there: it grows with the sample, which costs a quarter of the information
+        // on weak light.
+        let quiet_v = calibration::noise_v(profile);
+        let own_v = calibration::sd_v(profile);
+        let sd_v = own_v.iter().map(|sd| if sd.is_finite() { quiet_v } else { *sd }).collect();
+        let mut flight = FlightProfile::new(profile, (key, sensor), &self.sessions, *repetition_ps, sd_v)?;
+        let (response, impulses) = (sensor.averaged(profile), self.impulses(profile));
+        for impulse in impulses {
+            add_misfit(&mut flight, &own_v, &response, impulse);
+        }
+        let legs_ps = medium.time_ps(legs_m) + self.delays.delay_ps(profile).0;
+        flight.t0_ps -= legs_ps;
+        Ok(PairProfile {
+            lit: profile.lit,
+            seen: profile.seen,
+            shots: profile.shots,
+            acquired_at: profile.acquired_at.as_deref().map(str::to_owned),
+            response,
+            flight,
+            medium: *medium,
+            transmission: 10_f64.powf(-profile.attenuation_od.unwrap_or(0.0)),
+            fitted: impulses.iter().map(|impulse| given(impulse, legs_ps)).collect(),
+            weak_score: 0.0,
+        })
     }
 
     /// Impulses of a profile, or of the reciprocal one with which it was explained.
@@ -153,7 +145,9 @@ impl Context {
 }
 
 /// Gives the samples under an impulse their own noise, and adds what an error of the response leaves there.
-fn add_misfit(sd_v: &mut [f64], own_v: &[f64], response: &Response, impulse: &Impulse, t0_ps: f64, dt_ps: f64) {
+fn add_misfit(flight: &mut FlightProfile, own_v: &[f64], response: &Response, impulse: &Impulse) {
+    let FlightProfile { sd_v, t0_ps, dt_ps, .. } = flight;
+    let (t0_ps, dt_ps) = (*t0_ps, *dt_ps);
     let half_ps = 0.5 * response.width_ps();
     let reach = response.reach(impulse.time_ps, t0_ps, dt_ps, sd_v.len());
     // Its tail goes on where the response is cut off.
@@ -172,14 +166,10 @@ fn given(impulse: &Impulse, legs_ps: f64) -> Given {
     Given { time_ps: impulse.time_ps - legs_ps, width_ps: impulse.width_ps, open }
 }
 
-impl Record {
-    fn profile(&self) -> sparse::Profile<'_> {
-        let Self { samples: mean_v, sd_v, acf, t0_ps, dt_ps, .. } = self;
-        sparse::Profile { mean_v, sd_v, acf, t0_ps: *t0_ps, dt_ps: *dt_ps }
-    }
-
+impl PairProfile {
     fn end_ps(&self) -> f64 {
-        self.t0_ps + self.dt_ps * (self.samples.len() as f64 - 1.0) - self.response.peak_ps()
+        let FlightProfile { mean_v, t0_ps, dt_ps, .. } = &self.flight;
+        t0_ps + dt_ps * (mean_v.len() as f64 - 1.0) - self.response.peak_ps()
     }
 
     /// Scores of one more pulse by the length of its way over a hidden place.
@@ -193,8 +183,8 @@ impl Record {
         let step_ps = self.response.width_ps() / STEPS;
         let count = (self.end_ps() / step_ps).max(0.0) as usize;
         let times_ps = (0..count).map(|k| k as f64 * step_ps);
-        let matched = sparse::matched(&self.profile(), &self.response, given, spread_ps, times_ps, cancel);
-        let place = |patch| visible.binary_search(&patch).expect("a patch of a record is visible");
+        let matched = sparse::matched(&self.flight.view(), &self.response, given, spread_ps, times_ps, cancel);
+        let place = |patch| visible.binary_search(&patch).expect("the patches of a pair are visible");
         faint::Profile {
             foci: [place(self.lit), place(self.seen)],
             low_m: 0.0,
@@ -213,12 +203,12 @@ pub(super) struct Light<'a> {
 }
 
 impl<'a> Light<'a> {
-    pub(super) fn new(context: &Context, records: &[Record], visible: &'a [PatchId]) -> Self {
+    pub(super) fn new(context: &Context, pairs: &[PairProfile], visible: &'a [PatchId]) -> Self {
         let pair = |a: PatchId, b: PatchId| (a.min(b), a.max(b));
         let paths =
             context.labels.iter().filter(|label| label.alternative == 0).filter_map(|label| label.path.as_ref());
         let open: BTreeSet<_> = paths.flat_map(|path| path.windows(2).map(|legs| pair(legs[0], legs[1]))).collect();
-        let captured = records.iter().map(|record| pair(record.lit, record.seen));
+        let captured = pairs.iter().map(|profile| pair(profile.lit, profile.seen));
         Self { visible, closed: captured.filter(|pair| !open.contains(pair)).collect() }
     }
 
@@ -226,19 +216,19 @@ impl<'a> Light<'a> {
         a != b && !self.closed.contains(&(a.min(b), a.max(b)))
     }
 
-    /// What is known of a record's light: impulses, and third bounces over patches in place.
-    pub(super) fn given(&self, record: &Record, points: &BTreeMap<PatchId, Point>) -> Vec<Given> {
-        let mut given = record.fitted.clone();
+    /// What is known of a pair's light: impulses, and third bounces over patches in place.
+    pub(super) fn given(&self, pair: &PairProfile, points: &BTreeMap<PatchId, Point>) -> Vec<Given> {
+        let mut given = pair.fitted.clone();
         for (patch, point) in points {
-            if !(self.is_open(record.lit, *patch) && self.is_open(*patch, record.seen)) {
+            if !(self.is_open(pair.lit, *patch) && self.is_open(*patch, pair.seen)) {
                 continue;
             }
-            let way_m = (point - points[&record.lit]).norm() + (point - points[&record.seen]).norm();
-            let time_ps = record.medium.time_ps(way_m);
+            let way_m = (point - points[&pair.lit]).norm() + (point - points[&pair.seen]).norm();
+            let time_ps = pair.medium.time_ps(way_m);
             // A hidden patch in place is as strong as it likes.
             let is_visible = self.visible.binary_search(patch).is_ok();
-            let open = if is_visible { Open::Score(record.weak_score) } else { Open::Amplitude };
-            if time_ps < record.end_ps() {
+            let open = if is_visible { Open::Score(pair.weak_score) } else { Open::Amplitude };
+            if time_ps < pair.end_ps() {
                 given.push(Given { time_ps, width_ps: 0.0, open });
             }
         }
@@ -247,15 +237,15 @@ impl<'a> Light<'a> {
 
     /// Learns how strong third bounces over visible patches are, where they were not fitted: noise alone makes scores
     /// of 1 in the root mean square.
-    pub(super) fn learn(&self, records: &mut [Record], points: &BTreeMap<PatchId, Point>, cancel: &Cancel) {
-        let scores = |record: &Record| {
-            let weak = self.given(record, points).into_iter().filter(|light| matches!(light.open, Open::Score(_)));
+    pub(super) fn learn(&self, pairs: &mut [PairProfile], points: &BTreeMap<PatchId, Point>, cancel: &Cancel) {
+        let scores = |pair: &PairProfile| {
+            let weak = self.given(pair, points).into_iter().filter(|light| matches!(light.open, Open::Score(_)));
             let times_ps = weak.map(|light| light.time_ps);
-            let matched = sparse::matched(&record.profile(), &record.response, &record.fitted, 0.0, times_ps, cancel);
-            let told = matched.scores.into_iter().zip(matched.gains).filter(|(_, gain)| *gain > 0.0);
-            told.map(|(score, _)| score).collect::<Vec<f64>>()
+            let matched = sparse::matched(&pair.flight.view(), &pair.response, &pair.fitted, 0.0, times_ps, cancel);
+            let measured = matched.scores.into_iter().zip(matched.gains).filter(|(_, gain)| *gain > 0.0);
+            measured.map(|(score, _)| score).collect::<Vec<f64>>()
         };
-        let scores: Vec<f64> = records.par_iter().map(scores).collect::<Vec<_>>().concat();
+        let scores: Vec<f64> = pairs.par_iter().map(scores).collect::<Vec<_>>().concat();
         if scores.is_empty() {
             return;
         }
@@ -263,6 +253,6 @@ impl<'a> Light<'a> {
         let mean_square = scores.iter().map(|score| score * score).sum::<f64>() / count;
         // No less than what two standard errors leave open.
         let weak_score = (mean_square - 1.0 + 2.0 * (2.0 / count).sqrt()).max(0.0).sqrt();
-        records.iter_mut().for_each(|record| record.weak_score = weak_score);
+        pairs.iter_mut().for_each(|pair| pair.weak_score = weak_score);
     }
 }
