@@ -136,7 +136,7 @@ fn print_readings(seeds: u64, choices: &[Choice]) {
             if hidden == 0 {
                 totals[n] = (totals[n].0 + hits, totals[n].1 + scenes.len());
             }
-            let rms_mm = 1e3 * (sum.squares_m2 / sum.found as f64).sqrt();
+            let rms_mm = 1e3 * (sum.squares_m2 / sum.count as f64).sqrt();
             let covered = Rate { hits: sum.covered, of: sum.coordinates };
             println!(
                 "| {} | {snr} | {hidden} | {instrument:?} | {choice:?} | {seeds} | {hits} | {} | {} | {rms_mm:.3} | {covered} |",

@@ -53,8 +53,8 @@ impl Arrivals {
             let parts: Vec<_> = (0..=PARTS).map(|part| (capture.clone(), rank, part)).collect();
             let mut is_new = true;
             for id in parts {
-                if let Some(known) = all.remove(&id) {
-                    all.insert(id, known.detected(&detected));
+                if let Some(earlier) = all.remove(&id) {
+                    all.insert(id, earlier.detected(&detected));
                     is_new = false;
                 }
             }

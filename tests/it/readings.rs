@@ -79,7 +79,7 @@ pub struct Outcome {
     pub missed: usize,
     /// Sum of squared errors of the patches that were found, and their number.
     pub squares_m2: f64,
-    pub found: usize,
+    pub count: usize,
     /// Coordinates within 1.96 of their standard deviations, and their number.
     pub covered: usize,
     pub coordinates: usize,
@@ -91,7 +91,7 @@ impl Outcome {
             phantoms: self.phantoms + other.phantoms,
             missed: self.missed + other.missed,
             squares_m2: self.squares_m2 + other.squares_m2,
-            found: self.found + other.found,
+            count: self.count + other.count,
             covered: self.covered + other.covered,
             coordinates: self.coordinates + other.coordinates,
         }
@@ -292,7 +292,7 @@ fn compare(rows: &[Patch], room: &Room) -> Outcome {
         };
         let error = at - truth;
         outcome.squares_m2 += error.norm_squared();
-        outcome.found += 1;
+        outcome.count += 1;
         let [xx, xy, xz, yy, yz, zz] =
             [patch.cov_xx_m2, patch.cov_xy_m2, patch.cov_xz_m2, patch.cov_yy_m2, patch.cov_yz_m2, patch.cov_zz_m2]
                 .map(|value| value.expect("refined"));
@@ -321,5 +321,5 @@ fn nothing_hidden_is_made_up_where_third_bounces_follow_second_ones() {
     let [wide, points, readings] = all;
     assert_eq!(readings.phantoms, 0, "{all:?}");
     assert!(wide.phantoms + points.phantoms > 0, "{all:?}");
-    assert!(readings.squares_m2 < wide.squares_m2 && readings.found == 4 * VISIBLE, "{all:?}");
+    assert!(readings.squares_m2 < wide.squares_m2 && readings.count == 4 * VISIBLE, "{all:?}");
 }
