@@ -12,7 +12,6 @@ use periscope::store::Shelf;
 
 use super::interrupt::cancel_on_signals;
 use super::machine::Machine;
-use super::output::say;
 
 /// Arguments of `run-shard`.
 #[derive(Args)]
@@ -46,6 +45,6 @@ pub fn run_shard(args: &RunShard) -> Result<ExitCode> {
         Err(ShardError::Run(error @ RunError::Interrupted { .. })) => return Err(error.into()),
         made => made?,
     };
-    say!("{}", serde_json::to_string(&made)?)?;
+    println!("{}", serde_json::to_string(&made)?);
     Ok(ExitCode::SUCCESS)
 }

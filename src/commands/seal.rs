@@ -7,8 +7,6 @@ use anyhow::Result;
 use clap::Args;
 use periscope::campaign::{Campaign, seal as seal_campaign};
 
-use super::output::say;
-
 /// Arguments of `seal`.
 #[derive(Args)]
 pub struct Seal {
@@ -24,6 +22,6 @@ pub fn seal(args: &Seal) -> Result<ExitCode> {
     let campaign = Campaign::load(&args.dir)?;
     let survey = campaign.survey()?;
     let report = seal_campaign(&campaign, &survey, args.update)?;
-    say!("{}", report.to_string().trim_start())?;
+    println!("{}", report.to_string().trim_start());
     Ok(ExitCode::SUCCESS)
 }

@@ -45,7 +45,7 @@ pub struct PassRecord {
 pub struct RunRecord {
     /// Version of the program.
     pub periscope: String,
-    /// Pipeline: the absolute path of its file, or the name of one in the program.
+    /// Pipeline file, absolute.
     pub pipeline: PathBuf,
     /// Parameters changed on the command line, as typed.
     pub set: Vec<String>,
@@ -65,9 +65,6 @@ pub struct RunRecord {
     pub failure: Option<String>,
     /// Rejected rows in all its tables.
     pub rejects: u64,
-    /// What the campaigns have and no table is made from, a line for each cause.
-    #[serde(default)]
-    pub left_out: Vec<String>,
     /// Lineages of the tables that were complete at its end, by view.
     pub tables: BTreeMap<String, Digest>,
     /// Its passes, in order; empty for a run that failed.
@@ -76,12 +73,12 @@ pub struct RunRecord {
 }
 
 impl RunRecord {
-    /// A run of this process that starts now. `pipeline`: absolute path or name; `campaigns`: name and folder of each.
+    /// A run of this process that starts now. `campaigns`: name and folder of each.
     ///
     /// # Errors
     /// When the current folder is gone, so that relative paths have no base.
     pub fn start<'a>(
-        pipeline: PathBuf,
+        pipeline: &Path,
         set: &[String],
         campaigns: impl IntoIterator<Item = (&'a str, &'a Path)>,
     ) -> io::Result<Self> {
@@ -89,7 +86,7 @@ impl RunRecord {
         let Holder { host, process, started } = Holder::here();
         Ok(Self {
             periscope: env!("CARGO_PKG_VERSION").to_owned(),
-            pipeline,
+            pipeline: std::path::absolute(pipeline)?,
             set: set.to_vec(),
             campaigns: campaigns.into_iter().map(absolute).collect::<io::Result<_>>()?,
             host,
@@ -99,7 +96,6 @@ impl RunRecord {
             ending: None,
             failure: None,
             rejects: 0,
-            left_out: Vec::new(),
             tables: BTreeMap::new(),
             passes: Vec::new(),
         })
@@ -187,7 +183,6 @@ mod tests {
             ending: None,
             failure: None,
             rejects: 0,
-            left_out: Vec::new(),
             tables: BTreeMap::new(),
             passes: Vec::new(),
         }

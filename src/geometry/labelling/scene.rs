@@ -105,8 +105,7 @@ impl Scene {
     }
 
     /// Whether all patches of a path are in place.
-    #[must_use]
-    pub fn has(&self, path: &[PatchId]) -> bool {
+    pub(super) fn has(&self, path: &[PatchId]) -> bool {
         path.iter().all(|patch| self.points.contains_key(patch))
     }
 

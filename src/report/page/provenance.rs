@@ -12,12 +12,9 @@ pub fn rejects(report: &Report) -> Markup {
     html! {
         section #rejects {
             h2 { "What was set aside" }
-            @let left_out = provenance.last_run.as_ref().map_or(&[][..], |run| &run.left_out);
-            @if provenance.rejects == 0 && left_out.is_empty() {
+            @if provenance.rejects == 0 {
                 p { "Nothing: every record of the campaign went in." }
-            }
-            @for line in left_out { p { (line) "." } }
-            @if provenance.rejects > 0 {
+            } @else {
                 p { (count(provenance.rejects, "record was", "records were")) " set aside, for " (count(provenance.reasons, "reason", "reasons")) "; the rest went on without them." }
                 div.scroll {
                     table.numbers {
