@@ -1,7 +1,8 @@
 //! Study: positions over many seeds against the Cramer-Rao bound. Prints the tables of docs/accuracy.md.
 //!
 //! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for
-//! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone).
+//! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone), `-- readings 20` for
+//! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 one` for the choice of the scene alone.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
@@ -13,24 +14,38 @@ mod lab;
 #[path = "../tests/it/missed.rs"]
 mod missed;
 #[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/readings.rs"]
+mod readings;
+#[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/rectangles.rs"]
 mod rectangles;
 #[allow(dead_code, reason = "other studies use more of it")]
 #[path = "resolution/score.rs"]
 mod score;
+#[allow(dead_code, reason = "other studies use more of it")]
+#[path = "resolution/shape.rs"]
+mod shape;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/accuracy.rs"]
 mod study;
 
 use std::path::Path;
 
+use readings::{Choice, Instrument, Outcome, Setting, outcomes};
+use score::Rate;
 use study::{SCENE, Study, study};
+
+const CHOICES: [Choice; 3] = [Choice::Wide, Choice::Points, Choice::Readings];
 
 fn main() {
     let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|arg| arg.parse().ok()).collect();
     let seeds = numbers.first().copied().unwrap_or(200);
     if std::env::args().any(|arg| arg == "rectangles") {
         return print_rectangles(&rectangles::study(rectangles::SCENE, 1000..1000 + seeds));
+    }
+    if std::env::args().any(|arg| arg == "readings") {
+        let is_one = std::env::args().any(|arg| arg == "one");
+        return print_readings(seeds, if is_one { &[Choice::Readings] } else { &CHOICES });
     }
     if std::env::args().any(|arg| arg == "corner") {
         let counts = numbers.get(1).map_or(vec![4, 8], |&hidden| vec![hidden as usize]);
@@ -85,7 +100,7 @@ fn print_corner(seeds: u64, counts: &[usize]) {
         pulls.sort_by(f64::total_cmp);
         let squares: Vec<f64> = errors_mm.iter().map(|error| error * error).collect();
         let bounds: Vec<f64> = places.iter().map(|place| (1e3 * place.bound_m).powi(2)).collect();
-        let right = score::Rate { hits: places.iter().filter(|place| place.is_right()).count(), of: places.len() };
+        let right = Rate { hits: places.iter().filter(|place| place.is_right()).count(), of: places.len() };
         println!(
             "| {hidden} | {seeds} | {} of {} | {} | {right} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} |",
             errors_mm.len(),
@@ -97,6 +112,42 @@ fn print_corner(seeds: u64, counts: &[usize]) {
             mean(&bounds).sqrt(),
             pulls[pulls.len() / 2],
         );
+    }
+}
+
+/// Wide pulses and pairs: patches of all sizes, signal-to-noise ratios, hidden patches or none, instruments.
+fn print_readings(seeds: u64, choices: &[Choice]) {
+    println!(
+        "| patches (cm) | SNR | hidden | instrument | choice | scenes | with a phantom | phantoms | missed | rms (mm) | 95 % interval |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    let kind = [0.0, 0.01, 0.02, 0.04]
+        .into_iter()
+        .flat_map(|size_m| [10.0, 30.0, 100.0, 300.0].map(|snr| (size_m, snr, Instrument::Kind)));
+    let unkind = [Instrument::Tail, Instrument::Slope].map(|instrument| (0.02, 100.0, instrument));
+    let cells = kind.chain(unkind).flat_map(|cell| [0, 2].map(|hidden| (cell, hidden)));
+    let mut totals = vec![(0, 0); choices.len()];
+    for ((size_m, snr, instrument), hidden) in cells {
+        let setting = Setting { size_m, snr, hidden, instrument };
+        let scenes: Vec<Vec<Outcome>> = (0..seeds).map(|seed| outcomes(&setting, choices, 1000 + seed)).collect();
+        for (n, choice) in choices.iter().enumerate() {
+            let sum = scenes.iter().fold(Outcome::default(), |sum, scene| sum.plus(scene[n]));
+            let hits = scenes.iter().filter(|scene| scene[n].phantoms > 0).count();
+            if hidden == 0 {
+                totals[n] = (totals[n].0 + hits, totals[n].1 + scenes.len());
+            }
+            let rms_mm = 1e3 * (sum.squares_m2 / sum.count as f64).sqrt();
+            let covered = Rate { hits: sum.covered, of: sum.coordinates };
+            println!(
+                "| {} | {snr} | {hidden} | {instrument:?} | {choice:?} | {seeds} | {hits} | {} | {} | {rms_mm:.3} | {covered} |",
+                100.0 * size_m,
+                sum.phantoms,
+                sum.missed
+            );
+        }
+    }
+    for (choice, (hits, of)) in choices.iter().zip(totals) {
+        println!("nothing hidden, {choice:?}: a patch that is none in {}", Rate { hits, of });
     }
 }
 

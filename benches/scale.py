@@ -154,11 +154,11 @@ def pieces(folder: Path) -> None:
             call("run", *where, folder / f"one-{name}-{turn}", "--threads", "1")
             cpu["one process"].append(cpu_s() - before)
             before = cpu_s()
-            lines = call("plan", *where, out, "--shards", str(SHARDS), "--json")[1].splitlines()
+            lines = json.loads(call("plan", *where, out, "--shards", str(SHARDS), "--format", "json")[1])
             cpu["plan"].append(cpu_s() - before)
             before = cpu_s()
             for line in lines:
-                call("run-shard", json.loads(line)["key"], "--out", out, "--threads", "1")
+                call("run-shard", line["key"], "--out", out, "--threads", "1")
             cpu["piece"].append((cpu_s() - before) / len(lines))
             state = statistics.mean(file.stat().st_size for file in (out / ".shelf/shards").glob("*.subtotals.parquet"))
             before = cpu_s()

@@ -1,6 +1,6 @@
 """Onset statistics: how many arrivals there are of each number of bounces, how well they are timed, how far they stand out of the noise.
 
-The label with alternative 0 is the likeliest path of an onset; 0 bounces: left unexplained.
+The label with alternative 0 is the likeliest path of an onset; 0 bounces: left unexplained. An onset that is read as two pulses counts as two.
 
     python onsets.py RESULTS
 """

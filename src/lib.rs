@@ -24,7 +24,7 @@
 //! use periscope::pipeline::{plan::Plan, progress::{Progress, Style}, run, spec::Spec};
 //! use periscope::{campaign::Campaign, store::Shelf};
 //! # fn main() -> anyhow::Result<()> {
-//! let spec = Spec::load("pipelines/all-visible.toml".as_ref(), &[])?;
+//! let spec = Spec::load("all-visible".as_ref(), &[])?;
 //! let campaigns = [Campaign::load("my-campaign".as_ref())?];
 //! let shelf = Shelf::open("results".as_ref())?;
 //! let mut plan = Plan::new(&spec, &campaigns, &shelf, None)?;

@@ -1,13 +1,16 @@
 //! The command line. Results go to standard output, all else to standard error.
 //!
-//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was rejected (`--strict` makes that 1), `check`
-//! found something to mend, or `diff` a difference; 130 ended by Ctrl-C or SIGTERM: what was finished is kept.
+//! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was left out or rejected, or a result is empty
+//! (`--strict` makes that 1), `check` found something to mend, or `diff` a difference; 130 ended by Ctrl-C or SIGTERM:
+//! what was finished is kept; 141 standard output was closed before all was printed.
 
 mod commands;
 
 use std::process::ExitCode;
 
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, Parser, Subcommand};
+use commands::output::{Closed, note, print};
 use mimalloc::MiMalloc;
 
 /// Blocks of a record's size come and go by the thousand: the system's allocator gives each back to the kernel, which
@@ -23,16 +26,16 @@ struct Cli {
     command: Command,
 }
 
-const AFTER_HELP: &str =
-    "First time here:\n  periscope demo\nA campaign of your own:\n  periscope run PIPELINE --campaign DIR --out DIR";
+const AFTER_HELP: &str = "First time here:\n  periscope demo\nA campaign of your own:\n  periscope run --campaign DIR";
 
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
   1    failed
   2    wrong usage
-  3    done, but input was rejected, `check` found something to mend, or `diff` a difference
-  130  ended by Ctrl-C or SIGTERM; what was finished is kept";
+  3    done, but input was left out or rejected, a result is empty, `check` found something to mend, or `diff` a difference
+  130  ended by Ctrl-C or SIGTERM; what was finished is kept
+  141  standard output was closed before all was printed, as by `| head`";
 
 #[derive(Subcommand)]
 enum Command {
@@ -40,6 +43,8 @@ enum Command {
     Demo(commands::demo::Demo),
     /// Turn campaigns into tables: the main job
     Run(commands::run::Run),
+    /// List the pipelines in the program, each with the scene that it is for; with a name: print one
+    Pipelines(commands::pipelines::Pipelines),
     /// Say what `run` would reuse or compute, and why; runs nothing. With --shards: deal the work out for many machines
     Plan(commands::plan::PlanArgs),
     /// Compute one shard of a plan: on any machine that sees campaign and result folder, beside others, again if need
@@ -85,10 +90,14 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return refuse(error),
+    };
     let result = match cli.command {
         Command::Demo(args) => commands::demo::demo(&args),
         Command::Run(args) => commands::run::run(&args),
+        Command::Pipelines(args) => commands::pipelines::pipelines(&args),
         Command::Plan(args) => commands::plan::plan(&args),
         Command::RunShard(args) => commands::run_shard::run_shard(&args),
         Command::Gather(args) => commands::gather::gather(&args),
@@ -107,28 +116,37 @@ fn main() -> ExitCode {
         Command::Design(args) => commands::design::design(&args),
         Command::Schema(args) => commands::schema::schema(&args),
         Command::Completions { shell } => {
-            clap_complete::generate(shell, &mut Cli::command(), "periscope", &mut std::io::stdout());
-            Ok(ExitCode::SUCCESS)
+            // In memory first: the crate's own writer takes a closed pipe for a defect.
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "periscope", &mut script);
+            print(script).map(|()| ExitCode::SUCCESS)
         }
         Command::Man(args) => commands::man::man(&args, Cli::command()),
     };
     match result {
         Ok(code) => code,
-        // A reader that has seen enough (`| head`) is no failure.
-        Err(error)
-            if error
-                .downcast_ref::<std::io::Error>()
-                .is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe) =>
-        {
-            ExitCode::SUCCESS
+        // A reader that has seen enough (`| head`) needs no message.
+        Err(error) if error.is::<Closed>() => ExitCode::from(commands::CLOSED),
+        Err(error) if commands::is_interruption(&error) => {
+            note!("interrupted: {error}");
+            ExitCode::from(commands::INTERRUPTED)
         }
         Err(error) => {
-            if commands::is_interruption(&error) {
-                eprintln!("interrupted: {error}");
-                return ExitCode::from(commands::INTERRUPTED);
-            }
-            eprintln!("error: {error:#}");
+            note!("error: {error:#}");
             ExitCode::FAILURE
         }
     }
+}
+
+/// Prints help, the version, or what is wrong with the command line.
+fn refuse(mut error: clap::Error) -> ExitCode {
+    let is_json = |value: &ContextValue| matches!(value, ContextValue::String(argument) if argument == "--json");
+    if error.kind() == ErrorKind::UnknownArgument && error.get(ContextKind::InvalidArg).is_some_and(is_json) {
+        let advice = "`--json` is now `--format json`; there is `--format csv` too".to_owned();
+        error.remove(ContextKind::SuggestedArg);
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![advice.into()]));
+    }
+    let is_closed = error.print().is_err_and(|failure| failure.kind() == std::io::ErrorKind::BrokenPipe);
+    let is_output = !error.use_stderr();
+    ExitCode::from(if is_closed && is_output { commands::CLOSED } else { error.exit_code() as u8 })
 }

@@ -1,7 +1,7 @@
-//! Allocations on the hot path, counted: whole runs of pipelines/average.toml over campaigns that differ in exposures
-//! alone, and in captures alone, so that the difference is what an exposure, and what a capture, costs. `cargo test
-//! --release --test allocations -- --nocapture` prints the counts; docs/counts.md says how to find who allocates. A
-//! binary of its own: the counting allocator sees all threads of its process.
+//! Allocations on the hot path, counted: whole runs of pipelines/average.toml over campaigns that differ in one thing.
+//! The difference in exposures alone is the cost of an exposure, that in captures alone the cost of a capture. `cargo
+//! test --release --test allocations -- --nocapture` prints the counts; docs/counts.md says how to find who allocates.
+//! A binary of its own: the counting allocator sees all threads of its process.
 
 use std::alloc::System;
 use std::fs;

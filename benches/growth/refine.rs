@@ -65,6 +65,7 @@ fn label(path: Vec<i32>, points: &[Point], rng: &mut ChaCha8Rng) -> Label {
         seen: path[path.len() - 1],
         range: None,
         rank: 1,
+        part: 0,
         time_ps: time_ps(way_m + end.coords.norm(), 1.0) + SD_PS * normal(rng),
         time_sd_ps: SD_PS,
         turns: 0,

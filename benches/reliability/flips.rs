@@ -155,8 +155,7 @@ impl Whole {
         let out = lab.path("whole");
         lab.run("whole", PIPELINE, &Settings::default()).unwrap();
         let campaign = lab.campaign();
-        let run =
-            RunRecord::start(Path::new("around-the-corner.toml"), &[], [("around-the-corner", campaign.as_path())]);
+        let run = RunRecord::start("around-the-corner".into(), &[], [("around-the-corner", campaign.as_path())]);
         Shelf::open(&out).unwrap().write_run(&run.unwrap()).unwrap();
         let files = files(&out);
         let stage = |folder: &str| {

@@ -11,7 +11,7 @@ use periscope::units;
 
 use super::svg::{Panel, Picture};
 use super::{draws, quantile};
-use crate::mirror::{Found, Geometry, RESPONSES, SCANS, run, square, worst};
+use crate::mirror::{Geometry, RESPONSES, SCANS, Solution, run, square, worst};
 use crate::score::{Estimate, heading, row};
 
 /// Standard deviations of diffuser points in the random geometries.
@@ -23,7 +23,7 @@ const STEP: f64 = 1e-6;
 
 /// One campaign: what was found, where things are, and the bound of each mirror point's error.
 struct Draw {
-    outcome: Found,
+    outcome: Solution,
     truth: [Point; SCANS],
     bound_m: [f64; SCANS],
 }

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Computes campaigns on a Dask cluster: plan --shards, run-shard on every worker, gather.
 
-    dask_run.py pipelines/all-visible.toml --campaign DIR --out DIR --shards 200 --cluster slurm --workers 50 --cores 4
+    dask_run.py all-visible --campaign DIR --out DIR --shards 200 --cluster slurm --workers 50 --cores 4
 
 Result folder and campaigns lie where all workers see them under the same path. Killed workers, tasks and runs cost what was under way: a shard that is
 finished is never computed again. What is particular to a site (queue, account, walltime) stands in dask-jobqueue's own file, ~/.config/dask/jobqueue.yaml.
@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
@@ -42,7 +42,7 @@ PLUGIN = "periscope"
 class Options:
     """The command line."""
 
-    pipeline: Path
+    pipeline: str
     campaign: list[Path]
     out: Path
     shards: int
@@ -59,7 +59,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Shard:
-    """A line of the plan."""
+    """A row of the plan."""
 
     key: str
     captures: int
@@ -139,7 +139,7 @@ def stop_commands(dask_worker: Any) -> int:
 
 def plan(options: Options) -> list[Shard]:
     """Deals out what is missing; what shards stand beside, such as the calibration, is made here."""
-    command = [options.periscope, "plan", str(options.pipeline), "--out", str(options.out), "--json"]
+    command = [options.periscope, "plan", options.pipeline, "--out", str(options.out), "--format", "json"]
     command += ["--shards", str(options.shards)]
     command += [word for folder in options.campaign for word in ("--campaign", str(folder))]
     command += [word for setting in options.set for word in ("--set", setting)]
@@ -147,7 +147,8 @@ def plan(options: Options) -> list[Shard]:
     planned = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
     if planned.returncode != 0:
         raise CommandError(f"`periscope plan` ended with exit code {planned.returncode}")
-    return [Shard(**json.loads(line)) for line in planned.stdout.splitlines()]
+    names = [field.name for field in fields(Shard)]
+    return [Shard(**{name: row[name] for name in names}) for row in json.loads(planned.stdout)]
 
 
 def shard_command(options: Options, shard: Shard) -> list[str]:
@@ -264,7 +265,7 @@ def run(options: Options, started: Callable[[Client], None] = lambda _: None) ->
 def parse(words: list[str] | None = None) -> Options:
     """Reads the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("pipeline", type=Path, help="pipeline file")
+    parser.add_argument("pipeline", help="pipeline: a name that `periscope pipelines` lists, or a file")
     parser.add_argument("--campaign", type=Path, action="append", required=True, help="campaign folder; may be given several times")
     parser.add_argument("--out", type=Path, required=True, help="result folder")
     parser.add_argument("--shards", type=int, required=True, help="shards at most: some four a worker or more")

@@ -34,8 +34,8 @@ while [ "$count" -gt 0 ]; do
     fi
 done
 mkdir -p "$out.shards"
-eval "periscope plan $plan --out \"\$out\" --shards \"\$shards\" --json" > "$out.shards/plan.jsonl"
-sed 's/.*"key":"\([0-9a-f]*\)".*/\1/' "$out.shards/plan.jsonl" > "$out.shards/keys"
+eval "periscope plan $plan --out \"\$out\" --shards \"\$shards\" --format csv" > "$out.shards/plan.csv"
+tail -n +2 "$out.shards/plan.csv" | cut -d, -f1 > "$out.shards/keys"
 tasks=$(wc -l < "$out.shards/keys")
 after=
 if [ "$tasks" -gt 0 ]; then

@@ -6,6 +6,7 @@
 //! | `load`, `check_setup`, `check_captures`, `fault` | are their values possible? |
 //! | `toml_text`, `suggest` | if not: which line is wrong, and what was meant? |
 //! | `survey`, `pattern`, `walk`, `captures_table`, `references`, `companions`, `exclusions`, `exposure`, `claims` | which file is which exposure? |
+//! | `left_out` | what does a run not use, and what is to be done? |
 //! | `manifest`, `seal`, `tree_hash` | is it still the same file as before? |
 //! | `parts` | where does a part end, the unit of storage and computation? |
 //!
@@ -19,6 +20,7 @@ pub mod exclusions;
 pub mod exposure;
 pub mod fault;
 pub mod keys;
+pub mod left_out;
 pub mod load;
 pub mod manifest;
 pub mod parts;
@@ -35,6 +37,7 @@ pub use exclusions::Exclusions;
 pub use exposure::{Exposure, ReferenceSource};
 pub use fault::Fault;
 pub use keys::{Axis, Campaign, CaptureRule, RecordKeys, Role};
+pub use left_out::{Cause, LeftOut};
 pub use load::CampaignError;
 pub use manifest::{FileState, Manifest, ManifestError, hash_file, modified_ns};
 pub use parts::closes_part;

@@ -1,87 +1,42 @@
-//! Messages at the end of a run: what it rejected and why, and tables without rows.
+//! Messages at the end of a run: its tables, and what is missing from them.
 
-use std::collections::BTreeSet;
+mod decisions;
+mod losses;
+
 use std::process::ExitCode;
 
 use anyhow::Result;
-use periscope::pipeline::rejects::{kinds, rows, words};
 use periscope::pipeline::run::Outcome;
-use periscope::pipeline::spec::{Spec, Step};
+use periscope::pipeline::spec::Spec;
 use periscope::store::Shelf;
+use serde_json::json;
 
 use super::SOME_REJECTED;
+use super::output::{Format, Rows, say};
+pub use losses::print_rejects as tell_rejects;
 
-/// Number of reasons shown; the table has all.
-const SHOWN: usize = 5;
-
-/// Prints the tables to standard output, one per line, then warnings. Returns the exit code.
-pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool) -> Result<ExitCode> {
+/// Prints the tables to standard output, a row each, then warnings. Returns the exit code.
+pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool, format: Format) -> Result<ExitCode> {
     let out = shelf.out().display();
+    let mut tables = Rows::new(&["table", "rows", "made", "folder"]);
     for step in &spec.steps {
         if let Some(record) = outcome.tables.get(&step.heading) {
             let rows: u64 = record.rows(&step.node.tables()[0].name);
             let made = if outcome.computed.contains(&step.heading) { "computed" } else { "reused" };
-            println!("{:24} {rows:>10} rows  {made:8}  {out}/{}", step.heading, step.heading);
+            tables.push([json!(step.heading), json!(rows), json!(made), json!(format!("{out}/{}", step.heading))]);
         }
     }
-    tell_empty(spec, outcome);
-    if outcome.rejects > 0 {
-        tell_rejects(shelf)?;
-        return Ok(if is_strict { ExitCode::FAILURE } else { ExitCode::from(SOME_REJECTED) });
+    let mut printed = tables.print(format);
+    if format == Format::Table {
+        printed = printed.and_then(|()| say!("results: {out}; look at them with `periscope report {out}`"));
+        printed = printed.and_then(|()| decisions::print(spec, outcome, shelf));
     }
-    Ok(ExitCode::SUCCESS)
-}
-
-/// Prints the most common reasons for rejections, each with an example.
-pub fn tell_rejects(shelf: &Shelf) -> Result<()> {
-    let rows = rows(shelf)?;
-    if rows.is_empty() {
-        return Ok(());
-    }
-    let kinds = kinds(&rows);
-    let all = shelf.out().join("rejects");
-    eprintln!("warning: {} records were rejected; {} has all", rows.len(), all.display());
-    for (count, row) in kinds.iter().take(SHOWN) {
-        let times = if *count > 1 { format!("{count} like ") } else { String::new() };
-        eprintln!("  {times}{}", words(row));
-    }
-    if kinds.len() > SHOWN {
-        eprintln!("  and {} kinds more", kinds.len() - SHOWN);
-    }
-    Ok(())
-}
-
-/// Names empty results, and where their rows were lost.
-fn tell_empty(spec: &Spec, outcome: &Outcome) {
-    let rows = |step: &Step| Some(outcome.tables.get(&step.heading)?.rows(&step.node.tables()[0].name));
-    let from = |step: &Step| spec.steps.get(spec.table(step.from.as_deref()?)?.0);
-    let inputs: BTreeSet<usize> = spec
-        .steps
-        .iter()
-        .flat_map(|step| step.from.iter().chain(step.with.values()))
-        .filter_map(|input| Some(spec.table(input)?.0))
-        .collect();
-    let results = spec.steps.iter().enumerate().filter(|(i, _)| !inputs.contains(i)).map(|(_, step)| step);
-    let mut lost: Vec<(&Step, Vec<String>)> = Vec::new();
-    for result in results.filter(|step| rows(step) == Some(0)) {
-        let mut at = result;
-        while let Some(input) = from(at).filter(|input| rows(input) == Some(0)) {
-            at = input;
-        }
-        let named = format!("`{}`", result.heading);
-        match lost.iter_mut().find(|(other, _)| other.heading == at.heading) {
-            Some((_, results)) => results.push(named),
-            None => lost.push((at, vec![named])),
-        }
-    }
-    for (at, results) in lost {
-        let had = from(at).and_then(|input| Some((input, rows(input)?)));
-        let had = had.map_or("none of the captures that it takes could be read".to_owned(), |(input, rows)| {
-            format!("`{}` has {rows}", input.heading)
-        });
-        // A result that was lost in its own stage is named only once.
-        let own = results == [format!("`{}`", at.heading)];
-        let at = if own { String::new() } else { format!("`{}` has no rows, ", at.heading) };
-        eprintln!("warning: {} came out empty: {at}{had}", results.join(", "));
-    }
+    // Warnings come also where nothing reads standard output.
+    let is_incomplete = losses::print(spec, outcome, shelf)?;
+    printed?;
+    Ok(match (is_incomplete, is_strict) {
+        (false, _) => ExitCode::SUCCESS,
+        (true, true) => ExitCode::FAILURE,
+        (true, false) => ExitCode::from(SOME_REJECTED),
+    })
 }

@@ -2,32 +2,39 @@
 //!
 //! A built-in pipeline measures every capture through the ordinary runtime. With `--out` its tables stay, and the next
 //! check reads only new files; otherwise they go to a temporary folder, which is removed. The results are data
-//! ([`report`]), printed as text ([`text`]) or as JSON.
+//! ([`report`]), printed as text ([`text`]), as JSON or as rows ([`rows`]).
 
 pub mod coverage;
 mod quality;
 pub mod report;
+mod rows;
 mod text;
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use periscope::campaign::keys::{Exclude, Match};
-use periscope::campaign::{Campaign, Manifest, Survey};
+use periscope::campaign::left_out::left_out;
+use periscope::campaign::{Campaign, Manifest, Role, Survey};
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
+use periscope::pipeline::rejects;
 use periscope::pipeline::run::{self as runner, Settings};
-use periscope::pipeline::spec::Spec;
+use periscope::pipeline::spec::{DEFAULT, Definition, Reference, Spec, Step};
+use periscope::stages::Node;
 use periscope::store::Shelf;
+use periscope::store::finite::NotJson;
 use periscope::tables::{Calibration, Reject, Row};
 
 use super::SOME_REJECTED;
+use super::output::{Format, Output, json, print};
+use super::run::reference;
 use report::Report;
 
-/// The built-in pipeline. Traces are not kept: they are as large as the campaign.
+/// The built-in pipeline. Traces are not kept: they are as large as the campaign. Captures of the scene are averaged by
+/// the parameters of the pipeline that will run ([`rules`]).
 const PIPELINE: &str = r#"
 [calibration_traces]
 stage = "ingest"
@@ -36,9 +43,24 @@ keep = false
 [calibration]
 stage = "calibrate"
 from = "calibration_traces"
+[session_traces]
+stage = "ingest"
+params = { roles = ["response", "fiducial", "dark", "blocked"] }
+keep = false
+[session_profiles]
+stage = "average"
+from = "session_traces"
+with = { calibration = "calibration" }
+[session_measurements]
+stage = "measure"
+from = "session_profiles"
+with = { calibration = "calibration" }
+[checks]
+stage = "characterize"
+from = "session_measurements"
 [traces]
 stage = "ingest"
-params = { roles = ["scene", "response", "fiducial", "dark", "blocked"] }
+params = { roles = ["scene"] }
 keep = false
 [profiles]
 stage = "average"
@@ -48,9 +70,6 @@ with = { calibration = "calibration" }
 stage = "measure"
 from = "profiles"
 with = { calibration = "calibration" }
-[checks]
-stage = "characterize"
-from = "measurements"
 "#;
 
 /// Arguments of `check`.
@@ -59,12 +78,14 @@ pub struct Check {
     /// Campaign folder
     #[arg(long, value_name = "DIR")]
     campaign: PathBuf,
+    /// Pipeline that will run, a name or a file: captures of the scene are rejected by its rules
+    #[arg(long, value_name = "PIPELINE", default_value = DEFAULT, value_parser = reference())]
+    pipeline: Reference,
     /// Folder for the measurements, so that the next check reads only new files
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Print one JSON object instead of text
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// The command.
@@ -72,11 +93,11 @@ pub fn check(args: &Check) -> Result<ExitCode> {
     let campaign = Campaign::load(&args.campaign)?;
     let survey = campaign.survey().with_context(|| format!("campaign {}", args.campaign.display()))?;
     let out = OutFolder::of(args.out.as_deref());
-    let report = look(&campaign, &survey, &out.path)?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print!("{}", text::text(&report));
+    let report = look(&campaign, &survey, &rules(&Spec::new(&Definition::load(&args.pipeline)?)?)?, &out.path)?;
+    match args.output.format {
+        Format::Table => print(text::text(&report))?,
+        Format::Json => print(json(&report)?)?,
+        Format::Csv => rows::rows(&report).print(Format::Csv)?,
     }
     Ok(if report.mend.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(SOME_REJECTED) })
 }
@@ -104,23 +125,26 @@ impl Drop for OutFolder {
 }
 
 /// Surveys, measures, and gathers the results.
-fn look(campaign: &Campaign, survey: &Survey, out: &Path) -> Result<Report> {
+fn look(campaign: &Campaign, survey: &Survey, rules: &[String], out: &Path) -> Result<Report> {
     let shelf = Shelf::open(out)?;
     forget_changed(campaign, &shelf)?;
-    let calibrating = run(campaign, &shelf, Some("calibration"))?;
-    let calibrated: Vec<Calibration> = rows(&shelf, "calibration")?;
-    let left_out = coverage::without_template(survey, &calibrated);
+    let calibrating = run(campaign, &shelf, rules, Some("calibration"))?;
+    let calibrated: Vec<Calibration> = table(&shelf, "calibration")?;
+    let uncalibrated = coverage::without_template(survey, &calibrated);
     let mut measured = campaign.clone();
-    measured.exclude.extend(left_out.iter().map(|sensor| Exclude {
+    measured.exclude.extend(uncalibrated.iter().map(|sensor| Exclude {
         matches: Match { sensor: Some(sensor.clone()), ..Match::default() },
         reason: "its reference channel is not calibrated".to_owned(),
     }));
-    let mut rejects = run(&measured, &shelf, None)?;
+    let mut rejects = run(&measured, &shelf, rules, None)?;
+    let calibrating: Vec<Reject> = calibrating.into_iter().filter(|reject| !rejects.contains(reject)).collect();
     rejects.extend(calibrating);
     let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
-    let measurements = rows(&shelf, "measurements")?;
-    coverage::fill(&mut report, campaign, survey, &measurements, &left_out);
-    quality::fill(&mut report, &measurements, rows(&shelf, "checks")?, rejects);
+    let mut measurements = table(&shelf, "measurements")?;
+    measurements.extend(table(&shelf, "session_measurements")?);
+    let left_out = left_out(&campaign.root, survey, Manifest::load(&campaign.root)?.as_ref());
+    coverage::fill(&mut report, campaign, survey, &measurements, &left_out, &uncalibrated);
+    quality::fill(&mut report, &measurements, table(&shelf, "checks")?, &rejects);
     Ok(report)
 }
 
@@ -134,21 +158,45 @@ pub fn forget_changed(campaign: &Campaign, shelf: &Shelf) -> Result<()> {
     Ok(())
 }
 
-/// Runs the pipeline; returns rejected files, and why.
-fn run(campaign: &Campaign, shelf: &Shelf, until: Option<&str>) -> Result<BTreeSet<(Option<String>, String)>> {
-    let spec = Spec::parse("check", PIPELINE, &[])?;
+/// How a pipeline averages captures of the scene, as settings of [`PIPELINE`]: so `check` rejects what `run` rejects.
+fn rules(spec: &Spec) -> Result<Vec<String>> {
+    let reads_scene = |step: &Step| {
+        let from = step.from.as_deref().and_then(|from| spec.table(from));
+        let Some(Node::Source(source)) = from.map(|(source, _)| &spec.steps[source].node) else { return Ok(false) };
+        let roles = source.params()?["roles"].clone();
+        Ok::<_, NotJson>(roles.as_array().is_some_and(|roles| roles.iter().any(|role| role == Role::Scene.name())))
+    };
+    for step in spec.steps.iter().filter(|step| step.node.kind() == "average") {
+        let Node::Operator(operator) = &step.node else { continue };
+        if reads_scene(step)? {
+            let params = operator.params()?;
+            let given = params.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
+            return Ok(given.map(|(key, value)| format!("profiles.{key}={value}")).collect());
+        }
+    }
+    Ok(Vec::new())
+}
+
+/// Runs the pipeline; returns what was rejected, each once.
+fn run(campaign: &Campaign, shelf: &Shelf, rules: &[String], until: Option<&str>) -> Result<Vec<Reject>> {
+    let spec = Spec::parse("check", PIPELINE, rules)?;
     let campaigns = [campaign.clone()];
     let mut plan = Plan::new(&spec, &campaigns, shelf, until)?;
     let settings = Settings::default();
     let memory_bytes = settings.memory_bytes.max(settings.least_memory());
     runner::run(&mut plan, &Settings { memory_bytes, ..settings }, &Progress::new(Style::auto()))?;
-    let reject = |row: Reject| (row.file.map(|file| file.to_string()), row.reason.to_string());
-    let rejects = shelf.batches("rejects")?.iter().map(Reject::rows).collect::<Result<Vec<_>, _>>()?;
-    Ok(rejects.into_iter().flatten().map(reject).collect())
+    let mut rejects: Vec<Reject> = Vec::new();
+    for reject in rejects::rows(shelf)? {
+        // A file may be read for several tables.
+        if !rejects.iter().any(|other| (&other.file, &other.reason) == (&reject.file, &reject.reason)) {
+            rejects.push(reject);
+        }
+    }
+    Ok(rejects)
 }
 
 /// Rows of a table; none if it could not be made since nothing was captured.
-fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
+fn table<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
     if shelf.view(view)?.is_none() {
         return Ok(Vec::new());
     }

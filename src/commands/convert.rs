@@ -7,6 +7,8 @@ use anyhow::{Result, bail};
 use clap::Args;
 use periscope::exchange::{self, CampaignOptions, Defaults, Summary};
 
+use super::output::{note, say};
+
 /// Arguments of `convert`.
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
@@ -25,7 +27,7 @@ pub struct Convert {
     /// Standard deviation of each coordinate of the wall's points; else they count as exact
     #[arg(long, value_name = "M")]
     wall_sd_m: Option<f64>,
-    /// Laser pulses per histogram, to correct for photons that hide others; default: so many that none does
+    /// Laser pulses per histogram, to correct for photons that hide others; default: no correction
     #[arg(long)]
     cycles: Option<u64>,
     /// Dead time of the sensor after a photon
@@ -50,7 +52,8 @@ pub struct Convert {
 const COARSE_BINS: f64 = 2.0;
 const FINE_BINS: f64 = 3.0;
 
-const AFTER_HELP: &str = "Then:  periscope run pipelines/relay-wall.toml --campaign DIR --out RESULTS\nWhat is taken from each format: docs/interoperation.md";
+const AFTER_HELP: &str =
+    "Then:  periscope run relay-wall --campaign DIR\nWhat is taken from each format: docs/interoperation.md";
 
 /// The command.
 pub fn convert(args: &Convert) -> Result<ExitCode> {
@@ -85,17 +88,18 @@ pub fn convert(args: &Convert) -> Result<ExitCode> {
     let Summary { patches, histograms, counts } = exchange::write_campaign(&capture, &options, &args.out)?;
     let what =
         if counts { "of photon counts" } else { "not of whole counts, so that noise is taken from their first bins" };
-    println!(
+    say!(
         "{}: {} capture, {histograms} histograms of {} bins of {:.3} ps over {patches} points of the wall, {what}",
         args.out.display(),
         capture.format,
         capture.bins(),
         capture.dt_ps
-    );
+    )?;
     if args.fwhm_ps < FINE_BINS * capture.dt_ps {
-        eprintln!(
+        note!(
             "warning: a response of {} ps in bins of {:.1} ps: error bars will be too small; bins no wider than a third of it keep them right",
-            args.fwhm_ps, capture.dt_ps
+            args.fwhm_ps,
+            capture.dt_ps
         );
     }
     Ok(ExitCode::SUCCESS)

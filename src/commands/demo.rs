@@ -10,40 +10,25 @@ use periscope::campaign::Campaign;
 use periscope::geometry::{Point, procrustes};
 use periscope::pipeline::progress::Style;
 use periscope::pipeline::run::Settings;
-use periscope::pipeline::spec::Spec;
+use periscope::pipeline::spec::{BuiltIn, Spec};
 use periscope::simulate::{self, Format, Scene};
 use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
 
 use super::interrupt::cancel_on_signals;
 use super::machine::use_threads;
+use super::output::{print, say};
 use super::report::write_page;
 use super::run::Job;
 
 /// Demonstrations: name, scene, pipeline.
 const DEMOS: [(&str, &str, &str); 6] = [
-    (
-        "around-the-corner",
-        include_str!("../../pipelines/scenes/around-the-corner.toml"),
-        include_str!("../../pipelines/around-the-corner.toml"),
-    ),
-    (
-        "all-visible",
-        include_str!("../../pipelines/scenes/all-visible.toml"),
-        include_str!("../../pipelines/all-visible.toml"),
-    ),
-    (
-        "rectangles",
-        include_str!("../../pipelines/scenes/rectangles.toml"),
-        include_str!("../../pipelines/visible.toml"),
-    ),
-    (
-        "hidden-plane",
-        include_str!("../../pipelines/scenes/hidden-plane.toml"),
-        include_str!("../../pipelines/hidden-plane.toml"),
-    ),
-    ("mirror", include_str!("../../pipelines/scenes/paper-mirror.toml"), include_str!("../../pipelines/mirror.toml")),
-    ("barcode", include_str!("../../pipelines/scenes/barcode.toml"), include_str!("../../pipelines/barcode.toml")),
+    ("around-the-corner", include_str!("../../pipelines/scenes/around-the-corner.toml"), "around-the-corner"),
+    ("all-visible", include_str!("../../pipelines/scenes/all-visible.toml"), "all-visible"),
+    ("rectangles", include_str!("../../pipelines/scenes/rectangles.toml"), "visible"),
+    ("hidden-plane", include_str!("../../pipelines/scenes/hidden-plane.toml"), "hidden-plane"),
+    ("mirror", include_str!("../../pipelines/scenes/paper-mirror.toml"), "mirror"),
+    ("barcode", include_str!("../../pipelines/scenes/barcode.toml"), "barcode"),
 ];
 /// Kind of patches that neither laser nor sensor sees.
 const HIDDEN: &str = "hidden";
@@ -78,14 +63,16 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
     // The pipeline comes first: by it the next demo knows the folder, also where this one is ended early.
     let pipeline_file = args.out.join(format!("{name}.toml"));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create {}", args.out.display()))?;
-    std::fs::write(&pipeline_file, pipeline).with_context(|| format!("cannot write {}", pipeline_file.display()))?;
+    let pipeline = BuiltIn::named(pipeline).expect("demos name pipelines of the program");
+    std::fs::write(&pipeline_file, pipeline.text)
+        .with_context(|| format!("cannot write {}", pipeline_file.display()))?;
     let truth = simulate::simulate(&scene, args.seed, &campaign, Format::Trc)?;
-    let spec = Spec::parse(&pipeline_file.display().to_string(), pipeline, &[])?;
+    let spec = Spec::load(&pipeline_file, &[])?;
     let campaigns = [Campaign::load(&campaign)?];
     let shelf = Shelf::open(&results)?;
     let job = Job {
         spec: &spec,
-        pipeline: &pipeline_file,
+        pipeline: &std::path::absolute(&pipeline_file)?,
         set: &[],
         campaigns: &campaigns,
         shelf: &shelf,
@@ -97,29 +84,24 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
     cancel_on_signals(&job.settings.cancel)?;
     let outcome = job.execute(&mut job.record()?)?;
 
-    println!(
+    say!(
         "Simulated {} captures of {} shots each as LeCroy .trc files, and solved for {} patches from the light that bounced between them.\n",
         truth.captures.iter().filter(|capture| &*capture.role == "scene").count(),
         scene.captures.shots,
         truth.patches.len()
-    );
+    )?;
     let paper = if spec.steps.iter().any(|step| step.heading == "paper") { rows(&shelf, "paper")? } else { Vec::new() };
-    print!("{}", comparison(&rows(&shelf, "patches")?, &paper, &truth.patches, &scene)?);
-    println!("\nTables (Parquet; read them with Polars, DuckDB or anything else):");
+    print(comparison(&rows(&shelf, "patches")?, &paper, &truth.patches, &scene)?)?;
+    say!("\nTables (Parquet; read them with Polars, DuckDB or anything else):")?;
     for step in &spec.steps {
         let rows = outcome.tables.get(&step.heading).map_or(0, |record| record.rows(&step.node.tables()[0].name));
-        println!("  {:20} {rows:>6} rows  {}", step.heading, results.join(&step.heading).display());
+        say!("  {:20} {rows:>6} rows  {}", step.heading, results.join(&step.heading).display())?;
     }
-    println!("\nThe same for the eye, in a browser: {}", write_page(&results)?.display());
+    say!("\nThe same for the eye, in a browser: {}", write_page(&results)?.display())?;
     // The path by which it was called, so that the printed command works if the program is not on PATH.
     let program = std::env::args().next().unwrap_or_else(|| "periscope".to_owned());
-    println!("\nThe same again, from the files:");
-    println!(
-        "  {program} run {} --campaign {} --out {}",
-        pipeline_file.display(),
-        campaign.display(),
-        results.display()
-    );
+    say!("\nThe same again, from the files:")?;
+    say!("  {program} run {} --campaign {} --out {}", pipeline_file.display(), campaign.display(), results.display())?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,7 +1,6 @@
 //! `periscope design`.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -12,6 +11,8 @@ use periscope::bound::outlook::{Change, Outlook};
 use periscope::campaign::keys::PatchRole;
 use periscope::simulate::Scene;
 use serde_json::json;
+
+use super::output::{Format, Output, Rows, json, print};
 
 /// Arguments of `design`.
 #[derive(Args)]
@@ -24,9 +25,8 @@ pub struct Design {
     /// Signal-to-noise ratio from which a pulse counts as an onset
     #[arg(long, value_name = "SIGMA", default_value_t = 5.0)]
     threshold: f64,
-    /// Print one JSON object
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// Most blends that are listed.
@@ -46,10 +46,14 @@ pub fn design(args: &Design) -> Result<ExitCode> {
     // One order more than the geometry uses shows which pulses are too weak, and which blend.
     scene.captures.bounces = scene.captures.bounces.max(bounces).max(3);
     let outlook = Outlook::new(&scene, Use { bounces, threshold_sigma: args.threshold })?;
-    if args.json {
-        writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&object(&scene, &outlook))?)?;
-    } else {
-        std::io::stdout().write_all(text(&scene, &outlook, bounces, args.threshold)?.as_bytes())?;
+    match args.output.format {
+        Format::Table => print(text(&scene, &outlook, bounces, args.threshold)?)?,
+        Format::Json => print(json(&object(&scene, &outlook))?)?,
+        Format::Csv => {
+            let columns =
+                ["patch", "kind", "sd_m", "chance", "onsets", "snr_strongest", "shots_strongest", "hours_strongest"];
+            Rows::of(&columns, object(&scene, &outlook)["patches"].as_array().expect("a list"))?.print(Format::Csv)?;
+        }
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -170,7 +174,7 @@ fn blends(text: &mut String, outlook: &Outlook) -> std::fmt::Result {
             )?;
         }
         if outlook.blends.len() > LISTED {
-            writeln!(text, "  and {} more (--json lists all)", outlook.blends.len() - LISTED)?;
+            writeln!(text, "  and {} more (--format json lists all)", outlook.blends.len() - LISTED)?;
         }
     }
     Ok(())

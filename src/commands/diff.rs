@@ -1,21 +1,38 @@
 //! `periscope diff`.
 
-use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::Args;
 use periscope::history::comparison::{Comparison, RowsComparison, TableComparison, Verdict, compare};
+use serde_json::{Value, json};
+
+use super::output::{Format, Output, Rows, json, print};
 
 /// Most tables on one line; the JSON has all.
 const NAMED: usize = 12;
 /// The folders differ.
 const DIFFERENT: u8 = 3;
 
+/// The fields of a column that differs.
+const COLUMNS: [&str; 10] = [
+    "column",
+    "unit",
+    "rows",
+    "one_sided",
+    "other_length",
+    "largest",
+    "rms",
+    "largest_at",
+    "largest_in_sd",
+    "rms_in_sd",
+];
+
 const EXIT_CODES: &str = "Exit codes: 0 the same; 3 different; 1 failed; 2 wrong usage.";
 /// The fields of the JSON object.
 const JSON_HELP: &str = "\
+Rows as CSV: a row per table, and per column of it that differs.
 Keys of the JSON object (differences are B - A; null: there is none to tell)
   a, b, same             the folders, and whether all their tables are the same
   tables                 those of both, in the order of the dataflow: table, rows, causes, and
@@ -41,17 +58,41 @@ pub struct Diff {
     /// Compare all tables, not only up to the first one of the dataflow that differs
     #[arg(long)]
     all: bool,
-    /// Print one JSON object instead of text
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// The command.
 pub fn diff(args: &Diff) -> Result<ExitCode> {
     let comparison = compare(&args.a, &args.b, args.all)?;
-    let answer = if args.json { serde_json::to_string_pretty(&comparison)? + "\n" } else { text(&comparison) };
-    std::io::stdout().lock().write_all(answer.as_bytes())?;
+    match args.output.format {
+        Format::Table => print(text(&comparison))?,
+        Format::Json => print(json(&comparison)?)?,
+        Format::Csv => rows(&comparison)?.print(Format::Csv)?,
+    }
     Ok(if comparison.same { ExitCode::SUCCESS } else { ExitCode::from(DIFFERENT) })
+}
+
+/// A row per table, or per column of it that differs.
+fn rows(comparison: &Comparison) -> Result<Rows> {
+    let mut rows = Rows::new(&[&["table", "verdict"][..], &COLUMNS].concat());
+    for table in &comparison.tables {
+        let verdict = [json!(table.table), json!(table.verdict)];
+        let columns = table.rows.iter().flat_map(|rows| &rows.columns).collect::<Vec<_>>();
+        if columns.is_empty() {
+            rows.push(verdict.iter().cloned().chain(COLUMNS.map(|_| Value::Null)));
+        }
+        for column in columns {
+            let column = serde_json::to_value(column)?;
+            rows.push(verdict.iter().cloned().chain(COLUMNS.map(|name| column[name].clone())));
+        }
+    }
+    for (tables, verdict) in [(&comparison.only_in_a, "only_in_a"), (&comparison.only_in_b, "only_in_b")] {
+        for table in tables {
+            rows.push([json!(table), json!(verdict)].into_iter().chain(COLUMNS.map(|_| Value::Null)));
+        }
+    }
+    Ok(rows)
 }
 
 fn text(comparison: &Comparison) -> String {

@@ -2,7 +2,6 @@
 
 mod text;
 
-use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -12,15 +11,17 @@ use periscope::history::explanation::{Explanation, explain as explained};
 use periscope::history::target::Target;
 use periscope::store::Shelf;
 
+use super::output::{Format, Rows, json, print};
+
 /// The fields of the JSON object.
 const JSON_HELP: &str = "\
-Keys of the JSON object (times in ps, voltages in V, lengths in m; null: no table tells)
+Rows as CSV are those of `onsets`. Keys of the JSON object (times in ps, voltages in V, lengths in m; null: no table tells)
   target             what was asked for
   table, table_kind  the table that it stands in, and its kind as in `periscope schema`
   stage              the stage that made it
   row                the row by its columns, as `periscope schema` lists them
   tables             all that it goes back to: table, stage, lineage (null: not kept), from, with
-  onsets             campaign, sensor, lit, seen, rank, path, time_ps, time_sd_ps, turns,
+  onsets             campaign, sensor, lit, seen, rank, part, path, time_ps, time_sd_ps, turns,
                      residual_ps, pull (residual in standard deviations), used, probability,
                      snr, flags
   captures           campaign, sensor, lit, seen, shots, rejected, noise_v, jitter_ps, chi2_dof,
@@ -31,6 +32,24 @@ Keys of the JSON object (times in ps, voltages in V, lengths in m; null: no tabl
   beside             side tables of the same stage
   remarks            what to know about the answer
   queries            about, sql";
+
+/// The columns of onsets.
+const ONSET_COLUMNS: [&str; 14] = [
+    "campaign",
+    "sensor",
+    "lit",
+    "seen",
+    "rank",
+    "path",
+    "time_ps",
+    "time_sd_ps",
+    "turns",
+    "residual_ps",
+    "pull",
+    "used",
+    "probability",
+    "snr",
+];
 
 /// Arguments of `explain`.
 #[derive(Args)]
@@ -48,8 +67,8 @@ pub struct Explain {
     #[arg(long, value_name = "DIR")]
     campaign: Vec<PathBuf>,
     /// Form of the answer
-    #[arg(long, value_enum, default_value = "text")]
-    format: Format,
+    #[arg(long, value_enum, default_value = "table")]
+    format: Form,
     /// List all onsets and captures, even if there are many
     #[arg(long)]
     all: bool,
@@ -57,11 +76,13 @@ pub struct Explain {
 
 /// Form of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
+pub enum Form {
     /// Text for the terminal
-    Text,
+    Table,
     /// One JSON object
     Json,
+    /// Its onsets as comma-separated values with a header (RFC 4180)
+    Csv,
     /// The SQL alone, for DuckDB
     Sql,
 }
@@ -70,12 +91,12 @@ pub enum Format {
 pub fn explain(args: &Explain) -> Result<ExitCode> {
     let shelf = Shelf::look(&args.out)?;
     let explanation = explained(&shelf, &args.target, args.table.as_deref(), &args.campaign)?;
-    let answer = match args.format {
-        Format::Text => text::text(&explanation, args.all),
-        Format::Json => serde_json::to_string_pretty(&explanation)? + "\n",
-        Format::Sql => sql(&explanation),
-    };
-    std::io::stdout().lock().write_all(answer.as_bytes())?;
+    match args.format {
+        Form::Table => print(text::text(&explanation, args.all))?,
+        Form::Json => print(json(&explanation)?)?,
+        Form::Csv => Rows::of(&ONSET_COLUMNS, &explanation.onsets)?.print(Format::Csv)?,
+        Form::Sql => print(sql(&explanation))?,
+    }
     Ok(ExitCode::SUCCESS)
 }
 

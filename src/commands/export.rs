@@ -10,6 +10,7 @@ use periscope::exchange::{self, ply};
 use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
 
+use super::output::say;
 use super::whole_file;
 
 /// Arguments of `export`.
@@ -42,7 +43,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
         Some("ply") => {
             let patches: Vec<Patch> = rows(&shelf, &args.patches)?;
             let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;
-            println!("{}: {written} patches", args.file.display());
+            say!("{}: {written} patches", args.file.display())?;
         }
         Some("hdf5" | "h5") => {
             let campaign = args.campaign.as_ref();
@@ -57,7 +58,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
                 exchange::capture_of(&profiles, &patches, &calibration, &campaign).map_err(anyhow::Error::msg)?;
             whole_file::write(&args.file, |out| exchange::write_y_tal(out, &capture))?;
             let (histograms, bins) = (capture.pairs.len(), capture.bins());
-            println!("{}: {histograms} histograms of {bins} bins of {:.3} ps", args.file.display(), capture.dt_ps);
+            say!("{}: {histograms} histograms of {bins} bins of {:.3} ps", args.file.display(), capture.dt_ps)?;
         }
         _ => bail!("{}: end the name in .ply for patches or .hdf5 for profiles", args.file.display()),
     }

@@ -13,6 +13,7 @@ use periscope::store::Shelf;
 use super::aftermath;
 use super::interrupt::cancel_on_signals;
 use super::machine::Machine;
+use super::output::Output;
 use super::run::{Job, campaigns, open};
 
 /// Arguments of `gather`.
@@ -29,9 +30,11 @@ pub struct Gather {
     /// Stop if more than this many records are rejected, or more than this share of all, such as 5%
     #[arg(long, value_name = "N|P%")]
     max_rejects: Option<MaxRejects>,
-    /// Exit with 1 if any input was rejected
+    /// Exit with 1 if any input was left out or rejected, or a result is empty
     #[arg(long)]
     strict: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// The command.
@@ -58,5 +61,5 @@ pub fn gather(args: &Gather) -> Result<ExitCode> {
     };
     let outcome = job.execute_and_tell(&mut record)?;
     shelf.remove_shards()?;
-    aftermath::tell(&spec, &outcome, &shelf, args.strict)
+    aftermath::tell(&spec, &outcome, &shelf, args.strict, args.output.format)
 }

@@ -13,55 +13,83 @@ use periscope::waveform::{Kind, Record};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
+use super::output::{Closed, Format, Output, Stream, note, say};
+
 /// Arguments of `inspect`.
 #[derive(Args)]
 pub struct Inspect {
     /// Scope files
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// One JSON object per waveform, one per line
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
+
+/// What is known of a waveform.
+const COLUMNS: [&str; 21] = [
+    "file",
+    "format",
+    "kind",
+    "instrument",
+    "channel",
+    "segment",
+    "samples",
+    "dt_s",
+    "t0_s",
+    "t0_nominal",
+    "unit",
+    "gain",
+    "offset",
+    "acquired_at",
+    "clipped",
+    "first",
+    "last",
+    "mean",
+    "min",
+    "max",
+    "sha256_f32le",
+];
 
 /// The command. A file that cannot be decoded gives an error line, and the others continue.
 pub fn inspect(args: &Inspect) -> Result<ExitCode> {
-    let mut out = std::io::stdout().lock();
+    let format = args.output.format;
+    let stdout = || std::io::stdout().lock();
+    let mut stream = match format {
+        Format::Table => None,
+        Format::Json | Format::Csv => Some(Stream::start(stdout(), format, &COLUMNS)?),
+    };
     let mut failed = false;
     for file in &args.files {
-        if let Err(error) = inspect_file(file, args.json, &mut out) {
-            if error
-                .downcast_ref::<std::io::Error>()
-                .is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
-            {
+        if let Err(error) = inspect_file(file, stream.as_mut()) {
+            if error.is::<Closed>() {
                 return Err(error);
             }
-            eprintln!("error: {}: {error:#}", file.display());
+            note!("error: {}: {error:#}", file.display());
             failed = true;
         }
     }
+    stream.map_or(Ok(()), Stream::end)?;
     Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-fn inspect_file(file: &Path, as_json: bool, out: &mut impl Write) -> Result<()> {
+fn inspect_file<W: Write>(file: &Path, mut stream: Option<&mut Stream<W>>) -> Result<()> {
     if file.is_dir() {
         bail!("is a folder; name the files in it, such as {}", file.join("*").display());
     }
     let mut source = Source::open(file)?;
     let records = formats::records(&mut source)?;
-    if !as_json {
+    if stream.is_none() {
         let head = records.first().context("holds no waveform")?.head.clone();
         let instrument = head.instrument.as_deref().unwrap_or("unknown instrument");
-        writeln!(out, "{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
+        say!("{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
     }
     for record in &records {
         let mut summary = Summary::of(record);
         record.visit(source.file(), 0..record.head.samples, &mut |codes| summary.take(record, codes))?;
         let facts = summary.facts(file, record);
-        if as_json {
-            writeln!(out, "{facts}")?;
-        } else {
-            writeln!(out, "  {}", line(&facts))?;
+        match &mut stream {
+            Some(stream) => stream.row(&COLUMNS.map(|column| facts[column].clone()))?,
+            None => say!("  {}", line(&facts))?,
         }
     }
     Ok(())
@@ -172,8 +200,8 @@ const TIME: [(&str, f64); 5] = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1
 const FREQUENCY: [(&str, f64); 4] = [("GHz", 1e9), ("MHz", 1e6), ("kHz", 1e3), ("Hz", 1.0)];
 const VOLTAGE: [(&str, f64); 3] = [("V", 1.0), ("mV", 1e-3), ("uV", 1e-6)];
 
-/// A value in the largest unit in which it is at least one, else in the smallest, with up to seven digits. `--json` has
-/// all digits.
+/// A value in the largest unit in which it is at least one, else in the smallest, with up to seven digits. JSON and CSV
+/// have all digits.
 fn with_unit(value: f64, units: &[(&str, f64)]) -> String {
     let is_enough = |(_, one): &&(&str, f64)| value == 0.0 || value.abs() >= (1.0 - 1e-7) * one;
     let (unit, one) = units.iter().find(is_enough).or(units.last()).expect("there are units");

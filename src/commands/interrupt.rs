@@ -13,12 +13,13 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
 use super::INTERRUPTED;
+use super::output::note;
 
 /// A command that has not ended so long after the signal is ended by force: some call does not poll, or a disk does not
 /// answer. What it leaves is what a killed run leaves; the next run sweeps it away.
 const PATIENCE: Duration = Duration::from_millis(1700);
 
-/// From now on the first Ctrl-C or SIGTERM cancels the token. Whoever holds the token cleans up. A second signal ends
+/// From now on the first Ctrl-C or SIGTERM cancels the token. The holder of the token cleans up. A second signal ends
 /// the program at once, and so does the end of [`PATIENCE`].
 pub fn cancel_on_signals(cancel: &Cancel) -> Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;
@@ -29,7 +30,7 @@ pub fn cancel_on_signals(cancel: &Cancel) -> Result<()> {
                 std::process::exit(i32::from(INTERRUPTED));
             }
             cancel.cancel();
-            eprintln!("stopping: what is under way is dropped, what is finished is kept (once more ends at once)");
+            note!("stopping: what is under way is dropped, what is finished is kept (once more ends at once)");
             std::thread::spawn(|| {
                 std::thread::sleep(PATIENCE);
                 std::process::exit(i32::from(INTERRUPTED));

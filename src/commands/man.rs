@@ -6,6 +6,8 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::{Args, Command};
 
+use super::output::say;
+
 /// Arguments of `man`.
 #[derive(Args)]
 pub struct Man {
@@ -18,6 +20,6 @@ pub fn man(args: &Man, cli: Command) -> Result<ExitCode> {
     let dir = args.dir.display();
     std::fs::create_dir_all(&args.dir).with_context(|| format!("cannot create {dir}"))?;
     clap_mangen::generate_to(cli, &args.dir).with_context(|| format!("cannot write the pages into {dir}"))?;
-    println!("wrote periscope.1 and a page a command to {dir}; read with: man {dir}/periscope.1");
+    say!("wrote periscope.1 and a page a command to {dir}; read with: man {dir}/periscope.1")?;
     Ok(ExitCode::SUCCESS)
 }

@@ -13,6 +13,8 @@ pub mod inspect;
 mod interrupt;
 mod machine;
 pub mod man;
+pub mod output;
+pub mod pipelines;
 pub mod plan;
 pub mod query;
 pub mod report;
@@ -28,8 +30,11 @@ mod whole_file;
 
 pub use interrupt::is_interruption;
 
-/// Done, but some input was rejected, or something is to be mended.
+/// Done, but some input was rejected, or something needs to be fixed.
 pub const SOME_REJECTED: u8 = 3;
 
 /// Ended by Ctrl-C or SIGTERM.
 pub const INTERRUPTED: u8 = 130;
+
+/// Standard output was closed before all was printed: the code that a shell shows for a tool that SIGPIPE ends.
+pub const CLOSED: u8 = 141;

@@ -5,31 +5,36 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
 use periscope::pipeline::plan::{Action, Plan};
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::Settings;
 use periscope::pipeline::shards::{self, Cut, Dealt, Job, Shard, Work};
-use periscope::pipeline::spec::Spec;
+use periscope::pipeline::spec::{DEFAULT, Definition, Reference, Spec};
 use periscope::store::Shelf;
 use periscope::store::runs::RunRecord;
 use serde_json::json;
 
 use super::interrupt::cancel_on_signals;
-use super::run::campaigns;
+use super::output::{Format, Output, Rows, note, print};
+use super::run::{campaigns, reference, results};
 
 /// Arguments of `plan`.
 #[derive(Args)]
 pub struct PlanArgs {
-    /// Pipeline file (TOML)
-    pipeline: PathBuf,
+    /// Pipeline: a name that `periscope pipelines` lists, or a file (TOML)
+    #[arg(default_value = DEFAULT, value_parser = reference())]
+    pipeline: Reference,
     /// Campaign folder; may be given several times
-    #[arg(long, required = true, value_name = "DIR")]
+    #[arg(long, required_unless_present = "resolved", value_name = "DIR")]
     campaign: Vec<PathBuf>,
-    /// Result folder
+    /// Result folder (default: `<campaign>-results`, next to the campaign)
     #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    out: Option<PathBuf>,
+    /// Print the whole pipeline, with what its bases give and what --set changes, as a file that can be run
+    #[arg(long, conflicts_with_all = ["campaign", "out", "until", "shards"])]
+    resolved: bool,
     /// Stop after this table
     #[arg(long, value_name = "TABLE")]
     until: Option<String>,
@@ -40,21 +45,35 @@ pub struct PlanArgs {
     /// end; makes the whole tables that they need, such as the calibration
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     shards: Option<u32>,
-    /// With --shards: one JSON object per shard, one per line
-    #[arg(long, requires = "shards")]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// The command.
 pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
-    let spec = Spec::load(&args.pipeline, &args.set)?;
+    let definition = Definition::load(&args.pipeline)?;
+    let mut changed = definition.clone();
+    changed.set(&args.set)?;
+    let spec = Spec::new(&changed)?;
+    if args.resolved {
+        print(changed.to_toml())?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let out = results(args.out.as_deref(), &args.campaign)?;
     if let Some(count) = args.shards {
-        return deal(args, &spec, count as usize);
+        let work = Work {
+            pipeline: args.pipeline.absolute()?,
+            text: definition.to_toml(),
+            set: args.set.clone(),
+            ..Work::default()
+        };
+        return deal(args, &spec, work, &out, count as usize);
     }
     let campaigns = campaigns(&args.campaign)?;
-    let shelf = Shelf::imagine(&args.out);
+    let shelf = Shelf::imagine(&out);
     let plan = Plan::new(&spec, &campaigns, &shelf, args.until.as_deref())?;
     tell_warnings(&plan);
+    let mut rows = Rows::new(&["action", "table", "stage", "why"]);
     for step in 0..spec.steps.len() {
         let decision = plan.decision(step)?;
         let action = match decision.action {
@@ -63,25 +82,26 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
             Action::Pass => "pass",
             Action::Skip => "skip",
         };
-        println!("{action:8} {:24} {:10} {}", decision.heading, decision.stage, decision.why);
+        rows.push([json!(action), json!(decision.heading), json!(decision.stage), json!(decision.why)]);
     }
+    rows.print(args.output.format)?;
     Ok(ExitCode::SUCCESS)
 }
 
 fn tell_warnings(plan: &Plan<'_>) {
-    for warning in plan.warnings() {
-        eprintln!("warning: {warning}");
+    for left_out in plan.left_out() {
+        note!("warning: {left_out}");
     }
 }
 
 /// Writes shards into the result folder, and lists them.
-fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
+fn deal(args: &PlanArgs, spec: &Spec, work: Work, out: &Path, count: usize) -> Result<ExitCode> {
     // Absolute paths: a worker may start in another folder.
     let absolute = |path: &PathBuf| std::path::absolute(path);
     let campaigns = campaigns(&args.campaign.iter().map(absolute).collect::<Result<Vec<_>, _>>()?)?;
-    let shelf = Shelf::join(&args.out)?;
+    let shelf = Shelf::join(out)?;
     let roots = campaigns.iter().map(|campaign| (campaign.name.as_str(), campaign.root.as_path()));
-    let run = RunRecord::start(&args.pipeline, &args.set, roots)?;
+    let run = RunRecord::start(work.pipeline.clone(), &args.set, roots)?;
     // As long as this record has no end, `tables --prune` keeps the results of shards.
     shelf.write_run(&run)?;
     let mut plan = Plan::new(spec, &campaigns, &shelf, args.until.as_deref())?;
@@ -90,17 +110,10 @@ fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
     let settings = Settings { memory_bytes: settings.memory_bytes.max(settings.least_memory()), ..settings };
     cancel_on_signals(&settings.cancel)?;
     shards::prepare(&mut plan, &settings, &Progress::new(Style::auto()))?;
-    let work = Work {
-        pipeline: absolute(&args.pipeline)?,
-        text: std::fs::read_to_string(&args.pipeline)
-            .with_context(|| format!("cannot read {}", args.pipeline.display()))?,
-        set: args.set.clone(),
-        campaigns: campaigns.iter().map(|campaign| campaign.root.clone()).collect(),
-        ..Work::default()
-    };
+    let work = Work { campaigns: campaigns.iter().map(|campaign| campaign.root.clone()).collect(), ..work };
     let Dealt { work, shards, cut, uncut } = shards::deal(&plan, work, count)?;
     for why in uncut {
-        eprintln!("a part that is more than a fair share is not cut: {why}");
+        note!("a part that is more than a fair share is not cut: {why}");
     }
     let mut pieces = Vec::new();
     for (key, cut) in cut.iter().flat_map(|(_, _, pieces)| pieces) {
@@ -121,56 +134,84 @@ fn deal(args: &PlanArgs, spec: &Spec, count: usize) -> Result<ExitCode> {
     let files: Vec<_> = shards.iter().map(|(key, shard)| (key, shard)).chain(whole).collect();
     let cuts: Vec<_> = cut.iter().flat_map(|(_, _, pieces)| pieces).map(|(key, cut)| (key, cut)).collect();
     shelf.write_shards(&job, &files, &cuts)?;
-    pieces.iter().for_each(|(key, cut)| tell_piece(key, cut, args.json));
-    shards.iter().for_each(|(key, shard)| tell(key, shard, args.json));
+    let pieces = pieces.iter().map(|(key, cut)| Listed::of_piece(key, cut));
+    let listed = pieces.chain(shards.iter().map(|(key, shard)| Listed::of_shard(key, shard))).collect();
+    list(listed, args.output.format)?;
     let dealt = job.shards.len();
     if dealt == 0 {
-        eprintln!(
-            "nothing is missing that shards make; `periscope gather --out {}` makes the rest",
-            args.out.display()
-        );
+        note!("nothing is missing that shards make; `periscope gather --out {}` makes the rest", out.display());
     } else if dealt < count {
-        eprintln!(
+        note!(
             "{dealt} shards and not {count}: a shard holds whole parts, or a piece of one; a smaller `part_bytes` in [campaign] of campaign.toml makes more of them"
         );
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn tell_piece(key: &str, cut: &Cut, is_json: bool) {
-    let Cut { number, count, piece, .. } = cut;
-    let shots = |shots: &Range<usize>| [shots.start, shots.end];
-    let shots: BTreeMap<&Path, [usize; 2]> =
-        piece.shots.iter().map(|(file, of_file)| (file.as_path(), shots(of_file))).collect();
-    if is_json {
-        println!(
-            "{}",
-            json!({
-                "key": key, "captures": piece.captures.len(), "parts": 0, "piece": number, "pieces": count, "shots": shots,
-                "bytes": piece.bytes, "inputs": piece.files,
-            })
-        );
-    } else {
-        let (captures, bytes, files) = (piece.captures.len(), piece.bytes, piece.files.len());
-        let shots: Vec<String> =
-            shots.iter().map(|(file, [first, end])| format!("  shots {first}..{end} of {}", file.display())).collect();
-        println!(
-            "{key}  {captures:>9} captures  piece {number} of {count}  {bytes:>14} bytes  {files:>7} files{}",
-            shots.concat()
-        );
+/// A shard or a piece as it is listed.
+struct Listed {
+    key: String,
+    captures: usize,
+    parts: usize,
+    bytes: u64,
+    /// Number of the piece, and of how many.
+    piece: Option<(usize, usize)>,
+    /// First shot and end, by file, of a piece.
+    shots: Option<BTreeMap<PathBuf, [usize; 2]>>,
+    /// Raw files.
+    inputs: Vec<PathBuf>,
+}
+
+impl Listed {
+    fn of_piece(key: &str, cut: &Cut) -> Self {
+        let Cut { number, count, piece, .. } = cut;
+        let shots = |(file, shots): (&PathBuf, &Range<usize>)| (file.clone(), [shots.start, shots.end]);
+        Self {
+            key: key.to_owned(),
+            captures: piece.captures.len(),
+            parts: 0,
+            bytes: piece.bytes,
+            piece: Some((*number, *count)),
+            shots: Some(piece.shots.iter().map(shots).collect()),
+            inputs: piece.files.clone(),
+        }
+    }
+
+    fn of_shard(key: &str, shard: &Shard) -> Self {
+        let tickets = || shard.tickets();
+        let mut inputs: Vec<PathBuf> = tickets().flat_map(|ticket| &ticket.files).cloned().collect();
+        inputs.sort();
+        inputs.dedup();
+        Self {
+            key: key.to_owned(),
+            captures: tickets().map(|ticket| ticket.captures).sum(),
+            parts: tickets().count(),
+            bytes: tickets().map(|ticket| ticket.bytes).sum(),
+            piece: None,
+            shots: None,
+            inputs,
+        }
     }
 }
 
-fn tell(key: &str, shard: &Shard, is_json: bool) {
-    let tickets = || shard.tickets();
-    let captures: usize = tickets().map(|ticket| ticket.captures).sum();
-    let (parts, bytes) = (tickets().count(), tickets().map(|ticket| ticket.bytes).sum::<u64>());
-    let mut inputs: Vec<&Path> = tickets().flat_map(|ticket| &ticket.files).map(PathBuf::as_path).collect();
-    inputs.sort();
-    inputs.dedup();
-    if is_json {
-        println!("{}", json!({ "key": key, "captures": captures, "parts": parts, "bytes": bytes, "inputs": inputs }));
-    } else {
-        println!("{key}  {captures:>9} captures  {parts:>6} parts  {bytes:>14} bytes  {:>7} files", inputs.len());
+/// Lists shards; a table has the number of their files in place of their names.
+fn list(shards: Vec<Listed>, format: Format) -> Result<()> {
+    let is_table = format == Format::Table;
+    let last = if is_table { "files" } else { "inputs" };
+    let mut rows = Rows::new(&["key", "captures", "parts", "bytes", "piece", "pieces", "shots", last]);
+    for Listed { key, captures, parts, bytes, piece, shots, inputs } in shards {
+        let (number, count) = piece.unzip();
+        let inputs = if is_table { json!(inputs.len()) } else { json!(inputs) };
+        rows.push([
+            json!(key),
+            json!(captures),
+            json!(parts),
+            json!(bytes),
+            json!(number),
+            json!(count),
+            json!(shots),
+            inputs,
+        ]);
     }
+    rows.print(format)
 }

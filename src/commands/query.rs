@@ -68,7 +68,7 @@ fn with_advice(error: periscope::store::query::QueryError) -> anyhow::Error {
     };
     match error {
         QueryError::Store(error) => error.into(),
-        QueryError::Io(error) => error.into(),
+        QueryError::Io(error) => super::output::failure(error),
         error => anyhow::anyhow!("{error}; {advice}"),
     }
 }

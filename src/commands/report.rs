@@ -8,6 +8,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use periscope::report::{self, figures, page};
 
+use super::output::say;
 use super::whole_file;
 
 /// Arguments of `report`.
@@ -43,7 +44,7 @@ fn page_of(out: &Path) -> PathBuf {
     out.join("report.html")
 }
 
-/// Writes the page into its result folder, and tells where.
+/// Writes the page into its result folder; returns its path.
 pub fn write_page(out: &Path) -> Result<PathBuf> {
     let file = page_of(out);
     let page = page::page(&report::Report::of(out)?);
@@ -53,6 +54,5 @@ pub fn write_page(out: &Path) -> Result<PathBuf> {
 
 fn write(file: &Path, text: &str) -> Result<()> {
     whole_file::write(file, |out| out.write_all(text.as_bytes()))?;
-    println!("{}", file.display());
-    Ok(())
+    say!("{}", file.display())
 }

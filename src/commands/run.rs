@@ -1,12 +1,14 @@
 //! `periscope run`.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::ffi::OsStr;
+use std::path::{Component, Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::Args;
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use periscope::campaign::Campaign;
 use periscope::cancel::Cancel;
 use periscope::pipeline::plan::Plan;
@@ -15,13 +17,14 @@ use periscope::pipeline::rejects::MaxRejects;
 use periscope::pipeline::roots;
 use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
 use periscope::pipeline::shards;
-use periscope::pipeline::spec::Spec;
+use periscope::pipeline::spec::{DEFAULT, Definition, Reference, Spec};
 use periscope::store::runs::{Ending, RunRecord};
 use periscope::store::{Digest, Shelf, StoreError};
 
 use super::aftermath;
 use super::interrupt::{cancel_on_signals, is_interruption};
 use super::machine::{Machine, size};
+use super::output::{Output, note};
 use super::watch;
 
 /// Time between two attempts to open a folder that another run holds.
@@ -31,14 +34,15 @@ const LOOK_AGAIN: Duration = Duration::from_millis(200);
 #[derive(Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of the command line")]
 pub struct Run {
-    /// Pipeline file (TOML): one heading per table
-    pipeline: PathBuf,
+    /// Pipeline: a name that `periscope pipelines` lists, or a file (TOML)
+    #[arg(default_value = DEFAULT, value_parser = reference())]
+    pipeline: Reference,
     /// Campaign folder, with a campaign.toml; may be given several times for one scene
     #[arg(long, required = true, value_name = "DIR")]
     campaign: Vec<PathBuf>,
-    /// Result folder
+    /// Result folder (default: `<campaign>-results`, next to the campaign)
     #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    out: Option<PathBuf>,
     /// Stop after this table
     #[arg(long, value_name = "TABLE")]
     until: Option<String>,
@@ -62,15 +66,22 @@ pub struct Run {
     /// First read all raw files again, even those with the recorded size and time of change
     #[arg(long)]
     rehash: bool,
-    /// Exit with 1 if any input was rejected
+    /// Exit with 1 if any input was left out or rejected, or a result is empty
     #[arg(long)]
     strict: bool,
+    #[command(flatten)]
+    output: Output,
     /// Bytes to read at a time; results do not depend on it
     #[arg(long, value_name = "SIZE", value_parser = size, help_heading = "Tuning")]
     batch: Option<usize>,
     /// Most batches in a channel between two stages; results do not depend on it
     #[arg(long, value_name = "N", help_heading = "Tuning")]
     channel: Option<usize>,
+}
+
+/// Reads which pipeline a user means: here, so that a folder in its place is the first thing to be refused.
+pub fn reference() -> impl TypedValueParser<Value = Reference> {
+    OsStringValueParser::new().try_map(|text| Reference::new(Path::new(&text), Path::new("")))
 }
 
 /// Loads campaigns, and checks that their names differ: rows of equal names would mix.
@@ -99,7 +110,7 @@ pub fn campaigns(folders: &[PathBuf]) -> Result<Vec<Campaign>> {
 pub struct Job<'a> {
     /// The parsed pipeline.
     pub spec: &'a Spec,
-    /// Its file.
+    /// Its name, or the absolute path of its file.
     pub pipeline: &'a Path,
     /// Parameters changed on the command line.
     pub set: &'a [String],
@@ -121,7 +132,7 @@ impl Job<'_> {
     /// A record of a run that starts now.
     pub fn record(&self) -> Result<RunRecord> {
         let campaigns = self.campaigns.iter().map(|campaign| (campaign.name.as_str(), campaign.root.as_path()));
-        Ok(RunRecord::start(self.pipeline, self.set, campaigns)?)
+        Ok(RunRecord::start(self.pipeline.to_owned(), self.set, campaigns)?)
     }
 
     /// Plans and runs; prints warnings of the survey. The record of the run is on the shelf from its start on.
@@ -131,6 +142,7 @@ impl Job<'_> {
         let ending = match &outcome {
             Ok(outcome) => {
                 record.rejects = outcome.rejects;
+                record.left_out = outcome.left_out.iter().map(ToString::to_string).collect();
                 record.passes.clone_from(&outcome.passes);
                 Ending::Done
             }
@@ -163,11 +175,11 @@ impl Job<'_> {
     fn compute(&self, whole: &mut BTreeMap<String, Digest>) -> Result<Outcome> {
         let progress = Progress::new(self.style);
         if let Some(shards) = self.shards {
-            shards.join(self.shelf, &self.settings, &progress, &mut |warning| eprintln!("warning: {warning}"))?;
+            shards.join(self.shelf, &self.settings, &progress, &mut |warning| note!("warning: {warning}"))?;
         }
         let mut plan = Plan::new(self.spec, self.campaigns, self.shelf, self.until)?;
-        for warning in plan.warnings() {
-            eprintln!("warning: {warning}");
+        for left_out in plan.left_out() {
+            note!("warning: {left_out}");
         }
         if let Some(shards) = self.shards {
             shards.check(&plan)?;
@@ -187,7 +199,7 @@ pub fn open(out: &Path, wait: bool) -> Result<Shelf> {
         match Shelf::open(out) {
             Err(error @ StoreError::Busy { .. }) if wait => {
                 if !is_told {
-                    eprintln!("waiting: {error}");
+                    note!("waiting: {error}");
                     is_told = true;
                 }
                 std::thread::sleep(LOOK_AGAIN);
@@ -197,12 +209,43 @@ pub fn open(out: &Path, wait: bool) -> Result<Shelf> {
     }
 }
 
+/// The result folder: as given, or the folder of the one campaign with `-results` behind its name.
+pub fn results(out: Option<&Path>, campaigns: &[PathBuf]) -> Result<PathBuf> {
+    match (out, campaigns) {
+        (Some(out), _) => Ok(out.to_owned()),
+        (None, [campaign]) => next_to(campaign),
+        (None, _) => bail!("{} campaigns make one result folder; give it with --out DIR", campaigns.len()),
+    }
+}
+
+/// The folder next to a campaign for its results.
+fn next_to(campaign: &Path) -> Result<PathBuf> {
+    let with_suffix = |name: &OsStr| {
+        let mut name = name.to_owned();
+        name.push("-results");
+        name
+    };
+    if let Some(name) = campaign.file_name() {
+        return Ok(campaign.with_file_name(with_suffix(name)));
+    }
+    // `.` and `..` have a name only seen from above.
+    let absolute = campaign.canonicalize().with_context(|| format!("campaign {}", campaign.display()))?;
+    let name = absolute.file_name().with_context(|| {
+        format!("{} has no folder next to it for results; give one with --out DIR", absolute.display())
+    })?;
+    let here: PathBuf = campaign.components().filter(|part| *part != Component::CurDir).collect();
+    Ok(here.join("..").join(with_suffix(name)))
+}
+
 /// The command.
 pub fn run(args: &Run) -> Result<ExitCode> {
     args.machine.start()?;
-    let spec = Spec::load(&args.pipeline, &args.set)?;
+    let mut definition = Definition::load(&args.pipeline)?;
+    definition.set(&args.set)?;
+    let spec = Spec::new(&definition)?;
+    let out = results(args.out.as_deref(), &args.campaign)?;
     let campaigns = campaigns(&args.campaign)?;
-    let shelf = open(&args.out, args.wait)?;
+    let shelf = open(&out, args.wait)?;
     if args.rehash {
         roots::rehash(&campaigns, &shelf)?;
     }
@@ -215,7 +258,7 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     };
     let job = Job {
         spec: &spec,
-        pipeline: &args.pipeline,
+        pipeline: &args.pipeline.absolute()?,
         set: &args.set,
         campaigns: &campaigns,
         shelf: &shelf,
@@ -230,5 +273,26 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     } else {
         job.execute_and_tell(&mut job.record()?)?
     };
-    aftermath::tell(&spec, &outcome, &shelf, args.strict)
+    aftermath::tell(&spec, &outcome, &shelf, args.strict, args.output.format)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_lie_next_to_their_campaign() {
+        let results = |campaign: &str| results(None, &[campaign.into()]).unwrap();
+        assert_eq!(results("my-campaign"), Path::new("my-campaign-results"));
+        assert_eq!(results("my-campaign/"), Path::new("my-campaign-results"));
+        assert_eq!(results("./lab/day.2/."), Path::new("./lab/day.2-results"));
+        assert_eq!(results("/lab/day"), Path::new("/lab/day-results"));
+        let here = std::env::current_dir().unwrap();
+        let name = format!("../{}-results", here.file_name().unwrap().display());
+        assert_eq!(results("."), Path::new(&name));
+        assert_eq!(results("./."), Path::new(&name));
+        assert!(super::results(None, &["a".into(), "b".into()]).unwrap_err().to_string().contains("--out DIR"));
+        assert!(super::results(None, &["/".into()]).unwrap_err().to_string().contains("--out DIR"));
+        assert_eq!(super::results(Some(Path::new("c")), &["a".into(), "b".into()]).unwrap(), Path::new("c"));
+    }
 }

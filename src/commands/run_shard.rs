@@ -12,6 +12,7 @@ use periscope::store::Shelf;
 
 use super::interrupt::cancel_on_signals;
 use super::machine::Machine;
+use super::output::say;
 
 /// Arguments of `run-shard`.
 #[derive(Args)]
@@ -45,6 +46,6 @@ pub fn run_shard(args: &RunShard) -> Result<ExitCode> {
         Err(ShardError::Run(error @ RunError::Interrupted { .. })) => return Err(error.into()),
         made => made?,
     };
-    println!("{}", serde_json::to_string(&made)?);
+    say!("{}", serde_json::to_string(&made)?)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -7,6 +7,8 @@ use anyhow::Result;
 use clap::Args;
 use periscope::campaign::{Campaign, seal as seal_campaign};
 
+use super::output::say;
+
 /// Arguments of `seal`.
 #[derive(Args)]
 pub struct Seal {
@@ -22,6 +24,6 @@ pub fn seal(args: &Seal) -> Result<ExitCode> {
     let campaign = Campaign::load(&args.dir)?;
     let survey = campaign.survey()?;
     let report = seal_campaign(&campaign, &survey, args.update)?;
-    println!("{}", report.to_string().trim_start());
+    say!("{}", report.to_string().trim_start())?;
     Ok(ExitCode::SUCCESS)
 }

@@ -1,11 +1,14 @@
 //! `periscope simulate`.
 
+use std::fmt::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use periscope::simulate::{self, Format, Scene};
+
+use super::output::say;
 
 /// Arguments of `simulate`.
 #[derive(Args)]
@@ -75,7 +78,7 @@ pub fn simulate(args: &Simulate) -> Result<ExitCode> {
     };
     let truth = simulate::simulate(&scene, args.seed, &args.out, format)?;
     let of = |role: &str| truth.captures.iter().filter(|capture| &*capture.role == role).count();
-    print!(
+    let mut what = format!(
         "{}: {} patches, {} captures of {} shots",
         args.out.display(),
         truth.patches.len(),
@@ -83,17 +86,17 @@ pub fn simulate(args: &Simulate) -> Result<ExitCode> {
         scene.captures.shots
     );
     for role in ["response", "dark", "blocked", "fiducial"].into_iter().filter(|role| of(role) > 0) {
-        print!(", {} {role}", of(role));
+        write!(what, ", {} {role}", of(role))?;
     }
-    println!("; truth in truth/");
+    say!("{what}; truth in truth/")?;
     if scene.instrument.snr.is_some() {
-        println!("signal-to-noise ratio set to {} in one shot, not derived", scene.instrument.snr.unwrap_or(0.0));
+        say!("signal-to-noise ratio set to {} in one shot, not derived", scene.instrument.snr.unwrap_or(0.0))?;
     } else {
         let snrs = truth.captures.iter().filter(|capture| &*capture.role == "scene").map(|capture| capture.snr);
         let (least, most) =
             snrs.fold((f64::INFINITY, 0.0), |(least, most), snr| (f64::min(least, snr), f64::max(most, snr)));
         let last = truth.captures.iter().map(|capture| capture.start_s + capture.duration_s).fold(0.0, f64::max);
-        println!("signal-to-noise ratio {least:.3e} to {most:.3e} in one shot; {:.3} hours of capture", last / 3600.0);
+        say!("signal-to-noise ratio {least:.3e} to {most:.3e} in one shot; {:.3} hours of capture", last / 3600.0)?;
     }
     Ok(ExitCode::SUCCESS)
 }

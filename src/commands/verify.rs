@@ -13,6 +13,8 @@ use periscope::pipeline::roots::{self, Root};
 use periscope::store::{Digest, Shelf, StageId, verify as store};
 use serde_json::{Value, json};
 
+use super::output::{Format, Output, Rows, json, note, print, say};
+
 /// Arguments of `verify`.
 #[derive(Args)]
 pub struct Verify {
@@ -28,9 +30,8 @@ pub struct Verify {
     /// Delete damaged files in a result folder, so that the next run makes them again
     #[arg(long)]
     repair: bool,
-    /// Print one JSON object
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// The outcome to be printed.
@@ -65,28 +66,33 @@ pub fn verify(args: &Verify) -> Result<ExitCode> {
         );
     }
     let whole = verification.findings.is_empty();
-    if args.json {
-        let Verification { findings, notes, looked_at } = verification;
-        println!("{}", json!({ "ok": whole, "findings": findings, "notes": notes, "looked_at": looked_at }));
-    } else {
-        for finding in &verification.findings {
-            let text = |key: &str| finding[key].as_str().unwrap_or_default();
-            let tables: Vec<&str> =
-                finding["tables"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
-            let of = if tables.is_empty() { String::new() } else { format!(" (table {})", tables.join(", ")) };
-            println!("{}{of} {}\n    {}", text("file"), text("what"), text("mend"));
+    match args.output.format {
+        Format::Table => tell(&args.dir, &verification)?,
+        Format::Json => {
+            let Verification { findings, notes, looked_at } = verification;
+            print(json(&json!({ "ok": whole, "findings": findings, "notes": notes, "looked_at": looked_at }))?)?;
         }
-        for note in &verification.notes {
-            eprintln!("note: {note}");
+        Format::Csv => {
+            Rows::of(&["file", "tables", "what", "damage", "mend"], &verification.findings)?.print(Format::Csv)?;
         }
-        let outcome = if whole {
-            "all is as it was written".to_owned()
-        } else {
-            format!("faults: {}", verification.findings.len())
-        };
-        println!("verified {}: {}: {outcome}", args.dir.display(), verification.looked_at.join("; "));
     }
     Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Prints the outcome as text.
+fn tell(dir: &Path, verification: &Verification) -> Result<()> {
+    for finding in &verification.findings {
+        let text = |key: &str| finding[key].as_str().unwrap_or_default();
+        let tables: Vec<&str> = finding["tables"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+        let of = if tables.is_empty() { String::new() } else { format!(" (table {})", tables.join(", ")) };
+        say!("{}{of} {}\n    {}", text("file"), text("what"), text("mend"))?;
+    }
+    verification.notes.iter().for_each(|remark| note!("note: {remark}"));
+    let outcome = match verification.findings.len() {
+        0 => "all is as it was written".to_owned(),
+        faults => format!("faults: {faults}"),
+    };
+    say!("verified {}: {}: {outcome}", dir.display(), verification.looked_at.join("; "))
 }
 
 /// Checks a campaign folder: its raw files against its seal.

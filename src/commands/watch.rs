@@ -10,13 +10,15 @@ use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result};
-use periscope::campaign::{Campaign, walk};
+use periscope::campaign::left_out::left_out;
+use periscope::campaign::{Campaign, Manifest, walk};
 use periscope::pipeline::run::Outcome;
 use periscope::store::runs::RunRecord;
 
 use super::check::report::Report;
 use super::check::{self, coverage};
 use super::interrupt::is_interruption;
+use super::output::note;
 use super::run::{Job, campaigns};
 
 /// A file that changed less than this ago may still be open for writing.
@@ -86,7 +88,7 @@ pub fn follow(job: &Job<'_>, folders: &[PathBuf], idle: Option<Duration>) -> Res
                 Err(error) => format!("not yet: {error:#}"),
             };
             let (count, waiting) = (files.settled.len(), files.waiting);
-            eprintln!("pass {passes}: {count} files, {new} new or changed, {waiting} still being written: {state}");
+            note!("pass {passes}: {count} files, {new} new or changed, {waiting} still being written: {state}");
             last = Some(outcome);
             seen = files;
         }
@@ -106,8 +108,10 @@ fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result
     job.shelf.remove(&job.shelf.replaced()?)?;
     for campaign in campaigns {
         let mut report = Report::default();
-        coverage::fill(&mut report, campaign, &campaign.survey()?, &[], &BTreeSet::new());
-        report.mend.iter().for_each(|missing| eprintln!("still missing in {}: {missing}", campaign.name));
+        let survey = campaign.survey()?;
+        let left_out = left_out(&campaign.root, &survey, Manifest::load(&campaign.root)?.as_ref());
+        coverage::fill(&mut report, campaign, &survey, &[], &left_out, &BTreeSet::new());
+        report.mend.iter().for_each(|missing| note!("still missing in {}: {missing}", campaign.name));
     }
     Ok(outcome)
 }

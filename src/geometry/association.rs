@@ -59,15 +59,15 @@ pub fn associate(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[
     let edges = edges(arrivals, predictions, clutter_per_ps);
     let mut order: Vec<usize> = (0..arrivals.len()).collect();
     order.sort_by(|&a, &b| arrivals[a].time_ps.total_cmp(&arrivals[b].time_ps));
-    let in_order: Vec<&[Edge]> = order.iter().map(|&arrival| &edges[arrival][..]).collect();
     let mut candidates: Vec<Vec<Candidate>> = vec![Vec::new(); arrivals.len()];
-    for (&arrival, probabilities) in order.iter().zip(probabilities(&in_order)) {
+    for (&arrival, probabilities) in order.iter().zip(probabilities(&choices(&edges, &order))) {
         let candidate = |(edge, probability): (&Edge, f64)| Candidate {
             path: edge.path,
             residual_ps: edge.residual_ps,
             probability,
         };
-        candidates[arrival] = edges[arrival].iter().zip(probabilities).map(candidate).collect();
+        // The first choice is none of them.
+        candidates[arrival] = edges[arrival].iter().zip(probabilities.into_iter().skip(1)).map(candidate).collect();
         candidates[arrival].sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.path.cmp(&b.path)));
     }
     // The surest arrival chooses first; what it takes is gone for the others.
@@ -84,15 +84,40 @@ pub fn associate(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[
     candidates
 }
 
-/// A path that may have made an arrival.
-struct Edge {
-    path: usize,
-    residual_ps: f64,
-    weight: f64,
+/// A way to explain an item, an arrival or several that stand for one another: by up to two paths, or by none.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    /// The paths that it takes, by their places among the predictions; two are different ones.
+    pub paths: [Option<usize>; 2],
+    /// Its weight against those of the item's other choices.
+    pub weight: f64,
 }
 
+/// For each item, in order of time, the probability of each of its choices. Every item has a first choice that takes no
+/// path; no path is taken twice.
+#[must_use]
+pub fn choose(items: &[Vec<Choice>]) -> Vec<Vec<f64>> {
+    probabilities(items)
+}
+
+/// A path that may have made an arrival.
+pub(crate) struct Edge {
+    pub(crate) path: usize,
+    pub(crate) residual_ps: f64,
+    pub(crate) weight: f64,
+}
+
+impl Edge {
+    fn choice(&self) -> Choice {
+        Choice { paths: [Some(self.path), None], weight: self.weight }
+    }
+}
+
+/// Nothing that was predicted.
+const NONE: Choice = Choice { paths: [None, None], weight: 1.0 };
+
 /// For each arrival the paths within the gate.
-fn edges(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[f64]) -> Vec<Vec<Edge>> {
+pub(crate) fn edges(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[f64]) -> Vec<Vec<Edge>> {
     let mut order: Vec<usize> = (0..predictions.len()).collect();
     order.sort_by(|&a, &b| predictions[a].time.time_ps.total_cmp(&predictions[b].time.time_ps));
     let widest_ps = predictions.iter().map(|prediction| prediction.time.sd_ps).fold(0.0, f64::max);
@@ -114,49 +139,55 @@ fn edges(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[f64]) ->
     arrivals.iter().zip(clutter_per_ps).map(of_arrival).collect()
 }
 
+/// The choices of arrivals in this order.
+fn choices(edges: &[Vec<Edge>], order: &[usize]) -> Vec<Vec<Choice>> {
+    let of_arrival = |&n: &usize| std::iter::once(NONE).chain(edges[n].iter().map(Edge::choice)).collect();
+    order.iter().map(of_arrival).collect()
+}
+
 /// Paths taken by arrivals behind that those ahead could take too, ascending, each set with a weight.
 type Taken = BTreeMap<Vec<usize>, f64>;
 
-/// For each arrival, in order of time, the probability of each of its edges.
-fn probabilities(arrivals: &[&[Edge]]) -> Vec<Vec<f64>> {
-    // Last arrival that each path may have made: after it, whether the path is taken no longer matters.
+/// For each item, in order of time, the probability of each of its choices, of which the first takes no path.
+fn probabilities(items: &[Vec<Choice>]) -> Vec<Vec<f64>> {
+    // Last item that each path may belong to: after it, whether the path is taken no longer matters.
     let mut last: BTreeMap<usize, usize> = BTreeMap::new();
-    for (n, edges) in arrivals.iter().enumerate() {
-        last.extend(edges.iter().map(|edge| (edge.path, n)));
+    for (n, choices) in items.iter().enumerate() {
+        last.extend(choices.iter().flat_map(|choice| choice.paths.into_iter().flatten()).map(|path| (path, n)));
     }
-    let after = |n: usize, taken: &[usize], more: Option<usize>| -> Vec<usize> {
+    let after = |n: usize, taken: &[usize], choice: &Choice| -> Vec<usize> {
+        let more = choice.paths.into_iter().flatten();
         let mut taken: Vec<usize> = taken.iter().copied().chain(more).filter(|path| last[path] > n).collect();
         taken.sort_unstable();
         taken
     };
+    let is_free = |choice: &Choice, taken: &[usize]| choice.paths.iter().flatten().all(|path| !taken.contains(path));
     let mut forwards: Vec<Taken> = vec![Taken::from([(Vec::new(), 1.0)])];
-    for (n, edges) in arrivals.iter().enumerate() {
+    for (n, choices) in items.iter().enumerate() {
         let mut next = Taken::new();
         for (taken, weight) in &forwards[n] {
-            *next.entry(after(n, taken, None)).or_default() += weight;
-            for edge in edges.iter().filter(|edge| !taken.contains(&edge.path)) {
-                *next.entry(after(n, taken, Some(edge.path))).or_default() += weight * edge.weight;
+            for choice in choices.iter().filter(|choice| is_free(choice, taken)) {
+                *next.entry(after(n, taken, choice)).or_default() += weight * choice.weight;
             }
         }
         forwards.push(likeliest(next));
     }
-    let mut shares = vec![Vec::new(); arrivals.len()];
+    let mut shares = vec![Vec::new(); items.len()];
     let mut ahead = Taken::from([(Vec::new(), 1.0)]);
-    for (n, edges) in arrivals.iter().enumerate().rev() {
-        let rest = |taken: &[usize], more| ahead.get(&after(n, taken, more)).copied().unwrap_or(0.0);
-        let mut sums = vec![0.0; edges.len()];
-        let (mut none, mut here) = (0.0, Taken::new());
+    for (n, choices) in items.iter().enumerate().rev() {
+        let rest = |taken: &[usize], choice| ahead.get(&after(n, taken, choice)).copied().unwrap_or(0.0);
+        let mut sums = vec![0.0; choices.len()];
+        let mut here = Taken::new();
         for (taken, weight) in &forwards[n] {
-            let mut total = rest(taken, None);
-            none += weight * total;
-            for (edge, sum) in edges.iter().zip(&mut sums).filter(|(edge, _)| !taken.contains(&edge.path)) {
-                let share = edge.weight * rest(taken, Some(edge.path));
+            let mut total = 0.0;
+            for (choice, sum) in choices.iter().zip(&mut sums).filter(|(choice, _)| is_free(choice, taken)) {
+                let share = choice.weight * rest(taken, choice);
                 *sum += weight * share;
                 total += share;
             }
             here.insert(taken.clone(), total);
         }
-        let all = none + sums.iter().sum::<f64>();
+        let all = sums[0] + sums[1..].iter().sum::<f64>();
         shares[n] = sums.iter().map(|sum| sum / all).collect();
         ahead = likeliest(here);
     }
@@ -237,10 +268,9 @@ mod tests {
             let arrivals: Vec<Time> = (0..4).map(|_| at(rng.random_range(0.0..20.0), 1.0)).collect();
             let paths: Vec<Expected> = (0..5).map(|_| path(rng.random_range(0.0..20.0), 0.5)).collect();
             let edges = edges(&arrivals, &paths, &[0.01; 4]);
-            let in_order: Vec<&[Edge]> = edges.iter().map(|edges| &edges[..]).collect();
             let all = sum(&edges, &mut Vec::new(), 0, None);
-            for (arrival, shares) in probabilities(&in_order).iter().enumerate() {
-                for (edge, probability) in edges[arrival].iter().zip(shares) {
+            for (arrival, shares) in probabilities(&choices(&edges, &[0, 1, 2, 3])).iter().enumerate() {
+                for (edge, probability) in edges[arrival].iter().zip(&shares[1..]) {
                     let exact = sum(&edges, &mut Vec::new(), 0, Some((arrival, edge.path))) / all;
                     assert!((probability - exact).abs() < 1e-12, "{probability} {exact}");
                     count += 1;
@@ -287,5 +317,37 @@ mod tests {
         let p = |clutter| associate(&[at(4.0, 1.0)], &[path(0.0, 0.0)], &[clutter])[0][0].probability;
         let density = (-8.0_f64).exp() / (2.0 * std::f64::consts::PI).sqrt();
         assert!((p(1e-3) - density / (density + 1e-3)).abs() < 1e-12 && p(1e-2) < p(1e-3));
+    }
+
+    /// Items of choices with up to two paths, compared with the sum over all ways to choose.
+    #[test]
+    fn choices_of_two_paths_are_weighed_like_all_ways_to_choose() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        for _ in 0..100 {
+            let choice = |n: usize, rng: &mut ChaCha8Rng| {
+                let first = rng.random_range(0..4);
+                let second = (n % 2 == 0).then(|| (first + rng.random_range(1..4)) % 4);
+                Choice { paths: [Some(first), second], weight: rng.random_range(0.0..3.0) }
+            };
+            let items: Vec<Vec<Choice>> =
+                (0..4).map(|_| std::iter::once(NONE).chain((0..5).map(|n| choice(n, &mut rng))).collect()).collect();
+            let mut sums = vec![vec![0.0; 6]; 4];
+            for code in 0..6_usize.pow(4) {
+                let way: Vec<usize> = (0..4_u32).map(|n| code / 6_usize.pow(n) % 6).collect();
+                let choices: Vec<Choice> = way.iter().zip(&items).map(|(k, choices)| choices[*k]).collect();
+                let mut paths: Vec<usize> = choices.iter().flat_map(|c| c.paths.into_iter().flatten()).collect();
+                let count = paths.len();
+                paths.sort_unstable();
+                paths.dedup();
+                if paths.len() == count {
+                    let weight: f64 = choices.iter().map(|choice| choice.weight).product();
+                    way.iter().enumerate().for_each(|(n, k)| sums[n][*k] += weight);
+                }
+            }
+            for (shares, sums) in choose(&items).iter().zip(&sums) {
+                let all: f64 = sums.iter().sum();
+                assert!(shares.iter().zip(sums).all(|(share, sum)| (share - sum / all).abs() < 1e-12));
+            }
+        }
     }
 }

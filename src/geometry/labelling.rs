@@ -22,6 +22,7 @@
 //! alone: a search of all space would follow the many later bounces.
 //!
 //! Pulses that the response does not resolve make one arrival between their times; its error is then larger (`blends`).
+//! A wide arrival may be two pulses: the paths of the scene, and the widths of first bounces, decide (`readings`).
 //!
 //! A laser that repeats leaves times modulo its period. Without a scene, periods are added such that first bounces lie
 //! within one period beyond [`Options::near_m`]. The first bounce is then the strongest arrival, since later light may
@@ -33,7 +34,7 @@
 //! tenth of all fourth bounces are seen before hidden patches are in place.
 //!
 //! The files are a stack, each imports only those before it: problem, scene, paths, chances, legs, blends, assignment,
-//! closed, layers, rank, blind.
+//! readings, closed, layers, rank, blind.
 
 mod assignment;
 mod blends;
@@ -45,6 +46,7 @@ mod legs;
 mod paths;
 mod problem;
 mod rank;
+mod readings;
 mod scene;
 
 use std::collections::BTreeSet;
@@ -52,12 +54,17 @@ use std::collections::BTreeSet;
 use periscope_cancel::Cancel;
 
 use crate::units::PatchId;
+use assignment::Prior;
 use blends::Blends;
 use chances::Chances;
 use layers::{Layers, is_bright};
 use paths::{Graph, INDIRECT, Pairs};
 pub use problem::Verdicts;
-pub use problem::{Arrival, HiddenPatches, Hypothesis, Medium, Options, Profile, SensorProfiles, Solution, Verdict};
+pub use problem::{
+    Arrival, HiddenPatches, Hypothesis, Loser, Medium, Options, Origin, Pair, Profile, SensorProfiles, Solution,
+    Verdict,
+};
+use readings::{Readings, Widths};
 pub use scene::Scene;
 
 /// Labels all arrivals of all sensors; with a `scene` by prediction, else by first light. A cancel ends it within
@@ -67,12 +74,63 @@ pub use scene::Scene;
 /// When a profile has no arrival, or [`Options::clutter_per_ns`] is not positive.
 #[must_use]
 pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Options, cancel: &Cancel) -> Solution {
-    match scene {
-        None => Solution {
-            verdicts: sensors.iter().map(|sensor| blind::label(sensor, options, cancel)).collect(),
-            ..Solution::default()
-        },
-        Some(scene) => Labelling::new(scene, sensors, options, cancel).solution(scene),
+    let Some(scene) = scene else {
+        let readings = Readings::blind(sensors);
+        let verdicts = readings.sensors.iter().map(|sensor| blind::label(sensor, options, cancel)).collect();
+        return Solution { verdicts, ..Solution::default() }.of(readings);
+    };
+    let has_pair = |profile: &Profile| profile.arrivals.iter().any(|arrival| arrival.pair.is_some());
+    if !sensors.iter().flat_map(|sensor| &sensor.profiles).any(has_pair) {
+        let solution = Labelling::new(scene, sensors, options, cancel).solution(scene);
+        return solution.of(Readings::whole(sensors));
+    }
+    // First as all paths may be, then as those that the campaign shows.
+    let reader = Reader { sensors, widths: Widths::of(sensors, Some(scene)), options };
+    let labelling = Labelling::open(scene, sensors, options, cancel);
+    let first = reader.readings(&labelling.graphs(scene), &Chances::prior(&labelling.visible));
+    let labelling = Labelling::new(scene, &first.sensors, options, cancel);
+    let graphs = labelling.graphs(scene);
+    let second = reader.readings(&graphs, &labelling.chances(&graphs));
+    let labelling = Labelling::new(scene, &second.sensors, options, cancel);
+    let (solution, whole) = labelling.solution_and_scene(scene);
+    if solution.hypotheses.iter().all(|hypothesis| hypothesis.patch.is_none()) {
+        return solution.of(second);
+    }
+    // Light over hidden patches comes behind other light too.
+    let graphs = labelling.graphs(&whole);
+    let chances = labelling.chances(&graphs);
+    let third = reader.readings(&graphs, &chances);
+    let labelling = Labelling { sensors: &third.sensors, ..labelling };
+    let verdicts = labelling.verdicts(&labelling.graphs(&whole), &chances);
+    Solution { verdicts, ..solution }.of(third)
+}
+
+/// What onsets are read by.
+struct Reader<'a> {
+    sensors: &'a [SensorProfiles],
+    widths: Widths,
+    options: &'a Options,
+}
+
+impl Reader<'_> {
+    fn readings(&self, graphs: &[Graph], chances: &Chances) -> Readings {
+        let prior = Prior::Learned { chances, blends: None };
+        Readings::by_scene(self.sensors, graphs, &self.widths, &prior, self.options)
+    }
+}
+
+impl Solution {
+    /// With the readings that it labels.
+    fn of(mut self, readings: Readings) -> Self {
+        let Readings { sensors, origins, losers } = readings;
+        let of_profile =
+            |(profile, origins): (Profile, Vec<Origin>)| origins.into_iter().zip(profile.arrivals).collect();
+        let of_sensor = |(sensor, origins): (SensorProfiles, Vec<Vec<Origin>>)| {
+            sensor.profiles.into_iter().zip(origins).map(of_profile).collect()
+        };
+        self.arrivals = sensors.into_iter().zip(origins).map(of_sensor).collect();
+        self.losers = losers;
+        self
     }
 }
 
@@ -89,14 +147,26 @@ struct Labelling<'a> {
 
 impl<'a> Labelling<'a> {
     fn new(scene: &Scene, sensors: &'a [SensorProfiles], options: &'a Options, cancel: &'a Cancel) -> Self {
+        let open = Self::open(scene, sensors, options, cancel);
+        let of_sensor = |sensor| closed::closed(scene, sensor, &open.visible, options, cancel);
+        Self { closed: sensors.iter().map(of_sensor).collect(), ..open }
+    }
+
+    /// As if all pairs exchanged light.
+    fn open(scene: &Scene, sensors: &'a [SensorProfiles], options: &'a Options, cancel: &'a Cancel) -> Self {
         let profiles = sensors.iter().flat_map(|sensor| &sensor.profiles);
         let ends: BTreeSet<PatchId> = profiles.flat_map(|profile| [profile.lit, profile.seen]).collect();
         let visible: Vec<PatchId> = ends.into_iter().filter(|patch| scene.has(&[*patch])).collect();
-        let closed = sensors.iter().map(|sensor| closed::closed(scene, sensor, &visible, options, cancel)).collect();
+        let closed = vec![Pairs::new(); sensors.len()];
         Self { sensors, options, cancel, visible, closed }
     }
 
     fn solution(&self, scene: &Scene) -> Solution {
+        self.solution_and_scene(scene).0
+    }
+
+    /// The solution, and the scene with the hidden patches of it.
+    fn solution_and_scene(&self, scene: &Scene) -> (Solution, Scene) {
         let graphs = self.graphs(scene);
         let may_be_hidden = self.options.bounces >= INDIRECT && !self.sensors.is_empty();
         if may_be_hidden && self.options.hidden == HiddenPatches::Search {
@@ -106,11 +176,11 @@ impl<'a> Labelling<'a> {
         if may_be_hidden && self.options.hidden == HiddenPatches::Rank {
             self.sensors.iter().zip(&mut verdicts).for_each(|(sensor, verdicts)| rank::label(sensor, verdicts));
         }
-        Solution { verdicts, ..Solution::default() }
+        (Solution { verdicts, ..Solution::default() }, scene.clone())
     }
 
     /// With hidden patches that a search finds.
-    fn searched(&self, scene: &Scene, graphs: &[Graph]) -> Solution {
+    fn searched(&self, scene: &Scene, graphs: &[Graph]) -> (Solution, Scene) {
         let mut layers = Layers::first(scene, self.sensors, &self.visible, graphs, self.options, self.cancel);
         // The first layer shows how often later bounces are seen, and what these leave for a second layer.
         let first = layers.scene();
@@ -120,11 +190,13 @@ impl<'a> Labelling<'a> {
             layers.second(&graphs, &chances);
         }
         let all = layers.scene();
-        Solution {
+        let solution = Solution {
             verdicts: self.verdicts(&self.graphs(&all), &chances),
             hypotheses: layers.hypotheses(),
             visible_in_line: layers.is_in_line.then_some(self.visible.len()),
-        }
+            ..Solution::default()
+        };
+        (solution, all)
     }
 
     fn graphs<'b>(&'b self, scene: &'b Scene) -> Vec<Graph<'b>> {

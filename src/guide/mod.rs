@@ -42,6 +42,7 @@ pub mod stages {
         reflect = "stages/reflect.md";
         search = "stages/search.md";
         surface = "stages/surface.md";
+        conclude = "stages/conclude.md";
         track = "stages/track.md";
         triangulate = "stages/triangulate.md";
     }

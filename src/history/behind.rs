@@ -25,6 +25,8 @@ pub struct OnsetBehind {
     pub seen: PatchId,
     /// Rank in its profile.
     pub rank: i32,
+    /// 0 for the onset as a whole, 1 and 2 for the two pulses that it is read as.
+    pub part: i32,
     /// Path of its label; null: unexplained.
     pub path: Option<Vec<PatchId>>,
     /// Time of flight, as detected.
@@ -55,6 +57,7 @@ impl OnsetBehind {
             lit,
             seen,
             rank,
+            part: 0,
             path: None,
             time_ps: None,
             time_sd_ps: None,
@@ -76,6 +79,7 @@ impl OnsetBehind {
             residual_ps: Some(row.residual_ps),
             pull: Some(row.studentised.unwrap_or(row.standardised)),
             used: Some(row.used),
+            part: row.part,
             ..Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank)
         }
     }
@@ -83,7 +87,8 @@ impl OnsetBehind {
     /// From its label.
     #[must_use]
     pub fn of_label(row: &Label) -> Self {
-        Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank).labelled(row)
+        let part = row.part;
+        Self { part, ..Self::new(&row.campaign, &row.sensor, row.lit, row.seen, row.rank) }.labelled(row)
     }
 
     /// From its detection.
@@ -98,6 +103,9 @@ impl OnsetBehind {
         self.path = self.path.or_else(|| row.path.clone());
         self.turns = Some(row.turns);
         self.probability = Some(row.probability);
+        if row.part > 0 {
+            (self.time_ps, self.time_sd_ps) = (Some(row.time_ps), Some(row.time_sd_ps));
+        }
         self.residual_ps = self.residual_ps.or(row.residual_ps);
         self.pull = self.pull.or_else(|| row.residual_ps.map(|residual_ps| residual_ps / row.time_sd_ps));
         self
@@ -106,8 +114,10 @@ impl OnsetBehind {
     /// Adds values of the detection.
     #[must_use]
     pub fn detected(mut self, row: &Onset) -> Self {
-        self.time_ps = Some(row.time_ps);
-        self.time_sd_ps = Some(row.time_sd_ps);
+        // A part has a time of its own, which its label knows.
+        if self.part == 0 || self.time_ps.is_none() {
+            (self.time_ps, self.time_sd_ps) = (Some(row.time_ps), Some(row.time_sd_ps));
+        }
         self.snr = Some(row.snr);
         self.flags.clone_from(&row.flags);
         self
@@ -119,9 +129,15 @@ impl OnsetBehind {
         (self.campaign.clone(), self.sensor.clone(), self.lit, self.seen)
     }
 
-    /// Its capture and rank.
+    /// Its capture, rank and part.
     #[must_use]
-    pub fn id(&self) -> (CaptureKey, i32) {
+    pub fn id(&self) -> (CaptureKey, i32, i32) {
+        (self.capture(), self.rank, self.part)
+    }
+
+    /// Its capture and rank, which both parts share.
+    #[must_use]
+    pub fn whole(&self) -> (CaptureKey, i32) {
         (self.capture(), self.rank)
     }
 }
@@ -133,26 +149,36 @@ pub(super) fn complete(
     labels: Option<&Table>,
     detected: Option<&Table>,
 ) -> Result<Vec<OnsetBehind>, HistoryError> {
-    let ids: BTreeSet<_> = onsets.iter().map(OnsetBehind::id).collect();
+    let wholes: BTreeSet<_> = onsets.iter().map(OnsetBehind::whole).collect();
     let labels = match labels {
         None => Vec::new(),
         Some(table) => {
-            let wanted = |row: &Label| row.alternative == 0 && ids.contains(&OnsetBehind::of_label(row).id());
+            let wanted = |row: &Label| row.alternative == 0 && wholes.contains(&OnsetBehind::of_label(row).whole());
             ancestry.rows(table, wanted)?
         }
     };
     let detected = match detected {
         None => Vec::new(),
-        Some(table) => ancestry.rows(table, |row: &Onset| ids.contains(&OnsetBehind::of_onset(row).id()))?,
+        Some(table) => ancestry.rows(table, |row: &Onset| wholes.contains(&OnsetBehind::of_onset(row).whole()))?,
     };
-    let labels: BTreeMap<_, _> = labels.iter().map(|row| (OnsetBehind::of_label(row).id(), row)).collect();
-    let detected: BTreeMap<_, _> = detected.iter().map(|row| (OnsetBehind::of_onset(row).id(), row)).collect();
+    let mut by_whole: BTreeMap<_, Vec<&Label>> = BTreeMap::new();
+    for row in &labels {
+        by_whole.entry(OnsetBehind::of_label(row).whole()).or_default().push(row);
+    }
+    let detected: BTreeMap<_, _> = detected.iter().map(|row| (OnsetBehind::of_onset(row).whole(), row)).collect();
     let add = |onset: OnsetBehind| {
-        let id = onset.id();
-        let onset = labels.get(&id).map_or_else(|| onset.clone(), |row| onset.clone().labelled(row));
-        detected.get(&id).map_or_else(|| onset.clone(), |row| onset.clone().detected(row))
+        let rows = by_whole.get(&onset.whole()).map_or(&[][..], |rows| &rows[..]);
+        // An onset as a whole that is read as two stands for both.
+        let of_part = |part: i32| rows.iter().find(|row| row.part == part);
+        let labelled: Vec<OnsetBehind> = match of_part(onset.part) {
+            Some(row) => vec![onset.clone().labelled(row)],
+            None if onset.part > 0 || rows.is_empty() => vec![onset.clone()],
+            None => rows.iter().map(|row| OnsetBehind { part: row.part, ..onset.clone() }.labelled(row)).collect(),
+        };
+        let row = detected.get(&onset.whole());
+        labelled.into_iter().map(move |onset| row.map_or_else(|| onset.clone(), |row| onset.clone().detected(row)))
     };
-    Ok(onsets.into_iter().map(add).collect())
+    Ok(onsets.into_iter().flat_map(|onset| add(onset).collect::<Vec<_>>()).collect())
 }
 
 /// A capture that contributes to a row. Values that no table has are null.

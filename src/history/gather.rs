@@ -249,15 +249,17 @@ impl Explainer<'_> {
             quoted(&onset.campaign),
             quoted(&onset.sensor)
         );
-        let mut behind = OnsetBehind::of_onset(&onset);
+        let mut behind = vec![OnsetBehind::of_onset(&onset)];
         if let Some(residuals) = self.last_made_from(table, Residual::TABLE) {
-            let id = (behind.capture(), *rank);
             let of = |row: &Residual| OnsetBehind::of_residual(row);
-            let rows = self.ancestry.rows(&residuals, |row: &Residual| (of(row).capture(), row.rank) == id)?;
-            behind = rows.first().map_or(behind, of);
+            let whole = behind[0].whole();
+            let rows = self.ancestry.rows(&residuals, |row: &Residual| of(row).whole() == whole)?;
+            if !rows.is_empty() {
+                behind = rows.iter().map(of).collect();
+            }
         }
         let selection = Some(Selection { table: table.clone(), condition: condition.clone() });
-        Ok(Evidence { row, onsets: vec![behind], selection, condition })
+        Ok(Evidence { row, onsets: behind, selection, condition })
     }
 
     /// The last table of this name in the dataflow that derives from a table.

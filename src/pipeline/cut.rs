@@ -1,7 +1,7 @@
 //! Divides what a plan lacks into passes: trees of steps that run together below a source or a stored table.
 //!
-//! A pass makes only what is missing. If some parts of a table are finished and others not, the parts that lack the
-//! same steps form a pass of their own, from the nearest table above them on the shelf.
+//! A pass makes only what is missing. Where some parts of a table are finished, the missing ones are grouped by the
+//! steps that they lack. Each group is a pass of its own, from the nearest table above it on the shelf.
 
 use super::pass::Pass;
 use super::plan::Plan;

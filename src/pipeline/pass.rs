@@ -28,7 +28,7 @@ use crate::tables::{Reject, Row};
 enum Message {
     /// Rows of the open part, and the hold on memory that they come with.
     Rows(RecordBatch, Option<Credit>),
-    /// The open part ends; its number, its lineage, and what its source set aside.
+    /// The open part ends; its number, its lineage, and what its source rejected.
     PartEnd(usize, Digest, Vec<Rejection>),
     /// No more parts.
     End,
@@ -56,7 +56,7 @@ pub struct Joined {
     /// Step below the source.
     pub step: usize,
     /// What that step makes of it.
-    pub written: OutputBatches,
+    pub output: OutputBatches,
 }
 
 /// How a pass ended, if nothing failed.
@@ -66,7 +66,7 @@ pub enum Ended {
     Whole,
     /// It was to stop.
     Interrupted,
-    /// Too much was set aside.
+    /// Too much was rejected.
     TooManyRejects,
 }
 
@@ -88,7 +88,7 @@ struct Shared<'a> {
     budget: Arc<Budget>,
     first: Mutex<Option<Failure>>,
     content: Mutex<BTreeMap<(usize, usize), Digest>>,
-    /// Rows that may still be set aside.
+    /// Rows that may still be rejected.
     allowed: Mutex<u64>,
 }
 
@@ -136,7 +136,7 @@ impl From<StoreError> for Failure {
     }
 }
 
-/// Runs a pass to its end, or until more than `allowed` rows are set aside. Content digests of the source parts that it
+/// Runs a pass to its end, or until more than `allowed` rows are rejected. Content digests of the source parts that it
 /// read join `content`, (step, part) to digest, also when it fails.
 ///
 /// # Errors
@@ -158,7 +158,7 @@ pub fn run(
         content: Mutex::default(),
         allowed: Mutex::new(allowed),
     };
-    // A source's own table is a step of the pass too: it is written in a thread of its own, beside reading.
+    // A source's own table is a step of the pass too: a thread of its own writes it while another one reads.
     let mut beside = BTreeMap::new();
     for &step in &pass.steps {
         beside.insert(step, tables_beside(plan, step, &settings.cancel)?);
@@ -200,7 +200,7 @@ pub fn run(
     }
 }
 
-/// Finished tables beside a step, from the shelf, and the token that ends it.
+/// The whole tables that a step needs, from the shelf, and the token that ends it.
 pub(super) fn tables_beside(plan: &Plan<'_>, step: usize, cancel: &Cancel) -> Result<BesideTables, RunError> {
     let mut tables = BTreeMap::new();
     for (name, heading) in &plan.spec.steps[step].with {
@@ -232,7 +232,7 @@ fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Resul
             let source = &plan.sources[&pass.root];
             let feed = Channel { shared, children };
             let PartRead { content, rejections } = match &pass.joined {
-                // What is odd about a part keeps it from being joined.
+                // A part with an exceptional shot cannot be joined from pieces; it is computed whole.
                 Some(joined) => PartRead { content: joined.content, rejections: Vec::new() },
                 None => source
                     .read(part, shared.settings.batch_bytes, &feed)
@@ -252,7 +252,7 @@ fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Resul
 fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Message>]) -> Result<(), Failure> {
     let plan = shared.plan;
     let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
-    let table = &plan.written(root)[0].0;
+    let table = &plan.stored_tables(root)[0].0;
     for batch in plan.shelf.read(&plan.tables[root].id, record, table, shared.settings.replay_rows)? {
         let batch = batch?;
         shared.go_on()?;
@@ -327,7 +327,7 @@ fn work(
     let streams = plan.streams(step);
     let failed = |error| shared.failed(step, error);
     let mut running: Box<dyn Running + '_> = match (joined, &plan.spec.steps[step].node) {
-        (Some(joined), _) => Box::new(Given(joined.written.clone())),
+        (Some(joined), _) => Box::new(Given(joined.output.clone())),
         (_, Node::Source(_)) => Box::new(Through),
         (_, Node::Operator(operator)) => operator.start(plan.campaigns, beside).map_err(failed)?,
     };
@@ -339,18 +339,18 @@ fn work(
         shared.go_on()?;
         match message {
             Message::Rows(batch, credit) => {
-                let written = running.push(&batch).map_err(failed)?;
-                emit(shared, step, &mut writer, written, children, credit.as_ref())?;
+                let output = running.push(&batch).map_err(failed)?;
+                emit(shared, step, &mut writer, output, children, credit.as_ref())?;
             }
             Message::PartEnd(part, lineage, rejections) if streams => {
-                let mut written = running.flush().map_err(failed)?;
-                written.rejections.extend(rejections);
-                emit(shared, step, &mut writer, written, children, None)?;
+                let mut output = running.flush().map_err(failed)?;
+                output.rejections.extend(rejections);
+                emit(shared, step, &mut writer, output, children, None)?;
                 let lineage = match &plan.spec.steps[step].node {
                     Node::Source(_) => lineage,
                     Node::Operator(_) => plan.part_lineage(step, &lineage, &beside),
                 };
-                // What is below ends its part beside this.
+                // The steps below end their part while this one commits its own.
                 send(children, || Message::PartEnd(part, lineage, Vec::new()))?;
                 commit(shared, step, &mut writer, lineage)?;
             }
@@ -359,8 +359,8 @@ fn work(
         }
     }
     if !streams {
-        let written = running.flush().map_err(failed)?;
-        emit(shared, step, &mut writer, written, children, None)?;
+        let output = running.flush().map_err(failed)?;
+        emit(shared, step, &mut writer, output, children, None)?;
         let lineage = plan.part_lineage(step, &TableRecord::lineage_of(&inputs), &beside);
         send(children, || Message::PartEnd(0, lineage, Vec::new()))?;
         commit(shared, step, &mut writer, lineage)?;
@@ -373,26 +373,26 @@ fn emit<'a>(
     shared: &Shared<'a>,
     step: usize,
     writer: &mut Option<PartWriter<'a>>,
-    written: OutputBatches,
+    output: OutputBatches,
     children: &[Sender<Message>],
     credit: Option<&Credit>,
 ) -> Result<(), Failure> {
     let plan = shared.plan;
     let writer = open(shared, step, writer)?;
     let keep = plan.spec.steps[step].keep;
-    let tables = plan.written(step).len();
+    let tables = plan.stored_tables(step).len();
     if keep {
-        for (table, batches) in written.tables.iter().enumerate() {
+        for (table, batches) in output.tables.iter().enumerate() {
             batches.iter().try_for_each(|batch| writer.write(table, batch))?;
         }
     }
-    if !written.rejections.is_empty() {
+    if !output.rejections.is_empty() {
         let heading = &plan.spec.steps[step].heading;
-        let rows: Vec<Reject> = written.rejections.into_iter().map(|rejection| rejection.row(heading)).collect();
+        let rows: Vec<Reject> = output.rejections.into_iter().map(|rejection| rejection.row(heading)).collect();
         shared.progress.set_aside(rows.len() as u64);
         writer.write(tables - 1, &Reject::to_batch(&rows))?;
     }
-    let Some(main) = written.tables.into_iter().next() else {
+    let Some(main) = output.tables.into_iter().next() else {
         return Ok(());
     };
     // Rows that a source read hold its memory until the last stage that sees them as they are has let go.
@@ -408,7 +408,7 @@ fn open<'a, 'b>(
 ) -> Result<&'b mut PartWriter<'a>, Failure> {
     let plan = shared.plan;
     if writer.is_none() {
-        *writer = Some(plan.shelf.begin(&plan.tables[step].id, &plan.written(step))?);
+        *writer = Some(plan.shelf.begin(&plan.tables[step].id, &plan.stored_tables(step))?);
     }
     Ok(writer.as_mut().expect("made above"))
 }
@@ -422,9 +422,9 @@ fn commit<'a>(
     open(shared, step, writer)?;
     let writer = writer.take().expect("opened above");
     let part = writer.commit(lineage)?;
-    // Parts that were on the shelf before are counted already: rows that are not kept are made again for whoever needs
-    // them.
-    let is_known = shared.plan.tables[step].present.iter().flatten().any(|known| known.lineage == lineage);
+    // Rejects of parts that were on the shelf before are counted already: rows that are not kept are computed again for
+    // the steps that need them.
+    let is_known = shared.plan.tables[step].present.iter().flatten().any(|part| part.lineage == lineage);
     let rejects = part.files.get(Reject::TABLE).filter(|_| !is_known).map_or(0, |file| file.rows);
     let mut allowed = shared.allowed.lock().unwrap_or_else(PoisonError::into_inner);
     *allowed = allowed.checked_sub(rejects).ok_or(Failure::Early(Ended::TooManyRejects))?;

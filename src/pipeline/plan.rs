@@ -6,7 +6,7 @@ use arrow_schema::SchemaRef;
 
 use super::recipe::stage_id;
 use super::spec::Spec;
-use crate::campaign::Campaign;
+use crate::campaign::{Campaign, LeftOut};
 use crate::stages::Node;
 use crate::stages::source::{OpenSource, SourcePart};
 use crate::stages::stage::StageError;
@@ -102,9 +102,9 @@ impl<'a> Plan<'a> {
     ) -> Result<Self, PlanError> {
         let until = until
             .map(|heading| {
-                let known: Vec<&str> = spec.steps.iter().map(|step| step.heading.as_str()).collect();
+                let headings: Vec<&str> = spec.steps.iter().map(|step| step.heading.as_str()).collect();
                 spec.position(heading)
-                    .ok_or_else(|| PlanError::Until(crate::campaign::suggest::unknown("table", heading, &known)))
+                    .ok_or_else(|| PlanError::Until(crate::campaign::suggest::unknown("table", heading, &headings)))
             })
             .transpose()?;
         let mut sources = BTreeMap::new();
@@ -156,14 +156,14 @@ impl<'a> Plan<'a> {
         before
     }
 
-    /// Warnings about the campaigns before the run, each line once.
+    /// What the sources leave out of the campaigns, each once.
     #[must_use]
-    pub fn warnings(&self) -> Vec<String> {
-        let mut warnings: Vec<String> =
-            self.sources.values().flat_map(|source| source.warnings().iter().cloned()).collect();
-        warnings.sort();
-        warnings.dedup();
-        warnings
+    pub fn left_out(&self) -> Vec<LeftOut> {
+        let mut left_out: Vec<LeftOut> =
+            self.sources.values().flat_map(|source| source.left_out().iter().cloned()).collect();
+        left_out.sort();
+        left_out.dedup();
+        left_out
     }
 
     /// Looks at the shelf again. `content` has the content digests of source parts read since: (step, part) to digest.
@@ -173,9 +173,9 @@ impl<'a> Plan<'a> {
     pub fn refresh(&mut self, content: &BTreeMap<(usize, usize), Digest>) -> Result<(), StoreError> {
         for i in 0..self.tables.len() {
             let lineages = self.lineages(i, content);
-            let (id, written) = (&self.tables[i].id, self.written(i));
+            let (id, tables) = (&self.tables[i].id, self.stored_tables(i));
             // A part from a time when the table was not kept has only its rejects.
-            let whole = |part: &PartRecord| written.iter().all(|(table, _)| part.files.contains_key(table));
+            let whole = |part: &PartRecord| tables.iter().all(|(table, _)| part.files.contains_key(table));
             let part = |lineage: &Option<Digest>| match lineage {
                 Some(lineage) => Ok(self.shelf.part(id, lineage)?.filter(whole)),
                 None => Ok(None),
@@ -193,12 +193,12 @@ impl<'a> Plan<'a> {
             return given.iter().copied().map(Some).collect();
         }
         if let Some(source) = self.sources.get(&i) {
-            let known = |(part, read): (usize, &SourcePart)| content.get(&(i, part)).copied().or(read.content);
+            let content_of = |(part, read): (usize, &SourcePart)| content.get(&(i, part)).copied().or(read.content);
             return source
                 .parts()
                 .iter()
                 .enumerate()
-                .map(known)
+                .map(content_of)
                 .map(|content| Some(self.part_lineage(i, &content?, &self.beside(i)?)))
                 .collect();
         }
@@ -262,11 +262,11 @@ impl<'a> Plan<'a> {
         let count = self.tables.len();
         let mut wanted = vec![false; count];
         for i in (0..count).rev() {
-            let asked = match &self.scope {
+            let goal = match &self.scope {
                 Scope::All => self.spec.steps[i].keep,
                 Scope::Until(these) | Scope::Only(these) => these.contains(&i),
             };
-            wanted[i] |= asked;
+            wanted[i] |= goal;
             let inputs = match &self.scope {
                 Scope::Only(_) => Vec::new(),
                 _ => self.inputs(i),
@@ -294,7 +294,7 @@ impl<'a> Plan<'a> {
 
     /// Names of the tables that step `i` writes to the shelf: main, sides, rejects.
     #[must_use]
-    pub fn written(&self, i: usize) -> Vec<(String, SchemaRef)> {
+    pub fn stored_tables(&self, i: usize) -> Vec<(String, SchemaRef)> {
         let step = &self.spec.steps[i];
         let tables = step.node.tables().into_iter().map(|table| (table.name, table.schema));
         let kept: Vec<_> = if step.keep { tables.collect() } else { Vec::new() };

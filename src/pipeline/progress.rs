@@ -4,7 +4,7 @@
 //! A pass reads raw files or a stored table, and the fraction read is the progress. Gathering stages start when all
 //! rows are read. Their duration is unknown in advance, so the elapsed time is shown then.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -82,6 +82,13 @@ pub struct Progress {
 }
 
 /// The current pass.
+/// Prints a line to standard error. That it is closed is no reason to stop.
+macro_rules! note {
+    ($($text:tt)*) => {{
+        let _ = writeln!(std::io::stderr().lock(), $($text)*);
+    }};
+}
+
 struct Pass {
     tables: Vec<String>,
     amount: Amount,
@@ -106,8 +113,8 @@ impl Progress {
         let place = format!("[{whole}/{wanted}]");
         let bar = (self.style == Style::Bar).then(|| bar(place.clone(), tables.clone(), amount));
         match self.style {
-            Style::Lines => eprintln!("{place} computing {tables}"),
-            Style::Json => eprintln!(
+            Style::Lines => note!("{place} computing {tables}"),
+            Style::Json => note!(
                 "{}",
                 json!({ "event": "pass", "tables": headings, "unit": amount.unit(), "of": amount.total(), "whole": whole, "wanted": wanted })
             ),
@@ -136,10 +143,10 @@ impl Progress {
             pass.last_line = Instant::now();
             let elapsed = pass.started.elapsed();
             if self.style == Style::Json {
-                eprintln!("{}", json_line("read", pass, read, elapsed));
+                note!("{}", json_line("read", pass, read, elapsed));
             } else {
                 pass.next_line = (2 * pass.next_line).min(LINE_AT_LAST);
-                eprintln!("  {}", line(pass.amount, read, elapsed));
+                note!("  {}", line(pass.amount, read, elapsed));
             }
         }
     }
@@ -162,14 +169,14 @@ impl Progress {
                 let mut done = json_line("done", &pass, read, elapsed);
                 done["tables"] = json!(pass.tables);
                 done["set_aside"] = json!(set_aside);
-                eprintln!("{done}");
+                note!("{done}");
             }
             Style::Bar => {
                 pass.bar.iter().for_each(ProgressBar::finish_and_clear);
-                eprintln!("{}: {summary}", pass.tables.join(", "));
+                note!("{}: {summary}", pass.tables.join(", "));
             }
             // A line for slow passes: who reads a log wants to know what took long.
-            Style::Lines if elapsed >= LINE_FIRST || set_aside > 0 => eprintln!("  {summary}"),
+            Style::Lines if elapsed >= LINE_FIRST || set_aside > 0 => note!("  {summary}"),
             Style::Lines | Style::Silent => {}
         }
     }

@@ -13,10 +13,10 @@ use crate::store::{Digest, Shelf, StageId, lineage};
 pub fn rehash(campaigns: &[Campaign], shelf: &Shelf) -> Result<(), ManifestError> {
     for campaign in campaigns {
         for folder in [campaign.root.clone(), shelf.notes().join(&campaign.name)] {
-            let Some(known) = Manifest::load(&folder)? else {
+            let Some(manifest) = Manifest::load(&folder)? else {
                 continue;
             };
-            let changed = known.audit(campaign, true)?.changed;
+            let changed = manifest.audit(campaign, true)?.changed;
             if !changed.is_empty() {
                 let files = changed.iter().map(|file| file.display().to_string()).collect();
                 return Err(ManifestError::Changed { files, manifest: folder.join(MANIFEST_FILE) });

@@ -9,6 +9,7 @@ use super::plan::Plan;
 use super::progress::{Amount, Progress};
 use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
+use crate::campaign::LeftOut;
 use crate::store::runs::PassRecord;
 use crate::store::{Digest, StoreError, TableRecord};
 use crate::tables::{Reject, Row};
@@ -20,8 +21,10 @@ pub struct Outcome {
     pub tables: BTreeMap<String, TableRecord>,
     /// Headings that were computed.
     pub computed: Vec<String>,
-    /// Rows set aside, in all wanted tables.
+    /// Rejected rows, in all wanted tables.
     pub rejects: u64,
+    /// What the campaigns have and no table is made from.
+    pub left_out: Vec<LeftOut>,
     /// Passes that it took.
     pub passes: Vec<PassRecord>,
 }
@@ -36,7 +39,7 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     let mut outcome = Outcome::default();
     let most_rejects = settings.max_rejects.map_or(u64::MAX, |limit| limit.most(records(plan)));
     let ended = passes(plan, settings, most_rejects, progress, &mut outcome);
-    // Also of a run that failed: what was set aside before is often the cause.
+    // Also of a run that failed: what was rejected before is often the cause.
     let tables: Vec<_> = behind(plan)
         .into_iter()
         .map(|i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice()))
@@ -45,13 +48,14 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     // What stopped it comes first: on a full disk, say, this fails too.
     ended?;
     outcome.rejects = rejects?;
+    outcome.left_out = plan.left_out();
     if outcome.rejects > most_rejects {
         return Err(RunError::Rejects(TooMany::of(plan.shelf, outcome.rejects, most_rejects, records(plan))?));
     }
     Ok(outcome)
 }
 
-/// One pass after the other, until all that is wanted is there, or too much was set aside.
+/// One pass after the other, until all that is wanted is there, or too much was rejected.
 fn passes(
     plan: &mut Plan<'_>,
     settings: &Settings,
@@ -100,7 +104,7 @@ fn passes(
     Ok(())
 }
 
-/// The wanted tables and all that they are made from, also where that is not kept: what was set aside on the way is
+/// The wanted tables and all that they are made from, also where that is not kept: what was rejected on the way is
 /// part of the outcome.
 fn behind(plan: &Plan<'_>) -> Vec<usize> {
     let mut behind: Vec<bool> = plan.tables.iter().map(|table| table.wanted).collect();
@@ -118,7 +122,7 @@ fn records(plan: &Plan<'_>) -> u64 {
     sources.flat_map(|source| source.parts()).map(|part| part.records).sum()
 }
 
-/// Rows set aside, in the parts that are on the shelf.
+/// Rejected rows, in the parts that are on the shelf.
 fn rejects(plan: &Plan<'_>) -> u64 {
     let parts = behind(plan).into_iter().flat_map(|i| plan.tables[i].present.iter().flatten());
     parts.filter_map(|part| part.files.get(Reject::TABLE)).map(|file| file.rows).sum()
@@ -129,7 +133,7 @@ pub(super) fn amount(plan: &Plan<'_>, pass: &Pass) -> Amount {
     if let Some(source) = plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)) {
         return Amount::Bytes(pass.parts.iter().map(|&part| source.parts()[part].bytes).sum());
     }
-    let table = &plan.written(pass.root)[0].0;
+    let table = &plan.stored_tables(pass.root)[0].0;
     let parts = pass.parts.iter().filter_map(|&part| plan.tables[pass.root].present[part].as_ref());
     Amount::Rows(parts.filter_map(|part| part.files.get(table)).map(|file| file.rows).sum())
 }

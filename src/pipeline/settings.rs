@@ -19,7 +19,7 @@ pub struct Settings {
     pub channel_batches: usize,
     /// Rows that are read back from a stored table at a time.
     pub replay_rows: usize,
-    /// How much may be set aside; without it anything may.
+    /// How much may be rejected; without it, anything.
     pub max_rejects: Option<MaxRejects>,
     /// Ends the run from outside: what is under way is dropped, what is finished is kept.
     pub cancel: Cancel,
@@ -85,7 +85,7 @@ pub enum RunError {
         /// What is finished, in words.
         kept: String,
     },
-    /// More was set aside than the user allows.
+    /// More was rejected than the user allows.
     #[error(transparent)]
     Rejects(#[from] TooMany),
     /// The result folder.

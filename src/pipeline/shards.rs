@@ -4,7 +4,7 @@
 //! stream from raw files are then independent of one another, and are distributed ([`deal`]). A shard holds everything
 //! its worker needs, so that no folder is searched again. The worker ([`Shard::make`]) leaves parts on the shelf under
 //! the lineages that a run would give them; a later run finds them, and makes the rest. Nothing here depends on a lock:
-//! parts have the same bytes whoever makes them, and appear by a rename.
+//! parts have the same bytes on every machine, and appear by a rename.
 
 mod deal;
 mod failure;
@@ -36,9 +36,9 @@ pub use pieces::Cut;
 /// What all shards of a job have in common.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Work {
-    /// Pipeline file, absolute: its name in messages.
+    /// Pipeline: the absolute path of its file, or the name of one in the program.
     pub pipeline: PathBuf,
-    /// Its text.
+    /// Its text, bases included.
     pub text: String,
     /// Parameters changed on the command line, as typed.
     pub set: Vec<String>,
@@ -262,7 +262,7 @@ impl Job {
             let (heading, parts) = (step.heading.clone(), table.present.len());
             return Err(ShardError::Unfinished { heading, missing, parts, keys });
         }
-        // Not earlier: whoever makes a shard again needs its own notes.
+        // Not earlier: a worker that makes a shard again needs its own notes.
         for (&i, source) in &plan.sources {
             let failed = |source| PlanError::Stage { heading: plan.spec.steps[i].heading.clone(), source };
             source.close().map_err(failed)?;

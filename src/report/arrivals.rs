@@ -11,6 +11,9 @@ use crate::units::PatchId;
 /// More than any pull.
 const LEFT_OUT: f64 = 1e9;
 
+/// Parts that an onset is read as, at most.
+const PARTS: i32 = 2;
+
 /// Onsets by capture and rank.
 #[derive(Default)]
 pub struct Arrivals {
@@ -28,7 +31,7 @@ impl Arrivals {
     /// # Errors
     /// When a table cannot be read.
     pub fn of(sources: &Sources<'_>) -> Result<Self, HistoryError> {
-        let mut all: BTreeMap<(CaptureKey, i32), OnsetBehind> = BTreeMap::new();
+        let mut all: BTreeMap<(CaptureKey, i32, i32), OnsetBehind> = BTreeMap::new();
         // What says most comes first; the others fill in what it leaves open.
         for residual in sources.rows(|_: &Residual| true)? {
             let onset = OnsetBehind::of_residual(&residual);
@@ -46,11 +49,21 @@ impl Arrivals {
         }
         for detected in sources.rows(|_: &Onset| true)? {
             let onset = OnsetBehind::of_onset(&detected);
-            let known = all.remove(&onset.id());
-            all.insert(onset.id(), known.map_or(onset, |known| known.detected(&detected)));
+            let (capture, rank) = onset.whole();
+            let parts: Vec<_> = (0..=PARTS).map(|part| (capture.clone(), rank, part)).collect();
+            let mut is_new = true;
+            for id in parts {
+                if let Some(earlier) = all.remove(&id) {
+                    all.insert(id, earlier.detected(&detected));
+                    is_new = false;
+                }
+            }
+            if is_new {
+                all.insert(onset.id(), onset);
+            }
         }
         let mut by_capture: BTreeMap<CaptureKey, Vec<OnsetBehind>> = BTreeMap::new();
-        for ((capture, _), onset) in all {
+        for ((capture, ..), onset) in all {
             by_capture.entry(capture).or_default().push(onset);
         }
         let heading =

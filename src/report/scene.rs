@@ -1,6 +1,6 @@
 //! Where the surfaces are, the paths of light that say so, and what is left open.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::arrivals::Arrivals;
 use super::provenance::Provenance;
@@ -10,7 +10,7 @@ use crate::campaign::Campaign;
 use crate::campaign::keys::LASER;
 use crate::geometry::ellipsoid::semi_axes_m;
 use crate::history::HistoryError;
-use crate::tables::{Ambiguity, Fit, Gap, Hypothesis, Patch, Plane, Suspect};
+use crate::tables::{Ambiguity, Decision, Fit, Gap, Hypothesis, Patch, Plane, Suspect};
 
 /// Paths drawn at most.
 const RAYS: usize = 120;
@@ -58,6 +58,8 @@ pub struct Scene {
     pub heading: String,
     /// The best solution.
     pub patches: Vec<Placed>,
+    /// Patches whose places campaign.toml gives.
+    pub anchors: BTreeSet<i32>,
     /// Other places that the data leave.
     pub alternatives: Vec<Patch>,
     /// Where laser and sensors stand, by name, in campaigns whose folders can still be read.
@@ -78,6 +80,8 @@ pub struct Scene {
     pub planes: Vec<Plane>,
     /// Middles between hidden strips.
     pub gaps: Vec<Gap>,
+    /// What the solution rests on.
+    pub decisions: Vec<Decision>,
     /// Factor by which ellipsoids are drawn larger.
     pub ellipsoid_factor: f64,
 }
@@ -108,6 +112,10 @@ impl Scene {
             .values()
             .flat_map(|campaign| campaign.stations.iter().map(|(name, station)| (name.clone(), station.position_m)))
             .collect();
+        let given = |campaign: &Campaign| -> Vec<i32> {
+            campaign.patches.iter().filter(|(_, patch)| patch.position_m.is_some()).map(|(id, _)| *id).collect()
+        };
+        let anchors = campaigns.values().flat_map(given).collect();
         let ray = |onset: &crate::history::behind::OnsetBehind| {
             let (campaign, path) = (campaigns.get(&*onset.campaign)?, onset.path.as_ref()?);
             let on_path: Vec<&Placed> = path.iter().map(|patch| places.get(patch).copied()).collect::<Option<_>>()?;
@@ -124,6 +132,7 @@ impl Scene {
         rays.extend(chosen(seen));
         Ok(Some(Self {
             heading,
+            anchors,
             ellipsoid_factor: ellipsoid_factor(&patches),
             alternatives,
             stations,
@@ -135,6 +144,7 @@ impl Scene {
             declined: sources.rows(|found: &Hypothesis| &*found.kind == "patch" && found.patch.is_none())?,
             planes: sources.rows(|_: &Plane| true)?,
             gaps: sources.rows(|_: &Gap| true)?,
+            decisions: sources.rows(|_: &Decision| true)?,
             patches,
         }))
     }

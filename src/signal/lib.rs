@@ -42,6 +42,7 @@
 //! | [`reference`](mod@reference), [`drift`] | time of the reference pulse, and its drift over a session |
 //! | [`pickup`] | pick-up that is synchronous with the laser |
 //! | [`noise`], [`noise_model`], [`whiten`] | standard deviation and autocorrelation of samples |
+//! | [`dark`] | where a record has no light |
 //! | [`shot_spread`] | outlying shots |
 //! | [`oversample`], [`response`], [`averaged_response`], [`echo`] | the impulse response of a sensor |
 //! | [`sparse`] | deconvolution into pulses by maximum likelihood, for volts and for photon counts |
@@ -68,6 +69,7 @@ pub mod averaged_response;
 pub mod banded;
 pub mod between;
 pub mod codes;
+pub mod dark;
 pub mod drift;
 pub mod echo;
 mod failure;

@@ -8,6 +8,10 @@
 //! from the residual's product with the slope, and is removed by a band-limited shift. Then, at each sample, the mean
 //! of all ranges that are valid there, weighted by their variances, on the scale of the first.
 //!
+//! Where too little light is seen in both to fit the scale, a [`Prior`] of the link takes part: volts per code that the
+//! oscilloscope states, and the delay from a calibration of both ranges. Where light fits the scale better than the
+//! prior knows it, the prior has no part.
+//!
 //! Give the most sensitive range first: it is not shifted, so clipping does not spread in it through the filter of the
 //! shift. Samples near a clipped stretch and in its recovery are left out by a margin; how long an amplifier recovers
 //! must be known. Not modelled: a gain that depends on level or frequency, noise correlated between samples (in a
@@ -24,6 +28,11 @@ const STEPS: usize = 50;
 /// A fit has settled when gain and delay change by less than this share of their standard deviations.
 const SETTLED: f64 = 1e-4;
 
+/// A fitted gain that is known to this part of itself, and lies this many standard deviations from the stated one,
+/// contradicts it: somebody has stated a wrong one.
+const CONTRADICTING_SD: f64 = 0.1;
+const CONTRADICTING_SIGMA: f64 = 5.0;
+
 /// An averaged profile of one range.
 #[derive(Clone, Copy, Debug)]
 pub struct RangeProfile<'a> {
@@ -33,6 +42,30 @@ pub struct RangeProfile<'a> {
     pub se_v: &'a [f64],
     /// Whether a sample is clipped.
     pub clipped: &'a [bool],
+    /// What is known beforehand of its link to the first range.
+    pub prior: Option<Prior>,
+}
+
+/// What is known beforehand of how one range follows from the first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prior {
+    /// Factor of the first range's light; 1 where both are in volts.
+    pub gain: f64,
+    /// Standard deviation of the gain.
+    pub gain_sd: f64,
+    /// How much later than the first this range shows the light, ps.
+    pub delay_ps: f64,
+    /// Standard deviation of the delay, ps.
+    pub delay_sd_ps: f64,
+}
+
+impl Prior {
+    /// Whether a fitted gain is taken as it is: it is better known than this, or certainly not this.
+    fn yields_to(&self, fitted: &Link) -> bool {
+        let is_known = fitted.gain_sd < CONTRADICTING_SD * fitted.gain;
+        let is_other = (fitted.gain - self.gain).abs() > CONTRADICTING_SIGMA * fitted.gain_sd.hypot(self.gain_sd);
+        fitted.gain_sd <= self.gain_sd || is_known && is_other
+    }
 }
 
 /// What is asked of a merger.
@@ -150,8 +183,67 @@ pub fn valid(clipped: &[bool], before: usize, after: usize) -> Vec<bool> {
     valid
 }
 
-/// A range's link to the first, and the range at the first's times.
+/// A range's link to the first, by its light or by what is known beforehand, and the range at the first's times.
 fn link(first: &Trace, range: &RangeProfile, options: &MergeOptions) -> Option<(Link, Trace)> {
+    let fitted = fitted_link(first, range, options);
+    match &range.prior {
+        Some(prior) if !fitted.as_ref().is_some_and(|(link, _)| prior.yields_to(link)) => {
+            let fitted = fitted.map(|(link, _)| link);
+            prior_link(first, range, options, prior, fitted.as_ref())
+        }
+        _ => fitted,
+    }
+}
+
+/// A link by what is known beforehand together with what little its light says. The offset follows from the samples
+/// that both ranges have, light or none.
+fn prior_link(
+    first: &Trace,
+    range: &RangeProfile,
+    options: &MergeOptions,
+    prior: &Prior,
+    fitted: Option<&Link>,
+) -> Option<(Link, Trace)> {
+    let (gain, gain_sd) = combined((prior.gain, prior.gain_sd), fitted.map(|link| (link.gain, link.gain_sd)));
+    let (delay_ps, delay_sd_ps) =
+        combined((prior.delay_ps, prior.delay_sd_ps), fitted.map(|link| (link.delay_ps, link.delay_sd_ps)));
+    let shifted = advanced(range, options.delay_dt_ps.map_or(0.0, |dt_ps| delay_ps / dt_ps), options);
+    let shared: Vec<usize> = (0..first.mean_v.len()).filter(|n| first.valid[*n] && shifted.valid[*n]).collect();
+    if shared.len() < SHARED_MIN {
+        return None;
+    }
+    let weight = |n: usize| {
+        let (x, y) = variances(first, &shifted, n);
+        1.0 / (y + gain * gain * x)
+    };
+    let sum = |f: &dyn Fn(usize) -> f64| shared.iter().map(|n| weight(*n) * f(*n)).sum::<f64>();
+    let total = sum(&|_| 1.0);
+    let (x_mean, y_mean) = (sum(&|n| first.mean_v[n]) / total, sum(&|n| shifted.mean_v[n]) / total);
+    let (offset_v, gain_variance) = (y_mean - gain * x_mean, gain_sd * gain_sd);
+    let link = Link {
+        gain,
+        gain_sd,
+        offset_v,
+        offset_sd_v: (1.0 / total + x_mean * x_mean * gain_variance).sqrt(),
+        gain_offset_v: -x_mean * gain_variance,
+        delay_ps,
+        delay_sd_ps,
+        chi2: sum(&|n| (shifted.mean_v[n] - offset_v - gain * first.mean_v[n]).powi(2)),
+        dof: shared.len() - 1,
+    };
+    Some((link, shifted))
+}
+
+/// Mean of two values weighted by their variances, with its standard deviation.
+fn combined(prior: (f64, f64), fitted: Option<(f64, f64)>) -> (f64, f64) {
+    let weight = |sd: f64| sd.powi(-2);
+    let Some(fitted) = fitted.filter(|fitted| fitted.1 > 0.0 && prior.1 > 0.0) else { return prior };
+    let total = weight(prior.1) + weight(fitted.1);
+    ((weight(prior.1) * prior.0 + weight(fitted.1) * fitted.0) / total, total.sqrt().recip())
+}
+
+/// A range's link to the first by the light that both see, and the range at the first's times.
+fn fitted_link(first: &Trace, range: &RangeProfile, options: &MergeOptions) -> Option<(Link, Trace)> {
     let mut delay = 0.0; // samples
     let mut previous_gain = f64::NAN;
     let mut last = None;

@@ -2,6 +2,7 @@
 
 use super::average::{Mean, PHASES};
 use super::codes::Codes;
+use super::dark::Dark;
 use super::resample;
 use super::widest::widest;
 
@@ -13,26 +14,28 @@ const JUDGES_MIN: usize = 8;
 /// 0.5 / 0.6745, since half of normal values lie within 0.6745 standard deviations.
 const QUIET_SD: f64 = 0.741;
 
-/// Variance over shots at each place of their mean, in codes squared, each shot's own baseline (mean of its first
-/// `baseline` samples) removed.
+/// Variance over shots at each place of their mean, in codes squared, each shot's own baseline (mean of its `dark`
+/// samples) removed.
 ///
 /// A shot that lies between two places of the grid is compared with the mean moved there by the band-limited filter
 /// that made it: a straight line between samples would add its error on fast edges to the spread. Places that fewer
 /// than two shots cover get NaN.
 ///
 /// # Panics
-/// When `baseline` is 0 or exceeds a shot.
+/// When `dark` has no samples, or more than a shot.
 #[must_use]
-pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f64> {
+pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Vec<f64> {
     let count = mean.mean.len();
     let mut squares = vec![0.0; count];
     // Where the number of shots that cover a place changes, and by how much.
     let mut changes = vec![0_i32; count + 1];
-    let floor: f64 = mean.mean[..baseline.min(count)].iter().sum::<f64>() / baseline.min(count) as f64;
+    let of_mean = &mean.mean[dark.of_mean(mean)];
+    let floor: f64 = of_mean.iter().sum::<f64>() / of_mean.len() as f64;
     let (mut values, mut moved, mut moved_by) = (Vec::new(), mean.mean.clone(), 0);
     for (codes, position) in shots {
         codes.read_into(&mut values);
-        let own = values[..baseline].iter().sum::<f64>() / baseline as f64 - floor;
+        let of_shot = &values[dark.range(values.len(), *position)];
+        let own = of_shot.iter().sum::<f64>() / of_shot.len() as f64 - floor;
         let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
         // The mean at a place and a fraction is that at the next place, earlier by the rest.
         let later = i64::from(phase > 0);
@@ -71,21 +74,23 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, baseline: usize) -> Vec<f
 #[derive(Clone, Debug)]
 pub struct OutlierTest {
     first: i64,
-    baseline: usize,
+    dark: Dark,
     low: Vec<f64>,
     high: Vec<f64>,
 }
 
 impl OutlierTest {
-    /// From the first shots; `sigma` robust standard deviations are allowed. `None` with fewer than eight shots, or
-    /// none that overlap.
+    /// From the first shots, whose baselines are their `dark` samples; `sigma` robust standard deviations are allowed.
+    /// `None` with fewer than eight shots, or none that overlap.
     #[must_use]
-    pub fn new(shots: &[(Codes<'_>, i64)], baseline: usize, sigma: f64) -> Option<Self> {
+    pub fn new(shots: &[(Codes<'_>, i64)], dark: Dark, sigma: f64) -> Option<Self> {
         if shots.len() < JUDGES_MIN {
             return None;
         }
-        let shifted: Vec<(i64, Vec<f64>)> =
-            shots.iter().map(|(codes, position)| (nearest(*position), without_baseline(*codes, baseline))).collect();
+        let shifted: Vec<(i64, Vec<f64>)> = shots
+            .iter()
+            .map(|(codes, position)| (nearest(*position), without_baseline(*codes, *position, &dark)))
+            .collect();
         // Where most shots begin and end: single shots far off do not shrink the test.
         let first = middle(&mut shifted.iter().map(|(whole, _)| *whole as f64).collect::<Vec<_>>()) as i64;
         let count = shots[0].0.len();
@@ -115,7 +120,7 @@ impl OutlierTest {
         let margin: Vec<f64> = (0..count).map(|n| sigma * scale + slope(n)).collect();
         let low = median.iter().zip(&margin).map(|(median, margin)| median - margin).collect();
         let high = median.iter().zip(&margin).map(|(median, margin)| median + margin).collect();
-        Some(Self { first, baseline, low, high })
+        Some(Self { first, dark, low, high })
     }
 
     /// Whether a shot lies outside, at any sample.
@@ -126,7 +131,7 @@ impl OutlierTest {
         if from >= codes.len() || at >= self.low.len() {
             return true;
         }
-        let own = codes.slice(0..self.baseline.clamp(1, codes.len())).mean();
+        let own = codes.slice(self.dark.range(codes.len(), position)).mean();
         codes.slice(from..codes.len()).leaves(&self.low[at..], &self.high[at..], own)
     }
 }
@@ -148,10 +153,10 @@ fn nearest(position: i64) -> i64 {
     (position + PHASES as i64 / 2).div_euclid(PHASES as i64)
 }
 
-fn without_baseline(codes: Codes<'_>, baseline: usize) -> Vec<f64> {
+fn without_baseline(codes: Codes<'_>, position: i64, dark: &Dark) -> Vec<f64> {
     let mut values = codes.to_f64();
-    let baseline = baseline.clamp(1, values.len());
-    let own = values[..baseline].iter().sum::<f64>() / baseline as f64;
+    let of_shot = &values[dark.range(values.len(), position)];
+    let own = of_shot.iter().sum::<f64>() / of_shot.len() as f64;
     values.iter_mut().for_each(|value| *value -= own);
     values
 }
@@ -185,7 +190,7 @@ mod tests {
                 let mut shot = || -> Vec<u8> { (0..500).flat_map(|_| code()).collect() };
                 let head: Vec<Vec<u8>> = (0..HEAD_SHOTS).map(|_| shot()).collect();
                 let views: Vec<(Codes<'_>, i64)> = head.iter().map(|bytes| (Codes::I16(bytes), 0)).collect();
-                let test = OutlierTest::new(&views, 32, 6.0).expect("enough shots");
+                let test = OutlierTest::new(&views, Dark::at_start(32), 6.0).expect("enough shots");
                 wrong += (0..100).filter(|_| test.is_outlier(Codes::I16(&shot()), 0)).count();
             }
             assert!(wrong <= 1, "noise {noise}: {wrong} of 1000");
@@ -207,7 +212,7 @@ mod tests {
         };
         let head: Vec<(Vec<u8>, i64)> = (0..HEAD_SHOTS).map(|_| shot()).collect();
         let views: Vec<(Codes<'_>, i64)> = head.iter().map(|(bytes, at)| (Codes::I16(bytes), *at)).collect();
-        let test = OutlierTest::new(&views, 32, 6.0).expect("enough shots");
+        let test = OutlierTest::new(&views, Dark::at_start(32), 6.0).expect("enough shots");
         let wrong = (0..1000).map(|_| shot()).filter(|(bytes, at)| test.is_outlier(Codes::I16(bytes), *at)).count();
         assert!(wrong <= 2, "{wrong} of 1000");
     }

@@ -20,8 +20,8 @@ use serde_json::Value;
 use super::operator::WrittenTable;
 use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
 use super::stage::StageError;
-use crate::campaign::Campaign;
 use crate::campaign::keys::{self, PatchRole};
+use crate::campaign::{Campaign, LeftOut};
 use crate::geometry::Point;
 use crate::priors::covariances;
 use crate::store::Digest;
@@ -32,10 +32,14 @@ use crate::units::PatchId;
 /// Standard deviation of a coordinate that is called exact.
 const EXACT_M: f64 = 1e-6;
 
-/// Parameters of `anchor`: none.
+/// Parameters of `anchor`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AnchorPatches {}
+#[serde(deny_unknown_fields, default)]
+pub struct AnchorPatches {
+    /// Whether the table may be empty: of a campaign without anchors.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    optional: bool,
+}
 
 impl Source for AnchorPatches {
     fn kind(&self) -> &'static str {
@@ -57,7 +61,7 @@ impl Source for AnchorPatches {
     fn open<'a>(&'a self, campaigns: &'a [Campaign], _: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
         let mut all = campaigns.iter().map(anchors);
         let anchors = all.next().unwrap_or_default();
-        if anchors.is_empty() {
+        if anchors.is_empty() && !self.optional {
             let text =
                 "no patch in campaign.toml has a `position_m`; add [patches.N] with one for each point of the wall";
             return Err(StageError::Refused(text.to_owned()));
@@ -90,7 +94,7 @@ impl OpenSource for Opened {
     fn parts(&self) -> &[SourcePart] {
         &self.parts
     }
-    fn warnings(&self) -> &[String] {
+    fn left_out(&self) -> &[LeftOut] {
         &[]
     }
 

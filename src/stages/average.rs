@@ -7,6 +7,10 @@
 //! the converter's rails, outliers against the first 32, those without reference pulse, and those with a sample that is
 //! no number.
 //!
+//! Baseline and noise come from the first tenth of the record. Where the mean of the first shots varies there by more
+//! than the differences between shots explain, there is light; then the earliest dark stretch takes its place
+//! ([`crate::signal::dark`]). A record without one stands in `rejects`, and its noise comes from these differences.
+//!
 //! The spread of the first 32 shots gives a model of a shot's variance over level and slope
 //! ([`crate::signal::noise_model`]). A sample's own error is its standard error. The laser's energy and jitter move all
 //! samples together, and are reported where they are significant. Otherwise the jitter is what the fits of the
@@ -17,6 +21,9 @@
 //! profile has `shots`, `noise_v` and `noise_model` of that range, and the `phase_shots` of all. There, shots with
 //! clipped samples count. Left out are these samples, those that the aligning filter makes of them, and those of the
 //! amplifier's recovery. The error of the delay between ranges is in `jitter_ps`, that of their factor in `gain_sd`.
+//! Where both see too little light to fit these, the stated gains (to 2 %) and the calibrated latencies of the ranges
+//! stand in, on scale and time of the most sensitive range that does not clip. Where these are missing too, that range
+//! stands alone, and `rejects` says why.
 //!
 //! Light may repeat with the laser (`repetition_ps` of the campaign). If a record then holds a period, the profile is
 //! that one period, cut open in the middle of its longest dark part: its times hold modulo the period. Of a train of
@@ -46,6 +53,7 @@ mod noise;
 mod piece;
 mod record;
 mod reference;
+mod rejected;
 mod shots;
 
 use std::collections::BTreeMap;
@@ -58,6 +66,7 @@ use crate::campaign::Campaign;
 use crate::campaign::keys::SensorKind;
 use crate::parameter::{Condition, Count, NonNegative, Positive};
 use crate::priors::campaign_fields::ByCampaign;
+use crate::priors::sensor_range::{OfSensorRange, SensorRange};
 use crate::signal::response::Response;
 use crate::tables::cell::Cell;
 use crate::tables::traces::TraceColumns;
@@ -65,6 +74,7 @@ use crate::tables::{Calibration, Name, Profile, Trace};
 use capture::Capture;
 use histogram::Histogram;
 use piece::Extent;
+use record::Latency;
 
 /// Share of a record that is its baseline where the pipeline does not say.
 const BASELINE_SHARE: f64 = 0.1;
@@ -75,7 +85,8 @@ const BASELINE_SHARE: f64 = 0.1;
 pub struct Average {
     /// A capture with fewer valid shots is rejected.
     shots_min: Count,
-    /// Length of the stretch at the start of a record that light has not reached; absent: a tenth of the record.
+    /// Length of the stretch at the start of a record that light has not reached; absent: a tenth of the record, at its
+    /// start unless light is found there.
     baseline_ps: Option<Positive>,
     /// Whether outlying shots are rejected.
     reject_outliers: bool,
@@ -111,6 +122,7 @@ pub struct Fields {
 pub struct Context {
     campaigns: ByCampaign<Fields>,
     sensors: BTreeMap<(Name, Name), Sensor>,
+    latencies: BTreeMap<SensorRange, Latency>,
 }
 
 /// What the calibration says of a sensor.
@@ -146,6 +158,11 @@ impl Context {
         )
     }
 
+    /// Latency of a profile's own vertical range; `None` where that is not calibrated by itself.
+    fn latency(&self, profile: &Profile) -> Option<Latency> {
+        self.latencies.get(&profile.sensor_range()).copied()
+    }
+
     fn trigger_ps2(&self, row: &Trace) -> f64 {
         self.sensor(row).map_or(0.0, |sensor| sensor.jitter_ps2)
     }
@@ -162,7 +179,7 @@ impl Context {
 
 impl Stage for Average {
     const KIND: &'static str = "average";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
     const CONDITIONS: &'static [Condition] = &[Condition("outlier_sigma", "reject_outliers", &["true"])];
@@ -188,14 +205,19 @@ impl Stage for Average {
                 )));
             }
         }
+        let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
+        let latency = |row: &Calibration| {
+            let own_ps2 = row.latency_sd_ps.powi(2) - row.latency_common_sd_ps.unwrap_or(0.0).powi(2);
+            (row.sensor_range(), Latency { latency_ps: row.latency_ps, own_sd_ps: own_ps2.max(0.0).sqrt() })
+        };
+        let latencies = rows.iter().map(latency).collect();
         let sensor = |row: Calibration| {
             let template = row.reference_t0_ps.zip(row.reference);
             let template = template.map(|(t0_ps, values)| Response::new(t0_ps, row.step_ps, &values.to_f64()));
             let jitter_ps2 = row.noise_model.and_then(|model| model.last().copied()).unwrap_or(0.0);
             ((row.campaign, row.sensor), Sensor { template, jitter_ps2 })
         };
-        let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
-        Ok(Context { campaigns, sensors: rows.into_iter().map(sensor).collect() })
+        Ok(Context { campaigns, latencies, sensors: rows.into_iter().map(sensor).collect() })
     }
 }
 
@@ -259,15 +281,15 @@ impl Average {
     }
 }
 
-fn rejection(first: &Trace, why: &str) -> Outcome<Profile> {
+fn rejection(first: &Trace, why: &str) -> Rejection {
     let Trace { campaign, sensor, lit, seen, role, file, .. } = first;
-    Outcome::rejected(Rejection {
+    Rejection {
         campaign: campaign.clone(),
         file: Some(file.clone()),
         segment: None,
         byte_offset: None,
         reason: format!("{role} capture of sensor {sensor}, lit {lit}, seen {seen}, {why}"),
-    })
+    }
 }
 
 /// Whether a row has scale, time base and setting of the first.

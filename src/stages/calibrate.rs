@@ -237,7 +237,7 @@ impl State {
             cancel.check();
             match range.row(self, prior, template.as_ref(), cancel) {
                 Ok(row) => {
-                    let doubts = doubts(&row, range.first.path_m);
+                    let doubts = doubts(&row, &range.first);
                     rejections.extend(doubts.map(|why| Rejection { reason: why, ..self.rejection(Some(range), "") }));
                     rows.push(row);
                 }
@@ -260,14 +260,13 @@ impl State {
 }
 
 /// What no real sensor has: mostly a wrong unit. It is reported, and the calibration used as it is.
-fn doubts(row: &Calibration, path_m: Option<f64>) -> impl Iterator<Item = String> {
+fn doubts(row: &Calibration, first: &Trace) -> impl Iterator<Item = String> {
     let Calibration { sensor, width_ps, latency_ps, .. } = row;
     let fast = (*width_ps < WIDTH_LEAST_PS).then(|| {
-        format!(
-            "the response of sensor {sensor} is {width_ps:.3} ps wide, less than of any photodiode: is `dt_ps` in ps?"
-        )
+        let why = first.time_base_doubt().unwrap_or_else(|| "is `dt_ps` in ps?".to_owned());
+        format!("the response of sensor {sensor} is {width_ps:.3} ps wide, less than of any photodiode: {why}")
     });
-    let early = path_m.filter(|_| *latency_ps < LATENCY_LEAST_PS).map(|path_m| {
+    let early = first.path_m.filter(|_| *latency_ps < LATENCY_LEAST_PS).map(|path_m| {
         format!(
             "the response of sensor {sensor} comes {:.0} ns before light can have gone path_m = {path_m}: is it in m? is its t0_ps right?",
             -latency_ps * 1e-3

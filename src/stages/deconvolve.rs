@@ -12,7 +12,8 @@
 //! Light that an extended patch spreads in time is modelled by `sparse` where `extent_max_ps` is positive: an impulse
 //! whose samples ask for it is widened by a Gaussian, and by an exponential tail where that does not suffice; its time
 //! is that of the light's centroid, and `width_ps` the standard deviation of both together. Two impulses closer than
-//! twice that limit may then be taken for one.
+//! twice that limit may then be taken for one: the best two points in the place of a wide impulse stay beside it (the
+//! fields `pair_...` of an impulse), for `label` to choose by what it knows of the scene.
 //!
 //! With a known response the limit of time resolution is noise and not the sensor: `sparse` separates pulses closer
 //! than the response is wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the
@@ -159,7 +160,7 @@ struct Ready {
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::Pair;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
@@ -237,6 +238,10 @@ fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
         explained.map_or_else(Default::default, |explained| (explained.impulses, explained.covariance_ps2));
     for impulse in &mut impulses {
         impulse.amplitude_v *= ready.polarity;
+        if let Some(pair) = &mut impulse.pair {
+            pair.first_amplitude_v *= ready.polarity;
+            pair.second_amplitude_v *= ready.polarity;
+        }
     }
     Stir {
         campaign: profile.campaign.clone(),

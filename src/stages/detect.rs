@@ -11,15 +11,15 @@
 //! A threshold walks with amplitude by tens of picoseconds, and Akaike's criterion almost as much; an edge at a
 //! fraction does not. Edges at a fraction see one onset a profile: that of its maximum. `first-response` and `aic` see
 //! as many as there are responses: after each, the profile must fall below `rearm_sigma` before the next. An onset
-//! needs a signal-to-noise ratio of `threshold_sigma`. Of two very close impulses neither amplitude may be that
-//! certain. They are onsets all the same if leaving either out costs a chi-square of `threshold_sigma` squared: that
-//! there are two is then certain, and how the signal divides between them is not. `aic` has no standard deviation of
+//! needs a signal-to-noise ratio of `threshold_sigma`. An impulse is an onset also where chi-square would rise by
+//! `threshold_sigma` squared without it: blended light may be certain to be there while its share, and so its
+//! amplitude, is not. Of blended impulses none of which is certain, all are onsets. `aic` has no standard deviation of
 //! its own: its error is that of rounding to a sample, and of noise over the mean slope up to the maximum.
 //!
 //! With `sampled`, edges are not interpolated between samples, as when a person reads the screen of an oscilloscope.
 //!
 //! Takes `stir`; writes `onsets`. Not modelled yet: saturated arrivals. Flags:
-//! - `blended`: its time is strongly correlated with a neighbour's;
+//! - `blended`: its time is strongly correlated with a neighbour's, or its light divides uncertainly between both;
 //! - `misfit`: the fit leaves more than noise in the samples that it reaches;
 //! - `at-edge`: near an end of the record;
 //! - `extended`: its light is spread in time. `earliest_ps` is where it would begin if it were spread evenly, as by one
@@ -41,7 +41,7 @@ use crate::campaign::Campaign;
 use crate::parameter::{Condition, Conflict, NonNegative, Positive, Share};
 use crate::signal::largest::largest;
 use crate::signal::onset::{self, Crossing};
-use crate::tables::{Name, Onset, Stir};
+use crate::tables::{Impulse, Name, Onset, Stir};
 
 /// Correlation of two times beyond which both are called blended.
 const BLENDED: f64 = 0.5;
@@ -105,7 +105,7 @@ impl Default for Detect {
 
 impl Stage for Detect {
     const KIND: &'static str = "detect";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::Capture;
     const CONDITIONS: &'static [Condition] = &[
         Condition("fraction", "method", &["leading-edge", "constant-fraction"]),
@@ -151,9 +151,7 @@ impl Apply for Detect {
 impl Detect {
     fn impulses(&self, stir: &Stir) -> Vec<Onset> {
         let count = stir.impulses.len();
-        let snr = |k: usize| stir.impulses[k].amplitude_v.abs() / stir.impulses[k].amplitude_sd_v;
-        let kept: Vec<usize> =
-            (0..count).filter(|&k| snr(k) >= self.threshold_sigma.get() || self.is_of_blended_pair(stir, k)).collect();
+        let kept = self.certain(stir);
         let end_ps = stir.t0_ps + stir.profile.len() as f64 * stir.dt_ps;
         let onset = |(rank, &k): (usize, &usize)| {
             let impulse = &stir.impulses[k];
@@ -165,6 +163,7 @@ impl Detect {
             let at_edge = impulse.time_ps < stir.t0_ps + margin_ps || impulse.time_ps > end_ps - margin_ps;
             let extended = impulse.width_ps > 0.0;
             let misfit = impulse.misfit_sigma > MISFIT_SIGMA;
+            let pair = impulse.pair;
             Onset {
                 rank: rank as i32 + 1,
                 time_ps: impulse.time_ps,
@@ -173,11 +172,20 @@ impl Detect {
                 amplitude: impulse.amplitude_v,
                 amplitude_sd: Some(impulse.amplitude_sd_v.hypot(stir.gain_sd * impulse.amplitude_v)),
                 width_ps: impulse.width_ps,
-                snr: snr(k),
+                width_sd_ps: impulse.width_sd_ps,
+                pair_first_ps: pair.map(|pair| pair.first_ps),
+                pair_second_ps: pair.map(|pair| pair.second_ps),
+                pair_first_sd_ps: pair.map(|pair| pair.first_sd_ps),
+                pair_second_sd_ps: pair.map(|pair| pair.second_sd_ps),
+                pair_correlation: pair.map(|pair| pair.correlation),
+                pair_first_amplitude: pair.map(|pair| pair.first_amplitude_v),
+                pair_second_amplitude: pair.map(|pair| pair.second_amplitude_v),
+                pair_gain: pair.map(|pair| pair.gain),
+                snr: snr(impulse),
                 evidence: Some(impulse.evidence),
                 covariance,
                 flags: flags(&[
-                    ("blended", correlated),
+                    ("blended", correlated || snr(impulse) < self.threshold_sigma.get()),
                     ("extended", extended),
                     ("misfit", misfit),
                     ("at-edge", at_edge),
@@ -188,22 +196,27 @@ impl Detect {
         kept.iter().enumerate().map(onset).collect()
     }
 
-    /// Whether impulse `k` belongs to a blended pair. Its amplitude is not certain, nor that of an impulse whose time
-    /// is correlated with its own. But no fit without either of them explains the profile.
-    fn is_of_blended_pair(&self, stir: &Stir, k: usize) -> bool {
+    /// The impulses that are certain by their amplitude or their evidence, and blended ones of which none is.
+    fn certain(&self, stir: &Stir) -> Vec<usize> {
         let count = stir.impulses.len();
         // What a misfit adds to chi-square is no evidence.
         let misfit = stir.chi2_dof.unwrap_or(1.0).max(1.0);
-        let is_vague = |k: usize| {
+        let threshold = self.threshold_sigma.get();
+        let is_certain = |k: usize| {
             let impulse = &stir.impulses[k];
-            impulse.amplitude_v.abs() < self.threshold_sigma.get() * impulse.amplitude_sd_v
-                && impulse.evidence >= misfit * self.threshold_sigma.get().powi(2)
+            snr(impulse) >= threshold || impulse.evidence >= misfit * threshold.powi(2)
         };
         let variance = |k: usize| stir.impulse_cov[k * count + k];
-        let is_correlated = |other: usize| {
-            stir.impulse_cov[k * count + other].powi(2) > BLENDED.powi(2) * variance(k) * variance(other)
+        let is_blended = |k: usize, other: usize| {
+            let shared = stir.impulse_cov[k * count + other].powi(2);
+            k != other && shared > BLENDED.powi(2) * variance(k) * variance(other)
         };
-        is_vague(k) && (0..count).any(|other| other != k && is_vague(other) && is_correlated(other))
+        // A misfit splits a strong pulse into two that are worth little each: the pulse as a whole is certain.
+        let holds_all_light = |k: usize| {
+            let mut blended = (0..count).filter(|&other| is_blended(k, other)).peekable();
+            blended.peek().is_some() && !blended.any(is_certain)
+        };
+        (0..count).filter(|&k| is_certain(k) || holds_all_light(k)).collect()
     }
 
     fn edges(&self, stir: &Stir) -> Result<Vec<Onset>, StageError> {
@@ -286,6 +299,11 @@ impl Detect {
     }
 }
 
+/// Amplitude over its standard deviation.
+fn snr(impulse: &Impulse) -> f64 {
+    impulse.amplitude_v.abs() / impulse.amplitude_sd_v
+}
+
 /// An onset of a profile, in samples.
 struct Edge {
     position: f64,
@@ -320,6 +338,15 @@ fn blank(stir: &Stir) -> Onset {
         amplitude: 0.0,
         amplitude_sd: None,
         width_ps: 0.0,
+        width_sd_ps: None,
+        pair_first_ps: None,
+        pair_second_ps: None,
+        pair_first_sd_ps: None,
+        pair_second_sd_ps: None,
+        pair_correlation: None,
+        pair_first_amplitude: None,
+        pair_second_amplitude: None,
+        pair_gain: None,
         snr: 0.0,
         evidence: None,
         covariance: Vec::new(),

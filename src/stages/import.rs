@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 use super::operator::WrittenTable;
 use super::source::{Feed, OpenSource, PartRead, Source, SourcePart};
 use super::stage::StageError;
-use crate::campaign::{Campaign, hash_file, suggest};
+use crate::campaign::{Campaign, LeftOut, hash_file, suggest};
 use crate::store::finite::NotJson;
 use crate::store::{Digest, parquet};
 use crate::tables;
@@ -142,7 +142,7 @@ impl OpenSource for Opened<'_> {
     fn parts(&self) -> &[SourcePart] {
         &self.parts
     }
-    fn warnings(&self) -> &[String] {
+    fn left_out(&self) -> &[LeftOut] {
         &[]
     }
 

@@ -32,7 +32,7 @@ use serde_json::Value;
 use super::operator::WrittenTable;
 use super::source::{Divisible, Feed, OpenSource, PartRead, Piece, PieceFeed, Source, SourcePart, Ticket};
 use super::stage::StageError;
-use crate::campaign::{Campaign, Role};
+use crate::campaign::{Campaign, LeftOut, Role};
 use crate::store::finite::{self, NotJson};
 use crate::store::{Digest, uncompressed};
 use crate::tables::{Row, Trace};
@@ -119,8 +119,8 @@ impl OpenSource for Surveyed<'_> {
     fn parts(&self) -> &[SourcePart] {
         &self.source_parts
     }
-    fn warnings(&self) -> &[String] {
-        &self.warnings
+    fn left_out(&self) -> &[LeftOut] {
+        &self.left_out
     }
     fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError> {
         part::read_part(self, part, batch_bytes, feed)

@@ -38,8 +38,16 @@
 //! label's `time_sd_ps` is larger by that; 0 takes every onset for single. The search for hidden patches expects no
 //! onset of its own from a patch where that of another path is so near.
 //!
+//! A wide onset may be light that patches spread, or two pulses that came close together: `deconvolve` keeps both. With
+//! `patches`, whichever reading the predicted paths and the widths of first bounces make likelier is labelled; read as
+//! two it has two rows, `part` 1 and 2, each with its own time. The other reading stays among the alternatives with its
+//! probability. Light that either reading explains is no sign of a hidden patch. Without patches the likelier reading
+//! counts by widths alone, and the error of first light covers the other.
+//!
 //! Takes `onsets`; writes `labels` and `hypotheses`. Optional tables:
 //! - `patches` (of `refine`, with their standard deviations); no prediction uses a patch without covariance;
+//! - `anchors` (of `anchor`), used in place of `patches` where that is absent and every patch that is lit or seen is an
+//!   anchor;
 //! - for the full error of a prediction, `covariances` (`patch_covariances` of the same stage) and `delays`;
 //! - `planes` (of `surface`, fitted to the same patches), for the shift of the light's centroid over large patches,
 //!   those with a `size_m` in campaign.toml;
@@ -64,14 +72,14 @@ mod rows;
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::labelling::{self, Arrival, Medium, Options, Profile, Scene, SensorProfiles};
+use crate::geometry::labelling::{self, Arrival, Medium, Options, Pair, Profile, Scene, SensorProfiles};
 use crate::parameter::{Condition, Count, NonNegative, Positive, Share, Within};
 use crate::priors::campaign_fields::{self, ByCampaign, StationPositions};
 use crate::priors::covariances;
@@ -153,11 +161,20 @@ pub struct Fields {
 pub struct Context {
     fields: ByCampaign<Fields>,
     scene: Option<Scene>,
+    /// Places that campaign.toml gives.
+    anchors: Option<Scene>,
     cancel: Cancel,
     delays: Delays,
 }
 
 impl Context {
+    /// The patches in place: those given, else the anchors where every patch that is lit or seen is one.
+    fn scene_of(&self, sensors: &[SensorProfiles]) -> Option<&Scene> {
+        let profiles = || sensors.iter().flat_map(|sensor| &sensor.profiles);
+        let is_whole = |anchors: &&Scene| profiles().all(|profile| anchors.has(&[profile.lit, profile.seen]));
+        self.scene.as_ref().or_else(|| self.anchors.as_ref().filter(is_whole))
+    }
+
     /// The profiles of one sensor, from all its onsets.
     fn sensor_profiles(&self, onsets: &[Onset]) -> SensorProfiles {
         let Onset { campaign, sensor, .. } = &onsets[0];
@@ -179,18 +196,17 @@ impl Context {
     fn profile(&self, onsets: &[Onset]) -> Profile {
         let Onset { lit, seen, .. } = onsets[0];
         let (delay_ps, delay_sd_ps) = self.delays.delay_ps(&onsets[0]);
-        let arrivals =
-            onsets.iter().map(|onset| Arrival { time_ps: onset.time_ps, sd_ps: sd_ps(onset), snr: onset.snr });
-        Profile { lit, seen, delay_ps, delay_sd_ps, arrivals: arrivals.collect() }
+        Profile { lit, seen, delay_ps, delay_sd_ps, arrivals: onsets.iter().map(arrival).collect() }
     }
 }
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 11;
+    const VERSION: u32 = 12;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
+        Beside { name: "anchors", table: "patches", required: false },
         Beside { name: "covariances", table: "patch_covariances", required: false },
         Beside { name: "delays", table: "delays", required: false },
         Beside { name: "planes", table: "planes", required: false },
@@ -215,10 +231,13 @@ impl Stage for LabelOnsets {
     }
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
-        let scene = scene(&fields, beside)?;
+        let given = beside.rows::<Patch>("patches")?;
+        let scene = given.map(|rows| scene(&rows, &fields, beside)).transpose()?;
+        let anchors = beside.rows::<Patch>("anchors")?.filter(|rows| !rows.is_empty());
+        let anchors = anchors.map(|rows| scene_of_anchors(&rows, &fields)).transpose()?;
         self.check(scene.is_some())?;
         let delays = Delays::new(&beside.rows("delays")?.unwrap_or_default());
-        Ok(Context { fields, scene, cancel: beside.cancel.clone(), delays })
+        Ok(Context { fields, scene, anchors, cancel: beside.cancel.clone(), delays })
     }
 }
 
@@ -262,33 +281,47 @@ impl Apply for LabelOnsets {
         let is_one_sensor = |a: &Onset, b: &Onset| (&a.campaign, &a.sensor) == (&b.campaign, &b.sensor);
         let sensors: Vec<SensorProfiles> =
             group.chunk_by(is_one_sensor).map(|onsets| context.sensor_profiles(onsets)).collect();
-        let solution = labelling::label(&sensors, context.scene.as_ref(), &self.options(), &context.cancel);
+        let scene = context.scene_of(&sensors);
+        let solution = labelling::label(&sensors, scene, &self.options(), &context.cancel);
         let hypotheses = rows::hypotheses(&solution.hypotheses, self.false_alarm.get());
         Ok(Outcome {
-            rows: rows::labels(&group, &sensors, solution.verdicts),
-            sides: vec![Hypothesis::to_batch(&hypotheses)],
             rejections: rows::rejections(&group, &sensors, solution.visible_in_line),
+            rows: rows::labels(&group, &sensors, solution),
+            sides: vec![Hypothesis::to_batch(&hypotheses)],
         })
     }
 }
 
-/// Patches in place of the best alternative, those with a covariance; `None` without the table `patches`.
-fn scene(fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<Option<Scene>, StageError> {
-    let Some(rows) = beside.rows::<Patch>("patches")? else { return Ok(None) };
-    let best = rows.iter().filter(|row| row.alternative == 0);
-    let patches: BTreeMap<PatchId, (Point, _)> = best
-        .filter_map(|row| Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariances::of_patch(row)?))))
-        .collect();
-    if patches.is_empty() {
-        let text = "with patches: no patch has a covariance, so nobody knows how far off its onsets may be; give patches from `refine`";
-        return Err(StageError::Refused(text.to_owned()));
-    }
+/// Patches of the best alternative, those with a covariance.
+fn scene(rows: &[Patch], fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<Scene, StageError> {
     let between = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
     let between_m2 = between.iter().map(|row| ((row.a, row.b), covariances::between(row))).collect();
     let given = fields.first().map(|fields| &fields.extents);
     let normals = given.map(|given| normals(given, beside)).transpose()?.unwrap_or_default();
     let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
-    Ok(Some(Scene::new(&patches, &between_m2, footprints, normals)))
+    Ok(Scene::new(&places(rows)?, &between_m2, footprints, normals))
+}
+
+/// Anchors, whose errors are independent. They fix the frame, so that the normals of campaign.toml hold in it.
+fn scene_of_anchors(rows: &[Patch], fields: &ByCampaign<Fields>) -> Result<Scene, StageError> {
+    let given = fields.first().map(|fields| &fields.extents);
+    let normals = given.map(|given| footprints::normals(given, &[], true)).unwrap_or_default();
+    let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
+    Ok(Scene::new(&places(rows)?, &BTreeMap::new(), footprints, normals))
+}
+
+/// Places of the best alternative, with their covariances.
+fn places(rows: &[Patch]) -> Result<BTreeMap<PatchId, (Point, Matrix3<f64>)>, StageError> {
+    let place = |row: &Patch| {
+        let covariance_m2 = covariances::of_patch(row)?;
+        Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariance_m2)))
+    };
+    let places: BTreeMap<PatchId, _> = rows.iter().filter(|row| row.alternative == 0).filter_map(place).collect();
+    if places.is_empty() {
+        let text = "with patches: no patch has a covariance, so its onsets cannot be weighted: these are start values (give patches from `refine`), or too few pairs determine them (`rejects` has the missing ones)";
+        return Err(StageError::Refused(text.to_owned()));
+    }
+    Ok(places)
 }
 
 /// Normals of patches on the table `planes`, and where the frame is fixed those of campaign.toml.
@@ -300,6 +333,27 @@ fn normals(
     let fits = beside.rows::<Fit>("fits")?.unwrap_or_default();
     let is_fixed = fits.iter().any(|fit| fit.alternative == 0 && &*fit.frame == "fixed");
     Ok(footprints::normals(given, &planes, is_fixed))
+}
+
+fn arrival(onset: &Onset) -> Arrival {
+    let width_sd_ps = onset.width_sd_ps.unwrap_or(0.0);
+    let point = Arrival::point(onset.time_ps, sd_ps(onset), onset.snr);
+    Arrival { width_ps: onset.width_ps, width_sd_ps, pair: pair(onset), ..point }
+}
+
+/// The two pulses that a wide onset may be; `None` where none fit.
+fn pair(onset: &Onset) -> Option<Pair> {
+    let sds_ps = [onset.pair_first_sd_ps?, onset.pair_second_sd_ps?];
+    let amplitudes = [onset.pair_first_amplitude?, onset.pair_second_amplitude?];
+    // What the profile's onsets share moves both alike.
+    let shared_ps2 = onset.jitter_ps.powi(2);
+    let both_ps2 = onset.pair_correlation? * sds_ps[0] * sds_ps[1];
+    Some(Pair {
+        times_ps: [onset.pair_first_ps?, onset.pair_second_ps?],
+        covariance_ps2: [sds_ps[0].powi(2), both_ps2, sds_ps[1].powi(2)].map(|own_ps2| own_ps2 + shared_ps2),
+        snrs: amplitudes.map(|amplitude| onset.snr * (amplitude / onset.amplitude).abs()),
+        gain: onset.pair_gain?,
+    })
 }
 
 /// Standard deviation of an onset's time, with the part that its profile shares.

@@ -4,6 +4,7 @@ pub mod anchor;
 pub mod average;
 pub mod calibrate;
 pub mod characterize;
+pub mod conclude;
 pub mod deconvolve;
 pub mod detect;
 pub mod embed;
@@ -94,7 +95,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 18] = [
+pub const KINDS: [&str; 19] = [
     "ingest",
     "anchor",
     "calibrate",
@@ -112,6 +113,7 @@ pub const KINDS: [&str; 18] = [
     "search",
     "surface",
     "triangulate",
+    "conclude",
     "import",
 ];
 
@@ -149,6 +151,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "search" => operator::<search::Search>(params),
         "surface" => operator::<surface::Surface>(params),
         "triangulate" => operator::<triangulate::Triangulate>(params),
+        "conclude" => operator::<conclude::Conclude>(params),
         _ => Err(suggest::unknown("stage", kind, &KINDS)),
     }
 }

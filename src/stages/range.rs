@@ -9,6 +9,9 @@
 //! sensor's latency is common to all `d_0i` and cancels in every `d_ij`. It is taken as exact here; `refine` gives it a
 //! prior.
 //!
+//! An anchor needs no distance. Other patches with fewer distances than coordinates stand in `rejects`, with the pairs
+//! that are missing: no later stage can place them.
+//!
 //! A patch is hidden if third bounces lead over it, while no label has it as lit or seen, nor `patches` as visible.
 //! Third bounces less their legs between stations and visible patches are sums of two ranges, which weighted least
 //! squares take apart ([`crate::geometry::t3`]). The legs come from `patches`, for sensors apart from the laser too.
@@ -32,6 +35,7 @@
 //! ```
 
 mod hidden;
+mod missing;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -39,7 +43,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::campaign::keys::PatchRole;
+use crate::campaign::keys::{self, PatchRole};
 use crate::geometry::t2::{self, Distances, Length};
 use crate::priors::campaign_fields::{ByCampaign, Medium, StationPositions};
 use crate::tables::{Covariance, Distance, Label, Name, Row};
@@ -58,8 +62,13 @@ pub struct Fields {
     medium: Medium,
     #[serde(flatten)]
     stations: StationPositions,
-    /// Patches that campaign.toml lists as visible.
+    /// Patches that campaign.toml lists as visible, and gives no position.
     visible: Vec<PatchId>,
+    /// Patches to which it gives a position.
+    anchors: Vec<PatchId>,
+    /// Patches to which it gives a ray, which needs fewer distances.
+    rays: Vec<PatchId>,
+    dimensions: usize,
     /// Patches that it lists as mirrors.
     mirrors: Vec<PatchId>,
 }
@@ -73,7 +82,7 @@ pub struct Context {
 
 impl Stage for Range {
     const KIND: &'static str = "range";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -90,8 +99,11 @@ impl Stage for Range {
         ByCampaign::new(campaigns, |campaign| Fields {
             medium: campaign.into(),
             stations: campaign.into(),
-            visible: of_role(campaign, PatchRole::Visible),
-            mirrors: of_role(campaign, PatchRole::Mirror),
+            visible: patches(campaign, |patch| patch.role == PatchRole::Visible && patch.position_m.is_none()),
+            anchors: patches(campaign, |patch| patch.position_m.is_some()),
+            rays: patches(campaign, |patch| patch.ray.is_some()),
+            dimensions: usize::from(campaign.dimensions),
+            mirrors: patches(campaign, |patch| patch.role == PatchRole::Mirror),
         })
     }
 
@@ -151,8 +163,14 @@ impl Apply for Range {
         });
         let hidden = thirds.solve(fields, places, &direct);
         let campaign = group.first().map_or_else(|| "".into(), |label| label.campaign.clone());
-        let doubts =
-            rejections(&campaign, fields, &direct).into_iter().chain(hidden.rejections(&campaign, places.is_some()));
+        // Third bounces over hidden patches tell of their legs too.
+        let is_alone = apart.is_empty() && places.is_none() && thirds.is_empty();
+        let too_few = if is_alone { missing::too_few(fields, &direct) } else { Vec::new() };
+        let too_few = too_few.into_iter().map(|reason| Rejection::new(&campaign, reason));
+        let doubts = rejections(&campaign, fields, &direct)
+            .into_iter()
+            .chain(too_few)
+            .chain(hidden.rejections(&campaign, places.is_some()));
         Ok(Outcome {
             rejections: left_out(apart).chain(doubts).collect(),
             rows: rows.chain(hidden.distances).collect(),
@@ -161,9 +179,9 @@ impl Apply for Range {
     }
 }
 
-/// Patches that campaign.toml lists with a role.
-fn of_role(campaign: &Campaign, role: PatchRole) -> Vec<PatchId> {
-    campaign.patches.iter().filter(|(_, patch)| patch.role == role).map(|(id, _)| *id).collect()
+/// Patches of campaign.toml of which this is true.
+fn patches(campaign: &Campaign, is_meant: impl Fn(&keys::Patch) -> bool) -> Vec<PatchId> {
+    campaign.patches.iter().filter(|(_, patch)| is_meant(patch)).map(|(id, _)| *id).collect()
 }
 
 fn covariances(direct: &Distances) -> Vec<Covariance> {
@@ -201,7 +219,9 @@ fn rejections(campaign: &Name, fields: &ByCampaign<Fields>, direct: &Distances) 
     for patch in direct.skipped.iter().flat_map(|(a, b)| [*a, *b]) {
         *lost.entry(patch).or_default() += 1;
     }
-    lost.retain(|patch, _| !has_first.contains(patch));
+    // Where an anchor is, needs no distance: its own light may be gated away.
+    let is_anchor = |patch: &PatchId| fields.values().any(|fields| fields.anchors.contains(patch));
+    lost.retain(|patch, _| !has_first.contains(patch) && !is_anchor(patch));
     let lost = lost.into_iter().map(|(patch, pairs)| match pairs {
         0 => format!(
             "patch {patch} stands in campaign.toml, but no bounce of it was found where the laser is, so it has no distance: capture lit {patch}, \

@@ -22,6 +22,9 @@
 //! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. Normals come
 //! from `planes` (of `surface`) or, in a fixed frame, from campaign.toml.
 //!
+//! Without a labelled onset, `patches` that all have a covariance are passed on: anchors whose own light was not
+//! recorded.
+//!
 //! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm. Where more labels
 //! are wrong, onsets that contradict the others are left out ([`maximum_likelihood::outliers`]). The table `suspects`
 //! lists these, residuals beyond four of their own standard deviations, and onsets that no other checks. Beyond 1,000
@@ -88,7 +91,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -123,8 +126,7 @@ impl Apply for Refine {
         let labels: Vec<Label> =
             group.into_iter().filter(|label| label.alternative == 0 && label.path.is_some()).collect();
         if labels.is_empty() {
-            let text = "no onset has a path; look at the tables `labels` and `onsets`";
-            return Err(StageError::Refused(text.to_owned()));
+            return unlabelled(context);
         }
         let model = Model::new(context, &labels);
         let mut problem = model.problem(if self.robust { Loss::Huber } else { Loss::Squared });
@@ -188,6 +190,14 @@ impl Apply for Refine {
             rejections: unused_normals(context, is_fixed, &labels),
         })
     }
+}
+
+/// Without a labelled onset: patches that need none, passed on.
+fn unlabelled(context: &Context) -> Result<Outcome<Patch>, StageError> {
+    if context.are_all_placed() {
+        return Ok(Outcome::rows(context.start.values().cloned().collect()));
+    }
+    Err(StageError::Refused("no onset has a path; look at the tables `labels` and `onsets`".to_owned()))
 }
 
 /// Whether a solution's loss is what noise lets expect.

@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use super::operator::WrittenTable;
 use super::stage::{Rejection, StageError};
-use crate::campaign::Campaign;
+use crate::campaign::{Campaign, LeftOut};
 use crate::store::Digest;
 use crate::store::finite::NotJson;
 
@@ -189,8 +189,8 @@ pub trait Divisible {
 pub trait OpenSource: Send + Sync {
     /// Its parts, in order.
     fn parts(&self) -> &[SourcePart];
-    /// What a user should know before the run: files that no rule matches, and the like.
-    fn warnings(&self) -> &[String];
+    /// What it leaves out of the campaigns: files that no rule matches, and the like.
+    fn left_out(&self) -> &[LeftOut];
     /// Reads a part. Chunk and batch sizes are the caller's; the rows do not depend on them.
     ///
     /// # Errors

@@ -47,11 +47,14 @@ pub struct Surface {
     roughness_m: NonNegative,
     /// Patches of each plane, in place of the search.
     groups: Option<Vec<Vec<PatchId>>>,
+    /// Whether the table may be empty: patches that span no plane, or lie in flatland, are then no fault.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    optional: bool,
 }
 
 impl Default for Surface {
     fn default() -> Self {
-        Self { least: Count::new(4), roughness_m: NonNegative::new(0.0), groups: None }
+        Self { least: Count::new(4), roughness_m: NonNegative::new(0.0), groups: None, optional: false }
     }
 }
 
@@ -64,6 +67,8 @@ pub struct Fields {
 /// Campaign of the patches, and the covariances between them.
 pub struct Context {
     campaign: String,
+    /// Whether the patches lie in flatland, which is one plane.
+    is_flat: bool,
     covariances: PatchCovariances,
     cancel: Cancel,
 }
@@ -73,7 +78,8 @@ impl Stage for Surface {
     const VERSION: u32 = 1;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[Beside { name: "covariances", table: "patch_covariances", required: false }];
-    const CONDITIONS: &'static [Condition] = &[Condition("least", "groups", &["absent"])];
+    const CONDITIONS: &'static [Condition] =
+        &[Condition("least", "groups", &["absent"]), Condition("optional", "groups", &["absent"])];
     type Input = Patch;
     type Output = Plane;
     type Fields = ByCampaign<Fields>;
@@ -97,19 +103,24 @@ impl Stage for Surface {
     }
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
-        if let Some((campaign, _)) = fields.iter().find(|(_, fields)| fields.dimensions < 3) {
+        let in_flatland = fields.iter().find(|(_, fields)| fields.dimensions < 3);
+        if let Some((campaign, _)) = in_flatland.filter(|_| !self.optional) {
             return Err(StageError::Refused(format!(
                 "campaign `{campaign}` is in flatland, where all patches lie in one plane; leave out `surface`"
             )));
         }
         let rows = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
         let campaign = fields.first_name().to_owned();
-        Ok(Context { campaign, covariances: PatchCovariances::new(&rows), cancel: beside.cancel.clone() })
+        let is_flat = in_flatland.is_some();
+        Ok(Context { campaign, is_flat, covariances: PatchCovariances::new(&rows), cancel: beside.cancel.clone() })
     }
 }
 
 impl Apply for Surface {
     fn apply(&self, context: &Context, group: Vec<Patch>) -> Result<Outcome<Plane>, StageError> {
+        if context.is_flat {
+            return Ok(Outcome::rows(Vec::new()));
+        }
         let (placed, mut reasons) = Placed::new(context, &group, self.roughness_m.get());
         let planes = match &self.groups {
             None => planes::find(&placed.points, self.least.get() as usize, |a, b| placed.covariance_m2(a, b)),
@@ -123,6 +134,9 @@ impl Apply for Surface {
                 placed.points.len(),
                 planes::NEAR
             ));
+        }
+        if self.optional {
+            reasons.clear();
         }
         let reject = |reason: String| Rejection::new(&context.campaign, reason);
         let rows = planes.iter().enumerate().map(|(n, plane)| placed.row(n, plane, &planes[0])).collect();

@@ -45,7 +45,7 @@ pub struct PassRecord {
 pub struct RunRecord {
     /// Version of the program.
     pub periscope: String,
-    /// Pipeline file, absolute.
+    /// Pipeline: the absolute path of its file, or the name of one in the program.
     pub pipeline: PathBuf,
     /// Parameters changed on the command line, as typed.
     pub set: Vec<String>,
@@ -65,6 +65,9 @@ pub struct RunRecord {
     pub failure: Option<String>,
     /// Rejected rows in all its tables.
     pub rejects: u64,
+    /// What the campaigns have and no table is made from, a line for each cause.
+    #[serde(default)]
+    pub left_out: Vec<String>,
     /// Lineages of the tables that were complete at its end, by view.
     pub tables: BTreeMap<String, Digest>,
     /// Its passes, in order; empty for a run that failed.
@@ -73,12 +76,12 @@ pub struct RunRecord {
 }
 
 impl RunRecord {
-    /// A run of this process that starts now. `campaigns`: name and folder of each.
+    /// A run of this process that starts now. `pipeline`: absolute path or name; `campaigns`: name and folder of each.
     ///
     /// # Errors
     /// When the current folder is gone, so that relative paths have no base.
     pub fn start<'a>(
-        pipeline: &Path,
+        pipeline: PathBuf,
         set: &[String],
         campaigns: impl IntoIterator<Item = (&'a str, &'a Path)>,
     ) -> io::Result<Self> {
@@ -86,7 +89,7 @@ impl RunRecord {
         let Holder { host, process, started } = Holder::here();
         Ok(Self {
             periscope: env!("CARGO_PKG_VERSION").to_owned(),
-            pipeline: std::path::absolute(pipeline)?,
+            pipeline,
             set: set.to_vec(),
             campaigns: campaigns.into_iter().map(absolute).collect::<io::Result<_>>()?,
             host,
@@ -96,6 +99,7 @@ impl RunRecord {
             ending: None,
             failure: None,
             rejects: 0,
+            left_out: Vec::new(),
             tables: BTreeMap::new(),
             passes: Vec::new(),
         })
@@ -183,6 +187,7 @@ mod tests {
             ending: None,
             failure: None,
             rejects: 0,
+            left_out: Vec::new(),
             tables: BTreeMap::new(),
             passes: Vec::new(),
         }

@@ -18,7 +18,10 @@ table! {
         range: Option<Name>,
         /// Rank of the onset in its profile.
         rank: i32,
-        /// Time of flight, with laser periods added.
+        /// 0 for the onset as a whole; 1 and 2 for the earlier and the later of two pulses that a wide onset is read
+        /// as.
+        part: i32,
+        /// Time of flight, with laser periods added; of a part, its own.
         time_ps: f64,
         /// Standard deviation of the time, the jitter that the profile's onsets share included.
         time_sd_ps: f64,
@@ -32,7 +35,8 @@ table! {
         residual_ps: Option<f64>,
         /// Probability of this label.
         probability: f64,
-        /// 0 for the best label of its onset, 1, 2... for others.
+        /// 0 for the best label of its onset, or of each of its two parts; 1, 2... for others, among them those of the
+        /// less likely reading (one wide pulse, or two).
         alternative: i32,
     }
 }

@@ -4,6 +4,7 @@ pub mod calibration;
 pub mod cell;
 pub mod checks;
 pub mod contract;
+pub mod decisions;
 pub mod distances;
 pub mod gaps;
 pub mod hypotheses;
@@ -28,6 +29,7 @@ use arrow_schema::SchemaRef;
 pub use calibration::Calibration;
 pub use cell::{Codes, Name, Samples};
 pub use checks::Check;
+pub use decisions::Decision;
 pub use distances::{Covariance, Distance};
 pub use gaps::Gap;
 pub use hypotheses::Hypothesis;
@@ -42,7 +44,7 @@ pub use rejects::Reject;
 pub use row::{Row, SchemaError};
 pub use session::Session;
 pub use solution::{Ambiguity, Delay, Fit, Residual, Station, Suspect};
-pub use stir::{Impulse, Stir};
+pub use stir::{Impulse, ImpulsePair, Stir};
 pub use subtotals::Subtotal;
 pub use traces::Trace;
 pub use truth::{TrueCapture, TrueCentroid, TruePath};
@@ -80,6 +82,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Suspect>(),
         of::<Fit>(),
         of::<Ambiguity>(),
+        of::<Decision>(),
         of::<Reject>(),
         of::<TruePath>(),
         of::<TrueCentroid>(),

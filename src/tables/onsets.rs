@@ -32,6 +32,8 @@ table! {
         amplitude_sd: Option<f64>,
         /// Width of the arrival beyond the sensor's response (0: none modelled).
         width_ps: f64,
+        /// Standard deviation of the width, where the arrival has one.
+        width_sd_ps: Option<f64>,
         /// Matched-filter signal-to-noise ratio.
         snr: f64,
         /// Increase of chi-square without this arrival, if the method gives it.
@@ -43,6 +45,24 @@ table! {
         /// Laser energy relative to the response captures, by which amplitudes of different captures are compared. Null
         /// without reference channel.
         power_ratio: Option<f64>,
+        /// Of a wide arrival, the time of the earlier of the two points that explain it best in its place; null where
+        /// none do.
+        pair_first_ps: Option<f64>,
+        /// Time of the later of the two.
+        pair_second_ps: Option<f64>,
+        /// Standard deviation of the earlier time.
+        pair_first_sd_ps: Option<f64>,
+        /// Standard deviation of the later time.
+        pair_second_sd_ps: Option<f64>,
+        /// Correlation of both times.
+        pair_correlation: Option<f64>,
+        /// Amplitude of the earlier one, in the unit of the profile.
+        pair_first_amplitude: Option<f64>,
+        /// Amplitude of the later one, in the unit of the profile.
+        pair_second_amplitude: Option<f64>,
+        /// Chi-square of one wide arrival less that of the pair, over the chi-square per degree of freedom of the better
+        /// one where noise does not explain it.
+        pair_gain: Option<f64>,
         /// Special conditions: blended, extended, misfit, at-edge.
         flags: Vec<Name>,
     }

@@ -56,6 +56,8 @@ table! {
         seen: i32,
         /// Rank of the onset in its profile.
         rank: i32,
+        /// 0 for the onset as a whole, 1 and 2 for the two pulses that it is read as.
+        part: i32,
         /// Path of the label.
         path: Vec<i32>,
         /// Measured minus predicted time, corrected for the shift of the footprints.
@@ -91,6 +93,8 @@ table! {
         seen: i32,
         /// Rank of the onset in its profile.
         rank: i32,
+        /// 0 for the onset as a whole, 1 and 2 for the two pulses that it is read as.
+        part: i32,
         /// Path of the label.
         path: Vec<i32>,
         /// left-out (the solution does not use it), far-off or unchecked.

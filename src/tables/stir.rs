@@ -30,30 +30,112 @@ pub struct Impulse {
     pub evidence: f64,
     /// Excess of chi-square, over the samples that the impulse reaches, above its expectation, in standard deviations.
     pub misfit_sigma: f64,
+    /// Standard deviation of the width, where it is above 0.
+    pub width_sd_ps: Option<f64>,
+    /// The best two points in the place of an impulse that is wider than 0.
+    pub pair: Option<ImpulsePair>,
 }
 
-const IMPULSE_FIELDS: [&str; 7] =
-    ["time_ps", "time_sd_ps", "amplitude_v", "amplitude_sd_v", "width_ps", "evidence", "misfit_sigma"];
+/// Two points that may stand in the place of one wide impulse.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImpulsePair {
+    /// Time of the earlier one.
+    pub first_ps: f64,
+    /// Time of the later one.
+    pub second_ps: f64,
+    /// Standard deviation of the earlier time.
+    pub first_sd_ps: f64,
+    /// Standard deviation of the later time.
+    pub second_sd_ps: f64,
+    /// Correlation of both times.
+    pub correlation: f64,
+    /// Amplitude of the earlier one.
+    pub first_amplitude_v: f64,
+    /// Amplitude of the later one.
+    pub second_amplitude_v: f64,
+    /// Chi-square of the wide impulse less that of the pair, over the chi-square per degree of freedom of the better one
+    /// where noise does not explain it.
+    pub gain: f64,
+}
+
+const REQUIRED: usize = 7;
+/// The first are never null.
+const IMPULSE_FIELDS: [&str; 16] = [
+    "time_ps",
+    "time_sd_ps",
+    "amplitude_v",
+    "amplitude_sd_v",
+    "width_ps",
+    "evidence",
+    "misfit_sigma",
+    "width_sd_ps",
+    "pair_first_ps",
+    "pair_second_ps",
+    "pair_first_sd_ps",
+    "pair_second_sd_ps",
+    "pair_correlation",
+    "pair_first_amplitude_v",
+    "pair_second_amplitude_v",
+    "pair_gain",
+];
 
 impl Impulse {
-    fn cells(&self) -> [f64; 7] {
+    fn cells(&self) -> [Option<f64>; 16] {
+        let of_pair = |value: fn(&ImpulsePair) -> f64| self.pair.as_ref().map(value);
         [
-            self.time_ps,
-            self.time_sd_ps,
-            self.amplitude_v,
-            self.amplitude_sd_v,
-            self.width_ps,
-            self.evidence,
-            self.misfit_sigma,
+            Some(self.time_ps),
+            Some(self.time_sd_ps),
+            Some(self.amplitude_v),
+            Some(self.amplitude_sd_v),
+            Some(self.width_ps),
+            Some(self.evidence),
+            Some(self.misfit_sigma),
+            self.width_sd_ps,
+            of_pair(|pair| pair.first_ps),
+            of_pair(|pair| pair.second_ps),
+            of_pair(|pair| pair.first_sd_ps),
+            of_pair(|pair| pair.second_sd_ps),
+            of_pair(|pair| pair.correlation),
+            of_pair(|pair| pair.first_amplitude_v),
+            of_pair(|pair| pair.second_amplitude_v),
+            of_pair(|pair| pair.gain),
         ]
     }
 
-    fn fields() -> Fields {
-        let field = |name: &&str| {
-            let unit = unit_of(name).map(|unit| HashMap::from([("unit".to_owned(), unit.to_owned())]));
-            Field::new(*name, DataType::Float64, false).with_metadata(unit.unwrap_or_default())
+    /// From its cells; `None` where one that is never null is.
+    fn of_cells(cells: [Option<f64>; 16]) -> Option<Self> {
+        let [time, time_sd, amplitude, amplitude_sd, width, evidence, misfit, width_sd_ps, pair @ ..] = cells;
+        let pair_of = |[first, second, first_sd, second_sd, correlation, one, other, gain]: [Option<f64>; 8]| {
+            Some(ImpulsePair {
+                first_ps: first?,
+                second_ps: second?,
+                first_sd_ps: first_sd?,
+                second_sd_ps: second_sd?,
+                correlation: correlation?,
+                first_amplitude_v: one?,
+                second_amplitude_v: other?,
+                gain: gain?,
+            })
         };
-        IMPULSE_FIELDS.iter().map(field).collect()
+        Some(Self {
+            time_ps: time?,
+            time_sd_ps: time_sd?,
+            amplitude_v: amplitude?,
+            amplitude_sd_v: amplitude_sd?,
+            width_ps: width?,
+            evidence: evidence?,
+            misfit_sigma: misfit?,
+            width_sd_ps,
+            pair: pair_of(pair),
+        })
+    }
+
+    fn fields() -> Fields {
+        let field = |(n, name): (usize, &&str)| {
+            let unit = unit_of(name).map(|unit| HashMap::from([("unit".to_owned(), unit.to_owned())]));
+            Field::new(*name, DataType::Float64, n >= REQUIRED).with_metadata(unit.unwrap_or_default())
+        };
+        IMPULSE_FIELDS.iter().enumerate().map(field).collect()
     }
 }
 
@@ -66,7 +148,7 @@ impl Cell for Vec<Impulse> {
     }
 
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
-        let mut columns: [Vec<f64>; 7] = Default::default();
+        let mut columns: [Vec<Option<f64>>; 16] = Default::default();
         let lengths: Vec<_> = cells
             .map(|impulses| {
                 for impulse in impulses {
@@ -88,19 +170,9 @@ impl Cell for Vec<Impulse> {
         }
         let items = array.value(i);
         let columns = items.as_struct().columns();
-        let column = |c: usize| columns[c].as_primitive::<Float64Type>().values().clone();
-        let columns: [_; 7] = std::array::from_fn(column);
-        (0..items.len())
-            .map(|k| Impulse {
-                time_ps: columns[0][k],
-                time_sd_ps: columns[1][k],
-                amplitude_v: columns[2][k],
-                amplitude_sd_v: columns[3][k],
-                width_ps: columns[4][k],
-                evidence: columns[5][k],
-                misfit_sigma: columns[6][k],
-            })
-            .collect()
+        let columns: [&Float64Array; 16] = std::array::from_fn(|c| columns[c].as_primitive::<Float64Type>());
+        let impulse = |k: usize| Impulse::of_cells(columns.map(|column| column.is_valid(k).then(|| column.value(k))));
+        (0..items.len()).map(|k| impulse(k).expect("the schema says which fields are never null")).collect()
     }
 }
 

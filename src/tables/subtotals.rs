@@ -44,12 +44,20 @@ table! {
         reference_v_ps: Vec<f64>,
         /// Places with a sample at the converter's rails.
         clipped_places: Vec<i64>,
-        /// Rejected shots of both kinds: outliers, and shots without reference pulse.
-        rejected: i64,
-        /// Number of these with a sample at the converter's rails.
+        /// Outlying shots with a sample at the converter's rails.
         clipped: i64,
+        /// Other outlying shots.
+        outlying: i64,
+        /// Shots whose reference pulse is cut off at the rails.
+        reference_clipped: i64,
+        /// Shots without a reference pulse.
+        without_reference: i64,
+        /// Shots with a sample that is no number.
+        not_a_number: i64,
         /// Shots with another scale, length or setting.
         other_scale: i64,
+        /// Rejected shots with a sample at the rails, of signal or reference.
+        at_rails: i64,
         /// Whether the piece has records of a reference channel.
         has_reference: bool,
         /// Whether the calibration lacks a template to time them by.

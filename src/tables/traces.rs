@@ -69,6 +69,25 @@ table! {
     }
 }
 
+/// A step of campaign.toml that differs from the file's by more than this part is a mistake rather than a better value:
+/// clocks of oscilloscopes agree to 1e-4.
+const STEP_DOUBT: f64 = 0.01;
+
+impl Trace {
+    /// What is wrong with the time between samples, if the campaign replaces that of the file by another one.
+    #[must_use]
+    pub fn time_base_doubt(&self) -> Option<String> {
+        let (dt_ps, file_ps) = (self.dt_ps, self.file_dt_ps?);
+        ((dt_ps - file_ps).abs() > STEP_DOUBT * file_ps).then(|| {
+            // Files round their steps: the digits behind are no information.
+            let file_ps = (file_ps * 1e3).round() / 1e3;
+            format!(
+                "`dt_ps` = {dt_ps} in the [[captures]] rule, but the file says {file_ps} ps: remove `dt_ps`, or give it in picoseconds"
+            )
+        })
+    }
+}
+
 /// The columns in which records of one file differ.
 pub struct OwnColumns {
     /// Number of the shared row that has the other columns.

@@ -86,9 +86,9 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
     study
 }
 
-/// Onsets beside the true ones: those within 20 standard deviations of one are it, others are false.
+/// Compares onsets with the true ones: within 20 standard deviations of a true one they count as it, else as false.
 fn onsets(lab: &Lab, study: &mut Study) {
-    let found: Vec<Onset> = lab.rows("out", "onsets");
+    let onsets: Vec<Onset> = lab.rows("out", "onsets");
     let mut errors = Vec::new();
     for truth in lab.truth::<Onset>() {
         let near = |onset: &&Onset| {
@@ -96,7 +96,7 @@ fn onsets(lab: &Lab, study: &mut Study) {
                 && (onset.time_ps - truth.time_ps).abs() < 20.0 * onset.time_sd_ps
         };
         let error = |onset: &Onset| (onset.time_ps - truth.time_ps, onset.time_sd_ps.hypot(onset.jitter_ps));
-        errors.extend(found.iter().find(near).map(error));
+        errors.extend(onsets.iter().find(near).map(error));
     }
     // The latency's error is common to all; the bound knows it as a delay.
     let mean = errors.iter().map(|(error, _)| error).sum::<f64>() / errors.len() as f64;
@@ -105,7 +105,7 @@ fn onsets(lab: &Lab, study: &mut Study) {
     let kept = (1.0 - 1.0 / errors.len() as f64).sqrt();
     study.pulls.extend(errors.iter().map(|(error, sd_ps)| (error - mean) / (sd_ps * kept)));
     study.onsets_found += errors.len() as f64;
-    study.false_onsets += found.len() - errors.len();
+    study.false_onsets += onsets.len() - errors.len();
 }
 
 /// Six seeds: 198 degrees of freedom of the normalised error (one standard deviation: 10 %), 216 positions.
@@ -130,8 +130,8 @@ fn positions_reach_the_bound_and_their_covariances_are_of_the_right_size() {
     assert!(study.onsets_found == 1.0 && study.false_onsets <= 2);
 }
 
-/// Impulses beside the one of each profile, and squared errors of the onsets over their variances, on average over
-/// seeds; the latency's error, common to all onsets of a seed, is taken out.
+/// Impulses in addition to the one of each profile, and squared errors of the onsets over their variances, on average
+/// over seeds; the latency's error, common to all onsets of a seed, is taken out.
 fn impulses(text: &str, seeds: std::ops::Range<u64>) -> (usize, f64) {
     let (mut beside, mut normalised, count) = (0, 0.0, seeds.end - seeds.start);
     for seed in seeds {
@@ -145,8 +145,8 @@ fn impulses(text: &str, seeds: std::ops::Range<u64>) -> (usize, f64) {
             .iter()
             .map(|truth| {
                 let of_profile = onsets.iter().filter(|onset| (onset.lit, onset.seen) == (truth.lit, truth.seen));
-                let found = of_profile.max_by(|a, b| a.snr.total_cmp(&b.snr)).expect("strong pulses");
-                (found.time_ps - truth.time_ps, found.time_sd_ps.powi(2) + found.jitter_ps.powi(2))
+                let nearest = of_profile.max_by(|a, b| a.snr.total_cmp(&b.snr)).expect("strong pulses");
+                (nearest.time_ps - truth.time_ps, nearest.time_sd_ps.powi(2) + nearest.jitter_ps.powi(2))
             })
             .collect();
         let weight: f64 = errors.iter().map(|(_, variance)| 1.0 / variance).sum();

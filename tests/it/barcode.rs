@@ -54,7 +54,7 @@ pub struct Barcode {
 }
 
 impl Barcode {
-    /// The demo's, with so many scans between the same ends.
+    /// The demo's, with this number of scans between the same ends.
     pub fn new(scans: usize) -> Self {
         let lit = |k: usize| Place::new(0.28 + 0.11 * k as f64 / (scans - 1) as f64, 0.43);
         Self {
@@ -275,7 +275,7 @@ fn two_strips_come_out_of_the_sum_of_their_pulses() {
             let sd_m = row.sd_m.unwrap();
             assert!(*error_m < 4.0 * sd_m && sd_m < 0.004, "{scans} scans: off by {error_m}, sd {sd_m}");
         }
-        // A response much wider than the pulses are apart tells nothing of the gap.
+        // A response much wider than the gap between two pulses carries no information about the gap.
         let verdict = if response == FAST { "free" } else { "open" };
         assert_eq!(&*seen.gaps[0].verdict, verdict, "{:?}", seen.gaps);
     }
@@ -290,7 +290,7 @@ fn the_sum_tells_more_than_one_strip_at_a_time_read_off_a_screen() {
     assert!(2.0 * ours_m < paper_m && paper_m < 0.1, "{ours_m} {paper_m}");
 }
 
-/// A third strip that nobody declared: told, and the others placed beside it.
+/// A third strip that the campaign does not declare: it is reported, and the other two are placed.
 #[test]
 fn something_in_the_gap_is_seen() {
     let barcode = Barcode { occupied: true, response: FAST, ..Barcode::new(2) };

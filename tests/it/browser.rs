@@ -45,7 +45,7 @@ impl Browser {
         let mut ports =
             lines.filter_map(|line| line.split_once("successfully on port ")?.1.trim_end_matches('.').parse().ok());
         let port: u16 = ports.next().expect("chromedriver says its port");
-        // It writes on; nobody reads, and nothing waits for that.
+        // It goes on writing. Nothing reads that any more, and nothing waits for it.
         std::thread::spawn(move || ports.for_each(drop));
         let mut browser = Self { driver, port, session: String::new() };
         let options = json!({ "args": FLAGS });

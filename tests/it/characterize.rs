@@ -106,7 +106,7 @@ fn a_drift_is_measured_in_its_unit() {
     assert!((row.value.unwrap() - 1.0).abs() < 5.0 * row.sd.unwrap() && &*row.unit == "ps/h", "{row:#?}");
 }
 
-/// What was not captured is said to be missing, and how to capture it; the rest is checked all the same.
+/// The table lists what was not captured as missing, and how to capture it; the rest is checked all the same.
 #[test]
 fn missing_captures_are_told() {
     let lab = Lab::tiny();

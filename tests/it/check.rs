@@ -16,12 +16,12 @@ fn check(lab: &Lab, args: &[&str]) -> Output {
 }
 
 fn json(lab: &Lab, args: &[&str]) -> (Option<i32>, Value) {
-    let output = check(lab, &[&["--json"], args].concat());
+    let output = check(lab, &[&["--format", "json"], args].concat());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     (output.status.code(), serde_json::from_slice(&output.stdout).expect(&text))
 }
 
-/// Whether something that is to be mended says so.
+/// Whether one of the things to fix says so.
 fn mend(report: &Value, text: &str) -> bool {
     report["mend"].as_array().unwrap().iter().any(|mend| mend.as_str().unwrap().contains(text))
 }
@@ -59,7 +59,10 @@ fn what_is_missing_or_unknown_is_a_line_and_the_rest_is_checked() {
     let (code, report) = json(&lab, &[]);
     assert_eq!(code, Some(3));
     assert!(mend(&report, "2 pairs (lit, seen) are missing: capture (1, 1) (3, 4)"), "{report:#}");
-    assert!(mend(&report, "1 files match no rule") && mend(&report, "1 patterns or rows match no file"), "{report:#}");
+    assert!(
+        mend(&report, "1 file matches no rule") && mend(&report, "1 pattern of campaign.toml matches no file"),
+        "{report:#}"
+    );
     assert_eq!(report["unmatched"][0], "raw/notes.txt");
     assert!(report["missing_references"][0].as_str().unwrap().contains("s1_L1_P1_C1.trc"), "{report:#}");
     assert_eq!(report["captures"][0]["count"], 14);

@@ -46,7 +46,7 @@ impl Place {
 pub struct Scored {
     pub places: Vec<Place>,
     pub extra: usize,
-    /// Every true patch, and where it was found, turned onto the truth.
+    /// Every true patch, and its estimated position after a rotation onto the truth.
     pub points: Vec<(Vector3<f64>, Option<Vector3<f64>>)>,
 }
 
@@ -88,32 +88,32 @@ pub fn scored(hidden: usize, seed: u64) -> Scored {
     compared(&scene(hidden, seed), PIPELINE, seed).1
 }
 
-/// Simulates scope files of a scene, runs a pipeline into `out`, and compares its hidden patches with the true ones,
-/// after a rotation by the visible ones.
+/// Simulates scope files of a scene and runs a pipeline into `out`. The visible patches define a rotation onto the
+/// truth, after which the hidden ones are compared.
 pub fn compared(scene: &str, pipeline: &str, seed: u64) -> (Lab, Scored) {
     let scene = Scene::parse(Path::new("scene.toml"), scene).unwrap();
     let laboratory = Laboratory::new(&scene, 0).unwrap();
     let lab = Lab::recorded(&laboratory, seed, Format::Trc);
     lab.run("out", pipeline, &Settings::default()).unwrap();
     let truth: Vec<Patch> = lab.truth();
-    let found: Vec<Patch> =
+    let patches: Vec<Patch> =
         lab.rows::<Patch>("out", "patches").into_iter().filter(|patch| patch.alternative == 0).collect();
-    let placed = |truth: &Patch| found.iter().find(|found| found.patch == truth.patch).map(position);
+    let placed = |truth: &Patch| patches.iter().find(|patch| patch.patch == truth.patch).map(position);
     let visible: Vec<(Vector3<f64>, Option<Vector3<f64>>)> =
         truth.iter().filter(|truth| truth.patch <= VISIBLE).map(|truth| (position(truth), placed(truth))).collect();
     let (targets, from): (Vec<_>, Vec<_>) =
-        visible.iter().filter_map(|(truth, found)| Some((*truth, (*found)?))).unzip();
+        visible.iter().filter_map(|(truth, place)| Some((*truth, (*place)?))).unzip();
     let turn = aligning(&from, &targets);
-    let mut rest: Vec<&Patch> = found.iter().filter(|patch| patch.patch > VISIBLE).collect();
+    let mut rest: Vec<&Patch> = patches.iter().filter(|patch| patch.patch > VISIBLE).collect();
     let bound = Bound::of(&laboratory, Use { bounces: 3, ..Use::default() });
     let mut points: Vec<(Vector3<f64>, Option<Vector3<f64>>)> =
-        visible.into_iter().map(|(truth, found)| (truth, found.map(|found| turn * found))).collect();
+        visible.into_iter().map(|(truth, place)| (truth, place.map(|place| turn * place))).collect();
     let place = |truth: &Patch| {
-        let error_m = |found: &Patch| (turn * position(found) - position(truth)).norm();
+        let error_m = |patch: &Patch| (turn * position(patch) - position(truth)).norm();
         let nearest = (0..rest.len()).min_by(|&a, &b| error_m(rest[a]).total_cmp(&error_m(rest[b])));
-        let found = nearest.filter(|&n| error_m(rest[n]) < 0.5 * APART_M).map(|n| rest.remove(n));
-        points.push((position(truth), found.map(|found| turn * position(found))));
-        let found_m = found.map(|found| (error_m(found), found.sd_m.expect("refined")));
+        let patch = nearest.filter(|&n| error_m(rest[n]) < 0.5 * APART_M).map(|n| rest.remove(n));
+        points.push((position(truth), patch.map(|patch| turn * position(patch))));
+        let found_m = patch.map(|patch| (error_m(patch), patch.sd_m.expect("refined")));
         Place { found_m, bound_m: bound.coordinates.sd_m(truth.patch).unwrap_or(f64::INFINITY) }
     };
     let places = truth.iter().filter(|patch| patch.patch > VISIBLE).map(place).collect();
@@ -126,8 +126,8 @@ pub fn compared(scene: &str, pipeline: &str, seed: u64) -> (Lab, Scored) {
 fn hidden_patches_at_random_places_are_found_from_scope_files() {
     let scored = scored(4, 0);
     eprintln!("{:?}, {} more", scored.places, scored.extra);
-    let off_m = |(truth, found): &(Vector3<f64>, Option<Vector3<f64>>)| {
-        found.map_or(f64::INFINITY, |found| (found - truth).norm())
+    let off_m = |(truth, place): &(Vector3<f64>, Option<Vector3<f64>>)| {
+        place.map_or(f64::INFINITY, |place| (place - truth).norm())
     };
     assert!(scored.points[..VISIBLE as usize].iter().all(|point| off_m(point) < 0.001), "{:?}", scored.points);
     assert!(scored.extra == 0 && scored.places.iter().all(Place::is_right), "{:?}", scored.places);

@@ -199,10 +199,10 @@ fn exit_codes_and_text() {
     let other = periscope(&["diff", "a", "b"]);
     let text = String::from_utf8_lossy(&other.stdout);
     assert_eq!(other.status.code(), Some(3), "{text}");
-    for told in ["onsets differs:", "only in A: ", &change(), "(--all)"] {
-        assert!(text.contains(told), "{told}: {text}");
+    for words in ["onsets differs:", "only in A: ", &change(), "(--all)"] {
+        assert!(text.contains(words), "{words}: {text}");
     }
-    let json = periscope(&["diff", "a", "b", "--json"]);
+    let json = periscope(&["diff", "a", "b", "--format", "json"]);
     let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
     assert_eq!(json["same"], false);
     assert_eq!(periscope(&["diff", "a", "nowhere"]).status.code(), Some(1));

@@ -71,8 +71,8 @@ fn behind_a_patch_stand_the_exposures_of_its_onsets_and_no_others() {
     let patch = explained("out", "patch=3", None);
     assert_eq!((&*patch.table, &*patch.stage), ("patches", "refine"));
     let (onsets, files) = behind_patch_3();
-    let found: Vec<(i32, i32, i32)> = patch.onsets.iter().map(|onset| (onset.lit, onset.seen, onset.rank)).collect();
-    assert_eq!((found.len(), found.into_iter().collect::<BTreeSet<_>>()), (onsets.len(), onsets));
+    let keys: Vec<(i32, i32, i32)> = patch.onsets.iter().map(|onset| (onset.lit, onset.seen, onset.rank)).collect();
+    assert_eq!((keys.len(), keys.into_iter().collect::<BTreeSet<_>>()), (onsets.len(), onsets));
     assert_eq!(raw(&patch), files);
     assert!(files.len() > 8 && files.len() < 32, "{} of 32 files were meant", files.len());
     let rests_on = patch.onsets.iter().filter(|onset| onset.used == Some(true)).count() as u64;
@@ -130,18 +130,18 @@ fn without_kept_traces_the_campaign_itself_is_asked() {
     let (_, files) = behind_patch_3();
     let whole: BTreeSet<&(String, bool)> = files.keys().collect();
     let patch = explained("unkept", "patch=3", None);
-    let found = raw(&patch);
-    assert_eq!(found.keys().collect::<BTreeSet<_>>(), whole);
-    assert!(found.values().all(Option::is_none), "the files' segments are not known, all of them count: {found:?}");
+    let records = raw(&patch);
+    assert_eq!(records.keys().collect::<BTreeSet<_>>(), whole);
+    assert!(records.values().all(Option::is_none), "the files' segments are not known, all of them count: {records:?}");
     assert!(patch.sensors[0].raw.iter().any(|records| records.file.starts_with("raw/response/")));
     assert!(!patch.remarks.iter().any(|remark| remark.contains("raw files")), "{:?}", patch.remarks);
     assert!(patch.queries.iter().all(|query| query.about != "the raw records"));
 
-    // Where the campaign is says the newest run; a folder that is gone is told, and the rest stands.
+    // The newest run says where the campaign is. A folder that is gone gives a remark, and the rest stands.
     let shelf = Shelf::look(&LAB.path("unkept")).unwrap();
     let without = |remark: &str| {
         let patch = explain(&shelf, &"patch=3".parse().unwrap(), None, &[]).unwrap();
-        assert!(patch.remarks.iter().any(|told| told.contains(remark)), "{remark}: {:?}", patch.remarks);
+        assert!(patch.remarks.iter().any(|text| text.contains(remark)), "{remark}: {:?}", patch.remarks);
         assert!(patch.captures.iter().all(|capture| capture.raw.is_empty() && capture.shots.is_some()));
     };
     let runs = LAB.path("unkept/.shelf/runs");
@@ -155,14 +155,14 @@ fn without_kept_traces_the_campaign_itself_is_asked() {
     without("gone, is not there");
     record("2026-01-03T03:04:05Z", &LAB.campaign());
     let patch = explain(&shelf, &"patch=3".parse().unwrap(), None, &[]).unwrap();
-    assert_eq!(raw(&patch), found);
+    assert_eq!(raw(&patch), records);
 
-    // Another file in the place of one that was read is told.
+    // Another file in the place of one that was read gives a remark.
     let other = tempfile::tempdir().unwrap();
     let scene = Scene::parse(Path::new("tiny.toml"), TINY).unwrap();
     simulate::simulate(&scene, 2, other.path(), Format::Trc).unwrap();
     let patch = explain(&shelf, &"patch=3".parse().unwrap(), None, &[other.path().to_owned()]).unwrap();
-    assert!(patch.remarks.iter().any(|told| told.contains("raw files are not")), "{:?}", patch.remarks);
+    assert!(patch.remarks.iter().any(|text| text.contains("raw files are not")), "{:?}", patch.remarks);
 }
 
 fn run_record(started: &str, campaigns: BTreeMap<String, std::path::PathBuf>) -> RunRecord {
@@ -178,6 +178,7 @@ fn run_record(started: &str, campaigns: BTreeMap<String, std::path::PathBuf>) ->
         ending: None,
         failure: None,
         rejects: 0,
+        left_out: Vec::new(),
         tables: BTreeMap::new(),
         passes: Vec::new(),
     }
@@ -226,8 +227,8 @@ fn a_campaign_that_grew_since_does_not_change_what_stood_behind() {
     run::run(&mut plan, &Settings::default(), &Progress::new(Style::Silent)).unwrap();
 
     let patch = explain(&shelf, &"patch=4".parse().unwrap(), None, &[]).unwrap();
-    let found = raw(&patch);
-    assert!(found.len() == 12 && found.keys().all(|(file, _)| !file.contains("L4_P3")), "{found:?}");
+    let records = raw(&patch);
+    assert!(records.len() == 12 && records.keys().all(|(file, _)| !file.contains("L4_P3")), "{records:?}");
     assert!(!patch.remarks.iter().any(|remark| remark.contains("not on the shelf")), "{:?}", patch.remarks);
     assert!(patch.queries.iter().any(|query| query.sql.contains("/.shelf/")), "{:?}", patch.queries);
     let onset = explain(&shelf, &"onset=4,3,1".parse().unwrap(), None, &[]).unwrap();
@@ -240,7 +241,7 @@ fn a_campaign_that_grew_since_does_not_change_what_stood_behind() {
 
 #[test]
 fn what_is_not_there_is_told_with_the_nearest() {
-    for (target, table, told) in [
+    for (target, table, text) in [
         ("patch=33", None, "`patches` has no patch 33; it has 1, 2, 3, 4"),
         (
             "distance=3,9",
@@ -253,7 +254,7 @@ fn what_is_not_there_is_told_with_the_nearest() {
         ("patch=3", Some("onsets"), "known: "),
     ] {
         let error = refused(target, table);
-        assert!(error.contains(told), "{target}: {error}");
+        assert!(error.contains(text), "{target}: {error}");
     }
     let wrong = periscope(&["explain", "out", "pach=3"]);
     assert!(wrong.status.code() == Some(2) && text(&wrong.stderr).contains("did you mean `patch`?"));

@@ -1,4 +1,4 @@
-//! Laws 5 and 10: what is bad, and what becomes of it. Each message must name the place and the mend.
+//! Laws 5 and 10: what is bad, and what becomes of it. Each message must name the place and the fix.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -29,7 +29,13 @@ fn warnings(lab: &Lab) -> String {
     let spec = Spec::parse("test", ALL_VISIBLE, &[]).unwrap();
     let campaigns = [Campaign::load(&lab.campaign()).unwrap()];
     let shelf = Shelf::imagine(&lab.path("out"));
-    Plan::new(&spec, &campaigns, &shelf, None).unwrap().warnings().join("\n")
+    Plan::new(&spec, &campaigns, &shelf, None)
+        .unwrap()
+        .left_out()
+        .iter()
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join("\n")
 }
 
 fn edit(path: &Path, from: &str, to: &str) {
@@ -46,8 +52,8 @@ fn a_pattern_without_files_and_files_without_a_rule_are_listed_and_the_run_goes_
     let text = fs::read_to_string(&path).unwrap();
     fs::write(&path, text + "[[captures]]\nrole = \"dark\"\nfiles = \"raw/dark/*.trc\"\nsensor = \"s1\"\n").unwrap();
     let warnings = warnings(&lab);
-    assert!(warnings.contains("raw/dark/*.trc") && warnings.contains("match no file"), "{warnings}");
-    assert!(warnings.contains("raw/notes.txt") && warnings.contains("match no rule"), "{warnings}");
+    assert!(warnings.contains("raw/dark/*.trc") && warnings.contains("matches no file"), "{warnings}");
+    assert!(warnings.contains("raw/notes.txt") && warnings.contains("matches no rule"), "{warnings}");
     assert_eq!(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap().tables["patches"].rows("patches"), 4);
 }
 

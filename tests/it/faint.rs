@@ -31,9 +31,9 @@ pub struct Drawn {
     pub largest_snr: f64,
 }
 
-/// The scene with its hidden patch somewhere else, so dark that its light's signal-to-noise ratio is `snr`, in the root
-/// mean square over the profiles of pairs. Profiles of one patch lit and seen are attenuated for the first bounce and
-/// show nothing of it. Fewer shots with less noise are the same, and quicker.
+/// The scene with its hidden patch somewhere else, and darker. The signal-to-noise ratio of its light is `snr`, in the
+/// root mean square over the profiles of pairs. Profiles of one patch lit and seen are attenuated for the first bounce
+/// and show nothing of it. Fewer shots with less noise are the same, and quicker.
 pub fn draw(snr: f64, seed: u64) -> Drawn {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut between = |low: f64, high: f64| -> f64 { rng.random_range(low..high) };

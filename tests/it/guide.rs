@@ -85,14 +85,14 @@ fn the_page_of_each_stage_has_its_tables_and_all_its_parameters_with_their_defau
         let Err(refused) = stage(kind, &[("no parameter has this name", value("1"))]) else {
             panic!("{kind} takes anything")
         };
-        let known = refused.split_once("known: ").map_or("", |(_, known)| known);
-        let known: BTreeSet<&str> = known.split(", ").filter(|name| !name.is_empty()).collect();
+        let accepted = refused.split_once("known: ").map_or("", |(_, accepted)| accepted);
+        let accepted: BTreeSet<&str> = accepted.split(", ").filter(|name| !name.is_empty()).collect();
         let rows = table(&page, "parameter");
-        let told: BTreeMap<&str, &str> =
+        let stated: BTreeMap<&str, &str> =
             rows.iter().map(|row| (row[0].trim_matches('`'), row[1].trim_matches('`'))).collect();
-        let names: BTreeSet<&str> = told.keys().copied().collect();
-        if names != known {
-            wrong.push(format!("{kind}.md has the parameters {names:?}, the stage has {known:?}"));
+        let names: BTreeSet<&str> = stated.keys().copied().collect();
+        if names != accepted {
+            wrong.push(format!("{kind}.md has the parameters {names:?}, the stage has {accepted:?}"));
             continue;
         }
         for row in &rows {
@@ -102,15 +102,15 @@ fn the_page_of_each_stage_has_its_tables_and_all_its_parameters_with_their_defau
                 wrong.push(format!("{kind}.md has the range {} of {}, the stage: {range}", row[2], row[0]));
             }
         }
-        for (name, told) in told {
+        for (name, stated) in stated {
             let real = params(&default);
-            let is_right = match told {
+            let is_right = match stated {
                 "absent" => real.get(name).is_none_or(Value::is_null),
                 "needed" => NEEDED.iter().any(|(of, needed, _)| (*of, *needed) == (kind, name)),
-                told => params(&stage(kind, &[(name, value(told))]).unwrap()) == real,
+                stated => params(&stage(kind, &[(name, value(stated))]).unwrap()) == real,
             };
             if !is_right {
-                wrong.push(format!("{kind}.md says {name} = {told}, by default it is {}", real[name]));
+                wrong.push(format!("{kind}.md says {name} = {stated}, by default it is {}", real[name]));
             }
         }
     }
@@ -133,8 +133,8 @@ fn the_page_on_files_has_all_keys_of_campaign_toml() {
     for heading in headings {
         let error =
             Campaign::parse(Path::new("."), &format!("{heading}\nno_key_has_this_name = 1\n")).unwrap_err().to_string();
-        let known = error.split_once("known: ").unwrap_or_else(|| panic!("{error}")).1;
-        for key in known.split(", ") {
+        let accepted = error.split_once("known: ").unwrap_or_else(|| panic!("{error}")).1;
+        for key in accepted.split(", ") {
             assert!(page.contains(&format!("`{key}`")), "files.md lacks {key} of {heading}");
         }
     }
@@ -146,13 +146,13 @@ fn links(page: &str) -> Vec<(String, String)> {
     let text: String = without_blocks.split('`').step_by(2).collect();
     let definition = regex_lite::Regex::new(r"(?m)^\[([^\]]+)\]: (\S+)$").unwrap();
     let defined: BTreeMap<String, String> =
-        definition.captures_iter(&text).map(|found| (found[1].to_lowercase(), found[2].to_owned())).collect();
+        definition.captures_iter(&text).map(|capture| (capture[1].to_lowercase(), capture[2].to_owned())).collect();
     let text = definition.replace_all(&text, "");
     let link = regex_lite::Regex::new(r"\[([^\]]+)\](?:\(([^)\s]+)\))?").unwrap();
     link.captures_iter(&text)
-        .map(|found| {
-            let name = found[1].replace('\n', " ");
-            let target = found.get(2).map(|target| target.as_str().to_owned());
+        .map(|capture| {
+            let name = capture[1].replace('\n', " ");
+            let target = capture.get(2).map(|target| target.as_str().to_owned());
             let target = target.or_else(|| defined.get(&name.to_lowercase()).cloned());
             (name, target.unwrap_or_default())
         })

@@ -61,6 +61,7 @@ fn labels(sensor_m: [f64; 3], rng: &mut ChaCha8Rng) -> Vec<Label> {
                 seen,
                 range: None,
                 rank: rank as i32 + 1,
+                part: 0,
                 time_ps: time_ps(way_m, INDEX) + SD_PS * noise,
                 time_sd_ps: SD_PS,
                 turns: 0,
@@ -118,7 +119,7 @@ fn expected_kinds() -> Vec<&'static str> {
     [["visible"; 8].as_slice(), ["hidden"; 3].as_slice()].concat()
 }
 
-/// Distances of hidden patches and positions of all are right to their standard deviations, over so many campaigns.
+/// Distances of hidden patches and positions of all are right to their standard deviations, over several campaigns.
 #[test]
 fn hidden_patches_are_found_by_range_embed_and_refine_to_their_standard_deviations() {
     let (mut normalised, mut freedom) = (0.0, 0);

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use nalgebra::{DMatrix, Vector3};
 use periscope::pipeline::run::{RunError, Settings};
+use periscope::pipeline::spec::Definition;
 use periscope::simulate::Scene;
 use periscope::tables::{Calibration, Onset, Patch, Plane};
 use periscope::units::{path_m, time_ps};
@@ -53,7 +54,7 @@ pub struct Noisy {
     /// Distance of each hidden patch from the nearest that was found; those beyond `NEAR_M` are none.
     pub errors_m: Vec<Option<f64>>,
     pub extra: usize,
-    /// Whether no solution was reached, which is said.
+    /// Whether the run reported that it reached no solution.
     pub refused: bool,
     /// Root of the mean squared distance from the plane nearest to those that were found.
     pub off_plane_m: Option<f64>,
@@ -134,8 +135,9 @@ pub fn noisy(seed: u64, noise_ps: f64, rank: bool) -> Noisy {
     fs::write(lab.campaign().join("campaign.toml"), "[campaign]\nname = 'noisy'\n[sensors.s1]\n").unwrap();
     write_table(&lab.path("onsets.parquet"), &onsets);
     write_table(&lab.path("calibration.parquet"), &[calibration()]);
-    let from = PIPELINE.find("[visible_labels]").expect("the pipeline labels visible patches first");
-    let solved = PIPELINE[from..].to_owned();
+    let whole = Definition::parse("hidden-plane", PIPELINE).unwrap().to_toml();
+    let from = whole.find("[visible_labels]").expect("the pipeline labels visible patches first");
+    let solved = whole[from..].to_owned();
     let solved = if rank { solved.replace("bounces = 3", "bounces = 3, hidden = \"rank\"") } else { solved };
     let import = |table: &str| {
         let path = lab.path(&format!("{table}.parquet"));
@@ -146,9 +148,9 @@ pub fn noisy(seed: u64, noise_ps: f64, rank: bool) -> Noisy {
         assert!(matches!(error, RunError::Stage { .. }), "{error}");
         return Noisy { errors_m: vec![None; points.len() - VISIBLE], extra: 0, refused: true, off_plane_m: None };
     }
-    let found: Vec<Patch> =
+    let patches: Vec<Patch> =
         lab.rows::<Patch>("out", "patches").into_iter().filter(|patch| patch.alternative == 0).collect();
-    let (visible, hidden): (Vec<&Patch>, Vec<&Patch>) = found.iter().partition(|patch| patch.patch <= VISIBLE as i32);
+    let (visible, hidden): (Vec<&Patch>, Vec<&Patch>) = patches.iter().partition(|patch| patch.patch <= VISIBLE as i32);
     let visible: Vec<Vector3<f64>> = visible.into_iter().map(position).collect();
     let turn = aligning(&visible, &points[..VISIBLE]);
     let mut rest: Vec<Vector3<f64>> = hidden.into_iter().map(|patch| turn * position(patch)).collect();
@@ -179,6 +181,15 @@ fn onset(lit: usize, seen: usize, time_ps: f64, time_sd_ps: f64) -> Onset {
         amplitude: 1.0,
         amplitude_sd: None,
         width_ps: 0.0,
+        width_sd_ps: None,
+        pair_first_ps: None,
+        pair_second_ps: None,
+        pair_first_sd_ps: None,
+        pair_second_sd_ps: None,
+        pair_correlation: None,
+        pair_first_amplitude: None,
+        pair_second_amplitude: None,
+        pair_gain: None,
         snr: 10.0,
         evidence: None,
         covariance: Vec::new(),
@@ -227,19 +238,19 @@ fn off_plane_m(points: &[Vector3<f64>]) -> Option<f64> {
 #[test]
 fn from_noisy_onsets_hidden_patches_are_found_near_their_bound() {
     let noise_ps = 25.0;
-    let (found, paper, bound_m) = (noisy(1, noise_ps, false), noisy(1, noise_ps, true), noisy_bound_m(noise_ps));
+    let (search, paper, bound_m) = (noisy(1, noise_ps, false), noisy(1, noise_ps, true), noisy_bound_m(noise_ps));
     let near = |noisy: &Noisy| -> Vec<f64> { noisy.errors_m.iter().flatten().copied().collect() };
-    let (errors_m, by_rank_m) = (near(&found), near(&paper));
+    let (errors_m, by_rank_m) = (near(&search), near(&paper));
     let rms_m = (errors_m.iter().map(|error_m| error_m * error_m).sum::<f64>() / errors_m.len() as f64).sqrt();
     eprintln!(
         "bound {bound_m:.4} m; rms {rms_m:.4} m of {}, {} more, off their plane {:?} m; by order of arrival {by_rank_m:?}, {} more",
         errors_m.len(),
-        found.extra,
-        found.off_plane_m,
+        search.extra,
+        search.off_plane_m,
         paper.extra
     );
-    assert!(errors_m.len() == 9 && found.extra == 0 && !found.refused && rms_m < 2.0 * bound_m, "{errors_m:?}");
-    assert!(found.off_plane_m.is_some_and(|off_m| off_m < 2.0 * bound_m) && by_rank_m.len() < 9);
+    assert!(errors_m.len() == 9 && search.extra == 0 && !search.refused && rms_m < 2.0 * bound_m, "{errors_m:?}");
+    assert!(search.off_plane_m.is_some_and(|off_m| off_m < 2.0 * bound_m) && by_rank_m.len() < 9);
 }
 
 /// All are within some standard deviations plus half a patch; those on a plane are as flat as their errors allow.
@@ -247,7 +258,7 @@ fn from_noisy_onsets_hidden_patches_are_found_near_their_bound() {
 fn patches_on_a_hidden_plane_are_found_and_flat() {
     let drawn = drawn(1);
     eprintln!("{:?}, {} more, plane {:?}", drawn.scored.places, drawn.scored.extra, drawn.plane);
-    let found = drawn.scored.places.iter().filter(|place| place.is_right()).count();
-    assert!(found >= 8 && drawn.scored.extra == 0, "{:?}", drawn.scored.places);
+    let right = drawn.scored.places.iter().filter(|place| place.is_right()).count();
+    assert!(right >= 8 && drawn.scored.extra == 0, "{:?}", drawn.scored.places);
     assert!(drawn.plane.is_some_and(|(patches, rms_m)| patches >= 6 && rms_m < 0.002), "{:?}", drawn.plane);
 }

@@ -21,7 +21,7 @@ fn commands() -> Vec<String> {
 fn shells_that_are_here_accept_their_completions() {
     let folder = tempfile::tempdir().unwrap();
     // Asked of each shell: completes what follows `periscope de`.
-    let asked = [
+    let questions = [
         (
             "bash",
             "source FILE; COMP_WORDS=(periscope de); COMP_CWORD=1; _periscope periscope de periscope; echo \"${COMPREPLY[@]}\"",
@@ -30,7 +30,7 @@ fn shells_that_are_here_accept_their_completions() {
         ("zsh", "autoload -U compinit; compinit -u -D; source FILE; echo ${_comps[periscope]}", "_periscope"),
         ("fish", "source FILE; complete -C 'periscope de' | string match -r '^\\w+'", "demo"),
     ];
-    for (shell, question, answer) in asked {
+    for (shell, question, answer) in questions {
         let file = folder.path().join(shell);
         let text = periscope(&["completions", shell]);
         assert!(text.contains("max-rejects"), "{text}");

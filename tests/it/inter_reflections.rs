@@ -4,6 +4,7 @@
 use std::fs;
 
 use periscope::pipeline::run::Settings;
+use periscope::pipeline::spec::Definition;
 use periscope::tables::{Hypothesis, Label, Onset, Patch};
 use periscope::units::time_ps;
 use rand::{RngExt, SeedableRng};
@@ -53,7 +54,7 @@ fn is_open(a: i32, b: i32) -> bool {
 
 /// All light of a profile over up to five patches; of a path and its reverse that come back to the lit patch, one.
 fn light(lit: i32, seen: i32) -> Vec<Vec<i32>> {
-    let mut found = vec![if lit == seen { vec![lit] } else { vec![lit, seen] }];
+    let mut paths = vec![if lit == seen { vec![lit] } else { vec![lit, seen] }];
     let mut begun = vec![vec![lit]];
     for _ in 3..=5 {
         let longer = |path: &Vec<i32>| -> Vec<Vec<i32>> {
@@ -63,9 +64,9 @@ fn light(lit: i32, seen: i32) -> Vec<Vec<i32>> {
         begun = begun.iter().flat_map(longer).collect();
         let ended = begun.iter().filter(|path| is_open(path[path.len() - 1], seen));
         let ended = ended.map(|path| [&path[..], &[seen]].concat());
-        found.extend(ended.filter(|path| lit != seen || path.iter().le(path.iter().rev())));
+        paths.extend(ended.filter(|path| lit != seen || path.iter().le(path.iter().rev())));
     }
-    found
+    paths
 }
 
 fn onsets(rng: &mut ChaCha8Rng) -> Vec<Onset> {
@@ -95,6 +96,15 @@ fn onsets(rng: &mut ChaCha8Rng) -> Vec<Onset> {
             amplitude: 1.0,
             amplitude_sd: None,
             width_ps: 0.0,
+            width_sd_ps: None,
+            pair_first_ps: None,
+            pair_second_ps: None,
+            pair_first_sd_ps: None,
+            pair_second_sd_ps: None,
+            pair_correlation: None,
+            pair_first_amplitude: None,
+            pair_second_amplitude: None,
+            pair_gain: None,
             snr: 50.0 / time_sd_ps,
             evidence: None,
             covariance: Vec::new(),
@@ -109,6 +119,7 @@ fn onsets(rng: &mut ChaCha8Rng) -> Vec<Onset> {
 /// The published pipeline from its labels on, over onsets that are given.
 fn pipeline(lab: &Lab) -> String {
     let text = include_str!("../../pipelines/inter-reflections.toml");
+    let text = Definition::parse("inter-reflections", text).unwrap().to_toml();
     let from = text.find("[visible_labels]").expect("the pipeline labels visible patches first");
     // Onsets that are given have no latency.
     let solved = text[from..].replace(", calibration = \"calibration\"", "");

@@ -33,7 +33,7 @@ fn fwhm() -> String {
 }
 
 /// Converts `capture.hdf5` of a folder and runs it; what is found.
-fn found(folder: &Path) -> Vec<Patch> {
+fn patches_of(folder: &Path) -> Vec<Patch> {
     done(folder, &["convert", "capture.hdf5", "--out", "campaign", "--fwhm-ps", &fwhm()]);
     // With one lit point `range` says that distances stay open, which is exit code 3: `refine` takes the sums.
     let run = periscope(folder, &["run", PIPELINE, "--campaign", "campaign", "--out", "results"]);
@@ -73,7 +73,7 @@ fn hidden_points_are_found_from_captures_of_every_layout() {
         let made = Made { layout, side, with_legs, counts, seed };
         let folder = tempfile::tempdir().unwrap();
         made.write(&folder.path().join("capture.hdf5"));
-        let patches = found(folder.path());
+        let patches = patches_of(folder.path());
         let hidden = patches.iter().filter(|patch| patch.alternative == 0 && &*patch.kind == "hidden").count();
         assert_eq!(hidden, HIDDEN.len(), "{made:?}");
         println!("{made:?}");

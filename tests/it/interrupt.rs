@@ -201,7 +201,7 @@ fn deconvolve_ends_in_the_midst_of_a_long_record() {
     interrupt(&lab, &pipeline, "-TERM");
 }
 
-/// 64 hidden patches, of which nothing but third bounces tells, each lost in a tenth of the profiles.
+/// 64 hidden patches that only third bounces show, each lost in a tenth of the profiles.
 #[test]
 fn label_ends_in_the_midst_of_the_search_for_hidden_patches() {
     let (lab, mut rng) = (Lab::tiny(), ChaCha8Rng::seed_from_u64(2));
@@ -235,6 +235,15 @@ fn label_ends_in_the_midst_of_the_search_for_hidden_patches() {
             amplitude: 1.0,
             amplitude_sd: None,
             width_ps: 0.0,
+            width_sd_ps: None,
+            pair_first_ps: None,
+            pair_second_ps: None,
+            pair_first_sd_ps: None,
+            pair_second_sd_ps: None,
+            pair_correlation: None,
+            pair_first_amplitude: None,
+            pair_second_amplitude: None,
+            pair_gain: None,
             snr,
             evidence: None,
             covariance: Vec::new(),
@@ -291,6 +300,7 @@ fn refine_ends_in_the_midst_of_a_solution() {
             seen: path[path.len() - 1],
             range: None,
             rank: 1,
+            part: 0,
             time_ps: time_ps(length_m(way), 1.0) + SD_PS * normal(rng),
             time_sd_ps: SD_PS,
             turns: 0,

@@ -46,7 +46,7 @@ impl Lab {
         Self { folder }
     }
 
-    /// So many captures of 16 MiB each, all codes zero but for a pulse: enough for several parts.
+    /// A number of captures of 16 MiB each, all codes zero but for a pulse: enough for several parts.
     pub fn bulk(captures: i32) -> Self {
         let lab = Self { folder: tempfile::tempdir().unwrap() };
         fs::create_dir_all(lab.campaign().join("raw")).unwrap();
@@ -151,7 +151,7 @@ pub fn write_table<R: Row>(path: &Path, rows: &[R]) {
     writer.finish(&[]).unwrap();
 }
 
-/// Runs `body` in a pool of so many threads.
+/// Runs `body` in a pool with this number of threads.
 pub fn with_threads<T: Send>(threads: usize, body: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(body)
 }

@@ -205,11 +205,12 @@ fn pruning_takes_what_no_view_shows_and_a_run_has_nothing_to_do_after_it() {
     let tables = periscope(&["tables", "out"]);
     assert!(tables.contains("last run: ") && tables.contains(": done at ") && tables.contains("--prune"), "{tables}");
     let dry = periscope(&["tables", "out", "--prune", "--dry-run"]);
-    assert!(dry.contains("would remove all  of detect-") && !dry.contains("average-"), "{dry}");
+    assert!(dry.contains("would remove  all    detect-") && !dry.contains("average-"), "{dry}");
     let during = lab.parts("out");
     assert!(before.keys().all(|file| during.contains_key(file)), "a dry run removes nothing");
     let pruned = periscope(&["tables", "out", "--prune"]);
-    assert_eq!(pruned, dry.replace("would remove", "removed"));
+    let words = |text: &str| text.replace("would remove", "removed").split_whitespace().collect::<Vec<_>>().join(" ");
+    assert_eq!(words(&pruned), words(&dry));
     let after = lab.parts("out");
     assert!(after.len() < during.len() && after.iter().all(|(file, digest)| during[file] == *digest));
     assert!(!periscope(&["tables", "out"]).contains("--prune"));

@@ -165,12 +165,12 @@ fn text(headings: &[Heading], rng: &mut ChaCha8Rng) -> String {
         }
         let names = KINDS[*kind].params.iter().zip(params);
         // A default may be written or not.
-        let written = names.filter(|(_, value)| value.is_some_and(|value| value > 0) || rng.random_bool(0.5));
-        let mut written: Vec<String> =
-            written.map(|((name, values), value)| format!("{name}{equals}{}", values[value.unwrap_or(0)])).collect();
-        written.shuffle(rng);
-        if !written.is_empty() {
-            lines.push(format!("params = {{ {} }}", written.join(", ")));
+        let params = names.filter(|(_, value)| value.is_some_and(|value| value > 0) || rng.random_bool(0.5));
+        let mut params: Vec<String> =
+            params.map(|((name, values), value)| format!("{name}{equals}{}", values[value.unwrap_or(0)])).collect();
+        params.shuffle(rng);
+        if !params.is_empty() {
+            lines.push(format!("params = {{ {} }}", params.join(", ")));
         }
         if !keep || rng.random_bool(0.2) {
             lines.push(format!("keep = {keep}"));
@@ -209,7 +209,7 @@ fn below(headings: &[Heading], changed: usize) -> BTreeSet<usize> {
 
 /// A kind of change.
 enum Change {
-    /// A table beside that was not there.
+    /// A whole table in `with` that was not there.
     Input(&'static str, usize),
     /// Other raw files.
     Raw,
@@ -217,7 +217,7 @@ enum Change {
     Param,
 }
 
-/// The first optional table that could stand beside heading `n` and does not.
+/// The first optional table that heading `n` could name in `with` and does not.
 fn new_input(headings: &[Heading], n: usize) -> Option<Change> {
     let made = |table: &str| (0..n).find(|&input| KINDS[headings[input].kind].table == table);
     let mut missing = KINDS[headings[n].kind].beside.iter().filter(|(name, ..)| !headings[n].with.contains_key(name));

@@ -37,10 +37,14 @@ mod mirror;
 mod missed;
 mod mistakes;
 mod monte_carlo;
+mod output;
 mod pieces;
+mod pipelines;
+mod pulses;
 mod python;
 #[cfg(feature = "query")]
 mod query;
+mod readings;
 mod real_files;
 mod recipes;
 mod rectangles;
@@ -52,8 +56,11 @@ mod scope_samples;
 mod session;
 mod sessions;
 mod shards;
+mod silent;
 mod simulate;
 mod surface;
 mod verify;
 mod version;
 mod watch;
+
+use resolution::study::shape;

@@ -18,7 +18,7 @@ const PATCHES: [i32; 5] = [1, 2, 3, 4, 9];
 /// Mean bytes of raw files in a part: some ten parts.
 const PART_BYTES: u64 = 150_000;
 
-/// A campaign in a folder of its own, with room for results beside it.
+/// A campaign in a folder of its own, with room for results next to it.
 pub struct ManyParts {
     folder: tempfile::TempDir,
 }
@@ -37,7 +37,7 @@ impl ManyParts {
         Self::of(&PATCHES, PART_BYTES)
     }
 
-    /// The same with these patches, and parts of so many bytes of raw files in the mean.
+    /// The same with these patches, and parts of this mean size in bytes of raw files.
     pub fn of(patches: &[i32], part_bytes: u64) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let text =
@@ -128,8 +128,8 @@ impl ManyParts {
             let name = path.file_name()?.to_str()?;
             let (part, _) = name.strip_suffix(".parquet")?.split_once('.')?;
             path.with_file_name(format!("{part}.json")).exists().then(|| {
-                let found = fs::metadata(path).unwrap();
-                (path.clone(), (found.ino(), found.mtime() * 1_000_000_000 + found.mtime_nsec()))
+                let metadata = fs::metadata(path).unwrap();
+                (path.clone(), (metadata.ino(), metadata.mtime() * 1_000_000_000 + metadata.mtime_nsec()))
             })
         };
         files.iter().filter_map(of_part).collect()
@@ -141,7 +141,7 @@ impl ManyParts {
         finished.iter().filter(|(path, was)| now.get(*path) != Some(was)).count()
     }
 
-    /// Half-written files that nobody took away.
+    /// Half-written files that are still there.
     pub fn left_over(&self, out: &str) -> Vec<PathBuf> {
         let is_half = |path: &PathBuf| {
             path.iter().any(|name| name.as_encoded_bytes().starts_with(b"tmp-"))

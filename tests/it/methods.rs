@@ -146,15 +146,15 @@ fn every_method_of_detect_finds_the_onsets() {
         [("leading-edge", 12.0), ("constant-fraction", 12.0), ("first-response", 60.0), ("aic", 60.0)]
     {
         let settings = ["stir.method=wiener".to_owned(), format!("onsets.method={method}")];
-        let found = onsets(&lab, method, &[&settings[0], &settings[1]]);
-        let errors = errors(&truth, &found);
+        let rows = onsets(&lab, method, &[&settings[0], &settings[1]]);
+        let errors = errors(&truth, &rows);
         let scatter = scatter_ps(&errors);
-        eprintln!("{method}: {} onsets, scatter {scatter:.2} ps", found.len());
+        eprintln!("{method}: {} onsets, scatter {scatter:.2} ps", rows.len());
         assert_eq!(errors.len(), truth.len(), "{method}");
         assert!(scatter < most_ps, "{method}: {scatter} ps");
         // Ranks count within a profile; the methods' onsets do not know of one another.
-        for onset in &found {
-            let of_profile = found.iter().filter(|other| (other.lit, other.seen) == (onset.lit, onset.seen)).count();
+        for onset in &rows {
+            let of_profile = rows.iter().filter(|other| (other.lit, other.seen) == (onset.lit, onset.seen)).count();
             assert!(onset.covariance.len() == of_profile && onset.rank as usize <= of_profile, "{method}");
         }
     }
@@ -168,14 +168,14 @@ fn light_of_extended_patches_is_one_onset_of_the_right_width() {
     let truth: Vec<Onset> = lab.truth();
     let paths: Vec<TruePath> = lab.truth();
     let points = onsets(&lab, "points", &[]);
-    let found = onsets(&lab, "extended", &["stir.extent_max_ps=120"]);
-    let errors = errors(&truth, &found);
+    let rows = onsets(&lab, "extended", &["stir.extent_max_ps=120"]);
+    let errors = errors(&truth, &rows);
     // About the mean: the latency's error is common to all.
     let weight: f64 = errors.iter().map(|(_, sd)| sd.powi(-2)).sum();
     let mean = errors.iter().map(|(error, sd)| error / (sd * sd)).sum::<f64>() / weight;
     let normalised = errors.iter().map(|(error, sd)| ((error - mean) / sd).powi(2)).sum::<f64>() / 35.0;
     let widened: Vec<&Onset> =
-        found.iter().filter(|onset| onset.flags.iter().any(|flag| **flag == *"extended")).collect();
+        rows.iter().filter(|onset| onset.flags.iter().any(|flag| **flag == *"extended")).collect();
     let mut widths = Vec::new();
     for onset in &widened {
         let of_profile = paths.iter().filter(|path| (path.lit, path.seen) == (onset.lit, onset.seen));
@@ -188,10 +188,10 @@ fn light_of_extended_patches_is_one_onset_of_the_right_width() {
     eprintln!(
         "{} onsets of points, {} of extended light, {} widened; squared errors over variances {normalised:.2}; widths off by {:.1} ps",
         points.len(),
-        found.len(),
+        rows.len(),
         widened.len(),
         rms(widths.iter().copied())
     );
     assert!(widened.len() >= 34 && rms(widths.iter().copied()) < 3.0, "{widths:?}");
-    assert!(points.len() > 36 && found.len() == 36, "{} and {}", points.len(), found.len());
+    assert!(points.len() > 36 && rows.len() == 36, "{} and {}", points.len(), rows.len());
 }

@@ -152,7 +152,7 @@ fn gap_m((from, to): (Point, Point), point: Point) -> f64 {
 }
 
 /// Mirror points by each method, from the same files.
-pub struct Found {
+pub struct Solution {
     /// Of method `joint`, with their covariances.
     pub joint: Vec<Patch>,
     pub planes: Vec<Plane>,
@@ -160,7 +160,7 @@ pub struct Found {
 }
 
 /// A campaign of a scene, simulated and solved.
-pub fn run(scene: &str, seed: u64) -> Found {
+pub fn run(scene: &str, seed: u64) -> Solution {
     let lab = Lab::of(scene, seed, Format::Trc);
     lab.run("out", &format!("{PIPELINE}{OTHERS}"), &Settings::default()).unwrap();
     let rejects: Vec<Reject> = lab.rows("out", "rejects");
@@ -176,15 +176,15 @@ pub fn run(scene: &str, seed: u64) -> Found {
         ("per ray", points("per_ray")),
         ("the paper's: equal distances", points("paper")),
     ];
-    Found { joint: rows("patches"), planes: lab.rows("out", "patches.planes"), methods }
+    Solution { joint: rows("patches"), planes: lab.rows("out", "patches.planes"), methods }
 }
 
 /// Error of the worst mirror point, in metres, and worst error of a mirror point's distance from the laser, relative.
-pub fn worst(found: &[Point], truth: &[Point]) -> (f64, f64) {
-    assert_eq!(found.len(), truth.len());
-    found.iter().zip(truth).fold((0.0, 0.0), |(position_m, distance), (found, truth)| {
-        let (range_m, true_m) = (found.coords.norm(), truth.coords.norm());
-        (f64::max(position_m, (found - truth).norm()), f64::max(distance, (range_m / true_m - 1.0).abs()))
+pub fn worst(points: &[Point], truth: &[Point]) -> (f64, f64) {
+    assert_eq!(points.len(), truth.len());
+    points.iter().zip(truth).fold((0.0, 0.0), |(position_m, distance), (point, truth)| {
+        let (range_m, true_m) = (point.coords.norm(), truth.coords.norm());
+        (f64::max(position_m, (point - truth).norm()), f64::max(distance, (range_m / true_m - 1.0).abs()))
     })
 }
 
@@ -202,13 +202,13 @@ fn the_papers_experiment_without_its_assumption() {
     let truth = Geometry::matched().points();
     let mut squares = Vec::new();
     for (seed, (_, response)) in (1..=4).zip(RESPONSES.iter().cycle()) {
-        let found = run(&SCENE.replace(RESPONSES[0].1, response), seed);
-        let [ours, others @ .., papers] = found.methods.each_ref().map(|(_, points)| worst(points, &truth));
+        let solution = run(&SCENE.replace(RESPONSES[0].1, response), seed);
+        let [ours, others @ .., papers] = solution.methods.each_ref().map(|(_, points)| worst(points, &truth));
         assert!((papers.0 - 0.0117).abs() < 0.001 && (papers.1 - 0.0714).abs() < 0.008, "{papers:?}");
         assert!(ours.0 < 0.002 && ours.1 < 0.01 && 5.0 * ours.0 < papers.0, "{ours:?}");
         assert!(others.iter().all(|other| other.0 < 0.004), "{others:?}");
-        squares.extend(found.joint.iter().zip(&truth).map(|(row, truth)| square(row, truth)));
-        let (plane, normal) = (&found.planes[0], direction(Geometry::matched().normal_rad));
+        squares.extend(solution.joint.iter().zip(&truth).map(|(row, truth)| square(row, truth)));
+        let (plane, normal) = (&solution.planes[0], direction(Geometry::matched().normal_rad));
         let turn_rad = (plane.normal_x - normal.x).hypot(plane.normal_y - normal.y);
         assert!(turn_rad < 4.0 * plane.normal_sd_rad && plane.patches == [1, 2, 3]);
     }
@@ -220,10 +220,10 @@ fn the_papers_experiment_without_its_assumption() {
 fn mirrors_anywhere_are_found() {
     for seed in 1..=3 {
         let geometry = Geometry::random(seed);
-        let found = run(&geometry.scene(RESPONSES[1].1, 0.0005), seed);
-        let errors = found.joint.iter().zip(geometry.points()).map(|(row, truth)| square(row, &truth));
+        let solution = run(&geometry.scene(RESPONSES[1].1, 0.0005), seed);
+        let errors = solution.joint.iter().zip(geometry.points()).map(|(row, truth)| square(row, &truth));
         assert!(errors.fold(0.0, f64::max) < 20.0, "{geometry:?}");
-        let [ours, .., papers] = found.methods.each_ref().map(|(_, points)| worst(points, &geometry.points()));
+        let [ours, .., papers] = solution.methods.each_ref().map(|(_, points)| worst(points, &geometry.points()));
         assert!(ours.0 < papers.0, "{geometry:?}: {ours:?}, {papers:?}");
     }
 }

@@ -40,31 +40,31 @@ pub fn position(patch: &Patch) -> Vector3<f64> {
 }
 
 /// Mean squared position error of start values, which have no covariance.
-pub fn squares_m2(found: &[Patch], truth: &[Patch]) -> f64 {
+pub fn squares_m2(patches: &[Patch], truth: &[Patch]) -> f64 {
     let (points, targets): (Vec<_>, Vec<_>) =
-        (found.iter().map(position).collect(), truth.iter().map(position).collect());
+        (patches.iter().map(position).collect(), truth.iter().map(position).collect());
     let turn = aligning(&points, &targets);
     points.iter().zip(&targets).map(|(point, target)| (turn * point - target).norm_squared()).sum()
 }
 
 /// Errors of a refined solution.
-pub fn missed(found: &[Patch], covariances: &[PatchCovariance], truth: &[Patch]) -> Missed {
+pub fn missed(patches: &[Patch], covariances: &[PatchCovariance], truth: &[Patch]) -> Missed {
     assert_eq!(
-        found.iter().map(|patch| patch.patch).collect::<Vec<_>>(),
+        patches.iter().map(|patch| patch.patch).collect::<Vec<_>>(),
         truth.iter().map(|patch| patch.patch).collect::<Vec<_>>()
     );
     let (points, targets): (Vec<_>, Vec<_>) =
-        (found.iter().map(position).collect(), truth.iter().map(position).collect());
+        (patches.iter().map(position).collect(), truth.iter().map(position).collect());
     let turn = aligning(&points, &targets);
     let errors: Vec<Vector3<f64>> = points.iter().zip(&targets).map(|(point, target)| turn * point - target).collect();
     let place = |patch: i32| {
-        found.iter().position(|row| row.patch == patch).expect("covariances are of patches that were found")
+        patches.iter().position(|row| row.patch == patch).expect("covariances are of patches that were found")
     };
-    let mut covariance = DMatrix::zeros(3 * found.len(), 3 * found.len());
+    let mut covariance = DMatrix::zeros(3 * patches.len(), 3 * patches.len());
     let mut put = |a: usize, b: usize, block: Matrix3<f64>| {
         covariance.view_mut((3 * a, 3 * b), (3, 3)).copy_from(&(turn * block * turn.transpose()))
     };
-    for (a, row) in found.iter().enumerate() {
+    for (a, row) in patches.iter().enumerate() {
         let [xx, xy, xz, yy, yz, zz] =
             [row.cov_xx_m2, row.cov_xy_m2, row.cov_xz_m2, row.cov_yy_m2, row.cov_yz_m2, row.cov_zz_m2]
                 .map(|value| value.expect("refined"));
@@ -86,7 +86,7 @@ pub fn missed(found: &[Patch], covariances: &[PatchCovariance], truth: &[Patch])
         put(place(row.b), place(row.a), block.transpose());
     }
     let error = DVector::from_iterator(3 * errors.len(), errors.iter().flat_map(|error| [error.x, error.y, error.z]));
-    let unknown = 3 * found.len() - degrees_of_freedom(truth);
+    let unknown = 3 * patches.len() - degrees_of_freedom(truth);
     let normalised = (error.transpose() * pseudo_inverse(&covariance, unknown) * &error)[(0, 0)];
     Missed { squares_m2: errors.iter().map(Vector3::norm_squared).sum(), normalised }
 }

@@ -1,4 +1,4 @@
-//! Mistakes that a newcomer makes, and what each is told: the place, and the mend. The snapshot has the whole texts.
+//! Mistakes of newcomers. The answer to each names the place and the fix. The snapshot has the whole texts.
 
 mod list;
 
@@ -83,7 +83,7 @@ fn lab() -> Lab {
 }
 
 /// What the command prints to standard error, but for what it is doing.
-fn told(folder: &Path, command: &str) -> String {
+fn answer(folder: &Path, command: &str) -> String {
     let periscope = env!("CARGO_BIN_EXE_periscope");
     let mut called = Command::new(periscope);
     called.args(command.split(' ')).current_dir(folder);
@@ -117,11 +117,14 @@ fn every_mistake_is_told_with_its_place_and_its_mend() {
             edits.iter().for_each(|edit| edit.apply(edited.path()));
             edited.path().to_owned()
         };
-        let told = told(&folder, command);
-        assert!(told.contains(place) && told.contains(mend), "{command}: {place} and {mend} were expected in\n{told}");
-        assert!(!told.contains("panicked") && !told.contains("defect"), "{told}");
+        let answer = answer(&folder, command);
+        assert!(
+            answer.contains(place) && answer.contains(mend),
+            "{command}: {place} and {mend} were expected in\n{answer}"
+        );
+        assert!(!answer.contains("panicked") && !answer.contains("defect"), "{answer}");
         edits.iter().for_each(|edit| writeln!(all, "# {edit:?}").unwrap());
-        writeln!(all, "$ periscope {command}\n{told}\n").unwrap();
+        writeln!(all, "$ periscope {command}\n{answer}\n").unwrap();
     }
     assert!(MISTAKES.len() >= 40, "{}", MISTAKES.len());
     insta::assert_snapshot!("mistakes", all);
@@ -133,6 +136,6 @@ fn results_may_lie_in_the_campaign_folder() {
     let lab = lab();
     let command = "run pipeline.toml --campaign campaign --out campaign/results";
     for _ in 0..2 {
-        assert_eq!(told(&lab.path(""), command), "[exit code 0]\n");
+        assert_eq!(answer(&lab.path(""), command), "[exit code 0]\n");
     }
 }

@@ -211,7 +211,7 @@ cell_m = 0.1
 ";
 
 /// Every path whose strength random paths know to this part is compared.
-const KNOWN: f64 = 0.1;
+const RELATIVE_ERROR: f64 = 0.1;
 
 fn compare(text: &str, bounces: usize, photons: usize, among: &[&[i32]]) {
     let scene = Scene::parse(Path::new("room.toml"), &format!("{text}{INSTRUMENT}bounces = {bounces}\n")).unwrap();
@@ -222,7 +222,7 @@ fn compare(text: &str, bounces: usize, photons: usize, among: &[&[i32]]) {
         let reference = random_light(&scene, shooting.lit, shooting.seen, bounces, photons);
         let total: f64 = reference.values().map(|[strength, ..]| strength).sum();
         for (path, [strength, error, way, way_error]) in
-            reference.iter().filter(|(_, [strength, error, ..])| *error < KNOWN * strength)
+            reference.iter().filter(|(_, [strength, error, ..])| *error < RELATIVE_ERROR * strength)
         {
             let light = shooting.paths.get(path).unwrap_or_else(|| panic!("path {path:?} is missing"));
             // The integrals' own error: half a per cent, and 2 mm of way where shadows and lobes have edges.

@@ -70,13 +70,13 @@ fn tables_for_the_eye_have_all_rows_and_columns() {
 
 #[test]
 fn a_question_that_names_what_is_not_there_is_told_what_is() {
-    for (sql, told) in [
+    for (sql, words) in [
         ("SELECT * FROM patchs", "no table `patchs`; did you mean `patches`?"),
         ("SELECT time_pss FROM onsets", "no column `time_pss` in onsets; did you mean `time_ps`?"),
         ("SELECT o.time_pss FROM onsets o JOIN labels l ON o.lit = l.lit", "did you mean `time_ps`?"),
         ("SELECT time_ps FRM onsets", "Line: 1"),
     ] {
         let (code, _, error) = ask(&LAB, sql, "table");
-        assert!(code == Some(1) && error.contains(told), "{sql}: {error}");
+        assert!(code == Some(1) && error.contains(words), "{sql}: {error}");
     }
 }

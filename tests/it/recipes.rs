@@ -176,10 +176,10 @@ fn the_shots_of_a_patch_are_those_behind_its_onsets() {
     let traces: Vec<Trace> = rows("results", "traces");
     let behind = traces.iter().filter(|row| pairs.contains(&(row.lit, row.seen)));
     let expected: BTreeSet<(String, Option<i32>)> = behind.map(|row| (row.file.to_string(), row.segment)).collect();
-    let found: BTreeSet<(String, Option<i32>)> =
+    let shots: BTreeSet<(String, Option<i32>)> =
         answer.iter().map(|row| (row["file"].as_str().unwrap().to_owned(), Some(integer(row, "segment")))).collect();
-    assert_eq!((answer.len(), &found), (expected.len(), &expected));
-    assert_eq!(found.len(), 7 * 2 * 24, "seven captures see or light patch 2");
+    assert_eq!((answer.len(), &shots), (expected.len(), &expected));
+    assert_eq!(shots.len(), 7 * 2 * 24, "seven captures see or light patch 2");
 }
 
 #[test]
@@ -286,7 +286,7 @@ fn a_script_is_run_as_its_head_says() {
     assert!(text.contains("rms_in_sd"), "{text}");
 }
 
-/// Every block of the page runs as it stands, beside a folder `results`, and prints something or checks itself.
+/// Every block of the page runs as it stands, next to a folder `results`, and prints something or checks itself.
 #[test]
 fn the_examples_of_the_page_run() {
     let page = include_str!("../../docs/tables.md");

@@ -65,8 +65,8 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
         let lab = Lab::recorded(&laboratory.reseeded(seed), seed, Format::Trc);
         lab.run("out", VISIBLE, &Settings::default()).unwrap();
         let truth: Vec<Patch> = lab.truth();
-        let found: Vec<Patch> = lab.rows("out", "patches");
-        let missed = missed::missed(&found, &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"), &truth);
+        let patches: Vec<Patch> = lab.rows("out", "patches");
+        let missed = missed::missed(&patches, &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"), &truth);
         study.degrees_of_freedom = missed::degrees_of_freedom(&truth) as f64;
         study.squares_m2.push(missed.squares_m2 / count);
         study.normalised.push(missed.normalised);

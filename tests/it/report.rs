@@ -184,6 +184,7 @@ fn five_hundred(lab: &Lab) -> PathBuf {
             lit,
             seen,
             rank: 1,
+            part: 0,
             path: Some(vec![lit, seen]),
             bounces: 2,
             residual_ps: Some(wave(lit + seen) - 0.5),

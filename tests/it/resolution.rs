@@ -2,7 +2,7 @@
 
 #[allow(dead_code, reason = "the study uses more of it")]
 #[path = "../../benches/resolution/mod.rs"]
-mod study;
+pub mod study;
 
 use study::coverage::{self, Coverage};
 use study::information::resolution_limit_ps;

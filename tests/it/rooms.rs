@@ -15,7 +15,7 @@ use crate::missed;
 /// Group index of the campaign: that of air.
 const INDEX: f64 = 1.000_277;
 const SD_PS: f64 = 25.0;
-/// Later bounces that a profile has beside its first light.
+/// Later bounces that a profile has in addition to its first light.
 const LATER: usize = 2;
 
 /// How a room differs from one where every pair is captured and exchanges light.
@@ -95,6 +95,15 @@ fn onsets(room: Room, seed: u64) -> Vec<(Onset, Option<Vec<i32>>)> {
                 amplitude: 1.0,
                 amplitude_sd: None,
                 width_ps: 0.0,
+                width_sd_ps: None,
+                pair_first_ps: None,
+                pair_second_ps: None,
+                pair_first_sd_ps: None,
+                pair_second_sd_ps: None,
+                pair_correlation: None,
+                pair_first_amplitude: None,
+                pair_second_amplitude: None,
+                pair_gain: None,
                 snr: 100.0,
                 evidence: None,
                 covariance: Vec::new(),
@@ -110,7 +119,7 @@ fn onsets(room: Room, seed: u64) -> Vec<(Onset, Option<Vec<i32>>)> {
 
 /// What one room gave.
 #[derive(Debug)]
-pub struct Found {
+pub struct Solution {
     /// Labels of first and second bounces, and the wrong ones among them: of the first pass, and at the end. Of third
     /// bounces at the end.
     pub first: (usize, usize),
@@ -122,7 +131,7 @@ pub struct Found {
 }
 
 /// Labels, solves, predicts and solves again.
-pub fn found(room: Room, seed: u64) -> Found {
+pub fn solve(room: Room, seed: u64) -> Solution {
     let lab = Lab::bulk(0);
     let onsets = onsets(room, seed);
     let (rows, paths): (Vec<Onset>, Vec<Option<Vec<i32>>>) = onsets.into_iter().unzip();
@@ -158,12 +167,13 @@ pub fn found(room: Room, seed: u64) -> Found {
     };
     let walls: Vec<Patch> = walls().iter().enumerate().map(patch).collect();
     let ratio = |view: &str| {
-        let found: Vec<Patch> = lab.rows::<Patch>("out", view).into_iter().filter(|row| row.alternative == 0).collect();
-        let stated_m2: f64 = found.iter().map(|row| row.sd_m.unwrap_or(f64::INFINITY).powi(2)).sum();
-        missed::squares_m2(&found, &walls) / stated_m2
+        let patches: Vec<Patch> =
+            lab.rows::<Patch>("out", view).into_iter().filter(|row| row.alternative == 0).collect();
+        let stated_m2: f64 = patches.iter().map(|row| row.sd_m.unwrap_or(f64::INFINITY).powi(2)).sum();
+        missed::squares_m2(&patches, &walls) / stated_m2
     };
     assert!(!lab.rows::<PatchCovariance>("out", "last.patch_covariances").is_empty());
-    Found {
+    Solution {
         first: judged("first_labels", 1..=2),
         direct: judged("last_labels", 1..=2),
         thirds: judged("last_labels", 3..=3),
@@ -189,12 +199,12 @@ pub fn rooms() -> [(&'static str, Room); 4] {
 #[test]
 fn wrong_first_labels_are_found_out_by_prediction() {
     for (name, room) in rooms() {
-        let found = found(room, 1);
-        eprintln!("{name}: {found:?}");
-        assert!(found.direct.0 > 900, "{name}: {found:?}");
-        assert!(found.direct.1 * 200 <= found.direct.0, "{name}: {found:?}");
-        assert!(found.thirds.0 > 500 && found.thirds.1 * 50 <= found.thirds.0, "{name}: {found:?}");
-        assert!(found.first.0 > 300 && found.first_ratio < 100.0, "{name}: {found:?}");
-        assert!((0.3..2.5).contains(&found.ratio), "{name}: {found:?}");
+        let solution = solve(room, 1);
+        eprintln!("{name}: {solution:?}");
+        assert!(solution.direct.0 > 900, "{name}: {solution:?}");
+        assert!(solution.direct.1 * 200 <= solution.direct.0, "{name}: {solution:?}");
+        assert!(solution.thirds.0 > 500 && solution.thirds.1 * 50 <= solution.thirds.0, "{name}: {solution:?}");
+        assert!(solution.first.0 > 300 && solution.first_ratio < 100.0, "{name}: {solution:?}");
+        assert!((0.3..2.5).contains(&solution.ratio), "{name}: {solution:?}");
     }
 }

@@ -21,20 +21,20 @@ fn without_session() -> String {
 /// stated standard deviations.
 fn errors(lab: &Lab, out: &str, about_mean: bool) -> (f64, f64, usize) {
     let truth: Vec<Onset> = lab.truth();
-    let found: Vec<Onset> = lab.rows(out, "onsets");
+    let rows: Vec<Onset> = lab.rows(out, "onsets");
     let error = |onset: &Onset| {
         let of_profile = truth.iter().filter(|truth| (truth.lit, truth.seen) == (onset.lit, onset.seen));
         let truth = of_profile
             .min_by(|a, b| (a.time_ps - onset.time_ps).abs().total_cmp(&(b.time_ps - onset.time_ps).abs()))?;
         Some((onset.time_ps - truth.time_ps, onset.time_sd_ps.hypot(onset.jitter_ps)))
     };
-    let errors: Vec<(f64, f64)> = found.iter().filter_map(error).collect();
+    let errors: Vec<(f64, f64)> = rows.iter().filter_map(error).collect();
     let count = errors.len() as f64;
     let weight: f64 = errors.iter().map(|(_, sd)| sd.powi(-2)).sum();
     let mean = if about_mean { errors.iter().map(|(error, sd)| error / (sd * sd)).sum::<f64>() / weight } else { 0.0 };
     let rms = (errors.iter().map(|(error, _)| (error - mean).powi(2)).sum::<f64>() / count).sqrt();
     let pull = (errors.iter().map(|(error, sd)| ((error - mean) / sd).powi(2)).sum::<f64>() / count).sqrt();
-    (rms, pull, found.len())
+    (rms, pull, rows.len())
 }
 
 /// A delay that drifts by 12 ps an hour through two hours of captures, with a fiducial every ten minutes.
@@ -65,7 +65,7 @@ fn drift_is_taken_off_with_its_error() {
     assert!((0.75..1.3).contains(&followed.1), "{followed:?}");
 }
 
-/// A cable that was touched: the delay is not followed across the jump, and the jump is told.
+/// A cable that was touched: the delay is not followed across the jump, and the jump is reported.
 #[test]
 fn a_jump_is_told_and_not_smoothed() {
     let scene = PHOTODIODE
@@ -101,7 +101,7 @@ fn pick_up_is_taken_off() {
     );
     assert!(off.2 == 36 && (0.75..1.3).contains(&off.1), "{off:?}");
     assert!(with.2 > 36 || with.1 > 1.5, "the pick-up does no harm: {with:?}");
-    // Where there is none, none is told.
+    // Where there is none, none is reported.
     let quiet =
         Lab::of(&PHOTODIODE.replace("path_sd_m = 0.0001", "path_sd_m = 0.0001\nblocked_shots = 4000"), 7, Format::Trc);
     quiet.run("out", up_to_onsets(), &Settings::default()).unwrap();
@@ -154,11 +154,11 @@ fn every_range_is_calibrated() {
     let lab = Lab::of(&two_ranges(), 9, Format::Trc);
     let pipeline = up_to_onsets().split("[session_traces]").next().unwrap();
     lab.run("out", pipeline, &Settings::default()).unwrap();
-    let mut found: Vec<Calibration> = lab.rows("out", "calibration");
+    let mut rows: Vec<Calibration> = lab.rows("out", "calibration");
     let truth: Vec<Calibration> = lab.truth();
-    found.sort_by(|a, b| a.range.cmp(&b.range));
-    assert_eq!(found.len(), 2);
-    for row in &found {
+    rows.sort_by(|a, b| a.range.cmp(&b.range));
+    assert_eq!(rows.len(), 2);
+    for row in &rows {
         let truth = truth.iter().find(|truth| truth.range == row.range).unwrap();
         let error_ps = row.latency_ps - truth.latency_ps;
         eprintln!(
@@ -169,7 +169,7 @@ fn every_range_is_calibrated() {
         assert!(error_ps.abs() < 4.0 * row.latency_sd_ps, "{error_ps} ps");
         assert!((row.width_ps / truth.width_ps - 1.0).abs() < 0.01);
     }
-    let difference = found[1].latency_ps - found[0].latency_ps;
+    let difference = rows[1].latency_ps - rows[0].latency_ps;
     assert!((difference - 7.0).abs() < 0.5, "{difference}");
 }
 
@@ -212,11 +212,11 @@ fn photon_counts_are_timed() {
         .replace("first_bounce_od = 4.8", "first_bounce_od = 5.0");
     let lab = Lab::of(&scene, 10, Format::Npy);
     lab.run("out", up_to_onsets(), &Settings::default()).unwrap();
-    let found: Vec<Onset> = lab.rows("out", "onsets");
+    let rows: Vec<Onset> = lab.rows("out", "onsets");
     let (rms, pull, count) = errors(&lab, "out", true);
     eprintln!("{count} onsets of 36 profiles, rms {rms:.2} ps, {pull:.2} of stated");
     // The response's own photons, 60 times those of a profile, are not in the error bars of 0.15 ps.
     assert!((36..=40).contains(&count), "{count} onsets");
     assert!((0.7..1.7).contains(&pull), "{pull}");
-    assert!(found.iter().all(|onset| onset.evidence.is_some_and(|evidence| evidence > 15.0)));
+    assert!(rows.iter().all(|onset| onset.evidence.is_some_and(|evidence| evidence > 15.0)));
 }

@@ -44,10 +44,9 @@ fn refused(lab: &ManyParts, args: &[&str]) -> String {
 
 /// Plans shards into a result folder: their lines by key.
 fn plan(lab: &ManyParts, out: &str, count: &str, more: &[&str]) -> BTreeMap<String, Value> {
-    let args = ["plan", "pipeline.toml", "--campaign", "campaign", "--out", out, "--shards", count, "--json"];
-    let lines = printed(lab, &[&args, more].concat());
-    let lines = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
-    lines.map(|line| (line["key"].as_str().unwrap().to_owned(), line)).collect()
+    let args = ["plan", "pipeline.toml", "--campaign", "campaign", "--out", out, "--shards", count, "--format", "json"];
+    let lines: Vec<Value> = serde_json::from_str(&printed(lab, &[&args[..], more].concat())).unwrap();
+    lines.into_iter().map(|line| (line["key"].as_str().unwrap().to_owned(), line)).collect()
 }
 
 fn shard<'a>(key: &'a str, out: &'a str) -> [&'a str; 6] {
@@ -96,8 +95,8 @@ fn three_workers_one_killed_at_a_third_leave_the_bytes_of_a_single_run() {
     std::thread::scope(|scope| (0..3).for_each(|_| drop(scope.spawn(work))));
     assert_eq!(killed.lock().unwrap().len(), 1);
     assert!(!lab.path("out/onsets").exists(), "nothing is shown before it is gathered");
-    let told = printed(&lab, &["gather", "--out", "out"]);
-    assert!(told.contains("patches") && told.contains("out/patches"), "{told}");
+    let text = printed(&lab, &["gather", "--out", "out"]);
+    assert!(text.contains("patches") && text.contains("out/patches"), "{text}");
     assert_eq!(lab.files("out"), lab.files("single"));
     assert!(lab.left_over("out").is_empty(), "{:?}", lab.left_over("out"));
     printed(&lab, &["verify", "out"]);
@@ -155,7 +154,7 @@ fn raw_traces_that_are_not_kept_other_parameters_seals_and_rejects() {
         assert!(made.iter().map(|line| line["parts"].as_u64().unwrap()).sum::<u64>() >= parts);
         let gathered = output(&lab, &["gather", "--out", "out", "--progress", "none"]);
         assert_eq!(gathered.status.code(), Some(3), "{}", errors(&gathered));
-        assert!(errors(&gathered).contains("1 records were rejected"), "{}", errors(&gathered));
+        assert!(errors(&gathered).contains("1 record was rejected"), "{}", errors(&gathered));
         let run = [&["run", "pipeline.toml", "--campaign", "campaign", "--out", "single"], more].concat();
         assert_eq!(output(&lab, &run).status.code(), Some(3));
         assert_eq!(lab.files("out"), lab.files("single"));

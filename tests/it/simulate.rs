@@ -71,13 +71,13 @@ fn csv_campaigns_hold_the_same_light() {
     let text = TINY.replace("response_shots = 400", "response_shots = 64").replace("shots = 24", "shots = 16");
     let lab = Lab::of(&text.replace("bad_shots = 0.02", "bad_shots = 0.0"), 2, Format::Csv);
     lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
-    let (found, truth): (Vec<Patch>, Vec<Patch>) = (lab.rows("out", "patches"), lab.truth());
-    assert_eq!(found.len(), truth.len());
+    let (patches, truth): (Vec<Patch>, Vec<Patch>) = (lab.rows("out", "patches"), lab.truth());
+    assert_eq!(patches.len(), truth.len());
     let apart = |rows: &[Patch], a: usize, b: usize| {
         let at = |k: usize| [rows[k].x_m, rows[k].y_m, rows[k].z_m];
         at(a).iter().zip(at(b)).map(|(p, q)| (p - q).powi(2)).sum::<f64>().sqrt()
     };
-    assert!((apart(&found, 0, 2) - apart(&truth, 0, 2)).abs() < 2e-3);
+    assert!((apart(&patches, 0, 2) - apart(&truth, 0, 2)).abs() < 2e-3);
 }
 
 /// The same shots in each binary format: the same light to the rounding of volts and times.

@@ -67,9 +67,9 @@ fn page_of(lab: &Lab, file: &Path, column: &str) -> (u64, u64) {
     // Where pages lie is found out by damage: no page is shorter than this.
     for byte in (4..record.bytes).step_by(16) {
         flip(file, 8 * byte);
-        let found = find(file, &record).unwrap().unwrap().place;
+        let place = find(file, &record).unwrap().unwrap().place;
         flip(file, 8 * byte);
-        match found {
+        match place {
             Place::Page(page) if page.column == column => return (page.byte, page.bytes),
             _ => {}
         }
@@ -115,7 +115,7 @@ fn forty_flipped_bits_are_found_and_none_is_read() {
         flip(file, bit);
         let notes = Manifest::load(&lab.path("out/.shelf/notes/tiny"));
         assert!(!looked(&lab).findings.is_empty() || notes.is_err(), "{} bit {bit}", file.display());
-        // Whoever reads gets an error, or what was written.
+        // A reader gets an error, or what was written.
         match read() {
             Ok(after) => assert!(after == before, "{} bit {bit}", file.display()),
             Err(error) => assert!(error.contains("damaged"), "{error}"),
@@ -228,7 +228,7 @@ fn a_campaign_is_held_to_its_seal() {
     flip(&raw.join("s1_L2_P3_C1.trc"), 8 * 3000);
     assert_eq!(periscope(&lab, &["verify", "campaign"]).0, Some(0));
     fs::remove_file(raw.join("s1_L3_P4_C1.trc")).unwrap();
-    let (code, text) = periscope(&lab, &["verify", "campaign", "--rehash", "--json"]);
+    let (code, text) = periscope(&lab, &["verify", "campaign", "--rehash", "--format", "json"]);
     let said: serde_json::Value = serde_json::from_str(&text).unwrap();
     let about = |file: &str, what: &str| {
         let findings = said["findings"].as_array().unwrap().iter();

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use periscope::campaign::{Campaign, Role, Survey};
+use periscope::campaign::{Campaign, LeftOut, Role, Survey};
 use periscope::tables::{Calibration, Measurement};
 
 use super::report::{Captures, Pair, Report, listed};
@@ -21,7 +21,8 @@ pub fn fill(
     campaign: &Campaign,
     survey: &Survey,
     measurements: &[Measurement],
-    left_out: &BTreeSet<String>,
+    left_out: &[LeftOut],
+    uncalibrated: &BTreeSet<String>,
 ) {
     captures(report, survey);
     report.unmatched = survey.unmatched.iter().map(|file| file.display().to_string()).collect();
@@ -29,16 +30,10 @@ pub fn fill(
     let missing = survey.missing_references.iter();
     report.missing_references =
         missing.map(|missing| format!("{} (wanted {})", missing.file.display(), missing.wanted)).collect();
-    for (count, what) in [
-        (report.unmatched.len(), "files match no rule: add a [[captures]] rule, or an [[exclude]] with the reason"),
-        (report.empty.len(), "patterns or rows match no file: correct or capture them"),
-        (report.missing_references.len(), "files lack their reference: copy it too, or correct `reference`"),
-    ] {
-        if count > 0 {
-            report.mend.push(format!("{count} {what}"));
-        }
+    for LeftOut { cause, items, .. } in left_out {
+        report.mend.push(format!("{}. {}", cause.words(items.len()), cause.fix()));
     }
-    for sensor in left_out {
+    for sensor in uncalibrated {
         report.mend.push(format!(
             "sensor {sensor} is not calibrated, so that its shots are not measured: capture its response (role response) with the same reference channel"
         ));

@@ -1,9 +1,10 @@
 //! Quality of the captures: shots, clipping, signal-to-noise ratio, and the verdicts of the instrument check.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use periscope::campaign::Role;
-use periscope::tables::{self, Measurement};
+use periscope::pipeline::rejects::{kinds, words};
+use periscope::tables::{self, Measurement, Name, Reject};
 
 use super::report::{CheckOfSensor, Pair, Report, Sensor, SetAside, listed};
 
@@ -11,22 +12,25 @@ use super::report::{CheckOfSensor, Pair, Report, Sensor, SetAside, listed};
 const CLIPPED_SHARE: f64 = 0.05;
 /// Least signal-to-noise ratio of the strongest pulse of a capture.
 const SNR_MIN: f64 = 5.0;
+/// Number of reasons for rejections that are listed.
+const REASONS: usize = 5;
 /// Number of captures listed as the faintest.
 const FAINTEST: usize = 5;
 
 /// Fills in the measurements.
-pub fn fill(
-    report: &mut Report,
-    measurements: &[Measurement],
-    checks: Vec<tables::Check>,
-    rejects: BTreeSet<(Option<String>, String)>,
-) {
-    report.set_aside = rejects.into_iter().map(|(file, reason)| SetAside { file, reason }).collect();
-    if !report.set_aside.is_empty() {
-        report.mend.push(format!(
-            "{} files or captures were rejected; a file that is still being written will be read at the next check",
-            report.set_aside.len()
-        ));
+pub fn fill(report: &mut Report, measurements: &[Measurement], checks: Vec<tables::Check>, rejects: &[Reject]) {
+    let text = |name: &Name| name.to_string();
+    let row = |row: &Reject| SetAside { file: row.file.as_ref().map(text), reason: text(&row.reason) };
+    report.set_aside = rejects.iter().map(row).collect();
+    let kinds = kinds(rejects);
+    for (count, first) in kinds.iter().take(REASONS) {
+        let counted =
+            if *count == 1 { "1 file or capture is".to_owned() } else { format!("{count} files or captures are") };
+        report.mend.push(format!("{counted} rejected: {}", words(first)));
+    }
+    if kinds.len() > REASONS {
+        let more = kinds.len() - REASONS;
+        report.mend.push(format!("{more} more reasons for rejections are listed above"));
     }
     let mut sensors: BTreeMap<&str, Vec<&Measurement>> = BTreeMap::new();
     for row in measurements {

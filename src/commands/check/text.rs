@@ -91,7 +91,7 @@ fn checks(entry: &Sensor, lines: &mut Vec<String>) {
         entry.checks.iter().filter(|row| row.verdict == "missing").map(|row| row.check.as_str()).collect();
     if !missing.is_empty() {
         lines.push(format!(
-            "  {:24} {}; pipelines/characterize.toml says what to capture",
+            "  {:24} {}; `periscope pipelines characterize` says what to capture",
             "not checked",
             missing.join(", ")
         ));

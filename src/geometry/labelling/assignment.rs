@@ -24,7 +24,7 @@ pub(super) enum Prior<'a> {
 }
 
 impl<'a> Prior<'a> {
-    fn of(&self, scene: &Scene, path: &[PatchId]) -> f64 {
+    pub(super) fn of(&self, scene: &Scene, path: &[PatchId]) -> f64 {
         match self {
             Self::Learned { chances, .. } if path.len() >= INDIRECT => {
                 scene.deep_chance(path).unwrap_or_else(|| chances.of(path))
@@ -86,9 +86,18 @@ impl Assignment {
     }
 
     /// For each arrival its label if that is sure enough; else none, with alternatives.
-    fn verdicts(&self, probability_min: f64) -> Vec<Vec<Verdict>> {
-        let arrivals = self.candidates.iter().zip(&self.blend_sds_ps);
-        arrivals.map(|(candidates, sd_ps)| self.verdicts_of(candidates, *sd_ps, probability_min)).collect()
+    fn verdicts(&self, arrivals: &[Arrival], probability_min: f64) -> Vec<Vec<Verdict>> {
+        let candidates = self.candidates.iter().zip(&self.blend_sds_ps).zip(arrivals);
+        let of_arrival = |((candidates, sd_ps), arrival): ((&Vec<Candidate>, &f64), &Arrival)| {
+            // A path is no surer than the reading of the onset that it belongs to.
+            let scaled = |candidate: &Candidate| Candidate {
+                probability: candidate.probability * arrival.certainty,
+                ..*candidate
+            };
+            let candidates: Vec<Candidate> = candidates.iter().map(scaled).collect();
+            self.verdicts_of(&candidates, *sd_ps, probability_min)
+        };
+        candidates.map(of_arrival).collect()
     }
 
     fn verdicts_of(&self, candidates: &[Candidate], blend_sd_ps: f64, probability_min: f64) -> Vec<Verdict> {
@@ -126,13 +135,13 @@ pub(super) fn verdicts(
     let verdicts = |profile| {
         let view = View { sensor, profile };
         let assignment = Assignment::new(graph, view, options.bounces, options.clutter_per_ns, &prior);
-        assignment.verdicts(options.probability_min)
+        assignment.verdicts(&view.profile.arrivals, options.probability_min)
     };
     sensor.profiles.par_iter().map(verdicts).collect()
 }
 
 /// Paths near a profile's arrivals, the direct one first.
-fn paths(graph: &Graph, view: View, bounces: usize, reach_ps: f64) -> Paths {
+pub(super) fn paths(graph: &Graph, view: View, bounces: usize, reach_ps: f64) -> Paths {
     let mut paths = graph.near(view, bounces, reach_ps);
     let direct = view.profile.direct();
     if direct.len() <= bounces && graph.scene.has(&direct) {
@@ -148,7 +157,7 @@ fn clutter_per_ps(arrival: &Time, paths: &Paths, view: View, clutter_per_ns: f64
 }
 
 /// Predictions near any of the arrivals or within `reach_ps`, with the laser periods taken off that bring them there.
-fn readings(predictions: Vec<Prediction>, view: View, reach_ps: f64) -> Vec<Prediction> {
+pub(super) fn readings(predictions: Vec<Prediction>, view: View, reach_ps: f64) -> Vec<Prediction> {
     let medium = view.medium();
     let mut readings = Vec::new();
     for Prediction { path, time, .. } in predictions {

@@ -11,6 +11,8 @@ use super::scene::{DEEP, Scene};
 use crate::hidden::{self, Path, Way};
 use crate::units::PatchId;
 
+/// Arrivals whose reading is less sure are not searched for hidden patches.
+const SURE: f64 = 0.95;
 /// Bounces of paths over patches in place that a search for third bounces predicts: later ones are too faint to matter.
 const FOURTH: usize = 4;
 
@@ -100,9 +102,11 @@ impl<'a> Legs<'a> {
         arrivals.map(|arrival| self.rest_m(arrival.time_ps)).fold(0.0, f64::max)
     }
 
-    /// Arrivals as lengths within a span; those of a laser that repeats in each of its periods that lies there.
+    /// Arrivals as lengths within a span; those of a laser that repeats in each of its periods that lies there. One
+    /// whose other reading may explain its light is no sign of anything hidden.
     fn arrivals(&self, span_m: [f64; 2]) -> Vec<hidden::Arrival> {
-        self.view.profile.arrivals.iter().flat_map(|arrival| self.readings(arrival, span_m)).collect()
+        let certain = self.view.profile.arrivals.iter().filter(|arrival| arrival.certainty >= SURE);
+        certain.flat_map(|arrival| self.readings(arrival, span_m)).collect()
     }
 
     fn readings(&self, arrival: &Arrival, span_m: [f64; 2]) -> impl Iterator<Item = hidden::Arrival> + use<> {

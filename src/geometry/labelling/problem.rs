@@ -44,9 +44,36 @@ pub struct Arrival {
     pub sd_ps: f64,
     /// Signal-to-noise ratio of its amplitude.
     pub snr: f64,
+    /// Standard deviation of the spread of its light; 0 for a point.
+    pub width_ps: f64,
+    /// Standard deviation of `width_ps`.
+    pub width_sd_ps: f64,
+    /// Two pulses that may stand in its place.
+    pub pair: Option<Pair>,
+    /// Probability of the reading that it belongs to; 1 for an onset as it is.
+    pub certainty: f64,
+}
+
+/// Two pulses that may stand in the place of a wide one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pair {
+    /// Times, the earlier first, modulo the laser's period.
+    pub times_ps: [f64; 2],
+    /// Covariance of the times, with the part that the profile's arrivals share: of the first, of both, of the second.
+    pub covariance_ps2: [f64; 3],
+    /// Signal-to-noise ratios.
+    pub snrs: [f64; 2],
+    /// Chi-square of the wide pulse less that of the pair.
+    pub gain: f64,
 }
 
 impl Arrival {
+    /// A pulse that is no wider than the response.
+    #[must_use]
+    pub const fn point(time_ps: f64, sd_ps: f64, snr: f64) -> Self {
+        Self { time_ps, sd_ps, snr, width_ps: 0.0, width_sd_ps: 0.0, pair: None, certainty: 1.0 }
+    }
+
     pub(super) const fn time(&self) -> Time {
         Time { time_ps: self.time_ps, sd_ps: self.sd_ps }
     }
@@ -188,6 +215,28 @@ impl Verdict {
     }
 }
 
+/// What an arrival is of an onset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Origin {
+    /// Place of the onset in its profile.
+    pub onset: usize,
+    /// 0 for all of it, 1 and 2 for the pulses that it is read as.
+    pub part: i32,
+}
+
+/// An onset, or a part of it, in the reading that is less likely.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loser {
+    /// What it is of the onset.
+    pub origin: Origin,
+    /// Time, modulo the laser's period.
+    pub time_ps: f64,
+    /// Its standard deviation.
+    pub sd_ps: f64,
+    /// Its likeliest path; the probability is that of the reading.
+    pub verdict: Verdict,
+}
+
 /// For each profile of a sensor, for each arrival, its verdicts: the label first, then alternatives.
 pub type Verdicts = Vec<Vec<Vec<Verdict>>>;
 
@@ -207,8 +256,12 @@ pub struct Hypothesis {
 /// What [`label`](super::label) returns.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Solution {
-    /// For each sensor.
+    /// For each sensor. Arrivals are those of `arrivals`.
     pub verdicts: Vec<Verdicts>,
+    /// For each sensor, for each profile, the arrivals that its onsets are read as, in order of onsets.
+    pub arrivals: Vec<Vec<Vec<(Origin, Arrival)>>>,
+    /// For each sensor, for each profile, readings of its onsets that are less likely.
+    pub losers: Vec<Vec<Vec<Loser>>>,
     /// Hidden patches, then planes, then the likeliest place that is not sure enough.
     pub hypotheses: Vec<Hypothesis>,
     /// Number of visible patches where these lie in one line (in flatland in one point), so that nothing is searched.

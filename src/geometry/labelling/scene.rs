@@ -105,7 +105,8 @@ impl Scene {
     }
 
     /// Whether all patches of a path are in place.
-    pub(super) fn has(&self, path: &[PatchId]) -> bool {
+    #[must_use]
+    pub fn has(&self, path: &[PatchId]) -> bool {
         path.iter().all(|patch| self.points.contains_key(patch))
     }
 

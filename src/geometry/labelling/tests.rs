@@ -5,6 +5,7 @@ mod blind;
 mod bounces;
 mod hidden;
 mod predicted;
+mod readings;
 
 use super::*;
 use crate::footprint::Footprints;
@@ -142,11 +143,11 @@ impl Capture {
         let made = |(time_ps, path): (f64, Option<Vec<PatchId>>)| Made {
             lit,
             seen,
-            arrival: Arrival {
-                time_ps: folded(time_ps),
-                sd_ps: self.sd_ps,
-                snr: path.as_ref().map_or(6.0, |path| 1e5_f64.powf(1.0 / path.len() as f64)),
-            },
+            arrival: Arrival::point(
+                folded(time_ps),
+                self.sd_ps,
+                path.as_ref().map_or(6.0, |path| 1e5_f64.powf(1.0 / path.len() as f64)),
+            ),
             path,
             turns: turns(time_ps),
         };

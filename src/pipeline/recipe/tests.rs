@@ -107,7 +107,7 @@ fn value(parameter: &Parameter, rng: &mut impl Rng) -> toml::Value {
     }
 }
 
-/// What a value means, whatever its spelling: `{:?}` tells any two floats apart that are not equal.
+/// What a value means, whatever its spelling: `{:?}` differs for any two floats that are not equal.
 fn meaning(value: &Value) -> String {
     match value {
         Value::Number(number) => format!("{:?}", number.as_f64().unwrap() + 0.0),
@@ -145,7 +145,7 @@ fn recipe(kind: &str, given: &toml::Table) -> Option<Digest> {
     Some(id.recipe())
 }
 
-/// Random sets of parameters that the stage accepts, many of which differ in one alone.
+/// Random sets of parameters that the stage accepts. Many differ in one parameter alone.
 fn sets(kind: &str, parameters: &[Parameter], rng: &mut ChaCha8Rng) -> Vec<(toml::Table, Digest)> {
     let mut sets: Vec<(toml::Table, Digest)> = Vec::new();
     for _ in 0..SETS * TRIES {

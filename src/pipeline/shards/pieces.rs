@@ -70,7 +70,7 @@ fn operator<'a>(plan: &Plan<'a>, step: usize) -> Option<&'a dyn Operator> {
 /// Passes what a source reads to the step that sums it.
 struct Adding<'a> {
     running: RefCell<Box<dyn Joining + 'a>>,
-    written: RefCell<OutputBatches>,
+    output: RefCell<OutputBatches>,
     /// Whether rows have arrived since the last query.
     is_fed: Cell<bool>,
     settings: &'a Settings,
@@ -89,14 +89,14 @@ impl<'a> Adding<'a> {
         let beside = tables_beside(plan, step, &settings.cancel)?;
         let running = Cancel::catch(|| operator.start_in_pieces(plan.campaigns, &beside, task));
         let running = running.map_err(StageError::from).flatten().map_err(|source| failed(plan, step, source))?;
-        let (running, written) = (RefCell::new(running), RefCell::default());
-        Ok(Self { running, written, is_fed: Cell::new(false), settings, progress })
+        let (running, output) = (RefCell::new(running), RefCell::default());
+        Ok(Self { running, output, is_fed: Cell::new(false), settings, progress })
     }
 
-    fn take(&self, written: OutputBatches) {
-        let mut all = self.written.borrow_mut();
-        all.rejections.extend(written.rejections);
-        for (table, batches) in written.tables.into_iter().enumerate() {
+    fn take(&self, output: OutputBatches) {
+        let mut all = self.output.borrow_mut();
+        all.rejections.extend(output.rejections);
+        for (table, batches) in output.tables.into_iter().enumerate() {
             if all.tables.len() <= table {
                 all.tables.push(Vec::new());
             }
@@ -110,9 +110,9 @@ impl<'a> Adding<'a> {
 
     /// Ends the last group; returns all output.
     fn end(self) -> Result<OutputBatches, StageError> {
-        let written = Cancel::catch(|| self.running.borrow_mut().flush())??;
-        self.take(written);
-        Ok(self.written.into_inner())
+        let output = Cancel::catch(|| self.running.borrow_mut().flush())??;
+        self.take(output);
+        Ok(self.output.into_inner())
     }
 }
 
@@ -131,8 +131,8 @@ impl Feed for Adding<'_> {
             return Err(StageError::Stopped);
         }
         self.is_fed.set(true);
-        let written = Cancel::catch(|| self.running.borrow_mut().push(&batch))??;
-        self.take(written);
+        let output = Cancel::catch(|| self.running.borrow_mut().push(&batch))??;
+        self.take(output);
         Ok(())
     }
 
@@ -207,7 +207,7 @@ impl Cut {
         let read = parts.read_piece(0, &self.piece, settings.batch_bytes, &adding);
         let read = read.and_then(|learnt| Ok((learnt, adding.end()?)));
         let (learnt, subtotals, indivisible) = match read {
-            Ok((learnt, written)) => (learnt, written.tables.into_iter().next().unwrap_or_default(), None),
+            Ok((learnt, output)) => (learnt, output.tables.into_iter().next().unwrap_or_default(), None),
             Err(StageError::Indivisible(why)) => (json!(null), Vec::new(), Some(why)),
             Err(error) => return Err(failed(plan, source, error).into()),
         };
@@ -298,9 +298,9 @@ fn joined(
             }
         }
     }
-    let written = adding.end().map_err(run)?;
+    let output = adding.end().map_err(run)?;
     let learnt: Vec<_> = pieces.iter().map(|(_, _, record)| record.learnt.clone()).collect();
     // Last, since it compares the files with what the pieces read, including those whose heads were read here.
     let content = parts.join(0, &learnt).map_err(run)?;
-    Ok(Joined { source, content, step, written })
+    Ok(Joined { source, content, step, output })
 }

@@ -22,6 +22,7 @@ pub fn section(report: &Report) -> Markup {
     };
     html! {
         section #answer {
+            (decisions(scene))
             h2 { "Where the surfaces are" }
             (space::figure(scene))
             (open_questions(scene))
@@ -34,8 +35,11 @@ pub fn section(report: &Report) -> Markup {
 
 /// One sentence for the head of the page.
 pub fn summary(scene: &Scene) -> String {
+    // A place that was given is no answer, and its standard deviation no measure of the others.
+    let (given, found): (Vec<&Placed>, Vec<&Placed>) =
+        scene.patches.iter().partition(|placed| scene.anchors.contains(&placed.patch.patch));
     let of =
-        |kind: &str| -> Vec<&Placed> { scene.patches.iter().filter(|placed| &*placed.patch.kind == kind).collect() };
+        |kind: &str| -> Vec<&Placed> { found.iter().copied().filter(|placed| &*placed.patch.kind == kind).collect() };
     let mut parts = Vec::new();
     for kind in ["visible", "hidden", "mirror"] {
         let of_kind = of(kind);
@@ -53,7 +57,39 @@ pub fn summary(scene: &Scene) -> String {
         0 => String::new(),
         open => format!(" {} left open.", count(open, "question is", "questions are")),
     };
-    format!("Patches found: {found}.{left_open}")
+    let given = match given.len() {
+        0 => String::new(),
+        anchors => format!(" {} given by campaign.toml.", count(anchors, "patch is", "patches are")),
+    };
+    format!("Patches found: {found}.{given}{left_open}")
+}
+
+/// What the solution rests on, each choice with its evidence; first of all, since all below depends on it.
+fn decisions(scene: &Scene) -> Markup {
+    html! {
+        @if !scene.decisions.is_empty() {
+            h2 { "What the answer rests on" }
+            div.scroll {
+                table.words {
+                    thead { tr { th.text { "choice" } th.text { "chosen" } th.text { "evidence" } th.text { "next best" } th.text { "what would change it" } } }
+                    tbody {
+                        @for row in &scene.decisions {
+                            tr {
+                                td.text { (row.what) }
+                                td.text { (row.chosen) }
+                                td.text { (row.evidence) }
+                                td.text {
+                                    (row.runner_up.as_deref().unwrap_or("-"))
+                                    @if let Some(ratio) = row.log_likelihood_ratio { ", log-likelihood less by " (sig(ratio, 3)) }
+                                }
+                                td.text { (row.would_change) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
 }
 
 fn open_questions(scene: &Scene) -> Markup {

@@ -12,9 +12,12 @@ pub fn rejects(report: &Report) -> Markup {
     html! {
         section #rejects {
             h2 { "What was set aside" }
-            @if provenance.rejects == 0 {
+            @let left_out = provenance.last_run.as_ref().map_or(&[][..], |run| &run.left_out);
+            @if provenance.rejects == 0 && left_out.is_empty() {
                 p { "Nothing: every record of the campaign went in." }
-            } @else {
+            }
+            @for line in left_out { p { (line) "." } }
+            @if provenance.rejects > 0 {
                 p { (count(provenance.rejects, "record was", "records were")) " set aside, for " (count(provenance.reasons, "reason", "reasons")) "; the rest went on without them." }
                 div.scroll {
                     table.numbers {

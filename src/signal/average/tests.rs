@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::averaged_response::averaged_response;
+use crate::dark::Dark;
 use crate::response::Response;
 use crate::shot_spread::{OutlierTest, spread};
 use rand::{RngExt, SeedableRng};
@@ -156,7 +157,7 @@ fn the_spread_is_the_noise_with_and_without_jitter() {
         let shots = shots(64, jitter, 40.0, 4);
         let views = views(&shots);
         let mean = sum(&views).finish().unwrap();
-        let variances = spread(&views, &mean, 32);
+        let variances = spread(&views, &mean, &Dark::at_start(32));
         let sd_of = |range: Range<usize>| {
             let (count, expected) = (range.len() as f64, &variances[range]);
             (expected.iter().sum::<f64>() / count).sqrt()
@@ -173,7 +174,7 @@ fn the_spread_is_the_noise_with_and_without_jitter() {
 #[test]
 fn outliers_are_rejected_and_others_are_not() {
     let good = shots(64, 1.0, 40.0, 5);
-    let test = OutlierTest::new(&views(&good), 32, 6.0).unwrap();
+    let test = OutlierTest::new(&views(&good), Dark::at_start(32), 6.0).unwrap();
     let more = shots(2000, 1.0, 40.0, 6);
     let wrong = views(&more).iter().filter(|(codes, position)| test.is_outlier(*codes, *position)).count();
     assert!(wrong <= 2, "{wrong} of 2000 good shots rejected");
@@ -182,5 +183,5 @@ fn outliers_are_rejected_and_others_are_not() {
         codes[90] += 900;
         assert!(test.is_outlier(Codes::I16(&self::bytes(&codes)), position));
     }
-    assert!(OutlierTest::new(&views(&good)[..5], 32, 6.0).is_none());
+    assert!(OutlierTest::new(&views(&good)[..5], Dark::at_start(32), 6.0).is_none());
 }

@@ -43,7 +43,7 @@ fn draw(case: &Case, rng: &mut ChaCha8Rng) -> [(Vec<f64>, Vec<f64>, Vec<bool>); 
 }
 
 fn views(ranges: &[(Vec<f64>, Vec<f64>, Vec<bool>)]) -> Vec<RangeProfile<'_>> {
-    ranges.iter().map(|(mean_v, se_v, clipped)| RangeProfile { mean_v, se_v, clipped }).collect()
+    ranges.iter().map(|(mean_v, se_v, clipped)| RangeProfile { mean_v, se_v, clipped, prior: None }).collect()
 }
 
 fn options(delay_dt_ps: Option<f64>) -> MergeOptions {
@@ -152,4 +152,56 @@ fn three_ranges_merge_by_their_variances_and_what_no_range_has_is_said() {
     ranges[1].2.fill(true);
     assert_eq!(merge(&views(&ranges), &options(None)), Err(Error::NoCommonSamples { range: 1 }));
     assert!(merge(&views(&ranges)[..1], &options(None)).expect("one range").links.is_empty());
+}
+
+/// Light that ends while the sensitive range recovers: nothing that both ranges have says how they scale. What is
+/// stated of gain and delay does, and the merged profile is the truth within its errors.
+#[test]
+fn stated_gains_scale_what_no_light_does() {
+    let strong = |sample: f64| 4.0 * (-0.5 * ((sample - 60.3) / 2.2).powi(2)).exp();
+    let (dt_ps, delay, stated) =
+        (Some(DT_PS), 0.37, Prior { gain: 0.1, gain_sd: 2e-3, delay_ps: 18.5, delay_sd_ps: 0.5 });
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut normal = |sd: f64| -> f64 { sd * Distribution::<f64>::sample(&StandardNormal, &mut rng) };
+    let (mut pulls, mut gains) = (vec![], vec![]);
+    for _ in 0..60 {
+        let gain = stated.gain + normal(stated.gain_sd);
+        let clipped: Vec<bool> = (0..LEN).map(|n| strong(n as f64) > 0.5).collect();
+        let fine: Vec<f64> = (0..LEN).map(|n| (strong(n as f64) + normal(1e-3)).min(0.5)).collect();
+        let coarse: Vec<f64> = (0..LEN).map(|n| gain * strong(n as f64 - delay) + normal(4e-4)).collect();
+        let (fine_se, coarse_se) = (vec![1e-3; LEN], vec![4e-4; LEN]);
+        let whole = vec![false; LEN];
+        let view = |prior| {
+            [
+                RangeProfile { mean_v: &fine, se_v: &fine_se, clipped: &clipped, prior: None },
+                RangeProfile { mean_v: &coarse, se_v: &coarse_se, clipped: &whole, prior },
+            ]
+        };
+        let options = MergeOptions { margin_before: 8, margin_after: 20, delay_dt_ps: dt_ps };
+        let merged = merge(&view(Some(stated)), &options).expect("a prior");
+        let link = &merged.links[0];
+        assert!(link.gain_sd <= stated.gain_sd && link.delay_sd_ps <= stated.delay_sd_ps, "{link:?}");
+        gains.push((link.gain - gain) / link.gain_sd);
+        // Where the delay is off by its standard deviation, an edge is off by more than the noise: it counts as jitter.
+        for n in (0..LEN).filter(|n| (strong(*n as f64 + 0.5) - strong(*n as f64 - 0.5)).abs() < 0.1) {
+            pulls.push((merged.mean_v[n] - strong(n as f64)) / merged.se_v[n].hypot(merged.scale_sd_v(n)));
+        }
+        let alone = merge(&view(None), &options);
+        assert!(alone.is_err() || alone.is_ok_and(|merged| merged.links[0].gain_sd > 0.05 * stated.gain));
+    }
+    println!("gains {:.3}, samples {:.3}", rms(&gains), rms(&pulls));
+    assert!((0.75..1.25).contains(&rms(&gains)) && (rms(&pulls) - 1.0).abs() < 0.1, "{} {}", rms(&gains), rms(&pulls));
+}
+
+/// A stated gain has no part where light says more, nor where light contradicts it.
+#[test]
+fn light_overrules_stated_gains() {
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    let ranges = draw(&CASE, &mut rng);
+    let alone = merge(&views(&ranges), &options(Some(DT_PS))).expect("shared samples");
+    for (gain, gain_sd) in [(0.1, 0.002), (0.3, 1e-6)] {
+        let mut with = views(&ranges);
+        with[1].prior = Some(Prior { gain, gain_sd, delay_ps: 0.0, delay_sd_ps: 0.1 });
+        assert_eq!(merge(&with, &options(Some(DT_PS))), Ok(alone.clone()), "{gain}");
+    }
 }

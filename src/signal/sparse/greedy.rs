@@ -200,7 +200,7 @@ impl<'a> Fitter<'a> {
     }
 
     /// Whitened records of the pulses `kept` alone.
-    fn alone(&self, state: &State, kept: &[usize]) -> Vec<Vec<f64>> {
+    pub(super) fn alone(&self, state: &State, kept: &[usize]) -> Vec<Vec<f64>> {
         let mut data = state.residuals.clone();
         for (group, range) in state.fit.groups.iter().zip(&self.model.groups) {
             for (columns, record) in group.columns.iter().zip(&mut data[range.clone()]) {

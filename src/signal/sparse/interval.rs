@@ -19,7 +19,7 @@ use super::state::State;
 /// First order serves pulses that are farther apart than this many sds of either.
 const CLEAR_SDS: f64 = 20.0;
 /// Normal quantile of the interval: two-sided 95 %.
-const QUANTILE: f64 = 1.959_964;
+pub(super) const QUANTILE: f64 = 1.959_964;
 /// Fits at most for one end of an interval, and the part of the quantile that it may miss.
 const TRIALS: usize = 6;
 const TOLERANCE: f64 = 0.02;
@@ -27,16 +27,16 @@ const TOLERANCE: f64 = 0.02;
 const STRIDE: f64 = 3.0;
 
 /// A pulse among those around it, all at their best.
-struct Blend<'a> {
-    model: &'a Model<'a>,
+pub(super) struct Blend<'a> {
+    pub(super) model: &'a Model<'a>,
     /// Whitened records of these pulses alone.
-    data: Vec<Vec<f64>>,
-    places: Vec<Place>,
-    energy: f64,
+    pub(super) data: Vec<Vec<f64>>,
+    pub(super) places: Vec<Place>,
+    pub(super) energy: f64,
     /// The pulse, among `places`.
-    k: usize,
+    pub(super) k: usize,
     /// Its sd, ps, to first order.
-    sd_ps: f64,
+    pub(super) sd_ps: f64,
 }
 
 impl Fitter<'_> {
@@ -66,7 +66,7 @@ impl Fitter<'_> {
 
 impl Blend<'_> {
     /// Half the interval, in sds, in which the root of the rise of chi2 stays below `goal`.
-    fn half_width(&self, goal: f64) -> f64 {
+    pub(super) fn half_width(&self, goal: f64) -> f64 {
         0.5 * (self.end(-1.0, goal) + self.end(1.0, goal))
     }
 

@@ -7,6 +7,7 @@
 use super::evidence::{evidence_min_joint, evidence_min_of};
 use super::greedy::Fitter;
 use super::model::Model;
+use super::pair::PairFit;
 use super::state::State;
 use super::{FALSE_PULSES, Profile, Pulse, Response, SparseFit, SparseOptions};
 
@@ -47,7 +48,9 @@ pub(super) fn run(fitter: &Fitter, evidence_min: f64) -> Vec<SparseFit> {
     }
     let (state, evidences) = fitter.prune(state);
     let widenings = fitter.widenings(&state);
-    (0..fitter.records()).map(|r| describe(fitter, &state, r, (&evidences, &widenings), evidence_min)).collect()
+    let pairs = fitter.pairs(&state);
+    let judged = Judged { evidences, widenings, pairs };
+    (0..fitter.records()).map(|r| describe(fitter, &state, r, &judged, evidence_min)).collect()
 }
 
 fn check(profile: &Profile) {
@@ -61,15 +64,17 @@ fn check(profile: &Profile) {
     assert!(positive, "the sds must be positive");
 }
 
-/// The fit as record `r` sees it, pulses in order of time; of each pulse of the state the evidence, and the factor of
-/// the first-order sd of its time.
-fn describe(
-    fitter: &Fitter,
-    state: &State,
-    r: usize,
-    (evidences, widenings): (&[f64], &[f64]),
-    evidence_min: f64,
-) -> SparseFit {
+/// What is known of each pulse of a state beyond its place: the evidence, the factor of the first-order sd of its time,
+/// and the pair that may stand in its place.
+struct Judged {
+    evidences: Vec<f64>,
+    widenings: Vec<f64>,
+    pairs: Vec<Option<PairFit>>,
+}
+
+/// The fit as record `r` sees it, pulses in order of time.
+fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_min: f64) -> SparseFit {
+    let Judged { evidences, widenings, pairs } = judged;
     let mut order: Vec<usize> = (0..state.pulses()).collect();
     order.sort_by(|i, j| state.time_ps(*i).total_cmp(&state.time_ps(*j)));
     let (all, unknowns) = state.covariance();
@@ -93,6 +98,7 @@ fn describe(
             evidence: evidences[k],
             chi2_per_dof: fitter.misfit(state, Some(r), Some(k)).per_dof(),
             misfit_sigma: fitter.misfit(state, Some(r), Some(k)).sigma(),
+            pair: pairs[k].as_ref().map(|pair| pair.of_group(group)),
         }
     };
     let pulses = order.iter().zip(&inflations).map(pulse).collect();

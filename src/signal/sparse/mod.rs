@@ -32,6 +32,7 @@ mod joint;
 mod linear;
 mod matched;
 mod model;
+mod pair;
 mod place;
 mod projection;
 mod refine;
@@ -48,6 +49,7 @@ pub use counts::{Unpiled, fit_counts};
 pub use evidence::{evidence_min, evidence_min_of};
 pub use joint::fit_joint;
 pub use matched::{Given, Matched, Open, matched};
+pub use pair::Pair;
 use place::{Place, spread_response};
 
 /// False pulses a record of pure noise, where the caller sets no threshold.
@@ -85,7 +87,7 @@ pub struct SparseOptions {
     /// Largest sd (ps) of the spread in time of one pulse's light, as extended patches give; 0 for points only. Where
     /// the samples are better explained so, a pulse is widened by a Gaussian of sd up to this; where that is not
     /// enough, also by an exponential tail. What looks wider still is taken for two pulses; two closer than twice this
-    /// may be taken for one.
+    /// may be taken for one, and are kept as its [`Pulse::pair`].
     pub extent_max_ps: f64,
     /// Ends the fit: polled once a trial place of pulses, and once a tap or block in passes over a whole record.
     pub cancel: Cancel,
@@ -128,6 +130,8 @@ pub struct Pulse {
     /// By how many standard deviations that exceeds what noise alone makes it: beyond three something else than noise
     /// is left.
     pub misfit_sigma: f64,
+    /// Of light that is spread in time, the best two points in its place; `None` where none fit.
+    pub pair: Option<Pair>,
 }
 
 impl Pulse {

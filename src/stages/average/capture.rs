@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use super::piece::Extent;
-use super::record::{self, Record};
+use super::record;
 use super::reference::ReferencePulse;
+use super::rejected::Sought;
 use super::shots::{Shots, view};
 use super::{Average, Context, is_alike, rejection};
 use crate::campaign::Role;
@@ -27,7 +28,16 @@ pub struct Capture {
     first_pulse_ps: Option<f64>,
     missing_template: bool,
     has_reference: bool,
+    /// Where the first reference pulse was sought.
+    sought: Option<Sought>,
     extent: Extent,
+}
+
+/// File and channel of a reference row.
+fn sought(columns: &TraceColumns, i: usize) -> Sought {
+    let channel = <Option<Name> as Cell>::get(&columns.channel, i);
+    let channel = channel.map_or(String::new(), |channel| format!(", channel {channel}"));
+    Sought(format!("{}{channel}", columns.file.value(i)))
 }
 
 /// Whether times of a capture of this role are used.
@@ -46,6 +56,7 @@ impl Capture {
             first_pulse_ps: None,
             missing_template: false,
             has_reference: false,
+            sought: None,
             extent,
         }
     }
@@ -53,6 +64,7 @@ impl Capture {
     /// Takes the pulse that marks time zero of the next signal.
     pub fn take_reference(&mut self, context: &Context, columns: &TraceColumns, i: usize) {
         self.has_reference = true;
+        self.sought.get_or_insert_with(|| sought(columns, i));
         let Some(template) = context.template(&self.first) else {
             self.missing_template = true;
             return;
@@ -87,7 +99,7 @@ impl Capture {
         }
         let shots = self.ranges.get_mut(range).expect("put there if it was not");
         if !is_alike(&shots.first, columns, i) {
-            shots.other_scale += 1;
+            shots.rejected.other_scale += 1;
             return;
         }
         // A reference pulse that was not found, or is of another shot, leaves a shot without time.
@@ -97,13 +109,18 @@ impl Capture {
         };
         let clipped = columns.clipped.values()[i].max(0) as usize;
         let Some(reference) = timed else {
-            shots.rejected += 1;
-            shots.clipped += i32::from(clipped > 0 || reference_clipped);
+            let cause = if reference_clipped {
+                &mut shots.rejected.reference_clipped
+            } else {
+                &mut shots.rejected.without_reference
+            };
+            *cause += 1;
+            shots.rejected.at_rails += i32::from(clipped > 0 || reference_clipped);
             return;
         };
         let codes = <Codes as Cell>::get(&columns.codes, i);
         if !view(&shots.first.code_type, &codes).is_finite() {
-            shots.rejected += 1;
+            shots.rejected.not_a_number += 1;
             return;
         }
         shots.take(average, codes, columns.t0_ps.value(i), reference, clipped);
@@ -146,7 +163,7 @@ impl Capture {
 
     /// The capture's profile.
     pub fn finish(self, average: &Average, context: &Context) -> Result<Outcome<Profile>, StageError> {
-        let Self { first, ranges, missing_template, has_reference, .. } = self;
+        let Self { first, ranges, missing_template, has_reference, sought, .. } = self;
         if missing_template {
             return Err(StageError::Refused(context.without_template(&first)));
         }
@@ -155,22 +172,42 @@ impl Capture {
         if !first.is_reference && !has_reference && needs_reference(&first) && context.template(&first).is_some() {
             let why = "has no reference pulse, but the response captures of its sensor have; \
                  give its [[captures]] rule the `reference` too, or take it out of both";
-            return Ok(rejection(&first, why));
+            return Ok(Outcome::rejected(rejection(&first, why)));
         }
         let several = ranges.len() > 1;
         let place = |name: &Name| if several { format!("in its vertical range {name} ") } else { String::new() };
-        let record = |(name, shots): (Name, Shots)| {
-            shots.finish(average, several).map_err(|why| format!("{}{why}", place(&name)))
+        let (mut records, mut troubles) = (Vec::new(), Vec::new());
+        for (name, shots) in ranges {
+            let place = place(&name);
+            match shots.finish(average, several, sought.as_ref()) {
+                Ok((record, doubts)) => {
+                    records.push(record);
+                    troubles.extend(doubts.iter().map(|why| format!("{place}{why}")));
+                }
+                Err(why) => troubles.push(format!("{place}{why}")),
+            }
+        }
+        let record = match records.len() {
+            0 => None,
+            1 if !several => records.pop(),
+            _ => match record::merged(records, &|profile| context.latency(profile)) {
+                Ok((record, alone)) => {
+                    troubles.extend(alone);
+                    Some(record)
+                }
+                Err(why) => {
+                    troubles.push(why);
+                    None
+                }
+            },
         };
-        let records: Result<Vec<Record>, String> = ranges.into_iter().map(record).collect();
-        let record = records.and_then(|mut records| match records.len() {
-            0 => Err(format!("has no signal, but needs {} valid shots", average.shots_needed())),
-            1 => Ok(records.remove(0)),
-            _ => record::merged(records),
-        });
-        Ok(match record {
-            Ok(record) => Outcome::rows(vec![record.into_profile(context.period_ps(&first))]),
-            Err(why) => rejection(&first, &why),
+        if record.is_none() && troubles.is_empty() {
+            troubles.push(format!("has no signal, but needs {} valid shots", average.shots_needed()));
+        }
+        let rows = record.map(|record| record.into_profile(context.period_ps(&first)));
+        Ok(Outcome {
+            rejections: troubles.iter().map(|why| rejection(&first, why)).collect(),
+            ..Outcome::rows(rows.into_iter().collect())
         })
     }
 }

@@ -73,11 +73,11 @@ impl Histogram {
     pub fn finish(self, average: &Average) -> Outcome<Profile> {
         let first = &self.first;
         if self.records == 0 {
-            return rejection(first, "has no histogram");
+            return Outcome::rejected(rejection(first, "has no histogram"));
         }
         let counts: Option<Vec<i32>> = self.counts.iter().map(|&count| whole(count)).collect();
         let Some(counts) = counts else {
-            return rejection(first, "holds counts that are negative, not whole or above 2^31");
+            return Outcome::rejected(rejection(first, "holds counts that are negative, not whole or above 2^31"));
         };
         let quiet = &self.counts[..average.baseline_samples(first)];
         let baseline = quiet.iter().sum::<f64>() / quiet.len() as f64;

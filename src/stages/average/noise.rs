@@ -3,6 +3,7 @@
 
 use crate::signal::average::Mean;
 use crate::signal::codes::Codes;
+use crate::signal::dark::Dark;
 use crate::signal::noise;
 use crate::signal::noise_model::{self, NoiseModel};
 use crate::signal::shot_spread;
@@ -33,23 +34,23 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// Of `shots` with their `mean`, codes: their `stretches` without light, whose level is `level`, and which places
-    /// are `clear` of clipping.
+    /// Of `shots` with their `mean`, codes: their `stretches` of noise, the level without light, where each is `dark`,
+    /// and which places are `clear` of clipping.
     pub fn of(
         shots: &[(Codes<'_>, i64)],
         stretches: &[Vec<f64>],
         mean: &Mean,
         level: f64,
+        dark: &Dark,
         clear: &[bool],
         first: &Trace,
     ) -> Self {
         let noise = noise::estimate(stretches, ACF_LAGS);
         let gain_v = first.gain_v.abs();
         let model = (shots.len() >= MODEL_SHOTS_MIN).then(|| {
-            let baseline = stretches[0].len();
             let variance_v2 = |(square, clear): (f64, &bool)| if *clear { square * gain_v * gain_v } else { f64::NAN };
             let variance_v2: Vec<f64> =
-                shot_spread::spread(shots, mean, baseline).into_iter().zip(clear).map(variance_v2).collect();
+                shot_spread::spread(shots, mean, dark).into_iter().zip(clear).map(variance_v2).collect();
             let mean_v: Vec<f64> = mean.mean.iter().map(|code| (code - level) * gain_v).collect();
             let spread = noise_model::Spread {
                 mean_v: &mean_v,

@@ -9,15 +9,18 @@ use super::noise::Noise;
 use super::piece::Extent;
 use super::record::Record;
 use super::reference::{ReferencePulse, References};
+use super::rejected::{Account, Rejected, Sought};
 use super::{Average, Context};
 use crate::signal::average::{Mean, PHASES, PhaseSums};
 use crate::signal::codes::Codes as Samples;
+use crate::signal::dark::{self, Dark, Scale};
 use crate::signal::noise;
-use crate::signal::shot_spread::{HEAD_SHOTS, OutlierTest};
+use crate::signal::shot_spread::{self, HEAD_SHOTS, OutlierTest};
 use crate::tables::{Codes, Profile, Trace};
 
-/// Records of fewer samples are hardly ever meant.
-const SAMPLES_FEW: i32 = 100;
+/// What a record without a dark stretch has to do with its profile.
+const LIT: &str = "has no stretch without light as long as its baseline: the baseline is taken where the record varies least, which may be \
+     too high, and the noise from differences between shots; record more before the first light, or give `baseline_ps` for a shorter one";
 
 /// A record with its place on the grid.
 struct Shot {
@@ -26,6 +29,27 @@ struct Shot {
     reference: Option<ReferencePulse>,
     /// Samples at the rails.
     clipped: usize,
+}
+
+/// How the stretch without light is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Darkness {
+    /// It is the start of each record: the pipeline says so.
+    Given,
+    /// The start of each record, unless light is found there.
+    Sought,
+    /// Light may lie anywhere in a record, since it repeats.
+    Anywhere,
+}
+
+impl Darkness {
+    fn of(average: &Average, repeats: bool) -> Self {
+        match (repeats, average.baseline_ps.is_some()) {
+            (true, _) => Self::Anywhere,
+            (false, true) => Self::Given,
+            (false, false) => Self::Sought,
+        }
+    }
 }
 
 /// Sums of shots.
@@ -60,12 +84,14 @@ impl Tally {
 pub struct Shots {
     /// First signal row: scale and time base that all others must have.
     pub first: Trace,
-    /// Samples of the stretch without light.
-    baseline: usize,
-    /// Place where that stretch begins; absent: at the start of each record.
-    quiet: Option<i64>,
-    /// Whether light may lie anywhere in a record.
-    circular: bool,
+    /// The stretch without light.
+    dark: Dark,
+    /// How it is found.
+    darkness: Darkness,
+    /// No stretch was found without light.
+    is_lit: bool,
+    /// What noise leaves in the mean of so many first shots, where light is sought in that of all.
+    scale: Option<(usize, Scale)>,
     /// Variance of a record's time, ps^2, that no reference pulse takes off.
     trigger_ps2: f64,
     /// Shots that were kept until enough are there to judge outliers by.
@@ -80,10 +106,8 @@ pub struct Shots {
     cut: Tally,
     extent: Extent,
     clipping: Clipping,
-    pub rejected: i32,
-    /// Of these, clipped.
-    pub clipped: i32,
-    pub other_scale: i32,
+    /// Shots that do not count.
+    pub rejected: Rejected,
 }
 
 impl Shots {
@@ -91,9 +115,10 @@ impl Shots {
     pub fn new(average: &Average, context: &Context, first: Trace, extent: Extent) -> Self {
         let samples = first.samples as usize;
         Self {
-            baseline: average.baseline_samples(&first),
-            quiet: None,
-            circular: context.period_ps(&first).is_some(),
+            dark: Dark::at_start(average.baseline_samples(&first)),
+            darkness: Darkness::of(average, context.period_ps(&first).is_some()),
+            is_lit: false,
+            scale: None,
             trigger_ps2: context.trigger_ps2(&first) / f64::from(first.averaged_shots),
             head: Vec::new(),
             test: None,
@@ -103,9 +128,7 @@ impl Shots {
             cut: Tally::new(samples, extent),
             extent,
             clipping: Clipping::new(average, first.dt_ps),
-            rejected: 0,
-            clipped: 0,
-            other_scale: 0,
+            rejected: Rejected::default(),
             first,
         }
     }
@@ -136,8 +159,10 @@ impl Shots {
     fn add(&mut self, shot: &Shot) {
         let codes = view(&self.first.code_type, &shot.codes);
         if self.test.as_ref().is_some_and(|test| test.is_outlier(codes, shot.position)) {
-            self.rejected += 1;
-            self.clipped += i32::from(shot.clipped > 0);
+            let is_clipped = i32::from(shot.clipped > 0);
+            self.rejected.clipped += is_clipped;
+            self.rejected.outlying += 1 - is_clipped;
+            self.rejected.at_rails += is_clipped;
         } else if shot.clipped > 0 {
             self.clipping.mark(codes, shot.position, shot.clipped);
             self.cut.add(codes, shot);
@@ -155,13 +180,42 @@ impl Shots {
         let judges = head.iter().filter(|shot| clipping || shot.clipped == 0);
         let views: Vec<(Samples<'_>, i64)> =
             judges.map(|shot| (view(&code_type, &shot.codes), shot.position)).collect();
-        if average.reject_outliers {
-            self.test = OutlierTest::new(&views, self.baseline, average.outlier_sigma.get());
+        let before = self.rejected;
+        let Some((mut passed, mut mean)) = self.judge(average, &head, &views, clipping) else { return };
+        if self.darkness == Darkness::Sought && self.seek_dark(&passed, &mean) {
+            // By light in their baselines shots were judged wrongly.
+            (self.rejected, self.whole, self.cut) = (before, self.tally(), self.tally());
+            self.clipping.forget();
+            match self.judge(average, &head, &views, clipping) {
+                Some(judged) => (passed, mean) = judged,
+                None => return,
+            }
         }
-        let is_good = |(codes, position): &(Samples<'_>, i64)| {
+        if self.darkness == Darkness::Anywhere {
+            self.dark.place = Some(mean.first_position + noise::quietest(&mean.mean, self.dark.samples) as i64);
+        }
+        let stretches = self.stretches(&passed, &mean);
+        let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
+        let level = self.level(&mean);
+        self.noise = Some(Noise::of(&passed, &stretches, &mean, level, &self.baseline(), &clear, &self.first));
+        self.head_mean = (!clipping).then(|| (self.whole.sums.shots(), mean));
+    }
+
+    /// Adds the shots of the head that are not outlying; those of the `views` that pass, and their mean.
+    fn judge<'a>(
+        &mut self,
+        average: &Average,
+        head: &[Shot],
+        views: &[(Samples<'a>, i64)],
+        clipping: bool,
+    ) -> Option<(Vec<(Samples<'a>, i64)>, Mean)> {
+        if average.reject_outliers {
+            self.test = OutlierTest::new(views, self.baseline(), average.outlier_sigma.get());
+        }
+        let is_good = |(codes, position): &&(Samples<'_>, i64)| {
             !self.test.as_ref().is_some_and(|test| test.is_outlier(*codes, *position))
         };
-        let passed: Vec<(Samples<'_>, i64)> = views.into_iter().filter(is_good).collect();
+        let passed = views.iter().filter(is_good).copied().collect();
         head.iter().for_each(|shot| self.add(shot));
         // Those that passed, and no others, have been added up.
         let mean = if clipping {
@@ -171,36 +225,77 @@ impl Shots {
         } else {
             self.whole.sums.finish()
         };
-        let Some(mean) = mean else {
-            return;
-        };
-        if self.circular {
-            self.quiet = Some(mean.first_position + noise::quietest(&mean.mean, self.baseline) as i64);
-        }
-        let stretches: Vec<Vec<f64>> = passed.iter().map(|(codes, position)| self.stretch(*codes, *position)).collect();
-        let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
-        self.noise = Some(Noise::of(&passed, &stretches, &mean, self.level(&mean), &clear, &self.first));
-        self.head_mean = (!clipping).then(|| (self.whole.sums.shots(), mean));
+        Some((passed, mean?))
     }
 
-    /// Samples of a shot without light.
-    fn stretch(&self, codes: Samples<'_>, position: i64) -> Vec<f64> {
-        let latest = (codes.len() - self.baseline) as i64;
-        let start =
-            self.quiet.map_or(0, |quiet| (quiet - position.div_euclid(PHASES as i64)).clamp(0, latest) as usize);
-        codes.slice(start..start + self.baseline).to_f64()
+    /// Looks for light where the records are taken as dark, and for a stretch without. Returns whether there is a
+    /// better one than the start of each record.
+    fn seek_dark(&mut self, passed: &[(Samples<'_>, i64)], mean: &Mean) -> bool {
+        let samples = self.dark.samples.min(mean.mean.len());
+        let scale = Scale::of(passed, mean, &shot_spread::spread(passed, mean, &self.dark));
+        self.scale = Some((passed.len(), scale));
+        let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
+        let place = match dark::find(&mean.mean, &clear, samples, &scale) {
+            dark::Place::AtStart => return false,
+            dark::Place::At(place) => place,
+            dark::Place::Nowhere(place) => {
+                self.is_lit = true;
+                place
+            }
+        };
+        self.dark.place = Some(mean.first_position + place as i64);
+        true
+    }
+
+    /// The stretch by which shots are compared: light that repeats fills the start of all alike.
+    fn baseline(&self) -> Dark {
+        match self.darkness {
+            Darkness::Anywhere => Dark::at_start(self.dark.samples),
+            _ => self.dark,
+        }
+    }
+
+    fn tally(&self) -> Tally {
+        Tally::new(self.first.samples as usize, self.extent)
+    }
+
+    /// Samples of noise alone: of the shots where they are dark. Where they are dark nowhere, their differences from
+    /// the mean there.
+    fn stretches(&self, passed: &[(Samples<'_>, i64)], mean: &Mean) -> Vec<Vec<f64>> {
+        if !self.is_lit || passed.len() < 2 {
+            let stretch =
+                |(codes, position): &(Samples<'_>, i64)| codes.slice(self.dark.range(codes.len(), *position)).to_f64();
+            return passed.iter().map(stretch).collect();
+        }
+        let shots = passed.len() as f64;
+        // The mean has its share of each shot.
+        let scale = (shots / (shots - 1.0)).sqrt();
+        let differences = dark::differences(passed, mean).into_iter().zip(passed);
+        let stretch = |(mut difference, (_, position)): (Vec<f64>, &(Samples<'_>, i64))| {
+            // Differences begin where both shot and mean do.
+            let first = (*position).max(mean.first_position * PHASES as i64);
+            let range = self.dark.range(difference.len(), first);
+            difference = difference[range].to_vec();
+            difference.iter_mut().for_each(|value| *value *= scale);
+            difference
+        };
+        differences.map(stretch).collect()
     }
 
     /// Mean code without light.
     fn level(&self, mean: &Mean) -> f64 {
-        let count = self.baseline.min(mean.mean.len());
-        let latest = (mean.mean.len() - count) as i64;
-        let start = self.quiet.map_or(0, |quiet| (quiet - mean.first_position).clamp(0, latest) as usize);
-        mean.mean[start..start + count].iter().sum::<f64>() / count as f64
+        let dark = &mean.mean[self.dark.of_mean(mean)];
+        dark.iter().sum::<f64>() / dark.len() as f64
     }
 
-    /// The mean of all shots; of those with clipped samples only where there are `several` ranges.
-    pub fn finish(mut self, average: &Average, several: bool) -> Result<Record, String> {
+    /// The mean of all shots, and what is doubtful about it; of those with clipped samples only where there are
+    /// `several` ranges. `sought`: where the reference pulse was sought.
+    pub fn finish(
+        mut self,
+        average: &Average,
+        several: bool,
+        sought: Option<&Sought>,
+    ) -> Result<(Record, Vec<String>), String> {
         if self.noise.is_none() {
             self.close_head(average);
         }
@@ -209,45 +304,39 @@ impl Shots {
             self.whole.absorb(cut);
         } else {
             let cut = cut.sums.shots() as i32;
-            self.rejected += cut;
-            self.clipped += cut;
+            self.rejected.clipped += cut;
+            self.rejected.at_rails += cut;
         }
-        let (shots, needed) = (self.whole.sums.shots(), average.shots_needed());
-        if shots < u64::from(needed) {
-            return Err(self.too_few(shots, needed));
+        let (shots, rejected) = (self.whole.sums.shots(), self.rejected);
+        let account = |first, valid| Account { average, first, sought, rejected, valid };
+        if shots < u64::from(average.shots_needed()) {
+            return Err(account(&self.first, shots).too_few());
         }
         // Where no other shots came, the mean is there already.
         let of_head = self.head_mean.take().filter(|(of, _)| *of == shots).map(|(_, mean)| mean);
         let mean = of_head.or_else(|| self.whole.sums.finish()).zip(self.noise.take());
+        if let Some((mean, _)) = &mean {
+            self.seek_darker(mean, shots);
+        }
         let Some((mean, noise)) = mean else {
             return Err(
                 "has shots so far apart in time that none overlaps all others; check its reference channel and trigger"
                     .to_owned(),
             );
         };
-        Ok(self.record(&mean, &noise))
+        let mut doubts = Vec::from_iter(account(&self.first, shots).lost_many());
+        doubts.extend(self.is_lit.then(|| LIT.to_owned()));
+        Ok((self.record(&mean, &noise), doubts))
     }
 
-    /// Where the others went.
-    fn too_few(&self, shots: u64, needed: u32) -> String {
-        let Self { rejected, clipped, other_scale, .. } = *self;
-        let kinds = [
-            (clipped, "were clipped"),
-            (rejected - clipped, "were outlying, without reference pulse or not a number"),
-            (other_scale, "were of another scale, length or setting"),
-        ];
-        let gone: Vec<String> =
-            kinds.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
-        let gone = if gone.is_empty() { "no others were captured".to_owned() } else { gone.join(", ") };
-        let samples = self.first.samples;
-        let axes = if samples < SAMPLES_FEW && rejected + other_scale > samples {
-            format!(
-                " (more shots than the {samples} samples of each: are the axes of the array in the order shots, samples?)"
-            )
-        } else {
-            String::new()
-        };
-        format!("has {shots} valid shots of the {needed} that it needs; {gone}{axes}")
+    /// In the mean of all shots light shows that the first ones did not: the level is then taken elsewhere.
+    fn seek_darker(&mut self, mean: &Mean, shots: u64) {
+        let Some((of, scale)) = self.scale.filter(|(of, _)| shots > *of as u64 && !self.is_lit) else { return };
+        let samples = self.dark.samples.min(mean.mean.len());
+        let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
+        if let dark::Place::At(place) = dark::find(&mean.mean, &clear, samples, &scale.of_more(of, shots)) {
+            self.dark.place = Some(mean.first_position + place as i64);
+        }
     }
 
     fn record(self, mean: &Mean, noise: &Noise) -> Record {
@@ -270,8 +359,8 @@ impl Shots {
             run: first.run,
             range: first.range,
             shots: records as i32 * averaged_shots,
-            rejected: self.rejected + self.other_scale,
-            clipped: self.clipped,
+            rejected: self.rejected.total(),
+            clipped: self.rejected.at_rails,
             t0_ps: 0.0,
             dt_ps: first.dt_ps,
             mean_v: empty::<f64>().collect(),

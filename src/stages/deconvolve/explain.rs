@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::signal::response::Response;
-use crate::signal::sparse::{self, Pulse, SparseFit, SparseOptions, Unpiled};
-use crate::tables::Impulse;
+use crate::signal::sparse::{self, Pair, Pulse, SparseFit, SparseOptions, Unpiled};
+use crate::tables::{Impulse, ImpulsePair};
 
 /// How the response is undone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,8 +49,31 @@ impl Explained {
             width_ps: pulse.width_ps.hypot(pulse.tail_ps),
             evidence: pulse.evidence,
             misfit_sigma: pulse.misfit_sigma,
+            width_sd_ps: width_sd_ps(pulse),
+            pair: pulse.pair.as_ref().map(pair),
         };
         let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
         Self { impulses, covariance_ps2: fit.covariance_ps2.clone(), chi2_dof: fit.chi2_per_dof }
+    }
+}
+
+/// Of a Gaussian and the tail behind it together; `None` for a point.
+fn width_sd_ps(pulse: &Pulse) -> Option<f64> {
+    let width_ps = pulse.width_ps.hypot(pulse.tail_ps);
+    let parts = (pulse.width_ps * pulse.width_sd_ps).hypot(pulse.tail_ps * pulse.tail_sd_ps);
+    (width_ps > 0.0).then(|| parts / width_ps)
+}
+
+fn pair(pair: &Pair) -> ImpulsePair {
+    let [of_first, of_both, of_second] = pair.covariance_ps2;
+    ImpulsePair {
+        first_ps: pair.times_ps[0],
+        second_ps: pair.times_ps[1],
+        first_sd_ps: of_first.sqrt(),
+        second_sd_ps: of_second.sqrt(),
+        correlation: of_both / (of_first * of_second).sqrt(),
+        first_amplitude_v: pair.amplitudes_v[0],
+        second_amplitude_v: pair.amplitudes_v[1],
+        gain: pair.gain,
     }
 }

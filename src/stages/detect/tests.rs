@@ -1,7 +1,6 @@
 use super::*;
 use crate::signal::response::Response;
 use crate::signal::sparse::{self, Profile, SparseOptions};
-use crate::tables::Impulse;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -35,6 +34,8 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         width_ps: 0.0,
         evidence: fit.pulses[k].evidence,
         misfit_sigma: fit.pulses[k].misfit_sigma,
+        width_sd_ps: None,
+        pair: None,
     };
     Stir {
         campaign: "c".into(),

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::blocks::Blocks;
 use super::content::{self, FileDigests};
 use super::record::Record;
-use crate::campaign::{Axis, Campaign, Exposure, FileState, Role, Survey, closes_part, hash_file};
+use crate::campaign::{Axis, Campaign, Exposure, FileState, LeftOut, Role, closes_part, hash_file, left_out};
 use crate::formats;
 use crate::stages::source::SourcePart;
 use crate::stages::stage::StageError;
@@ -88,8 +88,8 @@ pub struct Surveyed<'a> {
     pub parts: Vec<Vec<Capture>>,
     /// The same as the runtime sees them.
     pub source_parts: Vec<SourcePart>,
-    /// What a user should know.
-    pub warnings: Vec<String>,
+    /// What the campaigns leave out.
+    pub left_out: Vec<LeftOut>,
     /// What is on record of the files of each campaign.
     pub records: Vec<Record>,
     /// Files that this run has read to their end, and hashed: reading another share of one need not read all of it.
@@ -105,13 +105,13 @@ impl<'a> Surveyed<'a> {
     /// When a folder cannot be read, rules contradict each other, or a sealed file has changed.
     pub fn new(campaigns: &'a [Campaign], roles: &[Role], notes: &Path) -> Result<Self, StageError> {
         let mut captures: BTreeMap<Order, Capture> = BTreeMap::new();
-        let mut warnings = Vec::new();
+        let mut left_out = Vec::new();
         let mut records = Vec::new();
         for (index, campaign) in campaigns.iter().enumerate() {
             let refused = |error: &dyn std::error::Error| StageError::Refused(chain(&campaign.root, error));
             let survey = campaign.survey().map_err(|error| refused(&error))?;
             let record = Record::load(campaign, notes).map_err(|error| refused(&error))?;
-            warn(campaign, &survey, &record, &mut warnings);
+            left_out.extend(left_out::left_out(&campaign.root, &survey, record.seal.as_ref()));
             let sealed =
                 |exposure: &Exposure| record.seal.as_ref().is_none_or(|seal| seal.get(&exposure.file).is_some());
             let mut exposures = survey.exposures;
@@ -129,7 +129,7 @@ impl<'a> Surveyed<'a> {
                 }
             }
         }
-        Self::of(campaigns, cut(campaigns, captures.into_values()), warnings, records)
+        Self::of(campaigns, cut(campaigns, captures.into_values()), left_out, records)
     }
 
     /// Of parts that were cut already.
@@ -139,14 +139,14 @@ impl<'a> Surveyed<'a> {
     pub fn of(
         campaigns: &'a [Campaign],
         parts: Vec<Vec<Capture>>,
-        warnings: Vec<String>,
+        left_out: Vec<LeftOut>,
         records: Vec<Record>,
     ) -> Result<Self, StageError> {
         let mut surveyed = Self {
             campaigns,
             parts,
             source_parts: Vec::new(),
-            warnings,
+            left_out,
             records,
             read: Mutex::default(),
             blocks: Arc::default(),
@@ -261,33 +261,6 @@ pub fn chain(root: &Path, error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(Some(error), |error| error.source());
     let texts: Vec<String> = causes.map(ToString::to_string).collect();
     format!("campaign {}: {}", root.display(), texts.join(": "))
-}
-
-/// What a user should know of a survey.
-fn warn(campaign: &Campaign, survey: &Survey, record: &Record, warnings: &mut Vec<String>) {
-    let place = campaign.root.display();
-    let mut list = |what: &str, files: Vec<String>| {
-        let more = if files.len() > 3 { ", ..." } else { "" };
-        if !files.is_empty() {
-            warnings.push(format!("{place}: {} {what}: {}{more}", files.len(), files[..files.len().min(3)].join(", ")));
-        }
-    };
-    let text = |file: &Path| file.display().to_string();
-    list("patterns of campaign.toml match no file", survey.empty.clone());
-    list(
-        "files match no rule of campaign.toml and are left out",
-        survey.unmatched.iter().map(|file| text(file)).collect(),
-    );
-    let missing =
-        survey.missing_references.iter().map(|missing| format!("{} (wanted {})", text(&missing.file), missing.wanted));
-    list("files are left out, since their reference is missing", missing.collect());
-    if let Some(seal) = &record.seal {
-        let new = survey.files().into_iter().filter(|file| seal.get(file).is_none());
-        list(
-            "files came since the campaign was sealed and are left out until `periscope seal --update`",
-            new.map(text).collect(),
-        );
-    }
 }
 
 /// Sensor, lit, seen.

@@ -1,27 +1,48 @@
 //! The rows of a solution: labels, hypotheses, and what was rejected.
 
-use super::sd_ps;
 use crate::geometry::hidden::{Hidden, Surface};
-use crate::geometry::labelling::{self, Medium, SensorProfiles, Verdict, Verdicts};
+use crate::geometry::labelling::{self, Loser, Medium, SensorProfiles, Solution, Verdict};
 use crate::priors::covariances;
 use crate::stages::stage::Rejection;
 use crate::tables::{Hypothesis, Label, Onset};
 
 /// Labels of the onsets that the profiles of all sensors were made of, in the same order.
-pub(super) fn labels(onsets: &[Onset], sensors: &[SensorProfiles], verdicts: Vec<Verdicts>) -> Vec<Label> {
-    let mediums = sensors.iter().flat_map(|sensor| {
-        let arrivals: usize = sensor.profiles.iter().map(|profile| profile.arrivals.len()).sum();
-        std::iter::repeat_n(sensor.medium, arrivals)
-    });
-    let verdicts = verdicts.into_iter().flatten().flatten();
-    let mut labels = Vec::new();
-    for ((onset, medium), verdicts) in onsets.iter().zip(mediums).zip(verdicts) {
-        labels.extend((0..).zip(verdicts).map(|(alternative, verdict)| label(onset, alternative, verdict, medium)));
+pub(super) fn labels(onsets: &[Onset], sensors: &[SensorProfiles], solution: Solution) -> Vec<Label> {
+    let Solution { verdicts, arrivals, losers, .. } = solution;
+    let profiles = sensors.iter().flat_map(|sensor| sensor.profiles.iter().map(|profile| (sensor.medium, profile)));
+    let solved = verdicts.into_iter().flatten().zip(arrivals.into_iter().flatten()).zip(losers.into_iter().flatten());
+    let (mut labels, mut first) = (Vec::new(), 0);
+    for ((medium, profile), ((verdicts, arrivals), losers)) in profiles.zip(solved) {
+        let of_profile = &onsets[first..first + profile.arrivals.len()];
+        first += of_profile.len();
+        let mut of_onsets = vec![Vec::new(); of_profile.len()];
+        for ((origin, arrival), verdicts) in arrivals.into_iter().zip(verdicts) {
+            let place = Place { part: origin.part, time_ps: arrival.time_ps, sd_ps: arrival.sd_ps };
+            let of_arrival = (0..).zip(verdicts).map(|(alternative, verdict)| (place, alternative, verdict));
+            of_onsets[origin.onset].extend(of_arrival);
+        }
+        for Loser { origin, time_ps, sd_ps, verdict } in losers {
+            let of_onset = &mut of_onsets[origin.onset];
+            let alternative = of_onset.iter().map(|(_, alternative, _)| alternative + 1).max().unwrap_or(0);
+            of_onset.push((Place { part: origin.part, time_ps, sd_ps }, alternative, verdict));
+        }
+        for (onset, rows) in of_profile.iter().zip(of_onsets) {
+            let row = |(place, alternative, verdict)| label(onset, place, alternative, verdict, medium);
+            labels.extend(rows.into_iter().map(row));
+        }
     }
     labels
 }
 
-fn label(onset: &Onset, alternative: i32, verdict: Verdict, medium: Medium) -> Label {
+/// An onset or a part of it, and when its light comes.
+#[derive(Clone, Copy)]
+struct Place {
+    part: i32,
+    time_ps: f64,
+    sd_ps: f64,
+}
+
+fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium: Medium) -> Label {
     Label {
         campaign: onset.campaign.clone(),
         sensor: onset.sensor.clone(),
@@ -29,8 +50,9 @@ fn label(onset: &Onset, alternative: i32, verdict: Verdict, medium: Medium) -> L
         seen: onset.seen,
         range: onset.range.clone(),
         rank: onset.rank,
-        time_ps: onset.time_ps + medium.turns_ps(verdict.turns),
-        time_sd_ps: sd_ps(onset).hypot(verdict.blend_sd_ps),
+        part: place.part,
+        time_ps: place.time_ps + medium.turns_ps(verdict.turns),
+        time_sd_ps: place.sd_ps.hypot(verdict.blend_sd_ps),
         turns: verdict.turns,
         bounces: verdict.path.as_deref().map_or(0, crate::path::bounces),
         path: verdict.path,

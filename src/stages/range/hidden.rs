@@ -46,7 +46,7 @@ impl Places {
             }
         }
         if points.is_empty() {
-            let text = "with patches: no patch has a covariance, so nobody knows how far off its legs may be; give patches from `refine`";
+            let text = "with patches: no patch has a covariance, so its legs cannot be weighted: these are start values (give patches from `refine`), or too few pairs determine them (`rejects` has the missing ones)";
             return Err(StageError::Refused(text.to_owned()));
         }
         let covariances = PatchCovariances::new(&beside.rows("covariances")?.unwrap_or_default());
@@ -107,6 +107,11 @@ impl Thirds {
     /// No third bounce yet.
     pub fn new() -> Self {
         Self { thirds: Vec::new(), stations: Vec::new() }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.thirds.is_empty()
     }
 
     /// Adds a label with such a path.

@@ -15,6 +15,7 @@ fn labels(sensor: &str, apart_m: f64, paths: &[&[PatchId]]) -> Vec<Label> {
             seen,
             range: None,
             rank: 1,
+            part: 0,
             time_ps: units::time_ps(f64::from(lit) + legs + f64::from(seen).hypot(apart_m), 1.0),
             time_sd_ps: 1.0,
             turns: 0,
@@ -30,9 +31,14 @@ fn labels(sensor: &str, apart_m: f64, paths: &[&[PatchId]]) -> Vec<Label> {
 
 /// What `range` takes from the campaign of these sensors, by station, and of visible patches 1 to 4.
 fn context(sensors: &[(&str, &str)]) -> Result<Context, StageError> {
+    context_with(sensors, "")
+}
+
+/// The same, with more lines under `[patches.4]`.
+fn context_with(sensors: &[(&str, &str)], of_patch_4: &str) -> Result<Context, StageError> {
     let sensor = |(name, station): &(&str, &str)| format!("[sensors.{name}]\nstation = '{station}'\n");
     let text = format!(
-        "[campaign]\nname = 'c'\ngroup_index = 1.0\n[stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [0.3, 0.0, 0.0]\n{}{}",
+        "[campaign]\nname = 'c'\ngroup_index = 1.0\n[stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [0.3, 0.0, 0.0]\n{}{of_patch_4}{}",
         [1, 2, 3, 4].map(|patch| format!("[patches.{patch}]\nrole = 'visible'\n")).concat(),
         sensors.iter().map(sensor).collect::<String>()
     );
@@ -93,4 +99,35 @@ fn every_patch_without_first_bounce_is_told_of_once() {
     for (reason, parts) in reasons.iter().zip(expected) {
         assert!(parts.iter().all(|part| reason.contains(part)), "{reason}");
     }
+}
+
+/// An anchor whose own light was gated away: it has no distance, and needs none.
+#[test]
+fn anchors_without_a_bounce_are_no_fault() {
+    let paths: [&[PatchId]; 7] = [&[1], &[2], &[3], &[1, 2], &[1, 3], &[2, 3], &[1, 4]];
+    let sensor = [("near", "laser")];
+    let of_patch_4 = |more: &str| {
+        let context = context_with(&sensor, more).unwrap();
+        let outcome = Range {}.apply(&context, labels("near", 0.0, &paths)).unwrap();
+        reasons(&outcome).iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    assert_eq!(of_patch_4("position_m = [0.0, 0.0, 4.0]\n"), Vec::<String>::new());
+    assert_eq!(of_patch_4("").len(), 1, "without a position it is one");
+}
+
+/// Patch 4 has its own bounce and one pair: what is missing is named here, and not where its position is asked for.
+#[test]
+fn a_patch_with_too_few_pairs_is_named_with_those_that_are_missing() {
+    let paths: [&[PatchId]; 8] = [&[1], &[2], &[3], &[4], &[1, 2], &[1, 3], &[2, 3], &[4, 1]];
+    let with = |more: &str| {
+        let context = context_with(&[("near", "laser")], more).unwrap();
+        let outcome = Range {}.apply(&context, labels("near", 0.0, &paths)).unwrap();
+        reasons(&outcome).iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    let [reason] = &with("")[..] else { panic!("{:?}", with("")) };
+    for part in ["patch 4 has distances to 2 others", "(4, 2) (2, 4) (4, 3) (3, 4)", "capture at least 1 of them"] {
+        assert!(reason.contains(part), "{reason}");
+    }
+    let given = ["position_m = [0.0, 0.0, 4.0]\n", "ray = { from = 'laser', direction = [0.0, 0.0, 1.0] }\n"];
+    given.iter().for_each(|more| assert_eq!(with(more), Vec::<String>::new()));
 }

@@ -74,6 +74,11 @@ impl Context {
         })
     }
 
+    /// Whether there are patches to start from, and all of them have a covariance: no onset needs to place them.
+    pub fn are_all_placed(&self) -> bool {
+        !self.start.is_empty() && self.start.values().all(|patch| patch.sd_m.is_some())
+    }
+
     /// The fields whose frame holds: those of the first campaign.
     pub fn first(&self) -> &Fields {
         self.fields.first().expect("a run has a campaign")

@@ -72,13 +72,14 @@ impl<'a> Model<'a> {
         self.context.fields.of(&label.campaign)
     }
 
-    /// How light reaches a patch.
+    /// How light reaches a patch. An anchor has a place in campaign.toml and a role there: that no label has it as lit
+    /// or seen, since its first light was gated away, makes it no hidden patch.
     pub fn kind(&self, patch: PatchId) -> &'static str {
-        let is_mirror =
-            |fields: &Fields| fields.patches.get(&patch).is_some_and(|prior| prior.role == PatchRole::Mirror);
-        if self.context.fields.values().any(is_mirror) {
+        let priors = || self.context.fields.values().filter_map(|fields| fields.patches.get(&patch));
+        let is_anchor = |prior: &PatchPrior| prior.position_m.is_some() && prior.role == PatchRole::Visible;
+        if priors().any(|prior| prior.role == PatchRole::Mirror) {
             "mirror"
-        } else if self.visible.contains(&patch) {
+        } else if self.visible.contains(&patch) || priors().any(is_anchor) {
             "visible"
         } else {
             "hidden"

@@ -50,6 +50,7 @@ impl<'a> Day<'a> {
             seen: path[path.len() - 1],
             range: range.map(Name::from),
             rank: 1,
+            part: 0,
             time_ps: time_ps(way_m + (self.sensor - end).norm(), 1.0) + late_ps + SD_PS * noise,
             time_sd_ps: SD_PS,
             turns: 0,
@@ -310,4 +311,25 @@ fn hidden_patches_are_placed_from_nothing_by_third_bounces_and_kinds_are_told() 
     let positions = points(&rows.patches, 0);
     assert!(procrustes::rotation(&positions, &room, Point::origin(), true).rms_m < 1e-3);
     assert!(rows.patches[9..].iter().all(|patch| patch.sd_m.unwrap() < 0.002));
+}
+
+/// A point of the wall whose own light was gated away, met by third bounces alone: given, and so not hidden.
+#[test]
+fn an_anchor_that_no_label_has_as_lit_or_seen_is_not_hidden() {
+    let points = room();
+    let mut day = Day::new(&points[..11], 3).all(|_, _| true);
+    day.points = &points;
+    for path in [[1, 12, 2], [2, 12, 3], [3, 12, 4], [4, 12, 5], [5, 12, 6]] {
+        day.add(&path, "s1", None, 0.0);
+    }
+    let kind = |campaign: &str| {
+        let rows = refined(&context(campaign, vec![latency(None, 0.0, 0.0)]), day.labels.clone());
+        rows.patches.iter().find(|row| row.patch == 12 && row.alternative == 0).unwrap().kind.to_string()
+    };
+    let at = points[11];
+    let anchor = |role: &str| {
+        format!("{CAMPAIGN}[patches.12]\nposition_m = [{:?}, {:?}, {:?}]\nrole = '{role}'\n", at.x, at.y, at.z)
+    };
+    assert_eq!((kind(CAMPAIGN).as_str(), kind(&anchor("visible")).as_str()), ("hidden", "visible"));
+    assert_eq!(kind(&anchor("hidden")), "hidden", "campaign.toml has the last word");
 }

@@ -67,6 +67,7 @@ impl Model {
                         seen: onset.seen,
                         range: onset.range.clone(),
                         rank: onset.rank,
+                        part: 0,
                         time_ps: self.medium.time_ps(of.lengths_m[strips[strip]]),
                         time_sd_ps: onset.time_sd_ps.hypot(onset.jitter_ps),
                         turns: *turns,

@@ -65,3 +65,16 @@ fn every_reader_is_fuzzed() {
         assert!(manifest.contains(&target), "tests/fuzz/Cargo.toml has no [[bin]] with {target}");
     }
 }
+
+/// The macros of the standard library panic where nothing reads what they print.
+#[test]
+fn no_code_prints_into_a_closed_pipe() {
+    for source in code("src/") {
+        let prints = |path: &&Vec<String>| {
+            path.last().is_some_and(|name| ["print", "println", "eprint", "eprintln"].contains(&name.as_str()))
+        };
+        // `commands::output::print` is ours.
+        let named = source.paths.iter().find(|path| prints(path) && path.len() == 1 && path[0] != "print");
+        assert!(named.is_none(), "{} names {named:?}; commands/output.rs prints", source.file);
+    }
+}

@@ -11,7 +11,7 @@ pub enum Edit {
     Empty(&'static str),
     /// This file holds these bytes.
     Write(&'static str, &'static [u8]),
-    /// This file ends after so many bytes.
+    /// This file ends after this number of bytes.
     Cut(&'static str, u64),
     /// This folder comes a second time, as that.
     Copy(&'static str, &'static str),
@@ -22,7 +22,7 @@ pub enum Edit {
 }
 use Edit::{Append, Copy, Cut, Empty, Replace, Spoil, Transpose};
 
-/// A mistake, the command that meets it, and words of the answer: the place, and the mend.
+/// A mistake, the command that meets it, and words of the answer: the place, and the fix.
 pub struct Mistake(pub &'static [Edit], pub &'static str, pub &'static str, pub &'static str);
 
 const CAMPAIGN: &str = "campaign/campaign.toml";
@@ -35,7 +35,13 @@ const SCENE_REFERENCE: &str = "reference = { files = \"raw/scene/{sensor}_L{lit}
 pub const MISTAKES: &[Mistake] = &[
     // What stands on the command line.
     Mistake(&[], "run pipelin.toml --campaign campaign --out new", "pipelin.toml", "did you mean `pipeline.toml`?"),
-    Mistake(&[], "run campaign --campaign campaign --out new", "pipeline campaign", "it is a folder"),
+    Mistake(&[], "run campaign", "campaign is a campaign", "`periscope run --campaign campaign`"),
+    Mistake(&[], "run arrays --campaign campaign", "arrays is a campaign", "`periscope run --campaign arrays`"),
+    Mistake(&[], "run ./campaign/raw --campaign campaign --out new", "pipeline ./campaign/raw", "it is a folder"),
+    Mistake(&[], "run visibel --campaign campaign", "unknown pipeline `visibel`", "did you mean `visible`?"),
+    Mistake(&[], "run pipelines/visible.toml --campaign campaign", "pipelines/visible.toml", "write `visible`"),
+    Mistake(&[], "pipelines mirrors", "unknown pipeline `mirrors`", "did you mean `mirror`?"),
+    Mistake(&[], "run --campaign campaign --campaign arrays", "2 campaigns", "--out DIR"),
     Mistake(
         &[],
         "run campaign/campaign.toml --campaign campaign --out new",
@@ -259,7 +265,7 @@ pub const MISTAKES: &[Mistake] = &[
         &[Edit::Write("campaign/raw/scene/s1_L1_P2_C1 (1).trc", b"a copy")],
         RUN,
         "s1_L1_P2_C1 (1).trc",
-        "match no rule of campaign.toml",
+        "matches no rule of campaign.toml",
     ),
     Mistake(
         &[Replace(CAMPAIGN, "path_m = 1.0", "samples = [0, 5000]\npath_m = 1.0")],
@@ -286,7 +292,7 @@ pub const MISTAKES: &[Mistake] = &[
         "arrays/raw/response/s1_C1.npy",
         "such as segments = \"shot\"",
     ),
-    Mistake(&[Spoil("arrays/raw/scene/s1_L1_P2_C1.npy")], RUN_ARRAYS, "raw/scene/s1_L1_P2_C1.npy", "not a number"),
+    Mistake(&[Spoil("arrays/raw/scene/s1_L1_P2_C1.npy")], RUN_ARRAYS, "raw/scene/s1_L1_P2_C1.npy", "no number"),
     // The pipeline.
     Mistake(
         &[Replace("pipeline.toml", "stage = \"detect\"", "stage = \"detct\"")],

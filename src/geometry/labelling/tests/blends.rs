@@ -17,7 +17,7 @@ fn added_ps(time_ps: f64, is_resolved: bool) -> f64 {
     let prediction =
         |inner: PatchId, time_ps: f64| Prediction { path: path(inner), turns: 0, time: Time { time_ps, sd_ps: 0.5 } };
     let predictions = [prediction(3, OWN_PS), prediction(4, OTHER_PS)];
-    let arrival = |time_ps: f64| Arrival { time_ps, sd_ps: SD_PS, snr: 20.0 };
+    let arrival = |time_ps: f64| Arrival::point(time_ps, SD_PS, 20.0);
     let mut arrivals = vec![arrival(time_ps)];
     let candidate = |path: usize| vec![Candidate { path, residual_ps: 0.0, probability: 1.0 }];
     let mut candidates = vec![candidate(0)];

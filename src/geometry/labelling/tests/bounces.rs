@@ -95,7 +95,7 @@ impl Lit {
             made.extend(arrivals.into_iter().map(|(time_ps, path)| Made {
                 lit,
                 seen: last,
-                arrival: Arrival { time_ps, sd_ps, snr: 20.0 },
+                arrival: Arrival::point(time_ps, sd_ps, 20.0),
                 path,
                 turns: 0,
             }));

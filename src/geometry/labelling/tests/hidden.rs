@@ -24,13 +24,7 @@ fn made(points: &[Point], seed: u64, other_m: impl Fn(Point, Point) -> f64) -> V
             for between_m in [(a - b).norm(), other_m(*a, *b)] {
                 let noise: f64 = StandardNormal.sample(&mut rng);
                 let time_ps = units::time_ps(ends_m + between_m, 1.0) + SD_PS * noise;
-                made.push(Made {
-                    lit,
-                    seen,
-                    arrival: Arrival { time_ps, sd_ps: SD_PS, snr: 10.0 },
-                    path: None,
-                    turns: 0,
-                });
+                made.push(Made { lit, seen, arrival: Arrival::point(time_ps, SD_PS, 10.0), path: None, turns: 0 });
             }
         }
     }

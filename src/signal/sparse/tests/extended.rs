@@ -98,3 +98,75 @@ fn a_tail_does_not_move_the_centroid() {
     }
     assert!((0.65..1.4).contains(&rms(&pulls)), "{}", rms(&pulls));
 }
+
+/// Chi2 of pulses `(time, sd)` of the best amplitudes, and a baseline, computed from scratch: normal equations by
+/// elimination.
+fn chi2_of(shape: &Shape, y: &[f64], sd: f64, pulses: &[(f64, f64)]) -> f64 {
+    let mut columns: Vec<Vec<f64>> =
+        pulses.iter().map(|(at, width)| spread(shape, *at, *width, 0.0, y.len())).collect();
+    columns.push(vec![1.0; y.len()]);
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let mut rest = y.to_vec();
+    // Orthogonal columns one by one: what is left of the data is the residual.
+    for k in 0..columns.len() {
+        for j in 0..k {
+            let (share, other) = (dot(&columns[j], &columns[k]) / dot(&columns[j], &columns[j]), columns[j].clone());
+            columns[k].iter_mut().zip(&other).for_each(|(v, o)| *v -= share * o);
+        }
+        let share = dot(&columns[k], &rest) / dot(&columns[k], &columns[k]);
+        rest.iter_mut().zip(&columns[k]).for_each(|(r, v)| *r -= share * v);
+    }
+    dot(&rest, &rest) / (sd * sd)
+}
+
+/// Two points that are taken for one wide pulse: the pair beside it is the best of a grid, its gain what chi2 says from
+/// scratch, its times are where the points are, as surely as it says.
+#[test]
+fn the_pair_beside_a_wide_pulse_is_the_best_two_points() {
+    let mut rng = ChaCha8Rng::seed_from_u64(44);
+    let sd = 0.02;
+    for (shape, apart) in [(gaussian(), 110.0), (exponential(), 70.0)] {
+        let (mut pulls, mut sums, mut count) = (Vec::new(), Vec::new(), 0);
+        for draw in 0..120 {
+            let at = 3000.0 + rng.random_range(0.0..DT_PS);
+            let y = with_noise(&clean(&shape, &[(at, 1.0), (at + apart, 0.8)], 0.1, 120), sd, &mut rng);
+            let solution = fit_white(&shape, &y, sd, &extended(200.0));
+            let [pulse] = solution.pulses[..] else { continue };
+            let Some(pair) = pulse.pair else { continue };
+            count += 1;
+            let [first, both, second] = pair.covariance_ps2;
+            assert!(first * second > both * both && pair.times_ps[0] < pair.times_ps[1]);
+            assert!(pair.amplitudes_v.iter().all(|amplitude| *amplitude > 0.0));
+            let errors = [pair.times_ps[0] - at, pair.times_ps[1] - at - apart];
+            pulls.extend([errors[0] / first.sqrt(), errors[1] / second.sqrt()]);
+            sums.push((errors[1] - errors[0]) / (first + second - 2.0 * both).sqrt());
+            if draw < 6 && pulse.tail_ps == 0.0 {
+                let points = pair.times_ps.map(|time_ps| (time_ps, 0.0));
+                let own = chi2_of(&shape, &y, sd, &points);
+                let gain = chi2_of(&shape, &y, sd, &[(pulse.time_ps, pulse.width_ps)]) - own;
+                assert!((gain - pair.gain).abs() < 0.05 + 1e-3 * own, "{}: {gain} {}", shape.name, pair.gain);
+                for (a, b) in (0..18).flat_map(|a| (0..18).map(move |b| (a, b))) {
+                    let times = [pulse.time_ps - 10.0 * f64::from(a), pulse.time_ps + 10.0 * f64::from(b) + 5.0];
+                    assert!(chi2_of(&shape, &y, sd, &times.map(|time_ps| (time_ps, 0.0))) > own - 0.05);
+                }
+            }
+        }
+        println!("{}: {count} wide of 120, times / sd {:.3}, distance / sd {:.3}", shape.name, rms(&pulls), rms(&sums));
+        assert!(count >= 60, "{}: {count}", shape.name);
+        assert!((0.7..1.3).contains(&rms(&pulls)) && rms(&sums) < 1.5, "{}", shape.name);
+    }
+}
+
+/// Points have no pair beside them, nor has light of any sign.
+#[test]
+fn only_wide_pulses_have_a_pair() {
+    let mut rng = ChaCha8Rng::seed_from_u64(45);
+    let shape = gaussian();
+    let y = with_noise(&spread(&shape, 3010.0, 60.0, 0.0, 120), 0.005, &mut rng);
+    let points = fit_white(&shape, &y, 0.005, &SparseOptions::default());
+    assert!(points.pulses.iter().all(|pulse| pulse.pair.is_none()));
+    let signed = fit_white(&shape, &y, 0.005, &SparseOptions { signed: true, ..extended(200.0) });
+    assert!(signed.pulses.iter().all(|pulse| pulse.pair.is_none()));
+    let wide = fit_white(&shape, &y, 0.005, &extended(200.0));
+    assert!(wide.pulses.len() == 1 && wide.pulses[0].pair.is_some(), "{wide:?}");
+}

@@ -3,6 +3,7 @@
 use super::super::Average;
 use super::super::piece::{exact, nothing};
 use super::super::reference::ReferencePulse;
+use super::super::rejected::Rejected;
 use super::{Shots, Tally};
 use crate::signal::average::PhaseSum;
 use crate::tables::Subtotal;
@@ -23,7 +24,7 @@ impl Shots {
         (self.whole, self.cut) = (Tally::new(samples, self.extent), Tally::new(samples, self.extent));
         self.head_mean = None;
         self.clipping.forget();
-        (self.rejected, self.clipped, self.other_scale) = (0, 0, 0);
+        self.rejected = Rejected::default();
     }
 
     /// What a piece adds up to: for shots of either kind a row of counts, and one a phase.
@@ -56,17 +57,29 @@ impl Shots {
         }
         // What is counted for both kinds together stands in the first row.
         subtotals[0].clipped_places = self.clipping.places().collect();
-        subtotals[0].rejected = i64::from(self.rejected);
-        subtotals[0].clipped = i64::from(self.clipped);
-        subtotals[0].other_scale = i64::from(self.other_scale);
+        let Rejected { clipped, outlying, reference_clipped, without_reference, not_a_number, other_scale, at_rails } =
+            self.rejected;
+        subtotals[0].clipped = i64::from(clipped);
+        subtotals[0].outlying = i64::from(outlying);
+        subtotals[0].reference_clipped = i64::from(reference_clipped);
+        subtotals[0].without_reference = i64::from(without_reference);
+        subtotals[0].not_a_number = i64::from(not_a_number);
+        subtotals[0].other_scale = i64::from(other_scale);
+        subtotals[0].at_rails = i64::from(at_rails);
         Ok(subtotals)
     }
 
     /// Adds a row of what the next piece adds up to.
     pub fn absorb(&mut self, subtotal: Subtotal) -> Result<(), String> {
-        self.rejected += subtotal.rejected as i32;
-        self.clipped += subtotal.clipped as i32;
-        self.other_scale += subtotal.other_scale as i32;
+        self.rejected.absorb(Rejected {
+            clipped: subtotal.clipped as i32,
+            outlying: subtotal.outlying as i32,
+            reference_clipped: subtotal.reference_clipped as i32,
+            without_reference: subtotal.without_reference as i32,
+            not_a_number: subtotal.not_a_number as i32,
+            other_scale: subtotal.other_scale as i32,
+            at_rails: subtotal.at_rails as i32,
+        });
         self.clipping.absorb(subtotal.clipped_places);
         let tally = if subtotal.is_cut { &mut self.cut } else { &mut self.whole };
         let pulses = subtotal.reference_ps.iter().zip(&subtotal.reference_sd_ps).zip(&subtotal.reference_v_ps);

@@ -37,6 +37,7 @@ fn label(points: &BTreeMap<PatchId, Point>, name: &str, path: &[PatchId], late_p
         seen: path[path.len() - 1],
         range: None,
         rank: 1,
+        part: 0,
         time_ps: units::time_ps(way_m + (sensor(name) - end).norm(), 1.0) + late_ps,
         time_sd_ps: SD_PS,
         turns: 0,

@@ -1,0 +1,300 @@
+//! `conclude`: what a solution rests on: each choice that was made on the way, its evidence and its runner-up.
+//!
+//! No number is computed anew. The stage collects what the other stages measured, and says it in one place:
+//!
+//! | what | from |
+//! |---|---|
+//! | fit | chi-square of `fits`: whether the model explains the onsets |
+//! | labels | onsets with a path, and without one |
+//! | hidden patches | `hypotheses`: those accepted, and the likeliest one that was not |
+//! | walls | `hypotheses` that are planes |
+//! | other solutions | `ambiguities`: mirror images, flips, loose parts, with their likelihoods |
+//! | frame | `fits.frame`: what fixes it |
+//! | footprints | `planes`: whether large patches have a normal |
+//! | pulse shapes | onsets that are wider than the response, and how many blend |
+//! | vertical ranges | onsets by range |
+//!
+//! A fit whose chi-square exceeds its degrees of freedom by more than four of its standard deviations is `not
+//! explained`: its error bars are then too small, and the first row says so.
+//!
+//! Takes `patches`; writes `decisions`. Beside it `fits` and `ambiguities` (of the same `refine`), `labels` and
+//! `onsets`; optional `hypotheses` and `planes`.
+//!
+//! ```toml
+//! [decisions]
+//! stage = "conclude"
+//! from = "patches"
+//! with.fits = "patches.fits"
+//! with.ambiguities = "patches.ambiguities"
+//! with.labels = "labels"
+//! with.hypotheses = "labels.hypotheses"
+//! with.onsets = "onsets"
+//! with.planes = "planes"
+//! ```
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
+use crate::campaign::Campaign;
+use crate::tables::{Ambiguity, Decision, Fit, Hypothesis, Label, Name, Onset, Patch, Plane};
+
+/// Chi-square this many of its standard deviations above its degrees of freedom is not that of a right model.
+const UNLIKELY: f64 = 4.0;
+
+/// Parameters of `conclude`: none.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Conclude {}
+
+/// The tables that the choices stand in.
+pub struct Context {
+    fits: Vec<Fit>,
+    ambiguities: Vec<Ambiguity>,
+    labels: Vec<Label>,
+    hypotheses: Vec<Hypothesis>,
+    onsets: Vec<Onset>,
+    planes: Vec<Plane>,
+}
+
+impl Stage for Conclude {
+    const KIND: &'static str = "conclude";
+    const VERSION: u32 = 1;
+    const GRAIN: Grain = Grain::All;
+    const BESIDE: &'static [Beside] = &[
+        Beside { name: "fits", table: "fits", required: true },
+        Beside { name: "ambiguities", table: "ambiguities", required: true },
+        Beside { name: "labels", table: "labels", required: true },
+        Beside { name: "onsets", table: "onsets", required: true },
+        Beside { name: "hypotheses", table: "hypotheses", required: false },
+        Beside { name: "planes", table: "planes", required: false },
+    ];
+    type Input = Patch;
+    type Output = Decision;
+    type Fields = ();
+    type Context = Context;
+
+    fn fields(&self, _: &[Campaign]) {}
+
+    fn context(&self, (): (), beside: &BesideTables) -> Result<Context, StageError> {
+        Ok(Context {
+            fits: beside.rows("fits")?.unwrap_or_default(),
+            ambiguities: beside.rows("ambiguities")?.unwrap_or_default(),
+            labels: beside.rows("labels")?.unwrap_or_default(),
+            hypotheses: beside.rows("hypotheses")?.unwrap_or_default(),
+            onsets: beside.rows("onsets")?.unwrap_or_default(),
+            planes: beside.rows("planes")?.unwrap_or_default(),
+        })
+    }
+}
+
+impl Apply for Conclude {
+    fn apply(&self, context: &Context, patches: Vec<Patch>) -> Result<Outcome<Decision>, StageError> {
+        // An empty result is reported where its rows were lost.
+        if patches.is_empty() {
+            return Ok(Outcome::rows(Vec::new()));
+        }
+        let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
+        let mut decisions = vec![context.fit(), context.labelled(), context.hidden(&best)];
+        decisions.extend(context.walls());
+        // The row of the frame says what a free rotation means.
+        decisions.extend(context.ambiguities.iter().filter(|one| &*one.kind != "rotation").map(other_solution));
+        decisions.extend([context.frame(), context.footprints(&best), context.pulse_shapes()]);
+        decisions.extend(context.ranges());
+        for (number, decision) in (1..).zip(&mut decisions) {
+            decision.decision = number;
+        }
+        Ok(Outcome::rows(decisions))
+    }
+}
+
+impl Context {
+    fn best_fit(&self) -> Option<&Fit> {
+        self.fits.iter().find(|fit| fit.alternative == 0)
+    }
+
+    /// Whether the model explains the onsets.
+    fn fit(&self) -> Decision {
+        let Some(fit) = self.best_fit() else {
+            return decision(
+                "fit",
+                "anchors as given",
+                "no onset has a path over them alone; their places are those of campaign.toml",
+                "captures in which their own light is not gated away",
+            );
+        };
+        let freedom = f64::from(fit.degrees_of_freedom);
+        let limit = freedom + UNLIKELY * (2.0 * freedom).sqrt();
+        let evidence = format!("chi-square {:.1} of {} degrees of freedom", fit.chi2, fit.degrees_of_freedom);
+        if fit.degrees_of_freedom < 1 {
+            let more = "one onset more than unknowns; nothing checks this fit";
+            return decision("fit", "unchecked", &evidence, more);
+        }
+        if fit.chi2 <= limit {
+            return decision("fit", "explained", &evidence, &format!("a chi-square above {limit:.1}"));
+        }
+        let text = "right labels or a better instrument response; `suspects` lists the onsets that contradict the fit";
+        decision("fit", "not explained: standard deviations are too small", &evidence, text)
+    }
+
+    /// How many onsets have a path.
+    fn labelled(&self) -> Decision {
+        let best = || self.labels.iter().filter(|label| label.alternative == 0);
+        let (all, open) = (best().count(), best().filter(|label| label.path.is_none()).count());
+        let mut orders = BTreeMap::<i32, usize>::new();
+        best().filter(|label| label.path.is_some()).for_each(|label| *orders.entry(label.bounces).or_default() += 1);
+        let orders: Vec<String> = orders.iter().map(|(order, count)| format!("{count} of {order} bounces")).collect();
+        Decision {
+            runner_up: (open > 0).then(|| format!("{open} without a path").into()),
+            ..decision(
+                "labels",
+                &format!("{} of {all} onsets have a path", all - open),
+                &if orders.is_empty() { "no path explains an onset".to_owned() } else { orders.join(", ") },
+                "patches or walls that the model does not have",
+            )
+        }
+    }
+
+    /// Which patches lie hidden, and which place was not accepted as one.
+    fn hidden(&self, patches: &[&Patch]) -> Decision {
+        let places = || self.hypotheses.iter().filter(|place| &*place.kind == "patch" && place.alternative == 0);
+        let accepted: Vec<&Hypothesis> = places().filter(|place| place.patch.is_some()).collect();
+        let count = patches.iter().filter(|patch| &*patch.kind == "hidden").count();
+        let weakest = accepted.iter().map(|place| place.evidence).reduce(f64::min);
+        let needed = self.hypotheses.first().map(|place| place.evidence_needed);
+        let evidence = match (weakest, needed) {
+            (Some(weakest), Some(needed)) => format!("least log Bayes factor {weakest:.1}, {needed:.1} is needed"),
+            _ => "no onset is left that a hidden patch would explain".to_owned(),
+        };
+        let chosen = if count == 0 { "none".to_owned() } else { format!("{count} accepted") };
+        let declined = places().find(|place| place.patch.is_none());
+        let Some(place) = declined else {
+            return decision("hidden patches", &chosen, &evidence, "onsets that no path explains");
+        };
+        let shots = place.shots_needed.map(|shots| format!("about {shots:.0} shots per capture would show it"));
+        Decision {
+            runner_up: Some(
+                format!(
+                    "one more at ({:.3}, {:.3}, {:.3}) m, log Bayes factor {:.1}",
+                    place.x_m, place.y_m, place.z_m, place.evidence
+                )
+                .into(),
+            ),
+            ..decision("hidden patches", &chosen, &evidence, &shots.unwrap_or_else(|| "more shots".to_owned()))
+        }
+    }
+
+    /// Planes that reflect light and are no patches.
+    fn walls(&self) -> Option<Decision> {
+        let walls: Vec<f64> =
+            self.hypotheses.iter().filter(|place| &*place.kind == "plane").map(|place| place.evidence).collect();
+        let weakest = walls.iter().copied().reduce(f64::min)?;
+        Some(decision(
+            "walls",
+            &format!("{} reflect light from patch to patch", walls.len()),
+            &format!("least log Bayes factor {weakest:.1}"),
+            "onsets that contradict them",
+        ))
+    }
+
+    /// What fixes the frame of coordinates.
+    fn frame(&self) -> Decision {
+        let frame = self.best_fit().map_or("fixed", |fit| &*fit.frame);
+        let (chosen, evidence, would_change) = match frame {
+            "canonical" => (
+                "canonical, a convention",
+                "no anchor, ray or second station: only distances are measured",
+                "three anchors (`position_m`) in campaign.toml",
+            ),
+            "stations" => (
+                "stations; the turn about their line is a convention",
+                "laser and sensors stand apart",
+                "an anchor (`position_m`) off their line in campaign.toml",
+            ),
+            _ => ("that of campaign.toml", "anchors, rays or stations fix it", "other places in campaign.toml"),
+        };
+        decision("frame", chosen, evidence, would_change)
+    }
+
+    /// Whether the extent of patches is part of the model.
+    fn footprints(&self, patches: &[&Patch]) -> Decision {
+        let on_planes = |patch: &&&Patch| self.planes.iter().any(|plane| plane.patches.contains(&patch.patch));
+        let count = patches.iter().filter(on_planes).count();
+        if count == 0 {
+            return decision(
+                "walls of the patches",
+                "none",
+                "no five patches lie on one plane within their errors",
+                "`size_m` and `normal` of patches in campaign.toml, in a fixed frame",
+            );
+        }
+        let farthest_sd = self.planes.iter().map(|plane| plane.rms_m).fold(0.0, f64::max);
+        decision(
+            "walls of the patches",
+            &format!("{count} of {} patches lie on {} planes", patches.len(), self.planes.len()),
+            &format!("largest rms distance {:.2} mm", 1e3 * farthest_sd),
+            "patches measured more exactly",
+        )
+    }
+
+    /// Which pulses are wider than the response, and which blend.
+    fn pulse_shapes(&self) -> Decision {
+        let with =
+            |flag: &str| self.onsets.iter().filter(|onset| onset.flags.iter().any(|name| &**name == flag)).count();
+        let (all, wide, blended) = (self.onsets.len(), with("extended"), with("blended"));
+        decision(
+            "pulse shapes",
+            &format!("{} points of light, {wide} spread in time", all - wide),
+            &format!("{blended} of {all} onsets overlap a neighbour"),
+            "more shots, or a sensor with a narrower response",
+        )
+    }
+
+    /// Vertical ranges that gave onsets, where a sensor has several.
+    fn ranges(&self) -> Option<Decision> {
+        let mut ranges = BTreeMap::<&Name, usize>::new();
+        self.onsets
+            .iter()
+            .filter_map(|onset| onset.range.as_ref())
+            .for_each(|range| *ranges.entry(range).or_default() += 1);
+        (ranges.len() > 1).then(|| {
+            let list: Vec<String> = ranges.iter().map(|(range, count)| format!("{range}: {count} onsets")).collect();
+            let text = "a range that does not clip";
+            decision("vertical ranges", &format!("{} ranges", ranges.len()), &list.join(", "), text)
+        })
+    }
+}
+
+/// What the onsets do not determine, next to the solution that was chosen.
+fn other_solution(ambiguity: &Ambiguity) -> Decision {
+    let patches: Vec<String> = ambiguity.patches.iter().map(ToString::to_string).collect();
+    let which = if patches.is_empty() { "all patches".to_owned() } else { format!("patches {}", patches.join(", ")) };
+    let known = match ambiguity.log_likelihood {
+        Some(log_likelihood) => {
+            format!("the other solution is less likely by a factor of {:.3e}", (-log_likelihood).exp())
+        }
+        None => "no onset decides".to_owned(),
+    };
+    Decision {
+        runner_up: ambiguity.alternative.map(|number| format!("alternative {number} of `patches`").into()),
+        log_likelihood_ratio: ambiguity.log_likelihood.map(|log_likelihood| -log_likelihood),
+        ..decision(&format!("{}: {which}", ambiguity.kind), "the solution of `patches`", &known, &ambiguity.meaning)
+    }
+}
+
+/// A decision without a runner-up; its number comes later.
+fn decision(what: &str, chosen: &str, evidence: &str, would_change: &str) -> Decision {
+    Decision {
+        decision: 0,
+        what: what.into(),
+        chosen: chosen.into(),
+        evidence: evidence.into(),
+        runner_up: None,
+        log_likelihood_ratio: None,
+        would_change: would_change.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

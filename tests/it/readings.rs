@@ -1,0 +1,325 @@
+//! Wide pulses and pairs of pulses, from arrays of shots to coordinates: third bounces so close behind second ones that
+//! one wide pulse explains both, among patches that are points or centimetres wide. `benches/accuracy.rs` runs it over
+//! many seeds for docs/time-resolution.md.
+
+use std::fs::{self, File};
+
+use nalgebra::{Matrix3, Vector3};
+use periscope::formats::npy;
+use periscope::pipeline::run::Settings;
+use periscope::tables::{Calibration, Onset, Patch};
+use periscope::units::time_ps;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::lab::{Lab, write_table};
+use crate::missed::{aligning, position};
+use crate::shape::{Sensor, Shape};
+
+const PIPELINE: &str = include_str!("../../pipelines/around-the-corner.toml");
+const CAMPAIGN: &str = "[campaign]\nname = 'readings'\ngroup_index = 1.0\n[sensors.s1]\n[[captures]]\nrole = 'scene'\n\
+    files = 'raw/L{lit}_P{seen}.npy'\ndt_ps = 50.0\nt0_ps = 6000.0\ngain_v = 0.0001\noffset_v = 0.0\n";
+const DT_PS: f64 = 50.0;
+const T0_PS: f64 = 6000.0;
+const SAMPLES: usize = 360;
+const SHOTS: usize = 16;
+/// Codes of a second bounce.
+const HEIGHT: f64 = 2000.0;
+/// A first bounce is so much stronger than a second; a third weaker, by a random part of this.
+const FIRST: f64 = 5.0;
+const THIRD: f64 = 0.7;
+const VISIBLE: usize = 8;
+/// Points that stand for a patch's light.
+const SPREAD: usize = 40;
+/// Step of the response that the program is given.
+const STEP_PS: f64 = 2.5;
+/// A patch nearer to a true one than this is it.
+const NEAR_M: f64 = 0.03;
+
+/// What is the matter with the instrument.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Instrument {
+    /// As it was calibrated.
+    Kind,
+    /// With a tail of 1 % and 600 ps that calibration did not see.
+    Tail,
+    /// On a slope of three standard deviations of a sample along the record.
+    Slope,
+}
+
+/// A kind of scene.
+#[derive(Clone, Copy, Debug)]
+pub struct Setting {
+    /// Diameter of the patches.
+    pub size_m: f64,
+    /// Peak of a second bounce over the standard deviation of one sample of the mean.
+    pub snr: f64,
+    pub hidden: usize,
+    pub instrument: Instrument,
+}
+
+/// Which program solves it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Choice {
+    /// One wide pulse is one wide pulse.
+    Wide,
+    /// Pulses are points.
+    Points,
+    /// The scene chooses.
+    Readings,
+}
+
+/// What came of a scene.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Outcome {
+    /// Patches that are none.
+    pub phantoms: usize,
+    /// True hidden patches that were not found.
+    pub missed: usize,
+    /// Sum of squared errors of the patches that were found, and their number.
+    pub squares_m2: f64,
+    pub count: usize,
+    /// Coordinates within 1.96 of their standard deviations, and their number.
+    pub covered: usize,
+    pub coordinates: usize,
+}
+
+impl Outcome {
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            phantoms: self.phantoms + other.phantoms,
+            missed: self.missed + other.missed,
+            squares_m2: self.squares_m2 + other.squares_m2,
+            count: self.count + other.count,
+            covered: self.covered + other.covered,
+            coordinates: self.coordinates + other.coordinates,
+        }
+    }
+}
+
+struct Room {
+    points: Vec<Vector3<f64>>,
+    /// Points of each patch's light about its centre.
+    spreads: Vec<Vec<Vector3<f64>>>,
+    /// Of third bounces over (first, second, third patch) against second ones.
+    thirds: Vec<f64>,
+}
+
+impl Room {
+    /// Visible patches at random, three of them behind one another so that detours are short; then hidden ones.
+    fn draw(setting: &Setting, rng: &mut ChaCha8Rng) -> Self {
+        let mut points: Vec<Vector3<f64>> = Vec::new();
+        while points.len() < VISIBLE - 2 {
+            let uniform = |rng: &mut ChaCha8Rng, low: f64, high: f64| rng.random_range(low..high);
+            let place = Vector3::new(uniform(rng, -0.6, 0.6), uniform(rng, -0.5, 0.5), uniform(rng, 1.2, 1.8));
+            if points.iter().all(|other| (other - place).norm() > 0.25) {
+                points.push(place);
+            }
+        }
+        // So far off the middle of two others that light over it comes 50 to 200 ps later.
+        for pair in [[0, 1], [2, 3]] {
+            let [a, b] = pair.map(|n| points[n]);
+            let longer_m = 0.000_299_792_458 * rng.random_range(50.0..200.0);
+            let half_m = 0.5 * (a - b).norm();
+            let off_m = ((half_m + 0.5 * longer_m).powi(2) - half_m * half_m).sqrt();
+            let any = Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+            points.push(0.5 * (a + b) + off_m * any.cross(&(b - a)).normalize());
+        }
+        while points.len() < VISIBLE + setting.hidden {
+            let place = Vector3::from_fn(|axis, _| rng.random_range([-0.8, -0.6, 0.5][axis]..[0.8, 0.6, 1.0][axis]));
+            if points.iter().all(|other| (other - place).norm() > 0.25) {
+                points.push(place);
+            }
+        }
+        let spreads = points.iter().map(|point| disk(*point, setting.size_m, rng)).collect();
+        let count = points.len();
+        Self { spreads, thirds: (0..count.pow(3)).map(|_| THIRD * rng.random_range(0.2..1.0)).collect(), points }
+    }
+
+    /// Delays of the light of a path from the stations at the origin.
+    fn delays_ps(&self, path: &[usize]) -> Vec<f64> {
+        let of_point = |n: usize| {
+            let at = |k: usize| self.points[path[k]] + self.spreads[path[k]][(n * (2 * k + 1) + 7 * k) % SPREAD];
+            let inner: f64 = (1..path.len()).map(|k| (at(k) - at(k - 1)).norm()).sum();
+            time_ps(at(0).norm() + inner + at(path.len() - 1).norm(), 1.0)
+        };
+        (0..SPREAD).map(of_point).collect()
+    }
+
+    /// All light of a profile: delays and height.
+    fn light(&self, lit: usize, seen: usize) -> Vec<(Vec<f64>, f64)> {
+        let count = self.points.len();
+        let direct = if lit == seen { vec![lit] } else { vec![lit, seen] };
+        let mut light = vec![(self.delays_ps(&direct), if lit == seen { FIRST } else { 1.0 })];
+        for over in (0..count).filter(|over| ![lit, seen].contains(over)) {
+            // Both ways are one path.
+            let share = self.thirds[(lit.min(seen) * count + over) * count + lit.max(seen)];
+            light.push((self.delays_ps(&[lit, over, seen]), share));
+        }
+        light
+    }
+}
+
+/// Points of a disk that faces a place between its normal to the stations and any other.
+fn disk(at: Vector3<f64>, size_m: f64, rng: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
+    let any = Vector3::from_fn(|_, _| rng.random_range(-0.5..0.5));
+    let normal = (any - at.normalize()).normalize();
+    let first = normal.cross(&Vector3::new(0.3, 0.5, -0.8)).normalize();
+    let second = normal.cross(&first);
+    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    let point = |n: usize| {
+        let (radius_m, turn) = (0.5 * size_m * ((n as f64 + 0.5) / SPREAD as f64).sqrt(), golden * n as f64);
+        radius_m * (turn.cos() * first + turn.sin() * second)
+    };
+    (0..SPREAD).map(point).collect()
+}
+
+/// Writes the shots of a scene, and the response that the program is given.
+fn record(room: &Room, setting: &Setting, rng: &mut ChaCha8Rng) -> Lab {
+    let lab = Lab::bulk(0);
+    fs::write(lab.campaign().join("campaign.toml"), CAMPAIGN).unwrap();
+    let shape = Sensor::exponential().shape;
+    let own = if setting.instrument == Instrument::Tail { shape.with_tail(600.0, 0.01) } else { shape.clone() };
+    let noise = HEIGHT / setting.snr;
+    for (lit, seen) in (0..VISIBLE).flat_map(|lit| (0..VISIBLE).map(move |seen| (lit, seen))) {
+        let light = room.light(lit, seen);
+        let mean = |n: usize| {
+            let at_ps = T0_PS + n as f64 * DT_PS;
+            let pulse = |(delays_ps, height): &(Vec<f64>, f64)| {
+                height * delays_ps.iter().map(|delay_ps| own.at(at_ps - delay_ps)[0]).sum::<f64>() / SPREAD as f64
+            };
+            let slope =
+                if setting.instrument == Instrument::Slope { 3.0 * noise * n as f64 / SAMPLES as f64 } else { 0.0 };
+            HEIGHT * light.iter().map(pulse).sum::<f64>() + slope
+        };
+        let means: Vec<f64> = (0..SAMPLES).map(mean).collect();
+        let mut codes = Vec::with_capacity(SHOTS * SAMPLES);
+        for mean in std::iter::repeat_n(&means, SHOTS).flatten() {
+            let normal: f64 = StandardNormal.sample(rng);
+            codes.push((mean + noise * (SHOTS as f64).sqrt() * normal).round() as i16);
+        }
+        let path = lab.campaign().join(format!("raw/L{}_P{}.npy", lit + 1, seen + 1));
+        npy::write(&mut File::create(path).unwrap(), &[SHOTS as u64, SAMPLES as u64], &codes).unwrap();
+    }
+    write_table(&lab.path("calibration.parquet"), &[calibration(&shape)]);
+    lab
+}
+
+/// A calibration that knows this response.
+fn calibration(shape: &Shape) -> Calibration {
+    let (before, behind) = (100, 800);
+    let response: Vec<f64> = (-before..=behind).map(|i| shape.at(f64::from(i) * STEP_PS)[0]).collect();
+    Calibration {
+        campaign: "readings".into(),
+        sensor: "s1".into(),
+        range: None,
+        shots: 1000,
+        rejected: 0,
+        step_ps: STEP_PS,
+        response_t0_ps: -f64::from(before) * STEP_PS,
+        response: response.into_iter().collect(),
+        reference_t0_ps: None,
+        reference: None,
+        latency_ps: 0.0,
+        latency_sd_ps: 0.1,
+        latency_common_sd_ps: None,
+        acquired_at: None,
+        reference_v_ps: None,
+        noise_model: None,
+        noise_acf: None,
+        width_ps: 151.0,
+        width_sd_ps: None,
+    }
+}
+
+fn import(lab: &Lab, heading: &str, table: &str, file: &str) -> String {
+    let path = lab.path(file);
+    format!("[{heading}]\nstage = 'import'\nparams = {{ table = '{table}', path = '{}' }}\n", path.display())
+}
+
+/// Scenes of one seed and what each choice makes of them.
+pub fn outcomes(setting: &Setting, choices: &[Choice], seed: u64) -> Vec<Outcome> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let room = Room::draw(setting, &mut rng);
+    let lab = record(&room, setting, &mut rng);
+    choices.iter().map(|choice| solve(&lab, &room, *choice)).collect()
+}
+
+fn solve(lab: &Lab, room: &Room, choice: Choice) -> Outcome {
+    let scene = PIPELINE.split_once("[traces]").expect("the pipeline reads traces").1;
+    let scene = scene.replace(", session = \"session\"", "");
+    let start = import(lab, "calibration", "calibration", "calibration.parquet") + "[traces]" + &scene;
+    let out = format!("{choice:?}");
+    let set = |value: &str| vec![format!("stir.extent_max_ps={value}")];
+    match choice {
+        Choice::Readings => lab.run_with(&out, &start, &set("200"), &Settings::default()).unwrap(),
+        Choice::Points => lab.run_with(&out, &start, &set("0"), &Settings::default()).unwrap(),
+        Choice::Wide => {
+            let (first, rest) = start.split_once("[visible_labels]").expect("the pipeline labels");
+            lab.run_with("wide-onsets", first, &set("200"), &Settings::default()).unwrap();
+            let onsets: Vec<Onset> = lab.rows("wide-onsets", "onsets");
+            let whole = onsets.into_iter().map(|onset| Onset { pair_gain: None, ..onset });
+            write_table(&lab.path("onsets.parquet"), &whole.collect::<Vec<_>>());
+            let imports = import(lab, "calibration", "calibration", "calibration.parquet")
+                + &import(lab, "onsets", "onsets", "onsets.parquet");
+            lab.run(&out, &(imports + "[visible_labels]" + rest), &Settings::default()).unwrap()
+        }
+    };
+    compare(&lab.rows::<Patch>(&out, "patches"), room)
+}
+
+/// Patches against the truth, turned onto it by the visible ones.
+fn compare(rows: &[Patch], room: &Room) -> Outcome {
+    let best: Vec<&Patch> = rows.iter().filter(|patch| patch.alternative == 0).collect();
+    let visible: Vec<&&Patch> = best.iter().filter(|patch| patch.patch <= VISIBLE as i32).collect();
+    let from: Vec<Vector3<f64>> = visible.iter().map(|patch| position(patch)).collect();
+    let targets: Vec<Vector3<f64>> = visible.iter().map(|patch| room.points[patch.patch as usize - 1]).collect();
+    let turn: Matrix3<f64> = aligning(&from, &targets);
+    let mut outcome = Outcome::default();
+    let mut open: Vec<usize> = (VISIBLE..room.points.len()).collect();
+    for patch in best {
+        let at = turn * position(patch);
+        let truth = if patch.patch <= VISIBLE as i32 {
+            Some(room.points[patch.patch as usize - 1])
+        } else {
+            let near = open.iter().position(|n| (room.points[*n] - at).norm() < NEAR_M);
+            near.map(|k| room.points[open.remove(k)])
+        };
+        let Some(truth) = truth else {
+            outcome.phantoms += 1;
+            continue;
+        };
+        let error = at - truth;
+        outcome.squares_m2 += error.norm_squared();
+        outcome.count += 1;
+        let [xx, xy, xz, yy, yz, zz] =
+            [patch.cov_xx_m2, patch.cov_xy_m2, patch.cov_xz_m2, patch.cov_yy_m2, patch.cov_yz_m2, patch.cov_zz_m2]
+                .map(|value| value.expect("refined"));
+        let own = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let covariance = turn * own * turn.transpose();
+        for axis in 0..3 {
+            outcome.coordinates += 1;
+            outcome.covered += usize::from(error[axis].abs() < 1.96 * covariance[(axis, axis)].sqrt());
+        }
+    }
+    outcome.missed = open.len();
+    outcome
+}
+
+/// A few scenes of points and of centimetres, nothing hidden: no patch is made up, as one reading for all pulses does.
+#[test]
+fn nothing_hidden_is_made_up_where_third_bounces_follow_second_ones() {
+    let choices = [Choice::Wide, Choice::Points, Choice::Readings];
+    let mut all = [Outcome::default(); 3];
+    for (seed, size_m) in [(0, 0.0), (1, 0.0), (2, 0.02), (3, 0.04)] {
+        let setting = Setting { size_m, snr: 100.0, hidden: 0, instrument: Instrument::Kind };
+        let outcomes = outcomes(&setting, &choices, seed);
+        eprintln!("{size_m} m: {outcomes:?}");
+        all.iter_mut().zip(outcomes).for_each(|(sum, outcome)| *sum = sum.plus(outcome));
+    }
+    let [wide, points, readings] = all;
+    assert_eq!(readings.phantoms, 0, "{all:?}");
+    assert!(wide.phantoms + points.phantoms > 0, "{all:?}");
+    assert!(readings.squares_m2 < wide.squares_m2 && readings.count == 4 * VISIBLE, "{all:?}");
+}
