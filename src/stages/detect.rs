@@ -199,12 +199,12 @@ impl Detect {
     /// The impulses that are certain by their amplitude or their evidence, and blended ones of which none is.
     fn certain(&self, stir: &Stir) -> Vec<usize> {
         let count = stir.impulses.len();
-        // What a misfit adds to chi-square is no evidence.
-        let misfit = stir.chi2_dof.unwrap_or(1.0).max(1.0);
+        // What a misfit adds to chi-square is no evidence, wherever in the record it lies.
+        let misfit = |impulse: &Impulse| stir.chi2_dof.unwrap_or(1.0).max(impulse.misfit_factor);
         let threshold = self.threshold_sigma.get();
         let is_certain = |k: usize| {
             let impulse = &stir.impulses[k];
-            snr(impulse) >= threshold || impulse.evidence >= misfit * threshold.powi(2)
+            snr(impulse) >= threshold || impulse.evidence >= misfit(impulse) * threshold.powi(2)
         };
         let variance = |k: usize| stir.impulse_cov[k * count + k];
         let is_blended = |k: usize, other: usize| {

@@ -60,8 +60,8 @@ table! {
         pair_first_amplitude: Option<f64>,
         /// Amplitude of the later one, in the unit of the profile.
         pair_second_amplitude: Option<f64>,
-        /// Chi-square of one wide arrival less that of the pair, over the chi-square per degree of freedom of the better
-        /// one where noise does not explain it.
+        /// Chi-square of one wide arrival less that of the pair, over the chi-square per degree of freedom of the
+        /// better one where noise does not explain it.
         pair_gain: Option<f64>,
         /// Special conditions: blended, extended, misfit, at-edge.
         flags: Vec<Name>,

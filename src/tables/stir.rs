@@ -30,6 +30,9 @@ pub struct Impulse {
     pub evidence: f64,
     /// Excess of chi-square, over the samples that the impulse reaches, above its expectation, in standard deviations.
     pub misfit_sigma: f64,
+    /// Factor of its variances: chi-square per degree of freedom over those samples where it exceeds what noise
+    /// explains, else 1.
+    pub misfit_factor: f64,
     /// Standard deviation of the width, where it is above 0.
     pub width_sd_ps: Option<f64>,
     /// The best two points in the place of an impulse that is wider than 0.
@@ -53,14 +56,15 @@ pub struct ImpulsePair {
     pub first_amplitude_v: f64,
     /// Amplitude of the later one.
     pub second_amplitude_v: f64,
-    /// Chi-square of the wide impulse less that of the pair, over the chi-square per degree of freedom of the better one
-    /// where noise does not explain it.
+    /// Chi-square of the wide impulse less that of the pair, over the chi-square per degree of freedom of the better
+    /// one where noise does not explain it.
     pub gain: f64,
 }
 
-const REQUIRED: usize = 7;
+const REQUIRED: usize = 8;
+const CELLS: usize = 17;
 /// The first are never null.
-const IMPULSE_FIELDS: [&str; 16] = [
+const IMPULSE_FIELDS: [&str; CELLS] = [
     "time_ps",
     "time_sd_ps",
     "amplitude_v",
@@ -68,6 +72,7 @@ const IMPULSE_FIELDS: [&str; 16] = [
     "width_ps",
     "evidence",
     "misfit_sigma",
+    "misfit_factor",
     "width_sd_ps",
     "pair_first_ps",
     "pair_second_ps",
@@ -80,7 +85,7 @@ const IMPULSE_FIELDS: [&str; 16] = [
 ];
 
 impl Impulse {
-    fn cells(&self) -> [Option<f64>; 16] {
+    fn cells(&self) -> [Option<f64>; CELLS] {
         let of_pair = |value: fn(&ImpulsePair) -> f64| self.pair.as_ref().map(value);
         [
             Some(self.time_ps),
@@ -90,6 +95,7 @@ impl Impulse {
             Some(self.width_ps),
             Some(self.evidence),
             Some(self.misfit_sigma),
+            Some(self.misfit_factor),
             self.width_sd_ps,
             of_pair(|pair| pair.first_ps),
             of_pair(|pair| pair.second_ps),
@@ -103,8 +109,8 @@ impl Impulse {
     }
 
     /// From its cells; `None` where one that is never null is.
-    fn of_cells(cells: [Option<f64>; 16]) -> Option<Self> {
-        let [time, time_sd, amplitude, amplitude_sd, width, evidence, misfit, width_sd_ps, pair @ ..] = cells;
+    fn of_cells(cells: [Option<f64>; CELLS]) -> Option<Self> {
+        let [time, time_sd, amplitude, amplitude_sd, width, evidence, misfit, factor, width_sd_ps, pair @ ..] = cells;
         let pair_of = |[first, second, first_sd, second_sd, correlation, one, other, gain]: [Option<f64>; 8]| {
             Some(ImpulsePair {
                 first_ps: first?,
@@ -125,6 +131,7 @@ impl Impulse {
             width_ps: width?,
             evidence: evidence?,
             misfit_sigma: misfit?,
+            misfit_factor: factor?,
             width_sd_ps,
             pair: pair_of(pair),
         })
@@ -148,7 +155,7 @@ impl Cell for Vec<Impulse> {
     }
 
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
-        let mut columns: [Vec<Option<f64>>; 16] = Default::default();
+        let mut columns: [Vec<Option<f64>>; CELLS] = Default::default();
         let lengths: Vec<_> = cells
             .map(|impulses| {
                 for impulse in impulses {
@@ -170,7 +177,7 @@ impl Cell for Vec<Impulse> {
         }
         let items = array.value(i);
         let columns = items.as_struct().columns();
-        let columns: [&Float64Array; 16] = std::array::from_fn(|c| columns[c].as_primitive::<Float64Type>());
+        let columns: [&Float64Array; CELLS] = std::array::from_fn(|c| columns[c].as_primitive::<Float64Type>());
         let impulse = |k: usize| Impulse::of_cells(columns.map(|column| column.is_valid(k).then(|| column.value(k))));
         (0..items.len()).map(|k| impulse(k).expect("the schema says which fields are never null")).collect()
     }

@@ -327,8 +327,8 @@ fn ranges_that_share_no_light_are_merged_by_what_is_stated() {
         );
         for [(.., merged), (.., alone)] in &draws {
             assert!([merged, alone].iter().all(|profile| profile.range.as_deref() == Some("coarse")), "{name}");
-            // Dark samples have the sensitive range's noise.
-            assert!(merged.se_v[10] < 0.2 * alone.se_v[10] && merged.gain_sd <= 0.021, "{name}: {merged:?}");
+            // Dark samples have the sensitive range's noise, except for those that its shift by 12 ps costs.
+            assert!(merged.se_v[40] < 0.2 * alone.se_v[40] && merged.gain_sd <= 0.021, "{name}: {merged:?}");
         }
         assert!(rms_ps(0) <= 1.1 * rms_ps(1) + 0.02, "{name}");
     }

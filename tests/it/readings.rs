@@ -137,10 +137,11 @@ impl Room {
         Self { spreads, thirds: (0..count.pow(3)).map(|_| THIRD * rng.random_range(0.2..1.0)).collect(), points }
     }
 
-    /// Delays of the light of a path from the stations at the origin.
+    /// Delays of the light of a path from the stations at the origin. Points of its patches are paired as if at random:
+    /// factors without a common divisor with their number take each point of each patch once.
     fn delays_ps(&self, path: &[usize]) -> Vec<f64> {
         let of_point = |n: usize| {
-            let at = |k: usize| self.points[path[k]] + self.spreads[path[k]][(n * (2 * k + 1) + 7 * k) % SPREAD];
+            let at = |k: usize| self.points[path[k]] + self.spreads[path[k]][(n * [1, 3, 7][k] + 7 * k) % SPREAD];
             let inner: f64 = (1..path.len()).map(|k| (at(k) - at(k - 1)).norm()).sum();
             time_ps(at(0).norm() + inner + at(path.len() - 1).norm(), 1.0)
         };

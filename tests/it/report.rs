@@ -254,7 +254,7 @@ fn real_recordings_have_their_page() {
         .unwrap();
     assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
     let page = page_of(&folder.path().join("out"));
-    assert!(own(&page).contains("262 onsets in 130 profiles"));
+    assert!(own(&page).contains("264 onsets in 130 profiles"));
     let Some(browser) = Browser::open() else { return };
     let file = folder.path().join("tdr.html");
     fs::write(&file, page).unwrap();

@@ -98,6 +98,7 @@ fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_
             evidence: evidences[k],
             chi2_per_dof: fitter.misfit(state, Some(r), Some(k)).per_dof(),
             misfit_sigma: fitter.misfit(state, Some(r), Some(k)).sigma(),
+            misfit_factor: inflation * inflation,
             pair: pairs[k].as_ref().map(|pair| pair.of_group(group)),
         }
     };

@@ -130,6 +130,9 @@ pub struct Pulse {
     /// By how many standard deviations that exceeds what noise alone makes it: beyond three something else than noise
     /// is left.
     pub misfit_sigma: f64,
+    /// Factor of the variances of the pulse: chi2 per degree of freedom of the samples that it reaches in all records,
+    /// where noise alone does not explain it, else 1.
+    pub misfit_factor: f64,
     /// Of light that is spread in time, the best two points in its place; `None` where none fit.
     pub pair: Option<Pair>,
 }

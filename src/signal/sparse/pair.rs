@@ -20,8 +20,8 @@ pub struct Pair {
     pub covariance_ps2: [f64; 3],
     /// Amplitudes, as of a [`super::Pulse`].
     pub amplitudes_v: [f64; 2],
-    /// Chi2 of the widened pulse less that of the pair: positive where the pair fits better. Where noise does not explain
-    /// the samples even of the better one, over its chi2 per degree of freedom: misfit is no evidence.
+    /// Chi2 of the widened pulse less that of the pair: positive where the pair fits better. Where noise does not
+    /// explain the samples even of the better one, over its chi2 per degree of freedom: misfit is no evidence.
     pub gain: f64,
 }
 

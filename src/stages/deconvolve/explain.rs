@@ -49,6 +49,7 @@ impl Explained {
             width_ps: pulse.width_ps.hypot(pulse.tail_ps),
             evidence: pulse.evidence,
             misfit_sigma: pulse.misfit_sigma,
+            misfit_factor: pulse.misfit_factor,
             width_sd_ps: width_sd_ps(pulse),
             pair: pulse.pair.as_ref().map(pair),
         };

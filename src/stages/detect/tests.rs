@@ -34,6 +34,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         width_ps: 0.0,
         evidence: fit.pulses[k].evidence,
         misfit_sigma: fit.pulses[k].misfit_sigma,
+        misfit_factor: fit.pulses[k].misfit_factor,
         width_sd_ps: None,
         pair: None,
     };
