@@ -326,7 +326,7 @@ mod tests {
         for _ in 0..100 {
             let choice = |n: usize, rng: &mut ChaCha8Rng| {
                 let first = rng.random_range(0..4);
-                let second = (n % 2 == 0).then(|| (first + rng.random_range(1..4)) % 4);
+                let second = n.is_multiple_of(2).then(|| (first + rng.random_range(1..4)) % 4);
                 Choice { paths: [Some(first), second], weight: rng.random_range(0.0..3.0) }
             };
             let items: Vec<Vec<Choice>> =

@@ -75,17 +75,18 @@ pub use scene::Scene;
 #[must_use]
 pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Options, cancel: &Cancel) -> Solution {
     let Some(scene) = scene else {
-        let readings = Readings::blind(sensors);
+        let readings = Readings::blind(sensors, options.blend_ps);
         let verdicts = readings.sensors.iter().map(|sensor| blind::label(sensor, options, cancel)).collect();
         return Solution { verdicts, ..Solution::default() }.of(readings);
     };
+    let whole = Readings::whole(sensors, options.blend_ps);
     let has_pair = |profile: &Profile| profile.arrivals.iter().any(|arrival| arrival.pair.is_some());
     if !sensors.iter().flat_map(|sensor| &sensor.profiles).any(has_pair) {
-        let solution = Labelling::new(scene, sensors, options, cancel).solution(scene);
-        return solution.of(Readings::whole(sensors));
+        let solution = Labelling::new(scene, &whole.sensors, options, cancel).solution(scene);
+        return solution.of(whole);
     }
     // First as all paths may be, then as those that the campaign shows.
-    let reader = Reader { sensors, widths: Widths::of(sensors, Some(scene)), options };
+    let reader = Reader { sensors, widths: Widths::of(&whole.sensors, Some(scene)), options };
     let labelling = Labelling::open(scene, sensors, options, cancel);
     let first = reader.readings(&labelling.graphs(scene), &Chances::prior(&labelling.visible));
     let labelling = Labelling::new(scene, &first.sensors, options, cancel);

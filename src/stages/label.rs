@@ -338,7 +338,8 @@ fn normals(
 fn arrival(onset: &Onset) -> Arrival {
     let width_sd_ps = onset.width_sd_ps.unwrap_or(0.0);
     let point = Arrival::point(onset.time_ps, sd_ps(onset), onset.snr);
-    Arrival { width_ps: onset.width_ps, width_sd_ps, pair: pair(onset), ..point }
+    let blended = onset.flags.iter().any(|flag| &**flag == "blended");
+    Arrival { amplitude: onset.amplitude, blended, width_ps: onset.width_ps, width_sd_ps, pair: pair(onset), ..point }
 }
 
 /// The two pulses that a wide onset may be; `None` where none fit.

@@ -109,8 +109,8 @@ impl Impulse {
     }
 
     /// From its cells; `None` where one that is never null is.
-    fn of_cells(cells: [Option<f64>; CELLS]) -> Option<Self> {
-        let [time, time_sd, amplitude, amplitude_sd, width, evidence, misfit, factor, width_sd_ps, pair @ ..] = cells;
+    fn of_cells(cells: &[Option<f64>; CELLS]) -> Option<Self> {
+        let [time, time_sd, amplitude, amplitude_sd, width, evidence, misfit, factor, width_sd_ps, pair @ ..] = *cells;
         let pair_of = |[first, second, first_sd, second_sd, correlation, one, other, gain]: [Option<f64>; 8]| {
             Some(ImpulsePair {
                 first_ps: first?,
@@ -178,7 +178,7 @@ impl Cell for Vec<Impulse> {
         let items = array.value(i);
         let columns = items.as_struct().columns();
         let columns: [&Float64Array; CELLS] = std::array::from_fn(|c| columns[c].as_primitive::<Float64Type>());
-        let impulse = |k: usize| Impulse::of_cells(columns.map(|column| column.is_valid(k).then(|| column.value(k))));
+        let impulse = |k: usize| Impulse::of_cells(&columns.map(|column| column.is_valid(k).then(|| column.value(k))));
         (0..items.len()).map(|k| impulse(k).expect("the schema says which fields are never null")).collect()
     }
 }

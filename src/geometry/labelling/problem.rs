@@ -42,8 +42,12 @@ pub struct Arrival {
     pub time_ps: f64,
     /// Its standard deviation, with the part that the profile's arrivals share.
     pub sd_ps: f64,
+    /// Amplitude, in any unit.
+    pub amplitude: f64,
     /// Signal-to-noise ratio of its amplitude.
     pub snr: f64,
+    /// Whether another arrival of its profile overlaps it.
+    pub blended: bool,
     /// Standard deviation of the spread of its light; 0 for a point.
     pub width_ps: f64,
     /// Standard deviation of `width_ps`.
@@ -68,10 +72,20 @@ pub struct Pair {
 }
 
 impl Arrival {
-    /// A pulse that is no wider than the response.
+    /// A pulse by itself, no wider than the response; its amplitude is in standard deviations of the noise.
     #[must_use]
     pub const fn point(time_ps: f64, sd_ps: f64, snr: f64) -> Self {
-        Self { time_ps, sd_ps, snr, width_ps: 0.0, width_sd_ps: 0.0, pair: None, certainty: 1.0 }
+        Self {
+            time_ps,
+            sd_ps,
+            amplitude: snr,
+            snr,
+            blended: false,
+            width_ps: 0.0,
+            width_sd_ps: 0.0,
+            pair: None,
+            certainty: 1.0,
+        }
     }
 
     pub(super) const fn time(&self) -> Time {

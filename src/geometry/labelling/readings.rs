@@ -23,7 +23,9 @@
 //! side; that joins their error.
 //!
 //! Spread light is no Gaussian, so that its centroid is not where the samples have it: a tenth of its width joins the
-//! whole's error. The strongest arrival of a patch that is lit and seen is its first bounce, and stays whole.
+//! whole's error. The strongest arrival of a patch that is lit and seen is its first bounce, and stays whole. Arrivals
+//! that overlap it are light of the same patch in a shape that neither a point nor a Gaussian has (`gather`): all
+//! together make the first bounce, at their centroid.
 //!
 //! Without a scene only first light matters. A wide arrival of two different patches is read as two where that is the
 //! likelier; the error of its first light covers the other reading in any case.
@@ -84,7 +86,7 @@ impl Widths {
         let own = sensors.iter().flat_map(|sensor| &sensor.profiles).filter(|profile| profile.lit == profile.seen);
         let strongest = |profile: &Profile| {
             let arrivals = profile.arrivals.iter();
-            arrivals.copied().max_by(|a, b| a.snr.total_cmp(&b.snr)).expect("a profile has an arrival")
+            arrivals.copied().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).expect("a profile has an arrival")
         };
         let mut squares: Vec<f64> = own.map(|profile| strongest(profile).width_ps.powi(2)).collect();
         // One that is not spread by its patch does not speak for the others.
@@ -141,27 +143,18 @@ impl Pair {
     /// Both pulses as arrivals of a certainty.
     fn parts(&self, whole: &Arrival, [first, _, second]: [f64; 3], certainty: f64) -> [Arrival; 2] {
         [(0, first), (1, second)].map(|(n, variance_ps2)| Arrival {
-            time_ps: self.times_ps[n],
-            sd_ps: variance_ps2.sqrt(),
-            snr: self.snrs[n],
-            width_ps: 0.0,
-            width_sd_ps: 0.0,
-            pair: None,
+            amplitude: whole.amplitude * self.snrs[n] / whole.snr,
+            blended: true,
             certainty: certainty * whole.certainty,
+            ..Arrival::point(self.times_ps[n], variance_ps2.sqrt(), self.snrs[n])
         })
     }
 }
 
 impl Readings {
-    /// Every onset as a whole.
-    pub(super) fn whole(sensors: &[SensorProfiles]) -> Self {
-        let of_profile =
-            |profile: &Profile| (0..profile.arrivals.len()).map(|onset| Origin { onset, part: 0 }).collect();
-        Self {
-            sensors: sensors.to_vec(),
-            origins: sensors.iter().map(|sensor| sensor.profiles.iter().map(of_profile).collect()).collect(),
-            losers: sensors.iter().map(|sensor| vec![Vec::new(); sensor.profiles.len()]).collect(),
-        }
+    /// Every onset as a whole; `blend_ps` as in [`Options`].
+    pub(super) fn whole(sensors: &[SensorProfiles], blend_ps: f64) -> Self {
+        Self::each(sensors, blend_ps, |sensor| sensor.profiles.iter().map(Reading::whole).collect())
     }
 
     /// As the paths of a scene have them.
@@ -173,7 +166,7 @@ impl Readings {
         options: &Options,
     ) -> Self {
         let mut at = graphs.iter();
-        Self::each(sensors, |sensor| {
+        Self::each(sensors, options.blend_ps, |sensor| {
             let graph = at.next().expect("each sensor has a graph");
             let of_profile = |profile: &Profile| {
                 let view = View { sensor, profile };
@@ -184,21 +177,26 @@ impl Readings {
     }
 
     /// By what wide and blended light is like, for first light.
-    pub(super) fn blind(sensors: &[SensorProfiles]) -> Self {
-        let widths = Widths::of(sensors, None);
-        Self::each(sensors, |sensor| sensor.profiles.iter().map(|profile| blind(profile, &widths)).collect())
+    pub(super) fn blind(sensors: &[SensorProfiles], blend_ps: f64) -> Self {
+        let widths = Widths::of(&Self::whole(sensors, blend_ps).sensors, None);
+        Self::each(sensors, blend_ps, |sensor| sensor.profiles.iter().map(|profile| blind(profile, &widths)).collect())
     }
 
-    fn each(sensors: &[SensorProfiles], mut read: impl FnMut(&SensorProfiles) -> Vec<Reading>) -> Self {
+    /// Reads all profiles, first bounces gathered.
+    fn each(sensors: &[SensorProfiles], blend_ps: f64, mut read: impl FnMut(&SensorProfiles) -> Vec<Reading>) -> Self {
         let mut all = Self { sensors: Vec::new(), origins: Vec::new(), losers: Vec::new() };
         for sensor in sensors {
+            let gathered: Vec<Gathered> = sensor.profiles.iter().map(|profile| gather(profile, blend_ps)).collect();
+            let profiles = gathered.iter().map(|gathered| gathered.profile.clone()).collect();
+            let sensor = SensorProfiles { profiles, ..sensor.clone() };
             let (mut profiles, mut origins, mut losers) = (Vec::new(), Vec::new(), Vec::new());
-            for (profile, reading) in sensor.profiles.iter().zip(read(sensor)) {
-                profiles.push(Profile { arrivals: reading.arrivals, ..profile.clone() });
+            for (gathered, reading) in gathered.into_iter().zip(read(&sensor)) {
+                let reading = reading.of(&gathered);
+                profiles.push(Profile { arrivals: reading.arrivals, ..gathered.profile });
                 origins.push(reading.origins);
                 losers.push(reading.losers);
             }
-            all.sensors.push(SensorProfiles { profiles, ..sensor.clone() });
+            all.sensors.push(SensorProfiles { profiles, ..sensor });
             all.origins.push(origins);
             all.losers.push(losers);
         }
@@ -206,7 +204,79 @@ impl Readings {
     }
 }
 
+/// A profile whose first bounce is one arrival.
+struct Gathered {
+    profile: Profile,
+    /// For each arrival, the onset that it is.
+    onsets: Vec<usize>,
+    /// Onsets that the first bounce holds besides its own.
+    inner: Vec<(usize, Arrival)>,
+}
+
+/// Joins arrivals that overlap the first bounce of a patch that is lit and seen, and come within `blend_ps` of it, with
+/// it. Light over another patch would come so soon only from a centimetre away.
+fn gather(profile: &Profile, blend_ps: f64) -> Gathered {
+    let first = first_bounce(profile);
+    let at = |n: usize| &profile.arrivals[n];
+    let is_inner = |n: usize| {
+        first.is_some_and(|first| {
+            n != first && at(n).blended && (at(n).time_ps - at(first).time_ps).abs() < blend_ps && at(n).amplitude > 0.0
+        })
+    };
+    let (inner, onsets): (Vec<usize>, Vec<usize>) = (0..profile.arrivals.len()).partition(|&n| is_inner(n));
+    let whole = |n: usize| {
+        if first != Some(n) || inner.is_empty() {
+            return *at(n);
+        }
+        let parts: Vec<&Arrival> = std::iter::once(n).chain(inner.iter().copied()).map(at).collect();
+        centroid(&parts)
+    };
+    let arrivals = onsets.iter().map(|&n| whole(n)).collect();
+    let inner = inner.iter().map(|&n| (n, *at(n))).collect();
+    Gathered { profile: Profile { arrivals, ..profile.clone() }, onsets, inner }
+}
+
+/// The strongest arrival of a patch that is lit and seen.
+fn first_bounce(profile: &Profile) -> Option<usize> {
+    let Profile { lit, seen, arrivals, .. } = profile;
+    let strongest = (0..arrivals.len()).max_by(|&a, &b| arrivals[a].amplitude.total_cmp(&arrivals[b].amplitude));
+    strongest.filter(|_| lit == seen)
+}
+
+/// All light of several arrivals as one. Their errors are taken for independent: those of overlapping pulses are opposed,
+/// so that their centroid is known better.
+fn centroid(parts: &[&Arrival]) -> Arrival {
+    let amplitude: f64 = parts.iter().map(|part| part.amplitude).sum();
+    let mean = |value: &dyn Fn(&Arrival) -> f64| {
+        parts.iter().map(|part| part.amplitude / amplitude * value(part)).sum::<f64>()
+    };
+    let time_ps = mean(&|part| part.time_ps);
+    let variance_ps2: f64 = parts.iter().map(|part| (part.amplitude / amplitude * part.sd_ps).powi(2)).sum();
+    let width_ps2 = mean(&|part| part.width_ps.powi(2) + (part.time_ps - time_ps).powi(2));
+    Arrival {
+        amplitude,
+        width_ps: width_ps2.sqrt(),
+        width_sd_ps: mean(&|part| part.width_sd_ps),
+        ..Arrival::point(time_ps, variance_ps2.sqrt(), parts.iter().map(|part| part.snr).fold(0.0, f64::max))
+    }
+}
+
 impl Reading {
+    /// Every arrival as it is.
+    fn whole(profile: &Profile) -> Self {
+        let mut reading = Self::default();
+        profile.arrivals.iter().enumerate().for_each(|(onset, arrival)| reading.add(onset, 0, *arrival));
+        reading
+    }
+
+    /// Of the onsets that a profile was gathered from.
+    fn of(mut self, gathered: &Gathered) -> Self {
+        let origins = self.origins.iter_mut().chain(self.losers.iter_mut().map(|loser| &mut loser.origin));
+        origins.for_each(|origin| origin.onset = gathered.onsets[origin.onset]);
+        gathered.inner.iter().for_each(|(onset, arrival)| self.lose(*onset, 0, arrival, Verdict::open()));
+        self
+    }
+
     fn add(&mut self, onset: usize, part: i32, arrival: Arrival) {
         self.arrivals.push(arrival);
         self.origins.push(Origin { onset, part });
@@ -239,16 +309,15 @@ struct Item {
 impl Context<'_> {
     fn read(&self) -> Reading {
         let arrivals = &self.view.profile.arrivals;
-        let mut reading = Reading::default();
         if arrivals.iter().all(|arrival| arrival.pair.is_none()) {
-            arrivals.iter().enumerate().for_each(|(onset, arrival)| reading.add(onset, 0, *arrival));
-            return reading;
+            return Reading::whole(self.view.profile);
         }
+        let mut reading = Reading::default();
         let (predictions, clutter_per_ps) = self.predictions();
         let seen = |prediction: &Prediction| self.prior.of(self.graph.scene, &prediction.path);
         let expected: Vec<Expected> =
             predictions.iter().map(|path| Expected { time: path.time, seen: seen(path) }).collect();
-        let first_bounce = self.first_bounce();
+        let first_bounce = first_bounce(self.view.profile);
         let item = |(n, arrival): (usize, &Arrival)| {
             let pair = arrival.pair.filter(|_| first_bounce != Some(n));
             self.item(&Arrival { pair, ..*arrival }, &predictions, &expected, clutter_per_ps)
@@ -263,13 +332,6 @@ impl Context<'_> {
             reading.settle(onset, &arrivals[onset], item, shares, &predictions);
         }
         reading
-    }
-
-    /// The first bounce of a patch that is lit and seen.
-    fn first_bounce(&self) -> Option<usize> {
-        let Profile { lit, seen, arrivals, .. } = self.view.profile;
-        let strongest = (0..arrivals.len()).max_by(|&a, &b| arrivals[a].snr.total_cmp(&arrivals[b].snr));
-        strongest.filter(|_| lit == seen)
     }
 
     /// Paths near the arrivals, each read either way, and the density of unpredicted light.
