@@ -21,6 +21,10 @@
 //! takes the arrivals that no path over patches in place explains. Their places come from minimal sets of arrivals
 //! alone: a search of all space would follow the many later bounces.
 //!
+//! Two patches whose light comes within [`Options::blend_ps`] over any path are not told apart. So a hidden patch that
+//! shows so near to a visible one is that patch: third bounces over it contradict the place that its own second bounces
+//! gave, as blended ones do. The patch is moved there for prediction, and all is labelled again.
+//!
 //! Pulses that the response does not resolve make one arrival between their times; its error is then larger (`blends`).
 //! A wide arrival may be two pulses: the paths of the scene, and the widths of first bounces, decide (`readings`).
 //!
@@ -53,6 +57,7 @@ use std::collections::BTreeSet;
 
 use periscope_cancel::Cancel;
 
+use crate::hidden::Hidden;
 use crate::units::PatchId;
 use assignment::Prior;
 use blends::Blends;
@@ -67,6 +72,9 @@ pub use problem::{
 use readings::{Readings, Widths};
 pub use scene::Scene;
 
+/// Times, at most, that visible patches are moved to where other light shows them.
+const MOVES: usize = 3;
+
 /// Labels all arrivals of all sensors; with a `scene` by prediction, else by first light. A cancel ends it within
 /// milliseconds.
 ///
@@ -79,6 +87,17 @@ pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Option
         let verdicts = readings.sensors.iter().map(|sensor| blind::label(sensor, options, cancel)).collect();
         return Solution { verdicts, ..Solution::default() }.of(readings);
     };
+    let mut scene = scene.clone();
+    for _ in 0..MOVES {
+        let solution = label_in(sensors, &scene, options, cancel);
+        let Some((patch, place)) = beside(&solution, &scene, sensors, options) else { return solution };
+        scene = scene.moved(patch, &place);
+    }
+    label_in(sensors, &scene, options, cancel)
+}
+
+/// Labels by prediction.
+fn label_in(sensors: &[SensorProfiles], scene: &Scene, options: &Options, cancel: &Cancel) -> Solution {
     let whole = Readings::whole(sensors, options.blend_ps);
     let has_pair = |profile: &Profile| profile.arrivals.iter().any(|arrival| arrival.pair.is_some());
     if !sensors.iter().flat_map(|sensor| &sensor.profiles).any(has_pair) {
@@ -104,6 +123,32 @@ pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Option
     let labelling = Labelling { sensors: &third.sensors, ..labelling };
     let verdicts = labelling.verdicts(&labelling.graphs(&whole), &chances);
     Solution { verdicts, ..solution }.of(third)
+}
+
+/// The surest hidden patch that no onset could tell from a visible one, and that one: its own third bounces, and a wrong
+/// place of it. (Pulses that came together give one; other light shows the right one.)
+fn beside(
+    solution: &Solution,
+    scene: &Scene,
+    sensors: &[SensorProfiles],
+    options: &Options,
+) -> Option<(PatchId, Hidden)> {
+    let reach_m = sensors.first()?.medium.path_m(options.blend_ps);
+    let visible = visible(scene, sensors);
+    let near = |hypothesis: &Hypothesis| {
+        hypothesis.patch?;
+        let apart_m = |patch: &PatchId| (scene.points_of(&[*patch])[0] - hypothesis.surface.point).norm();
+        let nearest = visible.iter().copied().min_by(|a, b| apart_m(a).total_cmp(&apart_m(b)))?;
+        (apart_m(&nearest) < reach_m).then_some((nearest, hypothesis.surface))
+    };
+    solution.hypotheses.iter().find_map(near)
+}
+
+/// Patches in place that are lit or seen, ascending.
+fn visible(scene: &Scene, sensors: &[SensorProfiles]) -> Vec<PatchId> {
+    let profiles = sensors.iter().flat_map(|sensor| &sensor.profiles);
+    let ends: BTreeSet<PatchId> = profiles.flat_map(|profile| [profile.lit, profile.seen]).collect();
+    ends.into_iter().filter(|patch| scene.has(&[*patch])).collect()
 }
 
 /// What onsets are read by.
@@ -155,9 +200,7 @@ impl<'a> Labelling<'a> {
 
     /// As if all pairs exchanged light.
     fn open(scene: &Scene, sensors: &'a [SensorProfiles], options: &'a Options, cancel: &'a Cancel) -> Self {
-        let profiles = sensors.iter().flat_map(|sensor| &sensor.profiles);
-        let ends: BTreeSet<PatchId> = profiles.flat_map(|profile| [profile.lit, profile.seen]).collect();
-        let visible: Vec<PatchId> = ends.into_iter().filter(|patch| scene.has(&[*patch])).collect();
+        let visible = visible(scene, sensors);
         let closed = vec![Pairs::new(); sensors.len()];
         Self { sensors, options, cancel, visible, closed }
     }

@@ -70,6 +70,13 @@ impl Scene {
         scene
     }
 
+    /// With a patch where other light shows it; its error is independent of those of others.
+    pub(super) fn moved(&self, patch: PatchId, place: &Hidden) -> Self {
+        let mut scene = self.with(std::iter::once((patch, *place)));
+        scene.covariances_m2.retain(|&(a, b), _| a == b || (a != patch && b != patch));
+        scene
+    }
+
     /// With patches that only the hidden ones `shown_by` show.
     pub(super) fn with_deep(&self, hidden: &[(PatchId, Hidden)], shown_by: &[PatchId]) -> Self {
         let mut scene = self.with(hidden.iter().copied());
