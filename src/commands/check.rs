@@ -22,7 +22,7 @@ use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::rejects;
 use periscope::pipeline::run::{self as runner, Settings};
-use periscope::pipeline::spec::{DEFAULT, Definition, Reference, Spec, Step};
+use periscope::pipeline::spec::{Definition, Reference, Spec, Step};
 use periscope::stages::Node;
 use periscope::store::Shelf;
 use periscope::store::finite::NotJson;
@@ -30,7 +30,7 @@ use periscope::tables::{Calibration, Reject, Row};
 
 use super::SOME_REJECTED;
 use super::output::{Format, Output, json, print};
-use super::run::reference;
+use super::run::{or_declared, reference};
 use report::Report;
 
 /// The built-in pipeline. Traces are not kept: they are as large as the campaign. Captures of the scene are averaged by
@@ -78,9 +78,9 @@ pub struct Check {
     /// Campaign folder
     #[arg(long, value_name = "DIR")]
     campaign: PathBuf,
-    /// Pipeline that will run, a name or a file: captures of the scene are rejected by its rules
-    #[arg(long, value_name = "PIPELINE", default_value = DEFAULT, value_parser = reference())]
-    pipeline: Reference,
+    /// Pipeline that will run, a name or a file: captures of the scene are rejected by its rules [default: as of `run`]
+    #[arg(long, value_name = "PIPELINE", value_parser = reference())]
+    pipeline: Option<Reference>,
     /// Folder for the measurements, so that the next check reads only new files
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -93,7 +93,8 @@ pub fn check(args: &Check) -> Result<ExitCode> {
     let campaign = Campaign::load(&args.campaign)?;
     let survey = campaign.survey().with_context(|| format!("campaign {}", args.campaign.display()))?;
     let out = OutFolder::of(args.out.as_deref());
-    let report = look(&campaign, &survey, &rules(&Spec::new(&Definition::load(&args.pipeline)?)?)?, &out.path)?;
+    let reference = or_declared(args.pipeline.as_ref(), std::slice::from_ref(&campaign));
+    let report = look(&campaign, &survey, &rules(&Spec::new(&Definition::load(&reference)?)?)?, &out.path)?;
     match args.output.format {
         Format::Table => print(text::text(&report))?,
         Format::Json => print(json(&report)?)?,

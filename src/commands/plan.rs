@@ -11,21 +11,21 @@ use periscope::pipeline::plan::{Action, Plan};
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::run::Settings;
 use periscope::pipeline::shards::{self, Cut, Dealt, Job, Shard, Work};
-use periscope::pipeline::spec::{DEFAULT, Definition, Reference, Spec};
+use periscope::pipeline::spec::{Definition, Reference, Spec};
 use periscope::store::Shelf;
 use periscope::store::runs::RunRecord;
 use serde_json::json;
 
 use super::interrupt::cancel_on_signals;
 use super::output::{Format, Output, Rows, note, print};
-use super::run::{campaigns, reference, results};
+use super::run::{campaigns, or_declared, reference, results};
 
 /// Arguments of `plan`.
 #[derive(Args)]
 pub struct PlanArgs {
-    /// Pipeline: a name that `periscope pipelines` lists, or a file (TOML)
-    #[arg(default_value = DEFAULT, value_parser = reference())]
-    pipeline: Reference,
+    /// Pipeline: a name that `periscope pipelines` lists, or a file (TOML) [default: as of `run`]
+    #[arg(value_parser = reference())]
+    pipeline: Option<Reference>,
     /// Campaign folder; may be given several times
     #[arg(long, required_unless_present = "resolved", value_name = "DIR")]
     campaign: Vec<PathBuf>,
@@ -51,7 +51,9 @@ pub struct PlanArgs {
 
 /// The command.
 pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
-    let definition = Definition::load(&args.pipeline)?;
+    let campaigns = campaigns(&args.campaign)?;
+    let reference = or_declared(args.pipeline.as_ref(), &campaigns);
+    let definition = Definition::load(&reference)?;
     let mut changed = definition.clone();
     changed.set(&args.set)?;
     let spec = Spec::new(&changed)?;
@@ -62,14 +64,13 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
     let out = results(args.out.as_deref(), &args.campaign)?;
     if let Some(count) = args.shards {
         let work = Work {
-            pipeline: args.pipeline.absolute()?,
+            pipeline: reference.absolute()?,
             text: definition.to_toml(),
             set: args.set.clone(),
             ..Work::default()
         };
         return deal(args, &spec, work, &out, count as usize);
     }
-    let campaigns = campaigns(&args.campaign)?;
     let shelf = Shelf::imagine(&out);
     let plan = Plan::new(&spec, &campaigns, &shelf, args.until.as_deref())?;
     tell_warnings(&plan);

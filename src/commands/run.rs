@@ -17,7 +17,7 @@ use periscope::pipeline::rejects::MaxRejects;
 use periscope::pipeline::roots;
 use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
 use periscope::pipeline::shards;
-use periscope::pipeline::spec::{DEFAULT, Definition, Reference, Spec};
+use periscope::pipeline::spec::{BuiltIn, Definition, Reference, Spec};
 use periscope::store::runs::{Ending, RunRecord};
 use periscope::store::{Digest, Shelf, StoreError};
 
@@ -34,9 +34,10 @@ const LOOK_AGAIN: Duration = Duration::from_millis(200);
 #[derive(Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of the command line")]
 pub struct Run {
-    /// Pipeline: a name that `periscope pipelines` lists, or a file (TOML)
-    #[arg(default_value = DEFAULT, value_parser = reference())]
-    pipeline: Reference,
+    /// Pipeline: a name that `periscope pipelines` lists, or a file (TOML) [default: scene, or the one for mirrors or
+    /// strips that campaign.toml declares]
+    #[arg(value_parser = reference())]
+    pipeline: Option<Reference>,
     /// Campaign folder, with a campaign.toml; may be given several times for one scene
     #[arg(long, required = true, value_name = "DIR")]
     campaign: Vec<PathBuf>,
@@ -82,6 +83,17 @@ pub struct Run {
 /// Reads which pipeline a user means: here, so that a folder in its place is the first thing to be refused.
 pub fn reference() -> impl TypedValueParser<Value = Reference> {
     OsStringValueParser::new().try_map(|text| Reference::new(Path::new(&text), Path::new("")))
+}
+
+/// The pipeline that was named, else the one for what the campaigns declare.
+pub fn or_declared(named: Option<&Reference>, campaigns: &[Campaign]) -> Reference {
+    named.cloned().unwrap_or_else(|| {
+        let (pipeline, reason) = BuiltIn::for_campaigns(campaigns);
+        if let Some(reason) = reason {
+            note!("pipeline {}: campaign.toml has {reason}", pipeline.name);
+        }
+        Reference::BuiltIn(pipeline)
+    })
 }
 
 /// Loads campaigns, and checks that their names differ: rows of equal names would mix.
@@ -240,11 +252,12 @@ fn next_to(campaign: &Path) -> Result<PathBuf> {
 /// The command.
 pub fn run(args: &Run) -> Result<ExitCode> {
     args.machine.start()?;
-    let mut definition = Definition::load(&args.pipeline)?;
-    definition.set(&args.set)?;
-    let spec = Spec::new(&definition)?;
     let out = results(args.out.as_deref(), &args.campaign)?;
     let campaigns = campaigns(&args.campaign)?;
+    let reference = or_declared(args.pipeline.as_ref(), &campaigns);
+    let mut definition = Definition::load(&reference)?;
+    definition.set(&args.set)?;
+    let spec = Spec::new(&definition)?;
     let shelf = open(&out, args.wait)?;
     if args.rehash {
         roots::rehash(&campaigns, &shelf)?;
@@ -258,7 +271,7 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     };
     let job = Job {
         spec: &spec,
-        pipeline: &args.pipeline.absolute()?,
+        pipeline: &reference.absolute()?,
         set: &args.set,
         campaigns: &campaigns,
         shelf: &shelf,

@@ -1,5 +1,8 @@
 //! The pipelines in the program: the files of `pipelines/`, by their names.
 
+use crate::campaign::Campaign;
+use crate::campaign::keys::{Patch, PatchRole};
+
 /// A pipeline in the program.
 #[derive(Debug, PartialEq, Eq)]
 pub struct BuiltIn {
@@ -37,10 +40,29 @@ built_in!(
     "visible",
 );
 
-/// Name of the pipeline that runs unless the user names another.
+/// Name of the pipeline for any scene whose campaign declares none of [`DECLARED`].
 pub const DEFAULT: &str = "scene";
 
+/// Pipelines for what a campaign declares: name, what stands in campaign.toml, and whether a patch has it.
+const DECLARED: [(&str, &str, fn(&Patch) -> bool); 2] = [
+    ("mirror", "patches with role = \"mirror\"", |patch| patch.role == PatchRole::Mirror),
+    ("barcode", "hidden patches with `through`", |patch| patch.through.is_some()),
+];
+
 impl BuiltIn {
+    /// The pipeline that runs unless the user names another, and what in the campaigns says so; `None` where nothing
+    /// special is declared.
+    ///
+    /// # Panics
+    /// Never: all these are in the program.
+    #[must_use]
+    pub fn for_campaigns(campaigns: &[Campaign]) -> (&'static Self, Option<&'static str>) {
+        let patches = || campaigns.iter().flat_map(|campaign| campaign.patches.values());
+        let declared = DECLARED.iter().find(|(.., has)| patches().any(has));
+        let (name, reason) = declared.map_or((DEFAULT, None), |(name, reason, _)| (*name, Some(*reason)));
+        (Self::named(name).expect("a pipeline of the program"), reason)
+    }
+
     /// The pipeline of this name.
     #[must_use]
     pub fn named(name: &str) -> Option<&'static Self> {
@@ -73,6 +95,25 @@ mod tests {
         assert_eq!(names, files, "src/pipeline/spec/built_in.rs lists the files of pipelines/");
         assert!(BUILT_IN[1..].is_sorted_by_key(|pipeline| pipeline.name));
         assert_eq!(BUILT_IN[0].name, DEFAULT);
+    }
+
+    #[test]
+    fn what_a_campaign_declares_chooses() {
+        let campaign = |patches: &str| {
+            let folder = tempfile::tempdir().unwrap();
+            let text =
+                format!("[campaign]\nname = 'a'\n[sensors.s1]\n{patches}[[captures]]\nrole = 'scene'\nfiles = 'x'\n");
+            std::fs::write(folder.path().join("campaign.toml"), text).unwrap();
+            Campaign::load(folder.path()).unwrap()
+        };
+        let plain = campaign("[patches.1]\nposition_m = [1.0, 0.0, 0.0]\n");
+        let mirror = campaign("[patches.1]\nrole = 'mirror'\nray = { from = 'laser', direction = [0.0, 1.0, 0.0] }\n");
+        let strips = campaign("[patches.1]\n[patches.2]\nrole = 'hidden'\nthrough = 1\n");
+        assert_eq!(BuiltIn::for_campaigns(&[]).0.name, DEFAULT);
+        assert_eq!(BuiltIn::for_campaigns(std::slice::from_ref(&plain)), (BuiltIn::named(DEFAULT).unwrap(), None));
+        let (pipeline, reason) = BuiltIn::for_campaigns(&[plain, mirror]);
+        assert!(pipeline.name == "mirror" && reason.is_some());
+        assert_eq!(BuiltIn::for_campaigns(&[strips]).0.name, "barcode");
     }
 
     #[test]
