@@ -136,3 +136,81 @@ fn points_are_read_as_they_are() {
     }
     assert!(solution.losers[0].iter().all(Vec::is_empty));
 }
+
+/// The profile of a patch that is lit and seen whose pulse has a shape of its own, fitted as a wide one and a point.
+#[test]
+fn a_first_bounce_of_odd_shape_is_one_arrival() {
+    let first_ps = time_ps(&[2]);
+    let part = |late_ps: f64, amplitude: f64, width_ps: f64| Arrival {
+        amplitude,
+        blended: true,
+        width_ps,
+        ..Arrival::point(first_ps + late_ps, 2.0, 20.0)
+    };
+    for with_scene in [false, true] {
+        let mut sensors = profiles(0.0, Arrival::point(time_ps(&[1, 2]), SD_PS, 60.0));
+        let own = sensors[0].profiles.iter_mut().position(|profile| (profile.lit, profile.seen) == (2, 2)).unwrap();
+        let later = Arrival { amplitude: 0.05, ..Arrival::point(time_ps(&[2, 4, 2]), SD_PS, 60.0) };
+        sensors[0].profiles[own].arrivals = vec![part(-15.0, 0.8, 35.0), part(60.0, 0.2, 0.0), later];
+        let scene = with_scene.then(scene);
+        let solution = label(&sensors, scene.as_ref(), &SEARCH, &Cancel::never());
+        let arrivals: Vec<(usize, Arrival)> =
+            solution.arrivals[0][own].iter().map(|(origin, arrival)| (origin.onset, *arrival)).collect();
+        assert_eq!(arrivals.iter().map(|(onset, _)| *onset).collect::<Vec<_>>(), [0, 2], "{arrivals:?}");
+        let first = arrivals[0].1;
+        assert!((first.time_ps - first_ps).abs() < 1e-9 && first.amplitude == 1.0, "{first:?}");
+        assert!((1.0..2.0).contains(&first.sd_ps) && (40.0..50.0).contains(&first.width_ps), "{first:?}");
+        assert_eq!(solution.verdicts[0][own][0][0].path, Some(vec![2]));
+        // The part keeps a row, without a path.
+        let losers = &solution.losers[0][own];
+        assert!(losers.len() == 1 && losers[0].origin.onset == 1 && losers[0].verdict.path.is_none(), "{losers:?}");
+    }
+}
+
+/// A second bounce and the third one behind it give one arrival between both, which neither explains: nothing says that
+/// the pair is dark, so that third bounces over it keep their paths.
+#[test]
+fn a_pair_whose_light_may_be_blended_is_not_dark() {
+    let between_ps = 0.7 * time_ps(&[1, 2]) + 0.3 * time_ps(&[1, 3, 2]);
+    for (at_ps, is_open) in [(between_ps, true), (time_ps(&[1, 2]) + 400.0, false)] {
+        let mut sensors = profiles(0.0, Arrival::point(at_ps, SD_PS, 60.0));
+        for profile in &mut sensors[0].profiles {
+            let (lit, seen) = (profile.lit, profile.seen);
+            if (lit, seen) == (2, 1) {
+                profile.arrivals = vec![Arrival::point(at_ps, SD_PS, 60.0)];
+            }
+            if (lit, seen) == (4, 2) {
+                profile.arrivals.push(Arrival::point(time_ps(&[4, 1, 2]), SD_PS, 60.0));
+            }
+        }
+        let solution = label(&sensors, Some(&scene()), &SEARCH, &Cancel::never());
+        let place = |lit, seen| sensors[0].profiles.iter().position(|one| (one.lit, one.seen) == (lit, seen)).unwrap();
+        let of_third = &solution.verdicts[0][place(4, 2)][1][0];
+        assert_eq!(of_third.path, is_open.then(|| vec![4, 1, 2]), "{at_ps}");
+    }
+}
+
+/// Third bounces show a visible patch 5 mm from where its own second bounces put it. That is no hidden patch.
+#[test]
+fn a_hidden_patch_beside_a_visible_one_is_that_patch() {
+    let patches = 1..=ROOM.len() as PatchId;
+    let mut sensors = profiles(0.0, Arrival::point(time_ps(&[1, 2]), SD_PS, 60.0));
+    for profile in &mut sensors[0].profiles {
+        let (lit, seen) = (profile.lit, profile.seen);
+        let over = patches.clone().filter(|over| ![lit, seen].contains(over));
+        profile.arrivals.extend(over.map(|over| Arrival::point(time_ps(&[lit, over, seen]), SD_PS, 60.0)));
+    }
+    let wrong = |patch: PatchId| if patch == 4 { point(4) + Vector3::new(0.003, -0.004, 0.0) } else { point(patch) };
+    let scene = Scene::new(
+        &patches.map(|patch| (patch, (wrong(patch), 1e-9 * Matrix3::identity()))).collect(),
+        &BTreeMap::new(),
+        Footprints::default(),
+        BTreeMap::new(),
+    );
+    let options = Options { hidden: HiddenPatches::Search, ..SEARCH };
+    let solution = label(&sensors, Some(&scene), &options, &Cancel::never());
+    assert!(solution.hypotheses.iter().all(|one| one.patch.is_none()), "{:?}", solution.hypotheses);
+    let paths = solution.verdicts[0].iter().flatten().filter_map(|verdicts| verdicts[0].path.as_ref());
+    let over_4 = paths.filter(|path| path.len() == 3 && path[1] == 4).count();
+    assert!(over_4 >= 14, "{over_4} of 16");
+}
