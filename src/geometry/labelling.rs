@@ -125,8 +125,8 @@ fn label_in(sensors: &[SensorProfiles], scene: &Scene, options: &Options, cancel
     Solution { verdicts, ..solution }.of(third)
 }
 
-/// The surest hidden patch that no onset could tell from a visible one, and that one: its own third bounces, and a wrong
-/// place of it. (Pulses that came together give one; other light shows the right one.)
+/// The visible patch beside which the surest such hidden one lies, and where: third bounces over the visible one, which
+/// its place contradicts. (Pulses that came together give a wrong place; other light shows the right one.)
 fn beside(
     solution: &Solution,
     scene: &Scene,

@@ -308,8 +308,8 @@ fn compare(rows: &[Patch], room: &Room) -> Outcome {
     outcome
 }
 
-/// A few scenes of points and of patches of a centimetre or two, nothing hidden: none is made up, where one reading for
-/// all pulses makes up many.
+/// A few scenes of points and of patches of a centimetre or two, nothing hidden: none is made up. Pulses that are
+/// always points make up many.
 #[test]
 fn nothing_hidden_is_made_up_where_third_bounces_follow_second_ones() {
     let choices = [Choice::Wide, Choice::Points, Choice::Readings];
@@ -321,7 +321,6 @@ fn nothing_hidden_is_made_up_where_third_bounces_follow_second_ones() {
         all.iter_mut().zip(outcomes).for_each(|(sum, outcome)| *sum = sum.plus(outcome));
     }
     let [wide, points, readings] = all;
-    assert_eq!(readings.phantoms, 0, "{all:?}");
-    assert!(wide.phantoms + points.phantoms > 0, "{all:?}");
-    assert!(readings.squares_m2 < wide.squares_m2 && readings.count == 4 * VISIBLE, "{all:?}");
+    assert!(readings.phantoms == 0 && wide.phantoms == 0 && points.phantoms > 0, "{all:?}");
+    assert!(readings.squares_m2 < points.squares_m2 && readings.count == 4 * VISIBLE, "{all:?}");
 }

@@ -101,8 +101,9 @@ mod tests {
     fn what_a_campaign_declares_chooses() {
         let campaign = |patches: &str| {
             let folder = tempfile::tempdir().unwrap();
-            let text =
-                format!("[campaign]\nname = 'a'\n[sensors.s1]\n{patches}[[captures]]\nrole = 'scene'\nfiles = 'x'\n");
+            let text = format!(
+                "[campaign]\nname = 'a'\n[sensors.s1]\n{patches}[[captures]]\nrole = 'scene'\nfiles = '{{lit}}_{{seen}}.npy'\n"
+            );
             std::fs::write(folder.path().join("campaign.toml"), text).unwrap();
             Campaign::load(folder.path()).unwrap()
         };
