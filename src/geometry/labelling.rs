@@ -98,14 +98,14 @@ pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Option
 
 /// Labels by prediction.
 fn label_in(sensors: &[SensorProfiles], scene: &Scene, options: &Options, cancel: &Cancel) -> Solution {
-    let whole = Readings::whole(sensors, options.blend_ps);
+    let whole = Readings::whole(sensors, Some(scene), options.blend_ps);
     let has_pair = |profile: &Profile| profile.arrivals.iter().any(|arrival| arrival.pair.is_some());
     if !sensors.iter().flat_map(|sensor| &sensor.profiles).any(has_pair) {
         let solution = Labelling::new(scene, &whole.sensors, options, cancel).solution(scene);
         return solution.of(whole);
     }
     // First as all paths may be, then as those that the campaign shows.
-    let reader = Reader { sensors, widths: Widths::of(&whole.sensors, Some(scene)), options };
+    let reader = Reader { sensors, widths: Widths::of(&whole.sensors, Some(scene), options.blend_ps), options };
     let labelling = Labelling::open(scene, sensors, options, cancel);
     let first = reader.readings(&labelling.graphs(scene), &Chances::prior(&labelling.visible));
     let labelling = Labelling::new(scene, &first.sensors, options, cancel);

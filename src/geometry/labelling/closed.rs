@@ -64,12 +64,8 @@ fn direct_probability(assignment: &Assignment) -> f64 {
 
 /// Whether an arrival within `blend_ps` of the direct light is more likely none of the paths than any of them.
 fn may_be_blended(scene: &Scene, assignment: &Assignment, view: View, blend_ps: f64) -> bool {
-    let medium = view.medium();
     let direct_ps = scene.predict(view.profile.direct(), view).time.time_ps;
-    let is_near = |arrival: &Arrival| {
-        let late_ps = direct_ps - arrival.time_ps;
-        (late_ps - medium.turns_ps(medium.nearest_turns(late_ps))).abs() < blend_ps
-    };
+    let is_near = |arrival: &Arrival| view.off_ps(arrival.time_ps, direct_ps) < blend_ps;
     let explained = |candidates: &[Candidate]| candidates.iter().map(|candidate| candidate.probability).sum::<f64>();
     let mut arrivals = view.profile.arrivals.iter().zip(&assignment.candidates);
     arrivals.any(|(arrival, candidates)| is_near(arrival) && explained(candidates) < 0.5)

@@ -175,6 +175,12 @@ impl View<'_> {
     pub(super) const fn medium(&self) -> Medium {
         self.sensor.medium
     }
+
+    /// How far apart two times are, modulo the laser's period.
+    pub(super) fn off_ps(&self, a_ps: f64, b_ps: f64) -> f64 {
+        let late_ps = a_ps - b_ps;
+        (late_ps - self.medium().turns_ps(self.medium().nearest_turns(late_ps))).abs()
+    }
 }
 
 /// Which hidden patches [`label`](super::label) looks for.

@@ -82,13 +82,9 @@ struct Reading {
 
 impl Widths {
     /// Of first bounces, else of `size_m`.
-    pub(super) fn of(sensors: &[SensorProfiles], scene: Option<&Scene>) -> Self {
-        let own = sensors.iter().flat_map(|sensor| &sensor.profiles).filter(|profile| profile.lit == profile.seen);
-        let strongest = |profile: &Profile| {
-            let arrivals = profile.arrivals.iter();
-            arrivals.copied().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).expect("a profile has an arrival")
-        };
-        let mut squares: Vec<f64> = own.map(|profile| strongest(profile).width_ps.powi(2)).collect();
+    pub(super) fn of(sensors: &[SensorProfiles], scene: Option<&Scene>, blend_ps: f64) -> Self {
+        let own = |view: View| first_bounce(view, scene, blend_ps).map(|n| view.profile.arrivals[n].width_ps.powi(2));
+        let mut squares: Vec<f64> = sensors.iter().flat_map(|sensor| sensor.views().filter_map(own)).collect();
         // One that is not spread by its patch does not speak for the others.
         squares.sort_by(f64::total_cmp);
         squares.truncate((squares.len() * 9).div_ceil(10));
@@ -153,8 +149,8 @@ impl Pair {
 
 impl Readings {
     /// Every onset as a whole; `blend_ps` as in [`Options`].
-    pub(super) fn whole(sensors: &[SensorProfiles], blend_ps: f64) -> Self {
-        Self::each(sensors, blend_ps, |sensor| sensor.profiles.iter().map(Reading::whole).collect())
+    pub(super) fn whole(sensors: &[SensorProfiles], scene: Option<&Scene>, blend_ps: f64) -> Self {
+        Self::each(sensors, scene, blend_ps, |sensor| sensor.profiles.iter().map(Reading::whole).collect())
     }
 
     /// As the paths of a scene have them.
@@ -166,7 +162,8 @@ impl Readings {
         options: &Options,
     ) -> Self {
         let mut at = graphs.iter();
-        Self::each(sensors, options.blend_ps, |sensor| {
+        let scene = graphs.first().map(|graph| graph.scene);
+        Self::each(sensors, scene, options.blend_ps, |sensor| {
             let graph = at.next().expect("each sensor has a graph");
             let of_profile = |profile: &Profile| {
                 let view = View { sensor, profile };
@@ -178,15 +175,22 @@ impl Readings {
 
     /// By what wide and blended light is like, for first light.
     pub(super) fn blind(sensors: &[SensorProfiles], blend_ps: f64) -> Self {
-        let widths = Widths::of(&Self::whole(sensors, blend_ps).sensors, None);
-        Self::each(sensors, blend_ps, |sensor| sensor.profiles.iter().map(|profile| blind(profile, &widths)).collect())
+        let widths = Widths::of(&Self::whole(sensors, None, blend_ps).sensors, None, blend_ps);
+        Self::each(sensors, None, blend_ps, |sensor| {
+            sensor.profiles.iter().map(|profile| blind(profile, &widths)).collect()
+        })
     }
 
     /// Reads all profiles, first bounces gathered.
-    fn each(sensors: &[SensorProfiles], blend_ps: f64, mut read: impl FnMut(&SensorProfiles) -> Vec<Reading>) -> Self {
+    fn each(
+        sensors: &[SensorProfiles],
+        scene: Option<&Scene>,
+        blend_ps: f64,
+        mut read: impl FnMut(&SensorProfiles) -> Vec<Reading>,
+    ) -> Self {
         let mut all = Self { sensors: Vec::new(), origins: Vec::new(), losers: Vec::new() };
         for sensor in sensors {
-            let gathered: Vec<Gathered> = sensor.profiles.iter().map(|profile| gather(profile, blend_ps)).collect();
+            let gathered: Vec<Gathered> = sensor.views().map(|view| gather(view, scene, blend_ps)).collect();
             let profiles = gathered.iter().map(|gathered| gathered.profile.clone()).collect();
             let sensor = SensorProfiles { profiles, ..sensor.clone() };
             let (mut profiles, mut origins, mut losers) = (Vec::new(), Vec::new(), Vec::new());
@@ -215,8 +219,8 @@ struct Gathered {
 
 /// Joins arrivals that overlap the first bounce of a patch that is lit and seen, and come within `blend_ps` of it, with
 /// it. Light over another patch would come so soon only from a centimetre away.
-fn gather(profile: &Profile, blend_ps: f64) -> Gathered {
-    let first = first_bounce(profile);
+fn gather(view: View, scene: Option<&Scene>, blend_ps: f64) -> Gathered {
+    let (profile, first) = (view.profile, first_bounce(view, scene, blend_ps));
     let at = |n: usize| &profile.arrivals[n];
     let is_inner = |n: usize| {
         first.is_some_and(|first| {
@@ -236,11 +240,17 @@ fn gather(profile: &Profile, blend_ps: f64) -> Gathered {
     Gathered { profile: Profile { arrivals, ..profile.clone() }, onsets, inner }
 }
 
-/// The strongest arrival of a patch that is lit and seen.
-fn first_bounce(profile: &Profile) -> Option<usize> {
-    let Profile { lit, seen, arrivals, .. } = profile;
+/// The strongest arrival of a patch that is lit and seen. With a scene it must come where that has it: a record may have
+/// been gated behind the first bounce.
+fn first_bounce(view: View, scene: Option<&Scene>, blend_ps: f64) -> Option<usize> {
+    let Profile { lit, seen, arrivals, .. } = view.profile;
     let strongest = (0..arrivals.len()).max_by(|&a, &b| arrivals[a].amplitude.total_cmp(&arrivals[b].amplitude));
-    strongest.filter(|_| lit == seen)
+    let is_in_place = |n: &usize| {
+        let Some(scene) = scene else { return true };
+        let direct = view.profile.direct();
+        scene.has(&direct) && view.off_ps(arrivals[*n].time_ps, scene.predict(direct, view).time.time_ps) < blend_ps
+    };
+    strongest.filter(|n| lit == seen && is_in_place(n))
 }
 
 /// All light of several arrivals as one. Their errors are taken for independent: those of overlapping pulses are
@@ -317,7 +327,7 @@ impl Context<'_> {
         let seen = |prediction: &Prediction| self.prior.of(self.graph.scene, &prediction.path);
         let expected: Vec<Expected> =
             predictions.iter().map(|path| Expected { time: path.time, seen: seen(path) }).collect();
-        let first_bounce = first_bounce(self.view.profile);
+        let first_bounce = first_bounce(self.view, Some(self.graph.scene), self.options.blend_ps);
         let item = |(n, arrival): (usize, &Arrival)| {
             let pair = arrival.pair.filter(|_| first_bounce != Some(n));
             self.item(&Arrival { pair, ..*arrival }, &predictions, &expected, clutter_per_ps)
