@@ -121,9 +121,8 @@ fn print_readings(seeds: u64, choices: &[Choice]) {
         "| patches (cm) | SNR | hidden | instrument | choice | scenes | with a phantom | phantoms | missed | rms (mm) | 95 % interval |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
-    let kind = [0.0, 0.01, 0.02, 0.04]
-        .into_iter()
-        .flat_map(|size_m| [10.0, 30.0, 100.0, 300.0].map(|snr| (size_m, snr, Instrument::Kind)));
+    let kind =
+        [0.0, 0.01, 0.02, 0.04].into_iter().flat_map(|size_m| [30.0, 100.0].map(|snr| (size_m, snr, Instrument::Kind)));
     let unkind = [Instrument::Tail, Instrument::Slope].map(|instrument| (0.02, 100.0, instrument));
     let cells = kind.chain(unkind).flat_map(|cell| [0, 2].map(|hidden| (cell, hidden)));
     let mut totals = vec![(0, 0); choices.len()];
