@@ -24,6 +24,9 @@
 //! Pulses that the response does not resolve make one arrival between their times; its error is then larger (`blends`).
 //! A wide arrival may be two pulses: the paths of the scene, and the widths of first bounces, decide (`readings`).
 //!
+//! The onsets may leave several scenes: a patch on either side of its neighbours. A [`Comparison`] weighs these by how
+//! well their paths explain all arrivals.
+//!
 //! A laser that repeats leaves times modulo its period. Without a scene, periods are added such that first bounces lie
 //! within one period beyond [`Options::near_m`]. The first bounce is then the strongest arrival, since later light may
 //! come before it. Second bounces get periods where their first bounces leave one choice. With a scene periods are
@@ -34,13 +37,14 @@
 //! tenth of all fourth bounces are seen before hidden patches are in place.
 //!
 //! The files are a stack, each imports only those before it: problem, scene, paths, chances, legs, blends, assignment,
-//! readings, closed, layers, rank, blind.
+//! readings, closed, comparison, layers, rank, blind.
 
 mod assignment;
 mod blends;
 mod blind;
 mod chances;
 mod closed;
+mod comparison;
 mod layers;
 mod legs;
 mod paths;
@@ -49,14 +53,13 @@ mod rank;
 mod readings;
 mod scene;
 
-use std::collections::BTreeSet;
-
 use periscope_cancel::Cancel;
 
 use crate::units::PatchId;
 use assignment::Prior;
 use blends::Blends;
 use chances::Chances;
+pub use comparison::Comparison;
 use layers::{Layers, is_bright};
 use paths::{Graph, INDIRECT, Pairs};
 pub use problem::Verdicts;
@@ -155,9 +158,7 @@ impl<'a> Labelling<'a> {
 
     /// As if all pairs exchanged light.
     fn open(scene: &Scene, sensors: &'a [SensorProfiles], options: &'a Options, cancel: &'a Cancel) -> Self {
-        let profiles = sensors.iter().flat_map(|sensor| &sensor.profiles);
-        let ends: BTreeSet<PatchId> = profiles.flat_map(|profile| [profile.lit, profile.seen]).collect();
-        let visible: Vec<PatchId> = ends.into_iter().filter(|patch| scene.has(&[*patch])).collect();
+        let visible = scene.visible(sensors);
         let closed = vec![Pairs::new(); sensors.len()];
         Self { sensors, options, cancel, visible, closed }
     }

@@ -243,8 +243,8 @@ fn first_bounce(profile: &Profile) -> Option<usize> {
     strongest.filter(|_| lit == seen)
 }
 
-/// All light of several arrivals as one. Their errors are taken for independent: those of overlapping pulses are opposed,
-/// so that their centroid is known better.
+/// All light of several arrivals as one. Their errors are taken for independent: those of overlapping pulses are
+/// opposed, so that their centroid is known better.
 fn centroid(parts: &[&Arrival]) -> Arrival {
     let amplitude: f64 = parts.iter().map(|part| part.amplitude).sum();
     let mean = |value: &dyn Fn(&Arrival) -> f64| {

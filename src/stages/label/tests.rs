@@ -81,6 +81,7 @@ fn patches(points: &[Point], variance_m2: Option<f64>) -> Vec<Patch> {
         chi2_dof: None,
         alternative: 0,
         log_likelihood: None,
+        probability: None,
     };
     (1..).zip(points).map(patch).collect()
 }
