@@ -98,9 +98,9 @@ fn a_group_that_hangs_on_two_patches_may_fold_over() {
     let problem = measured(&truth, &[Point::origin()], &ways(truth.len(), &[0], &pairs), 1e-4, 11);
     let placed = place(&problem);
     let others = alternatives(&problem, &placed.points);
-    assert_eq!(others.len(), 1, "{others:?}");
-    assert!(others[0].patches == [5, 6] && others[0].more.abs() < 1e-3, "{others:?}");
-    assert!(rms_m(&placed.points, &truth).min(rms_m(&others[0].points, &truth)) < 0.001);
+    assert!(others.iter().any(|other| other.patches == [5, 6] && other.more.abs() < 1e-3), "{others:?}");
+    let all = others.iter().map(|other| &other.points).chain([&placed.points]);
+    assert!(all.map(|points| rms_m(points, &truth)).fold(f64::INFINITY, f64::min) < 0.001);
 }
 
 #[test]

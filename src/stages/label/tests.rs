@@ -1,6 +1,7 @@
 //! Rows: what labels and hypotheses say of the onsets and patches given. The kernel has its own tests.
 
 use super::*;
+use crate::geometry::Point;
 use crate::stages::stage::Rejection;
 use crate::tables::Delay;
 use std::path::Path;
