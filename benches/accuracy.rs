@@ -2,7 +2,8 @@
 //!
 //! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for
 //! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone), `-- readings 20` for
-//! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 one` for the choice of the scene alone.
+//! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 one` for the choice of the scene alone,
+//! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
@@ -26,6 +27,9 @@ mod score;
 #[path = "resolution/shape.rs"]
 mod shape;
 #[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/small_rooms.rs"]
+mod small_rooms;
+#[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/accuracy.rs"]
 mod study;
 
@@ -42,6 +46,9 @@ fn main() {
     let seeds = numbers.first().copied().unwrap_or(200);
     if std::env::args().any(|arg| arg == "rectangles") {
         return print_rectangles(&rectangles::study(rectangles::SCENE, 1000..1000 + seeds));
+    }
+    if std::env::args().any(|arg| arg == "small-rooms") {
+        return print_small_rooms(seeds);
     }
     if std::env::args().any(|arg| arg == "readings") {
         let is_one = std::env::args().any(|arg| arg == "one");
@@ -147,6 +154,38 @@ fn print_readings(seeds: u64, choices: &[Choice]) {
     }
     for (choice, (hits, of)) in choices.iter().zip(totals) {
         println!("nothing hidden, {choice:?}: a patch that is none in {}", Rate { hits, of });
+    }
+}
+
+/// Few patches, pairs missing, spurious onsets: which rooms are wrong without saying so.
+fn print_small_rooms(seeds: u64) {
+    println!(
+        "| pairs missing | profiles with a spurious onset | rooms | confidently wrong [95 %] | of these, fit not explained | wrong, and said so | refused | with open patches | with phantoms | p of errors (Kolmogorov) |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    let shares = [0.0, 0.3, 0.6].into_iter().flat_map(|missing| [0.0, 0.2, 0.4].map(|spurious| (missing, spurious)));
+    for kind in shares.map(|(missing, spurious)| small_rooms::Kind { missing, spurious }) {
+        let rooms: Vec<small_rooms::Outcome> = (0..seeds).map(|seed| small_rooms::solve(kind, 1000 + seed)).collect();
+        for (seed, room) in (1000..).zip(&rooms).filter(|(_, room)| !room.confidently_wrong.is_empty()) {
+            eprintln!("{kind:?}, room {seed}: {room:?}");
+        }
+        let count = |holds: fn(&small_rooms::Outcome) -> bool| rooms.iter().filter(|room| holds(room)).count();
+        let solved = count(|room| room.refused.is_none());
+        let wrong = count(|room| !room.confidently_wrong.is_empty());
+        let chance = small_rooms::kolmogorov(rooms.iter().filter_map(|room| room.p_value).collect());
+        println!(
+            "| {:.0} % | {:.0} % | {} | {wrong}: {} | {} | {} | {} | {} | {} | {} |",
+            100.0 * kind.missing,
+            100.0 * kind.spurious,
+            rooms.len(),
+            Rate { hits: wrong, of: solved },
+            count(|room| !room.confidently_wrong.is_empty() && room.chi2_dof.is_some_and(|ratio| ratio > 2.0)),
+            count(|room| room.confidently_wrong.is_empty() && !room.wrong.is_empty()),
+            rooms.len() - solved,
+            count(|room| room.open > 0),
+            count(|room| room.phantoms > 0),
+            chance.map_or("-".to_owned(), |chance| format!("{chance:.2}")),
+        );
     }
 }
 

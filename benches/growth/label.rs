@@ -109,6 +109,7 @@ fn beside(points: &[Point]) -> BesideTables {
         chi2_dof: None,
         alternative: 0,
         log_likelihood: None,
+        probability: None,
     };
     let patches: Vec<Patch> = points.iter().enumerate().map(patch).collect();
     BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches)])])

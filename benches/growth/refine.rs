@@ -110,6 +110,7 @@ fn start(points: &[Point], rng: &mut ChaCha8Rng) -> BesideTables {
         chi2_dof: None,
         alternative: 0,
         log_likelihood: None,
+        probability: None,
     };
     let patches: Vec<Patch> = points.iter().enumerate().map(patch).collect();
     BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches)])])

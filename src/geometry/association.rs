@@ -84,6 +84,22 @@ pub fn associate(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[
     candidates
 }
 
+/// Natural logarithm of the sum of all associations' weights: by how much the predictions explain the arrivals better
+/// than clutter alone. 0 where no prediction is near an arrival.
+///
+/// # Panics
+/// As [`associate`].
+#[must_use]
+pub fn log_total(arrivals: &[Time], predictions: &[Expected], clutter_per_ps: &[f64]) -> f64 {
+    assert_eq!(arrivals.len(), clutter_per_ps.len(), "an arrival has a density of clutter");
+    assert!(clutter_per_ps.iter().all(|clutter| *clutter > 0.0), "something else is always possible");
+    let edges = edges(arrivals, predictions, clutter_per_ps);
+    let mut order: Vec<usize> = (0..arrivals.len()).collect();
+    order.sort_by(|&a, &b| arrivals[a].time_ps.total_cmp(&arrivals[b].time_ps));
+    let items = choices(&edges, &order);
+    forwards(&items, &Lasts::new(&items)).1
+}
+
 /// A way to explain an item, an arrival or several that stand for one another: by up to two paths, or by none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
@@ -148,34 +164,58 @@ fn choices(edges: &[Vec<Edge>], order: &[usize]) -> Vec<Vec<Choice>> {
 /// Paths taken by arrivals behind that those ahead could take too, ascending, each set with a weight.
 type Taken = BTreeMap<Vec<usize>, f64>;
 
-/// For each item, in order of time, the probability of each of its choices, of which the first takes no path.
-fn probabilities(items: &[Vec<Choice>]) -> Vec<Vec<f64>> {
-    // Last item that each path may belong to: after it, whether the path is taken no longer matters.
-    let mut last: BTreeMap<usize, usize> = BTreeMap::new();
-    for (n, choices) in items.iter().enumerate() {
-        last.extend(choices.iter().flat_map(|choice| choice.paths.into_iter().flatten()).map(|path| (path, n)));
+/// Last item that each path may belong to: after it, whether the path is taken no longer matters.
+struct Lasts(BTreeMap<usize, usize>);
+
+impl Lasts {
+    fn new(items: &[Vec<Choice>]) -> Self {
+        let mut last = BTreeMap::new();
+        for (n, choices) in items.iter().enumerate() {
+            last.extend(choices.iter().flat_map(|choice| choice.paths.into_iter().flatten()).map(|path| (path, n)));
+        }
+        Self(last)
     }
-    let after = |n: usize, taken: &[usize], choice: &Choice| -> Vec<usize> {
+
+    /// Paths that matter after item `n`, if it makes this choice and those behind took `taken`.
+    fn after(&self, n: usize, taken: &[usize], choice: &Choice) -> Vec<usize> {
         let more = choice.paths.into_iter().flatten();
-        let mut taken: Vec<usize> = taken.iter().copied().chain(more).filter(|path| last[path] > n).collect();
+        let mut taken: Vec<usize> = taken.iter().copied().chain(more).filter(|path| self.0[path] > n).collect();
         taken.sort_unstable();
         taken
-    };
-    let is_free = |choice: &Choice, taken: &[usize]| choice.paths.iter().flatten().all(|path| !taken.contains(path));
+    }
+}
+
+fn is_free(choice: &Choice, taken: &[usize]) -> bool {
+    choice.paths.iter().flatten().all(|path| !taken.contains(path))
+}
+
+/// The sets of taken paths before each item and behind the last, and the logarithm of the sum of all weights.
+fn forwards(items: &[Vec<Choice>], lasts: &Lasts) -> (Vec<Taken>, f64) {
     let mut forwards: Vec<Taken> = vec![Taken::from([(Vec::new(), 1.0)])];
+    let mut log_total = 0.0;
     for (n, choices) in items.iter().enumerate() {
         let mut next = Taken::new();
         for (taken, weight) in &forwards[n] {
             for choice in choices.iter().filter(|choice| is_free(choice, taken)) {
-                *next.entry(after(n, taken, choice)).or_default() += weight * choice.weight;
+                *next.entry(lasts.after(n, taken, choice)).or_default() += weight * choice.weight;
             }
         }
-        forwards.push(likeliest(next));
+        let (kept, largest) = likeliest(next);
+        forwards.push(kept);
+        // Behind the last item no path matters: one set is left, and its weight is the sum.
+        log_total += largest.ln();
     }
+    (forwards, log_total)
+}
+
+/// For each item, in order of time, the probability of each of its choices, of which the first takes no path.
+fn probabilities(items: &[Vec<Choice>]) -> Vec<Vec<f64>> {
+    let lasts = Lasts::new(items);
+    let (forwards, _) = forwards(items, &lasts);
     let mut shares = vec![Vec::new(); items.len()];
     let mut ahead = Taken::from([(Vec::new(), 1.0)]);
     for (n, choices) in items.iter().enumerate().rev() {
-        let rest = |taken: &[usize], choice| ahead.get(&after(n, taken, choice)).copied().unwrap_or(0.0);
+        let rest = |taken: &[usize], choice| ahead.get(&lasts.after(n, taken, choice)).copied().unwrap_or(0.0);
         let mut sums = vec![0.0; choices.len()];
         let mut here = Taken::new();
         for (taken, weight) in &forwards[n] {
@@ -189,18 +229,18 @@ fn probabilities(items: &[Vec<Choice>]) -> Vec<Vec<f64>> {
         }
         let all = sums[0] + sums[1..].iter().sum::<f64>();
         shares[n] = sums.iter().map(|sum| sum / all).collect();
-        ahead = likeliest(here);
+        ahead = likeliest(here).0;
     }
     shares
 }
 
-/// The most likely sets, weights over that of the largest.
-fn likeliest(taken: Taken) -> Taken {
+/// The most likely sets, weights over that of the largest, and the latter.
+fn likeliest(taken: Taken) -> (Taken, f64) {
     let largest = taken.values().copied().fold(f64::MIN_POSITIVE, f64::max);
     let mut sets: Vec<(Vec<usize>, f64)> = taken.into_iter().map(|(paths, weight)| (paths, weight / largest)).collect();
     sets.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
     sets.truncate(STATES);
-    sets.into_iter().collect()
+    (sets.into_iter().collect(), largest)
 }
 
 #[cfg(test)]
@@ -269,6 +309,7 @@ mod tests {
             let paths: Vec<Expected> = (0..5).map(|_| path(rng.random_range(0.0..20.0), 0.5)).collect();
             let edges = edges(&arrivals, &paths, &[0.01; 4]);
             let all = sum(&edges, &mut Vec::new(), 0, None);
+            assert!((log_total(&arrivals, &paths, &[0.01; 4]) - all.ln()).abs() < 1e-9);
             for (arrival, shares) in probabilities(&choices(&edges, &[0, 1, 2, 3])).iter().enumerate() {
                 for (edge, probability) in edges[arrival].iter().zip(&shares[1..]) {
                     let exact = sum(&edges, &mut Vec::new(), 0, Some((arrival, edge.path))) / all;

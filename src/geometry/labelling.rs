@@ -28,6 +28,9 @@
 //! Pulses that the response does not resolve make one arrival between their times; its error is then larger (`blends`).
 //! A wide arrival may be two pulses: the paths of the scene, and the widths of first bounces, decide (`readings`).
 //!
+//! The onsets may leave several scenes: a patch on either side of its neighbours. A [`Comparison`] weighs these by how
+//! well their paths explain all arrivals.
+//!
 //! A laser that repeats leaves times modulo its period. Without a scene, periods are added such that first bounces lie
 //! within one period beyond [`Options::near_m`]. The first bounce is then the strongest arrival, since later light may
 //! come before it. Second bounces get periods where their first bounces leave one choice. With a scene periods are
@@ -38,13 +41,14 @@
 //! tenth of all fourth bounces are seen before hidden patches are in place.
 //!
 //! The files are a stack, each imports only those before it: problem, scene, paths, chances, legs, blends, assignment,
-//! readings, closed, layers, rank, blind.
+//! readings, closed, comparison, layers, rank, blind.
 
 mod assignment;
 mod blends;
 mod blind;
 mod chances;
 mod closed;
+mod comparison;
 mod layers;
 mod legs;
 mod paths;
@@ -53,8 +57,6 @@ mod rank;
 mod readings;
 mod scene;
 
-use std::collections::BTreeSet;
-
 use periscope_cancel::Cancel;
 
 use crate::hidden::Hidden;
@@ -62,6 +64,7 @@ use crate::units::PatchId;
 use assignment::Prior;
 use blends::Blends;
 use chances::Chances;
+pub use comparison::Comparison;
 use layers::{Layers, is_bright};
 use paths::{Graph, INDIRECT, Pairs};
 pub use problem::Verdicts;
@@ -134,7 +137,7 @@ fn beside(
     options: &Options,
 ) -> Option<(PatchId, Hidden)> {
     let reach_m = sensors.first()?.medium.path_m(options.blend_ps);
-    let visible = visible(scene, sensors);
+    let visible = scene.visible(sensors);
     let near = |hypothesis: &Hypothesis| {
         hypothesis.patch?;
         let apart_m = |patch: &PatchId| (scene.points_of(&[*patch])[0] - hypothesis.surface.point).norm();
@@ -142,13 +145,6 @@ fn beside(
         (apart_m(&nearest) < reach_m).then_some((nearest, hypothesis.surface))
     };
     solution.hypotheses.iter().find_map(near)
-}
-
-/// Patches in place that are lit or seen, ascending.
-fn visible(scene: &Scene, sensors: &[SensorProfiles]) -> Vec<PatchId> {
-    let profiles = sensors.iter().flat_map(|sensor| &sensor.profiles);
-    let ends: BTreeSet<PatchId> = profiles.flat_map(|profile| [profile.lit, profile.seen]).collect();
-    ends.into_iter().filter(|patch| scene.has(&[*patch])).collect()
 }
 
 /// What onsets are read by.
@@ -200,7 +196,7 @@ impl<'a> Labelling<'a> {
 
     /// As if all pairs exchanged light.
     fn open(scene: &Scene, sensors: &'a [SensorProfiles], options: &'a Options, cancel: &'a Cancel) -> Self {
-        let visible = visible(scene, sensors);
+        let visible = scene.visible(sensors);
         let closed = vec![Pairs::new(); sensors.len()];
         Self { sensors, options, cancel, visible, closed }
     }

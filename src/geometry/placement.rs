@@ -13,20 +13,22 @@
 //!    lie where they are;
 //! 4. maximum likelihood of all from there, with Huber's loss;
 //! 5. moves (`repair`): each patch is multilaterated again; a place other than its own is taken where the loss of all,
-//!    settled again, falls. Patches that fit
-//!    worst are taken out and grown again.
+//!    settled again, falls. Patches that fit worst are taken out and grown again.
 //!
-//! The lowest loss wins. [`alternatives`] lists the choices that no loss decides. A patch with too few paths stays
+//! The lowest loss wins. [`alternatives`] lists the choices that no loss decides: a patch at its second place, groups
+//! that fold over (`folds`), groups that fit another way (`restarts`). A patch with too few paths stays
 //! somewhere on its sphere or circle.
 //!
 //! Systems are dense: meant for some hundreds of patches. Not found: a second part (patches that share no path with the
-//! first) without first bounces, and groups of patches that fold over only together. A path that meets a patch twice
-//! does not help to place it, but counts where all are settled.
+//! first) without first bounces. A path that meets a patch twice does not help to place it, but counts where all are
+//! settled.
 
 mod alternatives;
+mod folds;
 mod growth;
 mod orientation;
 mod repair;
+mod restarts;
 mod starts;
 
 use std::collections::BTreeMap;

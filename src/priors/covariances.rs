@@ -51,6 +51,7 @@ pub fn patch_row(patch: PatchId, kind: &str, point: Point, cov_m2: Option<&Matri
         chi2_dof: None,
         alternative: 0,
         log_likelihood: None,
+        probability: None,
     }
 }
 
@@ -91,7 +92,7 @@ pub fn hypothesis_row(
     }
 }
 
-/// The row of a covariance [`between`] two patches.
+/// The row of a covariance [`between`] two patches of the best solution.
 pub fn row(a: PatchId, b: PatchId, cov_m2: &Matrix3<f64>) -> PatchCovariance {
     PatchCovariance {
         a,
@@ -105,6 +106,7 @@ pub fn row(a: PatchId, b: PatchId, cov_m2: &Matrix3<f64>) -> PatchCovariance {
         cov_zx_m2: cov_m2[(2, 0)],
         cov_zy_m2: cov_m2[(2, 1)],
         cov_zz_m2: cov_m2[(2, 2)],
+        alternative: 0,
     }
 }
 
@@ -113,13 +115,13 @@ pub fn row(a: PatchId, b: PatchId, cov_m2: &Matrix3<f64>) -> PatchCovariance {
 pub struct PatchCovariances(BTreeMap<(PatchId, PatchId), Matrix3<f64>>);
 
 impl PatchCovariances {
-    /// From the rows of `patch_covariances`, which has each pair once.
+    /// From the rows of `patch_covariances`, which has each pair of the best solution once.
     pub fn new(rows: &[PatchCovariance]) -> Self {
         let both = |row: &PatchCovariance| {
             let cov_m2 = between(row);
             [((row.a, row.b), cov_m2), ((row.b, row.a), cov_m2.transpose())]
         };
-        Self(rows.iter().flat_map(both).collect())
+        Self(rows.iter().filter(|row| row.alternative == 0).flat_map(both).collect())
     }
 
     /// Covariance of patch `a` (rows) and patch `b` (columns), in m^2: zero for patches without a row.

@@ -9,4 +9,5 @@ pub mod covariances;
 pub mod delays;
 pub mod flight_profile;
 pub mod footprints;
+pub mod scenes;
 pub mod sensor_range;

@@ -60,6 +60,7 @@ impl Scene {
                 chi2_dof: None,
                 alternative: 0,
                 log_likelihood: None,
+                probability: None,
             }
         };
         self.patches.iter().map(row).collect()

@@ -8,6 +8,7 @@
 //! | labels | onsets with a path, and without one |
 //! | hidden patches | `hypotheses`: those accepted, and the likeliest one that was not |
 //! | walls | `hypotheses` that are planes |
+//! | places | `scenes`: which of the places that first light left open all onsets support, and by how much |
 //! | other solutions | `ambiguities`: mirror images, flips, loose parts, with their likelihoods |
 //! | frame | `fits.frame`: what fixes it |
 //! | footprints | `planes`: whether large patches have a normal |
@@ -18,7 +19,7 @@
 //! explained`: its error bars are then too small, and the first row says so.
 //!
 //! Takes `patches`; writes `decisions`. Beside it `fits` and `ambiguities` (of the same `refine`), `labels` and
-//! `onsets`; optional `hypotheses` and `planes`.
+//! `onsets`; optional `hypotheses`, `planes` and `scenes` (of the same `label`).
 //!
 //! ```toml
 //! [decisions]
@@ -30,6 +31,7 @@
 //! with.hypotheses = "labels.hypotheses"
 //! with.onsets = "onsets"
 //! with.planes = "planes"
+//! with.scenes = "labels.scenes"
 //! ```
 
 use std::collections::BTreeMap;
@@ -38,7 +40,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::tables::{Ambiguity, Decision, Fit, Hypothesis, Label, Name, Onset, Patch, Plane};
+use crate::tables::{Ambiguity, Decision, Fit, Hypothesis, Label, Name, Onset, Patch, Plane, SceneOdds};
 
 /// Chi-square this many of its standard deviations above its degrees of freedom is not that of a right model.
 const UNLIKELY: f64 = 4.0;
@@ -56,11 +58,12 @@ pub struct Context {
     hypotheses: Vec<Hypothesis>,
     onsets: Vec<Onset>,
     planes: Vec<Plane>,
+    scenes: Vec<SceneOdds>,
 }
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: true },
@@ -69,6 +72,7 @@ impl Stage for Conclude {
         Beside { name: "onsets", table: "onsets", required: true },
         Beside { name: "hypotheses", table: "hypotheses", required: false },
         Beside { name: "planes", table: "planes", required: false },
+        Beside { name: "scenes", table: "scenes", required: false },
     ];
     type Input = Patch;
     type Output = Decision;
@@ -85,6 +89,7 @@ impl Stage for Conclude {
             hypotheses: beside.rows("hypotheses")?.unwrap_or_default(),
             onsets: beside.rows("onsets")?.unwrap_or_default(),
             planes: beside.rows("planes")?.unwrap_or_default(),
+            scenes: beside.rows("scenes")?.unwrap_or_default(),
         })
     }
 }
@@ -98,6 +103,7 @@ impl Apply for Conclude {
         let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
         let mut decisions = vec![context.fit(), context.labelled(), context.hidden(&best)];
         decisions.extend(context.walls());
+        decisions.extend(context.scenes.iter().map(place));
         // The row of the frame says what a free rotation means.
         decisions.extend(context.ambiguities.iter().filter(|one| &*one.kind != "rotation").map(other_solution));
         decisions.extend([context.frame(), context.footprints(&best), context.pulse_shapes()]);
@@ -263,6 +269,27 @@ impl Context {
             let text = "a range that does not clip";
             decision("vertical ranges", &format!("{} ranges", ranges.len()), &list.join(", "), text)
         })
+    }
+}
+
+/// Which of two places, both of which first light allows, was taken.
+fn place(scene: &SceneOdds) -> Decision {
+    let patches: Vec<String> = scene.patches.iter().map(ToString::to_string).collect();
+    let (first, other) = ("the likeliest place by first light", format!("alternative {}", scene.alternative));
+    let (chosen, runner_up) = if scene.taken { (other.as_str(), first) } else { (first, other.as_str()) };
+    let evidence = format!(
+        "with all bounces, the other place is less likely by a factor of {:.3e}",
+        (-scene.log_likelihood).exp()
+    );
+    Decision {
+        runner_up: Some(runner_up.into()),
+        log_likelihood_ratio: Some(-scene.log_likelihood),
+        ..decision(
+            &format!("place: patches {}", patches.join(", ")),
+            chosen,
+            &evidence,
+            "a pair of these patches with one more neighbour",
+        )
     }
 }
 

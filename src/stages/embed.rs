@@ -22,6 +22,8 @@
 //! through the neighbours, since a wall reflects only to there. The others are alternatives, each with its
 //! log-likelihood less that of the chosen one. Patches with too few distances stand in `rejects`.
 //!
+//! With `scenes` of `label`, patches are passed on as it placed them: alternatives that it took are the best places.
+//!
 //! A patch that only hidden ones show has no distances: it stands where `hypotheses` of `label` has it, as do others
 //! that the distances do not place.
 //!
@@ -53,8 +55,8 @@ use crate::geometry::maximum_likelihood::{Node, Observation, Problem};
 use crate::geometry::placement::{self, Alternative};
 use crate::geometry::t2::{self, Length};
 use crate::geometry::{Matrix, Point, classical, completion, frame, iso_embed, procrustes, reestimate};
-use crate::priors::covariances;
-use crate::tables::{Distance, Hypothesis, Patch};
+use crate::priors::{covariances, scenes};
+use crate::tables::{Distance, Hypothesis, Patch, SceneOdds};
 use crate::units::PatchId;
 
 /// Parameters of `embed`.
@@ -114,6 +116,7 @@ impl Stage for Embed {
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
         Beside { name: "hypotheses", table: "hypotheses", required: false },
+        Beside { name: "scenes", table: "scenes", required: false },
     ];
     type Input = Distance;
     type Output = Patch;
@@ -139,7 +142,8 @@ impl Stage for Embed {
             let text = "the campaigns differ in dimensions, in the laser's station or in anchors: campaigns of one scene must share them";
             return Err(StageError::Refused(text.to_owned()));
         }
-        let patches = beside.rows::<Patch>("patches")?;
+        let scenes = beside.rows::<SceneOdds>("scenes")?.unwrap_or_default();
+        let patches = beside.rows::<Patch>("patches")?.map(|rows| scenes::taken(rows, &scenes));
         let hypotheses = beside.rows::<Hypothesis>("hypotheses")?.unwrap_or_default();
         if patches.is_none() && !hypotheses.is_empty() {
             let text = "with hypotheses, but without patches: the places of hypotheses are in the frame of the patches given to `label`; give these here too";

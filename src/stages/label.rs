@@ -5,6 +5,10 @@
 //! predicted. All onsets of a profile are then associated with the predictions at once
 //! ([`crate::geometry::labelling`]).
 //!
+//! `patches` may have alternatives: a patch on the other side of its neighbours. The first light left these open; third
+//! and later bounces may decide. So all onsets are weighed under each, and the likeliest places are taken
+//! ([`labelling::Comparison`]). The table `scenes` has what was taken, and how much less likely the rest is.
+//!
 //! Orders are labelled while at most 0.3 of their paths lie within a standard deviation of a time; the first order with
 //! more, and all above it, are not. A label less probable than `probability_min` is left open (path null), its
 //! candidates listed as alternatives.
@@ -44,7 +48,7 @@
 //! probability. Light that either reading explains is no sign of a hidden patch. Without patches the likelier reading
 //! counts by widths alone, and the error of first light covers the other.
 //!
-//! Takes `onsets`; writes `labels` and `hypotheses`. Optional tables:
+//! Takes `onsets`; writes `labels`, `hypotheses` and `scenes`. Optional tables:
 //! - `patches` (of `refine`, with their standard deviations); no prediction uses a patch without covariance;
 //! - `anchors` (of `anchor`), used in place of `patches` where that is absent and every patch that is lit or seen is an
 //!   anchor;
@@ -53,9 +57,10 @@
 //!   those with a `size_m` in campaign.toml;
 //! - `fits` (of the same `refine`): where it has a fixed frame, the normals of campaign.toml give that shift too.
 //!
-//! Known limits: a patch of `patches` that only hidden ones show is taken for one that visible ones show. Without
-//! `patches`, false onsets before a first bounce pass for it. Also, most detours over patches with missing pairs (not
-//! captured, or left open) then pass for second bounces.
+//! Known limits: alternatives are compared without hidden patches, 32 at most; those that move the same patches only
+//! one by one. A patch of `patches` that only hidden ones show is taken for one that visible ones show. Without
+//! `patches`, false onsets before a first bounce pass for it, if they are a quarter as strong or more. Also, most
+//! detours over patches with missing pairs (not captured, or left open) then pass for second bounces.
 //!
 //! ```toml
 //! [labels]
@@ -68,25 +73,25 @@
 //! params = { bounces = 3 }
 //! ```
 
+mod alternatives;
 mod rows;
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
-use crate::geometry::Point;
 use crate::geometry::labelling::{self, Arrival, Medium, Options, Pair, Profile, Scene, SensorProfiles};
 use crate::parameter::{Condition, Count, NonNegative, Positive, Share, Within};
 use crate::priors::campaign_fields::{self, ByCampaign, StationPositions};
-use crate::priors::covariances;
 use crate::priors::delays::Delays;
 use crate::priors::footprints::{self, Extent};
-use crate::tables::{Fit, Hypothesis, Label, Onset, Patch, PatchCovariance, Plane, Row};
+use crate::tables::{Fit, Hypothesis, Label, Onset, Patch, PatchCovariance, Plane, Row, SceneOdds};
 use crate::units::PatchId;
+use alternatives::PlacedPatches;
 
 /// Beyond, every profile is one onset.
 const BLEND_MAX_PS: i32 = 400;
@@ -160,7 +165,7 @@ pub struct Fields {
 /// What labelling starts from, in addition to the onsets.
 pub struct Context {
     fields: ByCampaign<Fields>,
-    scene: Option<Scene>,
+    placed: Option<PlacedPatches>,
     /// Places that campaign.toml gives.
     anchors: Option<Scene>,
     cancel: Cancel,
@@ -168,11 +173,16 @@ pub struct Context {
 }
 
 impl Context {
-    /// The patches in place: those given, else the anchors where every patch that is lit or seen is one.
-    fn scene_of(&self, sensors: &[SensorProfiles]) -> Option<&Scene> {
+    /// The patches in place: the likeliest of those given, else the anchors where every patch that is lit or seen is
+    /// one. With the odds of other places.
+    fn scene_of(&self, sensors: &[SensorProfiles], options: &Options) -> (Option<Scene>, Vec<SceneOdds>) {
+        if let Some(placed) = &self.placed {
+            let (scene, odds) = placed.likeliest(sensors, options, &self.cancel);
+            return (Some(scene), odds);
+        }
         let profiles = || sensors.iter().flat_map(|sensor| &sensor.profiles);
         let is_whole = |anchors: &&Scene| profiles().all(|profile| anchors.has(&[profile.lit, profile.seen]));
-        self.scene.as_ref().or_else(|| self.anchors.as_ref().filter(is_whole))
+        (self.anchors.as_ref().filter(is_whole).cloned(), Vec::new())
     }
 
     /// The profiles of one sensor, from all its onsets.
@@ -202,7 +212,7 @@ impl Context {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 12;
+    const VERSION: u32 = 13;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -212,7 +222,10 @@ impl Stage for LabelOnsets {
         Beside { name: "planes", table: "planes", required: false },
         Beside { name: "fits", table: "fits", required: false },
     ];
-    const SIDES: &'static [Side] = &[Side { name: Hypothesis::TABLE, schema: Hypothesis::schema }];
+    const SIDES: &'static [Side] = &[
+        Side { name: Hypothesis::TABLE, schema: Hypothesis::schema },
+        Side { name: SceneOdds::TABLE, schema: SceneOdds::schema },
+    ];
     const CONDITIONS: &'static [Condition] = &[Condition("false_alarm", "hidden", &["search"])];
     type Input = Onset;
     type Output = Label;
@@ -232,12 +245,12 @@ impl Stage for LabelOnsets {
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
         let given = beside.rows::<Patch>("patches")?;
-        let scene = given.map(|rows| scene(&rows, &fields, beside)).transpose()?;
+        let placed = given.map(|rows| placed(rows, &fields, beside)).transpose()?;
         let anchors = beside.rows::<Patch>("anchors")?.filter(|rows| !rows.is_empty());
         let anchors = anchors.map(|rows| scene_of_anchors(&rows, &fields)).transpose()?;
-        self.check(scene.is_some())?;
+        self.check(placed.is_some())?;
         let delays = Delays::new(&beside.rows("delays")?.unwrap_or_default());
-        Ok(Context { fields, scene, anchors, cancel: beside.cancel.clone(), delays })
+        Ok(Context { fields, placed, anchors, cancel: beside.cancel.clone(), delays })
     }
 }
 
@@ -281,25 +294,26 @@ impl Apply for LabelOnsets {
         let is_one_sensor = |a: &Onset, b: &Onset| (&a.campaign, &a.sensor) == (&b.campaign, &b.sensor);
         let sensors: Vec<SensorProfiles> =
             group.chunk_by(is_one_sensor).map(|onsets| context.sensor_profiles(onsets)).collect();
-        let scene = context.scene_of(&sensors);
-        let solution = labelling::label(&sensors, scene, &self.options(), &context.cancel);
+        let options = self.options();
+        let (scene, odds) = context.scene_of(&sensors, &options);
+        let solution = labelling::label(&sensors, scene.as_ref(), &options, &context.cancel);
         let hypotheses = rows::hypotheses(&solution.hypotheses, self.false_alarm.get());
         Ok(Outcome {
             rejections: rows::rejections(&group, &sensors, solution.visible_in_line),
             rows: rows::labels(&group, &sensors, solution),
-            sides: vec![Hypothesis::to_batch(&hypotheses)],
+            sides: vec![Hypothesis::to_batch(&hypotheses), SceneOdds::to_batch(&odds)],
         })
     }
 }
 
-/// Patches of the best alternative, those with a covariance.
-fn scene(rows: &[Patch], fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<Scene, StageError> {
+/// Patches with a covariance; refused where none has one.
+fn placed(rows: Vec<Patch>, fields: &ByCampaign<Fields>, beside: &BesideTables) -> Result<PlacedPatches, StageError> {
+    alternatives::places(&rows)?;
     let between = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
-    let between_m2 = between.iter().map(|row| ((row.a, row.b), covariances::between(row))).collect();
     let given = fields.first().map(|fields| &fields.extents);
     let normals = given.map(|given| normals(given, beside)).transpose()?.unwrap_or_default();
     let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
-    Ok(Scene::new(&places(rows)?, &between_m2, footprints, normals))
+    Ok(PlacedPatches { rows, between, footprints, normals })
 }
 
 /// Anchors, whose errors are independent. They fix the frame, so that the normals of campaign.toml hold in it.
@@ -307,21 +321,7 @@ fn scene_of_anchors(rows: &[Patch], fields: &ByCampaign<Fields>) -> Result<Scene
     let given = fields.first().map(|fields| &fields.extents);
     let normals = given.map(|given| footprints::normals(given, &[], true)).unwrap_or_default();
     let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
-    Ok(Scene::new(&places(rows)?, &BTreeMap::new(), footprints, normals))
-}
-
-/// Places of the best alternative, with their covariances.
-fn places(rows: &[Patch]) -> Result<BTreeMap<PatchId, (Point, Matrix3<f64>)>, StageError> {
-    let place = |row: &Patch| {
-        let covariance_m2 = covariances::of_patch(row)?;
-        Some((row.patch, (Point::new(row.x_m, row.y_m, row.z_m), covariance_m2)))
-    };
-    let places: BTreeMap<PatchId, _> = rows.iter().filter(|row| row.alternative == 0).filter_map(place).collect();
-    if places.is_empty() {
-        let text = "with patches: no patch has a covariance, so its onsets cannot be weighted: these are start values (give patches from `refine`), or too few pairs determine them (`rejects` has the missing ones)";
-        return Err(StageError::Refused(text.to_owned()));
-    }
-    Ok(places)
+    Ok(Scene::new(&alternatives::places(rows)?, &BTreeMap::new(), footprints, normals))
 }
 
 /// Normals of patches on the table `planes`, and where the frame is fixed those of campaign.toml.

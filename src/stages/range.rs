@@ -21,7 +21,8 @@
 //! another.
 //!
 //! Takes `labels`; writes `distances` and `covariances`. Optional tables: `patches` (of `refine`, with their standard
-//! deviations), and for the full error of the legs `covariances` (`patch_covariances` of the same stage) and `delays`.
+//! deviations), and for the full error of the legs `covariances` (`patch_covariances` of the same stage) and `delays`;
+//! `scenes` of the `label` that took an alternative of `patches`.
 //!
 //! Not used: third bounces among visible patches, and over a mirror, which they meet in another point each time. Not
 //! modelled: errors of stations; footprints; errors that `patches` share with the second bounces of these labels or
@@ -88,6 +89,7 @@ impl Stage for Range {
         Beside { name: "patches", table: "patches", required: false },
         Beside { name: "covariances", table: "patch_covariances", required: false },
         Beside { name: "delays", table: "delays", required: false },
+        Beside { name: "scenes", table: "scenes", required: false },
     ];
     const SIDES: &'static [Side] = &[Side { name: Covariance::TABLE, schema: Covariance::schema }];
     type Input = Label;

@@ -14,9 +14,9 @@
 //! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation. Anchors, rays
 //! and stations apart fix the frame. Without them, the frame of `patches` is a convention (table `fits`). What else is
 //! open stands in `ambiguities`: parts that share no path, patches that can move, mirror images, and flips. Mirror
-//! images and flips explain the onsets about as well; each has its likelihood, and is an alternative in `patches`.
-//! Onsets may leave a hidden patch two places, on either side of the wall that shows it: the one on the laser's side is
-//! chosen.
+//! images and flips explain the onsets about as well; each has its likelihood, and is an alternative in `patches`. Its
+//! `probability` there is its share of the likelihood among all places of its patch. Onsets may leave a hidden patch
+//! two places, on either side of the wall that shows it: the one on the laser's side is chosen.
 //!
 //! The light of a large patch does not come from its centre. Where a patch has a `size_m` and a normal, the shift is
 //! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. Normals come
@@ -34,7 +34,10 @@
 //! `ambiguities`. Not modelled: errors that onsets of one profile share. Optional tables:
 //! - `patches` to start from; those that are missing are placed from nothing ([`crate::geometry::placement`]);
 //! - `calibration`, without which latencies are taken as exact;
-//! - `planes`.
+//! - `planes`;
+//! - `scenes` of the `label` that wrote the labels: places that it did not take are alternatives too, if all onsets are
+//!   about as likely under them. Each is solved for without later bounces over its patches, whose labels hold for the
+//!   places that were taken alone.
 //!
 //! ```toml
 //! [patches]
@@ -45,35 +48,27 @@
 
 mod context;
 mod model;
+mod others;
 mod rows;
-
-use std::cmp::Ordering;
 
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::geometry::loss::Loss;
-use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Problem, Solution, Unsolved};
-use crate::geometry::placement::{self, Kind};
+use crate::geometry::maximum_likelihood::{self, Problem, Solution, Unsolved};
 use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::footprints::{self, Extent};
 use crate::tables::{Ambiguity, Delay, Fit, Label, Patch, PatchCovariance, Residual, Row, Station, Suspect};
 use context::{Context, Fields};
 use model::Model;
-use rows::{Fitted, Other, Tables};
+use rows::{Fitted, Tables};
 
 /// Footprints are predicted anew until no path changes by more than `SHIFTED_M`, for at most `ROUNDS` rounds.
 const SHIFTED_M: f64 = 1e-6;
 const ROUNDS: usize = 6;
-/// Other solutions whose loss is higher by less than this (a likelihood ratio of 3,000) are alternatives.
-const LIKELY: f64 = 16.0;
 /// A loss this many standard deviations above its mean is not that of right labels.
 const UNLIKELY: f64 = 4.0;
-/// Largest number of alternatives that are reported.
-const ALTERNATIVES: usize = 16;
-/// A loss that is lower by less is the same.
-const LOWER: f64 = 1e-3;
 
 /// Parameters of `refine`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -91,12 +86,13 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
         Beside { name: "calibration", table: "calibration", required: false },
         Beside { name: "planes", table: "planes", required: false },
+        Beside { name: "scenes", table: "scenes", required: false },
     ];
     const SIDES: &'static [Side] = &[
         Side { name: PatchCovariance::TABLE, schema: PatchCovariance::schema },
@@ -172,7 +168,7 @@ impl Apply for Refine {
                 used = out.iter().map(|out| if *out { None } else { next.next() }).collect();
             }
         }
-        let (solution, others) = alternatives(&model, &problem, solution);
+        let (solution, others) = others::alternatives(&model, &problem, solution);
         let fitted = Fitted { solution, others, observations, used };
         let tables = Tables::new(&model, &fitted, &shifts_m);
         let residuals = tables.residuals();
@@ -204,38 +200,6 @@ fn unlabelled(context: &Context) -> Result<Outcome<Patch>, StageError> {
 fn is_explained(solution: &Solution) -> bool {
     let freedom = solution.degrees_of_freedom.max(1) as f64;
     solution.loss < freedom + UNLIKELY * (2.0 * freedom).sqrt()
-}
-
-/// The likeliest solution, and others that are about as likely. Among these, one with hidden patches in front of the
-/// wall that shows them comes before one with them behind.
-fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>) {
-    if problem.start.len() > DENSE_MAX {
-        return (best, Vec::new());
-    }
-    // A turn or mirror image of a scene that nothing turns is no other solution.
-    let is_turned = |kind: &Kind, best: &Solution| *kind == Kind::Mirror && best.free_rotations.first() != Some(&0);
-    let mut others: Vec<Other> = Vec::new();
-    for _ in 0..ROUNDS {
-        let starts = placement::alternatives(problem, &best.points).into_iter();
-        let solved = starts.filter(|start| !is_turned(&start.kind, &best)).filter_map(|start| {
-            let solution = maximum_likelihood::solve(&Problem { start: start.points, ..problem.clone() }).ok()?;
-            Some(Other { patches: start.patches, is_mirror_image: start.kind == Kind::Mirror, solution })
-        });
-        others = solved.filter(|other| other.solution.loss < best.loss + LIKELY).take(ALTERNATIVES).collect();
-        let is_better = |other: &Other| {
-            let behind = |solution: &Solution| model.behind(problem, solution, &other.patches);
-            match behind(&other.solution).cmp(&behind(&best)) {
-                Ordering::Less => true,
-                Ordering::Equal => other.solution.loss < best.loss - LOWER,
-                Ordering::Greater => false,
-            }
-        };
-        let Some(better) = others.iter().position(is_better) else { break };
-        best = others.swap_remove(better).solution;
-        others.clear();
-    }
-    others.sort_by(|a, b| a.solution.loss.total_cmp(&b.solution.loss));
-    (best, others)
 }
 
 /// A message where campaign.toml has normals, but nothing ties its frame to that of the patches.

@@ -78,7 +78,7 @@ enum Method {
 
 impl Stage for Reflect {
     const KIND: &'static str = "reflect";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

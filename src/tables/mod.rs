@@ -17,6 +17,7 @@ pub mod planes;
 pub mod profiles;
 pub mod rejects;
 pub mod row;
+pub mod scenes;
 pub mod session;
 pub mod solution;
 pub mod stir;
@@ -42,6 +43,7 @@ pub use planes::Plane;
 pub use profiles::Profile;
 pub use rejects::Reject;
 pub use row::{Row, SchemaError};
+pub use scenes::SceneOdds;
 pub use session::Session;
 pub use solution::{Ambiguity, Delay, Fit, Residual, Station, Suspect};
 pub use stir::{Impulse, ImpulsePair, Stir};
@@ -70,6 +72,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Onset>(),
         of::<Label>(),
         of::<Hypothesis>(),
+        of::<SceneOdds>(),
         of::<Gap>(),
         of::<Distance>(),
         of::<Covariance>(),

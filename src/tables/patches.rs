@@ -43,6 +43,9 @@ table! {
         alternative: i32,
         /// Log-likelihood of the solution, up to a constant; null for a start value.
         log_likelihood: Option<f64>,
+        /// Share of the likelihood among all places of this patch, 1 where there is one; null where likelihoods were
+        /// not compared.
+        probability: Option<f64>,
     }
 }
 
@@ -71,5 +74,8 @@ table! {
         cov_zy_m2: f64,
         /// Covariance of z of a and z of b.
         cov_zz_m2: f64,
+        /// 0 for the best solution; higher for others as in `patches`, which have only pairs with a patch that they
+        /// move.
+        alternative: i32,
     }
 }

@@ -230,6 +230,7 @@ fn patches_become_a_point_cloud() {
         chi2_dof: None,
         alternative,
         log_likelihood: None,
+        probability: None,
     };
     let patches = [patch(3, "visible", 0, None), patch(9, "hidden", 0, Some(1e-6)), patch(9, "hidden", 1, None)];
     let mut bytes = Vec::new();

@@ -169,6 +169,7 @@ fn patches(points: &[Point], path: &Path) {
         chi2_dof: None,
         alternative: 0,
         log_likelihood: None,
+        probability: None,
     };
     write_table(path, &points.iter().enumerate().map(patch).collect::<Vec<_>>());
 }

@@ -30,6 +30,7 @@ fn patches() -> Vec<Patch> {
         chi2_dof: None,
         alternative: 0,
         log_likelihood: None,
+        probability: None,
     };
     on_wall.chain(on_floor).enumerate().map(row).collect()
 }

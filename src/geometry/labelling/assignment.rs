@@ -7,7 +7,7 @@ use super::chances::Chances;
 use super::paths::{Graph, INDIRECT, Paths};
 use super::problem::{Arrival, Options, SensorProfiles, Verdict, Verdicts, View};
 use super::scene::{Prediction, Scene};
-use crate::association::{Candidate, Expected, GATE, Time, associate};
+use crate::association::{Candidate, Expected, GATE, Time, associate, log_total};
 use crate::units::PatchId;
 
 /// Alternatives listed for an arrival that is left open.
@@ -138,6 +138,28 @@ pub(super) fn verdicts(
         assignment.verdicts(&view.profile.arrivals, options.probability_min)
     };
     sensor.profiles.par_iter().map(verdicts).collect()
+}
+
+/// Log-likelihood of the profiles of one sensor against clutter alone, every arrival taken for single.
+pub(super) fn log_likelihood(graph: &Graph, sensor: &SensorProfiles, prior: &Prior, options: &Options) -> f64 {
+    let of_profile = |profile| {
+        let view = View { sensor, profile };
+        let arrivals: Vec<Time> = view.profile.arrivals.iter().map(Arrival::time).collect();
+        let paths = paths(graph, view, options.bounces, 0.0);
+        let clutter_per_ps: Vec<f64> = arrivals
+            .iter()
+            .map(|arrival| clutter_per_ps(arrival, &paths, view, options.clutter_per_ns, prior))
+            .collect();
+        // Against the same clutter in every scene, whether or not an order is too dense to be labelled.
+        let extra: f64 = clutter_per_ps.iter().map(|density| (density / (options.clutter_per_ns * 1e-3)).ln()).sum();
+        let expected =
+            |prediction: &Prediction| Expected { time: prediction.time, seen: prior.of(graph.scene, &prediction.path) };
+        let expected: Vec<Expected> = readings(paths.predictions, view, 0.0).iter().map(expected).collect();
+        extra + log_total(&arrivals, &expected, &clutter_per_ps)
+    };
+    // Summed in order, so that the last digits do not depend on the number of threads.
+    let of_profiles: Vec<f64> = sensor.profiles.par_iter().map(of_profile).collect();
+    of_profiles.iter().sum()
 }
 
 /// Paths near a profile's arrivals, the direct one first.

@@ -14,6 +14,8 @@ const ONE_STATION_M: f64 = 1e-6;
 /// Bounds on a second bounce are kept this many standard deviations wide, and light of reciprocal profiles agrees
 /// within as many.
 const GATE: f64 = 5.0;
+/// A first bounce is no weaker than this share of the strongest light of its profile.
+const WEAKEST: f64 = 0.25;
 /// Delays of reciprocal captures differ by less than this, whatever their vertical ranges and attenuators.
 const DELAYS_PS: f64 = 100.0;
 
@@ -87,7 +89,9 @@ fn first_bounce(profile: &Profile, medium: Medium, near_ps: f64) -> Option<First
         // The laser's period may put later light before the first bounce, which is by far the strongest.
         readings.into_iter().max_by(|a, b| snr(a).total_cmp(&snr(b)))
     } else {
-        readings.into_iter().next()
+        // What comes before the first bounce is spurious, and weak against it. Two overlapping pulses are alike.
+        let strongest = readings.iter().map(snr).fold(0.0, f64::max);
+        readings.into_iter().find(|first| snr(first) >= WEAKEST * strongest)
     }
 }
 

@@ -1,10 +1,10 @@
 //! Patches in place with their errors, and the times of paths over them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::problem::View;
+use super::problem::{SensorProfiles, View};
 use crate::Point;
 use crate::association::Time;
 use crate::footprint::Footprints;
@@ -83,6 +83,13 @@ impl Scene {
         scene.deep.extend(hidden.iter().map(|(patch, surface)| (*patch, surface.seen)));
         scene.shown_by = shown_by.to_vec();
         scene
+    }
+
+    /// Patches in place that some profile lights or sees, ascending.
+    pub(super) fn visible(&self, sensors: &[SensorProfiles]) -> Vec<PatchId> {
+        let profiles = sensors.iter().flat_map(|sensor| &sensor.profiles);
+        let ends: BTreeSet<PatchId> = profiles.flat_map(|profile| [profile.lit, profile.seen]).collect();
+        ends.into_iter().filter(|patch| self.has(&[*patch])).collect()
     }
 
     /// Whether only hidden patches show this one.

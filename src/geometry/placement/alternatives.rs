@@ -12,7 +12,7 @@ const MORE: f64 = 18.0;
 pub enum Kind {
     /// All patches lie mirrored in a plane near the stations, anchors and rays.
     Mirror,
-    /// A patch lies at its second place, the others settled with it.
+    /// A patch or a group of patches lies at a second place, the others settled with it.
     Flip,
 }
 
@@ -44,21 +44,31 @@ pub fn alternatives(problem: &Problem, points: &[Point]) -> Vec<Alternative> {
         let flipped = measurements.moved(&best, patch, point);
         measurements.elsewhere(&flipped, &best).contains(&patch).then_some((Kind::Flip, flipped))
     });
+    let folds = measurements.all_folded(&best).into_iter().map(|places| measurements.settle(places, STEPS));
+    let mut states: Vec<(Kind, State)> = mirrored.into_iter().chain(flips).collect();
+    for state in folds.chain(measurements.restarted(&best, MORE)) {
+        let is_new = |old: &State| !measurements.elsewhere(&state, old).is_empty();
+        if is_new(&best) && states.iter().all(|(_, old)| is_new(old)) {
+            states.push((Kind::Flip, state));
+        }
+    }
     let alternative = |(kind, state): (Kind, State)| Alternative {
         kind,
         patches: measurements.elsewhere(&state, &best),
         points: state.points(),
         more: state.loss - best.loss,
     };
-    let mut alternatives: Vec<Alternative> = mirrored.into_iter().chain(flips).map(alternative).collect();
+    let mut alternatives: Vec<Alternative> = states.into_iter().map(alternative).collect();
     alternatives.retain(|alternative| alternative.more < MORE && !alternative.patches.is_empty());
-    alternatives.sort_by(|a, b| a.more.total_cmp(&b.more).then_with(|| a.patches.cmp(&b.patches)));
+    // Groups of few patches first: of equal likelihood, they are what the onsets leave open.
+    alternatives.sort_by(|a, b| a.patches.len().cmp(&b.patches.len()).then_with(|| a.patches.cmp(&b.patches)));
+    alternatives.sort_by(|a, b| (a.more - 1.0).max(0.0).total_cmp(&(b.more - 1.0).max(0.0)));
     alternatives
 }
 
 impl Measurements<'_> {
     /// Patches whose places differ.
-    fn elsewhere(&self, a: &State, b: &State) -> Vec<usize> {
+    pub(super) fn elsewhere(&self, a: &State, b: &State) -> Vec<usize> {
         let places = a.points().into_iter().zip(b.points()).enumerate();
         places.filter(|(_, (a, b))| (a - b).norm() > self.apart_m).map(|(patch, _)| patch).collect()
     }

@@ -181,10 +181,10 @@ impl Measurements<'_> {
 }
 
 /// Numbers that look random and are always the same (Steele, Lea and Flood's SplitMix64).
-struct Dice(u64);
+pub(super) struct Dice(u64);
 
 impl Dice {
-    fn new(a: u64, b: u64) -> Self {
+    pub(super) fn new(a: u64, b: u64) -> Self {
         let mut dice = Self(a.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ b.wrapping_mul(0xD1B5_4A32_D192_ED03));
         Self(dice.next())
     }
@@ -197,7 +197,7 @@ impl Dice {
     }
 
     /// Between 0 and 1.
-    fn throw(&mut self) -> f64 {
+    pub(super) fn throw(&mut self) -> f64 {
         (self.next() >> 11) as f64 * 0.5_f64.powi(53)
     }
 

@@ -88,6 +88,21 @@ fn a_patch_with_two_neighbours_has_a_twin_and_its_mirror_image_is_one_of_the_two
     assert!(rms_m(&placed.points, &truth).min(rms_m(&others[0].points, &truth)) < 0.001);
 }
 
+/// Two groups that share no pair hang on two patches: one may fold over, with all its patches.
+#[test]
+fn a_group_that_hangs_on_two_patches_may_fold_over() {
+    let truth: Vec<Point> = room::rectangles().into_iter().step_by(7).take(7).collect();
+    let groups: [&[usize]; 2] = [&[0, 1, 2, 3, 4], &[3, 4, 5, 6]];
+    let is_within = |(a, b): &(usize, usize)| groups.iter().any(|group| group.contains(a) && group.contains(b));
+    let pairs: Vec<(usize, usize)> = room::all_pairs(truth.len()).into_iter().filter(is_within).collect();
+    let problem = measured(&truth, &[Point::origin()], &ways(truth.len(), &[0], &pairs), 1e-4, 11);
+    let placed = place(&problem);
+    let others = alternatives(&problem, &placed.points);
+    assert!(others.iter().any(|other| other.patches == [5, 6] && other.more.abs() < 1e-3), "{others:?}");
+    let all = others.iter().map(|other| &other.points).chain([&placed.points]);
+    assert!(all.map(|points| rms_m(points, &truth)).fold(f64::INFINITY, f64::min) < 0.001);
+}
+
 #[test]
 fn complete_lengths_need_one_start_and_permuting_patches_permutes_the_answer() {
     let truth = room::rectangles();

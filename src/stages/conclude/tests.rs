@@ -24,6 +24,7 @@ fn context(fit: Fit) -> Context {
         hypotheses: Vec::new(),
         onsets: Vec::new(),
         planes: Vec::new(),
+        scenes: Vec::new(),
     }
 }
 
@@ -45,8 +46,18 @@ fn decisions(context: &Context) -> Vec<Decision> {
         chi2_dof: None,
         alternative: 0,
         log_likelihood: None,
+        probability: None,
     };
     Conclude {}.apply(context, vec![patch]).expect("it computes nothing").rows
+}
+
+#[test]
+fn a_place_that_later_bounces_decide_is_a_decision() {
+    let scene = SceneOdds { alternative: 1, patches: vec![4], taken: true, log_likelihood: -9.0 };
+    let rows = decisions(&Context { scenes: vec![scene], ..context(fit(50.0, 50)) });
+    let place = rows.iter().find(|row| &*row.what == "place: patches 4").expect("each place is a decision");
+    assert_eq!((&*place.chosen, place.log_likelihood_ratio), ("alternative 1", Some(9.0)));
+    assert_eq!(place.runner_up.as_deref(), Some("the likeliest place by first light"));
 }
 
 /// A right model exceeds the limit once in some 10,000 campaigns.

@@ -1,6 +1,7 @@
 //! Rows: what labels and hypotheses say of the onsets and patches given. The kernel has its own tests.
 
 use super::*;
+use crate::geometry::Point;
 use crate::stages::stage::Rejection;
 use crate::tables::Delay;
 use std::path::Path;
@@ -81,6 +82,7 @@ fn patches(points: &[Point], variance_m2: Option<f64>) -> Vec<Patch> {
         chi2_dof: None,
         alternative: 0,
         log_likelihood: None,
+        probability: None,
     };
     (1..).zip(points).map(patch).collect()
 }

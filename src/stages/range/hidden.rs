@@ -12,6 +12,7 @@ use crate::geometry::{Matrix, Point, dense};
 use crate::priors::campaign_fields::{ByCampaign, ONE_STATION_M};
 use crate::priors::covariances::{self, PatchCovariances};
 use crate::priors::delays::Delays;
+use crate::priors::scenes;
 use crate::priors::sensor_range::SensorRange;
 use crate::stages::stage::{BesideTables, Rejection, StageError};
 use crate::tables::{Covariance, Distance, Label, Name, Patch};
@@ -36,6 +37,7 @@ impl Places {
     /// From the optional tables of the stage; `None` without `patches`.
     pub fn new(beside: &BesideTables) -> Result<Option<Self>, StageError> {
         let Some(patches) = beside.rows::<Patch>("patches")? else { return Ok(None) };
+        let patches = scenes::taken(patches, &beside.rows("scenes")?.unwrap_or_default());
         let (mut points, mut visible) = (BTreeMap::new(), BTreeSet::new());
         for row in patches.iter().filter(|patch| patch.alternative == 0) {
             if &*row.kind == "visible" {

@@ -6,11 +6,12 @@ use serde::Serialize;
 
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
+use crate::geometry::Point;
 use crate::priors::campaign_fields::{ByCampaign, Medium, PatchPrior, StationPriors};
 use crate::priors::delays::Latencies;
 use crate::priors::footprints::{self, Extent};
 use crate::stages::stage::{BesideTables, StageError};
-use crate::tables::{Patch, Plane};
+use crate::tables::{Patch, Plane, SceneOdds};
 use crate::units::PatchId;
 
 /// Share of the laser's period that is its standard deviation where campaign.toml gives none.
@@ -51,10 +52,28 @@ impl Fields {
     }
 }
 
+/// Other places of some patches, by how well all onsets fit them.
+pub struct Rival {
+    pub places: BTreeMap<PatchId, Point>,
+    /// Less that of the places that were taken.
+    pub log_likelihood: f64,
+}
+
+impl Rival {
+    fn new(scene: &SceneOdds, start: &[Patch]) -> Self {
+        let rows =
+            start.iter().filter(|row| row.alternative == scene.alternative && scene.patches.contains(&row.patch));
+        let places = rows.map(|row| (row.patch, Point::new(row.x_m, row.y_m, row.z_m))).collect();
+        Self { places, log_likelihood: scene.log_likelihood }
+    }
+}
+
 /// Campaigns, start, priors of the delays, and the planes of an earlier solution.
 pub struct Context {
     pub fields: ByCampaign<Fields>,
     pub start: BTreeMap<PatchId, Patch>,
+    /// Places that were not taken when the onsets were labelled.
+    pub rivals: Vec<Rival>,
     pub latencies: Latencies,
     pub planes: Vec<Plane>,
     /// Ends the solution.
@@ -63,11 +82,14 @@ pub struct Context {
 
 impl Context {
     pub fn new(fields: ByCampaign<Fields>, beside: &BesideTables) -> Result<Self, StageError> {
-        let start = beside.rows::<Patch>("patches")?.unwrap_or_default().into_iter();
-        let best = start.filter(|patch| patch.alternative == 0);
+        let start = beside.rows::<Patch>("patches")?.unwrap_or_default();
+        let scenes = beside.rows::<SceneOdds>("scenes")?.unwrap_or_default();
+        let rivals = scenes.iter().map(|scene| Rival::new(scene, &start)).collect();
+        let best = start.into_iter().filter(|patch| patch.alternative == 0);
         Ok(Self {
             fields,
             start: best.map(|patch| (patch.patch, patch)).collect(),
+            rivals,
             latencies: Latencies::new(&beside.rows("calibration")?.unwrap_or_default()),
             planes: beside.rows("planes")?.unwrap_or_default(),
             cancel: beside.cancel.clone(),

@@ -5,10 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::{Matrix3, Vector3};
 
 use super::model::{Model, NamedStation};
+use super::others::Other;
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
-use crate::priors::covariances;
 use crate::priors::sensor_range::SensorRange;
+use crate::priors::{covariances, scenes};
 use crate::tables::{Ambiguity, Delay, Fit, Label, Name, Patch, PatchCovariance, Residual, Station, Suspect};
 use crate::units::PatchId;
 
@@ -18,14 +19,6 @@ const FAR_OFF: f64 = 4.0;
 const UNCHECKED: f64 = 0.01;
 /// A patch is weak where its largest principal standard deviation is this many times that of the middle patch.
 const WEAK: f64 = 5.0;
-
-/// Another solution that the onsets do not rule out.
-pub struct Other {
-    /// Positions of the patches that it moves, by their places.
-    pub patches: Vec<usize>,
-    pub is_mirror_image: bool,
-    pub solution: Solution,
-}
 
 /// The best solution, and which onsets it rests on.
 pub struct Fitted {
@@ -76,13 +69,19 @@ impl<'a> Tables<'a> {
     }
 
     pub fn patches(&self) -> Vec<Patch> {
-        let all: Vec<usize> = (0..self.model.patches.len()).collect();
-        let of = |(n, solution, patches): (usize, &Solution, &[usize])| {
-            patches.iter().map(|&place| self.patch(place, solution, n as i32)).collect::<Vec<_>>()
-        };
-        let others =
-            self.others.iter().enumerate().map(|(n, other)| (n + 1, &other.solution, other.patches.as_slice()));
-        std::iter::once((0, self.solution, all.as_slice())).chain(others).flat_map(of).collect()
+        let best = (0..self.model.patches.len()).map(|place| self.patch(place, self.solution, 0));
+        let mut rows: Vec<Patch> = best.collect();
+        for (number, other) in (1..).zip(self.others) {
+            let log_likelihood = Some(self.log_likelihood(other));
+            let of_other = other.patches.iter().map(|&place| self.patch(place, &other.solution, number));
+            rows.extend(of_other.map(|row| Patch { log_likelihood, ..row }));
+        }
+        scenes::share_likelihood(&mut rows);
+        rows
+    }
+
+    fn log_likelihood(&self, other: &Other) -> f64 {
+        -0.5 * self.solution.loss + other.log_likelihood
     }
 
     fn patch(&self, place: usize, solution: &Solution, alternative: i32) -> Patch {
@@ -100,16 +99,34 @@ impl<'a> Tables<'a> {
         }
     }
 
-    /// Of all pairs of determined patches.
+    /// Of all pairs of determined patches; of another solution those that it moves.
     pub fn patch_covariances(&self) -> Vec<PatchCovariance> {
-        let has = |place: &usize| !self.solution.open.contains(place);
+        if !self.solution.is_exact() {
+            return Vec::new();
+        }
+        let mut rows = self.covariances_of(self.solution, 0, |_| true);
+        for (number, other) in (1..).zip(self.others) {
+            let is_moved = |place: usize| other.patches.contains(&place);
+            rows.extend(self.covariances_of(&other.solution, number, is_moved));
+        }
+        rows
+    }
+
+    /// Of pairs of determined patches, one of which is moved.
+    fn covariances_of(
+        &self,
+        solution: &Solution,
+        alternative: i32,
+        is_moved: impl Fn(usize) -> bool,
+    ) -> Vec<PatchCovariance> {
+        let has = |place: &usize| !solution.open.contains(place);
         let determined: Vec<usize> = (0..self.model.patches.len()).filter(has).collect();
         let pairs = determined.iter().enumerate().flat_map(|(n, &a)| determined[n + 1..].iter().map(move |&b| (a, b)));
         let row = |(a, b): (usize, usize)| {
-            let cov = self.turn * self.solution.patch_covariance_m2(a, b) * self.turn.transpose();
-            covariances::row(self.model.patches[a], self.model.patches[b], &cov)
+            let cov = self.turn * solution.patch_covariance_m2(a, b) * self.turn.transpose();
+            PatchCovariance { alternative, ..covariances::row(self.model.patches[a], self.model.patches[b], &cov) }
         };
-        if self.solution.is_exact() { pairs.map(row).collect() } else { Vec::new() }
+        pairs.filter(|&(a, b)| is_moved(a) || is_moved(b)).map(row).collect()
     }
 
     pub fn delays(&self) -> Vec<Delay> {
@@ -217,10 +234,11 @@ impl<'a> Tables<'a> {
     }
 
     pub fn fits(&self) -> Vec<Fit> {
-        let solutions = std::iter::once(self.solution).chain(self.others.iter().map(|other| &other.solution));
+        let others = self.others.iter().map(|other| (&other.solution, self.log_likelihood(other)));
+        let solutions = std::iter::once((self.solution, -0.5 * self.solution.loss)).chain(others);
         let fields = self.model.context.first();
         let time = |length_m: f64| fields.medium.time_ps(length_m);
-        let row = |(n, solution): (usize, &Solution)| {
+        let row = |(n, (solution, log_likelihood)): (usize, (&Solution, f64))| {
             let period_sd_ps = solution.period_variance_m2().map(|variance_m2| time(variance_m2.sqrt()));
             let repetition_ps = fields.repetition_ps.filter(|_| period_sd_ps.is_some());
             Fit {
@@ -232,7 +250,7 @@ impl<'a> Tables<'a> {
                 unknowns: solution.unknowns() as i32,
                 chi2: solution.chi2,
                 degrees_of_freedom: solution.degrees_of_freedom as i32,
-                log_likelihood: -0.5 * solution.loss,
+                log_likelihood,
                 repetition_ps: repetition_ps.map(|period_ps| period_ps + time(solution.period_m)),
                 repetition_sd_ps: period_sd_ps,
             }
@@ -281,7 +299,7 @@ impl<'a> Tables<'a> {
             };
             rows.push(Ambiguity {
                 alternative: Some(n as i32 + 1),
-                log_likelihood: Some(-0.5 * (other.solution.loss - self.solution.loss)),
+                log_likelihood: Some(other.log_likelihood),
                 ..plain(kind, &other.patches, meaning)
             });
         }

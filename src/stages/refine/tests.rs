@@ -9,6 +9,7 @@ use super::*;
 use crate::cancel::Cancel;
 use crate::geometry::{Point, procrustes};
 use crate::priors::delays::Latencies;
+use crate::stages::refine::context::Rival;
 use crate::tables::{Calibration, Name};
 use crate::units::{PatchId, time_ps};
 
@@ -77,7 +78,8 @@ fn context(campaign: &str, calibration: Vec<Calibration>) -> Context {
     let campaign = Campaign::parse(Path::new("c"), campaign).unwrap();
     let fields = Refine::default().fields(&[campaign]);
     let latencies = Latencies::new(&calibration);
-    Context { fields, start: BTreeMap::new(), latencies, planes: Vec::new(), cancel: Cancel::never() }
+    let (start, rivals, planes) = (BTreeMap::new(), Vec::new(), Vec::new());
+    Context { fields, start, rivals, latencies, planes, cancel: Cancel::never() }
 }
 
 fn latency(range: Option<&str>, sd_ps: f64, common_sd_ps: f64) -> Calibration {
@@ -144,6 +146,26 @@ fn from_nothing_a_room_is_found_in_the_canonical_frame_which_is_said() {
     assert_eq!(rows.ambiguities.iter().map(|row| &*row.kind).collect::<Vec<_>>(), ["rotation"]);
     assert!(rows.suspects.is_empty() && rows.stations.is_empty());
     assert!((rows.patches[0].chi2_dof.unwrap() - 1.0).abs() < 0.5);
+}
+
+#[test]
+fn places_that_labels_did_not_take_are_alternatives_where_they_are_about_as_likely() {
+    let room = room();
+    let labels = Day::new(&room, 1).all(|_, _| true).labels;
+    let first = refined(&context(CAMPAIGN, Vec::new()), labels.clone()).patches;
+    let elsewhere = Point::new(0.1, 0.2, 0.3);
+    let rival = |log_likelihood: f64| Rival { places: BTreeMap::from([(12, elsewhere)]), log_likelihood };
+    let with = |rivals: Vec<Rival>| {
+        let start = first.iter().map(|row| (row.patch, row.clone())).collect();
+        refined(&Context { start, rivals, ..context(CAMPAIGN, Vec::new()) }, labels.clone())
+    };
+    let rows = with(vec![rival(-3.0_f64.ln()), rival(-20.0)]);
+    let of_patch: Vec<&Patch> = rows.patches.iter().filter(|row| row.patch == 12).collect();
+    let [best, other] = of_patch[..] else { panic!("{of_patch:?}") };
+    assert!((best.probability.unwrap() - 0.75).abs() < 1e-9 && (other.probability.unwrap() - 0.25).abs() < 1e-9);
+    assert!((points(&rows.patches, 1)[0] - elsewhere).norm() < 1e-3);
+    assert!(rows.ambiguities.iter().any(|row| row.patches == [12] && row.alternative == Some(1)));
+    assert!(with(vec![rival(-20.0)]).patches.iter().all(|row| row.alternative == 0 && row.probability == Some(1.0)));
 }
 
 #[test]

@@ -36,6 +36,7 @@ impl Tables {
         let fit = |row: Patch| Patch {
             chi2_dof: (freedom > 0).then(|| solution.chi2 / freedom as f64),
             log_likelihood: Some(-0.5 * solution.chi2),
+            probability: Some(1.0),
             ..row
         };
         let places = solution.points.iter().chain(&solution.diffuser).enumerate();

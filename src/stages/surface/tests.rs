@@ -85,6 +85,7 @@ impl Scene {
                 cov_zx_m2: cov[(2, 0)],
                 cov_zy_m2: cov[(2, 1)],
                 cov_zz_m2: cov[(2, 2)],
+                alternative: 0,
             }
         };
         let pairs = (0..count).flat_map(|a| (a + 1..count).map(move |b| (a, b)));

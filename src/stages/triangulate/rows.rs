@@ -5,7 +5,7 @@ use nalgebra::Matrix3;
 use super::model::Model;
 use crate::geometry::Point;
 use crate::geometry::bistatic::{Bounce, Solution};
-use crate::priors::covariances;
+use crate::priors::{covariances, scenes};
 use crate::tables::{Label, Patch, PatchCovariance};
 use crate::units::PatchId;
 
@@ -34,6 +34,7 @@ impl Model {
                 row(*patch, "hidden", *at, solution.covariance_of(n, n), solution.labels.len())
             }));
         }
+        scenes::share_likelihood(&mut rows);
         rows
     }
 

@@ -155,6 +155,7 @@ fn places(points: &BTreeMap<PatchId, Point>, errors_m: &[[Vector3<f64>; 4]], del
             cov_zx_m2: block[(2, 0)],
             cov_zy_m2: block[(2, 1)],
             cov_zz_m2: block[(2, 2)],
+            alternative: 0,
         }
     };
     let pairs: Vec<PatchCovariance> = (0..4).flat_map(|b| (0..b).map(move |a| between(a, b))).collect();

@@ -1,0 +1,106 @@
+//! Other solutions that the onsets do not rule out.
+
+use std::cmp::Ordering;
+
+use super::context::Rival;
+use super::model::Model;
+use crate::geometry::Point;
+use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Node, Observation, Problem, Solution};
+use crate::geometry::placement::{self, Kind};
+
+/// Other solutions whose loss is higher by less than this (a likelihood ratio of 3,000) are alternatives.
+const LIKELY: f64 = 16.0;
+/// Largest number of alternatives that are reported.
+const ALTERNATIVES: usize = 32;
+/// A loss that is lower by less is the same.
+const LOWER: f64 = 1e-3;
+/// Rounds in which a better solution replaces the best one.
+const ROUNDS: usize = 6;
+/// Places nearer than this many standard deviations are one.
+const SAME: f64 = 3.0;
+/// Bounces from which labels depend on which places were taken.
+const LATER: usize = 3;
+
+/// Another solution that the onsets do not rule out.
+pub struct Other {
+    /// Positions of the patches that it moves, by their places.
+    pub patches: Vec<usize>,
+    pub is_mirror_image: bool,
+    /// Log-likelihood less that of the best solution.
+    pub log_likelihood: f64,
+    pub solution: Solution,
+}
+
+/// The likeliest solution, and others that are about as likely. Among these, one with hidden patches in front of the
+/// wall that shows them comes before one with them behind.
+pub fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>) {
+    if problem.start.len() > DENSE_MAX {
+        return (best, Vec::new());
+    }
+    // A turn or mirror image of a scene that nothing turns is no other solution.
+    let is_turned = |kind: &Kind, best: &Solution| *kind == Kind::Mirror && best.free_rotations.first() != Some(&0);
+    let mut others: Vec<Other> = Vec::new();
+    for _ in 0..ROUNDS {
+        let starts = placement::alternatives(problem, &best.points).into_iter();
+        let solved = starts.filter(|start| !is_turned(&start.kind, &best)).filter_map(|start| {
+            let solution = maximum_likelihood::solve(&Problem { start: start.points, ..problem.clone() }).ok()?;
+            let log_likelihood = -0.5 * (solution.loss - best.loss);
+            let is_mirror_image = start.kind == Kind::Mirror;
+            Some(Other { patches: start.patches, is_mirror_image, log_likelihood, solution })
+        });
+        others = solved.filter(|other| other.solution.loss < best.loss + LIKELY).take(ALTERNATIVES).collect();
+        let is_better = |other: &Other| {
+            let behind = |solution: &Solution| model.behind(problem, solution, &other.patches);
+            match behind(&other.solution).cmp(&behind(&best)) {
+                Ordering::Less => true,
+                Ordering::Equal => other.solution.loss < best.loss - LOWER,
+                Ordering::Greater => false,
+            }
+        };
+        let Some(better) = others.iter().position(is_better) else { break };
+        best = others.swap_remove(better).solution;
+        others.clear();
+    }
+    for rival in &model.context.rivals {
+        add_rival(model, problem, &best, rival, &mut others);
+    }
+    others.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+    others.truncate(ALTERNATIVES);
+    (best, others)
+}
+
+/// Adds places that were not taken when the onsets were labelled, if they are about as likely. Labels of later bounces
+/// over these patches hold for the places that were taken alone; so the other places are solved for without them.
+fn add_rival(model: &Model, problem: &Problem, best: &Solution, rival: &Rival, others: &mut Vec<Other>) {
+    let at = |(patch, point): (&_, &Point)| Some((model.patches.binary_search(patch).ok()?, *point));
+    let places: Vec<(usize, Point)> = rival.places.iter().filter_map(at).collect();
+    let is_at = |solution: &Solution| {
+        let sd_m = |place: usize| solution.patch_covariance_m2(place, place).trace().max(0.0).sqrt();
+        places.iter().all(|(place, point)| (solution.points[*place] - point).norm() < SAME * sd_m(*place))
+    };
+    if -2.0 * rival.log_likelihood > LIKELY || is_at(best) {
+        return;
+    }
+    let patches: Vec<usize> = places.iter().map(|(place, _)| *place).collect();
+    if let Some(other) = others.iter_mut().find(|other| other.patches == patches && is_at(&other.solution)) {
+        other.log_likelihood = other.log_likelihood.max(rival.log_likelihood);
+        return;
+    }
+    let meets = |observation: &Observation| {
+        observation.nodes.iter().any(|node| matches!(node, Node::Patch(patch) if patches.contains(patch)))
+    };
+    // Nodes are the bounces and both stations.
+    let holds = |observation: &&Observation| observation.nodes.len() < LATER + 2 || !meets(observation);
+    let observations = problem.observations.iter().filter(holds).cloned().collect();
+    let mut start = best.points.clone();
+    places.iter().for_each(|(place, point)| start[*place] = *point);
+    let solved = maximum_likelihood::solve(&Problem { start: start.clone(), observations, ..problem.clone() });
+    // Where first light now draws them to the places that were taken, they stay where it had them at first.
+    let solution = solved.ok().filter(is_at).unwrap_or_else(|| {
+        let mut solution = best.clone();
+        solution.points = start;
+        solution
+    });
+    let is_mirror_image = patches.len() == model.patches.len();
+    others.push(Other { patches, is_mirror_image, log_likelihood: rival.log_likelihood, solution });
+}
