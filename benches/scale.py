@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT / "pipelines/cluster"))
 import dask_run  # noqa: E402  # where it is used from
 
 PROGRAM = os.environ["PERISCOPE"]
-PIPELINE = ROOT / "pipelines/around-the-corner.toml"
+PIPELINE = ROOT / "pipelines/scene.toml"
 SHOTS = 400
 SHARDS = 24
 MANY = 20_000
@@ -140,7 +140,7 @@ def pieces(folder: Path) -> None:
     scene = (ROOT / "pipelines/scenes/around-the-corner.toml").read_text()
     (folder / "scene.toml").write_text(scene.replace("\nshots = 200\n", "\nshots = 100000\nlit = [2]\nseen = [3]\n"))
     call("simulate", folder / "scene.toml", "--out", folder / "sequence")
-    (folder / "sequence.toml").write_text(PIPELINE.read_text().split("[visible_labels]")[0])
+    (folder / "sequence.toml").write_text(PIPELINE.read_text().split("[anchors]")[0])
     for name, part_bytes in (("arrays", 16_000_000), ("sequence", 4_000_000)):
         keys = folder / name / "campaign.toml"
         keys.write_text(keys.read_text().replace("[campaign]\n", f"[campaign]\npart_bytes = {part_bytes}\n", 1))

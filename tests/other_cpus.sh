@@ -11,7 +11,7 @@ cd "$work"
 run() {
     local out=$1
     shift
-    "$@" "$periscope" run "$here/pipelines/around-the-corner.toml" --campaign campaign --out "$out" --progress none > /dev/null
+    "$@" "$periscope" run scene --campaign campaign --out "$out" --progress none > /dev/null
 }
 run here
 for cpu in Nehalem SandyBridge Haswell Skylake-Client; do

@@ -23,7 +23,7 @@ use crate::lab::{Lab, chain};
 use crate::score::Rate;
 
 const SCENE: &str = include_str!("../../pipelines/scenes/around-the-corner.toml");
-const PIPELINE: &str = include_str!("../../pipelines/around-the-corner.toml");
+const PIPELINE: &str = include_str!("../../pipelines/scene.toml");
 
 /// Kinds of files, and how many of 500 flips go to each. Within a kind every file has the same chance, and within a
 /// file every bit.
@@ -155,7 +155,7 @@ impl Whole {
         let out = lab.path("whole");
         lab.run("whole", PIPELINE, &Settings::default()).unwrap();
         let campaign = lab.campaign();
-        let run = RunRecord::start("around-the-corner".into(), &[], [("around-the-corner", campaign.as_path())]);
+        let run = RunRecord::start("scene".into(), &[], [("around-the-corner", campaign.as_path())]);
         Shelf::open(&out).unwrap().write_run(&run.unwrap()).unwrap();
         let files = files(&out);
         let stage = |folder: &str| {

@@ -23,10 +23,10 @@ use super::run::Job;
 
 /// Demonstrations: name, scene, pipeline.
 const DEMOS: [(&str, &str, &str); 6] = [
-    ("around-the-corner", include_str!("../../pipelines/scenes/around-the-corner.toml"), "around-the-corner"),
+    ("around-the-corner", include_str!("../../pipelines/scenes/around-the-corner.toml"), "scene"),
     ("all-visible", include_str!("../../pipelines/scenes/all-visible.toml"), "all-visible"),
-    ("rectangles", include_str!("../../pipelines/scenes/rectangles.toml"), "visible"),
-    ("hidden-plane", include_str!("../../pipelines/scenes/hidden-plane.toml"), "hidden-plane"),
+    ("rectangles", include_str!("../../pipelines/scenes/rectangles.toml"), "scene"),
+    ("hidden-plane", include_str!("../../pipelines/scenes/hidden-plane.toml"), "scene"),
     ("mirror", include_str!("../../pipelines/scenes/paper-mirror.toml"), "mirror"),
     ("barcode", include_str!("../../pipelines/scenes/barcode.toml"), "barcode"),
 ];

@@ -83,7 +83,7 @@ pub struct Context {
 
 impl Stage for Range {
     const KIND: &'static str = "range";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -138,6 +138,8 @@ impl Apply for Range {
             match stations.is_with_laser(&label.sensor) {
                 Some(true) => {}
                 Some(false) if over_hidden.is_some() && places.is_some() => {}
+                // Patches that are given need no direct distance, and `refine` takes sums as they are.
+                Some(false) if places.is_some() => continue,
                 Some(false) => {
                     *apart.entry((label.campaign.clone(), label.sensor.clone())).or_default() += 1;
                     continue;

@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = os.environ["PERISCOPE"]
-PIPELINE = ROOT / "pipelines/around-the-corner.toml"
+PIPELINE = ROOT / "pipelines/scene.toml"
 SHARDS = 24
 
 

@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::lab::Lab;
 use crate::missed::{aligning, position};
 
-const PIPELINE: &str = include_str!("../../pipelines/around-the-corner.toml");
+const PIPELINE: &str = include_str!("../../pipelines/scene.toml");
 /// The demo's: eight visible patches and a door, whose hidden patches are left out.
 const SCENE: &str = include_str!("../../pipelines/scenes/around-the-corner.toml");
 const VISIBLE: i32 = 8;

@@ -111,6 +111,9 @@ fn a_capture_with_no_valid_shot_is_set_aside() {
     );
 }
 
+/// The one sensor, 30 cm from the laser.
+const ASIDE: &str = "[stations.aside]\nposition_m = [0.3, 0.0, 0.0]\n[sensors.s1]\nstation = 'aside'\n";
+
 /// With a second sensor 30 cm away, distances come only from the first, and the table of rejects says so. With the
 /// second alone there are none.
 #[test]
@@ -131,6 +134,16 @@ fn distances_are_those_of_sensors_at_the_laser() {
     let refused =
         chain(aside("[sensors.s1]\nstation = 'aside'\n").run("out", pipeline, &Settings::default()).unwrap_err());
     assert!(refused.contains("`s1`") && refused.contains("leave out `range` and `embed`"), "{refused}");
+}
+
+/// `scene` places patches from path lengths, so that no sensor has to stand at the laser.
+#[test]
+fn scene_solves_for_sensors_apart_from_the_laser() {
+    let lab = Lab::of(&TINY.replace("[sensors.s1]\n", ASIDE), 1, Format::Trc);
+    let scene = include_str!("../../pipelines/scene.toml");
+    let outcome = lab.run("out", scene, &Settings::default()).unwrap();
+    assert_eq!(outcome.tables["patches"].rows("patches"), 4);
+    assert!(rejects(&lab).is_empty(), "{:#?}", rejects(&lab));
 }
 
 #[test]

@@ -20,7 +20,7 @@ use crate::missed::{aligning, position};
 
 /// Nine hidden patches.
 pub const SCENE: &str = include_str!("../../pipelines/scenes/hidden-plane.toml");
-const PIPELINE: &str = include_str!("../../pipelines/hidden-plane.toml");
+const PIPELINE: &str = include_str!("../../pipelines/scene.toml");
 
 /// Hidden patches of one seed, and the plane with most of them.
 pub struct Drawn {
@@ -32,7 +32,7 @@ pub struct Drawn {
 /// Simulates, runs and compares.
 pub fn drawn(seed: u64) -> Drawn {
     let (lab, scored) = corner::compared(SCENE, PIPELINE, seed);
-    let planes: Vec<Plane> = lab.rows("out", "surfaces");
+    let planes: Vec<Plane> = lab.rows("out", "planes");
     Drawn { scored, plane: planes.first().map(|plane| (plane.patches.len(), plane.rms_m)) }
 }
 
@@ -135,8 +135,8 @@ pub fn noisy(seed: u64, noise_ps: f64, rank: bool) -> Noisy {
     fs::write(lab.campaign().join("campaign.toml"), "[campaign]\nname = 'noisy'\n[sensors.s1]\n").unwrap();
     write_table(&lab.path("onsets.parquet"), &onsets);
     write_table(&lab.path("calibration.parquet"), &[calibration()]);
-    let whole = Definition::parse("hidden-plane", PIPELINE).unwrap().to_toml();
-    let from = whole.find("[visible_labels]").expect("the pipeline labels visible patches first");
+    let whole = Definition::parse("scene", PIPELINE).unwrap().to_toml();
+    let from = whole.find("[anchors]").expect("anchors come before labels");
     let solved = whole[from..].to_owned();
     let solved = if rank { solved.replace("bounces = 3", "bounces = 3, hidden = \"rank\"") } else { solved };
     let import = |table: &str| {

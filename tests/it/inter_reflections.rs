@@ -120,7 +120,7 @@ fn onsets(rng: &mut ChaCha8Rng) -> Vec<Onset> {
 fn pipeline(lab: &Lab) -> String {
     let text = include_str!("../../pipelines/inter-reflections.toml");
     let text = Definition::parse("inter-reflections", text).unwrap().to_toml();
-    let from = text.find("[visible_labels]").expect("the pipeline labels visible patches first");
+    let from = text.find("[anchors]").expect("anchors come before labels");
     // Onsets that are given have no latency.
     let solved = text[from..].replace(", calibration = \"calibration\"", "");
     let path = lab.path("onsets.parquet");

@@ -11,7 +11,7 @@ use std::time::Duration;
 use periscope::simulate::{self, Format, Scene};
 
 /// All stages, twice over labels, ranges, places and fits.
-pub const PIPELINE: &str = include_str!("../../pipelines/around-the-corner.toml");
+pub const PIPELINE: &str = include_str!("../../pipelines/scene.toml");
 const SCENE: &str = include_str!("../../pipelines/scenes/around-the-corner.toml");
 /// Four visible patches and a hidden one.
 const PATCHES: [i32; 5] = [1, 2, 3, 4, 9];

@@ -28,7 +28,7 @@ const FILE: &str = "campaign/raw/scene/s1_L1_P2_C1.trc";
 /// Commands that print rows: arguments, whether their JSON is an array, and some of their columns.
 const COMMANDS: [(&str, bool, &str); 14] = [
     ("pipelines", true, "pipeline,scene"),
-    ("pipelines visible", false, "pipeline,scene,text"),
+    ("pipelines scene", false, "pipeline,scene,text"),
     ("plan all-visible --campaign campaign --out a", true, "action,table,stage,why"),
     (
         "plan all-visible --campaign campaign --out farm --shards 2",

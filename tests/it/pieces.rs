@@ -43,7 +43,7 @@ impl Large {
             let file = format!("raw/scene/s1_L2_P3_{channel}.trc");
             fs::copy(large.campaign().join(&file), lab.campaign().join(&file)).unwrap();
         }
-        Self::of(lab, 100_000, PIPELINE.split_once("[visible_labels]").unwrap().0)
+        Self::of(lab, 100_000, PIPELINE.split_once("[anchors]").unwrap().0)
     }
 
     /// Arrays of codes without reference, one file a capture: those of these sizes, in shots.

@@ -118,7 +118,8 @@ fn faults_name_the_file_of_their_key() {
     for (files, words) in [
         (&[("a.toml", "base = 'b.toml'"), ("b.toml", "base = 'a.toml'")][..], &["a.toml has the base b.toml has"][..]),
         (&[("a.toml", "base = './a.toml'")], &["it is its own base"]),
-        (&[("a.toml", "base = 'visibel'")], &["a.toml: base = \"visibel\"", "did you mean `visible`?"]),
+        (&[("a.toml", "base = 'mirorr'")], &["a.toml: base = \"mirorr\"", "did you mean `mirror`?"]),
+        (&[("a.toml", "base = 'visible'")], &["a.toml: base = \"visible\"", "`visible` is now part of `scene`"]),
         (&[("a.toml", "base = 'gone.toml'")], &["a.toml: base = \"gone.toml\"", "cannot read"]),
         (&[("a.toml", "base = 3")], &["a.toml: base = 3", "in quotes"]),
         (&[("a.toml", "without = ['x']\n[x]\nstage = 'ingest'")], &["a.toml: `without`", "no `base`"]),

@@ -17,7 +17,7 @@ use crate::lab::{Lab, write_table};
 use crate::missed::{aligning, position};
 use crate::shape::{Sensor, Shape};
 
-const PIPELINE: &str = include_str!("../../pipelines/around-the-corner.toml");
+const PIPELINE: &str = include_str!("../../pipelines/scene.toml");
 const CAMPAIGN: &str = "[campaign]\nname = 'readings'\ngroup_index = 1.0\n[sensors.s1]\n[[captures]]\nrole = 'scene'\n\
     files = 'raw/L{lit}_P{seen}.npy'\ndt_ps = 50.0\nt0_ps = 6000.0\ngain_v = 0.0001\noffset_v = 0.0\n";
 const DT_PS: f64 = 50.0;
@@ -257,14 +257,14 @@ fn solve(lab: &Lab, room: &Room, choice: Choice) -> Outcome {
         Choice::Readings => lab.run_with(&out, &start, &set("200"), &Settings::default()).unwrap(),
         Choice::Points => lab.run_with(&out, &start, &set("0"), &Settings::default()).unwrap(),
         Choice::Wide => {
-            let (first, rest) = start.split_once("[visible_labels]").expect("the pipeline labels");
+            let (first, rest) = start.split_once("[anchors]").expect("the pipeline labels");
             lab.run_with("wide-onsets", first, &set("200"), &Settings::default()).unwrap();
             let onsets: Vec<Onset> = lab.rows("wide-onsets", "onsets");
             let whole = onsets.into_iter().map(|onset| Onset { pair_gain: None, ..onset });
             write_table(&lab.path("onsets.parquet"), &whole.collect::<Vec<_>>());
             let imports = import(lab, "calibration", "calibration", "calibration.parquet")
                 + &import(lab, "onsets", "onsets", "onsets.parquet");
-            lab.run(&out, &(imports + "[visible_labels]" + rest), &Settings::default()).unwrap()
+            lab.run(&out, &(imports + "[anchors]" + rest), &Settings::default()).unwrap()
         }
     };
     compare(&lab.rows::<Patch>(&out, "patches"), room)

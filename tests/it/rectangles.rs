@@ -14,8 +14,7 @@ use crate::missed;
 
 /// All 49 patches.
 pub const SCENE: &str = include_str!("../../pipelines/scenes/rectangles.toml");
-/// The pipeline.
-pub const VISIBLE: &str = include_str!("../../pipelines/visible.toml");
+const PIPELINE: &str = include_str!("../../pipelines/scene.toml");
 
 /// What some seeds gave.
 #[derive(Default)]
@@ -63,7 +62,7 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
     let laboratory = Laboratory::new(&scene, 0).unwrap();
     for seed in seeds {
         let lab = Lab::recorded(&laboratory.reseeded(seed), seed, Format::Trc);
-        lab.run("out", VISIBLE, &Settings::default()).unwrap();
+        lab.run("out", PIPELINE, &Settings::default()).unwrap();
         let truth: Vec<Patch> = lab.truth();
         let patches: Vec<Patch> = lab.rows("out", "patches");
         let missed = missed::missed(&patches, &lab.rows::<PatchCovariance>("out", "patches.patch_covariances"), &truth);
@@ -84,7 +83,7 @@ pub fn study(text: &str, seeds: std::ops::Range<u64>) -> Study {
         let (rms_mm, nse) = (1e3 * (missed.squares_m2 / count).sqrt(), missed.normalised / study.degrees_of_freedom);
         let labels = (study.blind, &study.labels);
         eprintln!("seed {seed}: {rms_mm:.4} mm, NSE / dof {nse:.3}; labels and wrong ones so far {labels:?}");
-        let planes: Vec<Plane> = lab.rows("out", "surfaces");
+        let planes: Vec<Plane> = lab.rows("out", "planes");
         assert_eq!(planes.len(), 3, "seed {seed}");
         let squares: f64 = planes.iter().map(|plane| plane.rms_m.powi(2) * plane.patches.len() as f64).sum();
         study.planarity_m.push((squares / count).sqrt());

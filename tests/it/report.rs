@@ -24,7 +24,7 @@ const FIRST_PAINT_MS: f64 = 2000.0;
 static CORNER: LazyLock<Lab> = LazyLock::new(|| {
     let lab = Lab::of(include_str!("../../pipelines/scenes/around-the-corner.toml"), 1, Format::Trc);
     let periscope = Command::new(env!("CARGO_BIN_EXE_periscope"))
-        .args(["run", concat!(env!("CARGO_MANIFEST_DIR"), "/pipelines/around-the-corner.toml"), "--progress", "none"])
+        .args(["run", "scene", "--progress", "none"])
         .arg("--campaign")
         .arg(lab.campaign())
         .arg("--out")

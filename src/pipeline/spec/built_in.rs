@@ -25,19 +25,15 @@ macro_rules! built_in {
 built_in!(
     "scene",
     "all-visible",
-    "around-the-corner",
     "average",
     "barcode",
     "barcode-blocked",
     "characterize",
     "faint",
-    "hidden-plane",
     "inter-reflections",
     "mirror",
     "relay-wall",
-    "separate",
     "tdr",
-    "visible",
 );
 
 /// Name of the pipeline for any scene whose campaign declares none of [`DECLARED`].
@@ -48,6 +44,10 @@ const DECLARED: [(&str, &str, fn(&Patch) -> bool); 2] = [
     ("mirror", "patches with role = \"mirror\"", |patch| patch.role == PatchRole::Mirror),
     ("barcode", "hidden patches with `through`", |patch| patch.through.is_some()),
 ];
+
+/// Names that pipelines had, and the pipeline that does their work now.
+const RETIRED: [(&str, &str); 4] =
+    [("around-the-corner", "scene"), ("hidden-plane", "scene"), ("separate", "scene"), ("visible", "scene")];
 
 impl BuiltIn {
     /// The pipeline that runs unless the user names another, and what in the campaigns says so; `None` where nothing
@@ -67,6 +67,12 @@ impl BuiltIn {
     #[must_use]
     pub fn named(name: &str) -> Option<&'static Self> {
         BUILT_IN.iter().find(|pipeline| pipeline.name == name)
+    }
+
+    /// The pipeline that does the work of a retired one; `None` for all other names.
+    #[must_use]
+    pub(super) fn successor(name: &str) -> Option<&'static str> {
+        RETIRED.iter().find(|(retired, _)| *retired == name).map(|(_, successor)| *successor)
     }
 
     /// The scene that it is for: the first line of its text, a sentence.
@@ -95,6 +101,9 @@ mod tests {
         assert_eq!(names, files, "src/pipeline/spec/built_in.rs lists the files of pipelines/");
         assert!(BUILT_IN[1..].is_sorted_by_key(|pipeline| pipeline.name));
         assert_eq!(BUILT_IN[0].name, DEFAULT);
+        for (retired, successor) in RETIRED {
+            assert!(BuiltIn::named(retired).is_none() && BuiltIn::named(successor).is_some(), "{retired}");
+        }
     }
 
     #[test]

@@ -19,7 +19,7 @@ pub enum SpecError {
         source: std::io::Error,
     },
     /// No pipeline in the program has this name.
-    #[error("unknown pipeline `{name}`; {} (`periscope pipelines` lists all; ./{name} is a file)", near(name))]
+    #[error("{} (`periscope pipelines` lists all; ./{name} is a file)", unknown(name))]
     Unknown {
         /// What stands in the place of a name.
         name: String,
@@ -50,8 +50,13 @@ pub enum SpecError {
     },
 }
 
-fn near(name: &str) -> String {
-    suggest::hint(name, BUILT_IN.iter().map(|pipeline| pipeline.name))
+fn unknown(name: &str) -> String {
+    match BuiltIn::successor(name) {
+        Some(successor) => format!("pipeline `{name}` is now part of `{successor}`; write `{successor}`"),
+        None => {
+            format!("unknown pipeline `{name}`; {}", suggest::hint(name, BUILT_IN.iter().map(|pipeline| pipeline.name)))
+        }
+    }
 }
 
 /// Suggestions for a wrong path: a folder is no pipeline, and another name may be near.
@@ -60,8 +65,12 @@ fn neighbours(path: &Path) -> String {
         return "; it is a folder, and a pipeline is a file or a name that `periscope pipelines` lists".to_owned();
     }
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-    if let Some(pipeline) = BuiltIn::named(name.trim_end_matches(".toml")) {
+    let stem = name.trim_end_matches(".toml");
+    if let Some(pipeline) = BuiltIn::named(stem) {
         return format!("; the program has a pipeline of this name: write `{}`", pipeline.name);
+    }
+    if let Some(successor) = BuiltIn::successor(stem) {
+        return format!("; pipeline `{stem}` is now part of `{successor}`: write `{successor}`");
     }
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut names: Vec<String> = std::fs::read_dir(folder)

@@ -94,13 +94,15 @@ mod tests {
     #[test]
     fn names_and_files_differ() {
         let here = |text: &str| Reference::new(Path::new(text), Path::new(""));
-        assert_eq!(here("visible").unwrap().name(), "visible");
-        assert_eq!(here("visible.toml").unwrap(), Reference::File("visible.toml".into()));
-        assert_eq!(here("./visible").unwrap(), Reference::File("./visible".into()));
+        assert_eq!(here("mirror").unwrap().name(), "mirror");
+        assert_eq!(here("mirror.toml").unwrap(), Reference::File("mirror.toml".into()));
+        assert_eq!(here("./mirror").unwrap(), Reference::File("./mirror".into()));
         assert_eq!(here("mine/p").unwrap(), Reference::File("mine/p".into()));
-        assert_eq!(here("visible/").unwrap(), Reference::File("visible/".into()));
-        let error = here("visibel").unwrap_err().to_string();
-        assert!(error.contains("did you mean `visible`?") && error.contains("./visibel"), "{error}");
+        assert_eq!(here("mirror/").unwrap(), Reference::File("mirror/".into()));
+        let error = here("mirorr").unwrap_err().to_string();
+        assert!(error.contains("did you mean `mirror`?") && error.contains("./mirorr"), "{error}");
+        let error = here("visible").unwrap_err().to_string();
+        assert!(error.contains("`visible` is now part of `scene`"), "{error}");
         let there = Reference::new(Path::new("base.toml"), Path::new("/lab")).unwrap();
         assert_eq!((there.name(), there.folder()), ("/lab/base.toml".to_owned(), Path::new("/lab")));
     }

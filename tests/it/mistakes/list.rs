@@ -38,8 +38,10 @@ pub const MISTAKES: &[Mistake] = &[
     Mistake(&[], "run campaign", "campaign is a campaign", "`periscope run --campaign campaign`"),
     Mistake(&[], "run arrays --campaign campaign", "arrays is a campaign", "`periscope run --campaign arrays`"),
     Mistake(&[], "run ./campaign/raw --campaign campaign --out new", "pipeline ./campaign/raw", "it is a folder"),
-    Mistake(&[], "run visibel --campaign campaign", "unknown pipeline `visibel`", "did you mean `visible`?"),
-    Mistake(&[], "run pipelines/visible.toml --campaign campaign", "pipelines/visible.toml", "write `visible`"),
+    Mistake(&[], "run mirorr --campaign campaign", "unknown pipeline `mirorr`", "did you mean `mirror`?"),
+    Mistake(&[], "run pipelines/mirror.toml --campaign campaign", "pipelines/mirror.toml", "write `mirror`"),
+    Mistake(&[], "run visible --campaign campaign", "`visible` is now part of `scene`", "write `scene`"),
+    Mistake(&[], "run pipelines/visible.toml --campaign campaign", "pipelines/visible.toml", "write `scene`"),
     Mistake(&[], "pipelines mirrors", "unknown pipeline `mirrors`", "did you mean `mirror`?"),
     Mistake(&[], "run --campaign campaign --campaign arrays", "2 campaigns", "--out DIR"),
     Mistake(
