@@ -91,7 +91,7 @@ fn help_and_wrong_usage() {
     let wrong = periscope(folder.path(), &["run", "p.toml", "--campain", "x"]);
     assert!(wrong.status.code() == Some(2) && err(&wrong).contains("--campaign"), "{}", err(&wrong));
     let missing = periscope(folder.path(), &["run", "p.toml", "--campaign", "x", "--out", "o"]);
-    assert!(missing.status.code() == Some(1) && err(&missing).contains("p.toml"), "{}", err(&missing));
+    assert!(missing.status.code() == Some(1) && err(&missing).contains("x/campaign.toml"), "{}", err(&missing));
 }
 
 #[test]
