@@ -240,8 +240,8 @@ fn gather(view: View, scene: Option<&Scene>, blend_ps: f64) -> Gathered {
     Gathered { profile: Profile { arrivals, ..profile.clone() }, onsets, inner }
 }
 
-/// The strongest arrival of a patch that is lit and seen. With a scene it must come where that has it: a record may have
-/// been gated behind the first bounce.
+/// The strongest arrival of a patch that is lit and seen. With a scene it must come where that has it: a record may
+/// have been gated behind the first bounce.
 fn first_bounce(view: View, scene: Option<&Scene>, blend_ps: f64) -> Option<usize> {
     let Profile { lit, seen, arrivals, .. } = view.profile;
     let strongest = (0..arrivals.len()).max_by(|&a, &b| arrivals[a].amplitude.total_cmp(&arrivals[b].amplitude));
