@@ -53,7 +53,7 @@ const COARSE_BINS: f64 = 2.0;
 const FINE_BINS: f64 = 3.0;
 
 const AFTER_HELP: &str =
-    "Then:  periscope run relay-wall --campaign DIR\nWhat is taken from each format: docs/interoperation.md";
+    "Then:  periscope run --campaign DIR\nWhat is taken from each format: docs/interoperation.md";
 
 /// The command.
 pub fn convert(args: &Convert) -> Result<ExitCode> {

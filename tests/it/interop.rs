@@ -15,7 +15,7 @@ use periscope::tables::Patch;
 
 use scene::{DT_PS, FWHM_PS, HIDDEN, LIGHT, Layout, Made, gap_m, save};
 
-const PIPELINE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/pipelines/relay-wall.toml");
+const PIPELINE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/pipelines/scene.toml");
 
 fn periscope(folder: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_periscope")).args(args).current_dir(folder).output().unwrap()

@@ -32,7 +32,6 @@ built_in!(
     "faint",
     "inter-reflections",
     "mirror",
-    "relay-wall",
     "tdr",
 );
 
@@ -46,8 +45,13 @@ const DECLARED: [(&str, &str, fn(&Patch) -> bool); 2] = [
 ];
 
 /// Names that pipelines had, and the pipeline that does their work now.
-const RETIRED: [(&str, &str); 4] =
-    [("around-the-corner", "scene"), ("hidden-plane", "scene"), ("separate", "scene"), ("visible", "scene")];
+const RETIRED: [(&str, &str); 5] = [
+    ("around-the-corner", "scene"),
+    ("hidden-plane", "scene"),
+    ("relay-wall", "scene"),
+    ("separate", "scene"),
+    ("visible", "scene"),
+];
 
 impl BuiltIn {
     /// The pipeline that runs unless the user names another, and what in the campaigns says so; `None` where nothing
