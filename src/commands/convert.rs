@@ -52,8 +52,7 @@ pub struct Convert {
 const COARSE_BINS: f64 = 2.0;
 const FINE_BINS: f64 = 3.0;
 
-const AFTER_HELP: &str =
-    "Then:  periscope run --campaign DIR\nWhat is taken from each format: docs/interoperation.md";
+const AFTER_HELP: &str = "Then:  periscope run --campaign DIR\nWhat is taken from each format: docs/interoperation.md";
 
 /// The command.
 pub fn convert(args: &Convert) -> Result<ExitCode> {
