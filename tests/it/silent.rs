@@ -37,7 +37,7 @@ fn both_say(lab: &Lab, words: &[&str]) {
     let (code, text) = run(lab, &[]);
     assert_eq!(code, 3, "{text}");
     contains(&text, words);
-    let (code, text) = check(lab, &[]);
+    let (code, text) = check(lab, &["--pipeline", "pipeline.toml"]);
     assert_eq!(code, 3, "{text}");
     contains(&text, words);
     assert!(!text.contains("all is well"), "{text}");
@@ -142,7 +142,7 @@ fn a_wrong_time_base_is_the_cause_that_is_named() {
     both_say(
         &lab,
         &[
-            "0 valid shots of the 1 that it needs; of 24 shots: 24 without a reference pulse in raw/scene/s1_L",
+            "0 valid shots of the 16 that it needs; of 24 shots: 24 without a reference pulse in raw/scene/s1_L",
             "`dt_ps` = 0.05 in the [[captures]] rule, but the file says 50 ps: remove `dt_ps`, or give it in picoseconds",
         ],
     );
@@ -160,12 +160,12 @@ fn causes_of_rejected_shots_are_counted_one_by_one() {
     });
     both_say(
         &lab,
-        &["lit 2, seen 2, has 0 valid shots of the 1 that it needs; of 24 shots: 24 without a reference pulse"],
+        &["lit 2, seen 2, has 0 valid shots of the 16 that it needs; of 24 shots: 24 without a reference pulse"],
     );
     both_say(
         &lab,
         &[
-            "lit 1, seen 2, is averaged from 14 shots only; of 24 shots: 10 outlying",
+            "lit 1, seen 2, has 14 valid shots of the 16 that it needs; of 24 shots: 10 outlying",
             "set `reject_outliers = false` if these shots are good",
         ],
     );
