@@ -35,7 +35,7 @@ built_in!(
     "tdr",
 );
 
-/// Name of the pipeline for any scene whose campaign declares none of [`DECLARED`].
+/// Name of the pipeline for any scene whose campaign declares no mirror and no strips.
 pub const DEFAULT: &str = "scene";
 
 /// Pipelines for what a campaign declares: name, what stands in campaign.toml, and whether a patch has it.
