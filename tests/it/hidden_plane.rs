@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::corner::{self, Scored};
-use crate::lab::{Lab, write_table};
+use crate::lab::{Lab, point_onset, write_table};
 use crate::missed::{aligning, position};
 
 /// Nine hidden patches.
@@ -168,35 +168,7 @@ pub fn noisy(seed: u64, noise_ps: f64, rank: bool) -> Noisy {
 }
 
 fn onset(lit: usize, seen: usize, time_ps: f64, time_sd_ps: f64) -> Onset {
-    Onset {
-        campaign: "noisy".into(),
-        sensor: "s1".into(),
-        lit: lit as i32 + 1,
-        seen: seen as i32 + 1,
-        range: None,
-        rank: 0,
-        time_ps,
-        time_sd_ps,
-        earliest_ps: None,
-        amplitude: 1.0,
-        amplitude_sd: None,
-        width_ps: 0.0,
-        width_sd_ps: None,
-        pair_first_ps: None,
-        pair_second_ps: None,
-        pair_first_sd_ps: None,
-        pair_second_sd_ps: None,
-        pair_correlation: None,
-        pair_first_amplitude: None,
-        pair_second_amplitude: None,
-        pair_gain: None,
-        snr: 10.0,
-        evidence: None,
-        covariance: Vec::new(),
-        jitter_ps: 0.0,
-        power_ratio: None,
-        flags: Vec::new(),
-    }
+    point_onset("noisy", [lit as i32 + 1, seen as i32 + 1], 0, [time_ps, time_sd_ps])
 }
 
 /// Only the latency counts where onsets are given.

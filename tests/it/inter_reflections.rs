@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::lab::{Lab, write_table};
+use crate::lab::{Lab, point_onset, write_table};
 
 /// Group index of the campaign: that of air.
 const INDEX: f64 = 1.000_277;
@@ -84,33 +84,8 @@ fn onsets(rng: &mut ChaCha8Rng) -> Vec<Onset> {
         }
         arrivals.sort_by(|a, b| a.0.total_cmp(&b.0));
         onsets.extend(arrivals.into_iter().zip(1..).map(|((time_ps, time_sd_ps), rank)| Onset {
-            campaign: "bright".into(),
-            sensor: "s1".into(),
-            lit,
-            seen,
-            range: None,
-            rank,
-            time_ps,
-            time_sd_ps,
-            earliest_ps: None,
-            amplitude: 1.0,
-            amplitude_sd: None,
-            width_ps: 0.0,
-            width_sd_ps: None,
-            pair_first_ps: None,
-            pair_second_ps: None,
-            pair_first_sd_ps: None,
-            pair_second_sd_ps: None,
-            pair_correlation: None,
-            pair_first_amplitude: None,
-            pair_second_amplitude: None,
-            pair_gain: None,
             snr: 50.0 / time_sd_ps,
-            evidence: None,
-            covariance: Vec::new(),
-            jitter_ps: 0.0,
-            power_ratio: None,
-            flags: Vec::new(),
+            ..point_onset("bright", [lit, seen], rank, [time_ps, time_sd_ps])
         }));
     }
     onsets

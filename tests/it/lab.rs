@@ -11,7 +11,7 @@ use periscope::pipeline::run::{self, Outcome, RunError, Settings};
 use periscope::pipeline::spec::Spec;
 use periscope::simulate::{self, Format, Laboratory, Scene};
 use periscope::store::{Shelf, TableWriter};
-use periscope::tables::Row;
+use periscope::tables::{Onset, Row};
 
 /// The pipeline that most tests run.
 pub const ALL_VISIBLE: &str = include_str!("../../pipelines/all-visible.toml");
@@ -149,6 +149,39 @@ pub fn write_table<R: Row>(path: &Path, rows: &[R]) {
     let mut writer = TableWriter::create(path, &R::schema()).unwrap();
     writer.write(&R::to_batch(rows)).unwrap();
     writer.finish(&[]).unwrap();
+}
+
+/// A pulse by itself, of amplitude 1 and a signal-to-noise ratio of 10, at a time with a standard deviation.
+pub fn point_onset(campaign: &str, [lit, seen]: [i32; 2], rank: i32, [time_ps, time_sd_ps]: [f64; 2]) -> Onset {
+    Onset {
+        campaign: campaign.into(),
+        sensor: "s1".into(),
+        lit,
+        seen,
+        range: None,
+        rank,
+        time_ps,
+        time_sd_ps,
+        earliest_ps: None,
+        amplitude: 1.0,
+        amplitude_sd: None,
+        width_ps: 0.0,
+        width_sd_ps: None,
+        pair_first_ps: None,
+        pair_second_ps: None,
+        pair_first_sd_ps: None,
+        pair_second_sd_ps: None,
+        pair_correlation: None,
+        pair_first_amplitude: None,
+        pair_second_amplitude: None,
+        pair_gain: None,
+        snr: 10.0,
+        evidence: None,
+        covariance: Vec::new(),
+        jitter_ps: 0.0,
+        power_ratio: None,
+        flags: Vec::new(),
+    }
 }
 
 /// Runs `body` in a pool with this number of threads.

@@ -62,6 +62,7 @@ mod small_rooms;
 mod surface;
 mod verify;
 mod version;
+mod vertical_ranges;
 mod watch;
 
 use resolution::study::shape;

@@ -192,7 +192,7 @@ fn a_capture_of_many_shots_is_made_in_pieces_with_the_bytes_of_a_single_run() {
 /// Two vertical ranges, each with its own first shots; clipped and outlying shots far behind these.
 #[test]
 fn pieces_of_several_ranges_judge_their_shots_as_a_single_run_does() {
-    let scene = crate::averaging::TWO_RANGES.replace("shots = 400\n", "shots = 900\n");
+    let scene = crate::vertical_ranges::TWO_RANGES.replace("shots = 400\n", "shots = 900\n");
     let lab = Lab::of(&scene, 1, Format::Trc);
     let pipeline = crate::lab::ALL_VISIBLE.split_once("[onsets]").unwrap().0;
     let large = Large::of(lab, 50_000, pipeline);

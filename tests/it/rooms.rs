@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::lab::{Lab, write_table};
+use crate::lab::{Lab, point_onset, write_table};
 use crate::missed;
 
 /// Group index of the campaign: that of air.
@@ -82,35 +82,7 @@ fn onsets(room: Room, seed: u64) -> Vec<(Onset, Option<Vec<i32>>)> {
         }
         arrivals.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (rank, (time_ps, path)) in arrivals.into_iter().enumerate() {
-            let onset = Onset {
-                campaign: "bulk".into(),
-                sensor: "s1".into(),
-                lit,
-                seen,
-                range: None,
-                rank: rank as i32 + 1,
-                time_ps,
-                time_sd_ps: SD_PS,
-                earliest_ps: None,
-                amplitude: 1.0,
-                amplitude_sd: None,
-                width_ps: 0.0,
-                width_sd_ps: None,
-                pair_first_ps: None,
-                pair_second_ps: None,
-                pair_first_sd_ps: None,
-                pair_second_sd_ps: None,
-                pair_correlation: None,
-                pair_first_amplitude: None,
-                pair_second_amplitude: None,
-                pair_gain: None,
-                snr: 100.0,
-                evidence: None,
-                covariance: Vec::new(),
-                jitter_ps: 0.0,
-                power_ratio: None,
-                flags: Vec::new(),
-            };
+            let onset = Onset { snr: 100.0, ..point_onset("bulk", [lit, seen], rank as i32 + 1, [time_ps, SD_PS]) };
             all.push((onset, path));
         }
     }

@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::lab::{Lab, write_table};
+use crate::lab::{Lab, point_onset, write_table};
 use crate::missed;
 
 const SCENE: &str = include_str!("../../pipelines/scene.toml");
@@ -120,35 +120,7 @@ impl Room {
 }
 
 fn onset(lit: i32, seen: i32, rank: i32, pulse: Pulse, sd_ps: f64) -> Onset {
-    Onset {
-        campaign: "bulk".into(),
-        sensor: "s1".into(),
-        lit,
-        seen,
-        range: None,
-        rank,
-        time_ps: pulse.time_ps,
-        time_sd_ps: sd_ps,
-        earliest_ps: None,
-        amplitude: pulse.snr,
-        amplitude_sd: None,
-        width_ps: 0.0,
-        width_sd_ps: None,
-        pair_first_ps: None,
-        pair_second_ps: None,
-        pair_first_sd_ps: None,
-        pair_second_sd_ps: None,
-        pair_correlation: None,
-        pair_first_amplitude: None,
-        pair_second_amplitude: None,
-        pair_gain: None,
-        snr: pulse.snr,
-        evidence: None,
-        covariance: Vec::new(),
-        jitter_ps: 0.0,
-        power_ratio: None,
-        flags: Vec::new(),
-    }
+    Onset { amplitude: pulse.snr, snr: pulse.snr, ..point_onset("bulk", [lit, seen], rank, [pulse.time_ps, sd_ps]) }
 }
 
 /// What the pipeline made of one room.
