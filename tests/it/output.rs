@@ -119,13 +119,15 @@ fn closed_pipes_end_commands_quietly() {
         ["--help", "run --help", "completions bash", "schema", "plan all-visible --resolved", "demo all-visible"];
     for args in more.into_iter().chain(COMMANDS.map(|(args, ..)| args)) {
         for reads in [true, false] {
-            let mut child = command(&LAB, &args.split(' ').collect::<Vec<_>>());
-            let mut child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-            let mut stdout = BufReader::with_capacity(16, child.stdout.take().unwrap());
-            if reads {
-                stdout.read_line(&mut String::new()).unwrap();
+            let (reader, writer) = std::io::pipe().unwrap();
+            let mut reader = Some(BufReader::with_capacity(16, reader)).filter(|_| reads);
+            let mut command = command(&LAB, &args.split(' ').collect::<Vec<_>>());
+            let child = command.stdout(writer).stderr(Stdio::piped()).spawn().unwrap();
+            drop(command); // and with it our own end of the pipe
+            if let Some(reader) = &mut reader {
+                reader.read_line(&mut String::new()).unwrap();
             }
-            drop(stdout);
+            drop(reader);
             let output = child.wait_with_output().unwrap();
             let errors = String::from_utf8(output.stderr).unwrap();
             // What was printed before the pipe was closed may have been all.
@@ -138,10 +140,10 @@ fn closed_pipes_end_commands_quietly() {
     let left = |entry: std::fs::DirEntry| entry.file_name().to_string_lossy().starts_with("periscope-check-");
     let temporary = LAB.path("temporary");
     std::fs::create_dir_all(&temporary).unwrap();
-    let mut child = command(&LAB, &["check", "--campaign", "campaign"]);
-    let mut child = child.env("TMPDIR", &temporary).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-    drop(child.stdout.take());
-    assert_eq!(child.wait().unwrap().code(), Some(141));
+    let (_, writer) = std::io::pipe().unwrap();
+    let mut check = command(&LAB, &["check", "--campaign", "campaign"]);
+    let status = check.env("TMPDIR", &temporary).stdout(writer).stderr(Stdio::null()).status().unwrap();
+    assert_eq!(status.code(), Some(141));
     assert!(!std::fs::read_dir(&temporary).unwrap().flatten().any(left));
 }
 

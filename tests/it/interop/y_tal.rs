@@ -64,7 +64,7 @@ fn what_y_tal_writes_is_read_and_what_is_written_y_tal_reads() {
         done(folder, &["convert", &capture, "--out", &campaign, "--fwhm-ps", "70", "--dt-ps", "16"]);
         python(folder, &["scan", &campaign]);
     }
-    done(folder, &["run", PIPELINE, "--campaign", "all-campaign", "--out", "all-results", "--until", "wall"]);
-    done(folder, &["export", "all-results", "wall.ply", "--patches", "wall"]);
+    done(folder, &["run", PIPELINE, "--campaign", "all-campaign", "--out", "all-results", "--until", "anchors"]);
+    done(folder, &["export", "all-results", "wall.ply", "--patches", "anchors"]);
     python(folder, &["ply", "wall.ply", "all.hdf5"]);
 }
