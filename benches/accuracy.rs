@@ -3,7 +3,8 @@
 //! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for
 //! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone), `-- readings 20` for
 //! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 one` for the choice of the scene alone,
-//! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind.
+//! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind; `-- sizes 20` for
+//! patches of centimetres whose sizes nobody gives.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
@@ -26,6 +27,8 @@ mod score;
 #[allow(dead_code, reason = "other studies use more of it")]
 #[path = "resolution/shape.rs"]
 mod shape;
+#[path = "../tests/it/sizes.rs"]
+mod sizes;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/small_rooms.rs"]
 mod small_rooms;
@@ -46,6 +49,9 @@ fn main() {
     let seeds = numbers.first().copied().unwrap_or(200);
     if std::env::args().any(|arg| arg == "rectangles") {
         return print_rectangles(&rectangles::study(rectangles::SCENE, 1000..1000 + seeds));
+    }
+    if std::env::args().any(|arg| arg == "sizes") {
+        return print_sizes(seeds);
     }
     if std::env::args().any(|arg| arg == "small-rooms") {
         return print_small_rooms(seeds);
@@ -118,6 +124,28 @@ fn print_corner(seeds: u64, counts: &[usize]) {
             errors_mm[errors_mm.len() * 9 / 10],
             mean(&bounds).sqrt(),
             pulls[pulls.len() / 2],
+        );
+    }
+}
+
+/// Patches of centimetres of which campaign.toml gives neither size nor normal.
+fn print_sizes(seeds: u64) {
+    println!(
+        "| patches (cm) | seeds | rms / bound with sizes known | NSE / dof | chi-square / dof | sizes found | rms error of sizes | phantoms |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    for size_m in [0.005, 0.01, 0.02, 0.03, 0.05] {
+        let outcomes = sizes::outcomes(size_m, 1000..1000 + seeds);
+        let mean = |value: fn(&sizes::Outcome) -> f64| outcomes.iter().map(value).sum::<f64>() / seeds as f64;
+        println!(
+            "| {} | {seeds} | {:.2} | {:.2} | {:.2} | {:.1} of 12 | {:.0} % | {} |",
+            100.0 * size_m,
+            mean(|one| one.over_bound).sqrt(),
+            mean(|one| one.normalised),
+            mean(|one| one.chi2_dof),
+            mean(|one| one.sizes as f64),
+            100.0 * mean(|one| one.size_error.powi(2)).sqrt(),
+            outcomes.iter().map(|one| one.phantoms).sum::<usize>()
         );
     }
 }

@@ -138,6 +138,8 @@ fn labels(campaign: &str, pair: [i32; 2]) -> Vec<Label> {
             part: 0,
             time_ps: onset.time_ps,
             time_sd_ps: onset.time_sd_ps,
+            width_ps: Some(0.0),
+            width_sd_ps: None,
             turns: 0,
             bounces: if bounces <= 3 { bounces } else { 0 },
             path: (bounces <= 3).then_some(path),

@@ -68,6 +68,8 @@ fn label(path: Vec<i32>, points: &[Point], rng: &mut ChaCha8Rng) -> Label {
         part: 0,
         time_ps: time_ps(way_m + end.coords.norm(), 1.0) + SD_PS * normal(rng),
         time_sd_ps: SD_PS,
+        width_ps: Some(0.0),
+        width_sd_ps: None,
         turns: 0,
         bounces: path.len() as i32,
         path: Some(path),

@@ -12,12 +12,15 @@
 //! `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1
 //! % of the shift where legs are longer than three sizes. Not modelled: glossy patches, a spot smaller than its patch.
 
+mod from_widths;
+
 use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 
 use super::Point;
 use crate::units::PatchId;
+pub use from_widths::{Bounce, Sizes, Spread, from_widths};
 
 /// A flat round patch.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +29,8 @@ pub struct Footprint {
     pub normal: Vector3<f64>,
     /// Diameter.
     pub size_m: f64,
+    /// Standard deviation of the normal's direction.
+    pub normal_sd_rad: f64,
 }
 
 /// Footprints by patch; a patch without one is a point.
@@ -110,9 +115,11 @@ impl Leg {
             End::Laser => Vector3::zeros(),
             End::Sensor | End::Patch(None) => -3.0 / length_m * along,
             End::Patch(Some(other)) => {
-                // Near the other's plane the expansion ends: no closer than half the patch.
+                // Near the other's plane the expansion ends: no closer than half the patch, nor than the normal's error
+                // tells.
                 let height_m = other.normal.dot(&arm);
-                let height_m = height_m.signum() * height_m.abs().max(0.5 * footprint.size_m);
+                let least_m = f64::max(0.5 * footprint.size_m, other.normal_sd_rad * length_m);
+                let height_m = height_m.signum() * height_m.abs().max(least_m);
                 other.normal / height_m - 4.0 / length_m * along
             }
         };
@@ -170,7 +177,7 @@ mod tests {
     fn it_is_the_mean_over_all_points() {
         let (source, sensor) = (Point::new(0.0, 0.0, 0.0), Point::new(0.1, 0.0, 0.02));
         let patch = |centre: [f64; 3], normal: [f64; 3], size_m: f64| {
-            (Point::from(centre), Footprint { normal: Vector3::from(normal).normalize(), size_m })
+            (Point::from(centre), Footprint { normal: Vector3::from(normal).normalize(), size_m, normal_sd_rad: 0.0 })
         };
         let wall = patch([0.4, 1.1, 0.2], [-0.5, -1.0, 0.2], 0.05);
         let side = patch([1.0, 0.7, -0.1], [-1.0, 0.1, 0.3], 0.06);
@@ -190,7 +197,7 @@ mod tests {
         assert_eq!(shift_m(origin, &[(there, None)], origin), 0.0);
         let normal = Vector3::new(0.1, -1.0, 0.3).normalize();
         let shift = |normal| {
-            let footprint = Some(Footprint { normal, size_m: 0.04 });
+            let footprint = Some(Footprint { normal, size_m: 0.04, normal_sd_rad: 0.0 });
             shift_m(origin, &[(there, footprint), (Point::new(0.9, 0.5, 0.0), footprint)], origin)
         };
         assert_eq!(shift(normal), shift(-normal));

@@ -52,6 +52,9 @@ const SETTLED_M: f64 = 1e-11;
 /// The same without the normal matrix, whose steps are inexact.
 const SETTLED_MATRIX_FREE_M: f64 = 1e-8;
 
+/// The 99.9 % point of a normal distribution.
+const MISFIT_SD: f64 = 3.090_232;
+
 /// The solution.
 #[derive(Clone, Debug)]
 pub struct Solution {
@@ -157,6 +160,20 @@ impl Solution {
     #[must_use]
     pub fn is_exact(&self) -> bool {
         matches!(self.covariance, Covariance::Exact(_))
+    }
+
+    /// Factor on variances: chi-square over its degrees of freedom where it is beyond its 99.9 % point, so that the
+    /// model does not explain the measurements (Birge's ratio); else 1.
+    #[must_use]
+    pub fn misfit(&self) -> f64 {
+        let freedom = self.degrees_of_freedom as f64;
+        if freedom < 1.0 {
+            return 1.0;
+        }
+        // Wilson and Hilferty: the cube root of chi-square is nearly normal.
+        let share = 2.0 / (9.0 * freedom);
+        let limit = freedom * (1.0 - share + MISFIT_SD * share.sqrt()).powi(3);
+        if self.chi2 > limit { self.chi2 / freedom } else { 1.0 }
     }
 
     /// Number of unknowns.

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::campaign::Campaign;
 use crate::geometry::footprint::{Footprint, Footprints};
-use crate::tables::Plane;
+use crate::tables::{PatchFootprint, Plane};
 use crate::units::PatchId;
 
 /// Size and direction of a patch in campaign.toml.
@@ -50,7 +50,16 @@ pub fn normals(
 /// Footprints of patches with a known size and one of the [`normals`].
 pub fn of(extents: &BTreeMap<PatchId, Extent>, normals: &BTreeMap<PatchId, Vector3<f64>>) -> Footprints {
     let footprint = |(patch, normal): (&PatchId, &Vector3<f64>)| {
-        Some((*patch, Footprint { normal: *normal, size_m: extents.get(patch)?.size_m? }))
+        Some((*patch, Footprint { normal: *normal, size_m: extents.get(patch)?.size_m?, normal_sd_rad: 0.0 }))
     };
     Footprints(normals.iter().filter_map(footprint).collect())
+}
+
+/// Footprints of the table.
+pub fn of_table(rows: &[PatchFootprint]) -> Footprints {
+    let footprint = |row: &PatchFootprint| {
+        let normal = Vector3::new(row.normal_x, row.normal_y, row.normal_z);
+        (row.patch, Footprint { normal, size_m: row.size_m, normal_sd_rad: row.normal_sd_rad })
+    };
+    Footprints(rows.iter().map(footprint).collect())
 }

@@ -11,15 +11,17 @@
 //! | places | `scenes`: which of the places that first light left open all onsets support, and by how much |
 //! | other solutions | `ambiguities`: mirror images, flips, loose parts, with their likelihoods |
 //! | frame | `fits.frame`: what fixes it |
-//! | footprints | `planes`: whether large patches have a normal |
+//! | walls of the patches | `planes`: which patches lie on one |
+//! | sizes of patches | `footprints`: which patches are no points, and how that is known |
 //! | pulse shapes | onsets that are wider than the response, and how many blend |
 //! | vertical ranges | onsets by range |
 //!
-//! A fit whose chi-square exceeds its degrees of freedom by more than four of its standard deviations is `not
-//! explained`: its error bars are then too small, and the first row says so.
+//! A fit whose chi-square is beyond its 99.9 % point is `not explained`: `refine` has then made all standard deviations
+//! larger (`fits.misfit`), and the first row says by how much.
 //!
 //! Takes `patches`; writes `decisions`. Beside it `fits` and `ambiguities` (of the same `refine`), `labels` and
-//! `onsets`; optional `hypotheses`, `planes` and `scenes` (of the same `label`).
+//! `onsets`; optional `hypotheses` and `scenes` (of the same `label`), `planes`, and `footprints` (of the
+//! same `refine`).
 //!
 //! ```toml
 //! [decisions]
@@ -31,6 +33,7 @@
 //! with.hypotheses = "labels.hypotheses"
 //! with.onsets = "onsets"
 //! with.planes = "planes"
+//! with.footprints = "patches.footprints"
 //! with.scenes = "labels.scenes"
 //! ```
 
@@ -40,10 +43,9 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
-use crate::tables::{Ambiguity, Decision, Fit, Hypothesis, Label, Name, Onset, Patch, Plane, SceneOdds};
-
-/// Chi-square this many of its standard deviations above its degrees of freedom is not that of a right model.
-const UNLIKELY: f64 = 4.0;
+use crate::tables::{
+    Ambiguity, Decision, Fit, Hypothesis, Label, Name, Onset, Patch, PatchFootprint, Plane, SceneOdds,
+};
 
 /// Parameters of `conclude`: none.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -58,12 +60,13 @@ pub struct Context {
     hypotheses: Vec<Hypothesis>,
     onsets: Vec<Onset>,
     planes: Vec<Plane>,
+    footprints: Vec<PatchFootprint>,
     scenes: Vec<SceneOdds>,
 }
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: true },
@@ -72,6 +75,7 @@ impl Stage for Conclude {
         Beside { name: "onsets", table: "onsets", required: true },
         Beside { name: "hypotheses", table: "hypotheses", required: false },
         Beside { name: "planes", table: "planes", required: false },
+        Beside { name: "footprints", table: "footprints", required: false },
         Beside { name: "scenes", table: "scenes", required: false },
     ];
     type Input = Patch;
@@ -89,6 +93,7 @@ impl Stage for Conclude {
             hypotheses: beside.rows("hypotheses")?.unwrap_or_default(),
             onsets: beside.rows("onsets")?.unwrap_or_default(),
             planes: beside.rows("planes")?.unwrap_or_default(),
+            footprints: beside.rows("footprints")?.unwrap_or_default(),
             scenes: beside.rows("scenes")?.unwrap_or_default(),
         })
     }
@@ -106,7 +111,7 @@ impl Apply for Conclude {
         decisions.extend(context.scenes.iter().map(place));
         // The row of the frame says what a free rotation means.
         decisions.extend(context.ambiguities.iter().filter(|one| &*one.kind != "rotation").map(other_solution));
-        decisions.extend([context.frame(), context.footprints(&best), context.pulse_shapes()]);
+        decisions.extend([context.frame(), context.coplanar(&best), context.sizes(), context.pulse_shapes()]);
         decisions.extend(context.ranges());
         for (number, decision) in (1..).zip(&mut decisions) {
             decision.decision = number;
@@ -130,33 +135,38 @@ impl Context {
                 "captures in which their own light is not gated away",
             );
         };
-        let freedom = f64::from(fit.degrees_of_freedom);
-        let limit = freedom + UNLIKELY * (2.0 * freedom).sqrt();
         let evidence = format!("chi-square {:.1} of {} degrees of freedom", fit.chi2, fit.degrees_of_freedom);
         if fit.degrees_of_freedom < 1 {
             let more = "one onset more than unknowns; nothing checks this fit";
             return decision("fit", "unchecked", &evidence, more);
         }
-        if fit.chi2 <= limit {
-            return decision("fit", "explained", &evidence, &format!("a chi-square above {limit:.1}"));
+        if fit.misfit > 1.0 {
+            let chosen =
+                format!("not explained: all standard deviations are {:.1} times as large for it", fit.misfit.sqrt());
+            let text =
+                "right labels or a better instrument response; `suspects` lists the onsets that contradict the fit";
+            return decision("fit", &chosen, &evidence, text);
         }
-        let text = "right labels or a better instrument response; `suspects` lists the onsets that contradict the fit";
-        decision("fit", "not explained: standard deviations are too small", &evidence, text)
+        decision("fit", "explained", &evidence, "a chi-square that chance exceeds in less than one campaign of 1,000")
     }
 
-    /// How many onsets have a path.
+    /// How many pulses have a path: onsets, and the two parts of those that are read as two.
     fn labelled(&self) -> Decision {
         let best = || self.labels.iter().filter(|label| label.alternative == 0);
         let (all, open) = (best().count(), best().filter(|label| label.path.is_none()).count());
         let mut orders = BTreeMap::<i32, usize>::new();
         best().filter(|label| label.path.is_some()).for_each(|label| *orders.entry(label.bounces).or_default() += 1);
-        let orders: Vec<String> = orders.iter().map(|(order, count)| format!("{count} of {order} bounces")).collect();
+        let orders: Vec<String> = orders.iter().map(|(order, count)| format!("{count} of order {order}")).collect();
         Decision {
             runner_up: (open > 0).then(|| format!("{open} without a path").into()),
             ..decision(
                 "labels",
-                &format!("{} of {all} onsets have a path", all - open),
-                &if orders.is_empty() { "no path explains an onset".to_owned() } else { orders.join(", ") },
+                &format!("{} of {all} pulses have a path", all - open),
+                &if orders.is_empty() {
+                    "no path explains a pulse".to_owned()
+                } else {
+                    format!("bounces: {}", orders.join(", "))
+                },
                 "patches or walls that the model does not have",
             )
         }
@@ -223,8 +233,8 @@ impl Context {
         decision("frame", chosen, evidence, would_change)
     }
 
-    /// Whether the extent of patches is part of the model.
-    fn footprints(&self, patches: &[&Patch]) -> Decision {
+    /// Which patches lie on planes.
+    fn coplanar(&self, patches: &[&Patch]) -> Decision {
         let on_planes = |patch: &&&Patch| self.planes.iter().any(|plane| plane.patches.contains(&patch.patch));
         let count = patches.iter().filter(on_planes).count();
         if count == 0 {
@@ -232,7 +242,7 @@ impl Context {
                 "walls of the patches",
                 "none",
                 "no five patches lie on one plane within their errors",
-                "`size_m` and `normal` of patches in campaign.toml, in a fixed frame",
+                "patches measured more exactly",
             );
         }
         let farthest_sd = self.planes.iter().map(|plane| plane.rms_m).fold(0.0, f64::max);
@@ -241,6 +251,24 @@ impl Context {
             &format!("{count} of {} patches lie on {} planes", patches.len(), self.planes.len()),
             &format!("largest rms distance {:.2} mm", 1e3 * farthest_sd),
             "patches measured more exactly",
+        )
+    }
+
+    /// Which patches are no points, and how that is known.
+    fn sizes(&self) -> Decision {
+        let from = |source: &str| self.footprints.iter().filter(|one| &*one.source == source).count();
+        let (campaign, widths) = (from("campaign"), from("widths"));
+        if self.footprints.is_empty() {
+            let text = "`size_m` of patches in campaign.toml, or pulses that are wider than the response";
+            return decision("sizes of patches", "points of light", "no patch spreads its pulses", text);
+        }
+        let least_m = self.footprints.iter().map(|one| one.size_m).fold(f64::INFINITY, f64::min);
+        let most_m = self.footprints.iter().map(|one| one.size_m).fold(0.0, f64::max);
+        decision(
+            "sizes of patches",
+            &format!("{} disks of {:.1} to {:.1} cm", self.footprints.len(), 1e2 * least_m, 1e2 * most_m),
+            &format!("{campaign} from campaign.toml, {widths} from the widths of their pulses"),
+            "`size_m` and `normal` of patches in campaign.toml, in a fixed frame",
         )
     }
 
@@ -297,16 +325,20 @@ fn place(scene: &SceneOdds) -> Decision {
 fn other_solution(ambiguity: &Ambiguity) -> Decision {
     let patches: Vec<String> = ambiguity.patches.iter().map(ToString::to_string).collect();
     let which = if patches.is_empty() { "all patches".to_owned() } else { format!("patches {}", patches.join(", ")) };
-    let known = match ambiguity.log_likelihood {
-        Some(log_likelihood) => {
-            format!("the other solution is less likely by a factor of {:.3e}", (-log_likelihood).exp())
+    let (chosen, evidence) = match (ambiguity.log_likelihood, ambiguity.sd_m) {
+        (Some(log_likelihood), _) => (
+            "the solution of `patches`",
+            format!("the other solution is less likely by a factor of {:.3e}", (-log_likelihood).exp()),
+        ),
+        (None, Some(sd_m)) => {
+            ("kept, with their errors", format!("in one direction known to {:.2} mm alone", 1e3 * sd_m))
         }
-        None => "no onset decides".to_owned(),
+        (None, None) => ("the solution of `patches`", "no onset decides".to_owned()),
     };
     Decision {
         runner_up: ambiguity.alternative.map(|number| format!("alternative {number} of `patches`").into()),
         log_likelihood_ratio: ambiguity.log_likelihood.map(|log_likelihood| -log_likelihood),
-        ..decision(&format!("{}: {which}", ambiguity.kind), "the solution of `patches`", &known, &ambiguity.meaning)
+        ..decision(&format!("{}: {which}", ambiguity.kind), chosen, &evidence, &ambiguity.meaning)
     }
 }
 

@@ -53,9 +53,10 @@
 //! - `anchors` (of `anchor`), used in place of `patches` where that is absent and every patch that is lit or seen is an
 //!   anchor;
 //! - for the full error of a prediction, `covariances` (`patch_covariances` of the same stage) and `delays`;
-//! - `planes` (of `surface`, fitted to the same patches), for the shift of the light's centroid over large patches,
-//!   those with a `size_m` in campaign.toml;
-//! - `fits` (of the same `refine`): where it has a fixed frame, the normals of campaign.toml give that shift too.
+//! - `planes` (of `surface`, fitted to the same patches), for normals and, without `footprints`, for the shift of the
+//!   light's centroid over patches with a `size_m` in campaign.toml;
+//! - `footprints` (of the same `refine`), for that shift over all patches whose size and direction are known;
+//! - `fits` (of the same `refine`): where it has a fixed frame, the normals of campaign.toml hold.
 //!
 //! Known limits: alternatives are compared without hidden patches, 32 at most; those that move the same patches only
 //! one by one. A patch of `patches` that only hidden ones show is taken for one that visible ones show. Without
@@ -89,7 +90,7 @@ use crate::parameter::{Condition, Count, NonNegative, Positive, Share, Within};
 use crate::priors::campaign_fields::{self, ByCampaign, StationPositions};
 use crate::priors::delays::Delays;
 use crate::priors::footprints::{self, Extent};
-use crate::tables::{Fit, Hypothesis, Label, Onset, Patch, PatchCovariance, Plane, Row, SceneOdds};
+use crate::tables::{Fit, Hypothesis, Label, Onset, Patch, PatchCovariance, PatchFootprint, Plane, Row, SceneOdds};
 use crate::units::PatchId;
 use alternatives::PlacedPatches;
 
@@ -212,7 +213,7 @@ impl Context {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 13;
+    const VERSION: u32 = 14;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -220,6 +221,7 @@ impl Stage for LabelOnsets {
         Beside { name: "covariances", table: "patch_covariances", required: false },
         Beside { name: "delays", table: "delays", required: false },
         Beside { name: "planes", table: "planes", required: false },
+        Beside { name: "footprints", table: "footprints", required: false },
         Beside { name: "fits", table: "fits", required: false },
     ];
     const SIDES: &'static [Side] = &[
@@ -312,7 +314,10 @@ fn placed(rows: Vec<Patch>, fields: &ByCampaign<Fields>, beside: &BesideTables) 
     let between = beside.rows::<PatchCovariance>("covariances")?.unwrap_or_default();
     let given = fields.first().map(|fields| &fields.extents);
     let normals = given.map(|given| normals(given, beside)).transpose()?.unwrap_or_default();
-    let footprints = given.map(|given| footprints::of(given, &normals)).unwrap_or_default();
+    let footprints = match beside.rows::<PatchFootprint>("footprints")? {
+        Some(rows) => footprints::of_table(&rows),
+        None => given.map(|given| footprints::of(given, &normals)).unwrap_or_default(),
+    };
     Ok(PlacedPatches { rows, between, footprints, normals })
 }
 

@@ -18,9 +18,16 @@
 //! `probability` there is its share of the likelihood among all places of its patch. Onsets may leave a hidden patch
 //! two places, on either side of the wall that shows it: the one on the laser's side is chosen.
 //!
-//! The light of a large patch does not come from its centre. Where a patch has a `size_m` and a normal, the shift is
-//! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. Normals come
-//! from `planes` (of `surface`) or, in a fixed frame, from campaign.toml.
+//! The light of a large patch does not come from its centre. Where a patch has a size and a normal, the shift is
+//! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. They are those
+//! of campaign.toml (`size_m`, with a normal from `planes` (of `surface`) or, in a fixed frame, from campaign.toml);
+//! else what the widths of the patch's onsets tell, if these are more than noise. The table `footprints` has them. An
+//! onset that is wider than its patches make it has other light in it, which pulls its time: the pull is estimated from
+//! the width, taken off first and second bounces, which no other light precedes, and part of the error of all
+//! (`residuals.blend_ps`, `sd_ps`).
+//!
+//! Where chi-square is beyond its 99.9 % point, the model does not explain the onsets. Then all variances are larger by
+//! chi-square over its degrees of freedom (`fits.misfit`), and likelihoods of alternatives count less by that.
 //!
 //! Without a labelled onset, `patches` that all have a covariance are passed on: anchors whose own light was not
 //! recorded.
@@ -31,7 +38,7 @@
 //! patches covariances are of each patch alone (`fits.covariance`), and alternatives are not searched for.
 //!
 //! Takes `labels`; writes `patches`, `patch_covariances`, `delays`, `stations`, `residuals`, `suspects`, `fits`,
-//! `ambiguities`. Not modelled: errors that onsets of one profile share. Optional tables:
+//! `ambiguities`, `footprints`. Not modelled: errors that onsets of one profile share. Optional tables:
 //! - `patches` to start from; those that are missing are placed from nothing ([`crate::geometry::placement`]);
 //! - `calibration`, without which latencies are taken as exact;
 //! - `planes`;
@@ -47,6 +54,7 @@
 //! ```
 
 mod context;
+mod extents;
 mod model;
 mod others;
 mod rows;
@@ -59,8 +67,11 @@ use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{self, Problem, Solution, Unsolved};
 use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::footprints::{self, Extent};
-use crate::tables::{Ambiguity, Delay, Fit, Label, Patch, PatchCovariance, Residual, Row, Station, Suspect};
+use crate::tables::{
+    Ambiguity, Delay, Fit, Label, Patch, PatchCovariance, PatchFootprint, Residual, Row, Station, Suspect,
+};
 use context::{Context, Fields};
+use extents::Extents;
 use model::Model;
 use rows::{Fitted, Tables};
 
@@ -86,7 +97,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -102,6 +113,7 @@ impl Stage for Refine {
         Side { name: Suspect::TABLE, schema: Suspect::schema },
         Side { name: Fit::TABLE, schema: Fit::schema },
         Side { name: Ambiguity::TABLE, schema: Ambiguity::schema },
+        Side { name: PatchFootprint::TABLE, schema: PatchFootprint::schema },
     ];
     type Input = Label;
     type Output = Patch;
@@ -139,9 +151,15 @@ impl Apply for Refine {
         };
         let is_fixed = solution.free_rotations.first() == Some(&0);
         let extents = &context.first().extents;
-        let footprints = footprints::of(extents, &footprints::normals(extents, &context.planes, is_fixed));
+        let given = footprints::of(extents, &footprints::normals(extents, &context.planes, is_fixed));
+        let Extents { footprints, pulls } = Extents::new(&model, &problem, &solution, &given);
+        let sees_blends = pulls.iter().any(|pull| pull.sd_m > 0.0);
+        for (observation, pull) in problem.observations.iter_mut().zip(&pulls) {
+            observation.length_m -= pull.mean_m;
+            observation.sd_m = observation.sd_m.hypot(pull.sd_m);
+        }
         let mut shifts_m = vec![0.0; labels.len()];
-        for _ in 0..if footprints.is_empty() { 0 } else { ROUNDS } {
+        for _ in 0..if footprints.is_empty() && !sees_blends { 0 } else { ROUNDS } {
             let next_m = model.shifts_m(&footprints, &problem, &solution.points, &solution.stations);
             let moved_m =
                 next_m.iter().zip(&shifts_m).fold(0.0, |most: f64, (next, last)| most.max((next - last).abs()));
@@ -170,7 +188,7 @@ impl Apply for Refine {
         }
         let (solution, others) = others::alternatives(&model, &problem, solution);
         let fitted = Fitted { solution, others, observations, used };
-        let tables = Tables::new(&model, &fitted, &shifts_m);
+        let tables = Tables::new(&model, &fitted, &shifts_m, &pulls);
         let residuals = tables.residuals();
         Ok(Outcome {
             rows: tables.patches(),
@@ -182,6 +200,7 @@ impl Apply for Refine {
                 Suspect::to_batch(&tables.suspects(&residuals)),
                 Fit::to_batch(&tables.fits()),
                 Ambiguity::to_batch(&tables.ambiguities()),
+                PatchFootprint::to_batch(&tables.footprints(&footprints, &given)),
             ],
             rejections: unused_normals(context, is_fixed, &labels),
         })

@@ -19,6 +19,7 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "covariances" => &["a1", "b1", "a2", "b2"],
         "patches" => &["patch", "alternative"],
         "planes" => &["plane"],
+        "footprints" => &["patch"],
         "decisions" => &["decision"],
         "stations" => &["campaign", "station"],
         "fits" | "scenes" => &["alternative"],

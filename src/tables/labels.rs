@@ -25,6 +25,10 @@ table! {
         time_ps: f64,
         /// Standard deviation of the time, the jitter that the profile's onsets share included.
         time_sd_ps: f64,
+        /// Width of the onset beyond the sensor's response; null for a part, which is a point.
+        width_ps: Option<f64>,
+        /// Standard deviation of the width, where the onset has one.
+        width_sd_ps: Option<f64>,
         /// Laser periods added to the onset's time.
         turns: i32,
         /// Bounces of the path (0: unexplained).

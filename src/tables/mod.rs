@@ -39,7 +39,7 @@ pub use labels::Label;
 pub use measurements::Measurement;
 pub use onsets::Onset;
 pub use patches::{Patch, PatchCovariance};
-pub use planes::Plane;
+pub use planes::{PatchFootprint, Plane};
 pub use profiles::Profile;
 pub use rejects::Reject;
 pub use row::{Row, SchemaError};
@@ -79,6 +79,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Patch>(),
         of::<PatchCovariance>(),
         of::<Plane>(),
+        of::<PatchFootprint>(),
         of::<Delay>(),
         of::<Station>(),
         of::<Residual>(),

@@ -1,5 +1,6 @@
-//! Table `planes`: planes through groups of patches.
+//! Tables `planes`: planes through groups of patches, and `footprints`: what light comes from around their centres.
 
+use super::cell::Name;
 use crate::table;
 
 table! {
@@ -11,7 +12,7 @@ table! {
         patches: Vec<i32>,
         /// Unit normal, x; it points away from the frame's origin.
         normal_x: f64,
-        /// Unit normal, x; directed away from the frame's origin.
+        /// Unit normal, y.
         normal_y: f64,
         /// Unit normal, z.
         normal_z: f64,
@@ -36,5 +37,26 @@ table! {
         tilt_rad: Option<f64>,
         /// Standard deviation of that angle, without errors that rotate both planes alike.
         tilt_sd_rad: Option<f64>,
+    }
+}
+
+table! {
+    /// Size and direction of a patch, as far as its light tells them or campaign.toml does: a flat disk.
+    "footprints": PatchFootprint, PatchFootprintColumns {
+        /// Patch.
+        patch: i32,
+        /// Diameter.
+        size_m: f64,
+        /// Unit normal, x, in the frame of the patches; its sign does not matter.
+        normal_x: f64,
+        /// Unit normal, y.
+        normal_y: f64,
+        /// Unit normal, z.
+        normal_z: f64,
+        /// Standard deviation of the normal's direction; 0 where it was given.
+        normal_sd_rad: f64,
+        /// campaign (`size_m` of campaign.toml, the normal of a plane or of campaign.toml), or widths (of the patch's
+        /// onsets).
+        source: Name,
     }
 }

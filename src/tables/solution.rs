@@ -60,9 +60,10 @@ table! {
         part: i32,
         /// Path of the label.
         path: Vec<i32>,
-        /// Measured minus predicted time, corrected for the shift of the footprints.
+        /// Measured minus predicted time, corrected for the shift of the footprints and for other light in the onset.
         residual_ps: f64,
-        /// Standard deviation of the measured time.
+        /// Standard deviation of the measured time, with what other light in the onset adds to it where the onset is
+        /// wider than its patches make it.
         sd_ps: f64,
         /// Residual in standard deviations of the measured time.
         standardised: f64,
@@ -72,6 +73,8 @@ table! {
         studentised: Option<f64>,
         /// Predicted delay due to the extent of the footprints, relative to the path over the centres of its patches.
         footprint_ps: f64,
+        /// Estimated delay due to other light in the onset, which makes it wider than its patches do.
+        blend_ps: f64,
         /// Whether the solution uses it; false if it contradicts the others.
         used: bool,
         /// Whether it exceeds four standard deviations: its label is doubtful.
@@ -131,6 +134,9 @@ table! {
         chi2: f64,
         /// Degrees of freedom.
         degrees_of_freedom: i32,
+        /// Factor by which all variances are larger than noise makes them: chi-square over its degrees of freedom where
+        /// it is beyond its 99.9 % point, so that the model does not explain the onsets; else 1.
+        misfit: f64,
         /// Log-likelihood up to a constant; large residuals count linearly.
         log_likelihood: f64,
         /// The laser's period, where onsets spread over several.

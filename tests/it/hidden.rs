@@ -64,6 +64,8 @@ fn labels(sensor_m: [f64; 3], rng: &mut ChaCha8Rng) -> Vec<Label> {
                 part: 0,
                 time_ps: time_ps(way_m, INDEX) + SD_PS * noise,
                 time_sd_ps: SD_PS,
+                width_ps: Some(0.0),
+                width_sd_ps: None,
                 turns: 0,
                 bounces: path.len() as i32,
                 path: Some(path),

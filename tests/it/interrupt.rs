@@ -304,6 +304,8 @@ fn refine_ends_in_the_midst_of_a_solution() {
             part: 0,
             time_ps: time_ps(length_m(way), 1.0) + SD_PS * normal(rng),
             time_sd_ps: SD_PS,
+            width_ps: Some(0.0),
+            width_sd_ps: None,
             turns: 0,
             bounces: path.len() as i32,
             path: Some(path),

@@ -58,6 +58,7 @@ mod sessions;
 mod shards;
 mod silent;
 mod simulate;
+mod sizes;
 mod small_rooms;
 mod surface;
 mod verify;

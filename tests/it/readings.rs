@@ -30,7 +30,7 @@ const HEIGHT: f64 = 2000.0;
 const FIRST: f64 = 5.0;
 const THIRD: f64 = 0.7;
 const VISIBLE: usize = 8;
-/// Points that stand for a patch's light.
+/// Points that stand for a patch's light, each with its opposite, so that the patch's place is their centre.
 const SPREAD: usize = 40;
 /// Step of the response that the program is given.
 const STEP_PS: f64 = 2.5;
@@ -100,10 +100,21 @@ impl Outcome {
 
 struct Room {
     points: Vec<Vector3<f64>>,
-    /// Points of each patch's light about its centre.
-    spreads: Vec<Vec<Vector3<f64>>>,
+    disks: Vec<Disk>,
     /// Of third bounces over (first, second, third patch) against second ones.
     thirds: Vec<f64>,
+}
+
+/// A patch's direction, and points of its light about its centre.
+struct Disk {
+    normal: Vector3<f64>,
+    spread: Vec<Vector3<f64>>,
+}
+
+/// Light of one path: delays with weights whose sum is 1, and the height of its pulse.
+struct Pulse {
+    arrivals: Vec<(f64, f64)>,
+    height: f64,
 }
 
 impl Room {
@@ -132,48 +143,70 @@ impl Room {
                 points.push(place);
             }
         }
-        let spreads = points.iter().map(|point| disk(*point, setting.size_m, rng)).collect();
+        let disks = points.iter().map(|point| disk(*point, setting.size_m, rng)).collect();
         let count = points.len();
-        Self { spreads, thirds: (0..count.pow(3)).map(|_| THIRD * rng.random_range(0.2..1.0)).collect(), points }
+        Self { disks, thirds: (0..count.pow(3)).map(|_| THIRD * rng.random_range(0.2..1.0)).collect(), points }
     }
 
-    /// Delays of the light of a path from the stations at the origin. Points of its patches are paired as if at random:
-    /// factors without a common divisor with their number take each point of each patch once.
-    fn delays_ps(&self, path: &[usize]) -> Vec<f64> {
-        let of_point = |n: usize| {
-            let at = |k: usize| self.points[path[k]] + self.spreads[path[k]][(n * [1, 3, 7][k] + 7 * k) % SPREAD];
-            let inner: f64 = (1..path.len()).map(|k| (at(k) - at(k - 1)).norm()).sum();
-            time_ps(at(0).norm() + inner + at(path.len() - 1).norm(), 1.0)
+    /// Delays and weights of the light of a path from the stations at the origin, by Lambert's law; the laser lights its
+    /// patch evenly. Points of its patches are paired as if at random: factors without a common divisor with their
+    /// number take each point of each patch once. Each also goes with the opposites of the others, so that patches
+    /// spread the light independently.
+    fn arrivals(&self, path: &[usize]) -> Vec<(f64, f64)> {
+        let of_points = |n: usize, opposites: usize| {
+            let at = |k: usize| {
+                let turn = if k > 0 && opposites >> (k - 1) & 1 == 1 { SPREAD / 2 } else { 0 };
+                self.points[path[k]] + self.disks[path[k]].spread[(n * [1, 3, 7][k] + 7 * k + turn) % SPREAD]
+            };
+            let cosine = |k: usize, leg: Vector3<f64>| self.disks[path[k]].normal.dot(&leg.normalize()).abs();
+            let last = path.len() - 1;
+            let (mut length_m, mut weight) = (at(0).norm() + at(last).norm(), cosine(last, at(last)));
+            weight /= at(last).norm_squared();
+            for k in 1..path.len() {
+                let leg = at(k) - at(k - 1);
+                length_m += leg.norm();
+                weight *= cosine(k - 1, leg) * cosine(k, leg) / leg.norm_squared();
+            }
+            (time_ps(length_m, 1.0), weight)
         };
-        (0..SPREAD).map(of_point).collect()
+        let opposites = 1 << (path.len() - 1);
+        let mut arrivals: Vec<(f64, f64)> = (0..SPREAD)
+            .flat_map(|n| (0..opposites).map(move |bits| (n, bits)))
+            .map(|(n, bits)| of_points(n, bits))
+            .collect();
+        let total: f64 = arrivals.iter().map(|(_, weight)| weight).sum();
+        arrivals.iter_mut().for_each(|(_, weight)| *weight /= total);
+        arrivals
     }
 
-    /// All light of a profile: delays and height.
-    fn light(&self, lit: usize, seen: usize) -> Vec<(Vec<f64>, f64)> {
+    /// All light of a profile.
+    fn light(&self, lit: usize, seen: usize) -> Vec<Pulse> {
         let count = self.points.len();
         let direct = if lit == seen { vec![lit] } else { vec![lit, seen] };
-        let mut light = vec![(self.delays_ps(&direct), if lit == seen { FIRST } else { 1.0 })];
+        let mut light = vec![Pulse { arrivals: self.arrivals(&direct), height: if lit == seen { FIRST } else { 1.0 } }];
         for over in (0..count).filter(|over| ![lit, seen].contains(over)) {
             // Both ways are one path.
-            let share = self.thirds[(lit.min(seen) * count + over) * count + lit.max(seen)];
-            light.push((self.delays_ps(&[lit, over, seen]), share));
+            let height = self.thirds[(lit.min(seen) * count + over) * count + lit.max(seen)];
+            light.push(Pulse { arrivals: self.arrivals(&[lit, over, seen]), height });
         }
         light
     }
 }
 
-/// Points of a disk that faces a place between its normal to the stations and any other.
-fn disk(at: Vector3<f64>, size_m: f64, rng: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
+/// A disk that faces a place between its normal to the stations and any other.
+fn disk(at: Vector3<f64>, size_m: f64, rng: &mut ChaCha8Rng) -> Disk {
     let any = Vector3::from_fn(|_, _| rng.random_range(-0.5..0.5));
     let normal = (any - at.normalize()).normalize();
     let first = normal.cross(&Vector3::new(0.3, 0.5, -0.8)).normalize();
     let second = normal.cross(&first);
     let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    let half = SPREAD / 2;
     let point = |n: usize| {
-        let (radius_m, turn) = (0.5 * size_m * ((n as f64 + 0.5) / SPREAD as f64).sqrt(), golden * n as f64);
+        let (radius_m, turn) = (0.5 * size_m * ((n as f64 + 0.5) / half as f64).sqrt(), golden * n as f64);
         radius_m * (turn.cos() * first + turn.sin() * second)
     };
-    (0..SPREAD).map(point).collect()
+    let spread = (0..half).map(point).chain((0..half).map(|n| -point(n))).collect();
+    Disk { normal, spread }
 }
 
 /// Writes the shots of a scene, and the response that the program is given.
@@ -187,8 +220,9 @@ fn record(room: &Room, setting: &Setting, rng: &mut ChaCha8Rng) -> Lab {
         let light = room.light(lit, seen);
         let mean = |n: usize| {
             let at_ps = T0_PS + n as f64 * DT_PS;
-            let pulse = |(delays_ps, height): &(Vec<f64>, f64)| {
-                height * delays_ps.iter().map(|delay_ps| own.at(at_ps - delay_ps)[0]).sum::<f64>() / SPREAD as f64
+            let pulse = |pulse: &Pulse| {
+                let of_arrival = |(delay_ps, weight): &(f64, f64)| weight * own.at(at_ps - delay_ps)[0];
+                pulse.height * pulse.arrivals.iter().map(of_arrival).sum::<f64>()
             };
             let slope =
                 if setting.instrument == Instrument::Slope { 3.0 * noise * n as f64 / SAMPLES as f64 } else { 0.0 };

@@ -10,6 +10,7 @@ fn fit(chi2: f64, degrees_of_freedom: i32) -> Fit {
         unknowns: 10,
         chi2,
         degrees_of_freedom,
+        misfit: 1.0,
         log_likelihood: -0.5 * chi2,
         repetition_ps: None,
         repetition_sd_ps: None,
@@ -24,6 +25,7 @@ fn context(fit: Fit) -> Context {
         hypotheses: Vec::new(),
         onsets: Vec::new(),
         planes: Vec::new(),
+        footprints: Vec::new(),
         scenes: Vec::new(),
     }
 }
@@ -60,13 +62,14 @@ fn a_place_that_later_bounces_decide_is_a_decision() {
     assert_eq!(place.runner_up.as_deref(), Some("the likeliest place by first light"));
 }
 
-/// A right model exceeds the limit once in some 10,000 campaigns.
+/// What `refine` says of the fit is the first row.
 #[test]
-fn a_fit_far_above_its_degrees_of_freedom_is_not_explained() {
-    let chosen = |chi2| decisions(&context(fit(chi2, 50)))[0].chosen.to_string();
-    assert_eq!(chosen(50.0 + 3.9 * 10.0), "explained");
-    assert_eq!(chosen(50.0 + 4.1 * 10.0), "not explained: standard deviations are too small");
-    assert_eq!(decisions(&context(fit(0.0, 0)))[0].chosen.to_string(), "unchecked");
+fn a_fit_that_is_not_explained_says_how_much_larger_its_errors_are() {
+    let chosen = |fit: Fit| decisions(&context(fit))[0].chosen.to_string();
+    assert_eq!(chosen(fit(80.0, 50)), "explained");
+    let misfit = Fit { misfit: 4.0, ..fit(200.0, 50) };
+    assert_eq!(chosen(misfit), "not explained: all standard deviations are 2.0 times as large for it");
+    assert_eq!(chosen(fit(0.0, 0)), "unchecked");
 }
 
 /// Another solution stands with its likelihood, as `ambiguities` has it, and points to its rows in `patches`.

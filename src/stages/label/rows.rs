@@ -53,6 +53,8 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         part: place.part,
         time_ps: place.time_ps + medium.turns_ps(verdict.turns),
         time_sd_ps: place.sd_ps.hypot(verdict.blend_sd_ps),
+        width_ps: (place.part == 0).then_some(onset.width_ps),
+        width_sd_ps: onset.width_sd_ps.filter(|_| place.part == 0),
         turns: verdict.turns,
         bounces: verdict.path.as_deref().map_or(0, crate::path::bounces),
         path: verdict.path,

@@ -41,14 +41,16 @@ pub fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (So
     let is_turned = |kind: &Kind, best: &Solution| *kind == Kind::Mirror && best.free_rotations.first() != Some(&0);
     let mut others: Vec<Other> = Vec::new();
     for _ in 0..ROUNDS {
+        // What the model does not explain makes likelihoods look more certain than they are.
+        let misfit = best.misfit();
         let starts = placement::alternatives(problem, &best.points).into_iter();
         let solved = starts.filter(|start| !is_turned(&start.kind, &best)).filter_map(|start| {
             let solution = maximum_likelihood::solve(&Problem { start: start.points, ..problem.clone() }).ok()?;
-            let log_likelihood = -0.5 * (solution.loss - best.loss);
+            let log_likelihood = -0.5 * (solution.loss - best.loss) / misfit;
             let is_mirror_image = start.kind == Kind::Mirror;
             Some(Other { patches: start.patches, is_mirror_image, log_likelihood, solution })
         });
-        others = solved.filter(|other| other.solution.loss < best.loss + LIKELY).take(ALTERNATIVES).collect();
+        others = solved.filter(|other| -2.0 * other.log_likelihood < LIKELY).take(ALTERNATIVES).collect();
         let is_better = |other: &Other| {
             let behind = |solution: &Solution| model.behind(problem, solution, &other.patches);
             match behind(&other.solution).cmp(&behind(&best)) {

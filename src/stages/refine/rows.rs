@@ -4,13 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::extents::Pull;
 use super::model::{Model, NamedStation};
 use super::others::Other;
+use crate::geometry::footprint::{Footprint, Footprints};
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
 use crate::priors::sensor_range::SensorRange;
 use crate::priors::{covariances, scenes};
-use crate::tables::{Ambiguity, Delay, Fit, Label, Name, Patch, PatchCovariance, Residual, Station, Suspect};
+use crate::tables::{
+    Ambiguity, Delay, Fit, Label, Name, Patch, PatchCovariance, PatchFootprint, Residual, Station, Suspect,
+};
 use crate::units::PatchId;
 
 /// Residuals beyond this many of their own standard deviations are doubtful.
@@ -37,6 +41,8 @@ pub struct Tables<'a> {
     pub others: &'a [Other],
     /// What each onset is late by its patches' footprints.
     pub shifts_m: &'a [f64],
+    /// What other light in each onset adds to it.
+    pub pulls: &'a [Pull],
     /// All onsets without their shifts, and of each its place among those that the solution rests on.
     pub observations: &'a [Observation],
     pub used: &'a [Option<usize>],
@@ -47,7 +53,7 @@ pub struct Tables<'a> {
 }
 
 impl<'a> Tables<'a> {
-    pub fn new(model: &'a Model<'a>, fitted: &'a Fitted, shifts_m: &'a [f64]) -> Self {
+    pub fn new(model: &'a Model<'a>, fitted: &'a Fitted, shifts_m: &'a [f64], pulls: &'a [Pull]) -> Self {
         let Fitted { solution, others, observations, used } = fitted;
         let (turn, frame) = if model.all_rotations_free(solution) {
             (frame::canonical(&solution.points, centre(solution)), "canonical")
@@ -61,7 +67,7 @@ impl<'a> Tables<'a> {
             let patches: BTreeSet<PatchId> = label.path.iter().flatten().copied().collect();
             patches.into_iter().for_each(|patch| *onsets.entry(patch).or_default() += 1);
         }
-        Self { model, solution, others, shifts_m, observations, used, onsets, turn, frame }
+        Self { model, solution, others, shifts_m, pulls, observations, used, onsets, turn, frame }
     }
 
     fn turned(&self, point: Point) -> Point {
@@ -87,7 +93,7 @@ impl<'a> Tables<'a> {
     fn patch(&self, place: usize, solution: &Solution, alternative: i32) -> Patch {
         let patch = self.model.patches[place];
         let point = self.turned(solution.points[place]);
-        let cov = self.turn * solution.patch_covariance_m2(place, place) * self.turn.transpose();
+        let cov = solution.misfit() * self.turn * solution.patch_covariance_m2(place, place) * self.turn.transpose();
         let determined = (!solution.open.contains(&place)).then_some(cov);
         let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
         Patch {
@@ -119,11 +125,12 @@ impl<'a> Tables<'a> {
         alternative: i32,
         is_moved: impl Fn(usize) -> bool,
     ) -> Vec<PatchCovariance> {
+        let misfit = solution.misfit();
         let has = |place: &usize| !solution.open.contains(place);
         let determined: Vec<usize> = (0..self.model.patches.len()).filter(has).collect();
         let pairs = determined.iter().enumerate().flat_map(|(n, &a)| determined[n + 1..].iter().map(move |&b| (a, b)));
         let row = |(a, b): (usize, usize)| {
-            let cov = self.turn * solution.patch_covariance_m2(a, b) * self.turn.transpose();
+            let cov = misfit * self.turn * solution.patch_covariance_m2(a, b) * self.turn.transpose();
             PatchCovariance { alternative, ..covariances::row(self.model.patches[a], self.model.patches[b], &cov) }
         };
         pairs.filter(|&(a, b)| is_moved(a) || is_moved(b)).map(row).collect()
@@ -132,13 +139,16 @@ impl<'a> Tables<'a> {
     pub fn delays(&self) -> Vec<Delay> {
         let row = |(n, key): (usize, &SensorRange)| {
             let time = |length_m| self.model.medium(key).time_ps(length_m);
+            let prior_sd_ps = self.model.context.latencies.latency(key).sd_ps;
+            let sd_m = (self.solution.misfit() * self.solution.delay_variance_m2(n)).sqrt();
             Delay {
                 campaign: key.campaign.clone(),
                 sensor: key.sensor.clone(),
                 range: key.range.clone(),
                 delay_ps: time(self.solution.delays_m[n]),
-                sd_ps: time(self.solution.delay_variance_m2(n).sqrt()),
-                prior_sd_ps: self.model.context.latencies.latency(key).sd_ps,
+                // A misfit of the onsets says nothing against the calibration.
+                sd_ps: time(sd_m).min(prior_sd_ps),
+                prior_sd_ps,
             }
         };
         self.model.delays.iter().enumerate().map(row).collect()
@@ -154,7 +164,7 @@ impl<'a> Tables<'a> {
                 x_m: point.x,
                 y_m: point.y,
                 z_m: point.z,
-                sd_m: self.solution.station_covariance_m2(n).trace().sqrt(),
+                sd_m: (self.solution.misfit() * self.solution.station_covariance_m2(n).trace()).sqrt().min(prior_sd_m),
                 moved_m: (self.solution.stations[n] - Point::from(named.station.position_m)).norm(),
                 prior_sd_m,
             })
@@ -167,7 +177,8 @@ impl<'a> Tables<'a> {
         let row = |(n, label): (usize, &Label)| {
             let time = |length_m: f64| self.model.fields(label).medium.time_ps(length_m);
             let residual_ps = time(residuals_m[n]);
-            let standardised = residual_ps / label.time_sd_ps;
+            let sd_ps = time(self.observations[n].sd_m);
+            let standardised = residual_ps / sd_ps;
             let redundancy = self.redundancy(n);
             let studentised = redundancy.filter(|share| *share > UNCHECKED).map(|share| standardised / share.sqrt());
             Residual {
@@ -179,10 +190,11 @@ impl<'a> Tables<'a> {
                 part: label.part,
                 path: label.path.clone().expect("only labels with a path are observations"),
                 residual_ps,
-                sd_ps: label.time_sd_ps,
+                sd_ps,
                 standardised,
                 studentised,
                 footprint_ps: time(self.shifts_m[n]),
+                blend_ps: time(self.pulls[n].mean_m),
                 used: self.used[n].is_some(),
                 suspect: studentised.unwrap_or(standardised).abs() > FAR_OFF,
             }
@@ -196,8 +208,7 @@ impl<'a> Tables<'a> {
             return Some(1.0);
         };
         let predicted_m2 = self.solution.predicted_variance_m2.as_ref()?[at];
-        let label = &self.model.labels[n];
-        let sd_m = self.model.fields(label).medium.path_m(label.time_sd_ps);
+        let sd_m = self.observations[n].sd_m;
         Some((1.0 - predicted_m2 / (sd_m * sd_m)).clamp(0.0, 1.0))
     }
 
@@ -250,12 +261,31 @@ impl<'a> Tables<'a> {
                 unknowns: solution.unknowns() as i32,
                 chi2: solution.chi2,
                 degrees_of_freedom: solution.degrees_of_freedom as i32,
+                misfit: solution.misfit(),
                 log_likelihood,
                 repetition_ps: repetition_ps.map(|period_ps| period_ps + time(solution.period_m)),
                 repetition_sd_ps: period_sd_ps,
             }
         };
         solutions.enumerate().map(row).collect()
+    }
+
+    /// Of all patches with one; those not `given` come from widths.
+    pub fn footprints(&self, footprints: &Footprints, given: &Footprints) -> Vec<PatchFootprint> {
+        let row = |(patch, footprint): (&PatchId, &Footprint)| {
+            let normal = self.turn * footprint.normal;
+            let source = if given.0.contains_key(patch) { "campaign" } else { "widths" };
+            PatchFootprint {
+                patch: *patch,
+                size_m: footprint.size_m,
+                normal_x: normal.x,
+                normal_y: normal.y,
+                normal_z: normal.z,
+                normal_sd_rad: footprint.normal_sd_rad,
+                source: source.into(),
+            }
+        };
+        footprints.0.iter().map(row).collect()
     }
 
     pub fn ambiguities(&self) -> Vec<Ambiguity> {

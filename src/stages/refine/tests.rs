@@ -1,12 +1,14 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::*;
 use crate::cancel::Cancel;
+use crate::geometry::footprint::{Footprint, Footprints};
 use crate::geometry::{Point, procrustes};
 use crate::priors::delays::Latencies;
 use crate::stages::refine::context::Rival;
@@ -54,6 +56,8 @@ impl<'a> Day<'a> {
             part: 0,
             time_ps: time_ps(way_m + (self.sensor - end).norm(), 1.0) + late_ps + SD_PS * noise,
             time_sd_ps: SD_PS,
+            width_ps: Some(0.0),
+            width_sd_ps: None,
             turns: 0,
             bounces: path.len() as i32,
             path: Some(path.to_vec()),
@@ -114,12 +118,15 @@ struct SolutionRows {
     suspects: Vec<Suspect>,
     fit: Fit,
     ambiguities: Vec<Ambiguity>,
+    footprints: Vec<PatchFootprint>,
 }
 
 fn refined(context: &Context, labels: Vec<Label>) -> SolutionRows {
     let outcome = Refine::default().apply(context, labels).unwrap();
     assert!(outcome.rejections.is_empty());
-    let [_, delays, stations, _, suspects, fits, ambiguities] = &outcome.sides[..] else { panic!("seven side tables") };
+    let [_, delays, stations, _, suspects, fits, ambiguities, footprints] = &outcome.sides[..] else {
+        panic!("eight side tables")
+    };
     SolutionRows {
         patches: outcome.rows,
         delays: Delay::rows(delays).unwrap(),
@@ -127,6 +134,7 @@ fn refined(context: &Context, labels: Vec<Label>) -> SolutionRows {
         suspects: Suspect::rows(suspects).unwrap(),
         fit: Fit::rows(fits).unwrap().remove(0),
         ambiguities: Ambiguity::rows(ambiguities).unwrap(),
+        footprints: PatchFootprint::rows(footprints).unwrap(),
     }
 }
 
@@ -195,7 +203,7 @@ fn every_range_has_its_own_delay_and_ranges_share_the_error_of_the_known_path() 
 fn a_sensor_apart_needs_no_start_and_anchors_rays_and_stations_fix_the_frame() {
     let room = room();
     let sensor = Point::new(0.4, 0.1, 0.2);
-    let given = sensor + nalgebra::Vector3::new(0.003, -0.002, 0.004);
+    let given = sensor + Vector3::new(0.003, -0.002, 0.004);
     let ray = room[4].coords.normalize();
     let campaign = format!(
         "[campaign]\nname = 'c'\ngroup_index = 1.0\n[stations.laser]\nposition_m = [0.0, 0.0, 0.0]\n[stations.aside]\nposition_m = [{}, {}, {}]\nsd_m = 0.004\n\
@@ -354,4 +362,57 @@ fn an_anchor_that_no_label_has_as_lit_or_seen_is_not_hidden() {
     };
     assert_eq!((kind(CAMPAIGN).as_str(), kind(&anchor("visible")).as_str()), ("hidden", "visible"));
     assert_eq!(kind(&anchor("hidden")), "hidden", "campaign.toml has the last word");
+}
+
+/// Onsets three times as far off as they say: all variances are larger by about nine, and the fit says so.
+#[test]
+fn what_the_model_does_not_explain_makes_standard_deviations_larger() {
+    let points = room();
+    let labels = Day::new(&points, 3).all(|_, _| true).labels;
+    let fair = refined(&context(CAMPAIGN, Vec::new()), labels.clone());
+    let bold = labels.into_iter().map(|label| Label { time_sd_ps: SD_PS / 3.0, ..label }).collect();
+    let widened = refined(&context(CAMPAIGN, Vec::new()), bold);
+    assert_eq!(fair.fit.misfit, 1.0);
+    assert!((7.0..11.0).contains(&widened.fit.misfit), "{}", widened.fit.misfit);
+    for (fair, widened) in fair.patches.iter().zip(&widened.patches) {
+        let ratio = widened.sd_m.unwrap() / fair.sd_m.unwrap();
+        assert!((0.8..1.2).contains(&ratio), "patch {}: {ratio}", fair.patch);
+    }
+}
+
+/// Tilted disks of three centimetres whose sizes nobody gave: their pulses' widths tell them, and the centres are found.
+#[test]
+fn widths_of_onsets_tell_footprints() {
+    let points = room();
+    let at = |patch: &PatchId| points[*patch as usize - 1];
+    // Each faces a place between the stations and the other patches.
+    let disk = |patch: PatchId| {
+        let normal = (Point::new(0.0, 0.8, 0.0) - at(&patch)).normalize();
+        (patch, Footprint { normal, size_m: 0.03, normal_sd_rad: 0.0 })
+    };
+    let disks = Footprints((1..=points.len() as PatchId).map(disk).collect());
+    let origin = Point::origin();
+    let mut labels = Day::new(&points, 3).all(|_, _| true).labels;
+    for label in &mut labels {
+        let path = label.path.clone().unwrap();
+        label.time_ps += time_ps(disks.shift_m(origin, &path, at, origin), 1.0);
+        let nodes: Vec<Point> = [origin].into_iter().chain(path.iter().map(at)).chain([origin]).collect();
+        let variance_m2 = |(patch, legs): (&PatchId, &[Point])| {
+            let slope = (legs[1] - legs[0]).normalize() + (legs[1] - legs[2]).normalize();
+            let Footprint { normal, size_m, .. } = disks.0[patch];
+            size_m * size_m / 16.0 * (slope.norm_squared() - slope.dot(&normal).powi(2))
+        };
+        let width_ps = time_ps(path.iter().zip(nodes.windows(3)).map(variance_m2).sum::<f64>().sqrt(), 1.0);
+        (label.width_ps, label.width_sd_ps) = (Some(width_ps), Some(0.05 * width_ps));
+    }
+    let solution = refined(&context(CAMPAIGN, Vec::new()), labels.clone());
+    assert_eq!(solution.footprints.len(), points.len());
+    for row in &solution.footprints {
+        assert!((0.027..0.033).contains(&row.size_m) && &*row.source == "widths", "{row:?}");
+    }
+    let without = labels.into_iter().map(|label| Label { width_ps: None, width_sd_ps: None, ..label }).collect();
+    let as_points = refined(&context(CAMPAIGN, Vec::new()), without);
+    assert!(as_points.footprints.is_empty());
+    let chi2 = [solution.fit.chi2, as_points.fit.chi2];
+    assert!(chi2[0] < chi2[1] - 10.0, "{chi2:?}");
 }

@@ -71,6 +71,8 @@ impl Model {
                         part: 0,
                         time_ps: self.medium.time_ps(of.lengths_m[strips[strip]]),
                         time_sd_ps: onset.time_sd_ps.hypot(onset.jitter_ps),
+                        width_ps: Some(onset.width_ps),
+                        width_sd_ps: onset.width_sd_ps,
                         turns: *turns,
                         bounces: 3,
                         path: Some(vec![self.points[of.lit], self.strips[strip], self.points[exit]]),
