@@ -157,16 +157,17 @@ fn transpose(plane: &[Complex<f64>], columns: usize, turned: &mut [Complex<f64>]
 /// The least length of `least` or more whose prime factors are 2, 3 and 5: transforms of such lengths are fast.
 #[must_use]
 pub fn fast_length(least: usize) -> usize {
-    let is_fast = |length: &usize| {
-        let without = |mut rest: usize, factor: usize| {
-            while rest.is_multiple_of(factor) {
-                rest /= factor;
-            }
-            rest
-        };
-        [2, 3, 5].into_iter().fold(*length, without) == 1
+    let without = |mut rest: usize, factor: usize| {
+        while rest.is_multiple_of(factor) {
+            rest /= factor;
+        }
+        rest
     };
-    (least.max(1)..).find(is_fast).expect("powers of two have no end")
+    let mut length = least.max(1);
+    while [2, 3, 5].into_iter().fold(length, without) > 1 {
+        length += 1;
+    }
+    length
 }
 
 fn check_lengths(samples: usize, bins: usize) {

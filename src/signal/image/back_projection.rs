@@ -1,13 +1,14 @@
 //! Filtered back-projection: an image from histograms of any pairs of lit and seen points.
 //!
 //! Light over a hidden point `x` arrives at `|l - x| + |x - s|`, as times of flight. Each histogram is turned into
-//! scores of unit variance, by a filter that shows pulses and is blind to straight lines: the negative second derivative
-//! of a Gaussian as wide as the response. A voxel is the sum of the scores at its arrival times, one of each histogram.
-//! So it is a sum of independent terms, nearly Gaussian, and its variance is their number. Source of the principle:
-//! Velten et al., Nature Communications 3:745 (2012).
+//! scores of unit variance, by a filter that shows pulses and is blind to straight lines: the negative second
+//! derivative of a Gaussian as wide as the response. A voxel is the sum of the scores at its arrival times, one of each
+//! histogram. So it is a sum of independent terms, nearly Gaussian, and its variance is their number. Source of the
+//! principle: Velten et al., Nature Communications 3:745 (2012).
 //!
 //! Counts are first stabilised, `sqrt(n + 3/8)` (Anscombe, Biometrika 35:246, 1948), and divided by the standard
-//! deviation that this has at their rate: 1/2 for many photons, less for few. Not modelled: what light loses on its way.
+//! deviation that this has at their rate: 1/2 for many photons, less for few. Not modelled: what light loses on its
+//! way.
 
 /// Rates from which on stabilised counts have a standard deviation of 1/2, to a part in a thousand.
 const MANY: f64 = 25.0;

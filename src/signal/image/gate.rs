@@ -8,7 +8,7 @@
 pub const BLOCKS: usize = 6;
 /// Standard deviations that a block may lie off the parabola, and the share of its light.
 const SIGMA: f64 = 4.0;
-const SHARE: f64 = 0.03;
+const SHARE: f64 = 0.003;
 
 /// First bin behind which [`BLOCKS`] blocks of `block` bins of `sum` follow a parabola; `None` where there is none.
 /// `variance` is that of each bin.

@@ -21,9 +21,10 @@
 //! 2. [`LightCone::filter`] for each frequency: the image's spectrum and the filter itself;
 //! 3. [`LightCone::square`] for each row of the filter;
 //! 4. [`LightCone::spread`] for each frequency: the spectrum of the variance;
-//! 5. [`LightCone::voxels`] for each row of the grid.
+//! 5. [`LightCone::values`] and [`LightCone::variances`] for each row of the grid.
 //!
-//! Spectra are complex values, frequency by frequency, each a row or a plane of the grid. Not modelled: occlusion,
+//! Spectra are complex values, frequency by frequency, each a row or a plane of the grid. They are kept in single
+//! precision, but for those of the variance, which spans many orders of magnitude. Not modelled: occlusion,
 //! light of more than three bounces, the angle under which surfaces are seen.
 
 use std::f64::consts::TAU;
@@ -61,7 +62,7 @@ pub struct Prior {
 #[derive(Clone, Debug)]
 pub struct RowSpectra {
     /// Of the values.
-    pub values: Vec<Complex<f64>>,
+    pub values: Vec<Complex<f32>>,
     /// Of their variances.
     pub variances: Vec<Complex<f64>>,
 }
@@ -70,9 +71,19 @@ pub struct RowSpectra {
 #[derive(Clone, Debug)]
 pub struct Slice {
     /// `rows` x `columns` values.
-    pub image: Vec<Complex<f64>>,
+    pub image: Vec<Complex<f32>>,
     /// The filter for lags of 0 to `rows - 1` and 0 to `columns - 1`; it is even in both.
-    pub kernel: Vec<Complex<f64>>,
+    pub kernel: Vec<Complex<f32>>,
+}
+
+/// In the precision of computing.
+fn wide(value: Complex<f32>) -> Complex<f64> {
+    Complex::new(f64::from(value.re), f64::from(value.im))
+}
+
+/// In the precision of keeping.
+fn narrow(value: Complex<f64>) -> Complex<f32> {
+    Complex::new(value.re as f32, value.im as f32)
 }
 
 /// Plans and buffers of one worker.
@@ -144,16 +155,18 @@ impl LightCone {
     /// If there are not as many as points in a row.
     pub fn row(&self, workspace: &mut Workspace, histograms: &[Option<(f64, f64, Foreground)>]) -> RowSpectra {
         assert_eq!(histograms.len(), self.scan.columns, "a row has another number of points");
-        let zero = vec![Complex::default(); self.frequencies() * self.scan.columns];
-        let mut row = RowSpectra { values: zero.clone(), variances: zero };
+        let columns = self.scan.columns;
+        let count = self.frequencies() * columns;
+        let mut row =
+            RowSpectra { values: vec![Complex::default(); count], variances: vec![Complex::default(); count] };
         let mut spectrum = vec![Complex::default(); self.frequencies()];
         for (column, histogram) in histograms.iter().enumerate() {
             let Some((first_ps, dt_ps, light)) = histogram else { continue };
             let resampled = self.resample(*first_ps, *dt_ps, light);
-            for (record, into) in [(resampled.values, &mut row.values), (resampled.variances, &mut row.variances)] {
-                workspace.time.forward(&record, &mut spectrum);
-                spectrum.iter().enumerate().for_each(|(k, bin)| into[k * self.scan.columns + column] = *bin);
-            }
+            workspace.time.forward(&resampled.values, &mut spectrum);
+            spectrum.iter().enumerate().for_each(|(k, bin)| row.values[k * columns + column] = narrow(*bin));
+            workspace.time.forward(&resampled.variances, &mut spectrum);
+            spectrum.iter().enumerate().for_each(|(k, bin)| row.variances[k * columns + column] = *bin);
         }
         row
     }
@@ -183,19 +196,20 @@ impl LightCone {
         resampled
     }
 
-    /// Filters one frequency of the `rows`' values.
+    /// Filters one frequency of the values of all rows.
     ///
     /// # Panics
     /// If there are not as many rows as in the grid.
-    pub fn filter(&self, workspace: &mut Workspace, frequency: usize, rows: &[RowSpectra]) -> Slice {
+    pub fn filter(&self, workspace: &mut Workspace, frequency: usize, values: &[Vec<Complex<f32>>]) -> Slice {
         let fft = &mut workspace.plane;
         let mut kernel = self.spectrum_of_filter(fft, frequency);
-        let mut image = self.gather(frequency, rows.iter().map(|row| &row.values));
+        let mut image = self.gather(frequency, values, wide);
         fft.forward(&mut image, self.scan.rows);
         image.iter_mut().zip(&kernel).for_each(|(value, factor)| *value *= factor);
         fft.inverse(&mut image, self.scan.rows);
         fft.inverse(&mut kernel, self.scan.rows);
-        Slice { image: self.cut(&image), kernel: self.cut(&kernel) }
+        let keep = |plane: &[Complex<f64>]| self.cut(plane).map(narrow).collect();
+        Slice { image: keep(&image), kernel: keep(&kernel) }
     }
 
     /// The Wiener filter at one frequency: `conj(P) / (|P|^2 + 1 / snr)` for the paraboloid's spectrum `P`, scaled to a
@@ -242,48 +256,49 @@ impl LightCone {
     }
 
     /// A padded plane of one frequency.
-    fn gather<'a>(
+    fn gather<T: Copy>(
         &self,
         frequency: usize,
-        rows: impl ExactSizeIterator<Item = &'a Vec<Complex<f64>>>,
+        rows: &[Vec<T>],
+        convert: impl Fn(T) -> Complex<f64>,
     ) -> Vec<Complex<f64>> {
         assert_eq!(rows.len(), self.scan.rows, "the grid has another number of rows");
         let columns = self.scan.columns;
         let mut plane = vec![Complex::default(); self.columns * self.rows];
-        for (y, row) in rows.enumerate() {
-            plane[y * self.columns..][..columns].copy_from_slice(&row[frequency * columns..][..columns]);
+        for (row, into) in rows.iter().zip(plane.chunks_mut(self.columns)) {
+            into.iter_mut().zip(&row[frequency * columns..][..columns]).for_each(|(into, bin)| *into = convert(*bin));
         }
         plane
     }
 
     /// The part of a padded plane that the grid covers.
-    fn cut(&self, plane: &[Complex<f64>]) -> Vec<Complex<f64>> {
-        plane.chunks(self.columns).take(self.scan.rows).flat_map(|row| &row[..self.scan.columns]).copied().collect()
+    fn cut<'a>(&'a self, plane: &'a [Complex<f64>]) -> impl Iterator<Item = Complex<f64>> + 'a {
+        plane.chunks(self.columns).take(self.scan.rows).flat_map(|row| &row[..self.scan.columns]).copied()
     }
 
     /// Spectrum of the squared filter for lags of `row` rows, from the filter's frequencies.
     ///
     /// # Panics
     /// If there are not as many slices as frequencies.
-    pub fn square(&self, workspace: &mut Workspace, row: usize, slices: &[Slice]) -> Vec<Complex<f64>> {
+    pub fn square(&self, workspace: &mut Workspace, row: usize, slices: &[Slice]) -> Vec<Complex<f32>> {
         assert_eq!(slices.len(), self.frequencies(), "the filter has another number of frequencies");
         let columns = self.scan.columns;
         let mut squares = vec![Complex::default(); self.frequencies() * columns];
         let (mut spectrum, mut lags) = (vec![Complex::default(); self.frequencies()], vec![0.0; self.times]);
         for column in 0..columns {
             for (bin, slice) in spectrum.iter_mut().zip(slices) {
-                *bin = slice.kernel[row * columns + column];
+                *bin = wide(slice.kernel[row * columns + column]);
             }
             workspace.time.inverse(&spectrum, &mut lags);
             lags.iter_mut().for_each(|lag| *lag *= *lag);
             workspace.time.forward(&lags, &mut spectrum);
-            spectrum.iter().enumerate().for_each(|(k, bin)| squares[k * columns + column] = *bin);
+            spectrum.iter().enumerate().for_each(|(k, bin)| squares[k * columns + column] = narrow(*bin));
         }
         squares
     }
 
-    /// One frequency of the variance of the image: `rows` x `columns` values. `squares` are the rows of the squared
-    /// filter.
+    /// One frequency of the variance of the image, `rows` x `columns` values, from the variances of all rows and the
+    /// rows of the squared filter.
     ///
     /// # Panics
     /// If there are not as many rows as in the grid.
@@ -291,8 +306,8 @@ impl LightCone {
         &self,
         workspace: &mut Workspace,
         frequency: usize,
-        rows: &[RowSpectra],
-        squares: &[Vec<Complex<f64>>],
+        variances: &[Vec<Complex<f64>>],
+        squares: &[Vec<Complex<f32>>],
     ) -> Vec<Complex<f64>> {
         let fft = &mut workspace.plane;
         let columns = self.scan.columns;
@@ -300,33 +315,47 @@ impl LightCone {
         for (y, square) in squares.iter().enumerate() {
             for (x, value) in square[frequency * columns..][..columns].iter().enumerate() {
                 for at in self.mirrors(x, y) {
-                    kernel[at] = *value;
+                    kernel[at] = wide(*value);
                 }
             }
         }
         fft.forward(&mut kernel, self.rows);
-        let mut variance = self.gather(frequency, rows.iter().map(|row| &row.variances));
+        let mut variance = self.gather(frequency, variances, |bin| bin);
         fft.forward(&mut variance, self.scan.rows);
         variance.iter_mut().zip(&kernel).for_each(|(value, factor)| *value *= factor);
         fft.inverse(&mut variance, self.scan.rows);
-        self.cut(&variance)
+        self.cut(&variance).collect()
     }
 
-    /// Voxels of a row of the grid from the planes of all frequencies: [`LightCone::depths`] values for each column.
+    /// Values of a row of voxels from the planes of all frequencies: [`LightCone::depths`] for each column.
+    ///
+    /// # Panics
+    /// If there are not as many slices as frequencies.
+    pub fn values(&self, workspace: &mut Workspace, row: usize, slices: &[Slice]) -> Vec<f64> {
+        assert_eq!(slices.len(), self.frequencies(), "the image has another number of frequencies");
+        self.records(workspace, row, |k, at| wide(slices[k].image[at]))
+    }
+
+    /// Variances of the same voxels, from the planes of [`LightCone::spread`].
     ///
     /// # Panics
     /// If there are not as many planes as frequencies.
-    pub fn voxels<'a>(
+    pub fn variances(&self, workspace: &mut Workspace, row: usize, planes: &[Vec<Complex<f64>>]) -> Vec<f64> {
+        assert_eq!(planes.len(), self.frequencies(), "the variance has another number of frequencies");
+        self.records(workspace, row, |k, at| planes[k][at])
+    }
+
+    fn records(
         &self,
         workspace: &mut Workspace,
         row: usize,
-        planes: impl Fn(usize) -> &'a [Complex<f64>],
+        bin_at: impl Fn(usize, usize) -> Complex<f64>,
     ) -> Vec<f64> {
         let mut voxels = Vec::with_capacity(self.scan.columns * self.bins);
         let (mut spectrum, mut record) = (vec![Complex::default(); self.frequencies()], vec![0.0; self.times]);
         for column in 0..self.scan.columns {
             for (k, bin) in spectrum.iter_mut().enumerate() {
-                *bin = planes(k)[row * self.scan.columns + column];
+                *bin = bin_at(k, row * self.scan.columns + column);
             }
             workspace.time.inverse(&spectrum, &mut record);
             voxels.extend(&record[..self.bins]);
