@@ -9,6 +9,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use arrow_array::RecordBatch;
+use arrow_select::concat::concat_batches;
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::budget::Budget;
@@ -23,6 +24,10 @@ use crate::stages::stage::{BesideTables, Rejection, StageError};
 use crate::store::shelf::PartWriter;
 use crate::store::{Digest, PartRecord, StoreError, TableRecord};
 use crate::tables::{Reject, Row};
+
+/// Batches of parts that are joined, and the mean size in bytes up to which they are.
+const TOGETHER: usize = 256;
+const SMALL: usize = 1 << 20;
 
 /// What goes down a channel.
 enum Message {
@@ -205,16 +210,31 @@ pub(super) fn tables_beside(plan: &Plan<'_>, step: usize, cancel: &Cancel) -> Re
     let mut tables = BTreeMap::new();
     for (name, heading) in &plan.spec.steps[step].with {
         let (input, table) = plan.spec.table(heading).expect("the pipeline was checked");
-        let mut batches = Vec::new();
+        let (mut batches, mut small) = (Vec::new(), Vec::new());
         for part in plan.tables[input].present.iter().flatten() {
-            batches.extend(stored(plan, input, &table, part)?);
+            small.extend(stored(plan, input, &table, part)?);
+            if small.len() >= TOGETHER {
+                batches.extend(join(std::mem::take(&mut small)));
+            }
         }
+        batches.extend(join(small));
         tables.insert(name.clone(), batches);
     }
     Ok(BesideTables { tables, cancel: cancel.clone() })
 }
 
 /// All batches of one table of one stored part.
+/// Joins batches of small parts: a batch of a single row holds many times the memory of the row.
+fn join(small: Vec<RecordBatch>) -> Vec<RecordBatch> {
+    let bytes: usize = small.iter().map(RecordBatch::get_array_memory_size).sum();
+    match small.first() {
+        Some(first) if bytes <= TOGETHER * SMALL => {
+            vec![concat_batches(&first.schema(), &small).expect("batches of one table have its schema")]
+        }
+        _ => small,
+    }
+}
+
 fn stored(plan: &Plan<'_>, step: usize, table: &str, part: &PartRecord) -> Result<Vec<RecordBatch>, RunError> {
     Ok(plan.shelf.read(&plan.tables[step].id, part, table, usize::MAX >> 1)?.collect::<Result<_, _>>()?)
 }

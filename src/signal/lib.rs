@@ -48,6 +48,7 @@
 //! | [`sparse`] | deconvolution into pulses by maximum likelihood, for volts and for photon counts |
 //! | [`wiener`] | deconvolution in the frequency domain |
 //! | [`onset`], [`pulse_fit`], [`between`] | classical timing; one pulse; whether a third stands between two |
+//! | [`image`] | images of hidden surfaces: light-cone transform, back-projection |
 //! | [`regression`], [`spline_fit`], [`tails`], [`fft`] | the mathematics that they share |
 //!
 //! # Conventions
@@ -75,6 +76,7 @@ pub mod echo;
 mod failure;
 pub mod fft;
 pub mod fold;
+pub mod image;
 pub mod largest;
 pub mod merge_ranges;
 pub mod noise;

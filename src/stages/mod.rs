@@ -8,6 +8,7 @@ pub mod conclude;
 pub mod deconvolve;
 pub mod detect;
 pub mod embed;
+pub mod image;
 pub mod import;
 pub mod ingest;
 pub mod label;
@@ -95,7 +96,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 19] = [
+pub const KINDS: [&str; 20] = [
     "ingest",
     "anchor",
     "calibrate",
@@ -111,6 +112,7 @@ pub const KINDS: [&str; 19] = [
     "refine",
     "reflect",
     "search",
+    "image",
     "surface",
     "triangulate",
     "conclude",
@@ -149,6 +151,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "refine" => operator::<refine::Refine>(params),
         "reflect" => operator::<reflect::Reflect>(params),
         "search" => operator::<search::Search>(params),
+        "image" => operator::<image::MakeImage>(params),
         "surface" => operator::<surface::Surface>(params),
         "triangulate" => operator::<triangulate::Triangulate>(params),
         "conclude" => operator::<conclude::Conclude>(params),

@@ -24,6 +24,7 @@ pub mod stir;
 pub mod subtotals;
 pub mod traces;
 pub mod truth;
+pub mod voxels;
 
 use arrow_schema::SchemaRef;
 
@@ -50,6 +51,7 @@ pub use stir::{Impulse, ImpulsePair, Stir};
 pub use subtotals::Subtotal;
 pub use traces::Trace;
 pub use truth::{TrueCapture, TrueCentroid, TruePath};
+pub use voxels::{Image, Voxel};
 
 /// Columns that identify one capture; every table of samples, onsets or labels starts with them.
 pub const CAPTURE_KEY: [&str; 4] = ["campaign", "sensor", "lit", "seen"];
@@ -74,6 +76,8 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Hypothesis>(),
         of::<SceneOdds>(),
         of::<Gap>(),
+        of::<Voxel>(),
+        of::<Image>(),
         of::<Distance>(),
         of::<Covariance>(),
         of::<Patch>(),

@@ -1,7 +1,7 @@
 //! Captures of other programs to campaigns and positions, and results to files that other programs open.
 
 mod mat;
-mod scene;
+pub mod scene;
 mod y_tal;
 
 use std::fs;

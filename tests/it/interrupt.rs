@@ -283,6 +283,21 @@ fn search_ends_in_the_midst_of_its_grid() {
     );
 }
 
+/// Voxels of a centimetre in front of a wall of some square metres, to a depth of 15 m.
+#[test]
+fn image_ends_in_the_midst_of_its_voxels() {
+    let (lab, mut rng) = (Lab::tiny(), ChaCha8Rng::seed_from_u64(5));
+    let points = visible(8, &mut rng);
+    let pairs = (1..=8).flat_map(|lit| (1..=8).map(move |seen| (lit, seen)));
+    let profiles: Vec<Profile> = pairs.map(|(lit, seen)| profile(lit, seen, 50.0, 2000, &[], &mut rng)).collect();
+    write_table(&lab.path("profiles.parquet"), &profiles);
+    write_table(&lab.path("calibration.parquet"), &[calibration()]);
+    patches(&points, &lab.path("patches.parquet"));
+    let pipeline: String = ["profiles", "calibration", "patches"].iter().map(|table| import(table, table)).collect();
+    let stage = "[busy]\nstage = 'image'\nfrom = 'patches'\nwith = { profiles = 'profiles', calibration = 'calibration' }\nparams = { pitch_m = 0.01 }\n";
+    interrupt(&lab, &(pipeline + stage), "-INT");
+}
+
 /// 6,400 patches, each paired with the 12 nearest: so soft that each step takes hundreds of passes.
 #[test]
 fn refine_ends_in_the_midst_of_a_solution() {

@@ -21,6 +21,7 @@ mod guide;
 mod hidden;
 mod hidden_plane;
 mod house;
+mod image;
 mod ingest;
 mod installed;
 mod inter_reflections;

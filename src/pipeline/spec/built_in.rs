@@ -30,6 +30,7 @@ built_in!(
     "barcode-blocked",
     "characterize",
     "faint",
+    "image",
     "inter-reflections",
     "mirror",
     "tdr",

@@ -1,0 +1,253 @@
+//! `image`: a volume image of what a wall shows, without patches or labels: which voxels are brighter than noise.
+//!
+//! Where laser and sensor look at the same points, on a square grid in one plane, the image is the light-cone transform
+//! ([`crate::signal::image::light_cone`]), else filtered back-projection
+//! ([`crate::signal::image::back_projection`]). Both give each voxel the standard deviation that its value has where
+//! nothing is hidden, so that the table holds voxels above a stated probability of false alarm, and nothing else.
+//!
+//! The wall's own light is cut off at a gate: the first time over the hidden surface from which on a smooth tail
+//! explains the sum of all histograms ([`crate::signal::image::gate`]).
+//!
+//! Takes `patches` (of `anchor` or `refine`: points of the wall), `profiles` and `calibration`. Writes `voxels` and one
+//! row of `images`. Captures of other roles than scene, and of patches without a place, are left out.
+//!
+//! Not modelled: occlusion, normals, more than three bounces, errors of the wall's places, noise of voltages that is
+//! correlated from sample to sample (it makes standard deviations too small).
+//!
+//! ```toml
+//! [voxels]
+//! stage = "image"
+//! from = "anchors"
+//! with = { profiles = "profiles", calibration = "calibration" }
+//! ```
+
+mod back_projection;
+mod histogram;
+mod lattice;
+mod light_cone;
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
+use crate::campaign::Campaign;
+use crate::cancel::Cancel;
+use crate::geometry::Point;
+use crate::parameter::{Condition, NonNegative, Positive, Share, Within};
+use crate::priors::calibration::Sensors;
+use crate::priors::campaign_fields::{ByCampaign, Medium, StationPositions};
+use crate::tables::{Image, Patch, Profile, Row, Voxel};
+use crate::units::PatchId;
+use histogram::{Histogram, Times, Waveform};
+use lattice::{Grid, Summary, Wall};
+
+/// Full width at half maximum of a Gaussian, in standard deviations.
+const FWHM: f64 = 2.354_820_045_030_949_3;
+
+/// Parameters of `image`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MakeImage {
+    /// How voxels come from histograms.
+    method: Method,
+    /// Probability that noise alone exceeds the threshold in any voxel.
+    false_alarm: Share,
+    /// Time over the hidden surface from which on light counts, in place of the gate that is found.
+    gate_ps: Option<NonNegative>,
+    /// Largest depth.
+    depth_max_m: Option<Positive>,
+    /// Distance of voxels.
+    pitch_m: Option<Positive>,
+    /// Power of the distance with which light falls off.
+    falloff: Within<0, 8>,
+    /// Power of the signal over that of the noise.
+    signal_to_noise: Positive,
+}
+
+/// How voxels come from histograms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Method {
+    Auto,
+    LightCone,
+    BackProjection,
+}
+
+impl Default for MakeImage {
+    fn default() -> Self {
+        Self {
+            method: Method::Auto,
+            false_alarm: Share::new(0.01),
+            gate_ps: None,
+            depth_max_m: None,
+            pitch_m: None,
+            falloff: Within::new(4.0),
+            signal_to_noise: Positive::new(0.8),
+        }
+    }
+}
+
+/// What campaign.toml says of the scene.
+#[derive(Clone, Debug, Serialize)]
+pub struct Fields {
+    #[serde(flatten)]
+    medium: Medium,
+    #[serde(flatten)]
+    stations: StationPositions,
+}
+
+/// Campaigns, and the light of each capture.
+pub struct Context {
+    fields: ByCampaign<Fields>,
+    waveforms: Vec<Waveform>,
+    /// Profiles of the scene that have no calibration.
+    uncalibrated: usize,
+    cancel: Cancel,
+}
+
+impl Stage for MakeImage {
+    const KIND: &'static str = "image";
+    const VERSION: u32 = 1;
+    const GRAIN: Grain = Grain::All;
+    const BESIDE: &'static [Beside] = &[
+        Beside { name: "profiles", table: "profiles", required: true },
+        Beside { name: "calibration", table: "calibration", required: true },
+    ];
+    const SIDES: &'static [Side] = &[Side { name: Image::TABLE, schema: Image::schema }];
+    const CONDITIONS: &'static [Condition] = &[
+        Condition("pitch_m", "method", &["auto", "back-projection"]),
+        Condition("falloff", "method", &["auto", "light-cone"]),
+        Condition("signal_to_noise", "method", &["auto", "light-cone"]),
+    ];
+    type Input = Patch;
+    type Output = Voxel;
+    type Fields = ByCampaign<Fields>;
+    type Context = Context;
+
+    fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
+        ByCampaign::new(campaigns, |campaign| Fields { medium: campaign.into(), stations: campaign.into() })
+    }
+
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
+        let sensors = Sensors::new(&beside.rows("calibration")?.unwrap_or_default());
+        let profiles = beside.rows::<Profile>("profiles")?.unwrap_or_default();
+        let scene = || profiles.iter().filter(|profile| &*profile.role == "scene");
+        let waveforms: Vec<Waveform> = scene().filter_map(|profile| Waveform::new(profile, &sensors)).collect();
+        let uncalibrated = scene().count() - waveforms.len();
+        Ok(Context { fields, waveforms, uncalibrated, cancel: beside.cancel.clone() })
+    }
+}
+
+impl Apply for MakeImage {
+    fn apply(&self, context: &Context, group: Vec<Patch>) -> Result<Outcome<Voxel>, StageError> {
+        let best = group.iter().filter(|patch| patch.alternative == 0);
+        let points: BTreeMap<PatchId, Point> =
+            best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
+        let histograms: Vec<Histogram<'_>> = context
+            .waveforms
+            .iter()
+            .filter_map(|waveform| Histogram::new(waveform, &points, &context.fields))
+            .collect();
+        let mut rejections = left_out(context, histograms.len());
+        let (rows, images) = match self.image(context, &histograms)? {
+            Ok((method, times, summary)) => {
+                let image = self.row(method, histograms.len(), times, &summary);
+                (summary.rows(method), vec![image])
+            }
+            Err(why) => {
+                rejections.push(Rejection::new(context.fields.first_name(), why));
+                (Vec::new(), Vec::new())
+            }
+        };
+        Ok(Outcome { rows, sides: vec![Image::to_batch(&images)], rejections })
+    }
+}
+
+/// Method, times and image; or why there is none.
+type Picture = Result<(&'static str, Times, Summary), String>;
+
+impl MakeImage {
+    fn image(&self, context: &Context, histograms: &[Histogram<'_>]) -> Result<Picture, StageError> {
+        let Some((first, fields)) = histograms.first().zip(context.fields.first()) else {
+            return Ok(Err("no capture of the scene has a calibration and places of its patches".to_owned()));
+        };
+        let medium = fields.medium;
+        let times = match Times::new(histograms, self.gate_ps.map(NonNegative::get)) {
+            Ok(times) => times,
+            Err(why) => return Ok(Err(why)),
+        };
+        let wall = match Wall::new(histograms, fields.stations.source()) {
+            Ok(wall) => wall,
+            Err(why) => return Ok(Err(why)),
+        };
+        let grid = if self.method == Method::BackProjection { None } else { Grid::new(histograms, &wall) };
+        if self.method == Method::LightCone && grid.is_none() {
+            return Err(StageError::Refused(
+                "method = \"light-cone\" needs captures of a plane wall, lit and seen at the same point, on a grid of equal pitch; take out `method`"
+                    .to_owned(),
+            ));
+        }
+        let task =
+            Task { params: self, histograms, times, medium, cancel: &context.cancel, width_ps: first.width_ps() };
+        Ok(Ok(match grid {
+            Some(grid) => ("light-cone", times, light_cone::image(&task, &grid)),
+            None => ("back-projection", times, back_projection::image(&task, &wall)?),
+        }))
+    }
+
+    fn row(&self, method: &str, histograms: usize, times: Times, summary: &Summary) -> Image {
+        let lattice = &summary.lattice;
+        let largest = summary.kept.largest.map(|(place, significance)| (lattice.point(place), significance));
+        Image {
+            method: method.into(),
+            histograms: histograms as i32,
+            gate_ps: times.gate_ps,
+            end_ps: times.end_ps,
+            columns: lattice.columns as i32,
+            rows: lattice.rows as i32,
+            depths: lattice.depths_m.len() as i32,
+            pitch_m: lattice.pitch_m,
+            depth_min_m: lattice.depths_m.first().copied().unwrap_or(0.0),
+            depth_max_m: lattice.depths_m.last().copied().unwrap_or(0.0),
+            cells: lattice.cells() as i64,
+            false_alarm: self.false_alarm.get(),
+            threshold: summary.threshold,
+            voxels: summary.kept.bright.len() as i64,
+            largest: largest.map(|(_, significance)| significance),
+            largest_x_m: largest.map(|(point, _)| point.x),
+            largest_y_m: largest.map(|(point, _)| point.y),
+            largest_z_m: largest.map(|(point, _)| point.z),
+        }
+    }
+}
+
+/// Why captures of the scene are left out.
+fn left_out(context: &Context, histograms: usize) -> Vec<Rejection> {
+    let reject = |reason: String| Rejection::new(context.fields.first_name(), reason);
+    let unplaced = context.waveforms.len() - histograms;
+    let mut rejections = Vec::new();
+    if context.uncalibrated > 0 {
+        let count = context.uncalibrated;
+        rejections.push(reject(format!(
+            "{count} profiles are of sensors without calibration, so that the time of their light is not known; capture a response for each sensor"
+        )));
+    }
+    if unplaced > 0 {
+        rejections.push(reject(format!(
+            "{unplaced} profiles are of patches without a place; give `position_m` for both patches of each capture, or patches from `refine`"
+        )));
+    }
+    rejections
+}
+
+/// What both methods take.
+struct Task<'a> {
+    params: &'a MakeImage,
+    histograms: &'a [Histogram<'a>],
+    times: Times,
+    medium: Medium,
+    cancel: &'a Cancel,
+    /// Full width at half maximum of the response.
+    width_ps: f64,
+}

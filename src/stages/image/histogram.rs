@@ -1,0 +1,193 @@
+//! The light of each capture over the time from its lit point to its seen point, and the gate that cuts off the wall's
+//! own.
+
+use std::collections::BTreeMap;
+
+use super::Fields;
+use crate::geometry::Point;
+use crate::priors::calibration::Sensors;
+use crate::priors::campaign_fields::ByCampaign;
+use crate::signal::image::foreground;
+use crate::signal::image::gate::gate;
+use crate::tables::{Name, Profile, Samples};
+use crate::units::PatchId;
+
+/// Relative difference of bins that count as equally wide.
+const SAME: f64 = 1e-6;
+
+/// What a sensor recorded.
+enum Light {
+    /// Photons in each bin.
+    Counts(Vec<i32>),
+    /// Mean and standard error of each sample, turned upwards by the sign.
+    Volts { mean_v: Samples, se_v: Samples, sign: f64 },
+}
+
+/// The profile of one capture, of a calibrated sensor.
+pub struct Waveform {
+    campaign: Name,
+    sensor: Name,
+    lit: PatchId,
+    seen: PatchId,
+    /// Time of the first bin from the laser to the sensor.
+    first_ps: f64,
+    dt_ps: f64,
+    width_ps: f64,
+    light: Light,
+}
+
+impl Waveform {
+    /// `None` for a sensor without calibration.
+    pub fn new(profile: &Profile, sensors: &Sensors) -> Option<Self> {
+        let (_, sensor) = sensors.of(profile)?;
+        let light = match &profile.counts {
+            Some(counts) => Light::Counts(counts.clone()),
+            None => Light::Volts { mean_v: profile.mean_v.clone(), se_v: profile.se_v.clone(), sign: sensor.polarity },
+        };
+        Some(Self {
+            campaign: profile.campaign.clone(),
+            sensor: profile.sensor.clone(),
+            lit: profile.lit,
+            seen: profile.seen,
+            first_ps: profile.t0_ps - sensor.latency_ps,
+            dt_ps: profile.dt_ps,
+            width_ps: sensor.averaged(profile).width_ps(),
+            light,
+        })
+    }
+
+    fn bins(&self) -> usize {
+        match &self.light {
+            Light::Counts(counts) => counts.len(),
+            Light::Volts { mean_v, .. } => mean_v.len(),
+        }
+    }
+}
+
+/// A waveform whose points have places.
+pub struct Histogram<'a> {
+    /// Place of the lit patch.
+    pub lit: Point,
+    /// Place of the seen patch.
+    pub seen: Point,
+    /// Time of the first bin from the lit point to the seen point.
+    pub first_ps: f64,
+    waveform: &'a Waveform,
+}
+
+impl<'a> Histogram<'a> {
+    /// `None` where a patch or the sensor has no place.
+    pub fn new(waveform: &'a Waveform, points: &BTreeMap<PatchId, Point>, fields: &ByCampaign<Fields>) -> Option<Self> {
+        let fields = fields.get(&waveform.campaign)?;
+        let (lit, seen) = (*points.get(&waveform.lit)?, *points.get(&waveform.seen)?);
+        let legs_m =
+            (lit - fields.stations.source()).norm() + (fields.stations.sensor(&waveform.sensor)? - seen).norm();
+        Some(Self { lit, seen, first_ps: waveform.first_ps - fields.medium.time_ps(legs_m), waveform })
+    }
+
+    /// Width of a bin.
+    pub fn dt_ps(&self) -> f64 {
+        self.waveform.dt_ps
+    }
+
+    /// Full width at half maximum of the response.
+    pub fn width_ps(&self) -> f64 {
+        self.waveform.width_ps
+    }
+
+    /// Whether laser and sensor look at one point.
+    pub fn is_confocal(&self) -> bool {
+        self.waveform.lit == self.waveform.seen
+    }
+
+    /// Whether these are photon counts.
+    pub fn is_counts(&self) -> bool {
+        matches!(self.waveform.light, Light::Counts(_))
+    }
+
+    fn end_ps(&self) -> f64 {
+        self.first_ps + self.waveform.bins() as f64 * self.dt_ps()
+    }
+
+    /// Time of the first bin behind the gate, and the values from there on.
+    pub fn behind(&self, times: &Times) -> (f64, Vec<f64>) {
+        let from = self.bin(times.gate_ps);
+        let values = match &self.waveform.light {
+            Light::Counts(counts) => counts[from..].iter().map(|count| f64::from(*count)).collect(),
+            Light::Volts { mean_v, sign, .. } => mean_v[from..].iter().map(|mean| sign * f64::from(*mean)).collect(),
+        };
+        (self.first_ps + from as f64 * self.dt_ps(), values)
+    }
+
+    /// Variances of the same values: of photons their rate, a mean over a width of the response to either side.
+    pub fn variances(&self, times: &Times, values: &[f64]) -> Vec<f64> {
+        match &self.waveform.light {
+            Light::Counts(_) => foreground::rate(values, (self.width_ps() / self.dt_ps()).ceil() as usize),
+            Light::Volts { se_v, .. } => {
+                se_v[self.bin(times.gate_ps)..].iter().map(|se| f64::from(*se).powi(2)).collect()
+            }
+        }
+    }
+
+    /// The first bin from this time on.
+    fn bin(&self, time_ps: f64) -> usize {
+        (((time_ps - self.first_ps) / self.dt_ps()).ceil().max(0.0) as usize).min(self.waveform.bins())
+    }
+}
+
+/// The times over the hidden surface whose light counts.
+#[derive(Clone, Copy, Debug)]
+pub struct Times {
+    /// From here on.
+    pub gate_ps: f64,
+    /// All histograms reach to here.
+    pub end_ps: f64,
+}
+
+impl Times {
+    /// The gate that is given, else the one that the sum of the histograms shows; or why there is none.
+    pub fn new(histograms: &[Histogram<'_>], gate_ps: Option<f64>) -> Result<Self, String> {
+        let dt_ps = histograms[0].dt_ps();
+        if histograms.iter().any(|one| (one.dt_ps() - dt_ps).abs() > SAME * dt_ps) {
+            return Err(
+                "captures of the scene differ in the width of their bins; image each kind in a campaign of its own"
+                    .to_owned(),
+            );
+        }
+        if histograms.iter().any(|one| one.is_counts() != histograms[0].is_counts()) {
+            return Err(
+                "some captures of the scene count photons and some do not; image each kind in a campaign of its own"
+                    .to_owned(),
+            );
+        }
+        let start_ps = histograms.iter().map(|one| one.first_ps).fold(0.0, f64::max);
+        let end_ps = histograms.iter().map(Histogram::end_ps).fold(f64::INFINITY, f64::min);
+        let gate_ps = match gate_ps {
+            Some(gate_ps) => Some(gate_ps.max(start_ps)),
+            None => find_gate(histograms, start_ps, end_ps),
+        };
+        let gate_ps = gate_ps.filter(|gate_ps| *gate_ps < end_ps).ok_or_else(|| {
+            format!(
+                "no smooth light follows that of the wall before the histograms end, {end_ps:.0} ps behind it; give `gate_ps`"
+            )
+        })?;
+        Ok(Self { gate_ps, end_ps })
+    }
+}
+
+/// The gate from the sum of all histograms.
+fn find_gate(histograms: &[Histogram<'_>], start_ps: f64, end_ps: f64) -> Option<f64> {
+    let dt_ps = histograms[0].dt_ps();
+    let bins = ((end_ps - start_ps) / dt_ps).max(0.0) as usize;
+    let (mut sum, mut variance) = (vec![0.0; bins], vec![0.0; bins]);
+    let all = Times { gate_ps: start_ps, end_ps };
+    for histogram in histograms {
+        let (_, values) = histogram.behind(&all);
+        // Photons vary by their number, which in the sum is large.
+        let variances = if histogram.is_counts() { values.clone() } else { histogram.variances(&all, &values) };
+        sum.iter_mut().zip(&values).for_each(|(sum, value)| *sum += value);
+        variance.iter_mut().zip(&variances).for_each(|(sum, value)| *sum += value);
+    }
+    let block = (histograms[0].width_ps() / dt_ps).ceil().max(1.0) as usize;
+    gate(&sum, &variance, block).map(|bin| start_ps + bin as f64 * dt_ps)
+}
