@@ -2,7 +2,7 @@
 
 /// Standard deviations beyond which Huber's loss grows linearly: of normal residuals 1 in 370, so that data without
 /// outliers lose little.
-const HUBER: f64 = 3.0;
+pub(super) const HUBER: f64 = 3.0;
 /// Standard deviations at which Geman and McClure's loss has reached half its height.
 const REDESCENDS: f64 = 6.0;
 

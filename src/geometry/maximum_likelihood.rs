@@ -31,6 +31,7 @@ use matrix_free::Matrix;
 use nalgebra::Matrix3;
 
 use super::Point;
+use super::loss::{HUBER, Loss};
 pub use outliers::outliers;
 pub use problem::{Anchor, Node, Observation, Problem, Ray, Station};
 pub use rows::Values;
@@ -54,6 +55,8 @@ const SETTLED_MATRIX_FREE_M: f64 = 1e-8;
 
 /// The 99.9 % point of a normal distribution.
 const MISFIT_SD: f64 = 3.090_232;
+/// Where nearly all measurements contradict one another, nothing more can be said of variances.
+const INSIDE_MIN: f64 = 0.01;
 
 /// The solution.
 #[derive(Clone, Debug)]
@@ -77,6 +80,8 @@ pub struct Solution {
     pub loss: f64,
     /// Measurements and priors less unknowns, what nothing determines given back.
     pub degrees_of_freedom: i64,
+    /// Factor on variances where the model does not explain the measurements, else 1: that of an M-estimator.
+    pub misfit: f64,
     /// Patches that are joined by paths, largest part first.
     pub parts: Vec<Vec<usize>>,
     /// Rotations of each part that no measurement determines.
@@ -162,20 +167,6 @@ impl Solution {
         matches!(self.covariance, Covariance::Exact(_))
     }
 
-    /// Factor on variances: chi-square over its degrees of freedom where it is beyond its 99.9 % point, so that the
-    /// model does not explain the measurements (Birge's ratio); else 1.
-    #[must_use]
-    pub fn misfit(&self) -> f64 {
-        let freedom = self.degrees_of_freedom as f64;
-        if freedom < 1.0 {
-            return 1.0;
-        }
-        // Wilson and Hilferty: the cube root of chi-square is nearly normal.
-        let share = 2.0 / (9.0 * freedom);
-        let limit = freedom * (1.0 - share + MISFIT_SD * share.sqrt()).powi(3);
-        if self.chi2 > limit { self.chi2 / freedom } else { 1.0 }
-    }
-
     /// Number of unknowns.
     #[must_use]
     pub fn unknowns(&self) -> usize {
@@ -225,6 +216,32 @@ impl Means {
             Self::MatrixFree(_) => matrix_free::cost(rows, values),
         }
     }
+}
+
+/// Factor on variances by residuals in standard deviations: that of an M-estimator (Huber, Robust Statistics, 1981,
+/// section 7.6),
+///
+/// ```text
+/// (sum psi^2 / degrees of freedom) / (mean psi')^2
+/// ```
+///
+/// if the sum is beyond the 99.9 % point of chi-square; else 1. With the squared loss it is chi-square over its degrees
+/// of freedom (Birge's ratio). With others psi ends where Huber's loss becomes linear, so that a few gross errors do
+/// not make all others larger.
+fn misfit(residuals: &[f64], loss: Loss, degrees_of_freedom: i64) -> f64 {
+    let freedom = degrees_of_freedom as f64;
+    if freedom < 1.0 {
+        return 1.0;
+    }
+    let most = if loss == Loss::Squared { f64::INFINITY } else { HUBER };
+    let sum: f64 = residuals.iter().map(|residual| residual.abs().min(most).powi(2)).sum();
+    // Wilson and Hilferty: the cube root of chi-square is nearly normal.
+    let share = 2.0 / (9.0 * freedom);
+    if sum <= freedom * (1.0 - share + MISFIT_SD * share.sqrt()).powi(3) {
+        return 1.0;
+    }
+    let inside = residuals.iter().filter(|residual| residual.abs() <= most).count() as f64 / residuals.len() as f64;
+    sum / freedom / (inside * inside).max(INSIDE_MIN)
 }
 
 /// Solves the problem.
@@ -341,13 +358,15 @@ fn finish(rows: &Rows, means: Means, values: Values, loss: f64) -> Result<Soluti
         Covariance::Exact(covariance) => Some(predicted_variances_m2(rows, &values, covariance, &open)),
         Covariance::Blocks(..) => None,
     };
-    let squares = (0..rows.count).map(|n| rows.residual(&values, n, None).powi(2));
+    let residuals: Vec<f64> = (0..rows.count).map(|n| rows.residual(&values, n, None)).collect();
+    let degrees_of_freedom = rows.data as i64 - rows.layout.size as i64 + (nulls.len() + loose) as i64;
     Ok(Solution {
-        chi2: squares.sum(),
+        chi2: residuals.iter().map(|residual| residual * residual).sum(),
+        misfit: misfit(&residuals, problem.loss, degrees_of_freedom),
         loss,
         predicted_variance_m2,
         residuals_m: (0..problem.observations.len()).map(|n| rows.residual_m(&values, n)).collect(),
-        degrees_of_freedom: rows.data as i64 - rows.layout.size as i64 + (nulls.len() + loose) as i64,
+        degrees_of_freedom,
         free_rotations: turns.iter().map(Vec::len).collect(),
         parts,
         open,

@@ -16,8 +16,8 @@
 //! | pulse shapes | onsets that are wider than the response, and how many blend |
 //! | vertical ranges | onsets by range |
 //!
-//! A fit whose chi-square is beyond its 99.9 % point is `not explained`: `refine` has then made all standard deviations
-//! larger (`fits.misfit`), and the first row says by how much.
+//! A fit whose residuals are larger than chance makes them is `not explained`: `refine` has then made all standard
+//! deviations larger (`fits.misfit`), and the first row says by how much.
 //!
 //! Takes `patches`; writes `decisions`. Beside it `fits` and `ambiguities` (of the same `refine`), `labels` and
 //! `onsets`; optional `hypotheses` and `scenes` (of the same `label`), `planes`, and `footprints` (of the
@@ -46,6 +46,9 @@ use crate::campaign::Campaign;
 use crate::tables::{
     Ambiguity, Decision, Fit, Hypothesis, Label, Name, Onset, Patch, PatchFootprint, Plane, SceneOdds,
 };
+
+/// Chi-square this many of its standard deviations above its degrees of freedom is not that of a right model.
+const UNLIKELY: f64 = 4.0;
 
 /// Parameters of `conclude`: none.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -147,7 +150,10 @@ impl Context {
                 "right labels or a better instrument response; `suspects` lists the onsets that contradict the fit";
             return decision("fit", &chosen, &evidence, text);
         }
-        decision("fit", "explained", &evidence, "a chi-square that chance exceeds in less than one campaign of 1,000")
+        let freedom = f64::from(fit.degrees_of_freedom);
+        let is_whole = fit.chi2 <= freedom + UNLIKELY * (2.0 * freedom).sqrt();
+        let chosen = if is_whole { "explained" } else { "explained but for the onsets that `suspects` lists" };
+        decision("fit", chosen, &evidence, "residuals larger than chance makes them in one campaign of 1,000")
     }
 
     /// How many pulses have a path: onsets, and the two parts of those that are read as two.

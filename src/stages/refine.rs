@@ -26,8 +26,9 @@
 //! the width, taken off first and second bounces, which no other light precedes, and part of the error of all
 //! (`residuals.blend_ps`, `sd_ps`).
 //!
-//! Where chi-square is beyond its 99.9 % point, the model does not explain the onsets. Then all variances are larger by
-//! chi-square over its degrees of freedom (`fits.misfit`), and likelihoods of alternatives count less by that.
+//! Where residuals are larger than chance allows (the 99.9 % point of chi-square, each residual cut at three standard
+//! deviations), the model does not explain the onsets. Then all variances are larger by the factor of an M-estimator
+//! (`fits.misfit`), and likelihoods of alternatives count less by that.
 //!
 //! Without a labelled onset, `patches` that all have a covariance are passed on: anchors whose own light was not
 //! recorded.
@@ -63,6 +64,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::geometry::footprint::Footprints;
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{self, Problem, Solution, Unsolved};
 use crate::priors::campaign_fields::ByCampaign;
@@ -139,39 +141,18 @@ impl Apply for Refine {
         let model = Model::new(context, &labels);
         let mut problem = model.problem(if self.robust { Loss::Huber } else { Loss::Squared });
         let start = problem.start.clone();
-        let refused = |unsolved: &Unsolved| StageError::Refused(model.refused(unsolved));
-        let solve = |problem: &Problem| maximum_likelihood::solve(problem).map_err(|unsolved| refused(&unsolved));
-        let mut solution = match maximum_likelihood::solve(&problem) {
-            // Huber's loss settles slowly where many lengths contradict one another.
-            Err(Unsolved::NotSettled) if self.robust => {
-                problem.loss = Loss::Redescending;
-                solve(&problem)?
-            }
-            solved => solved.map_err(|unsolved| refused(&unsolved))?,
-        };
+        let mut solution = self.solve(&model, &mut problem)?;
         let is_fixed = solution.free_rotations.first() == Some(&0);
         let extents = &context.first().extents;
         let given = footprints::of(extents, &footprints::normals(extents, &context.planes, is_fixed));
         let Extents { footprints, pulls } = Extents::new(&model, &problem, &solution, &given);
-        let sees_blends = pulls.iter().any(|pull| pull.sd_m > 0.0);
         for (observation, pull) in problem.observations.iter_mut().zip(&pulls) {
             observation.length_m -= pull.mean_m;
             observation.sd_m = observation.sd_m.hypot(pull.sd_m);
         }
         let mut shifts_m = vec![0.0; labels.len()];
-        for _ in 0..if footprints.is_empty() && !sees_blends { 0 } else { ROUNDS } {
-            let next_m = model.shifts_m(&footprints, &problem, &solution.points, &solution.stations);
-            let moved_m =
-                next_m.iter().zip(&shifts_m).fold(0.0, |most: f64, (next, last)| most.max((next - last).abs()));
-            for ((observation, next), last) in problem.observations.iter_mut().zip(&next_m).zip(&shifts_m) {
-                observation.length_m -= next - last;
-            }
-            shifts_m = next_m;
-            problem.start.clone_from(&solution.points);
-            solution = solve(&problem)?;
-            if moved_m < SHIFTED_M {
-                break;
-            }
+        if !footprints.is_empty() || pulls.iter().any(|pull| pull.sd_m > 0.0) {
+            shifts_m = self.solve_shifted(&model, &mut problem, &mut solution, &footprints)?;
         }
         let observations = problem.observations.clone();
         let mut used: Vec<Option<usize>> = (0..observations.len()).map(Some).collect();
@@ -181,7 +162,7 @@ impl Apply for Refine {
                 let kept = observations.iter().zip(&out).filter(|(_, out)| !**out).map(|(kept, _)| kept.clone());
                 let (observations, loss) = (kept.collect(), Loss::Huber);
                 problem = Problem { start: points, observations, loss, ..problem };
-                solution = solve(&problem)?;
+                solution = self.solve(&model, &mut problem)?;
                 let mut next = 0..;
                 used = out.iter().map(|out| if *out { None } else { next.next() }).collect();
             }
@@ -207,6 +188,46 @@ impl Apply for Refine {
     }
 }
 
+impl Refine {
+    /// Huber's loss settles slowly where many lengths contradict one another; the redescending one takes its place.
+    fn solve(&self, model: &Model, problem: &mut Problem) -> Result<Solution, StageError> {
+        let solution = match maximum_likelihood::solve(problem) {
+            Err(Unsolved::NotSettled) if self.robust => {
+                problem.loss = Loss::Redescending;
+                maximum_likelihood::solve(problem)
+            }
+            solution => solution,
+        };
+        solution.map_err(|unsolved| StageError::Refused(model.refused(&unsolved)))
+    }
+
+    /// Solves again with the shifts of footprints taken off, until these stay; gives the shifts.
+    fn solve_shifted(
+        &self,
+        model: &Model,
+        problem: &mut Problem,
+        solution: &mut Solution,
+        footprints: &Footprints,
+    ) -> Result<Vec<f64>, StageError> {
+        let mut shifts_m = vec![0.0; problem.observations.len()];
+        for _ in 0..ROUNDS {
+            let next_m = model.shifts_m(footprints, problem, &solution.points, &solution.stations);
+            let moved_m =
+                next_m.iter().zip(&shifts_m).fold(0.0, |most: f64, (next, last)| most.max((next - last).abs()));
+            for ((observation, next), last) in problem.observations.iter_mut().zip(&next_m).zip(&shifts_m) {
+                observation.length_m -= next - last;
+            }
+            shifts_m = next_m;
+            problem.start.clone_from(&solution.points);
+            *solution = self.solve(model, problem)?;
+            if moved_m < SHIFTED_M {
+                break;
+            }
+        }
+        Ok(shifts_m)
+    }
+}
+
 /// Without a labelled onset: patches that need none, passed on.
 fn unlabelled(context: &Context) -> Result<Outcome<Patch>, StageError> {
     if context.are_all_placed() {
@@ -227,7 +248,7 @@ fn unused_normals(context: &Context, is_fixed: bool, labels: &[Label]) -> Vec<Re
     if is_fixed || !context.planes.is_empty() || !has_normal {
         return Vec::new();
     }
-    let reason = "normals in campaign.toml are left aside, since no anchor, ray or station tells how the patches are turned: footprints are taken as points; give `planes` of \
+    let reason = "normals in campaign.toml are left aside, since no anchor, ray or station tells how the patches are turned: sizes and directions of patches are those that the widths of their onsets tell; give `planes` of \
                  a stage `surface` beside, or anchors";
     vec![Rejection::new(&labels[0].campaign, reason.to_owned())]
 }

@@ -20,6 +20,8 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "patches" => &["patch", "alternative"],
         "planes" => &["plane"],
         "footprints" => &["patch"],
+        "voxels" => &["method", "x_m", "y_m", "z_m"],
+        "images" => &["method"],
         "decisions" => &["decision"],
         "stations" => &["campaign", "station"],
         "fits" | "scenes" => &["alternative"],

@@ -134,8 +134,9 @@ table! {
         chi2: f64,
         /// Degrees of freedom.
         degrees_of_freedom: i32,
-        /// Factor by which all variances are larger than noise makes them: chi-square over its degrees of freedom where
-        /// it is beyond its 99.9 % point, so that the model does not explain the onsets; else 1.
+        /// Factor by which all variances are larger than noise makes them, where the model does not explain the onsets:
+        /// chi-square, residuals cut at three standard deviations, over its degrees of freedom and the squared share of
+        /// residuals that are not cut; 1 where that chi-square is not beyond its 99.9 % point.
         misfit: f64,
         /// Log-likelihood up to a constant; large residuals count linearly.
         log_likelihood: f64,

@@ -80,5 +80,6 @@ fn sizes_that_nobody_gives_are_told_by_widths() {
     let mean = |value: fn(&Outcome) -> f64| outcomes.iter().map(value).sum::<f64>() / outcomes.len() as f64;
     assert!(outcomes.iter().all(|one| one.sizes == 12 && one.size_error < 0.1 && one.phantoms == 0));
     let (over_bound, normalised) = (mean(|one| one.over_bound).sqrt(), mean(|one| one.normalised));
-    assert!(over_bound < 1.4 && normalised < 1.7, "{over_bound} {normalised}");
+    let chi2_dof = mean(|one| one.chi2_dof);
+    assert!(over_bound < 1.4 && normalised < 1.7 && chi2_dof < 1.4, "{over_bound} {normalised} {chi2_dof}");
 }

@@ -9,14 +9,14 @@
 //!
 //! with `g` the gradient of the path's length by the place of the patch; those of several bounces add up. Paths in many
 //! directions tell all three coordinates of `v`, but for its sign, which does not matter. So `v` of all patches are
-//! fitted to the widths of all pulses, patch by patch in turns. A patch sends light to the side that it is lit from, so that
-//! directions with the two legs of a bounce on different sides count against a normal. Patches of one campaign are about as large as one another
-//! (within [`ALIKE`]). A width that all pulses have in common is that of the
-//! response, which was not as calibrated: its variance is fitted too. Pulses that blend are wider than their patches
-//! make them, so that large residuals count little.
+//! fitted to the widths of all pulses, patch by patch in turns. A patch sends light to the side that it is lit from, so
+//! that directions with the two legs of a bounce on different sides count against a normal. Patches of one campaign are
+//! about as large as one another (within 30 %). A width that all pulses have in common is that of the response,
+//! which was not as calibrated: its variance is fitted too. Pulses that blend are wider than their patches make them:
+//! large residuals count little.
 //!
-//! A patch has a footprint where that explains the widths better than a point by [`EVIDENCE`]. A pulse that is wider
-//! than its patches make it is more than the light of its path.
+//! A patch has a footprint where that explains the widths better than a point by 25 of chi-square. A pulse that is
+//! wider than its patches make it is more than the light of its path.
 
 use std::ops::Range;
 
@@ -232,7 +232,8 @@ impl Fit<'_> {
         self.vectors_m[patch] = best.1;
     }
 
-    /// Length of the vector that explains the mean variance of a patch's pulses that others leave, for slopes at random.
+    /// Length of the vector that explains the mean variance of a patch's pulses that others leave, for slopes at
+    /// random.
     fn start_m(&self, patch: usize) -> f64 {
         let mut left_m2 = 0.0;
         for &n in &self.of_patch[patch] {

@@ -67,6 +67,7 @@ fn a_place_that_later_bounces_decide_is_a_decision() {
 fn a_fit_that_is_not_explained_says_how_much_larger_its_errors_are() {
     let chosen = |fit: Fit| decisions(&context(fit))[0].chosen.to_string();
     assert_eq!(chosen(fit(80.0, 50)), "explained");
+    assert_eq!(chosen(fit(300.0, 50)), "explained but for the onsets that `suspects` lists");
     let misfit = Fit { misfit: 4.0, ..fit(200.0, 50) };
     assert_eq!(chosen(misfit), "not explained: all standard deviations are 2.0 times as large for it");
     assert_eq!(chosen(fit(0.0, 0)), "unchecked");

@@ -10,8 +10,8 @@ use crate::tables::Label;
 /// An onset without a width may have one that is not worth its parameter: the standard deviation of its variance is so
 /// many times that of a width.
 const UNSEEN: f64 = 3.0;
-/// Pulses that `deconvolve` takes for one wide pulse are about so far apart: nearer ones make it hardly wider, and those
-/// further apart are two. By how much a wide pulse is pulled is therefore known to about so large a share.
+/// Pulses that `deconvolve` takes for one wide pulse are about so far apart: nearer ones make it hardly wider, and
+/// those further apart are two. By how much a wide pulse is pulled is therefore known to about so large a share.
 const BLEND_PS: f64 = 60.0;
 const PULL_SD: f64 = 0.5;
 /// No light of a profile comes before that of so few bounces.
@@ -35,8 +35,8 @@ impl Extents {
     /// Those `given`, and what the widths of onsets tell of patches without one.
     ///
     /// An onset wider than its patches make it by a variance V has other light in it. Light of a share f that comes D
-    /// later adds f (1 - f) D^2 to the variance, and f D to the time: about V / D. Other light comes later than first and
-    /// second bounces; third ones it may pull either way.
+    /// later adds f (1 - f) D^2 to the variance, and f D to the time: about V / D. Other light comes later than first
+    /// and second bounces; third ones it may pull either way.
     pub fn new(model: &Model, problem: &Problem, solution: &Solution, given: &Footprints) -> Self {
         let (labels, spreads) = spreads(model, problem, solution);
         let held: Vec<_> = model.patches.iter().map(|patch| given.0.get(patch).copied()).collect();

@@ -42,7 +42,7 @@ pub fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (So
     let mut others: Vec<Other> = Vec::new();
     for _ in 0..ROUNDS {
         // What the model does not explain makes likelihoods look more certain than they are.
-        let misfit = best.misfit();
+        let misfit = best.misfit;
         let starts = placement::alternatives(problem, &best.points).into_iter();
         let solved = starts.filter(|start| !is_turned(&start.kind, &best)).filter_map(|start| {
             let solution = maximum_likelihood::solve(&Problem { start: start.points, ..problem.clone() }).ok()?;

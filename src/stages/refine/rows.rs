@@ -93,7 +93,7 @@ impl<'a> Tables<'a> {
     fn patch(&self, place: usize, solution: &Solution, alternative: i32) -> Patch {
         let patch = self.model.patches[place];
         let point = self.turned(solution.points[place]);
-        let cov = solution.misfit() * self.turn * solution.patch_covariance_m2(place, place) * self.turn.transpose();
+        let cov = solution.misfit * self.turn * solution.patch_covariance_m2(place, place) * self.turn.transpose();
         let determined = (!solution.open.contains(&place)).then_some(cov);
         let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
         Patch {
@@ -125,7 +125,7 @@ impl<'a> Tables<'a> {
         alternative: i32,
         is_moved: impl Fn(usize) -> bool,
     ) -> Vec<PatchCovariance> {
-        let misfit = solution.misfit();
+        let misfit = solution.misfit;
         let has = |place: &usize| !solution.open.contains(place);
         let determined: Vec<usize> = (0..self.model.patches.len()).filter(has).collect();
         let pairs = determined.iter().enumerate().flat_map(|(n, &a)| determined[n + 1..].iter().map(move |&b| (a, b)));
@@ -140,7 +140,7 @@ impl<'a> Tables<'a> {
         let row = |(n, key): (usize, &SensorRange)| {
             let time = |length_m| self.model.medium(key).time_ps(length_m);
             let prior_sd_ps = self.model.context.latencies.latency(key).sd_ps;
-            let sd_m = (self.solution.misfit() * self.solution.delay_variance_m2(n)).sqrt();
+            let sd_m = (self.solution.misfit * self.solution.delay_variance_m2(n)).sqrt();
             Delay {
                 campaign: key.campaign.clone(),
                 sensor: key.sensor.clone(),
@@ -164,7 +164,7 @@ impl<'a> Tables<'a> {
                 x_m: point.x,
                 y_m: point.y,
                 z_m: point.z,
-                sd_m: (self.solution.misfit() * self.solution.station_covariance_m2(n).trace()).sqrt().min(prior_sd_m),
+                sd_m: (self.solution.misfit * self.solution.station_covariance_m2(n).trace()).sqrt().min(prior_sd_m),
                 moved_m: (self.solution.stations[n] - Point::from(named.station.position_m)).norm(),
                 prior_sd_m,
             })
@@ -261,7 +261,7 @@ impl<'a> Tables<'a> {
                 unknowns: solution.unknowns() as i32,
                 chi2: solution.chi2,
                 degrees_of_freedom: solution.degrees_of_freedom as i32,
-                misfit: solution.misfit(),
+                misfit: solution.misfit,
                 log_likelihood,
                 repetition_ps: repetition_ps.map(|period_ps| period_ps + time(solution.period_m)),
                 repetition_sd_ps: period_sd_ps,
