@@ -102,6 +102,9 @@ pub struct Sizes {
 /// When a pulse names a patch that is not there.
 #[must_use]
 pub fn from_widths(spreads: &[Spread], given: &[Option<Footprint>], cancel: &Cancel) -> Sizes {
+    if spreads.is_empty() {
+        return Sizes { footprints: given.to_vec(), excess_m2: Vec::new() };
+    }
     let mut of_patch = vec![Vec::new(); given.len()];
     for (n, spread) in spreads.iter().enumerate() {
         spread.bounces.iter().for_each(|bounce| of_patch[bounce.patch].push(n));
