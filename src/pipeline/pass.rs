@@ -223,7 +223,6 @@ pub(super) fn tables_beside(plan: &Plan<'_>, step: usize, cancel: &Cancel) -> Re
     Ok(BesideTables { tables, cancel: cancel.clone() })
 }
 
-/// All batches of one table of one stored part.
 /// Joins batches of small parts: a batch of a single row holds many times the memory of the row.
 fn join(small: Vec<RecordBatch>) -> Vec<RecordBatch> {
     let bytes: usize = small.iter().map(RecordBatch::get_array_memory_size).sum();
@@ -235,6 +234,7 @@ fn join(small: Vec<RecordBatch>) -> Vec<RecordBatch> {
     }
 }
 
+/// All batches of one table of one stored part.
 fn stored(plan: &Plan<'_>, step: usize, table: &str, part: &PartRecord) -> Result<Vec<RecordBatch>, RunError> {
     Ok(plan.shelf.read(&plan.tables[step].id, part, table, usize::MAX >> 1)?.collect::<Result<_, _>>()?)
 }
