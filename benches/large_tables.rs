@@ -93,31 +93,19 @@ fn onsets(campaign: &str, pair: [i32; 2]) -> Vec<Onset> {
             sensor: sensor.clone(),
             lit: pair[0],
             seen: pair[1],
-            range: None,
             rank: k as i32 + 1,
             time_ps: 10_000.0 + 3000.0 * k as f64 + rng.random_range(0.0..2000.0),
             time_sd_ps: 100.0 / snr,
-            earliest_ps: None,
             amplitude: 0.001 * snr,
             amplitude_sd: Some(0.001),
-            width_ps: 0.0,
-            width_sd_ps: None,
-            pair_first_ps: None,
-            pair_second_ps: None,
-            pair_first_sd_ps: None,
-            pair_second_sd_ps: None,
-            pair_correlation: None,
-            pair_first_amplitude: None,
-            pair_second_amplitude: None,
-            pair_gain: None,
             snr,
             evidence: Some(snr * snr),
             covariance: (0..ONSETS)
                 .map(|other| if other == k { 1e4 / (snr * snr) } else { rng.random_range(0.0..1.0) })
                 .collect(),
             jitter_ps: 0.8,
-            power_ratio: None,
             flags: if rng.random_bool(0.05) { vec!["blended".into()] } else { Vec::new() },
+            ..Onset::default()
         }
     };
     (0..ONSETS).map(onset).collect()

@@ -56,23 +56,12 @@ fn calibration(path: &Path) {
     let row = Calibration {
         campaign: "counted".into(),
         sensor: "s1".into(),
-        range: None,
         shots: 1,
-        rejected: 0,
         step_ps: 50.0,
         response_t0_ps: -2000.0,
         response: (0..80).map(|i| (-0.5 * ((f64::from(i) - 40.0) / 3.0).powi(2)).exp()).collect(),
-        reference_t0_ps: None,
-        reference: None,
-        latency_ps: 0.0,
-        latency_sd_ps: 0.0,
-        latency_common_sd_ps: None,
-        acquired_at: None,
-        reference_v_ps: None,
-        noise_model: None,
-        noise_acf: None,
         width_ps: 350.0,
-        width_sd_ps: None,
+        ..Calibration::default()
     };
     let mut writer = TableWriter::create(path, &Calibration::schema()).unwrap();
     writer.write(&Calibration::to_batch(&[row])).unwrap();

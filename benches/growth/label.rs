@@ -43,29 +43,12 @@ fn onset(pair: [usize; 2], rank: usize, time_ps: f64, snr: f64) -> Onset {
         sensor: "s1".into(),
         lit: pair[0] as i32 + 1,
         seen: pair[1] as i32 + 1,
-        range: None,
         rank: rank as i32 + 1,
         time_ps,
         time_sd_ps: SD_PS,
-        earliest_ps: None,
         amplitude: 1.0,
-        amplitude_sd: None,
-        width_ps: 0.0,
-        width_sd_ps: None,
-        pair_first_ps: None,
-        pair_second_ps: None,
-        pair_first_sd_ps: None,
-        pair_second_sd_ps: None,
-        pair_correlation: None,
-        pair_first_amplitude: None,
-        pair_second_amplitude: None,
-        pair_gain: None,
         snr,
-        evidence: None,
-        covariance: Vec::new(),
-        jitter_ps: 0.0,
-        power_ratio: None,
-        flags: Vec::new(),
+        ..Onset::default()
     }
 }
 
@@ -106,10 +89,7 @@ fn beside(points: &[Point]) -> BesideTables {
         cov_zz_m2: Some(1e-8),
         sd_m: Some(1.7e-4),
         onsets: 1,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-        probability: None,
+        ..Patch::default()
     };
     let patches: Vec<Patch> = points.iter().enumerate().map(patch).collect();
     BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches)])])

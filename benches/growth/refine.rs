@@ -63,19 +63,14 @@ fn label(path: Vec<i32>, points: &[Point], rng: &mut ChaCha8Rng) -> Label {
         sensor: "s1".into(),
         lit: path[0],
         seen: path[path.len() - 1],
-        range: None,
         rank: 1,
-        part: 0,
         time_ps: time_ps(way_m + end.coords.norm(), 1.0) + SD_PS * normal(rng),
         time_sd_ps: SD_PS,
         width_ps: Some(0.0),
-        width_sd_ps: None,
-        turns: 0,
         bounces: path.len() as i32,
         path: Some(path),
-        residual_ps: None,
         probability: 1.0,
-        alternative: 0,
+        ..Label::default()
     }
 }
 
@@ -101,18 +96,8 @@ fn start(points: &[Point], rng: &mut ChaCha8Rng) -> BesideTables {
         x_m: point.x + off_m(),
         y_m: point.y + off_m(),
         z_m: point.z + off_m(),
-        cov_xx_m2: None,
-        cov_xy_m2: None,
-        cov_xz_m2: None,
-        cov_yy_m2: None,
-        cov_yz_m2: None,
-        cov_zz_m2: None,
-        sd_m: None,
         onsets: 1,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-        probability: None,
+        ..Patch::default()
     };
     let patches: Vec<Patch> = points.iter().enumerate().map(patch).collect();
     BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&patches)])])

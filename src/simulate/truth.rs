@@ -57,10 +57,8 @@ impl Scene {
                 cov_zz_m2: Some(0.0),
                 sd_m: Some(0.0),
                 onsets: if disk.role == PatchRole::Visible { onsets } else { 0 },
-                chi2_dof: None,
                 alternative: 0,
-                log_likelihood: None,
-                probability: None,
+                ..Patch::default()
             }
         };
         self.patches.iter().map(row).collect()
@@ -77,17 +75,10 @@ impl Scene {
             step_ps: super::pulse::Pulse::STEP_PS,
             response_t0_ps: chain.pulse.start_ps(),
             response: chain.pulse.values().iter().copied().collect(),
-            reference_t0_ps: None,
-            reference: None,
             latency_ps: latency_ps + setting.latency_ps,
             latency_sd_ps: 0.0,
-            latency_common_sd_ps: None,
             width_ps: chain.pulse.width_ps(),
-            width_sd_ps: None,
-            acquired_at: None,
-            reference_v_ps: None,
-            noise_model: None,
-            noise_acf: None,
+            ..Calibration::default()
         };
         let rows = |(name, sensor): (&String, &super::keys::Sensor)| {
             chain.settings.iter().map(|setting| row(name, sensor.latency_ps, setting)).collect::<Vec<_>>()
@@ -192,23 +183,12 @@ pub(super) fn true_onsets(paths: &[TruePath], shooting: &Shooting, snr_was_set: 
         time_sd_ps: 0.0,
         earliest_ps: Some(path.earliest_ps),
         amplitude: path.height_v.unwrap_or(0.0),
-        amplitude_sd: None,
         width_ps: path.width_ps,
-        width_sd_ps: None,
-        pair_first_ps: None,
-        pair_second_ps: None,
-        pair_first_sd_ps: None,
-        pair_second_sd_ps: None,
-        pair_correlation: None,
-        pair_first_amplitude: None,
-        pair_second_amplitude: None,
-        pair_gain: None,
         snr: path.snr,
-        evidence: None,
         covariance: vec![0.0],
         jitter_ps: 0.0,
-        power_ratio: None,
         flags: if snr_was_set { vec!["snr-was-set".into()] } else { Vec::new() },
+        ..Onset::default()
     };
     strong.enumerate().map(onset).collect()
 }

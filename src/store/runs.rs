@@ -41,7 +41,7 @@ pub struct PassRecord {
 }
 
 /// One run.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
     /// Version of the program.
     pub periscope: String,
@@ -183,13 +183,7 @@ mod tests {
             host: "bench".to_owned(),
             process: 4711,
             started: utc(UNIX_EPOCH + Duration::from_secs(started)),
-            ended: None,
-            ending: None,
-            failure: None,
-            rejects: 0,
-            left_out: Vec::new(),
-            tables: BTreeMap::new(),
-            passes: Vec::new(),
+            ..RunRecord::default()
         }
     }
 

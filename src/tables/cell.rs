@@ -174,7 +174,7 @@ impl Cell for Codes {
 }
 
 /// Samples of a waveform (`list<f32>` in the table); shares its buffer.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Samples(ScalarBuffer<f32>);
 
 impl From<Vec<f32>> for Samples {

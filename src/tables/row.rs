@@ -144,6 +144,8 @@ pub fn table_schema(table: &str, meaning: &str, fields: Vec<Field>) -> SchemaRef
 }
 
 /// Declares a table: its row type, the typed view of its columns, and through them its Arrow schema, reader and writer.
+/// A default row is null, zero or empty in every cell. Stages name the cells that they fill in, and take the rest from
+/// it only where a cell that nothing is known of is the point.
 ///
 /// ```
 /// use periscope::tables::{Name, Row};
@@ -164,7 +166,7 @@ pub fn table_schema(table: &str, meaning: &str, fields: Vec<Field>) -> SchemaRef
 macro_rules! table {
     ($(#[doc = $meaning:literal])+ $table:literal : $row:ident, $columns:ident { $($(#[doc = $doc:literal])+ $name:ident : $cell:ty,)+ }) => {
         $(#[doc = $meaning])+
-        #[derive(Clone, Debug, PartialEq)]
+        #[derive(Clone, Debug, Default, PartialEq)]
         pub struct $row { $($(#[doc = $doc])+ pub $name: $cell,)+ }
 
         #[doc = concat!("Columns of table `", $table, "` as typed Arrow arrays.")]

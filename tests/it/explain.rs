@@ -174,13 +174,7 @@ fn run_record(started: &str, campaigns: BTreeMap<String, std::path::PathBuf>) ->
         host: "bench".to_owned(),
         process: 1,
         started: started.to_owned(),
-        ended: None,
-        ending: None,
-        failure: None,
-        rejects: 0,
-        left_out: Vec::new(),
-        tables: BTreeMap::new(),
-        passes: Vec::new(),
+        ..RunRecord::default()
     }
 }
 

@@ -59,19 +59,14 @@ fn labels(sensor_m: [f64; 3], rng: &mut ChaCha8Rng) -> Vec<Label> {
                 sensor: "s1".into(),
                 lit,
                 seen,
-                range: None,
                 rank: rank as i32 + 1,
-                part: 0,
                 time_ps: time_ps(way_m, INDEX) + SD_PS * noise,
                 time_sd_ps: SD_PS,
                 width_ps: Some(0.0),
-                width_sd_ps: None,
-                turns: 0,
                 bounces: path.len() as i32,
                 path: Some(path),
-                residual_ps: None,
                 probability: 1.0,
-                alternative: 0,
+                ..Label::default()
             });
         }
     }

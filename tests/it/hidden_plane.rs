@@ -176,23 +176,12 @@ fn calibration() -> Calibration {
     Calibration {
         campaign: "noisy".into(),
         sensor: "s1".into(),
-        range: None,
         shots: 1,
-        rejected: 0,
         step_ps: 50.0,
-        response_t0_ps: 0.0,
         response: vec![1.0].into(),
-        reference_t0_ps: None,
-        reference: None,
         latency_ps: DELAY_PS,
         latency_sd_ps: DELAY_SD_PS,
-        latency_common_sd_ps: None,
-        acquired_at: None,
-        reference_v_ps: None,
-        noise_model: None,
-        noise_acf: None,
-        width_ps: 0.0,
-        width_sd_ps: None,
+        ..Calibration::default()
     }
 }
 

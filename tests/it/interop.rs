@@ -227,10 +227,8 @@ fn patches_become_a_point_cloud() {
         cov_zz_m2: cov_m2,
         sd_m: cov_m2,
         onsets: 1,
-        chi2_dof: None,
         alternative,
-        log_likelihood: None,
-        probability: None,
+        ..Patch::default()
     };
     let patches = [patch(3, "visible", 0, None), patch(9, "hidden", 0, Some(1e-6)), patch(9, "hidden", 1, None)];
     let mut bytes = Vec::new();

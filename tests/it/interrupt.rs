@@ -82,23 +82,12 @@ fn calibration() -> Calibration {
     Calibration {
         campaign: "tiny".into(),
         sensor: "s1".into(),
-        range: None,
         shots: 1000,
-        rejected: 0,
         step_ps: 10.0,
         response_t0_ps: -400.0,
         response: (0..80).map(|i| (-0.5 * (10.0 * (f64::from(i) - 40.0) / RESPONSE_PS).powi(2)).exp()).collect(),
-        reference_t0_ps: None,
-        reference: None,
-        latency_ps: 0.0,
-        latency_sd_ps: 0.0,
-        latency_common_sd_ps: None,
-        acquired_at: None,
-        reference_v_ps: None,
-        noise_model: None,
-        noise_acf: None,
         width_ps: 235.0,
-        width_sd_ps: None,
+        ..Calibration::default()
     }
 }
 
@@ -118,36 +107,14 @@ fn profile(lit: i32, seen: i32, dt_ps: f64, samples: usize, pulses_ps: &[f64], r
         lit,
         seen,
         role: "scene".into(),
-        run: None,
-        range: None,
         shots: 1000,
-        rejected: 0,
-        clipped: 0,
-        t0_ps: 0.0,
         dt_ps,
         mean_v: mean_v.into_iter().collect(),
         se_v: (0..samples).map(|_| NOISE_V).collect(),
         noise_v: NOISE_V * 1000_f64.sqrt(),
         noise_acf: vec![1.0].into(),
-        noise_model: None,
-        noise_samples: None,
-        baseline_v: 0.0,
-        phase_shots: None,
-        jitter_ps: 0.0,
-        gain_sd: 0.0,
-        reference_ps: None,
-        reference_sd_ps: None,
-        reference_v_ps: None,
-        reference_sd_v_ps: None,
-        counts: None,
-        cycles: None,
         gain_v: 0.001,
-        path_m: None,
-        path_sd_m: None,
-        attenuation_od: None,
-        power_w: None,
-        bounces: None,
-        acquired_at: None,
+        ..Profile::default()
     }
 }
 
@@ -166,10 +133,7 @@ fn patches(points: &[Point], path: &Path) {
         cov_zz_m2: Some(1e-8),
         sd_m: Some(1.7e-4),
         onsets: 1,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-        probability: None,
+        ..Patch::default()
     };
     write_table(path, &points.iter().enumerate().map(patch).collect::<Vec<_>>());
 }
@@ -228,29 +192,12 @@ fn label_ends_in_the_midst_of_the_search_for_hidden_patches() {
             sensor: "s1".into(),
             lit: a as i32 + 1,
             seen: b as i32 + 1,
-            range: None,
             rank: rank as i32 + 1,
             time_ps,
             time_sd_ps: SD_PS,
-            earliest_ps: None,
             amplitude: 1.0,
-            amplitude_sd: None,
-            width_ps: 0.0,
-            width_sd_ps: None,
-            pair_first_ps: None,
-            pair_second_ps: None,
-            pair_first_sd_ps: None,
-            pair_second_sd_ps: None,
-            pair_correlation: None,
-            pair_first_amplitude: None,
-            pair_second_amplitude: None,
-            pair_gain: None,
             snr,
-            evidence: None,
-            covariance: Vec::new(),
-            jitter_ps: 0.0,
-            power_ratio: None,
-            flags: Vec::new(),
+            ..Onset::default()
         }));
     }
     write_table(&lab.path("onsets.parquet"), &onsets);
@@ -314,19 +261,14 @@ fn refine_ends_in_the_midst_of_a_solution() {
             sensor: "s1".into(),
             lit: path[0],
             seen: path[path.len() - 1],
-            range: None,
             rank: 1,
-            part: 0,
             time_ps: time_ps(length_m(way), 1.0) + SD_PS * normal(rng),
             time_sd_ps: SD_PS,
             width_ps: Some(0.0),
-            width_sd_ps: None,
-            turns: 0,
             bounces: path.len() as i32,
             path: Some(path),
-            residual_ps: None,
             probability: 1.0,
-            alternative: 0,
+            ..Label::default()
         });
     };
     let mut start = Vec::new();

@@ -251,23 +251,13 @@ fn calibration(shape: &Shape) -> Calibration {
     Calibration {
         campaign: "readings".into(),
         sensor: "s1".into(),
-        range: None,
         shots: 1000,
-        rejected: 0,
         step_ps: STEP_PS,
         response_t0_ps: -f64::from(before) * STEP_PS,
         response: response.into_iter().collect(),
-        reference_t0_ps: None,
-        reference: None,
-        latency_ps: 0.0,
         latency_sd_ps: 0.1,
-        latency_common_sd_ps: None,
-        acquired_at: None,
-        reference_v_ps: None,
-        noise_model: None,
-        noise_acf: None,
         width_ps: 151.0,
-        width_sd_ps: None,
+        ..Calibration::default()
     }
 }
 

@@ -27,10 +27,7 @@ fn patches() -> Vec<Patch> {
         cov_zz_m2: Some(1e-6),
         sd_m: Some(3e-6_f64.sqrt()),
         onsets: 1,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-        probability: None,
+        ..Patch::default()
     };
     on_wall.chain(on_floor).enumerate().map(row).collect()
 }

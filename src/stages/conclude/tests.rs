@@ -34,21 +34,9 @@ fn decisions(context: &Context) -> Vec<Decision> {
     let patch = Patch {
         patch: 1,
         kind: "visible".into(),
-        x_m: 0.0,
         y_m: 1.0,
-        z_m: 0.0,
-        cov_xx_m2: None,
-        cov_xy_m2: None,
-        cov_xz_m2: None,
-        cov_yy_m2: None,
-        cov_yz_m2: None,
-        cov_zz_m2: None,
-        sd_m: None,
         onsets: 1,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-        probability: None,
+        ..Patch::default()
     };
     Conclude {}.apply(context, vec![patch]).expect("it computes nothing").rows
 }

@@ -151,21 +151,14 @@ fn hypotheses_place_what_distances_do_not() {
         y_m: 0.5,
         z_m: 0.2,
         cov_xx_m2: 1e-6,
-        cov_xy_m2: 0.0,
-        cov_xz_m2: 0.0,
         cov_yy_m2: 1e-6,
-        cov_yz_m2: 0.0,
         cov_zz_m2: 1e-6,
         sd_m: 1.7e-3,
-        normal_x: None,
-        normal_y: None,
-        normal_z: None,
         evidence: 20.0 - f64::from(alternative),
         evidence_needed: 7.0,
         seen: 0.8,
-        shots_needed: None,
-        hours_needed: None,
         onsets: 40.2,
+        ..Hypothesis::default()
     };
     let hypotheses = vec![hypothesis(21, 0, -3.0), hypothesis(22, 0, -1.0), hypothesis(22, 1, -2.0)];
     let context = Context { hypotheses, ..context(3, Some(patches(&points))) };

@@ -27,25 +27,10 @@ fn onset(lit: PatchId, seen: PatchId, rank: i32, time_ps: f64) -> Onset {
         rank,
         time_ps,
         time_sd_ps: 20.0,
-        earliest_ps: None,
         amplitude: 1.0,
-        amplitude_sd: None,
-        width_ps: 0.0,
-        width_sd_ps: None,
-        pair_first_ps: None,
-        pair_second_ps: None,
-        pair_first_sd_ps: None,
-        pair_second_sd_ps: None,
-        pair_correlation: None,
-        pair_first_amplitude: None,
-        pair_second_amplitude: None,
-        pair_gain: None,
         snr: 10.0,
-        evidence: None,
-        covariance: Vec::new(),
         jitter_ps: 15.0,
-        power_ratio: None,
-        flags: Vec::new(),
+        ..Onset::default()
     }
 }
 
@@ -79,10 +64,7 @@ fn patches(points: &[Point], variance_m2: Option<f64>) -> Vec<Patch> {
         cov_zz_m2: variance_m2,
         sd_m: Some(1.7e-4),
         onsets: 1,
-        chi2_dof: None,
-        alternative: 0,
-        log_likelihood: None,
-        probability: None,
+        ..Patch::default()
     };
     (1..).zip(points).map(patch).collect()
 }

@@ -13,19 +13,14 @@ fn labels(sensor: &str, apart_m: f64, paths: &[&[PatchId]]) -> Vec<Label> {
             sensor: sensor.into(),
             lit,
             seen,
-            range: None,
             rank: 1,
-            part: 0,
             time_ps: units::time_ps(f64::from(lit) + legs + f64::from(seen).hypot(apart_m), 1.0),
             time_sd_ps: 1.0,
             width_ps: Some(0.0),
-            width_sd_ps: None,
-            turns: 0,
             bounces: path.len() as i32,
             path: Some(path.to_vec()),
-            residual_ps: None,
             probability: 1.0,
-            alternative: 0,
+            ..Label::default()
         }
     };
     paths.iter().map(label).collect()

@@ -92,21 +92,12 @@ fn latency(range: Option<&str>, sd_ps: f64, common_sd_ps: f64) -> Calibration {
         sensor: "s1".into(),
         range: range.map(Name::from),
         shots: 1,
-        rejected: 0,
         step_ps: 1.0,
-        response_t0_ps: 0.0,
         response: vec![1.0_f32].into(),
-        reference_t0_ps: None,
-        reference: None,
-        latency_ps: 0.0,
         latency_sd_ps: sd_ps,
         latency_common_sd_ps: Some(common_sd_ps),
-        acquired_at: None,
-        reference_v_ps: None,
-        noise_model: None,
-        noise_acf: None,
         width_ps: 1.0,
-        width_sd_ps: None,
+        ..Calibration::default()
     }
 }
 

@@ -35,19 +35,14 @@ fn label(points: &BTreeMap<PatchId, Point>, name: &str, path: &[PatchId], late_p
         sensor: name.into(),
         lit: path[0],
         seen: path[path.len() - 1],
-        range: None,
         rank: 1,
-        part: 0,
         time_ps: units::time_ps(way_m + (sensor(name) - end).norm(), 1.0) + late_ps,
         time_sd_ps: SD_PS,
         width_ps: Some(0.0),
-        width_sd_ps: None,
-        turns: 0,
         bounces: path.len() as i32,
         path: Some(path.to_vec()),
-        residual_ps: None,
         probability: 1.0,
-        alternative: 0,
+        ..Label::default()
     }
 }
 
