@@ -165,6 +165,7 @@ fn gauss_newton() -> Kernel {
             sd_m: 1e-3,
             delay: None,
             turns: 0,
+            common: Vec::new(),
         }
     };
     let first = (0..points.len()).map(|a| observation(&[a]));

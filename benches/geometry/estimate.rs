@@ -29,6 +29,7 @@ pub fn measured(
             sd_m,
             delay: None,
             turns: 0,
+            common: Vec::new(),
         }
     };
     let observations = ways.iter().zip(sds_m).map(observation).collect();

@@ -71,6 +71,7 @@ impl Measured {
             sd_m: length.variance_m2.sqrt(),
             delay: None,
             turns: 0,
+            common: Vec::new(),
         };
         let first = self.first.iter().enumerate().map(|(i, length)| observation(&[i], length));
         let second = self.second.iter().map(|(a, b, length)| observation(&[*a, *b], length));

@@ -31,6 +31,8 @@ pub struct Footprint {
     pub size_m: f64,
     /// Standard deviation of the normal's direction.
     pub normal_sd_rad: f64,
+    /// Standard deviation of the diameter.
+    pub size_sd_m: f64,
 }
 
 /// Footprints by patch; a patch without one is a point.
@@ -60,6 +62,44 @@ impl Footprints {
         let bounces: Vec<(Point, Option<Footprint>)> =
             path.iter().map(|patch| (centre(patch), self.0.get(patch).copied())).collect();
         shift_m(source, &bounces, sensor)
+    }
+
+    /// By how much [`Self::shift_m`] changes with the size and the direction of each patch whose footprint is uncertain:
+    /// for a standard deviation of each of the three.
+    #[must_use]
+    pub fn changes_m(
+        &self,
+        source: Point,
+        path: &[PatchId],
+        centre: impl Fn(&PatchId) -> Point,
+        sensor: Point,
+    ) -> Vec<(PatchId, [f64; 3])> {
+        let is_uncertain = |footprint: &&Footprint| footprint.normal_sd_rad > 0.0 || footprint.size_sd_m > 0.0;
+        let mut patches: Vec<PatchId> = path.to_vec();
+        patches.sort_unstable();
+        patches.dedup();
+        let with = |patch: PatchId, other: Footprint| {
+            let of = |each: &PatchId| if *each == patch { Some(other) } else { self.0.get(each).copied() };
+            let bounces: Vec<(Point, Option<Footprint>)> = path.iter().map(|each| (centre(each), of(each))).collect();
+            shift_m(source, &bounces, sensor)
+        };
+        let uncertain = patches.into_iter().filter_map(|patch| Some((patch, self.0.get(&patch).filter(is_uncertain)?)));
+        let change = |(patch, footprint): (PatchId, &Footprint)| {
+            let here_m = with(patch, *footprint);
+            (patch, footprint.others().map(|other| with(patch, other) - here_m))
+        };
+        uncertain.map(change).collect()
+    }
+}
+
+impl Footprint {
+    /// The footprint a standard deviation off: turned to either side, and larger.
+    fn others(&self) -> [Self; 3] {
+        let axis = if self.normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+        let aside = self.normal.cross(&axis).normalize();
+        let turned =
+            |towards: Vector3<f64>| Self { normal: (self.normal + self.normal_sd_rad * towards).normalize(), ..*self };
+        [turned(aside), turned(self.normal.cross(&aside)), Self { size_m: self.size_m + self.size_sd_m, ..*self }]
     }
 }
 
@@ -144,6 +184,28 @@ mod tests {
         (0..300).map(point).flat_map(|offset| [centre + offset, centre - offset]).collect()
     }
 
+    /// Only uncertain footprints change a shift, and their changes are those of footprints a standard deviation off.
+    #[test]
+    fn changes_are_those_of_other_footprints() {
+        let certain = Footprint {
+            normal: Vector3::new(0.2, -0.9, 0.4).normalize(),
+            size_m: 0.04,
+            normal_sd_rad: 0.0,
+            size_sd_m: 0.0,
+        };
+        let uncertain = Footprint { size_sd_m: 0.004, normal_sd_rad: 0.1, ..certain };
+        let places = [Point::new(0.3, 1.0, 0.1), Point::new(-0.4, 1.2, -0.2)];
+        let centre = |patch: &PatchId| places[*patch as usize];
+        let (source, sensor) = (Point::origin(), Point::new(0.1, 0.0, 0.0));
+        let footprints = Footprints(BTreeMap::from([(0, certain), (1, uncertain)]));
+        let changes = footprints.changes_m(source, &[0, 1], centre, sensor);
+        assert_eq!(changes.iter().map(|(patch, _)| *patch).collect::<Vec<_>>(), [1]);
+        let larger = Footprints(BTreeMap::from([(0, certain), (1, Footprint { size_m: 0.044, ..uncertain })]));
+        let shift_m = |footprints: &Footprints| footprints.shift_m(source, &[0, 1], centre, sensor);
+        assert!((changes[0].1[2] - (shift_m(&larger) - shift_m(&footprints))).abs() < 1e-12);
+        assert!(changes[0].1[..2].iter().any(|change_m| change_m.abs() > 1e-6), "a turn shifts the light: {changes:?}");
+    }
+
     /// The mean by brute force over all points of two disks.
     fn brute_m(source: Point, patches: &[(Point, Footprint)], sensor: Point) -> f64 {
         let points: Vec<Vec<Point>> = patches.iter().map(|(centre, footprint)| disk(*centre, footprint)).collect();
@@ -177,7 +239,10 @@ mod tests {
     fn it_is_the_mean_over_all_points() {
         let (source, sensor) = (Point::new(0.0, 0.0, 0.0), Point::new(0.1, 0.0, 0.02));
         let patch = |centre: [f64; 3], normal: [f64; 3], size_m: f64| {
-            (Point::from(centre), Footprint { normal: Vector3::from(normal).normalize(), size_m, normal_sd_rad: 0.0 })
+            (
+                Point::from(centre),
+                Footprint { normal: Vector3::from(normal).normalize(), size_m, normal_sd_rad: 0.0, size_sd_m: 0.0 },
+            )
         };
         let wall = patch([0.4, 1.1, 0.2], [-0.5, -1.0, 0.2], 0.05);
         let side = patch([1.0, 0.7, -0.1], [-1.0, 0.1, 0.3], 0.06);
@@ -197,7 +262,7 @@ mod tests {
         assert_eq!(shift_m(origin, &[(there, None)], origin), 0.0);
         let normal = Vector3::new(0.1, -1.0, 0.3).normalize();
         let shift = |normal| {
-            let footprint = Some(Footprint { normal, size_m: 0.04, normal_sd_rad: 0.0 });
+            let footprint = Some(Footprint { normal, size_m: 0.04, normal_sd_rad: 0.0, size_sd_m: 0.0 });
             shift_m(origin, &[(there, footprint), (Point::new(0.9, 0.5, 0.0), footprint)], origin)
         };
         assert_eq!(shift(normal), shift(-normal));

@@ -1,12 +1,12 @@
 //! Maximum likelihood on path lengths: patches, stations, delays and the laser's period at once, what photogrammetry
 //! calls bundle adjustment.
 //!
-//! Minimises over patches `z`, stations `w`, delays `t` and the period's error `p`
+//! Minimises over patches `z`, stations `w`, delays `t`, the period's error `p` and common errors `c`
 //!
 //! ```text
-//! sum_n rho((l_n - |path_n(z, w)| - t_n + turns_n p) / s_n)
+//! sum_n rho((l_n - |path_n(z, w)| - t_n + turns_n p - sum_k a_nk c_k) / s_n)
 //!   + sum_a |z_a - anchor_a|^2 / s_a^2 + sum_r |direction(z_r - w_r) - ray_r|^2 / s_r^2
-//!   + sum_k |w_k - station_k|^2 / s_k^2 + t' C^-1 t + (p / s_p)^2
+//!   + sum_k |w_k - station_k|^2 / s_k^2 + t' C^-1 t + (p / s_p)^2 + |c|^2
 //! ```
 //!
 //! by Levenberg-Marquardt with a robust `rho` ([`super::loss`]; Huber's as a rule). Up to [`DENSE_MAX`] patches the
@@ -16,8 +16,7 @@
 //! ([`Solution::is_exact`]).
 //!
 //! The solution names what nothing determines: parts that share no path, rotations, and patches that can move freely.
-//! It does not see a mirror image or another minimum that explains the lengths as well. Not modelled: errors that
-//! onsets of one profile share.
+//! It does not see a mirror image or another minimum that explains the lengths as well.
 
 mod dense_steps;
 mod freedom;
@@ -54,7 +53,7 @@ const SETTLED_M: f64 = 1e-11;
 const SETTLED_MATRIX_FREE_M: f64 = 1e-8;
 
 /// The 99.9 % point of a normal distribution.
-const MISFIT_SD: f64 = 3.090_232;
+const BY_CHANCE_SD: f64 = 3.090_232;
 /// Where nearly all measurements contradict one another, nothing more can be said of variances.
 const INSIDE_MIN: f64 = 0.01;
 
@@ -69,6 +68,8 @@ pub struct Solution {
     pub delays_m: Vec<f64>,
     /// What the laser's period is longer than its nominal length.
     pub period_m: f64,
+    /// Errors that observations have in common, in their standard deviations.
+    pub common: Vec<f64>,
     /// Residual of each observation: measured minus predicted length.
     pub residuals_m: Vec<f64>,
     /// Of each observation, the variance of its predicted length: near its own variance, nothing else checks it. Not
@@ -138,6 +139,7 @@ impl Solution {
             stations: self.stations.clone(),
             delays_m: self.delays_m.clone(),
             period_m: self.period_m,
+            common: self.common.clone(),
         };
         observations.iter().map(|observation| values.residual_m(observation)).collect()
     }
@@ -218,6 +220,15 @@ impl Means {
     }
 }
 
+/// The 99.9 % point of chi-square: a right model stays below it in all but one campaign of a thousand. By the cube root
+/// of chi-square, which is nearly normal (Wilson and Hilferty, PNAS 17:684, 1931).
+#[must_use]
+pub fn by_chance(degrees_of_freedom: f64) -> f64 {
+    let freedom = degrees_of_freedom.max(1.0);
+    let share = 2.0 / (9.0 * freedom);
+    freedom * (1.0 - share + BY_CHANCE_SD * share.sqrt()).powi(3)
+}
+
 /// Factor on variances by residuals in standard deviations: that of an M-estimator (Huber, Robust Statistics, 1981,
 /// section 7.6),
 ///
@@ -229,19 +240,16 @@ impl Means {
 /// of freedom (Birge's ratio). With others psi ends where Huber's loss becomes linear, so that a few gross errors do
 /// not make all others larger.
 fn misfit(residuals: &[f64], loss: Loss, degrees_of_freedom: i64) -> f64 {
-    let freedom = degrees_of_freedom as f64;
-    if freedom < 1.0 {
+    if degrees_of_freedom < 1 {
         return 1.0;
     }
     let most = if loss == Loss::Squared { f64::INFINITY } else { HUBER };
     let sum: f64 = residuals.iter().map(|residual| residual.abs().min(most).powi(2)).sum();
-    // Wilson and Hilferty: the cube root of chi-square is nearly normal.
-    let share = 2.0 / (9.0 * freedom);
-    if sum <= freedom * (1.0 - share + MISFIT_SD * share.sqrt()).powi(3) {
+    if sum <= by_chance(degrees_of_freedom as f64) {
         return 1.0;
     }
     let inside = residuals.iter().filter(|residual| residual.abs() <= most).count() as f64 / residuals.len() as f64;
-    sum / freedom / (inside * inside).max(INSIDE_MIN)
+    sum / degrees_of_freedom as f64 / (inside * inside).max(INSIDE_MIN)
 }
 
 /// Solves the problem.
@@ -374,6 +382,7 @@ fn finish(rows: &Rows, means: Means, values: Values, loss: f64) -> Result<Soluti
         stations: values.stations,
         delays_m: values.delays_m,
         period_m: values.period_m,
+        common: values.common,
         layout: rows.layout.clone(),
         covariance,
     })

@@ -260,7 +260,7 @@ fn renumbered(observation: &Observation, positions: &[usize]) -> Observation {
         Node::Patch(patch) => Node::Patch(positions[patch]),
         Node::Station(station) => Node::Station(station),
     };
-    Observation { nodes: observation.nodes.iter().map(node).collect(), ..*observation }
+    Observation { nodes: observation.nodes.iter().map(node).collect(), ..observation.clone() }
 }
 
 fn patches(observation: &Observation) -> impl Iterator<Item = usize> {
@@ -272,7 +272,7 @@ fn patches(observation: &Observation) -> impl Iterator<Item = usize> {
 
 /// The tie of a patch by a path that meets it once, and otherwise only points in place.
 fn path(observation: &Observation, patch: usize, state: &State) -> Option<Tie> {
-    let Observation { nodes, length_m, sd_m, delay, turns } = observation;
+    let Observation { nodes, length_m, sd_m, delay, turns, .. } = observation;
     let mut met = (1..nodes.len() - 1).filter(|&k| nodes[k] == Node::Patch(patch));
     let (Some(here), None) = (met.next(), met.next()) else { return None };
     let mut rest_m = length_m - delay.map_or(0.0, |delay| state.delays_m[delay]) + f64::from(*turns) * state.period_m;

@@ -41,31 +41,27 @@ macro_rules! each {
                 $body
             }
             Codes::I16(bytes) => {
-                let $numbers = bytes.chunks_exact(2).map(|code| i16::from_le_bytes([code[0], code[1]]));
+                let $numbers = bytes.as_chunks().0.iter().map(|code| i16::from_le_bytes(*code));
                 $body
             }
             Codes::U16(bytes) => {
-                let $numbers = bytes.chunks_exact(2).map(|code| u16::from_le_bytes([code[0], code[1]]));
+                let $numbers = bytes.as_chunks().0.iter().map(|code| u16::from_le_bytes(*code));
                 $body
             }
             Codes::I32(bytes) => {
-                let $numbers =
-                    bytes.chunks_exact(4).map(|code| i32::from_le_bytes([code[0], code[1], code[2], code[3]]));
+                let $numbers = bytes.as_chunks().0.iter().map(|code| i32::from_le_bytes(*code));
                 $body
             }
             Codes::U32(bytes) => {
-                let $numbers =
-                    bytes.chunks_exact(4).map(|code| u32::from_le_bytes([code[0], code[1], code[2], code[3]]));
+                let $numbers = bytes.as_chunks().0.iter().map(|code| u32::from_le_bytes(*code));
                 $body
             }
             Codes::F32(bytes) => {
-                let $numbers =
-                    bytes.chunks_exact(4).map(|code| f32::from_le_bytes([code[0], code[1], code[2], code[3]]));
+                let $numbers = bytes.as_chunks().0.iter().map(|code| f32::from_le_bytes(*code));
                 $body
             }
             Codes::F64(bytes) => {
-                let $numbers =
-                    bytes.chunks_exact(8).map(|code| f64::from_le_bytes(code.try_into().expect("chunks of eight")));
+                let $numbers = bytes.as_chunks().0.iter().map(|code| f64::from_le_bytes(*code));
                 $body
             }
         }
@@ -199,11 +195,11 @@ impl<'a> Codes<'a> {
                 widest(|| sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += i32::from(byte)));
             }
             Self::I16(bytes) => {
-                let codes = bytes.chunks_exact(2).map(|code| i16::from_le_bytes([code[0], code[1]]));
+                let codes = bytes.as_chunks().0.iter().map(|code| i16::from_le_bytes(*code));
                 widest(|| sums.iter_mut().zip(codes).for_each(|(sum, code)| *sum += i32::from(code)));
             }
             Self::U16(bytes) => {
-                let codes = bytes.chunks_exact(2).map(|code| u16::from_le_bytes([code[0], code[1]]));
+                let codes = bytes.as_chunks().0.iter().map(|code| u16::from_le_bytes(*code));
                 widest(|| sums.iter_mut().zip(codes).for_each(|(sum, code)| *sum += i32::from(code)));
             }
         }
@@ -223,7 +219,7 @@ impl<'a> Codes<'a> {
     pub fn count_at_or_beyond(&self, low: f64, high: f64) -> usize {
         // 16 bit codes are the hot path: a minimum and a maximum vectorise, and nearly always settle it.
         if let Self::I16(bytes) = *self {
-            let numbers = bytes.chunks_exact(2).map(|code| i16::from_le_bytes([code[0], code[1]]));
+            let numbers = bytes.as_chunks().0.iter().map(|code| i16::from_le_bytes(*code));
             let (least, most) =
                 widest(|| numbers.fold((i16::MAX, i16::MIN), |(least, most), code| (least.min(code), most.max(code))));
             if f64::from(least) > low && f64::from(most) < high {

@@ -43,12 +43,10 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::geometry::maximum_likelihood;
 use crate::tables::{
-    Ambiguity, Decision, Fit, Hypothesis, Label, Name, Onset, Patch, PatchFootprint, Plane, SceneOdds,
+    Ambiguity, Decision, Fit, Hypothesis, Label, Name, ONSET_KINDS, Onset, Patch, PatchFootprint, Plane, SceneOdds,
 };
-
-/// Chi-square this many of its standard deviations above its degrees of freedom is not that of a right model.
-const UNLIKELY: f64 = 4.0;
 
 /// Parameters of `conclude`: none.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -143,15 +141,20 @@ impl Context {
             let more = "one onset more than unknowns; nothing checks this fit";
             return decision("fit", "unchecked", &evidence, more);
         }
-        if fit.misfit > 1.0 {
-            let chosen =
-                format!("not explained: all standard deviations are {:.1} times as large for it", fit.misfit.sqrt());
+        let wider: Vec<String> = ONSET_KINDS
+            .iter()
+            .zip(&fit.widened)
+            .filter(|(_, factor)| **factor > 1.0)
+            .map(|(kind, factor)| format!("{:.1} times for {kind}", factor.sqrt()))
+            .chain((fit.misfit > 1.0).then(|| format!("{:.1} times for all", fit.misfit.sqrt())))
+            .collect();
+        if !wider.is_empty() {
+            let chosen = format!("not explained: standard deviations are larger for it, {}", wider.join(", "));
             let text =
                 "right labels or a better instrument response; `suspects` lists the onsets that contradict the fit";
             return decision("fit", &chosen, &evidence, text);
         }
-        let freedom = f64::from(fit.degrees_of_freedom);
-        let is_whole = fit.chi2 <= freedom + UNLIKELY * (2.0 * freedom).sqrt();
+        let is_whole = fit.chi2 <= maximum_likelihood::by_chance(fit.degrees_of_freedom.into());
         let chosen = if is_whole { "explained" } else { "explained but for the onsets that `suspects` lists" };
         decision("fit", chosen, &evidence, "residuals larger than chance makes them in one campaign of 1,000")
     }

@@ -216,6 +216,7 @@ impl Measured<'_> {
             sd_m: length.variance_m2.sqrt(),
             delay: None,
             turns: 0,
+            common: Vec::new(),
         };
         let first_bounces = first.iter().map(|(patch, length)| observation(&[*patch], length));
         let second_bounces = second.iter().map(|((a, b), length)| observation(&[*a, *b], length));

@@ -22,13 +22,15 @@
 //! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. They are those
 //! of campaign.toml (`size_m`, with a normal from `planes` (of `surface`) or, in a fixed frame, from campaign.toml);
 //! else what the widths of the patch's onsets tell, if these are more than noise. The table `footprints` has them. An
-//! onset that is wider than its patches make it has other light in it, which pulls its time: the pull is estimated from
-//! the width, taken off first and second bounces, which no other light precedes, and part of the error of all
-//! (`residuals.blend_ps`, `sd_ps`).
+//! onset that is wider than its patches make it has other light in it, which pulls its time. Behind first and second
+//! bounces, which no other light precedes, that is light over one more patch ([`crate::geometry::companion`]): where
+//! the patches are says when it comes, such light in onsets of its own how strong it is. The pull is taken off, and its
+//! error is part of that of the onset (`residuals.blend_ps`, `sd_ps`).
 //!
 //! Where residuals are larger than chance allows (the 99.9 % point of chi-square, each residual cut at three standard
-//! deviations), the model does not explain the onsets. Then all variances are larger by the factor of an M-estimator
-//! (`fits.misfit`), and likelihoods of alternatives count less by that.
+//! deviations), the model does not explain the onsets. Onsets of a kind that scatters more than it should (first,
+//! second, later bounces, onsets read as two) get larger variances (`fits.widened`). What is left makes all variances
+//! larger by the factor of an M-estimator (`fits.misfit`), and likelihoods of alternatives count less by that.
 //!
 //! Without a labelled onset, `patches` that all have a covariance are passed on: anchors whose own light was not
 //! recorded.
@@ -54,11 +56,13 @@
 //! with = { patches = "first", calibration = "calibration", planes = "first_planes" }
 //! ```
 
+mod companions;
 mod context;
 mod extents;
 mod model;
 mod others;
 mod rows;
+mod weights;
 
 use serde::{Deserialize, Serialize};
 
@@ -70,18 +74,17 @@ use crate::geometry::maximum_likelihood::{self, Problem, Solution, Unsolved};
 use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::footprints::{self, Extent};
 use crate::tables::{
-    Ambiguity, Delay, Fit, Label, Patch, PatchCovariance, PatchFootprint, Residual, Row, Station, Suspect,
+    Ambiguity, Delay, Fit, Label, ONSET_KINDS, Patch, PatchCovariance, PatchFootprint, Residual, Row, Station, Suspect,
 };
 use context::{Context, Fields};
 use extents::Extents;
 use model::Model;
 use rows::{Fitted, Tables};
 
-/// Footprints are predicted anew until no path changes by more than `SHIFTED_M`, for at most `ROUNDS` rounds.
+/// Footprints are predicted anew until no path changes by more than `SHIFTED_M`, and weights until none changes, for at
+/// most `ROUNDS` rounds.
 const SHIFTED_M: f64 = 1e-6;
 const ROUNDS: usize = 6;
-/// A loss this many standard deviations above its mean is not that of right labels.
-const UNLIKELY: f64 = 4.0;
 
 /// Parameters of `refine`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -99,7 +102,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -150,13 +153,14 @@ impl Apply for Refine {
             observation.length_m -= pull.mean_m;
             observation.sd_m = observation.sd_m.hypot(pull.sd_m);
         }
+        model.add_common_errors(&footprints, &mut problem, &solution);
         let mut shifts_m = vec![0.0; labels.len()];
         if !footprints.is_empty() || pulls.iter().any(|pull| pull.sd_m > 0.0) {
             shifts_m = self.solve_shifted(&model, &mut problem, &mut solution, &footprints)?;
         }
-        let observations = problem.observations.clone();
+        let mut observations = problem.observations.clone();
         let mut used: Vec<Option<usize>> = (0..observations.len()).map(Some).collect();
-        if self.robust && !is_explained(&solution) {
+        if self.robust && solution.loss > maximum_likelihood::by_chance(solution.degrees_of_freedom as f64) {
             let places = [solution.points.as_slice(), start.as_slice()];
             if let Some((out, points)) = maximum_likelihood::outliers(&problem, &solution.points, &places) {
                 let kept = observations.iter().zip(&out).filter(|(_, out)| !**out).map(|(kept, _)| kept.clone());
@@ -167,8 +171,15 @@ impl Apply for Refine {
                 used = out.iter().map(|out| if *out { None } else { next.next() }).collect();
             }
         }
+        let mut widened = [1.0; ONSET_KINDS.len()];
+        if self.robust {
+            widened = self.weigh(&model, &used, &mut problem, &mut solution)?;
+            for (observation, label) in observations.iter_mut().zip(&labels) {
+                observation.sd_m *= widened[weights::kind(label)].sqrt();
+            }
+        }
         let (solution, others) = others::alternatives(&model, &problem, solution);
-        let fitted = Fitted { solution, others, observations, used };
+        let fitted = Fitted { solution, others, observations, used, widened };
         let tables = Tables::new(&model, &fitted, &shifts_m, &pulls);
         let residuals = tables.residuals();
         Ok(Outcome {
@@ -201,6 +212,32 @@ impl Refine {
         solution.map_err(|unsolved| StageError::Refused(model.refused(&unsolved)))
     }
 
+    /// Solves again with larger variances for onsets of kinds that scatter more, until none does; gives the factors.
+    fn weigh(
+        &self,
+        model: &Model,
+        used: &[Option<usize>],
+        problem: &mut Problem,
+        solution: &mut Solution,
+    ) -> Result<[f64; ONSET_KINDS.len()], StageError> {
+        let of_used = model.labels.iter().zip(used).filter(|(_, used)| used.is_some());
+        let kinds: Vec<usize> = of_used.map(|(label, _)| weights::kind(label)).collect();
+        let mut widened = [1.0; ONSET_KINDS.len()];
+        for _ in 0..ROUNDS {
+            let factors = weights::factors(problem, solution, &kinds);
+            if factors == [1.0; ONSET_KINDS.len()] {
+                break;
+            }
+            for (observation, kind) in problem.observations.iter_mut().zip(&kinds) {
+                observation.sd_m *= factors[*kind].sqrt();
+            }
+            widened.iter_mut().zip(factors).for_each(|(all, factor)| *all *= factor);
+            problem.start.clone_from(&solution.points);
+            *solution = self.solve(model, problem)?;
+        }
+        Ok(widened)
+    }
+
     /// Solves again with the shifts of footprints taken off, until these stay; gives the shifts.
     fn solve_shifted(
         &self,
@@ -211,7 +248,7 @@ impl Refine {
     ) -> Result<Vec<f64>, StageError> {
         let mut shifts_m = vec![0.0; problem.observations.len()];
         for _ in 0..ROUNDS {
-            let next_m = model.shifts_m(footprints, problem, &solution.points, &solution.stations);
+            let next_m = model.shifts_m(footprints, problem, solution);
             let moved_m =
                 next_m.iter().zip(&shifts_m).fold(0.0, |most: f64, (next, last)| most.max((next - last).abs()));
             for ((observation, next), last) in problem.observations.iter_mut().zip(&next_m).zip(&shifts_m) {
@@ -234,12 +271,6 @@ fn unlabelled(context: &Context) -> Result<Outcome<Patch>, StageError> {
         return Ok(Outcome::rows(context.start.values().cloned().collect()));
     }
     Err(StageError::Refused("no onset has a path; look at the tables `labels` and `onsets`".to_owned()))
-}
-
-/// Whether a solution's loss is what noise lets expect.
-fn is_explained(solution: &Solution) -> bool {
-    let freedom = solution.degrees_of_freedom.max(1) as f64;
-    solution.loss < freedom + UNLIKELY * (2.0 * freedom).sqrt()
 }
 
 /// A message where campaign.toml has normals, but nothing ties its frame to that of the patches.

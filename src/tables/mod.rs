@@ -46,7 +46,7 @@ pub use rejects::Reject;
 pub use row::{Row, SchemaError};
 pub use scenes::SceneOdds;
 pub use session::Session;
-pub use solution::{Ambiguity, Delay, Fit, Residual, Station, Suspect};
+pub use solution::{Ambiguity, Delay, Fit, ONSET_KINDS, Residual, Station, Suspect};
 pub use stir::{Impulse, ImpulsePair, Stir};
 pub use subtotals::Subtotal;
 pub use traces::Trace;

@@ -55,6 +55,8 @@ table! {
         normal_z: f64,
         /// Standard deviation of the normal's direction; 0 where it was given.
         normal_sd_rad: f64,
+        /// Standard deviation of the diameter.
+        size_sd_m: f64,
         /// campaign (`size_m` of campaign.toml, the normal of a plane or of campaign.toml), or widths (of the patch's
         /// onsets).
         source: Name,

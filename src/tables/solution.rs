@@ -3,6 +3,9 @@
 use super::cell::Name;
 use crate::table;
 
+/// Kinds of onsets, in the order of `fits.widened`.
+pub const ONSET_KINDS: [&str; 4] = ["first bounces", "second bounces", "later bounces", "onsets read as two"];
+
 table! {
     /// Residual delay of one sensor (at one vertical range) after calibration, as estimated by the solver.
     "delays": Delay, DelayColumns {
@@ -138,6 +141,9 @@ table! {
         /// chi-square, residuals cut at three standard deviations, over its degrees of freedom and the squared share of
         /// residuals that are not cut; 1 where that chi-square is not beyond its 99.9 % point.
         misfit: f64,
+        /// Factors on the variances of first, second and later bounces, and of onsets read as two, where their residuals
+        /// are larger than chance allows; else 1.
+        widened: Vec<f64>,
         /// Log-likelihood up to a constant; large residuals count linearly.
         log_likelihood: f64,
         /// The laser's period, where onsets spread over several.

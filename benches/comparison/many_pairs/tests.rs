@@ -61,6 +61,7 @@ impl Measured {
             sd_m: SD_M,
             delay: None,
             turns: 0,
+            common: Vec::new(),
         };
         let first = self.first_m.iter().enumerate().map(|(i, length_m)| observation(&[i], *length_m));
         let second = room::all_pairs(start.len()).into_iter().zip(self.second_m.iter().zip(&self.sds));

@@ -39,6 +39,8 @@ pub struct Observation {
     pub delay: Option<usize>,
     /// Laser periods that were added.
     pub turns: i32,
+    /// Errors that it has in common with others, by their numbers: what one standard deviation of each adds, m.
+    pub common: Vec<(usize, f64)>,
 }
 
 /// Where light leaves or arrives.
@@ -123,6 +125,12 @@ impl Problem {
         self.delay_covariance_m2 = Mat::from_fn(1, 1, |_, _| sd_m * sd_m);
         self.observations.iter_mut().for_each(|observation| observation.delay = Some(0));
         self
+    }
+
+    /// Number of common errors.
+    pub(super) fn common(&self) -> usize {
+        let errors = self.observations.iter().flat_map(|observation| &observation.common);
+        errors.map(|(error, _)| error + 1).max().unwrap_or(0)
     }
 
     /// Number of delays.

@@ -10,7 +10,7 @@ use crate::loss::Loss;
 use crate::{Point, dense};
 
 /// Positions of the unknowns in a vector: coordinates of the patches, of the stations that are not exact, delays, the
-/// laser's period.
+/// laser's period, common errors.
 #[derive(Clone, Debug)]
 pub struct Layout {
     pub dimensions: usize,
@@ -21,6 +21,8 @@ pub struct Layout {
     /// First delay.
     pub delays: usize,
     pub period: Option<usize>,
+    /// First common error.
+    pub common: usize,
     /// Number of unknowns.
     pub size: usize,
 }
@@ -41,7 +43,8 @@ impl Layout {
         let end = delays + problem.delays();
         let has_period = problem.period_sd_m > 0.0 && problem.observations.iter().any(|o| o.turns != 0);
         let period = has_period.then_some(end);
-        Self { dimensions, coordinates, stations, delays, period, size: end + usize::from(has_period) }
+        let common = end + usize::from(has_period);
+        Self { dimensions, coordinates, stations, delays, period, common, size: common + problem.common() }
     }
 
     /// Coordinates of a patch.
@@ -61,6 +64,8 @@ pub struct Values {
     pub delays_m: Vec<f64>,
     /// What one laser period is longer than its nominal length.
     pub period_m: f64,
+    /// Common errors, in their standard deviations.
+    pub common: Vec<f64>,
 }
 
 impl Values {
@@ -70,6 +75,7 @@ impl Values {
             stations: problem.stations.iter().map(|station| station.position).collect(),
             delays_m: vec![0.0; problem.delays()],
             period_m: 0.0,
+            common: vec![0.0; problem.common()],
         }
     }
 
@@ -85,7 +91,10 @@ impl Values {
         let legs = observation.nodes.windows(2);
         let path_m: f64 = legs.map(|ends| (self.position(ends[1]) - self.position(ends[0])).norm()).sum();
         let delay_m = observation.delay.map_or(0.0, |delay| self.delays_m[delay]);
-        observation.length_m - path_m - delay_m + f64::from(observation.turns) * self.period_m
+        // An error that no other observation has is none that a solution knows.
+        let value = |error: usize| self.common.get(error).copied().unwrap_or_default();
+        let common_m: f64 = observation.common.iter().map(|(error, each_m)| value(*error) * each_m).sum();
+        observation.length_m - path_m - delay_m - common_m + f64::from(observation.turns) * self.period_m
     }
 
     pub(super) fn moved(&self, step: &[f64], layout: &Layout) -> Self {
@@ -96,6 +105,7 @@ impl Values {
         stations.for_each(|(point, at)| at.iter().for_each(|at| shift(point, *at)));
         values.delays_m.iter_mut().zip(&step[layout.delays..]).for_each(|(delay, step)| *delay += step);
         values.period_m += layout.period.map_or(0.0, |at| step[at]);
+        values.common.iter_mut().zip(&step[layout.common..]).for_each(|(error, step)| *error += step);
         values
     }
 }
@@ -103,8 +113,8 @@ impl Values {
 /// Derivatives of a residual: unknown, value; an unknown may come twice.
 pub type Terms = Vec<(usize, f64)>;
 
-/// The squared terms: observations, then priors of anchors, rays, stations, delays and period. All in standard
-/// deviations.
+/// The squared terms: observations, then priors of anchors, rays, stations, delays, period and common errors. All in
+/// standard deviations.
 pub struct Rows<'a> {
     pub problem: &'a Problem,
     pub layout: Layout,
@@ -130,7 +140,7 @@ impl<'a> Rows<'a> {
                 .whiten(&mut whitener);
         }
         let vectors = problem.anchors.len() + problem.rays.len() + layout.stations.iter().flatten().count();
-        let scalars = problem.observations.len() + delays + usize::from(layout.period.is_some());
+        let scalars = problem.observations.len() + delays + usize::from(layout.period.is_some()) + problem.common();
         let count = scalars + layout.dimensions * vectors;
         Self { problem, whitener, count, data: count - problem.rays.len(), layout }
     }
@@ -185,8 +195,13 @@ impl<'a> Rows<'a> {
             }
             return -(0..=n).map(|k| self.whitener[(n, k)] * values.delays_m[k]).sum::<f64>();
         }
-        push(terms, self.layout.period.expect("the last term is its prior"), 1.0 / self.problem.period_sd_m);
-        -values.period_m / self.problem.period_sd_m
+        let n = n - values.delays_m.len();
+        let Some(n) = n.checked_sub(usize::from(self.layout.period.is_some())) else {
+            push(terms, self.layout.period.expect("its prior is a term"), 1.0 / self.problem.period_sd_m);
+            return -values.period_m / self.problem.period_sd_m;
+        };
+        push(terms, self.layout.common + n, 1.0);
+        -values.common[n]
     }
 
     /// Derivatives of a path's length over its standard deviation.
@@ -207,6 +222,7 @@ impl<'a> Rows<'a> {
         if observation.turns != 0 {
             terms.extend(layout.period.map(|at| (at, -scale * f64::from(observation.turns))));
         }
+        terms.extend(observation.common.iter().map(|(error, each_m)| (layout.common + error, scale * each_m)));
     }
 
     /// Adds what the bending of a path contributes to the product of the objective's second derivatives with a vector.

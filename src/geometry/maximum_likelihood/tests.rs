@@ -18,7 +18,7 @@ fn observations(points: &[Point], sd_m: f64, rng: &mut ChaCha8Rng) -> Vec<Observ
     let measure = |nodes: Vec<Node>| {
         let noise: f64 = StandardNormal.sample(rng);
         let length_m = way_m(&nodes, &[Point::origin()], points) + sd_m * noise;
-        Observation { nodes, length_m, sd_m: sd_m.max(1e-6), delay: Some(0), turns: 0 }
+        Observation { nodes, length_m, sd_m: sd_m.max(1e-6), delay: Some(0), turns: 0, common: Vec::new() }
     };
     paths.into_iter().map(measure).collect()
 }
@@ -237,6 +237,36 @@ fn two_rays_and_an_anchor_fix_the_frame_and_an_uncertain_station_is_found() {
     assert!(off_m < 1e-6, "{off_m}");
     assert!(solution.points.iter().zip(&truth).all(|(a, b)| (a - b).norm() < 1e-5));
     assert!(solution.station_covariance_m2(1).trace().sqrt() < 1e-3);
+}
+
+/// Every fourth path is longer by an error of its own kind; two of four kinds are drawn from a wide prior. Errors of
+/// patches keep their size, and are as large as without such errors where the lengths tell them.
+#[test]
+fn common_errors_are_estimated_and_part_of_all_errors() {
+    let truth = room::rectangles();
+    let (mut squares, mut coordinates, draws) = (0.0, 0.0, 20);
+    for seed in 0..draws {
+        let mut rng = ChaCha8Rng::seed_from_u64(300 + seed);
+        let mut problem = problem(truth.clone(), observations(&truth, 1e-4, &mut rng), 1e-3);
+        problem.anchors = (0..4).map(|patch| Anchor { patch, position: truth[patch], sd_m: 1e-5 }).collect();
+        let errors: Vec<f64> = (0..4).map(|_| StandardNormal.sample(&mut rng)).collect();
+        for (n, observation) in problem.observations.iter_mut().enumerate() {
+            let each_m = 1e-3 * (1.0 + (n % 7) as f64);
+            observation.common = vec![(n % 4, each_m)];
+            observation.length_m += errors[n % 4] * each_m;
+        }
+        let solution = solve(&problem).unwrap();
+        let off = solution.common.iter().zip(&errors).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 0.1, "errors of ten times the noise are estimated: {off}");
+        for (patch, at) in truth.iter().enumerate().skip(4) {
+            let error = solution.points[patch] - at;
+            let inverse = solution.patch_covariance_m2(patch, patch).try_inverse().unwrap();
+            squares += error.dot(&(inverse * error));
+            coordinates += 3.0;
+        }
+    }
+    let ratio: f64 = squares / coordinates;
+    assert!((0.8..1.25).contains(&ratio), "squared errors over their variances: {ratio}");
 }
 
 #[test]

@@ -125,7 +125,7 @@ impl Measurements<'_> {
                 Node::Station(station) => Node::Patch(station),
                 Node::Patch(patch) => Node::Station(patch),
             };
-            Observation { nodes: observation.nodes.iter().map(node).collect(), ..*observation }
+            Observation { nodes: observation.nodes.iter().map(node).collect(), ..observation.clone() }
         };
         let observations = self.problem.observations.iter().map(exchanged).collect();
         let start = vec![self.frame.centre; self.problem.stations.len()];

@@ -22,6 +22,7 @@ fn measured(truth: &[Point], stations: &[Point], ways: &[Way], sd_m: f64, seed: 
             sd_m,
             delay: None,
             turns: 0,
+            common: Vec::new(),
         }
     };
     Problem::new(vec![Point::origin(); truth.len()], 3, stations, ways.iter().map(observation).collect())

@@ -2,7 +2,6 @@ use super::*;
 
 fn fit(chi2: f64, degrees_of_freedom: i32) -> Fit {
     Fit {
-        alternative: 0,
         frame: "canonical".into(),
         free_rotations: 3,
         covariance: "exact".into(),
@@ -11,9 +10,9 @@ fn fit(chi2: f64, degrees_of_freedom: i32) -> Fit {
         chi2,
         degrees_of_freedom,
         misfit: 1.0,
+        widened: vec![1.0; ONSET_KINDS.len()],
         log_likelihood: -0.5 * chi2,
-        repetition_ps: None,
-        repetition_sd_ps: None,
+        ..Fit::default()
     }
 }
 
@@ -31,13 +30,7 @@ fn context(fit: Fit) -> Context {
 }
 
 fn decisions(context: &Context) -> Vec<Decision> {
-    let patch = Patch {
-        patch: 1,
-        kind: "visible".into(),
-        y_m: 1.0,
-        onsets: 1,
-        ..Patch::default()
-    };
+    let patch = Patch { patch: 1, kind: "visible".into(), y_m: 1.0, onsets: 1, ..Patch::default() };
     Conclude {}.apply(context, vec![patch]).expect("it computes nothing").rows
 }
 
@@ -57,7 +50,9 @@ fn a_fit_that_is_not_explained_says_how_much_larger_its_errors_are() {
     assert_eq!(chosen(fit(80.0, 50)), "explained");
     assert_eq!(chosen(fit(300.0, 50)), "explained but for the onsets that `suspects` lists");
     let misfit = Fit { misfit: 4.0, ..fit(200.0, 50) };
-    assert_eq!(chosen(misfit), "not explained: all standard deviations are 2.0 times as large for it");
+    assert_eq!(chosen(misfit), "not explained: standard deviations are larger for it, 2.0 times for all");
+    let later = Fit { widened: vec![1.0, 1.0, 9.0, 1.0], ..fit(50.0, 50) };
+    assert_eq!(chosen(later), "not explained: standard deviations are larger for it, 3.0 times for later bounces");
     assert_eq!(chosen(fit(0.0, 0)), "unchecked");
 }
 

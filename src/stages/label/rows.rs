@@ -55,6 +55,7 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         time_sd_ps: place.sd_ps.hypot(verdict.blend_sd_ps),
         width_ps: (place.part == 0).then_some(onset.width_ps),
         width_sd_ps: onset.width_sd_ps.filter(|_| place.part == 0),
+        snr: snr(onset, place.part),
         turns: verdict.turns,
         bounces: verdict.path.as_deref().map_or(0, crate::path::bounces),
         path: verdict.path,
@@ -62,6 +63,16 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         probability: verdict.probability,
         alternative,
     }
+}
+
+/// Signal-to-noise ratio of an onset, or of one of the two pulses that it is read as.
+fn snr(onset: &Onset, part: i32) -> f64 {
+    let of_part = match part {
+        1 => onset.pair_first_amplitude,
+        2 => onset.pair_second_amplitude,
+        _ => None,
+    };
+    of_part.map_or(onset.snr, |amplitude| onset.snr * (amplitude / onset.amplitude).abs())
 }
 
 /// Each surface, and as its alternative 1 the other place where it may be.

@@ -1,8 +1,10 @@
 //! What the extent of patches makes of onsets: footprints that campaign.toml gives or that widths tell, and errors of
 //! onsets that are wider than their patches make them.
 
+use super::companions::Companions;
 use super::model::Model;
 use crate::geometry::Point;
+use crate::geometry::companion::{self, Excess, Pull};
 use crate::geometry::footprint::{self, Bounce, Footprints, Spread};
 use crate::geometry::maximum_likelihood::{Node, Problem, Solution};
 use crate::tables::Label;
@@ -10,9 +12,9 @@ use crate::tables::Label;
 /// An onset without a width may have one that is not worth its parameter: the standard deviation of its variance is so
 /// many times that of a width.
 const UNSEEN: f64 = 3.0;
-/// Pulses that `deconvolve` takes for one wide pulse are about so far apart: nearer ones make it hardly wider, and
-/// those further apart are two. By how much a wide pulse is pulled is therefore known to about so large a share.
-const BLEND_PS: f64 = 60.0;
+/// Light in an onset of which no path is known comes later by this share of what the response resolves: nearer light
+/// makes it hardly wider, and light further off is an onset of its own. By how much it pulls is known to a share.
+const NEARER: f64 = 0.5;
 const PULL_SD: f64 = 0.5;
 /// No light of a profile comes before that of so few bounces.
 const EARLIEST: i32 = 2;
@@ -24,57 +26,74 @@ pub struct Extents {
     pub pulls: Vec<Pull>,
 }
 
-/// What other light in an onset adds to its length, and the standard deviation of that.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Pull {
-    pub mean_m: f64,
-    pub sd_m: f64,
-}
-
 impl Extents {
     /// Those `given`, and what the widths of onsets tell of patches without one.
     ///
-    /// An onset wider than its patches make it by a variance V has other light in it. Light of a share f that comes D
-    /// later adds f (1 - f) D^2 to the variance, and f D to the time: about V / D. Other light comes later than first
-    /// and second bounces; third ones it may pull either way.
+    /// An onset that is wider than its patches make it has other light in it. Onsets of first and second bounces may
+    /// have companions ([`companion`]), of which all places are known. What these do not explain is light of a path that
+    /// nothing is known of: one of a share f that comes D later adds f (1 - f) D^2 to the variance, and f D to the time:
+    /// about V / D for a variance V. Third bounces it may pull either way.
     pub fn new(model: &Model, problem: &Problem, solution: &Solution, given: &Footprints) -> Self {
-        let (labels, spreads) = spreads(model, problem, solution);
+        let widths = Widths::new(model, problem, solution);
         let held: Vec<_> = model.patches.iter().map(|patch| given.0.get(patch).copied()).collect();
-        let sizes = footprint::from_widths(&spreads, &held, &model.context.cancel);
+        let sizes = footprint::from_widths(&widths.spreads, &held, &model.context.cancel);
         let of_patch = |(patch, estimate): (&_, Option<_>)| Some((*patch, estimate?));
         let footprints = Footprints(model.patches.iter().zip(sizes.footprints).filter_map(of_patch).collect());
+        let companions = Companions::new(model, &solution.points, widths.resolved_ps);
         let mut pulls = vec![Pull::default(); model.labels.len()];
-        for ((label, spread), excess_m2) in labels.into_iter().zip(&spreads).zip(sizes.excess_m2) {
-            let apart_m = model.fields(&model.labels[label]).medium.path_m(BLEND_PS);
-            let pull_m = f64::max(0.0, excess_m2 - spread.sd_m2) / apart_m;
-            let is_earliest = model.labels[label].bounces <= EARLIEST;
-            pulls[label] = if is_earliest {
-                Pull { mean_m: pull_m, sd_m: PULL_SD * pull_m }
+        for ((place, spread), variance_m2) in widths.labels.into_iter().zip(&widths.spreads).zip(sizes.excess_m2) {
+            let label = &model.labels[place];
+            let apart_m = model.fields(label).medium.path_m(NEARER * widths.resolved_ps);
+            let excess = Excess { variance_m2, sd_m2: spread.sd_m2 };
+            let is_earliest = label.bounces <= EARLIEST;
+            let of_companions = if is_earliest {
+                companion::pull(&companions.of(label), companions.least(label), excess)
             } else {
-                Pull { mean_m: 0.0, sd_m: pull_m }
+                Pull::default()
+            };
+            let more_m = f64::max(0.0, variance_m2 - of_companions.variance_m2 - spread.sd_m2) / apart_m;
+            pulls[place] = if is_earliest {
+                let sd_m = of_companions.sd_m.hypot(PULL_SD * more_m);
+                Pull { mean_m: of_companions.mean_m + more_m, sd_m, ..of_companions }
+            } else {
+                Pull { sd_m: more_m, ..of_companions }
             };
         }
         Self { footprints, pulls }
     }
 }
 
-/// Spreads of all onsets that may have a width, with their places among the labels; none where no onset has one.
-fn spreads(model: &Model, problem: &Problem, solution: &Solution) -> (Vec<usize>, Vec<Spread>) {
-    let variance_sd_ps2 =
-        |label: &Label| Some(2.0 * label.width_ps? * label.width_sd_ps?).filter(|sd_ps2| *sd_ps2 > 0.0);
-    // How exactly the variance of an onset is known, by how exactly its time is.
-    let mut ratios_ps: Vec<f64> =
-        model.labels.iter().filter_map(|label| Some(variance_sd_ps2(label)? / label.time_sd_ps)).collect();
-    ratios_ps.sort_by(f64::total_cmp);
-    let Some(usual_ps) = ratios_ps.get(ratios_ps.len() / 2) else { return (Vec::new(), Vec::new()) };
-    let spread = |(n, label): (usize, &Label)| {
-        let width_ps = label.width_ps?;
-        let sd_ps2 = variance_sd_ps2(label).unwrap_or(UNSEEN * usual_ps * label.time_sd_ps);
-        let squared_m2 = model.fields(label).medium.path_m(1.0).powi(2);
-        let bounces = bounces(&problem.observations[n].nodes, solution);
-        Some((n, Spread { bounces, variance_m2: squared_m2 * width_ps * width_ps, sd_m2: squared_m2 * sd_ps2 }))
-    };
-    model.labels.iter().enumerate().filter_map(spread).unzip()
+/// Widths of onsets.
+#[derive(Default)]
+struct Widths {
+    /// Places of the onsets that may have a width among the labels.
+    labels: Vec<usize>,
+    /// Their spreads.
+    spreads: Vec<Spread>,
+    /// How far apart pulses are that make two onsets, about: the error of an onset's variance over that of its time,
+    /// which is some twice the response's standard deviation.
+    resolved_ps: f64,
+}
+
+impl Widths {
+    /// None where no onset has a width.
+    fn new(model: &Model, problem: &Problem, solution: &Solution) -> Self {
+        let variance_sd_ps2 =
+            |label: &Label| Some(2.0 * label.width_ps? * label.width_sd_ps?).filter(|sd_ps2| *sd_ps2 > 0.0);
+        let mut ratios_ps: Vec<f64> =
+            model.labels.iter().filter_map(|label| Some(variance_sd_ps2(label)? / label.time_sd_ps)).collect();
+        ratios_ps.sort_by(f64::total_cmp);
+        let Some(&resolved_ps) = ratios_ps.get(ratios_ps.len() / 2) else { return Self::default() };
+        let spread = |(n, label): (usize, &Label)| {
+            let width_ps = label.width_ps?;
+            let sd_ps2 = variance_sd_ps2(label).unwrap_or(UNSEEN * resolved_ps * label.time_sd_ps);
+            let squared_m2 = model.fields(label).medium.path_m(1.0).powi(2);
+            let bounces = bounces(&problem.observations[n].nodes, solution);
+            Some((n, Spread { bounces, variance_m2: squared_m2 * width_ps * width_ps, sd_m2: squared_m2 * sd_ps2 }))
+        };
+        let (labels, spreads) = model.labels.iter().enumerate().filter_map(spread).unzip();
+        Self { labels, spreads, resolved_ps }
+    }
 }
 
 /// Bounces of a path.

@@ -20,6 +20,10 @@ use crate::units::PatchId;
 const EXACT_M: f64 = 1e-6;
 const EXACT_RAD: f64 = 1e-6;
 
+/// Most patches with uncertain footprints whose errors are unknowns, three for each; those of more count as errors of
+/// single onsets.
+const COMMON_MAX: usize = 200;
+
 /// A station of a campaign: two campaigns that agree on one share it.
 pub struct NamedStation {
     pub campaign: Name,
@@ -107,7 +111,7 @@ impl<'a> Model<'a> {
     }
 
     /// Position of a patch among the unknowns.
-    fn place(&self, patch: PatchId) -> usize {
+    pub fn place(&self, patch: PatchId) -> usize {
         self.patches.binary_search(&patch).expect("all patches of the labels are unknowns")
     }
 
@@ -201,28 +205,51 @@ impl<'a> Model<'a> {
             sd_m: medium.path_m(label.time_sd_ps),
             delay: delay.and_then(|delay| self.delays.binary_search(delay).ok()),
             turns: label.turns,
+            common: Vec::new(),
         }
     }
 
     /// What each onset is later than light over the centres of its patches.
-    pub fn shifts_m(
+    pub fn shifts_m(&self, footprints: &Footprints, problem: &Problem, solution: &Solution) -> Vec<f64> {
+        self.of_paths(problem, solution, |source, path, at, sensor| footprints.shift_m(source, path, at, sensor))
+    }
+
+    /// Errors of these that onsets have in common: those of the sizes and directions of their patches.
+    pub fn add_common_errors(&self, footprints: &Footprints, problem: &mut Problem, solution: &Solution) {
+        let changes =
+            self.of_paths(problem, solution, |source, path, at, sensor| footprints.changes_m(source, path, at, sensor));
+        let patches: Vec<PatchId> = footprints.0.keys().copied().collect();
+        for (observation, changes) in problem.observations.iter_mut().zip(changes) {
+            for (patch, each_m) in changes {
+                if patches.len() > COMMON_MAX {
+                    let variance_m2: f64 = each_m.iter().map(|change_m| change_m * change_m).sum();
+                    observation.sd_m = observation.sd_m.hypot(variance_m2.sqrt());
+                } else {
+                    let first = 3 * patches.binary_search(&patch).expect("only patches with a footprint change");
+                    observation.common.extend((first..).zip(each_m));
+                }
+            }
+        }
+    }
+
+    /// A value of each onset's path: from a source over patches, whose places the third argument has, to a sensor.
+    fn of_paths<T>(
         &self,
-        footprints: &Footprints,
         problem: &Problem,
-        points: &[Point],
-        stations: &[Point],
-    ) -> Vec<f64> {
-        let shift = |(label, observation): (&Label, &Observation)| {
-            let station = |node: &Node| match node {
-                Node::Station(station) => stations[*station],
-                Node::Patch(_) => unreachable!("paths end at stations"),
-            };
+        solution: &Solution,
+        value: impl Fn(Point, &[PatchId], &dyn Fn(&PatchId) -> Point, Point) -> T,
+    ) -> Vec<T> {
+        let station = |node: &Node| match node {
+            Node::Station(station) => solution.stations[*station],
+            Node::Patch(_) => unreachable!("paths end at stations"),
+        };
+        let at = |patch: &PatchId| solution.points[self.place(*patch)];
+        let of_path = |(label, observation): (&Label, &Observation)| {
             let ends = (&observation.nodes[0], observation.nodes.last().expect("a path has two ends"));
             let path = label.path.as_deref().expect("only labels with a path are observations");
-            let at = |patch: &PatchId| points[self.place(*patch)];
-            footprints.shift_m(station(ends.0), path, at, station(ends.1))
+            value(station(ends.0), path, &at, station(ends.1))
         };
-        self.labels.iter().zip(&problem.observations).map(shift).collect()
+        self.labels.iter().zip(&problem.observations).map(of_path).collect()
     }
 
     pub fn refused(&self, unsolved: &Unsolved) -> String {

@@ -80,12 +80,13 @@ fn add_rival(model: &Model, problem: &Problem, best: &Solution, rival: &Rival, o
         let sd_m = |place: usize| solution.patch_covariance_m2(place, place).trace().max(0.0).sqrt();
         places.iter().all(|(place, point)| (solution.points[*place] - point).norm() < SAME * sd_m(*place))
     };
-    if -2.0 * rival.log_likelihood > LIKELY || is_at(best) {
+    let log_likelihood = rival.log_likelihood / best.misfit;
+    if -2.0 * log_likelihood > LIKELY || is_at(best) {
         return;
     }
     let patches: Vec<usize> = places.iter().map(|(place, _)| *place).collect();
     if let Some(other) = others.iter_mut().find(|other| other.patches == patches && is_at(&other.solution)) {
-        other.log_likelihood = other.log_likelihood.max(rival.log_likelihood);
+        other.log_likelihood = other.log_likelihood.max(log_likelihood);
         return;
     }
     let meets = |observation: &Observation| {
@@ -104,5 +105,5 @@ fn add_rival(model: &Model, problem: &Problem, best: &Solution, rival: &Rival, o
         solution
     });
     let is_mirror_image = patches.len() == model.patches.len();
-    others.push(Other { patches, is_mirror_image, log_likelihood: rival.log_likelihood, solution });
+    others.push(Other { patches, is_mirror_image, log_likelihood, solution });
 }

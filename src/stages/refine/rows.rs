@@ -4,16 +4,16 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::extents::Pull;
 use super::model::{Model, NamedStation};
 use super::others::Other;
+use crate::geometry::companion::Pull;
 use crate::geometry::footprint::{Footprint, Footprints};
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
 use crate::priors::sensor_range::SensorRange;
 use crate::priors::{covariances, scenes};
 use crate::tables::{
-    Ambiguity, Delay, Fit, Label, Name, Patch, PatchCovariance, PatchFootprint, Residual, Station, Suspect,
+    Ambiguity, Delay, Fit, Label, Name, ONSET_KINDS, Patch, PatchCovariance, PatchFootprint, Residual, Station, Suspect,
 };
 use crate::units::PatchId;
 
@@ -32,6 +32,8 @@ pub struct Fitted {
     pub observations: Vec<Observation>,
     /// Of each its place among those that the solution rests on.
     pub used: Vec<Option<usize>>,
+    /// Factors on the variances of onsets by their kind.
+    pub widened: [f64; ONSET_KINDS.len()],
 }
 
 /// The best solution, as rows of the tables that the stage writes.
@@ -46,6 +48,7 @@ pub struct Tables<'a> {
     /// All onsets without their shifts, and of each its place among those that the solution rests on.
     pub observations: &'a [Observation],
     pub used: &'a [Option<usize>],
+    pub widened: [f64; ONSET_KINDS.len()],
     /// Onsets that each patch rests on.
     onsets: BTreeMap<PatchId, i32>,
     turn: Matrix3<f64>,
@@ -54,7 +57,7 @@ pub struct Tables<'a> {
 
 impl<'a> Tables<'a> {
     pub fn new(model: &'a Model<'a>, fitted: &'a Fitted, shifts_m: &'a [f64], pulls: &'a [Pull]) -> Self {
-        let Fitted { solution, others, observations, used } = fitted;
+        let Fitted { solution, others, observations, used, widened } = fitted;
         let (turn, frame) = if model.all_rotations_free(solution) {
             (frame::canonical(&solution.points, centre(solution)), "canonical")
         } else if solution.free_rotations.first() == Some(&1) {
@@ -67,7 +70,7 @@ impl<'a> Tables<'a> {
             let patches: BTreeSet<PatchId> = label.path.iter().flatten().copied().collect();
             patches.into_iter().for_each(|patch| *onsets.entry(patch).or_default() += 1);
         }
-        Self { model, solution, others, shifts_m, pulls, observations, used, onsets, turn, frame }
+        Self { model, solution, others, shifts_m, pulls, observations, used, widened: *widened, onsets, turn, frame }
     }
 
     fn turned(&self, point: Point) -> Point {
@@ -262,6 +265,7 @@ impl<'a> Tables<'a> {
                 chi2: solution.chi2,
                 degrees_of_freedom: solution.degrees_of_freedom as i32,
                 misfit: solution.misfit,
+                widened: self.widened.to_vec(),
                 log_likelihood,
                 repetition_ps: repetition_ps.map(|period_ps| period_ps + time(solution.period_m)),
                 repetition_sd_ps: period_sd_ps,
@@ -282,6 +286,7 @@ impl<'a> Tables<'a> {
                 normal_y: normal.y,
                 normal_z: normal.z,
                 normal_sd_rad: footprint.normal_sd_rad,
+                size_sd_m: footprint.size_sd_m,
                 source: source.into(),
             }
         };
