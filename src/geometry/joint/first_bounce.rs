@@ -1,0 +1,69 @@
+//! The response as the wall's own light shows it: the sum of all histograms of a confocal scan.
+//!
+//! A calibrated response is often a Gaussian of the right width, and real ones have a tail: one per cent of the peak
+//! after a nanosecond, under which hidden light vanishes, or looks like more points. At each point of a confocal scan
+//! the wall returns the response itself, with arrival 0. Its rise is often cut off, since scans begin with the wall:
+//! then it is a Gaussian of the given width. Behind the gate, where hidden light lies, its tail is that of [`Tail`].
+
+use super::background::Tail;
+use super::pulse::Pulse;
+
+/// The first bounce is at least so many times as high as the light at the gate.
+const ABOVE: f64 = 5.0;
+/// Its peak is that many times as high as its standard deviation.
+const SURE: f64 = 30.0;
+/// Largest distance of its peak from the arrival, and least distance of the gate from its peak, in full widths.
+const NEAR: f64 = 1.5;
+const CLEAR: f64 = 1.0;
+/// Full width at half maximum of a Gaussian, in standard deviations, and reach of its rise.
+const FWHM: f64 = 2.354_820_045_030_949_3;
+const REACH: f64 = 3.5;
+
+/// The sum of all histograms of a confocal scan.
+#[derive(Clone, Copy, Debug)]
+pub struct WallSum<'a> {
+    /// Counts of each bin.
+    pub sum: &'a [f64],
+    /// Path length at the middle of the first bin.
+    pub first_m: f64,
+    /// Width of its bins.
+    pub step_m: f64,
+    /// Bin behind which it is smooth but for hidden light.
+    pub gate: usize,
+    /// Full width at half maximum of the response, from elsewhere.
+    pub width_m: f64,
+}
+
+impl WallSum<'_> {
+    /// The response for histograms with bins of `bin_m`; `None` where no first bounce stands at length 0.
+    #[must_use]
+    pub fn pulse(&self, bin_m: f64) -> Option<Pulse> {
+        let Self { sum, step_m, gate, width_m, .. } = *self;
+        let before = sum.get(..gate)?;
+        let peak = (0..gate).max_by(|a, b| before[*a].total_cmp(&before[*b]).then(b.cmp(a)))?;
+        let peak_m = self.first_m + peak as f64 * step_m;
+        let after = &sum[gate..];
+        let tail = Tail::new(0.0, step_m, after, &vec![0.0; after.len()], width_m, 1);
+        // The mixture without its constant: what both share is not of the response.
+        let behind = tail.values();
+        let constant = (sum.get(gate)? - behind.first()?).max(0.0);
+        let height = before[peak] - constant;
+        let is_there = peak_m.abs() < NEAR * width_m
+            && height > ABOVE * behind[0]
+            && height > SURE * before[peak].sqrt()
+            && (gate - peak) as f64 * step_m > CLEAR * width_m;
+        if !is_there {
+            return None;
+        }
+        let sigma = width_m / FWHM / step_m;
+        let rise = (REACH * sigma).ceil() as usize;
+        let mut response: Vec<f64> = if peak >= rise {
+            before[peak - rise..peak].iter().map(|value| (value - constant).max(0.0)).collect()
+        } else {
+            (1..=rise).rev().map(|n| height * (-0.5 * (n as f64 / sigma).powi(2)).exp()).collect()
+        };
+        response.extend(before[peak..].iter().map(|value| (value - constant).max(0.0)));
+        response.extend_from_slice(behind);
+        Some(Pulse::new(peak_m - rise as f64 * step_m, step_m, &response, bin_m))
+    }
+}
