@@ -158,13 +158,14 @@ impl Locate {
         if !histograms.iter().all(Histogram::is_counts) {
             return Ok(Err("`locate` takes photon counts; voltages are searched by `search`".to_owned()));
         }
-        let times = match Times::new(histograms, self.gate_ps.map(NonNegative::get)) {
+        let mut times = match Times::new(histograms, self.gate_ps.map(NonNegative::get)) {
             Ok(times) => times,
             Err(why) => return Ok(Err(why)),
         };
         let medium = fields.wall.medium;
         let binning = Binning::new(first, medium);
-        let wall = if self.response == Source::Calibration { None } else { binning.first_bounce(histograms, &times) };
+        let wall = binning.first_bounce(histograms, &mut times, self.gate_ps.is_some(), &context.cancel);
+        let wall = wall.filter(|_| self.response != Source::Calibration);
         if wall.is_none() && self.response == Source::Wall {
             return Err(StageError::Refused(
                 "response = \"wall\" needs a confocal scan that begins with the light of the wall; take out `response`"
@@ -264,17 +265,29 @@ impl Binning {
         Pulse::new(self.medium.path_m(first_ps), self.medium.path_m(step_ps), &values, self.bin_m())
     }
 
-    /// The response of the wall's own light, where the histograms begin with it.
-    fn first_bounce(&self, histograms: &[Histogram<'_>], times: &Times) -> Option<Pulse> {
+    /// The response of the wall's own light, where the histograms begin with it. The gate moves on to where the wall's
+    /// light is no more than its tail.
+    fn first_bounce(
+        &self,
+        histograms: &[Histogram<'_>],
+        times: &mut Times,
+        is_given: bool,
+        cancel: &Cancel,
+    ) -> Option<Pulse> {
         if !histograms.iter().all(Histogram::is_confocal) {
             return None;
         }
         let start_ps = histograms.iter().map(|one| one.first_ps).fold(f64::NEG_INFINITY, f64::max);
         let (sum, _) = relay_histograms::sum(histograms, [start_ps, times.end_ps]);
         let gate = ((times.gate_ps - start_ps) / self.dt_ps).round() as usize;
-        let [first_m, step_m, width_m] =
-            [start_ps, self.dt_ps, self.width_ps].map(|time_ps| self.medium.path_m(time_ps));
-        WallSum { sum: &sum, first_m, step_m, gate, width_m }.pulse(self.bin_m())
+        let lengths_m = [start_ps, self.dt_ps, self.width_ps].map(|time_ps| self.medium.path_m(time_ps));
+        let [first_m, step_m, width_m] = lengths_m;
+        let mut wall = WallSum { sum: &sum, first_m, step_m, gate, width_m };
+        if !is_given {
+            wall.gate = wall.clear(cancel);
+            times.gate_ps = start_ps + wall.gate as f64 * self.dt_ps;
+        }
+        wall.pulse(self.bin_m())
     }
 }
 

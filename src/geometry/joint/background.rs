@@ -9,9 +9,9 @@ use super::{Histogram, Noise, Problem};
 
 /// Decay lengths, from the width of the response to the whole record.
 const DECAYS: usize = 7;
-/// Rounds of weights, and of expectation-maximisation within each.
+/// Rounds of weights, and turns of coordinates within each.
 const ROUNDS: usize = 12;
-const TURNS: usize = 60;
+const TURNS: usize = 1000;
 /// Bins that lie above by this many standard deviations and this share of the light count as hidden light.
 const ABOVE_SD: f64 = 2.0;
 const ABOVE_SHARE: f64 = 0.01;
@@ -26,6 +26,7 @@ pub struct Tail {
     first_m: f64,
     step_m: f64,
     values: Vec<f64>,
+    constant: f64,
 }
 
 /// Scale of the tail and constant of a histogram.
@@ -45,13 +46,10 @@ impl Tail {
             .collect();
         let block = (width_m / step_m).ceil().max(1.0) as usize;
         let mut weights = vec![1.0; sum.len()];
-        let mean = sum.iter().sum::<f64>() / sum.len().max(1) as f64;
-        let mut mixture = vec![mean.max(f64::MIN_POSITIVE) / 4.0; DECAYS + 1];
-        let mut model = vec![0.0; sum.len()];
+        let mut mixture = vec![0.0; DECAYS + 1];
+        let mut model: Vec<f64> = sum.iter().zip(light).map(|(sum, light)| (sum - light).max(0.0)).collect();
         for _ in 0..ROUNDS {
-            for _ in 0..TURNS {
-                improve(&basis, &mut mixture, sum, light, &weights, &mut model);
-            }
+            improve(&basis, &mut mixture, sum, light, &weights, &model);
             mix(&basis, &mixture, &mut model);
             for (n, weight) in weights.iter_mut().enumerate() {
                 let bins = n.saturating_sub(block / 2)..(n + block / 2 + 1).min(sum.len());
@@ -61,9 +59,15 @@ impl Tail {
                 *weight = if is_hidden { HIDDEN } else { 1.0 };
             }
         }
-        let constant = mixture[DECAYS];
-        let values = model.iter().map(|value| (value - constant) / count.max(1) as f64).collect();
-        Self { first_m, step_m, values }
+        let count = count.max(1) as f64;
+        let constant = mixture[DECAYS] / count;
+        let values = model.iter().map(|value| value / count - constant).collect();
+        Self { first_m, step_m, values, constant }
+    }
+
+    /// The constant of the sum, over the number of histograms.
+    pub fn constant(&self) -> f64 {
+        self.constant
     }
 
     /// The tail in the bins that it was made from.
@@ -85,17 +89,26 @@ impl Tail {
     }
 }
 
-/// One turn of expectation-maximisation for a mixture of Poisson rates.
-fn improve(basis: &[Vec<f64>], mixture: &mut [f64], sum: &[f64], light: &[f64], weights: &[f64], model: &mut [f64]) {
-    mix(basis, mixture, model);
-    for (entry, shape) in mixture.iter_mut().zip(basis) {
-        let (mut above, mut below) = (0.0, 0.0);
-        for n in 0..sum.len() {
-            let rate = (model[n] + light[n]).max(f64::MIN_POSITIVE);
-            above += weights[n] * shape[n] * sum[n].max(0.0) / rate;
-            below += weights[n] * shape[n];
+/// Weights of the mixture by least squares, none below zero: coordinates in turn, on the normal equations.
+fn improve(basis: &[Vec<f64>], mixture: &mut [f64], sum: &[f64], light: &[f64], weights: &[f64], model: &[f64]) {
+    let size = mixture.len();
+    let (mut system, mut goal) = (vec![0.0; size * size], vec![0.0; size]);
+    for n in 0..sum.len() {
+        let weight = weights[n] / (model[n] + light[n]).max(1.0);
+        for a in 0..size {
+            let slope = weight * basis[a][n];
+            goal[a] += slope * (sum[n] - light[n]);
+            (0..=a).for_each(|b| system[a * size + b] += slope * basis[b][n]);
         }
-        *entry *= if below > 0.0 { above / below } else { 0.0 };
+    }
+    for _ in 0..TURNS {
+        for a in 0..size {
+            let at = |b: usize| system[a.max(b) * size + a.min(b)];
+            let rest = goal[a] - (0..size).map(|b| at(b) * mixture[b]).sum::<f64>();
+            if at(a) > 0.0 {
+                mixture[a] = (mixture[a] + rest / at(a)).max(0.0);
+            }
+        }
     }
 }
 

@@ -5,6 +5,8 @@
 //! the wall returns the response itself, with arrival 0. Its rise is often cut off, since scans begin with the wall:
 //! then it is a Gaussian of the given width. Behind the gate, where hidden light lies, its tail is that of [`Tail`].
 
+use periscope_cancel::Cancel;
+
 use super::background::Tail;
 use super::pulse::Pulse;
 
@@ -15,6 +17,10 @@ const SURE: f64 = 30.0;
 /// Largest distance of its peak from the arrival, and least distance of the gate from its peak, in full widths.
 const NEAR: f64 = 1.5;
 const CLEAR: f64 = 1.0;
+/// Blocks of the sum that the mixture explains behind the gate, within so many standard deviations and this share.
+const BLOCKS: usize = 6;
+const OFF_SD: f64 = 4.0;
+const OFF_SHARE: f64 = 1e-3;
 /// Full width at half maximum of a Gaussian, in standard deviations, and reach of its rise.
 const FWHM: f64 = 2.354_820_045_030_949_3;
 const REACH: f64 = 3.5;
@@ -35,6 +41,29 @@ pub struct WallSum<'a> {
 }
 
 impl WallSum<'_> {
+    /// The first bin from the gate on behind which the mixture explains the sum over [`BLOCKS`] blocks, each as wide as
+    /// the response; the gate itself where there is none.
+    ///
+    /// A gate that is found by other means may leave the end of the first bounce, which would look like points close to
+    /// the wall.
+    #[must_use]
+    pub fn clear(&self, cancel: &Cancel) -> usize {
+        let block = (self.width_m / self.step_m).ceil().max(1.0) as usize;
+        let is_clear = |from: &usize| {
+            cancel.check();
+            let after = &self.sum[*from..];
+            let tail = Tail::new(0.0, self.step_m, after, &vec![0.0; after.len()], self.width_m, 1);
+            let constant = tail.constant();
+            let pairs = after.chunks(block).zip(tail.values().chunks(block)).take(BLOCKS);
+            pairs.into_iter().all(|(sum, tail)| {
+                let [sum, model] = [sum.iter().sum::<f64>(), tail.iter().map(|value| value + constant).sum()];
+                (sum - model).abs() < OFF_SD * model.max(1.0).sqrt() + OFF_SHARE * model
+            })
+        };
+        let last = self.sum.len().saturating_sub(BLOCKS * block);
+        (self.gate..last).step_by(block.div_ceil(2)).find(is_clear).unwrap_or(self.gate)
+    }
+
     /// The response for histograms with bins of `bin_m`; `None` where no first bounce stands at length 0.
     #[must_use]
     pub fn pulse(&self, bin_m: f64) -> Option<Pulse> {
@@ -60,7 +89,10 @@ impl WallSum<'_> {
         let mut response: Vec<f64> = if peak >= rise {
             before[peak - rise..peak].iter().map(|value| (value - constant).max(0.0)).collect()
         } else {
-            (1..=rise).rev().map(|n| height * (-0.5 * (n as f64 / sigma).powi(2)).exp()).collect()
+            // About length 0, which the first bin may lie behind.
+            let gauss = |at_m: f64| (-0.5 * (at_m / (sigma * step_m)).powi(2)).exp();
+            let scale = height / gauss(peak_m);
+            (1..=rise).rev().map(|n| scale * gauss(peak_m - n as f64 * step_m)).collect()
         };
         response.extend(before[peak..].iter().map(|value| (value - constant).max(0.0)));
         response.extend_from_slice(behind);
