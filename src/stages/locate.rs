@@ -2,8 +2,9 @@
 //!
 //! In one histogram the returns of several things blend, and `label` cannot say which arrival belongs to which.
 //! `locate` fits points to the counts of all histograms at once ([`crate::geometry::joint`]). It needs no onsets and no
-//! labels. The gate is that of `image` ([`crate::signal::image::gate`]); the response is that of the wall's own light
-//! where the histograms begin with it ([`joint::WallSum`]), else that of the calibration.
+//! labels. Where a confocal scan begins with the light of the wall, that light shows the response, with its tail, and
+//! moves the gate of `image` ([`crate::signal::image::gate`]) on to where only the tail is left ([`joint::WallSum`]).
+//! Else the response is that of the calibration.
 //!
 //! It answers with a verdict: points, an extended object, nothing, or that it cannot tell. Only the first adds hidden
 //! patches, numbered on from the largest patch.

@@ -120,11 +120,6 @@ impl Fit {
         (0..self.model.dots.len()).map(of).collect()
     }
 
-    /// Covariance of a place.
-    pub fn place_covariance(&self, covariance: &DMatrix<f64>, point: usize) -> Matrix3<f64> {
-        covariance.fixed_view::<3, 3>(OF_POINT * point, OF_POINT * point).into_owned()
-    }
-
     /// Takes out points, the least sure first, until the z of each is `least` or more.
     pub fn eliminate(self, problem: &Problem, least: f64, free: Free) -> Self {
         let mut fit = self;
@@ -141,6 +136,11 @@ impl Fit {
             fit = Self::new(problem, fit.tail, model, &fit.normal.levels).climb(problem, free);
         }
     }
+}
+
+/// Covariance of a point's place, from that of all unknowns.
+pub fn place_covariance(covariance: &DMatrix<f64>, point: usize) -> Matrix3<f64> {
+    covariance.fixed_view::<3, 3>(OF_POINT * point, OF_POINT * point).into_owned()
 }
 
 /// Which fits change an unknown, and the class of its steps.

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal, Poisson};
 
 use super::background::Level;
-use super::fit::{Fit, Free, tail};
+use super::fit::{Fit, Free, place_covariance, tail};
 use super::model::{Dot, Model};
 use super::normal::Normal as Sums;
 use super::*;
@@ -109,7 +109,7 @@ fn fits_scatter_as_their_information_says() {
         let covariance = fit.covariance().unwrap();
         for (k, (place, _)) in DOTS.iter().enumerate() {
             let off = fit.model.dots[k].place - Point::from(*place);
-            squares += off.dot(&(fit.place_covariance(&covariance, k).try_inverse().unwrap() * off));
+            squares += off.dot(&(place_covariance(&covariance, k).try_inverse().unwrap() * off));
             count += 3.0;
         }
     }

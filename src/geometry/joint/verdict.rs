@@ -2,7 +2,7 @@
 
 use std::f64::consts::SQRT_2;
 
-use super::fit::{Fit, Free};
+use super::fit::{Fit, Free, place_covariance};
 use super::model::{EDGE, Model};
 use super::rounds::{FIRST, MANY, MOST, Search, search, settle};
 use super::split::split;
@@ -96,7 +96,7 @@ fn points(fit: &Fit, misfit: f64) -> Vec<HiddenPoint> {
     let z = fit.z();
     let point = |k: usize| HiddenPoint {
         place: fit.model.dots[k].place,
-        covariance_m2: fit.place_covariance(&covariance, k) * misfit,
+        covariance_m2: place_covariance(&covariance, k) * misfit,
         photons: fit.model.dots[k].log_photons.exp(),
         z: z[k],
         reappears: false,
