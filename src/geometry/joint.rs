@@ -255,7 +255,7 @@ pub struct Outcome {
     pub verdict: Verdict,
     /// Why, in words.
     pub reason: String,
-    /// Points of the fit; positions with error bars only with [`Verdict::Points`].
+    /// Points of the fit. With [`Verdict::Points`] only those that reappear, and only then do their error bars hold.
     pub points: Vec<HiddenPoint>,
     /// Share of the points that reappear in halves of the histograms; `None` where halves were not searched.
     pub reappear: Option<f64>,

@@ -19,6 +19,9 @@ const NEAR: f64 = 1.5;
 const CLEAR: f64 = 1.0;
 /// Blocks of the sum that the mixture explains behind the gate, within so many standard deviations and this share.
 const BLOCKS: usize = 6;
+/// Least distance of the gate from the arrival, and largest from where it is first sought, in such blocks.
+const FIRST: usize = 5;
+const FARTHEST: usize = 10;
 const OFF_SD: f64 = 4.0;
 const OFF_SHARE: f64 = 1e-3;
 /// Full width at half maximum of a Gaussian, in standard deviations, and reach of its rise.
@@ -42,26 +45,40 @@ pub struct WallSum<'a> {
 
 impl WallSum<'_> {
     /// The first bin from the gate on behind which the mixture explains the sum over [`BLOCKS`] blocks, each as wide as
-    /// the response; the gate itself where there is none.
+    /// the response, and at least [`FIRST`] of them behind the arrival; the bin that comes nearest where there is none.
     ///
     /// A gate that is found by other means may leave the end of the first bounce, which would look like points close to
     /// the wall.
     #[must_use]
     pub fn clear(&self, cancel: &Cancel) -> usize {
         let block = (self.width_m / self.step_m).ceil().max(1.0) as usize;
-        let is_clear = |from: &usize| {
+        // The largest difference of a block, in units of what is allowed.
+        let worst = |from: usize| {
             cancel.check();
-            let after = &self.sum[*from..];
+            let after = &self.sum[from..];
             let tail = Tail::new(0.0, self.step_m, after, &vec![0.0; after.len()], self.width_m, 1);
             let constant = tail.constant();
             let pairs = after.chunks(block).zip(tail.values().chunks(block)).take(BLOCKS);
-            pairs.into_iter().all(|(sum, tail)| {
+            let off = pairs.map(|(sum, tail)| {
                 let [sum, model] = [sum.iter().sum::<f64>(), tail.iter().map(|value| value + constant).sum()];
-                (sum - model).abs() < OFF_SD * model.max(1.0).sqrt() + OFF_SHARE * model
-            })
+                (sum - model).abs() / (OFF_SD * model.max(1.0).sqrt() + OFF_SHARE * model)
+            });
+            off.fold(0.0, f64::max)
         };
-        let last = self.sum.len().saturating_sub(BLOCKS * block);
-        (self.gate..last).step_by(block.div_ceil(2)).find(is_clear).unwrap_or(self.gate)
+        // Farther on hidden light may be what the mixture does not explain.
+        let last = (self.gate + FARTHEST * block).min(self.sum.len().saturating_sub(BLOCKS * block));
+        let least = self.gate.max((FIRST * block).saturating_sub((self.first_m / self.step_m) as usize)).min(last);
+        let mut best = (f64::INFINITY, least);
+        for from in (least..last).step_by(block.div_ceil(2)) {
+            let worst = worst(from);
+            if worst < best.0 {
+                best = (worst, from);
+            }
+            if worst < 1.0 {
+                break;
+            }
+        }
+        best.1
     }
 
     /// The response for histograms with bins of `bin_m`; `None` where no first bounce stands at length 0.

@@ -70,6 +70,8 @@ fn judged(problem: &Problem, lattice: &Lattice, threshold: f64, mut whole: Searc
             }
         }
         share = Some(least);
+        // What only one half shows is no point.
+        all.retain(|point| answer.0 != Verdict::Points || point.reappears);
         answer
     };
     let model = whole.fit.model;
