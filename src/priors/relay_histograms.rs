@@ -178,7 +178,10 @@ pub struct Times {
 }
 
 impl Times {
-    /// The gate that is given, else the one that the sum of the histograms shows; or why there is none.
+    /// The gate that is given, else the one that the sum of the histograms shows.
+    ///
+    /// # Errors
+    /// In words, why there is none: histograms of different kinds, or no smooth light.
     pub fn new(histograms: &[Histogram<'_>], gate_ps: Option<f64>) -> Result<Self, String> {
         let dt_ps = histograms[0].dt_ps();
         if histograms.iter().any(|one| (one.dt_ps() - dt_ps).abs() > SAME * dt_ps) {
