@@ -8,7 +8,7 @@
 use super::{Histogram, Noise, Problem};
 
 /// Decay lengths, from the width of the response to the whole record.
-const DECAYS: usize = 7;
+const DECAYS: usize = 14;
 /// Rounds of weights, and turns of coordinates within each.
 const ROUNDS: usize = 12;
 const TURNS: usize = 1000;
