@@ -4,7 +4,7 @@
 //! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone), `-- readings 20` for
 //! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 one` for the choice of the scene alone,
 //! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind; `-- sizes 20` for
-//! patches of centimetres whose sizes nobody gives.
+//! patches of centimetres whose sizes nobody gives; `-- locate 20` for small things behind a relay wall.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
@@ -12,6 +12,9 @@ mod corner;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/lab.rs"]
 mod lab;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/locate.rs"]
+mod locate;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/missed.rs"]
 mod missed;
@@ -21,6 +24,8 @@ mod readings;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/rectangles.rs"]
 mod rectangles;
+#[path = "../tests/it/relay_scene.rs"]
+mod relay_scene;
 #[allow(dead_code, reason = "other studies use more of it")]
 #[path = "resolution/score.rs"]
 mod score;
@@ -52,6 +57,9 @@ fn main() {
     }
     if std::env::args().any(|arg| arg == "sizes") {
         return print_sizes(seeds);
+    }
+    if std::env::args().any(|arg| arg == "locate") {
+        return print_locate(seeds);
     }
     if std::env::args().any(|arg| arg == "small-rooms") {
         return print_small_rooms(seeds);
@@ -146,6 +154,60 @@ fn print_sizes(seeds: u64) {
             mean(|one| one.sizes as f64),
             100.0 * mean(|one| one.size_error.powi(2)).sqrt(),
             outcomes.iter().map(|one| one.phantoms).sum::<usize>()
+        );
+    }
+}
+
+/// Small things behind a relay wall: scenes, how many of them, photons of each in a mean histogram (of an extended
+/// object: in all).
+const LOCATE: [(&str, usize, f64); 16] = [
+    ("dots", 1, 30.0),
+    ("dots", 1, 3000.0),
+    ("dots", 3, 30.0),
+    ("dots", 6, 300.0),
+    ("dots", 12, 30.0),
+    ("dots", 12, 300.0),
+    ("dots", 12, 3000.0),
+    ("retroreflective dots", 9, 300.0),
+    ("twins 12 mm apart", 6, 3000.0),
+    ("dots, relief 1 mm, jitter 5 ps", 6, 300.0),
+    ("plate 20 cm", 0, 300.0),
+    ("plate 20 cm", 0, 3000.0),
+    ("plate 6 cm", 0, 300.0),
+    ("plate 6 cm", 0, 3000.0),
+    ("letter 20 cm", 0, 3000.0),
+    ("nothing", 0, 0.0),
+];
+
+fn print_locate(seeds: u64) {
+    println!(
+        "| scene | photons | campaigns | points, extended, nothing, cannot tell | located | extra | rms / bound | 95 % hold (coordinates) |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    for (kind, count, photons) in LOCATE {
+        let of_seed = |seed| {
+            let (capture, hidden) = locate::scene(kind, count, photons, seed);
+            locate::outcome(&capture, &hidden)
+        };
+        let outcomes: Vec<locate::Outcome> = (0..seeds).map(of_seed).collect();
+        let verdicts = ["points", "extended-object", "nothing", "cannot-tell"]
+            .map(|verdict| outcomes.iter().filter(|one| &*one.search.verdict == verdict).count().to_string());
+        let sum = |value: fn(&locate::Outcome) -> f64| outcomes.iter().map(value).sum::<f64>();
+        let number = |value: fn(&locate::Outcome) -> usize| outcomes.iter().map(value).sum::<usize>();
+        let hits = number(|one| one.hits);
+        let (errors, inside) = if hits > 0 {
+            let ratio = (sum(|one| one.squares_m2) / sum(|one| one.bound_m2)).sqrt();
+            let within = Rate { hits: number(|one| one.inside), of: 3 * hits };
+            (format!("{ratio:.2}"), format!("{within}"))
+        } else {
+            ("-".to_owned(), "-".to_owned())
+        };
+        let name = if count > 0 { format!("{count} {kind}") } else { kind.to_owned() };
+        println!(
+            "| {name} | {photons} | {seeds} | {} | {hits} of {} | {} | {errors} | {inside} |",
+            verdicts.join(", "),
+            count as u64 * seeds,
+            number(|one| one.extra),
         );
     }
 }

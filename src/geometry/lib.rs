@@ -74,6 +74,7 @@
 //! | [`placement`], [`multilateration`] | positions from nothing; one patch from its lengths |
 //! | [`association`], [`labelling`] | which path made which arrival |
 //! | [`hidden`], [`faint`] | patches that no first bounce reaches |
+//! | [`joint`] | small hidden things from all photon histograms of a wall together |
 //! | [`mirror`], [`bistatic`] | scenes behind a diffuser, source and sensor apart |
 //! | [`companion`] | light of other paths that an onset does not resolve |
 //! | [`planes`], [`frame`], [`procrustes`], [`ellipsoid`], [`footprint`] | what positions say, and in which frame |
@@ -109,6 +110,7 @@ pub mod footprint;
 pub mod frame;
 pub mod hidden;
 pub mod iso_embed;
+pub mod joint;
 pub mod labelling;
 pub mod loss;
 pub mod maximum_likelihood;

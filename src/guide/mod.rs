@@ -37,6 +37,7 @@ pub mod stages {
         import = "stages/import.md";
         ingest = "stages/ingest.md";
         label = "stages/label.md";
+        locate = "stages/locate.md";
         measure = "stages/measure.md";
         range = "stages/range.md";
         refine = "stages/refine.md";

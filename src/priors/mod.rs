@@ -9,5 +9,6 @@ pub mod covariances;
 pub mod delays;
 pub mod flight_profile;
 pub mod footprints;
+pub mod relay_histograms;
 pub mod scenes;
 pub mod sensor_range;

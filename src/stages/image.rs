@@ -22,7 +22,6 @@
 //! ```
 
 mod back_projection;
-mod histogram;
 mod lattice;
 mod light_cone;
 
@@ -36,10 +35,10 @@ use crate::cancel::Cancel;
 use crate::geometry::Point;
 use crate::parameter::{Condition, NonNegative, Positive, Share, Within};
 use crate::priors::calibration::Sensors;
-use crate::priors::campaign_fields::{ByCampaign, Medium, StationPositions};
+use crate::priors::campaign_fields::{ByCampaign, Medium};
+use crate::priors::relay_histograms::{Fields, Histogram, Times, Waveform};
 use crate::tables::{Image, Patch, Profile, Row, Voxel};
 use crate::units::PatchId;
-use histogram::{Histogram, Times, Waveform};
 use lattice::{Grid, Summary, Wall};
 
 /// Full width at half maximum of a Gaussian, in standard deviations.
@@ -88,15 +87,6 @@ impl Default for MakeImage {
     }
 }
 
-/// What campaign.toml says of the scene.
-#[derive(Clone, Debug, Serialize)]
-pub struct Fields {
-    #[serde(flatten)]
-    medium: Medium,
-    #[serde(flatten)]
-    stations: StationPositions,
-}
-
 /// Campaigns, and the light of each capture.
 pub struct Context {
     fields: ByCampaign<Fields>,
@@ -126,7 +116,7 @@ impl Stage for MakeImage {
     type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        ByCampaign::new(campaigns, |campaign| Fields { medium: campaign.into(), stations: campaign.into() })
+        ByCampaign::new(campaigns, |campaign| Fields::from(campaign))
     }
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
@@ -147,7 +137,7 @@ impl Apply for MakeImage {
         let histograms: Vec<Histogram<'_>> = context
             .waveforms
             .iter()
-            .filter_map(|waveform| Histogram::new(waveform, &points, &context.fields))
+            .filter_map(|waveform| Histogram::new(waveform, &points, |campaign| context.fields.get(campaign)))
             .collect();
         let mut rejections = left_out(context, histograms.len());
         let (rows, images) = match self.image(context, &histograms)? {

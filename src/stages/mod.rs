@@ -12,6 +12,7 @@ pub mod image;
 pub mod import;
 pub mod ingest;
 pub mod label;
+pub mod locate;
 pub mod measure;
 mod method;
 pub mod operator;
@@ -96,7 +97,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 20] = [
+pub const KINDS: [&str; 21] = [
     "ingest",
     "anchor",
     "calibrate",
@@ -113,6 +114,7 @@ pub const KINDS: [&str; 20] = [
     "reflect",
     "search",
     "image",
+    "locate",
     "surface",
     "triangulate",
     "conclude",
@@ -152,6 +154,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "reflect" => operator::<reflect::Reflect>(params),
         "search" => operator::<search::Search>(params),
         "image" => operator::<image::MakeImage>(params),
+        "locate" => operator::<locate::Locate>(params),
         "surface" => operator::<surface::Surface>(params),
         "triangulate" => operator::<triangulate::Triangulate>(params),
         "conclude" => operator::<conclude::Conclude>(params),

@@ -22,6 +22,7 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "footprints" => &["patch"],
         "voxels" => &["method", "x_m", "y_m", "z_m"],
         "images" => &["method"],
+        "searches" => &["verdict"],
         "decisions" => &["decision"],
         "stations" => &["campaign", "station"],
         "fits" | "scenes" => &["alternative"],

@@ -18,6 +18,7 @@ pub mod profiles;
 pub mod rejects;
 pub mod row;
 pub mod scenes;
+pub mod searches;
 pub mod session;
 pub mod solution;
 pub mod stir;
@@ -45,6 +46,7 @@ pub use profiles::Profile;
 pub use rejects::Reject;
 pub use row::{Row, SchemaError};
 pub use scenes::SceneOdds;
+pub use searches::JointSearch;
 pub use session::Session;
 pub use solution::{Ambiguity, Delay, Fit, ONSET_KINDS, Residual, Station, Suspect};
 pub use stir::{Impulse, ImpulsePair, Stir};
@@ -78,6 +80,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Gap>(),
         of::<Voxel>(),
         of::<Image>(),
+        of::<JointSearch>(),
         of::<Distance>(),
         of::<Covariance>(),
         of::<Patch>(),

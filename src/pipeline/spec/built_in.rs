@@ -32,6 +32,7 @@ built_in!(
     "faint",
     "image",
     "inter-reflections",
+    "locate",
     "mirror",
     "tdr",
 );

@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use super::histogram::Histogram;
 use crate::geometry::{Point, planes};
+use crate::priors::relay_histograms::Histogram;
 use crate::tables::Voxel;
 
 /// Largest distance of a point from its place in a grid, in pitches.

@@ -1,19 +1,39 @@
-//! The light of each capture over the time from its lit point to its seen point, and the gate that cuts off the wall's
-//! own.
+//! The light of each capture of a relay wall over the time from its lit point to its seen point, and the gate that cuts
+//! off the wall's own.
 
 use std::collections::BTreeMap;
 
-use super::Fields;
+use serde::Serialize;
+
+use super::calibration::Sensors;
+use super::campaign_fields::{Medium, StationPositions};
+use crate::campaign::Campaign;
 use crate::geometry::Point;
-use crate::priors::calibration::Sensors;
-use crate::priors::campaign_fields::ByCampaign;
 use crate::signal::image::foreground;
 use crate::signal::image::gate::gate;
+use crate::signal::response::Response;
 use crate::tables::{Name, Profile, Samples};
 use crate::units::PatchId;
 
 /// Relative difference of bins that count as equally wide.
 const SAME: f64 = 1e-6;
+
+/// What campaign.toml says of light on its way over a wall.
+#[derive(Clone, Debug, Serialize)]
+pub struct Fields {
+    /// What light travels in.
+    #[serde(flatten)]
+    pub medium: Medium,
+    /// Where laser and sensors stand.
+    #[serde(flatten)]
+    pub stations: StationPositions,
+}
+
+impl From<&Campaign> for Fields {
+    fn from(campaign: &Campaign) -> Self {
+        Self { medium: campaign.into(), stations: campaign.into() }
+    }
+}
 
 /// What a sensor recorded.
 enum Light {
@@ -32,6 +52,8 @@ pub struct Waveform {
     /// Time of the first bin from the laser to the sensor.
     first_ps: f64,
     dt_ps: f64,
+    /// What averaging leaves of the sensor's response, with the arrival of light at 0.
+    response: Response,
     width_ps: f64,
     light: Light,
 }
@@ -44,6 +66,7 @@ impl Waveform {
             Some(counts) => Light::Counts(counts.clone()),
             None => Light::Volts { mean_v: profile.mean_v.clone(), se_v: profile.se_v.clone(), sign: sensor.polarity },
         };
+        let response = sensor.averaged(profile);
         Some(Self {
             campaign: profile.campaign.clone(),
             sensor: profile.sensor.clone(),
@@ -51,7 +74,8 @@ impl Waveform {
             seen: profile.seen,
             first_ps: profile.t0_ps - sensor.latency_ps,
             dt_ps: profile.dt_ps,
-            width_ps: sensor.averaged(profile).width_ps(),
+            width_ps: response.width_ps(),
+            response,
             light,
         })
     }
@@ -77,8 +101,12 @@ pub struct Histogram<'a> {
 
 impl<'a> Histogram<'a> {
     /// `None` where a patch or the sensor has no place.
-    pub fn new(waveform: &'a Waveform, points: &BTreeMap<PatchId, Point>, fields: &ByCampaign<Fields>) -> Option<Self> {
-        let fields = fields.get(&waveform.campaign)?;
+    pub fn new<'f>(
+        waveform: &'a Waveform,
+        points: &BTreeMap<PatchId, Point>,
+        fields: impl Fn(&str) -> Option<&'f Fields>,
+    ) -> Option<Self> {
+        let fields = fields(&waveform.campaign)?;
         let (lit, seen) = (*points.get(&waveform.lit)?, *points.get(&waveform.seen)?);
         let legs_m =
             (lit - fields.stations.source()).norm() + (fields.stations.sensor(&waveform.sensor)? - seen).norm();
@@ -93,6 +121,11 @@ impl<'a> Histogram<'a> {
     /// Full width at half maximum of the response.
     pub fn width_ps(&self) -> f64 {
         self.waveform.width_ps
+    }
+
+    /// The sensor's response.
+    pub fn response(&self) -> &Response {
+        &self.waveform.response
     }
 
     /// Whether laser and sensor look at one point.
@@ -145,7 +178,10 @@ pub struct Times {
 }
 
 impl Times {
-    /// The gate that is given, else the one that the sum of the histograms shows; or why there is none.
+    /// The gate that is given, else the one that the sum of the histograms shows.
+    ///
+    /// # Errors
+    /// In words, why there is none: histograms of different kinds, or no smooth light.
     pub fn new(histograms: &[Histogram<'_>], gate_ps: Option<f64>) -> Result<Self, String> {
         let dt_ps = histograms[0].dt_ps();
         if histograms.iter().any(|one| (one.dt_ps() - dt_ps).abs() > SAME * dt_ps) {
@@ -178,7 +214,14 @@ impl Times {
 /// The gate from the sum of all histograms.
 fn find_gate(histograms: &[Histogram<'_>], start_ps: f64, end_ps: f64) -> Option<f64> {
     let dt_ps = histograms[0].dt_ps();
-    let bins = ((end_ps - start_ps) / dt_ps).max(0.0) as usize;
+    let (sum, variance) = sum(histograms, [start_ps, end_ps]);
+    let block = (histograms[0].width_ps() / dt_ps).ceil().max(1.0) as usize;
+    gate(&sum, &variance, block).map(|bin| start_ps + bin as f64 * dt_ps)
+}
+
+/// Sum of all histograms between two times, and the variance of each bin.
+pub fn sum(histograms: &[Histogram<'_>], [start_ps, end_ps]: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
+    let bins = ((end_ps - start_ps) / histograms[0].dt_ps()).max(0.0) as usize;
     let (mut sum, mut variance) = (vec![0.0; bins], vec![0.0; bins]);
     let all = Times { gate_ps: start_ps, end_ps };
     for histogram in histograms {
@@ -188,6 +231,5 @@ fn find_gate(histograms: &[Histogram<'_>], start_ps: f64, end_ps: f64) -> Option
         sum.iter_mut().zip(&values).for_each(|(sum, value)| *sum += value);
         variance.iter_mut().zip(&variances).for_each(|(sum, value)| *sum += value);
     }
-    let block = (histograms[0].width_ps() / dt_ps).ceil().max(1.0) as usize;
-    gate(&sum, &variance, block).map(|bin| start_ps + bin as f64 * dt_ps)
+    (sum, variance)
 }

@@ -1,0 +1,154 @@
+//! Points as small things that send light back, and the law that their light follows over the wall.
+
+use nalgebra::Vector3;
+
+use super::pulse::Pulse;
+use super::{Histogram, Problem};
+use crate::Point;
+
+/// Unknowns of a point: three coordinates, the logarithm of its photons, and how that grows along both directions of
+/// the wall.
+pub const OF_POINT: usize = 6;
+/// Standard deviation of this growth over half the wall's width: points differ in tilt and shape.
+const SLOPE_SD: f64 = 0.3;
+/// Unknowns that all points share: power of the distance, five terms over the wall, logarithm of the width.
+pub const SHARED: usize = 7;
+/// Mean and standard deviation of the shared unknowns before there is light. Diffuse points have a power of -4 (two
+/// legs, each an inverse square), retroreflective ones about -2; with cosines more.
+const PRIORS: [[f64; 2]; SHARED] =
+    [[-4.0, 3.0], [0.0, 0.5], [0.0, 0.5], [0.0, 0.5], [0.0, 0.5], [0.0, 0.5], [0.0, 0.1]];
+/// Shared unknowns further than this many standard deviations from their mean stand at the edge of the prior.
+pub const EDGE: f64 = 3.0;
+
+/// A point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dot {
+    /// Position.
+    pub place: Point,
+    /// Logarithm of its photons in a histogram whose legs have a geometric mean of `reference_m`.
+    pub log_photons: f64,
+    /// Growth of this logarithm over half the wall's width, in both directions, beyond the law that all points share.
+    pub slopes: [f64; 2],
+    /// Scale of its distance.
+    pub reference_m: f64,
+}
+
+/// Points and what they share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// The points.
+    pub dots: Vec<Dot>,
+    /// Power of the distance; terms of first and second order over the wall; logarithm of the width of a pulse over
+    /// that of the response.
+    pub shared: [f64; SHARED],
+}
+
+impl Default for Model {
+    fn default() -> Self {
+        Self { dots: Vec::new(), shared: PRIORS.map(|[mean, _]| mean) }
+    }
+}
+
+/// How the light of a point reaches a histogram.
+#[derive(Clone, Copy, Debug)]
+pub struct Way {
+    /// Path length from the lit point over the place to the seen point.
+    pub length_m: f64,
+    /// Gradient of the length over the place.
+    pub gradient: Vector3<f64>,
+    /// Logarithm of the photons.
+    pub log_photons: f64,
+    /// Its gradient over the place.
+    pub log_gradient: Vector3<f64>,
+    /// Its derivative by the power: the logarithm of the distance.
+    pub log_distance: f64,
+}
+
+impl Model {
+    /// Number of unknowns.
+    pub fn unknowns(&self) -> usize {
+        OF_POINT * self.dots.len() + SHARED
+    }
+
+    /// Width of a pulse over that of the response.
+    pub fn stretch(&self) -> f64 {
+        self.shared[SHARED - 1].exp()
+    }
+
+    /// The light of a point in a histogram.
+    pub fn way(&self, dot: &Dot, histogram: &Histogram) -> Way {
+        let [out, back] = [dot.place - histogram.lit, dot.place - histogram.seen];
+        let [out_m, back_m] = [out.norm(), back.norm()];
+        let power = self.shared[0];
+        let log_distance = 0.5 * (out_m * back_m / (dot.reference_m * dot.reference_m)).ln();
+        let terms = terms(histogram);
+        let bend: f64 = self.shared[1..SHARED - 1].iter().zip(terms).map(|(q, term)| q * term).sum();
+        let [u, v, ..] = terms;
+        Way {
+            length_m: out_m + back_m,
+            gradient: out / out_m + back / back_m,
+            log_photons: dot.log_photons + power * log_distance + bend + dot.slopes[0] * u + dot.slopes[1] * v,
+            log_gradient: (out / (out_m * out_m) + back / (back_m * back_m)) * (0.5 * power),
+            log_distance,
+        }
+    }
+
+    /// Logarithm of the prior's density.
+    pub fn log_prior(&self) -> f64 {
+        let shared = self.shared.iter().zip(PRIORS).map(|(value, [mean, sd])| ((value - mean) / sd).powi(2));
+        let slopes = self.dots.iter().flat_map(|dot| dot.slopes).map(|slope| (slope / SLOPE_SD).powi(2));
+        -0.5 * shared.chain(slopes).sum::<f64>()
+    }
+
+    /// Gradient and precision of the prior for each unknown.
+    pub fn prior(&self) -> Vec<[f64; 2]> {
+        let normal = |value: f64, [mean, sd]: [f64; 2]| [(mean - value) / (sd * sd), 1.0 / (sd * sd)];
+        let of_dot = |dot: &Dot| {
+            let [first, second] = dot.slopes.map(|slope| normal(slope, [0.0, SLOPE_SD]));
+            [[0.0; 2], [0.0; 2], [0.0; 2], [0.0; 2], first, second]
+        };
+        let shared = self.shared.iter().zip(PRIORS).map(|(value, prior)| normal(*value, prior));
+        self.dots.iter().flat_map(of_dot).chain(shared).collect()
+    }
+
+    /// Standard deviations of its prior by which power and width lie off its mean.
+    pub fn strain(&self) -> [f64; 2] {
+        [0, SHARED - 1].map(|n| (self.shared[n] - PRIORS[n][0]).abs() / PRIORS[n][1])
+    }
+
+    /// The model moved by a step in all unknowns.
+    pub fn moved(&self, step: &[f64]) -> Self {
+        let mut moved = self.clone();
+        for (dot, step) in moved.dots.iter_mut().zip(step.chunks(OF_POINT)) {
+            dot.place += Vector3::new(step[0], step[1], step[2]);
+            dot.log_photons += step[3];
+            (0..2).for_each(|axis| dot.slopes[axis] += step[4 + axis]);
+        }
+        moved.shared.iter_mut().zip(&step[OF_POINT * self.dots.len()..]).for_each(|(value, step)| *value += step);
+        moved
+    }
+}
+
+/// Terms of the law over the wall.
+pub fn terms(histogram: &Histogram) -> [f64; SHARED - 2] {
+    let [lit, seen] = histogram.ends;
+    let [u, v] = [0, 1].map(|axis| 0.5 * (lit[axis] + seen[axis]));
+    [u, v, u * u, u * v, v * v]
+}
+
+/// The bins of a histogram that a way's light reaches, and the light there per photon with its slopes by length and by
+/// the logarithm of the width.
+pub fn reach(problem: &Problem, histogram: &Histogram, way: &Way, stretch: f64) -> std::ops::Range<usize> {
+    let [first_m, last_m] = problem.pulse.reach_m().map(|end_m| way.length_m + stretch * end_m);
+    let bin = |at_m: f64| ((at_m - histogram.first_m) / problem.step_m - 0.5).ceil().max(0.0) as usize;
+    let count = histogram.values.len();
+    bin(first_m).min(count)..bin(last_m).min(count)
+}
+
+/// Share of a way's light in a bin, its slope by the way's length, and by the logarithm of the width.
+#[inline]
+pub fn share(pulse: &Pulse, offset_m: f64, stretch: f64) -> [f64; 3] {
+    let place_m = offset_m / stretch;
+    let [value, slope] = pulse.at(place_m);
+    [value / stretch, -slope / (stretch * stretch), -(value + place_m * slope) / stretch]
+}

@@ -1,0 +1,272 @@
+//! Log-likelihood, gradient and Fisher information of a model, each histogram's own light profiled out.
+//!
+//! In a histogram the unknowns are the logarithm of each point's light, the length of its way and the common width. The
+//! information on them, less what scale and constant of the wall's own light take (a Schur complement), is carried to
+//! positions, photons and law by the chain rule. Histograms are taken in runs whose sums are added in order, so that
+//! threads change no digit.
+
+use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use rayon::prelude::*;
+
+use super::background::{Level, Tail, level};
+use super::model::{Model, OF_POINT, SHARED, Way, reach, share, terms};
+use super::{Histogram, Problem};
+
+/// Histograms in a run.
+const RUN: usize = 32;
+
+/// Sums over histograms.
+#[derive(Clone, Debug)]
+pub struct Normal {
+    /// With the prior's.
+    pub log_likelihood: f64,
+    /// By all unknowns, with the prior's.
+    pub gradient: DVector<f64>,
+    /// Information on all unknowns, with the prior's.
+    pub fisher: DMatrix<f64>,
+    /// Scale and constant of each histogram.
+    pub levels: Vec<Level>,
+    /// Score and information on the arrival of each point in each histogram, its amplitude free.
+    pub arrivals: Vec<[f64; 2]>,
+}
+
+impl Normal {
+    fn empty(unknowns: usize) -> Self {
+        Self {
+            log_likelihood: 0.0,
+            gradient: DVector::zeros(unknowns),
+            fisher: DMatrix::zeros(unknowns, unknowns),
+            levels: Vec::new(),
+            arrivals: Vec::new(),
+        }
+    }
+
+    /// Of a model, with levels to start from.
+    pub fn new(problem: &Problem, tail: &Tail, model: &Model, starts: &[Level]) -> Self {
+        let unknowns = model.unknowns();
+        let of_run = |(histograms, starts): (&[Histogram], &[Level])| {
+            problem.cancel.check();
+            let mut sums = Self::empty(unknowns);
+            let mut desk = Desk::default();
+            for (histogram, start) in histograms.iter().zip(starts) {
+                desk.light(problem, model, histogram);
+                desk.add(problem, tail, (histogram, *start), model, &mut sums);
+            }
+            sums
+        };
+        let runs: Vec<Self> = problem.histograms.par_chunks(RUN).zip(starts.par_chunks(RUN)).map(of_run).collect();
+        let mut all = Self::empty(unknowns);
+        for run in runs {
+            all.log_likelihood += run.log_likelihood;
+            all.gradient += run.gradient;
+            all.fisher += run.fisher;
+            all.levels.extend(run.levels);
+            all.arrivals.extend(run.arrivals);
+        }
+        all.log_likelihood += model.log_prior();
+        for (n, [gradient, precision]) in model.prior().into_iter().enumerate() {
+            all.gradient[n] += gradient;
+            all.fisher[(n, n)] += precision;
+        }
+        all.fisher.fill_upper_triangle_with_lower_triangle();
+        all
+    }
+}
+
+/// A stretch of bins with values.
+#[derive(Clone, Debug, Default)]
+struct Row {
+    from: usize,
+    values: Vec<f64>,
+}
+
+impl Row {
+    fn to(&self) -> usize {
+        self.from + self.values.len()
+    }
+
+    fn dot(&self, other: &Self) -> f64 {
+        let (from, to) = (self.from.max(other.from), self.to().min(other.to()));
+        if from >= to {
+            return 0.0;
+        }
+        let [own, others] = [self, other].map(|row| &row.values[from - row.from..to - row.from]);
+        own.iter().zip(others).map(|(a, b)| a * b).sum()
+    }
+}
+
+/// Derivatives of an unknown of a histogram by those of its point, and by those that all points share.
+type Slope = ([f64; OF_POINT], [f64; SHARED]);
+
+/// What a histogram needs, kept for the next one.
+#[derive(Default)]
+pub struct Desk {
+    ways: Vec<Way>,
+    /// Derivatives by the logarithm of each point's light and by its length, in turn; last by the width.
+    rows: Vec<Row>,
+    weighted: Vec<Row>,
+    /// Light of all points.
+    pub all: Vec<f64>,
+    /// The wall's own light.
+    pub tail: Vec<f64>,
+    weights: Vec<f64>,
+    rests: Vec<f64>,
+    cross: Vec<Vector2<f64>>,
+    information: Vec<f64>,
+    score: Vec<f64>,
+    carried: Vec<f64>,
+    slopes: Vec<Slope>,
+}
+
+impl Desk {
+    /// Light of all points in a histogram, and its derivatives.
+    pub fn light(&mut self, problem: &Problem, model: &Model, histogram: &Histogram) {
+        let (bins, points) = (histogram.values.len(), model.dots.len());
+        self.rows.resize_with(2 * points + 1, Row::default);
+        self.ways.clear();
+        self.all.clear();
+        self.all.resize(bins, 0.0);
+        let (rows, width) = self.rows.split_at_mut(2 * points);
+        width[0].from = 0;
+        width[0].values.clear();
+        width[0].values.resize(bins, 0.0);
+        let stretch = model.stretch();
+        for (dot, rows) in model.dots.iter().zip(rows.chunks_mut(2)) {
+            let way = model.way(dot, histogram);
+            let reach = reach(problem, histogram, &way, stretch);
+            let photons = way.log_photons.min(60.0).exp();
+            rows.iter_mut().for_each(|row| {
+                row.from = reach.start;
+                row.values.clear();
+            });
+            for bin in reach {
+                let offset_m = histogram.first_m + (bin as f64 + 0.5) * problem.step_m - way.length_m;
+                let values = share(&problem.pulse, offset_m, stretch).map(|value| photons * value);
+                rows[0].values.push(values[0]);
+                rows[1].values.push(values[1]);
+                self.all[bin] += values[0];
+                width[0].values[bin] += values[2];
+            }
+            self.ways.push(way);
+        }
+    }
+
+    /// Adds what a histogram says.
+    fn add(
+        &mut self,
+        problem: &Problem,
+        tail: &Tail,
+        (histogram, start): (&Histogram, Level),
+        model: &Model,
+        sums: &mut Normal,
+    ) {
+        tail.fill(histogram, &mut self.tail);
+        let own = level(problem, histogram, &self.tail, &self.all, start);
+        sums.levels.push(own);
+        let size = self.rows.len();
+        self.weights.clear();
+        self.rests.clear();
+        let mut wall = Matrix2::zeros();
+        for (n, value) in histogram.values.iter().enumerate() {
+            let rate = own[0] * self.tail[n] + own[1] + self.all[n];
+            let (value, weight) = (f64::from(*value), problem.noise.weight(rate));
+            sums.log_likelihood += problem.noise.log_likelihood(value, rate);
+            self.weights.push(weight);
+            self.rests.push((value - rate) * weight);
+            let slope = Vector2::new(self.tail[n], 1.0);
+            wall += slope * slope.transpose() * weight;
+        }
+        self.weighted.resize_with(size, Row::default);
+        self.score.clear();
+        self.cross.clear();
+        for (row, weighted) in self.rows.iter().zip(&mut self.weighted) {
+            let bins = row.from..row.to();
+            weighted.from = row.from;
+            weighted.values.clear();
+            weighted.values.extend(row.values.iter().zip(&self.weights[bins.clone()]).map(|(slope, w)| slope * w));
+            self.score.push(row.values.iter().zip(&self.rests[bins.clone()]).map(|(slope, rest)| slope * rest).sum());
+            let with_tail = weighted.values.iter().zip(&self.tail[bins]).map(|(slope, tail)| slope * tail).sum();
+            self.cross.push(Vector2::new(with_tail, weighted.values.iter().sum()));
+        }
+        self.profile(wall);
+        self.carry(histogram, model, sums);
+    }
+
+    /// Information on the unknowns of a histogram, less what the wall's own light takes.
+    fn profile(&mut self, wall: Matrix2<f64>) {
+        let size = self.rows.len();
+        // Without a tail the scale is not there: a ridge keeps the inverse finite.
+        let ridge = Matrix2::from_diagonal(&(wall.diagonal() * 1e-9 + Vector2::repeat(1e-12)));
+        let inverse = (wall + ridge).try_inverse().unwrap_or_else(Matrix2::zeros);
+        self.information.clear();
+        self.information.resize(size * size, 0.0);
+        for a in 0..size {
+            let taken = inverse * self.cross[a];
+            for b in 0..=a {
+                let value = self.weighted[a].dot(&self.rows[b]) - taken.dot(&self.cross[b]);
+                self.information[a * size + b] = value;
+                self.information[b * size + a] = value;
+            }
+        }
+    }
+
+    /// How the unknown of a row depends on those of its point, and on those that all points share.
+    fn slope(&self, row: usize, terms: [f64; SHARED - 2]) -> Slope {
+        let mut shared = [0.0; SHARED];
+        if row == self.rows.len() - 1 {
+            shared[SHARED - 1] = 1.0;
+            return ([0.0; OF_POINT], shared);
+        }
+        let way = &self.ways[row / 2];
+        if row % 2 == 1 {
+            let along = way.gradient;
+            return ([along.x, along.y, along.z, 0.0, 0.0, 0.0], shared);
+        }
+        shared[0] = way.log_distance;
+        shared[1..SHARED - 1].copy_from_slice(&terms);
+        let log = way.log_gradient;
+        ([log.x, log.y, log.z, 1.0, terms[0], terms[1]], shared)
+    }
+
+    /// Carries score and information to the unknowns of the model.
+    fn carry(&mut self, histogram: &Histogram, model: &Model, sums: &mut Normal) {
+        let (size, unknowns) = (self.rows.len(), model.unknowns());
+        let points = model.dots.len();
+        let first = unknowns - SHARED;
+        let terms = terms(histogram);
+        let mut slopes = std::mem::take(&mut self.slopes);
+        slopes.clear();
+        slopes.extend((0..size).map(|row| self.slope(row, terms)));
+        self.carried.clear();
+        self.carried.resize(size * unknowns, 0.0);
+        for a in 0..size {
+            let carried = &mut self.carried[a * unknowns..][..unknowns];
+            for (b, (own, shared)) in slopes.iter().enumerate() {
+                let value = self.information[a * size + b];
+                if b < size - 1 {
+                    let place = b / 2 * OF_POINT;
+                    carried[place..place + OF_POINT].iter_mut().zip(own).for_each(|(sum, slope)| *sum += value * slope);
+                }
+                carried[first..].iter_mut().zip(shared).for_each(|(sum, slope)| *sum += value * slope);
+            }
+        }
+        for (a, (own, shared)) in slopes.iter().enumerate() {
+            let carried = &self.carried[a * unknowns..][..unknowns];
+            let own = own.iter().enumerate().filter(|_| a < size - 1).map(|(n, slope)| (a / 2 * OF_POINT + n, slope));
+            for (row, slope) in own.chain(shared.iter().enumerate().map(|(n, slope)| (first + n, slope))) {
+                if *slope != 0.0 {
+                    sums.gradient[row] += slope * self.score[a];
+                    for (column, value) in carried[..=row].iter().enumerate() {
+                        sums.fisher[(row, column)] += slope * value;
+                    }
+                }
+            }
+        }
+        self.slopes = slopes;
+        for k in 0..points {
+            let at = |a: usize, b: usize| self.information[(2 * k + a) * size + 2 * k + b];
+            let tilt = if at(0, 0) > 0.0 { at(0, 1) / at(0, 0) } else { 0.0 };
+            sums.arrivals.push([self.score[2 * k + 1] - tilt * self.score[2 * k], at(1, 1) - tilt * at(0, 1)]);
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! Seeds, fits, and seeds again on what remains.
+
+use super::Problem;
+use super::background::Level;
+use super::fit::{Fit, Free, tail};
+use super::misfit::Misfit;
+use super::model::{Dot, Model, reach, share};
+use super::scores::Traces;
+use super::volume::{Lattice, Peak};
+use crate::Point;
+
+/// Histograms that a first search takes, where there are so many or more.
+pub const FIRST: usize = 256;
+pub const MANY: usize = 600;
+/// Points at most.
+pub const MOST: usize = 24;
+/// Rounds at most.
+const ROUNDS: usize = 8;
+/// Peaks above this share of the highest are fitted together, in the first round and later: what is fainter may be
+/// their sidelobe.
+const BATCH: [f64; 2] = [0.45, 0.6];
+/// Share of the threshold above which a peak is worth a fit: the filter has less than the whole information.
+const WORTH: f64 = 0.7;
+/// Peaks below the threshold that are fitted in a round.
+const FAINT: usize = 6;
+/// Share of the threshold below which a point is eliminated between rounds.
+const LOOSE: f64 = 0.8;
+
+/// What a search came to.
+pub struct Search {
+    /// The last fit.
+    pub fit: Fit,
+    /// How far arrivals lie off it.
+    pub misfit: Misfit,
+    /// Largest score before any point was fitted.
+    pub largest: f64,
+    /// Whether there were more points than [`MOST`].
+    pub too_many: bool,
+}
+
+/// Searches the histograms of a problem for points with a z of `threshold` or more, from the points of a model. Peaks
+/// of a score below `clear` may be noise, and only few are tried at once.
+pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2], model: Model) -> Search {
+    let shape = tail(problem, &model);
+    let levels: Vec<Level> = vec![[1.0, 0.0]; problem.histograms.len()];
+    let mut fit = Fit::new(problem, shape, model, &levels);
+    if !fit.model.dots.is_empty() {
+        fit = fit.climb(problem, Free::Law);
+    }
+    let (mut largest, mut too_many) = (0.0, false);
+    for round in 0..ROUNDS {
+        let traces = Traces::new(problem, &fit);
+        let peaks = lattice.peaks(problem, &traces, WORTH * threshold);
+        if round == 0 {
+            largest = peaks.iter().map(|peak| peak.score).fold(0.0, f64::max);
+        }
+        let mut peaks = batch(peaks, [threshold, clear], if round == 0 { BATCH[0] } else { BATCH[1] });
+        let before = fit.model.dots.len();
+        // Many peaks at once are a surface; later ones may be ghosts, which vanish when all points are in place.
+        too_many = before.max(if round == 0 { peaks.len() } else { 0 }) >= MOST;
+        if peaks.is_empty() || too_many {
+            break;
+        }
+        peaks.truncate(MOST - before);
+        let next = with(problem, fit.clone(), &peaks).eliminate(problem, LOOSE * threshold, Free::Law);
+        let gain = next.normal.log_likelihood - fit.normal.log_likelihood;
+        if 2.0 * gain < threshold * threshold {
+            break;
+        }
+        fit = next.reshape(problem).climb(problem, Free::Law);
+    }
+    let (fit, misfit) = last(problem, fit, threshold);
+    Search { fit, misfit, largest, too_many }
+}
+
+/// The peaks that are fitted together.
+fn batch(mut peaks: Vec<Peak>, [threshold, clear]: [f64; 2], share: f64) -> Vec<Peak> {
+    let sure = peaks.iter().filter(|peak| peak.sure > clear).count();
+    peaks.retain(|peak| peak.sure > WORTH * threshold);
+    let highest = peaks.iter().map(|peak| peak.score).fold(0.0, f64::max);
+    peaks.retain(|peak| peak.score > share * highest);
+    peaks.truncate(sure.max(FAINT));
+    peaks
+}
+
+/// The fit with free width, and its misfit.
+fn last(problem: &Problem, fit: Fit, threshold: f64) -> (Fit, Misfit) {
+    if fit.model.dots.is_empty() {
+        return (fit, Misfit { factor: 1.0, scatter_m: 0.0, own: 1.0 });
+    }
+    settle(problem, fit.reshape(problem).climb(problem, Free::All), threshold)
+}
+
+/// A fit without points that it does not show, and its misfit.
+pub fn settle(problem: &Problem, fit: Fit, threshold: f64) -> (Fit, Misfit) {
+    let mut fit = fit.eliminate(problem, threshold, Free::All);
+    loop {
+        let misfit = Misfit::new(problem, &fit);
+        // Errors of the model that arrivals show count as noise: what they could explain is no point.
+        let count = fit.model.dots.len();
+        fit = fit.eliminate(problem, threshold * misfit.factor.sqrt(), Free::All);
+        if fit.model.dots.len() == count {
+            return (fit, misfit);
+        }
+    }
+}
+
+/// A fit with points at peaks: first their photons, then their places, then the law.
+fn with(problem: &Problem, fit: Fit, peaks: &[Peak]) -> Fit {
+    let mut model = fit.model.clone();
+    for peak in peaks {
+        let dot = start(problem, &fit, peak.place);
+        model.dots.push(dot);
+    }
+    Fit::new(problem, fit.tail, model, &fit.normal.levels)
+        .climb(problem, Free::Photons)
+        .climb(problem, Free::Places)
+        .climb(problem, Free::Law)
+}
+
+/// A point with as many photons as there are above the wall's own light in the bins that its pulse fills best.
+fn start(problem: &Problem, fit: &Fit, place: Point) -> Dot {
+    let reference_m = (place - problem.wall.middle).norm();
+    let dot = Dot { place, log_photons: 0.0, slopes: [0.0; 2], reference_m };
+    let half_m = 0.5 * problem.pulse.width_m();
+    let (mut light, mut expected, mut tail) = (0.0, 0.0, Vec::new());
+    for (histogram, level) in problem.histograms.iter().zip(&fit.normal.levels) {
+        let way = fit.model.way(&dot, histogram);
+        fit.tail.fill(histogram, &mut tail);
+        for bin in reach(problem, histogram, &way, 1.0) {
+            let offset_m = histogram.first_m + (bin as f64 + 0.5) * problem.step_m - way.length_m;
+            if offset_m.abs() < half_m {
+                light += f64::from(histogram.values[bin]) - level[0] * tail[bin] - level[1];
+                expected += way.log_photons.exp() * share(&problem.pulse, offset_m, 1.0)[0];
+            }
+        }
+    }
+    let photons = if expected > 0.0 { (light / expected).max(1e-3) } else { 1e-3 };
+    Dot { log_photons: photons.ln(), ..dot }
+}

@@ -1,0 +1,256 @@
+//! Whether points are what the histograms show.
+
+use std::f64::consts::SQRT_2;
+
+use super::fit::{Fit, Free, place_covariance};
+use super::model::{EDGE, Model};
+use super::rounds::{FIRST, MANY, MOST, Search, search, settle};
+use super::split::split;
+use super::volume::Lattice;
+use super::{HiddenPoint, Histogram, Outcome, Problem, Verdict};
+
+/// Shares of points that reappear in halves from which on points are accepted, and up to which they are refused.
+const REAPPEAR: [f64; 2] = [0.7, 0.5];
+/// A point reappears within so many standard deviations of both places, and this distance.
+const NEAR_SD: f64 = 4.0;
+const NEAR_M: f64 = 1e-3;
+/// Share of a half's threshold down to which its points count.
+const LOOSE: f64 = 0.5;
+/// Points whose ways differ by less than a width in this share of the histograms are not resolved; so many of them
+/// together may be a surface.
+const BLENDED: f64 = 0.5;
+const CROWD: usize = 4;
+/// A point with less than this share of another's photons that follows it by the same length, within this many widths,
+/// is its tail.
+const FOLLOWS: [f64; 2] = [0.25, 0.5];
+/// Scatter of arrivals, in widths of the response, above which they are not those of points on this wall.
+const SCATTER: f64 = 0.5;
+
+/// Searches for small hidden things, and judges them.
+///
+/// Of very many histograms a part is searched first: a surface shows there too, and points give the rest its start.
+#[must_use]
+pub fn joint_search(problem: &Problem) -> Outcome {
+    let lattice = Lattice::new(problem);
+    let threshold = (2.0 * (lattice.cells() as f64 / problem.false_alarm).ln()).sqrt();
+    let mut model = Model::default();
+    if problem.histograms.len() >= MANY {
+        let part = problem.part(FIRST);
+        let first = search(&part, &lattice, [threshold; 2], model);
+        let outcome;
+        (outcome, model) = judged(&part, &lattice, threshold, first);
+        if outcome.verdict == Verdict::ExtendedObject {
+            return outcome;
+        }
+    }
+    let whole = search(problem, &lattice, [threshold; 2], model);
+    judged(problem, &lattice, threshold, whole).0
+}
+
+/// What a search comes to, and the model behind it.
+fn judged(problem: &Problem, lattice: &Lattice, threshold: f64, mut whole: Search) -> (Outcome, Model) {
+    let mut all = points(&whole.fit, whole.misfit.factor);
+    let mut share = None;
+    let (verdict, reason) = if whole.too_many {
+        (Verdict::ExtendedObject, format!("more than {MOST} points would be needed"))
+    } else if all.is_empty() {
+        (Verdict::Nothing, format!("no point has a z of {threshold:.1}"))
+    } else {
+        let mut least = reappear(problem, lattice, threshold, (&whole, &mut all));
+        let mut answer = judge(problem, &whole, least);
+        // Points closer together than the response resolves; of very many histograms they are split in the first part.
+        if answer.0 == Verdict::Points && problem.histograms.len() < MANY {
+            let fit = split(problem, whole.fit.clone(), threshold);
+            if fit.model.dots.len() > all.len() {
+                let (fit, misfit) = settle(problem, fit, threshold);
+                whole = Search { fit, misfit, ..whole };
+                all = points(&whole.fit, whole.misfit.factor);
+                least = least.min(remain(problem, threshold, (&whole, &mut all)));
+                answer = judge(problem, &whole, least);
+            }
+        }
+        share = Some(least);
+        // What only one half shows is no point.
+        all.retain(|point| answer.0 != Verdict::Points || point.reappears);
+        answer
+    };
+    let model = whole.fit.model;
+    let outcome = Outcome {
+        verdict,
+        reason,
+        points: all,
+        reappear: share,
+        cells: lattice.cells(),
+        threshold,
+        largest: whole.largest,
+        misfit: whole.misfit.factor,
+        scatter_m: whole.misfit.scatter_m,
+        own_misfit: whole.misfit.own,
+        power: model.shared[0],
+        stretch: model.stretch(),
+    };
+    (outcome, model)
+}
+
+/// Points with their covariances; those without are left out.
+fn points(fit: &Fit, misfit: f64) -> Vec<HiddenPoint> {
+    let Some(covariance) = fit.covariance() else { return Vec::new() };
+    let z = fit.z();
+    let point = |k: usize| HiddenPoint {
+        place: fit.model.dots[k].place,
+        covariance_m2: place_covariance(&covariance, k) * misfit,
+        photons: fit.model.dots[k].log_photons.exp(),
+        z: z[k],
+        reappears: false,
+    };
+    (0..z.len()).map(point).collect()
+}
+
+/// Share of the points that reappear in halves of the histograms, which are searched by themselves.
+///
+/// Half of the light has a z that is smaller by the root of 2. Points that would then be below the threshold cannot be
+/// found anew: they reappear where a half that starts from all points keeps them in place. The share is the smaller one
+/// of that of all points and that of the points that can be found anew.
+fn reappear(
+    problem: &Problem,
+    lattice: &Lattice,
+    threshold: f64,
+    (whole, points_of_whole): (&Search, &mut [HiddenPoint]),
+) -> f64 {
+    let bright = SQRT_2 * threshold * whole.misfit.factor.sqrt();
+    let (mut counts, mut sums) = ([0_usize; 2], [0_usize; 2]);
+    let halves = [0, 1].map(|half| {
+        let half = problem.half(half);
+        let goals = [threshold / SQRT_2, threshold];
+        // Of many histograms a part is searched from nothing; the rest of the half refines it.
+        let model = if half.histograms.len() >= MANY {
+            search(&half.part(FIRST), lattice, goals, Model::default()).fit.model
+        } else {
+            Model::default()
+        };
+        let blind = search(&half, lattice, goals, model);
+        [points(&blind.fit, blind.misfit.factor), stay(&half, threshold, &whole.fit, blind.misfit.factor)]
+    });
+    for point in points_of_whole {
+        let is_bright = point.z > bright;
+        let is_in = halves.each_ref().map(|[blind, kept]| {
+            let others = if is_bright { blind } else { kept };
+            others.iter().any(|other| is_near(point, other))
+        });
+        let count = is_in.iter().filter(|is| **is).count();
+        point.reappears = count == 2;
+        counts[0] += 2;
+        sums[0] += count;
+        if is_bright {
+            counts[1] += 2;
+            sums[1] += count;
+        }
+    }
+    let share = |n: usize| if counts[n] > 0 { sums[n] as f64 / counts[n] as f64 } else { 1.0 };
+    share(0).min(share(1))
+}
+
+/// Points of a half that starts from all points of the whole.
+fn stay(half: &Problem, threshold: f64, whole: &Fit, misfit: f64) -> Vec<HiddenPoint> {
+    let levels = vec![[1.0, 0.0]; half.histograms.len()];
+    let fit = Fit::new(half, whole.tail.clone(), whole.model.clone(), &levels).climb(half, Free::All).eliminate(
+        half,
+        LOOSE * threshold / SQRT_2,
+        Free::All,
+    );
+    points(&fit, misfit)
+}
+
+/// Share of the points that stay in halves that start from all of them.
+fn remain(problem: &Problem, threshold: f64, (whole, points_of_whole): (&Search, &mut [HiddenPoint])) -> f64 {
+    let halves = [0, 1].map(|half| stay(&problem.half(half), threshold, &whole.fit, whole.misfit.factor));
+    let mut count = 0;
+    for point in &mut *points_of_whole {
+        let is_in = halves.each_ref().map(|half| half.iter().any(|other| is_near(point, other)));
+        point.reappears = is_in[0] && is_in[1];
+        count += is_in.iter().filter(|is| **is).count();
+    }
+    count as f64 / (2 * points_of_whole.len()).max(1) as f64
+}
+
+/// Whether a point of a half lies where a point of the whole does.
+fn is_near(point: &HiddenPoint, other: &HiddenPoint) -> bool {
+    let off = other.place - point.place;
+    let sd_m = off
+        .try_normalize(f64::MIN_POSITIVE)
+        .map_or(0.0, |along| (along.transpose() * other.covariance_m2 * along)[(0, 0)].max(0.0).sqrt());
+    off.norm() < (NEAR_SD * sd_m).max(NEAR_M)
+}
+
+fn judge(problem: &Problem, whole: &Search, share: f64) -> (Verdict, String) {
+    let percent = 100.0 * share;
+    let strain = whole.fit.model.strain();
+    if share <= REAPPEAR[1] {
+        return (Verdict::ExtendedObject, format!("{percent:.0} % of the points reappear in halves of the histograms"));
+    }
+    if strain[1] > EDGE {
+        let stretch = whole.fit.model.stretch();
+        return (Verdict::ExtendedObject, format!("pulses are {stretch:.2} times as wide as the response"));
+    }
+    if share < REAPPEAR[0] {
+        let text = format!("only {percent:.0} % of the points reappear in halves of the histograms");
+        return (Verdict::CannotTell, text);
+    }
+    if strain[0] > EDGE {
+        let power = whole.fit.model.shared[0];
+        return (Verdict::CannotTell, format!("light would fall off with the power {power:.1} of the distance"));
+    }
+    if let Some([weak, strong]) = follower(problem, &whole.fit) {
+        let text = format!("point {} follows point {} as a tail of the response would", weak + 1, strong + 1);
+        return (Verdict::CannotTell, text);
+    }
+    let crowd = crowd(problem, &whole.fit);
+    if crowd >= CROWD {
+        let text = format!("{crowd} points lie closer together than the response resolves, as on a surface");
+        return (Verdict::CannotTell, text);
+    }
+    let scatter = whole.misfit.scatter_m / problem.pulse.width_m();
+    if scatter > SCATTER {
+        let text = format!("arrivals scatter by {:.0} % of the response's width", 100.0 * scatter);
+        return (Verdict::CannotTell, text);
+    }
+    (Verdict::Points, format!("{percent:.0} % of the points reappear in halves of the histograms"))
+}
+
+/// Size of the largest group of points, each closer to another one than the response resolves.
+fn crowd(problem: &Problem, fit: &Fit) -> usize {
+    let dots = &fit.model.dots;
+    let width_m = problem.pulse.width_m();
+    let mut groups: Vec<usize> = (0..dots.len()).collect();
+    for a in 0..dots.len() {
+        for b in 0..a {
+            let lengths_m = problem.histograms.iter().map(|one| [a, b].map(|k| fit.model.way(&dots[k], one).length_m));
+            let close = lengths_m.filter(|[a_m, b_m]| (a_m - b_m).abs() < width_m).count();
+            if close as f64 > BLENDED * problem.histograms.len() as f64 {
+                let (from, to) = (groups[a], groups[b]);
+                groups.iter_mut().filter(|group| **group == from).for_each(|group| *group = to);
+            }
+        }
+    }
+    let size = |group: usize| groups.iter().filter(|other| **other == group).count();
+    (0..dots.len()).map(size).max().unwrap_or(0)
+}
+
+/// A faint point whose light follows that of a bright one by the same time in all histograms: the response may have a
+/// tail that the model lacks.
+fn follower(problem: &Problem, fit: &Fit) -> Option<[usize; 2]> {
+    let dots = &fit.model.dots;
+    let pairs = (0..dots.len()).flat_map(|weak| (0..dots.len()).map(move |strong| [weak, strong]));
+    let mut faint =
+        pairs.filter(|[weak, strong]| dots[*weak].log_photons < dots[*strong].log_photons + FOLLOWS[0].ln());
+    faint.find(|pair| {
+        let later = |one: &Histogram| {
+            let [weak, strong] = pair.map(|k| fit.model.way(&dots[k], one).length_m);
+            weak - strong
+        };
+        let count = problem.histograms.len() as f64;
+        let mean = problem.histograms.iter().map(later).sum::<f64>() / count;
+        let square = problem.histograms.iter().map(|one| (later(one) - mean).powi(2)).sum::<f64>() / count;
+        mean > 0.0 && square.sqrt() < FOLLOWS[1] * problem.pulse.width_m()
+    })
+}
