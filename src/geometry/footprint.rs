@@ -64,8 +64,8 @@ impl Footprints {
         shift_m(source, &bounces, sensor)
     }
 
-    /// By how much [`Self::shift_m`] changes with the size and the direction of each patch whose footprint is uncertain:
-    /// for a standard deviation of each of the three.
+    /// By how much [`Self::shift_m`] changes with the direction and the size of each patch whose footprint is
+    /// uncertain: for a standard deviation of each of the three.
     #[must_use]
     pub fn changes_m(
         &self,

@@ -141,8 +141,8 @@ table! {
         /// chi-square, residuals cut at three standard deviations, over its degrees of freedom and the squared share of
         /// residuals that are not cut; 1 where that chi-square is not beyond its 99.9 % point.
         misfit: f64,
-        /// Factors on the variances of first, second and later bounces, and of onsets read as two, where their residuals
-        /// are larger than chance allows; else 1.
+        /// Factors on the variances of first, second and later bounces, and of onsets read as two, where the median
+        /// residual of these is larger than chance allows; else 1.
         widened: Vec<f64>,
         /// Log-likelihood up to a constant; large residuals count linearly.
         log_likelihood: f64,

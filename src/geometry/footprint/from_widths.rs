@@ -42,10 +42,11 @@ const LINEAR_FIRST: f64 = 1e6;
 const TIGHTER: f64 = 0.3;
 /// Sizes are alike: their standard deviation about the middle one, as a share of it.
 const ALIKE: f64 = 0.3;
-/// How well widths tell normals: 0.02 to 0.26 for patches of one centimetre whose pulses have an SNR of some 500.
-const NORMAL_SD_RAD: f64 = 0.2;
-/// And sizes, as a share: 4 to 10 % where patches are known to a tenth of a millimetre.
-const SIZE_SD: f64 = 0.1;
+/// Errors of normals and, as a share, of sizes are larger than the widths of a patch's own pulses tell, since those of
+/// its neighbours join them; and no smaller than what the shape of a patch and its light are off a disk's.
+const NEIGHBOURS: f64 = 1.5;
+const NORMAL_SD_RAD: [f64; 2] = [0.02, 0.5];
+const SIZE_SD: [f64; 2] = [0.02, 0.3];
 /// What a bounce with legs on both sides of its patch adds to chi-square.
 const THROUGH: f64 = 9.0;
 /// Pulses of one patch that count; more tell no more than that.
@@ -134,8 +135,9 @@ pub fn from_widths(spreads: &[Spread], given: &[Option<Footprint>], cancel: &Can
         let gain = fit.chi2(patch, Vector3::zeros()) - fit.chi2(patch, vector_m);
         let normal = vector_m.try_normalize(0.0).filter(|_| gain > EVIDENCE);
         let size_m = 4.0 * vector_m.norm();
-        let size_sd_m = SIZE_SD * size_m;
-        footprints[patch] = normal.map(|normal| Footprint { normal, size_m, normal_sd_rad: NORMAL_SD_RAD, size_sd_m });
+        let [normal_sd_rad, size_sd] = fit.relative_sds(patch);
+        footprints[patch] =
+            normal.map(|normal| Footprint { normal, size_m, normal_sd_rad, size_sd_m: size_sd * size_m });
     }
     // Also the sizes that are not certain make pulses wider.
     let none = given.len();
@@ -250,29 +252,52 @@ impl Fit<'_> {
         (1.5 * left_m2.max(0.0) / f64::max(slopes, f64::MIN_POSITIVE)).sqrt()
     }
 
+    /// Standard deviations of a vector's direction and, as a share, of its length: of the inverse Fisher matrix,
+    /// widened by what the patch's pulses scatter.
+    fn relative_sds(&self, patch: usize) -> [f64; 2] {
+        let at_m = self.vectors_m[patch];
+        let most = [NORMAL_SD_RAD[1], SIZE_SD[1]];
+        let Some(along) = at_m.try_normalize(f64::MIN_POSITIVE) else { return most };
+        let (normal, _) = self.normal_equations(patch, at_m);
+        let Some(covariance_m2) = normal.try_inverse() else { return most };
+        let pulses = self.of_patch[patch].len() as f64;
+        let scatter = f64::max(1.0, self.chi2(patch, at_m) / f64::max(1.0, pulses - 3.0));
+        let radial_m2 = along.dot(&(covariance_m2 * along));
+        let across_m2 = 0.5 * (covariance_m2.trace() - radial_m2);
+        let share = |variance_m2: f64| NEIGHBOURS * (scatter * variance_m2.max(0.0)).sqrt() / at_m.norm();
+        let within = |sd: f64, [least, most]: [f64; 2]| sd.clamp(least, most);
+        [within(share(across_m2), NORMAL_SD_RAD), within(share(radial_m2), SIZE_SD)]
+    }
+
+    /// Normal matrix of a patch's vector and its right-hand side, sizes of others beside it included.
+    fn normal_equations(&self, patch: usize, at_m: Vector3<f64>) -> (Matrix3<f64>, Vector3<f64>) {
+        let (mut normal, mut slope) = (Matrix3::zeros(), Vector3::zeros());
+        for &n in &self.of_patch[patch] {
+            let pulse = &self.spreads[n];
+            let residual = self.residual(pulse, patch, at_m);
+            let weight = self.robust(residual * residual).1;
+            let of_bounce = |bounce: &Bounce| {
+                let g = bounce.slope();
+                2.0 * (g.norm_squared() * at_m - at_m.dot(&g) * g) / pulse.sd_m2
+            };
+            let own = pulse.bounces.iter().filter(|bounce| bounce.patch == patch);
+            let gradient: Vector3<f64> = own.map(of_bounce).sum();
+            normal += weight * gradient * gradient.transpose();
+            slope += weight * residual * gradient;
+        }
+        if let Some(along) = at_m.try_normalize(0.0).filter(|_| self.usual_m > 0.0) {
+            let gradient = along / (ALIKE * self.usual_m);
+            normal += gradient * gradient.transpose();
+            slope -= self.longer(at_m) * gradient;
+        }
+        (normal, slope)
+    }
+
     /// Levenberg-Marquardt from a start: loss and vector reached.
     fn descend(&self, patch: usize, start_m: Vector3<f64>) -> (f64, Vector3<f64>) {
         let (mut at_m, mut loss, mut damping) = (start_m, self.loss(patch, start_m), 1e-2);
         for _ in 0..STEPS {
-            let (mut normal, mut slope) = (Matrix3::zeros(), Vector3::zeros());
-            for &n in &self.of_patch[patch] {
-                let pulse = &self.spreads[n];
-                let residual = self.residual(pulse, patch, at_m);
-                let weight = self.robust(residual * residual).1;
-                let of_bounce = |bounce: &Bounce| {
-                    let g = bounce.slope();
-                    2.0 * (g.norm_squared() * at_m - at_m.dot(&g) * g) / pulse.sd_m2
-                };
-                let own = pulse.bounces.iter().filter(|bounce| bounce.patch == patch);
-                let gradient: Vector3<f64> = own.map(of_bounce).sum();
-                normal += weight * gradient * gradient.transpose();
-                slope += weight * residual * gradient;
-            }
-            if let Some(along) = at_m.try_normalize(0.0).filter(|_| self.usual_m > 0.0) {
-                let gradient = along / (ALIKE * self.usual_m);
-                normal += gradient * gradient.transpose();
-                slope -= self.longer(at_m) * gradient;
-            }
+            let (normal, slope) = self.normal_equations(patch, at_m);
             let damped = normal + Matrix3::identity() * (damping * normal.trace().max(f64::MIN_POSITIVE));
             let Some(step_m) = damped.cholesky().map(|root| root.solve(&slope)) else { break };
             let next = self.loss(patch, at_m + step_m);

@@ -30,9 +30,9 @@ impl Extents {
     /// Those `given`, and what the widths of onsets tell of patches without one.
     ///
     /// An onset that is wider than its patches make it has other light in it. Onsets of first and second bounces may
-    /// have companions ([`companion`]), of which all places are known. What these do not explain is light of a path that
-    /// nothing is known of: one of a share f that comes D later adds f (1 - f) D^2 to the variance, and f D to the time:
-    /// about V / D for a variance V. Third bounces it may pull either way.
+    /// have companions ([`companion`]), of which all places are known. What these do not explain is light of a path
+    /// that nothing is known of: one of a share f that comes D later adds f (1 - f) D^2 to the variance, and f D to the
+    /// time: about V / D for a variance V. Third bounces it may pull either way.
     pub fn new(model: &Model, problem: &Problem, solution: &Solution, given: &Footprints) -> Self {
         let widths = Widths::new(model, problem, solution);
         let held: Vec<_> = model.patches.iter().map(|patch| given.0.get(patch).copied()).collect();

@@ -1,20 +1,28 @@
 //! Onsets that scatter more than their standard deviations say: which kind of them does, and by how much.
 //!
 //! Onsets of one kind share their causes of error: the shape of a patch's light, other light in the same pulse, a pulse
-//! that is read as two. Of each kind the squared residuals are compared with what noise leaves of them, the sum of the
-//! redundancies (the share of an onset's information that others check). Beyond the 99.9 % point of chi-square their
-//! ratio is the factor on the variances of that kind (variance components: Foerstner, 1979), and all is solved again,
-//! so that the other kinds count the more.
+//! that is read as two. The scatter of a kind is the median of its studentised residuals (over 0.674, that of a normal
+//! distribution): wrong labels, up to half of them, say nothing of the others. Beyond what chance makes of the median
+//! (its 99.9 % point) its square is the factor on the variances of that kind, and all is solved again, so that the
+//! other kinds count the more.
 
-use crate::geometry::maximum_likelihood::{Problem, Solution, by_chance};
+use crate::geometry::maximum_likelihood::{Problem, Solution};
 use crate::tables::{Label, ONSET_KINDS};
 
-/// A residual counts no more than this many standard deviations: a wrong label says nothing of the others.
-const MOST: f64 = 3.0;
-/// Where nearly all onsets of a kind contradict the others, nothing more can be said of variances.
-const INSIDE_MIN: f64 = 0.1;
+/// Median of the size of a normal variable.
+const MEDIAN: f64 = 0.674_490;
+/// Standard deviation of the squared median of n sizes, over that square, times the root of n: the median knows a scale
+/// with 0.37 of the information that squares have.
+const MEDIAN_SD: f64 = 2.33;
+/// The 99.9 % point of a normal distribution.
+const BY_CHANCE_SD: f64 = 3.09;
+/// Onsets of a kind, counted by their redundancy (the share of their information that others check), that tell a
+/// scatter.
+const LEAST: f64 = 8.0;
+/// An onset that others check no more than this does not tell.
+const UNCHECKED: f64 = 0.01;
 
-/// Position of an onset's kind.
+/// Position of an onset's kind in [`ONSET_KINDS`].
 pub const fn kind(label: &Label) -> usize {
     match (label.part, label.bounces) {
         (1.., _) => 3,
@@ -24,36 +32,28 @@ pub const fn kind(label: &Label) -> usize {
     }
 }
 
-/// What the onsets of one kind leave.
-#[derive(Clone, Copy, Default)]
-struct Kind {
-    squares: f64,
-    redundancy: f64,
-    onsets: f64,
-    inside: f64,
-}
-
-impl Kind {
-    /// The factor, with the correction of an M-estimator for residuals that count less.
-    fn factor(self) -> f64 {
-        let is_chance = self.redundancy < 1.0 || self.squares <= by_chance(self.redundancy);
-        let inside = (self.inside / self.onsets).max(INSIDE_MIN);
-        if is_chance { 1.0 } else { self.squares / self.redundancy / (inside * inside) }
-    }
-}
-
 /// Factors on the variances of all kinds, 1 where chance explains their residuals; `kinds` are those of the problem's
 /// observations. All 1 of solutions without predicted variances.
 pub fn factors(problem: &Problem, solution: &Solution, kinds: &[usize]) -> [f64; ONSET_KINDS.len()] {
-    let mut all = [Kind::default(); ONSET_KINDS.len()];
     let Some(predicted_m2) = &solution.predicted_variance_m2 else { return [1.0; ONSET_KINDS.len()] };
+    let mut sizes: [Vec<f64>; ONSET_KINDS.len()] = Default::default();
+    let mut redundancies = [0.0; ONSET_KINDS.len()];
     for (n, (observation, kind)) in problem.observations.iter().zip(kinds).enumerate() {
-        let (own_m2, size) = (observation.sd_m * observation.sd_m, (solution.residuals_m[n] / observation.sd_m).abs());
-        let of_kind = &mut all[*kind];
-        of_kind.squares += size.min(MOST).powi(2);
-        of_kind.redundancy += (1.0 - predicted_m2[n] / own_m2).clamp(0.0, 1.0);
-        of_kind.onsets += 1.0;
-        of_kind.inside += f64::from(u8::from(size <= MOST));
+        let redundancy = 1.0 - predicted_m2[n] / (observation.sd_m * observation.sd_m);
+        if redundancy > UNCHECKED {
+            sizes[*kind].push((solution.residuals_m[n] / observation.sd_m).abs() / redundancy.sqrt());
+            redundancies[*kind] += redundancy;
+        }
     }
-    all.map(Kind::factor)
+    std::array::from_fn(|kind| factor(&mut sizes[kind], redundancies[kind]))
+}
+
+/// Of one kind, by the sizes of its studentised residuals and the sum of their redundancies.
+fn factor(sizes: &mut [f64], redundancy: f64) -> f64 {
+    if redundancy < LEAST {
+        return 1.0;
+    }
+    sizes.sort_by(f64::total_cmp);
+    let square = (sizes[sizes.len() / 2] / MEDIAN).powi(2);
+    if square > 1.0 + BY_CHANCE_SD * MEDIAN_SD / redundancy.sqrt() { square } else { 1.0 }
 }
