@@ -87,7 +87,7 @@ fn the_gradient_is_that_of_differences() {
         };
         let slope = (end(1.0) - end(-1.0)) / 4e-4;
         let scale = at.fisher[(n, n)].sqrt();
-        assert!((slope - at.gradient[n]).abs() < 0.02 * scale + 0.01 * slope.abs(), "{n}: {slope}, {}", at.gradient[n]);
+        assert!((slope - at.gradient[n]).abs() < 0.02 * scale + 0.03 * slope.abs(), "{n}: {slope}, {}", at.gradient[n]);
     }
 }
 
