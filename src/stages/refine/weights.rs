@@ -45,15 +45,18 @@ pub fn factors(problem: &Problem, solution: &Solution, kinds: &[usize]) -> [f64;
             redundancies[*kind] += redundancy;
         }
     }
-    std::array::from_fn(|kind| factor(&mut sizes[kind], redundancies[kind]))
+    // What too few of a kind tell, all onsets do.
+    let of_all = factor(sizes.concat(), redundancies.iter().sum()).unwrap_or(1.0);
+    let mut own = sizes.into_iter().zip(redundancies).map(|(sizes, redundancy)| factor(sizes, redundancy));
+    std::array::from_fn(|kind| {
+        let own = own.next().flatten();
+        if kinds.contains(&kind) { own.unwrap_or(of_all) } else { 1.0 }
+    })
 }
 
-/// Of one kind, by the sizes of its studentised residuals and the sum of their redundancies.
-fn factor(sizes: &mut [f64], redundancy: f64) -> f64 {
-    if redundancy < LEAST {
-        return 1.0;
-    }
+/// By the sizes of studentised residuals and the sum of their redundancies; `None` of too few.
+fn factor(mut sizes: Vec<f64>, redundancy: f64) -> Option<f64> {
     sizes.sort_by(f64::total_cmp);
-    let square = (sizes[sizes.len() / 2] / MEDIAN).powi(2);
-    if square > 1.0 + BY_CHANCE_SD * MEDIAN_SD / redundancy.sqrt() { square } else { 1.0 }
+    let square = (sizes.get(sizes.len() / 2).filter(|_| redundancy >= LEAST)? / MEDIAN).powi(2);
+    Some(if square > 1.0 + BY_CHANCE_SD * MEDIAN_SD / redundancy.sqrt() { square } else { 1.0 })
 }
