@@ -44,8 +44,8 @@ pub struct WallSum<'a> {
 }
 
 impl WallSum<'_> {
-    /// The first bin from the gate on behind which the mixture explains the sum over [`BLOCKS`] blocks, each as wide as
-    /// the response, and at least [`FIRST`] of them behind the arrival; the bin that comes nearest where there is none.
+    /// The first bin from the gate on behind which the mixture explains the sum over `BLOCKS` blocks, each as wide as
+    /// the response, and at least `FIRST` of them behind the arrival; the bin that comes nearest where there is none.
     ///
     /// A gate that is found by other means may leave the end of the first bounce, which would look like points close to
     /// the wall.
