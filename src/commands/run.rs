@@ -19,7 +19,7 @@ use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
 use periscope::pipeline::shards;
 use periscope::pipeline::spec::{BuiltIn, Definition, Reference, Spec};
 use periscope::store::runs::{Ending, RunRecord};
-use periscope::store::{Digest, Shelf, StoreError};
+use periscope::store::{Digest, Left, Shelf, StoreError};
 
 use super::aftermath;
 use super::interrupt::{cancel_on_signals, is_interruption};
@@ -216,7 +216,13 @@ pub fn open(out: &Path, wait: bool) -> Result<Shelf> {
                 }
                 std::thread::sleep(LOOK_AGAIN);
             }
-            opened => return Ok(opened?),
+            opened => {
+                let shelf = opened?;
+                for Left { path, why } in shelf.leftovers() {
+                    note!("warning: {} was left by a run that was killed, and cannot be removed: {why}", path.display());
+                }
+                return Ok(shelf);
+            }
         }
     }
 }

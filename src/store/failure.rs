@@ -29,6 +29,12 @@ pub enum StoreError {
     /// A folder that is not a result folder.
     #[error("{0} holds other files and no .shelf: it is no result folder of periscope; choose another --out")]
     Foreign(PathBuf),
+    /// The shelf is a link to another folder.
+    #[error(
+        "{0} is a link: periscope writes and clears only a shelf that it made; put a folder in its place, or make all of \
+         the result folder a link"
+    )]
+    Linked(PathBuf),
     /// The folder has nothing to read.
     #[error("{}", absent(.0))]
     Absent(PathBuf),

@@ -22,6 +22,9 @@ use super::runs::utc;
 /// write at once.
 const TEXT_BYTES: usize = 512;
 
+/// Hexadecimal digits of a mark.
+pub(super) const MARK_DIGITS: usize = 16;
+
 /// Mark of this process: machine, process number and start.
 static MARK: LazyLock<String> = LazyLock::new(|| {
     let Holder { host, process, .. } = Holder::here();

@@ -28,3 +28,4 @@ pub use lineage::Digest;
 pub use parquet::{FileRecord, TableWriter, uncompressed};
 pub use shards::PieceRecord;
 pub use shelf::{PartRecord, Shelf, StageId, TableRecord};
+pub use sweep::Left;

@@ -24,7 +24,7 @@ use super::failure::{At, StoreError};
 use super::lock::{self, Hold};
 use super::parquet::{self as file, FileRecord, TableWriter};
 use super::record;
-use super::sweep;
+use super::sweep::{self, Left};
 
 /// The content of a recipe: everything that determines a table except raw files.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -102,6 +102,7 @@ pub struct Shelf {
     /// Held for writing; `None` for reading.
     _lock: Option<lock::Lock>,
     temporary: AtomicU64,
+    leftovers: Vec<Left>,
 }
 
 impl Shelf {
@@ -109,10 +110,10 @@ impl Shelf {
     /// half-written.
     ///
     /// # Errors
-    /// When another run holds it, when it holds foreign files, or when it cannot be written.
+    /// When another run holds it, when it holds foreign files, when its shelf is a link, or when it cannot be written.
     pub fn open(out: &Path) -> Result<Self, StoreError> {
-        let shelf = Self::take(out, Hold::Alone)?;
-        sweep::sweep(&shelf.root())?;
+        let mut shelf = Self::take(out, Hold::Alone)?;
+        shelf.leftovers = sweep::sweep(&shelf.root())?;
         Ok(shelf)
     }
 
@@ -127,13 +128,16 @@ impl Shelf {
 
     fn take(out: &Path, hold: Hold) -> Result<Self, StoreError> {
         let shelf = out.join(".shelf");
+        if shelf.is_symlink() {
+            return Err(StoreError::Linked(shelf));
+        }
         let foreign = !shelf.exists() && out.exists() && fs::read_dir(out).at("read", out)?.next().is_some();
         if foreign {
             return Err(StoreError::Foreign(out.to_owned()));
         }
         fs::create_dir_all(&shelf).at("create", &shelf)?;
         let lock = lock::take(out, &shelf, hold)?;
-        Ok(Self { out: out.to_owned(), _lock: Some(lock), temporary: AtomicU64::new(0) })
+        Ok(Self { out: out.to_owned(), _lock: Some(lock), temporary: AtomicU64::new(0), leftovers: Vec::new() })
     }
 
     /// Opens a result folder for reading.
@@ -144,19 +148,25 @@ impl Shelf {
         if !out.join(".shelf").is_dir() {
             return Err(StoreError::Absent(out.to_owned()));
         }
-        Ok(Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0) })
+        Ok(Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0), leftovers: Vec::new() })
     }
 
     /// A shelf for planning only: it accepts a folder that does not exist yet, and writes nothing.
     #[must_use]
     pub fn imagine(out: &Path) -> Self {
-        Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0) }
+        Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0), leftovers: Vec::new() }
     }
 
     /// The result folder.
     #[must_use]
     pub fn out(&self) -> &Path {
         &self.out
+    }
+
+    /// Leftovers of killed runs that could not be removed when the folder was opened.
+    #[must_use]
+    pub fn leftovers(&self) -> &[Left] {
+        &self.leftovers
     }
 
     /// Folder for notes of sources on raw files.
@@ -170,7 +180,7 @@ impl Shelf {
     }
 
     pub(super) fn temporary(&self, folder: &Path) -> PathBuf {
-        folder.join(format!("tmp-{}-{}", lock::mark(), self.temporary.fetch_add(1, Ordering::Relaxed)))
+        folder.join(format!("{}{}-{}", sweep::UNFINISHED, lock::mark(), self.temporary.fetch_add(1, Ordering::Relaxed)))
     }
 
     /// Record of a part, if it is complete.

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::failure::{At, StoreError};
 use super::parquet::{self as file, FileRecord, TableWriter};
 use super::shelf::{PartRecord, Shelf, StageId, TableRecord};
-use super::{Digest, record};
+use super::{Digest, record, sweep};
 use crate::tables::{Reject, Row};
 
 /// Name of a [`RejectsRecord`].
@@ -136,7 +136,7 @@ impl Shelf {
             Err(_) if link.exists() => return Err(StoreError::InTheWay(link)),
             _ => {}
         }
-        let temporary = self.out().join(format!(".shelf/tmp-view-{view}"));
+        let temporary = self.root().join(format!("{}{view}", sweep::VIEW));
         let _ = fs::remove_file(&temporary);
         // The link is made in the shelf and then moved, so its target is relative to OUT.
         std::os::unix::fs::symlink(target, &temporary).at("link", &temporary)?;

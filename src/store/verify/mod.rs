@@ -18,7 +18,7 @@ use super::record;
 use super::runs::RunRecord;
 use super::shelf::{Shelf, StageId};
 use super::views::{REJECTS_RECORD, RejectsRecord};
-use super::{Digest, TableRecord};
+use super::{Digest, TableRecord, sweep};
 use stage_folder::StageFolder;
 
 /// Something wrong, and how to fix it.
@@ -134,7 +134,7 @@ pub fn verify(shelf: &Shelf) -> Result<Report, StoreError> {
             // check.
             "lock" | "notes" | "shards" => {}
             "runs" => runs(shelf, &path, &mut report)?,
-            _ if name.starts_with("tmp-") => report.notes.push(left_over(&path)),
+            _ if sweep::is_unfinished(name.as_ref()) => report.notes.push(left_over(&path)),
             _ if path.join(REJECTS_RECORD).exists() || name.starts_with("rejects-") => {
                 rejects(shelf, &path, &mut report)?
             }

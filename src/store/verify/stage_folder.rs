@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::{Report, entries, left_over, name, same_file};
 use crate::store::failure::{At, StoreError};
 use crate::store::shelf::{PartRecord, Shelf, StageId, TableRecord};
-use crate::store::{Digest, parquet};
+use crate::store::{Digest, parquet, sweep};
 
 /// The readable records of a folder.
 pub struct StageFolder {
@@ -37,7 +37,7 @@ impl StageFolder {
         for path in entries(&folder.path)? {
             let name = name(&path);
             if name == "stage.json" {
-            } else if name.starts_with("tmp-") {
+            } else if sweep::is_unfinished(name.as_ref()) {
                 report.notes.push(left_over(&path));
             } else if name.starts_with("table-") {
                 tables.push(path);
