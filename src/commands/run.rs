@@ -165,7 +165,10 @@ impl Job<'_> {
             }
         };
         record.end(ending);
-        let written = self.shelf.write_run(record);
+        let written = self.shelf.targets().and_then(|views| {
+            record.views = views;
+            self.shelf.write_run(record)
+        });
         let outcome = outcome?;
         written?;
         Ok(outcome)
@@ -219,7 +222,10 @@ pub fn open(out: &Path, wait: bool) -> Result<Shelf> {
             opened => {
                 let shelf = opened?;
                 for Left { path, why } in shelf.leftovers() {
-                    note!("warning: {} was left by a run that was killed, and cannot be removed: {why}", path.display());
+                    note!(
+                        "warning: {} was left by a run that was killed, and cannot be removed: {why}",
+                        path.display()
+                    );
                 }
                 return Ok(shelf);
             }

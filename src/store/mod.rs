@@ -17,6 +17,7 @@ pub mod runs;
 pub mod scan;
 mod shards;
 pub mod shelf;
+mod shown;
 pub mod sql_names;
 mod sweep;
 pub mod verify;

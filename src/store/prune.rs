@@ -54,7 +54,7 @@ impl Shelf {
         for (folder, metadata) in folders(&self.root())? {
             let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if is_list_of_rejects(&name) {
-                let is_visible = fs::read_link(self.out().join(Reject::TABLE)).is_ok_and(|link| link.ends_with(&name));
+                let is_visible = self.target(Reject::TABLE)?.is_some_and(|list| list.ends_with(&name));
                 if !is_visible && !is_unfinished(&metadata) {
                     // Its files are links to those of parts, so they free no bytes.
                     unneeded.push(Unneeded { folder: name, is_whole: true, parts: 0, bytes: 0, paths: vec![folder] });

@@ -70,6 +70,9 @@ pub struct RunRecord {
     pub left_out: Vec<String>,
     /// Lineages of the tables that were complete at its end, by view.
     pub tables: BTreeMap<String, Digest>,
+    /// All views at its end, each with the folder of its table, relative to the result folder.
+    #[serde(default)]
+    pub views: BTreeMap<String, PathBuf>,
     /// Its passes, in order; empty for a run that failed.
     #[serde(default)]
     pub passes: Vec<PassRecord>,
@@ -101,6 +104,7 @@ impl RunRecord {
             rejects: 0,
             left_out: Vec::new(),
             tables: BTreeMap::new(),
+            views: BTreeMap::new(),
             passes: Vec::new(),
         })
     }

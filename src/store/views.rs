@@ -10,14 +10,14 @@ use serde::{Deserialize, Serialize};
 use super::failure::{At, StoreError};
 use super::parquet::{self as file, FileRecord, TableWriter};
 use super::shelf::{PartRecord, Shelf, StageId, TableRecord};
-use super::{Digest, record, sweep};
+use super::{Digest, damage, record, sweep};
 use crate::tables::{Reject, Row};
 
 /// Name of a [`RejectsRecord`].
 pub(super) const REJECTS_RECORD: &str = "rejects.json";
 
 /// The files of the view `rejects`, which come from many stages.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct RejectsRecord {
     /// Files by name.
     pub files: BTreeMap<String, FileRecord>,
@@ -128,19 +128,69 @@ impl Shelf {
         fs::rename(temporary, whole).at("write", whole)
     }
 
-    /// Points the view `OUT/<view>` at `target` (relative to OUT) in one step.
+    /// Points the view `OUT/<view>` at `target` (relative to OUT) in one step. A folder that copies a table gives way to
+    /// the link.
     fn show(&self, view: &str, target: &Path) -> Result<(), StoreError> {
         let link = self.out().join(view);
-        match fs::read_link(&link) {
+        let is_copy = match fs::read_link(&link) {
             Ok(present) if present == target => return Ok(()),
+            Err(_) if self.is_copy(view, &link)? => true,
             Err(_) if link.exists() => return Err(StoreError::InTheWay(link)),
-            _ => {}
-        }
+            Ok(_) | Err(_) => false,
+        };
         let temporary = self.root().join(format!("{}{view}", sweep::VIEW));
+        // It may be left from a run that was killed.
         let _ = fs::remove_file(&temporary);
         // The link is made in the shelf and then moved, so its target is relative to OUT.
         std::os::unix::fs::symlink(target, &temporary).at("link", &temporary)?;
+        if is_copy {
+            let aside = self.temporary(&self.root());
+            fs::rename(&link, &aside).at("replace", &link)?;
+            fs::rename(&temporary, &link).at("link", &link)?;
+            return fs::remove_dir_all(&aside).at("remove", &aside);
+        }
         fs::rename(&temporary, &link).at("link", &link)
+    }
+
+    /// Whether a folder in the place of a view holds just what its table has, byte for byte.
+    fn is_copy(&self, view: &str, folder: &Path) -> Result<bool, StoreError> {
+        let Some(target) = self.target(view)? else {
+            return Ok(false);
+        };
+        let Some(files) = self.files_of(&target)? else {
+            return Ok(false);
+        };
+        let mut files: BTreeMap<String, FileRecord> = files.into_iter().collect();
+        for entry in fs::read_dir(folder).at("read", folder)? {
+            let entry = entry.at("read", folder)?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let is_whole = match files.remove(&name) {
+                Some(file) => damage::find(&entry.path(), &file)?.is_none(),
+                None => name == REJECTS_RECORD,
+            };
+            if !is_whole {
+                return Ok(false);
+            }
+        }
+        Ok(files.is_empty())
+    }
+
+    /// Names of the files of the table in a folder (relative to OUT), in order, each with its record; `None` if there is
+    /// no such table.
+    ///
+    /// # Errors
+    /// When its record is damaged.
+    pub(super) fn files_of(&self, target: &Path) -> Result<Option<Vec<(String, FileRecord)>>, StoreError> {
+        let folder = self.out().join(target);
+        if let Some(rejects) = record::read::<RejectsRecord>(&folder.join(REJECTS_RECORD))? {
+            return Ok(Some(rejects.files.into_iter().collect()));
+        }
+        let table = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let Some(record) = record::read::<TableRecord>(&folder.with_file_name("table.json"))? else {
+            return Ok(None);
+        };
+        let parts = record.parts.into_iter().enumerate();
+        Ok(parts.map(|(i, mut part)| Some((format!("part-{i:05}.parquet"), part.files.remove(&table)?))).collect())
     }
 
     /// The views and the tables behind them, by name.
@@ -174,7 +224,7 @@ impl Shelf {
     /// # Errors
     /// When its record is damaged.
     pub fn view(&self, view: &str) -> Result<Option<TableRecord>, StoreError> {
-        let Ok(target) = fs::read_link(self.out().join(view)) else {
+        let Some(target) = self.target(view)? else {
             return Ok(None);
         };
         let Some(whole) = target.parent() else {
@@ -186,14 +236,14 @@ impl Shelf {
     /// Name of the table (main or side) that a view shows.
     #[must_use]
     pub fn table_of(&self, view: &str) -> Option<String> {
-        let target = fs::read_link(self.out().join(view)).ok()?;
+        let target = self.target(view).ok()??;
         Some(target.file_name()?.to_string_lossy().into_owned())
     }
 
     /// Time at which the table behind a view was completed.
     #[must_use]
     pub fn made(&self, view: &str) -> Option<std::time::SystemTime> {
-        let target = fs::read_link(self.out().join(view)).ok()?;
+        let target = self.target(view).ok()??;
         fs::metadata(self.out().join(target.parent()?).join("table.json")).ok()?.modified().ok()
     }
 
@@ -213,20 +263,10 @@ impl Shelf {
     pub fn recorded(&self, view: &str) -> Result<Vec<(PathBuf, FileRecord)>, StoreError> {
         let missing = || StoreError::NoTable { out: self.out().to_owned(), heading: view.to_owned() };
         // Resolve the link first, in case a run switches the view meanwhile.
-        let folder = fs::canonicalize(self.out().join(view)).map_err(|_| missing())?;
-        if let Some(rejects) = record::read::<RejectsRecord>(&folder.join(REJECTS_RECORD))? {
-            return Ok(rejects.files.into_iter().map(|(name, file)| (folder.join(name), file)).collect());
-        }
-        let table = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let record = record::read::<TableRecord>(&folder.with_file_name("table.json"))?.ok_or_else(missing)?;
-        let parts = record.parts.into_iter().enumerate();
-        let file = |(i, mut part): (usize, PartRecord)| {
-            part.files
-                .remove(&table)
-                .map(|file| (folder.join(format!("part-{i:05}.parquet")), file))
-                .ok_or_else(missing)
-        };
-        parts.map(file).collect()
+        let target = self.target(view)?.ok_or_else(missing)?;
+        let folder = fs::canonicalize(self.out().join(&target)).map_err(|_| missing())?;
+        let files = self.files_of(&target)?.ok_or_else(missing)?;
+        Ok(files.into_iter().map(|(name, file)| (folder.join(name), file)).collect())
     }
 
     /// All batches of a view.

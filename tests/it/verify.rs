@@ -262,3 +262,181 @@ fn a_raw_file_that_decays_on_the_disk_is_refused_by_the_run_that_reads_it() {
     let (code, text) = periscope(&lab, &run);
     assert!(code == Some(1) && text.contains("s1_L2_P3_C1.trc") && text.contains("restore"), "{text}");
 }
+
+/// A result folder that a command made, so that a record of its run is there.
+fn run_by_command(lab: &Lab) {
+    fs::write(lab.path("pipeline.toml"), ALL_VISIBLE).unwrap();
+    let (code, text) = periscope(lab, &["run", "pipeline.toml", "--campaign", "campaign", "--out", "out"]);
+    assert_eq!(code, Some(0), "{text}");
+}
+
+/// Copies a folder as `cp -r` does, or with `follow` as `cp -rL`: links become what they lead to.
+fn copy(from: &Path, to: &Path, follow: bool) {
+    let mut command = Command::new("cp");
+    let done = command.arg(if follow { "-rL" } else { "-rP" }).arg(from).arg(to).status().unwrap();
+    assert!(done.success());
+}
+
+/// A change to what a reader sees.
+type Manipulation = (&'static str, fn(&Path, &mut ChaCha8Rng));
+
+/// Links among the views, sorted.
+fn links(out: &Path) -> Vec<PathBuf> {
+    let mut links: Vec<PathBuf> =
+        fs::read_dir(out).unwrap().flatten().map(|entry| entry.path()).filter(|path| path.is_symlink()).collect();
+    links.sort();
+    links
+}
+
+fn some_link(out: &Path, rng: &mut ChaCha8Rng) -> PathBuf {
+    let mut links = links(out);
+    links.swap_remove(rng.random_range(0..links.len()))
+}
+
+/// A table file of a view that has some; the record of the rejects is none.
+fn some_file(out: &Path, rng: &mut ChaCha8Rng) -> PathBuf {
+    loop {
+        let link = some_link(out, rng);
+        let mut files: Vec<PathBuf> = fs::read_dir(&link).unwrap().flatten().map(|entry| entry.path()).collect();
+        files.sort();
+        if !link.ends_with("rejects") && !files.is_empty() {
+            return files.swap_remove(rng.random_range(0..files.len()));
+        }
+    }
+}
+
+fn relink(link: &Path, target: &Path) {
+    fs::remove_file(link).unwrap();
+    std::os::unix::fs::symlink(target, link).unwrap();
+}
+
+/// A view becomes a folder with copies of its files.
+fn unlink(link: &Path) {
+    let real = fs::canonicalize(link).unwrap();
+    fs::remove_file(link).unwrap();
+    copy(&real, link, true);
+}
+
+const MANIPULATIONS: [Manipulation; 10] = [
+    ("swapped", |out, rng| {
+        loop {
+            let (a, b) = (some_link(out, rng), some_link(out, rng));
+            let [to_a, to_b] = [&a, &b].map(|link| fs::read_link(link).unwrap());
+            if a != b && to_a != to_b {
+                relink(&a, &to_b);
+                relink(&b, &to_a);
+                return;
+            }
+        }
+    }),
+    ("another table", |out, rng| {
+        loop {
+            let (a, b) = (some_link(out, rng), some_link(out, rng));
+            let to_b = fs::read_link(b).unwrap();
+            if fs::read_link(&a).unwrap() != to_b {
+                return relink(&a, &to_b);
+            }
+        }
+    }),
+    ("deleted", |out, rng| fs::remove_file(some_link(out, rng)).unwrap()),
+    ("outside", |out, rng| {
+        let link = some_link(out, rng);
+        let elsewhere = out.with_file_name("elsewhere");
+        copy(&fs::canonicalize(&link).unwrap(), &elsewhere, true);
+        relink(&link, &elsewhere);
+    }),
+    ("a stray view", |out, rng| {
+        let target = fs::read_link(some_link(out, rng)).unwrap();
+        std::os::unix::fs::symlink(target, out.join("mine")).unwrap();
+    }),
+    ("a stray file in a view", |out, rng| {
+        let file = some_file(out, rng);
+        fs::copy(&file, file.with_file_name("part-99999.parquet")).unwrap();
+    }),
+    ("a stray folder of tables", |out, rng| {
+        let file = some_file(out, rng);
+        fs::create_dir(out.join("mine")).unwrap();
+        fs::copy(&file, out.join("mine/part-00000.parquet")).unwrap();
+    }),
+    ("a changed copy", |out, rng| {
+        let file = some_file(out, rng);
+        let (view, name) = (file.parent().unwrap().to_owned(), file.file_name().unwrap().to_owned());
+        unlink(&view);
+        let bits = 8 * fs::metadata(view.join(&name)).unwrap().len();
+        flip(&view.join(name), rng.random_range(0..bits));
+    }),
+    ("a copy with a file less", |out, rng| {
+        let file = some_file(out, rng);
+        let (view, name) = (file.parent().unwrap().to_owned(), file.file_name().unwrap().to_owned());
+        unlink(&view);
+        fs::remove_file(view.join(name)).unwrap();
+    }),
+    ("a copy with a file more", |out, rng| {
+        let file = some_file(out, rng);
+        let (view, name) = (file.parent().unwrap().to_owned(), file.file_name().unwrap().to_owned());
+        unlink(&view);
+        fs::copy(view.join(name), view.join("more.parquet")).unwrap();
+    }),
+];
+
+/// Views that show what no run left there: three draws of each kind of change, in the folder and in a copy of it.
+#[test]
+fn what_a_reader_sees_is_what_a_run_left() {
+    let lab = Lab::tiny();
+    run_by_command(&lab);
+    assert_eq!(looked(&lab).findings, []);
+    let mut rng = ChaCha8Rng::seed_from_u64(30);
+    for (name, change) in MANIPULATIONS {
+        for _ in 0..3 {
+            let folder = tempfile::tempdir().unwrap();
+            let out = folder.path().join("out");
+            copy(&lab.path("out"), &out, false);
+            change(&out, &mut rng);
+            let report = verify(&Shelf::look(&out).unwrap()).unwrap();
+            assert!(!report.findings.is_empty(), "{name}: {:?}", links(&out));
+        }
+    }
+}
+
+/// A copy in which links became folders (`cp -rL`, zip, a synced folder) is verified, read and run on.
+#[test]
+fn a_copy_without_links_is_a_result_folder() {
+    let lab = Lab::tiny();
+    run_by_command(&lab);
+    fs::rename(lab.path("out"), lab.path("original")).unwrap();
+    copy(&lab.path("original"), &lab.path("out"), true);
+    assert_eq!(links(&lab.path("out")), Vec::<PathBuf>::new());
+    assert_eq!(looked(&lab).findings, []);
+    let [copied, original] = ["out", "original"].map(|out| Shelf::look(&lab.path(out)).unwrap());
+    assert_eq!(copied.targets().unwrap(), original.targets().unwrap());
+    for view in original.names().unwrap() {
+        assert!(copied.batches(&view).unwrap() == original.batches(&view).unwrap(), "{view}");
+    }
+    // Nothing is computed again, also where other parameters switch views.
+    let run = ["run", "pipeline.toml", "--campaign", "campaign", "--out", "out"];
+    for set in [&[][..], &["--set", "onsets.threshold_sigma=6"], &[]] {
+        let (code, text) = periscope(&lab, &[&run[..], set].concat());
+        assert_eq!(code, Some(0), "{text}");
+        assert_eq!(looked(&lab).findings, []);
+    }
+    assert!(!links(&lab.path("out")).is_empty());
+}
+
+#[test]
+fn a_shelf_that_is_a_link_is_refused_and_nothing_in_it_changes() {
+    let lab = Lab::tiny();
+    let home = lab.path("home");
+    fs::create_dir_all(home.join(".git")).unwrap();
+    fs::write(home.join(".bashrc"), "alias").unwrap();
+    fs::write(home.join(".git/HEAD"), "ref").unwrap();
+    fs::create_dir(lab.path("out")).unwrap();
+    std::os::unix::fs::symlink(&home, lab.path("out/.shelf")).unwrap();
+    fs::write(lab.path("pipeline.toml"), ALL_VISIBLE).unwrap();
+    let run = ["run", "pipeline.toml", "--campaign", "campaign", "--out", "out"];
+    for command in [&run[..], &["verify", "out", "--repair"], &["tables", "out", "--prune"]] {
+        let (code, text) = periscope(&lab, command);
+        assert!(code == Some(1) && text.contains("is a link"), "{text}");
+    }
+    assert_eq!(fs::read_dir(&home).unwrap().count(), 2);
+    assert!(home.join(".bashrc").exists() && home.join(".git/HEAD").exists());
+}

@@ -5,6 +5,7 @@
 
 mod chain;
 mod stage_folder;
+mod views;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -38,6 +39,20 @@ pub struct Finding {
     /// Files to delete, so that the next run makes the damaged ones again.
     #[serde(skip)]
     pub remove: Vec<PathBuf>,
+}
+
+impl Finding {
+    /// With another fix.
+    fn fixed_by(&mut self, fix: &str) -> &mut Self {
+        self.fix = fix.to_owned();
+        self
+    }
+
+    /// Of this view.
+    fn of_view(&mut self, view: &str) -> &mut Self {
+        self.tables = vec![view.to_owned()];
+        self
+    }
 }
 
 /// Numbers of checked objects.
@@ -142,7 +157,7 @@ pub fn verify(shelf: &Shelf) -> Result<Report, StoreError> {
             _ => report.notes.push(format!("{} is none of periscope's files", path.display())),
         }
     }
-    views(shelf, &mut report)?;
+    views::check(shelf, &mut report)?;
     chain::follow(shelf, &stages, &mut report);
     report.sources = stages
         .iter()
@@ -206,26 +221,17 @@ fn rejects(shelf: &Shelf, folder: &Path, report: &mut Report) -> Result<(), Stor
     for (file, recorded) in &rejects.files {
         report.file(shelf, &folder.join(file), recorded, remove())?;
     }
-    Ok(())
-}
-
-/// Checks the links by which tables are shown.
-fn views(shelf: &Shelf, report: &mut Report) -> Result<(), StoreError> {
-    for link in entries(shelf.out())?.into_iter().filter(|path| path.is_symlink()) {
-        let target = fs::read_link(&link).at("read", &link)?;
-        if !target.starts_with(".shelf") || !link.is_dir() {
-            report.add(shelf, &link, format!("leads to {}, where no table is", target.display()), vec![link.clone()]);
-        }
-    }
+    strays(shelf, folder, |file| file == REJECTS_RECORD || rejects.files.contains_key(file), report)?;
     Ok(())
 }
 
 /// Adds to each finding the tables that show it.
 fn name_tables(shelf: &Shelf, report: &mut Report) {
-    let links: Vec<(String, PathBuf)> = entries(shelf.out())
-        .into_iter()
-        .flatten()
-        .filter_map(|link| Some((name(&link), fs::read_link(&link).ok()?)))
+    let views = entries(shelf.out()).into_iter().flatten().map(|view| name(&view));
+    // A view whose record cannot be read shows nothing; the record is a finding itself.
+    let targets: Vec<(String, PathBuf)> = views
+        .filter_map(|view| Some((shelf.target(&view).ok()??, view)))
+        .map(|(target, view)| (view, target))
         .collect();
     for finding in &mut report.findings {
         let (folder, file) = (finding.file.parent(), name(&finding.file));
@@ -236,8 +242,25 @@ fn name_tables(shelf: &Shelf, report: &mut Report) {
             let of_table = file.ends_with(&format!(".{table}.parquet")) || !file.ends_with(".parquet");
             finding.file.starts_with(target) || (folder == Some(stage.as_path()) && of_table)
         };
-        finding.tables = links.iter().filter(|(_, target)| shows(target)).map(|(view, _)| view.clone()).collect();
+        if !finding.tables.is_empty() {
+            continue;
+        }
+        finding.tables = targets.iter().filter(|(_, target)| shows(target)).map(|(view, _)| view.clone()).collect();
     }
+}
+
+/// Reports what stands in the folder of a table and is none of its files: readers take all of them for its rows.
+fn strays(
+    shelf: &Shelf,
+    folder: &Path,
+    is_known: impl Fn(&str) -> bool,
+    report: &mut Report,
+) -> Result<(), StoreError> {
+    for path in entries(folder)?.into_iter().filter(|path| !is_known(&name(path))) {
+        let what = "is no file of this table, and readers of the folder may take it for one";
+        report.add(shelf, &path, what, Vec::new()).fixed_by("move it elsewhere");
+    }
+    Ok(())
 }
 
 /// Whether two paths are links to one file.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::{Report, entries, left_over, name, same_file};
+use super::{Report, entries, left_over, name, same_file, strays};
 use crate::store::failure::{At, StoreError};
 use crate::store::shelf::{PartRecord, Shelf, StageId, TableRecord};
 use crate::store::{Digest, parquet, sweep};
@@ -34,15 +34,16 @@ impl StageFolder {
             folder.id = None;
         }
         let mut tables = Vec::new();
-        for path in entries(&folder.path)? {
-            let name = name(&path);
+        let all = entries(&folder.path)?;
+        for path in &all {
+            let (name, path) = (name(path), path.clone());
             if name == "stage.json" {
             } else if sweep::is_unfinished(name.as_ref()) {
                 report.notes.push(left_over(&path));
             } else if name.starts_with("table-") {
                 tables.push(path);
             } else if let Some(part) = name.strip_prefix("part-").and_then(|name| name.strip_suffix(".json")) {
-                folder.part(shelf, &path, part, report)?;
+                folder.part(shelf, &path, part, &all, report)?;
             } else if name.starts_with("part-") && name.ends_with(".parquet") {
                 let (part, _) = name.split_once('.').expect("it ends with .parquet");
                 if !folder.path.join(format!("{part}.json")).exists() {
@@ -58,10 +59,20 @@ impl StageFolder {
         Ok(folder)
     }
 
-    /// Checks a part: its record, and its files.
-    fn part(&mut self, shelf: &Shelf, path: &Path, lineage: &str, report: &mut Report) -> Result<(), StoreError> {
-        let files = entries(&self.path)?.into_iter().filter(|file| name(file).starts_with(&format!("part-{lineage}.")));
-        let all: Vec<PathBuf> = files.collect();
+    /// Checks a part: its record, and its files among all (sorted) of the folder.
+    fn part(
+        &mut self,
+        shelf: &Shelf,
+        path: &Path,
+        lineage: &str,
+        files: &[PathBuf],
+        report: &mut Report,
+    ) -> Result<(), StoreError> {
+        let of_part = self.path.join(format!("part-{lineage}."));
+        let starts =
+            |file: &Path| file.as_os_str().as_encoded_bytes().starts_with(of_part.as_os_str().as_encoded_bytes());
+        let first = files.partition_point(|file| *file < of_part);
+        let all: Vec<PathBuf> = files[first..].iter().take_while(|file| starts(file)).cloned().collect();
         let Some(record) = report.record::<PartRecord>(shelf, path, all.clone())? else {
             return Ok(());
         };
@@ -115,6 +126,12 @@ impl StageFolder {
         report.counts.tables += 1;
         for folder in entries(path)?.into_iter().filter(|entry| entry.is_dir()) {
             let table = name(&folder);
+            let is_part = |file: &str| {
+                let number = file.strip_prefix("part-").and_then(|file| file.strip_suffix(".parquet"));
+                let number = number.and_then(|number| number.parse::<usize>().ok());
+                number.is_some_and(|i| i < record.parts.len() && file == format!("part-{i:05}.parquet"))
+            };
+            strays(shelf, &folder, is_part, report)?;
             for (i, part) in record.parts.iter().enumerate() {
                 let view_file = folder.join(format!("part-{i:05}.parquet"));
                 let stored = self.path.join(format!("part-{}.{table}.parquet", part.lineage));
