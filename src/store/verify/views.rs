@@ -1,6 +1,6 @@
 //! The views: what a reader sees, compared with what the last run left.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -103,5 +103,6 @@ fn copy(shelf: &Shelf, path: &Path, view: &str, report: &mut Report) -> Result<(
             finding.fixed_by(SHOW_AGAIN).of_view(view);
         }
     }
-    strays(shelf, path, |file| file == REJECTS_RECORD || files.iter().any(|(name, _)| name == file), report)
+    let names: BTreeSet<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
+    strays(shelf, path, |file| file == REJECTS_RECORD || names.contains(file), report)
 }
