@@ -65,11 +65,14 @@ pub struct Search {
     false_alarm: Share,
     /// Standard deviation of the spread in time of a hidden patch's light.
     spread_ps: NonNegative,
+    /// Whether profiles that cannot be searched, and places that are not sure enough, are no faults.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    optional: bool,
 }
 
 impl Default for Search {
     fn default() -> Self {
-        Self { false_alarm: Share::new(1e-3), spread_ps: NonNegative::new(30.0) }
+        Self { false_alarm: Share::new(1e-3), spread_ps: NonNegative::new(30.0), optional: false }
     }
 }
 
@@ -181,6 +184,9 @@ impl Apply for Search {
             points.insert(patch, place.point);
         }
         rejections.extend(search.message().map(|text| Rejection::new(context.fields.first_name(), text)));
+        if self.optional {
+            rejections.clear();
+        }
         let hypotheses = search.hypotheses();
         let mut rows = group;
         rows.extend(search.patches());
