@@ -85,7 +85,9 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             let [rows, columns, depths] = shape;
             say!("{}: {rows} rows, {columns} columns, {depths} depths", args.file.display())?;
         }
-        _ => bail!("{}: end the name in .ply for patches, .hdf5 for profiles or .npy for a volume", args.file.display()),
+        _ => {
+            bail!("{}: end the name in .ply for patches, .hdf5 for profiles or .npy for a volume", args.file.display())
+        }
     }
     Ok(ExitCode::SUCCESS)
 }

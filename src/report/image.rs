@@ -55,7 +55,8 @@ impl Image {
         };
         let voxels: Vec<Voxel> = sources.rows(|_: &Voxel| true)?;
         let projections = if voxels.is_empty() { Vec::new() } else { projections(&whole, &voxels) };
-        let points = spread(&voxels, POINTS).iter().map(|one| ([one.x_m, one.y_m, one.z_m], one.significance)).collect();
+        let points =
+            spread(&voxels, POINTS).iter().map(|one| ([one.x_m, one.y_m, one.z_m], one.significance)).collect();
         Ok(Some(Self { heading, whole, projections, points }))
     }
 }

@@ -22,9 +22,9 @@
 //! A fit whose residuals are larger than chance makes them is `not explained`: `refine` has then made all standard
 //! deviations larger (`fits.misfit`), and the first row says by how much.
 //!
-//! Takes `patches`; writes `decisions`. Beside it, of a solution from onsets: `fits`, `ambiguities` and `footprints` (of
-//! the same `refine`), `labels` and `onsets`, `hypotheses` and `scenes` (of the same `label`), `weak` (of `search`) and
-//! `planes`. Of a relay wall: `searches` (of `locate`) and `images` (of `image`). One of `fits` and `searches` is
+//! Takes `patches`; writes `decisions`. Beside it, of a solution from onsets: `fits`, `ambiguities` and `footprints`
+//! (of the same `refine`), `labels` and `onsets`, `hypotheses` and `scenes` (of the same `label`), `weak` (of `search`)
+//! and `planes`. Of a relay wall: `searches` (of `locate`) and `images` (of `image`). One of `fits` and `searches` is
 //! needed.
 //!
 //! ```toml
@@ -230,8 +230,8 @@ impl Context {
     fn weak(&self) -> Option<Decision> {
         let weak = self.weak.as_ref()?;
         let count = weak.iter().filter(|place| place.patch.is_some()).count();
-        let none = "no place has more light in all profiles together than noise makes";
-        let would_change = "more shots; photon counts, wrapped records and patches in one line are not searched";
+        let none = "no place in the profiles that are searched has more light than noise makes";
+        let would_change = "more shots; photon counts, wrapped records, patches in one line and more than 2,500 profiles are not searched";
         Some(places("weak patches", count, weak, [none, would_change]))
     }
 
@@ -334,8 +334,8 @@ impl Context {
     }
 }
 
-/// How many patches a search accepted, and the likeliest place that it did not. The last texts: the evidence without any
-/// place, and what would change the choice without a declined one.
+/// How many patches a search accepted, and the likeliest place that it did not. The last texts: the evidence without
+/// any place, and what would change the choice without a declined one.
 fn places(what: &str, count: usize, hypotheses: &[Hypothesis], [none, would_change]: [&str; 2]) -> Decision {
     let places = || hypotheses.iter().filter(|place| &*place.kind == "patch" && place.alternative == 0);
     let weakest = places().filter(|place| place.patch.is_some()).map(|place| place.evidence).reduce(f64::min);

@@ -9,7 +9,8 @@
 //! explains the sum of all histograms ([`crate::signal::image::gate`]).
 //!
 //! Takes `patches` (of `anchor` or `refine`: points of the wall), `profiles` and `calibration`. Writes `voxels`, one
-//! row of `images`, and with `volume` all values. Captures of other roles than scene, and of patches without a place, are left out.
+//! row of `images`, and with `volume` all values. Captures of other roles than scene, and of patches without a place,
+//! are left out.
 //!
 //! Not modelled: occlusion, normals, more than three bounces, errors of the wall's places, noise of voltages that is
 //! correlated from sample to sample (it makes standard deviations too small).

@@ -80,6 +80,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Gap>(),
         of::<Voxel>(),
         of::<Image>(),
+        of::<VolumeRow>(),
         of::<JointSearch>(),
         of::<Distance>(),
         of::<Covariance>(),

@@ -104,7 +104,8 @@ fn the_gate_that_a_user_knows_is_taken() {
     assert_eq!(gates(), [950.0, 950.0]);
     run(folder.path(), &["--set", "patches.gate_ps=700"]);
     assert_eq!(gates(), [700.0, 950.0]);
-    fs::write(folder.path().join("campaign/campaign.toml"), keys.replace("gate_ps = 950.0", "gate_ps = 800.0")).unwrap();
+    fs::write(folder.path().join("campaign/campaign.toml"), keys.replace("gate_ps = 950.0", "gate_ps = 800.0"))
+        .unwrap();
     run(folder.path(), &[]);
     assert_eq!(gates(), [800.0, 800.0]);
 }

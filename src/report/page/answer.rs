@@ -2,8 +2,8 @@
 
 use maud::{Markup, html};
 
-use super::{image, space};
 use super::words::{count, metres, millimetres, sig};
+use super::{image, space};
 use crate::report::Report;
 use crate::report::scene::{Placed, Scene};
 

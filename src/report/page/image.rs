@@ -37,9 +37,13 @@ pub fn image(image: &Image) -> Markup {
 }
 
 fn plot(projection: &Projection) -> Plot {
-    let places = |middles_m: &[f64]| -> Vec<f64> { middles_m.iter().map(|middle_m| short(*middle_m, DIGITS)).collect() };
-    let levels: Vec<Vec<Option<f64>>> =
-        projection.levels.iter().map(|row| row.iter().map(|level| level.map(|level| short(level, 3))).collect()).collect();
+    let places =
+        |middles_m: &[f64]| -> Vec<f64> { middles_m.iter().map(|middle_m| short(*middle_m, DIGITS)).collect() };
+    let levels: Vec<Vec<Option<f64>>> = projection
+        .levels
+        .iter()
+        .map(|row| row.iter().map(|level| level.map(|level| short(level, 3))).collect())
+        .collect();
     let heat = HeatMap::new(places(&projection.across.middles_m), places(&projection.up.middles_m), levels)
         .color_scale(ColorScale::Palette(ColorScalePalette::Viridis))
         .color_bar(ColorBar::new().title(Title::with_text("value / sd")).thickness(12))

@@ -124,8 +124,7 @@ fn weak_patches_stand_beside_hidden_ones() {
     };
     let hidden = |patch| Patch { patch, kind: "hidden".into(), ..Patch::default() };
     let rows = |weak: Vec<Hypothesis>| {
-        let context =
-            Context { hypotheses: vec![place(Some(9), 50.0)], weak: Some(weak), ..context(fit(50.0, 50)) };
+        let context = Context { hypotheses: vec![place(Some(9), 50.0)], weak: Some(weak), ..context(fit(50.0, 50)) };
         Conclude {}.apply(&context, vec![hidden(9), hidden(10)]).unwrap().rows
     };
     let row = |rows: &[Decision], what: &str| rows.iter().find(|row| &*row.what == what).unwrap().clone();
