@@ -100,8 +100,7 @@ fn number(value: Option<f64>) -> String {
 fn none(scenes: u64) {
     let runs: Vec<Seen> = draws(scenes, |seed| run(&draw(0.0, seed).scene, seed));
     let alarms = Rate::of(runs.iter().map(|seen| !seen.patches.is_empty()));
-    let messages =
-        Rate::of(runs.iter().map(|seen| seen.rejects.iter().any(|reject| reject.reason.contains("not sure"))));
+    let messages = Rate::of(runs.iter().map(Seen::is_declined));
     println!(
         "\n| none hidden: scenes | found | told as not sure |\n|---|---|---|\n| {} | {alarms} | {messages} |",
         runs.len()

@@ -28,7 +28,6 @@ CASES = [
     ("dome", "all-visible", "patches"),
     ("flatland", "all-visible", "patches"),
     ("around-the-corner", "inter-reflections", "patches"),
-    ("faint", "faint", "found"),
     ("paper-mirror", "mirror", "patches"),
     ("barcode", "barcode", "patches"),
 ]

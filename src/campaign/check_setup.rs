@@ -94,6 +94,7 @@ fn sensor_keys(at: &At, sensor: &Sensor) -> Result<(), Fault> {
     at.positive("dead_time_ps", sensor.dead_time_ps)?;
     at.finite("latency_ps", sensor.latency_ps)?;
     at.positive("latency_sd_ps", sensor.latency_sd_ps)?;
+    at.positive("gate_ps", sensor.gate_ps)?;
     at.needs("latency_sd_ps", sensor.latency_sd_ps.is_some(), "latency_ps", sensor.latency_ps.is_some())
 }
 

@@ -110,6 +110,9 @@ pub struct Sensor {
     pub latency_ps: Option<f64>,
     /// Standard deviation of that prior.
     pub latency_sd_ps: Option<f64>,
+    /// Of a relay wall: time behind the wall's own light from which on light counts; absent: the program finds it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gate_ps: Option<f64>,
 }
 
 /// What a sensor's records are.

@@ -178,6 +178,7 @@ latency_sd_ps = 10.0
 kind = "counts"
 cycles = 1000000
 dead_time_ps = 50000
+gate_ps = 400
 [patches.1]
 role = "visible"
 label = "lower left"

@@ -33,6 +33,9 @@ pub struct Convert {
     /// Dead time of the sensor after a photon
     #[arg(long, value_name = "PS", requires = "cycles")]
     dead_time_ps: Option<f64>,
+    /// Time behind the wall's own light from which on light counts; default: found in the histograms
+    #[arg(long, alias = "gate", value_name = "PS")]
+    gate_ps: Option<f64>,
     /// MAT-files: width of a bin
     #[arg(long, value_name = "PS")]
     dt_ps: Option<f64>,
@@ -59,6 +62,7 @@ pub fn convert(args: &Convert) -> Result<ExitCode> {
     positive("--fwhm-ps", Some(args.fwhm_ps))?;
     positive("--wall-sd-m", args.wall_sd_m)?;
     positive("--dead-time-ps", args.dead_time_ps)?;
+    positive("--gate-ps", args.gate_ps)?;
     positive("--dt-ps", args.dt_ps)?;
     positive("--wall-m", args.wall_m)?;
     if args.every == 0 {
@@ -83,6 +87,7 @@ pub fn convert(args: &Convert) -> Result<ExitCode> {
         sd_m: args.wall_sd_m,
         cycles: args.cycles,
         dead_time_ps: args.dead_time_ps,
+        gate_ps: args.gate_ps,
     };
     let Summary { patches, histograms, counts } = exchange::write_campaign(&capture, &options, &args.out)?;
     let what =

@@ -7,11 +7,15 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use periscope::campaign::Campaign;
 use periscope::exchange::{self, ply};
+use periscope::formats::npy;
 use periscope::store::Shelf;
-use periscope::tables::{Patch, Row};
+use periscope::tables::{Patch, Row, VolumeRow};
 
 use super::output::say;
 use super::whole_file;
+
+/// Table of all patches, weak ones among them, where a pipeline searches for these.
+const ALL: &str = "all_patches";
 
 /// Arguments of `export`.
 #[derive(Args)]
@@ -19,11 +23,12 @@ use super::whole_file;
 pub struct Export {
     /// Result folder
     results: PathBuf,
-    /// File to write: .ply for the patches as a point cloud, .hdf5 for the profiles as a capture of y-tal
+    /// File to write: .ply for the patches as a point cloud, .hdf5 for the profiles as a capture of y-tal, .npy for the
+    /// volume of an image
     file: PathBuf,
-    /// Table of patches
-    #[arg(long, value_name = "TABLE", default_value = "patches")]
-    patches: String,
+    /// Table of patches [default: `all_patches` if there is one, else `patches`]
+    #[arg(long, value_name = "TABLE")]
+    patches: Option<String>,
     /// .hdf5: the campaign that was run, which says where laser and sensor are
     #[arg(long, value_name = "DIR")]
     campaign: Option<PathBuf>,
@@ -33,15 +38,19 @@ pub struct Export {
     /// .hdf5: table of calibrations, for the latency
     #[arg(long, value_name = "TABLE", default_value = "calibration")]
     calibration: String,
+    /// .npy: table of the volume; made with `run --set voxels.volume=true`
+    #[arg(long, value_name = "TABLE", default_value = "voxels.volumes")]
+    volumes: String,
 }
 
 /// The command.
 pub fn export(args: &Export) -> Result<ExitCode> {
     let shelf = Shelf::look(&args.results)?;
+    let patches_view = args.patches.as_deref().unwrap_or_else(|| shelf.table_of(ALL).map_or("patches", |_| ALL));
     let ending = args.file.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     match ending.as_deref() {
         Some("ply") => {
-            let patches: Vec<Patch> = rows(&shelf, &args.patches)?;
+            let patches: Vec<Patch> = rows(&shelf, patches_view)?;
             let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;
             say!("{}: {written} patches", args.file.display())?;
         }
@@ -51,8 +60,8 @@ pub fn export(args: &Export) -> Result<ExitCode> {
                 campaign.context("a capture needs to know where laser and sensor are: add --campaign DIR")?;
             let campaign = Campaign::load(campaign)?;
             // Where no patches were solved for, the anchors of campaign.toml do.
-            let has_patches = shelf.table_of(&args.patches).is_some();
-            let patches = if has_patches { rows(&shelf, &args.patches)? } else { Vec::new() };
+            let has_patches = shelf.table_of(patches_view).is_some();
+            let patches = if has_patches { rows(&shelf, patches_view)? } else { Vec::new() };
             let (profiles, calibration) = (rows(&shelf, &args.profiles)?, rows(&shelf, &args.calibration)?);
             let capture =
                 exchange::capture_of(&profiles, &patches, &calibration, &campaign).map_err(anyhow::Error::msg)?;
@@ -60,7 +69,25 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             let (histograms, bins) = (capture.pairs.len(), capture.bins());
             say!("{}: {histograms} histograms of {bins} bins of {:.3} ps", args.file.display(), capture.dt_ps)?;
         }
-        _ => bail!("{}: end the name in .ply for patches or .hdf5 for profiles", args.file.display()),
+        Some("npy") => {
+            let mut rows: Vec<VolumeRow> = rows(&shelf, &args.volumes)?;
+            rows.sort_by_key(|row| row.grid_row);
+            let Some(first) = rows.first() else {
+                bail!(
+                    "`{}` of {} is empty: run again with --set voxels.volume=true",
+                    args.volumes,
+                    args.results.display()
+                );
+            };
+            let shape = [rows.len() as u64, first.columns as u64, first.depths as u64];
+            let values: Vec<f32> = rows.iter().flat_map(|row| row.values.iter().copied()).collect();
+            whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
+            let [rows, columns, depths] = shape;
+            say!("{}: {rows} rows, {columns} columns, {depths} depths", args.file.display())?;
+        }
+        _ => {
+            bail!("{}: end the name in .ply for patches, .hdf5 for profiles or .npy for a volume", args.file.display())
+        }
     }
     Ok(ExitCode::SUCCESS)
 }

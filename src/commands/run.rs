@@ -34,8 +34,8 @@ const LOOK_AGAIN: Duration = Duration::from_millis(200);
 #[derive(Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of the command line")]
 pub struct Run {
-    /// Pipeline: a name that `periscope pipelines` lists, or a file (TOML) [default: scene, or the one for mirrors or
-    /// strips that campaign.toml declares]
+    /// Pipeline: a name that `periscope pipelines` lists, or a file (TOML) [default: scene, or the one for mirrors,
+    /// strips or a relay wall that campaign.toml declares]
     #[arg(value_parser = reference())]
     pipeline: Option<Reference>,
     /// Campaign folder, with a campaign.toml; may be given several times for one scene

@@ -52,6 +52,8 @@ pub struct CampaignOptions {
     pub cycles: Option<u64>,
     /// Dead time of the sensor after a detection.
     pub dead_time_ps: Option<f64>,
+    /// Time behind the wall's own light from which on light counts; absent: the program finds it.
+    pub gate_ps: Option<f64>,
 }
 
 /// Size of the campaign.
@@ -289,6 +291,7 @@ impl Folder<'_> {
             line(format!("kind = \"counts\"\ncycles = {cycles}{unknown}"));
             options.dead_time_ps.iter().for_each(|dead_time_ps| line(format!("dead_time_ps = {dead_time_ps:?}")));
         }
+        options.gate_ps.iter().for_each(|gate_ps| line(format!("gate_ps = {gate_ps:?}")));
         let scale = format!("dt_ps = {:?}\ngain_v = 1.0\noffset_v = 0.0", capture.dt_ps);
         line(format!("\n[[captures]]\nrole = \"scene\"\ntable = \"{TABLE}\"\n{scale}"));
         let fwhm_ps = options.fwhm_ps;

@@ -2,7 +2,8 @@
 //!
 //! The points form a square on the plane z = 0 about the origin, ends included; hidden objects are at z > 0. `width` is
 //! half of its side. Times of `rect_data` count from the light's arrival at each point; those of `meas` from the
-//! laser's trigger, and `tofgrid` (ps) is the delay of each point. Source: the demonstration scripts of O'Toole,
+//! laser's trigger, and `tofgrid` (ps) is the delay of each point; where a start time is given and no `tofgrid`, they
+//! count from the light's arrival too. Source: the demonstration scripts of O'Toole,
 //! Lindell and Wetzstein (Nature 555:338, 2018) and of Lindell, Wetzstein and O'Toole (ACM TOG 38:116, 2019).
 
 use super::capture::{Capture, Grid, Histograms, Pair, Spot};
@@ -41,9 +42,9 @@ pub(super) fn read(mut arrays: Arrays, defaults: &Defaults, delays: Option<&Arra
         Some(late) if late.axes == [ys, xs] => late.values(),
         Some(late) => return Err(format!("has {xs} x {ys} points, but tofgrid has axes {:?}", late.axes)),
         None if delays.is_some() => return Err("has its delays in a file without `tofgrid`; correct --tof".to_owned()),
-        None if is_raw => {
+        None if is_raw && defaults.start_ps.is_none() => {
             return Err(
-                "holds `meas`, whose times count from the laser's trigger; add --tof with the file of `tofgrid`"
+                "holds `meas`, whose times count from the laser's trigger; add --tof with the file of `tofgrid`, or --start-ps 0 if they count from the light's arrival at each point"
                     .to_owned(),
             );
         }

@@ -50,6 +50,10 @@ pub use likelihood::{Profile, SPREAD};
 const CANDIDATES: [usize; 3] = [400, 12, 3];
 /// Standard deviation of the first samples about a candidate, as a share of the response's length.
 const NEAR: f64 = 0.25;
+/// Points of the grid from the middle of the foci to its end, at most: what lies farther off is not searched.
+const SIDE_MAX: f64 = 160.0;
+/// Evidence by few samples below which many change nothing.
+const HOPELESS: f64 = -3.0;
 
 /// What a patch is searched in.
 #[derive(Clone, Debug)]
@@ -111,7 +115,8 @@ impl Faint {
     }
 }
 
-/// The likeliest place of one more patch; `None` where the profiles speak for none.
+/// The likeliest place of one more patch; `None` where the profiles speak for none. Places farther from the middle of
+/// the foci than [`SIDE_MAX`] half lengths of the response are not searched.
 ///
 /// # Panics
 /// When a profile names a focus that is not there.
@@ -121,12 +126,16 @@ pub fn likeliest(profiles: &[Profile], room: &Room) -> Option<Faint> {
     let middle = room.foci.iter().map(|focus| focus.point.coords).sum::<Vector3<f64>>();
     let centre = Point::from(middle / room.foci.len() as f64);
     // Of a patch further out than that every way would be longer than any record.
-    let domain = Domain { centre, half_m: 0.5 * longest_m, dimensions: room.dimensions };
+    let half_m = (0.5 * longest_m).min(SIDE_MAX * grid::STEP * room.width_m);
+    let domain = Domain { centre, half_m, dimensions: room.dimensions };
     let all = Likelihood::new(profiles, room, &domain);
     let near_m = NEAR * room.width_m;
     let points = all.best(&grid::candidates(profiles, room, &domain, CANDIDATES[0]), CANDIDATES[1], near_m);
     let mut places = all.sampled(&points, near_m, false);
     places.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
+    if places.first().is_none_or(|place| place.evidence < HOPELESS) {
+        return places.into_iter().next();
+    }
     let starts: Vec<Point> = places.iter().take(CANDIDATES[2]).map(|place| place.point).collect();
     let places = all.sampled(&starts, near_m, true);
     places.into_iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))

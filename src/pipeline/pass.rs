@@ -205,13 +205,21 @@ pub fn run(
     }
 }
 
-/// The whole tables that a step needs, from the shelf, and the token that ends it.
+/// The whole tables that a step needs, from the shelf, and the token that ends it. One that is larger than the step
+/// takes is left out.
 pub(super) fn tables_beside(plan: &Plan<'_>, step: usize, cancel: &Cancel) -> Result<BesideTables, RunError> {
     let mut tables = BTreeMap::new();
     for (name, heading) in &plan.spec.steps[step].with {
         let (input, table) = plan.spec.table(heading).expect("the pipeline was checked");
+        let parts = || plan.tables[input].present.iter().flatten();
+        let rows: u64 = parts().filter_map(|part| part.files.get(&table)).map(|file| file.rows).sum();
+        if let Node::Operator(operator) = &plan.spec.steps[step].node
+            && operator.rows_max().is_some_and(|(limited, most)| limited == name && rows > most)
+        {
+            continue;
+        }
         let (mut batches, mut small) = (Vec::new(), Vec::new());
-        for part in plan.tables[input].present.iter().flatten() {
+        for part in parts() {
             small.extend(stored(plan, input, &table, part)?);
             if small.len() >= TOGETHER {
                 batches.extend(join(std::mem::take(&mut small)));

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::calibration::Sensors;
 use super::campaign_fields::{Medium, StationPositions};
-use crate::campaign::Campaign;
+use crate::campaign::{Campaign, keys};
 use crate::geometry::Point;
 use crate::signal::image::foreground;
 use crate::signal::image::gate::gate;
@@ -27,11 +27,19 @@ pub struct Fields {
     /// Where laser and sensors stand.
     #[serde(flatten)]
     pub stations: StationPositions,
+    /// Gates of sensors that have one, by sensor.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    gates_ps: BTreeMap<String, f64>,
 }
 
 impl From<&Campaign> for Fields {
     fn from(campaign: &Campaign) -> Self {
-        Self { medium: campaign.into(), stations: campaign.into() }
+        let gate = |(name, sensor): (&String, &keys::Sensor)| Some((name.clone(), sensor.gate_ps?));
+        Self {
+            medium: campaign.into(),
+            stations: campaign.into(),
+            gates_ps: campaign.sensors.iter().filter_map(gate).collect(),
+        }
     }
 }
 
@@ -96,6 +104,8 @@ pub struct Histogram<'a> {
     pub seen: Point,
     /// Time of the first bin from the lit point to the seen point.
     pub first_ps: f64,
+    /// The sensor's gate, where campaign.toml gives one.
+    gate_ps: Option<f64>,
     waveform: &'a Waveform,
 }
 
@@ -110,7 +120,8 @@ impl<'a> Histogram<'a> {
         let (lit, seen) = (*points.get(&waveform.lit)?, *points.get(&waveform.seen)?);
         let legs_m =
             (lit - fields.stations.source()).norm() + (fields.stations.sensor(&waveform.sensor)? - seen).norm();
-        Some(Self { lit, seen, first_ps: waveform.first_ps - fields.medium.time_ps(legs_m), waveform })
+        let gate_ps = fields.gates_ps.get(&*waveform.sensor).copied();
+        Some(Self { lit, seen, first_ps: waveform.first_ps - fields.medium.time_ps(legs_m), gate_ps, waveform })
     }
 
     /// Width of a bin.
@@ -175,10 +186,13 @@ pub struct Times {
     pub gate_ps: f64,
     /// All histograms reach to here.
     pub end_ps: f64,
+    /// Whether the gate was given, by a parameter or by campaign.toml.
+    pub is_given: bool,
 }
 
 impl Times {
-    /// The gate that is given, else the one that the sum of the histograms shows.
+    /// The gate that is given, else the latest that campaign.toml gives, else the one that the sum of the histograms
+    /// shows.
     ///
     /// # Errors
     /// In words, why there is none: histograms of different kinds, or no smooth light.
@@ -198,7 +212,8 @@ impl Times {
         }
         let start_ps = histograms.iter().map(|one| one.first_ps).fold(0.0, f64::max);
         let end_ps = histograms.iter().map(Histogram::end_ps).fold(f64::INFINITY, f64::min);
-        let gate_ps = match gate_ps {
+        let given_ps = gate_ps.or_else(|| histograms.iter().filter_map(|one| one.gate_ps).reduce(f64::max));
+        let gate_ps = match given_ps {
             Some(gate_ps) => Some(gate_ps.max(start_ps)),
             None => find_gate(histograms, start_ps, end_ps),
         };
@@ -207,7 +222,7 @@ impl Times {
                 "no smooth light follows that of the wall before the histograms end, {end_ps:.0} ps behind it; give `gate_ps`"
             )
         })?;
-        Ok(Self { gate_ps, end_ps })
+        Ok(Self { gate_ps, end_ps, is_given: given_ps.is_some() })
     }
 }
 
@@ -223,7 +238,7 @@ fn find_gate(histograms: &[Histogram<'_>], start_ps: f64, end_ps: f64) -> Option
 pub fn sum(histograms: &[Histogram<'_>], [start_ps, end_ps]: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let bins = ((end_ps - start_ps) / histograms[0].dt_ps()).max(0.0) as usize;
     let (mut sum, mut variance) = (vec![0.0; bins], vec![0.0; bins]);
-    let all = Times { gate_ps: start_ps, end_ps };
+    let all = Times { gate_ps: start_ps, end_ps, is_given: true };
     for histogram in histograms {
         let (_, values) = histogram.behind(&all);
         // Photons vary by their number, which in the sum is large.

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `sources` | which tables are shown? |
 //! | `scene` | positions, error ellipsoids, paths of light, what is left open |
+//! | `image` | a volume image of what a wall shows, as projections |
 //! | `arrivals` | the onsets behind each patch |
 //! | `stir` | images of the space-time impulse response |
 //! | `waveforms` | chosen profiles with their error bands, impulses and labels |
@@ -16,6 +17,7 @@
 mod arrivals;
 mod distances;
 pub mod figures;
+mod image;
 pub mod page;
 mod provenance;
 mod residuals;
@@ -33,6 +35,7 @@ use crate::store::Shelf;
 
 use arrivals::Arrivals;
 use distances::Distances;
+use image::Image;
 use provenance::Provenance;
 use residuals::Residuals;
 use responses::Response;
@@ -47,6 +50,7 @@ pub struct Report {
     folder: String,
     provenance: Provenance,
     scene: Option<Scene>,
+    image: Option<Image>,
     arrivals: Arrivals,
     stir: Option<Stir>,
     waveforms: Waveforms,
@@ -69,6 +73,7 @@ impl Report {
         Ok(Self {
             folder: out.display().to_string(),
             scene: Scene::of(&sources, &provenance, &arrivals)?,
+            image: Image::of(&sources)?,
             stir: Stir::of(&sources, &arrivals)?,
             waveforms: Waveforms::of(&sources, &arrivals)?,
             responses: Response::all(&sources)?,

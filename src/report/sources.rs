@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use crate::history::HistoryError;
 use crate::history::ancestry::{Ancestry, Table};
-use crate::tables::{Patch, Row};
+use crate::tables::{Decision, Patch, Row};
 
 /// The tables of a result folder that one solution goes back to.
 pub struct Sources<'a> {
@@ -14,12 +14,15 @@ pub struct Sources<'a> {
 }
 
 impl<'a> Sources<'a> {
-    /// The answer is the view `patches`, else the last table of positions in the dataflow.
+    /// The answer is what `decisions` are about, else the view `patches`, else the last table of positions in the
+    /// dataflow.
     pub fn of(ancestry: &'a Ancestry) -> Self {
         let views = ancestry.views();
         let mut solutions = views.iter().filter(|(_, table)| table.name == Patch::TABLE);
         let named = solutions.clone().find(|(view, _)| view == Patch::TABLE);
-        let answer = named.or_else(|| solutions.next_back()).map(|(_, table)| table.clone());
+        let decided = views.iter().rev().find(|(_, table)| table.name == Decision::TABLE);
+        let decided = decided.and_then(|(_, table)| ancestry.nearest(table, Patch::TABLE));
+        let answer = decided.or_else(|| named.or_else(|| solutions.next_back()).map(|(_, table)| table.clone()));
         Self { ancestry, answer }
     }
 

@@ -7,6 +7,7 @@
 //! | fit | chi-square of `fits`: whether the model explains the onsets |
 //! | labels | onsets with a path, and without one |
 //! | hidden patches | `hypotheses`: those accepted, and the likeliest one that was not |
+//! | weak patches | `weak`: the same of `search`, in all profiles together |
 //! | walls | `hypotheses` that are planes |
 //! | places | `scenes`: which of the places that first light left open all onsets support, and by how much |
 //! | other solutions | `ambiguities`: mirror images, flips, loose parts, with their likelihoods |
@@ -15,13 +16,16 @@
 //! | sizes of patches | `footprints`: which patches are no points, and how that is known |
 //! | pulse shapes | onsets that are wider than the response, and how many blend |
 //! | vertical ranges | onsets by range |
+//! | hidden things, response, gate | `searches`: the verdict of `locate` |
+//! | image | `images`: how far the brightest voxel exceeds noise |
 //!
 //! A fit whose residuals are larger than chance makes them is `not explained`: `refine` has then made all standard
 //! deviations larger (`fits.misfit`), and the first row says by how much.
 //!
-//! Takes `patches`; writes `decisions`. Beside it `fits` and `ambiguities` (of the same `refine`), `labels` and
-//! `onsets`; optional `hypotheses` and `scenes` (of the same `label`), `planes`, and `footprints` (of the
-//! same `refine`).
+//! Takes `patches`; writes `decisions`. Beside it, of a solution from onsets: `fits`, `ambiguities` and `footprints`
+//! (of the same `refine`), `labels` and `onsets`, `hypotheses` and `scenes` (of the same `label`), `weak` (of `search`)
+//! and `planes`. Of a relay wall: `searches` (of `locate`) and `images` (of `image`). One of `fits` and `searches` is
+//! needed.
 //!
 //! ```toml
 //! [decisions]
@@ -37,6 +41,8 @@
 //! with.scenes = "labels.scenes"
 //! ```
 
+mod relay_wall;
+
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
@@ -45,7 +51,8 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageErro
 use crate::campaign::Campaign;
 use crate::geometry::maximum_likelihood;
 use crate::tables::{
-    Ambiguity, Decision, Fit, Hypothesis, Label, Name, ONSET_KINDS, Onset, Patch, PatchFootprint, Plane, SceneOdds,
+    Ambiguity, Decision, Fit, Hypothesis, Image, JointSearch, Label, Name, ONSET_KINDS, Onset, Patch, PatchFootprint,
+    Plane, SceneOdds,
 };
 
 /// Parameters of `conclude`: none.
@@ -54,7 +61,10 @@ use crate::tables::{
 pub struct Conclude {}
 
 /// The tables that the choices stand in.
+#[derive(Default)]
 pub struct Context {
+    /// Whether onsets were solved for positions.
+    is_from_onsets: bool,
     fits: Vec<Fit>,
     ambiguities: Vec<Ambiguity>,
     labels: Vec<Label>,
@@ -63,21 +73,28 @@ pub struct Context {
     planes: Vec<Plane>,
     footprints: Vec<PatchFootprint>,
     scenes: Vec<SceneOdds>,
+    /// Of `search`; `None` where it did not run.
+    weak: Option<Vec<Hypothesis>>,
+    searches: Vec<JointSearch>,
+    images: Vec<Image>,
 }
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
-        Beside { name: "fits", table: "fits", required: true },
-        Beside { name: "ambiguities", table: "ambiguities", required: true },
-        Beside { name: "labels", table: "labels", required: true },
-        Beside { name: "onsets", table: "onsets", required: true },
+        Beside { name: "fits", table: "fits", required: false },
+        Beside { name: "ambiguities", table: "ambiguities", required: false },
+        Beside { name: "labels", table: "labels", required: false },
+        Beside { name: "onsets", table: "onsets", required: false },
         Beside { name: "hypotheses", table: "hypotheses", required: false },
         Beside { name: "planes", table: "planes", required: false },
         Beside { name: "footprints", table: "footprints", required: false },
         Beside { name: "scenes", table: "scenes", required: false },
+        Beside { name: "weak", table: "hypotheses", required: false },
+        Beside { name: "searches", table: "searches", required: false },
+        Beside { name: "images", table: "images", required: false },
     ];
     type Input = Patch;
     type Output = Decision;
@@ -87,8 +104,15 @@ impl Stage for Conclude {
     fn fields(&self, _: &[Campaign]) {}
 
     fn context(&self, (): (), beside: &BesideTables) -> Result<Context, StageError> {
+        let fits = beside.rows("fits")?;
+        let searches = beside.rows("searches")?;
+        if fits.is_none() && searches.is_none() {
+            let text = "needs `fits` of `refine`, or `searches` of `locate`: give one in `with`";
+            return Err(StageError::Refused(text.to_owned()));
+        }
         Ok(Context {
-            fits: beside.rows("fits")?.unwrap_or_default(),
+            is_from_onsets: fits.is_some(),
+            fits: fits.unwrap_or_default(),
             ambiguities: beside.rows("ambiguities")?.unwrap_or_default(),
             labels: beside.rows("labels")?.unwrap_or_default(),
             hypotheses: beside.rows("hypotheses")?.unwrap_or_default(),
@@ -96,6 +120,9 @@ impl Stage for Conclude {
             planes: beside.rows("planes")?.unwrap_or_default(),
             footprints: beside.rows("footprints")?.unwrap_or_default(),
             scenes: beside.rows("scenes")?.unwrap_or_default(),
+            weak: beside.rows("weak")?,
+            searches: searches.unwrap_or_default(),
+            images: beside.rows("images")?.unwrap_or_default(),
         })
     }
 }
@@ -107,13 +134,10 @@ impl Apply for Conclude {
             return Ok(Outcome::rows(Vec::new()));
         }
         let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
-        let mut decisions = vec![context.fit(), context.labelled(), context.hidden(&best)];
-        decisions.extend(context.walls());
-        decisions.extend(context.scenes.iter().map(place));
-        // The row of the frame says what a free rotation means.
-        decisions.extend(context.ambiguities.iter().filter(|one| &*one.kind != "rotation").map(other_solution));
-        decisions.extend([context.frame(), context.coplanar(&best), context.sizes(), context.pulse_shapes()]);
-        decisions.extend(context.ranges());
+        let mut decisions = relay_wall::decisions(&context.searches, &context.images);
+        if context.is_from_onsets {
+            decisions.extend(context.from_onsets(&best));
+        }
         for (number, decision) in (1..).zip(&mut decisions) {
             decision.decision = number;
         }
@@ -122,6 +146,19 @@ impl Apply for Conclude {
 }
 
 impl Context {
+    /// What a solution from onsets rests on.
+    fn from_onsets(&self, best: &[&Patch]) -> Vec<Decision> {
+        let mut decisions = vec![self.fit(), self.labelled(), self.hidden(best)];
+        decisions.extend(self.weak());
+        decisions.extend(self.walls());
+        decisions.extend(self.scenes.iter().map(place));
+        // The row of the frame says what a free rotation means.
+        decisions.extend(self.ambiguities.iter().filter(|one| &*one.kind != "rotation").map(other_solution));
+        decisions.extend([self.frame(), self.coplanar(best), self.sizes(), self.pulse_shapes()]);
+        decisions.extend(self.ranges());
+        decisions
+    }
+
     fn best_fit(&self) -> Option<&Fit> {
         self.fits.iter().find(|fit| fit.alternative == 0)
     }
@@ -181,33 +218,21 @@ impl Context {
         }
     }
 
-    /// Which patches lie hidden, and which place was not accepted as one.
+    /// Which patches lie hidden and show onsets, and which place was not accepted as one.
     fn hidden(&self, patches: &[&Patch]) -> Decision {
-        let places = || self.hypotheses.iter().filter(|place| &*place.kind == "patch" && place.alternative == 0);
-        let accepted: Vec<&Hypothesis> = places().filter(|place| place.patch.is_some()).collect();
-        let count = patches.iter().filter(|patch| &*patch.kind == "hidden").count();
-        let weakest = accepted.iter().map(|place| place.evidence).reduce(f64::min);
-        let needed = self.hypotheses.first().map(|place| place.evidence_needed);
-        let evidence = match (weakest, needed) {
-            (Some(weakest), Some(needed)) => format!("least log Bayes factor {weakest:.1}, {needed:.1} is needed"),
-            _ => "no onset is left that a hidden patch would explain".to_owned(),
-        };
-        let chosen = if count == 0 { "none".to_owned() } else { format!("{count} accepted") };
-        let declined = places().find(|place| place.patch.is_none());
-        let Some(place) = declined else {
-            return decision("hidden patches", &chosen, &evidence, "onsets that no path explains");
-        };
-        let shots = place.shots_needed.map(|shots| format!("about {shots:.0} shots per capture would show it"));
-        Decision {
-            runner_up: Some(
-                format!(
-                    "one more at ({:.3}, {:.3}, {:.3}) m, log Bayes factor {:.1}",
-                    place.x_m, place.y_m, place.z_m, place.evidence
-                )
-                .into(),
-            ),
-            ..decision("hidden patches", &chosen, &evidence, &shots.unwrap_or_else(|| "more shots".to_owned()))
-        }
+        let is_weak = |patch: &Patch| self.weak.iter().flatten().any(|place| place.patch == Some(patch.patch));
+        let count = patches.iter().filter(|patch| &*patch.kind == "hidden" && !is_weak(patch)).count();
+        let none = "no onset is left that a hidden patch would explain";
+        places("hidden patches", count, &self.hypotheses, [none, "onsets that no path explains"])
+    }
+
+    /// Which hidden patches are too weak for an onset in any single profile.
+    fn weak(&self) -> Option<Decision> {
+        let weak = self.weak.as_ref()?;
+        let count = weak.iter().filter(|place| place.patch.is_some()).count();
+        let none = "no place in the profiles that are searched has more light than noise makes";
+        let would_change = "more shots; photon counts, wrapped records, patches in one line and more than 2,500 profiles are not searched";
+        Some(places("weak patches", count, weak, [none, would_change]))
     }
 
     /// Planes that reflect light and are no patches.
@@ -306,6 +331,40 @@ impl Context {
             let text = "a range that does not clip";
             decision("vertical ranges", &format!("{} ranges", ranges.len()), &list.join(", "), text)
         })
+    }
+}
+
+/// How many patches a search accepted, and the likeliest place that it did not. The last texts: the evidence without
+/// any place, and what would change the choice without a declined one.
+fn places(what: &str, count: usize, hypotheses: &[Hypothesis], [none, would_change]: [&str; 2]) -> Decision {
+    let places = || hypotheses.iter().filter(|place| &*place.kind == "patch" && place.alternative == 0);
+    let weakest = places().filter(|place| place.patch.is_some()).map(|place| place.evidence).reduce(f64::min);
+    let needed = hypotheses.first().map(|place| place.evidence_needed);
+    let evidence = match (weakest, needed) {
+        (Some(weakest), Some(needed)) => format!("least log Bayes factor {weakest:.1}, {needed:.1} is needed"),
+        _ => none.to_owned(),
+    };
+    let chosen = if count == 0 { "none".to_owned() } else { format!("{count} accepted") };
+    // Less than even odds make no runner-up.
+    let Some(place) = places().find(|place| place.patch.is_none() && place.evidence > 0.0) else {
+        return decision(what, &chosen, &evidence, would_change);
+    };
+    let needed = place.evidence_needed;
+    let evidence = if weakest.is_none() {
+        format!("log Bayes factor {:.1} at the likeliest place, {needed:.1} is needed", place.evidence)
+    } else {
+        evidence
+    };
+    let shots = place.shots_needed.map(|shots| format!("about {shots:.0} shots per capture would show it"));
+    Decision {
+        runner_up: Some(
+            format!(
+                "one more at ({:.3}, {:.3}, {:.3}) m, log Bayes factor {:.1}",
+                place.x_m, place.y_m, place.z_m, place.evidence
+            )
+            .into(),
+        ),
+        ..decision(what, &chosen, &evidence, &shots.unwrap_or_else(|| "more shots".to_owned()))
     }
 }
 

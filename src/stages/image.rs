@@ -8,8 +8,9 @@
 //! The wall's own light is cut off at a gate: the first time over the hidden surface from which on a smooth tail
 //! explains the sum of all histograms ([`crate::signal::image::gate`]).
 //!
-//! Takes `patches` (of `anchor` or `refine`: points of the wall), `profiles` and `calibration`. Writes `voxels` and one
-//! row of `images`. Captures of other roles than scene, and of patches without a place, are left out.
+//! Takes `patches` (of `anchor` or `refine`: points of the wall), `profiles` and `calibration`. Writes `voxels`, one
+//! row of `images`, and with `volume` all values. Captures of other roles than scene, and of patches without a place,
+//! are left out.
 //!
 //! Not modelled: occlusion, normals, more than three bounces, errors of the wall's places, noise of voltages that is
 //! correlated from sample to sample (it makes standard deviations too small).
@@ -37,7 +38,7 @@ use crate::parameter::{Condition, NonNegative, Positive, Share, Within};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, Medium};
 use crate::priors::relay_histograms::{Fields, Histogram, Times, Waveform};
-use crate::tables::{Image, Patch, Profile, Row, Voxel};
+use crate::tables::{Image, Patch, Profile, Row, VolumeRow, Voxel};
 use crate::units::PatchId;
 use lattice::{Grid, Summary, Wall};
 
@@ -62,6 +63,8 @@ pub struct MakeImage {
     falloff: Within<0, 8>,
     /// Power of the signal over that of the noise.
     signal_to_noise: Positive,
+    /// Whether the whole volume is kept.
+    volume: bool,
 }
 
 /// How voxels come from histograms.
@@ -83,6 +86,7 @@ impl Default for MakeImage {
             pitch_m: None,
             falloff: Within::new(4.0),
             signal_to_noise: Positive::new(0.8),
+            volume: false,
         }
     }
 }
@@ -98,13 +102,16 @@ pub struct Context {
 
 impl Stage for MakeImage {
     const KIND: &'static str = "image";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
         Beside { name: "calibration", table: "calibration", required: true },
     ];
-    const SIDES: &'static [Side] = &[Side { name: Image::TABLE, schema: Image::schema }];
+    const SIDES: &'static [Side] = &[
+        Side { name: Image::TABLE, schema: Image::schema },
+        Side { name: VolumeRow::TABLE, schema: VolumeRow::schema },
+    ];
     const CONDITIONS: &'static [Condition] = &[
         Condition("pitch_m", "method", &["auto", "back-projection"]),
         Condition("falloff", "method", &["auto", "light-cone"]),
@@ -140,17 +147,17 @@ impl Apply for MakeImage {
             .filter_map(|waveform| Histogram::new(waveform, &points, |campaign| context.fields.get(campaign)))
             .collect();
         let mut rejections = left_out(context, histograms.len());
-        let (rows, images) = match self.image(context, &histograms)? {
+        let (rows, images, volume) = match self.image(context, &histograms)? {
             Ok((method, times, summary)) => {
                 let image = self.row(method, histograms.len(), times, &summary);
-                (summary.rows(method), vec![image])
+                (summary.rows(method), vec![image], summary.volume())
             }
             Err(why) => {
                 rejections.push(Rejection::new(context.fields.first_name(), why));
-                (Vec::new(), Vec::new())
+                (Vec::new(), Vec::new(), Vec::new())
             }
         };
-        Ok(Outcome { rows, sides: vec![Image::to_batch(&images)], rejections })
+        Ok(Outcome { rows, sides: vec![Image::to_batch(&images), VolumeRow::to_batch(&volume)], rejections })
     }
 }
 

@@ -165,7 +165,8 @@ impl Locate {
         };
         let medium = fields.wall.medium;
         let binning = Binning::new(first, medium);
-        let wall = binning.first_bounce(histograms, &mut times, self.gate_ps.is_some(), &context.cancel);
+        let is_given = times.is_given;
+        let wall = binning.first_bounce(histograms, &mut times, is_given, &context.cancel);
         let wall = wall.filter(|_| self.response != Source::Calibration);
         if wall.is_none() && self.response == Source::Wall {
             return Err(StageError::Refused(

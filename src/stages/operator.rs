@@ -61,6 +61,8 @@ pub trait Operator: Send + Sync {
     fn input(&self) -> &'static str;
     /// Finished tables that it takes whole.
     fn beside(&self) -> &'static [Beside];
+    /// One of them, and the number of rows up to which it is taken.
+    fn rows_max(&self) -> Option<(&'static str, u64)>;
     /// Main table, then side tables.
     fn tables(&self) -> Vec<WrittenTable>;
     /// Gets ready for rows.
@@ -122,6 +124,9 @@ impl<S: Fold> Operator for S {
     }
     fn beside(&self) -> &'static [Beside] {
         S::BESIDE
+    }
+    fn rows_max(&self) -> Option<(&'static str, u64)> {
+        S::ROWS_MAX
     }
     fn tables(&self) -> Vec<WrittenTable> {
         let main = WrittenTable { name: S::Output::TABLE.to_owned(), schema: S::Output::schema() };

@@ -56,6 +56,8 @@ use rows::SearchRows;
 
 /// Patches found at most.
 const FOUND_MAX: usize = 32;
+/// Profiles searched at most: those of 50 patches. Time grows with the fourth power of the number of patches.
+const PROFILES_MAX: u64 = 2500;
 
 /// Parameters of `search`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -65,11 +67,14 @@ pub struct Search {
     false_alarm: Share,
     /// Standard deviation of the spread in time of a hidden patch's light.
     spread_ps: NonNegative,
+    /// Whether profiles that cannot be searched, and places that are not sure enough, are no faults.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    optional: bool,
 }
 
 impl Default for Search {
     fn default() -> Self {
-        Self { false_alarm: Share::new(1e-3), spread_ps: NonNegative::new(30.0) }
+        Self { false_alarm: Share::new(1e-3), spread_ps: NonNegative::new(30.0), optional: false }
     }
 }
 
@@ -89,6 +94,8 @@ pub struct Fields {
 /// Campaigns, and the tables other than the patches.
 pub struct Context {
     fields: ByCampaign<Fields>,
+    /// Whether there are more profiles than are searched; `profiles` is then empty.
+    is_too_large: bool,
     profiles: Vec<Profile>,
     stir: Vec<Stir>,
     labels: Vec<Label>,
@@ -100,7 +107,7 @@ pub struct Context {
 
 impl Stage for Search {
     const KIND: &'static str = "search";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -110,6 +117,7 @@ impl Stage for Search {
         Beside { name: "delays", table: "delays", required: false },
         Beside { name: "session", table: "session", required: false },
     ];
+    const ROWS_MAX: Option<(&'static str, u64)> = Some(("profiles", PROFILES_MAX));
     const SIDES: &'static [Side] = &[Side { name: Hypothesis::TABLE, schema: Hypothesis::schema }];
     type Input = Patch;
     type Output = Patch;
@@ -127,10 +135,13 @@ impl Stage for Search {
     }
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
-        let mut profiles = beside.rows::<Profile>("profiles")?.unwrap_or_default();
+        let profiles = beside.rows::<Profile>("profiles")?;
+        let is_too_large = profiles.is_none();
+        let mut profiles = profiles.unwrap_or_default();
         profiles.retain(|profile| &*profile.role == "scene");
         Ok(Context {
             fields,
+            is_too_large,
             profiles,
             stir: beside.rows("stir")?.unwrap_or_default(),
             labels: beside.rows("labels")?.unwrap_or_default(),
@@ -181,6 +192,9 @@ impl Apply for Search {
             points.insert(patch, place.point);
         }
         rejections.extend(search.message().map(|text| Rejection::new(context.fields.first_name(), text)));
+        if self.optional {
+            rejections.clear();
+        }
         let hypotheses = search.hypotheses();
         let mut rows = group;
         rows.extend(search.patches());
@@ -195,6 +209,9 @@ fn room(
     visible: &[PatchId],
     pairs: &[PairProfile],
 ) -> Result<Room, String> {
+    if context.is_too_large {
+        return Err(format!("there are more than {PROFILES_MAX} profiles: they are not searched for weak patches"));
+    }
     let Some((fields, pair)) = context.fields.first().zip(pairs.first()) else {
         return Err("no profile of two patches with known places can be searched for hidden patches".to_owned());
     };

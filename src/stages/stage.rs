@@ -187,6 +187,9 @@ pub trait Stage: Serialize + Send + Sync + 'static {
     const GRAIN: Grain;
     /// Finished tables that it takes whole.
     const BESIDE: &'static [Beside] = &[];
+    /// One of these, by its name, and the number of rows up to which it is taken: a larger one is not there for the
+    /// stage.
+    const ROWS_MAX: Option<(&'static str, u64)> = None;
     /// Side tables that it writes.
     const SIDES: &'static [Side] = &[];
     /// Parameters that have an effect only with some values of another one.

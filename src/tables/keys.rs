@@ -22,6 +22,7 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "footprints" => &["patch"],
         "voxels" => &["method", "x_m", "y_m", "z_m"],
         "images" => &["method"],
+        "volumes" => &["grid_row"],
         "searches" => &["verdict"],
         "decisions" => &["decision"],
         "stations" => &["campaign", "station"],

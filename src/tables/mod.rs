@@ -53,7 +53,7 @@ pub use stir::{Impulse, ImpulsePair, Stir};
 pub use subtotals::Subtotal;
 pub use traces::Trace;
 pub use truth::{TrueCapture, TrueCentroid, TruePath};
-pub use voxels::{Image, Voxel};
+pub use voxels::{Image, VolumeRow, Voxel};
 
 /// Columns that identify one capture; every table of samples, onsets or labels starts with them.
 pub const CAPTURE_KEY: [&str; 4] = ["campaign", "sensor", "lit", "seen"];
@@ -80,6 +80,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Gap>(),
         of::<Voxel>(),
         of::<Image>(),
+        of::<VolumeRow>(),
         of::<JointSearch>(),
         of::<Distance>(),
         of::<Covariance>(),

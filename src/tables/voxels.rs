@@ -1,6 +1,6 @@
-//! Tables `voxels` and `images`: a volume image of what is hidden.
+//! Tables `voxels`, `images` and `volumes`: a volume image of what is hidden.
 
-use super::cell::Name;
+use super::cell::{Name, Samples};
 use crate::table;
 
 table! {
@@ -9,6 +9,12 @@ table! {
     "voxels": Voxel, VoxelColumns {
         /// light-cone or back-projection.
         method: Name,
+        /// Column of the grid, from 0.
+        grid_column: i32,
+        /// Row of the grid, from 0.
+        grid_row: i32,
+        /// Depth of the grid, from 0.
+        grid_depth: i32,
         /// Middle of the voxel, x, in the frame of the patches.
         x_m: f64,
         /// Middle of the voxel, y.
@@ -65,5 +71,20 @@ table! {
         largest_y_m: Option<f64>,
         /// Place of that voxel, z.
         largest_z_m: Option<f64>,
+    }
+}
+
+table! {
+    /// One row of an image's grid, with all its voxels. Empty unless the whole volume was asked for.
+    "volumes": VolumeRow, VolumeRowColumns {
+        /// Row of the grid, from 0.
+        grid_row: i32,
+        /// Columns of the grid.
+        columns: i32,
+        /// Depths of the grid.
+        depths: i32,
+        /// Brightness of the voxels, on the scale of the method: depths of the first column, then those of the next;
+        /// 0 where there is no data.
+        values: Samples,
     }
 }

@@ -51,6 +51,7 @@ mod real_files;
 mod recipes;
 mod rectangles;
 mod relay_scene;
+mod relay_wall;
 mod report;
 mod resolution;
 mod rooms;

@@ -1,7 +1,7 @@
 //! The pipelines in the program: the files of `pipelines/`, by their names.
 
 use crate::campaign::Campaign;
-use crate::campaign::keys::{Patch, PatchRole};
+use crate::campaign::keys::{PatchRole, SensorKind};
 
 /// A pipeline in the program.
 #[derive(Debug, PartialEq, Eq)]
@@ -29,7 +29,6 @@ built_in!(
     "barcode",
     "barcode-blocked",
     "characterize",
-    "faint",
     "image",
     "inter-reflections",
     "locate",
@@ -37,18 +36,40 @@ built_in!(
     "tdr",
 );
 
-/// Name of the pipeline for any scene whose campaign declares no mirror and no strips.
+/// Name of the pipeline for any scene whose campaign declares no mirror, no strips and no relay wall.
 pub const DEFAULT: &str = "scene";
 
-/// Pipelines for what a campaign declares: name, what stands in campaign.toml, and whether a patch has it.
-const DECLARED: [(&str, &str, fn(&Patch) -> bool); 2] = [
-    ("mirror", "patches with role = \"mirror\"", |patch| patch.role == PatchRole::Mirror),
-    ("barcode", "hidden patches with `through`", |patch| patch.through.is_some()),
+/// Pipelines for what campaigns declare: name, what stands in campaign.toml, and whether it does.
+const DECLARED: [(&str, &str, fn(&[Campaign]) -> bool); 3] = [
+    ("mirror", "patches with role = \"mirror\"", |campaigns| {
+        campaigns.iter().any(|campaign| campaign.patches.values().any(|patch| patch.role == PatchRole::Mirror))
+    }),
+    ("barcode", "hidden patches with `through`", |campaigns| {
+        campaigns.iter().any(|campaign| campaign.patches.values().any(|patch| patch.through.is_some()))
+    }),
+    ("locate", "a relay wall: sensors that count photons, and a `position_m` for each visible patch", |campaigns| {
+        !campaigns.is_empty() && campaigns.iter().all(is_relay_wall)
+    }),
 ];
 
+/// Points of the wall at the least for which histograms are fitted together. With fewer, arrivals have few enough
+/// assignments to be labelled one by one.
+const WALL_POINTS: usize = 16;
+
+/// Whether a campaign counts photons from points of a wall whose places are given.
+fn is_relay_wall(campaign: &Campaign) -> bool {
+    let counts = |kind: SensorKind| kind == SensorKind::Counts;
+    let mut visible = campaign.patches.values().filter(|patch| patch.role == PatchRole::Visible);
+    campaign.sensors.values().all(|sensor| counts(sensor.kind))
+        && campaign.views.is_empty()
+        && visible.clone().count() >= WALL_POINTS
+        && visible.all(|patch| patch.position_m.is_some())
+}
+
 /// Names that pipelines had, and the pipeline that does their work now.
-const RETIRED: [(&str, &str); 5] = [
+const RETIRED: [(&str, &str); 6] = [
     ("around-the-corner", "scene"),
+    ("faint", "scene"),
     ("hidden-plane", "scene"),
     ("relay-wall", "scene"),
     ("separate", "scene"),
@@ -63,8 +84,7 @@ impl BuiltIn {
     /// Never: all these are in the program.
     #[must_use]
     pub fn for_campaigns(campaigns: &[Campaign]) -> (&'static Self, Option<&'static str>) {
-        let patches = || campaigns.iter().flat_map(|campaign| campaign.patches.values());
-        let declared = DECLARED.iter().find(|(.., has)| patches().any(has));
+        let declared = DECLARED.iter().find(|(.., is_declared)| is_declared(campaigns));
         let (name, reason) = declared.map_or((DEFAULT, None), |(name, reason, _)| (*name, Some(*reason)));
         (Self::named(name).expect("a pipeline of the program"), reason)
     }
@@ -114,14 +134,15 @@ mod tests {
 
     #[test]
     fn what_a_campaign_declares_chooses() {
-        let campaign = |patches: &str| {
+        let with_sensor = |sensor: &str, patches: &str| {
             let folder = tempfile::tempdir().unwrap();
             let text = format!(
-                "[campaign]\nname = 'a'\n[sensors.s1]\n{patches}[[captures]]\nrole = 'scene'\nfiles = '{{lit}}_{{seen}}.npy'\n"
+                "[campaign]\nname = 'a'\n[sensors.s1]\n{sensor}{patches}[[captures]]\nrole = 'scene'\nfiles = '{{lit}}_{{seen}}.npy'\n"
             );
             std::fs::write(folder.path().join("campaign.toml"), text).unwrap();
             Campaign::load(folder.path()).unwrap()
         };
+        let campaign = |patches: &str| with_sensor("", patches);
         let plain = campaign("[patches.1]\nposition_m = [1.0, 0.0, 0.0]\n");
         let mirror = campaign("[patches.1]\nrole = 'mirror'\nray = { from = 'laser', direction = [0.0, 1.0, 0.0] }\n");
         let strips = campaign("[patches.1]\n[patches.2]\nrole = 'hidden'\nthrough = 1\n");
@@ -130,6 +151,20 @@ mod tests {
         let (pipeline, reason) = BuiltIn::for_campaigns(&[plain, mirror]);
         assert!(pipeline.name == "mirror" && reason.is_some());
         assert_eq!(BuiltIn::for_campaigns(&[strips]).0.name, "barcode");
+        let wall = |points: usize, more: &str| {
+            let point = |n: usize| format!("[patches.{n}]\nposition_m = [{n}.0, 0.0, 0.0]\n");
+            (1..=points).map(point).collect::<String>() + more
+        };
+        let counter = "kind = 'counts'\n";
+        for (sensor, patches, name) in [
+            (counter, wall(16, ""), "locate"),
+            (counter, wall(16, "[patches.99]\nrole = 'hidden'\n"), "locate"),
+            (counter, wall(15, ""), DEFAULT),
+            (counter, wall(16, "[patches.99]\n"), DEFAULT),
+            ("", wall(16, ""), DEFAULT),
+        ] {
+            assert_eq!(BuiltIn::for_campaigns(&[with_sensor(sensor, &patches)]).0.name, name, "{sensor}{patches}");
+        }
     }
 
     #[test]

@@ -2,8 +2,8 @@
 
 use maud::{Markup, html};
 
-use super::space;
 use super::words::{count, metres, millimetres, sig};
+use super::{image, space};
 use crate::report::Report;
 use crate::report::scene::{Placed, Scene};
 
@@ -24,7 +24,8 @@ pub fn section(report: &Report) -> Markup {
         section #answer {
             (decisions(scene))
             h2 { "Where the surfaces are" }
-            (space::figure(scene))
+            (space::figure(scene, report.image.as_ref()))
+            @if let Some(whole) = &report.image { (image::image(whole)) }
             (open_questions(scene))
             (positions(scene))
             (planes(scene))
@@ -61,7 +62,10 @@ pub fn summary(scene: &Scene) -> String {
         0 => String::new(),
         anchors => format!(" {} given by campaign.toml.", count(anchors, "patch is", "patches are")),
     };
-    format!("Patches found: {found}.{given}{left_open}")
+    // Of a relay wall the verdict comes first: without it, no patch would mean that there is nothing.
+    let verdict = scene.decisions.iter().find(|row| &*row.what == "hidden things");
+    let verdict = verdict.map_or(String::new(), |row| format!("Hidden things: {}. ", row.chosen));
+    format!("{verdict}Patches found: {found}.{given}{left_open}")
 }
 
 /// What the solution rests on, each choice with its evidence; first of all, since all below depends on it.

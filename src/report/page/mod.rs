@@ -1,6 +1,7 @@
 //! The page: one HTML file that needs no network, light and dark, readable on a phone and printable.
 
 mod answer;
+mod image;
 mod patches;
 mod plot;
 mod provenance;

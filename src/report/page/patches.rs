@@ -6,6 +6,7 @@ use super::solution::onsets;
 use super::words::count;
 use crate::report::Report;
 use crate::report::arrivals::doubt;
+use crate::report::scene::Placed;
 
 /// Patches with a list of their own at most.
 const PATCHES: usize = 500;
@@ -17,12 +18,18 @@ const LONGEST: usize = 60;
 /// A list a patch, closed until it is asked for.
 pub fn section(report: &Report) -> Markup {
     let Some(scene) = &report.scene else { return html! {} };
-    let shown = scene.patches.len().min(PATCHES);
+    // Onsets say nothing of where a patch is that campaign.toml places and none goes over.
+    let is_listed = |placed: &&Placed| {
+        let patch = placed.patch.patch;
+        !scene.anchors.contains(&patch) || report.arrivals.over(patch).next().is_some()
+    };
+    let listed: Vec<&Placed> = scene.patches.iter().filter(is_listed).collect();
+    let shown = listed.len().min(PATCHES);
     let longest = (ROWS / shown.max(1)).clamp(4, LONGEST);
     html! {
         section #patches {
             h2 { "Why each patch is where it is" }
-            @for placed in scene.patches.iter().take(PATCHES) {
+            @for placed in listed.iter().take(PATCHES) {
                 @let patch = placed.patch.patch;
                 @let over = by_doubt(report, patch);
                 details.patch id={ "patch-" (patch) } {
@@ -34,8 +41,11 @@ pub fn section(report: &Report) -> Markup {
                     }
                 }
             }
-            @if scene.patches.len() > shown {
-                p.note { "The first " (shown) " of " (scene.patches.len()) " patches; any other: " code { "periscope explain " (report.folder) " patch=NUMBER" } }
+            @if listed.is_empty() {
+                p { "campaign.toml gives the place of every patch, and no onset has a path." }
+            }
+            @if listed.len() > shown {
+                p.note { "The first " (shown) " of " (listed.len()) " patches; any other: " code { "periscope explain " (report.folder) " patch=NUMBER" } }
             }
         }
     }

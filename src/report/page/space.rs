@@ -1,12 +1,13 @@
 //! The scene in space, to be turned: patches with their error ellipsoids, laser and sensors, paths of light.
 
 use maud::{Markup, html};
-use plotly::common::{DashType, Line, Marker, MarkerSymbol, Mode, Position, Visible};
+use plotly::common::{ColorScale, ColorScalePalette, DashType, Line, Marker, MarkerSymbol, Mode, Position, Visible};
 use plotly::layout::{AspectMode, Axis, LayoutScene, Legend, Margin};
 use plotly::{Layout, Mesh3D, Plot, Scatter3D, Trace};
 
 use super::plot::{HIDDEN, MIRROR, PALE, STATION, VISIBLE, short};
 use super::words::{metres, millimetres, sig};
+use crate::report::image::Image;
 use crate::report::scene::{Placed, Ray, Scene};
 
 /// Rings and sectors of a drawn ellipsoid.
@@ -22,8 +23,8 @@ const MARGIN: f64 = 0.12;
 const DIGITS: i32 = 6;
 
 /// The figure.
-pub fn figure(scene: &Scene) -> Markup {
-    super::plot::figure("scene", 560, &plot(scene), &caption(scene))
+pub fn figure(scene: &Scene, image: Option<&Image>) -> Markup {
+    super::plot::figure("scene", 560, &plot(scene, image), &caption(scene))
 }
 
 fn caption(scene: &Scene) -> Markup {
@@ -47,7 +48,7 @@ fn coordinates<'a>(places: impl Iterator<Item = [f64; 3]> + Clone + 'a) -> [Vec<
     std::array::from_fn(|axis| places.clone().map(|place| short(place[axis], DIGITS)).collect())
 }
 
-fn plot(scene: &Scene) -> Plot {
+fn plot(scene: &Scene, image: Option<&Image>) -> Plot {
     let mut plot = Plot::new();
     for (kind, colour) in [("visible", VISIBLE), ("hidden", HIDDEN), ("mirror", MIRROR)] {
         let of_kind: Vec<&Placed> = scene.patches.iter().filter(|placed| &*placed.patch.kind == kind).collect();
@@ -79,6 +80,10 @@ fn plot(scene: &Scene) -> Plot {
             trace.text_array(names).text_position(Position::BottomCenter).hover_template("%{text}<extra></extra>"),
         );
     }
+    let voxels = image.map_or(&[][..], |image| &image.points);
+    if !voxels.is_empty() {
+        plot.add_trace(bright(voxels));
+    }
     for (is_hidden, name, colour) in
         [(true, "paths over hidden patches", HIDDEN), (false, "paths over visible patches", VISIBLE)]
     {
@@ -88,7 +93,8 @@ fn plot(scene: &Scene) -> Plot {
         }
     }
     // Bounded by what was found, so that one wide ellipsoid does not make all else small.
-    let places: Vec<[f64; 3]> = scene.patches.iter().map(Placed::at).chain(scene.stations.values().copied()).collect();
+    let places = scene.patches.iter().map(Placed::at).chain(scene.stations.values().copied());
+    let places: Vec<[f64; 3]> = places.chain(voxels.iter().map(|(middle_m, _)| *middle_m)).collect();
     let bounds: [[f64; 2]; 3] = std::array::from_fn(|axis| {
         let along = || places.iter().map(|place| place[axis]);
         [along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max)]
@@ -107,6 +113,19 @@ fn plot(scene: &Scene) -> Plot {
         .item_sizing(plotly::layout::ItemSizing::Constant);
     plot.set_layout(Layout::new().scene(room).legend(legend).margin(Margin::new().left(0).right(0).top(0).bottom(0)));
     plot
+}
+
+/// Voxels of an image, coloured by their significance.
+fn bright(voxels: &[([f64; 3], f64)]) -> Box<dyn Trace> {
+    let [x, y, z] = coordinates(voxels.iter().map(|(middle_m, _)| *middle_m));
+    let levels: Vec<f64> = voxels.iter().map(|(_, significance)| short(*significance, 3)).collect();
+    let marker = Marker::new()
+        .size(2)
+        .opacity(0.5)
+        .color_array(levels)
+        .color_scale(ColorScale::Palette(ColorScalePalette::Viridis));
+    let trace = Scatter3D::new(x, y, z).name("voxels brighter than noise").mode(Mode::Markers).marker(marker);
+    trace.hover_template("(%{x}, %{y}, %{z}) m<extra></extra>")
 }
 
 fn points(patches: &[&Placed], kind: &str, colour: &str) -> Box<dyn Trace> {

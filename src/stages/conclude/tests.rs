@@ -17,16 +17,7 @@ fn fit(chi2: f64, degrees_of_freedom: i32) -> Fit {
 }
 
 fn context(fit: Fit) -> Context {
-    Context {
-        fits: vec![fit],
-        ambiguities: Vec::new(),
-        labels: Vec::new(),
-        hypotheses: Vec::new(),
-        onsets: Vec::new(),
-        planes: Vec::new(),
-        footprints: Vec::new(),
-        scenes: Vec::new(),
-    }
+    Context { is_from_onsets: true, fits: vec![fit], ..Context::default() }
 }
 
 fn decisions(context: &Context) -> Vec<Decision> {
@@ -80,4 +71,75 @@ fn other_solutions_keep_their_likelihood() {
 fn decisions_are_numbered() {
     let rows = decisions(&context(fit(50.0, 50)));
     assert!(rows.iter().zip(1..).all(|(row, number)| row.decision == number));
+}
+
+/// A relay wall has no fit of onsets: its first row is the verdict, and nothing speaks of labels.
+#[test]
+fn the_verdict_of_a_relay_wall_comes_first() {
+    let search = |verdict: &str, reappear| JointSearch {
+        verdict: verdict.into(),
+        reason: "24 points would be needed".into(),
+        histograms: 64,
+        points: 3,
+        reappear,
+        response: "wall".into(),
+        gate_ps: 526.4,
+        end_ps: 4000.0,
+        threshold: 5.5,
+        largest: 80.0,
+        ..JointSearch::default()
+    };
+    let image = Image {
+        method: "light-cone".into(),
+        voxels: 7,
+        threshold: 6.2,
+        cells: 1000,
+        largest: Some(60.0),
+        largest_x_m: Some(0.1),
+        largest_y_m: Some(0.2),
+        largest_z_m: Some(0.635),
+        ..Image::default()
+    };
+    let of = |search| decisions(&Context { searches: vec![search], images: vec![image.clone()], ..Context::default() });
+    let rows = of(search("extended-object", None));
+    let what: Vec<&str> = rows.iter().map(|row| &*row.what).collect();
+    assert_eq!(what, ["hidden things", "image", "response", "gate"]);
+    assert!(rows[0].chosen.contains("extended object") && rows[0].evidence.contains("24 points"), "{rows:?}");
+    assert!(rows[1].evidence.contains("0.635") && rows[3].chosen.contains("526 ps"), "{rows:?}");
+    let chosen = |verdict: &str| of(search(verdict, Some(1.0)))[0].chosen.to_string();
+    assert!(chosen("points").starts_with("3 points with error bars") && chosen("cannot-tell").starts_with("cannot be"));
+    assert_eq!(chosen("nothing"), "nothing");
+}
+
+/// A weak patch has a row of its own and is not counted twice; less than even odds are no runner-up.
+#[test]
+fn weak_patches_stand_beside_hidden_ones() {
+    let place = |patch, evidence| Hypothesis {
+        kind: "patch".into(),
+        patch,
+        evidence,
+        evidence_needed: 6.9,
+        shots_needed: patch.is_none().then_some(300.0),
+        ..Hypothesis::default()
+    };
+    let hidden = |patch| Patch { patch, kind: "hidden".into(), ..Patch::default() };
+    let rows = |weak: Vec<Hypothesis>| {
+        let context = Context { hypotheses: vec![place(Some(9), 50.0)], weak: Some(weak), ..context(fit(50.0, 50)) };
+        Conclude {}.apply(&context, vec![hidden(9), hidden(10)]).unwrap().rows
+    };
+    let row = |rows: &[Decision], what: &str| rows.iter().find(|row| &*row.what == what).unwrap().clone();
+    let both = rows(vec![place(Some(10), 12.0), place(None, -1.0)]);
+    assert_eq!(&*row(&both, "hidden patches").chosen, "1 accepted");
+    let weak = row(&both, "weak patches");
+    assert!(&*weak.chosen == "1 accepted" && weak.runner_up.is_none() && weak.evidence.contains("12.0"), "{weak:?}");
+    let declined = row(&rows(vec![place(None, 4.0)]), "weak patches");
+    assert!(&*declined.chosen == "none" && declined.would_change.contains("300 shots"), "{declined:?}");
+    assert!(declined.runner_up.is_some() && declined.evidence.contains("4.0 at the likeliest"), "{declined:?}");
+}
+
+/// Without a fit or a search there is nothing to conclude from.
+#[test]
+fn something_must_have_been_solved() {
+    let refused = Conclude {}.context((), &BesideTables::from([]));
+    assert!(matches!(refused, Err(StageError::Refused(text)) if text.contains("`searches` of `locate`")));
 }

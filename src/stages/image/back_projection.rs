@@ -30,7 +30,7 @@ pub fn image(task: &Task<'_>, wall: &Wall) -> Result<Summary, StageError> {
     let depths_m: Vec<f64> = (0..depths as usize).map(|n| near_m + (n as f64 + 0.5) * pitch_m).collect();
     let lattice = lattice.at(depths_m);
     let threshold = threshold(lattice.cells().max(1), task.params.false_alarm.get());
-    let summary = Summary::new(lattice, threshold);
+    let summary = Summary::new(lattice, threshold, task.params.volume);
     let stabiliser = Stabiliser::new();
     let traces: Vec<Trace> = task.histograms.par_iter().map(|one| trace(task, &stabiliser, one)).collect();
     let voxel_at = |place: [usize; 3]| {

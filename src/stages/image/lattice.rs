@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::geometry::{Point, planes};
 use crate::priors::relay_histograms::Histogram;
-use crate::tables::Voxel;
+use crate::tables::{VolumeRow, Voxel};
 
 /// Largest distance of a point from its place in a grid, in pitches.
 const OFF: f64 = 0.05;
@@ -150,6 +150,8 @@ pub struct Row {
     pub bright: Vec<Bright>,
     /// The most significant voxel, and its significance.
     pub largest: Option<([usize; 3], f64)>,
+    /// All values, where the whole volume is kept.
+    pub values: Vec<f32>,
 }
 
 impl Row {
@@ -167,21 +169,30 @@ pub struct Summary {
     pub lattice: Lattice,
     /// Significance from which on voxels are kept.
     pub threshold: f64,
+    /// Whether the whole volume is kept.
+    pub is_whole: bool,
     /// Of all its rows.
     pub kept: Row,
 }
 
 impl Summary {
     /// Nothing yet.
-    pub fn new(lattice: Lattice, threshold: f64) -> Self {
-        Self { lattice, threshold, kept: Row::default() }
+    pub fn new(lattice: Lattice, threshold: f64, is_whole: bool) -> Self {
+        Self { lattice, threshold, is_whole, kept: Row::default() }
     }
 
     /// What is kept of a row, from value and variance of its voxels: columns, and depths within them.
     pub fn row(&self, row: usize, voxels: impl Iterator<Item = (f64, f64)>) -> Row {
         let depths = self.lattice.depths_m.len();
         let mut kept = Row::default();
-        for (n, (value, variance)) in voxels.enumerate().filter(|(_, (_, variance))| *variance > 0.0) {
+        for (n, (value, variance)) in voxels.enumerate() {
+            let has_data = variance > 0.0;
+            if self.is_whole {
+                kept.values.push(if has_data { value as f32 } else { 0.0 });
+            }
+            if !has_data {
+                continue;
+            }
             let (place, sd) = ([n / depths, row, n % depths], variance.sqrt());
             kept.offer(place, value / sd);
             if value / sd > self.threshold {
@@ -195,6 +206,7 @@ impl Summary {
     pub fn join(mut self, rows: Vec<Row>) -> Self {
         for row in rows {
             self.kept.bright.extend(row.bright);
+            self.kept.values.extend(row.values);
             if let Some((place, significance)) = row.largest {
                 self.kept.offer(place, significance);
             }
@@ -208,6 +220,9 @@ impl Summary {
             let point = self.lattice.point(*place);
             Voxel {
                 method: method.into(),
+                grid_column: place[0] as i32,
+                grid_row: place[1] as i32,
+                grid_depth: place[2] as i32,
                 x_m: point.x,
                 y_m: point.y,
                 z_m: point.z,
@@ -218,5 +233,17 @@ impl Summary {
             }
         };
         self.kept.bright.iter().map(row).collect()
+    }
+
+    /// Rows of the whole volume; none unless it is kept.
+    pub fn volume(&self) -> Vec<VolumeRow> {
+        let Lattice { columns, depths_m, .. } = &self.lattice;
+        let row = |(row, values): (usize, &[f32])| VolumeRow {
+            grid_row: row as i32,
+            columns: *columns as i32,
+            depths: depths_m.len() as i32,
+            values: values.to_vec().into(),
+        };
+        self.kept.values.chunks((columns * depths_m.len()).max(1)).enumerate().map(row).collect()
     }
 }

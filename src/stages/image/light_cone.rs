@@ -23,7 +23,7 @@ pub fn image(task: &Task<'_>, grid: &Grid) -> Summary {
     let depths_m: Vec<f64> = depths.take_while(|depth_m| *depth_m <= depth_max_m).collect();
     let lattice = grid.lattice.at(depths_m);
     let threshold = threshold(lattice.cells().max(1), task.params.false_alarm.get());
-    let summary = Summary::new(lattice, threshold);
+    let summary = Summary::new(lattice, threshold, task.params.volume);
     let (slices, spread) = spectra(task, grid, &cone);
     let depths = summary.lattice.depths_m.len();
     let row = |w: &mut Workspace, y: usize| {

@@ -115,10 +115,11 @@ impl<'a> Surveyed<'a> {
             let sealed =
                 |exposure: &Exposure| record.seal.as_ref().is_none_or(|seal| seal.get(&exposure.file).is_some());
             let mut exposures = survey.exposures;
+            let segments = segments(&exposures);
             exposures.retain(|exposure| roles.contains(&exposure.role) && sealed(exposure));
             records.push(record);
             for exposure in exposures {
-                for (key, item) in items(campaign, exposure)? {
+                for (key, item) in items(campaign, exposure, &segments)? {
                     let (sensor, lit, seen) = key;
                     let (role, run) = (item.exposure.role, item.exposure.run.clone());
                     let order = (index, sensor.clone(), lit.min(seen), lit.max(seen), role, run.clone(), lit);
@@ -266,16 +267,36 @@ pub fn chain(root: &Path, error: &dyn std::error::Error) -> String {
 /// Sensor, lit, seen.
 type Key = (String, PatchId, PatchId);
 
-/// The captures that an exposure's file holds a share of.
-fn items(campaign: &Campaign, exposure: Exposure) -> Result<Vec<(Key, Item)>, StageError> {
+/// Number of exposures that are single segments of each file, of whatever role.
+fn segments(exposures: &[Exposure]) -> BTreeMap<PathBuf, u64> {
+    let mut segments = BTreeMap::new();
+    for exposure in exposures.iter().filter(|exposure| exposure.segment.is_some()) {
+        for file in exposure.files().collect::<BTreeSet<_>>() {
+            match segments.get_mut(file) {
+                Some(count) => *count += 1,
+                None => drop(segments.insert(file.clone(), 1)),
+            }
+        }
+    }
+    segments
+}
+
+/// The captures that an exposure's file holds a share of. `segments`: the number of exposures that share each file.
+fn items(
+    campaign: &Campaign,
+    exposure: Exposure,
+    segments: &BTreeMap<PathBuf, u64>,
+) -> Result<Vec<(Key, Item)>, StageError> {
     let path = campaign.path_of(&exposure.file);
-    let size = |path: &Path| {
-        std::fs::metadata(path)
-            .map(|file| file.len())
+    let size = |file: &PathBuf| {
+        let path = campaign.path_of(file);
+        let shared_by = if exposure.segment.is_some() { segments.get(file).copied().unwrap_or(1) } else { 1 };
+        std::fs::metadata(&path)
+            .map(|file| file.len() / shared_by)
             .map_err(|error| StageError::Refused(format!("{}: {error}", path.display())))
     };
     let files: BTreeSet<&PathBuf> = exposure.files().collect();
-    let bytes = files.into_iter().map(|file| size(&campaign.path_of(file))).sum::<Result<u64, StageError>>()?;
+    let bytes = files.into_iter().map(size).sum::<Result<u64, StageError>>()?;
     if exposure.keys.segments == [Axis::Shot] {
         let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
         return Ok(vec![(key, Item { exposure, records: None, bytes })]);

@@ -1,0 +1,76 @@
+//! What a relay wall shows: the verdict of `locate`, and the image beside it.
+
+use super::decision;
+use crate::tables::{Decision, Image, JointSearch};
+
+/// The verdict, the image, and what both rest on.
+pub(super) fn decisions(searches: &[JointSearch], images: &[Image]) -> Vec<Decision> {
+    let mut decisions: Vec<Decision> = searches.iter().map(verdict).collect();
+    decisions.extend(images.iter().map(image));
+    decisions.extend(searches.iter().flat_map(|search| [response(search), gate(search)]));
+    decisions
+}
+
+/// Which reading explains the counts.
+fn verdict(search: &JointSearch) -> Decision {
+    let points = search.points;
+    let (chosen, would_change) = match &*search.verdict {
+        "points" => (
+            format!("{} with error bars, in `patches`", of(points, "point", "points")),
+            "other histograms in which the points do not reappear",
+        ),
+        "extended-object" => (
+            "an extended object: no points; its image is in `voxels`".to_owned(),
+            "nothing but other captures; for a small part of it, `samples` or `gate_ps` that keep only its light",
+        ),
+        "nothing" => ("nothing".to_owned(), "more photons, or a gate that lets in the light that is looked for"),
+        _ => (
+            "cannot be told: neither points nor a surface; the image is in `voxels`".to_owned(),
+            "more photons, more points of the wall, or the capture of a response",
+        ),
+    };
+    let evidence = format!(
+        "{}; {} histograms, largest score {:.1} standard deviations, {:.1} is needed",
+        search.reason, search.histograms, search.largest, search.threshold
+    );
+    decision("hidden things", &chosen, &evidence, would_change)
+}
+
+/// How far the image exceeds noise.
+fn image(image: &Image) -> Decision {
+    let evidence = match (image.largest, image.largest_x_m, image.largest_y_m, image.largest_z_m) {
+        (Some(largest), Some(x_m), Some(y_m), Some(z_m)) => format!(
+            "the brightest, at ({x_m:.3}, {y_m:.3}, {z_m:.3}) m, has {largest:.1} standard deviations, {:.1} is needed in {} cells",
+            image.threshold, image.cells
+        ),
+        _ => "no voxel has data".to_owned(),
+    };
+    let chosen = match image.voxels {
+        0 => "no voxel is brighter than noise".to_owned(),
+        voxels => format!("{voxels} voxels brighter than noise, by {}", image.method),
+    };
+    decision("image", &chosen, &evidence, "for retroreflective things `voxels.falloff = 2`, which no capture says")
+}
+
+/// Whose response the points were fitted with.
+fn response(search: &JointSearch) -> Decision {
+    let (chosen, evidence) = match &*search.response {
+        "wall" => ("that of the wall's own light, with its tail", "the histograms begin with the light of the wall"),
+        _ => ("that of the calibration", "the histograms do not begin with the light of the wall"),
+    };
+    decision("response", chosen, evidence, "`patches.response` in the pipeline")
+}
+
+/// From when on light counts.
+fn gate(search: &JointSearch) -> Decision {
+    decision(
+        "gate",
+        &format!("light counts from {:.0} ps behind that of the wall", search.gate_ps),
+        &format!("the histograms end at {:.0} ps", search.end_ps),
+        "`gate_ps` of the sensor in campaign.toml",
+    )
+}
+
+fn of(number: i32, one: &str, many: &str) -> String {
+    format!("{number} {}", if number == 1 { one } else { many })
+}
