@@ -27,6 +27,8 @@ const OFF_SHARE: f64 = 1e-3;
 /// Full width at half maximum of a Gaussian, in standard deviations, and reach of its rise.
 const FWHM: f64 = 2.354_820_045_030_949_3;
 const REACH: f64 = 3.5;
+/// Standard deviation of the logarithm of the width of a rise that the scan cuts off.
+const CUT_OFF: f64 = 0.1;
 
 /// The sum of all histograms of a confocal scan.
 #[derive(Clone, Copy, Debug)]
@@ -113,6 +115,12 @@ impl WallSum<'_> {
         };
         response.extend(before[peak..].iter().map(|value| (value - constant).max(0.0)));
         response.extend_from_slice(behind);
-        Some(Pulse::new(peak_m - rise as f64 * step_m, step_m, &response, bin_m))
+        // Photons of the first bounce tell its shape to one over the root of their number.
+        let photons: f64 = before[peak..].iter().sum();
+        let mut doubts = Pulse::measured().map(|sd| sd.hypot(1.0 / photons.max(1.0).sqrt()));
+        if peak < rise {
+            doubts[1] = CUT_OFF;
+        }
+        Some(Pulse::new(peak_m - rise as f64 * step_m, step_m, &response, bin_m).doubted(doubts))
     }
 }

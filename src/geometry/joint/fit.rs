@@ -4,8 +4,8 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 
 use super::Problem;
 use super::background::{Level, Tail};
-use super::model::{Model, OF_POINT, SHARED};
-use super::normal::{Desk, Normal};
+use super::model::{Model, OF_POINT, SHARED, WIDTH};
+use super::normal::{Desk, Normal, Shine};
 
 /// Steps at most.
 const STEPS: usize = 30;
@@ -16,6 +16,8 @@ const DAMPING: [f64; 2] = [1e-3, 1e7];
 /// Largest steps: places in widths of a pulse, logarithms of photons, power, terms over the wall, width.
 const LARGEST: [f64; 5] = [0.5, 1.5, 1.0, 0.3, 0.1];
 
+/// Share of the least z below which points are eliminated together.
+const HOPELESS: f64 = 0.4;
 /// Makes the logarithm of any number of photons negative.
 const FAINTER: f64 = 1e3;
 
@@ -29,6 +31,8 @@ pub enum Free {
     /// The law over the wall too.
     Law,
     /// The width of pulses too.
+    Width,
+    /// The shape of the response too.
     All,
 }
 
@@ -41,25 +45,37 @@ pub struct Fit {
     pub normal: Normal,
     /// Shape of the wall's own light.
     pub tail: Tail,
+    /// The response with the shape of the model.
+    pub shine: Shine,
 }
 
 impl Fit {
     /// A model as it stands; `levels` are a start.
     pub fn new(problem: &Problem, tail: Tail, model: Model, levels: &[Level]) -> Self {
-        let normal = Normal::new(problem, &tail, &model, levels);
-        Self { model, normal, tail }
+        Self::with(problem, tail, (model, false), levels)
+    }
+
+    fn with(problem: &Problem, tail: Tail, (model, is_free): (Model, bool), levels: &[Level]) -> Self {
+        let shine = Shine::new(problem, &model, is_free);
+        let normal = Normal::new(problem, &tail, (&model, &shine), levels);
+        Self { model, normal, tail, shine }
     }
 
     /// The likeliest model near by.
     pub fn climb(self, problem: &Problem, free: Free) -> Self {
         let (mut fit, mut damping) = (self, DAMPING[0]);
+        if fit.shine.is_free != (free == Free::All) {
+            fit = Self::with(problem, fit.tail, (fit.model, free == Free::All), &fit.normal.levels);
+        }
         for _ in 0..STEPS {
             let Some(step) = fit.step(problem, free, damping) else { break };
             let model = fit.model.moved(&step);
-            let normal = Normal::new(problem, &fit.tail, &model, &fit.normal.levels);
+            let shine = Shine::new(problem, &model, fit.shine.is_free);
+            let normal = Normal::new(problem, &fit.tail, (&model, &shine), &fit.normal.levels);
             let gain = normal.log_likelihood - fit.normal.log_likelihood;
+            if std::env::var_os("J").is_some() && problem.histograms.len() > 200 { eprintln!("DBG    step {free:?} gain {gain:.2} damping {damping:.0e} dots {}", model.dots.len()); }
             if gain >= 0.0 {
-                fit = Self { model, normal, tail: fit.tail };
+                fit = Self { model, normal, tail: fit.tail, shine };
                 damping *= 0.2;
                 if gain < GAIN {
                     break;
@@ -98,7 +114,7 @@ impl Fit {
 
     /// The shape of the wall's own light anew, from what the points leave of the sum of all histograms.
     pub fn reshape(self, problem: &Problem) -> Self {
-        let tail = tail(problem, &self.model);
+        let tail = tail(problem, (&self.model, &self.shine));
         Self::new(problem, tail, self.model, &self.normal.levels)
     }
 
@@ -125,14 +141,20 @@ impl Fit {
         let mut fit = self;
         loop {
             let mut z = fit.z();
-            if fit.covariance().is_none() {
+            let is_singular = fit.covariance().is_none();
+            if is_singular {
                 // Singular: of points that no histogram tells apart the faintest goes.
                 z = fit.model.dots.iter().map(|dot| dot.log_photons - FAINTER).collect();
             }
             let worst = (0..z.len()).min_by(|a, b| z[*a].total_cmp(&z[*b]));
             let Some(worst) = worst.filter(|worst| z[*worst] < least) else { return fit };
             let mut model = fit.model;
-            model.dots.remove(worst);
+            // Those far below go together with the worst.
+            let mut n = 0;
+            model.dots.retain(|_| {
+                n += 1;
+                n - 1 != worst && (is_singular || z[n - 1] > HOPELESS * least)
+            });
             fit = Self::new(problem, fit.tail, model, &fit.normal.levels).climb(problem, free);
         }
     }
@@ -151,13 +173,14 @@ fn kind(n: usize, unknowns: usize) -> (Free, usize) {
         n if n < first && n % OF_POINT == 3 => (Free::Photons, 1),
         n if n < first => (Free::Law, 3),
         n if n == first => (Free::Law, 2),
-        n if n < unknowns - 1 => (Free::Law, 3),
+        n if n < first + WIDTH => (Free::Law, 3),
+        n if n == first + WIDTH => (Free::Width, 4),
         _ => (Free::All, 4),
     }
 }
 
 /// The shape of the wall's own light from the sum of all histograms, less the light of points.
-pub fn tail(problem: &Problem, model: &Model) -> Tail {
+pub fn tail(problem: &Problem, (model, shine): (&Model, &Shine)) -> Tail {
     let histograms = &problem.histograms;
     let step_m = problem.step_m;
     let first_m = histograms.iter().map(|one| one.first_m).fold(f64::INFINITY, f64::min);
@@ -167,7 +190,7 @@ pub fn tail(problem: &Problem, model: &Model) -> Tail {
     let mut desk = Desk::default();
     for histogram in histograms {
         problem.cancel.check();
-        desk.light(problem, model, histogram);
+        desk.light(problem, (model, shine), histogram);
         let first = ((histogram.first_m - first_m) / step_m).round() as usize;
         sum[first..].iter_mut().zip(&histogram.values).for_each(|(sum, value)| *sum += f64::from(*value));
         light[first..].iter_mut().zip(&desk.all).for_each(|(sum, value)| *sum += value);

@@ -4,7 +4,8 @@ use super::Problem;
 use super::background::Level;
 use super::fit::{Fit, Free, tail};
 use super::misfit::Misfit;
-use super::model::{Dot, Model, reach, share};
+use super::model::{Dot, Model};
+use super::normal::Shine;
 use super::scores::Traces;
 use super::volume::{Lattice, Peak};
 use crate::Point;
@@ -41,7 +42,7 @@ pub struct Search {
 /// Searches the histograms of a problem for points with a z of `threshold` or more, from the points of a model. Peaks
 /// of a score below `clear` may be noise, and only few are tried at once.
 pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2], model: Model) -> Search {
-    let shape = tail(problem, &model);
+    let shape = tail(problem, (&model, &Shine::new(problem, &model, false)));
     let levels: Vec<Level> = vec![[1.0, 0.0]; problem.histograms.len()];
     let mut fit = Fit::new(problem, shape, model, &levels);
     if !fit.model.dots.is_empty() {
@@ -56,6 +57,7 @@ pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2]
         }
         let mut peaks = batch(peaks, [threshold, clear], if round == 0 { BATCH[0] } else { BATCH[1] });
         let before = fit.model.dots.len();
+        if std::env::var_os("J").is_some() { eprintln!("DBG round {round} hist {} peaks {} top {:?} dots {before} lnL {}", problem.histograms.len(), peaks.len(), peaks.iter().map(|p| (p.sure as i32, p.score as i32)).collect::<Vec<_>>(), fit.normal.log_likelihood); }
         // Many peaks at once are a surface; later ones may be ghosts, which vanish when all points are in place.
         too_many = before.max(if round == 0 { peaks.len() } else { 0 }) >= MOST;
         if peaks.is_empty() || too_many {
@@ -67,9 +69,11 @@ pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2]
         if 2.0 * gain < threshold * threshold {
             break;
         }
-        fit = next.reshape(problem).climb(problem, Free::Law);
+        // A wrong response leaves rests that look like faint points.
+        fit = next.reshape(problem).climb(problem, Free::Law).climb(problem, Free::All);
     }
     let (fit, misfit) = last(problem, fit, threshold);
+    if std::env::var_os("J").is_some() { eprintln!("DBG last hist {} dots {} misfit {misfit:?} shared {:?}", problem.histograms.len(), fit.model.dots.len(), fit.model.shared); }
     Search { fit, misfit, largest, too_many }
 }
 
@@ -123,15 +127,18 @@ fn start(problem: &Problem, fit: &Fit, place: Point) -> Dot {
     let reference_m = (place - problem.wall.middle).norm();
     let dot = Dot { place, log_photons: 0.0, slopes: [0.0; 2], reference_m };
     let half_m = 0.5 * problem.pulse.width_m();
-    let (mut light, mut expected, mut tail) = (0.0, 0.0, Vec::new());
+    let (mut light, mut expected, mut tail, mut pulse) = (0.0, 0.0, Vec::new(), Vec::new());
     for (histogram, level) in problem.histograms.iter().zip(&fit.normal.levels) {
         let way = fit.model.way(&dot, histogram);
         fit.tail.fill(histogram, &mut tail);
-        for bin in reach(problem, histogram, &way, 1.0) {
-            let offset_m = histogram.first_m + (bin as f64 + 0.5) * problem.step_m - way.length_m;
+        let first_m = histogram.first_m + 0.5 * problem.step_m - way.length_m;
+        let bins = problem.pulse.bins(first_m, histogram.values.len());
+        problem.pulse.fill(0, &bins, way.log_photons.exp(), &mut pulse);
+        for (bin, share) in (bins.from..).zip(&pulse) {
+            let offset_m = first_m + bin as f64 * problem.step_m;
             if offset_m.abs() < half_m {
                 light += f64::from(histogram.values[bin]) - level[0] * tail[bin] - level[1];
-                expected += way.log_photons.exp() * share(&problem.pulse, offset_m, 1.0)[0];
+                expected += share;
             }
         }
     }

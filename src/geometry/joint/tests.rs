@@ -7,8 +7,8 @@ use rand_distr::{Distribution, Normal, Poisson};
 
 use super::background::Level;
 use super::fit::{Fit, Free, place_covariance, tail};
-use super::model::{Dot, Model};
-use super::normal::Normal as Sums;
+use super::model::{Dot, Model, SHARED};
+use super::normal::{Normal as Sums, Shine};
 use super::*;
 
 const STEP_M: f64 = 0.0024;
@@ -75,15 +75,20 @@ fn the_gradient_is_that_of_differences() {
     let dot =
         |place: [f64; 3], log_photons| Dot { place: place.into(), log_photons, slopes: [0.05, -0.1], reference_m: 0.5 };
     let dots = vec![dot([0.103, -0.051, 0.452], 5.2), dot([-0.118, 0.1, 0.498], 5.1)];
-    let model = Model { dots, shared: [-3.6, 0.02, -0.01, 0.03, 0.01, -0.02, 0.05] };
-    let shape = tail(&problem, &model);
+    let shared: [f64; SHARED] =
+        [-3.6, 0.02, -0.01, 0.03, 0.01, -0.02, 0.05, 0.03, -0.06, 0.05, -0.1, 0.2, -0.1];
+    let model = Model { dots, shared };
+    let shine = Shine::new(&problem, &model, true);
+    let shape = tail(&problem, (&model, &shine));
     let levels: Vec<Level> = vec![[1.0, 0.2]; 64];
-    let at = Sums::new(&problem, &shape, &model, &levels);
+    let at = Sums::new(&problem, &shape, (&model, &shine), &levels);
     for n in 0..model.unknowns() {
         let end = |sign: f64| {
             let mut step = vec![0.0; model.unknowns()];
             step[n] = sign * 2e-4;
-            Sums::new(&problem, &shape, &model.moved(&step), &at.levels).log_likelihood
+            let moved = model.moved(&step);
+            let shine = Shine::new(&problem, &moved, false);
+            Sums::new(&problem, &shape, (&moved, &shine), &at.levels).log_likelihood
         };
         let slope = (end(1.0) - end(-1.0)) / 4e-4;
         let scale = at.fisher[(n, n)].sqrt();
@@ -104,7 +109,7 @@ fn fits_scatter_as_their_information_says() {
             reference_m: 0.5,
         };
         let model = Model { dots: DOTS.iter().map(dot).collect(), ..Model::default() };
-        let shape = tail(&problem, &model);
+        let shape = tail(&problem, (&model, &Shine::new(&problem, &model, false)));
         let fit = Fit::new(&problem, shape, model, &vec![[1.0, 0.2]; 64]).climb(&problem, Free::All);
         let covariance = fit.covariance().unwrap();
         for (k, (place, _)) in DOTS.iter().enumerate() {
@@ -174,8 +179,8 @@ fn the_wall_shows_its_response_with_the_tail() {
         let wall = WallSum { sum: &sum, first_m, step_m: STEP_M, gate, width_m: 2.355 * SIGMA_M };
         let [wall, truth] = [wall.pulse(STEP_M).unwrap(), pulse()];
         for n in -30..300 {
-            let [own, other] = [&wall, &truth].map(|pulse| pulse.at(f64::from(n) * STEP_M)[0]);
-            assert!((own - other).abs() < 0.03 * other + 0.01 * truth.at(0.0)[0], "{n}: {own} is not {other}");
+            let [own, other] = [&wall, &truth].map(|pulse| pulse.at(f64::from(n) * STEP_M));
+            assert!((own - other).abs() < 0.03 * other + 0.01 * truth.at(0.0), "{n}: {own} is not {other}");
         }
     }
     let flat = WallSum { sum: &[5.0; 400], first_m: 0.0, step_m: STEP_M, gate: 100, width_m: 0.02 };

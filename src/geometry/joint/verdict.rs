@@ -2,6 +2,7 @@
 
 use std::f64::consts::SQRT_2;
 
+use super::extent::{Extent, extents};
 use super::fit::{Fit, Free, place_covariance};
 use super::model::{EDGE, Model};
 use super::rounds::{FIRST, MANY, MOST, Search, search, settle};
@@ -14,6 +15,8 @@ const REAPPEAR: [f64; 2] = [0.7, 0.5];
 /// A point reappears within so many standard deviations of both places, and this distance.
 const NEAR_SD: f64 = 4.0;
 const NEAR_M: f64 = 1e-3;
+/// Share of the threshold down to which a half is searched from nothing.
+const BLIND: f64 = 0.9;
 /// Share of a half's threshold down to which its points count.
 const LOOSE: f64 = 0.5;
 /// Points whose ways differ by less than a width in this share of the histograms are not resolved; so many of them
@@ -23,6 +26,11 @@ const CROWD: usize = 4;
 /// A point with less than this share of another's photons that follows it by the same length, within this many widths,
 /// is its tail.
 const FOLLOWS: [f64; 2] = [0.25, 0.5];
+/// Root of the mean square of the distances in a point's light across the wall, in widths of the response, above which
+/// it is a surface where it exceeds so many standard deviations, and from which on a surface is not excluded.
+const SIZE: f64 = 0.35;
+const SIZE_SD: f64 = 4.0;
+const LARGE: f64 = 1.0;
 /// Scatter of arrivals, in widths of the response, above which they are not those of points on this wall.
 const SCATTER: f64 = 0.5;
 
@@ -59,7 +67,7 @@ fn judged(problem: &Problem, lattice: &Lattice, threshold: f64, mut whole: Searc
         let mut least = reappear(problem, lattice, threshold, (&whole, &mut all));
         let mut answer = judge(problem, &whole, least);
         // Points closer together than the response resolves; of very many histograms they are split in the first part.
-        if answer.0 == Verdict::Points && problem.histograms.len() < MANY {
+        if least >= REAPPEAR[0] && problem.histograms.len() < MANY {
             let fit = split(problem, whole.fit.clone(), threshold);
             if fit.model.dots.len() > all.len() {
                 let (fit, misfit) = settle(problem, fit, threshold);
@@ -121,7 +129,7 @@ fn reappear(
     let (mut counts, mut sums) = ([0_usize; 2], [0_usize; 2]);
     let halves = [0, 1].map(|half| {
         let half = problem.half(half);
-        let goals = [threshold / SQRT_2, threshold];
+        let goals = [BLIND * threshold, threshold];
         // Of many histograms a part is searched from nothing; the rest of the half refines it.
         let model = if half.histograms.len() >= MANY {
             search(&half.part(FIRST), lattice, goals, Model::default()).fit.model
@@ -209,12 +217,43 @@ fn judge(problem: &Problem, whole: &Search, share: f64) -> (Verdict, String) {
         let text = format!("{crowd} points lie closer together than the response resolves, as on a surface");
         return (Verdict::CannotTell, text);
     }
+    if let Some(answer) = sized(problem, &whole.fit) {
+        return answer;
+    }
     let scatter = whole.misfit.scatter_m / problem.pulse.width_m();
     if scatter > SCATTER {
         let text = format!("arrivals scatter by {:.0} % of the response's width", 100.0 * scatter);
         return (Verdict::CannotTell, text);
     }
     (Verdict::Points, format!("{percent:.0} % of the points reappear in halves of the histograms"))
+}
+
+/// What the sizes of the points say against points.
+fn sized(problem: &Problem, fit: &Fit) -> Option<(Verdict, String)> {
+    let extents = extents(problem, fit);
+    let width_m = problem.pulse.width_m();
+    let [size, large] = [SIZE, LARGE].map(|size| (size * width_m).powi(2));
+    let precision: f64 = extents.iter().map(|one| one.sd_m2.powi(-2)).sum();
+    let mean = extents.iter().map(|one| one.square_m2 * one.sd_m2.powi(-2)).sum::<f64>() / precision;
+    let all = Extent { square_m2: mean, sd_m2: precision.sqrt().recip() };
+    let is_wide = |one: &Extent| one.square_m2 > size && one.square_m2 > SIZE_SD * one.sd_m2;
+    let across_mm = |one: &Extent| 1e3 * one.square_m2.sqrt();
+    if is_wide(&all) {
+        return Some((Verdict::ExtendedObject, format!("points are {:.0} mm across (rms)", across_mm(&all))));
+    }
+    if let Some(n) = extents.iter().position(is_wide) {
+        let text = format!("point {} is {:.0} mm across (rms)", n + 1, across_mm(&extents[n]));
+        return Some((Verdict::ExtendedObject, text));
+    }
+    let is_open = |one: &Extent| one.square_m2 + 2.0 * one.sd_m2 > large;
+    if let Some(n) = extents.iter().position(is_open) {
+        let most_mm = 1e3 * (extents[n].square_m2 + 2.0 * extents[n].sd_m2).sqrt();
+        let text = format!("point {} is too faint to be told from a surface: up to {most_mm:.0} mm across (rms)", n + 1);
+        return Some((Verdict::CannotTell, text));
+    }
+    let is_narrow = |one: &Extent| -one.square_m2 > size.max(SIZE_SD * one.sd_m2);
+    let narrow = extents.iter().position(is_narrow)?;
+    Some((Verdict::CannotTell, format!("pulses differ in width: those of point {} are narrower than most", narrow + 1)))
 }
 
 /// Size of the largest group of points, each closer to another one than the response resolves.
