@@ -95,6 +95,23 @@ impl Noise {
         }
     }
 
+    /// Variance of a value at a rate.
+    #[inline]
+    fn variance(self, rate: f64) -> f64 {
+        match self {
+            Self::Counts => rate.max(1.0),
+            Self::Gauss { sd } => sd * sd,
+        }
+    }
+
+    /// That of the sum of so many histograms.
+    fn of_sum(self, count: usize) -> Self {
+        match self {
+            Self::Counts => Self::Counts,
+            Self::Gauss { sd } => Self::Gauss { sd: sd * (count as f64).sqrt() },
+        }
+    }
+
     /// Logarithm of the probability of a value at a rate, less what does not depend on the rate.
     #[inline]
     fn log_likelihood(self, value: f64, rate: f64) -> f64 {

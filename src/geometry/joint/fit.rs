@@ -73,7 +73,6 @@ impl Fit {
             let shine = Shine::new(problem, &model, fit.shine.is_free);
             let normal = Normal::new(problem, &fit.tail, (&model, &shine), &fit.normal.levels);
             let gain = normal.log_likelihood - fit.normal.log_likelihood;
-            if std::env::var_os("J").is_some() && problem.histograms.len() > 200 { eprintln!("DBG    step {free:?} gain {gain:.2} damping {damping:.0e} dots {}", model.dots.len()); }
             if gain >= 0.0 {
                 fit = Self { model, normal, tail: fit.tail, shine };
                 damping *= 0.2;
@@ -195,5 +194,6 @@ pub fn tail(problem: &Problem, (model, shine): (&Model, &Shine)) -> Tail {
         sum[first..].iter_mut().zip(&histogram.values).for_each(|(sum, value)| *sum += f64::from(*value));
         light[first..].iter_mut().zip(&desk.all).for_each(|(sum, value)| *sum += value);
     }
-    Tail::new(first_m, step_m, &sum, &light, problem.pulse.width_m(), histograms.len())
+    let count = histograms.len();
+    Tail::new([first_m, step_m, problem.pulse.width_m()], (&sum, &light), (count, problem.noise.of_sum(count)))
 }

@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use super::pulse::{Pulse, SHAPES};
 use super::Histogram;
+use super::pulse::{Pulse, SHAPES};
 use crate::Point;
 
 /// Unknowns of a point: three coordinates, the logarithm of its photons, and how that grows along both directions of
@@ -46,13 +46,15 @@ pub struct Model {
     /// Power of the distance; terms of first and second order over the wall; logarithm of the width of a pulse over
     /// that of the response; shape of the response.
     pub shared: [f64; SHARED],
+    /// Factor on the standard deviation of the common delay before there is light.
+    pub unsure: f64,
 }
 
 impl Default for Model {
     fn default() -> Self {
         let mut shared = [0.0; SHARED];
         shared.iter_mut().zip(PRIORS).for_each(|(value, [mean, _])| *value = mean);
-        Self { dots: Vec::new(), shared }
+        Self { dots: Vec::new(), shared, unsure: 1.0 }
     }
 }
 
@@ -105,9 +107,22 @@ impl Model {
         std::array::from_fn(|n| self.shared[WIDTH + 1 + n])
     }
 
+    /// Mean and standard deviation of all shared unknowns before there is light.
+    fn priors(&self, pulse: &Pulse) -> impl Iterator<Item = [f64; 2]> {
+        let mut doubts = pulse.doubts;
+        doubts[0] *= self.unsure;
+        PRIORS.into_iter().chain(doubts.map(|sd| [0.0, sd]))
+    }
+
+    /// Common delay, in standard deviations before there is light.
+    pub fn late(&self, pulse: &Pulse) -> f64 {
+        self.shape()[0].abs() / (self.unsure * pulse.doubts[0])
+    }
+
     /// Logarithm of the prior's density, with that of the response.
     pub fn log_prior(&self, pulse: &Pulse) -> f64 {
-        let shared = self.shared.iter().zip(priors(pulse)).map(|(value, [mean, sd])| ((value - mean) / sd).powi(2));
+        let shared =
+            self.shared.iter().zip(self.priors(pulse)).map(|(value, [mean, sd])| ((value - mean) / sd).powi(2));
         let slopes = self.dots.iter().flat_map(|dot| dot.slopes).map(|slope| (slope / SLOPE_SD).powi(2));
         -0.5 * shared.chain(slopes).sum::<f64>()
     }
@@ -119,7 +134,7 @@ impl Model {
             let [first, second] = dot.slopes.map(|slope| normal(slope, [0.0, SLOPE_SD]));
             [[0.0; 2], [0.0; 2], [0.0; 2], [0.0; 2], first, second]
         };
-        let shared = self.shared.iter().zip(priors(pulse)).map(|(value, prior)| normal(*value, prior));
+        let shared = self.shared.iter().zip(self.priors(pulse)).map(|(value, prior)| normal(*value, prior));
         self.dots.iter().flat_map(of_dot).chain(shared).collect()
     }
 
@@ -139,11 +154,6 @@ impl Model {
         moved.shared.iter_mut().zip(&step[OF_POINT * self.dots.len()..]).for_each(|(value, step)| *value += step);
         moved
     }
-}
-
-/// Mean and standard deviation of all shared unknowns before there is light.
-fn priors(pulse: &Pulse) -> impl Iterator<Item = [f64; 2]> {
-    PRIORS.into_iter().chain(pulse.doubts.map(|sd| [0.0, sd]))
 }
 
 /// Terms of the law over the wall.

@@ -161,12 +161,7 @@ impl Pulse {
         Self::of(Arc::clone(&self.given), (stretch, shape), is_free, self.doubts)
     }
 
-    fn of(
-        given: Arc<Given>,
-        (stretch, shape): (f64, &[f64; SHAPES]),
-        is_free: bool,
-        doubts: [f64; SHAPES],
-    ) -> Self {
+    fn of(given: Arc<Given>, (stretch, shape): (f64, &[f64; SHAPES]), is_free: bool, doubts: [f64; SHAPES]) -> Self {
         let density = |at_m: f64| given.shaped(shape, at_m / stretch).map(|value| value / stretch);
         let bin_m = given.bin_m;
         let fine_m = bin_m / PLACES as f64;

@@ -27,6 +27,11 @@ const FAINT: usize = 6;
 /// Share of the threshold below which a point is eliminated between rounds.
 const LOOSE: f64 = 0.8;
 
+/// Standard deviations of the common delay beyond which its prior was too sure, and is made four times as wide; and the
+/// largest factor.
+const LATE: f64 = 2.0;
+const LEAST_SURE: f64 = 64.0;
+
 /// What a search came to.
 pub struct Search {
     /// The last fit.
@@ -57,7 +62,6 @@ pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2]
         }
         let mut peaks = batch(peaks, [threshold, clear], if round == 0 { BATCH[0] } else { BATCH[1] });
         let before = fit.model.dots.len();
-        if std::env::var_os("J").is_some() { eprintln!("DBG round {round} hist {} peaks {} top {:?} dots {before} lnL {}", problem.histograms.len(), peaks.len(), peaks.iter().map(|p| (p.sure as i32, p.score as i32)).collect::<Vec<_>>(), fit.normal.log_likelihood); }
         // Many peaks at once are a surface; later ones may be ghosts, which vanish when all points are in place.
         too_many = before.max(if round == 0 { peaks.len() } else { 0 }) >= MOST;
         if peaks.is_empty() || too_many {
@@ -73,7 +77,6 @@ pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2]
         fit = next.reshape(problem).climb(problem, Free::Law).climb(problem, Free::All);
     }
     let (fit, misfit) = last(problem, fit, threshold);
-    if std::env::var_os("J").is_some() { eprintln!("DBG last hist {} dots {} misfit {misfit:?} shared {:?}", problem.histograms.len(), fit.model.dots.len(), fit.model.shared); }
     Search { fit, misfit, largest, too_many }
 }
 
@@ -92,7 +95,12 @@ fn last(problem: &Problem, fit: Fit, threshold: f64) -> (Fit, Misfit) {
     if fit.model.dots.is_empty() {
         return (fit, Misfit { factor: 1.0, scatter_m: 0.0, own: 1.0 });
     }
-    settle(problem, fit.reshape(problem).climb(problem, Free::All), threshold)
+    let mut fit = fit.reshape(problem).climb(problem, Free::All);
+    while fit.model.late(&problem.pulse) > LATE && fit.model.unsure < LEAST_SURE {
+        fit.model.unsure *= 4.0;
+        fit = Fit::new(problem, fit.tail, fit.model, &fit.normal.levels).climb(problem, Free::All);
+    }
+    settle(problem, fit, threshold)
 }
 
 /// A fit without points that it does not show, and its misfit.

@@ -99,7 +99,8 @@ impl Traces {
             let bin = |n: usize| (2.0 * (n as f64 * step_m2).sqrt() - trace.first_m) / self.step_m;
             let is_whole = |n: &usize| bin(*n) >= trace.whole[0] as f64 && bin(*n) < trace.whole[1] as f64;
             let first = (0..count).find(is_whole).unwrap_or(count);
-            let scores: Vec<f32> = (first..count).take_while(is_whole).map(|n| trace.nearest[bin(n) as usize]).collect();
+            let scores: Vec<f32> =
+                (first..count).take_while(is_whole).map(|n| trace.nearest[bin(n) as usize]).collect();
             Squared { middle, first, scores }
         };
         Some(self.groups.par_iter().map(squared).collect())

@@ -75,9 +75,8 @@ fn the_gradient_is_that_of_differences() {
     let dot =
         |place: [f64; 3], log_photons| Dot { place: place.into(), log_photons, slopes: [0.05, -0.1], reference_m: 0.5 };
     let dots = vec![dot([0.103, -0.051, 0.452], 5.2), dot([-0.118, 0.1, 0.498], 5.1)];
-    let shared: [f64; SHARED] =
-        [-3.6, 0.02, -0.01, 0.03, 0.01, -0.02, 0.05, 0.03, -0.06, 0.05, -0.1, 0.2, -0.1];
-    let model = Model { dots, shared };
+    let shared: [f64; SHARED] = [-3.6, 0.02, -0.01, 0.03, 0.01, -0.02, 0.05, 0.03, -0.06, 0.05, -0.1, 0.2, -0.1];
+    let model = Model { dots, shared, unsure: 1.0 };
     let shine = Shine::new(&problem, &model, true);
     let shape = tail(&problem, (&model, &shine));
     let levels: Vec<Level> = vec![[1.0, 0.2]; 64];
@@ -176,14 +175,15 @@ fn the_wall_shows_its_response_with_the_tail() {
         let hidden = |at_m: f64| 2e3 * (-0.5 * ((at_m - 0.9) / SIGMA_M).powi(2)).exp();
         let sum: Vec<f64> = (0..900).map(|n| 1e6 * response(at_m(n)) + 200.0 + hidden(at_m(n))).collect();
         let gate = ((0.1 - first_m) / STEP_M) as usize;
-        let wall = WallSum { sum: &sum, first_m, step_m: STEP_M, gate, width_m: 2.355 * SIGMA_M };
+        let wall = WallSum { sum: &sum, first_m, step_m: STEP_M, gate, width_m: 2.355 * SIGMA_M, noise: Noise::Counts };
         let [wall, truth] = [wall.pulse(STEP_M).unwrap(), pulse()];
         for n in -30..300 {
             let [own, other] = [&wall, &truth].map(|pulse| pulse.at(f64::from(n) * STEP_M));
             assert!((own - other).abs() < 0.03 * other + 0.01 * truth.at(0.0), "{n}: {own} is not {other}");
         }
     }
-    let flat = WallSum { sum: &[5.0; 400], first_m: 0.0, step_m: STEP_M, gate: 100, width_m: 0.02 };
+    let flat =
+        WallSum { sum: &[5.0; 400], first_m: 0.0, step_m: STEP_M, gate: 100, width_m: 0.02, noise: Noise::Counts };
     assert!(flat.pulse(STEP_M).is_none());
 }
 

@@ -248,7 +248,16 @@ fn sized(problem: &Problem, fit: &Fit) -> Option<(Verdict, String)> {
     let is_open = |one: &Extent| one.square_m2 + 2.0 * one.sd_m2 > large;
     if let Some(n) = extents.iter().position(is_open) {
         let most_mm = 1e3 * (extents[n].square_m2 + 2.0 * extents[n].sd_m2).sqrt();
-        let text = format!("point {} is too faint to be told from a surface: up to {most_mm:.0} mm across (rms)", n + 1);
+        let text =
+            format!("point {} is too faint to be told from a surface: up to {most_mm:.0} mm across (rms)", n + 1);
+        return Some((Verdict::CannotTell, text));
+    }
+    // Unresolved points whose sizes may fill the gaps between them: a square of this side has a sixth of its square.
+    let gaps_m = gaps_m(problem, fit);
+    let fills = |n: &usize| extents[*n].square_m2 + 2.0 * extents[*n].sd_m2 > gaps_m[*n].powi(2) / 6.0;
+    if let Some(n) = (0..extents.len()).find(fills) {
+        let gap_mm = 1e3 * gaps_m[n];
+        let text = format!("points {gap_mm:.0} mm apart near point {} may be one surface: too faint to tell", n + 1);
         return Some((Verdict::CannotTell, text));
     }
     let is_narrow = |one: &Extent| -one.square_m2 > size.max(SIZE_SD * one.sd_m2);
@@ -256,23 +265,40 @@ fn sized(problem: &Problem, fit: &Fit) -> Option<(Verdict, String)> {
     Some((Verdict::CannotTell, format!("pulses differ in width: those of point {} are narrower than most", narrow + 1)))
 }
 
+/// Whether the response does not resolve two points in most histograms.
+fn is_blended(problem: &Problem, fit: &Fit, [a, b]: [usize; 2]) -> bool {
+    let dots = &fit.model.dots;
+    let lengths_m = problem.histograms.iter().map(|one| [a, b].map(|k| fit.model.way(&dots[k], one).length_m));
+    let close = lengths_m.filter(|[a_m, b_m]| (a_m - b_m).abs() < problem.pulse.width_m()).count();
+    close as f64 > BLENDED * problem.histograms.len() as f64
+}
+
+/// Distance of each point from the nearest one that is not resolved from it; infinite where there is none.
+fn gaps_m(problem: &Problem, fit: &Fit) -> Vec<f64> {
+    let dots = &fit.model.dots;
+    let mut gaps_m = vec![f64::INFINITY; dots.len()];
+    for (a, b) in (0..dots.len()).flat_map(|a| (0..a).map(move |b| (a, b))) {
+        let gap_m = (dots[a].place - dots[b].place).norm();
+        if gap_m < gaps_m[a].max(gaps_m[b]) && is_blended(problem, fit, [a, b]) {
+            gaps_m[a] = gaps_m[a].min(gap_m);
+            gaps_m[b] = gaps_m[b].min(gap_m);
+        }
+    }
+    gaps_m
+}
+
 /// Size of the largest group of points, each closer to another one than the response resolves.
 fn crowd(problem: &Problem, fit: &Fit) -> usize {
-    let dots = &fit.model.dots;
-    let width_m = problem.pulse.width_m();
-    let mut groups: Vec<usize> = (0..dots.len()).collect();
-    for a in 0..dots.len() {
-        for b in 0..a {
-            let lengths_m = problem.histograms.iter().map(|one| [a, b].map(|k| fit.model.way(&dots[k], one).length_m));
-            let close = lengths_m.filter(|[a_m, b_m]| (a_m - b_m).abs() < width_m).count();
-            if close as f64 > BLENDED * problem.histograms.len() as f64 {
-                let (from, to) = (groups[a], groups[b]);
-                groups.iter_mut().filter(|group| **group == from).for_each(|group| *group = to);
-            }
+    let count = fit.model.dots.len();
+    let mut groups: Vec<usize> = (0..count).collect();
+    for (a, b) in (0..count).flat_map(|a| (0..a).map(move |b| (a, b))) {
+        if is_blended(problem, fit, [a, b]) {
+            let (from, to) = (groups[a], groups[b]);
+            groups.iter_mut().filter(|group| **group == from).for_each(|group| *group = to);
         }
     }
     let size = |group: usize| groups.iter().filter(|other| **other == group).count();
-    (0..dots.len()).map(size).max().unwrap_or(0)
+    (0..count).map(size).max().unwrap_or(0)
 }
 
 /// A faint point whose light follows that of a bright one by the same time in all histograms: the response may have a
