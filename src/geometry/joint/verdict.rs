@@ -15,6 +15,8 @@ const REAPPEAR: [f64; 2] = [0.7, 0.5];
 /// A point reappears within so many standard deviations of both places, and this distance.
 const NEAR_SD: f64 = 4.0;
 const NEAR_M: f64 = 1e-3;
+/// A point can be found anew in a half where its z is expected to exceed the threshold by this factor.
+const BRIGHT: f64 = 1.3;
 /// Share of the threshold down to which a half is searched from nothing.
 const BLIND: f64 = 0.9;
 /// Share of a half's threshold down to which its points count.
@@ -116,8 +118,8 @@ fn points(fit: &Fit, misfit: f64) -> Vec<HiddenPoint> {
 
 /// Share of the points that reappear in halves of the histograms, which are searched by themselves.
 ///
-/// Half of the light has a z that is smaller by the root of 2. Points that would then be below the threshold cannot be
-/// found anew: they reappear where a half that starts from all points keeps them in place. The share is the smaller one
+/// Half of the light has a z that is smaller by the root of 2. Points that would then be near the threshold or below may
+/// not be found anew: they reappear where a half that starts from all points keeps them in place. The share is the smaller one
 /// of that of all points and that of the points that can be found anew.
 fn reappear(
     problem: &Problem,
@@ -125,8 +127,10 @@ fn reappear(
     threshold: f64,
     (whole, points_of_whole): (&Search, &mut [HiddenPoint]),
 ) -> f64 {
-    let bright = SQRT_2 * threshold * whole.misfit.factor.sqrt();
+    let bright = BRIGHT * SQRT_2 * threshold * whole.misfit.factor.sqrt();
     let (mut counts, mut sums) = ([0_usize; 2], [0_usize; 2]);
+    // What the whole tells apart by its widths, a half must tell apart in the same way.
+    let is_close = gaps_m(problem, &whole.fit).iter().any(|gap_m| gap_m.is_finite());
     let halves = [0, 1].map(|half| {
         let half = problem.half(half);
         let goals = [BLIND * threshold, threshold];
@@ -136,7 +140,14 @@ fn reappear(
         } else {
             Model::default()
         };
-        let blind = search(&half, lattice, goals, model);
+        let mut blind = search(&half, lattice, goals, model);
+        if is_close && half.histograms.len() < MANY {
+            let fit = split(&half, blind.fit.clone(), threshold);
+            if fit.model.dots.len() > blind.fit.model.dots.len() {
+                let (fit, misfit) = settle(&half, fit, goals[0]);
+                blind = Search { fit, misfit, ..blind };
+            }
+        }
         [points(&blind.fit, blind.misfit.factor), stay(&half, threshold, &whole.fit, blind.misfit.factor)]
     });
     for point in points_of_whole {
