@@ -54,7 +54,7 @@ pub fn extents(problem: &Problem, fit: &Fit) -> Vec<Extent> {
     };
     let runs: Vec<_> = problem.histograms.par_chunks(RUN).zip(fit.normal.levels.par_chunks(RUN)).map(of_run).collect();
     let square_m2 = (problem.pulse.width_m() / FWHM).powi(2);
-    let log = fit.model.stretch().ln();
+    let log = fit.shine.pulse.stretch().ln();
     (0..points)
         .map(|k| {
             let mut system = Matrix4::zeros();

@@ -138,9 +138,11 @@ impl Model {
         self.dots.iter().flat_map(of_dot).chain(shared).collect()
     }
 
-    /// Standard deviations of its prior by which power and width lie off its mean.
-    pub fn strain(&self) -> [f64; 2] {
-        [0, WIDTH].map(|n| (self.shared[n] - PRIORS[n][0]).abs() / PRIORS[n][1])
+    /// Standard deviations of their priors by which the power, and a width of pulses so many times that of the
+    /// response, lie off the mean.
+    pub fn strain(&self, stretch: f64) -> [f64; 2] {
+        let off = |value: f64, [mean, sd]: [f64; 2]| (value - mean).abs() / sd;
+        [off(self.shared[0], PRIORS[0]), off(stretch.ln(), PRIORS[WIDTH])]
     }
 
     /// The model moved by a step in all unknowns.

@@ -219,6 +219,15 @@ impl Pulse {
         self.given.width_m
     }
 
+    /// Full width at half maximum with width and shape as they are, over that of the given response.
+    #[must_use]
+    pub fn stretch(&self) -> f64 {
+        let values =
+            |given: &Self| -> Vec<f64> { (0..given.count).map(|n| given.columns[0][n % PLACES][n / PLACES]).collect() };
+        let given = Self::of(Arc::clone(&self.given), (1.0, &[0.0; SHAPES]), false, self.doubts);
+        full_width(&values(self), self.step_m) / full_width(&values(&given), given.step_m)
+    }
+
     /// The bins that have light, of `count` bins whose first one has its middle at an offset from the arrival.
     #[must_use]
     pub fn bins(&self, offset_m: f64, count: usize) -> Bins {

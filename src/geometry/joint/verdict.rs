@@ -84,6 +84,7 @@ fn judged(problem: &Problem, lattice: &Lattice, threshold: f64, mut whole: Searc
         all.retain(|point| answer.0 != Verdict::Points || point.reappears);
         answer
     };
+    let stretch = whole.fit.shine.pulse.stretch();
     let model = whole.fit.model;
     let outcome = Outcome {
         verdict,
@@ -97,7 +98,7 @@ fn judged(problem: &Problem, lattice: &Lattice, threshold: f64, mut whole: Searc
         scatter_m: whole.misfit.scatter_m,
         own_misfit: whole.misfit.own,
         power: model.shared[0],
-        stretch: model.stretch(),
+        stretch,
     };
     (outcome, model)
 }
@@ -203,12 +204,12 @@ fn is_near(point: &HiddenPoint, other: &HiddenPoint) -> bool {
 
 fn judge(problem: &Problem, whole: &Search, share: f64) -> (Verdict, String) {
     let percent = 100.0 * share;
-    let strain = whole.fit.model.strain();
+    let stretch = whole.fit.shine.pulse.stretch();
+    let strain = whole.fit.model.strain(stretch);
     if share <= REAPPEAR[1] {
         return (Verdict::ExtendedObject, format!("{percent:.0} % of the points reappear in halves of the histograms"));
     }
     if strain[1] > EDGE {
-        let stretch = whole.fit.model.stretch();
         return (Verdict::ExtendedObject, format!("pulses are {stretch:.2} times as wide as the response"));
     }
     if share < REAPPEAR[0] {
@@ -219,6 +220,9 @@ fn judge(problem: &Problem, whole: &Search, share: f64) -> (Verdict, String) {
         let power = whole.fit.model.shared[0];
         return (Verdict::CannotTell, format!("light would fall off with the power {power:.1} of the distance"));
     }
+    if let Some(answer) = sized(problem, &whole.fit) {
+        return answer;
+    }
     if let Some([weak, strong]) = follower(problem, &whole.fit) {
         let text = format!("point {} follows point {} as a tail of the response would", weak + 1, strong + 1);
         return (Verdict::CannotTell, text);
@@ -227,9 +231,6 @@ fn judge(problem: &Problem, whole: &Search, share: f64) -> (Verdict, String) {
     if crowd >= CROWD {
         let text = format!("{crowd} points lie closer together than the response resolves, as on a surface");
         return (Verdict::CannotTell, text);
-    }
-    if let Some(answer) = sized(problem, &whole.fit) {
-        return answer;
     }
     let scatter = whole.misfit.scatter_m / problem.pulse.width_m();
     if scatter > SCATTER {
