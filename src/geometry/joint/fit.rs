@@ -16,6 +16,8 @@ const DAMPING: [f64; 2] = [1e-3, 1e7];
 /// Largest steps: places in widths of a pulse, logarithms of photons, power, terms over the wall, width.
 const LARGEST: [f64; 5] = [0.5, 1.5, 1.0, 0.3, 0.1];
 
+/// Factor on the prior standard deviation of the common delay in error bars: nothing says that it is zero.
+const LESS_SURE: f64 = 2.0;
 /// Share of the least z below which points are eliminated together.
 const HOPELESS: f64 = 0.4;
 /// Makes the logarithm of any number of photons negative.
@@ -119,7 +121,14 @@ impl Fit {
 
     /// Covariance of all unknowns; `None` where the information is singular.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
-        Some(self.normal.fisher.clone().cholesky()?.inverse())
+        let mut fisher = self.normal.fisher.clone();
+        if self.shine.is_free {
+            // Places are those of a delay near zero; error bars are those of one that is less sure.
+            let delay = self.model.unknowns() - SHARED + WIDTH + 1;
+            let precision = (self.model.unsure * self.shine.pulse.doubts[0]).powi(-2);
+            fisher[(delay, delay)] -= precision * (1.0 - LESS_SURE.powi(-2));
+        }
+        Some(fisher.cholesky()?.inverse())
     }
 
     /// Wald's z of each point: one over the relative standard deviation of its photons.

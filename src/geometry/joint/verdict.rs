@@ -130,7 +130,7 @@ fn reappear(
 ) -> f64 {
     let bright = BRIGHT * SQRT_2 * threshold * whole.misfit.factor.sqrt();
     let (mut counts, mut sums) = ([0_usize; 2], [0_usize; 2]);
-    // What the whole tells apart by its widths, a half must tell apart in the same way.
+    // Where the whole has points that are not resolved, a half may find them as one, or as two by its width.
     let is_close = gaps_m(problem, &whole.fit).iter().any(|gap_m| gap_m.is_finite());
     let halves = [0, 1].map(|half| {
         let half = problem.half(half);
@@ -141,15 +141,16 @@ fn reappear(
         } else {
             Model::default()
         };
-        let mut blind = search(&half, lattice, goals, model);
+        let blind = search(&half, lattice, goals, model);
+        let mut anew = points(&blind.fit, blind.misfit.factor);
         if is_close && half.histograms.len() < MANY {
             let fit = split(&half, blind.fit.clone(), threshold);
-            if fit.model.dots.len() > blind.fit.model.dots.len() {
+            if fit.model.dots.len() > anew.len() {
                 let (fit, misfit) = settle(&half, fit, goals[0]);
-                blind = Search { fit, misfit, ..blind };
+                anew.extend(points(&fit, misfit.factor));
             }
         }
-        [points(&blind.fit, blind.misfit.factor), stay(&half, threshold, &whole.fit, blind.misfit.factor)]
+        [anew, stay(&half, threshold, &whole.fit, blind.misfit.factor)]
     });
     for point in points_of_whole {
         let is_bright = point.z > bright;
