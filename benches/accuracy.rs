@@ -160,22 +160,30 @@ fn print_sizes(seeds: u64) {
 
 /// Small things behind a relay wall: scenes, how many of them, photons of each in a mean histogram (of an extended
 /// object: in all).
-const LOCATE: [(&str, usize, f64); 16] = [
+const LOCATE: [(&str, usize, f64); 24] = [
     ("dots", 1, 30.0),
+    ("dots", 1, 300.0),
     ("dots", 1, 3000.0),
     ("dots", 3, 30.0),
+    ("dots", 3, 300.0),
+    ("dots", 3, 3000.0),
+    ("dots", 6, 30.0),
     ("dots", 6, 300.0),
+    ("dots", 6, 3000.0),
     ("dots", 12, 30.0),
     ("dots", 12, 300.0),
     ("dots", 12, 3000.0),
     ("retroreflective dots", 9, 300.0),
     ("twins 12 mm apart", 6, 3000.0),
     ("dots, relief 1 mm, jitter 5 ps", 6, 300.0),
+    ("dots, pile-up", 6, 300.0),
     ("plate 20 cm", 0, 300.0),
     ("plate 20 cm", 0, 3000.0),
     ("plate 6 cm", 0, 300.0),
     ("plate 6 cm", 0, 3000.0),
     ("letter 20 cm", 0, 3000.0),
+    ("sphere of 10 cm radius", 0, 300.0),
+    ("sphere of 10 cm radius", 0, 3000.0),
     ("nothing", 0, 0.0),
 ];
 

@@ -18,6 +18,7 @@
 //! | `first_bounce` | the response as the wall's own light shows it |
 //! | `model` | points, their shared law, and their light in a histogram |
 //! | `normal` | likelihood, gradient and Fisher information over all unknowns |
+//! | `extent` | how large the points are |
 //! | `fit` | the likeliest points from a start, and backward elimination |
 //! | `scores` | what a model leaves of each histogram, filtered so that smooth light vanishes |
 //! | `volume` | scores summed at places: where one more point may be |
@@ -34,6 +35,7 @@
 //! three bounces. All lengths are metres, those of histograms path lengths.
 
 mod background;
+mod extent;
 mod first_bounce;
 mod fit;
 mod misfit;
@@ -90,6 +92,23 @@ impl Noise {
         match self {
             Self::Counts => 1.0 / rate.max(1e-9),
             Self::Gauss { sd } => 1.0 / (sd * sd),
+        }
+    }
+
+    /// Variance of a value at a rate.
+    #[inline]
+    fn variance(self, rate: f64) -> f64 {
+        match self {
+            Self::Counts => rate.max(1.0),
+            Self::Gauss { sd } => sd * sd,
+        }
+    }
+
+    /// That of the sum of so many histograms.
+    fn of_sum(self, count: usize) -> Self {
+        match self {
+            Self::Counts => Self::Counts,
+            Self::Gauss { sd } => Self::Gauss { sd: sd * (count as f64).sqrt() },
         }
     }
 

@@ -47,8 +47,8 @@ impl From<&Campaign> for Fields {
 enum Light {
     /// Photons in each bin.
     Counts(Vec<i32>),
-    /// Mean and standard error of each sample, turned upwards by the sign.
-    Volts { mean_v: Samples, se_v: Samples, sign: f64 },
+    /// Mean and standard error of each sample, turned upwards by the sign, and the autocorrelation of the noise.
+    Volts { mean_v: Samples, se_v: Samples, sign: f64, acf: Samples },
 }
 
 /// The profile of one capture, of a calibrated sensor.
@@ -72,7 +72,12 @@ impl Waveform {
         let (_, sensor) = sensors.of(profile)?;
         let light = match &profile.counts {
             Some(counts) => Light::Counts(counts.clone()),
-            None => Light::Volts { mean_v: profile.mean_v.clone(), se_v: profile.se_v.clone(), sign: sensor.polarity },
+            None => Light::Volts {
+                mean_v: profile.mean_v.clone(),
+                se_v: profile.se_v.clone(),
+                sign: sensor.polarity,
+                acf: profile.noise_acf.clone(),
+            },
         };
         let response = sensor.averaged(profile);
         Some(Self {
@@ -147,6 +152,13 @@ impl<'a> Histogram<'a> {
     /// Whether these are photon counts.
     pub fn is_counts(&self) -> bool {
         matches!(self.waveform.light, Light::Counts(_))
+    }
+
+    /// Mean variance of the samples of a voltage, and the autocorrelation of its noise; `None` for counts.
+    pub fn noise(&self) -> Option<(f64, Vec<f64>)> {
+        let Light::Volts { se_v, acf, .. } = &self.waveform.light else { return None };
+        let sum: f64 = se_v.iter().map(|se| f64::from(*se).powi(2)).sum();
+        Some((sum / se_v.len().max(1) as f64, acf.to_f64()))
     }
 
     fn end_ps(&self) -> f64 {

@@ -13,7 +13,10 @@
 //! new ones added, and one row of `searches`. Captures of other roles than scene, and of patches without a place, are
 //! left out.
 //!
-//! Not modelled: voltages (`search` does them), pile-up, errors of the wall's places, occlusion, normals, more than
+//! Voltages have Gaussian noise of one standard deviation for all captures: that of a pulse's arrival, or of its
+//! height if that is larger, where the noise is correlated.
+//!
+//! Not modelled: pile-up, errors of the wall's places, occlusion, normals, more than
 //! three bounces.
 //!
 //! ```toml
@@ -156,9 +159,6 @@ impl Locate {
         let Some((first, fields)) = histograms.first().zip(context.fields.first()) else {
             return Ok(Err("no capture of the scene has a calibration and places of its patches".to_owned()));
         };
-        if !histograms.iter().all(Histogram::is_counts) {
-            return Ok(Err("`locate` takes photon counts; voltages are searched by `search`".to_owned()));
-        }
         let mut times = match Times::new(histograms, self.gate_ps.map(NonNegative::get)) {
             Ok(times) => times,
             Err(why) => return Ok(Err(why)),
@@ -176,13 +176,18 @@ impl Locate {
         }
         let source = if wall.is_some() { "wall" } else { "calibration" };
         let pulse = wall.unwrap_or_else(|| binning.calibrated(first));
+        let noise = binning.noise(histograms, &pulse);
+        if matches!(noise, Noise::Gauss { sd } if sd <= 0.0) {
+            let text = "the noise of the profiles is not known; a voltage needs a standard error, from several shots";
+            return Ok(Err(text.to_owned()));
+        }
         let depth_m = 0.5 * medium.path_m(times.end_ps);
         let depth_m = self.depth_max_m.map_or(depth_m, |most| depth_m.min(most.get()));
         let front = fields.wall.stations.source();
         let joined = histograms.iter().map(|one| binning.joined(one, &times)).collect();
         let problem = Problem::new(
             joined,
-            (binning.bin_m(), pulse, Noise::Counts),
+            (binning.bin_m(), pulse, noise),
             (front, depth_m),
             self.false_alarm.get(),
             context.cancel.clone(),
@@ -249,6 +254,25 @@ impl Binning {
         self.medium.path_m(self.dt_ps * self.count as f64)
     }
 
+    /// Noise of a joined bin. Correlated noise counts as white noise under which height and arrival of a pulse would
+    /// be no surer than they are.
+    fn noise(&self, histograms: &[Histogram<'_>], pulse: &Pulse) -> Noise {
+        let noises: Vec<(f64, Vec<f64>)> = histograms.iter().filter_map(Histogram::noise).collect();
+        let Some((_, acf)) = noises.first() else { return Noise::Counts };
+        let variance = noises.iter().map(|(variance, _)| variance).sum::<f64>() / noises.len() as f64;
+        let reach = (2.0 * self.width_ps / self.dt_ps) as i32;
+        let place_m = |n: i32| self.medium.path_m(f64::from(n) * self.dt_ps);
+        let height: Vec<f64> = (-reach..=reach).map(|n| pulse.at(place_m(n))).collect();
+        let arrival: Vec<f64> = height.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let factor = |template: &[f64]| {
+            let lagged = |lag: usize| template.iter().zip(&template[lag..]).map(|(a, b)| a * b).sum::<f64>();
+            let beside = |lag: usize| 2.0 * acf.get(lag).copied().unwrap_or(0.0) * lagged(lag);
+            1.0 + (1..template.len()).map(beside).sum::<f64>() / lagged(0)
+        };
+        let factor = factor(&height).max(factor(&arrival)).max(0.0);
+        Noise::Gauss { sd: (variance * factor * self.count as f64).sqrt() }
+    }
+
     /// A histogram behind the gate. `first_ps` of a profile is the middle of its first bin.
     fn joined(&self, histogram: &Histogram<'_>, times: &Times) -> joint::Histogram {
         let (first_ps, values) = histogram.behind(times);
@@ -280,11 +304,14 @@ impl Binning {
             return None;
         }
         let start_ps = histograms.iter().map(|one| one.first_ps).fold(f64::NEG_INFINITY, f64::max);
-        let (sum, _) = relay_histograms::sum(histograms, [start_ps, times.end_ps]);
+        let (sum, variances) = relay_histograms::sum(histograms, [start_ps, times.end_ps]);
+        let variance = variances.iter().sum::<f64>() / variances.len().max(1) as f64;
+        let is_counts = histograms.iter().all(Histogram::is_counts);
+        let noise = if is_counts { Noise::Counts } else { Noise::Gauss { sd: variance.sqrt() } };
         let gate = ((times.gate_ps - start_ps) / self.dt_ps).round() as usize;
         let lengths_m = [start_ps, self.dt_ps, self.width_ps].map(|time_ps| self.medium.path_m(time_ps));
         let [first_m, step_m, width_m] = lengths_m;
-        let mut wall = WallSum { sum: &sum, first_m, step_m, gate, width_m };
+        let mut wall = WallSum { sum: &sum, first_m, step_m, gate, width_m, noise };
         if !is_given {
             wall.gate = wall.clear(cancel);
             times.gate_ps = start_ps + wall.gate as f64 * self.dt_ps;

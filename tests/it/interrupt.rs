@@ -245,6 +245,28 @@ fn image_ends_in_the_midst_of_its_voxels() {
     interrupt(&lab, &(pipeline + stage), "-INT");
 }
 
+/// A thousand histograms of six hidden points, lit and seen apart, to a depth of 15 m.
+#[test]
+fn locate_ends_in_the_midst_of_its_search() {
+    let (lab, mut rng) = (Lab::tiny(), ChaCha8Rng::seed_from_u64(6));
+    let points = visible(32, &mut rng);
+    let hidden = visible(6, &mut rng).into_iter().map(|point| point - nalgebra::Vector3::new(0.9, 0.9, 0.0));
+    let hidden: Vec<Point> = hidden.collect();
+    let mut profiles = Vec::new();
+    for (a, b) in (0..points.len()).flat_map(|a| (0..points.len()).map(move |b| (a, b))) {
+        let arrivals = hidden.iter().map(|over| time_ps(length_m(&[points[a], *over, points[b]]), 1.0));
+        let arrivals: Vec<f64> = arrivals.filter(|at_ps| (1e3..9.9e4).contains(at_ps)).collect();
+        profiles.push(profile(a as i32 + 1, b as i32 + 1, 50.0, 2000, &arrivals, &mut rng));
+    }
+    write_table(&lab.path("profiles.parquet"), &profiles);
+    write_table(&lab.path("calibration.parquet"), &[calibration()]);
+    patches(&points, &lab.path("patches.parquet"));
+    let pipeline: String = ["profiles", "calibration", "patches"].iter().map(|table| import(table, table)).collect();
+    let stage =
+        "[busy]\nstage = 'locate'\nfrom = 'patches'\nwith = { profiles = 'profiles', calibration = 'calibration' }\n";
+    interrupt(&lab, &(pipeline + stage), "-INT");
+}
+
 /// 6,400 patches, each paired with the 12 nearest: so soft that each step takes hundreds of passes.
 #[test]
 fn refine_ends_in_the_midst_of_a_solution() {

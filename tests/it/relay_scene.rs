@@ -50,6 +50,8 @@ pub struct Capture {
     pub relief_m: f64,
     /// Standard deviation of each histogram's time.
     pub jitter_ps: f64,
+    /// Pulses of the laser in a histogram, of which each counts one photon at most: pile-up.
+    pub pulses: Option<f64>,
     pub seed: u64,
 }
 
@@ -65,6 +67,7 @@ impl Default for Capture {
             wall: 3e4,
             relief_m: 0.0,
             jitter_ps: 0.0,
+            pulses: None,
             seed: 0,
         }
     }
@@ -76,7 +79,8 @@ fn response(after_ps: f64) -> f64 {
     ((-0.5 * (after_ps / SIGMA_PS).powi(2)).exp() + tail) / 92.2
 }
 
-fn gap_m(a: [f64; 3], b: [f64; 3]) -> f64 {
+/// Distance of two places.
+pub fn gap_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
@@ -96,13 +100,17 @@ impl Capture {
         }
     }
 
-    /// Rates of a histogram.
-    fn rates(&self, (point, shift_ps): ([f64; 3], f64), dots: &[Dot], means: &[f64]) -> Vec<f64> {
-        let (tail, mut rates) = (|time_ps: f64| 0.03 * (-time_ps / 250.0).exp(), Vec::with_capacity(self.bins));
-        for bin in 0..self.bins {
+    /// Rates of the wall's own light.
+    fn own_rates(&self) -> Vec<f64> {
+        let rate = |bin: usize| {
             let time_ps = (bin as f64 + 0.5) * self.dt_ps;
-            rates.push(self.dark + self.wall * (92.2 * response(time_ps) + tail(time_ps)));
-        }
+            self.dark + self.wall * (92.2 * response(time_ps) + 0.03 * (-time_ps / 250.0).exp())
+        };
+        (0..self.bins).map(rate).collect()
+    }
+
+    /// Adds the light of dots to the rates of a histogram.
+    fn shine(&self, (point, shift_ps): ([f64; 3], f64), dots: &[Dot], means: &[f64], rates: &mut [f64]) {
         for ((place, photons), mean) in dots.iter().zip(means) {
             let arrival_ps = 2.0 * gap_m(point, *place) / LIGHT + shift_ps;
             let height = photons * self.strength(point, *place) / mean * self.dt_ps;
@@ -111,7 +119,17 @@ impl Capture {
                 *rate += height * response((bin as f64 + 0.5) * self.dt_ps - arrival_ps);
             }
         }
-        rates
+    }
+
+    /// Rates of what is counted: after a photon the counter is blind to the end of the record.
+    fn counted(&self, rates: &mut [f64]) {
+        let Some(pulses) = self.pulses else { return };
+        let mut before = 0.0;
+        for rate in rates {
+            let share = *rate / pulses;
+            *rate = pulses * f64::exp(-before) * (1.0 - f64::exp(-share));
+            before += share;
+        }
     }
 
     /// Mean strength of each dot over the wall.
@@ -128,10 +146,13 @@ impl Capture {
         let jitter = Normal::new(0.0, self.jitter_ps).unwrap();
         let count = wall.len();
         let mut values = vec![0.0; self.bins * count];
+        let own = self.own_rates();
         for (n, point) in wall.iter().enumerate() {
             let bump_m = self.relief_m * (9.0 * point[0]).sin() * (7.0 * point[1] + 1.0).cos();
             let shift_ps = jitter.sample(&mut rng);
-            let rates = self.rates(([point[0], point[1], bump_m], shift_ps), dots, &means);
+            let mut rates = own.clone();
+            self.shine(([point[0], point[1], bump_m], shift_ps), dots, &means, &mut rates);
+            self.counted(&mut rates);
             for (bin, rate) in rates.into_iter().enumerate() {
                 values[bin * count + n] = Poisson::new(rate).unwrap().sample(&mut rng);
             }
@@ -151,20 +172,25 @@ impl Capture {
         let mut fisher = DMatrix::<f64>::zeros(unknowns, unknowns);
         // Behind the wall's own light.
         let first = (800.0 / self.dt_ps) as usize;
+        let own = self.own_rates();
         for point in self.wall() {
-            let of = |dots: &[Dot]| self.rates((point, 0.0), dots, &means);
-            let rates = of(dots);
+            let mut rates = own.clone();
+            self.shine((point, 0.0), dots, &means, &mut rates);
             let slope = |n: usize| -> Vec<f64> {
-                let mut ends = [dots.to_vec(), dots.to_vec()];
                 let (dot, axis) = (n / 4, n % 4);
+                let mut ends = [dots[dot]; 2];
                 for (end, sign) in ends.iter_mut().zip([1.0, -1.0]) {
                     match axis {
-                        3 => end[dot].1 *= 1.0 + sign * 1e-4,
-                        axis => end[dot].0[axis] += sign * STEP_M,
+                        3 => end.1 *= 1.0 + sign * 1e-4,
+                        axis => end.0[axis] += sign * STEP_M,
                     }
                 }
                 let width = if axis == 3 { 2e-4 } else { 2.0 * STEP_M };
-                let [up, down] = ends.map(|end| of(&end));
+                let [up, down] = ends.map(|end| {
+                    let mut light = vec![0.0; self.bins];
+                    self.shine((point, 0.0), &[end], &means[dot..=dot], &mut light);
+                    light
+                });
                 up.iter().zip(down).map(|(up, down)| (up - down) / width).collect()
             };
             let slopes: Vec<Vec<f64>> = (0..unknowns).map(slope).collect();
@@ -224,6 +250,20 @@ pub fn letter([x_m, y_m, depth_m]: [f64; 3], size_m: f64, photons: f64) -> Vec<D
     let plate = plate([x_m, y_m, depth_m], size_m, photons);
     let is_on = |place: &[f64; 3]| place[0] < x_m - size_m / 6.0 || place[1] < y_m - size_m / 6.0;
     plate.into_iter().filter(|(place, _)| is_on(place)).collect()
+}
+
+/// The near half of a sphere, of 600 dots, each with light by the square of its cosine to the wall's normal.
+pub fn sphere([x_m, y_m, depth_m]: [f64; 3], radius_m: f64, photons: f64) -> Vec<Dot> {
+    let turn = std::f64::consts::PI * (3.0 - 5_f64.sqrt());
+    let dot = |n: usize| {
+        let cosine = 1.0 - (n as f64 + 0.5) / 600.0;
+        let (sine, angle) = ((1.0 - cosine * cosine).sqrt(), turn * n as f64);
+        let across = [sine * angle.cos(), sine * angle.sin()];
+        let place = [x_m + radius_m * across[0], y_m + radius_m * across[1], depth_m - radius_m * cosine];
+        // The sum of the squares of 600 cosines is a third of their number.
+        (place, photons * cosine * cosine / 200.0)
+    };
+    (0..600).map(dot).collect()
 }
 
 /// Runs the program; it must succeed.

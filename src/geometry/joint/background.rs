@@ -33,8 +33,13 @@ pub struct Tail {
 pub type Level = [f64; 2];
 
 impl Tail {
-    /// From the sum of the histograms less the light of points, with `sum` and `light` in bins of the problem's width.
-    pub fn new(first_m: f64, step_m: f64, sum: &[f64], light: &[f64], width_m: f64, count: usize) -> Self {
+    /// From the sum of `count` histograms less the light of points, with `sum` and `light` in bins of `step_m`, and the
+    /// noise of the sum.
+    pub fn new(
+        [first_m, step_m, width_m]: [f64; 3],
+        (sum, light): (&[f64], &[f64]),
+        (count, noise): (usize, Noise),
+    ) -> Self {
         let length_m = step_m * sum.len() as f64;
         let ratio = (length_m / width_m).max(2.0);
         let decay_m = |n: usize| width_m * ratio.powf(n as f64 / (DECAYS - 1) as f64);
@@ -49,13 +54,15 @@ impl Tail {
         let mut mixture = vec![0.0; DECAYS + 1];
         let mut model: Vec<f64> = sum.iter().zip(light).map(|(sum, light)| (sum - light).max(0.0)).collect();
         for _ in 0..ROUNDS {
-            improve(&basis, &mut mixture, sum, light, &weights, &model);
+            improve(&basis, &mut mixture, (sum, light), (&weights, &model, noise));
             mix(&basis, &mixture, &mut model);
             for (n, weight) in weights.iter_mut().enumerate() {
                 let bins = n.saturating_sub(block / 2)..(n + block / 2 + 1).min(sum.len());
                 let of = |values: &[f64]| values[bins.clone()].iter().sum::<f64>();
                 let [sum, own] = [of(sum), of(&model) + of(light)];
-                let is_hidden = sum - own > ABOVE_SD * own.max(1.0).sqrt() + ABOVE_SHARE * own;
+                let width = (block / 2 * 2 + 1) as f64;
+                let sd = (width * noise.variance(own / width)).sqrt();
+                let is_hidden = sum - own > ABOVE_SD * sd + ABOVE_SHARE * own;
                 *weight = if is_hidden { HIDDEN } else { 1.0 };
             }
         }
@@ -90,11 +97,16 @@ impl Tail {
 }
 
 /// Weights of the mixture by least squares, none below zero: coordinates in turn, on the normal equations.
-fn improve(basis: &[Vec<f64>], mixture: &mut [f64], sum: &[f64], light: &[f64], weights: &[f64], model: &[f64]) {
+fn improve(
+    basis: &[Vec<f64>],
+    mixture: &mut [f64],
+    (sum, light): (&[f64], &[f64]),
+    (weights, model, noise): (&[f64], &[f64], Noise),
+) {
     let size = mixture.len();
     let (mut system, mut goal) = (vec![0.0; size * size], vec![0.0; size]);
     for n in 0..sum.len() {
-        let weight = weights[n] / (model[n] + light[n]).max(1.0);
+        let weight = weights[n] / noise.variance(model[n] + light[n]);
         for a in 0..size {
             let slope = weight * basis[a][n];
             goal[a] += slope * (sum[n] - light[n]);

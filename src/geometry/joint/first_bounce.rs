@@ -7,6 +7,7 @@
 
 use periscope_cancel::Cancel;
 
+use super::Noise;
 use super::background::Tail;
 use super::pulse::Pulse;
 
@@ -27,11 +28,13 @@ const OFF_SHARE: f64 = 1e-3;
 /// Full width at half maximum of a Gaussian, in standard deviations, and reach of its rise.
 const FWHM: f64 = 2.354_820_045_030_949_3;
 const REACH: f64 = 3.5;
+/// Standard deviation of the logarithm of the width of a rise that the scan cuts off.
+const CUT_OFF: f64 = 0.1;
 
 /// The sum of all histograms of a confocal scan.
 #[derive(Clone, Copy, Debug)]
 pub struct WallSum<'a> {
-    /// Counts of each bin.
+    /// Counts of each bin, or levels.
     pub sum: &'a [f64],
     /// Path length at the middle of the first bin.
     pub first_m: f64,
@@ -41,6 +44,8 @@ pub struct WallSum<'a> {
     pub gate: usize,
     /// Full width at half maximum of the response, from elsewhere.
     pub width_m: f64,
+    /// How the values of the sum vary.
+    pub noise: Noise,
 }
 
 impl WallSum<'_> {
@@ -56,12 +61,13 @@ impl WallSum<'_> {
         let worst = |from: usize| {
             cancel.check();
             let after = &self.sum[from..];
-            let tail = Tail::new(0.0, self.step_m, after, &vec![0.0; after.len()], self.width_m, 1);
+            let tail = Tail::new([0.0, self.step_m, self.width_m], (after, &vec![0.0; after.len()]), (1, self.noise));
             let constant = tail.constant();
             let pairs = after.chunks(block).zip(tail.values().chunks(block)).take(BLOCKS);
             let off = pairs.map(|(sum, tail)| {
                 let [sum, model] = [sum.iter().sum::<f64>(), tail.iter().map(|value| value + constant).sum()];
-                (sum - model).abs() / (OFF_SD * model.max(1.0).sqrt() + OFF_SHARE * model)
+                let sd = (block as f64 * self.noise.variance(model / block as f64)).sqrt();
+                (sum - model).abs() / (OFF_SD * sd + OFF_SHARE * model.abs())
             });
             off.fold(0.0, f64::max)
         };
@@ -84,19 +90,19 @@ impl WallSum<'_> {
     /// The response for histograms with bins of `bin_m`; `None` where no first bounce stands at length 0.
     #[must_use]
     pub fn pulse(&self, bin_m: f64) -> Option<Pulse> {
-        let Self { sum, step_m, gate, width_m, .. } = *self;
+        let Self { sum, step_m, gate, width_m, noise, .. } = *self;
         let before = sum.get(..gate)?;
         let peak = (0..gate).max_by(|a, b| before[*a].total_cmp(&before[*b]).then(b.cmp(a)))?;
         let peak_m = self.first_m + peak as f64 * step_m;
         let after = &sum[gate..];
-        let tail = Tail::new(0.0, step_m, after, &vec![0.0; after.len()], width_m, 1);
+        let tail = Tail::new([0.0, step_m, width_m], (after, &vec![0.0; after.len()]), (1, noise));
         // The mixture without its constant: what both share is not of the response.
         let behind = tail.values();
         let constant = (sum.get(gate)? - behind.first()?).max(0.0);
         let height = before[peak] - constant;
         let is_there = peak_m.abs() < NEAR * width_m
             && height > ABOVE * behind[0]
-            && height > SURE * before[peak].sqrt()
+            && height > SURE * noise.variance(before[peak]).sqrt()
             && (gate - peak) as f64 * step_m > CLEAR * width_m;
         if !is_there {
             return None;
@@ -113,6 +119,14 @@ impl WallSum<'_> {
         };
         response.extend(before[peak..].iter().map(|value| (value - constant).max(0.0)));
         response.extend_from_slice(behind);
-        Some(Pulse::new(peak_m - rise as f64 * step_m, step_m, &response, bin_m))
+        // Light of the first bounce tells its shape to the relative error of its sum.
+        let core = &before[peak..];
+        let light: f64 = core.iter().map(|value| (value - constant).max(0.0)).sum();
+        let sd = core.iter().map(|value| noise.variance(*value)).sum::<f64>().sqrt() / light;
+        let mut doubts = Pulse::measured().map(|doubt| doubt.hypot(sd));
+        if peak < rise {
+            doubts[1] = CUT_OFF;
+        }
+        Some(Pulse::new(peak_m - rise as f64 * step_m, step_m, &response, bin_m).doubted(doubts))
     }
 }

@@ -4,8 +4,8 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 
 use super::Problem;
 use super::background::{Level, Tail};
-use super::model::{Model, OF_POINT, SHARED};
-use super::normal::{Desk, Normal};
+use super::model::{Model, OF_POINT, SHARED, WIDTH};
+use super::normal::{Desk, Normal, Shine};
 
 /// Steps at most.
 const STEPS: usize = 30;
@@ -16,6 +16,10 @@ const DAMPING: [f64; 2] = [1e-3, 1e7];
 /// Largest steps: places in widths of a pulse, logarithms of photons, power, terms over the wall, width.
 const LARGEST: [f64; 5] = [0.5, 1.5, 1.0, 0.3, 0.1];
 
+/// Factor on the prior standard deviation of the common delay in error bars: nothing says that it is zero.
+const LESS_SURE: f64 = 2.0;
+/// Share of the least z below which points are eliminated together.
+const HOPELESS: f64 = 0.4;
 /// Makes the logarithm of any number of photons negative.
 const FAINTER: f64 = 1e3;
 
@@ -29,6 +33,8 @@ pub enum Free {
     /// The law over the wall too.
     Law,
     /// The width of pulses too.
+    Width,
+    /// The shape of the response too.
     All,
 }
 
@@ -41,25 +47,36 @@ pub struct Fit {
     pub normal: Normal,
     /// Shape of the wall's own light.
     pub tail: Tail,
+    /// The response with the shape of the model.
+    pub shine: Shine,
 }
 
 impl Fit {
     /// A model as it stands; `levels` are a start.
     pub fn new(problem: &Problem, tail: Tail, model: Model, levels: &[Level]) -> Self {
-        let normal = Normal::new(problem, &tail, &model, levels);
-        Self { model, normal, tail }
+        Self::with(problem, tail, (model, false), levels)
+    }
+
+    fn with(problem: &Problem, tail: Tail, (model, is_free): (Model, bool), levels: &[Level]) -> Self {
+        let shine = Shine::new(problem, &model, is_free);
+        let normal = Normal::new(problem, &tail, (&model, &shine), levels);
+        Self { model, normal, tail, shine }
     }
 
     /// The likeliest model near by.
     pub fn climb(self, problem: &Problem, free: Free) -> Self {
         let (mut fit, mut damping) = (self, DAMPING[0]);
+        if fit.shine.is_free != (free == Free::All) {
+            fit = Self::with(problem, fit.tail, (fit.model, free == Free::All), &fit.normal.levels);
+        }
         for _ in 0..STEPS {
             let Some(step) = fit.step(problem, free, damping) else { break };
             let model = fit.model.moved(&step);
-            let normal = Normal::new(problem, &fit.tail, &model, &fit.normal.levels);
+            let shine = Shine::new(problem, &model, fit.shine.is_free);
+            let normal = Normal::new(problem, &fit.tail, (&model, &shine), &fit.normal.levels);
             let gain = normal.log_likelihood - fit.normal.log_likelihood;
             if gain >= 0.0 {
-                fit = Self { model, normal, tail: fit.tail };
+                fit = Self { model, normal, tail: fit.tail, shine };
                 damping *= 0.2;
                 if gain < GAIN {
                     break;
@@ -98,13 +115,20 @@ impl Fit {
 
     /// The shape of the wall's own light anew, from what the points leave of the sum of all histograms.
     pub fn reshape(self, problem: &Problem) -> Self {
-        let tail = tail(problem, &self.model);
+        let tail = tail(problem, (&self.model, &self.shine));
         Self::new(problem, tail, self.model, &self.normal.levels)
     }
 
     /// Covariance of all unknowns; `None` where the information is singular.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
-        Some(self.normal.fisher.clone().cholesky()?.inverse())
+        let mut fisher = self.normal.fisher.clone();
+        if self.shine.is_free {
+            // Places are those of a delay near zero; error bars are those of one that is less sure.
+            let delay = self.model.unknowns() - SHARED + WIDTH + 1;
+            let precision = (self.model.unsure * self.shine.pulse.doubts[0]).powi(-2);
+            fisher[(delay, delay)] -= precision * (1.0 - LESS_SURE.powi(-2));
+        }
+        Some(fisher.cholesky()?.inverse())
     }
 
     /// Wald's z of each point: one over the relative standard deviation of its photons.
@@ -125,14 +149,20 @@ impl Fit {
         let mut fit = self;
         loop {
             let mut z = fit.z();
-            if fit.covariance().is_none() {
+            let is_singular = fit.covariance().is_none();
+            if is_singular {
                 // Singular: of points that no histogram tells apart the faintest goes.
                 z = fit.model.dots.iter().map(|dot| dot.log_photons - FAINTER).collect();
             }
             let worst = (0..z.len()).min_by(|a, b| z[*a].total_cmp(&z[*b]));
             let Some(worst) = worst.filter(|worst| z[*worst] < least) else { return fit };
             let mut model = fit.model;
-            model.dots.remove(worst);
+            // Those far below go together with the worst.
+            let mut n = 0;
+            model.dots.retain(|_| {
+                n += 1;
+                n - 1 != worst && (is_singular || z[n - 1] > HOPELESS * least)
+            });
             fit = Self::new(problem, fit.tail, model, &fit.normal.levels).climb(problem, free);
         }
     }
@@ -151,13 +181,14 @@ fn kind(n: usize, unknowns: usize) -> (Free, usize) {
         n if n < first && n % OF_POINT == 3 => (Free::Photons, 1),
         n if n < first => (Free::Law, 3),
         n if n == first => (Free::Law, 2),
-        n if n < unknowns - 1 => (Free::Law, 3),
+        n if n < first + WIDTH => (Free::Law, 3),
+        n if n == first + WIDTH => (Free::Width, 4),
         _ => (Free::All, 4),
     }
 }
 
 /// The shape of the wall's own light from the sum of all histograms, less the light of points.
-pub fn tail(problem: &Problem, model: &Model) -> Tail {
+pub fn tail(problem: &Problem, (model, shine): (&Model, &Shine)) -> Tail {
     let histograms = &problem.histograms;
     let step_m = problem.step_m;
     let first_m = histograms.iter().map(|one| one.first_m).fold(f64::INFINITY, f64::min);
@@ -167,10 +198,11 @@ pub fn tail(problem: &Problem, model: &Model) -> Tail {
     let mut desk = Desk::default();
     for histogram in histograms {
         problem.cancel.check();
-        desk.light(problem, model, histogram);
+        desk.light(problem, (model, shine), histogram);
         let first = ((histogram.first_m - first_m) / step_m).round() as usize;
         sum[first..].iter_mut().zip(&histogram.values).for_each(|(sum, value)| *sum += f64::from(*value));
         light[first..].iter_mut().zip(&desk.all).for_each(|(sum, value)| *sum += value);
     }
-    Tail::new(first_m, step_m, &sum, &light, problem.pulse.width_m(), histograms.len())
+    let count = histograms.len();
+    Tail::new([first_m, step_m, problem.pulse.width_m()], (&sum, &light), (count, problem.noise.of_sum(count)))
 }

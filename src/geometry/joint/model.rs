@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use super::pulse::Pulse;
-use super::{Histogram, Problem};
+use super::Histogram;
+use super::pulse::{Pulse, SHAPES};
 use crate::Point;
 
 /// Unknowns of a point: three coordinates, the logarithm of its photons, and how that grows along both directions of
@@ -11,11 +11,16 @@ use crate::Point;
 pub const OF_POINT: usize = 6;
 /// Standard deviation of this growth over half the wall's width: points differ in tilt and shape.
 const SLOPE_SD: f64 = 0.3;
-/// Unknowns that all points share: power of the distance, five terms over the wall, logarithm of the width.
-pub const SHARED: usize = 7;
-/// Mean and standard deviation of the shared unknowns before there is light. Diffuse points have a power of -4 (two
-/// legs, each an inverse square), retroreflective ones about -2; with cosines more.
-const PRIORS: [[f64; 2]; SHARED] =
+/// Terms of the law over the wall.
+pub const TERMS: usize = 5;
+/// Place of the logarithm of the width among the shared unknowns.
+pub const WIDTH: usize = 1 + TERMS;
+/// Unknowns that all points share: power of the distance, terms over the wall, logarithm of the width, shape of the
+/// response.
+pub const SHARED: usize = WIDTH + 1 + SHAPES;
+/// Mean and standard deviation of the shared unknowns up to the width before there is light. Diffuse points have a
+/// power of -4 (two legs, each an inverse square), retroreflective ones about -2; with cosines more.
+const PRIORS: [[f64; 2]; WIDTH + 1] =
     [[-4.0, 3.0], [0.0, 0.5], [0.0, 0.5], [0.0, 0.5], [0.0, 0.5], [0.0, 0.5], [0.0, 0.1]];
 /// Shared unknowns further than this many standard deviations from their mean stand at the edge of the prior.
 pub const EDGE: f64 = 3.0;
@@ -39,13 +44,17 @@ pub struct Model {
     /// The points.
     pub dots: Vec<Dot>,
     /// Power of the distance; terms of first and second order over the wall; logarithm of the width of a pulse over
-    /// that of the response.
+    /// that of the response; shape of the response.
     pub shared: [f64; SHARED],
+    /// Factor on the standard deviation of the common delay before there is light.
+    pub unsure: f64,
 }
 
 impl Default for Model {
     fn default() -> Self {
-        Self { dots: Vec::new(), shared: PRIORS.map(|[mean, _]| mean) }
+        let mut shared = [0.0; SHARED];
+        shared.iter_mut().zip(PRIORS).for_each(|(value, [mean, _])| *value = mean);
+        Self { dots: Vec::new(), shared, unsure: 1.0 }
     }
 }
 
@@ -72,7 +81,7 @@ impl Model {
 
     /// Width of a pulse over that of the response.
     pub fn stretch(&self) -> f64 {
-        self.shared[SHARED - 1].exp()
+        self.shared[WIDTH].exp()
     }
 
     /// The light of a point in a histogram.
@@ -82,7 +91,7 @@ impl Model {
         let power = self.shared[0];
         let log_distance = 0.5 * (out_m * back_m / (dot.reference_m * dot.reference_m)).ln();
         let terms = terms(histogram);
-        let bend: f64 = self.shared[1..SHARED - 1].iter().zip(terms).map(|(q, term)| q * term).sum();
+        let bend: f64 = self.shared[1..WIDTH].iter().zip(terms).map(|(q, term)| q * term).sum();
         let [u, v, ..] = terms;
         Way {
             length_m: out_m + back_m,
@@ -93,27 +102,47 @@ impl Model {
         }
     }
 
-    /// Logarithm of the prior's density.
-    pub fn log_prior(&self) -> f64 {
-        let shared = self.shared.iter().zip(PRIORS).map(|(value, [mean, sd])| ((value - mean) / sd).powi(2));
+    /// Shape of the response.
+    pub fn shape(&self) -> [f64; SHAPES] {
+        std::array::from_fn(|n| self.shared[WIDTH + 1 + n])
+    }
+
+    /// Mean and standard deviation of all shared unknowns before there is light.
+    fn priors(&self, pulse: &Pulse) -> impl Iterator<Item = [f64; 2]> {
+        let mut doubts = pulse.doubts;
+        doubts[0] *= self.unsure;
+        PRIORS.into_iter().chain(doubts.map(|sd| [0.0, sd]))
+    }
+
+    /// Common delay, in standard deviations before there is light.
+    pub fn late(&self, pulse: &Pulse) -> f64 {
+        self.shape()[0].abs() / (self.unsure * pulse.doubts[0])
+    }
+
+    /// Logarithm of the prior's density, with that of the response.
+    pub fn log_prior(&self, pulse: &Pulse) -> f64 {
+        let shared =
+            self.shared.iter().zip(self.priors(pulse)).map(|(value, [mean, sd])| ((value - mean) / sd).powi(2));
         let slopes = self.dots.iter().flat_map(|dot| dot.slopes).map(|slope| (slope / SLOPE_SD).powi(2));
         -0.5 * shared.chain(slopes).sum::<f64>()
     }
 
     /// Gradient and precision of the prior for each unknown.
-    pub fn prior(&self) -> Vec<[f64; 2]> {
+    pub fn prior(&self, pulse: &Pulse) -> Vec<[f64; 2]> {
         let normal = |value: f64, [mean, sd]: [f64; 2]| [(mean - value) / (sd * sd), 1.0 / (sd * sd)];
         let of_dot = |dot: &Dot| {
             let [first, second] = dot.slopes.map(|slope| normal(slope, [0.0, SLOPE_SD]));
             [[0.0; 2], [0.0; 2], [0.0; 2], [0.0; 2], first, second]
         };
-        let shared = self.shared.iter().zip(PRIORS).map(|(value, prior)| normal(*value, prior));
+        let shared = self.shared.iter().zip(self.priors(pulse)).map(|(value, prior)| normal(*value, prior));
         self.dots.iter().flat_map(of_dot).chain(shared).collect()
     }
 
-    /// Standard deviations of its prior by which power and width lie off its mean.
-    pub fn strain(&self) -> [f64; 2] {
-        [0, SHARED - 1].map(|n| (self.shared[n] - PRIORS[n][0]).abs() / PRIORS[n][1])
+    /// Standard deviations of their priors by which the power, and a width of pulses so many times that of the
+    /// response, lie off the mean.
+    pub fn strain(&self, stretch: f64) -> [f64; 2] {
+        let off = |value: f64, [mean, sd]: [f64; 2]| (value - mean).abs() / sd;
+        [off(self.shared[0], PRIORS[0]), off(stretch.ln(), PRIORS[WIDTH])]
     }
 
     /// The model moved by a step in all unknowns.
@@ -130,25 +159,8 @@ impl Model {
 }
 
 /// Terms of the law over the wall.
-pub fn terms(histogram: &Histogram) -> [f64; SHARED - 2] {
+pub fn terms(histogram: &Histogram) -> [f64; TERMS] {
     let [lit, seen] = histogram.ends;
     let [u, v] = [0, 1].map(|axis| 0.5 * (lit[axis] + seen[axis]));
     [u, v, u * u, u * v, v * v]
-}
-
-/// The bins of a histogram that a way's light reaches, and the light there per photon with its slopes by length and by
-/// the logarithm of the width.
-pub fn reach(problem: &Problem, histogram: &Histogram, way: &Way, stretch: f64) -> std::ops::Range<usize> {
-    let [first_m, last_m] = problem.pulse.reach_m().map(|end_m| way.length_m + stretch * end_m);
-    let bin = |at_m: f64| ((at_m - histogram.first_m) / problem.step_m - 0.5).ceil().max(0.0) as usize;
-    let count = histogram.values.len();
-    bin(first_m).min(count)..bin(last_m).min(count)
-}
-
-/// Share of a way's light in a bin, its slope by the way's length, and by the logarithm of the width.
-#[inline]
-pub fn share(pulse: &Pulse, offset_m: f64, stretch: f64) -> [f64; 3] {
-    let place_m = offset_m / stretch;
-    let [value, slope] = pulse.at(place_m);
-    [value / stretch, -slope / (stretch * stretch), -(value + place_m * slope) / stretch]
 }

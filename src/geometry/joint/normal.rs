@@ -9,11 +9,35 @@ use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 use rayon::prelude::*;
 
 use super::background::{Level, Tail, level};
-use super::model::{Model, OF_POINT, SHARED, Way, reach, share, terms};
+use super::model::{Model, OF_POINT, SHARED, TERMS, WIDTH, Way, terms};
+use super::pulse::{Bins, COLUMNS, Pulse};
 use super::{Histogram, Problem};
 
 /// Histograms in a run.
-const RUN: usize = 32;
+const RUN: usize = 16;
+/// Terms of a sum that are added side by side.
+const LANES: usize = 8;
+
+/// What points shine through: their common response, and whether its shape is unknown.
+#[derive(Clone, Debug)]
+pub struct Shine {
+    /// The response with width and shape of the model.
+    pub pulse: Pulse,
+    /// Whether derivatives by its shape are wanted.
+    pub is_free: bool,
+}
+
+impl Shine {
+    /// That of a model.
+    pub fn new(problem: &Problem, model: &Model, is_free: bool) -> Self {
+        Self { pulse: problem.pulse.shaped(model.stretch(), &model.shape(), is_free), is_free }
+    }
+
+    /// The bins of a histogram that a way's light reaches.
+    pub fn bins(&self, problem: &Problem, histogram: &Histogram, way: &Way) -> Bins {
+        self.pulse.bins(histogram.first_m + 0.5 * problem.step_m - way.length_m, histogram.values.len())
+    }
+}
 
 /// Sums over histograms.
 #[derive(Clone, Debug)]
@@ -42,14 +66,14 @@ impl Normal {
     }
 
     /// Of a model, with levels to start from.
-    pub fn new(problem: &Problem, tail: &Tail, model: &Model, starts: &[Level]) -> Self {
+    pub fn new(problem: &Problem, tail: &Tail, (model, shine): (&Model, &Shine), starts: &[Level]) -> Self {
         let unknowns = model.unknowns();
         let of_run = |(histograms, starts): (&[Histogram], &[Level])| {
             problem.cancel.check();
             let mut sums = Self::empty(unknowns);
             let mut desk = Desk::default();
             for (histogram, start) in histograms.iter().zip(starts) {
-                desk.light(problem, model, histogram);
+                desk.light(problem, (model, shine), histogram);
                 desk.add(problem, tail, (histogram, *start), model, &mut sums);
             }
             sums
@@ -63,8 +87,8 @@ impl Normal {
             all.levels.extend(run.levels);
             all.arrivals.extend(run.arrivals);
         }
-        all.log_likelihood += model.log_prior();
-        for (n, [gradient, precision]) in model.prior().into_iter().enumerate() {
+        all.log_likelihood += model.log_prior(&problem.pulse);
+        for (n, [gradient, precision]) in model.prior(&problem.pulse).into_iter().enumerate() {
             all.gradient[n] += gradient;
             all.fisher[(n, n)] += precision;
         }
@@ -91,8 +115,19 @@ impl Row {
             return 0.0;
         }
         let [own, others] = [self, other].map(|row| &row.values[from - row.from..to - row.from]);
-        own.iter().zip(others).map(|(a, b)| a * b).sum()
+        product(own, others)
     }
+}
+
+/// Sum of products, in lanes: a sum of one term after the other waits for each.
+fn product(a: &[f64], b: &[f64]) -> f64 {
+    let (a, b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+    let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(a, b)| a * b).sum();
+    let mut sums = [0.0; LANES];
+    for (a, b) in a.zip(b) {
+        (0..LANES).for_each(|n| sums[n] += a[n] * b[n]);
+    }
+    rest + sums.iter().sum::<f64>()
 }
 
 /// Derivatives of an unknown of a histogram by those of its point, and by those that all points share.
@@ -102,7 +137,8 @@ type Slope = ([f64; OF_POINT], [f64; SHARED]);
 #[derive(Default)]
 pub struct Desk {
     ways: Vec<Way>,
-    /// Derivatives by the logarithm of each point's light and by its length, in turn; last by the width.
+    /// Derivatives by the logarithm of each point's light and by its length, in turn; then by the width, and by the
+    /// shape of the response where it is free.
     rows: Vec<Row>,
     weighted: Vec<Row>,
     /// Light of all points.
@@ -120,32 +156,33 @@ pub struct Desk {
 
 impl Desk {
     /// Light of all points in a histogram, and its derivatives.
-    pub fn light(&mut self, problem: &Problem, model: &Model, histogram: &Histogram) {
+    pub fn light(&mut self, problem: &Problem, (model, shine): (&Model, &Shine), histogram: &Histogram) {
         let (bins, points) = (histogram.values.len(), model.dots.len());
-        self.rows.resize_with(2 * points + 1, Row::default);
+        let common = if shine.is_free { COLUMNS - 2 } else { 1 };
+        self.rows.resize_with(2 * points + common, Row::default);
         self.ways.clear();
         self.all.clear();
         self.all.resize(bins, 0.0);
-        let (rows, width) = self.rows.split_at_mut(2 * points);
-        width[0].from = 0;
-        width[0].values.clear();
-        width[0].values.resize(bins, 0.0);
-        let stretch = model.stretch();
+        let (rows, shared) = self.rows.split_at_mut(2 * points);
+        for row in &mut *shared {
+            row.from = 0;
+            row.values.clear();
+            row.values.resize(bins, 0.0);
+        }
         for (dot, rows) in model.dots.iter().zip(rows.chunks_mut(2)) {
             let way = model.way(dot, histogram);
-            let reach = reach(problem, histogram, &way, stretch);
+            let bins = shine.bins(problem, histogram, &way);
             let photons = way.log_photons.min(60.0).exp();
-            rows.iter_mut().for_each(|row| {
-                row.from = reach.start;
-                row.values.clear();
-            });
-            for bin in reach {
-                let offset_m = histogram.first_m + (bin as f64 + 0.5) * problem.step_m - way.length_m;
-                let values = share(&problem.pulse, offset_m, stretch).map(|value| photons * value);
-                rows[0].values.push(values[0]);
-                rows[1].values.push(values[1]);
-                self.all[bin] += values[0];
-                width[0].values[bin] += values[2];
+            for (column, row) in rows.iter_mut().enumerate() {
+                row.from = bins.from;
+                shine.pulse.fill(column, &bins, photons, &mut row.values);
+            }
+            self.all[bins.from..bins.from + bins.count]
+                .iter_mut()
+                .zip(&rows[0].values)
+                .for_each(|(sum, value)| *sum += value);
+            for (column, row) in shared.iter_mut().enumerate() {
+                shine.pulse.add(2 + column, &bins, photons, &mut row.values);
             }
             self.ways.push(way);
         }
@@ -184,8 +221,8 @@ impl Desk {
             weighted.from = row.from;
             weighted.values.clear();
             weighted.values.extend(row.values.iter().zip(&self.weights[bins.clone()]).map(|(slope, w)| slope * w));
-            self.score.push(row.values.iter().zip(&self.rests[bins.clone()]).map(|(slope, rest)| slope * rest).sum());
-            let with_tail = weighted.values.iter().zip(&self.tail[bins]).map(|(slope, tail)| slope * tail).sum();
+            self.score.push(product(&row.values, &self.rests[bins.clone()]));
+            let with_tail = product(&weighted.values, &self.tail[bins]);
             self.cross.push(Vector2::new(with_tail, weighted.values.iter().sum()));
         }
         self.profile(wall);
@@ -211,10 +248,10 @@ impl Desk {
     }
 
     /// How the unknown of a row depends on those of its point, and on those that all points share.
-    fn slope(&self, row: usize, terms: [f64; SHARED - 2]) -> Slope {
+    fn slope(&self, row: usize, terms: [f64; TERMS]) -> Slope {
         let mut shared = [0.0; SHARED];
-        if row == self.rows.len() - 1 {
-            shared[SHARED - 1] = 1.0;
+        if row >= 2 * self.ways.len() {
+            shared[WIDTH + row - 2 * self.ways.len()] = 1.0;
             return ([0.0; OF_POINT], shared);
         }
         let way = &self.ways[row / 2];
@@ -223,7 +260,7 @@ impl Desk {
             return ([along.x, along.y, along.z, 0.0, 0.0, 0.0], shared);
         }
         shared[0] = way.log_distance;
-        shared[1..SHARED - 1].copy_from_slice(&terms);
+        shared[1..=TERMS].copy_from_slice(&terms);
         let log = way.log_gradient;
         ([log.x, log.y, log.z, 1.0, terms[0], terms[1]], shared)
     }
@@ -243,16 +280,20 @@ impl Desk {
             let carried = &mut self.carried[a * unknowns..][..unknowns];
             for (b, (own, shared)) in slopes.iter().enumerate() {
                 let value = self.information[a * size + b];
-                if b < size - 1 {
+                if b < 2 * points {
                     let place = b / 2 * OF_POINT;
                     carried[place..place + OF_POINT].iter_mut().zip(own).for_each(|(sum, slope)| *sum += value * slope);
                 }
-                carried[first..].iter_mut().zip(shared).for_each(|(sum, slope)| *sum += value * slope);
+                if b >= 2 * points {
+                    carried[first + WIDTH + b - 2 * points] += value;
+                } else if b % 2 == 0 {
+                    carried[first..].iter_mut().zip(&shared[..=TERMS]).for_each(|(sum, slope)| *sum += value * slope);
+                }
             }
         }
         for (a, (own, shared)) in slopes.iter().enumerate() {
             let carried = &self.carried[a * unknowns..][..unknowns];
-            let own = own.iter().enumerate().filter(|_| a < size - 1).map(|(n, slope)| (a / 2 * OF_POINT + n, slope));
+            let own = own.iter().enumerate().filter(|_| a < 2 * points).map(|(n, slope)| (a / 2 * OF_POINT + n, slope));
             for (row, slope) in own.chain(shared.iter().enumerate().map(|(n, slope)| (first + n, slope))) {
                 if *slope != 0.0 {
                     sums.gradient[row] += slope * self.score[a];

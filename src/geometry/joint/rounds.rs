@@ -4,7 +4,8 @@ use super::Problem;
 use super::background::Level;
 use super::fit::{Fit, Free, tail};
 use super::misfit::Misfit;
-use super::model::{Dot, Model, reach, share};
+use super::model::{Dot, Model};
+use super::normal::Shine;
 use super::scores::Traces;
 use super::volume::{Lattice, Peak};
 use crate::Point;
@@ -26,6 +27,11 @@ const FAINT: usize = 6;
 /// Share of the threshold below which a point is eliminated between rounds.
 const LOOSE: f64 = 0.8;
 
+/// Standard deviations of the common delay, shrunk as it is, beyond which its prior was too sure, and is made four times as wide; and the
+/// largest factor.
+const LATE: f64 = 1.0;
+const LEAST_SURE: f64 = 64.0;
+
 /// What a search came to.
 pub struct Search {
     /// The last fit.
@@ -41,7 +47,7 @@ pub struct Search {
 /// Searches the histograms of a problem for points with a z of `threshold` or more, from the points of a model. Peaks
 /// of a score below `clear` may be noise, and only few are tried at once.
 pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2], model: Model) -> Search {
-    let shape = tail(problem, &model);
+    let shape = tail(problem, (&model, &Shine::new(problem, &model, false)));
     let levels: Vec<Level> = vec![[1.0, 0.0]; problem.histograms.len()];
     let mut fit = Fit::new(problem, shape, model, &levels);
     if !fit.model.dots.is_empty() {
@@ -67,7 +73,8 @@ pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2]
         if 2.0 * gain < threshold * threshold {
             break;
         }
-        fit = next.reshape(problem).climb(problem, Free::Law);
+        // A wrong response leaves rests that look like faint points.
+        fit = next.reshape(problem).climb(problem, Free::Law).climb(problem, Free::All);
     }
     let (fit, misfit) = last(problem, fit, threshold);
     Search { fit, misfit, largest, too_many }
@@ -88,7 +95,12 @@ fn last(problem: &Problem, fit: Fit, threshold: f64) -> (Fit, Misfit) {
     if fit.model.dots.is_empty() {
         return (fit, Misfit { factor: 1.0, scatter_m: 0.0, own: 1.0 });
     }
-    settle(problem, fit.reshape(problem).climb(problem, Free::All), threshold)
+    let mut fit = fit.reshape(problem).climb(problem, Free::All);
+    while fit.model.late(&problem.pulse) > LATE && fit.model.unsure < LEAST_SURE {
+        fit.model.unsure *= 4.0;
+        fit = Fit::new(problem, fit.tail, fit.model, &fit.normal.levels).climb(problem, Free::All);
+    }
+    settle(problem, fit, threshold)
 }
 
 /// A fit without points that it does not show, and its misfit.
@@ -123,15 +135,18 @@ fn start(problem: &Problem, fit: &Fit, place: Point) -> Dot {
     let reference_m = (place - problem.wall.middle).norm();
     let dot = Dot { place, log_photons: 0.0, slopes: [0.0; 2], reference_m };
     let half_m = 0.5 * problem.pulse.width_m();
-    let (mut light, mut expected, mut tail) = (0.0, 0.0, Vec::new());
+    let (mut light, mut expected, mut tail, mut pulse) = (0.0, 0.0, Vec::new(), Vec::new());
     for (histogram, level) in problem.histograms.iter().zip(&fit.normal.levels) {
         let way = fit.model.way(&dot, histogram);
         fit.tail.fill(histogram, &mut tail);
-        for bin in reach(problem, histogram, &way, 1.0) {
-            let offset_m = histogram.first_m + (bin as f64 + 0.5) * problem.step_m - way.length_m;
+        let first_m = histogram.first_m + 0.5 * problem.step_m - way.length_m;
+        let bins = problem.pulse.bins(first_m, histogram.values.len());
+        problem.pulse.fill(0, &bins, way.log_photons.exp(), &mut pulse);
+        for (bin, share) in (bins.from..).zip(&pulse) {
+            let offset_m = first_m + bin as f64 * problem.step_m;
             if offset_m.abs() < half_m {
                 light += f64::from(histogram.values[bin]) - level[0] * tail[bin] - level[1];
-                expected += way.log_photons.exp() * share(&problem.pulse, offset_m, 1.0)[0];
+                expected += share;
             }
         }
     }

@@ -18,7 +18,9 @@ const WIDTH: f64 = 0.65;
 /// Reach of the filter, in standard deviations.
 const REACH: f64 = 3.5;
 /// Groups of histograms at most.
-const GROUPS: usize = 300;
+const GROUPS: usize = 1100;
+/// Distance of lit and seen point, and of both from the wall's plane, that changes no sum, in widths of a pulse.
+const APART: f64 = 0.1;
 /// Shares of the points' light and of the wall's own that a model may be wrong by.
 const WRONG: [f64; 2] = [0.1, 0.03];
 
@@ -81,7 +83,30 @@ impl Traces {
         [sum, wrong].map(|sum| sum / (terms as f64).sqrt())
     }
 
-    /// Adds the scores of nearest bins at `depths_m` along a line, and counts them.
+    /// The same on a grid of squared distances where each group is lit and seen at one point of the wall; `None`
+    /// where some are not.
+    pub fn squared(&self, problem: &Problem, step_m2: f64, count: usize) -> Option<Vec<Squared>> {
+        let wall = &problem.wall;
+        let near_m = APART * problem.pulse.width_m();
+        let is_confocal = |trace: &Trace| {
+            (trace.lit - trace.seen).norm() < near_m && wall.normal.dot(&(trace.lit - wall.middle)).abs() < near_m
+        };
+        if !self.groups.iter().all(is_confocal) {
+            return None;
+        }
+        let squared = |trace: &Trace| {
+            let middle = Point::from(0.5 * (trace.lit.coords + trace.seen.coords));
+            let bin = |n: usize| (2.0 * (n as f64 * step_m2).sqrt() - trace.first_m) / self.step_m;
+            let is_whole = |n: &usize| bin(*n) >= trace.whole[0] as f64 && bin(*n) < trace.whole[1] as f64;
+            let first = (0..count).find(is_whole).unwrap_or(count);
+            let scores: Vec<f32> =
+                (first..count).take_while(is_whole).map(|n| trace.nearest[bin(n) as usize]).collect();
+            Squared { middle, first, scores }
+        };
+        Some(self.groups.par_iter().map(squared).collect())
+    }
+
+    /// Adds the scores of nearest bins at places along a line, and counts them.
     pub fn add(&self, line: &mut Line<'_>) {
         for trace in &self.groups {
             let arms = [trace.lit, trace.seen].map(|end| line.foot - end);
@@ -96,9 +121,42 @@ impl Traces {
                 let is_whole = *place >= from && *place < to;
                 let bin = if is_whole { *place as usize } else { 0 };
                 *sum += trace.nearest[bin];
-                *terms += u16::from(is_whole);
+                *terms += i32::from(is_whole);
             }
         }
+    }
+}
+
+/// Scores of a group by the square of the distance from its point.
+pub struct Squared {
+    middle: Point,
+    first: usize,
+    scores: Vec<f32>,
+}
+
+/// Adds scores to a line at right angles to the wall, whose places are equal steps in the square of the depth: the
+/// squared distance from a point of the wall is that of the foot, and the square of the depth. Counts them too.
+pub fn add_squared(groups: &[Squared], step_m2: f64, line: &mut Line<'_>) {
+    let places = line.sums.len();
+    for group in groups {
+        // The first place lies one step behind the foot.
+        let shift = 1 + ((line.foot - group.middle).norm_squared() / step_m2).round() as usize;
+        let (from, to) = (group.first.saturating_sub(shift), (group.first + group.scores.len()).saturating_sub(shift));
+        let (from, to) = (from.min(places), to.min(places));
+        if from < to {
+            let scores = &group.scores[from + shift - group.first..to + shift - group.first];
+            line.sums[from..to].iter_mut().zip(scores).for_each(|(sum, score)| *sum += score);
+            // Here differences: they become counts below.
+            line.terms[from] += 1;
+            if to < places {
+                line.terms[to] -= 1;
+            }
+        }
+    }
+    let mut count = 0;
+    for terms in &mut *line.terms {
+        count += *terms;
+        *terms = count;
     }
 }
 
@@ -112,8 +170,8 @@ pub struct Line<'a> {
     pub depths_m: &'a [f32],
     /// Sums of scores.
     pub sums: &'a mut [f32],
-    /// Their numbers.
-    pub terms: &'a mut [u16],
+    /// Their numbers; zeros at the start.
+    pub terms: &'a mut [i32],
     /// Bins, for one trace after another.
     pub places: &'a mut [f32],
 }
@@ -132,7 +190,7 @@ fn trace(problem: &Problem, fit: &Fit, filter: &[f64], members: &[usize]) -> Tra
     let (mut rests, mut rates, mut wrong) = (Vec::new(), Vec::new(), Vec::new());
     for n in members {
         let histogram = &problem.histograms[*n];
-        desk.light(problem, &fit.model, histogram);
+        desk.light(problem, (&fit.model, &fit.shine), histogram);
         fit.tail.fill(histogram, &mut desk.tail);
         let [scale, constant] = fit.normal.levels[*n];
         rests.clear();

@@ -4,7 +4,7 @@
 //! directions, and the fit decides.
 
 use super::fit::{Fit, Free};
-use super::model::{Dot, SHARED, reach, share};
+use super::model::{Dot, SHARED, WIDTH};
 use super::normal::Desk;
 use super::rounds::MOST;
 use super::{Histogram, Problem};
@@ -40,9 +40,9 @@ fn candidates(problem: &Problem, fit: &Fit) -> Vec<usize> {
     let widths = widths(problem, fit);
     let mut candidates: Vec<usize> = (0..points).filter(|k| widths[*k] > WIDE).collect();
     candidates.sort_by(|a, b| widths[*b].total_cmp(&widths[*a]));
-    let width = fit.model.unknowns() - 1;
+    let width = fit.model.unknowns() - SHARED + WIDTH;
     let sd = fit.covariance().map_or(f64::INFINITY, |covariance| covariance[(width, width)].sqrt());
-    if candidates.is_empty() && fit.model.shared[SHARED - 1] > WIDE * sd {
+    if candidates.is_empty() && fit.model.shared[WIDTH] > WIDE * sd {
         candidates = (0..points).collect();
         candidates.sort_by(|a, b| fit.model.dots[*b].log_photons.total_cmp(&fit.model.dots[*a].log_photons));
         candidates.truncate(BRIGHTEST);
@@ -80,7 +80,7 @@ fn widths(problem: &Problem, fit: &Fit) -> Vec<f64> {
     let mut sums = vec![[0.0; 2]; points];
     let mut desk = Desk::default();
     for (histogram, level) in problem.histograms.iter().zip(&fit.normal.levels) {
-        desk.light(problem, &fit.model, histogram);
+        desk.light(problem, (&fit.model, &fit.shine), histogram);
         fit.tail.fill(histogram, &mut desk.tail);
         for (dot, sum) in fit.model.dots.iter().zip(&mut sums) {
             let [score, information] = own_width(problem, fit, histogram, (dot, *level, &desk));
@@ -100,12 +100,16 @@ fn own_width(
     histogram: &Histogram,
     (dot, [scale, constant], desk): (&Dot, [f64; 2], &Desk),
 ) -> [f64; 2] {
-    let (way, stretch) = (fit.model.way(dot, histogram), fit.model.stretch());
+    let way = fit.model.way(dot, histogram);
     let photons = way.log_photons.min(60.0).exp();
+    let bins = fit.shine.bins(problem, histogram, &way);
+    let rows = [0, 2].map(|column| {
+        let mut row = Vec::new();
+        fit.shine.pulse.fill(column, &bins, photons, &mut row);
+        row
+    });
     let (mut score, mut information) = ([0.0; 2], [0.0; 3]);
-    for bin in reach(problem, histogram, &way, stretch) {
-        let offset_m = histogram.first_m + (bin as f64 + 0.5) * problem.step_m - way.length_m;
-        let [light, _, width] = share(&problem.pulse, offset_m, stretch).map(|value| photons * value);
+    for (bin, (light, width)) in (bins.from..).zip(rows[0].iter().zip(&rows[1])) {
         let rate = scale * desk.tail[bin] + constant + desk.all[bin];
         let weight = problem.noise.weight(rate);
         let rest = (f64::from(histogram.values[bin]) - rate) * weight;
