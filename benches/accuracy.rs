@@ -223,9 +223,9 @@ fn print_locate(seeds: u64) {
 /// Wide pulses and pairs: patches of all sizes, signal-to-noise ratios, hidden patches or none, instruments.
 fn print_readings(seeds: u64, choices: &[Choice]) {
     println!(
-        "| patches (cm) | SNR | hidden | instrument | choice | scenes | refused | with a phantom | phantoms | missed | rms (mm) | 95 % interval |"
+        "| patches (cm) | SNR | hidden | instrument | choice | scenes | refused | with a phantom | phantoms | missed | rms (mm) | rms / bound | 95 % interval | not explained | patches confidently wrong |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     let kind =
         [0.0, 0.01, 0.02, 0.04].into_iter().flat_map(|size_m| [30.0, 100.0].map(|snr| (size_m, snr, Instrument::Kind)));
     let unkind = [Instrument::Tail, Instrument::Slope].map(|instrument| (0.02, 100.0, instrument));
@@ -241,13 +241,16 @@ fn print_readings(seeds: u64, choices: &[Choice]) {
                 totals[n] = (totals[n].0 + hits, totals[n].1 + scenes.len());
             }
             let rms_mm = 1e3 * (sum.squares_m2 / sum.count as f64).sqrt();
+            let over_bound = (sum.squares_m2 / sum.bounds_m2).sqrt();
             let covered = Rate { hits: sum.covered, of: sum.coordinates };
             println!(
-                "| {} | {snr} | {hidden} | {instrument:?} | {choice:?} | {seeds} | {} | {hits} | {} | {} | {rms_mm:.3} | {covered} |",
+                "| {} | {snr} | {hidden} | {instrument:?} | {choice:?} | {seeds} | {} | {hits} | {} | {} | {rms_mm:.3} | {over_bound:.2} | {covered} | {} | {} |",
                 100.0 * size_m,
                 sum.refused,
                 sum.phantoms,
-                sum.missed
+                sum.missed,
+                sum.unexplained,
+                sum.confident
             );
         }
     }

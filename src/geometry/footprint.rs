@@ -10,7 +10,10 @@
 //! with the legs `l` that meet at the patch and the weight `w` of the light on them. `S` holds the second moments of a
 //! disk of the patch's diameter and normal `n`. The laser lights its patch evenly. A leg towards the sensor has
 //! `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1
-//! % of the shift where legs are longer than three sizes. Not modelled: glossy patches, a spot smaller than its patch.
+//! % of the shift where legs are longer than three sizes. Near the plane of the patch at the other end of a leg the
+//! expansion is worse: of `ln |h + n'u|`, with the height `h` over that plane, the next term is a share `(size / 4h)^2`
+//! of the one that is kept. What that makes of the shift is its [`Footprints::doubt_m`]. Not modelled: glossy patches, a
+//! spot smaller than its patch.
 
 mod from_widths;
 
@@ -59,9 +62,28 @@ impl Footprints {
         if self.is_empty() {
             return 0.0;
         }
-        let bounces: Vec<(Point, Option<Footprint>)> =
-            path.iter().map(|patch| (centre(patch), self.0.get(patch).copied())).collect();
-        shift_m(source, &bounces, sensor)
+        shift_m(source, &self.bounces(path, centre), sensor)
+    }
+
+    /// Standard deviation of [`Self::shift_m`] from what its expansion leaves out near planes of patches.
+    #[must_use]
+    pub fn doubt_m(&self, source: Point, path: &[PatchId], centre: impl Fn(&PatchId) -> Point, sensor: Point) -> f64 {
+        if self.is_empty() {
+            return 0.0;
+        }
+        shift_and_doubt_m(source, &self.bounces(path, centre), sensor)[1]
+    }
+
+    fn bounces(&self, path: &[PatchId], centre: impl Fn(&PatchId) -> Point) -> Vec<(Point, Option<Footprint>)> {
+        path.iter().map(|patch| (centre(patch), self.0.get(patch).copied())).collect()
+    }
+
+    /// All of them so many standard deviations off, three numbers for each in the order of the patches: two turns and
+    /// the size. Those that are missing are 0.
+    #[must_use]
+    pub fn moved(&self, sds: &[f64]) -> Self {
+        let own = |n: usize| [0, 1, 2].map(|k| sds.get(3 * n + k).copied().unwrap_or(0.0));
+        Self(self.0.iter().enumerate().map(|(n, (patch, footprint))| (*patch, footprint.moved(own(n)))).collect())
     }
 
     /// By how much [`Self::shift_m`] changes with the direction and the size of each patch whose footprint is
@@ -93,13 +115,18 @@ impl Footprints {
 }
 
 impl Footprint {
-    /// The footprint a standard deviation off: turned to either side, and larger.
-    fn others(&self) -> [Self; 3] {
+    /// The footprint so many standard deviations off: turned to either side, and larger.
+    fn moved(&self, [first, second, larger]: [f64; 3]) -> Self {
         let axis = if self.normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
         let aside = self.normal.cross(&axis).normalize();
-        let turned =
-            |towards: Vector3<f64>| Self { normal: (self.normal + self.normal_sd_rad * towards).normalize(), ..*self };
-        [turned(aside), turned(self.normal.cross(&aside)), Self { size_m: self.size_m + self.size_sd_m, ..*self }]
+        let turn = self.normal_sd_rad * (first * aside + second * self.normal.cross(&aside));
+        let size_m = f64::max(0.0, self.size_m + larger * self.size_sd_m);
+        Self { normal: (self.normal + turn).normalize(), size_m, ..*self }
+    }
+
+    /// Those a standard deviation off.
+    fn others(&self) -> [Self; 3] {
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|sds| self.moved(sds))
     }
 }
 
@@ -107,9 +134,14 @@ impl Footprint {
 /// without known footprint, which is taken as a point) to `sensor` is longer than the way over the centres.
 #[must_use]
 pub fn shift_m(source: Point, patches: &[(Point, Option<Footprint>)], sensor: Point) -> f64 {
+    shift_and_doubt_m(source, patches, sensor)[0]
+}
+
+/// The shift, and the root of the summed squares of what the expansion leaves out of it near planes of patches.
+fn shift_and_doubt_m(source: Point, patches: &[(Point, Option<Footprint>)], sensor: Point) -> [f64; 2] {
     let at = |bounce: usize| {
         let (centre, footprint) = &patches[bounce];
-        let Some(footprint) = footprint else { return 0.0 };
+        let Some(footprint) = footprint else { return [0.0; 2] };
         let before = match bounce.checked_sub(1) {
             None => Leg::new(*centre, source, End::Laser, footprint),
             Some(before) => Leg::new(*centre, patches[before].0, End::Patch(patches[before].1), footprint),
@@ -119,12 +151,13 @@ pub fn shift_m(source: Point, patches: &[(Point, Option<Footprint>)], sensor: Po
             Some((point, of)) => Leg::new(*centre, *point, End::Patch(*of), footprint),
         };
         let slope = before.along + after.along;
-        let pull = before.pull + after.pull;
         let normal = footprint.normal;
-        let in_plane = pull.dot(&slope) - pull.dot(&normal) * slope.dot(&normal);
-        footprint.size_m * footprint.size_m / 16.0 * (in_plane + 0.5 * (before.bend + after.bend))
+        let in_plane = |pull: Vector3<f64>| pull.dot(&slope) - pull.dot(&normal) * slope.dot(&normal);
+        let of_disk_m2 = footprint.size_m * footprint.size_m / 16.0;
+        let shift_m = of_disk_m2 * (in_plane(before.pull + after.pull) + 0.5 * (before.bend + after.bend));
+        [shift_m, of_disk_m2 * in_plane(before.left_out).hypot(in_plane(after.left_out))]
     };
-    (0..patches.len()).map(at).sum()
+    (0..patches.len()).map(at).fold([0.0; 2], |sum, one| [sum[0] + one[0], sum[1].hypot(one[1])])
 }
 
 /// What stands at the other end of a leg.
@@ -141,6 +174,8 @@ struct Leg {
     along: Vector3<f64>,
     /// Gradient of the logarithm of its light's weight, in the patch's plane.
     pull: Vector3<f64>,
+    /// What the expansion leaves out of that near the plane of the other patch.
+    left_out: Vector3<f64>,
     /// Trace of its length's second derivatives in the patch's plane.
     bend: f64,
 }
@@ -151,20 +186,21 @@ impl Leg {
         let length_m = arm.norm().max(f64::MIN_POSITIVE);
         let along = arm / length_m;
         // The patch's own cosine is that of its plane's distance, the same for all its points, over the length.
-        let pull = match end {
-            End::Laser => Vector3::zeros(),
-            End::Sensor | End::Patch(None) => -3.0 / length_m * along,
+        let (pull, left_out) = match end {
+            End::Laser => (Vector3::zeros(), Vector3::zeros()),
+            End::Sensor | End::Patch(None) => (-3.0 / length_m * along, Vector3::zeros()),
             End::Patch(Some(other)) => {
                 // Near the other's plane the expansion ends: no closer than half the patch, nor than the normal's error
                 // tells.
                 let height_m = other.normal.dot(&arm);
                 let least_m = f64::max(0.5 * footprint.size_m, other.normal_sd_rad * length_m);
                 let height_m = height_m.signum() * height_m.abs().max(least_m);
-                other.normal / height_m - 4.0 / length_m * along
+                let near = other.normal / height_m;
+                (near - 4.0 / length_m * along, near * (0.25 * footprint.size_m / height_m).powi(2))
             }
         };
         let bend = (1.0 + along.dot(&footprint.normal).powi(2)) / length_m;
-        Self { along, pull, bend }
+        Self { along, pull, left_out, bend }
     }
 }
 
@@ -204,6 +240,12 @@ mod tests {
         let shift_m = |footprints: &Footprints| footprints.shift_m(source, &[0, 1], centre, sensor);
         assert!((changes[0].1[2] - (shift_m(&larger) - shift_m(&footprints))).abs() < 1e-12);
         assert!(changes[0].1[..2].iter().any(|change_m| change_m.abs() > 1e-6), "a turn shifts the light: {changes:?}");
+        // A little off in all three: the sum of their changes.
+        let sds = [0.05, -0.1, 0.08];
+        let moved_m = shift_m(&footprints.moved(&[[0.0; 3], sds].concat())) - shift_m(&footprints);
+        let sum_m: f64 = sds.iter().zip(changes[0].1).map(|(sd, change_m)| sd * change_m).sum();
+        assert!((moved_m - sum_m).abs() < 0.1 * sum_m.abs(), "{moved_m} {sum_m}");
+        assert_eq!(footprints.moved(&[]), footprints);
     }
 
     /// The mean by brute force over all points of two disks.
@@ -254,6 +296,31 @@ mod tests {
             eprintln!("{} bounces: {:.2} um, by brute force {:.2} um", path.len(), 1e6 * shift, 1e6 * brute);
             assert!(brute.abs() > 5e-5 && (shift / brute - 1.0).abs() < 0.02, "{shift} {brute}");
         }
+    }
+
+    /// Near the plane of another patch the shift is off by what is doubted of it, and hardly elsewhere.
+    #[test]
+    fn near_a_plane_a_shift_is_in_doubt() {
+        let (source, sensor) = (Point::new(0.0, 0.0, 0.0), Point::new(0.05, 0.0, 0.02));
+        let patch = |centre: [f64; 3], normal: [f64; 3]| {
+            let normal = Vector3::from(normal).normalize();
+            (Point::from(centre), Footprint { normal, size_m: 0.03, normal_sd_rad: 0.0, size_sd_m: 0.0 })
+        };
+        let tilted = patch([0.5, 1.0, 0.0], [-1.0, -0.4, 0.2]);
+        let (mut near, mut all) = (0, 0);
+        for height_m in [0.02, 0.025, 0.03, 0.05, 0.1, 0.2] {
+            let flat = patch([0.0, 1.0 + height_m, 0.1], [0.0, -1.0, 0.0]);
+            let path = [flat, tilted];
+            let spots: Vec<(Point, Option<Footprint>)> = path.iter().map(|(at, disk)| (*at, Some(*disk))).collect();
+            let [shift_m, doubt_m] = shift_and_doubt_m(source, &spots, sensor);
+            let off_m = (shift_m - brute_m(source, &path, sensor)).abs();
+            eprintln!("{height_m} m: {:.1} um off, {:.1} in doubt", 1e6 * off_m, 1e6 * doubt_m);
+            assert!(off_m < 3.0 * doubt_m + 0.03 * shift_m.abs(), "{height_m} m: {off_m} {doubt_m}");
+            assert!(height_m < 0.1 || doubt_m < 0.03 * shift_m.abs(), "{height_m} m: {shift_m} {doubt_m}");
+            all += 1;
+            near += usize::from(off_m < 0.5 * doubt_m);
+        }
+        assert!(near < all, "a doubt is no bound");
     }
 
     #[test]

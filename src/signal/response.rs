@@ -62,6 +62,17 @@ impl Response {
         self.piece(time_ps).map_or(0.0, |([_, _, c2, c3], u)| (2.0 * c2 + 6.0 * c3 * u) / (self.step_ps * self.step_ps))
     }
 
+    /// Value, slope and second derivative, as [`Self::value_and_slope`] and [`Self::curvature`] have them.
+    pub(crate) fn value_slope_and_curvature(&self, time_ps: f64) -> [f64; 3] {
+        self.piece(time_ps).map_or([0.0; 3], |([c0, c1, c2, c3], u)| {
+            [
+                c0 + u * (c1 + u * (c2 + u * c3)),
+                (c1 + u * (2.0 * c2 + u * 3.0 * c3)) / self.step_ps,
+                (2.0 * c2 + 6.0 * c3 * u) / (self.step_ps * self.step_ps),
+            ]
+        })
+    }
+
     /// The cubic that holds `time_ps` and the position within it; `None` outside the support.
     fn piece(&self, time_ps: f64) -> Option<([f64; 4], f64)> {
         let position = (time_ps - self.t0_ps) / self.step_ps;

@@ -102,7 +102,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -182,6 +182,8 @@ impl Apply for Refine {
         let fitted = Fitted { solution, others, observations, used, widened };
         let tables = Tables::new(&model, &fitted, &shifts_m, &pulls);
         let residuals = tables.residuals();
+        // As they explain the onsets best: whoever predicts more needs the same.
+        let moved = footprints.moved(&fitted.solution.common);
         Ok(Outcome {
             rows: tables.patches(),
             sides: vec![
@@ -192,7 +194,7 @@ impl Apply for Refine {
                 Suspect::to_batch(&tables.suspects(&residuals)),
                 Fit::to_batch(&tables.fits()),
                 Ambiguity::to_batch(&tables.ambiguities()),
-                PatchFootprint::to_batch(&tables.footprints(&footprints, &given)),
+                PatchFootprint::to_batch(&tables.footprints(&moved, &given)),
             ],
             rejections: unused_normals(context, is_fixed, &labels),
         })
@@ -238,7 +240,8 @@ impl Refine {
         Ok(widened)
     }
 
-    /// Solves again with the shifts of footprints taken off, until these stay; gives the shifts.
+    /// Solves again with the shifts of footprints taken off, until these stay; gives the shifts but for what errors of
+    /// footprints make of them.
     fn solve_shifted(
         &self,
         model: &Model,
@@ -248,7 +251,11 @@ impl Refine {
     ) -> Result<Vec<f64>, StageError> {
         let mut shifts_m = vec![0.0; problem.observations.len()];
         for _ in 0..ROUNDS {
-            let next_m = model.shifts_m(footprints, problem, solution);
+            // With footprints that the onsets moved; the problem has those moves once more, linearised.
+            let mut next_m = model.shifts_m(&footprints.moved(&solution.common), problem, solution);
+            for (next, observation) in next_m.iter_mut().zip(&problem.observations) {
+                *next -= observation.common_m(&solution.common);
+            }
             let moved_m =
                 next_m.iter().zip(&shifts_m).fold(0.0, |most: f64, (next, last)| most.max((next - last).abs()));
             for ((observation, next), last) in problem.observations.iter_mut().zip(&next_m).zip(&shifts_m) {

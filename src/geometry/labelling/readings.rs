@@ -233,7 +233,8 @@ fn gather(view: View, scene: Option<&Scene>, blend_ps: f64) -> Gathered {
             return *at(n);
         }
         let parts: Vec<&Arrival> = std::iter::once(n).chain(inner.iter().copied()).map(at).collect();
-        centroid(&parts)
+        let per_amplitude = profile.arrivals.iter().map(|arrival| arrival.snr / arrival.amplitude.abs());
+        centroid(&parts, per_amplitude.filter(|ratio| ratio.is_finite()).fold(0.0, f64::max))
     };
     let arrivals = onsets.iter().map(|&n| whole(n)).collect();
     let inner = inner.iter().map(|&n| (n, *at(n))).collect();
@@ -254,8 +255,9 @@ fn first_bounce(view: View, scene: Option<&Scene>, blend_ps: f64) -> Option<usiz
 }
 
 /// All light of several arrivals as one. Their errors are taken for independent: those of overlapping pulses are
-/// opposed, so that their centroid is known better.
-fn centroid(parts: &[&Arrival]) -> Arrival {
+/// opposed, so that their centroid is known better. How that light divides is not certain, but how much it is: its
+/// signal-to-noise ratio is `per_amplitude`, that of the arrival of its profile whose amplitude is known best.
+fn centroid(parts: &[&Arrival], per_amplitude: f64) -> Arrival {
     let amplitude: f64 = parts.iter().map(|part| part.amplitude).sum();
     let mean = |value: &dyn Fn(&Arrival) -> f64| {
         parts.iter().map(|part| part.amplitude / amplitude * value(part)).sum::<f64>()
@@ -267,7 +269,7 @@ fn centroid(parts: &[&Arrival]) -> Arrival {
         amplitude,
         width_ps: width_ps2.sqrt(),
         width_sd_ps: mean(&|part| part.width_sd_ps),
-        ..Arrival::point(time_ps, variance_ps2.sqrt(), parts.iter().map(|part| part.snr).fold(0.0, f64::max))
+        ..Arrival::point(time_ps, variance_ps2.sqrt(), per_amplitude * amplitude)
     }
 }
 

@@ -43,6 +43,15 @@ pub struct Observation {
     pub common: Vec<(usize, f64)>,
 }
 
+impl Observation {
+    /// What common errors add to it, these in standard deviations; those that are missing are 0.
+    #[must_use]
+    pub fn common_m(&self, errors: &[f64]) -> f64 {
+        let value = |error: usize| errors.get(error).copied().unwrap_or_default();
+        self.common.iter().map(|(error, each_m)| value(*error) * each_m).sum()
+    }
+}
+
 /// Where light leaves or arrives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Station {

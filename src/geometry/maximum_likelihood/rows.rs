@@ -92,8 +92,7 @@ impl Values {
         let path_m: f64 = legs.map(|ends| (self.position(ends[1]) - self.position(ends[0])).norm()).sum();
         let delay_m = observation.delay.map_or(0.0, |delay| self.delays_m[delay]);
         // An error that no other observation has is none that a solution knows.
-        let value = |error: usize| self.common.get(error).copied().unwrap_or_default();
-        let common_m: f64 = observation.common.iter().map(|(error, each_m)| value(*error) * each_m).sum();
+        let common_m = observation.common_m(&self.common);
         observation.length_m - path_m - delay_m - common_m + f64::from(observation.turns) * self.period_m
     }
 

@@ -1,7 +1,7 @@
 //! One pulse of amplitude 1 in a whitened record, and its products with other pulses and with data.
 
 use super::model::WhitenedRecord;
-use super::place::{Place, spread_response};
+use super::place::Place;
 use std::ops::Range;
 
 /// Whitened samples of a pulse of amplitude 1 from sample `first` on.
@@ -21,10 +21,10 @@ impl Column {
                 [value, -slope]
             });
         }
-        let nodes = place.nodes(record.width_ps);
-        let range = place.reach(&nodes, record.response, record.t0_ps, record.dt_ps, record.len());
-        let (first, both) =
-            sample(record, place.time_ps, range, |after_ps| spread_response(record.response, &nodes, after_ps));
+        let range = place.reach(record.response, record.t0_ps, record.dt_ps, record.len());
+        let after_ps = record.t0_ps + range.start as f64 * record.dt_ps - place.time_ps;
+        let both = place.samples(record.response, record.width_ps, after_ps, record.dt_ps, range.len());
+        let (first, both) = whitened(record, range, both);
         let samples = both.iter().map(|[value, by_time, _, _]| [*value, *by_time]).collect();
         let shape = both.iter().map(|[_, _, by_variance, by_tail]| [*by_variance, *by_tail]).collect();
         Self { first, samples, shape }
@@ -128,12 +128,19 @@ fn sample<const P: usize>(
     range: Range<usize>,
     shape: impl Fn(f64) -> [f64; P],
 ) -> (usize, Vec<[f64; P]>) {
-    let len = record.len();
+    let samples = range.clone().map(|n| shape(record.t0_ps + n as f64 * record.dt_ps - time_ps)).collect();
+    whitened(record, range, samples)
+}
+
+/// The samples `range` of a record, whitened.
+fn whitened<const P: usize>(
+    record: &WhitenedRecord,
+    range: Range<usize>,
+    mut samples: Vec<[f64; P]>,
+) -> (usize, Vec<[f64; P]>) {
     let first = range.start;
     // The filter carries each sample on over the next ones.
-    let end = if range.is_empty() { range.end } else { (range.end + record.whitener.order()).min(len) };
-    let mut samples = Vec::with_capacity(end - first);
-    samples.extend(range.map(|n| shape(record.t0_ps + n as f64 * record.dt_ps - time_ps)));
+    let end = if range.is_empty() { range.end } else { (range.end + record.whitener.order()).min(record.len()) };
     samples.resize(end - first, [0.0; P]);
     record.whitener.apply_from(first, &mut samples);
     (first, samples)

@@ -50,7 +50,7 @@ pub use evidence::{evidence_min, evidence_min_of};
 pub use joint::fit_joint;
 pub use matched::{Given, Matched, Open, matched};
 pub use pair::Pair;
-use place::{Place, spread_response};
+use place::Place;
 
 /// False pulses a record of pure noise, where the caller sets no threshold.
 const FALSE_PULSES: f64 = 1e-4;
@@ -148,13 +148,11 @@ impl Pulse {
         len: usize,
     ) -> impl Iterator<Item = (usize, f64)> {
         let place = Place::of(self);
-        let nodes = place.nodes(response.width_ps());
-        let reach = place.reach(&nodes, response, t0_ps, dt_ps, len);
+        let reach = place.reach(response, t0_ps, dt_ps, len);
+        let after_ps = t0_ps + reach.start as f64 * dt_ps - place.time_ps;
+        let samples = place.samples(response, response.width_ps(), after_ps, dt_ps, reach.len());
         let amplitude_v = self.amplitude_v;
-        reach.map(move |n| {
-            let after_ps = t0_ps + n as f64 * dt_ps - place.time_ps;
-            (n, amplitude_v * spread_response(response, &nodes, after_ps)[0])
-        })
+        reach.zip(samples).map(move |(n, sample)| (n, amplitude_v * sample[0]))
     }
 }
 

@@ -15,6 +15,8 @@ const REACH_TAILS: f64 = 14.0;
 /// Widest step of a kernel's nodes and widest panel of the tail's, in widths of the response.
 const STEP_WIDTHS: f64 = 0.25;
 const PANEL_WIDTHS: f64 = 0.5;
+/// Nodes of a Gaussian that neighbouring samples share are no nearer than the time between samples over this.
+const PARTS_MAX: f64 = 8.0;
 /// A tail starts from this part of the largest allowed, and falls to no less than the second: below it is no different
 /// from none.
 const TAIL_START: f64 = 0.3;
@@ -61,20 +63,106 @@ impl Place {
         }
     }
 
-    /// Samples of a record of `len` that the response reaches when it is spread over `nodes`.
-    pub(super) fn reach(
-        &self,
-        nodes: &[Node],
-        response: &Response,
-        t0_ps: f64,
-        dt_ps: f64,
-        len: usize,
-    ) -> Range<usize> {
-        let (least, most) =
-            nodes.iter().fold((0.0, 0.0), |(least, most): (f64, f64), (x, _, _)| (least.min(*x), most.max(*x)));
-        let from = response.reach(self.time_ps + least, t0_ps, dt_ps, len);
-        let to = response.reach(self.time_ps + most, t0_ps, dt_ps, len);
+    /// Samples of a record of `len` that the spread response reaches.
+    pub(super) fn reach(&self, response: &Response, t0_ps: f64, dt_ps: f64, len: usize) -> Range<usize> {
+        let side_ps = REACH_SD * self.variance_ps2.sqrt();
+        let tail_ps = if self.shapes < 2 { 0.0 } else { self.tail_ps };
+        let from = response.reach(self.time_ps - side_ps - tail_ps, t0_ps, dt_ps, len);
+        let to = response.reach(self.time_ps + side_ps + (REACH_TAILS - 1.0) * tail_ps, t0_ps, dt_ps, len);
         from.start..to.end
+    }
+
+    /// The spread response and its derivatives, as [`spread_response`] has them, at `count` times `dt_ps` apart, the
+    /// first `after_ps` after the centroid.
+    ///
+    /// Nodes of the Gaussian lie a whole part of `dt_ps` apart, so that neighbouring samples share what they need of the
+    /// response. A Gaussian far narrower than that has its own nodes at each sample.
+    pub(super) fn samples(
+        &self,
+        response: &Response,
+        width_ps: f64,
+        after_ps: f64,
+        dt_ps: f64,
+        count: usize,
+    ) -> Vec<[f64; 4]> {
+        let sd_ps = self.variance_ps2.sqrt();
+        let parts = (dt_ps / sd_ps.min(STEP_WIDTHS * width_ps)).ceil();
+        if sd_ps == 0.0 || count == 0 {
+            return self.tailed_samples(response, width_ps, after_ps, dt_ps, count);
+        }
+        if parts > PARTS_MAX {
+            let nodes = self.nodes(width_ps);
+            return (0..count).map(|n| spread_response(response, &nodes, after_ps + n as f64 * dt_ps)).collect();
+        }
+        let (parts, step_ps) = (parts as usize, dt_ps / parts);
+        let side = (REACH_SD * sd_ps / step_ps).ceil() as usize;
+        let density = |i: usize| (-0.5 * ((i as f64 - side as f64) * step_ps / sd_ps).powi(2)).exp();
+        let total: f64 = (0..=2 * side).map(density).sum();
+        let weights: Vec<f64> = (0..=2 * side).map(|i| density(i) / total).collect();
+        let fine = self.tailed_samples(
+            response,
+            width_ps,
+            after_ps - side as f64 * step_ps,
+            step_ps,
+            (count - 1) * parts + weights.len(),
+        );
+        let sample = |n: usize| {
+            let mut sum = [0.0; 4];
+            for (weight, one) in weights.iter().zip(&fine[n * parts..]) {
+                (0..4).for_each(|k| sum[k] += weight * one[k]);
+            }
+            sum
+        };
+        (0..count).map(sample).collect()
+    }
+
+    /// The same without the Gaussian. A tail at one time is that at the time before, decayed, and what is new:
+    ///
+    /// ```text
+    /// F(t) = integral of e^-u g(t - tau u),   F(t + dt) = e^-c F(t) + integral from 0 to c of e^-u g(t + dt - tau u),
+    /// ```
+    ///
+    /// with `c = dt / tau`; so it costs a step's nodes a sample, not all.
+    fn tailed_samples(
+        &self,
+        response: &Response,
+        width_ps: f64,
+        after_ps: f64,
+        dt_ps: f64,
+        count: usize,
+    ) -> Vec<[f64; 4]> {
+        let tail_ps = if self.shapes < 2 { 0.0 } else { self.tail_ps };
+        let at =
+            |n: usize, u: f64| response.value_slope_and_curvature(after_ps + n as f64 * dt_ps - (u - 1.0) * tail_ps);
+        if self.shapes < 2 {
+            let sample = |n: usize| {
+                let [value, slope, curvature] = at(n, 1.0);
+                [value, -slope, 0.5 * curvature, 0.0]
+            };
+            return (0..count).map(sample).collect();
+        }
+        let (panel_max, step) = (PANEL_WIDTHS * width_ps / tail_ps, dt_ps / tail_ps);
+        // Value, slope, curvature, and slope times u, integrated over nodes.
+        let sum = |n: usize, nodes: &[(f64, f64)]| {
+            nodes.iter().fold([0.0; 4], |sum, &(u, weight)| {
+                let [value, slope, curvature] = at(n, u);
+                let add = [weight * value, weight * slope, weight * curvature, weight * u * slope];
+                [0, 1, 2, 3].map(|k| sum[k] + add[k])
+            })
+        };
+        let fresh = tail_nodes(panel_max, step.min(REACH_TAILS));
+        let kept = (-step).exp();
+        let mut state = sum(0, &tail_nodes(panel_max, REACH_TAILS));
+        let mut samples = Vec::with_capacity(count);
+        for n in 0..count {
+            if n > 0 {
+                let new = sum(n, &fresh);
+                let carried = [state[0], state[1], state[2], state[3] + step * state[1]];
+                state = [0, 1, 2, 3].map(|k| kept * carried[k] + new[k]);
+            }
+            samples.push([state[0], -state[1], 0.5 * state[2], state[1] - state[3]]);
+        }
+        samples
     }
 
     /// With a tail besides its variance, to start from.
@@ -121,7 +209,7 @@ impl Place {
             return gaussian.into_iter().map(|(x, weight)| (x, weight, 0.0)).collect();
         }
         let tail_ps = self.tail_ps;
-        let tail = tail_nodes(PANEL_WIDTHS * width_ps / tail_ps);
+        let tail = tail_nodes(PANEL_WIDTHS * width_ps / tail_ps, REACH_TAILS);
         let both = |&(x, weight): &(f64, f64)| {
             // Later light by u - 1 constants: the centroid stays.
             tail.iter()
@@ -145,16 +233,17 @@ fn gaussian_nodes(sd_ps: f64, step_max_ps: f64) -> Vec<(f64, f64)> {
     (-side..=side).map(|i| (f64::from(i) * sd_ps / per_sd, density(i) / total)).collect()
 }
 
-/// Nodes and weights of `exp(-u)`, `u >= 0`: four Gauss-Legendre nodes in panels no longer than `panel_max` or 1.
-fn tail_nodes(panel_max: f64) -> Vec<(f64, f64)> {
+/// Nodes and weights of `exp(-u)`, `u` from 0 to `reach`: four Gauss-Legendre nodes in panels no longer than
+/// `panel_max` or 1.
+fn tail_nodes(panel_max: f64, reach: f64) -> Vec<(f64, f64)> {
     const LEGENDRE: [(f64, f64); 4] = [
         (-0.861_136_311_594_052_6, 0.347_854_845_137_453_9),
         (-0.339_981_043_584_856_3, 0.652_145_154_862_546_1),
         (0.339_981_043_584_856_3, 0.652_145_154_862_546_1),
         (0.861_136_311_594_052_6, 0.347_854_845_137_453_9),
     ];
-    let panels = (REACH_TAILS / panel_max.min(1.0)).ceil();
-    let half = 0.5 * REACH_TAILS / panels;
+    let panels = (reach / panel_max.min(1.0)).ceil();
+    let half = 0.5 * reach / panels;
     let nodes = |i: i32| {
         LEGENDRE.map(|(x, weight)| {
             let u = half * (2.0 * f64::from(i) + 1.0 + x);
@@ -168,8 +257,7 @@ fn tail_nodes(panel_max: f64) -> Vec<(f64, f64)> {
 /// tail's constant.
 pub(super) fn spread_response(response: &Response, nodes: &[Node], after_ps: f64) -> [f64; 4] {
     nodes.iter().fold([0.0; 4], |[value, by_time, by_variance, by_tail], &(x, weight, tail_weight)| {
-        let (h, slope) = response.value_and_slope(after_ps - x);
-        let curvature = response.curvature(after_ps - x);
+        let [h, slope, curvature] = response.value_slope_and_curvature(after_ps - x);
         [
             value + weight * h,
             by_time - weight * slope,
@@ -223,6 +311,28 @@ mod tests {
                 let at = |tail: f64| spread_response(&response, &place(tail).nodes(response.width_ps()), t);
                 let difference = (at(tail + 0.01)[0] - at(tail - 0.01)[0]) / 0.02;
                 assert!((at(tail)[3] - difference).abs() < 1e-6, "{tail} {t}");
+            }
+        }
+    }
+
+    /// Sample by sample a tail is what all its nodes make of it, from anywhere in the response.
+    #[test]
+    fn a_tail_goes_on_from_sample_to_sample() {
+        let response = gaussian();
+        let tails =
+            [(0.3, 20.0, 50.0), (30.0, 0.0, 50.0), (90.0, 40.0, 12.5), (200.0, 5.0, 400.0), (60.0, 130.0, 50.0)];
+        let gaussians = [(0.0, 2.0, 50.0), (0.0, 33.0, 50.0), (0.0, 90.0, 7.0), (0.0, 170.0, 100.0)];
+        for (tail_ps, sd_ps, dt_ps) in tails.into_iter().chain(gaussians) {
+            let shapes = if tail_ps > 0.0 { 2 } else { 1 };
+            let place = Place { tail_ps, shapes, ..Place::widened(0.0, sd_ps * sd_ps) };
+            let nodes = place.nodes(response.width_ps());
+            for first_ps in [-700.0, -80.0, 300.0] {
+                let samples = place.samples(&response, response.width_ps(), first_ps, dt_ps, 60);
+                for (n, sample) in samples.iter().enumerate() {
+                    let whole = spread_response(&response, &nodes, first_ps + n as f64 * dt_ps);
+                    let near = (0..4).all(|k| (sample[k] - whole[k]).abs() < [1e-5, 1e-6, 1e-7, 1e-6][k]);
+                    assert!(near, "{tail_ps} {first_ps} {n}: {sample:?} {whole:?}");
+                }
             }
         }
     }

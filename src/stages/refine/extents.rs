@@ -9,13 +9,17 @@ use crate::geometry::footprint::{self, Bounce, Footprints, Spread};
 use crate::geometry::maximum_likelihood::{Node, Problem, Solution};
 use crate::tables::Label;
 
-/// An onset without a width may have one that is not worth its parameter: the standard deviation of its variance is so
-/// many times that of a width.
-const UNSEEN: f64 = 3.0;
+/// A width is worth its parameter beyond some five standard deviations of its variance. Variances that show no width
+/// with a chance are as likely as one whose residual is what they are beyond so many (by the normal distribution's
+/// tail).
+const UNSEEN: f64 = 3.5;
 /// Light in an onset of which no path is known comes later by this share of what the response resolves: nearer light
 /// makes it hardly wider, and light further off is an onset of its own. By how much it pulls is known to a share.
 const NEARER: f64 = 0.5;
 const PULL_SD: f64 = 0.5;
+/// A point in the place of light that is spread is off by this share of the variance over the same distance: as far as
+/// errors of time and of variance go together.
+const NARROWER: f64 = 0.25;
 /// No light of a profile comes before that of so few bounces.
 const EARLIEST: i32 = 2;
 
@@ -44,7 +48,9 @@ impl Extents {
         for ((place, spread), variance_m2) in widths.labels.into_iter().zip(&widths.spreads).zip(sizes.excess_m2) {
             let label = &model.labels[place];
             let apart_m = model.fields(label).medium.path_m(NEARER * widths.resolved_ps);
-            let excess = Excess { variance_m2, sd_m2: spread.sd_m2 };
+            let is_point = spread.is_limit;
+            let excess_sd_m2 = if is_point { spread.variance_m2 } else { spread.sd_m2 };
+            let excess = Excess { variance_m2, sd_m2: excess_sd_m2 };
             let is_earliest = label.bounces <= EARLIEST;
             let of_companions = if is_earliest {
                 companion::pull(&companions.of(label), companions.least(label), excess)
@@ -52,11 +58,13 @@ impl Extents {
                 Pull::default()
             };
             let more_m = f64::max(0.0, variance_m2 - of_companions.variance_m2 - spread.sd_m2) / apart_m;
+            // The samples were explained by a point. What its patches spread moves that point.
+            let less_m = if is_point { NARROWER * f64::max(0.0, -variance_m2) / apart_m } else { 0.0 };
             pulls[place] = if is_earliest {
-                let sd_m = of_companions.sd_m.hypot(PULL_SD * more_m);
+                let sd_m = of_companions.sd_m.hypot(PULL_SD * more_m).hypot(less_m);
                 Pull { mean_m: of_companions.mean_m + more_m, sd_m, ..of_companions }
             } else {
-                Pull { sd_m: more_m, ..of_companions }
+                Pull { sd_m: more_m.hypot(less_m), ..of_companions }
             };
         }
         Self { footprints, pulls }
@@ -86,10 +94,17 @@ impl Widths {
         let Some(&resolved_ps) = ratios_ps.get(ratios_ps.len() / 2) else { return Self::default() };
         let spread = |(n, label): (usize, &Label)| {
             let width_ps = label.width_ps?;
-            let sd_ps2 = variance_sd_ps2(label).unwrap_or(UNSEEN * resolved_ps * label.time_sd_ps);
+            let own_sd_ps2 = variance_sd_ps2(label);
+            let sd_ps2 = own_sd_ps2.unwrap_or(resolved_ps * label.time_sd_ps);
+            let variance_ps2 = if own_sd_ps2.is_some() { width_ps * width_ps } else { UNSEEN * sd_ps2 };
             let squared_m2 = model.fields(label).medium.path_m(1.0).powi(2);
-            let bounces = bounces(&problem.observations[n].nodes, solution);
-            Some((n, Spread { bounces, variance_m2: squared_m2 * width_ps * width_ps, sd_m2: squared_m2 * sd_ps2 }))
+            let spread = Spread {
+                bounces: bounces(&problem.observations[n].nodes, solution),
+                variance_m2: squared_m2 * variance_ps2,
+                sd_m2: squared_m2 * sd_ps2,
+                is_limit: own_sd_ps2.is_none(),
+            };
+            Some((n, spread))
         };
         let (labels, spreads) = model.labels.iter().enumerate().filter_map(spread).unzip();
         Self { labels, spreads, resolved_ps }

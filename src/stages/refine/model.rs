@@ -214,12 +214,16 @@ impl<'a> Model<'a> {
         self.of_paths(problem, solution, |source, path, at, sensor| footprints.shift_m(source, path, at, sensor))
     }
 
-    /// Errors of these that onsets have in common: those of the sizes and directions of their patches.
+    /// Errors of these: what their expansion leaves out, for each onset by itself, and those of the sizes and directions
+    /// of their patches, which onsets have in common.
     pub fn add_common_errors(&self, footprints: &Footprints, problem: &mut Problem, solution: &Solution) {
         let changes =
             self.of_paths(problem, solution, |source, path, at, sensor| footprints.changes_m(source, path, at, sensor));
+        let doubts_m =
+            self.of_paths(problem, solution, |source, path, at, sensor| footprints.doubt_m(source, path, at, sensor));
         let patches: Vec<PatchId> = footprints.0.keys().copied().collect();
-        for (observation, changes) in problem.observations.iter_mut().zip(changes) {
+        for ((observation, changes), doubt_m) in problem.observations.iter_mut().zip(changes).zip(doubts_m) {
+            observation.sd_m = observation.sd_m.hypot(doubt_m);
             for (patch, each_m) in changes {
                 if patches.len() > COMMON_MAX {
                     let variance_m2: f64 = each_m.iter().map(|change_m| change_m * change_m).sum();
