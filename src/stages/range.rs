@@ -173,7 +173,7 @@ impl Apply for Range {
         // Third bounces over hidden patches tell of their legs too.
         let is_alone = apart.is_empty() && places.is_none() && thirds.is_empty();
         let too_few = if is_alone { missing::too_few(fields, &direct) } else { Vec::new() };
-        let open = places.map(|places| missing::open(places, &group)).unwrap_or_default();
+        let open = places.map(|places| missing::open(fields, places, &group)).unwrap_or_default();
         let too_few = too_few.into_iter().chain(open).map(|reason| Rejection::new(&campaign, reason));
         let doubts = rejections(&campaign, fields, &direct)
             .into_iter()

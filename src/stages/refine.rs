@@ -66,8 +66,6 @@ mod others;
 mod rows;
 mod weights;
 
-use std::collections::BTreeSet;
-
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
@@ -80,8 +78,8 @@ use crate::priors::footprints::{self, Extent};
 use crate::tables::{
     Ambiguity, Delay, Fit, Label, ONSET_KINDS, Patch, PatchCovariance, PatchFootprint, Residual, Row, Station, Suspect,
 };
-use crate::units::PatchId;
 use context::{Context, Fields};
+use doubtful::Later;
 use extents::Extents;
 use model::Model;
 use rows::{Fitted, Tables};
@@ -141,8 +139,7 @@ impl Stage for Refine {
 
 impl Apply for Refine {
     fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Patch>, StageError> {
-        let patches: BTreeSet<PatchId> = group.iter().flat_map(|label| [label.lit, label.seen]).collect();
-        let doubtful = doubtful::doubtful(&group, &patches.into_iter().collect::<Vec<_>>());
+        let later = Later::new(&group);
         let labels: Vec<Label> =
             group.into_iter().filter(|label| label.alternative == 0 && label.path.is_some()).collect();
         if labels.is_empty() {
@@ -198,7 +195,7 @@ impl Apply for Refine {
                 Residual::to_batch(&residuals),
                 Suspect::to_batch(&tables.suspects(&residuals)),
                 Fit::to_batch(&tables.fits()),
-                Ambiguity::to_batch(&tables.ambiguities(&doubtful)),
+                Ambiguity::to_batch(&tables.ambiguities(&later)),
                 PatchFootprint::to_batch(&tables.footprints(&footprints, &given)),
             ],
             rejections: unused_normals(context, is_fixed, &labels),

@@ -104,6 +104,20 @@ fn a_group_that_hangs_on_two_patches_may_fold_over() {
     assert!(all.map(|points| rms_m(points, &truth)).fold(f64::INFINITY, f64::min) < 0.001);
 }
 
+/// A patch with one neighbour has places all around: none of them is an alternative, and they hide no other.
+#[test]
+fn places_of_a_patch_that_can_move_are_no_alternatives() {
+    let truth: Vec<Point> = room::rectangles().into_iter().step_by(6).take(8).collect();
+    let groups: [&[usize]; 3] = [&[0, 1, 2, 3, 4], &[3, 4, 5, 6], &[0, 7]];
+    let is_within = |(a, b): &(usize, usize)| groups.iter().any(|group| group.contains(a) && group.contains(b));
+    let pairs: Vec<(usize, usize)> = room::all_pairs(truth.len()).into_iter().filter(is_within).collect();
+    let problem = measured(&truth, &[Point::origin()], &ways(truth.len(), &[0], &pairs), 1e-4, 12);
+    let placed = place(&problem);
+    let others = alternatives(&problem, &placed.points, &[7]);
+    assert!(others.iter().all(|other| !other.patches.contains(&7)), "{others:?}");
+    assert!(others.len() < 8 && others.iter().any(|other| other.patches == [5, 6]), "{others:?}");
+}
+
 #[test]
 fn complete_lengths_need_one_start_and_permuting_patches_permutes_the_answer() {
     let truth = room::rectangles();

@@ -43,7 +43,7 @@ pub fn too_few(fields: &ByCampaign<Fields>, direct: &Distances) -> Vec<String> {
 }
 
 /// Patches that have no place among the `places` that are given, and that no later light shows: why, one line for each.
-pub fn open(places: &Places, labels: &[Label]) -> Vec<String> {
+pub fn open(fields: &ByCampaign<Fields>, places: &Places, labels: &[Label]) -> Vec<String> {
     let paths = || labels.iter().filter(|label| label.alternative == 0).filter_map(|label| label.path.as_deref());
     let visible: BTreeSet<PatchId> = labels.iter().flat_map(|label| [label.lit, label.seen]).collect();
     let shown: BTreeSet<PatchId> = paths().filter(|path| path.len() > 2).flatten().copied().collect();
@@ -59,7 +59,11 @@ pub fn open(places: &Places, labels: &[Label]) -> Vec<String> {
             listed(patch, &patches, |other| others.contains(&other)),
         )
     };
-    visible.iter().filter(|patch| !places.has(**patch) && !shown.contains(patch)).map(line).collect()
+    let is_told = |patch: &PatchId| {
+        fields.values().any(|fields| fields.anchors.contains(patch) || fields.mirrors.contains(patch))
+    };
+    let is_open = |patch: &&PatchId| !places.has(**patch) && !shown.contains(patch) && !is_told(patch);
+    visible.iter().filter(is_open).map(line).collect()
 }
 
 /// The pairs of a patch with others without light, as (lit, seen).

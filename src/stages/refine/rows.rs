@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::doubtful::Later;
 use super::model::{Model, NamedStation};
 use super::others::Other;
 use crate::geometry::companion::Pull;
@@ -294,8 +295,8 @@ impl<'a> Tables<'a> {
         footprints.0.iter().map(row).collect()
     }
 
-    /// With patches whose later light contradicts their places, if they have some.
-    pub fn ambiguities(&self, doubtful: &[PatchId]) -> Vec<Ambiguity> {
+    /// With patches whose later light contradicts their places.
+    pub fn ambiguities(&self, later: &Later) -> Vec<Ambiguity> {
         let plain = |kind: &str, places: &[usize], meaning: &str| Ambiguity {
             kind: kind.into(),
             patches: self.ids(places),
@@ -322,10 +323,9 @@ impl<'a> Tables<'a> {
             rows.push(plain("open", &self.solution.open, "these patches can move without changing any path: they have too few onsets; capture more pairs with them"));
         }
         rows.extend(self.weak());
-        let unplaced = self.ids(&self.solution.unplaced());
-        let doubtful: Vec<PatchId> = doubtful.iter().copied().filter(|patch| !unplaced.contains(patch)).collect();
+        let doubtful = later.doubtful(&self.ids(&self.solution.unplaced()));
         if !doubtful.is_empty() {
-            let meaning = "no path explains most later light of these patches, unlike that of the others: they may stand in a wrong place; capture more pairs with them";
+            let meaning = "no path explains most later light of these patches: they may stand in a wrong place; capture more pairs with them";
             rows.push(Ambiguity { patches: doubtful, ..plain("doubtful", &[], meaning) });
         }
         for (n, other) in self.others.iter().enumerate() {
