@@ -3,7 +3,8 @@
 //! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for
 //! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone), `-- readings 20` for
 //! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 one` for the choice of the scene alone,
-//! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind; `-- sizes 20` for
+//! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind
+//! (`-- small-rooms 60 30`: only with 30 % missing); `-- sizes 20` for
 //! patches of centimetres whose sizes nobody gives; `-- locate 20` for small things behind a relay wall.
 
 #[allow(dead_code, reason = "the tests use more of it")]
@@ -62,7 +63,7 @@ fn main() {
         return print_locate(seeds);
     }
     if std::env::args().any(|arg| arg == "small-rooms") {
-        return print_small_rooms(seeds);
+        return print_small_rooms(seeds, numbers.get(1).copied());
     }
     if std::env::args().any(|arg| arg == "readings") {
         let is_one = std::env::args().any(|arg| arg == "one");
@@ -259,24 +260,28 @@ fn print_readings(seeds: u64, choices: &[Choice]) {
     }
 }
 
-/// Few patches, pairs missing, spurious onsets: which rooms are wrong without saying so.
-fn print_small_rooms(seeds: u64) {
+/// Few patches, pairs missing, spurious onsets: which rooms are wrong without saying so. With a share of missing pairs
+/// in percent, only those kinds.
+fn print_small_rooms(seeds: u64, missing_percent: Option<u64>) {
     println!(
-        "| pairs missing | profiles with a spurious onset | rooms | confidently wrong [95 %] | of these, fit not explained | wrong, and said so | refused | with open patches | with phantoms | p of errors (Kolmogorov) |"
+        "| pairs missing | profiles with a spurious onset | rooms | confidently wrong [95 %] | of these, fit not explained | wrong, and said so | refused | patches placed | with open patches | with phantoms | p of errors (Kolmogorov) |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
     let shares = [0.0, 0.3, 0.6].into_iter().flat_map(|missing| [0.0, 0.2, 0.4].map(|spurious| (missing, spurious)));
+    let shares = shares.filter(|(missing, _)| missing_percent.is_none_or(|only| (100.0 * missing) as u64 == only));
     for kind in shares.map(|(missing, spurious)| small_rooms::Kind { missing, spurious }) {
-        let rooms: Vec<small_rooms::Outcome> = (0..seeds).map(|seed| small_rooms::solve(kind, 1000 + seed)).collect();
-        for (seed, room) in (1000..).zip(&rooms).filter(|(_, room)| !room.confidently_wrong.is_empty()) {
-            eprintln!("{kind:?}, room {seed}: {room:?}");
+        let rooms = small_rooms::solve_all(kind, 1000..1000 + seeds);
+        for (seed, room) in (1000..).zip(&rooms) {
+            if room.refused.is_some() || !room.confidently_wrong.is_empty() || !room.wrong.is_empty() || room.open > 0 {
+                eprintln!("{kind:?}, room {seed}: {room:?}");
+            }
         }
         let count = |holds: fn(&small_rooms::Outcome) -> bool| rooms.iter().filter(|room| holds(room)).count();
         let solved = count(|room| room.refused.is_none());
         let wrong = count(|room| !room.confidently_wrong.is_empty());
         let chance = small_rooms::kolmogorov(rooms.iter().filter_map(|room| room.p_value).collect());
         println!(
-            "| {:.0} % | {:.0} % | {} | {wrong}: {} | {} | {} | {} | {} | {} | {} |",
+            "| {:.0} % | {:.0} % | {} | {wrong}: {} | {} | {} | {} | {} | {} | {} | {} |",
             100.0 * kind.missing,
             100.0 * kind.spurious,
             rooms.len(),
@@ -284,6 +289,11 @@ fn print_small_rooms(seeds: u64) {
             count(|room| !room.confidently_wrong.is_empty() && room.chi2_dof.is_some_and(|ratio| ratio > 2.0)),
             count(|room| room.confidently_wrong.is_empty() && !room.wrong.is_empty()),
             rooms.len() - solved,
+            format!(
+                "{} of {}",
+                rooms.iter().map(|room| room.patches - room.open).sum::<usize>(),
+                rooms.iter().map(|room| room.patches).sum::<usize>()
+            ),
             count(|room| room.open > 0),
             count(|room| room.phantoms > 0),
             chance.map_or("-".to_owned(), |chance| format!("{chance:.2}")),

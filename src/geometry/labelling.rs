@@ -57,8 +57,11 @@ mod rank;
 mod readings;
 mod scene;
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use periscope_cancel::Cancel;
 
+use crate::association::GATE;
 use crate::hidden::Hidden;
 use crate::units::PatchId;
 use assignment::Prior;
@@ -68,6 +71,7 @@ pub use comparison::Comparison;
 use layers::{Layers, is_bright};
 use paths::{Graph, INDIRECT, Pairs};
 pub use problem::Verdicts;
+use problem::View;
 pub use problem::{
     Arrival, HiddenPatches, Hypothesis, Loser, Medium, Options, Origin, Pair, Profile, SensorProfiles, Solution,
     Verdict,
@@ -91,12 +95,80 @@ pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Option
         return Solution { verdicts, ..Solution::default() }.of(readings);
     };
     let mut scene = scene.clone();
-    for _ in 0..MOVES {
+    let mut found: BTreeMap<PatchId, Hidden> = BTreeMap::new();
+    let mut moves = MOVES;
+    let solution = loop {
         let solution = label_in(sensors, &scene, options, cancel);
-        let Some((patch, place)) = beside(&solution, &scene, sensors, options) else { return solution };
-        scene = scene.moved(patch, &place);
+        if let Some((patch, place)) = shown(&solution, &scene, sensors, &found) {
+            scene = scene.moved(patch, &place);
+            found.insert(patch, place);
+        } else if let Some((patch, place)) = beside(&solution, &scene, sensors, options).filter(|_| moves > 0) {
+            moves -= 1;
+            scene = scene.moved(patch, &place);
+        } else {
+            break solution;
+        }
+    };
+    first_light(Solution { found: found.into_iter().collect(), ..solution }, &scene, sensors, options, cancel)
+}
+
+/// The surest hidden patch that is a visible one, and where it is: all direct light of the visible one comes when it
+/// should from there. (First light left its place open, or two places of which the wrong one was taken.)
+fn shown(
+    solution: &Solution,
+    scene: &Scene,
+    sensors: &[SensorProfiles],
+    found: &BTreeMap<PatchId, Hidden>,
+) -> Option<(PatchId, Hidden)> {
+    let profiles = || sensors.iter().flat_map(SensorProfiles::views);
+    let visible: BTreeSet<PatchId> = profiles().flat_map(|view| [view.profile.lit, view.profile.seen]).collect();
+    let explains = |patch: PatchId, place: &Hidden| {
+        let moved = scene.moved(patch, place);
+        let direct = profiles().map(|view| (view, view.profile.direct()));
+        let mut direct = direct.filter(|(_, path)| path.contains(&patch) && moved.has(path)).peekable();
+        let has_own = profiles().any(|view| view.profile.pair() == (patch, patch));
+        let comes = |(view, path): (View, Vec<PatchId>)| {
+            let expected = moved.predict(path, view).time;
+            let mut arrivals = view.profile.arrivals.iter();
+            arrivals.any(|one| view.off_ps(one.time_ps, expected.time_ps) < GATE * one.sd_ps.hypot(expected.sd_ps))
+        };
+        has_own && direct.peek().is_some() && direct.all(comes)
+    };
+    let hidden = solution.hypotheses.iter().filter(|one| one.layer == 1 && one.patch.is_some());
+    let mut pairs = hidden.flat_map(|one| visible.iter().map(move |patch| (*patch, one.surface)));
+    pairs.find(|(patch, place)| !found.contains_key(patch) && explains(*patch, place))
+}
+
+/// With direct light of patches that have no place, as first light tells it.
+fn first_light(
+    mut solution: Solution,
+    scene: &Scene,
+    sensors: &[SensorProfiles],
+    options: &Options,
+    cancel: &Cancel,
+) -> Solution {
+    for (n, sensor) in sensors.iter().enumerate() {
+        if sensor.profiles.iter().all(|profile| scene.has(&profile.direct())) {
+            continue;
+        }
+        let mut read = sensor.clone();
+        for (profile, arrivals) in read.profiles.iter_mut().zip(&solution.arrivals[n]) {
+            profile.arrivals = arrivals.iter().map(|(_, arrival)| *arrival).collect();
+        }
+        let blind = blind::label(&read, options, cancel);
+        for (profile, (verdicts, blind)) in read.profiles.iter().zip(solution.verdicts[n].iter_mut().zip(blind)) {
+            let direct = profile.direct();
+            if scene.has(&direct) {
+                continue;
+            }
+            for (verdicts, blind) in verdicts.iter_mut().zip(blind) {
+                if blind[0].path.as_ref() == Some(&direct) && verdicts[0].path.is_none() {
+                    *verdicts = blind;
+                }
+            }
+        }
     }
-    label_in(sensors, &scene, options, cancel)
+    solution
 }
 
 /// Labels by prediction.

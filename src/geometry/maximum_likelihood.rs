@@ -169,6 +169,19 @@ impl Solution {
         matches!(self.covariance, Covariance::Exact(_))
     }
 
+    /// Patches without a place among the others: those that can move, and small parts that turn on their own. (Of a
+    /// part of less than three patches, in flatland two, so little is fixed that it has no shape.)
+    #[must_use]
+    pub fn unplaced(&self) -> Vec<usize> {
+        let loose = self.parts.iter().zip(&self.free_rotations).skip(1);
+        let loose = loose.filter(|(part, free)| **free > 0 && part.len() < self.layout.dimensions);
+        let mut unplaced: Vec<usize> = loose.flat_map(|(part, _)| part.iter().copied()).collect();
+        unplaced.extend(&self.open);
+        unplaced.sort_unstable();
+        unplaced.dedup();
+        unplaced
+    }
+
     /// Number of unknowns.
     #[must_use]
     pub fn unknowns(&self) -> usize {
@@ -268,7 +281,30 @@ fn solve_by(problem: &Problem, means: Means) -> Result<Solution, Unsolved> {
     let rows = Rows::new(problem);
     let settled_m = if means == Means::Dense { SETTLED_M } else { SETTLED_MATRIX_FREE_M };
     let (values, loss, settled) = descend(&rows, means, STEPS, settled_m);
-    if settled { finish(&rows, means, values, loss) } else { Err(Unsolved::NotSettled) }
+    if settled {
+        return finish(&rows, means, values, loss);
+    }
+    if means != Means::Dense {
+        return Err(Unsolved::NotSettled);
+    }
+    // Patches that nothing determines slide on without end: the others are settled without them.
+    let open = finish(&rows, means, values.clone(), loss)?.open;
+    if open.is_empty() {
+        return Err(Unsolved::NotSettled);
+    }
+    let is_open = |node: &Node| node.patch().is_some_and(|patch| open.contains(&patch));
+    let kept = problem.observations.iter().filter(|observation| !observation.nodes.iter().any(is_open));
+    let rest = Problem { start: values.points.clone(), observations: kept.cloned().collect(), ..problem.clone() };
+    let (others, _, settled) = descend(&Rows::new(&rest), means, STEPS, settled_m);
+    if !settled {
+        return Err(Unsolved::NotSettled);
+    }
+    let mut values = Values { stations: others.stations, delays_m: others.delays_m, ..values };
+    for (patch, point) in others.points.into_iter().enumerate().filter(|(patch, _)| !open.contains(patch)) {
+        values.points[patch] = point;
+    }
+    let loss = means.cost(&rows, &values);
+    finish(&rows, means, values, loss)
 }
 
 /// Where at most `steps` steps lead, with the objective there, without covariance: to judge many starts by.
@@ -347,17 +383,15 @@ fn finish(rows: &Rows, means: Means, values: Values, loss: f64) -> Result<Soluti
                 Ok(covariance) => break Covariance::Exact(freedom::about_visible(rows, covariance, &columns)),
                 Err(motions) => {
                     let (more, free) = motions.ok_or_else(|| undetermined(problem))?;
-                    let new = freedom::open(rows, &free, &nulls);
+                    let new = freedom::open(rows, &values, &free, &nulls, &parts, &open);
                     if open.is_empty() {
                         loose = more;
                     }
-                    let before = open.len();
-                    open.extend(new);
-                    open.sort_unstable();
-                    open.dedup();
-                    if open.len() == before {
+                    if new.is_empty() {
                         return Err(undetermined(problem));
                     }
+                    open.extend(new);
+                    open.sort_unstable();
                 }
             }
         },

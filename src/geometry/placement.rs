@@ -148,6 +148,8 @@ struct Measurements<'a> {
     second_m: BTreeMap<(usize, usize), f64>,
     frame: Frame,
     apart_m: f64,
+    /// Patches whose place says nothing, since nothing determines it.
+    open: Vec<usize>,
 }
 
 impl<'a> Measurements<'a> {
@@ -172,7 +174,7 @@ impl<'a> Measurements<'a> {
         let first_m: Vec<Option<f64>> = firsts.into_iter().map(median).collect();
         let second_m = seconds.into_iter().filter_map(|(pair, lengths_m)| Some((pair, median(lengths_m)?))).collect();
         let apart_m = APART * median(sds_m).expect("there are observations");
-        Self { problem, of_patch, first_m, second_m, frame: Frame::new(problem), apart_m }
+        Self { problem, of_patch, first_m, second_m, frame: Frame::new(problem), apart_m, open: Vec::new() }
     }
 
     fn count(&self) -> usize {

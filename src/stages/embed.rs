@@ -23,6 +23,7 @@
 //! log-likelihood less that of the chosen one. Patches with too few distances stand in `rejects`.
 //!
 //! With `scenes` of `label`, patches are passed on as it placed them: alternatives that it took are the best places.
+//! A visible patch that `hypotheses` has stands where later light shows it.
 //!
 //! A patch that only hidden ones show has no distances: it stands where `hypotheses` of `label` has it, as do others
 //! that the distances do not place.
@@ -65,15 +66,11 @@ use crate::units::PatchId;
 pub struct Embed {
     #[serde(deserialize_with = "method_of")]
     method: Method,
-    /// Of the former method `landmark`, no longer read. It stays in recipes, so that stored tables remain valid, until
-    /// VERSION rises.
-    #[serde(skip_deserializing)]
-    landmarks: usize,
 }
 
 impl Default for Embed {
     fn default() -> Self {
-        Self { method: Method::Classical, landmarks: 100 }
+        Self { method: Method::Classical }
     }
 }
 
@@ -111,7 +108,7 @@ pub struct Context {
 
 impl Stage for Embed {
     const KIND: &'static str = "embed";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -156,7 +153,11 @@ impl Stage for Embed {
 impl Apply for Embed {
     fn apply(&self, context: &Context, group: Vec<Distance>) -> Result<Outcome<Patch>, StageError> {
         let mut rows = match &context.patches {
-            Some(patches) => patches.clone(),
+            // Where later light shows a visible patch, first light left its place open or took another.
+            Some(patches) => {
+                let is_found = |row: &Patch| context.hypotheses.iter().any(|one| one.patch == Some(row.patch));
+                patches.iter().filter(|row| &*row.kind == "hidden" || !is_found(row)).cloned().collect()
+            }
             None => self.visible(context, &group)?,
         };
         let (hidden, rejections) = hidden::place(context, &rows, &group);
@@ -268,7 +269,7 @@ impl Embed {
             Method::Incremental => {
                 let problem = measured.problem();
                 let points = placement::place(&problem).points;
-                let alternatives = placement::alternatives(&problem, &points);
+                let alternatives = placement::alternatives(&problem, &points, &[]);
                 return (points, alternatives);
             }
             Method::Classical => classical::embed(&measured.complete(), dimensions),

@@ -299,7 +299,7 @@ impl Apply for LabelOnsets {
         let options = self.options();
         let (scene, odds) = context.scene_of(&sensors, &options);
         let solution = labelling::label(&sensors, scene.as_ref(), &options, &context.cancel);
-        let hypotheses = rows::hypotheses(&solution.hypotheses, self.false_alarm.get());
+        let hypotheses = rows::hypotheses(&solution, self.false_alarm.get());
         Ok(Outcome {
             rejections: rows::rejections(&group, &sensors, solution.visible_in_line),
             rows: rows::labels(&group, &sensors, solution),

@@ -9,6 +9,9 @@
 //! sensor's latency is common to all `d_0i` and cancels in every `d_ij`. It is taken as exact here; `refine` gives it a
 //! prior.
 //!
+//! With `patches`, `rejects` lists visible patches that have no place there, and that no later light shows either, with
+//! the pairs in which no light of theirs was found.
+//!
 //! An anchor needs no distance. Other patches with fewer distances than coordinates stand in `rejects`, with the pairs
 //! that are missing: no later stage can place them.
 //!
@@ -83,7 +86,7 @@ pub struct Context {
 
 impl Stage for Range {
     const KIND: &'static str = "range";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -170,7 +173,8 @@ impl Apply for Range {
         // Third bounces over hidden patches tell of their legs too.
         let is_alone = apart.is_empty() && places.is_none() && thirds.is_empty();
         let too_few = if is_alone { missing::too_few(fields, &direct) } else { Vec::new() };
-        let too_few = too_few.into_iter().map(|reason| Rejection::new(&campaign, reason));
+        let open = places.map(|places| missing::open(fields, places, &group)).unwrap_or_default();
+        let too_few = too_few.into_iter().chain(open).map(|reason| Rejection::new(&campaign, reason));
         let doubts = rejections(&campaign, fields, &direct)
             .into_iter()
             .chain(too_few)

@@ -13,7 +13,8 @@
 //!
 //! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation. Anchors, rays
 //! and stations apart fix the frame. Without them, the frame of `patches` is a convention (table `fits`). What else is
-//! open stands in `ambiguities`: parts that share no path, patches that can move, mirror images, and flips. Mirror
+//! open stands in `ambiguities`: parts that share no path, patches that can move, mirror images, and flips; and patches
+//! whose later light mostly has no path, unlike that of the others (`doubtful`): they may stand in a wrong place. Mirror
 //! images and flips explain the onsets about as well; each has its likelihood, and is an alternative in `patches`. Its
 //! `probability` there is its share of the likelihood among all places of its patch. Onsets may leave a hidden patch
 //! two places, on either side of the wall that shows it: the one on the laser's side is chosen.
@@ -58,6 +59,7 @@
 
 mod companions;
 mod context;
+mod doubtful;
 mod extents;
 mod model;
 mod others;
@@ -77,6 +79,7 @@ use crate::tables::{
     Ambiguity, Delay, Fit, Label, ONSET_KINDS, Patch, PatchCovariance, PatchFootprint, Residual, Row, Station, Suspect,
 };
 use context::{Context, Fields};
+use doubtful::Later;
 use extents::Extents;
 use model::Model;
 use rows::{Fitted, Tables};
@@ -136,6 +139,7 @@ impl Stage for Refine {
 
 impl Apply for Refine {
     fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Patch>, StageError> {
+        let later = Later::new(&group);
         let labels: Vec<Label> =
             group.into_iter().filter(|label| label.alternative == 0 && label.path.is_some()).collect();
         if labels.is_empty() {
@@ -193,7 +197,7 @@ impl Apply for Refine {
                 Residual::to_batch(&residuals),
                 Suspect::to_batch(&tables.suspects(&residuals)),
                 Fit::to_batch(&tables.fits()),
-                Ambiguity::to_batch(&tables.ambiguities()),
+                Ambiguity::to_batch(&tables.ambiguities(&later)),
                 PatchFootprint::to_batch(&tables.footprints(&moved, &given)),
             ],
             rejections: unused_normals(context, is_fixed, &labels),

@@ -13,7 +13,7 @@ use crate::hidden::{self, Focus, Hidden, Room};
 use crate::units::PatchId;
 use crate::{Point, planes};
 
-/// Hidden patches, numbered on from the largest patch in place.
+/// Hidden patches, numbered on from the largest patch in place, lit or seen.
 pub(super) struct Layers<'a> {
     /// Patches in place before the search.
     scene: &'a Scene,
@@ -150,7 +150,9 @@ impl<'a> Layers<'a> {
 
     fn largest_patch(&self) -> PatchId {
         let in_campaigns = self.sensors.iter().map(|sensor| sensor.largest_patch);
-        let in_place = self.scene.points.keys().copied();
+        let profiles = self.sensors.iter().flat_map(|sensor| &sensor.profiles);
+        let ends = profiles.flat_map(|profile| [profile.lit, profile.seen]);
+        let in_place = self.scene.points.keys().copied().chain(ends);
         let hidden = self.patches[0].iter().map(|hidden| hidden.patch);
         in_campaigns.chain(in_place).chain(hidden).max().unwrap_or(0)
     }

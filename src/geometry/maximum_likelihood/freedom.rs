@@ -8,7 +8,7 @@ use faer::Mat;
 use nalgebra::Vector3;
 
 use super::matrix_free::{self, Matrix};
-use super::problem::{Node, Problem};
+use super::problem::{Node, Observation, Problem};
 use super::rows::{Rows, Values};
 use crate::dense;
 
@@ -16,6 +16,8 @@ use crate::dense;
 /// size relative to the largest.
 const ROUNDS: usize = 40;
 const OPEN: f64 = 1e-3;
+/// Patches that the search for the largest rigid body begins with.
+const STARTS: usize = 64;
 /// What is left of a direction of length 1 below this is nothing.
 const GONE: f64 = 1e-6;
 /// A rotation that changes no path by more than this (squared, relative to the stiffest direction) is free.
@@ -154,10 +156,82 @@ pub fn about_visible(rows: &Rows, covariance: Mat<f64>, nulls: &Mat<f64>) -> Mat
     left * free.transpose()
 }
 
+/// Patches, of those not `open` yet, that move in any of the directions `free` (columns) otherwise than the largest
+/// rigid body of their part. If all move with one, the patch that the fewest paths touch.
+pub fn open(
+    rows: &Rows,
+    values: &Values,
+    free: &Mat<f64>,
+    turns: &[Vec<f64>],
+    parts: &[Vec<usize>],
+    open: &[usize],
+) -> Vec<usize> {
+    let left = |patch: &usize| open.binary_search(patch).is_err();
+    let mut new: Vec<usize> = moving(rows, free, turns).into_iter().filter(left).collect();
+    let in_place = rows.problem.start.len() - open.len();
+    if new.is_empty() || 2 * new.len() > in_place {
+        // No body that most patches belong to: the largest.
+        new.clear();
+        for part in parts {
+            let part: Vec<usize> = part.iter().copied().filter(left).collect();
+            let body = body(rows, values, free, &part);
+            new.extend(part.into_iter().filter(|patch| !body.contains(patch)));
+        }
+    }
+    if new.is_empty() {
+        let paths = |patch: usize| {
+            let meets = |observation: &&Observation| observation.nodes.contains(&Node::Patch(patch));
+            rows.problem.observations.iter().filter(meets).count()
+        };
+        new.extend((0..rows.problem.start.len()).filter(left).min_by_key(|&patch| paths(patch)));
+    }
+    new
+}
+
+/// The largest set of patches of a part, as far as a greedy search goes, no two of which change their distance, nor
+/// that from the first station, in any of the directions `free` (columns).
+fn body(rows: &Rows, values: &Values, free: &Mat<f64>, part: &[usize]) -> Vec<usize> {
+    let motion = |patch: usize, column: usize| {
+        let mut motion = Vector3::zeros();
+        rows.layout.patch(patch).enumerate().for_each(|(k, i)| motion[k] = free[(i, column)]);
+        motion
+    };
+    let most = |column: usize| part.iter().map(|&patch| motion(patch, column).norm()).fold(f64::MIN_POSITIVE, f64::max);
+    let most: Vec<f64> = (0..free.ncols()).map(most).collect();
+    let holds = |arm: Vector3<f64>, moved: &dyn Fn(usize) -> Vector3<f64>| {
+        let along = arm.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
+        (0..free.ncols()).all(|column| along.dot(&moved(column)).abs() < OPEN * most[column])
+    };
+    let is_held = |&&patch: &&usize| holds(values.points[patch] - values.stations[0], &|column| motion(patch, column));
+    let held: Vec<usize> = part.iter().filter(is_held).copied().collect();
+    let is_rigid = |a: usize, b: usize| {
+        rows.problem.cancel.check();
+        holds(values.points[a] - values.points[b], &|column| motion(a, column) - motion(b, column))
+    };
+    let rigid: Vec<Vec<bool>> =
+        held.iter().map(|&a| held.iter().map(|&b| a == b || is_rigid(a, b)).collect()).collect();
+    let degree = |n: usize| rigid[n].iter().filter(|rigid| **rigid).count();
+    let mut order: Vec<usize> = (0..held.len()).collect();
+    order.sort_by_key(|&n| (std::cmp::Reverse(degree(n)), n));
+    let mut largest: Vec<usize> = Vec::new();
+    for &first in order.iter().take(STARTS) {
+        let mut body = vec![first];
+        for &next in &order {
+            if next != first && body.iter().all(|&member| rigid[member][next]) {
+                body.push(next);
+            }
+        }
+        if body.len() > largest.len() {
+            largest = body;
+        }
+    }
+    largest.into_iter().map(|n| held[n]).collect()
+}
+
 /// Patches that move in any of the directions `free` (columns) by more than a rotation of all patches: rotations, in
 /// the span of `turns`, are fitted by least absolute values, so that the few patches that move on their own do not
 /// count.
-pub fn open(rows: &Rows, free: &Mat<f64>, turns: &[Vec<f64>]) -> Vec<usize> {
+fn moving(rows: &Rows, free: &Mat<f64>, turns: &[Vec<f64>]) -> Vec<usize> {
     let patches = rows.problem.start.len();
     let mut moves = vec![0.0_f64; patches];
     for column in 0..free.ncols() {

@@ -301,6 +301,31 @@ fn a_patch_without_neighbours_is_a_part_of_its_own_and_one_with_a_neighbour_too_
     assert!((solution.chi2 / solution.degrees_of_freedom as f64 - 1.0).abs() < 0.2);
 }
 
+/// First bounces of all, and second ones of some pairs, without noise.
+fn of_pairs(truth: &[Point], has: impl Fn(usize, usize) -> bool) -> Problem {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut kept = observations(truth, 0.0, &mut rng);
+    kept.retain(|observation| {
+        let patches: Vec<usize> = observation.nodes.iter().filter_map(Node::patch).collect();
+        patches.len() < 2 || has(patches[1], patches[0])
+    });
+    let start = truth.iter().map(|p| p + Vector3::from_fn(|_, _| rng.random_range(-1e-3..1e-3))).collect();
+    problem(start, kept, 1e-6)
+}
+
+/// 5 to 7 turn about the line through the laser and patch 4. In a ring nothing is rigid but each pair.
+#[test]
+fn of_bodies_that_turn_about_one_another_the_largest_is_determined() {
+    let truth: Vec<Point> = room::rectangles().into_iter().step_by(6).take(8).collect();
+    let solution = solve(&of_pairs(&truth, |a, b| b <= 4 || a >= 4)).unwrap();
+    assert_eq!((solution.open.as_slice(), solution.free_rotations.as_slice()), ([5, 6, 7].as_slice(), [3].as_slice()));
+    let sd_m = |patch: usize| solution.patch_covariance_m2(patch, patch).trace().sqrt();
+    assert!((0..5).all(|patch| sd_m(patch) > 0.0 && sd_m(patch) < 1e-3));
+    let solution = solve(&of_pairs(&truth, |a, b| b == a + 1 || (a, b) == (0, 7))).unwrap();
+    assert_eq!(solution.open.len(), 6, "{:?}", solution.open);
+    assert_eq!(solution.unplaced(), solution.open);
+}
+
 #[test]
 fn two_halves_that_do_not_see_each_other_are_two_parts() {
     let (truth, mut rng) = (room::rectangles(), ChaCha8Rng::seed_from_u64(13));

@@ -30,14 +30,15 @@ pub struct Alternative {
 }
 
 /// Other solutions near in likelihood to the one at `points`, likeliest first. Where stations, anchors and rays leave a
-/// rotation free, the mirror image of the whole is a convention as the rotation is, and no alternative.
+/// rotation free, the mirror image of the whole is a convention as the rotation is, and no alternative. Nor is another
+/// place of a patch in `open`: nothing determines these, so that they have any number of places.
 ///
 /// # Panics
 /// As [`super::place`], and when there are not as many points as patches.
 #[must_use]
-pub fn alternatives(problem: &Problem, points: &[Point]) -> Vec<Alternative> {
+pub fn alternatives(problem: &Problem, points: &[Point], open: &[usize]) -> Vec<Alternative> {
     assert!(points.len() == problem.start.len(), "{} points, {} patches", points.len(), problem.start.len());
-    let measurements = Measurements::new(problem);
+    let measurements = Measurements { open: open.to_vec(), ..Measurements::new(problem) };
     let best = measurements.settle(points.iter().copied().map(Some).collect(), STEPS);
     let mirrored = measurements.mirrored(&best).map(|state| (Kind::Mirror, state));
     let flips = measurements.moves(&best).into_iter().filter_map(|(patch, point)| {
@@ -70,6 +71,7 @@ impl Measurements<'_> {
     /// Patches whose places differ.
     pub(super) fn elsewhere(&self, a: &State, b: &State) -> Vec<usize> {
         let places = a.points().into_iter().zip(b.points()).enumerate();
-        places.filter(|(_, (a, b))| (a - b).norm() > self.apart_m).map(|(patch, _)| patch).collect()
+        let differ = places.filter(|(patch, (a, b))| (a - b).norm() > self.apart_m && !self.open.contains(patch));
+        differ.map(|(patch, _)| patch).collect()
     }
 }

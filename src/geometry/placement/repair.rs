@@ -42,7 +42,7 @@ impl Measurements<'_> {
     /// Patch and place of all moves with some hope, most promising first.
     pub(super) fn moves(&self, now: &State) -> Vec<(usize, Point)> {
         let mut moves = Vec::new();
-        for (patch, here) in now.points().into_iter().enumerate() {
+        for (patch, here) in now.points().into_iter().enumerate().filter(|(patch, _)| !self.open.contains(patch)) {
             self.problem.cancel.check();
             let ties = self.ties(patch, now);
             let cost = multilateration::cost(&ties, here, self.problem.loss);

@@ -29,7 +29,9 @@ impl Measurements<'_> {
             return Vec::new();
         }
         // One that is tied to all others is as well tied as it can be.
-        let is_weak = |patch: &usize| next[*patch].len() <= FEW && next[*patch].len() + 1 < self.count();
+        let is_weak = |patch: &usize| {
+            next[*patch].len() <= FEW && next[*patch].len() + 1 < self.count() && !self.open.contains(patch)
+        };
         let mut others: Vec<State> = Vec::new();
         for first in (0..self.count()).filter(is_weak).take(FIRST) {
             self.problem.cancel.check();
@@ -64,8 +66,10 @@ impl Measurements<'_> {
         let mut turned = points.clone();
         for _ in 0..ROUNDS {
             // Patches that lie elsewhere weigh little.
-            let weights: Vec<f64> =
-                turned.iter().zip(&targets).map(|(a, b)| self.apart_m / (a - b).norm().hypot(self.apart_m)).collect();
+            let weight = |(patch, (a, b)): (usize, (&Point, &Point))| {
+                if self.open.contains(&patch) { 0.0 } else { self.apart_m / (a - b).norm().hypot(self.apart_m) }
+            };
+            let weights: Vec<f64> = turned.iter().zip(&targets).enumerate().map(weight).collect();
             let weighted = |all: &[Point]| -> Vec<Point> {
                 all.iter().zip(&weights).map(|(point, weight)| centre + *weight * (point - centre)).collect()
             };

@@ -83,7 +83,7 @@ fn a_patch_with_two_neighbours_has_a_twin_and_its_mirror_image_is_one_of_the_two
         .collect();
     without(&mut problem, |p| p.len() == 2 && p.contains(&10) && !kept.iter().any(|k| k == p));
     let placed = place(&problem);
-    let others = alternatives(&problem, &placed.points);
+    let others = alternatives(&problem, &placed.points, &[]);
     assert_eq!(others.len(), 1, "{others:?}");
     assert!(others[0].kind == Kind::Flip && others[0].patches == [10] && others[0].more.abs() < 1e-3);
     assert!(rms_m(&placed.points, &truth).min(rms_m(&others[0].points, &truth)) < 0.001);
@@ -98,10 +98,24 @@ fn a_group_that_hangs_on_two_patches_may_fold_over() {
     let pairs: Vec<(usize, usize)> = room::all_pairs(truth.len()).into_iter().filter(is_within).collect();
     let problem = measured(&truth, &[Point::origin()], &ways(truth.len(), &[0], &pairs), 1e-4, 11);
     let placed = place(&problem);
-    let others = alternatives(&problem, &placed.points);
+    let others = alternatives(&problem, &placed.points, &[]);
     assert!(others.iter().any(|other| other.patches == [5, 6] && other.more.abs() < 1e-3), "{others:?}");
     let all = others.iter().map(|other| &other.points).chain([&placed.points]);
     assert!(all.map(|points| rms_m(points, &truth)).fold(f64::INFINITY, f64::min) < 0.001);
+}
+
+/// A patch with one neighbour has places all around: none of them is an alternative, and they hide no other.
+#[test]
+fn places_of_a_patch_that_can_move_are_no_alternatives() {
+    let truth: Vec<Point> = room::rectangles().into_iter().step_by(6).take(8).collect();
+    let groups: [&[usize]; 3] = [&[0, 1, 2, 3, 4], &[3, 4, 5, 6], &[0, 7]];
+    let is_within = |(a, b): &(usize, usize)| groups.iter().any(|group| group.contains(a) && group.contains(b));
+    let pairs: Vec<(usize, usize)> = room::all_pairs(truth.len()).into_iter().filter(is_within).collect();
+    let problem = measured(&truth, &[Point::origin()], &ways(truth.len(), &[0], &pairs), 1e-4, 12);
+    let placed = place(&problem);
+    let others = alternatives(&problem, &placed.points, &[7]);
+    assert!(others.iter().all(|other| !other.patches.contains(&7)), "{others:?}");
+    assert!(others.len() < 8 && others.iter().any(|other| other.patches == [5, 6]), "{others:?}");
 }
 
 #[test]
@@ -109,7 +123,7 @@ fn complete_lengths_need_one_start_and_permuting_patches_permutes_the_answer() {
     let truth = room::rectangles();
     let (problem, _) = colocated(&truth, 0.3, 0.002, 4);
     let placed = place(&problem);
-    assert!(placed.starts == 1 && alternatives(&problem, &placed.points).is_empty());
+    assert!(placed.starts == 1 && alternatives(&problem, &placed.points, &[]).is_empty());
     let mut flipped = problem.clone();
     for node in flipped.observations.iter_mut().flat_map(|o| &mut o.nodes) {
         if let Node::Patch(patch) = node {
@@ -187,7 +201,7 @@ fn separate_stations_that_span_space_leave_nothing_free() {
     let placed = place(&problem);
     let (right, loss) = maximum_likelihood::approach(&Problem { start: truth, ..problem.clone() }, STEPS, SETTLED_M);
     assert!(plain_rms_m(&placed.points, &right.points) < 1e-4 && placed.loss < loss + SAME);
-    assert!(alternatives(&problem, &placed.points).is_empty());
+    assert!(alternatives(&problem, &placed.points, &[]).is_empty());
 }
 
 /// Root of the mean squared error after the best turn about the x axis; `mirrored` first in the plane of x and z.
@@ -221,7 +235,7 @@ fn one_separate_sensor_attains_the_bound() {
         squares += rms_m(false).min(rms_m(true)).powi(2);
         let information = Information::of_ways(&truth, &stations, &ways, &vec![SD_M; ways.len()], 0.0);
         bounds += room::bound_of_m(&information.of_positions(), 1).powi(2);
-        assert!(alternatives(&problem, &placed.points).is_empty());
+        assert!(alternatives(&problem, &placed.points, &[]).is_empty());
     }
     let ratio = (squares / bounds).sqrt();
     // Two angles make most of the error, so that a mean over 30 scenes is known to some 10 %.
@@ -246,7 +260,7 @@ fn stations_in_a_plane_leave_the_mirror_image_of_the_whole() {
     let stations = [Point::origin(), Point::new(0.5, 0.0, 0.0), Point::new(-0.1, 0.0, 0.4)];
     let problem = measured(&truth, &stations, &ways(truth.len(), &[1, 2], &room::all_pairs(truth.len())), 1e-4, 10);
     let placed = place(&problem);
-    let others = alternatives(&problem, &placed.points);
+    let others = alternatives(&problem, &placed.points, &[]);
     assert_eq!(others.len(), 1, "{:?}", others.iter().map(|o| (&o.patches, o.more)).collect::<Vec<_>>());
     assert!(others[0].kind == Kind::Mirror && others[0].patches.len() == 49 && others[0].more.abs() < 1e-6);
     assert!(plain_rms_m(&placed.points, &truth).min(plain_rms_m(&others[0].points, &truth)) < 0.001);

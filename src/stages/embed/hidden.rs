@@ -33,7 +33,10 @@ pub fn place(context: &Context, given: &[Patch], distances: &[Distance]) -> (Vec
             Some((distance.clone(), *point))
         };
         let neighbours: Vec<(Distance, Point)> = distances.iter().filter_map(seen_from).collect();
-        let mut places = places(&neighbours, context);
+        let was_visible = |row: &Patch| row.patch == patch && &*row.kind == "visible";
+        let is_visible = context.patches.iter().flatten().any(was_visible);
+        // Of a visible patch, later light tells more than the few distances that left its place open.
+        let mut places = if is_visible { Vec::new() } else { places(&neighbours, context) };
         let mut onsets: i32 = neighbours.iter().map(|(distance, _)| distance.onsets).sum();
         if places.is_empty() {
             let of_patch = context.hypotheses.iter().filter(|hypothesis| hypothesis.patch == Some(patch));
@@ -45,7 +48,7 @@ pub fn place(context: &Context, given: &[Patch], distances: &[Distance]) -> (Vec
             rejections.push(left_out(context, patch, &neighbours));
             continue;
         };
-        let is_hidden = neighbours.iter().all(|(distance, _)| distance.bounces >= 3);
+        let is_hidden = !is_visible && neighbours.iter().all(|(distance, _)| distance.bounces >= 3);
         let kind = if is_hidden { "hidden" } else { "visible" };
         rows.push(start(patch, kind, first.point, onsets));
         for other in &places[1..] {

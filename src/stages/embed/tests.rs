@@ -116,7 +116,7 @@ fn without_known_patches_the_visible_are_embedded_first() {
     let mut distances: Vec<Distance> = (1..=10).flat_map(|b| (0..b).map(move |a| distance(a, b))).collect();
     let seen = ranges(21, truth, &points, &[1, 3, 4, 7, 8, 10]);
     for method in [Method::Classical, Method::Incremental] {
-        let embed = Embed { method, ..Embed::default() };
+        let embed = Embed { method };
         let visible = embed.apply(&context(3, None), distances.clone()).unwrap();
         let both = embed.apply(&context(3, None), [distances.clone(), seen.clone()].concat()).unwrap();
         assert_eq!(both.rows[..10], visible.rows);
@@ -168,4 +168,31 @@ fn hypotheses_place_what_distances_do_not() {
     assert!((point(first) - truth).norm() < 1e-6 && first.patch == 21, "{first:?}");
     assert_eq!((second.patch, second.x_m, second.onsets, &*second.kind), (22, -1.0, 40, "hidden"));
     assert_eq!((other.patch, other.x_m, other.log_likelihood), (22, -2.0, Some(-1.0)));
+}
+
+/// First light left its place open; later light shows it.
+#[test]
+fn a_visible_patch_that_later_light_shows_stands_there() {
+    let points = walls();
+    let mut given = patches(&points);
+    given[3] = Patch { sd_m: None, cov_xx_m2: None, x_m: 5.0, ..given[3].clone() };
+    given.push(Patch { alternative: 1, x_m: 6.0, ..given[3].clone() });
+    let hypothesis = Hypothesis {
+        kind: "patch".into(),
+        layer: 1,
+        patch: Some(4),
+        x_m: points[3].x,
+        y_m: points[3].y,
+        z_m: points[3].z,
+        onsets: 9.0,
+        ..Hypothesis::default()
+    };
+    let context = Context { hypotheses: vec![hypothesis], ..context(3, Some(given)) };
+    // Few distances, which leave a circle.
+    let rows = Embed::default().apply(&context, ranges(4, points[3], &points, &[1, 2])).unwrap().rows;
+    assert_eq!(rows.len(), 10);
+    let of_four: Vec<&Patch> = rows.iter().filter(|row| row.patch == 4).collect();
+    let [row] = of_four[..] else { panic!("{of_four:?}") };
+    assert_eq!((&*row.kind, row.alternative), ("visible", 0));
+    assert!((point(row) - points[3]).norm() < 1e-9, "{row:?}");
 }

@@ -75,11 +75,18 @@ fn snr(onset: &Onset, part: i32) -> f64 {
     of_part.map_or(onset.snr, |amplitude| onset.snr * (amplitude / onset.amplitude).abs())
 }
 
-/// Each surface, and as its alternative 1 the other place where it may be.
-pub(super) fn hypotheses(hypotheses: &[labelling::Hypothesis], false_alarm: f64) -> Vec<Hypothesis> {
+/// Each surface, and as its alternative 1 the other place where it may be. Visible patches that their light shows come
+/// first.
+pub(super) fn hypotheses(solution: &Solution, false_alarm: f64) -> Vec<Hypothesis> {
     let needed = -false_alarm.ln();
+    let found = solution.found.iter().map(|(patch, surface)| labelling::Hypothesis {
+        layer: 1,
+        patch: Some(*patch),
+        surface: *surface,
+        rival: None,
+    });
     let mut rows = Vec::new();
-    for (number, one) in (1..).zip(hypotheses) {
+    for (number, one) in (1..).zip(found.chain(solution.hypotheses.iter().copied())) {
         let places = std::iter::once(one.surface).chain(one.rival);
         let of_place = |(alternative, place): (i32, Hidden)| Hypothesis {
             layer: one.layer,

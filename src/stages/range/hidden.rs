@@ -56,6 +56,11 @@ impl Places {
         Ok(Some(Self { points, covariances, visible, delays }))
     }
 
+    /// Whether a patch has a place.
+    pub fn has(&self, patch: PatchId) -> bool {
+        self.points.contains_key(&patch)
+    }
+
     fn covariance_m2(&self, a: PatchId, b: PatchId) -> Matrix3<f64> {
         if a == b { self.points[&a].1 } else { self.covariances.between(a, b) }
     }

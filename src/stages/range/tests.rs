@@ -1,4 +1,5 @@
 use super::*;
+use crate::tables::Patch;
 use crate::units;
 use std::path::Path;
 
@@ -127,4 +128,36 @@ fn a_patch_with_too_few_pairs_is_named_with_those_that_are_missing() {
     }
     let given = ["position_m = [0.0, 0.0, 4.0]\n", "ray = { from = 'laser', direction = [0.0, 0.0, 1.0] }\n"];
     given.iter().for_each(|more| assert_eq!(with(more), Vec::<String>::new()));
+}
+
+/// With `patches`, of which 4 has no place: it is named unless later light shows it.
+#[test]
+fn a_visible_patch_that_stays_open_is_named_with_the_pairs_that_are_missing() {
+    let row = |patch: PatchId| Patch {
+        patch,
+        kind: "visible".into(),
+        z_m: f64::from(patch),
+        cov_xx_m2: (patch != 4).then_some(1e-6),
+        cov_xy_m2: Some(0.0),
+        cov_xz_m2: Some(0.0),
+        cov_yy_m2: Some(1e-6),
+        cov_yz_m2: Some(0.0),
+        cov_zz_m2: Some(1e-6),
+        ..Patch::default()
+    };
+    let rows: Vec<Patch> = (1..=4).map(row).collect();
+    let with = |paths: &[&[PatchId]]| {
+        let beside = BesideTables::from([("patches".to_owned(), vec![Patch::to_batch(&rows)])]);
+        let text = "[campaign]\nname = 'c'\ngroup_index = 1.0\n[sensors.near]\n";
+        let range = Range::default();
+        let campaign = Campaign::parse(Path::new("c"), text).unwrap();
+        let context = range.context(range.fields(&[campaign]), &beside).unwrap();
+        let outcome = range.apply(&context, labels("near", 0.0, paths)).unwrap();
+        reasons(&outcome).iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    let [reason] = &with(&[&[1], &[2], &[3], &[4], &[1, 2], &[4, 1]])[..] else { panic!("one is open") };
+    for part in ["patch 4 stays open", "pairs with light: 1)", "(4, 2) (2, 4) (4, 3) (3, 4);"] {
+        assert!(reason.contains(part), "{reason}");
+    }
+    assert_eq!(with(&[&[1], &[2], &[3], &[4], &[1, 2], &[4, 1], &[2, 4, 3]]), Vec::<String>::new());
 }

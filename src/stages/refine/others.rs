@@ -31,6 +31,17 @@ pub struct Other {
     pub solution: Solution,
 }
 
+impl Other {
+    /// Whether both move the same patches to the same places.
+    fn is_same(&self, other: &Self) -> bool {
+        let is_near = |&place: &usize| {
+            let sd_m = self.solution.patch_covariance_m2(place, place).trace().max(0.0).sqrt();
+            (self.solution.points[place] - other.solution.points[place]).norm() <= SAME * sd_m
+        };
+        self.patches == other.patches && self.patches.iter().all(is_near)
+    }
+}
+
 /// The likeliest solution, and others that are about as likely. Among these, one with hidden patches in front of the
 /// wall that shows them comes before one with them behind.
 pub fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (Solution, Vec<Other>) {
@@ -43,14 +54,19 @@ pub fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (So
     for _ in 0..ROUNDS {
         // What the model does not explain makes likelihoods look more certain than they are.
         let misfit = best.misfit;
-        let starts = placement::alternatives(problem, &best.points).into_iter();
+        let starts = placement::alternatives(problem, &best.points, &best.unplaced()).into_iter();
         let solved = starts.filter(|start| !is_turned(&start.kind, &best)).filter_map(|start| {
             let solution = maximum_likelihood::solve(&Problem { start: start.points, ..problem.clone() }).ok()?;
             let log_likelihood = -0.5 * (solution.loss - best.loss) / misfit;
             let is_mirror_image = start.kind == Kind::Mirror;
             Some(Other { patches: start.patches, is_mirror_image, log_likelihood, solution })
         });
-        others = solved.filter(|other| -2.0 * other.log_likelihood < LIKELY).take(ALTERNATIVES).collect();
+        others.clear();
+        for other in solved.filter(|other| -2.0 * other.log_likelihood < LIKELY) {
+            if others.len() < ALTERNATIVES && !others.iter().any(|old| old.is_same(&other)) {
+                others.push(other);
+            }
+        }
         let is_better = |other: &Other| {
             let behind = |solution: &Solution| model.behind(problem, solution, &other.patches);
             match behind(&other.solution).cmp(&behind(&best)) {

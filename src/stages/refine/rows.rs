@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::doubtful::Later;
 use super::model::{Model, NamedStation};
 use super::others::Other;
 use crate::geometry::companion::Pull;
@@ -97,7 +98,7 @@ impl<'a> Tables<'a> {
         let patch = self.model.patches[place];
         let point = self.turned(solution.points[place]);
         let cov = solution.misfit * self.turn * solution.patch_covariance_m2(place, place) * self.turn.transpose();
-        let determined = (!solution.open.contains(&place)).then_some(cov);
+        let determined = (!solution.unplaced().contains(&place)).then_some(cov);
         let chi2_dof = (solution.degrees_of_freedom > 0).then(|| solution.chi2 / solution.degrees_of_freedom as f64);
         Patch {
             onsets: self.onsets.get(&patch).copied().unwrap_or(0),
@@ -129,7 +130,8 @@ impl<'a> Tables<'a> {
         is_moved: impl Fn(usize) -> bool,
     ) -> Vec<PatchCovariance> {
         let misfit = solution.misfit;
-        let has = |place: &usize| !solution.open.contains(place);
+        let unplaced = solution.unplaced();
+        let has = |place: &usize| !unplaced.contains(place);
         let determined: Vec<usize> = (0..self.model.patches.len()).filter(has).collect();
         let pairs = determined.iter().enumerate().flat_map(|(n, &a)| determined[n + 1..].iter().map(move |&b| (a, b)));
         let row = |(a, b): (usize, usize)| {
@@ -293,7 +295,8 @@ impl<'a> Tables<'a> {
         footprints.0.iter().map(row).collect()
     }
 
-    pub fn ambiguities(&self) -> Vec<Ambiguity> {
+    /// With patches whose later light contradicts their places.
+    pub fn ambiguities(&self, later: &Later) -> Vec<Ambiguity> {
         let plain = |kind: &str, places: &[usize], meaning: &str| Ambiguity {
             kind: kind.into(),
             patches: self.ids(places),
@@ -320,6 +323,11 @@ impl<'a> Tables<'a> {
             rows.push(plain("open", &self.solution.open, "these patches can move without changing any path: they have too few onsets; capture more pairs with them"));
         }
         rows.extend(self.weak());
+        let doubtful = later.doubtful(&self.ids(&self.solution.unplaced()));
+        if !doubtful.is_empty() {
+            let meaning = "no path explains most later light of these patches: they may stand in a wrong place; capture more pairs with them";
+            rows.push(Ambiguity { patches: doubtful, ..plain("doubtful", &[], meaning) });
+        }
         for (n, other) in self.others.iter().enumerate() {
             let (kind, meaning) = if other.is_mirror_image {
                 (
@@ -351,7 +359,8 @@ impl<'a> Tables<'a> {
             let covariance = self.solution.patch_covariance_m2(place, place);
             covariance.symmetric_eigenvalues().max().max(0.0).sqrt()
         };
-        let is_determined = |place: &usize| !self.solution.open.contains(place);
+        let unplaced = self.solution.unplaced();
+        let is_determined = |place: &usize| !unplaced.contains(place);
         let sds_m: Vec<(usize, f64)> =
             (0..self.model.patches.len()).filter(is_determined).map(|place| (place, sd_m(place))).collect();
         let mut sorted: Vec<f64> = sds_m.iter().map(|(_, sd_m)| *sd_m).collect();

@@ -91,3 +91,46 @@ fn a_floor_is_a_plane_and_no_patches() {
     let up = floor.surface.normal(floor.point).expect("a plane has a normal");
     assert!((floor.point.z + 1.5).abs() < 0.02 && up.z > 0.999, "{planes:?}");
 }
+
+/// Labels where the last of the wall's patches has no place.
+fn without_last(points: &[Point], made: &[Made]) -> Solution {
+    let options = Options { bounces: 3, ..OPTIONS };
+    let scene = scene(&points[..points.len() - 1], 1e-4);
+    label(&[PLAIN.sensor((0.0, 0.0), made)], Some(&scene), &options, &Cancel::never())
+}
+
+fn paths(solution: Solution) -> Vec<Vec<PatchId>> {
+    verdicts(solution).into_iter().filter_map(|mut verdicts| verdicts.swap_remove(0).path).collect()
+}
+
+/// Third bounces over it place it, and it is no hidden one; its direct light is labelled as that of others.
+#[test]
+fn a_visible_patch_without_a_place_is_found_by_its_later_light() {
+    let points = wall(0.3);
+    let last = points[7];
+    let made = made(&points[..7], 6, |a, b| (a - last).norm() + (b - last).norm());
+    // Of its own profiles only the first bounce was captured.
+    let own = Arrival::point(units::time_ps(2.0 * last.coords.norm(), 1.0), SD_PS, 10.0);
+    let own = Made { lit: 8, seen: 8, arrival: own, path: None, turns: 0 };
+    let made: Vec<Made> = made.into_iter().chain([own]).collect();
+    let solution = without_last(&points, &made);
+    let [(patch, place)] = &solution.found[..] else { panic!("one patch is found: {solution:?}") };
+    assert!(*patch == 8 && (place.point - last).norm() < 0.02, "{solution:?}");
+    assert!(solution.hypotheses.iter().all(|one| one.patch.is_none()), "{solution:?}");
+    let paths = paths(solution);
+    assert!(paths.contains(&vec![8]) && paths.iter().filter(|path| path.get(1) == Some(&8)).count() > 30, "{paths:?}");
+}
+
+/// Without later light it stays without a place, but its direct light keeps its labels; a hidden patch has a new number.
+#[test]
+fn direct_light_of_a_patch_without_a_place_is_labelled_by_first_light() {
+    let points = wall(0.3);
+    let over = Point::from(HIDDEN);
+    let solution = without_last(&points, &made(&points, 7, |a, b| (a - over).norm() + (b - over).norm()));
+    assert!(solution.found.is_empty());
+    assert!(solution.hypotheses.iter().filter_map(|one| one.patch).eq([9]), "{solution:?}");
+    let paths = paths(solution);
+    for direct in [vec![8], vec![1, 8], vec![8, 1], vec![3, 8]] {
+        assert!(paths.contains(&direct), "{direct:?} of {paths:?}");
+    }
+}
