@@ -12,8 +12,8 @@
 //! `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1
 //! % of the shift where legs are longer than three sizes. Near the plane of the patch at the other end of a leg the
 //! expansion is worse: of `ln |h + n'u|`, with the height `h` over that plane, the next term is a share `(size / 4h)^2`
-//! of the one that is kept. What that makes of the shift is its [`Footprints::doubt_m`]. Not modelled: glossy patches, a
-//! spot smaller than its patch.
+//! of the one that is kept. What that makes of the shift is its [`Footprints::doubt_m`]. Not modelled: glossy patches,
+//! a spot smaller than its patch.
 
 mod from_widths;
 

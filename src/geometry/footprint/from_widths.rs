@@ -9,8 +9,8 @@
 //!
 //! with `g` the gradient of the path's length by the place of the patch; those of several bounces add up. Paths in many
 //! directions tell all three coordinates of `v`, but for its sign, which does not matter. So `v` of all patches are
-//! fitted to the widths of all pulses, all at once; of many patches, patch by patch in turns. A patch sends light to the
-//! side that it is lit from, so that directions with the two legs of a bounce on different sides count against a normal;
+//! fitted to the widths of all pulses, all at once; of many patches, patch by patch in turns. A patch sends light to
+//! the side that it is lit from. So directions with the two legs of a bounce on different sides count against a normal,
 //! but no more than widths may outweigh, since light goes through some things. Where it goes through most patches, it
 //! may go through all. Patches of one campaign are about as large as one another (within 30 %). A width that all pulses
 //! have in common is that of the response, which was not as calibrated: its variance is fitted too. Pulses that blend
