@@ -12,8 +12,8 @@
 //! `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1
 //! % of the shift where legs are longer than three sizes. Near the plane of the patch at the other end of a leg the
 //! expansion is worse: of `ln |h + n'u|`, with the height `h` over that plane, the next term is a share `(size / 4h)^2`
-//! of the one that is kept. What that makes of the shift is its [`Footprints::doubt_m`]. Not modelled: glossy patches, a
-//! spot smaller than its patch.
+//! of the one that is kept. What that makes of the shift is its [`Footprints::doubt_m`]. Not modelled: glossy patches,
+//! a spot smaller than its patch.
 
 mod from_widths;
 
@@ -244,8 +244,9 @@ mod tests {
         let sds = [0.05, -0.1, 0.08];
         let moved_m = shift_m(&footprints.moved(&[[0.0; 3], sds].concat())) - shift_m(&footprints);
         let sum_m: f64 = sds.iter().zip(changes[0].1).map(|(sd, change_m)| sd * change_m).sum();
-        assert!((moved_m - sum_m).abs() < 0.1 * sum_m.abs(), "{moved_m} {sum_m}");
-        assert_eq!(footprints.moved(&[]), footprints);
+        let most_m: f64 = sds.iter().zip(changes[0].1).map(|(sd, change_m)| (sd * change_m).abs()).sum();
+        assert!((moved_m - sum_m).abs() < 0.1 * most_m, "{moved_m} {sum_m}");
+        assert!((shift_m(&footprints.moved(&[])) - shift_m(&footprints)).abs() < 1e-12);
     }
 
     /// The mean by brute force over all points of two disks.
@@ -298,7 +299,7 @@ mod tests {
         }
     }
 
-    /// Near the plane of another patch the shift is off by what is doubted of it, and hardly elsewhere.
+    /// Near the plane of another patch the shift is off by no more than is doubted of it, and hardly elsewhere.
     #[test]
     fn near_a_plane_a_shift_is_in_doubt() {
         let (source, sensor) = (Point::new(0.0, 0.0, 0.0), Point::new(0.05, 0.0, 0.02));
@@ -307,7 +308,6 @@ mod tests {
             (Point::from(centre), Footprint { normal, size_m: 0.03, normal_sd_rad: 0.0, size_sd_m: 0.0 })
         };
         let tilted = patch([0.5, 1.0, 0.0], [-1.0, -0.4, 0.2]);
-        let (mut near, mut all) = (0, 0);
         for height_m in [0.02, 0.025, 0.03, 0.05, 0.1, 0.2] {
             let flat = patch([0.0, 1.0 + height_m, 0.1], [0.0, -1.0, 0.0]);
             let path = [flat, tilted];
@@ -315,12 +315,9 @@ mod tests {
             let [shift_m, doubt_m] = shift_and_doubt_m(source, &spots, sensor);
             let off_m = (shift_m - brute_m(source, &path, sensor)).abs();
             eprintln!("{height_m} m: {:.1} um off, {:.1} in doubt", 1e6 * off_m, 1e6 * doubt_m);
-            assert!(off_m < 3.0 * doubt_m + 0.03 * shift_m.abs(), "{height_m} m: {off_m} {doubt_m}");
-            assert!(height_m < 0.1 || doubt_m < 0.03 * shift_m.abs(), "{height_m} m: {shift_m} {doubt_m}");
-            all += 1;
-            near += usize::from(off_m < 0.5 * doubt_m);
+            assert!(off_m < doubt_m + 3e-6, "{height_m} m: {off_m} {doubt_m}");
+            assert!(height_m < 0.1 || doubt_m < 1e-6, "{height_m} m: {shift_m} {doubt_m}");
         }
-        assert!(near < all, "a doubt is no bound");
     }
 
     #[test]

@@ -22,11 +22,14 @@
 //! The light of a large patch does not come from its centre. Where a patch has a size and a normal, the shift is
 //! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. They are those
 //! of campaign.toml (`size_m`, with a normal from `planes` (of `surface`) or, in a fixed frame, from campaign.toml);
-//! else what the widths of the patch's onsets tell, if these are more than noise. The table `footprints` has them. An
-//! onset that is wider than its patches make it has other light in it, which pulls its time. Behind first and second
-//! bounces, which no other light precedes, that is light over one more patch ([`crate::geometry::companion`]): where
-//! the patches are says when it comes, such light in onsets of its own how strong it is. The pull is taken off, and its
-//! error is part of that of the onset (`residuals.blend_ps`, `sd_ps`).
+//! else what the widths of the patch's onsets tell, if these are more than noise, with their errors as unknowns. The
+//! table `footprints` has them as the times of all onsets moved them, so that who predicts more onsets from it predicts
+//! what this solution does. An onset that is wider than its patches make it has other light in it, which pulls its
+//! time. Behind first and second bounces, which no other light precedes, that is light over one more patch
+//! ([`crate::geometry::companion`]): where the patches are says when it comes, such light in onsets of its own how
+//! strong it is. The pull is taken off, and its error is part of that of the onset (`residuals.blend_ps`, `sd_ps`). An
+//! onset that was fitted as a point, where its
+//! patches spread light, is off by what that moves it: so its error is larger.
 //!
 //! Where residuals are larger than chance allows (the 99.9 % point of chi-square, each residual cut at three standard
 //! deviations), the model does not explain the onsets. Onsets of a kind that scatters more than it should (first,

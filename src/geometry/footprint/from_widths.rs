@@ -9,8 +9,8 @@
 //!
 //! with `g` the gradient of the path's length by the place of the patch; those of several bounces add up. Paths in many
 //! directions tell all three coordinates of `v`, but for its sign, which does not matter. So `v` of all patches are
-//! fitted to the widths of all pulses, all at once; of many patches, patch by patch in turns. A patch sends light to the
-//! side that it is lit from, so that directions with the two legs of a bounce on different sides count against a normal;
+//! fitted to the widths of all pulses, all at once; of many patches, patch by patch in turns. A patch sends light to
+//! the side that it is lit from. So directions with the two legs of a bounce on different sides count against a normal,
 //! but no more than widths may outweigh, since light goes through some things. Where it goes through most patches, it
 //! may go through all. Patches of one campaign are about as large as one another (within 30 %). A width that all pulses
 //! have in common is that of the response, which was not as calibrated: its variance is fitted too. Pulses that blend
@@ -160,6 +160,14 @@ pub fn from_widths(spreads: &[Spread], given: &[Option<Footprint>], cancel: &Can
             fit = fit.searched(&open, cancel);
         }
         sds = fit.covariances_m2(&open);
+        // What widens all pulses alike may be the response alone.
+        let mut points = fit.clone();
+        open.iter().for_each(|&patch| points.vectors_m[patch] = Vector3::zeros());
+        points.usual_m = 0.0;
+        (0..STEPS).for_each(|_| points.improve_common(&[]));
+        if points.total(&open) < fit.total(&open) + EVIDENCE {
+            fit = points;
+        }
     }
     let gain = |&patch: &usize| fit.chi2(patch, Vector3::zeros()) - fit.chi2(patch, fit.vectors_m[patch]);
     let is_evident: Vec<bool> = open.iter().map(|patch| gain(patch) > EVIDENCE).collect();
@@ -591,7 +599,7 @@ mod tests {
         for seed in 300..310 {
             let mut draws = Draws(seed);
             let room = room(&mut draws, 8, 0.02);
-            let sd_m2 = 1.5e-5;
+            let sd_m2 = 7e-6;
             let mut spreads = spreads(&room, sd_m2, &mut draws);
             for pulse in spreads.iter_mut().filter(|pulse| pulse.variance_m2 < 4.8 * sd_m2) {
                 (pulse.variance_m2, pulse.is_limit) = (3.5 * sd_m2, true);

@@ -214,8 +214,8 @@ impl<'a> Model<'a> {
         self.of_paths(problem, solution, |source, path, at, sensor| footprints.shift_m(source, path, at, sensor))
     }
 
-    /// Errors of these: what their expansion leaves out, for each onset by itself, and those of the sizes and directions
-    /// of their patches, which onsets have in common.
+    /// Errors of these: what their expansion leaves out, for each onset by itself, and those of the sizes and
+    /// directions of their patches, which onsets have in common.
     pub fn add_common_errors(&self, footprints: &Footprints, problem: &mut Problem, solution: &Solution) {
         let changes =
             self.of_paths(problem, solution, |source, path, at, sensor| footprints.changes_m(source, path, at, sensor));
