@@ -119,9 +119,9 @@ fn points(fit: &Fit, misfit: f64) -> Vec<HiddenPoint> {
 
 /// Share of the points that reappear in halves of the histograms, which are searched by themselves.
 ///
-/// Half of the light has a z that is smaller by the root of 2. Points that would then be near the threshold or below may
-/// not be found anew: they reappear where a half that starts from all points keeps them in place. The share is the smaller one
-/// of that of all points and that of the points that can be found anew.
+/// Half of the light has a z that is smaller by the root of 2. Points that would then be near the threshold or below
+/// may not be found anew: they reappear where a half that starts from all points keeps them in place. The share is the
+/// smaller one of that of all points and that of the points that can be found anew.
 fn reappear(
     problem: &Problem,
     lattice: &Lattice,
