@@ -27,8 +27,8 @@ const FAINT: usize = 6;
 /// Share of the threshold below which a point is eliminated between rounds.
 const LOOSE: f64 = 0.8;
 
-/// Standard deviations of the common delay, shrunk as it is, beyond which its prior was too sure, and is made four times as wide; and the
-/// largest factor.
+/// Standard deviations of the common delay, shrunk as it is, beyond which its prior was too sure, and is made four
+/// times as wide; and the largest factor.
 const LATE: f64 = 1.0;
 const LEAST_SURE: f64 = 64.0;
 

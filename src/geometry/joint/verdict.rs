@@ -119,9 +119,9 @@ fn points(fit: &Fit, misfit: f64) -> Vec<HiddenPoint> {
 
 /// Share of the points that reappear in halves of the histograms, which are searched by themselves.
 ///
-/// Half of the light has a z that is smaller by the root of 2. Points that would then be near the threshold or below may
-/// not be found anew: they reappear where a half that starts from all points keeps them in place. The share is the smaller one
-/// of that of all points and that of the points that can be found anew.
+/// Half of the light has a z that is smaller by the root of 2. Points that would then be near the threshold or below
+/// may not be found anew: they reappear where a half that starts from all points keeps them in place. The share is the
+/// smaller one of that of all points and that of the points that can be found anew.
 fn reappear(
     problem: &Problem,
     lattice: &Lattice,
@@ -150,7 +150,12 @@ fn reappear(
                 anew.extend(points(&fit, misfit.factor));
             }
         }
-        [anew, stay(&half, threshold, &whole.fit, blind.misfit.factor)]
+        let (kept, log_likelihood) = stay(&half, threshold, &whole.fit, blind.misfit.factor);
+        // A search from nothing that ends at a clearly worse fit says nothing against the points of a better one.
+        if log_likelihood > blind.fit.normal.log_likelihood + threshold * threshold {
+            anew.extend(kept.iter().cloned());
+        }
+        [anew, kept]
     });
     for point in points_of_whole {
         let is_bright = point.z > bright;
@@ -171,20 +176,20 @@ fn reappear(
     share(0).min(share(1))
 }
 
-/// Points of a half that starts from all points of the whole.
-fn stay(half: &Problem, threshold: f64, whole: &Fit, misfit: f64) -> Vec<HiddenPoint> {
+/// Points of a half that starts from all points of the whole, and their log-likelihood.
+fn stay(half: &Problem, threshold: f64, whole: &Fit, misfit: f64) -> (Vec<HiddenPoint>, f64) {
     let levels = vec![[1.0, 0.0]; half.histograms.len()];
     let fit = Fit::new(half, whole.tail.clone(), whole.model.clone(), &levels).climb(half, Free::All).eliminate(
         half,
         LOOSE * threshold / SQRT_2,
         Free::All,
     );
-    points(&fit, misfit)
+    (points(&fit, misfit), fit.normal.log_likelihood)
 }
 
 /// Share of the points that stay in halves that start from all of them.
 fn remain(problem: &Problem, threshold: f64, (whole, points_of_whole): (&Search, &mut [HiddenPoint])) -> f64 {
-    let halves = [0, 1].map(|half| stay(&problem.half(half), threshold, &whole.fit, whole.misfit.factor));
+    let halves = [0, 1].map(|half| stay(&problem.half(half), threshold, &whole.fit, whole.misfit.factor).0);
     let mut count = 0;
     for point in &mut *points_of_whole {
         let is_in = halves.each_ref().map(|half| half.iter().any(|other| is_near(point, other)));
