@@ -109,7 +109,7 @@ pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Option
             break solution;
         }
     };
-    first_light(Solution { found: found.into_iter().collect(), ..solution }, &scene, sensors, options, cancel)
+    first_light(Solution { places: found.into_iter().collect(), ..solution }, &scene, sensors, options, cancel)
 }
 
 /// The surest hidden patch that is a visible one, and where it is: all direct light of the visible one comes when it

@@ -13,11 +13,11 @@
 //!
 //! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation. Anchors, rays
 //! and stations apart fix the frame. Without them, the frame of `patches` is a convention (table `fits`). What else is
-//! open stands in `ambiguities`: parts that share no path, patches that can move, mirror images, and flips; and patches
-//! whose later light mostly has no path, unlike that of the others (`doubtful`): they may stand in a wrong place. Mirror
-//! images and flips explain the onsets about as well; each has its likelihood, and is an alternative in `patches`. Its
-//! `probability` there is its share of the likelihood among all places of its patch. Onsets may leave a hidden patch
-//! two places, on either side of the wall that shows it: the one on the laser's side is chosen.
+//! open stands in `ambiguities`: parts that share no path, patches that can move, mirror images, flips, and patches
+//! whose later light has no path (`doubtful`), which may stand in a wrong place. Mirror images and flips explain the
+//! onsets about as well; each has its likelihood, and is an alternative in `patches`. Its `probability` there is its
+//! share of the likelihood among all places of its patch. Onsets may leave a hidden patch two places, on either side of
+//! the wall that shows it: the one on the laser's side is chosen.
 //!
 //! The light of a large patch does not come from its centre. Where a patch has a size and a normal, the shift is
 //! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. They are those

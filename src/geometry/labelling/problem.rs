@@ -285,7 +285,7 @@ pub struct Solution {
     /// Hidden patches, then planes, then the likeliest place that is not sure enough.
     pub hypotheses: Vec<Hypothesis>,
     /// Visible patches that light over them shows in another place than the scene's, or that have none there.
-    pub found: Vec<(PatchId, Hidden)>,
+    pub places: Vec<(PatchId, Hidden)>,
     /// Number of visible patches where these lie in one line (in flatland in one point), so that nothing is searched.
     pub visible_in_line: Option<usize>,
 }

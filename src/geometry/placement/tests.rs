@@ -107,7 +107,7 @@ fn a_group_that_hangs_on_two_patches_may_fold_over() {
 /// A patch with one neighbour has places all around: none of them is an alternative, and they hide no other.
 #[test]
 fn places_of_a_patch_that_can_move_are_no_alternatives() {
-    let truth: Vec<Point> = room::rectangles().into_iter().step_by(6).take(8).collect();
+    let truth = [0, 3, 11, 20, 27, 33, 39, 46].map(|n| room::rectangles()[n]);
     let groups: [&[usize]; 3] = [&[0, 1, 2, 3, 4], &[3, 4, 5, 6], &[0, 7]];
     let is_within = |(a, b): &(usize, usize)| groups.iter().any(|group| group.contains(a) && group.contains(b));
     let pairs: Vec<(usize, usize)> = room::all_pairs(truth.len()).into_iter().filter(is_within).collect();

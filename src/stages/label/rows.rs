@@ -79,7 +79,7 @@ fn snr(onset: &Onset, part: i32) -> f64 {
 /// first.
 pub(super) fn hypotheses(solution: &Solution, false_alarm: f64) -> Vec<Hypothesis> {
     let needed = -false_alarm.ln();
-    let found = solution.found.iter().map(|(patch, surface)| labelling::Hypothesis {
+    let found = solution.places.iter().map(|(patch, surface)| labelling::Hypothesis {
         layer: 1,
         patch: Some(*patch),
         surface: *surface,

@@ -5,8 +5,8 @@
 //! onsets of the profiles in which it is lit or seen. A patch is doubtful if these are without a path more often than
 //! those of the other profiles, by more than chance allows. A patch that is dark has few later onsets, and is not.
 //!
-//! If all is wrong, no patch differs from the others. So where less than half of the later light that the placed patches
-//! would make has a path, all patches are doubtful that too few others check.
+//! If all is wrong, no patch differs from the others. So where less than half of the later light that the placed
+//! patches would make has a path, all patches are doubtful that too few others check.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -43,7 +43,9 @@ impl Later {
             }
             neighbours.entry(*seen).or_default();
         }
-        neighbours.iter_mut().for_each(|(patch, others)| drop(others.remove(patch)));
+        for (patch, others) in &mut neighbours {
+            others.remove(patch);
+        }
         Self { onsets, neighbours }
     }
 

@@ -114,20 +114,21 @@ fn a_visible_patch_without_a_place_is_found_by_its_later_light() {
     let own = Made { lit: 8, seen: 8, arrival: own, path: None, turns: 0 };
     let made: Vec<Made> = made.into_iter().chain([own]).collect();
     let solution = without_last(&points, &made);
-    let [(patch, place)] = &solution.found[..] else { panic!("one patch is found: {solution:?}") };
+    let [(patch, place)] = &solution.places[..] else { panic!("one patch is found: {solution:?}") };
     assert!(*patch == 8 && (place.point - last).norm() < 0.02, "{solution:?}");
     assert!(solution.hypotheses.iter().all(|one| one.patch.is_none()), "{solution:?}");
     let paths = paths(solution);
     assert!(paths.contains(&vec![8]) && paths.iter().filter(|path| path.get(1) == Some(&8)).count() > 30, "{paths:?}");
 }
 
-/// Without later light it stays without a place, but its direct light keeps its labels; a hidden patch has a new number.
+/// Without later light it stays without a place, but its direct light keeps its labels. A hidden patch has a new
+/// number.
 #[test]
 fn direct_light_of_a_patch_without_a_place_is_labelled_by_first_light() {
     let points = wall(0.3);
     let over = Point::from(HIDDEN);
     let solution = without_last(&points, &made(&points, 7, |a, b| (a - over).norm() + (b - over).norm()));
-    assert!(solution.found.is_empty());
+    assert!(solution.places.is_empty());
     assert!(solution.hypotheses.iter().filter_map(|one| one.patch).eq([9]), "{solution:?}");
     let paths = paths(solution);
     for direct in [vec![8], vec![1, 8], vec![8, 1], vec![3, 8]] {
