@@ -1,8 +1,8 @@
 //! What a view shows.
 //!
-//! A view is a link to a table. In a copy of a result folder (`cp -rL`, an unpacked archive, a synced folder) views have
-//! become folders with files of their own. The record of the last run lists every view with its table, so that a copy is
-//! read, verified and run on like the original.
+//! A view is a link to a table. In a copy of a result folder (`cp -rL`, an unpacked archive, a synced folder) views
+//! have become folders with files of their own. The record of the last run lists every view with its table, so that a
+//! copy is read, verified and run on like the original.
 
 use std::collections::BTreeMap;
 use std::fs;

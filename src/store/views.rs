@@ -128,8 +128,8 @@ impl Shelf {
         fs::rename(temporary, whole).at("write", whole)
     }
 
-    /// Points the view `OUT/<view>` at `target` (relative to OUT) in one step. A folder that copies a table gives way to
-    /// the link.
+    /// Points the view `OUT/<view>` at `target` (relative to OUT) in one step. A folder that copies a table gives way
+    /// to the link.
     fn show(&self, view: &str, target: &Path) -> Result<(), StoreError> {
         let link = self.out().join(view);
         let is_copy = match fs::read_link(&link) {
@@ -175,8 +175,8 @@ impl Shelf {
         Ok(files.is_empty())
     }
 
-    /// Names of the files of the table in a folder (relative to OUT), in order, each with its record; `None` if there is
-    /// no such table.
+    /// Names of the files of the table in a folder (relative to OUT), in order, each with its record; `None` if there
+    /// is no such table.
     ///
     /// # Errors
     /// When its record is damaged.

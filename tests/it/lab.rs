@@ -176,3 +176,12 @@ pub fn with_threads<T: Send>(threads: usize, body: impl FnOnce() -> T + Send) ->
 pub fn chain(error: impl Into<anyhow::Error>) -> String {
     format!("{:#}", error.into())
 }
+
+/// A pipeline of scenes without the search in all profiles together, for onsets that are given.
+pub fn without_search(pipeline: &str) -> String {
+    let (before, rest) = pipeline.split_once("[all_patches]").expect("the pipeline searches");
+    let (_, decisions) = rest.split_once("[decisions]").expect("the pipeline concludes");
+    let decisions =
+        decisions.replace("weak = \"all_patches.hypotheses\", ", "").replace("\"all_patches\"", "\"patches\"");
+    format!("{before}[decisions]{decisions}")
+}

@@ -122,15 +122,7 @@ pub fn from_widths(spreads: &[Spread], given: &[Option<Footprint>], cancel: &Can
     if spreads.is_empty() {
         return Sizes { footprints: given.to_vec(), excess_m2: Vec::new() };
     }
-    let mut of_patch = vec![Vec::new(); given.len()];
-    for (n, spread) in spreads.iter().enumerate() {
-        spread.bounces.iter().for_each(|bounce| of_patch[bounce.patch].push(n));
-    }
-    for pulses in &mut of_patch {
-        pulses.dedup();
-        let step = pulses.len().div_ceil(PULSES).max(1);
-        *pulses = pulses.iter().copied().step_by(step).collect();
-    }
+    let of_patch = pulses_of_patches(spreads, given.len());
     let open: Vec<usize> = (0..given.len()).filter(|&patch| given[patch].is_none()).collect();
     let start_m = given.iter().map(|footprint| footprint.map(|one| 0.25 * one.size_m * one.normal.normalize()));
     let vectors_m: Vec<Vector3<f64>> = start_m.map(Option::unwrap_or_default).collect();
@@ -189,6 +181,20 @@ pub fn from_widths(spreads: &[Spread], given: &[Option<Footprint>], cancel: &Can
     };
     let excess_m2 = spreads.iter().map(excess).collect();
     Sizes { footprints, excess_m2 }
+}
+
+/// The pulses of each patch, thinned where they are many.
+fn pulses_of_patches(spreads: &[Spread], patches: usize) -> Vec<Vec<usize>> {
+    let mut of_patch = vec![Vec::new(); patches];
+    for (n, spread) in spreads.iter().enumerate() {
+        spread.bounces.iter().for_each(|bounce| of_patch[bounce.patch].push(n));
+    }
+    for pulses in &mut of_patch {
+        pulses.dedup();
+        let step = pulses.len().div_ceil(PULSES).max(1);
+        *pulses = pulses.iter().copied().step_by(step).collect();
+    }
+    of_patch
 }
 
 /// Vectors of all patches, and the pulses that they are fitted to.

@@ -40,6 +40,8 @@ pub struct Search {
     pub misfit: Misfit,
     /// Largest score before any point was fitted.
     pub largest: f64,
+    /// The same, less what a wrong model of the wall and of the points could leave.
+    pub sure: f64,
     /// Whether there were more points than [`MOST`].
     pub too_many: bool,
 }
@@ -53,12 +55,13 @@ pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2]
     if !fit.model.dots.is_empty() {
         fit = fit.climb(problem, Free::Law);
     }
-    let (mut largest, mut too_many) = (0.0, false);
+    let (mut largest, mut sure, mut too_many) = (0.0, 0.0, false);
     for round in 0..ROUNDS {
         let traces = Traces::new(problem, &fit);
         let peaks = lattice.peaks(problem, &traces, WORTH * threshold);
         if round == 0 {
             largest = peaks.iter().map(|peak| peak.score).fold(0.0, f64::max);
+            sure = peaks.iter().map(|peak| peak.sure).fold(0.0, f64::max);
         }
         let mut peaks = batch(peaks, [threshold, clear], if round == 0 { BATCH[0] } else { BATCH[1] });
         let before = fit.model.dots.len();
@@ -77,7 +80,7 @@ pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2]
         fit = next.reshape(problem).climb(problem, Free::Law).climb(problem, Free::All);
     }
     let (fit, misfit) = last(problem, fit, threshold);
-    Search { fit, misfit, largest, too_many }
+    Search { fit, misfit, largest, sure, too_many }
 }
 
 /// The peaks that are fitted together.

@@ -165,7 +165,7 @@ fn sums_over_squared_depths_are_those_at_the_places() {
     let traces = Traces::new(&problem, &fit);
     let (step_m2, count) = (4e-4, 1000);
     let squared = traces.squared(&problem, step_m2, 2 * count).expect("a confocal scan");
-    let (along, depths_m) = (nalgebra::Vector3::z(), vec![0.0; count]);
+    let (along, depths_m) = (Vector3::z(), vec![0.0; count]);
     for (place, _) in DOTS {
         let foot = Point::new(place[0], place[1], 0.0);
         let (mut sums, mut terms, mut places) = (vec![0.0; count], vec![0; count], vec![0.0; count]);

@@ -33,6 +33,8 @@ const FOLLOWS: [f64; 2] = [0.25, 0.5];
 const SIZE: f64 = 0.35;
 const SIZE_SD: f64 = 4.0;
 const LARGE: f64 = 1.0;
+/// Light that exceeds the threshold by this factor is of something, though of no point.
+const CLEAR: f64 = 2.0;
 /// Scatter of arrivals, in widths of the response, above which they are not those of points on this wall.
 const SCATTER: f64 = 0.5;
 
@@ -64,7 +66,7 @@ fn judged(problem: &Problem, lattice: &Lattice, threshold: f64, mut whole: Searc
     let (verdict, reason) = if whole.too_many {
         (Verdict::ExtendedObject, format!("more than {MOST} points would be needed"))
     } else if all.is_empty() {
-        (Verdict::Nothing, format!("no point has a z of {threshold:.1}"))
+        dark(whole.sure, threshold)
     } else {
         let mut least = reappear(problem, lattice, threshold, (&whole, &mut all));
         let mut answer = judge(problem, &whole, least);
@@ -101,6 +103,16 @@ fn judged(problem: &Problem, lattice: &Lattice, threshold: f64, mut whole: Searc
         stretch,
     };
     (outcome, model)
+}
+
+/// What it means that no point is left: light that exceeds noise by far, and that no point explains, is no darkness.
+fn dark(sure: f64, threshold: f64) -> (Verdict, String) {
+    let text = format!("no point has a z of {threshold:.1}");
+    if sure < threshold {
+        return (Verdict::Nothing, text);
+    }
+    let text = format!("{text}, but light exceeds noise by {sure:.1} standard deviations");
+    (if sure < CLEAR * threshold { Verdict::CannotTell } else { Verdict::ExtendedObject }, text)
 }
 
 /// Points with their covariances; those without are left out.
