@@ -10,10 +10,10 @@
 //! with the legs `l` that meet at the patch and the weight `w` of the light on them. `S` holds the second moments of a
 //! disk of the patch's diameter and normal `n`. The laser lights its patch evenly. A leg towards the sensor has
 //! `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below 1
-//! % of the shift where legs are longer than three sizes. Near the plane of the patch at the other end of a leg the
-//! expansion is worse: of `ln |h + n'u|`, with the height `h` over that plane, the next term is a share `(size / 4h)^2`
-//! of the one that is kept. What that makes of the shift is its [`Footprints::doubt_m`]. Not modelled: glossy patches,
-//! a spot smaller than its patch.
+//! % of the shift where legs are longer than three sizes. The cosine at the other end of a leg is linear over the patch,
+//! and its term exact, until the patch crosses the plane of the patch there: then a part of it is dark, or lit from
+//! behind. What that makes of the shift is its [`Footprints::doubt_m`]. Not modelled: glossy patches, a spot smaller
+//! than its patch.
 
 mod from_widths;
 
@@ -65,7 +65,7 @@ impl Footprints {
         shift_m(source, &self.bounces(path, centre), sensor)
     }
 
-    /// Standard deviation of [`Self::shift_m`] from what its expansion leaves out near planes of patches.
+    /// Standard deviation of [`Self::shift_m`] where patches cross the planes of others.
     #[must_use]
     pub fn doubt_m(&self, source: Point, path: &[PatchId], centre: impl Fn(&PatchId) -> Point, sensor: Point) -> f64 {
         if self.is_empty() {
@@ -137,7 +137,7 @@ pub fn shift_m(source: Point, patches: &[(Point, Option<Footprint>)], sensor: Po
     shift_and_doubt_m(source, patches, sensor)[0]
 }
 
-/// The shift, and the root of the summed squares of what the expansion leaves out of it near planes of patches.
+/// The shift, and the root of the summed squares of how far off it may be where patches cross the planes of others.
 fn shift_and_doubt_m(source: Point, patches: &[(Point, Option<Footprint>)], sensor: Point) -> [f64; 2] {
     let at = |bounce: usize| {
         let (centre, footprint) = &patches[bounce];
@@ -168,13 +168,17 @@ enum End {
     Patch(Option<Footprint>),
 }
 
+/// How far off the shift of a patch is whose middle lies in the plane of the other, over the shift at the least height
+/// that counts: its light comes from one half, whose mean lies 0.59 radii aside, where the term has 0.25.
+const CROSSED: f64 = 1.4;
+
 /// A leg as a patch's points see it.
 struct Leg {
     /// Gradient of its length.
     along: Vector3<f64>,
     /// Gradient of the logarithm of its light's weight, in the patch's plane.
     pull: Vector3<f64>,
-    /// What the expansion leaves out of that near the plane of the other patch.
+    /// How far off that may be where the patch crosses the plane of the other.
     left_out: Vector3<f64>,
     /// Trace of its length's second derivatives in the patch's plane.
     bend: f64,
@@ -196,7 +200,8 @@ impl Leg {
                 let least_m = f64::max(0.5 * footprint.size_m, other.normal_sd_rad * length_m);
                 let height_m = height_m.signum() * height_m.abs().max(least_m);
                 let near = other.normal / height_m;
-                (near - 4.0 / length_m * along, near * (0.25 * footprint.size_m / height_m).powi(2))
+                let crossed = 1.0 - (other.normal.dot(&arm).abs() / least_m).min(1.0);
+                (near - 4.0 / length_m * along, CROSSED * crossed * near)
             }
         };
         let bend = (1.0 + along.dot(&footprint.normal).powi(2)) / length_m;
