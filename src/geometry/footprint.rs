@@ -9,8 +9,8 @@
 //!
 //! with the legs `l` that meet at the patch and the weight `w` of the light on them. `S` holds the second moments of a
 //! disk of the patch's diameter and normal `n`. The laser lights its patch evenly. A leg towards the sensor has
-//! `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: they are
-//! below 1 % of the shift where legs are longer than three sizes. The cosine at the other end of a leg is linear over
+//! `w = cos / r^2`, one between patches `w = cos cos' / r^2` (Lambert). Terms of the fourth order are left out: below
+//! 1 % of the shift where legs are longer than three sizes. The cosine at the other end of a leg is linear over
 //! the patch, and its term exact, until the patch crosses the plane of the patch there: then a part of it is dark, or
 //! lit from behind. What that makes of the shift is its [`Footprints::doubt_m`]. Not modelled: glossy patches, a spot
 //! smaller than its patch.
