@@ -18,10 +18,7 @@ pub(super) const NAMES: [&str; 4] = ["rect_data", "meas", "width", "tofgrid"];
 pub(super) fn read(mut arrays: Arrays, defaults: &Defaults, delays: Option<&Arrays>) -> Result<Capture, String> {
     let is_raw = !arrays.contains_key("rect_data");
     let data = arrays.remove(if is_raw { "meas" } else { "rect_data" }).ok_or("has no rect_data")?;
-    // MATLAB's first axis comes last.
-    let [bins, ys, xs] = data.axes[..] else {
-        return Err(format!("has {} axes of numbers; a scan has three: x, y and time", data.axes.len()));
-    };
+    let Order { format, sides: [ys, xs], bins, stride, apart } = Order::of(&data.axes)?;
     if bins == 0 || xs < 2 || ys < 2 {
         return Err(format!(
             "is a scan of {xs} x {ys} points and {bins} bins; two points on each side and one bin are the least"
@@ -56,10 +53,14 @@ pub(super) fn read(mut arrays: Arrays, defaults: &Defaults, delays: Option<&Arra
     let spots = (0..ys).flat_map(|y| (0..xs).map(move |x| spot(y, x))).collect();
     let grid = Grid { axes: vec![ys, xs], spots };
     let start_ps = defaults.start_ps.unwrap_or(0.0);
-    let pair =
-        |(place, late_ps): (usize, &f64)| Pair { lit: place, seen: place, start_ps: start_ps - late_ps, offset: place };
+    let pair = |(place, late_ps): (usize, &f64)| Pair {
+        lit: place,
+        seen: place,
+        start_ps: start_ps - late_ps,
+        offset: place * apart,
+    };
     Ok(Capture {
-        format: "confocal MAT",
+        format,
         pairs: late_ps.iter().enumerate().map(pair).collect(),
         lit: grid.clone(),
         seen: grid,
@@ -67,6 +68,63 @@ pub(super) fn read(mut arrays: Arrays, defaults: &Defaults, delays: Option<&Arra
         laser_m: None,
         sensor_m: None,
         with_legs: false,
-        histograms: Histograms { bins, stride: xs * ys, parts: vec![0], array: data },
+        histograms: Histograms { bins, stride, parts: vec![0], array: data },
     })
+}
+
+/// In which order the numbers of a scan are stored.
+#[derive(Debug, PartialEq)]
+struct Order {
+    format: &'static str,
+    /// Points along y and x.
+    sides: [usize; 2],
+    bins: usize,
+    /// Numbers from one bin to the next, and from one point to the next.
+    stride: usize,
+    apart: usize,
+}
+
+impl Order {
+    /// MATLAB's first axis comes last: (time, y, x). Other programs write (y, x, time) as it is; the sides of the
+    /// scanned square are equal, which tells the two apart.
+    fn of(axes: &[usize]) -> Result<Self, String> {
+        let [first, middle, last] = axes[..] else {
+            return Err(format!("has {} axes of numbers; a scan has three: x, y and time", axes.len()));
+        };
+        if first == middle && middle != last {
+            let format = "confocal MAT (axes y, x, time)";
+            return Ok(Self { format, sides: [first, middle], bins: last, stride: 1, apart: last });
+        }
+        if first == last && middle != last {
+            let problem = "has its time between x and y; store it with the axes x, y, time";
+            return Err(format!("is an array of {first} x {middle} x {last} numbers, and {problem}"));
+        }
+        Ok(Self { format: "confocal MAT", sides: [middle, last], bins: first, stride: middle * last, apart: 1 })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::array::Array;
+
+    /// The same scan of 2 x 2 points and 3 bins, stored by MATLAB and by a program that keeps the order of its axes.
+    #[test]
+    fn equal_sides_tell_where_the_time_stands() {
+        let counts = |point: usize, bin: usize| (10 * point + bin) as f64;
+        let by_time: Vec<f64> = (0..3).flat_map(|bin| (0..4).map(move |point| counts(point, bin))).collect();
+        let by_point: Vec<f64> = (0..4).flat_map(|point| (0..3).map(move |bin| counts(point, bin))).collect();
+        let defaults = Defaults { dt_ps: Some(4.0), wall_m: Some(0.4), ..Defaults::default() };
+        for (axes, values) in [([3, 2, 2], by_time), ([2, 2, 3], by_point)] {
+            let arrays = Arrays::from([("rect_data".to_owned(), Array::of(&axes, &values))]);
+            let capture = read(arrays, &defaults, None).unwrap();
+            assert_eq!((capture.pairs.len(), capture.bins()), (4, 3));
+            for (point, pair) in capture.pairs.iter().enumerate() {
+                let histogram = capture.histogram(pair);
+                assert_eq!(histogram, [0, 1, 2].map(|bin| counts(point, bin)), "{axes:?} {point}");
+            }
+        }
+        assert!(Order::of(&[2, 3, 2]).unwrap_err().contains("between x and y"));
+        assert!(Order::of(&[2, 3]).unwrap_err().contains("three"));
+    }
 }
