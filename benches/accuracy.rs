@@ -13,7 +13,7 @@ mod corner;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/lab.rs"]
 mod lab;
-#[allow(dead_code, reason = "the tests use more of it")]
+#[allow(dead_code, unused_imports, reason = "the tests use more of it")]
 #[path = "../tests/it/locate.rs"]
 mod locate;
 #[allow(dead_code, reason = "the tests use more of it")]
@@ -280,6 +280,7 @@ fn print_small_rooms(seeds: u64, missing_percent: Option<u64>) {
         let solved = count(|room| room.refused.is_none());
         let wrong = count(|room| !room.confidently_wrong.is_empty());
         let chance = small_rooms::kolmogorov(rooms.iter().filter_map(|room| room.p_value).collect());
+        let chance = chance.map_or("-".to_owned(), |chance| format!("{chance:.2}"));
         println!(
             "| {:.0} % | {:.0} % | {} | {wrong}: {} | {} | {} | {} | {} | {} | {} | {} |",
             100.0 * kind.missing,
@@ -296,7 +297,7 @@ fn print_small_rooms(seeds: u64, missing_percent: Option<u64>) {
             ),
             count(|room| room.open > 0),
             count(|room| room.phantoms > 0),
-            chance.map_or("-".to_owned(), |chance| format!("{chance:.2}")),
+            chance
         );
     }
 }

@@ -44,7 +44,7 @@ pub fn measured(
 pub fn refined(problem: &Problem) -> Result<Solution, Unsolved> {
     let from = |start: Vec<Point>| maximum_likelihood::solve(&Problem { start, ..problem.clone() });
     let solution = from(placement::place(problem).points)?;
-    let other = placement::alternatives(problem, &solution.points).into_iter().next();
+    let other = placement::alternatives(problem, &solution.points, &[]).into_iter().next();
     // An alternative that is no minimum is none.
     let other = other.and_then(|other| from(other.points).ok());
     Ok(other.filter(|other| other.loss < solution.loss).unwrap_or(solution))

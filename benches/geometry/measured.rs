@@ -83,7 +83,7 @@ impl Measured {
     pub fn placed(&self) -> (Vec<Point>, Vec<Alternative>) {
         let problem = self.problem(vec![Point::origin(); self.first.len()], 0.0);
         let points = placement::place(&problem).points;
-        let alternatives = placement::alternatives(&problem, &points);
+        let alternatives = placement::alternatives(&problem, &points, &[]);
         (points, alternatives)
     }
 }

@@ -67,9 +67,10 @@ fn place(voxel: &Voxel) -> [usize; 3] {
 }
 
 fn projections(whole: &tables::Image, voxels: &[Voxel]) -> Vec<(&'static str, Projection)> {
-    let axes: [Axis; 3] = std::array::from_fn(|axis| match axis {
-        2 => cut(voxels, 2, "depth (m)".to_owned(), |place| depth_m(whole, place)),
-        _ => {
+    let axes: [Axis; 3] = std::array::from_fn(|axis| {
+        if axis == 2 {
+            cut(voxels, 2, "depth (m)".to_owned(), |place| depth_m(whole, place))
+        } else {
             let (title, start_m) = along(voxels, axis, whole.pitch_m);
             cut(voxels, axis, title, |place| start_m + place as f64 * whole.pitch_m)
         }

@@ -136,7 +136,7 @@ impl Apply for Conclude {
         let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
         let mut decisions = relay_wall::decisions(&context.searches, &context.images);
         if context.is_from_onsets {
-            decisions.extend(context.from_onsets(&best));
+            decisions.extend(context.onset_decisions(&best));
         }
         for (number, decision) in (1..).zip(&mut decisions) {
             decision.decision = number;
@@ -147,7 +147,7 @@ impl Apply for Conclude {
 
 impl Context {
     /// What a solution from onsets rests on.
-    fn from_onsets(&self, best: &[&Patch]) -> Vec<Decision> {
+    fn onset_decisions(&self, best: &[&Patch]) -> Vec<Decision> {
         let mut decisions = vec![self.fit(), self.labelled(), self.hidden(best)];
         decisions.extend(self.weak());
         decisions.extend(self.walls());

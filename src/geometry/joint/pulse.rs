@@ -154,6 +154,7 @@ impl Pulse {
     }
 
     /// The given response, so many times as wide, with a shape; with slopes by its unknowns where it `is_free`.
+    #[must_use]
     pub fn shaped(&self, stretch: f64, shape: &[f64; SHAPES], is_free: bool) -> Self {
         if stretch == 1.0 && shape.iter().all(|value| *value == 0.0) {
             return self.clone();

@@ -20,9 +20,6 @@ const PULL_SD: f64 = 0.5;
 /// A point in the place of light that is spread is off by this share of the variance over the same distance: as far as
 /// errors of time and of variance go together.
 const NARROWER: f64 = 0.25;
-/// The ratio of an onset's errors that tells what the response resolves is exceeded by a tenth of them. Times of strong
-/// onsets have errors beside those of noise, which make the ratio smaller.
-const MOST_RESOLVED: usize = 9;
 /// No light of a profile comes before that of so few bounces.
 const EARLIEST: i32 = 2;
 
@@ -94,7 +91,7 @@ impl Widths {
         let mut ratios_ps: Vec<f64> =
             model.labels.iter().filter_map(|label| Some(variance_sd_ps2(label)? / label.time_sd_ps)).collect();
         ratios_ps.sort_by(f64::total_cmp);
-        let Some(&resolved_ps) = ratios_ps.get(MOST_RESOLVED * ratios_ps.len() / 10) else { return Self::default() };
+        let Some(&resolved_ps) = ratios_ps.get(ratios_ps.len() / 2) else { return Self::default() };
         let spread = |(n, label): (usize, &Label)| {
             let width_ps = label.width_ps?;
             let own_sd_ps2 = variance_sd_ps2(label);

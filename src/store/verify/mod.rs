@@ -44,7 +44,7 @@ pub struct Finding {
 impl Finding {
     /// With another fix.
     fn fixed_by(&mut self, fix: &str) -> &mut Self {
-        self.fix = fix.to_owned();
+        fix.clone_into(&mut self.fix);
         self
     }
 
