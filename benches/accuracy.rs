@@ -282,7 +282,7 @@ fn print_small_rooms(seeds: u64, missing_percent: Option<u64>) {
         let chance = small_rooms::kolmogorov(rooms.iter().filter_map(|room| room.p_value).collect());
         let chance = chance.map_or("-".to_owned(), |chance| format!("{chance:.2}"));
         println!(
-            "| {:.0} % | {:.0} % | {} | {wrong}: {} | {} | {} | {} | {} | {} | {} | {} |",
+            "| {:.0} % | {:.0} % | {} | {wrong}: {} | {} | {} | {} | {} of {} | {} | {} | {} |",
             100.0 * kind.missing,
             100.0 * kind.spurious,
             rooms.len(),
@@ -290,11 +290,8 @@ fn print_small_rooms(seeds: u64, missing_percent: Option<u64>) {
             count(|room| !room.confidently_wrong.is_empty() && room.chi2_dof.is_some_and(|ratio| ratio > 2.0)),
             count(|room| room.confidently_wrong.is_empty() && !room.wrong.is_empty()),
             rooms.len() - solved,
-            format!(
-                "{} of {}",
-                rooms.iter().map(|room| room.patches - room.open).sum::<usize>(),
-                rooms.iter().map(|room| room.patches).sum::<usize>()
-            ),
+            rooms.iter().map(|room| room.patches - room.open).sum::<usize>(),
+            rooms.iter().map(|room| room.patches).sum::<usize>(),
             count(|room| room.open > 0),
             count(|room| room.phantoms > 0),
             chance
