@@ -116,7 +116,7 @@ impl Faint {
 }
 
 /// The likeliest place of one more patch; `None` where the profiles speak for none. Places farther from the middle of
-/// the foci than [`SIDE_MAX`] half lengths of the response are not searched.
+/// the foci than 160 half lengths of the response are not searched.
 ///
 /// # Panics
 /// When a profile names a focus that is not there.
