@@ -28,8 +28,8 @@
 //! time. Behind first and second bounces, which no other light precedes, that is light over one more patch
 //! ([`crate::geometry::companion`]): where the patches are says when it comes, such light in onsets of its own how
 //! strong it is. The pull is taken off, and its error is part of that of the onset (`residuals.blend_ps`, `sd_ps`). An
-//! onset that was fitted as a point, where its
-//! patches spread light, is off by what that moves it: so its error is larger.
+//! onset that was fitted as a point, where its patches spread light, is off by what that moves it: so its error is
+//! larger.
 //!
 //! Where residuals are larger than chance allows (the 99.9 % point of chi-square, each residual cut at three standard
 //! deviations), the model does not explain the onsets. Onsets of a kind that scatters more than it should (first,
