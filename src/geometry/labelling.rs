@@ -23,7 +23,8 @@
 //!
 //! Two patches whose light comes within [`Options::blend_ps`] over any path are not told apart. So a hidden patch that
 //! shows so near to a visible one is that patch: third bounces over it contradict the place that its own second bounces
-//! gave, as blended ones do. The patch is moved there for prediction, and all is labelled again.
+//! gave, as blended ones do. For prediction the patch is moved there, with an error that covers both places, and all is
+//! labelled again. Where that was done and light shows it beside itself still, that light stays without a path.
 //!
 //! Pulses that the response does not resolve make one arrival between their times; its error is then larger (`blends`).
 //! A wide arrival may be two pulses: the paths of the scene, and the widths of first bounces, decide (`readings`).
@@ -79,9 +80,6 @@ pub use problem::{
 use readings::{Readings, Widths};
 pub use scene::Scene;
 
-/// Times, at most, that visible patches are moved to where other light shows them.
-const MOVES: usize = 3;
-
 /// Labels all arrivals of all sensors; with a `scene` by prediction, else by first light. A cancel ends it within
 /// milliseconds.
 ///
@@ -96,15 +94,14 @@ pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Option
     };
     let mut scene = scene.clone();
     let mut found: BTreeMap<PatchId, Hidden> = BTreeMap::new();
-    let mut moves = MOVES;
     let solution = loop {
         let solution = label_in(sensors, &scene, options, cancel);
         if let Some((patch, place)) = shown(&solution, &scene, sensors, &found) {
             scene = scene.moved(patch, &place);
             found.insert(patch, place);
-        } else if let Some((patch, place)) = beside(&solution, &scene, sensors, options).filter(|_| moves > 0) {
-            moves -= 1;
-            scene = scene.moved(patch, &place);
+        } else if let Some((patch, place)) = solution.twins.iter().find(|(patch, _)| !found.contains_key(patch)) {
+            scene = scene.stretched(*patch, place);
+            found.insert(*patch, *place);
         } else {
             break solution;
         }
@@ -135,7 +132,8 @@ fn shown(
         has_own && direct.peek().is_some() && direct.all(comes)
     };
     let hidden = solution.hypotheses.iter().filter(|one| one.layer == 1 && one.patch.is_some());
-    let mut pairs = hidden.flat_map(|one| visible.iter().map(move |patch| (*patch, one.surface)));
+    let places = hidden.map(|one| one.surface).chain(solution.twins.iter().map(|(_, surface)| *surface));
+    let mut pairs = places.flat_map(|place| visible.iter().map(move |patch| (*patch, place)));
     pairs.find(|(patch, place)| !found.contains_key(patch) && explains(*patch, place))
 }
 
@@ -198,25 +196,6 @@ fn label_in(sensors: &[SensorProfiles], scene: &Scene, options: &Options, cancel
     let labelling = Labelling { sensors: &third.sensors, ..labelling };
     let verdicts = labelling.verdicts(&labelling.graphs(&whole), &chances);
     Solution { verdicts, ..solution }.of(third)
-}
-
-/// The visible patch beside which the surest such hidden one lies, and where: third bounces over the visible one, which
-/// its place contradicts. (Pulses that came together give a wrong place; other light shows the right one.)
-fn beside(
-    solution: &Solution,
-    scene: &Scene,
-    sensors: &[SensorProfiles],
-    options: &Options,
-) -> Option<(PatchId, Hidden)> {
-    let reach_m = sensors.first()?.medium.path_m(options.blend_ps);
-    let visible = scene.visible(sensors);
-    let near = |hypothesis: &Hypothesis| {
-        hypothesis.patch?;
-        let apart_m = |patch: &PatchId| (scene.points_of(&[*patch])[0] - hypothesis.surface.point).norm();
-        let nearest = visible.iter().copied().min_by(|a, b| apart_m(a).total_cmp(&apart_m(b)))?;
-        (apart_m(&nearest) < reach_m).then_some((nearest, hypothesis.surface))
-    };
-    solution.hypotheses.iter().find_map(near)
 }
 
 /// What onsets are read by.
@@ -305,6 +284,7 @@ impl<'a> Labelling<'a> {
         let solution = Solution {
             verdicts: self.verdicts(&self.graphs(&all), &chances),
             hypotheses: layers.hypotheses(),
+            twins: std::mem::take(&mut layers.twins),
             visible_in_line: layers.is_in_line.then_some(self.visible.len()),
             ..Solution::default()
         };

@@ -25,6 +25,8 @@ pub(super) struct Layers<'a> {
     patches: [Vec<HiddenPatch>; 2],
     planes: Vec<Hidden>,
     declined: Option<Hidden>,
+    /// Places that are not told from those of visible patches, the surest first.
+    pub(super) twins: Vec<(PatchId, Hidden)>,
     /// Whether visible patches lie in one line, so that nothing is searched.
     pub(super) is_in_line: bool,
 }
@@ -54,8 +56,9 @@ impl<'a> Layers<'a> {
         cancel: &'a Cancel,
     ) -> Self {
         let patches = [Vec::new(), Vec::new()];
-        let (planes, declined) = (Vec::new(), None);
-        let mut all = Self { scene, sensors, visible, options, cancel, patches, planes, declined, is_in_line: false };
+        let (planes, declined, twins) = (Vec::new(), None, Vec::new());
+        let mut all =
+            Self { scene, sensors, visible, options, cancel, patches, planes, declined, twins, is_in_line: false };
         let SensorProfiles { source, dimensions, .. } = sensors[0];
         let points = scene.points_of(visible);
         if !spans(&points, dimensions) {
@@ -71,8 +74,31 @@ impl<'a> Layers<'a> {
         };
         all.declined = solution.declined;
         all.planes = std::mem::take(&mut solution.planes);
+        all.twins = all.without_twins(&mut solution);
         all.patches[0] = all.numbered(solution, &points, source);
         all
+    }
+
+    /// Takes places out that are not told from those of visible patches.
+    fn without_twins(&self, solution: &mut hidden::Solution) -> Vec<(PatchId, Hidden)> {
+        let reach_m = self.sensors[0].medium.path_m(self.options.blend_ps);
+        let twin_of = |surface: &Hidden| {
+            let apart_m = |patch: &PatchId| (self.scene.points[patch] - surface.point).norm();
+            let nearest = self.visible.iter().copied().min_by(|a, b| apart_m(a).total_cmp(&apart_m(b)))?;
+            (apart_m(&nearest) < reach_m).then_some((nearest, *surface))
+        };
+        let found = std::mem::take(&mut solution.patches).into_iter().zip(std::mem::take(&mut solution.rivals));
+        let mut twins = Vec::new();
+        for (surface, rival) in found {
+            match twin_of(&surface) {
+                Some(twin) => twins.push(twin),
+                None => {
+                    solution.patches.push(surface);
+                    solution.rivals.push(rival);
+                }
+            }
+        }
+        twins
     }
 
     /// Searches for patches that only hidden ones show, in fifth bounces, among what all paths over the latter leave.

@@ -286,6 +286,8 @@ pub struct Solution {
     pub hypotheses: Vec<Hypothesis>,
     /// Visible patches that light over them shows in another place than the scene's, or that have none there.
     pub places: Vec<(PatchId, Hidden)>,
+    /// Visible patches that light over them shows beside their place in the scene, and where.
+    pub(super) twins: Vec<(PatchId, Hidden)>,
     /// Number of visible patches where these lie in one line (in flatland in one point), so that nothing is searched.
     pub visible_in_line: Option<usize>,
 }

@@ -77,6 +77,12 @@ impl Scene {
         scene
     }
 
+    /// With a patch where other light shows it, near its own place, and an error that covers both.
+    pub(super) fn stretched(&self, patch: PatchId, place: &Hidden) -> Self {
+        let between_m = place.point - self.points[&patch];
+        self.moved(patch, &Hidden { covariance: place.covariance + between_m * between_m.transpose(), ..*place })
+    }
+
     /// With patches that only the hidden ones `shown_by` show.
     pub(super) fn with_deep(&self, hidden: &[(PatchId, Hidden)], shown_by: &[PatchId]) -> Self {
         let mut scene = self.with(hidden.iter().copied());

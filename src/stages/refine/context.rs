@@ -10,8 +10,9 @@ use crate::geometry::Point;
 use crate::priors::campaign_fields::{ByCampaign, Medium, PatchPrior, StationPriors};
 use crate::priors::delays::Latencies;
 use crate::priors::footprints::{self, Extent};
+use crate::priors::sensor_range::{OfSensorRange, SensorRange, own_or_only};
 use crate::stages::stage::{BesideTables, StageError};
-use crate::tables::{Patch, Plane, SceneOdds};
+use crate::tables::{Calibration, Label, Patch, Plane, SceneOdds};
 use crate::units::PatchId;
 
 /// Share of the laser's period that is its standard deviation where campaign.toml gives none.
@@ -75,6 +76,8 @@ pub struct Context {
     /// Places that were not taken when the onsets were labelled.
     pub rivals: Vec<Rival>,
     pub latencies: Latencies,
+    /// Full width at half maximum of each response.
+    widths_ps: BTreeMap<SensorRange, f64>,
     pub planes: Vec<Plane>,
     /// Ends the solution.
     pub cancel: Cancel,
@@ -85,15 +88,23 @@ impl Context {
         let start = beside.rows::<Patch>("patches")?.unwrap_or_default();
         let scenes = beside.rows::<SceneOdds>("scenes")?.unwrap_or_default();
         let rivals = scenes.iter().map(|scene| Rival::new(scene, &start)).collect();
+        let calibration: Vec<Calibration> = beside.rows("calibration")?.unwrap_or_default();
         let best = start.into_iter().filter(|patch| patch.alternative == 0);
         Ok(Self {
             fields,
             start: best.map(|patch| (patch.patch, patch)).collect(),
             rivals,
-            latencies: Latencies::new(&beside.rows("calibration")?.unwrap_or_default()),
+            latencies: Latencies::new(&calibration),
+            widths_ps: calibration.iter().map(|row| (row.sensor_range(), row.width_ps)).collect(),
             planes: beside.rows("planes")?.unwrap_or_default(),
             cancel: beside.cancel.clone(),
         })
+    }
+
+    /// Width of the response that an onset was measured with; `None` where no calibration has it.
+    pub fn response_width_ps(&self, label: &Label) -> Option<f64> {
+        let width_ps = self.widths_ps[own_or_only(self.widths_ps.keys(), label)?];
+        Some(width_ps).filter(|width_ps| *width_ps > 0.0)
     }
 
     /// Whether there are patches to start from, and all of them have a covariance: no onset needs to place them.

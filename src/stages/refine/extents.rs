@@ -9,6 +9,9 @@ use crate::geometry::footprint::{self, Bounce, Footprints, Spread};
 use crate::geometry::maximum_likelihood::{Node, Problem, Solution};
 use crate::tables::Label;
 
+/// Pulses that are further apart make two onsets, as a share of the response's full width at half maximum: two standard
+/// deviations of a Gaussian.
+const RESOLVED: f64 = 2.0 / 2.355;
 /// A width is worth its parameter beyond some five standard deviations of its variance. Variances that show no width
 /// with a chance are as likely as one whose residual is what they are beyond so many (by the normal distribution's
 /// tail).
@@ -78,8 +81,8 @@ struct Widths {
     labels: Vec<usize>,
     /// Their spreads.
     spreads: Vec<Spread>,
-    /// How far apart pulses are that make two onsets, about: the error of an onset's variance over that of its time,
-    /// which is some twice the response's standard deviation.
+    /// How far apart pulses are that make two onsets, about: twice the response's standard deviation. It is also the
+    /// error of an onset's variance over that of its time.
     resolved_ps: f64,
 }
 
@@ -88,10 +91,14 @@ impl Widths {
     fn new(model: &Model, problem: &Problem, solution: &Solution) -> Self {
         let variance_sd_ps2 =
             |label: &Label| Some(2.0 * label.width_ps? * label.width_sd_ps?).filter(|sd_ps2| *sd_ps2 > 0.0);
-        let mut ratios_ps: Vec<f64> =
-            model.labels.iter().filter_map(|label| Some(variance_sd_ps2(label)? / label.time_sd_ps)).collect();
-        ratios_ps.sort_by(f64::total_cmp);
-        let Some(&resolved_ps) = ratios_ps.get(ratios_ps.len() / 2) else { return Self::default() };
+        if model.labels.iter().all(|label| variance_sd_ps2(label).is_none()) {
+            return Self::default();
+        }
+        // Without a calibration the errors tell. Those of strong onsets are not of this kind.
+        let of_errors_ps = |label: &Label| Some(variance_sd_ps2(label)? / label.time_sd_ps);
+        let of_response_ps = |label: &Label| Some(RESOLVED * model.context.response_width_ps(label)?);
+        let largest_ps = |of: &dyn Fn(&Label) -> Option<f64>| model.labels.iter().filter_map(of).reduce(f64::max);
+        let resolved_ps = largest_ps(&of_response_ps).or_else(|| largest_ps(&of_errors_ps)).unwrap_or_default();
         let spread = |(n, label): (usize, &Label)| {
             let width_ps = label.width_ps?;
             let own_sd_ps2 = variance_sd_ps2(label);
