@@ -2,7 +2,8 @@
 //!
 //! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for
 //! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone), `-- readings 20` for
-//! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 one` for the choice of the scene alone,
+//! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 3000 one` for the choice of the scene alone and
+//! seeds from 3000 on,
 //! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind
 //! (`-- small-rooms 60 30`: only with 30 % missing); `-- sizes 20` for
 //! patches of centimetres whose sizes nobody gives; `-- locate 20` for small things behind a relay wall.
@@ -42,12 +43,15 @@ mod small_rooms;
 #[path = "../tests/it/accuracy.rs"]
 mod study;
 
+use std::ops::Range;
 use std::path::Path;
 
 use readings::{Choice, Instrument, Outcome, Setting, outcomes};
 use score::Rate;
 use study::{SCENE, Study, study};
 
+/// Scenes with hidden patches have 1 to so many, by their seed.
+const HIDDEN_MAX: u64 = 6;
 const CHOICES: [Choice; 3] = [Choice::Wide, Choice::Points, Choice::Readings];
 
 fn main() {
@@ -67,7 +71,8 @@ fn main() {
     }
     if std::env::args().any(|arg| arg == "readings") {
         let is_one = std::env::args().any(|arg| arg == "one");
-        return print_readings(seeds, if is_one { &[Choice::Readings] } else { &CHOICES });
+        let first = numbers.get(1).copied().unwrap_or(1000);
+        return print_readings(first..first + seeds, if is_one { &[Choice::Readings] } else { &CHOICES });
     }
     if std::env::args().any(|arg| arg == "corner") {
         let counts = numbers.get(1).map_or(vec![4, 8], |&hidden| vec![hidden as usize]);
@@ -222,35 +227,46 @@ fn print_locate(seeds: u64) {
 }
 
 /// Wide pulses and pairs: patches of all sizes, signal-to-noise ratios, hidden patches or none, instruments.
-fn print_readings(seeds: u64, choices: &[Choice]) {
+fn print_readings(seeds: Range<u64>, choices: &[Choice]) {
     println!(
-        "| patches (cm) | SNR | hidden | instrument | choice | scenes | refused | with a phantom | phantoms | missed | rms (mm) | rms / bound | 95 % interval | not explained | patches confidently wrong |"
+        "| patches (cm) | SNR | hidden | instrument | choice | scenes | refused | with a phantom | phantoms | missed | rms (mm) | rms / bound | 95 % interval | not explained | patches doubtful | patches confidently wrong |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     let kind =
         [0.0, 0.01, 0.02, 0.04].into_iter().flat_map(|size_m| [30.0, 100.0].map(|snr| (size_m, snr, Instrument::Kind)));
     let unkind = [Instrument::Tail, Instrument::Slope].map(|instrument| (0.02, 100.0, instrument));
-    let cells = kind.chain(unkind).flat_map(|cell| [0, 2].map(|hidden| (cell, hidden)));
+    let cells = kind.chain(unkind).flat_map(|cell| [false, true].map(|has_hidden| (cell, has_hidden)));
     let mut totals = vec![(0, 0); choices.len()];
-    for ((size_m, snr, instrument), hidden) in cells {
-        let setting = Setting { size_m, snr, hidden, instrument };
-        let scenes: Vec<Vec<Outcome>> = (0..seeds).map(|seed| outcomes(&setting, choices, 1000 + seed)).collect();
+    for ((size_m, snr, instrument), has_hidden) in cells {
+        let setting = |seed: u64| {
+            let hidden = if has_hidden { 1 + (seed % HIDDEN_MAX) as usize } else { 0 };
+            Setting { size_m, snr, hidden, instrument }
+        };
+        let scenes: Vec<Vec<Outcome>> = seeds.clone().map(|seed| outcomes(&setting(seed), choices, seed)).collect();
+        for (seed, scene) in seeds.clone().zip(&scenes) {
+            if scene.iter().any(|one| one.phantoms + one.missed + one.confident + one.refused > 0) {
+                eprintln!("{:?}, seed {seed}: {scene:?}", setting(seed));
+            }
+        }
         for (n, choice) in choices.iter().enumerate() {
             let sum = scenes.iter().fold(Outcome::default(), |sum, scene| sum.plus(scene[n]));
             let hits = scenes.iter().filter(|scene| scene[n].phantoms > 0).count();
-            if hidden == 0 {
+            if !has_hidden {
                 totals[n] = (totals[n].0 + hits, totals[n].1 + scenes.len());
             }
             let rms_mm = 1e3 * (sum.squares_m2 / sum.count as f64).sqrt();
             let over_bound = (sum.squares_m2 / sum.bounds_m2).sqrt();
             let covered = Rate { hits: sum.covered, of: sum.coordinates };
             println!(
-                "| {} | {snr} | {hidden} | {instrument:?} | {choice:?} | {seeds} | {} | {hits} | {} | {} | {rms_mm:.3} | {over_bound:.2} | {covered} | {} | {} |",
+                "| {} | {snr} | {} | {instrument:?} | {choice:?} | {} | {} | {hits} | {} | {} | {rms_mm:.3} | {over_bound:.2} | {covered} | {} | {} | {} |",
                 100.0 * size_m,
+                if has_hidden { "1 to 6" } else { "none" },
+                scenes.len(),
                 sum.refused,
                 sum.phantoms,
                 sum.missed,
                 sum.unexplained,
+                sum.doubtful,
                 sum.confident
             );
         }

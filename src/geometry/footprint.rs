@@ -19,7 +19,7 @@ mod from_widths;
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::Point;
 use crate::units::PatchId;
@@ -32,10 +32,10 @@ pub struct Footprint {
     pub normal: Vector3<f64>,
     /// Diameter.
     pub size_m: f64,
-    /// Standard deviation of the normal's direction.
-    pub normal_sd_rad: f64,
-    /// Standard deviation of the diameter.
-    pub size_sd_m: f64,
+    /// Three independent errors of the normal times the diameter, each a standard deviation: columns, the eigenvectors
+    /// of its covariance. (Widths tell the angle to the light that a patch has and sends much better than the turn
+    /// about that.)
+    pub errors_m: Matrix3<f64>,
 }
 
 /// Footprints by patch; a patch without one is a point.
@@ -78,8 +78,8 @@ impl Footprints {
         path.iter().map(|patch| (centre(patch), self.0.get(patch).copied())).collect()
     }
 
-    /// All of them so many standard deviations off, three numbers for each in the order of the patches: two turns and
-    /// the size. Those that are missing are 0.
+    /// All of them so many standard deviations off, three numbers for each in the order of the patches, one for each
+    /// error. Those that are missing are 0.
     #[must_use]
     pub fn moved(&self, sds: &[f64]) -> Self {
         let own = |n: usize| [0, 1, 2].map(|k| sds.get(3 * n + k).copied().unwrap_or(0.0));
@@ -96,7 +96,7 @@ impl Footprints {
         centre: impl Fn(&PatchId) -> Point,
         sensor: Point,
     ) -> Vec<(PatchId, [f64; 3])> {
-        let is_uncertain = |footprint: &&Footprint| footprint.normal_sd_rad > 0.0 || footprint.size_sd_m > 0.0;
+        let is_uncertain = |footprint: &&Footprint| footprint.errors_m.norm() > 0.0;
         let mut patches: Vec<PatchId> = path.to_vec();
         patches.sort_unstable();
         patches.dedup();
@@ -115,13 +115,39 @@ impl Footprints {
 }
 
 impl Footprint {
-    /// The footprint so many standard deviations off: turned to either side, and larger.
-    fn moved(&self, [first, second, larger]: [f64; 3]) -> Self {
-        let axis = if self.normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
-        let aside = self.normal.cross(&axis).normalize();
-        let turn = self.normal_sd_rad * (first * aside + second * self.normal.cross(&aside));
-        let size_m = f64::max(0.0, self.size_m + larger * self.size_sd_m);
-        Self { normal: (self.normal + turn).normalize(), size_m, ..*self }
+    /// One without error.
+    #[must_use]
+    pub fn exact(normal: Vector3<f64>, size_m: f64) -> Self {
+        Self { normal, size_m, errors_m: Matrix3::zeros() }
+    }
+
+    /// One whose direction is as uncertain to all sides.
+    #[must_use]
+    pub fn uncertain(normal: Vector3<f64>, size_m: f64, normal_sd_rad: f64, size_sd_m: f64) -> Self {
+        let axis = if normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+        let aside = normal.cross(&axis).normalize();
+        let aside_m = normal_sd_rad * size_m;
+        let errors_m = [aside_m * aside, aside_m * normal.cross(&aside), size_sd_m * normal];
+        Self { normal, size_m, errors_m: Matrix3::from_columns(&errors_m) }
+    }
+
+    /// Standard deviation of the normal's direction to either side, the mean of all sides.
+    #[must_use]
+    pub fn normal_sd_rad(&self) -> f64 {
+        let across_m2 = self.errors_m.norm_squared() - self.size_sd_m().powi(2);
+        if self.size_m > 0.0 { (0.5 * across_m2.max(0.0)).sqrt() / self.size_m } else { 0.0 }
+    }
+
+    /// Standard deviation of the diameter.
+    #[must_use]
+    pub fn size_sd_m(&self) -> f64 {
+        (self.normal.transpose() * self.errors_m).norm()
+    }
+
+    /// The footprint so many standard deviations of each error off.
+    fn moved(&self, sds: [f64; 3]) -> Self {
+        let moved_m = self.size_m * self.normal + self.errors_m * Vector3::from(sds);
+        Self { normal: moved_m.try_normalize(0.0).unwrap_or(self.normal), size_m: moved_m.norm(), ..*self }
     }
 
     /// Those a standard deviation off.
@@ -172,6 +198,9 @@ enum End {
 /// that counts: its light comes from one half, whose mean lies 0.59 radii aside, where the term has 0.25.
 const CROSSED: f64 = 1.4;
 
+/// Heights above a plane that are known to so many of their standard deviations have their sign.
+const UNSURE: f64 = 2.0;
+
 /// A leg as a patch's points see it.
 struct Leg {
     /// Gradient of its length.
@@ -194,10 +223,11 @@ impl Leg {
             End::Laser => (Vector3::zeros(), Vector3::zeros()),
             End::Sensor | End::Patch(None) => (-3.0 / length_m * along, Vector3::zeros()),
             End::Patch(Some(other)) => {
-                // Near the other's plane the expansion ends: no closer than half the patch, nor than the normal's error
-                // tells.
+                // Near the other's plane the expansion ends: no closer than half the patch, nor than the other's errors
+                // tell.
                 let height_m = other.normal.dot(&arm);
-                let least_m = f64::max(0.5 * footprint.size_m, other.normal_sd_rad * length_m);
+                let sd_m = (other.errors_m.transpose() * arm).norm() / other.size_m.max(f64::MIN_POSITIVE);
+                let least_m = f64::max(0.5 * footprint.size_m, UNSURE * sd_m);
                 let height_m = height_m.signum() * height_m.abs().max(least_m);
                 let near = other.normal / height_m;
                 let crossed = 1.0 - (other.normal.dot(&arm).abs() / least_m).min(1.0);
@@ -228,13 +258,9 @@ mod tests {
     /// Only uncertain footprints change a shift, and their changes are those of footprints a standard deviation off.
     #[test]
     fn changes_are_those_of_other_footprints() {
-        let certain = Footprint {
-            normal: Vector3::new(0.2, -0.9, 0.4).normalize(),
-            size_m: 0.04,
-            normal_sd_rad: 0.0,
-            size_sd_m: 0.0,
-        };
-        let uncertain = Footprint { size_sd_m: 0.004, normal_sd_rad: 0.1, ..certain };
+        let certain = Footprint::exact(Vector3::new(0.2, -0.9, 0.4).normalize(), 0.04);
+        let uncertain = Footprint::uncertain(certain.normal, certain.size_m, 0.1, 0.004);
+        assert!((uncertain.normal_sd_rad() - 0.1).abs() < 1e-12 && (uncertain.size_sd_m() - 0.004).abs() < 1e-12);
         let places = [Point::new(0.3, 1.0, 0.1), Point::new(-0.4, 1.2, -0.2)];
         let centre = |patch: &PatchId| places[*patch as usize];
         let (source, sensor) = (Point::origin(), Point::new(0.1, 0.0, 0.0));
@@ -287,10 +313,7 @@ mod tests {
     fn it_is_the_mean_over_all_points() {
         let (source, sensor) = (Point::new(0.0, 0.0, 0.0), Point::new(0.1, 0.0, 0.02));
         let patch = |centre: [f64; 3], normal: [f64; 3], size_m: f64| {
-            (
-                Point::from(centre),
-                Footprint { normal: Vector3::from(normal).normalize(), size_m, normal_sd_rad: 0.0, size_sd_m: 0.0 },
-            )
+            (Point::from(centre), Footprint::exact(Vector3::from(normal).normalize(), size_m))
         };
         let wall = patch([0.4, 1.1, 0.2], [-0.5, -1.0, 0.2], 0.05);
         let side = patch([1.0, 0.7, -0.1], [-1.0, 0.1, 0.3], 0.06);
@@ -310,7 +333,7 @@ mod tests {
         let (source, sensor) = (Point::new(0.0, 0.0, 0.0), Point::new(0.05, 0.0, 0.02));
         let patch = |centre: [f64; 3], normal: [f64; 3]| {
             let normal = Vector3::from(normal).normalize();
-            (Point::from(centre), Footprint { normal, size_m: 0.03, normal_sd_rad: 0.0, size_sd_m: 0.0 })
+            (Point::from(centre), Footprint::exact(normal, 0.03))
         };
         let tilted = patch([0.5, 1.0, 0.0], [-1.0, -0.4, 0.2]);
         for height_m in [0.02, 0.025, 0.03, 0.05, 0.1, 0.2] {
@@ -331,7 +354,7 @@ mod tests {
         assert_eq!(shift_m(origin, &[(there, None)], origin), 0.0);
         let normal = Vector3::new(0.1, -1.0, 0.3).normalize();
         let shift = |normal| {
-            let footprint = Some(Footprint { normal, size_m: 0.04, normal_sd_rad: 0.0, size_sd_m: 0.0 });
+            let footprint = Some(Footprint::exact(normal, 0.04));
             shift_m(origin, &[(there, footprint), (Point::new(0.9, 0.5, 0.0), footprint)], origin)
         };
         assert_eq!(shift(normal), shift(-normal));

@@ -50,10 +50,7 @@ pub fn normals(
 /// Footprints of patches with a known size and one of the [`normals`].
 pub fn of(extents: &BTreeMap<PatchId, Extent>, normals: &BTreeMap<PatchId, Vector3<f64>>) -> Footprints {
     let footprint = |(patch, normal): (&PatchId, &Vector3<f64>)| {
-        Some((
-            *patch,
-            Footprint { normal: *normal, size_m: extents.get(patch)?.size_m?, normal_sd_rad: 0.0, size_sd_m: 0.0 },
-        ))
+        Some((*patch, Footprint::exact(*normal, extents.get(patch)?.size_m?)))
     };
     Footprints(normals.iter().filter_map(footprint).collect())
 }
@@ -62,10 +59,7 @@ pub fn of(extents: &BTreeMap<PatchId, Extent>, normals: &BTreeMap<PatchId, Vecto
 pub fn of_table(rows: &[PatchFootprint]) -> Footprints {
     let footprint = |row: &PatchFootprint| {
         let normal = Vector3::new(row.normal_x, row.normal_y, row.normal_z);
-        (
-            row.patch,
-            Footprint { normal, size_m: row.size_m, normal_sd_rad: row.normal_sd_rad, size_sd_m: row.size_sd_m },
-        )
+        (row.patch, Footprint::uncertain(normal, row.size_m, row.normal_sd_rad, row.size_sd_m))
     };
     Footprints(rows.iter().map(footprint).collect())
 }

@@ -14,10 +14,10 @@
 //! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation. Anchors, rays
 //! and stations apart fix the frame. Without them, the frame of `patches` is a convention (table `fits`). What else is
 //! open stands in `ambiguities`: parts that share no path, patches that can move, mirror images, flips, and patches
-//! whose later light has no path (`doubtful`), which may stand in a wrong place. Mirror images and flips explain the
-//! onsets about as well; each has its likelihood, and is an alternative in `patches`. Its `probability` there is its
-//! share of the likelihood among all places of its patch. Onsets may leave a hidden patch two places, on either side of
-//! the wall that shows it: the one on the laser's side is chosen.
+//! whose later light has no path, or that onsets which were left out would place elsewhere (`doubtful`). Mirror images
+//! and flips explain the onsets about as well; each has its likelihood, and is an alternative in `patches`. Its
+//! `probability` there is its share of the likelihood among all places of its patch. Onsets may leave a hidden patch
+//! two places, on either side of the wall that shows it: the one on the laser's side is chosen.
 //!
 //! The light of a large patch does not come from its centre. Where a patch has a size and a normal, the shift is
 //! predicted and taken off ([`crate::geometry::footprint`]), again after each solution, until it stays. They are those
@@ -108,7 +108,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 10;
+    const VERSION: u32 = 11;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -167,6 +167,7 @@ impl Apply for Refine {
         }
         let mut observations = problem.observations.clone();
         let mut used: Vec<Option<usize>> = (0..observations.len()).map(Some).collect();
+        let with_all = solution.points.clone();
         if self.robust && solution.loss > maximum_likelihood::by_chance(solution.degrees_of_freedom as f64) {
             let places = [solution.points.as_slice(), start.as_slice()];
             if let Some((out, points)) = maximum_likelihood::outliers(&problem, &solution.points, &places) {
@@ -185,8 +186,9 @@ impl Apply for Refine {
                 observation.sd_m *= widened[weights::kind(label)].sqrt();
             }
         }
+        let contested = doubtful::contested(&solution, &with_all);
         let (solution, others) = others::alternatives(&model, &problem, solution);
-        let fitted = Fitted { solution, others, observations, used, widened };
+        let fitted = Fitted { solution, others, observations, used, widened, contested };
         let tables = Tables::new(&model, &fitted, &shifts_m, &pulls);
         let residuals = tables.residuals();
         // As they explain the onsets best: whoever predicts more needs the same.

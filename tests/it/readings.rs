@@ -2,12 +2,13 @@
 //! one wide pulse explains both, among patches that are points or centimetres wide. `benches/accuracy.rs` runs it over
 //! many seeds for docs/time-resolution.md.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 use periscope::formats::npy;
 use periscope::pipeline::run::Settings;
-use periscope::tables::{Calibration, Decision, Onset, Patch};
+use periscope::tables::{Ambiguity, Calibration, Decision, Onset, Patch};
 use periscope::units::time_ps;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -44,6 +45,8 @@ const NEAR_M: f64 = 0.03;
 /// One further off than so many of its standard deviations, and than `WRONG_M`, is wrong.
 const WRONG: f64 = 5.0;
 const WRONG_M: f64 = 1e-3;
+/// Rooms are turned onto the truth by patches that are not doubtful where there are so many.
+const LEAST_SURE: usize = 4;
 
 /// What is the matter with the instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,6 +104,8 @@ pub struct Outcome {
     /// Patches that are off by more than five of their standard deviations and a millimetre, with no other place of
     /// theirs named. Phantoms are counted apart.
     pub confident: usize,
+    /// Patches that are named as doubtful.
+    pub doubtful: usize,
 }
 
 impl Outcome {
@@ -116,6 +121,7 @@ impl Outcome {
             refused: self.refused + other.refused,
             unexplained: self.unexplained + other.unexplained,
             confident: self.confident + other.confident,
+            doubtful: self.doubtful + other.doubtful,
         }
     }
 }
@@ -435,16 +441,20 @@ fn solve(lab: &Lab, room: &Room, bounds_m2: &[f64], choice: Choice) -> Outcome {
         assert!(text.contains("no minimum was reached"), "{text}");
         return Outcome { refused: 1, ..Outcome::default() };
     }
-    let outcome = compare(&lab.rows::<Patch>(&out, "patches"), room, bounds_m2);
+    let ambiguities: Vec<Ambiguity> = lab.rows(&out, "patches.ambiguities");
+    let doubtful = ambiguities.iter().filter(|row| &*row.kind == "doubtful").flat_map(|row| row.patches.clone());
+    let outcome = compare(&lab.rows::<Patch>(&out, "patches"), &doubtful.collect(), room, bounds_m2);
     let decisions: Vec<Decision> = lab.rows(&out, "decisions");
     let is_unexplained = |one: &Decision| &*one.what == "fit" && one.chosen.starts_with("not explained");
     Outcome { unexplained: usize::from(decisions.iter().any(is_unexplained)), ..outcome }
 }
 
-/// Patches against the truth, turned onto it by the visible ones.
-fn compare(rows: &[Patch], room: &Room, bounds_m2: &[f64]) -> Outcome {
+/// Patches against the truth, turned onto it by the visible ones that are not `doubtful`.
+fn compare(rows: &[Patch], doubtful: &BTreeSet<i32>, room: &Room, bounds_m2: &[f64]) -> Outcome {
     let best: Vec<&Patch> = rows.iter().filter(|patch| patch.alternative == 0).collect();
     let visible: Vec<&&Patch> = best.iter().filter(|patch| patch.patch <= VISIBLE as i32).collect();
+    let sure: Vec<&&Patch> = visible.iter().filter(|patch| !doubtful.contains(&patch.patch)).copied().collect();
+    let visible = if sure.len() >= LEAST_SURE { sure } else { visible };
     let from: Vec<Vector3<f64>> = visible.iter().map(|patch| position(patch)).collect();
     let targets: Vec<Vector3<f64>> = visible.iter().map(|patch| room.points[patch.patch as usize - 1]).collect();
     let turn: Matrix3<f64> = aligning(&from, &targets);
@@ -475,7 +485,9 @@ fn compare(rows: &[Patch], room: &Room, bounds_m2: &[f64]) -> Outcome {
             outcome.coordinates += 1;
             outcome.covered += usize::from(error[axis].abs() < 1.96 * covariance[(axis, axis)].sqrt());
         }
-        let is_named = rows.iter().any(|other| other.patch == patch.patch && other.alternative > 0);
+        let has_other = rows.iter().any(|other| other.patch == patch.patch && other.alternative > 0);
+        let is_named = has_other || doubtful.contains(&patch.patch);
+        outcome.doubtful += usize::from(doubtful.contains(&patch.patch));
         let is_off = error.norm() > WRONG_M && error.norm() > WRONG * covariance.trace().sqrt();
         outcome.confident += usize::from(is_off && !is_named);
     }
@@ -484,7 +496,7 @@ fn compare(rows: &[Patch], room: &Room, bounds_m2: &[f64]) -> Outcome {
 }
 
 /// A few scenes of points and of patches of a centimetre or two, nothing hidden: none is made up. Pulses that are
-/// always points make up many.
+/// always points place patches much worse.
 #[test]
 fn nothing_hidden_is_made_up_where_third_bounces_follow_second_ones() {
     let choices = [Choice::Wide, Choice::Points, Choice::Readings];
@@ -496,6 +508,7 @@ fn nothing_hidden_is_made_up_where_third_bounces_follow_second_ones() {
         all.iter_mut().zip(outcomes).for_each(|(sum, outcome)| *sum = sum.plus(outcome));
     }
     let [wide, points, readings] = all;
-    assert!(readings.phantoms == 0 && wide.phantoms == 0 && points.phantoms + points.refused > 0, "{all:?}");
+    assert!(readings.phantoms == 0 && wide.phantoms == 0, "{all:?}");
+    assert!(points.refused > 0 || points.squares_m2 > 10.0 * readings.squares_m2, "{all:?}");
     assert!(readings.count == 4 * VISIBLE && readings.refused == 0, "{all:?}");
 }

@@ -77,7 +77,7 @@ pub struct Context {
     pub rivals: Vec<Rival>,
     pub latencies: Latencies,
     /// Full width at half maximum of each response.
-    widths_ps: BTreeMap<SensorRange, f64>,
+    pub widths_ps: BTreeMap<SensorRange, f64>,
     pub planes: Vec<Plane>,
     /// Ends the solution.
     pub cancel: Cancel,

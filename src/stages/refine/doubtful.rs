@@ -10,6 +10,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use crate::geometry::Point;
+use crate::geometry::maximum_likelihood::Solution;
 use crate::tables::Label;
 use crate::units::PatchId;
 
@@ -21,6 +23,26 @@ const LATER: usize = 3;
 const EXPLAINED: f64 = 0.5;
 /// A patch with light from more others than this is checked by these.
 const FEW: usize = 4;
+
+/// Places that differ by more of their standard deviations are different.
+const ELSEWHERE: f64 = 3.0;
+
+/// Patches that stand elsewhere in a solution with all onsets, by their positions among the unknowns. What counts is
+/// their distance from the others, the middle one of all, so that one patch does not move those beside it.
+pub fn contested(solution: &Solution, with_all: &[Point]) -> Vec<usize> {
+    let points = &solution.points;
+    let is_elsewhere = |&place: &usize| {
+        let others = (0..points.len()).filter(|other| *other != place);
+        let apart_m = |points: &[Point], other: usize| (points[place] - points[other]).norm();
+        let mut changes_m: Vec<f64> =
+            others.map(|other| (apart_m(points, other) - apart_m(with_all, other)).abs()).collect();
+        changes_m.sort_by(f64::total_cmp);
+        let sd_m = (solution.misfit * solution.patch_covariance_m2(place, place).trace().max(0.0)).sqrt();
+        changes_m.get(changes_m.len() / 2).is_some_and(|change_m| *change_m > ELSEWHERE * sd_m)
+    };
+    let unplaced = solution.unplaced();
+    (0..points.len()).filter(|place| !unplaced.contains(place)).filter(is_elsewhere).collect()
+}
 
 /// Onsets behind first light, and who has direct light from whom.
 pub struct Later {

@@ -1,6 +1,8 @@
 //! What the extent of patches makes of onsets: footprints that campaign.toml gives or that widths tell, and errors of
 //! onsets that are wider than their patches make them.
 
+use std::collections::BTreeMap;
+
 use super::companions::Companions;
 use super::model::Model;
 use crate::geometry::Point;
@@ -8,6 +10,7 @@ use crate::geometry::companion::{self, Excess, Pull};
 use crate::geometry::footprint::{self, Bounce, Footprints, Spread};
 use crate::geometry::maximum_likelihood::{Node, Problem, Solution};
 use crate::tables::Label;
+use crate::units::PatchId;
 
 /// Pulses that are further apart make two onsets, as a share of the response's full width at half maximum: two standard
 /// deviations of a Gaussian.
@@ -70,7 +73,23 @@ impl Extents {
                 Pull { sd_m: more_m.hypot(less_m), ..of_companions }
             };
         }
+        share(model.labels, &mut pulls);
         Self { footprints, pulls }
+    }
+}
+
+/// Light that goes a path both ways, or is recorded in several ranges, has the same other light in it. So onsets of one
+/// path share the error of their pull: each has the variance of all together.
+fn share(labels: &[Label], pulls: &mut [Pull]) {
+    let one_way = |label: &Label| {
+        let there = label.path.clone().unwrap_or_default();
+        let back: Vec<PatchId> = there.iter().rev().copied().collect();
+        there.min(back)
+    };
+    let mut counts: BTreeMap<Vec<PatchId>, f64> = BTreeMap::new();
+    labels.iter().for_each(|label| *counts.entry(one_way(label)).or_default() += 1.0);
+    for (label, pull) in labels.iter().zip(pulls) {
+        pull.sd_m *= counts[&one_way(label)].sqrt();
     }
 }
 

@@ -35,6 +35,8 @@ pub struct Fitted {
     pub used: Vec<Option<usize>>,
     /// Factors on the variances of onsets by their kind.
     pub widened: [f64; ONSET_KINDS.len()],
+    /// Patches that all onsets, those left out among them, would place elsewhere.
+    pub contested: Vec<usize>,
 }
 
 /// The best solution, as rows of the tables that the stage writes.
@@ -50,6 +52,7 @@ pub struct Tables<'a> {
     pub observations: &'a [Observation],
     pub used: &'a [Option<usize>],
     pub widened: [f64; ONSET_KINDS.len()],
+    pub contested: &'a [usize],
     /// Onsets that each patch rests on.
     onsets: BTreeMap<PatchId, i32>,
     turn: Matrix3<f64>,
@@ -58,7 +61,7 @@ pub struct Tables<'a> {
 
 impl<'a> Tables<'a> {
     pub fn new(model: &'a Model<'a>, fitted: &'a Fitted, shifts_m: &'a [f64], pulls: &'a [Pull]) -> Self {
-        let Fitted { solution, others, observations, used, widened } = fitted;
+        let Fitted { solution, others, observations, used, widened, contested } = fitted;
         let (turn, frame) = if model.all_rotations_free(solution) {
             (frame::canonical(&solution.points, centre(solution)), "canonical")
         } else if solution.free_rotations.first() == Some(&1) {
@@ -71,7 +74,20 @@ impl<'a> Tables<'a> {
             let patches: BTreeSet<PatchId> = label.path.iter().flatten().copied().collect();
             patches.into_iter().for_each(|patch| *onsets.entry(patch).or_default() += 1);
         }
-        Self { model, solution, others, shifts_m, pulls, observations, used, widened: *widened, onsets, turn, frame }
+        Self {
+            model,
+            solution,
+            others,
+            shifts_m,
+            pulls,
+            observations,
+            used,
+            widened: *widened,
+            contested,
+            onsets,
+            turn,
+            frame,
+        }
     }
 
     fn turned(&self, point: Point) -> Point {
@@ -287,8 +303,8 @@ impl<'a> Tables<'a> {
                 normal_x: normal.x,
                 normal_y: normal.y,
                 normal_z: normal.z,
-                normal_sd_rad: footprint.normal_sd_rad,
-                size_sd_m: footprint.size_sd_m,
+                normal_sd_rad: footprint.normal_sd_rad(),
+                size_sd_m: footprint.size_sd_m(),
                 source: source.into(),
             }
         };
@@ -327,6 +343,10 @@ impl<'a> Tables<'a> {
         if !doubtful.is_empty() {
             let meaning = "no path explains most later light of these patches: they may stand in a wrong place; capture more pairs with them";
             rows.push(Ambiguity { patches: doubtful, ..plain("doubtful", &[], meaning) });
+        }
+        if !self.contested.is_empty() {
+            let meaning = "onsets that contradict the others were left out (`suspects`); with them these patches stand elsewhere; capture more pairs with them";
+            rows.push(plain("doubtful", self.contested, meaning));
         }
         for (n, other) in self.others.iter().enumerate() {
             let (kind, meaning) = if other.is_mirror_image {
