@@ -3,10 +3,10 @@
 //! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for
 //! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone), `-- readings 20` for
 //! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 3000 one` for the choice of the scene alone and
-//! seeds from 3000 on,
-//! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind
-//! (`-- small-rooms 60 30`: only with 30 % missing); `-- sizes 20` for
-//! patches of centimetres whose sizes nobody gives; `-- locate 20` for small things behind a relay wall.
+//! seeds from 3000 on; `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each
+//! kind (`-- small-rooms 60 5000 30`: seeds from 5000 on, only with 30 % missing); `-- sizes 20` for patches of
+//! centimetres whose sizes nobody gives; `-- locate 20` for small things behind a relay wall; `-- twins 300` for tables
+//! b, d, e and f of docs/time-resolution.md through `run`.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
@@ -29,11 +29,8 @@ mod rectangles;
 #[path = "../tests/it/relay_scene.rs"]
 mod relay_scene;
 #[allow(dead_code, reason = "other studies use more of it")]
-#[path = "resolution/score.rs"]
-mod score;
-#[allow(dead_code, reason = "other studies use more of it")]
-#[path = "resolution/shape.rs"]
-mod shape;
+#[path = "resolution/mod.rs"]
+mod resolution;
 #[path = "../tests/it/sizes.rs"]
 mod sizes;
 #[allow(dead_code, reason = "the tests use more of it")]
@@ -42,13 +39,18 @@ mod small_rooms;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/accuracy.rs"]
 mod study;
+#[path = "../tests/it/twins.rs"]
+mod twins;
 
 use std::ops::Range;
 use std::path::Path;
 
 use readings::{Choice, Instrument, Outcome, Setting, outcomes};
+use resolution::{information, score, shape};
 use score::Rate;
+use shape::{Sensor, Shape};
 use study::{SCENE, Study, study};
+use twins::{Kind, twin};
 
 /// Scenes with hidden patches have 1 to so many, by their seed.
 const HIDDEN_MAX: u64 = 6;
@@ -63,11 +65,15 @@ fn main() {
     if std::env::args().any(|arg| arg == "sizes") {
         return print_sizes(seeds);
     }
+    if std::env::args().any(|arg| arg == "twins") {
+        return print_twins(seeds as usize);
+    }
     if std::env::args().any(|arg| arg == "locate") {
         return print_locate(seeds);
     }
     if std::env::args().any(|arg| arg == "small-rooms") {
-        return print_small_rooms(seeds, numbers.get(1).copied());
+        let first = numbers.get(1).copied().unwrap_or(1000);
+        return print_small_rooms(first..first + seeds, numbers.get(2).copied());
     }
     if std::env::args().any(|arg| arg == "readings") {
         let is_one = std::env::args().any(|arg| arg == "one");
@@ -226,6 +232,44 @@ fn print_locate(seeds: u64) {
     }
 }
 
+/// Tables b, d, e and f of docs/time-resolution.md through `run`.
+fn print_twins(records: usize) {
+    println!(
+        "| response | told | light | SNR | records | right number | more | rms / bound | in 95 % interval | flag `misfit` |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    let print = |name: &str, told: &str, [own, given]: [&Shape; 2], kind: Kind, snr: f64, seed: u64| {
+        let twin = twin(own, given, kind, snr, records, seed);
+        let twins::Twin { right, more, ratio, within, flagged } = twin;
+        let light = match kind {
+            Kind::One => "one pulse".to_owned(),
+            Kind::Pair(apart_ps) => format!("pair, {apart_ps:.0} ps"),
+            Kind::Many(spacing_ps) => format!("3 to 12, {spacing_ps:.0} ps"),
+        };
+        println!(
+            "| {name} | {told} | {light} | {snr} | {records} | {right} | {more} | {ratio} | {within} | {flagged:.2} |"
+        );
+    };
+    for Sensor { name, shape, .. } in Sensor::both() {
+        for snr in [30.0, 100.0, 316.0, 1000.0] {
+            let limit_ps = information::resolution_limit_ps(&shape, snr);
+            let kinds =
+                [Kind::One, Kind::Pair(1.35 * limit_ps), Kind::Pair(2.0 * limit_ps), Kind::Many(12.0 * limit_ps)];
+            for (seed, kind) in (100..).zip(kinds) {
+                print(name, "as it is", [&shape, &shape], kind, snr, seed);
+            }
+        }
+        let told = [("2 % too wide", 1.02), ("2 % too narrow", 0.98), ("5 % too wide", 1.05)];
+        for (text, factor) in told {
+            for (seed, kind) in (200..).zip([Kind::One, Kind::Pair(100.0)]) {
+                print(name, text, [&shape, &shape.stretched(factor)], kind, 100.0, seed);
+            }
+        }
+        let tail = shape.with_tail(1000.0, 0.02);
+        print(name, "without its tail of 2 %, 1 ns", [&tail, &shape], Kind::One, 100.0, 300);
+    }
+}
+
 /// Wide pulses and pairs: patches of all sizes, signal-to-noise ratios, hidden patches or none, instruments.
 fn print_readings(seeds: Range<u64>, choices: &[Choice]) {
     println!(
@@ -278,16 +322,16 @@ fn print_readings(seeds: Range<u64>, choices: &[Choice]) {
 
 /// Few patches, pairs missing, spurious onsets: which rooms are wrong without saying so. With a share of missing pairs
 /// in percent, only those kinds.
-fn print_small_rooms(seeds: u64, missing_percent: Option<u64>) {
+fn print_small_rooms(seeds: Range<u64>, missing_percent: Option<u64>) {
     println!(
-        "| pairs missing | profiles with a spurious onset | rooms | confidently wrong [95 %] | of these, fit not explained | wrong, and said so | refused | patches placed | with open patches | with phantoms | p of errors (Kolmogorov) |"
+        "| pairs missing | profiles with a spurious onset | rooms | confidently wrong [95 %] | of these, fit not explained | wrong, and said so | right patches named doubtful | refused | patches placed | with open patches | with phantoms | p of errors (Kolmogorov) |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let shares = [0.0, 0.3, 0.6].into_iter().flat_map(|missing| [0.0, 0.2, 0.4].map(|spurious| (missing, spurious)));
     let shares = shares.filter(|(missing, _)| missing_percent.is_none_or(|only| (100.0 * missing) as u64 == only));
     for kind in shares.map(|(missing, spurious)| small_rooms::Kind { missing, spurious }) {
-        let rooms = small_rooms::solve_all(kind, 1000..1000 + seeds);
-        for (seed, room) in (1000..).zip(&rooms) {
+        let rooms = small_rooms::solve_all(kind, seeds.clone());
+        for (seed, room) in seeds.clone().zip(&rooms) {
             if room.refused.is_some() || !room.confidently_wrong.is_empty() || !room.wrong.is_empty() || room.open > 0 {
                 eprintln!("{kind:?}, room {seed}: {room:?}");
             }
@@ -298,13 +342,14 @@ fn print_small_rooms(seeds: u64, missing_percent: Option<u64>) {
         let chance = small_rooms::kolmogorov(rooms.iter().filter_map(|room| room.p_value).collect());
         let chance = chance.map_or("-".to_owned(), |chance| format!("{chance:.2}"));
         println!(
-            "| {:.0} % | {:.0} % | {} | {wrong}: {} | {} | {} | {} | {} of {} | {} | {} | {} |",
+            "| {:.0} % | {:.0} % | {} | {wrong}: {} | {} | {} | {} | {} | {} of {} | {} | {} | {} |",
             100.0 * kind.missing,
             100.0 * kind.spurious,
             rooms.len(),
             Rate { hits: wrong, of: solved },
             count(|room| !room.confidently_wrong.is_empty() && room.chi2_dof.is_some_and(|ratio| ratio > 2.0)),
             count(|room| room.confidently_wrong.is_empty() && !room.wrong.is_empty()),
+            rooms.iter().map(|room| room.doubted).sum::<usize>(),
             rooms.len() - solved,
             rooms.iter().map(|room| room.patches - room.open).sum::<usize>(),
             rooms.iter().map(|room| room.patches).sum::<usize>(),

@@ -65,9 +65,10 @@ mod simulate;
 mod sizes;
 mod small_rooms;
 mod surface;
+mod twins;
 mod verify;
 mod version;
 mod vertical_ranges;
 mod watch;
 
-use resolution::study::shape;
+use resolution::study::{information, score, shape};

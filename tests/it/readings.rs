@@ -35,6 +35,8 @@ const VISIBLE: usize = 8;
 const SPREAD: usize = 40;
 /// Step of the response that the program is given.
 const STEP_PS: f64 = 2.5;
+/// Its steps before its start.
+const BEFORE: i32 = 100;
 /// Step of the one that the records are made with, and where it begins.
 const CURVE_PS: f64 = 1.0;
 const CURVE_FIRST_PS: f64 = -320.0;
@@ -318,7 +320,7 @@ fn record(room: &Room, setting: &Setting, rng: &mut ChaCha8Rng) -> (Lab, Vec<f64
         let path = lab.campaign().join(format!("raw/L{}_P{}.npy", lit + 1, seen + 1));
         npy::write(&mut File::create(path).unwrap(), &[SHOTS as u64, SAMPLES as u64], &codes).unwrap();
     }
-    write_table(&lab.path("calibration.parquet"), &[calibration(&shape)]);
+    write_table(&lab.path("calibration.parquet"), &[calibration(&shape, BEFORE)]);
     (lab, information.bounds_m2())
 }
 
@@ -384,9 +386,9 @@ impl Information {
     }
 }
 
-/// A calibration that knows this response.
-fn calibration(shape: &Shape) -> Calibration {
-    let (before, behind) = (100, 800);
+/// A calibration that knows this response, from so many steps of 2.5 ps before its start on.
+pub fn calibration(shape: &Shape, before: i32) -> Calibration {
+    let behind = 800;
     let response: Vec<f64> = (-before..=behind).map(|i| shape.at(f64::from(i) * STEP_PS)[0]).collect();
     Calibration {
         campaign: "readings".into(),
@@ -401,7 +403,8 @@ fn calibration(shape: &Shape) -> Calibration {
     }
 }
 
-fn import(lab: &Lab, heading: &str, table: &str, file: &str) -> String {
+/// A heading that reads a table from a file of the lab.
+pub fn import(lab: &Lab, heading: &str, table: &str, file: &str) -> String {
     let path = lab.path(file);
     format!("[{heading}]\nstage = 'import'\nparams = {{ table = '{table}', path = '{}' }}\n", path.display())
 }

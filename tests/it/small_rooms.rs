@@ -2,6 +2,8 @@
 //! pairs has two places; third bounces decide, and where they do not, both have to stand in the result.
 //! `benches/accuracy.rs` runs it over many rooms.
 
+use std::collections::BTreeSet;
+
 use nalgebra::{Matrix3, Vector3};
 use periscope::pipeline::run::Settings;
 use periscope::tables::{Ambiguity, Onset, Patch, PatchCovariance};
@@ -134,6 +136,8 @@ pub struct Outcome {
     pub confidently_wrong: Vec<i32>,
     /// Patches that are wrong, and named as ambiguous.
     pub wrong: Vec<i32>,
+    /// Patches that are right, and named as doubtful all the same.
+    pub doubted: usize,
     /// Visible patches without a covariance.
     pub open: usize,
     /// Hidden patches; the rooms have none.
@@ -210,6 +214,10 @@ fn score(room: &Room, rows: &[Patch], ambiguities: &[Ambiguity], covariances: &[
     };
     let off = wrong(&placed, &truth, |patch| !is_named(&patch));
     let (wrong, confidently_wrong): (Vec<i32>, Vec<i32>) = off.into_iter().partition(is_named);
+    let doubtful = ambiguities.iter().filter(|one| &*one.kind == "doubtful");
+    let doubtful: BTreeSet<i32> = doubtful.flat_map(|one| one.patches.iter().copied()).collect();
+    let is_doubted = |row: &&Patch| doubtful.contains(&row.patch) && !wrong.contains(&row.patch);
+    let doubted = placed.iter().filter(is_doubted).count();
     let open = room.points.len() - placed.len();
     let is_right = wrong.is_empty() && confidently_wrong.is_empty() && open == 0;
     let has = |patch: i32| patch as usize <= room.points.len();
@@ -224,6 +232,7 @@ fn score(room: &Room, rows: &[Patch], ambiguities: &[Ambiguity], covariances: &[
         refused: None,
         confidently_wrong,
         wrong,
+        doubted,
         open,
         phantoms: best().filter(|row| !is_visible(row)).count(),
         chi2_dof: best().next().and_then(|row| row.chi2_dof),
