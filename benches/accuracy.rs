@@ -5,7 +5,7 @@
 //! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 3000 one` for the choice of the scene alone and
 //! seeds from 3000 on; `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each
 //! kind (`-- small-rooms 60 5000 30`: seeds from 5000 on, only with 30 % missing); `-- sizes 20` for patches of
-//! centimetres whose sizes nobody gives; `-- locate 20` for small things behind a relay wall; `-- twins 300` for tables
+//! centimetres whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall; `-- twins 300` for tables
 //! b, d, e and f of docs/time-resolution.md through `run`.
 
 #[allow(dead_code, reason = "the tests use more of it")]
@@ -69,7 +69,8 @@ fn main() {
         return print_twins(seeds as usize);
     }
     if std::env::args().any(|arg| arg == "locate") {
-        return print_locate(seeds);
+        let first = numbers.get(1).copied().unwrap_or(1000);
+        return print_locate(first..first + seeds);
     }
     if std::env::args().any(|arg| arg == "small-rooms") {
         let first = numbers.get(1).copied().unwrap_or(1000);
@@ -199,7 +200,7 @@ const LOCATE: [(&str, usize, f64); 24] = [
     ("nothing", 0, 0.0),
 ];
 
-fn print_locate(seeds: u64) {
+fn print_locate(seeds: Range<u64>) {
     println!(
         "| scene | photons | campaigns | points, extended, nothing, cannot tell | located | extra | rms / bound | 95 % hold (coordinates) |"
     );
@@ -209,7 +210,13 @@ fn print_locate(seeds: u64) {
             let (capture, hidden) = locate::scene(kind, count, photons, seed);
             locate::outcome(&capture, &hidden)
         };
-        let outcomes: Vec<locate::Outcome> = (0..seeds).map(of_seed).collect();
+        let outcomes: Vec<locate::Outcome> = seeds.clone().map(of_seed).collect();
+        for (seed, one) in seeds.clone().zip(&outcomes).filter(|(_, one)| one.hits < count || one.extra > 0) {
+            eprintln!(
+                "{count} {kind}, {photons} photons, seed {seed}: {} with {} of {count}, {} extra",
+                one.search.verdict, one.hits, one.extra
+            );
+        }
         let verdicts = ["points", "extended-object", "nothing", "cannot-tell"]
             .map(|verdict| outcomes.iter().filter(|one| &*one.search.verdict == verdict).count().to_string());
         let sum = |value: fn(&locate::Outcome) -> f64| outcomes.iter().map(value).sum::<f64>();
@@ -224,9 +231,10 @@ fn print_locate(seeds: u64) {
         };
         let name = if count > 0 { format!("{count} {kind}") } else { kind.to_owned() };
         println!(
-            "| {name} | {photons} | {seeds} | {} | {hits} of {} | {} | {errors} | {inside} |",
+            "| {name} | {photons} | {} | {} | {hits} of {} | {} | {errors} | {inside} |",
+            outcomes.len(),
             verdicts.join(", "),
-            count as u64 * seeds,
+            count * outcomes.len(),
             number(|one| one.extra),
         );
     }

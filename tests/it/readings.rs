@@ -88,7 +88,7 @@ pub enum Choice {
 pub struct Outcome {
     /// Patches that are none.
     pub phantoms: usize,
-    /// True hidden patches that were not found.
+    /// True hidden patches that were not found, and patches without a covariance.
     pub missed: usize,
     /// Sum of squared errors of the patches that were found, and their number.
     pub squares_m2: f64,
@@ -463,6 +463,7 @@ fn compare(rows: &[Patch], doubtful: &BTreeSet<i32>, room: &Room, bounds_m2: &[f
     let turn: Matrix3<f64> = aligning(&from, &targets);
     let mut outcome = Outcome::default();
     let mut open: Vec<usize> = (VISIBLE..room.points.len()).collect();
+    let mut unplaced = 0;
     for patch in best {
         let at = turn * position(patch);
         let place = if patch.patch <= VISIBLE as i32 {
@@ -475,13 +476,16 @@ fn compare(rows: &[Patch], doubtful: &BTreeSet<i32>, room: &Room, bounds_m2: &[f
             outcome.phantoms += 1;
             continue;
         };
+        let values =
+            [patch.cov_xx_m2, patch.cov_xy_m2, patch.cov_xz_m2, patch.cov_yy_m2, patch.cov_yz_m2, patch.cov_zz_m2];
+        let [Some(xx), Some(xy), Some(xz), Some(yy), Some(yz), Some(zz)] = values else {
+            unplaced += 1;
+            continue;
+        };
         let error = at - room.points[place];
         outcome.squares_m2 += error.norm_squared();
         outcome.bounds_m2 += bounds_m2[place];
         outcome.count += 1;
-        let [xx, xy, xz, yy, yz, zz] =
-            [patch.cov_xx_m2, patch.cov_xy_m2, patch.cov_xz_m2, patch.cov_yy_m2, patch.cov_yz_m2, patch.cov_zz_m2]
-                .map(|value| value.expect("refined"));
         let own = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
         let covariance = turn * own * turn.transpose();
         for axis in 0..3 {
@@ -494,7 +498,7 @@ fn compare(rows: &[Patch], doubtful: &BTreeSet<i32>, room: &Room, bounds_m2: &[f
         let is_off = error.norm() > WRONG_M && error.norm() > WRONG * covariance.trace().sqrt();
         outcome.confident += usize::from(is_off && !is_named);
     }
-    outcome.missed = open.len();
+    outcome.missed = open.len() + unplaced;
     outcome
 }
 

@@ -335,6 +335,9 @@ fn a_patch_that_is_wrong_is_said_to_be_ambiguous() {
     };
     let right: Vec<&Outcome> = rooms.iter().filter(is_right).collect();
     assert!(right.len() >= 5, "{rooms:?}");
+    let (doubted, placed) =
+        (rooms.iter().map(|room| room.doubted).sum::<usize>(), rooms.iter().map(|room| room.patches - room.open));
+    assert!(10 * doubted <= placed.sum::<usize>(), "{rooms:?}");
     assert!(right.iter().all(|room| room.chi2_dof.is_some_and(|ratio| ratio < 2.0)), "{right:?}");
     let chance = kolmogorov(right.iter().filter_map(|room| room.p_value).collect());
     assert!(chance.is_some_and(|chance| chance > 1e-3), "{right:?}");
