@@ -141,6 +141,7 @@ fn what_kernels_resolve_comes_through_run() {
     for (kind, least) in [(Kind::One, 0.98), (pair, 0.9), (Kind::Many(12.0 * 26.2), 0.95)] {
         let twin = twin(&shape, &shape, kind, 100.0, 60, 1);
         eprintln!("{kind:?}: {twin:?}");
+        assert!(twin.more.hits <= 1 && twin.flagged.share() < 0.1, "{kind:?} {twin:?}");
         assert!(
             twin.right.share() >= least && twin.within.share() > 0.88 && twin.ratio.value < 1.3,
             "{kind:?} {twin:?}"

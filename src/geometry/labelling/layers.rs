@@ -90,12 +90,11 @@ impl<'a> Layers<'a> {
         let found = std::mem::take(&mut solution.patches).into_iter().zip(std::mem::take(&mut solution.rivals));
         let mut twins = Vec::new();
         for (surface, rival) in found {
-            match twin_of(&surface) {
-                Some(twin) => twins.push(twin),
-                None => {
-                    solution.patches.push(surface);
-                    solution.rivals.push(rival);
-                }
+            if let Some(twin) = twin_of(&surface) {
+                twins.push(twin);
+            } else {
+                solution.patches.push(surface);
+                solution.rivals.push(rival);
             }
         }
         twins
