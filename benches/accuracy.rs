@@ -5,8 +5,8 @@
 //! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 3000 one` for the choice of the scene alone and
 //! seeds from 3000 on; `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each
 //! kind (`-- small-rooms 60 5000 30`: seeds from 5000 on, only with 30 % missing); `-- sizes 20` for patches of
-//! centimetres whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall; `-- twins 300` for tables
-//! b, d, e and f of docs/time-resolution.md through `run`.
+//! centimetres whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall; `-- twins 300` for
+//! tables b, d, e and f of docs/time-resolution.md through `run`.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
