@@ -20,6 +20,8 @@ mod locate;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/missed.rs"]
 mod missed;
+#[path = "../tests/it/reading_scene.rs"]
+mod reading_scene;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/readings.rs"]
 mod readings;
@@ -45,7 +47,8 @@ mod twins;
 use std::ops::Range;
 use std::path::Path;
 
-use readings::{Choice, Instrument, Outcome, Setting, outcomes};
+use reading_scene::{Instrument, Setting};
+use readings::{Choice, Outcome, outcomes};
 use resolution::{information, score, shape};
 use score::Rate;
 use shape::{Sensor, Shape};

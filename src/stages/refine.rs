@@ -167,12 +167,13 @@ impl Apply for Refine {
         }
         let mut observations = problem.observations.clone();
         let mut used: Vec<Option<usize>> = (0..observations.len()).map(Some).collect();
-        let with_all = solution.points.clone();
+        let mut with_all = None;
         if self.robust && solution.loss > maximum_likelihood::by_chance(solution.degrees_of_freedom as f64) {
             let places = [solution.points.as_slice(), start.as_slice()];
             if let Some((out, points)) = maximum_likelihood::outliers(&problem, &solution.points, &places) {
                 let kept = observations.iter().zip(&out).filter(|(_, out)| !**out).map(|(kept, _)| kept.clone());
                 let (observations, loss) = (kept.collect(), Loss::Huber);
+                with_all = Some(std::mem::take(&mut solution.points));
                 problem = Problem { start: points, observations, loss, ..problem };
                 solution = self.solve(&model, &mut problem)?;
                 let mut next = 0..;
@@ -186,7 +187,8 @@ impl Apply for Refine {
                 observation.sd_m *= widened[weights::kind(label)].sqrt();
             }
         }
-        let contested = doubtful::contested(&solution, &with_all);
+        let contested = with_all.map(|points| doubtful::contested(&solution, &points, &context.cancel));
+        let contested = contested.unwrap_or_default();
         let (solution, others) = others::alternatives(&model, &problem, solution);
         let fitted = Fitted { solution, others, observations, used, widened, contested };
         let tables = Tables::new(&model, &fitted, &shifts_m, &pulls);

@@ -46,6 +46,7 @@ mod pulses;
 mod python;
 #[cfg(feature = "query")]
 mod query;
+mod reading_scene;
 mod readings;
 mod real_files;
 mod recipes;

@@ -12,7 +12,8 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::information::time_sds_ps;
 use crate::lab::{Lab, write_table};
-use crate::readings::{calibration, import};
+use crate::reading_scene::calibration;
+use crate::readings::import;
 use crate::score::{Estimate, Rate, mean_square};
 use crate::shape::Shape;
 

@@ -10,6 +10,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use crate::cancel::Cancel;
 use crate::geometry::Point;
 use crate::geometry::maximum_likelihood::Solution;
 use crate::tables::Label;
@@ -29,16 +30,21 @@ const ELSEWHERE: f64 = 3.0;
 
 /// Patches that stand elsewhere in a solution with all onsets, by their positions among the unknowns. What counts is
 /// their distance from the others, the middle one of all, so that one patch does not move those beside it.
-pub fn contested(solution: &Solution, with_all: &[Point]) -> Vec<usize> {
+pub fn contested(solution: &Solution, with_all: &[Point], cancel: &Cancel) -> Vec<usize> {
     let points = &solution.points;
     let is_elsewhere = |&place: &usize| {
+        cancel.check();
         let others = (0..points.len()).filter(|other| *other != place);
         let apart_m = |points: &[Point], other: usize| (points[place] - points[other]).norm();
         let mut changes_m: Vec<f64> =
             others.map(|other| (apart_m(points, other) - apart_m(with_all, other)).abs()).collect();
-        changes_m.sort_by(f64::total_cmp);
+        if changes_m.is_empty() {
+            return false;
+        }
+        let middle = changes_m.len() / 2;
+        let change_m = *changes_m.select_nth_unstable_by(middle, f64::total_cmp).1;
         let sd_m = (solution.misfit * solution.patch_covariance_m2(place, place).trace().max(0.0)).sqrt();
-        changes_m.get(changes_m.len() / 2).is_some_and(|change_m| *change_m > ELSEWHERE * sd_m)
+        change_m > ELSEWHERE * sd_m
     };
     let unplaced = solution.unplaced();
     (0..points.len()).filter(|place| !unplaced.contains(place)).filter(is_elsewhere).collect()

@@ -245,6 +245,7 @@ fn a_wrong_label_leads_the_suspects_and_an_unchecked_onset_is_among_them() {
     let worst = &rows.suspects[0];
     assert_eq!((worst.path.as_slice(), &*worst.reason), ([2, 7].as_slice(), "left-out"));
     assert!(worst.studentised.unwrap().abs() > 50.0);
+    assert!(!rows.ambiguities.iter().any(|row| &*row.kind == "doubtful"), "one wrong onset moves nobody");
     let unchecked: Vec<&Suspect> = rows.suspects.iter().filter(|row| &*row.reason == "unchecked").collect();
     assert!(unchecked.iter().any(|row| row.path == [11]) && unchecked.iter().all(|row| row.path.contains(&11)));
 }
