@@ -178,8 +178,8 @@ fn compare(rows: &[Patch], doubtful: &BTreeSet<i32>, room: &Room, bounds_m2: &[f
     outcome
 }
 
-/// Two visible patches stand millimetres off by their blended second bounces, so that third bounces over them fit places
-/// beside them: no hidden patches.
+/// Two visible patches stand millimetres off by their blended second bounces, so that third bounces over them fit
+/// places beside them: no hidden patches.
 #[test]
 fn a_visible_patch_is_not_found_once_more() {
     let setting = Setting { size_m: 0.01, snr: 100.0, hidden: 0, instrument: crate::reading_scene::Instrument::Kind };
