@@ -250,6 +250,29 @@ fn a_wrong_label_leads_the_suspects_and_an_unchecked_onset_is_among_them() {
     assert!(unchecked.iter().any(|row| row.path == [11]) && unchecked.iter().all(|row| row.path.contains(&11)));
 }
 
+/// Of the seven neighbours that place a patch, four have light that comes 400 ps late both ways: what contradicts the
+/// rest is left out, and who is right, nothing tells. Two such neighbours move nobody.
+#[test]
+fn a_patch_that_left_out_onsets_would_place_elsewhere_is_doubtful() {
+    let room = room();
+    let open = |a: PatchId, b: PatchId| (a != 12 && b != 12) || a.min(b) <= 7;
+    for (late, expected) in [(2, vec![]), (4, vec![vec![12]])] {
+        let mut labels = Day::new(&room, 5).all(open).labels;
+        for label in &mut labels {
+            let path = label.path.as_deref().unwrap();
+            let has_late = path.iter().any(|patch| (1..=late).contains(patch));
+            if path.len() == 2 && path.contains(&12) && has_late {
+                label.time_ps += 400.0;
+            }
+        }
+        let rows = refined(&context(CAMPAIGN, Vec::new()), labels);
+        let left_out = rows.suspects.iter().filter(|row| &*row.reason == "left-out").count();
+        let doubtful = rows.ambiguities.iter().filter(|row| &*row.kind == "doubtful");
+        let doubtful: Vec<Vec<PatchId>> = doubtful.map(|row| row.patches.clone()).collect();
+        assert_eq!((left_out, doubtful), (2 * late as usize, expected));
+    }
+}
+
 #[test]
 fn the_laser_period_is_refined_where_light_arrives_in_several() {
     let room = room();
