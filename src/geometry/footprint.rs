@@ -121,14 +121,18 @@ impl Footprint {
         Self { normal, size_m, errors_m: Matrix3::zeros() }
     }
 
-    /// One whose direction is as uncertain to all sides.
+    /// One by the covariance of its normal times its diameter.
     #[must_use]
-    pub fn uncertain(normal: Vector3<f64>, size_m: f64, normal_sd_rad: f64, size_sd_m: f64) -> Self {
-        let axis = if normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
-        let aside = normal.cross(&axis).normalize();
-        let aside_m = normal_sd_rad * size_m;
-        let errors_m = [aside_m * aside, aside_m * normal.cross(&aside), size_sd_m * normal];
-        Self { normal, size_m, errors_m: Matrix3::from_columns(&errors_m) }
+    pub fn with_covariance(normal: Vector3<f64>, size_m: f64, covariance_m2: Matrix3<f64>) -> Self {
+        let principal = covariance_m2.symmetric_eigen();
+        let sds_m = principal.eigenvalues.map(|variance_m2| variance_m2.max(0.0).sqrt());
+        Self { normal, size_m, errors_m: principal.eigenvectors * Matrix3::from_diagonal(&sds_m) }
+    }
+
+    /// Covariance of the normal times the diameter.
+    #[must_use]
+    pub fn covariance_m2(&self) -> Matrix3<f64> {
+        self.errors_m * self.errors_m.transpose()
     }
 
     /// Standard deviation of the normal's direction to either side, the mean of all sides.
@@ -259,18 +263,23 @@ mod tests {
     #[test]
     fn changes_are_those_of_other_footprints() {
         let certain = Footprint::exact(Vector3::new(0.2, -0.9, 0.4).normalize(), 0.04);
-        let uncertain = Footprint::uncertain(certain.normal, certain.size_m, 0.1, 0.004);
-        assert!((uncertain.normal_sd_rad() - 0.1).abs() < 1e-12 && (uncertain.size_sd_m() - 0.004).abs() < 1e-12);
+        let along = certain.normal * certain.normal.transpose();
+        let covariance_m2 = (0.1_f64 * 0.04).powi(2) * (Matrix3::identity() - along) + 0.003_f64.powi(2) * along;
+        let uncertain = Footprint::with_covariance(certain.normal, certain.size_m, covariance_m2);
+        assert!((uncertain.covariance_m2() - covariance_m2).norm() < 1e-12);
+        assert!((uncertain.normal_sd_rad() - 0.1).abs() < 1e-12 && (uncertain.size_sd_m() - 0.003).abs() < 1e-12);
         let places = [Point::new(0.3, 1.0, 0.1), Point::new(-0.4, 1.2, -0.2)];
         let centre = |patch: &PatchId| places[*patch as usize];
         let (source, sensor) = (Point::origin(), Point::new(0.1, 0.0, 0.0));
         let footprints = Footprints(BTreeMap::from([(0, certain), (1, uncertain)]));
         let changes = footprints.changes_m(source, &[0, 1], centre, sensor);
         assert_eq!(changes.iter().map(|(patch, _)| *patch).collect::<Vec<_>>(), [1]);
-        let larger = Footprints(BTreeMap::from([(0, certain), (1, Footprint { size_m: 0.044, ..uncertain })]));
+        let larger = Footprints(BTreeMap::from([(0, certain), (1, Footprint { size_m: 0.043, ..uncertain })]));
         let shift_m = |footprints: &Footprints| footprints.shift_m(source, &[0, 1], centre, sensor);
-        assert!((changes[0].1[2] - (shift_m(&larger) - shift_m(&footprints))).abs() < 1e-12);
-        assert!(changes[0].1[..2].iter().any(|change_m| change_m.abs() > 1e-6), "a turn shifts the light: {changes:?}");
+        let of_size = (0..3).find(|k| uncertain.errors_m.column(*k).dot(&certain.normal) > 0.002).unwrap();
+        assert!((changes[0].1[of_size] - (shift_m(&larger) - shift_m(&footprints))).abs() < 1e-12);
+        let mut of_turns = (0..3).filter(|k| *k != of_size).map(|k| changes[0].1[k].abs());
+        assert!(of_turns.any(|change_m| change_m > 1e-6), "a turn shifts the light: {changes:?}");
         // A little off in all three: the sum of their changes.
         let sds = [0.05, -0.1, 0.08];
         let moved_m = shift_m(&footprints.moved(&[[0.0; 3], sds].concat())) - shift_m(&footprints);

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
 use crate::campaign::Campaign;
@@ -59,7 +59,9 @@ pub fn of(extents: &BTreeMap<PatchId, Extent>, normals: &BTreeMap<PatchId, Vecto
 pub fn of_table(rows: &[PatchFootprint]) -> Footprints {
     let footprint = |row: &PatchFootprint| {
         let normal = Vector3::new(row.normal_x, row.normal_y, row.normal_z);
-        (row.patch, Footprint::uncertain(normal, row.size_m, row.normal_sd_rad, row.size_sd_m))
+        let [xy, xz, yz] = [row.cov_xy_m2, row.cov_xz_m2, row.cov_yz_m2];
+        let covariance_m2 = Matrix3::new(row.cov_xx_m2, xy, xz, xy, row.cov_yy_m2, yz, xz, yz, row.cov_zz_m2);
+        (row.patch, Footprint::with_covariance(normal, row.size_m, covariance_m2))
     };
     Footprints(rows.iter().map(footprint).collect())
 }

@@ -57,6 +57,19 @@ table! {
         normal_sd_rad: f64,
         /// Standard deviation of the diameter.
         size_sd_m: f64,
+        /// Covariance of the normal times the diameter, x by x; 0 where both were given. Widths tell the angle between
+        /// the normal and the light much better than the turn about that.
+        cov_xx_m2: f64,
+        /// Covariance of the normal times the diameter, x by y.
+        cov_xy_m2: f64,
+        /// Covariance of the normal times the diameter, x by z.
+        cov_xz_m2: f64,
+        /// Covariance of the normal times the diameter, y by y.
+        cov_yy_m2: f64,
+        /// Covariance of the normal times the diameter, y by z.
+        cov_yz_m2: f64,
+        /// Covariance of the normal times the diameter, z by z.
+        cov_zz_m2: f64,
         /// campaign (`size_m` of campaign.toml, the normal of a plane or of campaign.toml), or widths (of the patch's
         /// onsets).
         source: Name,

@@ -31,6 +31,8 @@ const THIRD: f64 = 0.7;
 pub const VISIBLE: usize = 8;
 /// Points that stand for a patch's light, each with its opposite, so that the patch's place is their centre.
 const SPREAD: usize = 40;
+/// Half of them are on rings of so many, evenly, so that a disk has the second moments of a disk in all directions.
+const IN_RING: usize = 5;
 /// Step of the response that the program is given.
 const STEP_PS: f64 = 2.5;
 /// Its steps before its start.
@@ -167,10 +169,11 @@ fn disk(at: Vector3<f64>, size_m: f64, rng: &mut ChaCha8Rng) -> Disk {
     let normal = (any - at.normalize()).normalize();
     let first = normal.cross(&Vector3::new(0.3, 0.5, -0.8)).normalize();
     let second = normal.cross(&first);
-    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     let half = SPREAD / 2;
     let point = |n: usize| {
-        let (radius_m, turn) = (0.5 * size_m * ((n as f64 + 0.5) / half as f64).sqrt(), golden * n as f64);
+        let (ring, place) = (n / IN_RING, n % IN_RING);
+        let radius_m = 0.5 * size_m * ((ring as f64 + 0.5) * IN_RING as f64 / half as f64).sqrt();
+        let turn = std::f64::consts::TAU * (place as f64 + 0.5 * (ring % 2) as f64) / IN_RING as f64;
         radius_m * (turn.cos() * first + turn.sin() * second)
     };
     let spread = (0..half).map(point).chain((0..half).map(|n| -point(n))).collect();

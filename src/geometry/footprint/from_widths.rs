@@ -9,10 +9,11 @@
 //!
 //! with `g` the gradient of the path's length by the place of the patch; those of several bounces add up. Paths in many
 //! directions tell all three coordinates of `v`, but for its sign, which does not matter. So `v` of all patches are
-//! fitted to the widths of all pulses, all at once; of many patches, patch by patch in turns. A patch sends light to
-//! the side that it is lit from. So directions with the two legs of a bounce on different sides count against a normal,
-//! but no more than widths may outweigh, since light goes through some things. Where it goes through most patches, it
-//! may go through all. Patches of one campaign are about as large as one another (within 30 %). A width that all pulses
+//! fitted to the widths of all pulses, all at once; of many patches, patch by patch in turns. Which way one patch faces
+//! decides what its neighbours are told, so that minima are many: [`search`] looks for the least. A patch sends light
+//! to the side that it is lit from. So directions with the two legs of a bounce on different sides count against a
+//! normal ([`sides`]), but no more than widths may outweigh, since light goes through some things. Where it goes through
+//! most patches, it may go through all. Patches of one campaign are about as large as one another (within 30 %). A width that all pulses
 //! have in common is that of the response, which was not as calibrated: its variance is fitted too. Pulses that blend
 //! are wider than their patches make them: large residuals count little.
 //!
@@ -21,9 +22,9 @@
 //! pulse that is wider than its patches make it is more than the light of its path. One that shows no width has less
 //! than its samples can tell from none.
 
+mod search;
+mod sides;
 mod together;
-
-use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
@@ -32,12 +33,6 @@ use super::Footprint;
 
 /// Drop of chi-square that a footprint must be worth: three parameters, and four standard deviations.
 const EVIDENCE: f64 = 25.0;
-/// Rounds over all patches, and those in which normals are searched for from all directions.
-const ROUNDS: usize = 40;
-const WIDE_ROUNDS: Range<usize> = 2..20;
-/// Starts; one where so many patches tie one another.
-const ATTEMPTS: usize = 8;
-const CERTAIN: usize = 16;
 /// Steps of one patch in one round.
 const STEPS: usize = 12;
 /// A squared residual over its variance counts as its logarithm beyond this; in the first rounds beyond so many times
@@ -51,10 +46,6 @@ const ALIKE: f64 = 0.3;
 const ALIKE_FROM: usize = 4;
 /// Up to so many patches are fitted at once.
 const TOGETHER: usize = 64;
-/// Starts of these are so far from where a patch's light goes on average, in that direction's length.
-const ASIDE: f64 = 0.9;
-/// Rounds in which better places of single patches are searched for.
-const SEARCHES: usize = 4;
 /// Mean of what the squared residual of a normal variable counts.
 const BY_CHANCE: f64 = 0.87;
 /// Errors, as shares of sizes, are no smaller than what the shape of a patch and its light are off a disk's. Where
@@ -63,22 +54,8 @@ const BY_CHANCE: f64 = 0.87;
 const NEIGHBOURS: f64 = 1.5;
 const LEAST_SD: f64 = 0.02;
 const MOST_SD: f64 = 0.5;
-/// What a bounce with legs on both sides of its patch adds to chi-square, and all of one patch at most.
-const THROUGH: f64 = 9.0;
-const THROUGH_MAX: f64 = 25.0;
 /// Pulses of one patch that count; more tell no more than that.
 const PULSES: usize = 256;
-/// Directions that a normal is searched from: corners and faces of half a cube.
-const DIRECTIONS: [[f64; 3]; 7] = [
-    [1.0, 0.0, 0.0],
-    [0.0, 1.0, 0.0],
-    [0.0, 0.0, 1.0],
-    [1.0, 1.0, 1.0],
-    [1.0, 1.0, -1.0],
-    [1.0, -1.0, 1.0],
-    [-1.0, 1.0, 1.0],
-];
-
 /// A patch on a path, with unit vectors from it to where the light comes from and to where it goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounce {
@@ -140,14 +117,7 @@ pub fn from_widths(spreads: &[Spread], given: &[Option<Footprint>], cancel: &Can
         linear: LINEAR * LINEAR_FIRST,
         is_translucent: false,
     };
-    // Directions of neighbours depend on one another, so that one start may end in a wrong minimum.
-    let mut fit = start.settled(&open, 0, cancel);
-    for attempt in 1..if given.len() > CERTAIN { 1 } else { ATTEMPTS } {
-        let other = start.settled(&open, attempt, cancel);
-        if other.total(&open) < fit.total(&open) {
-            fit = other;
-        }
-    }
+    let mut fit = start.best_of_starts(&open, cancel);
     let mut covariances_m2 = None;
     if open.len() <= TOGETHER {
         fit = fit.searched(&open, cancel);
@@ -219,48 +189,6 @@ struct Fit<'a> {
 }
 
 impl Fit<'_> {
-    /// The minimum that is reached from one start.
-    fn settled(&self, open: &[usize], attempt: usize, cancel: &Cancel) -> Self {
-        let mut fit = self.clone();
-        for &patch in open {
-            let other = Vector3::from(DIRECTIONS[(patch * (attempt + 1) + attempt) % DIRECTIONS.len()]).normalize();
-            let front = fit.front(patch).try_normalize(0.0).unwrap_or(other);
-            let direction = if attempt == 0 { front } else { front + ASIDE * other };
-            fit.vectors_m[patch] = direction.try_normalize(0.0).unwrap_or(other) * fit.start_m(patch);
-        }
-        if open.len() <= TOGETHER {
-            fit.settle_together(open, cancel);
-            return fit;
-        }
-        for round in 0..ROUNDS {
-            for &patch in open {
-                cancel.check();
-                fit.improve(patch, WIDE_ROUNDS.contains(&round));
-            }
-            fit.improve_common(open);
-            fit.set_usual();
-            fit.linear = f64::max(LINEAR, TIGHTER * fit.linear);
-        }
-        fit
-    }
-
-    /// The minimum that is reached from places of single patches that are better than their own, all others held.
-    fn searched(mut self, open: &[usize], cancel: &Cancel) -> Self {
-        for _ in 0..SEARCHES {
-            let mut other = self.clone();
-            for &patch in open {
-                cancel.check();
-                other.improve(patch, true);
-            }
-            other.settle_together(open, cancel);
-            if other.total(open) >= self.total(open) {
-                break;
-            }
-            self = other;
-        }
-        self
-    }
-
     /// What is minimised: chi-square of all pulses, of sizes beside one another, and bounces with legs on both sides.
     fn total(&self, open: &[usize]) -> f64 {
         let no_patch = self.vectors_m.len();
@@ -309,15 +237,6 @@ impl Fit<'_> {
         self.chi2(patch, vector_m) + self.longer(vector_m).powi(2) + self.through(patch, vector_m)
     }
 
-    /// What bounces with legs on both sides of a patch add.
-    fn through(&self, patch: usize, vector_m: Vector3<f64>) -> f64 {
-        if self.is_translucent {
-            return 0.0;
-        }
-        let is_through = |bounce: &&Bounce| bounce.legs[0].dot(&vector_m) * bounce.legs[1].dot(&vector_m) < 0.0;
-        f64::min(THROUGH * self.bounces(patch).filter(is_through).count() as f64, THROUGH_MAX)
-    }
-
     /// All bounces of a patch.
     fn bounces(&self, patch: usize) -> impl Iterator<Item = &Bounce> {
         let of_pulses = self.of_patch[patch].iter().flat_map(|&n| &self.spreads[n].bounces);
@@ -327,21 +246,6 @@ impl Fit<'_> {
     /// Where the light of a patch comes from and goes to, on average.
     fn front(&self, patch: usize) -> Vector3<f64> {
         self.bounces(patch).map(Bounce::slope).sum()
-    }
-
-    /// A better vector for one patch, all others held; searched for from other directions too if `anew`.
-    fn improve(&mut self, patch: usize, anew: bool) {
-        let mut best = (self.loss(patch, self.vectors_m[patch]), self.vectors_m[patch]);
-        let size_m = self.start_m(patch);
-        let directions = DIRECTIONS.iter().filter(|_| anew).map(|one| Vector3::from(*one).normalize() * size_m);
-        let starts: Vec<Vector3<f64>> = std::iter::once(best.1).chain(directions).collect();
-        for start_m in starts {
-            let descended = self.descend(patch, start_m);
-            if descended.0 < best.0 {
-                best = descended;
-            }
-        }
-        self.vectors_m[patch] = best.1;
     }
 
     /// Length of the vector that explains the mean variance of a patch's pulses that others leave, for slopes at
@@ -400,7 +304,8 @@ impl Fit<'_> {
             normal += gradient * gradient.transpose();
             slope -= self.longer(at_m) * gradient;
         }
-        (normal, slope)
+        let (of_sides, towards) = self.side_equations(patch, at_m);
+        (normal + of_sides, slope + towards)
     }
 
     /// Levenberg-Marquardt from a start: loss and vector reached.

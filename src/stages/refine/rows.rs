@@ -296,6 +296,7 @@ impl<'a> Tables<'a> {
     pub fn footprints(&self, footprints: &Footprints, given: &Footprints) -> Vec<PatchFootprint> {
         let row = |(patch, footprint): (&PatchId, &Footprint)| {
             let normal = self.turn * footprint.normal;
+            let cov_m2 = self.turn * footprint.covariance_m2() * self.turn.transpose();
             let source = if given.0.contains_key(patch) { "campaign" } else { "widths" };
             PatchFootprint {
                 patch: *patch,
@@ -305,6 +306,12 @@ impl<'a> Tables<'a> {
                 normal_z: normal.z,
                 normal_sd_rad: footprint.normal_sd_rad(),
                 size_sd_m: footprint.size_sd_m(),
+                cov_xx_m2: cov_m2[(0, 0)],
+                cov_xy_m2: cov_m2[(0, 1)],
+                cov_xz_m2: cov_m2[(0, 2)],
+                cov_yy_m2: cov_m2[(1, 1)],
+                cov_yz_m2: cov_m2[(1, 2)],
+                cov_zz_m2: cov_m2[(2, 2)],
                 source: source.into(),
             }
         };

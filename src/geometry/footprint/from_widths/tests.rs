@@ -1,20 +1,27 @@
 //! Disks in rooms of random patches.
 
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
 use super::super::shift_m;
 use super::*;
 use crate::Point;
 
-/// Numbers from 0 to 1 that look random.
-struct Draws(u64);
+struct Draws(ChaCha8Rng);
 
 impl Draws {
+    fn new(seed: u64) -> Self {
+        Self(ChaCha8Rng::seed_from_u64(seed))
+    }
+
+    /// From 0 to 1.
     fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+        self.0.random()
     }
 
     fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.next()).sum::<f64>() - 6.0
+        self.0.sample(StandardNormal)
     }
 }
 
@@ -84,7 +91,7 @@ fn spreads(room: &Room, sd_m2: f64, draws: &mut Draws) -> Vec<Spread> {
 fn disks_are_told_from_the_widths_that_they_make() {
     let (mut left_m2, mut all_m2, mut seen_blends) = (0.0, 0.0, 0);
     for seed in 0..20 {
-        let mut draws = Draws(seed);
+        let mut draws = Draws::new(seed);
         let room = room(&mut draws, 8, 0.03);
         let sd_m2 = 3e-6; // of variances of about 1e-4
         let mut spreads = spreads(&room, sd_m2, &mut draws);
@@ -108,18 +115,54 @@ fn disks_are_told_from_the_widths_that_they_make() {
     assert!(left < 0.4 && seen_blends > 130, "{left} {seen_blends}");
 }
 
-/// Patches that let light through, as some paper does: half of their neighbours are behind them. A penalty for each
-/// such bounce made most directions wrong by half a right angle or more.
+/// A room of patches that let light through: half of their neighbours are behind them.
+fn translucent(draws: &mut Draws) -> Room {
+    let mut room = room(draws, 8, 0.03);
+    for (point, footprint) in room.points.iter().zip(&mut room.footprints) {
+        let tilt = Vector3::from_fn(|_, _| draws.next() - 0.5);
+        footprint.normal = (tilt - point.coords.normalize()).normalize();
+    }
+    room
+}
+
+/// What is minimised is no larger than beside the truth, in rooms of either kind: starts alone left one in ten of the
+/// one kind and one in five of the other at minima where a few patches face wrong.
+#[test]
+fn the_least_minimum_is_found() {
+    let all: Vec<usize> = (0..8).collect();
+    let mut wrong = 0;
+    for seed in 400..420 {
+        let mut draws = Draws::new(seed);
+        let room = if seed % 2 == 0 { room(&mut draws, 8, 0.03) } else { translucent(&mut draws) };
+        let spreads = spreads(&room, 3e-6, &mut draws);
+        let settled = |footprints: Vec<Footprint>| {
+            let mut fit = Fit {
+                spreads: &spreads,
+                vectors_m: footprints.iter().map(|one| 0.25 * one.size_m * one.normal).collect(),
+                of_patch: pulses_of_patches(&spreads, 8),
+                common_m2: 0.0,
+                usual_m: 0.0,
+                linear: LINEAR,
+                is_translucent: seed % 2 == 1,
+            };
+            fit.settle_together(&all, &Cancel::never());
+            fit.total(&all)
+        };
+        let found = from_widths(&spreads, &[None; 8], &Cancel::never()).footprints;
+        let beside_truth = settled(room.footprints);
+        wrong += i32::from(settled(found.into_iter().flatten().collect()) > beside_truth + 1.0);
+    }
+    assert!(wrong <= 1, "{wrong} of 20 rooms end elsewhere");
+}
+
+/// Patches that let light through, as some paper does. A penalty for each bounce with legs on both sides of a patch
+/// made most directions wrong by half a right angle or more.
 #[test]
 fn light_may_go_through_patches() {
     let mut offs = Vec::new();
     for seed in 200..210 {
-        let mut draws = Draws(seed);
-        let mut room = room(&mut draws, 8, 0.03);
-        for (point, footprint) in room.points.iter().zip(&mut room.footprints) {
-            let tilt = Vector3::from_fn(|_, _| draws.next() - 0.5);
-            footprint.normal = (tilt - point.coords.normalize()).normalize();
-        }
+        let mut draws = Draws::new(seed);
+        let room = translucent(&mut draws);
         let spreads = spreads(&room, 3e-6, &mut draws);
         let estimates = from_widths(&spreads, &[None; 8], &Cancel::never()).footprints;
         for (estimate, truth) in estimates.iter().zip(&room.footprints) {
@@ -130,7 +173,7 @@ fn light_may_go_through_patches() {
     offs.sort_by(f64::total_cmp);
     let [median, most] = [offs.len() / 2, offs.len() * 9 / 10].map(|n| offs[n]);
     eprintln!("directions off by {median:.3} rad, nine in ten by less than {most:.3}");
-    assert!(median < 0.08 && most < 0.3, "{median} {most}");
+    assert!(median < 0.05 && most < 0.15, "{median} {most}");
 }
 
 /// Where most widths are too small to be seen, sizes come from those that are, and from the limits of the others:
@@ -139,7 +182,7 @@ fn light_may_go_through_patches() {
 fn widths_that_are_not_seen_are_limits() {
     let (mut ratios, mut limits, mut all) = (Vec::new(), 0, 0);
     for seed in 300..310 {
-        let mut draws = Draws(seed);
+        let mut draws = Draws::new(seed);
         let room = room(&mut draws, 8, 0.02);
         let sd_m2 = 7e-6;
         let mut spreads = spreads(&room, sd_m2, &mut draws);
@@ -162,7 +205,7 @@ fn widths_that_are_not_seen_are_limits() {
 fn errors_of_footprints_have_the_size_that_they_state() {
     let (mut turns, mut sizes) = (Vec::new(), Vec::new());
     for seed in 100..120 {
-        let mut draws = Draws(seed);
+        let mut draws = Draws::new(seed);
         let room = room(&mut draws, 8, 0.03);
         let spreads = spreads(&room, 1e-5, &mut draws);
         let estimates = from_widths(&spreads, &[None; 8], &Cancel::never()).footprints;
@@ -183,7 +226,7 @@ fn errors_of_footprints_have_the_size_that_they_state() {
 
 #[test]
 fn points_have_no_footprint_and_those_given_stay() {
-    let mut draws = Draws(7);
+    let mut draws = Draws::new(7);
     let room = room(&mut draws, 6, 0.0);
     let mut spreads = spreads(&room, 3e-6, &mut draws);
     spreads.iter_mut().for_each(|pulse| pulse.variance_m2 += 2e-5);

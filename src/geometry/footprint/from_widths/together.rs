@@ -57,7 +57,7 @@ impl Fit<'_> {
         }
     }
 
-    fn descend_together(&mut self, open: &[usize], steps: usize, cancel: &Cancel) {
+    pub(super) fn descend_together(&mut self, open: &[usize], steps: usize, cancel: &Cancel) {
         let (mut loss, mut damping, mut idle) = (self.total(open), 1e-3, 0);
         for _ in 0..steps {
             cancel.check();
@@ -119,6 +119,11 @@ impl Fit<'_> {
         }
         for (at, &patch) in open.iter().enumerate() {
             let own_m = self.vectors_m[patch];
+            let (of_sides, towards) = self.side_equations(patch, own_m);
+            for i in 0..3 {
+                slope[3 * at + i] += towards[i];
+                (0..3).for_each(|k| normal[(3 * at + i, 3 * at + k)] += of_sides[(i, k)]);
+            }
             let Some(along) = own_m.try_normalize(0.0).filter(|_| self.usual_m > 0.0) else { continue };
             let gradient = along / (ALIKE * self.usual_m);
             for i in 0..3 {
