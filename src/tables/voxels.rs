@@ -7,7 +7,7 @@ table! {
     /// One voxel of an image, of those whose significance exceeds the image's threshold, in order of the grid: rows,
     /// columns, depths. Table `images` describes the grid.
     "voxels": Voxel, VoxelColumns {
-        /// light-cone or back-projection.
+        /// light-cone, f-k or back-projection.
         method: Name,
         /// Column of the grid, from 0.
         grid_column: i32,
@@ -35,7 +35,7 @@ table! {
 table! {
     /// An image as a whole: one row, also where no voxel exceeds the threshold.
     "images": Image, ImageColumns {
-        /// light-cone or back-projection.
+        /// light-cone, f-k or back-projection.
         method: Name,
         /// Histograms that entered.
         histograms: i32,

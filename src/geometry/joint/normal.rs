@@ -2,7 +2,9 @@
 //!
 //! In a histogram the unknowns are the logarithm of each point's light, the length of its way and the common width. The
 //! information on them, less what scale and constant of the wall's own light take (a Schur complement), is carried to
-//! positions, photons and law by the chain rule. Histograms are taken in runs whose sums are added in order, so that
+//! positions, photons and law by the chain rule. Relief of the wall and jitter shift all light of a histogram alike:
+//! where arrivals show it, this shift is unknown too, with a prior of its own width, and the log-likelihood is that
+//! with the likeliest shift, to second order. Histograms are taken in runs whose sums are added in order, so that
 //! threads change no digit.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
@@ -52,6 +54,8 @@ pub struct Normal {
     pub levels: Vec<Level>,
     /// Score and information on the arrival of each point in each histogram, its amplitude free.
     pub arrivals: Vec<[f64; 2]>,
+    /// Score and information on the shift that all light of a histogram shares.
+    pub shifts: Vec<[f64; 2]>,
 }
 
 impl Normal {
@@ -62,6 +66,7 @@ impl Normal {
             fisher: DMatrix::zeros(unknowns, unknowns),
             levels: Vec::new(),
             arrivals: Vec::new(),
+            shifts: Vec::new(),
         }
     }
 
@@ -86,6 +91,7 @@ impl Normal {
             all.fisher += run.fisher;
             all.levels.extend(run.levels);
             all.arrivals.extend(run.arrivals);
+            all.shifts.extend(run.shifts);
         }
         all.log_likelihood += model.log_prior(&problem.pulse);
         for (n, [gradient, precision]) in model.prior(&problem.pulse).into_iter().enumerate() {
@@ -226,6 +232,7 @@ impl Desk {
             self.cross.push(Vector2::new(with_tail, weighted.values.iter().sum()));
         }
         self.profile(wall);
+        self.shift(model, sums);
         self.carry(histogram, model, sums);
     }
 
@@ -243,6 +250,28 @@ impl Desk {
                 let value = self.weighted[a].dot(&self.rows[b]) - taken.dot(&self.cross[b]);
                 self.information[a * size + b] = value;
                 self.information[b * size + a] = value;
+            }
+        }
+    }
+
+    /// Takes out the shift that all light of the histogram shares.
+    fn shift(&mut self, model: &Model, sums: &mut Normal) {
+        let (size, points) = (self.rows.len(), model.dots.len());
+        let lengths = || (0..points).map(|k| 2 * k + 1);
+        let along: Vec<f64> =
+            (0..size).map(|a| lengths().map(|length| self.information[a * size + length]).sum()).collect();
+        let information: f64 = lengths().map(|length| along[length]).sum();
+        let score: f64 = lengths().map(|length| self.score[length]).sum();
+        sums.shifts.push([score, information]);
+        if model.wander_m <= 0.0 {
+            return;
+        }
+        let variance = (information + model.wander_m.powi(-2)).recip();
+        sums.log_likelihood += 0.5 * score * score * variance;
+        for a in 0..size {
+            self.score[a] -= along[a] * score * variance;
+            for b in 0..size {
+                self.information[a * size + b] -= along[a] * along[b] * variance;
             }
         }
     }

@@ -78,7 +78,7 @@ fn the_gradient_is_that_of_differences() {
         |place: [f64; 3], log_photons| Dot { place: place.into(), log_photons, slopes: [0.05, -0.1], reference_m: 0.5 };
     let dots = vec![dot([0.103, -0.051, 0.452], 5.2), dot([-0.118, 0.1, 0.498], 5.1)];
     let shared: [f64; SHARED] = [-3.6, 0.02, -0.01, 0.03, 0.01, -0.02, 0.05, 0.03, -0.06, 0.05, -0.1, 0.2, -0.1];
-    let model = Model { dots, shared, unsure: 1.0 };
+    let model = Model { dots, shared, unsure: 1.0, wander_m: 0.001 };
     let shine = Shine::new(&problem, &model, true);
     let shape = tail(&problem, (&model, &shine));
     let levels: Vec<Level> = vec![[1.0, 0.2]; 64];

@@ -77,12 +77,12 @@ pub struct Slice {
 }
 
 /// In the precision of computing.
-fn wide(value: Complex<f32>) -> Complex<f64> {
+pub(super) fn wide(value: Complex<f32>) -> Complex<f64> {
     Complex::new(f64::from(value.re), f64::from(value.im))
 }
 
 /// In the precision of keeping.
-fn narrow(value: Complex<f64>) -> Complex<f32> {
+pub(super) fn narrow(value: Complex<f64>) -> Complex<f32> {
     Complex::new(value.re as f32, value.im as f32)
 }
 

@@ -3,25 +3,16 @@
 use rayon::prelude::*;
 
 use super::lattice::{Grid, Row, Summary};
-use super::{FWHM, Histogram, Task};
-use crate::parameter::Positive;
+use super::{FWHM, Histogram, SMOOTH, STEPS, Task};
 use crate::signal::fft::Complex;
 use crate::signal::image::foreground::{self, Foreground};
-use crate::signal::image::light_cone::{LightCone, Prior, RowSpectra, Scan, Slice, Workspace};
+use crate::signal::image::light_cone::{LightCone, Prior, RowSpectra, Slice, Workspace};
 use crate::signal::image::threshold;
-
-/// Bins across the response that are kept at the far end.
-const STEPS: f64 = 8.0;
-/// Widths of the response to either side over which light counts as smooth.
-const SMOOTH: f64 = 5.0;
 
 /// The image of a grid.
 pub fn image(task: &Task<'_>, grid: &Grid) -> Summary {
     let cone = cone(task, grid);
-    let depth_max_m = task.params.depth_max_m.map_or(f64::INFINITY, Positive::get);
-    let depths = (0..cone.depths()).map(|bin| task.medium.path_m(cone.depth_ps(bin)));
-    let depths_m: Vec<f64> = depths.take_while(|depth_m| *depth_m <= depth_max_m).collect();
-    let lattice = grid.lattice.at(depths_m);
+    let lattice = grid.lattice.at(task.depths_m((0..cone.depths()).map(|bin| cone.depth_ps(bin))));
     let threshold = threshold(lattice.cells().max(1), task.params.false_alarm.get());
     let summary = Summary::new(lattice, threshold, task.params.volume);
     let (slices, spread) = spectra(task, grid, &cone);
@@ -37,32 +28,18 @@ pub fn image(task: &Task<'_>, grid: &Grid) -> Summary {
 }
 
 /// The first `kept` of each `count` values.
-fn first_of_each(values: &[f64], count: usize, kept: usize) -> Vec<f64> {
+pub fn first_of_each(values: &[f64], count: usize, kept: usize) -> Vec<f64> {
     values.chunks(count).flat_map(|column| &column[..kept]).copied().collect()
 }
 
 /// The transform of the scan.
 fn cone(task: &Task<'_>, grid: &Grid) -> LightCone {
-    let (times, lattice) = (task.times, &grid.lattice);
-    let dt_ps = task.histograms[0].dt_ps();
-    // Beyond the farthest voxel light still comes from aside.
-    let end_ps = task.params.depth_max_m.map_or(f64::INFINITY, |depth_m| {
-        let [width_m, height_m] = [lattice.columns, lattice.rows].map(|count| count as f64 * lattice.pitch_m);
-        task.medium.time_ps(2.0 * (depth_m.get().powi(2) + width_m.powi(2) + height_m.powi(2)).sqrt())
-    });
-    let scan = Scan {
-        columns: lattice.columns,
-        rows: lattice.rows,
-        pitch_ps: task.medium.time_ps(lattice.pitch_m),
-        times_ps: [times.gate_ps, times.end_ps.min(end_ps).max(times.gate_ps + dt_ps)],
-        step_ps: dt_ps.max(task.width_ps / STEPS),
-    };
     let prior = Prior {
         falloff: task.params.falloff.get(),
         signal_to_noise: task.params.signal_to_noise.get(),
         response_ps: task.width_ps / FWHM,
     };
-    LightCone::new(scan, prior)
+    LightCone::new(task.scan(grid, task.width_ps / STEPS), prior)
 }
 
 /// Spectra of the image and of its variance: a slice and a plane for each frequency.
