@@ -111,7 +111,7 @@ pub struct Context {
 
 impl Stage for MakeImage {
     const KIND: &'static str = "image";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -205,6 +205,7 @@ impl MakeImage {
 
     fn row(&self, method: &str, histograms: usize, times: Times, summary: &Summary) -> Image {
         let lattice = &summary.lattice;
+        let ([along, up], normal) = (lattice.across, lattice.normal);
         let largest = summary.kept.largest.map(|(place, significance)| (lattice.point(place), significance));
         Image {
             method: method.into(),
@@ -215,6 +216,18 @@ impl MakeImage {
             rows: lattice.rows as i32,
             depths: lattice.depths_m.len() as i32,
             pitch_m: lattice.pitch_m,
+            corner_x_m: lattice.corner.x,
+            corner_y_m: lattice.corner.y,
+            corner_z_m: lattice.corner.z,
+            along_x: along.x,
+            along_y: along.y,
+            along_z: along.z,
+            up_x: up.x,
+            up_y: up.y,
+            up_z: up.z,
+            normal_x: normal.x,
+            normal_y: normal.y,
+            normal_z: normal.z,
             depth_min_m: lattice.depths_m.first().copied().unwrap_or(0.0),
             depth_max_m: lattice.depths_m.last().copied().unwrap_or(0.0),
             cells: lattice.cells() as i64,
