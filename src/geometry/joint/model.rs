@@ -75,6 +75,13 @@ pub struct Way {
     pub log_distance: f64,
 }
 
+impl Way {
+    /// The same where all light of the histogram is late by a length.
+    pub fn later(self, late_m: f64) -> Self {
+        Self { length_m: self.length_m + late_m, ..self }
+    }
+}
+
 impl Model {
     /// Number of unknowns.
     pub fn unknowns(&self) -> usize {

@@ -1,7 +1,7 @@
 //! Seeds, fits, and seeds again on what remains.
 
 use super::Problem;
-use super::background::Level;
+use super::background::{Level, PLAIN};
 use super::fit::{Fit, Free, tail};
 use super::misfit::{Misfit, wander_m};
 use super::model::{Dot, Model};
@@ -54,7 +54,7 @@ pub struct Search {
 /// of a score below `clear` may be noise, and only few are tried at once.
 pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2], model: Model) -> Search {
     let shape = tail(problem, (&model, &Shine::new(problem, &model, false)));
-    let levels: Vec<Level> = vec![[1.0, 0.0]; problem.histograms.len()];
+    let levels: Vec<Level> = vec![PLAIN; problem.histograms.len()];
     let mut fit = Fit::new(problem, shape, model, &levels);
     if !fit.model.dots.is_empty() {
         fit = fit.climb(problem, Free::Law);
