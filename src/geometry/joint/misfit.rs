@@ -67,7 +67,8 @@ pub fn wander_m(fit: &Fit) -> f64 {
 }
 
 /// Relief of the wall and jitter from place to place shift all light of a histogram alike, as far as all directions are
-/// similar. What is no point has arrivals of its own. 1 where what remains is within noise.
+/// similar. What is no point has arrivals of its own. 1 where what remains is within noise; where such shifts are in the
+/// fit, what is left of the scores sums to nothing in each histogram, and up to half more is within noise too.
 fn own(fit: &Fit) -> f64 {
     let points = fit.model.dots.len();
     if points < 2 {
