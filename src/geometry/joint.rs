@@ -11,7 +11,8 @@
 //! with the wall's own light `w` (smooth, `background`), the response `h` ([`Pulse`]) and a law that all points
 //! share: a power of the distance and a quadratic over the wall. The power is free, since retroreflective things follow
 //! others than diffuse ones. Where arrivals show that histograms are late or early each by itself, a shift of all light
-//! of a histogram is unknown too, with a prior as wide as they show. Likelihoods are those of Poisson counts, or of Gaussian noise.
+//! of a histogram is unknown too, with a prior as wide as they show. Likelihoods are those of Poisson counts, or of
+//! Gaussian noise.
 //!
 //! | module | does |
 //! |---|---|
