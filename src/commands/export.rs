@@ -23,8 +23,8 @@ const ALL: &str = "all_patches";
 pub struct Export {
     /// Result folder
     results: PathBuf,
-    /// File to write: .ply for the patches as a point cloud, .hdf5 for the profiles as a capture of y-tal (with --volume
-    /// for the volume of an image), .npy for the volume of an image
+    /// File to write: .ply for the patches as a point cloud, .hdf5 for the profiles as a capture of y-tal (--volume:
+    /// the volume of an image), .npy for the volume of an image
     file: PathBuf,
     /// Table of patches [default: `all_patches` if there is one, else `patches`]
     #[arg(long, value_name = "TABLE")]

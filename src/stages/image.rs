@@ -2,8 +2,9 @@
 //!
 //! Where laser and sensor look at the same points, on a square grid in one plane, the image is the light-cone transform
 //! ([`crate::signal::image::light_cone`]) or f-k migration ([`crate::signal::image::migration`]), else filtered
-//! back-projection ([`crate::signal::image::back_projection`]). All give each voxel the standard deviation that its value has where
-//! nothing is hidden, so that the table holds voxels above a stated probability of false alarm, and nothing else.
+//! back-projection ([`crate::signal::image::back_projection`]). All give each voxel the standard deviation that its
+//! value has where nothing is hidden, so that the table holds voxels above a stated probability of false alarm, and
+//! nothing else.
 //!
 //! The wall's own light is cut off at a gate: the first time over the hidden surface from which on a smooth tail
 //! explains the sum of all histograms ([`crate::signal::image::gate`]).

@@ -43,8 +43,8 @@ impl Misfit {
 
 /// Standard deviation of the shift that all light of a histogram shares, as path length; 0 where chance explains it.
 ///
-/// A score varies by the information `I`, and by `I^2 wander^2`. The variance of the shifts is that for which the sum of
-/// squared scores, each over its variance, is what is expected (Paule and Mandel, J. Res. NBS 87:377, 1982).
+/// A score varies by the information `I`, and by `I^2 wander^2`. The variance of the shifts is that for which the sum
+/// of squared scores, each over its variance, is what is expected (Paule and Mandel, J. Res. NBS 87:377, 1982).
 pub fn wander_m(fit: &Fit) -> f64 {
     let shifts = || fit.normal.shifts.iter().filter(|[_, information]| *information > 0.0);
     let freedom = shifts().count() as f64 - TAKEN;
@@ -67,8 +67,8 @@ pub fn wander_m(fit: &Fit) -> f64 {
 }
 
 /// Relief of the wall and jitter from place to place shift all light of a histogram alike, as far as all directions are
-/// similar. What is no point has arrivals of its own. 1 where what remains is within noise; where such shifts are in the
-/// fit, what is left of the scores sums to nothing in each histogram, and up to half more is within noise too.
+/// similar. What is no point has arrivals of its own. 1 where what remains is within noise; where such shifts are in
+/// the fit, what is left of the scores sums to nothing in each histogram, and up to half more is within noise too.
 fn own(fit: &Fit) -> f64 {
     let points = fit.model.dots.len();
     if points < 2 {

@@ -179,8 +179,8 @@ fn shifts_of_single_histograms_are_in_the_fit() {
             count += 3.0;
         }
     }
-    // 54 squares that the mean of all shifts makes dependent. Where shifts are not in the fit, arrivals vary by ten times
-    // their noise in all draws, and the factor on all variances is as large.
+    // 54 squares that the mean of all shifts makes dependent. Where shifts are not in the fit, arrivals vary by ten
+    // times their noise in all draws, and the factor on all variances is as large.
     let mean: f64 = square / count;
     assert!((0.3..1.8).contains(&mean) && (0.0011..0.0019).contains(&wander), "{mean}, {wander} m");
     assert!(right >= 4, "arrivals are within noise in {right} of 6 draws");

@@ -18,6 +18,8 @@ use crate::signal::image::threshold;
 /// Squares of noise over all points, and records of noise of a point at the most and at the least.
 const SQUARES: usize = 16_384;
 const RECORDS: [usize; 2] = [2, 64];
+/// Least standard deviation of a bin that is divided by, as a share of that of the histogram.
+const LEAST: f64 = 0.5;
 /// Power of the distance by which the light of a wave falls off.
 const OF_WAVES: f64 = 1.0;
 
@@ -109,7 +111,9 @@ fn variances(task: &Task<'_>, grid: &Grid, migration: &Migration) -> Vec<Vec<f32
 /// A histogram in units of its noise.
 fn light(task: &Task<'_>, stabiliser: &Stabiliser, histogram: &Histogram<'_>) -> Light {
     let (first_ps, values, sd) = task.stabilised(stabiliser, histogram);
-    let scores = values.iter().zip(sd).map(|(value, sd)| if sd > 0.0 { value / sd } else { 0.0 });
+    // Where hardly a photon is expected one alone would outweigh all light.
+    let least = LEAST * (sd.iter().map(|sd| sd * sd).sum::<f64>() / sd.len().max(1) as f64).sqrt();
+    let scores = values.iter().zip(&sd).map(|(value, sd)| if least > 0.0 { value / sd.max(least) } else { 0.0 });
     whiten(task, histogram, first_ps, &scores.collect::<Vec<_>>())
 }
 
