@@ -75,8 +75,9 @@ fn judged(problem: &Problem, lattice: &Lattice, threshold: f64, mut whole: Searc
         // Two that are taken for one do not reappear where halves have their middle elsewhere.
         if problem.histograms.len() < MANY {
             let fit = split(problem, whole.fit.clone(), threshold);
-            if fit.model.dots.len() > all.len() {
-                let (fit, misfit) = settle(problem, fit, threshold);
+            let settled = (fit.model.dots.len() > all.len()).then(|| settle(problem, fit, threshold));
+            // Of a surface nothing may be left.
+            if let Some((fit, misfit)) = settled.filter(|(fit, _)| fit.model.dots.len() > all.len()) {
                 whole = Search { fit, misfit, ..whole };
                 all = points(&whole.fit, whole.misfit.factor);
                 least = if least >= REAPPEAR[0] {

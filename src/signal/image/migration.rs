@@ -267,7 +267,8 @@ impl Migration {
     }
 
     /// Variance of the voxels at one depth, `rows` x `columns`, from the squares of what one point's noise leaves at
-    /// each lag: [`Migration::values`] squared, a row of lags each. `has_light` says which points of the grid are captured.
+    /// each lag: [`Migration::values`] squared, a row of lags each. `has_light` says which points of the grid are
+    /// captured.
     ///
     /// # Panics
     /// If there are not as many rows or points as in the grid.
