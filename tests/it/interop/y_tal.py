@@ -155,14 +155,14 @@ def ply(cloud, capture):
     assert np.allclose(vertices["cov_xx_m2"], 1e-12) and np.allclose(vertices["sd_m"], 3**0.5 * 1e-6)
 
 
-def volume(name, array, x, y, z):
-    """A volume as y-tal reads it: that of the array, brightest at a hidden point."""
+def volume(name, array, column, row, depth, x, y, z):
+    """A volume as y-tal reads it: that of the array, with the middle of a voxel at its place."""
     raw, expected = read_hdf5(name), np.load(array)
     values, places = raw["reconstruction"], raw["volume_xyz"]
     assert raw["volume_format"] == VolumeFormat.X_Y_Z_3 and places.shape == (*values.shape, 3)
     assert np.array_equal(values, expected.transpose(1, 0, 2))
-    brightest = places[np.unravel_index(values.argmax(), values.shape)]
-    assert np.linalg.norm(brightest - np.array([x, y, z], float)) < 0.06, brightest
+    place = places[int(column), int(row), int(depth)]
+    assert np.allclose(place, np.array([x, y, z], float), atol=1e-6), place
 
 
 if __name__ == "__main__":
