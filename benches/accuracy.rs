@@ -5,8 +5,9 @@
 //! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 3000 one` for the choice of the scene alone and
 //! seeds from 3000 on; `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each
 //! kind (`-- small-rooms 60 5000 30`: seeds from 5000 on, only with 30 % missing); `-- sizes 20` for patches of
-//! centimetres whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall; `-- twins 300` for
-//! tables b, d, e and f of docs/time-resolution.md through `run`.
+//! centimetres whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall
+//! (`-- locate 100 5000 14 15`: cells 14 and 15 of the table alone); `-- twins 300` for tables
+//! b, d, e and f of docs/time-resolution.md through `run`.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
@@ -73,7 +74,8 @@ fn main() {
     }
     if std::env::args().any(|arg| arg == "locate") {
         let first = numbers.get(1).copied().unwrap_or(1000);
-        return print_locate(first..first + seeds);
+        let cells: Vec<usize> = numbers.iter().skip(2).map(|cell| *cell as usize).collect();
+        return print_locate(first..first + seeds, &cells);
     }
     if std::env::args().any(|arg| arg == "small-rooms") {
         let first = numbers.get(1).copied().unwrap_or(1000);
@@ -203,21 +205,28 @@ const LOCATE: [(&str, usize, f64); 24] = [
     ("nothing", 0, 0.0),
 ];
 
-fn print_locate(seeds: Range<u64>) {
+/// Some cells by their numbers from 1 on; all where none is named.
+fn print_locate(seeds: Range<u64>, cells: &[usize]) {
     println!(
         "| scene | photons | campaigns | points, extended, nothing, cannot tell | located | extra | rms / bound | 95 % hold (coordinates) |"
     );
     println!("|---|---|---|---|---|---|---|---|");
-    for (kind, count, photons) in LOCATE {
+    let is_wanted = |cell: &usize| cells.is_empty() || cells.contains(cell);
+    for (_, (kind, count, photons)) in (1..).zip(LOCATE).filter(|(cell, _)| is_wanted(cell)) {
         let of_seed = |seed| {
             let (capture, hidden) = locate::scene(kind, count, photons, seed);
             locate::outcome(&capture, &hidden)
         };
         let outcomes: Vec<locate::Outcome> = seeds.clone().map(of_seed).collect();
-        for (seed, one) in seeds.clone().zip(&outcomes).filter(|(_, one)| one.hits < count || one.extra > 0) {
+        let is_odd = |one: &locate::Outcome| one.hits < count || one.extra > 0 || one.squares_m2 > 9.0 * one.bound_m2;
+        for (seed, one) in seeds.clone().zip(&outcomes).filter(|(_, one)| is_odd(one)) {
             eprintln!(
-                "{count} {kind}, {photons} photons, seed {seed}: {} with {} of {count}, {} extra",
-                one.search.verdict, one.hits, one.extra
+                "{count} {kind}, {photons} photons, seed {seed}: {} ({}) with {} of {count}, {} extra, {:.2} of the bound",
+                one.search.verdict,
+                one.search.reason,
+                one.hits,
+                one.extra,
+                (one.squares_m2 / one.bound_m2).sqrt()
             );
         }
         let verdicts = ["points", "extended-object", "nothing", "cannot-tell"]

@@ -9,7 +9,7 @@ use periscope::campaign::Campaign;
 use periscope::exchange::{self, ply};
 use periscope::formats::npy;
 use periscope::store::Shelf;
-use periscope::tables::{Patch, Row, VolumeRow};
+use periscope::tables::{Image, Patch, Row, VolumeRow};
 
 use super::output::say;
 use super::whole_file;
@@ -23,8 +23,8 @@ const ALL: &str = "all_patches";
 pub struct Export {
     /// Result folder
     results: PathBuf,
-    /// File to write: .ply for the patches as a point cloud, .hdf5 for the profiles as a capture of y-tal, .npy for the
-    /// volume of an image
+    /// File to write: .ply for the patches as a point cloud, .hdf5 for the profiles as a capture of y-tal (--volume:
+    /// the volume of an image), .npy for the volume of an image
     file: PathBuf,
     /// Table of patches [default: `all_patches` if there is one, else `patches`]
     #[arg(long, value_name = "TABLE")]
@@ -38,9 +38,15 @@ pub struct Export {
     /// .hdf5: table of calibrations, for the latency
     #[arg(long, value_name = "TABLE", default_value = "calibration")]
     calibration: String,
-    /// .npy: table of the volume; made with `run --set voxels.volume=true`
+    /// .hdf5: the volume of an image with the places of its voxels, in place of the profiles
+    #[arg(long)]
+    volume: bool,
+    /// .npy, --volume: table of the volume; made with `run --set voxels.volume=true`
     #[arg(long, value_name = "TABLE", default_value = "voxels.volumes")]
     volumes: String,
+    /// --volume: table of the image
+    #[arg(long, value_name = "TABLE", default_value = "voxels.images")]
+    images: String,
 }
 
 /// The command.
@@ -53,6 +59,16 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             let patches: Vec<Patch> = rows(&shelf, patches_view)?;
             let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;
             say!("{}: {written} patches", args.file.display())?;
+        }
+        Some("hdf5" | "h5") if args.volume => {
+            let rows = volume(&shelf, args)?;
+            let images: Vec<Image> = self::rows(&shelf, &args.images)?;
+            let [image] = images.as_slice() else {
+                bail!("`{}` of {} has {} rows, not one", args.images, args.results.display(), images.len());
+            };
+            whole_file::write(&args.file, |out| exchange::write_volume(out, image, &rows))?;
+            let (columns, depths) = (rows[0].columns, rows[0].depths);
+            say!("{}: {columns} columns, {} rows, {depths} depths", args.file.display(), rows.len())?;
         }
         Some("hdf5" | "h5") => {
             let campaign = args.campaign.as_ref();
@@ -70,16 +86,8 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             say!("{}: {histograms} histograms of {bins} bins of {:.3} ps", args.file.display(), capture.dt_ps)?;
         }
         Some("npy") => {
-            let mut rows: Vec<VolumeRow> = rows(&shelf, &args.volumes)?;
-            rows.sort_by_key(|row| row.grid_row);
-            let Some(first) = rows.first() else {
-                bail!(
-                    "`{}` of {} is empty: run again with --set voxels.volume=true",
-                    args.volumes,
-                    args.results.display()
-                );
-            };
-            let shape = [rows.len() as u64, first.columns as u64, first.depths as u64];
+            let rows = volume(&shelf, args)?;
+            let shape = [rows.len() as u64, rows[0].columns as u64, rows[0].depths as u64];
             let values: Vec<f32> = rows.iter().flat_map(|row| row.values.iter().copied()).collect();
             whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
             let [rows, columns, depths] = shape;
@@ -90,6 +98,17 @@ pub fn export(args: &Export) -> Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The rows of the volume in order: at least one.
+fn volume(shelf: &Shelf, args: &Export) -> Result<Vec<VolumeRow>> {
+    let mut rows: Vec<VolumeRow> = rows(shelf, &args.volumes)?;
+    rows.sort_by_key(|row| row.grid_row);
+    if rows.is_empty() {
+        let (volumes, results) = (&args.volumes, args.results.display());
+        bail!("`{volumes}` of {results} is empty: run again with --set voxels.volume=true");
+    }
+    Ok(rows)
 }
 
 fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {

@@ -9,6 +9,7 @@
 //! | `campaign_folder` | which campaign does it become? |
 //! | `ply` | patches as a point cloud |
 //! | `profiles_to_capture`, `y_tal_file` | profiles as a capture of y-tal |
+//! | `volume` | the volume of an image as a file that y-tal reads |
 //!
 //! Light is in vacuum here: these formats have no medium, and give times as path lengths.
 
@@ -18,6 +19,7 @@ mod confocal_mat;
 pub mod ply;
 mod profiles_to_capture;
 mod read;
+mod volume;
 mod y_tal;
 mod y_tal_file;
 mod z_nlos;
@@ -28,6 +30,7 @@ pub use campaign_folder::{CampaignOptions, Summary, write as write_campaign};
 pub use capture::{Capture, Grid, Pair, Spot};
 pub use profiles_to_capture::capture_of;
 pub use read::{Defaults, read};
+pub use volume::write as write_volume;
 pub use y_tal_file::write as write_y_tal;
 
 /// Why an exchange failed.

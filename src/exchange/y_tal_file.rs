@@ -66,7 +66,7 @@ fn null() -> Array {
     Array { axes: Vec::new(), code_type: CodeType::F64, codes: Vec::new() }
 }
 
-fn enumerator(number: i32) -> Array {
+pub(super) fn enumerator(number: i32) -> Array {
     Array { axes: vec![1], code_type: CodeType::I32, codes: number.to_le_bytes().to_vec() }
 }
 

@@ -10,7 +10,9 @@
 //!
 //! with the wall's own light `w` (smooth, `background`), the response `h` ([`Pulse`]) and a law that all points
 //! share: a power of the distance and a quadratic over the wall. The power is free, since retroreflective things follow
-//! others than diffuse ones. Likelihoods are those of Poisson counts, or of Gaussian noise.
+//! others than diffuse ones. Where arrivals show that histograms are late or early each by itself, a shift of all light
+//! of a histogram is unknown too, with a prior as wide as they show. Likelihoods are those of Poisson counts, or of
+//! Gaussian noise.
 //!
 //! | module | does |
 //! |---|---|
@@ -24,7 +26,7 @@
 //! | `volume` | scores summed at places: where one more point may be |
 //! | `rounds` | seeds, fits, and seeds again on what remains |
 //! | `split` | points that are two, closer together than the response resolves |
-//! | `misfit` | how far arrivals lie off the model, beyond noise |
+//! | `misfit` | how far arrivals lie off the model, beyond noise; how wide the shifts of histograms vary |
 //! | `verdict` | whether points are what the histograms show |
 //!
 //! A model of points also fits a surface, with many points and error bars that mean nothing. Residuals do not show

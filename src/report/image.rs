@@ -69,7 +69,7 @@ fn place(voxel: &Voxel) -> [usize; 3] {
 fn projections(whole: &tables::Image, voxels: &[Voxel]) -> Vec<(&'static str, Projection)> {
     let axes: [Axis; 3] = std::array::from_fn(|axis| {
         if axis == 2 {
-            cut(voxels, 2, "depth (m)".to_owned(), |place| depth_m(whole, place))
+            cut(voxels, 2, "depth (m)".to_owned(), |place| whole.depth_m(place))
         } else {
             let (title, start_m) = along(voxels, axis, whole.pitch_m);
             cut(voxels, axis, title, |place| start_m + place as f64 * whole.pitch_m)
@@ -93,16 +93,6 @@ fn cut(voxels: &[Voxel], axis: usize, title: String, middle_m: impl Fn(usize) ->
     let places = || voxels.iter().map(|voxel| place(voxel)[axis]);
     let (first, last) = (places().min().unwrap_or(0), places().max().unwrap_or(0));
     Axis { title, middles_m: (first..=last).map(middle_m).collect(), first }
-}
-
-/// Depths are equal steps of the square of the depth in the light-cone transform, equal steps else.
-fn depth_m(whole: &tables::Image, place: usize) -> f64 {
-    let share = place as f64 / f64::from(whole.depths - 1).max(1.0);
-    let between = |first: f64, last: f64| first + share * (last - first);
-    match &*whole.method {
-        "light-cone" => between(whole.depth_min_m.powi(2), whole.depth_max_m.powi(2)).sqrt(),
-        _ => between(whole.depth_min_m, whole.depth_max_m),
-    }
 }
 
 /// Title of an axis of the wall, and the coordinate of its first voxel: those of x, y or z where it runs along one.

@@ -48,7 +48,7 @@
 //! | [`sparse`] | deconvolution into pulses by maximum likelihood, for volts and for photon counts |
 //! | [`wiener`] | deconvolution in the frequency domain |
 //! | [`onset`], [`pulse_fit`], [`between`] | classical timing; one pulse; whether a third stands between two |
-//! | [`image`] | images of hidden surfaces: light-cone transform, back-projection |
+//! | [`image`] | images of hidden surfaces: light-cone transform, f-k migration, back-projection |
 //! | [`regression`], [`spline_fit`], [`tails`], [`fft`] | the mathematics that they share |
 //!
 //! # Conventions

@@ -1,9 +1,10 @@
 //! `image`: a volume image of what a wall shows, without patches or labels: which voxels are brighter than noise.
 //!
 //! Where laser and sensor look at the same points, on a square grid in one plane, the image is the light-cone transform
-//! ([`crate::signal::image::light_cone`]), else filtered back-projection
-//! ([`crate::signal::image::back_projection`]). Both give each voxel the standard deviation that its value has where
-//! nothing is hidden, so that the table holds voxels above a stated probability of false alarm, and nothing else.
+//! ([`crate::signal::image::light_cone`]) or f-k migration ([`crate::signal::image::migration`]), else filtered
+//! back-projection ([`crate::signal::image::back_projection`]). All give each voxel the standard deviation that its
+//! value has where nothing is hidden, so that the table holds voxels above a stated probability of false alarm, and
+//! nothing else.
 //!
 //! The wall's own light is cut off at a gate: the first time over the hidden surface from which on a smooth tail
 //! explains the sum of all histograms ([`crate::signal::image::gate`]).
@@ -25,6 +26,7 @@
 mod back_projection;
 mod lattice;
 mod light_cone;
+mod migration;
 
 use std::collections::BTreeMap;
 
@@ -38,12 +40,18 @@ use crate::parameter::{Condition, NonNegative, Positive, Share, Within};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, Medium};
 use crate::priors::relay_histograms::{Fields, Histogram, Times, Waveform};
+use crate::signal::image::back_projection::Stabiliser;
+use crate::signal::image::light_cone::Scan;
 use crate::tables::{Image, Patch, Profile, Row, VolumeRow, Voxel};
 use crate::units::PatchId;
 use lattice::{Grid, Summary, Wall};
 
 /// Full width at half maximum of a Gaussian, in standard deviations.
 const FWHM: f64 = 2.354_820_045_030_949_3;
+/// Bins of a grid's scan across the response, at the far end.
+const STEPS: f64 = 8.0;
+/// Widths of the response to either side over which light counts as smooth.
+const SMOOTH: f64 = 5.0;
 
 /// Parameters of `image`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -73,6 +81,8 @@ pub struct MakeImage {
 enum Method {
     Auto,
     LightCone,
+    #[serde(rename = "f-k")]
+    Migration,
     BackProjection,
 }
 
@@ -102,7 +112,7 @@ pub struct Context {
 
 impl Stage for MakeImage {
     const KIND: &'static str = "image";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -114,7 +124,7 @@ impl Stage for MakeImage {
     ];
     const CONDITIONS: &'static [Condition] = &[
         Condition("pitch_m", "method", &["auto", "back-projection"]),
-        Condition("falloff", "method", &["auto", "light-cone"]),
+        Condition("falloff", "method", &["auto", "light-cone", "f-k"]),
         Condition("signal_to_noise", "method", &["auto", "light-cone"]),
     ];
     type Input = Patch;
@@ -179,15 +189,16 @@ impl MakeImage {
             Err(why) => return Ok(Err(why)),
         };
         let grid = if self.method == Method::BackProjection { None } else { Grid::new(histograms, &wall) };
-        if self.method == Method::LightCone && grid.is_none() {
-            return Err(StageError::Refused(
-                "method = \"light-cone\" needs captures of a plane wall, lit and seen at the same point, on a grid of equal pitch; take out `method`"
-                    .to_owned(),
-            ));
+        if matches!(self.method, Method::LightCone | Method::Migration) && grid.is_none() {
+            let method = if self.method == Method::LightCone { "light-cone" } else { "f-k" };
+            return Err(StageError::Refused(format!(
+                "method = \"{method}\" needs captures of a plane wall, lit and seen at the same point, on a grid of equal pitch; take out `method`"
+            )));
         }
         let task =
             Task { params: self, histograms, times, medium, cancel: &context.cancel, width_ps: first.width_ps() };
         Ok(Ok(match grid {
+            Some(grid) if self.method == Method::Migration => ("f-k", times, migration::image(&task, &grid)),
             Some(grid) => ("light-cone", times, light_cone::image(&task, &grid)),
             None => ("back-projection", times, back_projection::image(&task, &wall)?),
         }))
@@ -195,6 +206,7 @@ impl MakeImage {
 
     fn row(&self, method: &str, histograms: usize, times: Times, summary: &Summary) -> Image {
         let lattice = &summary.lattice;
+        let ([along, up], normal) = (lattice.across, lattice.normal);
         let largest = summary.kept.largest.map(|(place, significance)| (lattice.point(place), significance));
         Image {
             method: method.into(),
@@ -205,6 +217,18 @@ impl MakeImage {
             rows: lattice.rows as i32,
             depths: lattice.depths_m.len() as i32,
             pitch_m: lattice.pitch_m,
+            corner_x_m: lattice.corner.x,
+            corner_y_m: lattice.corner.y,
+            corner_z_m: lattice.corner.z,
+            along_x: along.x,
+            along_y: along.y,
+            along_z: along.z,
+            up_x: up.x,
+            up_y: up.y,
+            up_z: up.z,
+            normal_x: normal.x,
+            normal_y: normal.y,
+            normal_z: normal.z,
             depth_min_m: lattice.depths_m.first().copied().unwrap_or(0.0),
             depth_max_m: lattice.depths_m.last().copied().unwrap_or(0.0),
             cells: lattice.cells() as i64,
@@ -238,7 +262,7 @@ fn left_out(context: &Context, histograms: usize) -> Vec<Rejection> {
     rejections
 }
 
-/// What both methods take.
+/// What all methods take.
 struct Task<'a> {
     params: &'a MakeImage,
     histograms: &'a [Histogram<'a>],
@@ -247,4 +271,43 @@ struct Task<'a> {
     cancel: &'a Cancel,
     /// Full width at half maximum of the response.
     width_ps: f64,
+}
+
+impl Task<'_> {
+    /// Time of the first bin behind the gate; values, of counts stabilised, and their standard deviations.
+    fn stabilised(&self, stabiliser: &Stabiliser, histogram: &Histogram<'_>) -> (f64, Vec<f64>, Vec<f64>) {
+        self.cancel.check();
+        let (first_ps, values) = histogram.behind(&self.times);
+        let variances = histogram.variances(&self.times, &values);
+        let (values, sd) = if histogram.is_counts() {
+            stabiliser.apply(&values, &variances)
+        } else {
+            (values, variances.into_iter().map(f64::sqrt).collect())
+        };
+        (first_ps, values, sd)
+    }
+
+    /// Depths up to the largest one.
+    fn depths_m(&self, depths_ps: impl Iterator<Item = f64>) -> Vec<f64> {
+        let depth_max_m = self.params.depth_max_m.map_or(f64::INFINITY, Positive::get);
+        depths_ps.map(|depth_ps| self.medium.path_m(depth_ps)).take_while(|depth_m| *depth_m <= depth_max_m).collect()
+    }
+
+    /// The scan of a grid, in steps of time of this width, or of a bin if that is wider.
+    fn scan(&self, grid: &Grid, step_ps: f64) -> Scan {
+        let (times, lattice) = (self.times, &grid.lattice);
+        let dt_ps = self.histograms[0].dt_ps();
+        // Beyond the farthest voxel light still comes from aside.
+        let end_ps = self.params.depth_max_m.map_or(f64::INFINITY, |depth_m| {
+            let [width_m, height_m] = [lattice.columns, lattice.rows].map(|count| count as f64 * lattice.pitch_m);
+            self.medium.time_ps(2.0 * (depth_m.get().powi(2) + width_m.powi(2) + height_m.powi(2)).sqrt())
+        });
+        Scan {
+            columns: lattice.columns,
+            rows: lattice.rows,
+            pitch_ps: self.medium.time_ps(lattice.pitch_m),
+            times_ps: [times.gate_ps, times.end_ps.min(end_ps).max(times.gate_ps + dt_ps)],
+            step_ps: step_ps.max(dt_ps),
+        }
+    }
 }

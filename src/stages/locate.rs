@@ -16,8 +16,8 @@
 //! Voltages have Gaussian noise of one standard deviation for all captures: that of a pulse's arrival, or of its
 //! height if that is larger, where the noise is correlated.
 //!
-//! Not modelled: pile-up, errors of the wall's places, occlusion, normals, more than
-//! three bounces.
+//! Relief of the wall and jitter shift all light of a histogram alike; where arrivals show it, these shifts are unknown
+//! too. Not modelled: pile-up, errors of the wall's places along it, occlusion, normals, more than three bounces.
 //!
 //! ```toml
 //! [patches]
@@ -97,7 +97,7 @@ pub struct Context {
 
 impl Stage for Locate {
     const KIND: &'static str = "locate";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },

@@ -150,6 +150,34 @@ fn points_lie_at_their_places() {
     }
 }
 
+/// f-k migration: places, depths between its equal steps, and no voxel of a scene without anything.
+#[test]
+fn points_migrate_to_their_places() {
+    let folder = tempfile::tempdir().unwrap();
+    let migrated = ["--set", "voxels.method=f-k"];
+    write_scan(&folder.path().join("scan.mat"), &points(), 2);
+    convert(folder.path());
+    let (voxels, image) = run(folder.path(), "results", &migrated);
+    assert_eq!(&*image.method, "f-k");
+    for (place, _) in points() {
+        let near = voxels.iter().filter(|voxel| gap_m([voxel.x_m, voxel.y_m, voxel.z_m], place) < 0.06);
+        let best = brightest(near);
+        println!("{place:?}: {best:?}");
+        assert!((best.x_m - place[0]).abs() < 1.5 * PITCH_M && (best.y_m - place[1]).abs() < 1.5 * PITCH_M);
+        // A step of depth is half the path within a bin.
+        assert!((best.z_m - place[2]).abs() < 1.5 * 0.5 * DT_PS * LIGHT, "{}", best.z_m);
+        let at = [best.grid_column, best.grid_row, best.grid_depth].map(|n| n as usize);
+        assert!(gap_m(image.point_m(at), [best.x_m, best.y_m, best.z_m]) < 1e-9);
+    }
+    for seed in 3..8 {
+        let folder = tempfile::tempdir().unwrap();
+        write_scan(&folder.path().join("scan.mat"), &[], seed);
+        convert(folder.path());
+        let (voxels, image) = run(folder.path(), "results", &migrated);
+        assert!(voxels.is_empty() && image.largest.unwrap() < image.threshold, "{image:?}");
+    }
+}
+
 #[test]
 fn an_empty_scene_has_no_voxel() {
     for seed in 3..8 {

@@ -29,8 +29,10 @@ pub struct Tail {
     constant: f64,
 }
 
-/// Scale of the tail and constant of a histogram.
-pub type Level = [f64; 2];
+/// Scale of the tail and constant of a histogram, and the length by which all its light is late.
+pub type Level = [f64; 3];
+/// Before anything is known of a histogram.
+pub const PLAIN: Level = [1.0, 0.0, 0.0];
 
 impl Tail {
     /// From the sum of `count` histograms less the light of points, with `sum` and `light` in bins of `step_m`, and the
@@ -173,5 +175,5 @@ pub fn level(problem: &Problem, histogram: &Histogram, tail: &[f64], light: &[f6
             break;
         }
     }
-    [scale, constant]
+    [scale, constant, start[2]]
 }

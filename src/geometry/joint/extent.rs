@@ -8,6 +8,7 @@
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use rayon::prelude::*;
 
+use super::background::Level;
 use super::fit::Fit;
 use super::normal::Desk;
 use super::{Histogram, Problem};
@@ -31,16 +32,16 @@ pub struct Extent {
 /// Of all points of a fit.
 pub fn extents(problem: &Problem, fit: &Fit) -> Vec<Extent> {
     let points = fit.model.dots.len();
-    let of_run = |(histograms, levels): (&[Histogram], &[[f64; 2]])| {
+    let of_run = |(histograms, levels): (&[Histogram], &[Level])| {
         problem.cancel.check();
         let mut sums = vec![(Matrix4::zeros(), Vector4::zeros()); points];
         let mut desk = Desk::default();
         let mut pulse = Vec::new();
         for (histogram, level) in histograms.iter().zip(levels) {
-            desk.light(problem, (&fit.model, &fit.shine), histogram);
+            desk.light(problem, (&fit.model, &fit.shine), (histogram, level[2]));
             fit.tail.fill(histogram, &mut desk.tail);
             for (k, sum) in sums.iter_mut().enumerate() {
-                let way = fit.model.way(&fit.model.dots[k], histogram);
+                let way = fit.model.way(&fit.model.dots[k], histogram).later(level[2]);
                 let bins = fit.shine.bins(problem, histogram, &way);
                 fit.shine.pulse.fill(0, &bins, way.log_photons.min(60.0).exp(), &mut pulse);
                 let [score, information] = spread(problem, histogram, (bins.from, &pulse), (*level, &desk));
@@ -86,7 +87,7 @@ fn spread(
     problem: &Problem,
     histogram: &Histogram,
     (from, pulse): (usize, &[f64]),
-    ([scale, constant], desk): ([f64; 2], &Desk),
+    ([scale, constant, _], desk): (Level, &Desk),
 ) -> [f64; 2] {
     let (mut information, mut score) = (Matrix3::zeros(), Vector3::zeros());
     let step_m = problem.step_m;

@@ -198,7 +198,7 @@ pub fn tail(problem: &Problem, (model, shine): (&Model, &Shine)) -> Tail {
     let mut desk = Desk::default();
     for histogram in histograms {
         problem.cancel.check();
-        desk.light(problem, (model, shine), histogram);
+        desk.light(problem, (model, shine), (histogram, 0.0));
         let first = ((histogram.first_m - first_m) / step_m).round() as usize;
         sum[first..].iter_mut().zip(&histogram.values).for_each(|(sum, value)| *sum += f64::from(*value));
         light[first..].iter_mut().zip(&desk.all).for_each(|(sum, value)| *sum += value);

@@ -14,6 +14,11 @@ const BLOCKS: usize = 4;
 const HIDING: f64 = 3.0;
 /// Standard deviations beyond which a factor counts: 1 in 1000 by chance.
 const BEYOND: f64 = 3.09;
+/// Degrees of freedom of shifts that positions and the common delay take.
+const TAKEN: f64 = 4.0;
+/// Largest variance of a shift over that of noise, and halvings of its interval.
+const MOST: f64 = 1e6;
+const HALVINGS: usize = 40;
 /// Least number of degrees of freedom of a factor.
 const LEAST: f64 = 4.0;
 
@@ -31,12 +36,39 @@ pub struct Misfit {
 impl Misfit {
     /// Of a fit.
     pub fn new(problem: &Problem, fit: &Fit) -> Self {
-        Self { factor: widening(problem, fit), scatter_m: scatter_m(&fit.normal.arrivals), own: own(fit) }
+        let scatter_m = scatter_m(&fit.normal.arrivals).hypot(fit.model.wander_m);
+        Self { factor: widening(problem, fit), scatter_m, own: own(fit) }
     }
 }
 
+/// Standard deviation of the shift that all light of a histogram shares, as path length; 0 where chance explains it.
+///
+/// A score varies by the information `I`, and by `I^2 wander^2`. The variance of the shifts is that for which the sum
+/// of squared scores, each over its variance, is what is expected (Paule and Mandel, J. Res. NBS 87:377, 1982).
+pub fn wander_m(fit: &Fit) -> f64 {
+    let shifts = || fit.normal.shifts.iter().filter(|[_, information]| *information > 0.0);
+    let freedom = shifts().count() as f64 - TAKEN;
+    let square = |variance_m2: f64| -> f64 {
+        shifts().map(|[score, information]| score * score / (information * (1.0 + information * variance_m2))).sum()
+    };
+    if beyond_chance(square(0.0), freedom) <= 1.0 {
+        return 0.0;
+    }
+    let mean = shifts().map(|[_, information]| information).sum::<f64>() / (freedom + TAKEN);
+    let mut ends = [0.0, 1.0 / mean];
+    while square(ends[1]) > freedom && ends[1] * mean < MOST {
+        ends[1] *= 4.0;
+    }
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (ends[0] + ends[1]);
+        ends[usize::from(square(middle) < freedom)] = middle;
+    }
+    ends[1].sqrt()
+}
+
 /// Relief of the wall and jitter from place to place shift all light of a histogram alike, as far as all directions are
-/// similar. What is no point has arrivals of its own. 1 where what remains is within noise.
+/// similar. What is no point has arrivals of its own. 1 where what remains is within noise; where such shifts are in
+/// the fit, what is left of the scores sums to nothing in each histogram, and up to half more is within noise too.
 fn own(fit: &Fit) -> f64 {
     let points = fit.model.dots.len();
     if points < 2 {

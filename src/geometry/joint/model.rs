@@ -48,13 +48,15 @@ pub struct Model {
     pub shared: [f64; SHARED],
     /// Factor on the standard deviation of the common delay before there is light.
     pub unsure: f64,
+    /// Standard deviation of a shift that all light of one histogram shares, as path length.
+    pub wander_m: f64,
 }
 
 impl Default for Model {
     fn default() -> Self {
         let mut shared = [0.0; SHARED];
         shared.iter_mut().zip(PRIORS).for_each(|(value, [mean, _])| *value = mean);
-        Self { dots: Vec::new(), shared, unsure: 1.0 }
+        Self { dots: Vec::new(), shared, unsure: 1.0, wander_m: 0.0 }
     }
 }
 
@@ -71,6 +73,13 @@ pub struct Way {
     pub log_gradient: Vector3<f64>,
     /// Its derivative by the power: the logarithm of the distance.
     pub log_distance: f64,
+}
+
+impl Way {
+    /// The same where all light of the histogram is late by a length.
+    pub fn later(self, late_m: f64) -> Self {
+        Self { length_m: self.length_m + late_m, ..self }
+    }
 }
 
 impl Model {

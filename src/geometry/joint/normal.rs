@@ -2,7 +2,9 @@
 //!
 //! In a histogram the unknowns are the logarithm of each point's light, the length of its way and the common width. The
 //! information on them, less what scale and constant of the wall's own light take (a Schur complement), is carried to
-//! positions, photons and law by the chain rule. Histograms are taken in runs whose sums are added in order, so that
+//! positions, photons and law by the chain rule. Relief of the wall and jitter shift all light of a histogram alike:
+//! where arrivals show it, this shift is unknown too, with a prior of its own width, and the log-likelihood is that
+//! with the likeliest shift, to second order. Histograms are taken in runs whose sums are added in order, so that
 //! threads change no digit.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
@@ -15,6 +17,9 @@ use super::{Histogram, Problem};
 
 /// Histograms in a run.
 const RUN: usize = 16;
+/// Newton steps for the shift of a histogram, and the square of a step in standard deviations that ends them.
+const TURNS: usize = 6;
+const SETTLED: f64 = 1e-4;
 /// Terms of a sum that are added side by side.
 const LANES: usize = 8;
 
@@ -52,6 +57,8 @@ pub struct Normal {
     pub levels: Vec<Level>,
     /// Score and information on the arrival of each point in each histogram, its amplitude free.
     pub arrivals: Vec<[f64; 2]>,
+    /// Score and information on the shift that all light of a histogram shares.
+    pub shifts: Vec<[f64; 2]>,
 }
 
 impl Normal {
@@ -62,6 +69,7 @@ impl Normal {
             fisher: DMatrix::zeros(unknowns, unknowns),
             levels: Vec::new(),
             arrivals: Vec::new(),
+            shifts: Vec::new(),
         }
     }
 
@@ -73,8 +81,9 @@ impl Normal {
             let mut sums = Self::empty(unknowns);
             let mut desk = Desk::default();
             for (histogram, start) in histograms.iter().zip(starts) {
-                desk.light(problem, (model, shine), histogram);
-                desk.add(problem, tail, (histogram, *start), model, &mut sums);
+                let start = desk.late(problem, tail, (model, shine), (histogram, *start));
+                desk.light(problem, (model, shine), (histogram, start[2]));
+                desk.add(problem, tail, (histogram, start), model, &mut sums);
             }
             sums
         };
@@ -86,6 +95,7 @@ impl Normal {
             all.fisher += run.fisher;
             all.levels.extend(run.levels);
             all.arrivals.extend(run.arrivals);
+            all.shifts.extend(run.shifts);
         }
         all.log_likelihood += model.log_prior(&problem.pulse);
         for (n, [gradient, precision]) in model.prior(&problem.pulse).into_iter().enumerate() {
@@ -155,8 +165,13 @@ pub struct Desk {
 }
 
 impl Desk {
-    /// Light of all points in a histogram, and its derivatives.
-    pub fn light(&mut self, problem: &Problem, (model, shine): (&Model, &Shine), histogram: &Histogram) {
+    /// Light of all points in a histogram that is late by a length, and its derivatives.
+    pub fn light(
+        &mut self,
+        problem: &Problem,
+        (model, shine): (&Model, &Shine),
+        (histogram, late_m): (&Histogram, f64),
+    ) {
         let (bins, points) = (histogram.values.len(), model.dots.len());
         let common = if shine.is_free { COLUMNS - 2 } else { 1 };
         self.rows.resize_with(2 * points + common, Row::default);
@@ -170,7 +185,7 @@ impl Desk {
             row.values.resize(bins, 0.0);
         }
         for (dot, rows) in model.dots.iter().zip(rows.chunks_mut(2)) {
-            let way = model.way(dot, histogram);
+            let way = model.way(dot, histogram).later(late_m);
             let bins = shine.bins(problem, histogram, &way);
             let photons = way.log_photons.min(60.0).exp();
             for (column, row) in rows.iter_mut().enumerate() {
@@ -199,7 +214,6 @@ impl Desk {
     ) {
         tail.fill(histogram, &mut self.tail);
         let own = level(problem, histogram, &self.tail, &self.all, start);
-        sums.levels.push(own);
         let size = self.rows.len();
         self.weights.clear();
         self.rests.clear();
@@ -226,6 +240,8 @@ impl Desk {
             self.cross.push(Vector2::new(with_tail, weighted.values.iter().sum()));
         }
         self.profile(wall);
+        let late_m = self.shift(model, own[2], sums);
+        sums.levels.push([own[0], own[1], late_m]);
         self.carry(histogram, model, sums);
     }
 
@@ -245,6 +261,70 @@ impl Desk {
                 self.information[b * size + a] = value;
             }
         }
+    }
+
+    /// The level with the likeliest shift that all light of the histogram shares, at a model as it stands.
+    fn late(
+        &mut self,
+        problem: &Problem,
+        tail: &Tail,
+        (model, shine): (&Model, &Shine),
+        (histogram, start): (&Histogram, Level),
+    ) -> Level {
+        if model.wander_m <= 0.0 || model.dots.is_empty() {
+            return [start[0], start[1], 0.0];
+        }
+        tail.fill(histogram, &mut self.tail);
+        let (precision, mut own, mut slope) = (model.wander_m.powi(-2), start, Vec::new());
+        for _ in 0..TURNS {
+            self.light(problem, (model, shine), (histogram, own[2]));
+            own = level(problem, histogram, &self.tail, &self.all, own);
+            slope.clear();
+            slope.resize(histogram.values.len(), 0.0);
+            for row in self.rows[..2 * model.dots.len()].iter().skip(1).step_by(2) {
+                slope[row.from..row.to()].iter_mut().zip(&row.values).for_each(|(sum, value)| *sum += value);
+            }
+            let (mut score, mut information) = (-own[2] * precision, precision);
+            for (n, slope) in slope.iter().enumerate() {
+                let rate = own[0] * self.tail[n] + own[1] + self.all[n];
+                let weight = problem.noise.weight(rate);
+                score += slope * weight * (f64::from(histogram.values[n]) - rate);
+                information += slope * slope * weight;
+            }
+            let step_m = (score / information).clamp(-model.wander_m, model.wander_m);
+            own[2] += step_m;
+            if step_m * step_m * information < SETTLED {
+                break;
+            }
+        }
+        own
+    }
+
+    /// Takes out the shift that all light of the histogram shares; returns its likeliest value, to second order.
+    fn shift(&mut self, model: &Model, late_m: f64, sums: &mut Normal) -> f64 {
+        let (size, points) = (self.rows.len(), model.dots.len());
+        let lengths = || (0..points).map(|k| 2 * k + 1);
+        let along: Vec<f64> =
+            (0..size).map(|a| lengths().map(|length| self.information[a * size + length]).sum()).collect();
+        let information: f64 = lengths().map(|length| along[length]).sum();
+        let score: f64 = lengths().map(|length| self.score[length]).sum();
+        // As it would be without the shift.
+        sums.shifts.push([score + information * late_m, information]);
+        if model.wander_m <= 0.0 {
+            return 0.0;
+        }
+        let precision = model.wander_m.powi(-2);
+        let variance = (information + precision).recip();
+        // What the turns before have left.
+        let step_m = (score - late_m * precision) * variance;
+        sums.log_likelihood += 0.5 * step_m * step_m / variance - 0.5 * late_m * late_m * precision;
+        for a in 0..size {
+            self.score[a] -= along[a] * step_m;
+            for b in 0..size {
+                self.information[a * size + b] -= along[a] * along[b] * variance;
+            }
+        }
+        late_m + step_m
     }
 
     /// How the unknown of a row depends on those of its point, and on those that all points share.

@@ -1,9 +1,9 @@
 //! Seeds, fits, and seeds again on what remains.
 
 use super::Problem;
-use super::background::Level;
+use super::background::{Level, PLAIN};
 use super::fit::{Fit, Free, tail};
-use super::misfit::Misfit;
+use super::misfit::{Misfit, wander_m};
 use super::model::{Dot, Model};
 use super::normal::Shine;
 use super::scores::Traces;
@@ -32,6 +32,10 @@ const LOOSE: f64 = 0.8;
 const LATE: f64 = 1.0;
 const LEAST_SURE: f64 = 64.0;
 
+/// Estimates of the shifts of single histograms at most, and the relative change that ends them.
+const WANDERS: usize = 4;
+const SAME: f64 = 0.1;
+
 /// What a search came to.
 pub struct Search {
     /// The last fit.
@@ -50,7 +54,7 @@ pub struct Search {
 /// of a score below `clear` may be noise, and only few are tried at once.
 pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2], model: Model) -> Search {
     let shape = tail(problem, (&model, &Shine::new(problem, &model, false)));
-    let levels: Vec<Level> = vec![[1.0, 0.0]; problem.histograms.len()];
+    let levels: Vec<Level> = vec![PLAIN; problem.histograms.len()];
     let mut fit = Fit::new(problem, shape, model, &levels);
     if !fit.model.dots.is_empty() {
         fit = fit.climb(problem, Free::Law);
@@ -77,7 +81,7 @@ pub fn search(problem: &Problem, lattice: &Lattice, [threshold, clear]: [f64; 2]
             break;
         }
         // A wrong response leaves rests that look like faint points.
-        fit = next.reshape(problem).climb(problem, Free::Law).climb(problem, Free::All);
+        fit = steadied(problem, next.reshape(problem).climb(problem, Free::Law).climb(problem, Free::All));
     }
     let (fit, misfit) = last(problem, fit, threshold);
     Search { fit, misfit, largest, sure, too_many }
@@ -106,9 +110,22 @@ fn last(problem: &Problem, fit: Fit, threshold: f64) -> (Fit, Misfit) {
     settle(problem, fit, threshold)
 }
 
-/// A fit without points that it does not show, and its misfit.
+/// The fit with shifts of single histograms as large as its arrivals show them.
+fn steadied(problem: &Problem, mut fit: Fit) -> Fit {
+    for _ in 0..WANDERS {
+        let wander_m = wander_m(&fit);
+        if (wander_m - fit.model.wander_m).abs() <= SAME * wander_m {
+            break;
+        }
+        fit.model.wander_m = wander_m;
+        fit = Fit::new(problem, fit.tail, fit.model, &fit.normal.levels).climb(problem, Free::All);
+    }
+    fit
+}
+
+/// A fit with shifts of histograms as they show, without points that it does not show, and its misfit.
 pub fn settle(problem: &Problem, fit: Fit, threshold: f64) -> (Fit, Misfit) {
-    let mut fit = fit.eliminate(problem, threshold, Free::All);
+    let mut fit = steadied(problem, fit).eliminate(problem, threshold, Free::All);
     loop {
         let misfit = Misfit::new(problem, &fit);
         // Errors of the model that arrivals show count as noise: what they could explain is no point.

@@ -190,9 +190,9 @@ fn trace(problem: &Problem, fit: &Fit, filter: &[f64], members: &[usize]) -> Tra
     let (mut rests, mut rates, mut wrong) = (Vec::new(), Vec::new(), Vec::new());
     for n in members {
         let histogram = &problem.histograms[*n];
-        desk.light(problem, (&fit.model, &fit.shine), histogram);
+        let [scale, constant, late_m] = fit.normal.levels[*n];
+        desk.light(problem, (&fit.model, &fit.shine), (histogram, late_m));
         fit.tail.fill(histogram, &mut desk.tail);
-        let [scale, constant] = fit.normal.levels[*n];
         rests.clear();
         rates.clear();
         wrong.clear();

@@ -3,6 +3,7 @@
 //! A score test says which points have pulses wider than the common width; only these are split, along each of three
 //! directions, and the fit decides.
 
+use super::background::Level;
 use super::fit::{Fit, Free};
 use super::model::{Dot, SHARED, WIDTH};
 use super::normal::Desk;
@@ -16,10 +17,12 @@ const BRIGHTEST: usize = 6;
 /// Half the distance of the two points across and in depth, in widths of a pulse.
 const HALF: [f64; 3] = [0.3, 0.3, 0.15];
 
-/// The fit with points split in two, where that gains twice the log-likelihood of `threshold` squared.
+/// The fit with points split in two, where that gains twice the log-likelihood of `threshold` squared; at most twice as
+/// many as before.
 pub fn split(problem: &Problem, fit: Fit, threshold: f64) -> Fit {
     let mut fit = fit;
-    while fit.model.dots.len() < MOST {
+    let most = MOST.min(2 * fit.model.dots.len());
+    while fit.model.dots.len() < most {
         let tries = candidates(problem, &fit);
         let better = tries.into_iter().find_map(|dot| {
             let best = halves(problem, &fit, dot);
@@ -80,7 +83,7 @@ fn widths(problem: &Problem, fit: &Fit) -> Vec<f64> {
     let mut sums = vec![[0.0; 2]; points];
     let mut desk = Desk::default();
     for (histogram, level) in problem.histograms.iter().zip(&fit.normal.levels) {
-        desk.light(problem, (&fit.model, &fit.shine), histogram);
+        desk.light(problem, (&fit.model, &fit.shine), (histogram, level[2]));
         fit.tail.fill(histogram, &mut desk.tail);
         for (dot, sum) in fit.model.dots.iter().zip(&mut sums) {
             let [score, information] = own_width(problem, fit, histogram, (dot, *level, &desk));
@@ -98,9 +101,9 @@ fn own_width(
     problem: &Problem,
     fit: &Fit,
     histogram: &Histogram,
-    (dot, [scale, constant], desk): (&Dot, [f64; 2], &Desk),
+    (dot, [scale, constant, late_m], desk): (&Dot, Level, &Desk),
 ) -> [f64; 2] {
-    let way = fit.model.way(dot, histogram);
+    let way = fit.model.way(dot, histogram).later(late_m);
     let photons = way.log_photons.min(60.0).exp();
     let bins = fit.shine.bins(problem, histogram, &way);
     let rows = [0, 2].map(|column| {

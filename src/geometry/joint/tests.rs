@@ -10,6 +10,7 @@ use super::extent::extents;
 use super::fit::{Fit, Free, place_covariance, tail};
 use super::model::{Dot, Model, SHARED};
 use super::normal::{Normal as Sums, Shine};
+use super::rounds::settle;
 use super::scores::{Line, Traces, add_squared};
 use super::*;
 
@@ -78,10 +79,10 @@ fn the_gradient_is_that_of_differences() {
         |place: [f64; 3], log_photons| Dot { place: place.into(), log_photons, slopes: [0.05, -0.1], reference_m: 0.5 };
     let dots = vec![dot([0.103, -0.051, 0.452], 5.2), dot([-0.118, 0.1, 0.498], 5.1)];
     let shared: [f64; SHARED] = [-3.6, 0.02, -0.01, 0.03, 0.01, -0.02, 0.05, 0.03, -0.06, 0.05, -0.1, 0.2, -0.1];
-    let model = Model { dots, shared, unsure: 1.0 };
+    let model = Model { dots, shared, unsure: 1.0, wander_m: 0.0 };
     let shine = Shine::new(&problem, &model, true);
     let shape = tail(&problem, (&model, &shine));
-    let levels: Vec<Level> = vec![[1.0, 0.2]; 64];
+    let levels: Vec<Level> = vec![[1.0, 0.2, 0.0]; 64];
     let at = Sums::new(&problem, &shape, (&model, &shine), &levels);
     for n in 0..model.unknowns() {
         let end = |sign: f64| {
@@ -112,7 +113,7 @@ fn model_of(dots: &[([f64; 3], f64)]) -> Model {
 fn fit_of(problem: &Problem, dots: &[([f64; 3], f64)]) -> Fit {
     let model = model_of(dots);
     let shape = tail(problem, (&model, &Shine::new(problem, &model, false)));
-    Fit::new(problem, shape, model, &vec![[1.0, 0.2]; problem.histograms.len()]).climb(problem, Free::All)
+    Fit::new(problem, shape, model, &vec![[1.0, 0.2, 0.0]; problem.histograms.len()]).climb(problem, Free::All)
 }
 
 /// Light of two dots 12 mm apart as one point: 6 mm from its middle.
@@ -156,12 +157,41 @@ fn a_common_delay_is_in_the_error_bars() {
     assert!(mean < 4.0, "{mean}");
 }
 
+/// Histograms that are late or early each by itself: the shift is unknown, and error bars hold.
+#[test]
+fn shifts_of_single_histograms_are_in_the_fit() {
+    let (mut square, mut count, mut wander, mut right) = (0.0, 0.0, 0.0, 0);
+    for seed in 0..6 {
+        let bright = DOTS.map(|(place, photons)| (place, 15.0 * photons));
+        let mut histograms = histograms(&bright, 0.0, Noise::Counts, 400 + seed);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        // 5 ps: four times what noise leaves of a point in a histogram.
+        let shift = Normal::new(0.0, 0.0015).unwrap();
+        histograms.iter_mut().for_each(|one| one.first_m += shift.sample(&mut rng));
+        let problem = problem(histograms, Noise::Counts);
+        let (fit, misfit) = settle(&problem, fit_of(&problem, &bright), 5.0);
+        wander += fit.model.wander_m / 6.0;
+        right += usize::from(misfit.factor == 1.0);
+        let covariance = fit.covariance().unwrap();
+        for (k, (place, _)) in bright.iter().enumerate() {
+            let off = fit.model.dots[k].place - Point::from(*place);
+            square += off.dot(&(place_covariance(&covariance, k).try_inverse().unwrap() * off));
+            count += 3.0;
+        }
+    }
+    // 54 squares that the mean of all shifts makes dependent. Where shifts are not in the fit, arrivals vary by ten
+    // times their noise in all draws, and the factor on all variances is as large.
+    let mean: f64 = square / count;
+    assert!((0.3..1.8).contains(&mean) && (0.0011..0.0019).contains(&wander), "{mean}, {wander} m");
+    assert!(right >= 4, "arrivals are within noise in {right} of 6 draws");
+}
+
 /// Sums on the grid of squared depths are those at the places themselves.
 #[test]
 fn sums_over_squared_depths_are_those_at_the_places() {
     let problem = problem(histograms(&DOTS, 0.0, Noise::Counts, 8), Noise::Counts);
     let shape = tail(&problem, (&Model::default(), &Shine::new(&problem, &Model::default(), false)));
-    let fit = Fit::new(&problem, shape, Model::default(), &vec![[1.0, 0.2]; 64]).climb(&problem, Free::Photons);
+    let fit = Fit::new(&problem, shape, Model::default(), &vec![[1.0, 0.2, 0.0]; 64]).climb(&problem, Free::Photons);
     let traces = Traces::new(&problem, &fit);
     let (step_m2, count) = (4e-4, 1000);
     let squared = traces.squared(&problem, step_m2, 2 * count).expect("a confocal scan");

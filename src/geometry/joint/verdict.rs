@@ -2,6 +2,7 @@
 
 use std::f64::consts::SQRT_2;
 
+use super::background::PLAIN;
 use super::extent::{Extent, extents};
 use super::fit::{Fit, Free, place_covariance};
 use super::model::{EDGE, Model};
@@ -71,13 +72,19 @@ fn judged(problem: &Problem, lattice: &Lattice, threshold: f64, mut whole: Searc
         let mut least = reappear(problem, lattice, threshold, (&whole, &mut all));
         let mut answer = judge(problem, &whole, least);
         // Points closer together than the response resolves; of very many histograms they are split in the first part.
-        if least >= REAPPEAR[0] && problem.histograms.len() < MANY {
+        // Two that are taken for one do not reappear where halves have their middle elsewhere.
+        if problem.histograms.len() < MANY {
             let fit = split(problem, whole.fit.clone(), threshold);
-            if fit.model.dots.len() > all.len() {
-                let (fit, misfit) = settle(problem, fit, threshold);
+            let settled = (fit.model.dots.len() > all.len()).then(|| settle(problem, fit, threshold));
+            // Of a surface nothing may be left.
+            if let Some((fit, misfit)) = settled.filter(|(fit, _)| fit.model.dots.len() > all.len()) {
                 whole = Search { fit, misfit, ..whole };
                 all = points(&whole.fit, whole.misfit.factor);
-                least = least.min(remain(problem, threshold, (&whole, &mut all)));
+                least = if least >= REAPPEAR[0] {
+                    least.min(remain(problem, threshold, (&whole, &mut all)))
+                } else {
+                    reappear(problem, lattice, threshold, (&whole, &mut all))
+                };
                 answer = judge(problem, &whole, least);
             }
         }
@@ -190,7 +197,7 @@ fn reappear(
 
 /// Points of a half that starts from all points of the whole, and their log-likelihood.
 fn stay(half: &Problem, threshold: f64, whole: &Fit, misfit: f64) -> (Vec<HiddenPoint>, f64) {
-    let levels = vec![[1.0, 0.0]; half.histograms.len()];
+    let levels = vec![PLAIN; half.histograms.len()];
     let fit = Fit::new(half, whole.tail.clone(), whole.model.clone(), &levels).climb(half, Free::All).eliminate(
         half,
         LOOSE * threshold / SQRT_2,

@@ -20,7 +20,8 @@
 //! 1. [`LightCone::row`] for each row of the grid: histograms to spectra;
 //! 2. [`LightCone::filter`] for each frequency: the image's spectrum and the filter itself;
 //! 3. [`LightCone::square`] for each row of the filter;
-//! 4. [`LightCone::spread`] for each frequency: the spectrum of the variance;
+//! 4. [`LightCone::spread`] for each frequency: the spectrum of the variance, which [`LightCone::keep`] puts where the
+//!    frequency's own values were;
 //! 5. [`LightCone::values`] and [`LightCone::variances`] for each row of the grid.
 //!
 //! Spectra are complex values, frequency by frequency, each a row or a plane of the grid. They are kept in single
@@ -77,12 +78,12 @@ pub struct Slice {
 }
 
 /// In the precision of computing.
-fn wide(value: Complex<f32>) -> Complex<f64> {
+pub(super) fn wide(value: Complex<f32>) -> Complex<f64> {
     Complex::new(f64::from(value.re), f64::from(value.im))
 }
 
 /// In the precision of keeping.
-fn narrow(value: Complex<f64>) -> Complex<f32> {
+pub(super) fn narrow(value: Complex<f64>) -> Complex<f32> {
     Complex::new(value.re as f32, value.im as f32)
 }
 
@@ -333,29 +334,34 @@ impl LightCone {
     /// If there are not as many slices as frequencies.
     pub fn values(&self, workspace: &mut Workspace, row: usize, slices: &[Slice]) -> Vec<f64> {
         assert_eq!(slices.len(), self.frequencies(), "the image has another number of frequencies");
-        self.records(workspace, row, |k, at| wide(slices[k].image[at]))
+        self.records(workspace, |k, column| wide(slices[k].image[row * self.scan.columns + column]))
     }
 
-    /// Variances of the same voxels, from the planes of [`LightCone::spread`].
+    /// Puts a frequency of the variance of the image in the place of that of the histograms, which is not needed any
+    /// more.
     ///
     /// # Panics
-    /// If there are not as many planes as frequencies.
-    pub fn variances(&self, workspace: &mut Workspace, row: usize, planes: &[Vec<Complex<f64>>]) -> Vec<f64> {
-        assert_eq!(planes.len(), self.frequencies(), "the variance has another number of frequencies");
-        self.records(workspace, row, |k, at| planes[k][at])
+    /// If the plane or the rows have another size than the grid.
+    pub fn keep(&self, frequency: usize, plane: &[Complex<f64>], variances: &mut [Vec<Complex<f64>>]) {
+        let columns = self.scan.columns;
+        assert!(plane.len() == columns * self.scan.rows, "a plane has another size than the grid");
+        for (row, values) in variances.iter_mut().zip(plane.chunks(columns)) {
+            row[frequency * columns..][..columns].copy_from_slice(values);
+        }
     }
 
-    fn records(
-        &self,
-        workspace: &mut Workspace,
-        row: usize,
-        bin_at: impl Fn(usize, usize) -> Complex<f64>,
-    ) -> Vec<f64> {
+    /// Variances of the same voxels, from all frequencies of a row that [`LightCone::keep`] filled.
+    #[must_use]
+    pub fn variances(&self, workspace: &mut Workspace, row: &[Complex<f64>]) -> Vec<f64> {
+        self.records(workspace, |k, column| row[k * self.scan.columns + column])
+    }
+
+    fn records(&self, workspace: &mut Workspace, bin_at: impl Fn(usize, usize) -> Complex<f64>) -> Vec<f64> {
         let mut voxels = Vec::with_capacity(self.scan.columns * self.bins);
         let (mut spectrum, mut record) = (vec![Complex::default(); self.frequencies()], vec![0.0; self.times]);
         for column in 0..self.scan.columns {
             for (k, bin) in spectrum.iter_mut().enumerate() {
-                *bin = bin_at(k, row * self.scan.columns + column);
+                *bin = bin_at(k, column);
             }
             workspace.time.inverse(&spectrum, &mut record);
             voxels.extend(&record[..self.bins]);

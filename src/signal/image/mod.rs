@@ -5,6 +5,7 @@
 //! | [`gate`] | the time behind which the wall's own light is smooth |
 //! | [`foreground`] | removes smooth light from a histogram, and gives the variance of what remains |
 //! | [`light_cone`] | the light-cone transform, for confocal scans of a grid |
+//! | [`migration`] | f-k migration, for confocal scans of a grid |
 //! | [`back_projection`] | filtered back-projection, for any pairs of points |
 //!
 //! Every image is linear in independent values of known variance, so each voxel has a known standard deviation where
@@ -18,6 +19,7 @@ pub mod back_projection;
 pub mod foreground;
 pub mod gate;
 pub mod light_cone;
+pub mod migration;
 
 /// Level of significance that Gaussian noise exceeds in any of `cells` cells with a probability below `false_alarm`:
 /// `sqrt(2 ln(cells / false_alarm))`. Cells may depend on one another; the bound only gets safer.

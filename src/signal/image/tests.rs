@@ -20,12 +20,15 @@ type Histogram = Option<(f64, f64, Foreground)>;
 fn image(cone: &LightCone, scan: &Scan, histograms: &[Histogram]) -> (Vec<f64>, Vec<f64>) {
     let mut w = cone.workspace();
     let rows = histograms.chunks(scan.columns).map(|row| cone.row(&mut w, row)).map(|row| (row.values, row.variances));
-    let (values, variances): (Vec<_>, Vec<_>) = rows.unzip();
+    let (values, mut variances): (Vec<_>, Vec<_>) = rows.unzip();
     let slices: Vec<Slice> = (0..cone.frequencies()).map(|k| cone.filter(&mut w, k, &values)).collect();
     let squares: Vec<_> = (0..scan.rows).map(|y| cone.square(&mut w, y, &slices)).collect();
-    let spread: Vec<_> = (0..cone.frequencies()).map(|k| cone.spread(&mut w, k, &variances, &squares)).collect();
+    for k in 0..cone.frequencies() {
+        let plane = cone.spread(&mut w, k, &variances, &squares);
+        cone.keep(k, &plane, &mut variances);
+    }
     let values = (0..scan.rows).flat_map(|y| cone.values(&mut w, y, &slices)).collect();
-    (values, (0..scan.rows).flat_map(|y| cone.variances(&mut w, y, &spread)).collect())
+    (values, variances.iter().flat_map(|row| cone.variances(&mut w, row)).collect())
 }
 
 /// Voxels by the definition: sums over all lags of a filter that naive transforms make.

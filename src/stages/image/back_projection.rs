@@ -50,14 +50,7 @@ pub fn image(task: &Task<'_>, wall: &Wall) -> Result<Summary, StageError> {
 
 /// Scores of a histogram behind the gate.
 fn trace(task: &Task<'_>, stabiliser: &Stabiliser, histogram: &Histogram<'_>) -> Trace {
-    task.cancel.check();
-    let (first_ps, values) = histogram.behind(&task.times);
-    let variances = histogram.variances(&task.times, &values);
-    let (values, sd) = if histogram.is_counts() {
-        stabiliser.apply(&values, &variances)
-    } else {
-        (values, variances.into_iter().map(f64::sqrt).collect())
-    };
+    let (first_ps, values, sd) = task.stabilised(stabiliser, histogram);
     let place_ps = |point: crate::geometry::Point| point.coords.map(|along_m| task.medium.time_ps(along_m)).into();
     Trace {
         lit: place_ps(histogram.lit),

@@ -109,9 +109,12 @@ impl Grid {
 /// Voxels: rows and columns over the wall, at some depths.
 #[derive(Clone, Debug)]
 pub struct Lattice {
-    corner: Point,
-    across: [Vector3<f64>; 2],
-    normal: Vector3<f64>,
+    /// Foot on the wall of the voxels of column 0 and row 0.
+    pub corner: Point,
+    /// Unit vectors along a row, and towards larger rows.
+    pub across: [Vector3<f64>; 2],
+    /// Unit normal of the wall, towards what is hidden.
+    pub normal: Vector3<f64>,
     /// Voxels along a row.
     pub columns: usize,
     /// Rows.

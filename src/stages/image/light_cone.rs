@@ -3,32 +3,26 @@
 use rayon::prelude::*;
 
 use super::lattice::{Grid, Row, Summary};
-use super::{FWHM, Histogram, Task};
-use crate::parameter::Positive;
+use super::{FWHM, Histogram, SMOOTH, STEPS, Task};
 use crate::signal::fft::Complex;
 use crate::signal::image::foreground::{self, Foreground};
-use crate::signal::image::light_cone::{LightCone, Prior, RowSpectra, Scan, Slice, Workspace};
+use crate::signal::image::light_cone::{LightCone, Prior, RowSpectra, Slice, Workspace};
 use crate::signal::image::threshold;
 
-/// Bins across the response that are kept at the far end.
-const STEPS: f64 = 8.0;
-/// Widths of the response to either side over which light counts as smooth.
-const SMOOTH: f64 = 5.0;
+/// Frequencies whose variances are computed before they take the place of the histograms' own.
+const BLOCK: usize = 64;
 
 /// The image of a grid.
 pub fn image(task: &Task<'_>, grid: &Grid) -> Summary {
     let cone = cone(task, grid);
-    let depth_max_m = task.params.depth_max_m.map_or(f64::INFINITY, Positive::get);
-    let depths = (0..cone.depths()).map(|bin| task.medium.path_m(cone.depth_ps(bin)));
-    let depths_m: Vec<f64> = depths.take_while(|depth_m| *depth_m <= depth_max_m).collect();
-    let lattice = grid.lattice.at(depths_m);
+    let lattice = grid.lattice.at(task.depths_m((0..cone.depths()).map(|bin| cone.depth_ps(bin))));
     let threshold = threshold(lattice.cells().max(1), task.params.false_alarm.get());
     let summary = Summary::new(lattice, threshold, task.params.volume);
-    let (slices, spread) = spectra(task, grid, &cone);
+    let (slices, variances) = spectra(task, grid, &cone);
     let depths = summary.lattice.depths_m.len();
     let row = |w: &mut Workspace, y: usize| {
         task.cancel.check();
-        let voxels = [cone.values(w, y, &slices), cone.variances(w, y, &spread)];
+        let voxels = [cone.values(w, y, &slices), cone.variances(w, &variances[y])];
         let [values, variances] = voxels.map(|all| first_of_each(&all, cone.depths(), depths));
         summary.row(y, values.into_iter().zip(variances))
     };
@@ -37,35 +31,21 @@ pub fn image(task: &Task<'_>, grid: &Grid) -> Summary {
 }
 
 /// The first `kept` of each `count` values.
-fn first_of_each(values: &[f64], count: usize, kept: usize) -> Vec<f64> {
+pub fn first_of_each(values: &[f64], count: usize, kept: usize) -> Vec<f64> {
     values.chunks(count).flat_map(|column| &column[..kept]).copied().collect()
 }
 
 /// The transform of the scan.
 fn cone(task: &Task<'_>, grid: &Grid) -> LightCone {
-    let (times, lattice) = (task.times, &grid.lattice);
-    let dt_ps = task.histograms[0].dt_ps();
-    // Beyond the farthest voxel light still comes from aside.
-    let end_ps = task.params.depth_max_m.map_or(f64::INFINITY, |depth_m| {
-        let [width_m, height_m] = [lattice.columns, lattice.rows].map(|count| count as f64 * lattice.pitch_m);
-        task.medium.time_ps(2.0 * (depth_m.get().powi(2) + width_m.powi(2) + height_m.powi(2)).sqrt())
-    });
-    let scan = Scan {
-        columns: lattice.columns,
-        rows: lattice.rows,
-        pitch_ps: task.medium.time_ps(lattice.pitch_m),
-        times_ps: [times.gate_ps, times.end_ps.min(end_ps).max(times.gate_ps + dt_ps)],
-        step_ps: dt_ps.max(task.width_ps / STEPS),
-    };
     let prior = Prior {
         falloff: task.params.falloff.get(),
         signal_to_noise: task.params.signal_to_noise.get(),
         response_ps: task.width_ps / FWHM,
     };
-    LightCone::new(scan, prior)
+    LightCone::new(task.scan(grid, task.width_ps / STEPS), prior)
 }
 
-/// Spectra of the image and of its variance: a slice and a plane for each frequency.
+/// Spectra of the image and of its variance: a slice for each frequency, and a row of all frequencies for each row.
 fn spectra(task: &Task<'_>, grid: &Grid, cone: &LightCone) -> (Vec<Slice>, Vec<Vec<Complex<f64>>>) {
     let row = |w: &mut Workspace, places: &[Option<usize>]| {
         task.cancel.check();
@@ -75,7 +55,7 @@ fn spectra(task: &Task<'_>, grid: &Grid, cone: &LightCone) -> (Vec<Slice>, Vec<V
     };
     let workspace = || cone.workspace();
     let rows = grid.places.par_chunks(grid.lattice.columns).map_init(workspace, row);
-    let (values, variances): (Vec<_>, Vec<_>) = rows.unzip();
+    let (values, mut variances): (Vec<_>, Vec<_>) = rows.unzip();
     let frequencies = || (0..cone.frequencies()).into_par_iter();
     let filter = |w: &mut Workspace, k: usize| {
         task.cancel.check();
@@ -90,12 +70,19 @@ fn spectra(task: &Task<'_>, grid: &Grid, cone: &LightCone) -> (Vec<Slice>, Vec<V
     };
     let squares: Vec<_> = (0..grid.lattice.rows).into_par_iter().map_init(workspace, square).collect();
     slices.iter_mut().for_each(|slice| slice.kernel = Vec::new());
-    let spread = |w: &mut Workspace, k: usize| {
+    let spread = |w: &mut Workspace, k: usize, variances: &[Vec<Complex<f64>>]| {
         task.cancel.check();
-        cone.spread(w, k, &variances, &squares)
+        cone.spread(w, k, variances, &squares)
     };
-    let spread = frequencies().map_init(workspace, spread).collect();
-    (slices, spread)
+    let mut first = 0;
+    while first < cone.frequencies() {
+        let block = first..(first + BLOCK).min(cone.frequencies());
+        let planes: Vec<_> =
+            block.clone().into_par_iter().map_init(workspace, |w, k| spread(w, k, &variances)).collect();
+        block.zip(&planes).for_each(|(k, plane)| cone.keep(k, plane, &mut variances));
+        first += BLOCK;
+    }
+    (slices, variances)
 }
 
 /// Time of the first bin behind the gate, width of a bin, and light without its smooth part.

@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import tal.io
-from tal.enums import FileFormat, GridFormat, HFormat
+from tal.enums import FileFormat, GridFormat, HFormat, VolumeFormat
 from tal.io.capture_data import NLOSCaptureData, read_hdf5
 from tal.io.format import convert_dict, detect_dict_format
 
@@ -153,6 +153,16 @@ def ply(cloud, capture):
     assert np.allclose(np.stack([vertices[axis] for axis in "xyz"], -1), wall)
     assert list(vertices["patch"]) == list(range(1, len(wall) + 1)) and not vertices["kind"].any()
     assert np.allclose(vertices["cov_xx_m2"], 1e-12) and np.allclose(vertices["sd_m"], 3**0.5 * 1e-6)
+
+
+def volume(name, array, column, row, depth, x, y, z):
+    """A volume as y-tal reads it: that of the array, with the middle of a voxel at its place."""
+    raw, expected = read_hdf5(name), np.load(array)
+    values, places = raw["reconstruction"], raw["volume_xyz"]
+    assert raw["volume_format"] == VolumeFormat.X_Y_Z_3 and places.shape == (*values.shape, 3)
+    assert np.array_equal(values, expected.transpose(1, 0, 2))
+    place = places[int(column), int(row), int(depth)]
+    assert np.allclose(place, np.array([x, y, z], float), atol=1e-6), place
 
 
 if __name__ == "__main__":

@@ -6,6 +6,9 @@ use std::process::Command;
 use std::sync::LazyLock;
 
 use super::{PIPELINE, done};
+use crate::locate::scene;
+use periscope::store::Shelf;
+use periscope::tables::{Row, Voxel};
 
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/interop/y_tal.py");
 
@@ -67,4 +70,30 @@ fn what_y_tal_writes_is_read_and_what_is_written_y_tal_reads() {
     done(folder, &["run", PIPELINE, "--campaign", "all-campaign", "--out", "all-results", "--until", "anchors"]);
     done(folder, &["export", "all-results", "wall.ply", "--patches", "anchors"]);
     python(folder, &["ply", "wall.ply", "all.hdf5"]);
+}
+
+/// A volume with the places of its voxels, of each method of a grid.
+#[test]
+fn a_volume_is_read_by_y_tal() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let (capture, hidden) = scene("dots", 1, 3000.0, 1);
+    capture.write(&folder.join("scan.mat"), &hidden);
+    done(folder, &["convert", "scan.mat", "--out", "campaign", "--fwhm-ps", "60", "--dt-ps", "8"]);
+    for method in ["light-cone", "f-k"] {
+        let set = format!("voxels.method={method}");
+        let run =
+            ["run", "image", "--campaign", "campaign", "--out", method, "--set", "voxels.volume=true", "--set", &set];
+        done(folder, &run);
+        done(folder, &["export", method, "volume.npy"]);
+        done(folder, &["export", method, "volume.hdf5", "--volume"]);
+        let shelf = Shelf::look(&folder.join(method)).unwrap();
+        let voxels: Vec<Voxel> =
+            shelf.batches("voxels").unwrap().iter().flat_map(|batch| Voxel::rows(batch).unwrap()).collect();
+        let last = voxels.last().expect("a voxel");
+        let cell = [last.grid_column, last.grid_row, last.grid_depth].map(|at| at.to_string());
+        let place = [last.x_m, last.y_m, last.z_m].map(|along_m| along_m.to_string());
+        let voxel: Vec<&str> = cell.iter().chain(&place).map(String::as_str).collect();
+        python(folder, &[&["volume", "volume.hdf5", "volume.npy"], voxel.as_slice()].concat());
+    }
 }
