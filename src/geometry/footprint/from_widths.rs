@@ -12,10 +12,10 @@
 //! fitted to the widths of all pulses, all at once; of many patches, patch by patch in turns. Which way one patch faces
 //! decides what its neighbours are told, so that minima are many: [`search`] looks for the least. A patch sends light
 //! to the side that it is lit from. So directions with the two legs of a bounce on different sides count against a
-//! normal ([`sides`]), but no more than widths may outweigh, since light goes through some things. Where it goes through
-//! most patches, it may go through all. Patches of one campaign are about as large as one another (within 30 %). A width that all pulses
-//! have in common is that of the response, which was not as calibrated: its variance is fitted too. Pulses that blend
-//! are wider than their patches make them: large residuals count little.
+//! normal ([`sides`]), but no more than widths may outweigh, since light goes through some things. Where it goes
+//! through most patches, it may go through all. Patches of one campaign are about as large as one another (within 30
+//! %). A width that all pulses have in common is that of the response, which was not as calibrated: its variance is
+//! fitted too. Pulses that blend are wider than their patches make them: large residuals count little.
 //!
 //! A patch has a footprint where that explains the widths better than a point by 25 of chi-square. Where one in four
 //! has one, all do, since they are alike: the error of such a footprint is larger, that of a point would be none. A
