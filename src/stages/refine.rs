@@ -108,7 +108,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 12;
+    const VERSION: u32 = 13;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -160,7 +160,6 @@ impl Apply for Refine {
             observation.length_m -= pull.mean_m;
             observation.sd_m = observation.sd_m.hypot(pull.sd_m);
         }
-        model.add_common_errors(&footprints, &mut problem, &solution);
         let mut shifts_m = vec![0.0; labels.len()];
         if !footprints.is_empty() || pulls.iter().any(|pull| pull.sd_m > 0.0) {
             shifts_m = self.solve_shifted(&model, &mut problem, &mut solution, &footprints)?;
@@ -251,8 +250,7 @@ impl Refine {
         Ok(widened)
     }
 
-    /// Solves again with the shifts of footprints taken off, until these stay; gives the shifts but for what errors of
-    /// footprints make of them.
+    /// Solves again with the shifts of footprints taken off, until these stay; gives the shifts.
     fn solve_shifted(
         &self,
         model: &Model,
@@ -260,26 +258,22 @@ impl Refine {
         solution: &mut Solution,
         footprints: &Footprints,
     ) -> Result<Vec<f64>, StageError> {
-        let mut shifts_m = vec![0.0; problem.observations.len()];
+        let measured = std::mem::take(&mut problem.observations);
+        let mut shifts_m = vec![0.0; measured.len()];
         for _ in 0..ROUNDS {
-            // With footprints that the onsets moved; the problem has those moves once more, linearised.
-            let mut next_m = model.shifts_m(&footprints.moved(&solution.common), problem, solution);
-            for (next, observation) in next_m.iter_mut().zip(&problem.observations) {
-                *next -= observation.common_m(&solution.common);
-            }
-            let moved_m =
-                next_m.iter().zip(&shifts_m).fold(0.0, |most: f64, (next, last)| most.max((next - last).abs()));
-            for ((observation, next), last) in problem.observations.iter_mut().zip(&next_m).zip(&shifts_m) {
-                observation.length_m -= next - last;
-            }
+            let next_m;
+            (problem.observations, next_m) = model.shifted(&measured, footprints, solution);
+            let changes_m = next_m.iter().zip(&shifts_m).map(|(next, last)| (next - last).abs());
+            let changed_m = changes_m.fold(0.0, f64::max);
             shifts_m = next_m;
             problem.start.clone_from(&solution.points);
             *solution = self.solve(model, problem)?;
-            if moved_m < SHIFTED_M {
+            if changed_m < SHIFTED_M {
                 break;
             }
         }
-        Ok(shifts_m)
+        let of_errors_m = problem.observations.iter().map(|observation| observation.common_m(&solution.common));
+        Ok(shifts_m.iter().zip(of_errors_m).map(|(shift_m, more_m)| shift_m + more_m).collect())
     }
 }
 

@@ -19,6 +19,9 @@ const RESOLVED: f64 = 2.0 / 2.355;
 /// with a chance are as likely as one whose residual is what they are beyond so many (by the normal distribution's
 /// tail).
 const UNSEEN: f64 = 3.5;
+/// Disks of one path have unequal shares of its variance, and lower orders than the fourth are not all: what that makes
+/// of the variance, as a share of it.
+const SHAPE_SD: f64 = 0.04;
 /// Light in an onset of which no path is known comes later by this share of what the response resolves: nearer light
 /// makes it hardly wider, and light further off is an onset of its own. By how much it pulls is known to a share.
 const NEARER: f64 = 0.5;
@@ -124,10 +127,12 @@ impl Widths {
             let sd_ps2 = own_sd_ps2.unwrap_or(resolved_ps * label.time_sd_ps);
             let variance_ps2 = if own_sd_ps2.is_some() { width_ps * width_ps } else { UNSEEN * sd_ps2 };
             let squared_m2 = model.fields(label).medium.path_m(1.0).powi(2);
+            let bounces = bounces(&problem.observations[n].nodes, solution);
+            let of_disks = of_disks(variance_ps2, bounces.len(), (0.5 * resolved_ps).powi(2));
             let spread = Spread {
-                bounces: bounces(&problem.observations[n].nodes, solution),
-                variance_m2: squared_m2 * variance_ps2,
-                sd_m2: squared_m2 * sd_ps2,
+                bounces,
+                variance_m2: squared_m2 * variance_ps2 * of_disks,
+                sd_m2: squared_m2 * (sd_ps2 * of_disks).hypot(SHAPE_SD * variance_ps2),
                 is_limit: own_sd_ps2.is_none(),
             };
             Some((n, spread))
@@ -135,6 +140,22 @@ impl Widths {
         let (labels, spreads) = model.labels.iter().enumerate().filter_map(spread).unzip();
         Self { labels, spreads, resolved_ps }
     }
+}
+
+/// Variance of light from so many disks over that of the Gaussian which fits their pulse best, behind a response of
+/// this variance.
+///
+/// Arrivals from a disk of variance V have the fourth cumulant `-V^2`. By the Fourier transform of a pulse to that
+/// order, least squares make of it a variance that is larger by `V^2 / (4 (V + response))`, by higher orders 0.3 in the
+/// place of the quarter; of n disks that have equal shares of V, by an n-th of that.
+fn of_disks(fitted_ps2: f64, disks: usize, response_ps2: f64) -> f64 {
+    if fitted_ps2 <= 0.0 {
+        return 1.0;
+    }
+    let squared = 1.0 + 0.3 / disks.max(1) as f64;
+    let half_ps2 = 0.5 * (fitted_ps2 - response_ps2);
+    let root_ps2 = (half_ps2 * half_ps2 + squared * fitted_ps2 * response_ps2).sqrt();
+    (half_ps2 + root_ps2) / (squared * fitted_ps2)
 }
 
 /// Bounces of a path.
@@ -152,4 +173,35 @@ fn bounces(nodes: &[Node], solution: &Solution) -> Vec<Bounce> {
         Bounce { patch, legs: [towards(before), towards(after)] }
     };
     nodes.windows(3).map(of_patch).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Least squares of a Gaussian on a pulse of light from a disk, both behind a Gaussian response of variance 1.
+    #[test]
+    fn variances_of_disks_are_told_from_those_of_gaussians() {
+        let gauss = |t: f64, variance: f64| (-0.5 * t * t / variance).exp() / variance.sqrt();
+        let times: Vec<f64> = (-600..=600).map(|n| 0.02 * f64::from(n)).collect();
+        for variance in [0.1, 0.3, 1.0_f64] {
+            // Chords of a disk of radius `2 sd`.
+            let radius = 2.0 * variance.sqrt();
+            let chords = (1..200).map(|n| radius * (f64::from(n) / 100.0 - 1.0));
+            let chords: Vec<(f64, f64)> = chords.map(|at| (at, (radius * radius - at * at).sqrt())).collect();
+            let pulse = |t: &f64| chords.iter().map(|(at, light)| light * gauss(t - at, 1.0)).sum::<f64>();
+            let pulse: Vec<f64> = times.iter().map(pulse).collect();
+            // What of the pulse a Gaussian of this variance explains at its best height.
+            let explained = |fitted: f64| {
+                let model = || times.iter().map(|t| gauss(*t, 1.0 + fitted));
+                let product: f64 = model().zip(&pulse).map(|(a, b)| a * b).sum();
+                product * product / model().map(|a| a * a).sum::<f64>()
+            };
+            let fitted = (1..400).map(|n| variance * (0.8 + 0.002 * f64::from(n)));
+            let fitted = fitted.max_by(|a, b| explained(*a).total_cmp(&explained(*b))).unwrap();
+            let told = fitted * of_disks(fitted, 1, 1.0);
+            eprintln!("variance {variance}: fitted {fitted:.3}, told {told:.3}");
+            assert!(fitted > 1.01 * variance && (told / variance - 1.0).abs() < 0.03, "{variance} {fitted} {told}");
+        }
+    }
 }

@@ -209,51 +209,38 @@ impl<'a> Model<'a> {
         }
     }
 
-    /// What each onset is later than light over the centres of its patches.
-    pub fn shifts_m(&self, footprints: &Footprints, problem: &Problem, solution: &Solution) -> Vec<f64> {
-        self.of_paths(problem, solution, |source, path, at, sensor| footprints.shift_m(source, path, at, sensor))
-    }
-
-    /// Errors of these: what their expansion leaves out, for each onset by itself, and those of the sizes and
-    /// directions of their patches, which onsets have in common.
-    pub fn add_common_errors(&self, footprints: &Footprints, problem: &mut Problem, solution: &Solution) {
-        let changes =
-            self.of_paths(problem, solution, |source, path, at, sensor| footprints.changes_m(source, path, at, sensor));
-        let doubts_m =
-            self.of_paths(problem, solution, |source, path, at, sensor| footprints.doubt_m(source, path, at, sensor));
-        let patches: Vec<PatchId> = footprints.0.keys().copied().collect();
-        for ((observation, changes), doubt_m) in problem.observations.iter_mut().zip(changes).zip(doubts_m) {
-            observation.sd_m = observation.sd_m.hypot(doubt_m);
-            for (patch, each_m) in changes {
-                if patches.len() > COMMON_MAX {
-                    let variance_m2: f64 = each_m.iter().map(|change_m| change_m * change_m).sum();
-                    observation.sd_m = observation.sd_m.hypot(variance_m2.sqrt());
-                } else {
-                    let first = 3 * patches.binary_search(&patch).expect("only patches with a footprint change");
-                    observation.common.extend((first..).zip(each_m));
-                }
-            }
-        }
-    }
-
-    /// A value of each onset's path: from a source over patches, whose places the third argument has, to a sensor.
-    fn of_paths<T>(
+    /// The observations without the shifts of footprints, and these. Errors of sizes and directions of their patches are
+    /// common to onsets; what they do not explain is an error of each by itself.
+    pub fn shifted(
         &self,
-        problem: &Problem,
+        observations: &[Observation],
+        footprints: &Footprints,
         solution: &Solution,
-        value: impl Fn(Point, &[PatchId], &dyn Fn(&PatchId) -> Point, Point) -> T,
-    ) -> Vec<T> {
+    ) -> (Vec<Observation>, Vec<f64>) {
+        let patches: Vec<PatchId> = footprints.0.keys().copied().collect();
+        let at = |patch: &PatchId| solution.points[self.place(*patch)];
         let station = |node: &Node| match node {
             Node::Station(station) => solution.stations[*station],
             Node::Patch(_) => unreachable!("paths end at stations"),
         };
-        let at = |patch: &PatchId| solution.points[self.place(*patch)];
-        let of_path = |(label, observation): (&Label, &Observation)| {
-            let ends = (&observation.nodes[0], observation.nodes.last().expect("a path has two ends"));
+        let shifted = |(label, observation): (&Label, &Observation)| {
             let path = label.path.as_deref().expect("only labels with a path are observations");
-            value(station(ends.0), path, &at, station(ends.1))
+            let [source, .., sensor] = observation.nodes.as_slice() else { unreachable!("a path has two ends") };
+            let shift = footprints.shift(station(source), path, at, station(sensor));
+            let mut observation = observation.clone();
+            observation.length_m -= shift.mean_m;
+            observation.sd_m = observation.sd_m.hypot(shift.sd_m);
+            for (patch, changes_m) in shift.changes {
+                if patches.len() > COMMON_MAX {
+                    observation.sd_m = changes_m.into_iter().fold(observation.sd_m, f64::hypot);
+                } else {
+                    let first = 3 * patches.binary_search(&patch).expect("only patches with a footprint change");
+                    observation.common.extend((first..).zip(changes_m));
+                }
+            }
+            (observation, shift.mean_m)
         };
-        self.labels.iter().zip(&problem.observations).map(of_path).collect()
+        self.labels.iter().zip(observations).map(shifted).unzip()
     }
 
     pub fn refused(&self, unsolved: &Unsolved) -> String {
