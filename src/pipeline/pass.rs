@@ -191,7 +191,7 @@ pub fn run(
             let children = senders.remove(&step).unwrap_or_default();
             let beside = beside.remove(&step).expect("collected above");
             let joined = pass.joined.as_ref().filter(|joined| joined.step == step);
-            scope.spawn(move || shared.guard(step, || work(shared, step, &receiver, &children, &beside, joined)));
+            scope.spawn(move || shared.guard(step, || work(shared, step, &receiver, &children, beside, joined)));
         }
         let children = senders.remove(&usize::MAX).unwrap_or_default();
         shared.guard(pass.root, || read(shared, pass, &children));
@@ -348,7 +348,7 @@ fn work(
     step: usize,
     input: &Receiver<Message>,
     children: &[Sender<Message>],
-    beside: &BesideTables,
+    tables: BesideTables,
     joined: Option<&Joined>,
 ) -> Result<(), Failure> {
     let plan = shared.plan;
@@ -357,8 +357,10 @@ fn work(
     let mut running: Box<dyn Running + '_> = match (joined, &plan.spec.steps[step].node) {
         (Some(joined), _) => Box::new(Given(joined.output.clone())),
         (_, Node::Source(_)) => Box::new(Through),
-        (_, Node::Operator(operator)) => operator.start(plan.campaigns, beside).map_err(failed)?,
+        (_, Node::Operator(operator)) => operator.start(plan.campaigns, &tables).map_err(failed)?,
     };
+    // The stage has taken what it needs; whole tables would stay in memory until it ends.
+    drop(tables);
     let beside = plan.beside(step).expect("tables beside a step are finished before its pass");
     let mut inputs = Vec::new();
     let mut writer = None;

@@ -2,11 +2,13 @@
 //! off the wall's own.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::calibration::Sensors;
+use super::calibration::{Calibrated, Sensors};
 use super::campaign_fields::{Medium, StationPositions};
+use super::sensor_range::SensorRange;
 use crate::campaign::{Campaign, keys};
 use crate::geometry::Point;
 use crate::signal::image::foreground;
@@ -61,28 +63,81 @@ pub struct Waveform {
     first_ps: f64,
     dt_ps: f64,
     /// What averaging leaves of the sensor's response, with the arrival of light at 0.
-    response: Response,
+    response: Arc<Response>,
     width_ps: f64,
     light: Light,
 }
 
+/// The profiles of the scene.
+#[derive(Default)]
+pub struct Waveforms {
+    /// Those of calibrated sensors.
+    pub calibrated: Vec<Waveform>,
+    /// How many have no calibration.
+    pub uncalibrated: usize,
+}
+
+impl Waveforms {
+    /// From the rows of `profiles`, in batches: those of other roles are left out, and no batch is kept.
+    ///
+    /// # Errors
+    /// That of the first batch with one.
+    pub fn new<E>(batches: impl Iterator<Item = Result<Vec<Profile>, E>>, sensors: &Sensors) -> Result<Self, E> {
+        let (mut waveforms, mut responses) = (Self::default(), Responses::default());
+        for batch in batches {
+            for profile in batch?.into_iter().filter(|profile| &*profile.role == "scene") {
+                match sensors.of(&profile) {
+                    Some((key, sensor)) => {
+                        let response = responses.of(key, sensor, &profile);
+                        waveforms.calibrated.push(Waveform::new(profile, sensor, response));
+                    }
+                    None => waveforms.uncalibrated += 1,
+                }
+            }
+        }
+        Ok(waveforms)
+    }
+}
+
+/// The averaged response of the last profile. Thousands of captures share it, and a copy for each would take more
+/// memory than their counts.
+#[derive(Default)]
+struct Responses(Option<(Alike, Arc<Response>)>);
+
+/// On what an averaged response depends: sensor and range, width of a bin, shots at each phase.
+type Alike = (SensorRange, f64, Option<Vec<i32>>);
+
+impl Responses {
+    fn of(&mut self, key: &SensorRange, sensor: &Calibrated, profile: &Profile) -> Arc<Response> {
+        let is_same = |(of, dt_ps, phase_shots): &Alike| {
+            of == key && *dt_ps == profile.dt_ps && *phase_shots == profile.phase_shots
+        };
+        match &self.0 {
+            Some((alike, response)) if is_same(alike) => Arc::clone(response),
+            _ => {
+                let response = Arc::new(sensor.averaged(profile));
+                let alike = (key.clone(), profile.dt_ps, profile.phase_shots.clone());
+                self.0 = Some((alike, Arc::clone(&response)));
+                response
+            }
+        }
+    }
+}
+
 impl Waveform {
-    /// `None` for a sensor without calibration.
-    pub fn new(profile: &Profile, sensors: &Sensors) -> Option<Self> {
-        let (_, sensor) = sensors.of(profile)?;
-        let light = match &profile.counts {
-            Some(counts) => Light::Counts(counts.clone()),
+    fn new(profile: Profile, sensor: &Calibrated, response: Arc<Response>) -> Self {
+        let light = match profile.counts {
+            Some(counts) => Light::Counts(counts),
             None => Light::Volts {
-                mean_v: profile.mean_v.clone(),
-                se_v: profile.se_v.clone(),
+                mean_v: profile.mean_v,
+                se_v: profile.se_v,
                 sign: sensor.polarity,
-                acf: profile.noise_acf.clone(),
+                acf: profile.noise_acf,
             },
         };
-        let response = sensor.averaged(profile);
-        Some(Self {
-            campaign: profile.campaign.clone(),
-            sensor: profile.sensor.clone(),
+        Self {
+            campaign: profile.campaign,
+            sensor: profile.sensor,
             lit: profile.lit,
             seen: profile.seen,
             first_ps: profile.t0_ps - sensor.latency_ps,
@@ -90,7 +145,7 @@ impl Waveform {
             width_ps: response.width_ps(),
             response,
             light,
-        })
+        }
     }
 
     fn bins(&self) -> usize {

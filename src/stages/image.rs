@@ -39,10 +39,10 @@ use crate::geometry::Point;
 use crate::parameter::{Condition, NonNegative, Positive, Share, Within};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, Medium};
-use crate::priors::relay_histograms::{Fields, Histogram, Times, Waveform};
+use crate::priors::relay_histograms::{Fields, Histogram, Times, Waveforms};
 use crate::signal::image::back_projection::Stabiliser;
 use crate::signal::image::light_cone::Scan;
-use crate::tables::{Image, Patch, Profile, Row, VolumeRow, Voxel};
+use crate::tables::{Image, Patch, Row, VolumeRow, Voxel};
 use crate::units::PatchId;
 use lattice::{Grid, Summary, Wall};
 
@@ -104,9 +104,7 @@ impl Default for MakeImage {
 /// Campaigns, and the light of each capture.
 pub struct Context {
     fields: ByCampaign<Fields>,
-    waveforms: Vec<Waveform>,
-    /// Profiles of the scene that have no calibration.
-    uncalibrated: usize,
+    waveforms: Waveforms,
     cancel: Cancel,
 }
 
@@ -138,11 +136,8 @@ impl Stage for MakeImage {
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
         let sensors = Sensors::new(&beside.rows("calibration")?.unwrap_or_default());
-        let profiles = beside.rows::<Profile>("profiles")?.unwrap_or_default();
-        let scene = || profiles.iter().filter(|profile| &*profile.role == "scene");
-        let waveforms: Vec<Waveform> = scene().filter_map(|profile| Waveform::new(profile, &sensors)).collect();
-        let uncalibrated = scene().count() - waveforms.len();
-        Ok(Context { fields, waveforms, uncalibrated, cancel: beside.cancel.clone() })
+        let waveforms = Waveforms::new(beside.batches("profiles"), &sensors)?;
+        Ok(Context { fields, waveforms, cancel: beside.cancel.clone() })
     }
 }
 
@@ -153,6 +148,7 @@ impl Apply for MakeImage {
             best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
         let histograms: Vec<Histogram<'_>> = context
             .waveforms
+            .calibrated
             .iter()
             .filter_map(|waveform| Histogram::new(waveform, &points, |campaign| context.fields.get(campaign)))
             .collect();
@@ -246,10 +242,10 @@ impl MakeImage {
 /// Why captures of the scene are left out.
 fn left_out(context: &Context, histograms: usize) -> Vec<Rejection> {
     let reject = |reason: String| Rejection::new(context.fields.first_name(), reason);
-    let unplaced = context.waveforms.len() - histograms;
+    let unplaced = context.waveforms.calibrated.len() - histograms;
     let mut rejections = Vec::new();
-    if context.uncalibrated > 0 {
-        let count = context.uncalibrated;
+    if context.waveforms.uncalibrated > 0 {
+        let count = context.waveforms.uncalibrated;
         rejections.push(reject(format!(
             "{count} profiles are of sensors without calibration, so that the time of their light is not known; capture a response for each sensor"
         )));

@@ -39,8 +39,8 @@ use crate::parameter::{NonNegative, Positive, Share};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, HiddenPatches, Medium};
 use crate::priors::covariances;
-use crate::priors::relay_histograms::{self, Histogram, Times, Waveform};
-use crate::tables::{JointSearch, Patch, Profile, Row};
+use crate::priors::relay_histograms::{self, Histogram, Times, Waveforms};
+use crate::tables::{JointSearch, Patch, Row};
 use crate::units::PatchId;
 
 /// Bins across the response at the least; finer ones are joined, which costs no information.
@@ -89,9 +89,7 @@ pub struct Fields {
 /// Campaigns, and the light of each capture.
 pub struct Context {
     fields: ByCampaign<Fields>,
-    waveforms: Vec<Waveform>,
-    /// Profiles of the scene that have no calibration.
-    uncalibrated: usize,
+    waveforms: Waveforms,
     cancel: Cancel,
 }
 
@@ -115,11 +113,8 @@ impl Stage for Locate {
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
         let sensors = Sensors::new(&beside.rows("calibration")?.unwrap_or_default());
-        let profiles = beside.rows::<Profile>("profiles")?.unwrap_or_default();
-        let scene = || profiles.iter().filter(|profile| &*profile.role == "scene");
-        let waveforms: Vec<Waveform> = scene().filter_map(|profile| Waveform::new(profile, &sensors)).collect();
-        let uncalibrated = scene().count() - waveforms.len();
-        Ok(Context { fields, waveforms, uncalibrated, cancel: beside.cancel.clone() })
+        let waveforms = Waveforms::new(beside.batches("profiles"), &sensors)?;
+        Ok(Context { fields, waveforms, cancel: beside.cancel.clone() })
     }
 }
 
@@ -130,7 +125,7 @@ impl Apply for Locate {
             best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
         let wall = |campaign: &str| context.fields.get(campaign).map(|fields| &fields.wall);
         let histograms: Vec<Histogram<'_>> =
-            context.waveforms.iter().filter_map(|one| Histogram::new(one, &points, wall)).collect();
+            context.waveforms.calibrated.iter().filter_map(|one| Histogram::new(one, &points, wall)).collect();
         let mut rejections = left_out(context, histograms.len());
         let mut rows = group;
         let mut searches = Vec::new();
@@ -326,9 +321,9 @@ fn left_out(context: &Context, histograms: usize) -> Vec<Rejection> {
         (count > 0).then(|| Rejection::new(context.fields.first_name(), format!("{count} profiles are of {why}")))
     };
     let reasons = [
-        (context.uncalibrated, "sensors without calibration; capture a response for each sensor"),
+        (context.waveforms.uncalibrated, "sensors without calibration; capture a response for each sensor"),
         (
-            context.waveforms.len() - histograms,
+            context.waveforms.calibrated.len() - histograms,
             "patches without a place; give `position_m` for both patches of each capture, or patches from `refine`",
         ),
     ];

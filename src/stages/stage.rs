@@ -97,14 +97,19 @@ impl BesideTables {
     /// # Errors
     /// When the table has other columns.
     pub fn rows<R: Row>(&self, name: &str) -> Result<Option<Vec<R>>, SchemaError> {
-        let Some(batches) = self.tables.get(name) else {
+        if !self.tables.contains_key(name) {
             return Ok(None);
-        };
+        }
         let mut rows = Vec::new();
-        for batch in batches {
-            rows.extend(R::rows(batch)?);
+        for batch in self.batches(name) {
+            rows.extend(batch?);
         }
         Ok(Some(rows))
+    }
+
+    /// Rows of one of them batch by batch, for tables whose rows take much memory; none where the pipeline gives none.
+    pub fn batches<R: Row>(&self, name: &str) -> impl Iterator<Item = Result<Vec<R>, SchemaError>> {
+        self.tables.get(name).into_iter().flatten().map(R::rows)
     }
 }
 

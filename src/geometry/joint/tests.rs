@@ -10,8 +10,10 @@ use super::extent::extents;
 use super::fit::{Fit, Free, place_covariance, tail};
 use super::model::{Dot, Model, SHARED};
 use super::normal::{Normal as Sums, Shine};
-use super::rounds::settle;
+use super::rounds::{search, settle};
 use super::scores::{Line, Traces, add_squared};
+use super::split::split;
+use super::volume::Lattice;
 use super::*;
 
 const STEP_M: f64 = 0.0024;
@@ -245,12 +247,31 @@ fn points_are_located_in_counts_and_in_gaussian_noise() {
     }
 }
 
+/// A plate of 400 dots.
+fn plate(pitch_m: f64, corner_m: f64, photons: f64) -> Vec<([f64; 3], f64)> {
+    let at = |n: i32| pitch_m * f64::from(n) + corner_m;
+    (0..400).map(|n| ([at(n % 20), at(n / 20) + 0.03, 0.45], photons)).collect()
+}
+
 #[test]
 fn a_plate_is_an_extended_object() {
-    let at = |n: i32| 0.01 * f64::from(n) - 0.1;
-    let dots: Vec<_> = (0..400).map(|n| ([at(n % 20), at(n / 20) + 0.03, 0.45], 2.0)).collect();
+    let dots = plate(0.01, -0.1, 2.0);
     let outcome = joint_search(&problem(histograms(&dots, 0.0, Noise::Counts, 4), Noise::Counts));
     assert_eq!(outcome.verdict, Verdict::ExtendedObject, "{outcome:?}");
+}
+
+/// Points of a faint plate, of which nothing is left once they are split: no points are no verdict "points".
+#[test]
+fn a_split_that_leaves_nothing_does_not_count() {
+    let problem = problem(histograms(&plate(0.01, -0.095, 0.18), 0.0, Noise::Counts, 14), Noise::Counts);
+    let outcome = joint_search(&problem);
+    assert!(outcome.verdict != Verdict::Points && !outcome.points.is_empty(), "{outcome:?}");
+    let lattice = Lattice::new(&problem);
+    let whole = search(&problem, &lattice, [outcome.threshold; 2], Model::default());
+    let split = split(&problem, whole.fit.clone(), outcome.threshold);
+    assert!(split.model.dots.len() > whole.fit.model.dots.len());
+    let (left, _) = settle(&problem, split, outcome.threshold);
+    assert!(left.model.dots.is_empty(), "another plate is needed: {} points are left", left.model.dots.len());
 }
 
 /// Two points 12 mm apart: in no histogram does the response separate them.
