@@ -222,8 +222,8 @@ const CROSSING: f64 = 0.5;
 /// directions: the sine of the angle between them counts as this at least.
 const COPLANAR: f64 = 0.3;
 /// How far off the shift of a patch is whose middle lies in the plane of the other, over the shift where it just
-/// touches that plane: the light of an opaque one comes from one half, whose mean lies 0.59 radii aside, and that of one
-/// that lets light through from its middle. The shift there has 0.25.
+/// touches that plane, whose mean lies 0.25 radii aside. That of an opaque patch, one half of which is dark, lies 0.59
+/// radii aside, that of one that lets light through in its middle.
 const CROSSED: f64 = 1.4;
 
 /// Heights above a plane that are known to so many of their standard deviations have their sign.

@@ -65,3 +65,24 @@ pub fn of_table(rows: &[PatchFootprint]) -> Footprints {
     };
     Footprints(rows.iter().map(footprint).collect())
 }
+
+/// The row of a footprint.
+pub fn row(patch: PatchId, footprint: &Footprint, source: &str) -> PatchFootprint {
+    let cov_m2 = footprint.covariance_m2();
+    PatchFootprint {
+        patch,
+        size_m: footprint.size_m,
+        normal_x: footprint.normal.x,
+        normal_y: footprint.normal.y,
+        normal_z: footprint.normal.z,
+        normal_sd_rad: footprint.normal_sd_rad(),
+        size_sd_m: footprint.size_sd_m(),
+        cov_xx_m2: cov_m2[(0, 0)],
+        cov_xy_m2: cov_m2[(0, 1)],
+        cov_xz_m2: cov_m2[(0, 2)],
+        cov_yy_m2: cov_m2[(1, 1)],
+        cov_yz_m2: cov_m2[(1, 2)],
+        cov_zz_m2: cov_m2[(2, 2)],
+        source: source.into(),
+    }
+}

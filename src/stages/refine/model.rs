@@ -209,8 +209,8 @@ impl<'a> Model<'a> {
         }
     }
 
-    /// The observations without the shifts of footprints, and these. Errors of sizes and directions of their patches are
-    /// common to onsets; what they do not explain is an error of each by itself.
+    /// The observations without the shifts of footprints, and these. Errors of sizes and directions of their patches
+    /// are common to onsets; what they do not explain is an error of each by itself.
     pub fn shifted(
         &self,
         observations: &[Observation],

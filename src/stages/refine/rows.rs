@@ -12,7 +12,7 @@ use crate::geometry::footprint::{Footprint, Footprints};
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
 use crate::geometry::{Point, frame, procrustes};
 use crate::priors::sensor_range::SensorRange;
-use crate::priors::{covariances, scenes};
+use crate::priors::{covariances, footprints, scenes};
 use crate::tables::{
     Ambiguity, Delay, Fit, Label, Name, ONSET_KINDS, Patch, PatchCovariance, PatchFootprint, Residual, Station, Suspect,
 };
@@ -293,29 +293,13 @@ impl<'a> Tables<'a> {
     }
 
     /// Of all patches with one; those not `given` come from widths.
-    pub fn footprints(&self, footprints: &Footprints, given: &Footprints) -> Vec<PatchFootprint> {
+    pub fn footprints(&self, moved: &Footprints, given: &Footprints) -> Vec<PatchFootprint> {
         let row = |(patch, footprint): (&PatchId, &Footprint)| {
-            let normal = self.turn * footprint.normal;
-            let cov_m2 = self.turn * footprint.covariance_m2() * self.turn.transpose();
+            let (normal, errors_m) = (self.turn * footprint.normal, self.turn * footprint.errors_m);
             let source = if given.0.contains_key(patch) { "campaign" } else { "widths" };
-            PatchFootprint {
-                patch: *patch,
-                size_m: footprint.size_m,
-                normal_x: normal.x,
-                normal_y: normal.y,
-                normal_z: normal.z,
-                normal_sd_rad: footprint.normal_sd_rad(),
-                size_sd_m: footprint.size_sd_m(),
-                cov_xx_m2: cov_m2[(0, 0)],
-                cov_xy_m2: cov_m2[(0, 1)],
-                cov_xz_m2: cov_m2[(0, 2)],
-                cov_yy_m2: cov_m2[(1, 1)],
-                cov_yz_m2: cov_m2[(1, 2)],
-                cov_zz_m2: cov_m2[(2, 2)],
-                source: source.into(),
-            }
+            footprints::row(*patch, &Footprint { normal, errors_m, ..*footprint }, source)
         };
-        footprints.0.iter().map(row).collect()
+        moved.0.iter().map(row).collect()
     }
 
     /// With patches whose later light contradicts their places.
