@@ -19,8 +19,8 @@ const RESOLVED: f64 = 2.0 / 2.355;
 /// with a chance are as likely as one whose residual is what they are beyond so many (by the normal distribution's
 /// tail).
 const UNSEEN: f64 = 3.5;
-/// Disks of one path have unequal shares of its variance, and lower orders than the fourth are not all: what that makes
-/// of the variance, as a share of it.
+/// Disks of one path have unequal shares of its variance, and orders up to the fourth are not all: what that makes of
+/// the variance, as a share of it.
 const SHAPE_SD: f64 = 0.04;
 /// Light in an onset of which no path is known comes later by this share of what the response resolves: nearer light
 /// makes it hardly wider, and light further off is an onset of its own. By how much it pulls is known to a share.
