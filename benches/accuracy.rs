@@ -3,11 +3,12 @@
 //! `cargo bench --bench accuracy` (200 seeds), `cargo bench --bench accuracy -- 20` for fewer; `-- rectangles 200` for
 //! the paper's Fig. 4, `-- corner 100` for hidden patches (`-- corner 100 8` for 8 of them alone), `-- readings 20` for
 //! wide pulses and pairs (docs/time-resolution.md), `-- readings 20 3000 one` for the choice of the scene alone and
-//! seeds from 3000 on; `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each
-//! kind (`-- small-rooms 60 5000 30`: seeds from 5000 on, only with 30 % missing); `-- sizes 20` for patches of
-//! centimetres whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall
-//! (`-- locate 100 5000 14 15`: cells 14 and 15 of the table alone); `-- twins 300` for tables
-//! b, d, e and f of docs/time-resolution.md through `run`.
+//! seeds from 3000 on (`-- readings 20 3000 one 12 13`: of its table lines 12 and 13, counted from 0);
+//! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind
+//! (`-- small-rooms 60 5000 30`: seeds from 5000 on, only with 30 % missing); `-- sizes 20` for patches of centimetres
+//! whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall (`-- locate 100 5000 14 15`:
+//! cells 14 and 15 of the table alone); `-- twins 300` for tables b, d, e and f of docs/time-resolution.md through
+//! `run`.
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
@@ -84,7 +85,8 @@ fn main() {
     if std::env::args().any(|arg| arg == "readings") {
         let is_one = std::env::args().any(|arg| arg == "one");
         let first = numbers.get(1).copied().unwrap_or(1000);
-        return print_readings(first..first + seeds, if is_one { &[Choice::Readings] } else { &CHOICES });
+        let cells: Vec<usize> = numbers.iter().skip(2).map(|cell| *cell as usize).collect();
+        return print_readings(first..first + seeds, if is_one { &[Choice::Readings] } else { &CHOICES }, &cells);
     }
     if std::env::args().any(|arg| arg == "corner") {
         let counts = numbers.get(1).map_or(vec![4, 8], |&hidden| vec![hidden as usize]);
@@ -290,8 +292,9 @@ fn print_twins(records: usize) {
     }
 }
 
-/// Wide pulses and pairs: patches of all sizes, signal-to-noise ratios, hidden patches or none, instruments.
-fn print_readings(seeds: Range<u64>, choices: &[Choice]) {
+/// Wide pulses and pairs: patches of all sizes, signal-to-noise ratios, hidden patches or none, instruments; of these
+/// cells all or those named, counted from 0.
+fn print_readings(seeds: Range<u64>, choices: &[Choice], only: &[usize]) {
     println!(
         "| patches (cm) | SNR | hidden | instrument | choice | scenes | refused | with a phantom | phantoms | missed | rms (mm) | rms / bound | 95 % interval | not explained | patches doubtful | patches confidently wrong |"
     );
@@ -300,6 +303,7 @@ fn print_readings(seeds: Range<u64>, choices: &[Choice]) {
         [0.0, 0.01, 0.02, 0.04].into_iter().flat_map(|size_m| [30.0, 100.0].map(|snr| (size_m, snr, Instrument::Kind)));
     let unkind = [Instrument::Tail, Instrument::Slope].map(|instrument| (0.02, 100.0, instrument));
     let cells = kind.chain(unkind).flat_map(|cell| [false, true].map(|has_hidden| (cell, has_hidden)));
+    let cells = cells.enumerate().filter(|(n, _)| only.is_empty() || only.contains(n)).map(|(_, cell)| cell);
     let mut totals = vec![(0, 0); choices.len()];
     for ((size_m, snr, instrument), has_hidden) in cells {
         let setting = |seed: u64| {

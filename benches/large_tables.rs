@@ -128,6 +128,7 @@ fn labels(campaign: &str, pair: [i32; 2]) -> Vec<Label> {
             time_sd_ps: onset.time_sd_ps,
             width_ps: Some(0.0),
             width_sd_ps: None,
+            width_kurtosis: None,
             snr: onset.snr,
             turns: 0,
             bounces: if bounces <= 3 { bounces } else { 0 },

@@ -105,7 +105,7 @@ impl Default for Detect {
 
 impl Stage for Detect {
     const KIND: &'static str = "detect";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::Capture;
     const CONDITIONS: &'static [Condition] = &[
         Condition("fraction", "method", &["leading-edge", "constant-fraction"]),
@@ -173,6 +173,7 @@ impl Detect {
                 amplitude_sd: Some(impulse.amplitude_sd_v.hypot(stir.gain_sd * impulse.amplitude_v)),
                 width_ps: impulse.width_ps,
                 width_sd_ps: impulse.width_sd_ps,
+                width_kurtosis: impulse.width_kurtosis,
                 pair_first_ps: pair.map(|pair| pair.first_ps),
                 pair_second_ps: pair.map(|pair| pair.second_ps),
                 pair_first_sd_ps: pair.map(|pair| pair.first_sd_ps),

@@ -13,9 +13,10 @@
 //!
 //! Patches with `position_m` are anchors, those with a `ray` lie on it, each to its standard deviation. Anchors, rays
 //! and stations apart fix the frame. Without them, the frame of `patches` is a convention (table `fits`). What else is
-//! open stands in `ambiguities`: parts that share no path, patches that can move, mirror images, flips, and patches
-//! whose later light has no path, or that onsets which were left out would place elsewhere (`doubtful`). Mirror images
-//! and flips explain the onsets about as well; each has its likelihood, and is an alternative in `patches`. Its
+//! open stands in `ambiguities`: parts that share no path, patches that can move, mirror images, flips, onsets that may
+//! be read another way (`label`), and patches whose later light has no path, or that onsets which were left out would
+//! place elsewhere (`doubtful`). Mirror images and flips explain the onsets about as well, other readings of an onset
+//! that others hardly check too; each has its likelihood, and is an alternative in `patches`. Its
 //! `probability` there is its share of the likelihood among all places of its patch. Onsets may leave a hidden patch
 //! two places, on either side of the wall that shows it: the one on the laser's side is chosen.
 //!
@@ -66,6 +67,7 @@ mod doubtful;
 mod extents;
 mod model;
 mod others;
+mod readings;
 mod rows;
 mod weights;
 
@@ -92,6 +94,9 @@ use rows::{Fitted, Tables};
 const SHIFTED_M: f64 = 1e-6;
 const ROUNDS: usize = 6;
 
+/// Of more onsets, other readings of single ones are not compared: each costs a solution.
+const READ_MAX: usize = 2000;
+
 /// Parameters of `refine`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -108,7 +113,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 13;
+    const VERSION: u32 = 14;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -143,8 +148,8 @@ impl Stage for Refine {
 impl Apply for Refine {
     fn apply(&self, context: &Context, group: Vec<Label>) -> Result<Outcome<Patch>, StageError> {
         let later = Later::new(&group);
-        let labels: Vec<Label> =
-            group.into_iter().filter(|label| label.alternative == 0 && label.path.is_some()).collect();
+        let (taken, not_taken): (Vec<Label>, Vec<Label>) = group.into_iter().partition(|label| label.alternative == 0);
+        let labels: Vec<Label> = taken.into_iter().filter(|label| label.path.is_some()).collect();
         if labels.is_empty() {
             return unlabelled(context);
         }
@@ -188,7 +193,12 @@ impl Apply for Refine {
         }
         let contested = with_all.map(|points| doubtful::contested(&solution, &points, &context.cancel));
         let contested = contested.unwrap_or_default();
-        let (solution, others) = others::alternatives(&model, &problem, solution);
+        let (solution, mut others) = others::alternatives(&model, &problem, solution);
+        if labels.len() <= READ_MAX {
+            let at = (&solution, &footprints);
+            let readings = readings::readings(&model, &not_taken, &used, &observations, at);
+            others::add_readings(&problem, &solution, (readings, &used), &mut others);
+        }
         let fitted = Fitted { solution, others, observations, used, widened, contested };
         let tables = Tables::new(&model, &fitted, &shifts_m, &pulls);
         let residuals = tables.residuals();

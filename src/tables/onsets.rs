@@ -34,6 +34,8 @@ table! {
         width_ps: f64,
         /// Standard deviation of the width, where the arrival has one.
         width_sd_ps: Option<f64>,
+        /// Excess kurtosis of the spread that makes the arrival wide: 0 for a Gaussian, -1 for the chords of a disk.
+        width_kurtosis: Option<f64>,
         /// Matched-filter signal-to-noise ratio.
         snr: f64,
         /// Increase of chi-square without this arrival, if the method gives it.

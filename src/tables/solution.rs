@@ -156,7 +156,7 @@ table! {
 table! {
     /// Something that the onsets do not determine.
     "ambiguities": Ambiguity, AmbiguityColumns {
-        /// rotation, mirror, flip, part, open, weak or doubtful.
+        /// rotation, mirror, flip, label, part, open, weak or doubtful.
         kind: Name,
         /// Patches concerned; empty: all.
         patches: Vec<i32>,

@@ -35,6 +35,8 @@ pub struct Impulse {
     pub misfit_factor: f64,
     /// Standard deviation of the width, where it is above 0.
     pub width_sd_ps: Option<f64>,
+    /// Excess kurtosis of the spread that makes it wide: 0 for a Gaussian, -1 for the chords of a disk.
+    pub width_kurtosis: Option<f64>,
     /// The best two points in the place of an impulse that is wider than 0.
     pub pair: Option<ImpulsePair>,
 }
@@ -62,7 +64,7 @@ pub struct ImpulsePair {
 }
 
 const REQUIRED: usize = 8;
-const CELLS: usize = 17;
+const CELLS: usize = 18;
 /// The first are never null.
 const IMPULSE_FIELDS: [&str; CELLS] = [
     "time_ps",
@@ -74,6 +76,7 @@ const IMPULSE_FIELDS: [&str; CELLS] = [
     "misfit_sigma",
     "misfit_factor",
     "width_sd_ps",
+    "width_kurtosis",
     "pair_first_ps",
     "pair_second_ps",
     "pair_first_sd_ps",
@@ -97,6 +100,7 @@ impl Impulse {
             Some(self.misfit_sigma),
             Some(self.misfit_factor),
             self.width_sd_ps,
+            self.width_kurtosis,
             of_pair(|pair| pair.first_ps),
             of_pair(|pair| pair.second_ps),
             of_pair(|pair| pair.first_sd_ps),
@@ -110,7 +114,19 @@ impl Impulse {
 
     /// From its cells; `None` where one that is never null is.
     fn of_cells(cells: &[Option<f64>; CELLS]) -> Option<Self> {
-        let [time, time_sd, amplitude, amplitude_sd, width, evidence, misfit, factor, width_sd_ps, pair @ ..] = *cells;
+        let [
+            time,
+            time_sd,
+            amplitude,
+            amplitude_sd,
+            width,
+            evidence,
+            misfit,
+            factor,
+            width_sd_ps,
+            width_kurtosis,
+            pair @ ..,
+        ] = *cells;
         let pair_of = |[first, second, first_sd, second_sd, correlation, one, other, gain]: [Option<f64>; 8]| {
             Some(ImpulsePair {
                 first_ps: first?,
@@ -133,6 +149,7 @@ impl Impulse {
             misfit_sigma: misfit?,
             misfit_factor: factor?,
             width_sd_ps,
+            width_kurtosis,
             pair: pair_of(pair),
         })
     }

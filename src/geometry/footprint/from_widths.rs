@@ -22,6 +22,7 @@
 //! pulse that is wider than its patches make it is more than the light of its path. One that shows no width has less
 //! than its samples can tell from none.
 
+mod profile;
 mod search;
 mod sides;
 mod together;
@@ -30,14 +31,17 @@ use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
 
 use super::Footprint;
+use profile::Held;
 
 /// Drop of chi-square that a footprint must be worth: three parameters, and four standard deviations.
 const EVIDENCE: f64 = 25.0;
 /// Steps of one patch in one round.
 const STEPS: usize = 12;
-/// A squared residual over its variance counts as its logarithm beyond this; in the first rounds beyond so many times
-/// as much, by a factor less in each, so that nothing far off is forgotten before anything fits.
+/// A squared residual over its variance counts less from this on, of a pulse that is too narrow from so many times as
+/// much; in the first rounds beyond so many times more, by a factor less in each, so that nothing far off is forgotten
+/// before anything fits.
 const LINEAR: f64 = 9.0;
+const NARROW: f64 = 3.0;
 const LINEAR_FIRST: f64 = 1e6;
 const TIGHTER: f64 = 0.3;
 /// Sizes are alike: their standard deviation about the middle one, as a share of it.
@@ -46,8 +50,10 @@ const ALIKE: f64 = 0.3;
 const ALIKE_FROM: usize = 4;
 /// Up to so many patches are fitted at once.
 const TOGETHER: usize = 64;
+/// Up to so many patches have several starts, and are turned one by one; more tie one another.
+const CERTAIN: usize = 16;
 /// Mean of what the squared residual of a normal variable counts.
-const BY_CHANCE: f64 = 0.87;
+const BY_CHANCE: f64 = 0.86;
 /// Errors, as shares of sizes, are no smaller than what the shape of a patch and its light are off a disk's. Where
 /// patches are not fitted at once, they are larger than the widths of a patch's own pulses tell, since those of its
 /// neighbours join them.
@@ -116,6 +122,7 @@ pub fn from_widths(spreads: &[Spread], given: &[Option<Footprint>], cancel: &Can
         usual_m: 0.0,
         linear: LINEAR * LINEAR_FIRST,
         is_translucent: false,
+        held: None,
     };
     let mut fit = start.best_of_starts(&open, cancel);
     let mut covariances_m2 = None;
@@ -144,8 +151,11 @@ pub fn from_widths(spreads: &[Spread], given: &[Option<Footprint>], cancel: &Can
         let vector_m = fit.vectors_m[patch];
         let normal = vector_m.try_normalize(0.0).filter(|_| is_evident[at] || are_some);
         let size_m = 4.0 * vector_m.norm();
-        let errors_m = size_m * fit.relative_errors(patch, covariances_m2.as_ref().map(|all| all[at]));
-        footprints[patch] = normal.map(|normal| Footprint { normal, size_m, errors_m });
+        footprints[patch] = normal.map(|normal| {
+            let errors = fit.relative_errors(patch, covariances_m2.as_ref().map(|all| all[at]));
+            let errors = if open.len() <= CERTAIN { fit.profiled(&open, patch, &errors, cancel) } else { errors };
+            Footprint { normal, size_m, errors_m: size_m * errors }
+        });
     }
     // Also the sizes that are not certain make pulses wider.
     let none = given.len();
@@ -186,18 +196,21 @@ struct Fit<'a> {
     linear: f64,
     /// Whether light goes through patches.
     is_translucent: bool,
+    /// A coordinate that does not settle.
+    held: Option<Held>,
 }
 
 impl Fit<'_> {
     /// What is minimised: chi-square of all pulses, of sizes beside one another, and bounces with legs on both sides.
     fn total(&self, open: &[usize]) -> f64 {
         let no_patch = self.vectors_m.len();
-        let of_pulse = |pulse: &Spread| self.robust(self.residual(pulse, no_patch, Vector3::zeros()).powi(2)).0;
+        let of_pulse = |pulse: &Spread| self.robust(self.residual(pulse, no_patch, Vector3::zeros())).0;
         let own = |&patch: &usize| {
             let vector_m = self.vectors_m[patch];
             self.longer(vector_m).powi(2) + self.through(patch, vector_m)
         };
-        self.spreads.iter().map(of_pulse).sum::<f64>() + open.iter().map(own).sum::<f64>()
+        let of_held = self.held.map_or(0.0, |held| held.short(&self.vectors_m).powi(2));
+        self.spreads.iter().map(of_pulse).sum::<f64>() + open.iter().map(own).sum::<f64>() + of_held
     }
 
     fn set_usual(&mut self) {
@@ -223,7 +236,7 @@ impl Fit<'_> {
     }
 
     fn chi2(&self, patch: usize, vector_m: Vector3<f64>) -> f64 {
-        let of_pulse = |&n: &usize| self.robust(self.residual(&self.spreads[n], patch, vector_m).powi(2)).0;
+        let of_pulse = |&n: &usize| self.robust(self.residual(&self.spreads[n], patch, vector_m)).0;
         self.of_patch[patch].iter().map(of_pulse).sum()
     }
 
@@ -262,7 +275,7 @@ impl Fit<'_> {
 
     /// Weight of a residual; of none where a limit says nothing.
     fn weight(&self, pulse: &Spread, residual: f64) -> f64 {
-        if pulse.is_limit && residual >= 0.0 { 0.0 } else { self.robust(residual * residual).1 }
+        if pulse.is_limit && residual >= 0.0 { 0.0 } else { self.robust(residual).1 }
     }
 
     /// Errors of a vector as shares of its length, the columns of [`Footprint::errors_m`]: of the inverse Fisher
@@ -275,7 +288,7 @@ impl Fit<'_> {
         let Some(covariance_m2) = covariance_m2.or_else(alone).filter(|_| at_m.norm() > 0.0) else { return unknown };
         // Blends are wider than any normal makes them, and a few of them turn it.
         let seen = self.of_patch[patch].iter().map(|&n| &self.spreads[n]).filter(|pulse| !pulse.is_limit);
-        let squares: Vec<f64> = seen.map(|pulse| self.robust(self.residual(pulse, patch, at_m).powi(2)).0).collect();
+        let squares: Vec<f64> = seen.map(|pulse| self.robust(self.residual(pulse, patch, at_m)).0).collect();
         let mean = squares.iter().sum::<f64>() / f64::max(1.0, squares.len() as f64);
         let scatter = f64::max(1.0, mean / BY_CHANCE);
         let principal = (scatter / at_m.norm_squared() * covariance_m2).symmetric_eigen();
@@ -361,9 +374,16 @@ impl Fit<'_> {
         open.iter().for_each(|&patch| self.vectors_m[patch] *= factor.sqrt());
     }
 
-    /// What a squared residual counts, and its derivative.
-    fn robust(&self, square: f64) -> (f64, f64) {
-        (self.linear * (square / self.linear).ln_1p(), self.linear / (self.linear + square))
+    /// What a residual counts, and its weight: a pulse that is wider than its patches make it has other light in it,
+    /// and the wider it is the less it says; few are narrower but by chance.
+    fn robust(&self, residual: f64) -> (f64, f64) {
+        let square = residual * residual;
+        if residual > 0.0 {
+            let kept = self.linear / (self.linear + square);
+            return (kept * square, kept * kept);
+        }
+        let linear = f64::max(self.linear, NARROW * LINEAR);
+        (linear * (square / linear).ln_1p(), linear / (linear + square))
     }
 }
 

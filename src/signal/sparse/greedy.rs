@@ -116,7 +116,7 @@ impl<'a> Fitter<'a> {
         if is_better(&one) {
             return Some(one);
         }
-        Some(self.tailed(state, &[k], &one).filter(is_better).unwrap_or(pair))
+        Some(self.reshaped(state, &[k], &one).filter(is_better).unwrap_or(pair))
     }
 
     /// Drop of chi2 that a width of pulse `k` must be worth.
@@ -129,28 +129,40 @@ impl<'a> Fitter<'a> {
         (time_ps - other_ps).abs() < CLUSTER_WIDTHS * self.model.width_ps
     }
 
-    /// Pulse `k` with one more parameter of shape, the variance started from the given one. `None` if it has all, is
-    /// not worth it, or the best is as large as is allowed.
+    /// Pulse `k` with another shape, the variance started from the given one: a Gaussian in place of a point, and where
+    /// it is one, what [`Self::reshaped`] makes of it. `None` if it has all, is not worth it, or the best is as large
+    /// as is allowed.
     fn extended(&self, state: &State, k: usize, variance_ps2: f64) -> Option<Change> {
         let most_ps = self.model.extent_max_ps;
         let place = state.fit.places[k];
-        let (start, cost) = match place.shapes {
+        let cost = self.width_cost(state, k);
+        let best = match place.shapes {
             0 => {
                 let variance_ps2 = variance_ps2.clamp(0.0, 0.9 * most_ps * most_ps);
-                (Place::widened(place.time_ps, variance_ps2), self.width_cost(state, k))
+                self.change(state, &[k], place.time_ps, &[Place::widened(place.time_ps, variance_ps2)])
+                    .filter(|change| self.is_within_limits(change))
             }
-            1 => (place.tailed(most_ps), self.width_cost(state, k)),
-            _ => return None,
+            _ => self.best_shape(state, &[k], place),
         };
-        let change = Change { cost, ..self.change(state, &[k], place.time_ps, &[start])? };
-        (self.is_within_limits(&change) && change.drop > cost).then_some(change)
+        best.map(|change| Change { cost, ..change }).filter(|change| change.drop > cost)
     }
 
-    /// A change that ends in a widened pulse in place of the pulses `out`, with a tail for it.
-    fn tailed(&self, state: &State, out: &[usize], widened: &Change) -> Option<Change> {
-        let place = widened.places.last().filter(|place| place.shapes == 1)?;
-        self.change(state, out, place.time_ps, &[place.tailed(self.model.extent_max_ps)])
-            .filter(|change| self.is_within_limits(change) && change.drop > widened.drop + WIDTH_EVIDENCE)
+    /// The better of the shapes that a widened pulse in place of the pulses `out` may have besides a Gaussian: a disk's
+    /// or one with a tail.
+    fn best_shape(&self, state: &State, out: &[usize], place: Place) -> Option<Change> {
+        if place.shapes != 1 || place.is_disk {
+            return None;
+        }
+        let changes = [place.of_disk(), place.tailed(self.model.extent_max_ps)].map(|start| {
+            self.change(state, out, place.time_ps, &[start]).filter(|change| self.is_within_limits(change))
+        });
+        changes.into_iter().flatten().max_by(|a, b| a.drop.total_cmp(&b.drop))
+    }
+
+    /// A change that ends in a widened pulse in place of the pulses `out`, with a better shape for it.
+    fn reshaped(&self, state: &State, out: &[usize], widened: &Change) -> Option<Change> {
+        let place = *widened.places.last()?;
+        self.best_shape(state, out, place).filter(|change| change.drop > widened.drop + WIDTH_EVIDENCE)
     }
 
     /// Whether the spread of the pulse put in last is less than the largest allowed.
@@ -254,8 +266,8 @@ impl<'a> Fitter<'a> {
         let extended =
             merged(Place::widened(place.time_ps, variance_ps2)).filter(|change| self.is_within_limits(change));
         let worse = extended.as_ref().filter(|change| -change.drop > self.evidence_min);
-        let tailed = worse.and_then(|change| self.tailed(state, &[j, k], change));
-        [point, extended, tailed].into_iter().flatten().max_by(|a, b| a.drop.total_cmp(&b.drop))
+        let reshaped = worse.and_then(|change| self.reshaped(state, &[j, k], change));
+        [point, extended, reshaped].into_iter().flatten().max_by(|a, b| a.drop.total_cmp(&b.drop))
     }
 
     /// Takes out pulses, and parameters of their shape, not worth their evidence, the weakest first. The state that
@@ -280,12 +292,13 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// The first pulse whose last parameter of shape is not worth its evidence, without it.
+    /// The first pulse whose last parameter of shape, or disk in place of a Gaussian, is not worth its evidence, without
+    /// it.
     fn simpler(&self, state: &State) -> Option<Change> {
         let mut extended = state.fit.places.iter().enumerate().filter(|(_, place)| place.shapes > 0);
         extended.find_map(|(k, place)| {
             let less = match place.shapes {
-                1 => Place::point(place.time_ps),
+                1 if !place.is_disk => Place::point(place.time_ps),
                 _ => Place::widened(place.time_ps, place.variance_ps2),
             };
             let cost = self.width_cost(state, k);

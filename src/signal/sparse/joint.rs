@@ -90,6 +90,7 @@ fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_
         Pulse {
             time_ps: place.time_ps,
             width_ps,
+            kurtosis: place.kurtosis(),
             width_sd_ps: if width_ps > 0.0 { sd(time + 1) / (2.0 * width_ps) } else { 0.0 },
             tail_ps: place.tail_ps,
             tail_sd_ps: if place.shapes > 1 { sd(time + 2) } else { 0.0 },

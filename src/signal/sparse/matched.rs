@@ -91,7 +91,7 @@ fn spread(response: &Response, width_ps: f64) -> Response {
     }
     let (first_ps, last_ps) = response.support_ps();
     let nodes = Place::widened(0.0, width_ps * width_ps).nodes(response.width_ps());
-    let reach_ps = nodes.iter().fold(0.0_f64, |most, (x, ..)| most.max(x.abs()));
+    let reach_ps = nodes.iter().fold(0.0_f64, |most, node| most.max(node.after_ps.abs()));
     let step_ps = response.width_ps() / SPREAD_STEPS;
     let count = ((last_ps - first_ps + 2.0 * reach_ps) / step_ps).ceil() as usize + 1;
     let value = |k: usize| spread_response(response, &nodes, first_ps - reach_ps + k as f64 * step_ps)[0];

@@ -86,8 +86,8 @@ pub struct SparseOptions {
     pub signed: bool,
     /// Largest sd (ps) of the spread in time of one pulse's light, as extended patches give; 0 for points only. Where
     /// the samples are better explained so, a pulse is widened by a Gaussian of sd up to this; where that is not
-    /// enough, also by an exponential tail. What looks wider still is taken for two pulses; two closer than twice this
-    /// may be taken for one, and are kept as its [`Pulse::pair`].
+    /// enough, by the chords of a disk in its place, or also by an exponential tail. What looks wider still is taken
+    /// for two pulses; two closer than twice this may be taken for one, and are kept as its [`Pulse::pair`].
     pub extent_max_ps: f64,
     /// Ends the fit: polled once a trial place of pulses, and once a tap or block in passes over a whole record.
     pub cancel: Cancel,
@@ -111,8 +111,10 @@ impl Default for SparseOptions {
 pub struct Pulse {
     /// Arrival, ps: where time 0 of the response lies; of light that is spread in time, of its centroid.
     pub time_ps: f64,
-    /// Standard deviation of the Gaussian spread of its light, ps; 0 for a point.
+    /// Standard deviation of the spread of its light without its tail, ps; 0 for a point.
     pub width_ps: f64,
+    /// Excess kurtosis of that spread: 0 for a Gaussian, -1 for the chords of a disk.
+    pub kurtosis: f64,
     /// Standard deviation of `width_ps`, to first order.
     pub width_sd_ps: f64,
     /// Constant of the exponential tail of its light, ps; 0 for none.

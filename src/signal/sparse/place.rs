@@ -1,9 +1,13 @@
 //! Where the light of a pulse lies and how it is spread in time, and what the spread makes of a response.
 //!
-//! Light from an extended patch arrives over an interval: a Gaussian of variance `v`, and where that does not suffice,
-//! one with a one-sided exponential tail of constant `tau`. Both are centred, so that the time of a place is the
-//! centroid of the light in every case. The variance is the parameter, not its root: by the heat equation the
-//! derivative of the widened response by `v` is half its second derivative, regular down to a point at `v = 0`.
+//! Light from an extended patch arrives over an interval: a Gaussian of variance `v`; where that does not suffice, the
+//! chords of a disk, of variance `v` too, or a Gaussian with a one-sided exponential tail of constant `tau`. All are
+//! centred, so that the time of a place is the centroid of the light in every case. The variance is the parameter, not
+//! its root: by the heat equation the derivative of the widened response by `v` is half its second derivative, regular
+//! down to a point at `v = 0`.
+//!
+//! An evenly lit disk has as much light at each distance as its chord is long: within twice its standard deviation to
+//! either side, `sqrt(1 - x^2 / 4 v)` of it, with an excess kurtosis of -1. Of strong pulses that shows.
 
 use super::Response;
 use std::ops::Range;
@@ -17,6 +21,8 @@ const STEP_WIDTHS: f64 = 0.25;
 const PANEL_WIDTHS: f64 = 0.5;
 /// Nodes of a Gaussian that neighbouring samples share are no nearer than the time between samples over this.
 const PARTS_MAX: f64 = 8.0;
+/// Least parts of a disk's half circle that its nodes lie between.
+const DISK_PARTS: f64 = 6.0;
 /// A tail starts from this part of the largest allowed, and falls to no less than the second: below it is no different
 /// from none.
 const TAIL_START: f64 = 0.3;
@@ -27,8 +33,10 @@ const TAIL_MIN: f64 = 1e-3;
 pub(super) struct Place {
     /// Centroid, ps.
     pub(super) time_ps: f64,
-    /// Variance of the Gaussian spread, ps^2.
+    /// Variance of the Gaussian, or of the disk's chords, ps^2.
     pub(super) variance_ps2: f64,
+    /// Whether the light is spread as that of a disk.
+    pub(super) is_disk: bool,
     /// Constant of the exponential tail, ps.
     pub(super) tail_ps: f64,
     /// Number of shape parameters that are free: none (a point), the variance, or both.
@@ -37,14 +45,20 @@ pub(super) struct Place {
     pub(super) is_pinned: bool,
 }
 
-/// Nodes of a kernel: time after the centroid, weight, and its weight in the derivative by the tail's constant, which
-/// takes slopes.
-pub(super) type Node = (f64, f64, f64);
+/// Nodes of a kernel: time after the centroid, and weight.
+pub(super) struct Node {
+    pub(super) after_ps: f64,
+    weight: f64,
+    /// Weights of slopes and curvatures in the derivative by the variance.
+    by_variance: [f64; 2],
+    /// Weight of slopes in the derivative by the tail's constant.
+    by_tail: f64,
+}
 
 impl Place {
     /// A point.
     pub(super) fn point(time_ps: f64) -> Self {
-        Self { time_ps, variance_ps2: 0.0, tail_ps: 0.0, shapes: 0, is_pinned: false }
+        Self { time_ps, variance_ps2: 0.0, is_disk: false, tail_ps: 0.0, shapes: 0, is_pinned: false }
     }
 
     /// A Gaussian.
@@ -57,6 +71,7 @@ impl Place {
         let shapes = if pulse.tail_ps > 0.0 { 2 } else { usize::from(pulse.width_ps > 0.0) };
         Self {
             variance_ps2: pulse.width_ps * pulse.width_ps,
+            is_disk: pulse.kurtosis < 0.0,
             tail_ps: pulse.tail_ps,
             shapes,
             ..Self::point(pulse.time_ps)
@@ -76,7 +91,7 @@ impl Place {
     /// first `after_ps` after the centroid.
     ///
     /// Nodes of the Gaussian lie a whole part of `dt_ps` apart, so that neighbouring samples share what they need of
-    /// the response. A Gaussian far narrower than that has its own nodes at each sample.
+    /// the response. A Gaussian far narrower than that, and a disk, has its own nodes at each sample.
     pub(super) fn samples(
         &self,
         response: &Response,
@@ -90,7 +105,7 @@ impl Place {
         if sd_ps == 0.0 || count == 0 {
             return self.tailed_samples(response, width_ps, after_ps, dt_ps, count);
         }
-        if parts > PARTS_MAX {
+        if self.is_disk || parts > PARTS_MAX {
             let nodes = self.nodes(width_ps);
             return (0..count).map(|n| spread_response(response, &nodes, after_ps + n as f64 * dt_ps)).collect();
         }
@@ -165,6 +180,16 @@ impl Place {
         samples
     }
 
+    /// As the chords of a disk of the same variance.
+    pub(super) fn of_disk(self) -> Self {
+        Self { is_disk: true, ..self }
+    }
+
+    /// Excess kurtosis of the spread without its tail: 0 for a Gaussian, -1 for a disk.
+    pub(super) fn kurtosis(&self) -> f64 {
+        if self.is_disk { -1.0 } else { 0.0 }
+    }
+
     /// With a tail besides its variance, to start from.
     pub(super) fn tailed(self, extent_max_ps: f64) -> Self {
         Self { tail_ps: TAIL_START * extent_max_ps, shapes: 2, ..self }
@@ -204,20 +229,43 @@ impl Place {
 
     /// Nodes that stand for the spread.
     pub(super) fn nodes(&self, width_ps: f64) -> Vec<Node> {
-        let gaussian = gaussian_nodes(self.variance_ps2.sqrt(), STEP_WIDTHS * width_ps);
+        let (sd_ps, step_ps) = (self.variance_ps2.sqrt(), STEP_WIDTHS * width_ps);
+        let node = |(after_ps, weight)| Node { after_ps, weight, by_variance: [0.0, 0.5 * weight], by_tail: 0.0 };
+        if self.is_disk && sd_ps > 0.0 {
+            // Each chord stays at its share of the radius: it moves by its distance over twice the variance.
+            let moves = |(x, weight): (f64, f64)| [-weight * x / (2.0 * self.variance_ps2), 0.0];
+            let nodes = disk_nodes(sd_ps, step_ps).into_iter();
+            return nodes.map(|at| Node { by_variance: moves(at), ..node(at) }).collect();
+        }
+        let gaussian = gaussian_nodes(sd_ps, step_ps);
         if self.shapes < 2 {
-            return gaussian.into_iter().map(|(x, weight)| (x, weight, 0.0)).collect();
+            return gaussian.into_iter().map(node).collect();
         }
         let tail_ps = self.tail_ps;
         let tail = tail_nodes(PANEL_WIDTHS * width_ps / tail_ps, REACH_TAILS);
         let both = |&(x, weight): &(f64, f64)| {
             // Later light by u - 1 constants: the centroid stays.
             tail.iter()
-                .map(move |&(u, share)| (x + (u - 1.0) * tail_ps, weight * share, -(u - 1.0) * weight * share))
+                .map(move |&(u, share)| Node {
+                    by_tail: -(u - 1.0) * weight * share,
+                    ..node((x + (u - 1.0) * tail_ps, weight * share))
+                })
                 .collect::<Vec<_>>()
         };
         gaussian.iter().flat_map(both).collect()
     }
+}
+
+/// Nodes and weights of the chords of a disk of sd `sd_ps`, no farther apart than `step_max_ps`: Gauss and Chebyshev's
+/// rule of the second kind, whose weight is the chord.
+fn disk_nodes(sd_ps: f64, step_max_ps: f64) -> Vec<(f64, f64)> {
+    let radius_ps = 2.0 * sd_ps;
+    let parts = (std::f64::consts::PI * radius_ps / step_max_ps).ceil().max(DISK_PARTS);
+    let node = |i: i32| {
+        let (sine, cosine) = (std::f64::consts::PI * f64::from(i) / parts).sin_cos();
+        (radius_ps * cosine, 2.0 / parts * sine * sine)
+    };
+    (1..parts as i32).map(node).collect()
 }
 
 /// Nodes and weights of a Gaussian of sd `sd_ps`, no farther apart than `step_max_ps` or an sd: the trapezoidal rule,
@@ -256,13 +304,13 @@ fn tail_nodes(panel_max: f64, reach: f64) -> Vec<(f64, f64)> {
 /// Value of the response at `after_ps` spread over `nodes`, and its derivatives by the centroid, the variance and the
 /// tail's constant.
 pub(super) fn spread_response(response: &Response, nodes: &[Node], after_ps: f64) -> [f64; 4] {
-    nodes.iter().fold([0.0; 4], |[value, by_time, by_variance, by_tail], &(x, weight, tail_weight)| {
-        let [h, slope, curvature] = response.value_slope_and_curvature(after_ps - x);
+    nodes.iter().fold([0.0; 4], |[value, by_time, by_variance, by_tail], node| {
+        let [h, slope, curvature] = response.value_slope_and_curvature(after_ps - node.after_ps);
         [
-            value + weight * h,
-            by_time - weight * slope,
-            by_variance + 0.5 * weight * curvature,
-            by_tail + tail_weight * slope,
+            value + node.weight * h,
+            by_time - node.weight * slope,
+            by_variance + node.by_variance[0] * slope + node.by_variance[1] * curvature,
+            by_tail + node.by_tail * slope,
         ]
     })
 }
@@ -296,6 +344,28 @@ mod tests {
         }
     }
 
+    /// Moments of the chords of a disk, and the derivative by the variance, as differences have them.
+    #[test]
+    fn a_disk_has_the_variance_and_the_kurtosis_of_its_chords() {
+        let response = gaussian();
+        for sd in [2.0_f64, 30.0, 150.0] {
+            let at = |variance: f64, t: f64| {
+                let nodes = Place::widened(0.0, variance).of_disk().nodes(response.width_ps());
+                spread_response(&response, &nodes, t)
+            };
+            let nodes = Place::widened(0.0, sd * sd).of_disk().nodes(response.width_ps());
+            let moment = |k: i32| nodes.iter().map(|node| node.weight * (node.after_ps / sd).powi(k)).sum::<f64>();
+            let moments = [0, 1, 2, 4].map(moment);
+            let expected = [1.0, 0.0, 1.0, 2.0]; // an excess kurtosis of -1
+            assert!(moments.iter().zip(expected).all(|(one, other)| (one - other).abs() < 1e-9), "{sd} {moments:?}");
+            for t in [-130.0, -40.0, 3.0, 70.0] {
+                let step = 1e-3 * sd * sd;
+                let difference = (at(sd * sd + step, t)[0] - at(sd * sd - step, t)[0]) / (2.0 * step);
+                assert!((at(sd * sd, t)[2] - difference).abs() < 1e-7, "{sd} {t}");
+            }
+        }
+    }
+
     /// Area 1, centroid at the time, variance and third moment of the tail; its derivative is that of the value.
     #[test]
     fn a_tail_keeps_the_centroid() {
@@ -303,7 +373,7 @@ mod tests {
         let place = |tail_ps: f64| Place { tail_ps, shapes: 2, ..Place::widened(0.0, 400.0) };
         for tail in [0.1, 10.0, 80.0] {
             let nodes = place(tail).nodes(response.width_ps());
-            let moment = |k: i32| nodes.iter().map(|(x, weight, _)| weight * x.powi(k)).sum::<f64>();
+            let moment = |k: i32| nodes.iter().map(|node| node.weight * node.after_ps.powi(k)).sum::<f64>();
             assert!((moment(0) - 1.0).abs() < 1e-5 && moment(1).abs() < 2e-3 * tail.max(1.0));
             assert!((moment(2) / (400.0 + tail * tail) - 1.0).abs() < 1e-3);
             assert!((moment(3) - 2.0 * tail.powi(3)).abs() < 0.01 * (2.0 * tail.powi(3) + 100.0));

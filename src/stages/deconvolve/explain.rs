@@ -51,6 +51,7 @@ impl Explained {
             misfit_sigma: pulse.misfit_sigma,
             misfit_factor: pulse.misfit_factor,
             width_sd_ps: width_sd_ps(pulse),
+            width_kurtosis: (pulse.width_ps > 0.0).then_some(pulse.kurtosis),
             pair: pulse.pair.as_ref().map(pair),
         };
         let impulses = fit.pulses.iter().enumerate().map(impulse).collect();

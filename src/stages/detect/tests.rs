@@ -36,6 +36,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         misfit_sigma: fit.pulses[k].misfit_sigma,
         misfit_factor: fit.pulses[k].misfit_factor,
         width_sd_ps: None,
+        width_kurtosis: None,
         pair: None,
     };
     Stir {

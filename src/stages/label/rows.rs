@@ -55,6 +55,7 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         time_sd_ps: place.sd_ps.hypot(verdict.blend_sd_ps),
         width_ps: (place.part == 0).then_some(onset.width_ps),
         width_sd_ps: onset.width_sd_ps.filter(|_| place.part == 0),
+        width_kurtosis: onset.width_kurtosis.filter(|_| place.part == 0),
         snr: snr(onset, place.part),
         turns: verdict.turns,
         bounces: verdict.path.as_deref().map_or(0, crate::path::bounces),

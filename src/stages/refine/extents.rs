@@ -19,6 +19,9 @@ const RESOLVED: f64 = 2.0 / 2.355;
 /// with a chance are as likely as one whose residual is what they are beyond so many (by the normal distribution's
 /// tail).
 const UNSEEN: f64 = 3.5;
+/// Where no width was fitted, the error of the variance over that of the time is up to so many times what it would be
+/// for light alone: other light beside it explains some of the width.
+const UNFITTED: f64 = 2.0;
 /// Disks of one path have unequal shares of its variance, and orders up to the fourth are not all: what that makes of
 /// the variance, as a share of it.
 const SHAPE_SD: f64 = 0.04;
@@ -124,11 +127,12 @@ impl Widths {
         let spread = |(n, label): (usize, &Label)| {
             let width_ps = label.width_ps?;
             let own_sd_ps2 = variance_sd_ps2(label);
-            let sd_ps2 = own_sd_ps2.unwrap_or(resolved_ps * label.time_sd_ps);
+            let sd_ps2 = own_sd_ps2.unwrap_or(UNFITTED * resolved_ps * label.time_sd_ps);
             let variance_ps2 = if own_sd_ps2.is_some() { width_ps * width_ps } else { UNSEEN * sd_ps2 };
             let squared_m2 = model.fields(label).medium.path_m(1.0).powi(2);
             let bounces = bounces(&problem.observations[n].nodes, solution);
-            let of_disks = of_disks(variance_ps2, bounces.len(), (0.5 * resolved_ps).powi(2));
+            let kurtosis = label.width_kurtosis.unwrap_or_default();
+            let of_disks = of_disks(variance_ps2, kurtosis, bounces.len(), (0.5 * resolved_ps).powi(2));
             let spread = Spread {
                 bounces,
                 variance_m2: squared_m2 * variance_ps2 * of_disks,
@@ -142,17 +146,18 @@ impl Widths {
     }
 }
 
-/// Variance of light from so many disks over that of the Gaussian which fits their pulse best, behind a response of
-/// this variance.
+/// Variance of light from so many disks over that of the spread of excess kurtosis `kurtosis` which fits their pulse
+/// best, behind a response of this variance.
 ///
-/// Arrivals from a disk of variance V have the fourth cumulant `-V^2`. By the Fourier transform of a pulse to that
-/// order, least squares make of it a variance that is larger by `V^2 / (4 (V + response))`, by higher orders 0.3 in the
-/// place of the quarter; of n disks that have equal shares of V, by an n-th of that.
-fn of_disks(fitted_ps2: f64, disks: usize, response_ps2: f64) -> f64 {
+/// Arrivals from a disk of variance V have the fourth cumulant `-V^2`, from n disks that have equal shares of V an n-th
+/// of that. By the Fourier transform of a pulse to that order, least squares with a Gaussian make of it a variance that
+/// is larger by `V^2 / (4 n (V + response))`, by higher orders 0.3 in the place of the quarter; with another spread by
+/// what their fourth cumulants differ.
+fn of_disks(fitted_ps2: f64, kurtosis: f64, disks: usize, response_ps2: f64) -> f64 {
     if fitted_ps2 <= 0.0 {
         return 1.0;
     }
-    let squared = 1.0 + 0.3 / disks.max(1) as f64;
+    let squared = 1.0 + 0.3 * (1.0 / disks.max(1) as f64 + kurtosis);
     let half_ps2 = 0.5 * (fitted_ps2 - response_ps2);
     let root_ps2 = (half_ps2 * half_ps2 + squared * fitted_ps2 * response_ps2).sqrt();
     (half_ps2 + root_ps2) / (squared * fitted_ps2)
@@ -199,7 +204,7 @@ mod tests {
             };
             let fitted = (1..400).map(|n| variance * (0.8 + 0.002 * f64::from(n)));
             let fitted = fitted.max_by(|a, b| explained(*a).total_cmp(&explained(*b))).unwrap();
-            let told = fitted * of_disks(fitted, 1, 1.0);
+            let told = fitted * of_disks(fitted, 0.0, 1, 1.0);
             eprintln!("variance {variance}: fitted {fitted:.3}, told {told:.3}");
             assert!(fitted > 1.01 * variance && (told / variance - 1.0).abs() < 0.03, "{variance} {fitted} {told}");
         }

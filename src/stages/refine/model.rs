@@ -191,7 +191,12 @@ impl<'a> Model<'a> {
         first.period_sd_ps().map_or(0.0, |sd_ps| first.medium.path_m(sd_ps))
     }
 
-    fn observation(&self, label: &Label) -> Observation {
+    /// Whether all patches of a label's path are unknowns.
+    pub fn has_patches_of(&self, label: &Label) -> bool {
+        label.path.iter().flatten().all(|patch| self.patches.binary_search(patch).is_ok())
+    }
+
+    pub fn observation(&self, label: &Label) -> Observation {
         let Fields { medium, stations, .. } = self.fields(label);
         let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
         let station = |name: &str| Node::Station(self.station_at[&(label.campaign.clone(), name.to_owned())]);
@@ -217,30 +222,38 @@ impl<'a> Model<'a> {
         footprints: &Footprints,
         solution: &Solution,
     ) -> (Vec<Observation>, Vec<f64>) {
-        let patches: Vec<PatchId> = footprints.0.keys().copied().collect();
+        let both = self.labels.iter().zip(observations);
+        both.map(|(label, observation)| self.shifted_one(label, observation, footprints, solution)).unzip()
+    }
+
+    /// The same for one label.
+    pub fn shifted_one(
+        &self,
+        label: &Label,
+        observation: &Observation,
+        footprints: &Footprints,
+        solution: &Solution,
+    ) -> (Observation, f64) {
         let at = |patch: &PatchId| solution.points[self.place(*patch)];
         let station = |node: &Node| match node {
             Node::Station(station) => solution.stations[*station],
             Node::Patch(_) => unreachable!("paths end at stations"),
         };
-        let shifted = |(label, observation): (&Label, &Observation)| {
-            let path = label.path.as_deref().expect("only labels with a path are observations");
-            let [source, .., sensor] = observation.nodes.as_slice() else { unreachable!("a path has two ends") };
-            let shift = footprints.shift(station(source), path, at, station(sensor));
-            let mut observation = observation.clone();
-            observation.length_m -= shift.mean_m;
-            observation.sd_m = observation.sd_m.hypot(shift.sd_m);
-            for (patch, changes_m) in shift.changes {
-                if patches.len() > COMMON_MAX {
-                    observation.sd_m = changes_m.into_iter().fold(observation.sd_m, f64::hypot);
-                } else {
-                    let first = 3 * patches.binary_search(&patch).expect("only patches with a footprint change");
-                    observation.common.extend((first..).zip(changes_m));
-                }
+        let path = label.path.as_deref().expect("only labels with a path are observations");
+        let [source, .., sensor] = observation.nodes.as_slice() else { unreachable!("a path has two ends") };
+        let shift = footprints.shift(station(source), path, at, station(sensor));
+        let mut observation = observation.clone();
+        observation.length_m -= shift.mean_m;
+        observation.sd_m = observation.sd_m.hypot(shift.sd_m);
+        for (patch, changes_m) in shift.changes {
+            if footprints.0.len() > COMMON_MAX {
+                observation.sd_m = changes_m.into_iter().fold(observation.sd_m, f64::hypot);
+            } else {
+                let before = footprints.0.range(..patch).count();
+                observation.common.extend((3 * before..).zip(changes_m));
             }
-            (observation, shift.mean_m)
-        };
-        self.labels.iter().zip(observations).map(shifted).unzip()
+        }
+        (observation, shift.mean_m)
     }
 
     pub fn refused(&self, unsolved: &Unsolved) -> String {

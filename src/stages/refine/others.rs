@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 
 use super::context::Rival;
 use super::model::Model;
+use super::readings::Reading;
 use crate::geometry::Point;
 use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Node, Observation, Problem, Solution};
 use crate::geometry::placement::{self, Kind};
@@ -21,11 +22,22 @@ const SAME: f64 = 3.0;
 /// Bounces from which labels depend on which places were taken.
 const LATER: usize = 3;
 
+/// What makes another solution.
+#[derive(Clone, Copy, PartialEq)]
+pub enum OtherKind {
+    /// The mirror image of the whole.
+    Mirror,
+    /// Other places of some patches.
+    Flip,
+    /// An onset read another way.
+    Label,
+}
+
 /// Another solution that the onsets do not rule out.
 pub struct Other {
     /// Positions of the patches that it moves, by their places.
     pub patches: Vec<usize>,
-    pub is_mirror_image: bool,
+    pub kind: OtherKind,
     /// Log-likelihood less that of the best solution.
     pub log_likelihood: f64,
     pub solution: Solution,
@@ -58,8 +70,8 @@ pub fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (So
         let solved = starts.filter(|start| !is_turned(&start.kind, &best)).filter_map(|start| {
             let solution = maximum_likelihood::solve(&Problem { start: start.points, ..problem.clone() }).ok()?;
             let log_likelihood = -0.5 * (solution.loss - best.loss) / misfit;
-            let is_mirror_image = start.kind == Kind::Mirror;
-            Some(Other { patches: start.patches, is_mirror_image, log_likelihood, solution })
+            let kind = if start.kind == Kind::Mirror { OtherKind::Mirror } else { OtherKind::Flip };
+            Some(Other { patches: start.patches, kind, log_likelihood, solution })
         });
         others.clear();
         for other in solved.filter(|other| -2.0 * other.log_likelihood < LIKELY) {
@@ -120,6 +132,45 @@ fn add_rival(model: &Model, problem: &Problem, best: &Solution, rival: &Rival, o
         solution.points = start;
         solution
     });
-    let is_mirror_image = patches.len() == model.patches.len();
-    others.push(Other { patches, is_mirror_image, log_likelihood, solution });
+    let kind = if patches.len() == model.patches.len() { OtherKind::Mirror } else { OtherKind::Flip };
+    others.push(Other { patches, kind, log_likelihood, solution });
+}
+
+/// Adds what other readings of onsets make of the solution, if they are about as likely and move a patch by more than
+/// its error says. `used` are the positions of labels among the observations.
+pub fn add_readings(
+    problem: &Problem,
+    best: &Solution,
+    (readings, used): (Vec<Reading>, &[Option<usize>]),
+    others: &mut Vec<Other>,
+) {
+    let sds_m: Vec<f64> =
+        (0..best.points.len()).map(|place| best.patch_covariance_m2(place, place).trace().max(0.0).sqrt()).collect();
+    for reading in readings {
+        problem.cancel.check();
+        if others.len() >= ALTERNATIVES {
+            return;
+        }
+        let out: Vec<usize> = reading.replaced.iter().filter_map(|n| used[*n]).collect();
+        let kept = problem.observations.iter().enumerate().filter(|(at, _)| !out.contains(at));
+        let mut observations: Vec<Observation> = kept.map(|(_, kept)| kept.clone()).collect();
+        observations.extend(reading.observations);
+        let start = best.points.clone();
+        let Ok(solution) = maximum_likelihood::solve(&Problem { start, observations, ..problem.clone() }) else {
+            continue;
+        };
+        // The same number of onsets, or what `label` says of one pulse against two.
+        let by_loss = -0.5 * (solution.loss - best.loss) / best.misfit;
+        let log_likelihood = reading.log_likelihood.unwrap_or(by_loss).min(0.0);
+        let is_moved = |&place: &usize| {
+            !best.open.contains(&place) && (solution.points[place] - best.points[place]).norm() > SAME * sds_m[place]
+        };
+        let patches: Vec<usize> = (0..best.points.len()).filter(is_moved).collect();
+        let other = Other { patches, kind: OtherKind::Label, log_likelihood, solution };
+        if -2.0 * log_likelihood < LIKELY && !other.patches.is_empty() && !others.iter().any(|old| old.is_same(&other))
+        {
+            others.push(other);
+        }
+    }
+    others.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
 }

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::doubtful::Later;
 use super::model::{Model, NamedStation};
-use super::others::Other;
+use super::others::{Other, OtherKind};
 use crate::geometry::companion::Pull;
 use crate::geometry::footprint::{Footprint, Footprints};
 use crate::geometry::maximum_likelihood::{Node, Observation, Solution};
@@ -340,16 +340,19 @@ impl<'a> Tables<'a> {
             rows.push(plain("doubtful", self.contested, meaning));
         }
         for (n, other) in self.others.iter().enumerate() {
-            let (kind, meaning) = if other.is_mirror_image {
-                (
+            let (kind, meaning) = match other.kind {
+                OtherKind::Mirror => (
                     "mirror",
                     "the mirror image of the whole explains the onsets as well; an anchor or a ray off the mirror's plane would decide",
-                )
-            } else {
-                (
+                ),
+                OtherKind::Flip => (
                     "flip",
                     "these patches explain the onsets as well on the other side of their neighbours; a pair with one more neighbour would decide",
-                )
+                ),
+                OtherKind::Label => (
+                    "label",
+                    "an onset that places these patches may be light of another path, or one pulse in place of two; capture more pairs with them",
+                ),
             };
             rows.push(Ambiguity {
                 alternative: Some(n as i32 + 1),

@@ -233,6 +233,33 @@ fn what_is_not_determined_is_told_with_its_patches() {
     assert!(row(12).sd_m.is_none() && row(11).sd_m.is_some() && row(3).sd_m.unwrap() < 0.01);
 }
 
+/// Three onsets place patch 11. Read as light over one more patch, one of them places it elsewhere; the same of a pair
+/// whose patches all others see changes nothing.
+#[test]
+fn an_onset_that_places_a_patch_by_itself_is_read_the_other_way_too() {
+    let room = room();
+    let open = |a: PatchId, b: PatchId| a < b && (b < 11 || (b == 11 && a <= 2));
+    let place = |patch: PatchId| room[patch as usize - 1];
+    let apart_m = |a: PatchId, b: PatchId| (place(a) - place(b)).norm();
+    let over = |lit: PatchId, seen: PatchId| {
+        let other = (3..=10).filter(|k| *k != seen);
+        other.max_by(|a, b| (apart_m(lit, seen) - apart_m(lit, *a)).total_cmp(&(apart_m(lit, seen) - apart_m(lit, *b))))
+    };
+    let read = |lit: PatchId, seen: PatchId| {
+        let mut labels = Day::new(&room[..11], 5).all(open).labels;
+        let taken = labels.iter().find(|label| label.path.as_deref() == Some(&[lit, seen])).unwrap();
+        let path = Some(vec![lit, over(lit, seen).unwrap(), seen]);
+        labels.push(Label { bounces: 3, path, probability: 0.3, alternative: 1, ..taken.clone() });
+        refined(&context(CAMPAIGN, Vec::new()), labels)
+    };
+    let rows = read(1, 11);
+    let told = rows.ambiguities.iter().find(|row| &*row.kind == "label").expect("the other reading is told");
+    assert_eq!(told.patches, [11]);
+    let elsewhere = rows.patches.iter().find(|row| row.patch == 11 && Some(row.alternative) == told.alternative);
+    assert!(elsewhere.is_some_and(|row| row.probability.is_some_and(|share| share > 0.0)), "{elsewhere:?}");
+    assert!(read(1, 2).ambiguities.iter().all(|row| &*row.kind != "label"));
+}
+
 #[test]
 fn a_wrong_label_leads_the_suspects_and_an_unchecked_onset_is_among_them() {
     let room = room();

@@ -73,6 +73,7 @@ impl Model {
                         time_sd_ps: onset.time_sd_ps.hypot(onset.jitter_ps),
                         width_ps: Some(onset.width_ps),
                         width_sd_ps: onset.width_sd_ps,
+                        width_kurtosis: onset.width_kurtosis,
                         snr: onset.snr,
                         turns: *turns,
                         bounces: 3,

@@ -5,13 +5,11 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use periscope_cancel::Cancel;
 
-use super::{Fit, LINEAR, TIGHTER, TOGETHER};
+use super::{CERTAIN, Fit, LINEAR, TIGHTER, TOGETHER};
 
 /// Rounds over all patches, and those in which normals are searched for from all directions.
 const ROUNDS: usize = 40;
 const WIDE_ROUNDS: Range<usize> = 2..20;
-/// Up to so many patches have several starts, and are turned one by one; more tie one another.
-const CERTAIN: usize = 16;
 const STARTS: usize = 8;
 /// Starts are so far from where a patch's light goes on average, in that direction's length.
 const ASIDE: f64 = 0.9;
@@ -108,13 +106,8 @@ impl Fit<'_> {
         loop {
             let before = self.total(open);
             for &patch in open {
-                let length_m = f64::max(self.vectors_m[patch].norm(), LEAST_SIZE * self.usual_m);
                 let mut best = (self.total(open), self.clone());
-                for n in 0..DIRECTIONS.len() {
-                    cancel.check();
-                    let mut other = self.clone();
-                    other.vectors_m[patch] = other.descend(patch, length_m * direction(n)).1;
-                    other.descend_together(open, STEPS_TURNED, cancel);
+                for other in self.turns(open, patch, cancel) {
                     let total = other.total(open);
                     if total < best.0 {
                         best = (total, other);
@@ -127,6 +120,18 @@ impl Fit<'_> {
                 return self;
             }
         }
+    }
+
+    /// Where one patch is turned to each side in turn, and all settle after it.
+    pub(super) fn turns(&self, open: &[usize], patch: usize, cancel: &Cancel) -> impl Iterator<Item = Self> {
+        let length_m = f64::max(self.vectors_m[patch].norm(), LEAST_SIZE * self.usual_m);
+        (0..DIRECTIONS.len()).map(move |n| {
+            cancel.check();
+            let mut other = self.clone();
+            other.vectors_m[patch] = other.descend(patch, length_m * direction(n)).1;
+            other.descend_together(open, STEPS_TURNED, cancel);
+            other
+        })
     }
 
     /// A better vector for one patch, all others held; searched for from other directions too if `anew`.

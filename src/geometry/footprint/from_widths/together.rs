@@ -131,6 +131,13 @@ impl Fit<'_> {
                 (0..3).for_each(|k| normal[(3 * at + i, 3 * at + k)] += gradient[i] * gradient[k]);
             }
         }
+        if let Some((held, at)) = self.held.and_then(|held| Some((held, open.binary_search(&held.patch).ok()?))) {
+            let gradient = held.axis / held.sd_m;
+            for i in 0..3 {
+                slope[3 * at + i] += held.short(&self.vectors_m) * gradient[i];
+                (0..3).for_each(|k| normal[(3 * at + i, 3 * at + k)] += gradient[i] * gradient[k]);
+            }
+        }
         Linearised { normal, slope }
     }
 }
