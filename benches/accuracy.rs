@@ -237,9 +237,11 @@ fn print_locate(seeds: Range<u64>, cells: &[usize]) {
         let number = |value: fn(&locate::Outcome) -> usize| outcomes.iter().map(value).sum::<usize>();
         let hits = number(|one| one.hits);
         let (errors, inside) = if hits > 0 {
-            let ratio = (sum(|one| one.squares_m2) / sum(|one| one.bound_m2)).sqrt();
+            let [ratio, open] = [sum(|one| one.bound_m2), sum(|one| one.open_bound_m2)]
+                .map(|bound_m2| format!("{:.2}", (sum(|one| one.squares_m2) / bound_m2).sqrt()));
+            let ratio = if ratio == open { ratio } else { format!("{ratio}; shifts unknown: {open}") };
             let within = Rate { hits: number(|one| one.inside), of: 3 * hits };
-            (format!("{ratio:.2}"), format!("{within}"))
+            (ratio, format!("{within}"))
         } else {
             ("-".to_owned(), "-".to_owned())
         };

@@ -135,10 +135,10 @@ impl Profile {
         Self { ways, arrivals, paths, span_m, widest_m }
     }
 
-    /// The same with other arrivals, in order of length.
-    fn with(&self, arrivals: Vec<Arrival>) -> Self {
-        let widest_m = arrivals.iter().map(|arrival| arrival.sd_m).fold(0.0, f64::max);
-        Self { ways: self.ways.clone(), paths: self.paths.clone(), span_m: self.span_m, arrivals, widest_m }
+    /// Gives its arrivals other standard deviations, in their order.
+    fn set_sds(&mut self, sds_m: &[f64]) {
+        self.arrivals.iter_mut().zip(sds_m).for_each(|(arrival, sd_m)| arrival.sd_m = *sd_m);
+        self.widest_m = sds_m.iter().copied().fold(0.0, f64::max);
     }
 
     fn holds(&self, length_m: f64) -> bool {

@@ -154,7 +154,7 @@ impl Apply for MakeImage {
             .collect();
         let mut rejections = left_out(context, histograms.len());
         let (rows, images, volume) = match self.image(context, &histograms)? {
-            Ok((method, times, summary)) => {
+            Ok((method, times, mut summary)) => {
                 let image = self.row(method, histograms.len(), times, &summary);
                 (summary.rows(method), vec![image], summary.volume())
             }

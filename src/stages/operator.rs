@@ -219,7 +219,12 @@ impl<'a, S: Fold> Groups<'a, S> {
         let mut sides: Vec<Vec<RecordBatch>> = vec![Vec::new(); S::SIDES.len()];
         let mut rejections = Vec::new();
         for outcome in outcomes {
-            rows.extend(outcome.rows);
+            // One outcome of millions of rows is not copied.
+            if rows.is_empty() {
+                rows = outcome.rows;
+            } else {
+                rows.extend(outcome.rows);
+            }
             sides.iter_mut().zip(outcome.sides).for_each(|(all, side)| all.push(side));
             rejections.extend(outcome.rejections);
         }

@@ -24,9 +24,11 @@ pub struct Outcome {
     /// True places with a hidden patch, and hidden patches without a true place.
     pub hits: usize,
     pub extra: usize,
-    /// Squared errors of all coordinates, those of the bound, and coordinates within their intervals of 95 %.
+    /// Squared errors of all coordinates, those of the bound, those of the bound with the shifts of histograms unknown,
+    /// and coordinates within their intervals of 95 %.
     pub squares_m2: f64,
     pub bound_m2: f64,
+    pub open_bound_m2: f64,
     pub inside: usize,
 }
 
@@ -62,9 +64,12 @@ pub fn outcome(capture: &Capture, hidden: &[Dot]) -> Outcome {
 }
 
 fn judge(capture: &Capture, hidden: &[Dot], mut patches: Vec<Patch>, search: JointSearch) -> Outcome {
-    let mut outcome = Outcome { search, hits: 0, extra: 0, squares_m2: 0.0, bound_m2: 0.0, inside: 0 };
-    let bounds_m = if patches.is_empty() { Vec::new() } else { capture.bound_m(hidden) };
-    for ((place, _), bound_m) in hidden.iter().zip(bounds_m.chunks(3)) {
+    let mut outcome =
+        Outcome { search, hits: 0, extra: 0, squares_m2: 0.0, bound_m2: 0.0, open_bound_m2: 0.0, inside: 0 };
+    let bounds_m = |shift_sd_ps| if patches.is_empty() { Vec::new() } else { capture.bound_m(hidden, shift_sd_ps) };
+    let known_m = bounds_m(0.0);
+    let unknown_m = if capture.shift_sd_ps() > 0.0 { bounds_m(capture.shift_sd_ps()) } else { known_m.clone() };
+    for (((place, _), bound_m), unknown_m) in hidden.iter().zip(known_m.chunks(3)).zip(unknown_m.chunks(3)) {
         let off_m = |patch: &Patch| [patch.x_m - place[0], patch.y_m - place[1], patch.z_m - place[2]];
         let gap_m = |patch: &Patch| off_m(patch).iter().map(|off_m| off_m * off_m).sum::<f64>().sqrt();
         let nearest = (0..patches.len()).min_by(|a, b| gap_m(&patches[*a]).total_cmp(&gap_m(&patches[*b])));
@@ -75,6 +80,9 @@ fn judge(capture: &Capture, hidden: &[Dot], mut patches: Vec<Patch>, search: Joi
             outcome.squares_m2 += off_m * off_m;
             outcome.bound_m2 += bound_m * bound_m;
             outcome.inside += usize::from(off_m * off_m < 1.96_f64.powi(2) * variance_m2);
+        }
+        for unknown_m in unknown_m {
+            outcome.open_bound_m2 += unknown_m * unknown_m;
         }
         outcome.hits += 1;
     }

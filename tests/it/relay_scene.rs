@@ -165,9 +165,27 @@ impl Capture {
         hdf5::write(&mut file, &arrays.map(|(name, array)| (name.to_owned(), array)).into()).unwrap();
     }
 
+    /// How the light of all dots changes as a histogram is late, for each picosecond.
+    fn lateness(&self, point: [f64; 3], dots: &[Dot], means: &[f64]) -> Vec<f64> {
+        let step_ps = 1e-2;
+        let [late, early] = [step_ps, -step_ps].map(|shift_ps| {
+            let mut light = vec![0.0; self.bins];
+            self.shine((point, shift_ps), dots, means, &mut light);
+            light
+        });
+        late.iter().zip(early).map(|(late, early)| (late - early) / (2.0 * step_ps)).collect()
+    }
+
+    /// Standard deviation of the shifts of histograms in time: jitter, and the wave of the relief, whose mean square is
+    /// a quarter of its height's.
+    pub fn shift_sd_ps(&self) -> f64 {
+        self.jitter_ps.hypot(0.5 * 2.0 * self.relief_m / LIGHT)
+    }
+
     /// Standard deviation of each coordinate that no estimator undercuts that knows response, wall and law: the inverse
-    /// Fisher matrix of all places and photons, by differences of the rates.
-    pub fn bound_m(&self, dots: &[Dot]) -> Vec<f64> {
+    /// Fisher matrix of all places and photons, by differences of the rates. Of the shift of each histogram it knows
+    /// the standard deviation `shift_sd_ps`, 0: the shift itself.
+    pub fn bound_m(&self, dots: &[Dot], shift_sd_ps: f64) -> Vec<f64> {
         let (unknowns, means) = (4 * dots.len(), self.means(dots));
         let mut fisher = DMatrix::<f64>::zeros(unknowns, unknowns);
         // Behind the wall's own light.
@@ -194,10 +212,14 @@ impl Capture {
                 up.iter().zip(down).map(|(up, down)| (up - down) / width).collect()
             };
             let slopes: Vec<Vec<f64>> = (0..unknowns).map(slope).collect();
+            let product =
+                |a: &[f64], b: &[f64]| -> f64 { (first..self.bins).map(|bin| a[bin] * b[bin] / rates[bin]).sum() };
+            let late = self.lateness(point, dots, &means);
+            let with_shift: Vec<f64> = slopes.iter().map(|slope| product(slope, &late)).collect();
+            let shift = product(&late, &late) + shift_sd_ps.powi(-2);
             for a in 0..unknowns {
                 for b in 0..=a {
-                    let bins = first..self.bins;
-                    let sum: f64 = bins.map(|bin| slopes[a][bin] * slopes[b][bin] / rates[bin]).sum();
+                    let sum = product(&slopes[a], &slopes[b]) - with_shift[a] * with_shift[b] / shift;
                     fisher[(a, b)] += sum;
                     if a != b {
                         fisher[(b, a)] += sum;

@@ -43,6 +43,8 @@ pub(super) struct Explanation<'a> {
     pub(super) surfaces: Vec<Hidden>,
     /// For each profile its paths and arrivals that may belong together.
     pairs: Vec<Vec<Pair>>,
+    /// What all paths leave of each arrival of each profile.
+    left: Vec<Vec<f64>>,
 }
 
 impl<'a> Explanation<'a> {
@@ -70,6 +72,7 @@ impl<'a> Explanation<'a> {
             clutter_per_m: (arrivals + 1) as f64 / span_m,
             surfaces: Vec::new(),
             pairs: Vec::new(),
+            left: Vec::new(),
         };
         all.log_volumes = [Surface::Patch, all.plane()].map(|surface| all.volume(surface).ln());
         // Paths over patches in place leave less clutter than all arrivals would be.
@@ -117,71 +120,106 @@ impl<'a> Explanation<'a> {
 
     /// Which path made which arrival, and how much clutter that leaves.
     pub(super) fn settle(&mut self) {
-        self.pairs = self.given.par_iter().map(|profile| self.pairs_of(profile, &self.paths(profile))).collect();
-        if self.room.blend_m > 0.0 {
-            let widened = |(profile, pairs): (&Profile, &Vec<Pair>)| {
-                blend::widened(profile, &self.paths(profile), pairs, self.room.blend_m)
-            };
-            self.profiles = self.given.par_iter().zip(&self.pairs).map(widened).collect();
-            self.pairs = self.profiles.par_iter().map(|profile| self.pairs_of(profile, &self.paths(profile))).collect();
+        let mut profiles = std::mem::take(&mut self.profiles);
+        let settle = |(profile, given): (&mut Profile, &Profile)| {
+            let paths = self.paths(given);
+            let pairs = self.pairs_of(given, &paths);
+            if self.room.blend_m == 0.0 {
+                return pairs;
+            }
+            profile.set_sds(&blend::widened(&given.arrivals, &paths, &pairs, self.room.blend_m));
+            self.pairs_of(profile, &paths)
+        };
+        let pairs = profiles.par_iter_mut().zip(self.given).map(settle).collect();
+        (self.profiles, self.pairs) = (profiles, pairs);
+        self.left = self.left_by(|_, _| true);
+        self.count_clutter();
+    }
+
+    /// Takes what one more surface claims off what is left, without settling all messages again.
+    pub(super) fn claim(&mut self, hidden: &Hidden) {
+        let mut left = std::mem::take(&mut self.left);
+        for (profile, left) in self.profiles.iter().zip(&mut left) {
+            for path in self.ways_over(hidden, profile) {
+                let odds: Vec<(usize, f64)> = self.odds(profile, &path).collect();
+                let whole: f64 = 1.0 + odds.iter().map(|(arrival, odds)| odds * left[*arrival]).sum::<f64>();
+                for (arrival, odds) in odds {
+                    let left = &mut left[arrival];
+                    *left /= 1.0 + *left * odds / (whole - odds * *left);
+                }
+            }
         }
+        self.left = left;
+        self.count_clutter();
+    }
+
+    fn count_clutter(&mut self) {
         let span_m: f64 = self.profiles.iter().map(|profile| profile.span_m[1] - profile.span_m[0]).sum();
-        let unexplained: f64 = self.left().iter().flatten().sum();
+        let unexplained: f64 = self.left.iter().flatten().sum();
         self.clutter_per_m = (unexplained + 1.0) / span_m;
     }
 
     /// The paths of a profile: those over patches in place, then the ways over each hidden surface.
     fn paths(&self, profile: &Profile) -> Vec<Path> {
-        let hidden = self.surfaces.iter().flat_map(|hidden| {
-            profile.ways.iter().map(|way| {
-                let foci = way.foci.map(|focus| &self.room.foci[focus]);
-                match hidden.surface.way(foci, hidden.point) {
-                    Some((legs_m, _)) => Path { length_m: way.offset_m + legs_m, sd_m: way.sd_m, seen: hidden.seen },
-                    None => Path { length_m: 0.0, sd_m: 0.0, seen: 0.0 },
-                }
-            })
-        });
+        let hidden = self.surfaces.iter().flat_map(|hidden| self.ways_over(hidden, profile));
         profile.paths.iter().copied().chain(hidden).collect()
+    }
+
+    /// The ways of a profile over a hidden surface; never seen, where no light goes there.
+    fn ways_over<'b>(&'b self, hidden: &'b Hidden, profile: &'b Profile) -> impl Iterator<Item = Path> + 'b {
+        profile.ways.iter().map(|way| {
+            let foci = way.foci.map(|focus| &self.room.foci[focus]);
+            match hidden.surface.way(foci, hidden.point) {
+                Some((legs_m, _)) => Path { length_m: way.offset_m + legs_m, sd_m: way.sd_m, seen: hidden.seen },
+                None => Path { length_m: 0.0, sd_m: 0.0, seen: 0.0 },
+            }
+        })
     }
 
     fn pairs_of(&self, profile: &Profile, paths: &[Path]) -> Vec<Pair> {
         self.room.cancel.check();
         let mut pairs = Vec::new();
         for (n, path) in paths.iter().enumerate() {
-            let reach_m = GATE * profile.widest_m.hypot(path.sd_m);
-            let from = profile.arrivals.partition_point(|arrival| arrival.length_m < path.length_m - reach_m);
-            for (arrival, at) in profile.arrivals.iter().enumerate().skip(from) {
-                let off_m = at.length_m - path.length_m;
-                if off_m > reach_m {
-                    break;
-                }
-                let sd_m = at.sd_m.hypot(path.sd_m);
-                let density = (-0.5 * (off_m / sd_m).powi(2)).exp() / ((2.0 * std::f64::consts::PI).sqrt() * sd_m);
-                let odds = path.seen / (1.0 - path.seen) * density / self.clutter_per_m;
-                pairs.push(Pair::new(n, arrival, odds));
-            }
+            pairs.extend(self.odds(profile, path).map(|(arrival, odds)| Pair::new(n, arrival, odds)));
         }
         superposition::settle(&mut pairs, paths.len(), profile.arrivals.len());
         pairs
     }
 
+    /// Arrivals that a path may have made, each with the odds that it did.
+    fn odds<'b>(&self, profile: &'b Profile, path: &Path) -> impl Iterator<Item = (usize, f64)> + 'b {
+        let Path { length_m, sd_m, seen } = *path;
+        let scale = seen / (1.0 - seen);
+        let clutter_per_m = self.clutter_per_m;
+        let reach_m = GATE * (profile.widest_m * profile.widest_m + sd_m * sd_m).sqrt();
+        let from = profile.arrivals.partition_point(|arrival| arrival.length_m < length_m - reach_m);
+        let near = profile.arrivals.iter().enumerate().skip(from);
+        near.take_while(move |(_, at)| at.length_m - length_m <= reach_m).map(move |(arrival, at)| {
+            let (off_m, sd_m) = (at.length_m - length_m, at.sd_m.hypot(sd_m));
+            let density = (-0.5 * (off_m / sd_m).powi(2)).exp() / ((2.0 * std::f64::consts::PI).sqrt() * sd_m);
+            (arrival, scale * density / clutter_per_m)
+        })
+    }
+
     /// What all paths leave of each arrival.
-    pub(super) fn left(&self) -> Vec<Vec<f64>> {
-        self.left_by(|_, _| true)
+    pub(super) fn left(&self) -> &[Vec<f64>] {
+        &self.left
     }
 
     /// What all paths but those over one surface leave of each arrival.
     pub(super) fn left_for(&self, surface: usize) -> Vec<Vec<f64>> {
-        self.left_by(|profile, path| {
+        let mut left = self.left.clone();
+        for (profile, (pairs, left)) in self.profiles.iter().zip(self.pairs.iter().zip(&mut left)) {
             let (first, ways) = (profile.paths.len() + surface * profile.ways.len(), profile.ways.len());
-            !(first..first + ways).contains(&path)
-        })
+            superposition::give_back(pairs, [first, first + ways], left);
+        }
+        left
     }
 
     /// What is left for minimal sets.
     pub(super) fn left_of(&self, claims: Claims) -> Vec<Vec<f64>> {
         match claims {
-            Claims::All => self.left(),
+            Claims::All => self.left.clone(),
             Claims::Likely => {
                 self.left_by(|profile, path| profile.paths.get(path).is_none_or(|path| path.seen > LIKELY))
             }

@@ -15,7 +15,9 @@ const FAR: f64 = 0.5;
 /// Rounds of climbing all patches, plus one for each that is dropped, and the move in standard deviations that ends
 /// them.
 const POLISH: usize = 12;
-const SETTLED: f64 = 1e-3;
+const SETTLED: f64 = 2e-4;
+/// All messages settle again before one in this many surfaces is new.
+const UNSETTLED: usize = 3;
 /// Patches that are tried together, and the evidence that they must bring.
 const TOGETHER: usize = 4;
 const GAIN: f64 = 1.0;
@@ -36,18 +38,30 @@ impl Explanation<'_> {
     pub(super) fn add(&mut self, starts: &[(Surface, Point)]) -> bool {
         let before = self.surfaces.len();
         let mut places = self.tops(starts);
+        let mut unsettled = 0;
         while let Some(next) =
             places.iter().position(|place| self.hidden(*place, SEEN).is_some_and(|hidden| self.is_sure(&hidden)))
         {
             // What came before it was not sure and will not become so by more patches.
             let Estimate { surface, point, .. } = places[next];
             places.drain(..=next);
-            let left = self.left();
-            let place = self.view(surface, &left, SEEN).climb(point);
+            let place = self.view(surface, self.left(), SEEN).climb(point);
             if let Some(hidden) = self.hidden(place, SEEN).filter(|hidden| self.is_sure(hidden)) {
                 self.surfaces.push(hidden);
-                self.settle();
+                unsettled += 1;
+                if unsettled >= self.surfaces.len() / UNSETTLED {
+                    self.settle();
+                    unsettled = 0;
+                } else {
+                    self.claim(&hidden);
+                }
             }
+        }
+        if unsettled > 0 {
+            self.settle();
+        }
+        if self.surfaces.len() == before {
+            return false;
         }
         self.polish();
         self.surfaces.len() > before
@@ -118,6 +132,8 @@ impl Explanation<'_> {
 
     /// Climbs all again, each with what the others leave, and drops those without evidence, the least first.
     fn polish(&mut self) {
+        let places = |all: &Self| all.surfaces.iter().map(|hidden| hidden.point).collect::<Vec<Point>>();
+        let mut before = [Vec::new(), Vec::new()];
         for _ in 0..POLISH + self.surfaces.len() {
             let moved = self.climb_all();
             let worst = (0..self.surfaces.len())
@@ -125,9 +141,17 @@ impl Explanation<'_> {
             if let Some(worst) = worst.filter(|&worst| !self.is_sure(&self.surfaces[worst])) {
                 self.surfaces.remove(worst);
                 self.settle();
-            } else if moved < SETTLED {
+                before = [Vec::new(), Vec::new()];
+                continue;
+            }
+            // Two neighbours that share an arrival may go to and fro without end.
+            let now = places(self);
+            let is_back = now.len() == before[0].len()
+                && now.iter().zip(&before[0]).all(|(a, b): (&Point, &Point)| (a - b).norm() < SETTLED * self.sd_m);
+            if moved < SETTLED || is_back {
                 break;
             }
+            before = [std::mem::take(&mut before[1]), now];
         }
     }
 }

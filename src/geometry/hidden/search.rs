@@ -73,6 +73,29 @@ pub struct Legs {
     pub curve: Curve,
 }
 
+/// The same for a cube: the largest value over its reach.
+struct Wide {
+    foci: [usize; 2],
+    profiles: usize,
+    low_m: f64,
+    /// Values per metre.
+    per_m: f64,
+    values: Vec<f32>,
+}
+
+impl Wide {
+    fn new(legs: &Legs, reach_m: f64) -> Self {
+        let Curve { low_m, step_m, values } = legs.curve.widened(reach_m);
+        Self { foci: legs.foci, profiles: legs.profiles, low_m, per_m: 1.0 / step_m, values }
+    }
+
+    fn value(&self, length_m: f64) -> f32 {
+        let bin = (length_m - self.low_m) * self.per_m;
+        // A negative bin becomes one that is not there.
+        if bin >= 0.0 { self.values.get(bin as usize).copied().unwrap_or(0.0) } else { 0.0 }
+    }
+}
+
 /// Part of space: a cube.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Domain {
@@ -115,8 +138,7 @@ pub fn search(
     let profiles: usize = legs.iter().map(|legs| legs.profiles).sum();
     let (mut radius_m, mut half_m) = (domain.half_diagonal_m(), domain.half_m);
     loop {
-        let level: Vec<Legs> =
-            order.par_iter().map(|legs| Legs { curve: legs.curve.widened(2.0 * radius_m), ..**legs }).collect();
+        let level: Vec<Wide> = order.par_iter().map(|legs| Wide::new(legs, 2.0 * radius_m)).collect();
         let is_last = radius_m <= fine_m;
         let cut = |chunk: &[(Point, f32)]| -> Vec<(Point, f32)> {
             cancel.check();
@@ -133,7 +155,7 @@ pub fn search(
             }
         };
         cubes = cubes.par_chunks(CHUNK).flat_map_iter(cut).collect();
-        if is_last {
+        if is_last || cubes.is_empty() {
             break;
         }
         radius_m /= 2.0;
@@ -158,7 +180,7 @@ fn children(centre: Point, half_m: f64, dimensions: usize) -> impl Iterator<Item
 /// The largest sum within some radius of a point; `None` once it is below what a true patch reaches, or `most` profiles
 /// cannot have seen it. What a wall's plane cuts counts as in front of it.
 fn bound(
-    order: &[Legs],
+    order: &[Wide],
     most: usize,
     foci: &[Focus],
     at: Point,
@@ -166,22 +188,20 @@ fn bound(
     distances_m: &mut [Option<f64>],
 ) -> Option<f32> {
     let (mut sum, mut computed, mut blind) = (0.0_f32, 0, 0);
-    for Legs { foci: [a, b], profiles, curve } in order {
+    for wide in order {
+        let [a, b] = &wide.foci;
         while computed <= *b {
             distances_m[computed] = foci[computed].faces(at, radius_m).then(|| (at - foci[computed].point).norm());
             computed += 1;
         }
         let (Some(a), Some(b)) = (distances_m[*a], distances_m[*b]) else {
-            blind += profiles;
+            blind += wide.profiles;
             if blind >= most {
                 return None;
             }
             continue;
         };
-        let bin = (a + b - curve.low_m) / curve.step_m;
-        // A negative bin becomes one that is not there.
-        let value = if bin >= 0.0 { curve.values.get(bin as usize).copied().unwrap_or(0.0) } else { 0.0 };
-        sum += value;
+        sum += wide.value(a + b);
         if sum < -SURE {
             return None;
         }

@@ -34,7 +34,7 @@ const APART: f64 = 1.0;
 impl Explanation<'_> {
     /// Middles of cubes where the likelihood may be high enough, those of one top thinned out.
     pub(super) fn cubes(&self) -> Vec<(Surface, Point)> {
-        let legs = self.legs(&self.left());
+        let legs = self.legs(self.left());
         let cancel = &self.room.cancel;
         let least = PROMISING * self.least_likelihood();
         let cubes = search::search(&self.room.foci, &legs, &self.domain, 0.5 * FINE * self.sd_m, least as f32, cancel);
@@ -106,7 +106,7 @@ impl Explanation<'_> {
     fn repeated(&self) -> Vec<Lengths> {
         let left = self.left();
         let of_foci = |(foci, ways): ([usize; 2], Vec<(usize, Way)>)| {
-            let Curve { low_m, step_m, values } = self.curve(&ways, &left, 0.0);
+            let Curve { low_m, step_m, values } = self.curve(&ways, left, 0.0);
             let apart = (TOGETHER_SD * PER_SD) as usize;
             let is_top = |&k: &usize| {
                 let near = &values[k.saturating_sub(apart)..(k + apart + 1).min(values.len())];
@@ -146,7 +146,7 @@ impl Explanation<'_> {
     /// Tops of the likelihood near some starts, the highest first.
     pub(super) fn tops(&self, starts: &[(Surface, Point)]) -> Vec<Estimate> {
         let left = self.left();
-        let climb = |(surface, point): &(Surface, Point)| self.view(*surface, &left, SEEN).climb(*point);
+        let climb = |(surface, point): &(Surface, Point)| self.view(*surface, left, SEEN).climb(*point);
         let mut climbed: Vec<Estimate> = starts.par_iter().map(climb).collect();
         climbed.sort_by(|a, b| b.likelihood.total_cmp(&a.likelihood));
         let mut places: Vec<Estimate> = Vec::new();
@@ -186,7 +186,7 @@ impl Explanation<'_> {
         let step_m = self.sd_m / PER_SD;
         let count = (2.0 * self.domain.half_m / step_m).ceil() as usize + 1;
         let mut values = vec![0.0_f32; count];
-        let mut sums = vec![0.0_f64; count];
+        let (mut sums, mut odds) = (vec![0.0_f64; count], vec![0.0_f64; count]);
         let bin = |length_m: f64| ((length_m / step_m).max(0.0) as usize).min(count - 1);
         for &(profile, way) in ways {
             self.room.cancel.check();
@@ -196,19 +196,23 @@ impl Explanation<'_> {
                 continue;
             }
             let (first, last) = (bin(low_m), bin(high_m));
-            values[first..=last].iter_mut().for_each(|value| *value += missed);
+            odds[first..=last].fill(SEEN / (1.0 - SEEN));
             if missed != 0.0 && self.room.blend_m > 0.0 {
-                for k in first..=last {
-                    let length_m = way.offset_m + k as f64 * step_m;
-                    let seen = SEEN * (1.0 - blend::hidden(&of.arrivals, left, length_m, self.room.blend_m));
-                    values[k] += (1.0 - seen).ln() as f32 - missed;
+                let hidden =
+                    blend::hidden_along(&of.arrivals, left, way.offset_m, step_m, first..=last, self.room.blend_m);
+                for (k, hidden) in (first..=last).zip(hidden) {
+                    let seen = SEEN * (1.0 - hidden);
+                    values[k] += (1.0 - seen).ln() as f32;
+                    // What others may hide is as little expected where an arrival is.
+                    odds[k] = seen / (1.0 - seen);
                 }
+            } else {
+                values[first..=last].iter_mut().for_each(|value| *value += missed);
             }
             let mut near = Vec::new();
             for (arrival, left) in of.arrivals.iter().zip(left) {
                 let (length_m, sd_m) = (arrival.length_m - way.offset_m, way.sd_m(arrival.sd_m));
-                let scale =
-                    SEEN / (1.0 - SEEN) * left / ((2.0 * std::f64::consts::PI).sqrt() * sd_m * self.clutter_per_m);
+                let scale = left / ((2.0 * std::f64::consts::PI).sqrt() * sd_m * self.clutter_per_m);
                 let reach_m = GATE * sd_m;
                 let bins = bin(length_m - reach_m).max(first)..=bin(length_m + reach_m).min(last);
                 for k in bins.clone() {
@@ -219,7 +223,7 @@ impl Explanation<'_> {
             }
             // Each bin once, however many arrivals are near.
             for k in near.into_iter().flatten() {
-                values[k] += std::mem::take(&mut sums[k]).ln_1p() as f32;
+                values[k] += (odds[k] * std::mem::take(&mut sums[k])).ln_1p() as f32;
             }
         }
         Curve { low_m: 0.0, step_m, values }

@@ -15,7 +15,7 @@
 /// Rounds of messages at most.
 const ROUNDS: usize = 30;
 /// Messages that change by less have settled.
-const SETTLED: f64 = 1e-4;
+const SETTLED: f64 = 1e-6;
 
 /// A path that may have made an arrival.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,18 +40,60 @@ impl Pair {
     }
 }
 
-/// Lets messages settle.
+/// Lets messages settle, in each group of arrivals that paths link by itself: most are small and settle at once.
 ///
 /// # Panics
 /// When a pair names a path or an arrival beyond their counts.
 pub fn settle(pairs: &mut [Pair], paths: usize, arrivals: usize) {
+    let groups = groups(pairs, paths, arrivals);
+    let count = groups.last().map_or(0, |last| last + 1);
+    let mut ends = vec![0; count + 1];
+    pairs.iter().for_each(|pair| ends[groups[pair.arrival] + 1] += 1);
+    (0..count).for_each(|group| ends[group + 1] += ends[group]);
+    let (mut at, mut sorted) = (ends.clone(), pairs.to_vec());
+    for pair in &*pairs {
+        let place = &mut at[groups[pair.arrival]];
+        sorted[*place] = *pair;
+        *place += 1;
+    }
     let (mut of_path, mut of_arrival) = (vec![0.0; paths], vec![0.0; arrivals]);
+    ends.windows(2).for_each(|ends| settle_group(&mut sorted[ends[0]..ends[1]], &mut of_path, &mut of_arrival));
+    at.copy_from_slice(&ends);
+    for pair in pairs {
+        let place = &mut at[groups[pair.arrival]];
+        *pair = sorted[*place];
+        *place += 1;
+    }
+}
+
+/// For each arrival its group, from 0 ascending: arrivals between the first and the last of a path are in one.
+fn groups(pairs: &[Pair], paths: usize, arrivals: usize) -> Vec<usize> {
+    let mut ends = vec![(usize::MAX, 0); paths];
+    for pair in pairs {
+        let (first, last) = &mut ends[pair.path];
+        (*first, *last) = ((*first).min(pair.arrival), (*last).max(pair.arrival));
+    }
+    // How many paths reach from before an arrival to it or beyond.
+    let mut begun = vec![0_i32; arrivals + 1];
+    for (first, last) in ends.into_iter().filter(|(first, last)| first < last) {
+        begun[first + 1] += 1;
+        begun[last + 1] -= 1;
+    }
+    let (mut open, mut group) = (0, 0);
+    let of_arrival = |n: usize| {
+        open += begun[n];
+        group += usize::from(n > 0 && open == 0);
+        group
+    };
+    (0..arrivals).map(of_arrival).collect()
+}
+
+/// Lets the messages of a group settle. Sums of its paths and arrivals go where `of_path` and `of_arrival` have room.
+fn settle_group(pairs: &mut [Pair], of_path: &mut [f64], of_arrival: &mut [f64]) {
     for _ in 0..ROUNDS {
-        of_path.fill(0.0);
-        for pair in &*pairs {
-            of_path[pair.path] += pair.odds * pair.left;
-        }
-        of_arrival.fill(0.0);
+        pairs.iter().for_each(|pair| of_path[pair.path] = 0.0);
+        pairs.iter().for_each(|pair| of_path[pair.path] += pair.odds * pair.left);
+        pairs.iter().for_each(|pair| of_arrival[pair.arrival] = 0.0);
         for pair in &mut *pairs {
             pair.message = pair.odds / (1.0 + of_path[pair.path] - pair.odds * pair.left);
             of_arrival[pair.arrival] += pair.message;
@@ -74,6 +116,16 @@ pub fn left_over(pairs: &[Pair], arrivals: usize, counts: impl Fn(usize) -> bool
     let mut whole = vec![1.0; arrivals];
     pairs.iter().filter(|pair| counts(pair.path)).for_each(|pair| whole[pair.arrival] += pair.message);
     whole.into_iter().map(|whole| 1.0 / whole).collect()
+}
+
+/// Gives back what the paths from `first` to before `end` take, to what all paths leave of each arrival. Pairs are in
+/// order of their paths.
+pub fn give_back(pairs: &[Pair], [first, end]: [usize; 2], left: &mut [f64]) {
+    let from = pairs.partition_point(|pair| pair.path < first);
+    for pair in pairs[from..].iter().take_while(|pair| pair.path < end) {
+        let left = &mut left[pair.arrival];
+        *left = 1.0 / (1.0 / *left - pair.message).max(1.0);
+    }
 }
 
 #[cfg(test)]

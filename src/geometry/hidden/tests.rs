@@ -189,6 +189,38 @@ fn branch_and_bound_finds_the_largest_sum() {
     assert!(cubes.iter().any(|(centre, bound)| (centre - at).norm() <= fine_m && *bound >= best), "{best} {at}");
 }
 
+/// Also near a patch that is known, whose arrivals are claimed and may hide those of another.
+#[test]
+fn curves_add_up_to_the_likelihood() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    for merged_m in [0.0, sd_m(250.0)] {
+        let drawn = draw(&Setting { merged_m, ..Setting::new(8, 3, sd_m(25.0), 0.1, 1) }, 7);
+        let known = |profile: &Profile| -> Profile {
+            let foci = profile.ways[0].foci.map(|focus| drawn.room.foci[focus].point);
+            let length_m = foci.iter().map(|focus| (drawn.hidden[0] - focus).norm()).sum();
+            let paths = vec![Path { length_m, sd_m: 1e-4, seen: 0.9 }];
+            Profile::new(profile.ways[0].foci, profile.arrivals.clone(), paths, profile.span_m)
+        };
+        let profiles: Vec<Profile> = drawn.profiles.iter().map(known).collect();
+        let all = Explanation::new(&profiles, &drawn.room).expect("arrivals");
+        let legs = all.legs(all.left());
+        for _ in 0..200 {
+            let aside = Vector3::from_fn(|_, _| rng.random_range(-0.03..0.03));
+            let at = drawn.hidden[rng.random_range(0..2)] + aside;
+            let value = |Legs { foci, curve, .. }: &Legs| {
+                let length_m: f64 = foci.iter().map(|&focus| (at - drawn.room.foci[focus].point).norm()).sum();
+                let place = (length_m - curve.low_m) / curve.step_m;
+                let [before, after] = [0, 1].map(|k| f64::from(curve.values[place as usize + k]));
+                before + (after - before) * place.fract()
+            };
+            let sum: f64 = legs.iter().map(value).sum();
+            let likelihood = all.view(Surface::Patch, all.left(), SEEN).place(at).likelihood;
+            // A curve is known at every third of a standard deviation.
+            assert!((sum - likelihood).abs() < 0.01 * likelihood.abs() + 0.5, "{sum} {likelihood}");
+        }
+    }
+}
+
 /// Through a flat wall that may face either way the mirror image of each patch is as likely; through a rough one it is
 /// not.
 #[test]

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::geometry::{Point, planes};
 use crate::priors::relay_histograms::Histogram;
-use crate::tables::{VolumeRow, Voxel};
+use crate::tables::{Name, VolumeRow, Voxel};
 
 /// Largest distance of a point from its place in a grid, in pitches.
 const OFF: f64 = 0.05;
@@ -143,8 +143,13 @@ impl Lattice {
     }
 }
 
-/// A voxel above the threshold: column, row and depth, value and standard deviation.
-type Bright = ([usize; 3], f64, f64);
+/// A voxel above the threshold. There may be millions.
+pub struct Bright {
+    /// Column, row and depth.
+    place: [u32; 3],
+    value: f64,
+    sd: f64,
+}
 
 /// What is kept of a row of voxels, or of all.
 #[derive(Default)]
@@ -199,7 +204,7 @@ impl Summary {
             let (place, sd) = ([n / depths, row, n % depths], variance.sqrt());
             kept.offer(place, value / sd);
             if value / sd > self.threshold {
-                kept.bright.push((place, value, sd));
+                kept.bright.push(Bright { place: place.map(|n| n as u32), value, sd });
             }
         }
         kept
@@ -207,6 +212,7 @@ impl Summary {
 
     /// The image of all rows, in their order.
     pub fn join(mut self, rows: Vec<Row>) -> Self {
+        self.kept.bright.reserve_exact(rows.iter().map(|row| row.bright.len()).sum());
         for row in rows {
             self.kept.bright.extend(row.bright);
             self.kept.values.extend(row.values);
@@ -217,25 +223,28 @@ impl Summary {
         self
     }
 
-    /// Rows of the table.
-    pub fn rows(&self, method: &str) -> Vec<Voxel> {
-        let row = |(place, value, sd): &Bright| {
-            let point = self.lattice.point(*place);
+    /// Rows of the table. What is kept of its voxels is given up for them.
+    pub fn rows(&mut self, method: &str) -> Vec<Voxel> {
+        let method = Name::from(method);
+        let bright = std::mem::take(&mut self.kept.bright);
+        let row = |Bright { place, value, sd }: Bright| {
+            let at = place.map(|n| n as usize);
+            let point = self.lattice.point(at);
             Voxel {
-                method: method.into(),
+                method: Name::clone(&method),
                 grid_column: place[0] as i32,
                 grid_row: place[1] as i32,
                 grid_depth: place[2] as i32,
                 x_m: point.x,
                 y_m: point.y,
                 z_m: point.z,
-                depth_m: self.lattice.depths_m[place[2]],
-                value: *value,
-                sd: *sd,
+                depth_m: self.lattice.depths_m[at[2]],
+                value,
+                sd,
                 significance: value / sd,
             }
         };
-        self.kept.bright.iter().map(row).collect()
+        bright.into_iter().map(row).collect()
     }
 
     /// Rows of the whole volume; none unless it is kept.

@@ -14,8 +14,11 @@ use crate::waveform::{Head, Kind, Record};
 /// The files of an item: signal, and reference if it has one.
 pub struct Files {
     signal: RawFile,
+    signal_index: Index,
     signal_records: Vec<(usize, i32)>,
     reference: Option<RawFile>,
+    /// Of the reference's own file.
+    reference_index: Option<Index>,
     /// Records of the reference channel, in the same order of exposures; in the signal's own file when `reference` is
     /// none.
     reference_records: Option<Vec<usize>>,
@@ -28,7 +31,14 @@ impl Files {
         let reference = exposure.reference.as_ref().filter(|reference| reference.file != exposure.file);
         let reference =
             reference.map(|reference| RawFile::open(surveyed, job, &reference.file, reading)).transpose()?;
-        let mut files = Self { signal, signal_records: Vec::new(), reference, reference_records: None };
+        let mut files = Self {
+            signal_index: Index::new(&signal.records),
+            reference_index: reference.as_ref().map(|reference| Index::new(&reference.records)),
+            signal,
+            signal_records: Vec::new(),
+            reference,
+            reference_records: None,
+        };
         files.turn_to(job)?;
         Ok(files)
     }
@@ -41,7 +51,10 @@ impl Files {
         self.signal_records = match &job.item.records {
             Some(records) => records.clone(),
             None => numbered(
-                &select(&self.signal.records, exposure.channel.as_deref(), exposure.segment).map_err(bad)?,
+                &self
+                    .signal_index
+                    .select(&self.signal.records, exposure.channel.as_deref(), exposure.segment)
+                    .map_err(bad)?,
                 exposure.shot,
             ),
         };
@@ -50,8 +63,9 @@ impl Files {
             return Ok(());
         };
         let of_file = &self.reference.as_ref().unwrap_or(&self.signal).records;
+        let index = self.reference_index.as_ref().unwrap_or(&self.signal_index);
         let bad_reference = |reason: String| Bad { file: reference.file.clone(), segment, byte_offset: None, reason };
-        let records = select(of_file, reference.channel.as_deref(), exposure.segment).map_err(bad_reference)?;
+        let records = index.select(of_file, reference.channel.as_deref(), exposure.segment).map_err(bad_reference)?;
         if records.len() != self.signal_records.len() {
             return Err(bad(format!(
                 "{} exposures, but its reference has {}; capture both channels together",
@@ -161,35 +175,60 @@ impl Rows<'_> {
     }
 }
 
-/// Records of one channel (the only one, where none is named), or of one segment of it.
-fn select(records: &[Record], channel: Option<&str>, segment: Option<u32>) -> Result<Vec<usize>, String> {
-    let mut channels: Vec<&str> = records.iter().filter_map(|record| record.head.channel.as_deref()).collect();
-    channels.sort_unstable();
-    channels.dedup();
-    if let Some(channel) = channel.filter(|channel| !channels.is_empty() && !channels.contains(channel)) {
-        return Err(format!(
-            "has no channel `{channel}`; it has {}: correct `channel` or `reference` in its [[captures]] rule",
-            channels.join(", ")
-        ));
+/// Which records of a file are of which channel and segment. Made once: a file may hold as many segments as captures.
+struct Index {
+    /// Names of channels, in order.
+    channels: Vec<String>,
+    /// Segments with their records, in order of both.
+    segments: Vec<(u32, usize)>,
+}
+
+impl Index {
+    fn new(records: &[Record]) -> Self {
+        let mut channels: Vec<&str> = records.iter().filter_map(|record| record.head.channel.as_deref()).collect();
+        channels.sort_unstable();
+        channels.dedup();
+        let segment = |(i, record): (usize, &Record)| record.segment.map(|segment| (segment, i));
+        let mut segments: Vec<(u32, usize)> = records.iter().enumerate().filter_map(segment).collect();
+        segments.sort_unstable();
+        Self { channels: channels.into_iter().map(str::to_owned).collect(), segments }
     }
-    if channel.is_none() && channels.len() > 1 {
-        return Err(format!(
-            "holds channels {}; say which with `channel = \"...\"` in its [[captures]] rule",
-            channels.join(", ")
-        ));
-    }
-    let wanted = |record: &Record| {
-        let named = channel.is_none() || record.head.channel.is_none() || record.head.channel.as_deref() == channel;
-        named && (segment.is_none() || record.segment == segment)
-    };
-    let mut selection: Vec<usize> = (0..records.len()).filter(|&i| wanted(&records[i])).collect();
-    // Next to exposures, an average is the instrument's own of them (a summary frame), and no exposure.
-    if selection.iter().any(|&i| records[i].head.kind == Kind::Waveform) {
-        selection.retain(|&i| records[i].head.kind != Kind::Average);
-    }
-    match segment {
-        Some(segment) if selection.is_empty() => Err(format!("has no segment {segment}")),
-        _ => Ok(selection),
+
+    /// Records of one channel (the only one, where none is named), or of one segment of it.
+    fn select(&self, records: &[Record], channel: Option<&str>, segment: Option<u32>) -> Result<Vec<usize>, String> {
+        let has = |channel: &&str| self.channels.iter().any(|other| other == channel);
+        if let Some(channel) = channel.filter(|channel| !self.channels.is_empty() && !has(channel)) {
+            return Err(format!(
+                "has no channel `{channel}`; it has {}: correct `channel` or `reference` in its [[captures]] rule",
+                self.channels.join(", ")
+            ));
+        }
+        if channel.is_none() && self.channels.len() > 1 {
+            return Err(format!(
+                "holds channels {}; say which with `channel = \"...\"` in its [[captures]] rule",
+                self.channels.join(", ")
+            ));
+        }
+        let wanted = |&i: &usize| {
+            let of = records[i].head.channel.as_deref();
+            channel.is_none() || of.is_none() || of == channel
+        };
+        let mut selection: Vec<usize> = match segment {
+            Some(segment) => {
+                let from = self.segments.partition_point(|(other, _)| *other < segment);
+                let of_segment = self.segments[from..].iter().take_while(|(other, _)| *other == segment);
+                of_segment.map(|(_, i)| *i).filter(wanted).collect()
+            }
+            None => (0..records.len()).filter(wanted).collect(),
+        };
+        // Next to exposures, an average is the instrument's own of them (a summary frame), and no exposure.
+        if selection.iter().any(|&i| records[i].head.kind == Kind::Waveform) {
+            selection.retain(|&i| records[i].head.kind != Kind::Average);
+        }
+        match segment {
+            Some(segment) if selection.is_empty() => Err(format!("has no segment {segment}")),
+            _ => Ok(selection),
+        }
     }
 }
 
@@ -204,17 +243,52 @@ mod tests {
     use super::*;
     use crate::waveform::{CodeType, Payload};
 
-    #[test]
-    fn an_average_beside_its_exposures_is_none_of_them() {
-        let record = |kind: Kind, segment: u32| Record {
-            head: Arc::new(Head { kind, ..Head::new("tek-wfm", CodeType::I8, 4) }),
+    fn record(channel: Option<&str>, kind: Kind, segment: u32) -> Record {
+        let head = Head::new("tek-wfm", CodeType::I8, 4);
+        Record {
+            head: Arc::new(Head { kind, channel: channel.map(Into::into), ..head }),
             segment: Some(segment),
             t0_s: None,
             trigger_s: None,
             payload: Payload::Decoded([0; 4].as_slice().into()),
-        };
+        }
+    }
+
+    fn select(records: &[Record], channel: Option<&str>, segment: Option<u32>) -> Result<Vec<usize>, String> {
+        Index::new(records).select(records, channel, segment)
+    }
+
+    #[test]
+    fn an_average_beside_its_exposures_is_none_of_them() {
+        let record = |kind: Kind, segment: u32| record(None, kind, segment);
         let frames = [record(Kind::Waveform, 0), record(Kind::Waveform, 1), record(Kind::Average, 2)];
         assert_eq!(select(&frames, None, None).unwrap(), [0, 1]);
         assert_eq!(select(&frames[2..], None, None).unwrap(), [0], "alone, it is the exposure");
+    }
+
+    /// Segments in no order, two channels, one summary: as a look through all records has it.
+    #[test]
+    fn records_of_a_segment_are_those_that_a_look_through_all_gives() {
+        let of = |n: u32| {
+            let (segment, channel) = (n * 7 % 30 / 2, if n.is_multiple_of(3) { "C2" } else { "C1" });
+            record(Some(channel), if n == 4 { Kind::Average } else { Kind::Waveform }, segment)
+        };
+        let records: Vec<Record> = (0..30).map(of).collect();
+        for channel in ["C1", "C2"] {
+            for segment in 0..16 {
+                let is_wanted = |i: &usize| {
+                    records[*i].segment == Some(segment) && records[*i].head.channel.as_deref() == Some(channel)
+                };
+                let mut all: Vec<usize> = (0..records.len()).filter(is_wanted).collect();
+                if all.iter().any(|&i| records[i].head.kind == Kind::Waveform) {
+                    all.retain(|&i| records[i].head.kind == Kind::Waveform);
+                }
+                let selection = select(&records, Some(channel), Some(segment));
+                assert_eq!(selection.unwrap_or_default(), all, "{channel}, segment {segment}");
+            }
+        }
+        assert!(select(&records, Some("C1"), Some(99)).unwrap_err().contains("no segment 99"));
+        assert!(select(&records, Some("C3"), None).unwrap_err().contains("C1, C2"));
+        assert!(select(&records, None, None).unwrap_err().contains("say which"));
     }
 }
