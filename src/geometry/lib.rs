@@ -75,6 +75,7 @@
 //! | [`association`], [`labelling`] | which path made which arrival |
 //! | [`hidden`], [`faint`] | patches that no first bounce reaches |
 //! | [`joint`] | small hidden things from all photon histograms of a wall together |
+//! | [`first_return`] | points of hidden surfaces, with normals, from the first light at each point of a wall |
 //! | [`mirror`], [`bistatic`] | scenes behind a diffuser, source and sensor apart |
 //! | [`companion`] | light of other paths that an onset does not resolve |
 //! | [`planes`], [`frame`], [`procrustes`], [`ellipsoid`], [`footprint`] | what positions say, and in which frame |
@@ -106,6 +107,7 @@ pub mod detours;
 pub mod ellipsoid;
 mod failure;
 pub mod faint;
+pub mod first_return;
 pub mod footprint;
 pub mod frame;
 pub mod hidden;

@@ -33,6 +33,7 @@ pub mod stages {
         deconvolve = "stages/deconvolve.md";
         detect = "stages/detect.md";
         embed = "stages/embed.md";
+        first_returns = "stages/first_returns.md";
         image = "stages/image.md";
         import = "stages/import.md";
         ingest = "stages/ingest.md";

@@ -10,7 +10,9 @@ use super::calibration::{Calibrated, Sensors};
 use super::campaign_fields::{Medium, StationPositions};
 use super::sensor_range::SensorRange;
 use crate::campaign::{Campaign, keys};
+use crate::cancel::Cancel;
 use crate::geometry::Point;
+use crate::geometry::joint::{Noise, Pulse, WallSum};
 use crate::signal::image::foreground;
 use crate::signal::image::gate::gate;
 use crate::signal::response::Response;
@@ -184,6 +186,11 @@ impl<'a> Histogram<'a> {
         Some(Self { lit, seen, first_ps: waveform.first_ps - fields.medium.time_ps(legs_m), gate_ps, waveform })
     }
 
+    /// The lit and the seen patch.
+    pub fn pair(&self) -> [PatchId; 2] {
+        [self.waveform.lit, self.waveform.seen]
+    }
+
     /// Width of a bin.
     pub fn dt_ps(&self) -> f64 {
         self.waveform.dt_ps
@@ -314,4 +321,29 @@ pub fn sum(histograms: &[Histogram<'_>], [start_ps, end_ps]: [f64; 2]) -> (Vec<f
         variance.iter_mut().zip(&variances).for_each(|(sum, value)| *sum += value);
     }
     (sum, variance)
+}
+
+/// The response in bins of `bin_m` of the wall's own light, where the histograms of a confocal scan begin with it.
+/// Unless the gate is given, it moves on to where the wall's light is no more than its tail.
+pub fn first_bounce(
+    histograms: &[Histogram<'_>],
+    times: &mut Times,
+    (medium, bin_m): (Medium, f64),
+    cancel: &Cancel,
+) -> Option<Pulse> {
+    let first = histograms.first().filter(|_| histograms.iter().all(Histogram::is_confocal))?;
+    let (dt_ps, width_ps) = (first.dt_ps(), first.width_ps());
+    let start_ps = histograms.iter().map(|one| one.first_ps).fold(f64::NEG_INFINITY, f64::max);
+    let (sum, variances) = sum(histograms, [start_ps, times.end_ps]);
+    let variance = variances.iter().sum::<f64>() / variances.len().max(1) as f64;
+    let is_counts = histograms.iter().all(Histogram::is_counts);
+    let noise = if is_counts { Noise::Counts } else { Noise::Gauss { sd: variance.sqrt() } };
+    let gate = ((times.gate_ps - start_ps) / dt_ps).round() as usize;
+    let [first_m, step_m, width_m] = [start_ps, dt_ps, width_ps].map(|time_ps| medium.path_m(time_ps));
+    let mut wall = WallSum { sum: &sum, first_m, step_m, gate, width_m, noise };
+    if !times.is_given {
+        wall.gate = wall.clear(cancel);
+        times.gate_ps = start_ps + wall.gate as f64 * dt_ps;
+    }
+    wall.pulse(bin_m)
 }

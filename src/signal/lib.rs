@@ -48,6 +48,7 @@
 //! | [`sparse`] | deconvolution into pulses by maximum likelihood, for volts and for photon counts |
 //! | [`wiener`] | deconvolution in the frequency domain |
 //! | [`onset`], [`pulse_fit`], [`between`] | classical timing; one pulse; whether a third stands between two |
+//! | [`edge`] | when the light of an extended hidden thing begins |
 //! | [`image`] | images of hidden surfaces: light-cone transform, f-k migration, back-projection |
 //! | [`regression`], [`spline_fit`], [`tails`], [`fft`] | the mathematics that they share |
 //!
@@ -73,6 +74,7 @@ pub mod codes;
 pub mod dark;
 pub mod drift;
 pub mod echo;
+pub mod edge;
 mod failure;
 pub mod fft;
 pub mod fold;

@@ -18,14 +18,15 @@
 //! | vertical ranges | onsets by range |
 //! | hidden things, response, gate | `searches`: the verdict of `locate` |
 //! | image | `images`: how far the brightest voxel exceeds noise |
+//! | surface | `surface`: the points of `first_returns`, where light is that of an extended object |
 //!
 //! A fit whose residuals are larger than chance makes them is `not explained`: `refine` has then made all standard
 //! deviations larger (`fits.misfit`), and the first row says by how much.
 //!
 //! Takes `patches`; writes `decisions`. Beside it, of a solution from onsets: `fits`, `ambiguities` and `footprints`
 //! (of the same `refine`), `labels` and `onsets`, `hypotheses` and `scenes` (of the same `label`), `weak` (of `search`)
-//! and `planes`. Of a relay wall: `searches` (of `locate`) and `images` (of `image`). One of `fits` and `searches` is
-//! needed.
+//! and `planes`. Of a relay wall: `searches` (of `locate`), `images` (of `image`) and `surface` (of
+//! `first_returns`). One of `fits` and `searches` is needed.
 //!
 //! ```toml
 //! [decisions]
@@ -52,7 +53,7 @@ use crate::campaign::Campaign;
 use crate::geometry::maximum_likelihood;
 use crate::tables::{
     Ambiguity, Decision, Fit, Hypothesis, Image, JointSearch, Label, Name, ONSET_KINDS, Onset, Patch, PatchFootprint,
-    Plane, SceneOdds,
+    Plane, SceneOdds, SurfacePoint,
 };
 
 /// Parameters of `conclude`: none.
@@ -77,11 +78,13 @@ pub struct Context {
     weak: Option<Vec<Hypothesis>>,
     searches: Vec<JointSearch>,
     images: Vec<Image>,
+    /// Of `first_returns`; `None` where it did not run.
+    surface: Option<Vec<SurfacePoint>>,
 }
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },
@@ -95,6 +98,7 @@ impl Stage for Conclude {
         Beside { name: "weak", table: "hypotheses", required: false },
         Beside { name: "searches", table: "searches", required: false },
         Beside { name: "images", table: "images", required: false },
+        Beside { name: "surface", table: "surface_points", required: false },
     ];
     type Input = Patch;
     type Output = Decision;
@@ -123,6 +127,7 @@ impl Stage for Conclude {
             weak: beside.rows("weak")?,
             searches: searches.unwrap_or_default(),
             images: beside.rows("images")?.unwrap_or_default(),
+            surface: beside.rows("surface")?,
         })
     }
 }
@@ -134,7 +139,7 @@ impl Apply for Conclude {
             return Ok(Outcome::rows(Vec::new()));
         }
         let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
-        let mut decisions = relay_wall::decisions(&context.searches, &context.images);
+        let mut decisions = relay_wall::decisions(&context.searches, &context.images, context.surface.as_deref());
         if context.is_from_onsets {
             decisions.extend(context.onset_decisions(&best));
         }

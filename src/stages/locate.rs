@@ -34,7 +34,7 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side,
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::joint::{self, Noise, Problem, Pulse, Verdict, WallSum, joint_search};
+use crate::geometry::joint::{self, Noise, Problem, Pulse, Verdict, joint_search};
 use crate::parameter::{NonNegative, Positive, Share};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, HiddenPatches, Medium};
@@ -160,8 +160,8 @@ impl Locate {
         };
         let medium = fields.wall.medium;
         let binning = Binning::new(first, medium);
-        let is_given = times.is_given;
-        let wall = binning.first_bounce(histograms, &mut times, is_given, &context.cancel);
+        let lengths = (medium, binning.bin_m());
+        let wall = relay_histograms::first_bounce(histograms, &mut times, lengths, &context.cancel);
         let wall = wall.filter(|_| self.response != Source::Calibration);
         if wall.is_none() && self.response == Source::Wall {
             return Err(StageError::Refused(
@@ -284,34 +284,6 @@ impl Binning {
         let count = ((last_ps - first_ps) / step_ps).ceil() as usize + 1;
         let values: Vec<f64> = (0..count).map(|n| response.value(first_ps + n as f64 * step_ps).max(0.0)).collect();
         Pulse::new(self.medium.path_m(first_ps), self.medium.path_m(step_ps), &values, self.bin_m())
-    }
-
-    /// The response of the wall's own light, where the histograms begin with it. The gate moves on to where the wall's
-    /// light is no more than its tail.
-    fn first_bounce(
-        &self,
-        histograms: &[Histogram<'_>],
-        times: &mut Times,
-        is_given: bool,
-        cancel: &Cancel,
-    ) -> Option<Pulse> {
-        if !histograms.iter().all(Histogram::is_confocal) {
-            return None;
-        }
-        let start_ps = histograms.iter().map(|one| one.first_ps).fold(f64::NEG_INFINITY, f64::max);
-        let (sum, variances) = relay_histograms::sum(histograms, [start_ps, times.end_ps]);
-        let variance = variances.iter().sum::<f64>() / variances.len().max(1) as f64;
-        let is_counts = histograms.iter().all(Histogram::is_counts);
-        let noise = if is_counts { Noise::Counts } else { Noise::Gauss { sd: variance.sqrt() } };
-        let gate = ((times.gate_ps - start_ps) / self.dt_ps).round() as usize;
-        let lengths_m = [start_ps, self.dt_ps, self.width_ps].map(|time_ps| self.medium.path_m(time_ps));
-        let [first_m, step_m, width_m] = lengths_m;
-        let mut wall = WallSum { sum: &sum, first_m, step_m, gate, width_m, noise };
-        if !is_given {
-            wall.gate = wall.clear(cancel);
-            times.gate_ps = start_ps + wall.gate as f64 * self.dt_ps;
-        }
-        wall.pulse(self.bin_m())
     }
 }
 

@@ -8,6 +8,7 @@ pub mod conclude;
 pub mod deconvolve;
 pub mod detect;
 pub mod embed;
+pub mod first_returns;
 pub mod image;
 pub mod import;
 pub mod ingest;
@@ -97,7 +98,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 21] = [
+pub const KINDS: [&str; 22] = [
     "ingest",
     "anchor",
     "calibrate",
@@ -115,6 +116,7 @@ pub const KINDS: [&str; 21] = [
     "search",
     "image",
     "locate",
+    "first_returns",
     "surface",
     "triangulate",
     "conclude",
@@ -155,6 +157,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "search" => operator::<search::Search>(params),
         "image" => operator::<image::MakeImage>(params),
         "locate" => operator::<locate::Locate>(params),
+        "first_returns" => operator::<first_returns::FirstReturns>(params),
         "surface" => operator::<surface::Surface>(params),
         "triangulate" => operator::<triangulate::Triangulate>(params),
         "conclude" => operator::<conclude::Conclude>(params),

@@ -24,6 +24,7 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "images" => &["method"],
         "volumes" => &["grid_row"],
         "searches" => &["verdict"],
+        "surface_points" => &["lit", "seen"],
         "decisions" => &["decision"],
         "stations" => &["campaign", "station"],
         "fits" | "scenes" => &["alternative"],

@@ -23,6 +23,7 @@ pub mod session;
 pub mod solution;
 pub mod stir;
 pub mod subtotals;
+pub mod surface_points;
 pub mod traces;
 pub mod truth;
 pub mod voxels;
@@ -51,6 +52,7 @@ pub use session::Session;
 pub use solution::{Ambiguity, Delay, Fit, ONSET_KINDS, Residual, Station, Suspect};
 pub use stir::{Impulse, ImpulsePair, Stir};
 pub use subtotals::Subtotal;
+pub use surface_points::SurfacePoint;
 pub use traces::Trace;
 pub use truth::{TrueCapture, TrueCentroid, TruePath};
 pub use voxels::{Image, VolumeRow, Voxel};
@@ -82,6 +84,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Image>(),
         of::<VolumeRow>(),
         of::<JointSearch>(),
+        of::<SurfacePoint>(),
         of::<Distance>(),
         of::<Covariance>(),
         of::<Patch>(),

@@ -16,6 +16,7 @@ mod diff;
 mod explain;
 mod failures;
 mod faint;
+mod first_returns;
 mod formats;
 mod guide;
 mod hidden;

@@ -74,7 +74,7 @@ impl Default for Capture {
 }
 
 /// The response, with a sum of 1 over picoseconds.
-fn response(after_ps: f64) -> f64 {
+pub fn response(after_ps: f64) -> f64 {
     let tail = if after_ps > 0.0 { 0.06 * (1.0 - (-after_ps / 30.0).exp()) * (-after_ps / 500.0).exp() } else { 0.0 };
     ((-0.5 * (after_ps / SIGMA_PS).powi(2)).exp() + tail) / 92.2
 }
@@ -85,7 +85,7 @@ pub fn gap_m(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 impl Capture {
-    fn wall(&self) -> Vec<[f64; 3]> {
+    pub fn wall(&self) -> Vec<[f64; 3]> {
         let along = |place: usize| (2.0 * place as f64 / (self.side - 1) as f64 - 1.0) * self.half_m;
         (0..self.side * self.side).map(|n| [along(n % self.side), along(n / self.side), 0.0]).collect()
     }
@@ -141,8 +141,15 @@ impl Capture {
 
     /// Writes the scan as its authors' programs do.
     pub fn write(&self, path: &Path, dots: &[Dot]) {
+        let means = self.means(dots);
+        self.write_light(path, |_, at, rates| self.shine(at, dots, &means, rates));
+    }
+
+    /// The same with any hidden light, which is added to the rates of each point of the wall by its number, place and
+    /// shift.
+    pub fn write_light(&self, path: &Path, shine: impl Fn(usize, ([f64; 3], f64), &mut [f64])) {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
-        let (wall, means) = (self.wall(), self.means(dots));
+        let wall = self.wall();
         let jitter = Normal::new(0.0, self.jitter_ps).unwrap();
         let count = wall.len();
         let mut values = vec![0.0; self.bins * count];
@@ -151,7 +158,7 @@ impl Capture {
             let bump_m = self.relief_m * (9.0 * point[0]).sin() * (7.0 * point[1] + 1.0).cos();
             let shift_ps = jitter.sample(&mut rng);
             let mut rates = own.clone();
-            self.shine(([point[0], point[1], bump_m], shift_ps), dots, &means, &mut rates);
+            shine(n, ([point[0], point[1], bump_m], shift_ps), &mut rates);
             self.counted(&mut rates);
             for (bin, rate) in rates.into_iter().enumerate() {
                 values[bin * count + n] = Poisson::new(rate).unwrap().sample(&mut rng);

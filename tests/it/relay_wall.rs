@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use periscope::formats::{self, Source};
 use periscope::report::{Report, page};
 use periscope::store::Shelf;
-use periscope::tables::{Decision, Image, JointSearch, Patch, Row, Voxel};
+use periscope::tables::{Decision, Image, JointSearch, Patch, Row, SurfacePoint, Voxel};
 
 use crate::locate::scene;
 use crate::relay_scene::{FWHM_PS, periscope};
@@ -41,13 +41,18 @@ fn a_letter_is_an_extended_object_with_an_image() {
     let output = run(folder.path(), &["--set", "voxels.volume=true"]);
     let (said, warned) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(warned.contains("pipeline locate: campaign.toml has a relay wall"), "{warned}");
-    let last: Vec<&str> = said.lines().rev().take(4).collect();
-    assert!(last[3].contains("hidden things") && last[3].contains("an extended object"), "{said}");
+    let last: Vec<&str> = said.lines().rev().take(5).collect();
+    assert!(last[4].contains("hidden things") && last[4].contains("an extended object"), "{said}");
+    assert!(last[3].contains("points of a surface with error bars"), "{said}");
     assert!(last[2].contains("voxels brighter than noise"), "{said}");
     let patches: Vec<Patch> = rows(folder.path(), "patches");
     assert!(patches.len() == 64 && patches.iter().all(|patch| &*patch.kind == "visible"), "{}", patches.len());
     let decisions: Vec<Decision> = rows(folder.path(), "decisions");
     assert_eq!(&*decisions[0].what, "hidden things");
+    // First light shows the surface of an extended object.
+    let surface: Vec<SurfacePoint> = rows(folder.path(), "surface");
+    let text = format!("{} points of a surface", surface.len());
+    assert!(!surface.is_empty() && decisions[1].chosen.starts_with(&text), "{}", decisions[1].chosen);
     // The report has the verdict first, and the image where places stand.
     let page = page::page(&Report::of(&folder.path().join("campaign-results")).unwrap());
     let at = |text: &str| page.find(text).unwrap_or_else(|| panic!("{text} is not in the report"));
@@ -80,6 +85,7 @@ fn dots_are_points_in_the_last_lines_of_the_run() {
     assert!(said.contains("hidden things            3 points with error bars, in `patches`"), "{said}");
     let patches: Vec<Patch> = rows(folder.path(), "patches");
     assert_eq!(patches.iter().filter(|patch| &*patch.kind == "hidden").count(), 3);
+    assert_eq!(rows::<SurfacePoint>(folder.path(), "surface"), []);
     let error = Command::new(env!("CARGO_BIN_EXE_periscope"))
         .args(["export", "campaign-results", "volume.npy"])
         .current_dir(folder.path())

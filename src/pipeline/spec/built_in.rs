@@ -29,6 +29,7 @@ built_in!(
     "barcode",
     "barcode-blocked",
     "characterize",
+    "first-returns",
     "image",
     "inter-reflections",
     "locate",

@@ -1,11 +1,13 @@
 //! What a relay wall shows: the verdict of `locate`, and the image beside it.
 
 use super::decision;
-use crate::tables::{Decision, Image, JointSearch};
+use crate::tables::{Decision, Image, JointSearch, SurfacePoint};
 
-/// The verdict, the image, and what both rest on.
-pub(super) fn decisions(searches: &[JointSearch], images: &[Image]) -> Vec<Decision> {
+/// The verdict, the surface, the image, and what these rest on.
+pub(super) fn decisions(searches: &[JointSearch], images: &[Image], points: Option<&[SurfacePoint]>) -> Vec<Decision> {
     let mut decisions: Vec<Decision> = searches.iter().map(verdict).collect();
+    let is_extended = searches.iter().any(|search| &*search.verdict == "extended-object");
+    decisions.extend(points.filter(|_| is_extended).map(surface));
     decisions.extend(images.iter().map(image));
     decisions.extend(searches.iter().flat_map(|search| [response(search), gate(search)]));
     decisions
@@ -34,6 +36,23 @@ fn verdict(search: &JointSearch) -> Decision {
         search.reason, search.histograms, search.largest, search.threshold
     );
     decision("hidden things", &chosen, &evidence, would_change)
+}
+
+/// What first light says of an extended object.
+fn surface(points: &[SurfacePoint]) -> Decision {
+    let of_kind = |kind: &str| points.iter().filter(|point| &*point.kind == kind).count();
+    let mut sds_mm: Vec<f64> = points.iter().map(|point| 1e3 * point.sd_m).collect();
+    sds_mm.sort_by(f64::total_cmp);
+    let chosen = match points.len() {
+        0 => "no surface: first light of neighbouring points of the wall does not agree".to_owned(),
+        count => format!("{count} points of a surface with error bars and normals, in `surface`"),
+    };
+    let kinds = ["smooth", "edge", "corner", "unknown"].map(|kind| format!("{} {kind}", of_kind(kind))).join(", ");
+    let evidence = match sds_mm.get(sds_mm.len() / 2) {
+        Some(sd_mm) => format!("small things do not explain the histograms; {kinds}; median sd {sd_mm:.1} mm"),
+        None => "light rises in too few histograms, or at times that no surface has".to_owned(),
+    };
+    decision("surface", &chosen, &evidence, "more photons, or more points of the wall")
 }
 
 /// How far the image exceeds noise.

@@ -111,6 +111,22 @@ fn the_verdict_of_a_relay_wall_comes_first() {
     assert_eq!(chosen("nothing"), "nothing");
 }
 
+/// First light is asked only where points do not explain what is seen.
+#[test]
+fn the_surface_of_an_extended_object_follows_its_verdict() {
+    let of = |verdict: &str, points: usize| {
+        let search = JointSearch { verdict: verdict.into(), ..JointSearch::default() };
+        let point = SurfacePoint { kind: "smooth".into(), sd_m: 0.002, ..SurfacePoint::default() };
+        let surface = Some(vec![point; points]);
+        let rows = decisions(&Context { searches: vec![search], surface, ..Context::default() });
+        rows.into_iter().find(|row| &*row.what == "surface")
+    };
+    let row = of("extended-object", 3).expect("an extended object has a surface");
+    assert!(row.chosen.starts_with("3 points") && row.evidence.contains("3 smooth") && row.evidence.contains("2.0 mm"));
+    assert!(of("extended-object", 0).is_some_and(|row| row.chosen.starts_with("no surface")));
+    assert_eq!(of("points", 3), None);
+}
+
 /// A weak patch has a row of its own and is not counted twice; less than even odds are no runner-up.
 #[test]
 fn weak_patches_stand_beside_hidden_ones() {

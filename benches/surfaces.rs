@@ -1,0 +1,60 @@
+//! Study: points of hidden surfaces from first light, through files and `run`. Prints the tables of docs/surfaces.md.
+//!
+//! `cargo bench --bench surfaces -- 5 32 1000`: 5 scans of each cell, 32 x 32 points of the wall, seeds from 1000 on;
+//! a fourth number takes scans of so many photons in a mean histogram alone.
+
+#[allow(dead_code, unused_imports, reason = "the tests use more of it")]
+#[path = "../tests/it/first_returns.rs"]
+mod first_returns;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/relay_scene.rs"]
+mod relay_scene;
+
+use first_returns::{Tally, capture, median, tallies, thing};
+
+const THINGS: [&str; 4] = ["sphere", "plate", "box", "sphere and plate"];
+const PHOTONS: [f64; 3] = [300.0, 3000.0, 30_000.0];
+const KINDS: [&str; 3] = ["smooth", "edge", "corner"];
+
+fn main() {
+    let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|arg| arg.parse().ok()).collect();
+    let number = |place: usize, other: u64| numbers.get(place).copied().unwrap_or(other);
+    let (scans, side, first) = (number(0, 5), number(1, 32) as usize, number(2, 1000));
+    let photons = numbers.get(3).map_or(PHOTONS.to_vec(), |photons| vec![*photons as f64]);
+    println!(
+        "| scene | photons | kind | scans | points | 95 % hold (least to most of a scan) | median error (mm) | 95 % of errors below (mm) | median sd (mm) | median turn of the normal (degrees) |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    for kind in THINGS {
+        for photons in &photons {
+            let of_seed = |seed| tallies(&thing(kind, seed), &capture(side, seed), *photons);
+            let scans: Vec<[Tally; 3]> = (first..first + scans).map(of_seed).collect();
+            for (k, name) in KINDS.iter().enumerate() {
+                let of_kind: Vec<&Tally> = scans.iter().map(|one| &one[k]).filter(|one| one.points > 0).collect();
+                print(&format!("{kind} | {photons} | {name}"), &of_kind);
+            }
+        }
+    }
+}
+
+fn print(name: &str, scans: &[&Tally]) {
+    if scans.is_empty() {
+        return;
+    }
+    let all =
+        |values: fn(&Tally) -> &Vec<f64>| -> Vec<f64> { scans.iter().flat_map(|one| values(one)).copied().collect() };
+    let (points, held) = scans.iter().fold((0, 0), |sum, one| (sum.0 + one.points, sum.1 + one.held));
+    let shares = scans.iter().map(|one| one.held as f64 / one.points as f64);
+    let (least, most) = (shares.clone().fold(1.0, f64::min), shares.fold(0.0, f64::max));
+    let mut errors_m = all(|one| &one.errors_m);
+    errors_m.sort_by(f64::total_cmp);
+    println!(
+        "| {name} | {} | {points} | {:.2} ({least:.2} to {most:.2}) | {:.2} | {:.1} | {:.2} | {:.2} |",
+        scans.len(),
+        held as f64 / points as f64,
+        1e3 * median(&errors_m),
+        1e3 * errors_m[errors_m.len() * 95 / 100],
+        1e3 * median(&all(|one| &one.sds_m)),
+        median(&all(|one| &one.angles_rad)).to_degrees(),
+    );
+}

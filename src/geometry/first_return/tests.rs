@@ -1,0 +1,168 @@
+use nalgebra::{Matrix3, Vector3};
+use proptest::prelude::*;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::field::{Covariance, Field, Sample};
+use super::*;
+
+const SIGMA_M: f64 = 7.5e-3;
+
+/// A wall of `side` times `side` points over a metre, with a relief.
+fn wall(side: usize, relief: impl Fn(f64, f64) -> f64) -> Vec<Point> {
+    let at = |n: usize| (n as f64 + 0.5) / side as f64 - 0.5;
+    (0..side * side).map(|n| (at(n % side), at(n / side))).map(|(x, y)| Point::new(x, y, relief(x, y))).collect()
+}
+
+fn sphere(seen: &Point) -> Point {
+    let middle = Point::new(0.05, -0.03, 0.8);
+    middle + (seen - middle).normalize() * 0.2
+}
+
+/// Two planes that meet in a valley at `x = 0`: the nearest point jumps from one to the other.
+fn valley(seen: &Point) -> Point {
+    let foot = |normal: Vector3<f64>| seen + normal * normal.dot(&(Point::new(0.0, 0.0, 0.7) - seen));
+    let sides = [-0.3_f64, 0.3].map(|slope| foot(Vector3::new(slope, 0.0, 1.0).normalize()));
+    if (sides[0] - seen).norm() < (sides[1] - seen).norm() { sides[0] } else { sides[1] }
+}
+
+/// First returns, noise as steps have it, and laws of equal likelihood and length.
+fn scan(wall: &[Point], lit: Option<Point>, surface: impl Fn(&Point) -> Point, sd_m: f64, seed: u64) -> Scan {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut place = |seen: &Point| {
+        let point = surface(seen);
+        let noise: f64 = StandardNormal.sample(&mut random);
+        let length_m = (point - lit.unwrap_or(*seen)).norm() + (point - seen).norm() + sd_m * noise;
+        Place { seen: *seen, returns: [Return { length_m, sd_m, log_likelihood: 0.0 }; 3] }
+    };
+    let places = wall.iter().map(&mut place).collect();
+    Scan { lit, inwards: Vector3::z(), sigma_m: SIGMA_M, places }
+}
+
+/// Share of the points whose ellipsoid of 95 % holds the truth, and the median of their distances from it.
+fn judged(scan: &Scan, surface: impl Fn(&Point) -> Point) -> (f64, f64) {
+    let points = surface_points(scan, &Cancel::never());
+    assert!(points.len() * 10 > scan.places.len() * 9, "{} of {}", points.len(), scan.places.len());
+    let off = |point: &SurfacePoint| point.point - surface(&scan.places[point.place].seen);
+    let holds = |point: &&SurfacePoint| {
+        let root = point.covariance_m2.cholesky().expect("a covariance");
+        off(point).dot(&root.solve(&off(point))) < 7.815
+    };
+    let held = points.iter().filter(holds).count() as f64 / points.len() as f64;
+    let mut offs_m: Vec<f64> = points.iter().map(|point| off(point).norm()).collect();
+    offs_m.sort_by(f64::total_cmp);
+    (held, offs_m[offs_m.len() / 2])
+}
+
+#[test]
+fn a_sphere_is_found_on_a_flat_wall_and_on_one_with_relief() {
+    for (seed, bump_m) in [(1, 0.0), (2, 0.03)] {
+        let wall = wall(32, |x, y| bump_m * (9.0 * x).sin() * (7.0 * y).cos());
+        let (held, median_m) = judged(&scan(&wall, None, sphere, 1.5e-3, seed), sphere);
+        // The law's error is not in these lengths, so that ellipsoids are too large.
+        assert!(held > 0.95 && median_m < 3e-3, "relief {bump_m}: {held}, {median_m} m");
+    }
+}
+
+#[test]
+fn no_field_is_fitted_across_a_valley() {
+    let (held, median_m) = judged(&scan(&wall(32, |_, _| 0.0), None, valley, 1e-3, 3), valley);
+    assert!(held > 0.9 && median_m < 4e-3, "{held}, {median_m} m");
+}
+
+#[test]
+fn a_fixed_lit_point_shows_the_point_that_reflects() {
+    let lit = Point::new(0.3, 0.2, 0.0);
+    let plane = |seen: &Point| {
+        let normal = Vector3::new(0.2, -0.1, 1.0).normalize();
+        let height = |point: &Point| normal.dot(&(Point::new(0.0, 0.0, 0.6) - point));
+        let image = lit + normal * (2.0 * height(&lit));
+        image + (seen - image) * (height(&lit) / (height(&lit) + height(seen)))
+    };
+    let scan = scan(&wall(32, |_, _| 0.0), Some(lit), plane, 1e-3, 4);
+    let (held, median_m) = judged(&scan, plane);
+    assert!(held > 0.95 && median_m < 3e-3, "{held}, {median_m} m");
+    let normal = -Vector3::new(0.2, -0.1, 1.0).normalize();
+    let middle = surface_points(&scan, &Cancel::never()).into_iter().find(|point| point.place == 16 * 32 + 16).unwrap();
+    assert!(middle.normal.angle(&normal) < 0.02, "{middle:?}");
+}
+
+#[test]
+fn edges_and_spheres_are_told_apart() {
+    let edge = |seen: &Point| Point::new(0.9, seen.y, 0.5);
+    for (surface, kind) in [(&edge as &dyn Fn(&Point) -> Point, Kind::Edge), (&sphere, Kind::Smooth)] {
+        let mut scan = scan(&wall(32, |_, _| 0.0), None, surface, 2e-4, 5);
+        scan.sigma_m = 1e-4;
+        let points = surface_points(&scan, &Cancel::never());
+        let [right, sure] = [&[kind][..], &[Kind::Smooth, Kind::Edge, Kind::Corner]]
+            .map(|kinds| points.iter().filter(|point| kinds.contains(&point.kind)).count());
+        assert!(right * 20 > sure * 19 && right * 2 > points.len(), "{kind:?}: {right} of {sure}, {}", points.len());
+    }
+}
+
+#[test]
+fn too_few_places_have_no_points() {
+    assert_eq!(surface_points(&scan(&wall(3, |_, _| 0.0), None, sphere, 1e-3, 6), &Cancel::never()), []);
+}
+
+#[test]
+fn the_error_of_the_law_spreads_as_a_sum_over_all_pairs() {
+    let zone_m = 0.3;
+    let places = wall(6, |_, _| 0.0);
+    let sample = |at: &Point| Sample { at: *at, length_m: (at - sphere(at)).norm(), sd_m: 1e-3, law_m: 2e-3 };
+    let samples: Vec<Sample> = places.iter().map(sample).collect();
+    let members: Vec<u32> = (0..36).collect();
+    let field = Field::new(&samples[14], -Vector3::z()).fit(&samples, &members, zone_m).unwrap();
+    let mut naive = Covariance::zeros();
+    for a in &samples {
+        for b in &samples {
+            let apart = (a.at - b.at) - field.direction * field.direction.dot(&(a.at - b.at));
+            let correlation = (-0.5 * apart.norm_squared() / (zone_m * zone_m)).exp();
+            let weight = correlation * a.law_m * b.law_m / (a.sd_m * b.sd_m).powi(2);
+            naive += field.length(&a.at).1 * field.length(&b.at).1.transpose() * weight;
+        }
+    }
+    let naive = field.noise * naive * field.noise;
+    for k in 0..3 {
+        let ratio = field.law[(k, k)] / naive[(k, k)];
+        assert!((0.8..1.25).contains(&ratio), "{k}: {ratio}");
+    }
+}
+
+#[test]
+fn covariances_are_those_of_repeated_noise() {
+    let places = wall(6, |_, _| 0.0);
+    let members: Vec<u32> = (0..36).collect();
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let (mut sum, mut stated) = (Matrix3::zeros(), Matrix3::zeros());
+    for _ in 0..400 {
+        let mut sample = |at: &Point| {
+            let noise: f64 = StandardNormal.sample(&mut random);
+            Sample { at: *at, length_m: (at - sphere(at)).norm() + 1e-4 * noise, sd_m: 1e-4, law_m: 0.0 }
+        };
+        let samples: Vec<Sample> = places.iter().map(&mut sample).collect();
+        let field = Field::new(&samples[14], -Vector3::z()).fit(&samples, &members, 0.1).unwrap();
+        let off = field.reading(None).0 - sphere(&places[14]);
+        sum += off * off.transpose() / 400.0;
+        stated += field.covariances(None, &field.noise)[0] / 400.0;
+    }
+    // Variances over 400 draws have a standard deviation of 7 %.
+    for k in 0..3 {
+        assert!((0.75..1.3).contains(&(sum[(k, k)] / stated[(k, k)])), "{k}: {sum} {stated}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn neighbours_are_the_nearest(points in prop::collection::vec((-1.0..1.0, -0.3..0.3, -0.1..0.1), 30..80)) {
+        let points: Vec<Point> = points.into_iter().map(|(x, y, z)| Point::new(x, y, z)).collect();
+        let lists = windows::neighbours(&points, 7, &Cancel::never());
+        for (n, list) in lists.iter().enumerate() {
+            let mut naive: Vec<(f64, u32)> =
+                points.iter().zip(0..).map(|(point, k)| ((point - points[n]).norm_squared(), k)).collect();
+            naive.sort_by(|a, b| a.partial_cmp(b).unwrap());
+            prop_assert_eq!(list, &naive[..7].iter().map(|one| one.1).collect::<Vec<u32>>());
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! `first_returns`: points of hidden surfaces, with covariances and normals, from the first light at a relay wall.
+//!
+//! A surface returns light from its nearest point on. When that begins is timed in each histogram
+//! ([`crate::signal::edge`]), and neighbouring points of the wall together give place, normal and curvature of the
+//! surface ([`crate::geometry::first_return`]). Times of first light are not onsets of `detect`: a histogram of a
+//! surface rises once and falls slowly, and the law of the rise is known only from its neighbours. So the stage takes
+//! all histograms together.
+//!
+//! Response and gate are those of `locate`: where a confocal scan begins with the light of the wall, that light shows
+//! the response with its tail.
+//!
+//! With `searches` of `locate` beside it, the stage writes points only where the verdict is an extended object: where
+//! points explain the light, or nothing is there, there is no surface to be told.
+//!
+//! Takes `patches` (of `anchor` or `refine`: points of the wall), `profiles` and `calibration`. Confocal captures are
+//! one scan; of the others, each lit point with 16 seen points or more is a scan of its own. Writes `surface_points`.
+//! Captures of other roles than scene, and of patches without a place, are left out.
+//!
+//! Not modelled: later returns, errors of the wall's places, noise of voltages that is correlated from sample to sample
+//! (it makes standard deviations too small).
+//!
+//! ```toml
+//! [surface]
+//! stage = "first_returns"
+//! from = "anchors"
+//! with = { profiles = "profiles", calibration = "calibration" }
+//! ```
+
+use std::collections::BTreeMap;
+
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
+use crate::campaign::Campaign;
+use crate::cancel::Cancel;
+use crate::geometry::Point;
+use crate::geometry::first_return::{self, Kind, LEAST, Place, Return, Scan, surface_points, wall_normal};
+use crate::parameter::{NonNegative, Positive};
+use crate::priors::calibration::Sensors;
+use crate::priors::campaign_fields::{ByCampaign, Medium};
+use crate::priors::relay_histograms::{self, Fields, Histogram, Times, Waveforms};
+use crate::signal::edge::{self, Bins, Noise, Rises};
+use crate::tables::{JointSearch, Patch, SurfacePoint};
+use crate::units::PatchId;
+
+/// Samples of the response across its width.
+const SAMPLES: f64 = 40.0;
+/// Widths of the response before its arrival, and behind it, that are sampled: an onset's window ends there.
+const REACH: [f64; 2] = [3.0, 5.0];
+
+/// Parameters of `first_returns`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FirstReturns {
+    /// Standard deviations by which light rises at its first return.
+    threshold_sigma: Positive,
+    /// Which response is taken.
+    response: Source,
+    /// Time over the hidden surface from which on light counts, in place of the gate that the histograms show.
+    gate_ps: Option<NonNegative>,
+}
+
+/// Where the response comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Source {
+    Auto,
+    Calibration,
+}
+
+impl Default for FirstReturns {
+    fn default() -> Self {
+        Self { threshold_sigma: Positive::new(5.0), response: Source::Auto, gate_ps: None }
+    }
+}
+
+/// Campaigns, the light of each capture, and what `locate` said.
+pub struct Context {
+    fields: ByCampaign<Fields>,
+    waveforms: Waveforms,
+    searches: Option<Vec<JointSearch>>,
+    cancel: Cancel,
+}
+
+impl Stage for FirstReturns {
+    const KIND: &'static str = "first_returns";
+    const VERSION: u32 = 1;
+    const GRAIN: Grain = Grain::All;
+    const BESIDE: &'static [Beside] = &[
+        Beside { name: "profiles", table: "profiles", required: true },
+        Beside { name: "calibration", table: "calibration", required: true },
+        Beside { name: "searches", table: "searches", required: false },
+    ];
+    const SIDES: &'static [Side] = &[];
+    type Input = Patch;
+    type Output = SurfacePoint;
+    type Fields = ByCampaign<Fields>;
+    type Context = Context;
+
+    fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
+        ByCampaign::new(campaigns, |campaign| Fields::from(campaign))
+    }
+
+    fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
+        let sensors = Sensors::new(&beside.rows("calibration")?.unwrap_or_default());
+        let waveforms = Waveforms::new(beside.batches("profiles"), &sensors)?;
+        Ok(Context { fields, waveforms, searches: beside.rows("searches")?, cancel: beside.cancel.clone() })
+    }
+}
+
+impl Apply for FirstReturns {
+    fn apply(&self, context: &Context, group: Vec<Patch>) -> Result<Outcome<SurfacePoint>, StageError> {
+        let is_extended = |searches: &Vec<JointSearch>| searches.iter().any(|one| &*one.verdict == "extended-object");
+        if !context.searches.as_ref().is_none_or(is_extended) {
+            return Ok(Outcome::rows(Vec::new()));
+        }
+        let best = group.iter().filter(|patch| patch.alternative == 0);
+        let points: BTreeMap<PatchId, Point> =
+            best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
+        let histograms: Vec<Histogram<'_>> = context
+            .waveforms
+            .calibrated
+            .iter()
+            .filter_map(|waveform| Histogram::new(waveform, &points, |campaign| context.fields.get(campaign)))
+            .collect();
+        let (rows, why) = match self.points(context, &histograms) {
+            Ok(rows) => (rows, None),
+            Err(why) => (Vec::new(), Some(why)),
+        };
+        let rejections = why.map(|why| Rejection::new(context.fields.first_name(), why)).into_iter().collect();
+        Ok(Outcome { rows, sides: Vec::new(), rejections })
+    }
+}
+
+impl FirstReturns {
+    /// Points of all scans; or why there are none.
+    fn points(&self, context: &Context, histograms: &[Histogram<'_>]) -> Result<Vec<SurfacePoint>, String> {
+        let Some((first, fields)) = histograms.first().zip(context.fields.first()) else {
+            return Err("no capture of the scene has a calibration and places of its patches".to_owned());
+        };
+        let medium = fields.medium;
+        let mut times = Times::new(histograms, self.gate_ps.map(NonNegative::get))?;
+        let rises = self.rises(first, relay(histograms, &mut times, (medium, first.dt_ps()), &context.cancel));
+        let walls: Vec<Point> = histograms.iter().flat_map(|one| [one.lit, one.seen]).collect();
+        let Some(inwards) = wall_normal(&walls, &fields.stations.source()) else {
+            return Err("the points of the wall lie in one line; a surface needs points that span a plane".to_owned());
+        };
+        let groups = scans(histograms);
+        if groups.is_empty() {
+            return Err(format!(
+                "a scan needs {LEAST} seen points or more, lit themselves or with one lit point; there is none"
+            ));
+        }
+        let mut rows = Vec::new();
+        for (lit, members) in groups {
+            let timed: Vec<(&Histogram<'_>, Place)> = members
+                .into_par_iter()
+                .filter_map(|one| {
+                    context.cancel.check();
+                    Some((one, self.place(one, &times, &rises, medium)?))
+                })
+                .collect();
+            let places = timed.iter().map(|(_, place)| *place).collect();
+            let scan = Scan { lit, inwards, sigma_m: medium.path_m(rises.sigma_ps()), places };
+            let points = surface_points(&scan, &context.cancel);
+            rows.extend(points.iter().map(|point| row(point, timed[point.place].0.pair())));
+        }
+        Ok(rows)
+    }
+
+    /// The beginnings of light behind the response: that of the wall's own light, else that of the calibration.
+    fn rises(&self, first: &Histogram<'_>, wall: Option<Vec<f64>>) -> Rises {
+        let width_ps = first.width_ps();
+        let [first_ps, step_ps] = grid(width_ps);
+        if let Some(values) = wall.filter(|_| self.response == Source::Auto) {
+            // The wall's light is already averaged over bins.
+            return Rises::new([first_ps, step_ps], &values, [width_ps, step_ps]);
+        }
+        let (support_ps, end_ps) = first.response().support_ps();
+        let count = ((end_ps - support_ps) / step_ps).ceil() as usize + 1;
+        let value = |n: usize| first.response().value(support_ps + n as f64 * step_ps).max(0.0);
+        let values: Vec<f64> = (0..count).map(value).collect();
+        Rises::new([support_ps, step_ps], &values, [width_ps, first.dt_ps()])
+    }
+
+    /// The first return of a histogram; `None` where light does not rise.
+    fn place(&self, histogram: &Histogram<'_>, times: &Times, rises: &Rises, medium: Medium) -> Option<Place> {
+        let (first_ps, values) = histogram.behind(times);
+        let noise = match histogram.noise() {
+            None => Noise::Counts,
+            Some((variance, _)) if variance > 0.0 => Noise::Gauss { sd: variance.sqrt() },
+            Some(_) => return None,
+        };
+        let bins = Bins { first_ps, dt_ps: histogram.dt_ps(), values: &values, noise };
+        let start_ps = edge::first_rise(&bins, rises.sigma_ps(), self.threshold_sigma.get())?;
+        let returns = edge::fit(&bins, rises, start_ps)?.map(|one| Return {
+            length_m: medium.path_m(one.time_ps),
+            sd_m: medium.path_m(one.sd_ps),
+            log_likelihood: one.log_likelihood,
+        });
+        Some(Place { seen: histogram.seen, returns })
+    }
+}
+
+/// First time and step at which a response is sampled.
+fn grid(width_ps: f64) -> [f64; 2] {
+    [-REACH[0] * width_ps, width_ps / SAMPLES]
+}
+
+/// The response of the wall's own light, sampled, where the histograms begin with it; the gate moves on behind it.
+fn relay(
+    histograms: &[Histogram<'_>],
+    times: &mut Times,
+    (medium, dt_ps): (Medium, f64),
+    cancel: &Cancel,
+) -> Option<Vec<f64>> {
+    let pulse = relay_histograms::first_bounce(histograms, times, (medium, medium.path_m(dt_ps)), cancel)?;
+    let width_ps = histograms.first()?.width_ps();
+    let [first_ps, step_ps] = grid(width_ps);
+    let count = ((REACH[0] + REACH[1]) * width_ps / step_ps) as usize;
+    Some((0..count).map(|n| pulse.at(medium.path_m(first_ps + n as f64 * step_ps)).max(0.0)).collect())
+}
+
+/// Confocal captures, then those of each lit point with enough of them.
+fn scans<'h, 'a>(histograms: &'h [Histogram<'a>]) -> Vec<(Option<Point>, Vec<&'h Histogram<'a>>)> {
+    let confocal: Vec<&Histogram<'a>> = histograms.iter().filter(|one| one.is_confocal()).collect();
+    let mut apart: BTreeMap<PatchId, Vec<&Histogram<'a>>> = BTreeMap::new();
+    for one in histograms.iter().filter(|one| !one.is_confocal()) {
+        apart.entry(one.pair()[0]).or_default().push(one);
+    }
+    let mut scans = vec![(None, confocal)];
+    scans.extend(apart.into_values().map(|group| (Some(group[0].lit), group)));
+    scans.retain(|(_, group)| group.len() >= LEAST);
+    scans
+}
+
+fn row(point: &first_return::SurfacePoint, [lit, seen]: [PatchId; 2]) -> SurfacePoint {
+    let upper = |matrix: &Matrix3<f64>| {
+        [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|place: (usize, usize)| matrix[place])
+    };
+    let [cov_xx_m2, cov_xy_m2, cov_xz_m2, cov_yy_m2, cov_yz_m2, cov_zz_m2] = upper(&point.covariance_m2);
+    let [normal_cov_xx, normal_cov_xy, normal_cov_xz, normal_cov_yy, normal_cov_yz, normal_cov_zz] =
+        upper(&point.normal_covariance);
+    let kind = match point.kind {
+        Kind::Smooth => "smooth",
+        Kind::Edge => "edge",
+        Kind::Corner => "corner",
+        Kind::Unknown => "unknown",
+    };
+    SurfacePoint {
+        lit,
+        seen,
+        x_m: point.point.x,
+        y_m: point.point.y,
+        z_m: point.point.z,
+        cov_xx_m2,
+        cov_xy_m2,
+        cov_xz_m2,
+        cov_yy_m2,
+        cov_yz_m2,
+        cov_zz_m2,
+        sd_m: point.covariance_m2.trace().sqrt(),
+        normal_x: point.normal.x,
+        normal_y: point.normal.y,
+        normal_z: point.normal.z,
+        normal_cov_xx,
+        normal_cov_xy,
+        normal_cov_xz,
+        normal_cov_yy,
+        normal_cov_yz,
+        normal_cov_zz,
+        kind: kind.into(),
+        curvature_max_per_m: point.curvatures_per_m.map(|[most, _]| most),
+        curvature_min_per_m: point.curvatures_per_m.map(|[_, least]| least),
+        wall_points: point.places as i32,
+        misfit: point.misfit,
+    }
+}

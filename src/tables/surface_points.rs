@@ -1,0 +1,63 @@
+//! Table `surface_points`: points of hidden surfaces, from the first light at each point of a wall.
+
+use super::cell::Name;
+use crate::table;
+
+table! {
+    /// The point of a hidden surface whose light comes first to a pair of points of the wall. Errors of neighbouring
+    /// points are common in part: a mean over them is less sure than their number says.
+    "surface_points": SurfacePoint, SurfacePointColumns {
+        /// Lit patch of the wall.
+        lit: i32,
+        /// Seen patch of the wall.
+        seen: i32,
+        /// Position, x, in the frame of the patches.
+        x_m: f64,
+        /// Position, y.
+        y_m: f64,
+        /// Position, z.
+        z_m: f64,
+        /// Covariance of the position, x with x: noise, the law of first light, bias of the window.
+        cov_xx_m2: f64,
+        /// Covariance of the position, x with y.
+        cov_xy_m2: f64,
+        /// Covariance of the position, x with z.
+        cov_xz_m2: f64,
+        /// Covariance of the position, y with y.
+        cov_yy_m2: f64,
+        /// Covariance of the position, y with z.
+        cov_yz_m2: f64,
+        /// Covariance of the position, z with z.
+        cov_zz_m2: f64,
+        /// Root of the sum of the three variances.
+        sd_m: f64,
+        /// Unit vector away from the surface, x: its normal where `kind` is smooth, else the direction to the wall.
+        normal_x: f64,
+        /// The same, y.
+        normal_y: f64,
+        /// The same, z.
+        normal_z: f64,
+        /// Covariance of the normal, x with x.
+        normal_cov_xx: f64,
+        /// Covariance of the normal, x with y.
+        normal_cov_xy: f64,
+        /// Covariance of the normal, x with z.
+        normal_cov_xz: f64,
+        /// Covariance of the normal, y with y.
+        normal_cov_yy: f64,
+        /// Covariance of the normal, y with z.
+        normal_cov_yz: f64,
+        /// Covariance of the normal, z with z.
+        normal_cov_zz: f64,
+        /// smooth: the surface faces the wall; edge; corner, or a thing that is small in all directions; unknown.
+        kind: Name,
+        /// Larger curvature of the surface, positive where it is convex; of smooth points of confocal captures.
+        curvature_max_per_m: Option<f64>,
+        /// Smaller curvature.
+        curvature_min_per_m: Option<f64>,
+        /// Pairs of points of the wall that entered.
+        wall_points: i32,
+        /// Chi-square of their first returns over its degrees of freedom.
+        misfit: f64,
+    }
+}

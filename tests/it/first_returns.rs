@@ -1,0 +1,238 @@
+//! Surfaces that a wall shows, through files: captures made here, converted, and run by the built-in pipelines.
+//! `benches/accuracy.rs` runs the study over many seeds.
+//!
+//! Light is summed over facets of the surface: no code is shared with what finds it. Facets hide one another only
+//! where they face away from the wall.
+
+use std::path::Path;
+
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use periscope::store::Shelf;
+use periscope::tables::{Patch, Row, SurfacePoint};
+
+use crate::relay_scene::{Capture, FWHM_PS, periscope, response};
+
+type Point = Point3<f64>;
+
+/// Speed of light, m/ps.
+const LIGHT: f64 = 2.997_924_58e-4;
+/// Steps of time in which light is summed, and the end of the response's tail.
+const STEP_PS: f64 = 2.0;
+const TAIL_PS: f64 = 1500.0;
+/// Chi-square of three coordinates that holds 95 %.
+const HOLDS: f64 = 7.815;
+/// Distance of facets.
+const PITCH_M: f64 = 0.0015;
+
+/// The nearest point of a surface to a place, and what it is: 0 smooth, 1 edge, 2 corner.
+type Nearest = Box<dyn Fn(&Point) -> (Point, usize)>;
+
+/// A surface: facets (place, normal, area), and its nearest points.
+pub struct Thing {
+    facets: Vec<(Point, Vector3<f64>, f64)>,
+    nearest: Nearest,
+}
+
+/// A box with half axes at right angles; one axis of no length makes a plate.
+fn cuboid(middle: Point, axes: [Vector3<f64>; 3], pitch_m: f64) -> Thing {
+    let mut facets = Vec::new();
+    for k in 0..3 {
+        let (along, up) = (axes[(k + 1) % 3], axes[(k + 2) % 3]);
+        let [columns, rows] = [along, up].map(|axis| (2.0 * axis.norm() / pitch_m).ceil() as usize);
+        let area_m2 = 4.0 * along.norm() * up.norm() / (columns * rows).max(1) as f64;
+        for side in [-1.0, 1.0] {
+            let normal = along.cross(&up).normalize() * side;
+            for n in 0..columns * rows {
+                let place = |n: usize, count: usize| (2 * n + 1) as f64 / count as f64 - 1.0;
+                let offset = along * place(n % columns, columns) + up * place(n / columns, rows);
+                facets.push((middle + axes[k] * side + offset, normal, area_m2));
+            }
+        }
+    }
+    let nearest = move |seen: &Point| {
+        let (mut point, mut beyond, mut thin) = (middle, 0_usize, 0);
+        for axis in axes {
+            let square = axis.norm_squared();
+            let share = if square > 0.0 { axis.dot(&(seen - middle)) / square } else { 0.0 };
+            point += axis * share.clamp(-1.0, 1.0);
+            beyond += usize::from(share.abs() > 1.0);
+            thin += usize::from(square == 0.0);
+        }
+        (point, (beyond + thin).saturating_sub(1))
+    };
+    Thing { facets, nearest: Box::new(nearest) }
+}
+
+/// A sphere; facets that face away from the wall are left out.
+fn sphere(middle: Point, radius_m: f64, pitch_m: f64) -> Thing {
+    let rings = (std::f64::consts::PI * radius_m / pitch_m).ceil() as usize;
+    let mut facets = Vec::new();
+    for ring in 0..rings {
+        let angle = |n: f64| std::f64::consts::PI * n / rings as f64;
+        let (sine, cosine) = angle(ring as f64 + 0.5).sin_cos();
+        let count = (std::f64::consts::TAU * radius_m * sine / pitch_m).ceil().max(1.0) as usize;
+        let band = angle(ring as f64).cos() - angle(ring as f64 + 1.0).cos();
+        let area_m2 = std::f64::consts::TAU * radius_m * radius_m * band / count as f64;
+        for n in 0..count {
+            let (up, along) = (std::f64::consts::TAU * (n as f64 + 0.38 * ring as f64) / count as f64).sin_cos();
+            let normal = Vector3::new(sine * along, sine * up, cosine);
+            if normal.z < 0.3 {
+                facets.push((middle + normal * radius_m, normal, area_m2));
+            }
+        }
+    }
+    Thing { facets, nearest: Box::new(move |seen| (middle + (seen - middle).normalize() * radius_m, 0)) }
+}
+
+fn both(first: Thing, second: Thing) -> Thing {
+    let mut facets = first.facets;
+    facets.extend(second.facets);
+    let nearest = move |seen: &Point| {
+        let [a, b] = [(first.nearest)(seen), (second.nearest)(seen)];
+        if (a.0 - seen).norm() < (b.0 - seen).norm() { a } else { b }
+    };
+    Thing { facets, nearest: Box::new(nearest) }
+}
+
+/// A thing of the study, turned and moved a little by the seed.
+pub fn thing(kind: &str, seed: u64) -> Thing {
+    let step = |n: u64| (0.618_034 * (seed * 7 + n) as f64).fract() - 0.5;
+    let middle = Point::new(0.1 * step(1), 0.1 * step(2), 0.68 + 0.1 * step(3));
+    let turn = |x: f64, y: f64| Rotation3::from_euler_angles(x + 0.3 * step(4), y + 0.3 * step(5), 0.3 * step(6));
+    let axes = |turn: Rotation3<f64>, half_m: [f64; 3]| [0, 1, 2].map(|k| turn * Vector3::ith(k, half_m[k]));
+    match kind {
+        "sphere" => sphere(middle + Vector3::z() * 0.12, 0.2, PITCH_M),
+        "plate" => cuboid(middle, axes(turn(0.2, 0.4), [0.2, 0.15, 0.0]), PITCH_M),
+        "box" => cuboid(middle, axes(turn(0.5, 0.6), [0.15, 0.12, 0.1]), PITCH_M),
+        "sphere and plate" => both(
+            sphere(middle - Vector3::x() * 0.22, 0.12, PITCH_M),
+            cuboid(middle + Vector3::x() * 0.22, axes(turn(0.0, 0.3), [0.12, 0.12, 0.0]), PITCH_M),
+        ),
+        kind => panic!("no surface is called {kind}"),
+    }
+}
+
+impl Thing {
+    /// Writes a confocal scan with so many photons of the surface in a mean histogram.
+    fn write(&self, path: &Path, capture: &Capture, photons: f64) {
+        let light: Vec<Vec<f64>> = capture.wall().iter().map(|place| self.light(capture, *place)).collect();
+        let mean = light.iter().flatten().sum::<f64>() / light.len() as f64;
+        capture.write_light(path, |n, _, rates| {
+            rates.iter_mut().zip(&light[n]).for_each(|(rate, light)| *rate += photons / mean * light);
+        });
+    }
+
+    /// Light of diffuse facets in the bins of a point of the wall, on any scale.
+    fn light(&self, capture: &Capture, place: [f64; 3]) -> Vec<f64> {
+        let seen = Point::from(place);
+        let steps = (capture.bins as f64 * capture.dt_ps / STEP_PS) as usize;
+        let mut sums = vec![0.0; steps + 1];
+        for (facet, normal, area_m2) in &self.facets {
+            let way = seen - facet;
+            let (square, facing) = (way.norm_squared(), normal.dot(&way));
+            let at = 2.0 * square.sqrt() / LIGHT / STEP_PS;
+            if facing > 0.0 && (at as usize) < steps {
+                let value = area_m2 * facing.powi(2) * way.z.powi(2) / square.powi(4);
+                sums[at as usize] += value * (1.0 - at.fract());
+                sums[at as usize + 1] += value * at.fract();
+            }
+        }
+        let mut light = vec![0.0; capture.bins];
+        let before = (6.0 * FWHM_PS / 2.355 / capture.dt_ps) as usize;
+        for (n, sum) in sums.iter().enumerate().filter(|(_, sum)| **sum > 0.0) {
+            let arrival_ps = n as f64 * STEP_PS;
+            let first = ((arrival_ps / capture.dt_ps) as usize).saturating_sub(before);
+            let count = before + (TAIL_PS / capture.dt_ps) as usize;
+            for (bin, light) in light.iter_mut().enumerate().skip(first).take(count) {
+                *light += sum * response((bin as f64 + 0.5) * capture.dt_ps - arrival_ps);
+            }
+        }
+        light
+    }
+}
+
+/// What came of the points of one kind.
+#[derive(Clone, Debug, Default)]
+pub struct Tally {
+    pub points: usize,
+    /// Points within their ellipsoid of 95 %.
+    pub held: usize,
+    /// Distances from the true point, stated standard deviations, and angles between the normal and the true direction.
+    pub errors_m: Vec<f64>,
+    pub sds_m: Vec<f64>,
+    pub angles_rad: Vec<f64>,
+}
+
+/// A campaign from its files to its points, by their true kinds: smooth, edge, corner.
+pub fn tallies(thing: &Thing, capture: &Capture, photons: f64) -> [Tally; 3] {
+    let folder = tempfile::tempdir().unwrap();
+    convert(folder.path(), thing, capture, photons);
+    periscope(folder.path(), &["run", "first-returns", "--campaign", "campaign", "--out", "out", "--threads", "2"]);
+    let anchors: Vec<Patch> = rows(folder.path(), "out", "anchors");
+    let mut tallies: [Tally; 3] = Default::default();
+    for point in rows::<SurfacePoint>(folder.path(), "out", "surface") {
+        let anchor = anchors.iter().find(|anchor| anchor.patch == point.seen).unwrap();
+        let seen = Point::new(anchor.x_m, anchor.y_m, anchor.z_m);
+        let (truth, kind) = (thing.nearest)(&seen);
+        let off = Point::new(point.x_m, point.y_m, point.z_m) - truth;
+        let [xx, xy, xz, yy, yz, zz] =
+            [point.cov_xx_m2, point.cov_xy_m2, point.cov_xz_m2, point.cov_yy_m2, point.cov_yz_m2, point.cov_zz_m2];
+        let root = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz).cholesky().expect("a covariance");
+        let tally = &mut tallies[kind];
+        tally.points += 1;
+        tally.held += usize::from(off.dot(&root.solve(&off)) < HOLDS);
+        tally.errors_m.push(off.norm());
+        tally.sds_m.push(point.sd_m);
+        let normal = Vector3::new(point.normal_x, point.normal_y, point.normal_z);
+        tally.angles_rad.push(normal.angle(&(seen - truth)));
+    }
+    tallies
+}
+
+fn convert(folder: &Path, thing: &Thing, capture: &Capture, photons: f64) {
+    thing.write(&folder.join("scan.mat"), capture, photons);
+    let (fwhm, dt) = (FWHM_PS.to_string(), capture.dt_ps.to_string());
+    periscope(folder, &["convert", "scan.mat", "--out", "campaign", "--fwhm-ps", &fwhm, "--dt-ps", &dt]);
+}
+
+fn rows<R: Row>(folder: &Path, out: &str, table: &str) -> Vec<R> {
+    let shelf = Shelf::look(&folder.join(out)).unwrap();
+    shelf.batches(table).unwrap().iter().flat_map(|batch| R::rows(batch).unwrap()).collect()
+}
+
+/// A scan of a square metre.
+pub fn capture(side: usize, seed: u64) -> Capture {
+    Capture { side, half_m: 0.5, bins: 1100, seed, ..Capture::default() }
+}
+
+/// The middle one.
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+#[test]
+fn points_of_a_sphere_and_a_plate_lie_within_their_error_bars() {
+    let [smooth, ..] = tallies(&thing("sphere", 1), &capture(32, 1), 3000.0);
+    println!("sphere: {} of {}, {} m", smooth.held, smooth.points, median(&smooth.errors_m));
+    assert!(smooth.points > 900 && smooth.held * 100 > 90 * smooth.points);
+    assert!(median(&smooth.errors_m) < 3e-3 && median(&smooth.angles_rad) < 0.01);
+    let plate = tallies(&thing("plate", 1), &capture(32, 1), 3000.0);
+    let [points, held] = [plate.iter().map(|one| one.points).sum::<usize>(), plate.iter().map(|one| one.held).sum()];
+    println!("plate: {held} of {points}, {:?} m", plate.each_ref().map(|one| median(&one.errors_m)));
+    assert!(points > 700 && held * 100 > 80 * points);
+    assert!(median(&plate[0].errors_m) < 0.01 && median(&plate[1].errors_m) < 0.02);
+}
+
+#[test]
+fn one_thread_and_two_give_the_same_points() {
+    let folder = tempfile::tempdir().unwrap();
+    convert(folder.path(), &thing("box", 2), &Capture { half_m: 0.4, ..capture(16, 2) }, 3000.0);
+    let [one, two] = ["1", "2"].map(|threads| {
+        let run = ["run", "first-returns", "--campaign", "campaign", "--out", threads, "--threads", threads];
+        periscope(folder.path(), &run);
+        rows::<SurfacePoint>(folder.path(), threads, "surface")
+    });
+    assert!(one.len() > 200 && one == two, "{} and {} points", one.len(), two.len());
+}
