@@ -160,7 +160,7 @@ fn a_turned_scene_gives_the_turned_answer() {
 fn branch_and_bound_finds_the_largest_sum() {
     let drawn = draw(&Setting::new(5, 3, sd_m(100.0), 0.2, 2), 2);
     let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
-    let legs = scene.legs(&scene.left());
+    let legs = scene.legs(scene.left());
     let sum = |point: Point| -> f32 {
         let of_legs = |legs: &Legs| {
             let foci = legs.foci.map(|focus| &drawn.room.foci[focus]);
@@ -253,7 +253,7 @@ fn the_likelihood_is_that_of_the_formula() {
     let drawn = draw(&Setting::new(4, 2, sd_m(50.0), 0.2, 2), 3);
     let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
     let left = scene.left();
-    let view = scene.view(Surface::Patch, &left, 0.7);
+    let view = scene.view(Surface::Patch, left, 0.7);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for _ in 0..20 {
         let q = drawn.hidden[0] + Vector3::from_fn(|_, _| rng.random_range(-0.03..0.03));
@@ -277,7 +277,7 @@ fn a_climb_ends_where_nothing_is_higher() {
     let drawn = draw(&Setting::new(8, 2, sd_m(25.0), 0.1, 1), 5);
     let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
     let left = scene.left();
-    let view = scene.view(Surface::Patch, &left, SEEN);
+    let view = scene.view(Surface::Patch, left, SEEN);
     let top = view.climb(drawn.hidden[0] + Vector3::new(0.01, -0.01, 0.01));
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     for _ in 0..200 {
@@ -339,7 +339,7 @@ fn an_arrival_is_taken_once() {
         let profiles = [Profile::over(vec![Way::new([0, 1], 0.0, 0.0); ways], vec![arrival], Vec::new(), [0.0, 3.0])];
         let scene = Explanation::new(&profiles, &room).expect("there is an arrival");
         let left = scene.left();
-        scene.view(Surface::Patch, &left, 0.7).place(at).likelihood.exp()
+        scene.view(Surface::Patch, left, 0.7).place(at).likelihood.exp()
     };
     let weight = likelihood(1) - 0.3;
     assert!((likelihood(2) - (0.3 * 0.3 + 2.0 * 0.3 * weight)).abs() < 1e-9);
