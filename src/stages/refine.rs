@@ -87,15 +87,13 @@ use context::{Context, Fields};
 use doubtful::Later;
 use extents::Extents;
 use model::Model;
+use readings::Onsets;
 use rows::{Fitted, Tables};
 
 /// Footprints are predicted anew until no path changes by more than `SHIFTED_M`, and weights until none changes, for at
 /// most `ROUNDS` rounds.
 const SHIFTED_M: f64 = 1e-6;
 const ROUNDS: usize = 6;
-
-/// Of more onsets, other readings of single ones are not compared: each costs a solution.
-const READ_MAX: usize = 2000;
 
 /// Parameters of `refine`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -194,11 +192,13 @@ impl Apply for Refine {
         let contested = with_all.map(|points| doubtful::contested(&solution, &points, &context.cancel));
         let contested = contested.unwrap_or_default();
         let (solution, mut others) = others::alternatives(&model, &problem, solution);
-        if labels.len() <= READ_MAX {
-            let at = (&solution, &footprints);
-            let readings = readings::readings(&model, &not_taken, &used, &observations, at);
-            others::add_readings(&problem, &solution, (readings, &used), &mut others);
-        }
+        let onsets = Onsets { not_taken: &not_taken, used: &used, observations: &observations };
+        others::add_readings(
+            &problem,
+            &solution,
+            (onsets.readings(&model, &solution, &footprints), &used),
+            &mut others,
+        );
         let fitted = Fitted { solution, others, observations, used, widened, contested };
         let tables = Tables::new(&model, &fitted, &shifts_m, &pulls);
         let residuals = tables.residuals();

@@ -292,8 +292,8 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// The first pulse whose last parameter of shape, or disk in place of a Gaussian, is not worth its evidence, without
-    /// it.
+    /// The first pulse whose last parameter of shape, or disk in place of a Gaussian, is not worth its evidence,
+    /// without it.
     fn simpler(&self, state: &State) -> Option<Change> {
         let mut extended = state.fit.places.iter().enumerate().filter(|(_, place)| place.shapes > 0);
         extended.find_map(|(k, place)| {

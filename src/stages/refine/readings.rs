@@ -13,6 +13,8 @@ use crate::units::PatchId;
 
 /// An onset whose prediction without it is less certain than it is by this ratio of variances is hardly checked.
 const UNCHECKED: f64 = 0.3;
+/// Of more onsets, other readings of single ones are not compared.
+const READ_MAX: usize = 2000;
 
 /// What tells one onset from another.
 type Key<'a> = (&'a Name, &'a Name, PatchId, PatchId, &'a Option<Name>, i32);
@@ -27,49 +29,55 @@ pub struct Reading {
     pub log_likelihood: Option<f64>,
 }
 
-/// Other readings of the onsets that others hardly check; `used` are positions of labels among the observations of the
-/// solution, `alternatives` the labels that were not taken.
-pub fn readings(
-    model: &Model,
-    alternatives: &[Label],
-    used: &[Option<usize>],
-    observations: &[Observation],
-    (solution, footprints): (&Solution, &Footprints),
-) -> Vec<Reading> {
-    let Some(predicted_m2) = &solution.predicted_variance_m2 else { return Vec::new() };
-    let is_unchecked = |n: usize| {
-        let sd_m = observations[n].sd_m;
-        used[n].is_some_and(|at| predicted_m2[at] > UNCHECKED * sd_m * sd_m)
-    };
-    let mut taken: BTreeMap<Key, Vec<usize>> = BTreeMap::new();
-    model.labels.iter().enumerate().for_each(|(n, label)| taken.entry(key(label)).or_default().push(n));
-    let mut others: BTreeMap<Key, Vec<&Label>> = BTreeMap::new();
-    for label in alternatives.iter().filter(|label| label.path.is_some() && model.has_patches_of(label)) {
-        others.entry(key(label)).or_default().push(label);
-    }
-    let mut readings = Vec::new();
-    for (key, others) in others {
-        let Some(taken) = taken.get(&key).filter(|taken| taken.iter().any(|n| is_unchecked(*n))) else { continue };
-        let observed = |label: &Label| model.shifted_one(label, &model.observation(label), footprints, solution).0;
-        let part_of = |part: i32| taken.iter().copied().find(|n| model.labels[*n].part == part);
-        for other in &others {
-            let Some(replaced) = part_of(other.part).filter(|n| is_unchecked(*n)) else { continue };
-            let observations = vec![observed(other)];
-            readings.push(Reading { replaced: vec![replaced], observations, log_likelihood: None });
-        }
-        let losers: Vec<&&Label> = others.iter().filter(|other| part_of(other.part).is_none()).collect();
-        let first = |part: i32| losers.iter().find(|loser| loser.part == part);
-        let parts: Vec<&Label> = (0..=2).filter_map(first).map(|label| **label).collect();
-        let (Some(loser), likeliest) = (parts.first(), taken.iter().map(|n| model.labels[*n].probability)) else {
-            continue;
+/// What `label` and the solution say of the onsets.
+pub struct Onsets<'a> {
+    /// Labels that were not taken.
+    pub not_taken: &'a [Label],
+    /// Of each label that was taken, its position among the observations of the solution.
+    pub used: &'a [Option<usize>],
+    /// Of each label that was taken, what it observes.
+    pub observations: &'a [Observation],
+}
+
+impl Onsets<'_> {
+    /// Other readings of the onsets that others hardly check; none of a great many onsets, since each costs a solution.
+    pub fn readings(&self, model: &Model, solution: &Solution, footprints: &Footprints) -> Vec<Reading> {
+        let Some(predicted_m2) = solution.predicted_variance_m2.as_ref().filter(|_| model.labels.len() <= READ_MAX)
+        else {
+            return Vec::new();
         };
-        readings.push(Reading {
-            replaced: taken.clone(),
-            observations: parts.iter().map(|label| observed(label)).collect(),
-            log_likelihood: Some((loser.probability / likeliest.fold(f64::MIN_POSITIVE, f64::max)).ln().min(0.0)),
-        });
+        let is_unchecked = |n: usize| {
+            let sd_m = self.observations[n].sd_m;
+            self.used[n].is_some_and(|at| predicted_m2[at] > UNCHECKED * sd_m * sd_m)
+        };
+        let mut taken: BTreeMap<Key, Vec<usize>> = BTreeMap::new();
+        model.labels.iter().enumerate().for_each(|(n, label)| taken.entry(key(label)).or_default().push(n));
+        let mut others: BTreeMap<Key, Vec<&Label>> = BTreeMap::new();
+        for label in self.not_taken.iter().filter(|label| label.path.is_some() && model.has_patches_of(label)) {
+            others.entry(key(label)).or_default().push(label);
+        }
+        let observed = |label: &Label| model.shifted_one(label, &model.observation(label), footprints, solution).0;
+        let mut readings = Vec::new();
+        for (key, others) in others {
+            let Some(taken) = taken.get(&key).filter(|taken| taken.iter().any(|n| is_unchecked(*n))) else { continue };
+            let part_of = |part: i32| taken.iter().copied().find(|n| model.labels[*n].part == part);
+            for other in &others {
+                let Some(replaced) = part_of(other.part).filter(|n| is_unchecked(*n)) else { continue };
+                let observations = vec![observed(other)];
+                readings.push(Reading { replaced: vec![replaced], observations, log_likelihood: None });
+            }
+            let losers = || others.iter().filter(|other| part_of(other.part).is_none());
+            let parts: Vec<&&Label> = (0..=2).filter_map(|part| losers().find(|loser| loser.part == part)).collect();
+            let Some(loser) = parts.first() else { continue };
+            let likeliest = taken.iter().map(|n| model.labels[*n].probability).fold(f64::MIN_POSITIVE, f64::max);
+            readings.push(Reading {
+                replaced: taken.clone(),
+                observations: parts.iter().map(|label| observed(label)).collect(),
+                log_likelihood: Some((loser.probability / likeliest).ln().min(0.0)),
+            });
+        }
+        readings
     }
-    readings
 }
 
 fn key(label: &Label) -> Key<'_> {
