@@ -8,6 +8,7 @@ use super::readings::Reading;
 use crate::geometry::Point;
 use crate::geometry::maximum_likelihood::{self, DENSE_MAX, Node, Observation, Problem, Solution};
 use crate::geometry::placement::{self, Kind};
+use crate::geometry::procrustes;
 
 /// Other solutions whose loss is higher by less than this (a likelihood ratio of 3,000) are alternatives.
 const LIKELY: f64 = 16.0;
@@ -136,6 +137,24 @@ fn add_rival(model: &Model, problem: &Problem, best: &Solution, rival: &Rival, o
     others.push(Other { patches, kind, log_likelihood, solution });
 }
 
+/// Turns a solution whose frame nothing fixes onto the best one, by the half of the patches that fit best: others may
+/// be elsewhere.
+fn turn_onto(best: &Solution, sds_m: &[f64], solution: &mut Solution) {
+    if best.free_rotations.first().is_none_or(|free| *free == 0) {
+        return;
+    }
+    let centre = best.stations[0];
+    let mut kept: Vec<usize> = (0..best.points.len()).filter(|place| !best.open.contains(place)).collect();
+    for share in [2, 1] {
+        let of = |points: &[Point]| -> Vec<Point> { kept.iter().map(|place| points[*place]).collect() };
+        let fit = procrustes::rotation(&of(&solution.points), &of(&best.points), centre, false);
+        solution.points.iter_mut().for_each(|point| *point = procrustes::turn(&fit.matrix, centre, *point));
+        let off = |place: &usize| (solution.points[*place] - best.points[*place]).norm() / sds_m[*place];
+        kept.sort_by(|a, b| off(a).total_cmp(&off(b)));
+        kept.truncate(kept.len().div_ceil(share));
+    }
+}
+
 /// Adds what other readings of onsets make of the solution, if they are about as likely and move a patch by more than
 /// its error says. `used` are the positions of labels among the observations.
 pub fn add_readings(
@@ -156,9 +175,10 @@ pub fn add_readings(
         let mut observations: Vec<Observation> = kept.map(|(_, kept)| kept.clone()).collect();
         observations.extend(reading.observations);
         let start = best.points.clone();
-        let Ok(solution) = maximum_likelihood::solve(&Problem { start, observations, ..problem.clone() }) else {
+        let Ok(mut solution) = maximum_likelihood::solve(&Problem { start, observations, ..problem.clone() }) else {
             continue;
         };
+        turn_onto(best, &sds_m, &mut solution);
         // The same number of onsets, or what `label` says of one pulse against two.
         let by_loss = -0.5 * (solution.loss - best.loss) / best.misfit;
         let log_likelihood = reading.log_likelihood.unwrap_or(by_loss).min(0.0);

@@ -240,19 +240,29 @@ fn an_onset_that_places_a_patch_by_itself_is_read_the_other_way_too() {
     let room = room();
     let open = |a: PatchId, b: PatchId| a < b && (b < 11 || (b == 11 && a <= 2));
     let place = |patch: PatchId| room[patch as usize - 1];
-    let apart_m = |a: PatchId, b: PatchId| (place(a) - place(b)).norm();
-    let over = |lit: PatchId, seen: PatchId| {
-        let other = (3..=10).filter(|k| *k != seen);
-        other.max_by(|a, b| (apart_m(lit, seen) - apart_m(lit, *a)).total_cmp(&(apart_m(lit, seen) - apart_m(lit, *b))))
+    // First light and the other neighbour leave patch 11 a circle about the line to that neighbour. Light over patch k
+    // in place of the direct light gives another place on it, where such light may be as long.
+    let reads = |lit: PatchId, k: PatchId| {
+        let axis = nalgebra::Unit::new_normalize(place(3 - lit).coords);
+        let longer_m = |degrees: i32| {
+            let turned = nalgebra::Rotation3::from_axis_angle(&axis, f64::from(degrees).to_radians()) * place(11);
+            (place(k) - place(lit)).norm() + (turned - place(k)).norm() - (place(11) - place(lit)).norm()
+        };
+        let [least, most] = [f64::min, f64::max].map(|of| (0..360).step_by(5).map(longer_m).fold(longer_m(0), of));
+        least < -0.02 && most > 0.02
     };
+    let [lit, over] = (1..=2)
+        .flat_map(|lit| (3..=10).map(move |over| [lit, over]))
+        .find(|[lit, over]| reads(*lit, *over))
+        .expect("light over one of eight patches may be as long");
     let read = |lit: PatchId, seen: PatchId| {
         let mut labels = Day::new(&room[..11], 5).all(open).labels;
         let taken = labels.iter().find(|label| label.path.as_deref() == Some(&[lit, seen])).unwrap();
-        let path = Some(vec![lit, over(lit, seen).unwrap(), seen]);
+        let path = Some(vec![lit, over, seen]);
         labels.push(Label { bounces: 3, path, probability: 0.3, alternative: 1, ..taken.clone() });
         refined(&context(CAMPAIGN, Vec::new()), labels)
     };
-    let rows = read(1, 11);
+    let rows = read(lit, 11);
     let told = rows.ambiguities.iter().find(|row| &*row.kind == "label").expect("the other reading is told");
     assert_eq!(told.patches, [11]);
     let elsewhere = rows.patches.iter().find(|row| row.patch == 11 && Some(row.alternative) == told.alternative);
