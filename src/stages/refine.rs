@@ -71,6 +71,7 @@ mod readings;
 mod rows;
 mod weights;
 
+use arrow_array::RecordBatch;
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
@@ -201,21 +202,11 @@ impl Apply for Refine {
         );
         let fitted = Fitted { solution, others, observations, used, widened, contested };
         let tables = Tables::new(&model, &fitted, &shifts_m, &pulls);
-        let residuals = tables.residuals();
         // As they explain the onsets best: whoever predicts more needs the same.
         let moved = footprints.moved(&fitted.solution.common);
         Ok(Outcome {
             rows: tables.patches(),
-            sides: vec![
-                PatchCovariance::to_batch(&tables.patch_covariances()),
-                Delay::to_batch(&tables.delays()),
-                Station::to_batch(&tables.stations()),
-                Residual::to_batch(&residuals),
-                Suspect::to_batch(&tables.suspects(&residuals)),
-                Fit::to_batch(&tables.fits()),
-                Ambiguity::to_batch(&tables.ambiguities(&later)),
-                PatchFootprint::to_batch(&tables.footprints(&moved, &given)),
-            ],
+            sides: sides(&tables, &later, (&moved, &given)),
             rejections: unused_normals(context, is_fixed, &labels),
         })
     }
@@ -285,6 +276,21 @@ impl Refine {
         let of_errors_m = problem.observations.iter().map(|observation| observation.common_m(&solution.common));
         Ok(shifts_m.iter().zip(of_errors_m).map(|(shift_m, more_m)| shift_m + more_m).collect())
     }
+}
+
+/// The tables beside `patches`, in the order of [`Refine::SIDES`]; of footprints those that were `moved` and `given`.
+fn sides(tables: &Tables, later: &Later, (moved, given): (&Footprints, &Footprints)) -> Vec<RecordBatch> {
+    let residuals = tables.residuals();
+    vec![
+        PatchCovariance::to_batch(&tables.patch_covariances()),
+        Delay::to_batch(&tables.delays()),
+        Station::to_batch(&tables.stations()),
+        Residual::to_batch(&residuals),
+        Suspect::to_batch(&tables.suspects(&residuals)),
+        Fit::to_batch(&tables.fits()),
+        Ambiguity::to_batch(&tables.ambiguities(later)),
+        PatchFootprint::to_batch(&tables.footprints(moved, given)),
+    ]
 }
 
 /// Without a labelled onset: patches that need none, passed on.
