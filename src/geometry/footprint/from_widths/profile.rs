@@ -14,6 +14,8 @@ const TRIALS: usize = 6;
 const STEPS: usize = 6;
 /// Variance of what goes with the square of a normal coordinate, over its square two standard deviations off.
 const BENT: f64 = 3.0 / 16.0;
+/// Minima that are nearer to one another than this share of a vector's length are one.
+const SAME: f64 = 0.25;
 /// How near a coordinate is held to its place, as a share of how far off that is.
 const HELD: f64 = 0.02;
 
@@ -70,7 +72,7 @@ impl Fit<'_> {
             let vector_m = other.vectors_m[patch];
             let moved = (at_m.dot(&vector_m).signum() * vector_m - at_m) / at_m.norm();
             let likelihood = (0.5 * (least - other.total(open)).min(0.0)).exp();
-            if seen.iter().all(|before: &Vector3<f64>| (moved - before).norm() > MOST_SD * MOST_SD) {
+            if seen.iter().all(|before: &Vector3<f64>| (moved - before).norm() > SAME) {
                 moment += likelihood * moved * moved.transpose();
                 all += likelihood;
                 seen.push(moved);
