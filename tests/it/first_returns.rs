@@ -1,5 +1,5 @@
 //! Surfaces that a wall shows, through files: captures made here, converted, and run by the built-in pipelines.
-//! `benches/accuracy.rs` runs the study over many seeds.
+//! `benches/surfaces.rs` runs the study over many seeds.
 //!
 //! Light is summed over facets of the surface: no code is shared with what finds it. Facets hide one another only
 //! where they face away from the wall.

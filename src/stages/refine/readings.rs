@@ -11,8 +11,9 @@ use crate::geometry::maximum_likelihood::{Observation, Solution};
 use crate::tables::{Label, Name};
 use crate::units::PatchId;
 
-/// An onset whose prediction without it is less certain than it is by this ratio of variances is hardly checked.
-const UNCHECKED: f64 = 0.3;
+/// An onset is hardly checked where it makes more than this share of what is known of its length: others check less
+/// than the rest.
+const OWN_SHARE: f64 = 0.3;
 /// Of more onsets, other readings of single ones are not compared.
 const READ_MAX: usize = 2000;
 
@@ -48,7 +49,7 @@ impl Onsets<'_> {
         };
         let is_unchecked = |n: usize| {
             let sd_m = self.observations[n].sd_m;
-            self.used[n].is_some_and(|at| predicted_m2[at] > UNCHECKED * sd_m * sd_m)
+            self.used[n].is_some_and(|at| predicted_m2[at] > OWN_SHARE * sd_m * sd_m)
         };
         let mut taken: BTreeMap<Key, Vec<usize>> = BTreeMap::new();
         model.labels.iter().enumerate().for_each(|(n, label)| taken.entry(key(label)).or_default().push(n));

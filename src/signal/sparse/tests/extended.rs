@@ -171,3 +171,27 @@ fn only_wide_pulses_have_a_pair() {
     let wide = fit_white(&shape, &y, 0.005, &extended(200.0));
     assert!(wide.pulses.len() == 1 && wide.pulses[0].pair.is_some(), "{wide:?}");
 }
+
+/// A bounce from an even disk at SNR 500, whose light is no Gaussian: one pulse with a disk's shape, at its centroid and
+/// as wide as it is. The best Gaussian leaves a chi-square of 3.8 a sample.
+#[test]
+fn a_bright_disk_is_one_pulse() {
+    let mut rng = ChaCha8Rng::seed_from_u64(46);
+    let (width, sd, draws) = (40.0, 1.0 / 500.0, 20);
+    let shape = exponential();
+    let chords: Vec<(f64, f64)> = (-99..=99).map(|n| f64::from(n) / 100.0).map(|x| (x, (1.0 - x * x).sqrt())).collect();
+    let total: f64 = chords.iter().map(|(_, light)| light).sum();
+    let (mut pulls, mut width_pulls) = (Vec::new(), Vec::new());
+    for _ in 0..draws {
+        let at = 3000.0 + rng.random_range(0.0..DT_PS);
+        let light: Vec<(f64, f64)> = chords.iter().map(|(x, light)| (at + 2.0 * width * x, light / total)).collect();
+        let y = with_noise(&clean(&shape, &light, 0.1, 120), sd, &mut rng);
+        let solution = fit_white(&shape, &y, sd, &extended(200.0));
+        let [pulse] = solution.pulses[..] else { panic!("{} pulses", solution.pulses.len()) };
+        assert!(pulse.kurtosis == -1.0 && pulse.tail_ps == 0.0, "{pulse:?}");
+        pulls.push((pulse.time_ps - at) / solution.time_sd_ps(0));
+        width_pulls.push((pulse.width_ps - width) / pulse.width_sd_ps);
+    }
+    println!("disk: times / sd {:.3}, widths / sd {:.3}", rms(&pulls), rms(&width_pulls));
+    assert!(rms(&pulls) < 1.5 && rms(&width_pulls) < 1.5, "{} {}", rms(&pulls), rms(&width_pulls));
+}
