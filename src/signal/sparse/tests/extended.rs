@@ -172,8 +172,8 @@ fn only_wide_pulses_have_a_pair() {
     assert!(wide.pulses.len() == 1 && wide.pulses[0].pair.is_some(), "{wide:?}");
 }
 
-/// A bounce from an even disk at SNR 500, whose light is no Gaussian: one pulse with a disk's shape, at its centroid and
-/// as wide as it is. The best Gaussian leaves a chi-square of 3.8 a sample.
+/// A bounce from an even disk at SNR 500, whose light is no Gaussian: one pulse with a disk's shape, at its centroid
+/// and as wide as it is. The best Gaussian leaves a chi-square of 3.8 a sample.
 #[test]
 fn a_bright_disk_is_one_pulse() {
     let mut rng = ChaCha8Rng::seed_from_u64(46);
