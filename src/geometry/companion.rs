@@ -9,8 +9,10 @@
 //!
 //! The lengths `D_k` follow from the places of patches. The strengths do not, but companions that came far enough
 //! behind made onsets of their own: they tell how often there is such light, and how strong it is. Where there is none
-//! to be seen, it is weaker than the weakest onset. The width of the pulse tells the rest: the pull is the mean of its
-//! posterior distribution over the strength of the companion that matters most, others at their mean strengths.
+//! to be seen, it is weaker than the weakest onset. Widths of pulses tell the rest: the pull is the mean of its posterior
+//! distribution over the strength of the companion that matters most, over the strengths of the others (to first order
+//! about their means), and over one level of all light of that kind, which the widths of all onsets tell together.
+//! Without it dozens of companions at mean strengths would add up to light that no width shows.
 
 /// Strengths at which a distribution is evaluated.
 const GRID: usize = 48;
@@ -27,6 +29,14 @@ const LN_SD_MIN: f64 = 0.2;
 /// Chance that an onset is wider for another reason, in units of the density's peak: an excess that no strength
 /// explains rules none of them out.
 const TAIL: f64 = 1e-6;
+/// Levels at which the light of companions is evaluated, 1 among them: least and largest logarithm, and the scale of its Cauchy
+/// distribution.
+const LEVELS: usize = 18;
+const LN_LEVEL_MIN: f64 = -8.0;
+const LN_LEVEL_MAX: f64 = 0.5;
+const LN_LEVEL: f64 = 0.5;
+/// Levels of less weight beside the likeliest make no difference.
+const LEAST_WEIGHT: f64 = 1e-9;
 
 /// How often companions have light, and how strong it is beside that of the onset's own path.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,7 +89,9 @@ impl Strengths {
             let sds = REACH_SD * (2.0 * at(n) - 1.0);
             ((ln_mean + sds * ln_sd).exp(), chance * gauss(sds) / total)
         };
-        (0..GRID).map(seen).chain((0..GRID).map(move |n| (least * at(n), (1.0 - chance) / GRID as f64)))
+        // Closer to one another where they are weak: an onset without a width rules out all but little light.
+        let unseen = move |n: usize| (least * at(n).powi(2), (1.0 - chance) * 2.0 * at(n) / GRID as f64);
+        (0..GRID).map(seen).chain((0..GRID).map(unseen))
     }
 
     /// Mean and variance of the strength.
@@ -90,49 +102,136 @@ impl Strengths {
     }
 }
 
-/// A companion by how much longer its path is, and how strong it is.
-struct Light {
-    longer_m: f64,
-    strength: f64,
+/// An onset with companions that make no onsets of their own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Onset {
+    /// By how much longer their paths are than the onset's own, m, and the strengths of their kind.
+    pub companions: Vec<(f64, Strengths)>,
+    /// Strength of the weakest light that makes an onset of its own.
+    pub least: f64,
+    /// How much wider it is than its own light.
+    pub excess: Excess,
 }
 
-/// What companions add to the length of an onset: each longer than its own path by so many metres, with the strengths
-/// of its kind. `least` is the strength of the weakest light that makes an onset of its own.
+/// What companions add to the lengths of onsets.
 #[must_use]
-pub fn pull(companions: &[(f64, Strengths)], least: f64, excess: Excess) -> Pull {
-    let moments: Vec<[f64; 2]> = companions.iter().map(|(_, strengths)| strengths.moments(least)).collect();
-    let matters = |n: &usize| companions[*n].0 * moments[*n][0];
-    let by_pull = |a: &usize, b: &usize| matters(a).total_cmp(&matters(b));
-    let Some(main) = (0..companions.len()).max_by(by_pull) else { return Pull::default() };
-    let mut lights: Vec<Light> = companions
-        .iter()
-        .zip(&moments)
-        .map(|((longer_m, _), [strength, _])| Light { longer_m: *longer_m, strength: *strength })
-        .collect();
-    let [mut total, mut first_m, mut second_m2, mut variance_m2] = [0.0; 4];
-    for (strength, chance) in companions[main].1.grid(least) {
-        lights[main].strength = strength;
-        let [pull_m, wider_m2] = centroid(&lights);
-        let weight = chance * (gauss((excess.variance_m2 - wider_m2) / excess.sd_m2) + TAIL);
-        total += weight;
-        first_m += weight * pull_m;
-        second_m2 += weight * pull_m * pull_m;
-        variance_m2 += weight * wider_m2;
+pub fn pulls(onsets: &[Onset]) -> Vec<Pull> {
+    let lights: Vec<Option<Light>> = onsets.iter().map(Light::new).collect();
+    let mut ln_weights: Vec<f64> = (0..LEVELS).map(|n| -(ln_level(n) / LN_LEVEL).powi(2).ln_1p()).collect();
+    for (light, onset) in lights.iter().zip(onsets) {
+        let Some(light) = light else { continue };
+        for (n, ln_weight) in ln_weights.iter_mut().enumerate() {
+            *ln_weight += light.pulled(onset, n).weight.ln();
+        }
     }
-    let mean_m = first_m / total;
-    // Of the others nothing but their chances is known.
-    let others = (0..companions.len()).filter(|n| *n != main);
-    let others_m2: f64 = others.map(|n| companions[n].0.powi(2) * moments[n][1]).sum();
-    let main_m2 = f64::max(0.0, second_m2 / total - mean_m * mean_m);
-    Pull { mean_m, sd_m: (main_m2 + others_m2).sqrt(), variance_m2: variance_m2 / total }
+    let largest = ln_weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let weights: Vec<f64> = ln_weights.iter().map(|ln_weight| (ln_weight - largest).exp()).collect();
+    let pull = |(light, onset): (&Option<Light>, &Onset)| {
+        let Some(light) = light else { return Pull::default() };
+        let mut all = Moments::default();
+        for (n, weight) in weights.iter().enumerate().filter(|(_, weight)| **weight > LEAST_WEIGHT) {
+            let at_level = light.pulled(onset, n);
+            all.add(weight / at_level.weight, &at_level);
+        }
+        all.pull()
+    };
+    lights.iter().zip(onsets).map(pull).collect()
 }
 
-/// How much later the centroid of all light is than that of strength 1 at 0, and the variance about it.
-fn centroid(lights: &[Light]) -> [f64; 2] {
-    let light = 1.0 + lights.iter().map(|light| light.strength).sum::<f64>();
-    let moment = |power: i32| lights.iter().map(|one| one.strength * one.longer_m.powi(power)).sum::<f64>() / light;
-    let pull_m = moment(1);
-    [pull_m, moment(2) - pull_m * pull_m]
+/// Level `n` of the light of companions, as a logarithm.
+fn ln_level(n: usize) -> f64 {
+    LN_LEVEL_MIN + (LN_LEVEL_MAX - LN_LEVEL_MIN) * n as f64 / (LEVELS - 1) as f64
+}
+
+/// Sums over weighted possibilities.
+#[derive(Default)]
+struct Moments {
+    weight: f64,
+    first_m: f64,
+    second_m2: f64,
+    variance_m2: f64,
+}
+
+impl Moments {
+    fn add(&mut self, factor: f64, other: &Self) {
+        self.weight += factor * other.weight;
+        self.first_m += factor * other.first_m;
+        self.second_m2 += factor * other.second_m2;
+        self.variance_m2 += factor * other.variance_m2;
+    }
+
+    fn pull(&self) -> Pull {
+        let mean_m = self.first_m / self.weight;
+        let sd_m = f64::max(0.0, self.second_m2 / self.weight - mean_m * mean_m).sqrt();
+        Pull { mean_m, sd_m, variance_m2: self.variance_m2 / self.weight }
+    }
+}
+
+/// Light of the companions of an onset: the main one, and sums over all others.
+struct Light {
+    main_m: f64,
+    strengths: Strengths,
+    /// Sums of mean strengths times powers of the distance, 0 to 2.
+    means: [f64; 3],
+    /// Sums of variances of strengths times powers of the distance, 0 to 4.
+    variances: [f64; 5],
+}
+
+impl Light {
+    /// `None` without companions.
+    fn new(onset: &Onset) -> Option<Self> {
+        let Onset { companions, least, .. } = onset;
+        let moments: Vec<[f64; 2]> = companions.iter().map(|(_, strengths)| strengths.moments(*least)).collect();
+        let matters = |n: &usize| companions[*n].0 * moments[*n][0];
+        let main = (0..companions.len()).max_by(|a, b| matters(a).total_cmp(&matters(b)))?;
+        let [mut means, mut variances] = [[0.0; 5]; 2];
+        for n in (0..companions.len()).filter(|n| *n != main) {
+            for power in 0..5 {
+                means[power] += moments[n][0] * companions[n].0.powi(power as i32);
+                variances[power] += moments[n][1] * companions[n].0.powi(power as i32);
+            }
+        }
+        let (main_m, strengths) = companions[main];
+        Some(Self { main_m, strengths, means: [means[0], means[1], means[2]], variances })
+    }
+
+    /// The pull at level `n` of the others, summed over the strengths of the main companion.
+    fn pulled(&self, onset: &Onset, n: usize) -> Moments {
+        let (level, excess) = (ln_level(n).exp(), onset.excess);
+        let mut sum = Moments::default();
+        for (strength, chance) in self.strengths.grid(onset.least * level.min(1.0)) {
+            let moment = |power: usize| strength * self.main_m.powi(power as i32) + level * self.means[power];
+            let light = 1.0 + moment(0);
+            let pull_m = moment(1) / light;
+            let wider_m2 = moment(2) / light - pull_m * pull_m;
+            let [pull_m2, both_m3, wider_m4] = self.spread(pull_m, wider_m2).map(|one| one * (level / light).powi(2));
+            let sd_m2 = excess.sd_m2.hypot(wider_m4.sqrt());
+            let (off_m2, told) = (excess.variance_m2 - wider_m2, both_m3 / (sd_m2 * sd_m2));
+            let weight = chance * (gauss(off_m2 / sd_m2) * excess.sd_m2 / sd_m2 + TAIL);
+            let mean_m = pull_m + told * off_m2.clamp(-sd_m2, sd_m2);
+            sum.weight += weight;
+            sum.first_m += weight * mean_m;
+            sum.second_m2 += weight * (mean_m * mean_m + pull_m2 - told * both_m3);
+            sum.variance_m2 += weight * wider_m2;
+        }
+        sum
+    }
+
+    /// Variance of the centroid, its covariance with the variance about it, and the variance of that, as the strengths
+    /// of the others make them for all light of strength 1: a little more light moves the centroid by its distance from
+    /// it, and the variance by the square of that less what it is.
+    fn spread(&self, pull_m: f64, wider_m2: f64) -> [f64; 3] {
+        let [v0, v1, v2, v3, v4] = self.variances;
+        // Sums of variances times powers of the distance from the centroid.
+        let second = v2 - 2.0 * pull_m * v1 + pull_m.powi(2) * v0;
+        let first = v1 - pull_m * v0;
+        let third = v3 - 3.0 * pull_m * v2 + 3.0 * pull_m.powi(2) * v1 - pull_m.powi(3) * v0;
+        let fourth =
+            v4 - 4.0 * pull_m * v3 + 6.0 * pull_m.powi(2) * v2 - 4.0 * pull_m.powi(3) * v1 + pull_m.powi(4) * v0;
+        let both = third - wider_m2 * first;
+        let wider = fourth - 2.0 * wider_m2 * second + wider_m2 * wider_m2 * v0;
+        [second.max(0.0), both, wider.max(0.0)]
+    }
 }
 
 fn gauss(sds: f64) -> f64 {
@@ -177,29 +276,53 @@ mod tests {
         let mut draws = Draws(2);
         let strengths = strengths(&mut draws);
         for sd_m2 in [1e-6, 1e-5, 1.0] {
-            let (mut squares, mut off, count) = (0.0, 0.0, 4000);
-            for _ in 0..count {
+            let mut true_m = Vec::new();
+            let mut onsets = Vec::new();
+            for _ in 0..4000 {
                 let longer_m = [0.004 + 0.02 * draws.next(), 0.002];
                 let lights = longer_m.map(|longer_m| {
                     let shines = draws.next() < 0.7;
-                    let strength =
-                        if shines { (0.3_f64.ln() + 0.4 * draws.normal()).exp() } else { 0.01 * draws.next() };
-                    Light { longer_m, strength }
+                    let seen = (0.3_f64.ln() + 0.4 * draws.normal()).exp();
+                    (longer_m, if shines { seen } else { 0.01 * draws.next() })
                 });
-                let [true_m, wider_m2] = centroid(&lights);
+                let [pull_m, wider_m2] = centroid(&lights);
+                true_m.push(pull_m);
+                let companions = longer_m.map(|longer_m| (longer_m, strengths)).to_vec();
                 let excess = Excess { variance_m2: wider_m2 + sd_m2 * draws.normal(), sd_m2 };
-                let Pull { mean_m, sd_m, .. } = pull(&longer_m.map(|longer_m| (longer_m, strengths)), 0.01, excess);
-                off += (true_m - mean_m) / sd_m;
-                squares += ((true_m - mean_m) / sd_m).powi(2);
+                onsets.push(Onset { companions, least: 0.01, excess });
             }
-            let (off, spread) = (off / f64::from(count), (squares / f64::from(count)).sqrt());
-            assert!(off.abs() < 0.15 && (0.75..1.1).contains(&spread), "widths to {sd_m2} m^2: {off}, {spread}");
+            let off = |(true_m, pull): (&f64, Pull)| (true_m - pull.mean_m) / pull.sd_m;
+            let off: Vec<f64> = true_m.iter().zip(pulls(&onsets)).map(off).collect();
+            let mean = off.iter().sum::<f64>() / off.len() as f64;
+            let spread = (off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64).sqrt();
+            assert!(mean.abs() < 0.15 && (0.75..1.1).contains(&spread), "widths to {sd_m2} m^2: {mean}, {spread}");
+        }
+    }
+
+    /// How much later the centroid of all light is than that of strength 1 at 0, and the variance about it.
+    fn centroid(lights: &[(f64, f64)]) -> [f64; 2] {
+        let light = 1.0 + lights.iter().map(|(_, strength)| strength).sum::<f64>();
+        let moment =
+            |power: i32| lights.iter().map(|(at_m, strength)| strength * at_m.powi(power)).sum::<f64>() / light;
+        let pull_m = moment(1);
+        [pull_m, moment(2) - pull_m * pull_m]
+    }
+
+    /// Eighteen companions of which nothing is known, and onsets that are no wider than their own light: there is next
+    /// to no other light in them, whatever strengths are usual. One onset says so to a third, many to a twentieth.
+    #[test]
+    fn narrow_onsets_rule_out_the_light_of_many_companions() {
+        let companions: Vec<_> = (1..=18).map(|n| (0.002 * f64::from(n), Strengths::learned(&[]))).collect();
+        let onset = Onset { companions, least: 0.3, excess: Excess { variance_m2: 0.0, sd_m2: 1e-5 } };
+        for (count, most_m) in [(1, 5e-3), (100, 1e-3)] {
+            let Pull { mean_m, sd_m, .. } = pulls(&vec![onset.clone(); count])[0];
+            assert!(mean_m.abs() < most_m && sd_m < most_m, "{count}: pulled by {mean_m} m, to {sd_m} m");
         }
     }
 
     #[test]
     fn nothing_pulls_an_onset_without_companions() {
         let excess = Excess { variance_m2: 1e-4, sd_m2: 1e-6 };
-        assert_eq!(pull(&[], 0.1, excess), Pull::default());
+        assert_eq!(pulls(&[Onset { companions: Vec::new(), least: 0.1, excess }]), [Pull::default()]);
     }
 }

@@ -11,9 +11,11 @@ use crate::units::PatchId;
 
 /// Light further behind than so many times what the response resolves makes an onset of its own.
 const REACH: f64 = 2.0;
+/// Light of this signal-to-noise ratio is seen as an onset, also where all that have one are stronger.
+const SEEN_SNR: f64 = 10.0;
 
 /// What tells one profile from another.
-type Key<'a> = (&'a Name, &'a Name, PatchId, PatchId, &'a Option<Name>);
+pub type Key<'a> = (&'a Name, &'a Name, PatchId, PatchId, &'a Option<Name>);
 
 /// Light that may come behind the direct light of profiles.
 pub struct Companions<'a> {
@@ -26,19 +28,18 @@ pub struct Companions<'a> {
     resolved_ps: f64,
     /// Over visible and over hidden patches.
     strengths: [Strengths; 2],
-    /// Signal-to-noise ratio of the weakest onset.
+    /// Signal-to-noise ratio of the weakest light that makes an onset.
     least_snr: f64,
 }
 
 impl<'a> Companions<'a> {
     /// Of all labels, with patches at `points`; pulses `resolved_ps` apart make two onsets.
     pub fn new(model: &'a Model<'a>, points: &'a [Point], resolved_ps: f64) -> Self {
-        let mut profiles: BTreeMap<Key, Vec<&Label>> = BTreeMap::new();
-        model.labels.iter().for_each(|label| profiles.entry(key(label)).or_default().push(label));
+        let profiles = profiles(model.labels);
         let is_dark = |labels: &&Vec<&Label>| !labels.iter().any(|label| is_direct(label));
         let pair = |labels: &Vec<&Label>| [labels[0].lit, labels[0].seen];
         let dark = profiles.values().filter(is_dark).map(pair).flat_map(|[a, b]| [[a, b], [b, a]]).collect();
-        let least_snr = model.labels.iter().map(|label| label.snr).fold(f64::INFINITY, f64::min);
+        let least_snr = model.labels.iter().map(|label| label.snr).fold(SEEN_SNR, f64::min);
         let strengths = [Strengths::learned(&[]); 2];
         let mut all = Self { model, points, profiles, dark, resolved_ps, strengths, least_snr };
         all.strengths = [false, true].map(|hidden| Strengths::learned(&all.ratios(hidden)));
@@ -113,7 +114,14 @@ impl<'a> Companions<'a> {
     }
 }
 
-fn key(label: &Label) -> Key<'_> {
+/// Labels of each profile.
+pub fn profiles(labels: &[Label]) -> BTreeMap<Key<'_>, Vec<&Label>> {
+    let mut profiles: BTreeMap<Key, Vec<&Label>> = BTreeMap::new();
+    labels.iter().for_each(|label| profiles.entry(key(label)).or_default().push(label));
+    profiles
+}
+
+pub fn key(label: &Label) -> Key<'_> {
     (&label.campaign, &label.sensor, label.lit, label.seen, &label.range)
 }
 

@@ -3,10 +3,10 @@
 
 use std::collections::BTreeMap;
 
-use super::companions::Companions;
+use super::companions::{self, Companions};
 use super::model::Model;
 use crate::geometry::Point;
-use crate::geometry::companion::{self, Excess, Pull};
+use crate::geometry::companion::{self, Excess, Onset, Pull};
 use crate::geometry::footprint::{self, Bounce, Footprints, Spread};
 use crate::geometry::maximum_likelihood::{Node, Problem, Solution};
 use crate::tables::Label;
@@ -22,6 +22,10 @@ const UNSEEN: f64 = 3.5;
 /// Where no width was fitted, the error of the variance over that of the time is up to so many times what it would be
 /// for light alone: other light beside it explains some of the width.
 const UNFITTED: f64 = 2.0;
+/// An onset of first or second bounces that is further than so many times what the response resolves from all others has
+/// a width if it shows by two standard deviations of its variance.
+const ALONE: f64 = 3.0;
+const UNSEEN_ALONE: f64 = 1.0;
 /// Disks of one path have unequal shares of its variance, and orders up to the fourth are not all: what that makes of
 /// the variance, as a share of it.
 const SHAPE_SD: f64 = 0.04;
@@ -56,23 +60,23 @@ impl Extents {
         let of_patch = |(patch, estimate): (&_, Option<_>)| Some((*patch, estimate?));
         let footprints = Footprints(model.patches.iter().zip(sizes.footprints).filter_map(of_patch).collect());
         let companions = Companions::new(model, &solution.points, widths.resolved_ps);
+        let of_widths = || widths.labels.iter().zip(&widths.spreads).zip(&sizes.excess_m2);
+        let onset = |((place, spread), variance_m2): ((&usize, &Spread), &f64)| {
+            let label = &model.labels[*place];
+            let sd_m2 = if spread.is_limit { spread.variance_m2 } else { spread.sd_m2 };
+            let excess = Excess { variance_m2: *variance_m2, sd_m2 };
+            let of_label = if is_earliest(label) { companions.of(label) } else { Vec::new() };
+            Onset { companions: of_label, least: companions.least(label), excess }
+        };
+        let of_companions = companion::pulls(&of_widths().map(onset).collect::<Vec<_>>());
         let mut pulls = vec![Pull::default(); model.labels.len()];
-        for ((place, spread), variance_m2) in widths.labels.into_iter().zip(&widths.spreads).zip(sizes.excess_m2) {
-            let label = &model.labels[place];
+        for (((place, spread), variance_m2), of_companions) in of_widths().zip(of_companions) {
+            let label = &model.labels[*place];
             let apart_m = model.fields(label).medium.path_m(NEARER * widths.resolved_ps);
-            let is_point = spread.is_limit;
-            let excess_sd_m2 = if is_point { spread.variance_m2 } else { spread.sd_m2 };
-            let excess = Excess { variance_m2, sd_m2: excess_sd_m2 };
-            let is_earliest = label.bounces <= EARLIEST;
-            let of_companions = if is_earliest {
-                companion::pull(&companions.of(label), companions.least(label), excess)
-            } else {
-                Pull::default()
-            };
             let more_m = f64::max(0.0, variance_m2 - of_companions.variance_m2 - spread.sd_m2) / apart_m;
             // The samples were explained by a point. What its patches spread moves that point.
-            let less_m = if is_point { NARROWER * f64::max(0.0, -variance_m2) / apart_m } else { 0.0 };
-            pulls[place] = if is_earliest {
+            let less_m = if spread.is_limit { NARROWER * f64::max(0.0, -variance_m2) / apart_m } else { 0.0 };
+            pulls[*place] = if is_earliest(label) {
                 let sd_m = of_companions.sd_m.hypot(PULL_SD * more_m).hypot(less_m);
                 Pull { mean_m: of_companions.mean_m + more_m, sd_m, ..of_companions }
             } else {
@@ -82,6 +86,23 @@ impl Extents {
         share(model.labels, &mut pulls);
         Self { footprints, pulls }
     }
+}
+
+/// Whether no light of a profile comes before an onset's.
+fn is_earliest(label: &Label) -> bool {
+    label.bounces <= EARLIEST
+}
+
+/// Whether light of an onset of first or second bounces lies apart from all other light of its profile. An onset
+/// without a path, which is among no labels, leaves a gap in the ranks.
+fn is_alone(label: &Label, profile: &[&Label], apart_ps: f64) -> bool {
+    let is_far = |other: &&Label| other.rank == label.rank || (other.time_ps - label.time_ps).abs() > apart_ps;
+    let has = |rank: i32| profile.iter().any(|other| other.rank == rank);
+    let is_last = profile.iter().all(|other| other.rank <= label.rank);
+    is_earliest(label)
+        && profile.iter().all(is_far)
+        && (label.rank == 1 || has(label.rank - 1))
+        && (is_last || has(label.rank + 1))
 }
 
 /// Light that goes a path both ways, or is recorded in several ranges, has the same other light in it. So onsets of one
@@ -124,11 +145,14 @@ impl Widths {
         let of_response_ps = |label: &Label| Some(RESOLVED * model.context.response_width_ps(label)?);
         let largest_ps = |of: &dyn Fn(&Label) -> Option<f64>| model.labels.iter().filter_map(of).reduce(f64::max);
         let resolved_ps = largest_ps(&of_response_ps).or_else(|| largest_ps(&of_errors_ps)).unwrap_or_default();
+        let profiles = companions::profiles(model.labels);
+        let is_alone = |label: &Label| is_alone(label, &profiles[&companions::key(label)], ALONE * resolved_ps);
         let spread = |(n, label): (usize, &Label)| {
             let width_ps = label.width_ps?;
             let own_sd_ps2 = variance_sd_ps2(label);
-            let sd_ps2 = own_sd_ps2.unwrap_or(UNFITTED * resolved_ps * label.time_sd_ps);
-            let variance_ps2 = if own_sd_ps2.is_some() { width_ps * width_ps } else { UNSEEN * sd_ps2 };
+            let [unfitted, unseen] = if is_alone(label) { [1.0, UNSEEN_ALONE] } else { [UNFITTED, UNSEEN] };
+            let sd_ps2 = own_sd_ps2.unwrap_or(unfitted * resolved_ps * label.time_sd_ps);
+            let variance_ps2 = if own_sd_ps2.is_some() { width_ps * width_ps } else { unseen * sd_ps2 };
             let squared_m2 = model.fields(label).medium.path_m(1.0).powi(2);
             let bounces = bounces(&problem.observations[n].nodes, solution);
             let kurtosis = label.width_kurtosis.unwrap_or_default();
