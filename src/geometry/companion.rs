@@ -11,8 +11,8 @@
 //! behind made onsets of their own: they tell how often there is such light, and how strong it is. Where there is none
 //! to be seen, it is weaker than the weakest onset. Widths of pulses tell the rest: the pull is the mean of its posterior
 //! distribution over the strength of the companion that matters most, over the strengths of the others (to first order
-//! about their means), and over one level of all light of that kind, which the widths of all onsets tell together.
-//! Without it dozens of companions at mean strengths would add up to light that no width shows.
+//! about their means), and over one level of all light that makes no onset, which the widths of all onsets tell together.
+//! What was learned from onsets follows it the less, the more of them there were. Without it dozens of companions at mean strengths would add up to light that no width shows.
 
 /// Strengths at which a distribution is evaluated.
 const GRID: usize = 48;
@@ -44,6 +44,8 @@ pub struct Strengths {
     chance: f64,
     ln_mean: f64,
     ln_sd: f64,
+    /// By what power of a common level the strengths of this light follow it: 1 where nothing was learned.
+    follows: f64,
 }
 
 /// What other light in an onset adds to its length, and the standard deviation of that.
@@ -77,12 +79,15 @@ impl Strengths {
         let ln_mean = (logarithms.iter().sum::<f64>() + PRIOR_COUNT * LN_MEAN) / (count + PRIOR_COUNT);
         let squares: f64 = logarithms.iter().map(|logarithm| (logarithm - ln_mean).powi(2)).sum();
         let ln_variance = (squares + PRIOR_COUNT * LN_SD.powi(2)) / (count + PRIOR_COUNT);
-        Self { chance, ln_mean, ln_sd: ln_variance.sqrt().max(LN_SD_MIN) }
+        let follows = PRIOR_COUNT / (ratios.len() as f64 + PRIOR_COUNT);
+        Self { chance, ln_mean, ln_sd: ln_variance.sqrt().max(LN_SD_MIN), follows }
     }
 
-    /// Strengths with their probabilities; light that makes no onset is weaker than `least`.
-    fn grid(&self, least: f64) -> impl Iterator<Item = (f64, f64)> {
-        let Self { chance, ln_mean, ln_sd } = *self;
+    /// Strengths with their probabilities at a level; light that makes no onset is weaker than `least`.
+    fn grid(&self, least: f64, ln_level: f64) -> impl Iterator<Item = (f64, f64)> {
+        let Self { chance, ln_sd, .. } = *self;
+        let ln_mean = self.ln_mean + self.follows * ln_level;
+        let unseen_most = least * ln_level.min(0.0).exp();
         let at = |n: usize| (n as f64 + 0.5) / GRID as f64;
         let total: f64 = (0..GRID).map(|n| gauss(REACH_SD * (2.0 * at(n) - 1.0))).sum();
         let seen = move |n: usize| {
@@ -90,15 +95,20 @@ impl Strengths {
             ((ln_mean + sds * ln_sd).exp(), chance * gauss(sds) / total)
         };
         // Closer to one another where they are weak: an onset without a width rules out all but little light.
-        let unseen = move |n: usize| (least * at(n).powi(2), (1.0 - chance) * 2.0 * at(n) / GRID as f64);
+        let unseen = move |n: usize| (unseen_most * at(n).powi(2), (1.0 - chance) * 2.0 * at(n) / GRID as f64);
         (0..GRID).map(seen).chain((0..GRID).map(unseen))
     }
 
     /// Mean and variance of the strength.
-    fn moments(&self, least: f64) -> [f64; 2] {
-        let sum = |power: i32| self.grid(least).map(|(strength, chance)| chance * strength.powi(power)).sum::<f64>();
-        let mean = sum(1);
-        [mean, f64::max(0.0, sum(2) - mean * mean)]
+    fn moments(&self, least: f64, ln_level: f64) -> [f64; 2] {
+        let unseen_most = least * ln_level.min(0.0).exp();
+        let moment = |power: f64| {
+            let unseen = unseen_most.powf(power) / (power + 1.0);
+            let ln_seen = power * (self.ln_mean + self.follows * ln_level + 0.5 * power * self.ln_sd * self.ln_sd);
+            self.chance * ln_seen.exp() + (1.0 - self.chance) * unseen
+        };
+        let mean = moment(1.0);
+        [mean, f64::max(0.0, moment(2.0) - mean * mean)]
     }
 }
 
@@ -167,13 +177,19 @@ impl Moments {
     }
 }
 
-/// Light of the companions of an onset: the main one, and sums over all others.
+/// Light of the companions of an onset: the main one, and all others at each level.
 struct Light {
     main_m: f64,
     strengths: Strengths,
-    /// Sums of mean strengths times powers of the distance, 0 to 2.
+    others: Vec<Others>,
+}
+
+/// Sums over the strengths of all companions but the main one.
+#[derive(Default)]
+struct Others {
+    /// Of means times powers of the distance, 0 to 2.
     means: [f64; 3],
-    /// Sums of variances of strengths times powers of the distance, 0 to 4.
+    /// Of variances times powers of the distance, 0 to 4.
     variances: [f64; 5],
 }
 
@@ -181,30 +197,32 @@ impl Light {
     /// `None` without companions.
     fn new(onset: &Onset) -> Option<Self> {
         let Onset { companions, least, .. } = onset;
-        let moments: Vec<[f64; 2]> = companions.iter().map(|(_, strengths)| strengths.moments(*least)).collect();
-        let matters = |n: &usize| companions[*n].0 * moments[*n][0];
+        let matters = |n: &usize| companions[*n].0 * companions[*n].1.moments(*least, 0.0)[0];
         let main = (0..companions.len()).max_by(|a, b| matters(a).total_cmp(&matters(b)))?;
-        let [mut means, mut variances] = [[0.0; 5]; 2];
-        for n in (0..companions.len()).filter(|n| *n != main) {
-            for power in 0..5 {
-                means[power] += moments[n][0] * companions[n].0.powi(power as i32);
-                variances[power] += moments[n][1] * companions[n].0.powi(power as i32);
+        let others = |n: usize| {
+            let mut sums = Others::default();
+            let others = companions.iter().enumerate().filter(|(other, _)| *other != main);
+            for (longer_m, strengths) in others.map(|(_, companion)| companion) {
+                let [mean, variance] = strengths.moments(*least, ln_level(n));
+                (0..3).for_each(|power| sums.means[power] += mean * longer_m.powi(power as i32));
+                (0..5).for_each(|power| sums.variances[power] += variance * longer_m.powi(power as i32));
             }
-        }
+            sums
+        };
         let (main_m, strengths) = companions[main];
-        Some(Self { main_m, strengths, means: [means[0], means[1], means[2]], variances })
+        Some(Self { main_m, strengths, others: (0..LEVELS).map(others).collect() })
     }
 
-    /// The pull at level `n` of the others, summed over the strengths of the main companion.
+    /// The pull at level `n`, summed over the strengths of the main companion.
     fn pulled(&self, onset: &Onset, n: usize) -> Moments {
-        let (level, excess) = (ln_level(n).exp(), onset.excess);
+        let (excess, others) = (onset.excess, &self.others[n]);
         let mut sum = Moments::default();
-        for (strength, chance) in self.strengths.grid(onset.least * level.min(1.0)) {
-            let moment = |power: usize| strength * self.main_m.powi(power as i32) + level * self.means[power];
+        for (strength, chance) in self.strengths.grid(onset.least, ln_level(n)) {
+            let moment = |power: usize| strength * self.main_m.powi(power as i32) + others.means[power];
             let light = 1.0 + moment(0);
             let pull_m = moment(1) / light;
             let wider_m2 = moment(2) / light - pull_m * pull_m;
-            let [pull_m2, both_m3, wider_m4] = self.spread(pull_m, wider_m2).map(|one| one * (level / light).powi(2));
+            let [pull_m2, both_m3, wider_m4] = others.spread(pull_m, wider_m2).map(|one| one / (light * light));
             let sd_m2 = excess.sd_m2.hypot(wider_m4.sqrt());
             let (off_m2, told) = (excess.variance_m2 - wider_m2, both_m3 / (sd_m2 * sd_m2));
             let weight = chance * (gauss(off_m2 / sd_m2) * excess.sd_m2 / sd_m2 + TAIL);
@@ -216,9 +234,11 @@ impl Light {
         }
         sum
     }
+}
 
+impl Others {
     /// Variance of the centroid, its covariance with the variance about it, and the variance of that, as the strengths
-    /// of the others make them for all light of strength 1: a little more light moves the centroid by its distance from
+    /// make them for all light of strength 1: a little more light moves the centroid by its distance from
     /// it, and the variance by the square of that less what it is.
     fn spread(&self, pull_m: f64, wider_m2: f64) -> [f64; 3] {
         let [v0, v1, v2, v3, v4] = self.variances;
@@ -264,7 +284,7 @@ mod tests {
 
     #[test]
     fn strengths_are_learned() {
-        let Strengths { chance, ln_mean, ln_sd } = strengths(&mut Draws(1));
+        let Strengths { chance, ln_mean, ln_sd, .. } = strengths(&mut Draws(1));
         assert!((chance - 0.7).abs() < 0.03 && (ln_mean - 0.3_f64.ln()).abs() < 0.03 && (ln_sd - 0.4).abs() < 0.03);
         let Strengths { chance, .. } = Strengths::learned(&[None; 400]);
         assert!(chance < 0.01, "light that shows nowhere is nowhere: {chance}");
