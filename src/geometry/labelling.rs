@@ -16,10 +16,11 @@
 //! order are seen, with and without hidden patches among theirs, is learned from the campaign, once (`chances`).
 //!
 //! With three bounces or more, patches that neither laser nor sensor sees are searched for over all profiles (`layers`,
-//! [`crate::hidden`]). Or they are taken in order of arrival as in the paper (`rank`). With five bounces, patches that
-//! only hidden ones show are searched for next, in fifth bounces (lit, hidden, such a patch, hidden, seen). That search
-//! takes the arrivals that no path over patches in place explains. Their places come from minimal sets of arrivals
-//! alone: a search of all space would follow the many later bounces.
+//! [`crate::hidden`]). Or they are taken in order of arrival as in the paper (`rank`). Later bounces
+//! count only if they are seen over the patches so found (`later`). In such a bright room, and with five bounces, the
+//! search is made again: places come from minimal sets of arrivals alone, since a search of all space would follow the
+//! many later bounces. Then patches that only hidden ones show are searched for, in fifth bounces (lit, hidden, such a
+//! patch, hidden, seen), among the arrivals that no path over patches in place explains.
 //!
 //! Two patches whose light comes within [`Options::blend_ps`] over any path are not told apart. So a hidden patch that
 //! shows so near to a visible one is that patch: third bounces over it contradict the place that its own second bounces
@@ -38,11 +39,11 @@
 //! added as predicted.
 //!
 //! Not modelled: amplitudes, which could distinguish paths of equal length; arrivals of one profile whose errors are
-//! correlated; a density of later bounces that grows with time. Hence a room may show a false patch if more than a
-//! tenth of all fourth bounces are seen before hidden patches are in place.
+//! correlated; a density of later bounces that grows with time. Hence a bright room may show a false patch if more than
+//! a tenth of all fourth bounces are seen before hidden patches are in place.
 //!
-//! The files are a stack, each imports only those before it: problem, scene, paths, chances, legs, blends, assignment,
-//! readings, closed, comparison, layers, rank, blind.
+//! The files are a stack, each imports only those before it: problem, scene, paths, chances, later, legs, blends,
+//! assignment, readings, closed, comparison, layers, rank, blind.
 
 mod assignment;
 mod blends;
@@ -50,6 +51,7 @@ mod blind;
 mod chances;
 mod closed;
 mod comparison;
+mod later;
 mod layers;
 mod legs;
 mod paths;
@@ -80,6 +82,9 @@ pub use problem::{
 use readings::{Readings, Widths};
 pub use scene::Scene;
 
+/// Hidden patches, the surest first, over which fourth bounces are looked for: over more there are too many paths.
+const SUREST: usize = 4;
+
 /// Labels all arrivals of all sensors; with a `scene` by prediction, else by first light. A cancel ends it within
 /// milliseconds.
 ///
@@ -92,6 +97,38 @@ pub fn label(sensors: &[SensorProfiles], scene: Option<&Scene>, options: &Option
         let verdicts = readings.sensors.iter().map(|sensor| blind::label(sensor, options, cancel)).collect();
         return Solution { verdicts, ..Solution::default() }.of(readings);
     };
+    if options.bounces <= INDIRECT || options.hidden != HiddenPatches::Search {
+        return predicted(sensors, scene, options, cancel);
+    }
+    if shows_fourths(&[], scene, sensors, options, cancel) {
+        return predicted(sensors, scene, options, cancel);
+    }
+    let thirds = predicted(sensors, scene, &Options { bounces: INDIRECT, ..*options }, cancel);
+    if shows_fourths(&thirds.hypotheses, scene, sensors, options, cancel) {
+        predicted(sensors, scene, options, cancel)
+    } else {
+        thirds
+    }
+}
+
+/// Whether fourth bounces are seen over visible patches and the surest hidden ones.
+fn shows_fourths(
+    hypotheses: &[Hypothesis],
+    scene: &Scene,
+    sensors: &[SensorProfiles],
+    options: &Options,
+    cancel: &Cancel,
+) -> bool {
+    let hidden = hypotheses.iter().filter_map(|one| Some((one.patch?, one.surface)));
+    let scene = scene.with(hidden.take(SUREST));
+    let whole = Readings::whole(sensors, Some(&scene), options.blend_ps);
+    let options = Options { bounces: later::FOURTH, ..*options };
+    let labelling = Labelling::new(&scene, &whole.sensors, &options, cancel);
+    later::are_seen(&labelling.graphs(&scene), &whole.sensors)
+}
+
+/// Labels by prediction, patches moved to where light over them shows them.
+fn predicted(sensors: &[SensorProfiles], scene: &Scene, options: &Options, cancel: &Cancel) -> Solution {
     let mut scene = scene.clone();
     let mut found: BTreeMap<PatchId, Hidden> = BTreeMap::new();
     let solution = loop {

@@ -91,10 +91,10 @@ fn onsets(rng: &mut ChaCha8Rng) -> Vec<Onset> {
     onsets
 }
 
-/// The published pipeline from its labels on, over onsets that are given.
+/// The main pipeline from its labels on, over onsets that are given.
 fn pipeline(lab: &Lab) -> String {
-    let text = include_str!("../../pipelines/inter-reflections.toml");
-    let text = Definition::parse("inter-reflections", text).unwrap().to_toml();
+    let text = include_str!("../../pipelines/scene.toml");
+    let text = Definition::parse("scene", text).unwrap().to_toml();
     let from = text.find("[anchors]").expect("anchors come before labels");
     // Onsets that are given have no latency.
     let solved = without_search(&text[from..]).replace(", calibration = \"calibration\"", "");

@@ -129,7 +129,7 @@ impl Count {
 }
 
 /// A time within the laser's first period.
-fn folded(time: Time, view: View) -> Time {
+pub(super) fn folded(time: Time, view: View) -> Time {
     let period_ps = view.medium().repetition_ps;
     Time { time_ps: period_ps.map_or(time.time_ps, |period_ps| time.time_ps.rem_euclid(period_ps)), ..time }
 }

@@ -63,7 +63,7 @@ impl Extents {
         let of_widths = || widths.labels.iter().zip(&widths.spreads).zip(&sizes.excess_m2);
         let onset = |((place, spread), variance_m2): ((&usize, &Spread), &f64)| {
             let label = &model.labels[*place];
-            let sd_m2 = if spread.is_limit { spread.variance_m2 } else { spread.sd_m2 };
+            let sd_m2 = if spread.is_limit { spread.variance_m2.hypot(spread.sd_m2) } else { spread.sd_m2 };
             let excess = Excess { variance_m2: *variance_m2, sd_m2 };
             let of_label = if is_earliest(label) { companions.of(label) } else { Vec::new() };
             Onset { companions: of_label, least: companions.least(label), excess }
