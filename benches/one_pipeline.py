@@ -27,7 +27,6 @@ CASES = [
     ("no-reference", "all-visible", "patches"),
     ("dome", "all-visible", "patches"),
     ("flatland", "all-visible", "patches"),
-    ("around-the-corner", "inter-reflections", "patches"),
     ("paper-mirror", "mirror", "patches"),
     ("barcode", "barcode", "patches"),
 ]

@@ -9,10 +9,11 @@
 //!
 //! The lengths `D_k` follow from the places of patches. The strengths do not, but companions that came far enough
 //! behind made onsets of their own: they tell how often there is such light, and how strong it is. Where there is none
-//! to be seen, it is weaker than the weakest onset. Widths of pulses tell the rest: the pull is the mean of its posterior
-//! distribution over the strength of the companion that matters most, over the strengths of the others (to first order
-//! about their means), and over one level of all light that makes no onset, which the widths of all onsets tell together.
-//! What was learned from onsets follows it the less, the more of them there were. Without it dozens of companions at mean strengths would add up to light that no width shows.
+//! to be seen, it is weaker than the weakest onset. Widths of pulses tell the rest. The pull is the mean of its
+//! posterior distribution over the strength of the companion that matters most, over the strengths of the others (to
+//! first order about their means), and over one level of all light that makes no onset, which the widths of all onsets
+//! tell together. What was learned from onsets follows that level the less, the more of them there were. Without a
+//! level dozens of companions at mean strengths would add up to light that no width shows.
 
 /// Strengths at which a distribution is evaluated.
 const GRID: usize = 48;
@@ -29,8 +30,8 @@ const LN_SD_MIN: f64 = 0.2;
 /// Chance that an onset is wider for another reason, in units of the density's peak: an excess that no strength
 /// explains rules none of them out.
 const TAIL: f64 = 1e-6;
-/// Levels at which the light of companions is evaluated, 1 among them: least and largest logarithm, and the scale of its Cauchy
-/// distribution.
+/// Levels at which the light of companions is evaluated, 1 among them: least and largest logarithm, and the scale of its
+/// Cauchy distribution.
 const LEVELS: usize = 18;
 const LN_LEVEL_MIN: f64 = -8.0;
 const LN_LEVEL_MAX: f64 = 0.5;

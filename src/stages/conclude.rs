@@ -6,6 +6,7 @@
 //! |---|---|
 //! | fit | chi-square of `fits`: whether the model explains the onsets |
 //! | labels | onsets with a path, and without one |
+//! | later bounces | onsets whose paths have four bounces or five, which only a bright room shows |
 //! | hidden patches | `hypotheses`: those accepted, and the likeliest one that was not |
 //! | weak patches | `weak`: the same of `search`, in all profiles together |
 //! | walls | `hypotheses` that are planes |
@@ -56,6 +57,9 @@ use crate::tables::{
     Plane, SceneOdds, SurfacePoint,
 };
 
+/// Bounces of the last light that all rooms show.
+const THIRD: i32 = 3;
+
 /// Parameters of `conclude`: none.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -84,7 +88,7 @@ pub struct Context {
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },
@@ -153,7 +157,7 @@ impl Apply for Conclude {
 impl Context {
     /// What a solution from onsets rests on.
     fn onset_decisions(&self, best: &[&Patch]) -> Vec<Decision> {
-        let mut decisions = vec![self.fit(), self.labelled(), self.hidden(best)];
+        let mut decisions = vec![self.fit(), self.labelled(), self.later_bounces(), self.hidden(best)];
         decisions.extend(self.weak());
         decisions.extend(self.walls());
         decisions.extend(self.scenes.iter().map(place));
@@ -221,6 +225,19 @@ impl Context {
                 "patches or walls that the model does not have",
             )
         }
+    }
+
+    /// Whether bounces after the third make onsets.
+    fn later_bounces(&self) -> Decision {
+        let is_later = |label: &&Label| label.alternative == 0 && label.bounces > THIRD;
+        let count = self.labels.iter().filter(is_later).count();
+        let (chosen, evidence) = if count > 0 {
+            ("taken: a bright room", format!("{count} pulses have paths of four or five bounces"))
+        } else {
+            ("left out", "no pulse has a path of four or five bounces".to_owned())
+        };
+        let would_change = "whether more onsets come at the times of fourth bounces than beside them";
+        decision("later bounces", chosen, &evidence, would_change)
     }
 
     /// Which patches lie hidden and show onsets, and which place was not accepted as one.

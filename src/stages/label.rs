@@ -25,8 +25,12 @@
 //! | `rank` | the paper's: the n-th onset that visible patches do not explain is hidden patch n in every profile |
 //! | `none` | not looked for |
 //!
-//! With `bounces` of 5, patches that only hidden ones show are searched for next; three hidden patches that do not lie
-//! in line must show them (in flatland two). All are numbered on from the largest patch, `[hidden] count` of
+//! Fourth and later bounces count only in a bright room: where more onsets lie at the times of fourth bounces over
+//! visible patches and the surest hidden ones than beside these times (by four standard deviations). In others they
+//! would take onsets from hidden patches.
+//!
+//! With `bounces` of 5, patches that only hidden ones show are then searched for too; three hidden patches that do not
+//! lie in line must show them (in flatland two). All are numbered on from the largest patch, `[hidden] count` of
 //! campaign.toml at most.
 //!
 //! A wall reflects only to the side that it is lit from. Patches whose normal is known (`planes`, or campaign.toml in a
@@ -213,7 +217,7 @@ impl Context {
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 19;
+    const VERSION: u32 = 20;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

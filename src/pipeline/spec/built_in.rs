@@ -31,7 +31,6 @@ built_in!(
     "characterize",
     "first-returns",
     "image",
-    "inter-reflections",
     "locate",
     "mirror",
     "tdr",

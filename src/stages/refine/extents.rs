@@ -22,8 +22,8 @@ const UNSEEN: f64 = 3.5;
 /// Where no width was fitted, the error of the variance over that of the time is up to so many times what it would be
 /// for light alone: other light beside it explains some of the width.
 const UNFITTED: f64 = 2.0;
-/// An onset of first or second bounces that is further than so many times what the response resolves from all others has
-/// a width if it shows by two standard deviations of its variance.
+/// An onset of first or second bounces that is further than so many times what the response resolves from all others
+/// has a width if it shows by two standard deviations of its variance.
 const ALONE: f64 = 3.0;
 const UNSEEN_ALONE: f64 = 1.0;
 /// Disks of one path have unequal shares of its variance, and orders up to the fourth are not all: what that makes of
