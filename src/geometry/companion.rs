@@ -30,8 +30,8 @@ const LN_SD_MIN: f64 = 0.2;
 /// Chance that an onset is wider for another reason, in units of the density's peak: an excess that no strength
 /// explains rules none of them out.
 const TAIL: f64 = 1e-6;
-/// Levels at which the light of companions is evaluated, 1 among them: least and largest logarithm, and the scale of its
-/// Cauchy distribution.
+/// Levels at which the light of companions is evaluated, 1 among them: least and largest logarithm, and the scale of
+/// its Cauchy distribution.
 const LEVELS: usize = 18;
 const LN_LEVEL_MIN: f64 = -8.0;
 const LN_LEVEL_MAX: f64 = 0.5;
