@@ -24,8 +24,8 @@ const UNSEEN: f64 = 3.5;
 const UNFITTED: f64 = 2.0;
 /// An onset of first or second bounces that is further than so many times what the response resolves from all others
 /// has a width if it shows by two standard deviations of its variance.
-const ALONE: f64 = 3.0;
-const UNSEEN_ALONE: f64 = 1.0;
+const ALONE: f64 = 5.0;
+const UNSEEN_ALONE: f64 = 2.0;
 /// Disks of one path have unequal shares of its variance, and orders up to the fourth are not all: what that makes of
 /// the variance, as a share of it.
 const SHAPE_SD: f64 = 0.04;

@@ -220,3 +220,19 @@ fn no_ghosts_are_made_of_later_bounces() {
         assert!(patches.iter().all(|one| nearest_m(&room, one).1 < 0.01), "{seed}: {patches:?}");
     }
 }
+
+/// False arrivals and third bounces do not pass for fourth ones, and few of these suffice.
+#[test]
+fn a_room_is_bright_where_fourth_bounces_are_seen() {
+    let is_bright = |fourth: f64, seed: u64| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let room = Lit::new(&mut rng, 8, 2, 0);
+        let made = room.made(Seen { orders: [0.7, fourth, 0.0], deep: 0.0 }, 5.0, 8, &mut rng);
+        let scene = room.scene(10, 5e-4, &mut rng);
+        let sensors = [PLAIN.sensor((0.0, 0.0), &made)];
+        shows_fourths(&[], &scene, &sensors, &Options { bounces: 5, ..OPTIONS }, &Cancel::never())
+    };
+    let dark = (0..200).filter(|seed| is_bright(0.0, *seed)).count();
+    let bright = (0..20).filter(|seed| is_bright(0.1, *seed)).count();
+    assert!(dark <= 1 && bright >= 19, "{dark} of 200 dark rooms, {bright} of 20 bright ones");
+}
