@@ -11,24 +11,40 @@ mod kill;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/lab.rs"]
 mod lab;
+#[path = "reliability/lineage.rs"]
+mod lineage;
+#[allow(dead_code, reason = "the test uses more of it")]
+#[path = "../tests/it/lineage_random.rs"]
+mod lineage_random;
+#[path = "../tests/it/manipulations.rs"]
+mod manipulations;
 #[path = "../tests/it/many_parts.rs"]
 mod many_parts;
 #[path = "reliability/memory.rs"]
 mod memory;
+#[path = "reliability/parts.rs"]
+mod parts;
 #[allow(dead_code, reason = "other studies use more of it")]
 #[path = "resolution/score.rs"]
 mod score;
+#[path = "reliability/views.rs"]
+mod views;
 #[path = "reliability/watch.rs"]
 mod watch;
 
 /// A study takes the numbers behind its name.
 type Study = fn(&[usize]);
 
-const STUDIES: [(&str, Study); 5] = [
+const STUDIES: [(&str, Study); 10] = [
     ("kill", kill::study),
     ("faults", faults::study),
     ("flips", flips::study),
+    ("settings", flips::settings),
+    ("views", views::study),
+    ("lineage", lineage::study),
+    ("parts", parts::study),
     ("memory", memory::study),
+    ("commands", memory::commands),
     ("watch", watch::study),
 ];
 

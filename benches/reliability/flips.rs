@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use arrow_array::RecordBatch;
-use periscope::campaign::{Campaign, seal};
+use periscope::campaign::{Campaign, Manifest, seal};
 use periscope::pipeline::run::{RunError, Settings};
 use periscope::simulate::Format;
 use periscope::store::lineage::table_recipe;
@@ -277,6 +277,7 @@ fn raw_files(flips: usize) {
         let file = &files[draws.random_range(0..files.len())];
         let bit = draws.random_range(0..8 * fs::metadata(file).unwrap().len());
         flip(file, bit);
+        keep_stamp(&campaign, file);
         let name = file.file_name().unwrap().to_str().unwrap();
         verify.push(verified(&lab.campaign(), &["--rehash"], name));
         // Into an empty folder, so that every raw file is read.
@@ -289,6 +290,7 @@ fn raw_files(flips: usize) {
         silent += usize::from(lab.parts("again").iter().any(|(file, digest)| parts.get(file) != Some(digest)));
         run.push(refused);
         flip(file, bit);
+        keep_stamp(&campaign, file);
     }
     let (verify, run) = (Rate::of(verify), Rate::of(run));
     println!(
@@ -296,4 +298,61 @@ fn raw_files(flips: usize) {
     );
     println!("|---|---|---|---|---|");
     println!("| {} | {flips} | {} = {verify} | {} = {run} | {silent} |", files.len(), verify.hits, run.hits);
+}
+
+/// Puts the present stamp of a raw file into the seal, since a disk that decays changes none.
+fn keep_stamp(campaign: &Campaign, file: &Path) {
+    let mut manifest = Manifest::load(&campaign.root).unwrap().unwrap();
+    let path = file.strip_prefix(&campaign.root).unwrap();
+    let recorded = manifest.get(path).unwrap().blake3;
+    manifest.record(path, recorded, &fs::metadata(file).unwrap());
+    manifest.save(&campaign.root).unwrap();
+}
+
+/// Flips in campaign.toml and in the table of captures of a sealed campaign. `numbers`: how many in each.
+pub fn settings(numbers: &[usize]) {
+    let flips = numbers.first().copied().unwrap_or(300);
+    let lab = few_shots();
+    table_of_captures(&lab);
+    let campaign = Campaign::load(&lab.campaign()).unwrap();
+    seal(&campaign, &campaign.survey().unwrap(), false).unwrap();
+    fs::write(lab.path("pipeline.toml"), PIPELINE).unwrap();
+    let run = |out: &str| {
+        let run = ["run", "pipeline.toml", "--campaign", "campaign", "--out", out, "--progress", "none"];
+        Command::new(env!("CARGO_BIN_EXE_periscope")).args(run).current_dir(lab.path("")).output().unwrap()
+    };
+    assert!(run("out").status.success());
+    println!(
+        "\n| settings | flips | found by `verify` of the campaign [95 %] | of the results [95 %] | refused by `run` [95 %] |"
+    );
+    println!("|---|---|---|---|---|");
+    let mut draws = ChaCha8Rng::seed_from_u64(11);
+    for name in ["campaign.toml", "captures.csv"] {
+        let file = lab.campaign().join(name);
+        let bits = 8 * fs::metadata(&file).unwrap().len();
+        let (mut of_campaign, mut of_results, mut refused) = (Vec::new(), Vec::new(), Vec::new());
+        for _ in 0..flips {
+            let bit = draws.random_range(0..bits);
+            flip(&file, bit);
+            of_campaign.push(verified(&lab.campaign(), &[], name));
+            of_results.push(verified(&lab.path("out"), &[], name));
+            let ran = run("out");
+            refused.push(ran.status.code() == Some(1) && String::from_utf8_lossy(&ran.stderr).contains(name));
+            flip(&file, bit);
+        }
+        let [of_campaign, of_results, refused] =
+            [of_campaign, of_results, refused].map(Rate::of).map(|rate| format!("{} = {rate}", rate.hits));
+        println!("| {name} | {flips} | {of_campaign} | {of_results} | {refused} |");
+    }
+}
+
+/// Adds a capture that a table names, so that the settings have one.
+fn table_of_captures(lab: &Lab) {
+    let campaign = Campaign::load(&lab.campaign()).unwrap();
+    let first = campaign.path_of(&campaign.survey().unwrap().exposures[0].file);
+    fs::copy(first, lab.campaign().join("raw/dark.trc")).unwrap();
+    fs::write(lab.campaign().join("captures.csv"), "file,sensor\nraw/dark.trc,s1\n").unwrap();
+    let file = lab.campaign().join("campaign.toml");
+    let text = fs::read_to_string(&file).unwrap();
+    fs::write(file, text + "\n[[captures]]\nrole = \"dark\"\ntable = \"captures.csv\"\n").unwrap();
 }

@@ -24,8 +24,8 @@ pub fn rule(rule: &CaptureRule, place: &str, sensors: &BTreeMap<String, Sensor>)
         check_path(&table.to_string_lossy())
             .map_err(|problem| at.fault(format!("table = \"{}\" {problem}", table.display())))?;
     }
-    at.name("channel", rule.channel.as_deref())?;
-    at.name("range", rule.range.as_deref())?;
+    at.label("channel", rule.channel.as_deref())?;
+    at.label("range", rule.range.as_deref())?;
     for (key, patch) in [("lit", rule.lit), ("seen", rule.seen)] {
         at.check(patch.is_none_or(|patch| patch >= 0), || {
             format!("{key} is negative; patches are numbered from 1 (0: none)")
@@ -126,7 +126,7 @@ fn reference_keys(
     at.check(reference.channel.is_some() != reference.files.is_some(), || {
         "reference has either `channel` (of the same file) or `files` (a pattern); give one of them".into()
     })?;
-    at.name("reference.channel", reference.channel.as_deref())?;
+    at.label("reference.channel", reference.channel.as_deref())?;
     let same = reference.channel.is_some() && reference.channel == rule.channel;
     at.check(!same, || "reference.channel is the channel of the signal; name the other one".into())?;
     let Some(files) = &reference.files else {

@@ -13,7 +13,7 @@ use crate::units::PatchId;
 /// The first fault.
 pub fn campaign(campaign: &Campaign) -> Result<(), Fault> {
     let at = At("[campaign]");
-    at.name("name", Some(&campaign.name))?;
+    at.name("name", &campaign.name)?;
     let index = campaign.group_index;
     at.check(index.is_finite() && index >= 1.0, || {
         format!("group_index = {index} is not a number from 1 up; air has 1.000277")
@@ -65,14 +65,14 @@ pub fn setup(
     for (name, station) in stations {
         let place = format!("[stations.{name}]");
         let at = At(&place);
-        at.name("the station's name", Some(name))?;
+        at.name("the station's name", name)?;
         at.point("position_m", Some(station.position_m), flat)?;
         at.positive("sd_m", station.sd_m)?;
     }
     for (name, sensor) in sensors {
         let place = format!("[sensors.{name}]");
         let at = At(&place);
-        at.name("the sensor's name", Some(name))?;
+        at.name("the sensor's name", name)?;
         at.station("station", sensor.station.as_deref(), stations)?;
         sensor_keys(&at, sensor)?;
     }

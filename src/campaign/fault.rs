@@ -6,6 +6,9 @@ use super::keys::Station;
 use super::pattern::Pattern;
 use super::suggest::hint;
 
+/// Longest name, so that a file system takes it with what is added.
+const NAME_BYTES: usize = 100;
+
 /// Something wrong in the values of a campaign file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{place}: {problem}")]
@@ -55,9 +58,22 @@ impl At<'_> {
         self.check(!given || other_given, || format!("{key} stands without {other}; add {other}, or take {key} out"))
     }
 
-    pub(super) fn name(&self, key: &str, name: Option<&str>) -> Result<(), Fault> {
-        let fits = |name: &str| !name.is_empty() && !name.contains(|c: char| c.is_control() || c == '/');
-        self.check(name.is_none_or(fits), || format!("{key} is empty or has `/` in it; give a plain name"))
+    /// A name that becomes part of a path: of the folder of notes, or of files that are written for other programs.
+    pub(super) fn name(&self, key: &str, name: &str) -> Result<(), Fault> {
+        let is_plain = |c: char| c.is_alphanumeric() || matches!(c, ' ' | '.' | '-' | '_' | '+');
+        let fits = name.starts_with(char::is_alphanumeric) && name.chars().all(is_plain) && name.len() <= NAME_BYTES;
+        self.check(fits, || {
+            format!(
+                "{key} is not a plain name; begin with a letter or a digit, and go on with letters, digits, blanks, `.`, \
+                 `-`, `_` and `+`, {NAME_BYTES} bytes at most"
+            )
+        })
+    }
+
+    /// A name that a file or an instrument may have given.
+    pub(super) fn label(&self, key: &str, label: Option<&str>) -> Result<(), Fault> {
+        let fits = |label: &str| !label.is_empty() && !label.contains(|c: char| c.is_control() || c == '/');
+        self.check(label.is_none_or(fits), || format!("{key} is empty or has `/` in it; give a plain name"))
     }
 
     pub(super) fn station(

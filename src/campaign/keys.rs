@@ -4,15 +4,17 @@
 //! unknown keys. The values can be serialized, so that the fields that a stage reads enter its lineage; the folder
 //! itself never does.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
 use crate::units::PatchId;
+
+/// Name of the file that makes a folder a campaign.
+pub const CAMPAIGN_FILE: &str = "campaign.toml";
 
 /// Name of the station of the laser.
 pub const LASER: &str = "laser";
@@ -49,10 +51,10 @@ pub struct Campaign {
     pub captures: Vec<CaptureRule>,
     /// Exposures to omit, and why.
     pub exclude: Vec<Exclude>,
-    /// Raw files that changed after this time are still being written, and are not read yet. Not a key: `watch` sets it
-    /// during a measurement.
+    /// The raw files that take part, relative to the folder; `None`: all. Not a key: `watch` sets it during a
+    /// measurement, when other files are still being written.
     #[serde(skip)]
-    pub as_of: Option<SystemTime>,
+    pub settled: Option<BTreeSet<PathBuf>>,
 }
 
 impl Campaign {

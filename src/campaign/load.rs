@@ -7,15 +7,14 @@ use serde::Deserialize;
 
 use super::fault::Fault;
 use super::keys::{
-    Campaign, CaptureRule, Exclude, Hidden, Patch, Sensor, Station, View, exclude_place, one_station, rule_place,
+    CAMPAIGN_FILE, Campaign, CaptureRule, Exclude, Hidden, Patch, Sensor, Station, View, exclude_place, one_station,
+    rule_place,
 };
+use super::manifest::ManifestError;
 use super::parts::PART_BYTES;
 use super::toml_text::{self, TomlError};
-use super::{check_captures, check_setup};
+use super::{check_captures, check_setup, settings};
 use crate::units::PatchId;
-
-/// Name of the file that makes a folder a campaign.
-pub const CAMPAIGN_FILE: &str = "campaign.toml";
 
 /// Why a campaign cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -39,6 +38,9 @@ pub enum CampaignError {
         /// What is wrong with which key.
         fault: Fault,
     },
+    /// The seal cannot be read, or the settings differ from it.
+    #[error(transparent)]
+    Seal(#[from] ManifestError),
 }
 
 /// Advice for a missing `campaign.toml`.
@@ -105,13 +107,24 @@ fn usual_part() -> u64 {
 }
 
 impl Campaign {
-    /// Reads and checks `root/campaign.toml`.
+    /// Reads and checks `root/campaign.toml`. In a sealed campaign it must be as it was sealed, as must the tables that
+    /// it names.
     ///
     /// # Errors
-    /// When the file cannot be read, or has an impossible value. The message names line or heading, key, and the fix.
+    /// When the file cannot be read, has an impossible value, or differs from the seal. The message names line or
+    /// heading, key, and the fix.
     pub fn load(root: &Path) -> Result<Self, CampaignError> {
+        settings::hold(root)?;
+        Self::read(root)
+    }
+
+    /// The same without regard to a seal.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or has an impossible value.
+    pub fn read(root: &Path) -> Result<Self, CampaignError> {
         let file = root.join(CAMPAIGN_FILE);
-        let text = std::fs::read_to_string(&file).map_err(|source| CampaignError::Read { file, source })?;
+        let text = toml_text::read(&file).map_err(|source| CampaignError::Read { file, source })?;
         Self::parse(root, &text)
     }
 
@@ -137,7 +150,7 @@ impl Campaign {
             hidden: keys.hidden,
             captures: keys.captures,
             exclude: keys.exclude,
-            as_of: None,
+            settled: None,
         };
         campaign.check().map_err(|fault| CampaignError::Keys { file, fault })?;
         Ok(campaign)

@@ -1,26 +1,28 @@
-//! The manifest of a campaign folder: size, time of change and content hash of every raw file that was read or sealed.
+//! The manifest of a campaign folder: stamp and content hash of every raw file that was read or sealed, and in a seal
+//! the text of campaign.toml and of the tables that it names.
 //!
 //! `DIR/manifest.json` has one line per file, sorted, each with its own checksum: you may delete a line, but a damaged
-//! one is noticed. Lineages use the hash (BLAKE3). Size and time only avoid hashing a file again: where they differ
-//! from the record, the content decides. A file that is rewritten with equal size and equal time stays unnoticed until
-//! `verify --rehash`.
+//! one is noticed. Lineages use the hash (BLAKE3). The stamp (size, times, inode) only avoids hashing a file again:
+//! where it differs from the record, the content decides.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File, Metadata};
+use std::fs::Metadata;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, UNIX_EPOCH};
+use std::time::Duration;
 
 use blake3::Hash;
-use serde::de::IgnoredAny;
+use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
 
+use super::stamp::Stamp;
+use crate::store::disk::{self as fs, Output};
 use crate::store::lock;
 
 /// Name of the manifest in a campaign folder.
 pub const MANIFEST_FILE: &str = "manifest.json";
 
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// Prefix of half-written manifests; a mark of the writing process follows.
 const HALF: &str = ".manifest.json.";
@@ -72,15 +74,25 @@ pub enum ManifestError {
         /// The manifest.
         manifest: PathBuf,
     },
+    /// campaign.toml or a table that it names differs from its sealed text.
+    #[error(
+        "campaign {}: its settings changed since it was sealed: {}; restore them, or, if the change is meant, \
+         `periscope seal --update`", root.display(), changes.join("; ")
+    )]
+    Settings {
+        /// The campaign folder.
+        root: PathBuf,
+        /// The changes: file, and key or line.
+        changes: Vec<String>,
+    },
 }
 
 /// The record of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileRecord {
-    /// Size.
-    pub bytes: u64,
-    /// Time of the last change, nanoseconds since 1970.
-    pub modified_ns: i64,
+    /// The file's stamp when it was hashed.
+    #[serde(flatten)]
+    pub stamp: Stamp,
     /// Hash of the content.
     #[serde(with = "hexadecimal")]
     pub blake3: Hash,
@@ -99,12 +111,12 @@ pub(super) mod hexadecimal {
     }
 }
 
-/// How a file compares with its record, by size and time of change alone.
+/// How a file compares with its record, by its stamp alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileState {
     /// As recorded: the file has this content.
     Same(Hash),
-    /// Size or time differ from the record: the file must be hashed, and compared with this content.
+    /// The stamp differs from the record: the file must be hashed, and compared with this content.
     Touched {
         /// The content that was recorded.
         recorded: Hash,
@@ -115,25 +127,46 @@ pub enum FileState {
 
 /// The records of a campaign folder, by path relative to it, with `/` between its parts.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(transparent)]
 pub struct Manifest {
     files: BTreeMap<String, FileRecord>,
+    /// The sealed text of campaign.toml and of its tables; none in notes of runs.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub(super) settings: BTreeMap<String, String>,
 }
 
 /// The JSON of the file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ManifestFile {
+struct ManifestFile<F> {
     version: u32,
-    files: BTreeMap<String, Line>,
+    settings: BTreeMap<String, Text>,
+    files: F,
 }
 
-/// A line of the file.
+/// A line of the file, for a text that is kept whole.
+#[derive(PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Text {
+    text: String,
+    /// The first 16 hexadecimal digits of the BLAKE3 hash of path and text.
+    check: String,
+}
+
+impl Text {
+    fn of(path: &str, text: &str) -> Self {
+        let check = blake3::hash(format!("{path}\0{text}").as_bytes());
+        Self { text: text.to_owned(), check: check.to_hex()[..16].to_owned() }
+    }
+}
+
+/// A line of the file, for a raw file.
 #[derive(PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Line {
     bytes: u64,
     modified_ns: i64,
+    changed_ns: i64,
+    inode: u64,
     /// Hexadecimal, lower case.
     blake3: String,
     /// The first 16 hexadecimal digits of the BLAKE3 hash of path and fields.
@@ -142,16 +175,18 @@ struct Line {
 
 impl Line {
     fn of(path: &str, record: &FileRecord) -> Self {
-        let FileRecord { bytes, modified_ns, blake3 } = record;
-        let blake3 = blake3.to_hex().to_string();
-        let check = blake3::hash(format!("{path}\0{bytes}\0{modified_ns}\0{blake3}").as_bytes());
-        Self { bytes: *bytes, modified_ns: *modified_ns, blake3, check: check.to_hex()[..16].to_owned() }
+        let Stamp { bytes, modified_ns, changed_ns, inode } = record.stamp;
+        let blake3 = record.blake3.to_hex().to_string();
+        let fields = format!("{path}\0{bytes}\0{modified_ns}\0{changed_ns}\0{inode}\0{blake3}");
+        let check = blake3::hash(fields.as_bytes()).to_hex()[..16].to_owned();
+        Self { bytes, modified_ns, changed_ns, inode, blake3, check }
     }
 
     /// The record, if the line's checksum is right.
     fn record(&self, path: &str) -> Option<FileRecord> {
         let blake3 = Hash::from_hex(&self.blake3).ok()?;
-        let record = FileRecord { bytes: self.bytes, modified_ns: self.modified_ns, blake3 };
+        let &Self { bytes, modified_ns, changed_ns, inode, .. } = self;
+        let record = FileRecord { stamp: Stamp { bytes, modified_ns, changed_ns, inode }, blake3 };
         (Self::of(path, &record) == *self).then_some(record)
     }
 }
@@ -162,24 +197,34 @@ impl Manifest {
     /// # Errors
     /// When the manifest cannot be read, or is damaged.
     pub fn load(root: &Path) -> Result<Option<Self>, ManifestError> {
-        let file = root.join(MANIFEST_FILE);
-        let bytes = match fs::read(&file) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            read => read.map_err(|source| file_error(&file, source))?,
+        let Some((read, file)) = read::<BTreeMap<String, Line>>(root)? else {
+            return Ok(None);
         };
-        let format = |problem: String| ManifestError::Format { file: file.clone(), problem };
-        let read: ManifestFile = serde_json::from_slice(&bytes).map_err(|error| format(error.to_string()))?;
-        if read.version != VERSION {
-            return Err(format(format!("version {}, not {VERSION}", read.version)));
-        }
-        let (mut files, mut damaged) = (BTreeMap::new(), Vec::new());
+        let (settings, mut damaged) = texts(read.settings);
+        let mut files = BTreeMap::new();
         for (path, line) in read.files {
             match line.record(&path) {
                 Some(record) => _ = files.insert(path, record),
                 None => damaged.push(path),
             }
         }
-        if damaged.is_empty() { Ok(Some(Self { files })) } else { Err(ManifestError::Damaged { file, lines: damaged }) }
+        if damaged.is_empty() {
+            Ok(Some(Self { files, settings }))
+        } else {
+            Err(ManifestError::Damaged { file, lines: damaged })
+        }
+    }
+
+    /// The sealed texts alone, by path; `None` if the campaign folder has no manifest.
+    ///
+    /// # Errors
+    /// When the manifest cannot be read, or these lines are damaged.
+    pub fn sealed_texts(root: &Path) -> Result<Option<BTreeMap<String, String>>, ManifestError> {
+        let Some((read, file)) = read::<IgnoredAny>(root)? else {
+            return Ok(None);
+        };
+        let (settings, damaged) = texts(read.settings);
+        if damaged.is_empty() { Ok(Some(settings)) } else { Err(ManifestError::Damaged { file, lines: damaged }) }
     }
 
     /// Writes the manifest under another name, then renames it, so that neither a reader nor a crash sees half of it.
@@ -188,7 +233,7 @@ impl Manifest {
     /// # Errors
     /// When it cannot be written.
     pub fn save(&self, root: &Path) -> Result<(), ManifestError> {
-        self.write(root, File::sync_all)
+        self.write(root, Output::sync_all)
     }
 
     /// Writes the manifest without waiting for the disk. A power cut may truncate it, which [`Manifest::join`] treats
@@ -200,11 +245,11 @@ impl Manifest {
         self.write(root, |_| Ok(()))
     }
 
-    fn write(&self, root: &Path, sync: impl FnOnce(&File) -> io::Result<()>) -> Result<(), ManifestError> {
+    fn write(&self, root: &Path, sync: impl FnOnce(&Output) -> io::Result<()>) -> Result<(), ManifestError> {
         let file = root.join(MANIFEST_FILE);
         let half = root.join(format!("{HALF}{}", lock::mark()));
         let write = || -> io::Result<()> {
-            let mut out = File::create(&half)?;
+            let mut out = fs::create(&half)?;
             out.write_all(self.text()?.as_bytes())?;
             sync(&out)?;
             fs::rename(&half, &file)?;
@@ -213,20 +258,16 @@ impl Manifest {
         write().map_err(|source| file_error(&file, source))
     }
 
-    /// Indented JSON with one line per file: easy to read, to compare, and to delete a line.
+    /// JSON with one line per file: easy to read, to compare, and to delete a line.
     fn text(&self) -> serde_json::Result<String> {
-        let mut text = format!("{{\n\"version\": {VERSION},\n\"files\": {{");
-        for (index, (path, record)) in self.files.iter().enumerate() {
-            text += if index > 0 { ",\n" } else { "\n" };
-            text += &serde_json::to_string(path)?;
-            text += ": ";
-            text += &serde_json::to_string(&Line::of(path, record))?;
-        }
-        text += "\n}\n}\n";
-        Ok(text)
+        let settings = self.settings.iter().map(|(path, text)| line(path, &Text::of(path, text)));
+        let files = self.files.iter().map(|(path, record)| line(path, &Line::of(path, record)));
+        let settings = settings.collect::<Result<Vec<_>, _>>()?.join(",\n");
+        let files = files.collect::<Result<Vec<_>, _>>()?.join(",\n");
+        Ok(format!("{{\n\"version\": {VERSION},\n\"settings\": {{\n{settings}\n}},\n\"files\": {{\n{files}\n}}\n}}\n"))
     }
 
-    /// Compares a file with its record by size and time of change, without reading its content.
+    /// Compares a file with its record by its stamp, without reading its content.
     ///
     /// # Errors
     /// When the file does not exist, or its metadata cannot be read.
@@ -270,7 +311,7 @@ impl Manifest {
     #[must_use]
     pub fn of<'a>(&self, files: impl Iterator<Item = &'a Path>) -> Self {
         let record = |file| self.files.get_key_value(&key(file)).map(|(path, record)| (path.clone(), *record));
-        Self { files: files.filter_map(record).collect() }
+        Self { files: files.filter_map(record).collect(), settings: BTreeMap::new() }
     }
 
     /// Drops the records of files that have changed or are gone, for a campaign that is still being captured.
@@ -284,6 +325,12 @@ impl Manifest {
         self.files.get(&key(path))
     }
 
+    /// The sealed texts, by path: campaign.toml, and the tables that it names.
+    #[must_use]
+    pub fn settings(&self) -> &BTreeMap<String, String> {
+        &self.settings
+    }
+
     /// All records, sorted by path.
     pub fn iter(&self) -> impl Iterator<Item = (&Path, &FileRecord)> {
         self.files.iter().map(|(path, record)| (Path::new(path), record))
@@ -292,24 +339,12 @@ impl Manifest {
 
 impl FileRecord {
     fn of(content: Hash, metadata: &Metadata) -> Self {
-        Self { bytes: metadata.len(), modified_ns: modified_ns(metadata), blake3: content }
+        Self { stamp: Stamp::of(metadata), blake3: content }
     }
 
-    /// Whether size and time of change match the record.
+    /// Whether the stamp matches the record.
     fn fits(&self, metadata: &Metadata) -> bool {
-        self.bytes == metadata.len() && self.modified_ns == modified_ns(metadata)
-    }
-}
-
-/// Time of the last change, nanoseconds since 1970; 0 where the file system has none.
-#[must_use]
-pub fn modified_ns(metadata: &Metadata) -> i64 {
-    let Ok(time) = metadata.modified() else {
-        return 0;
-    };
-    match time.duration_since(UNIX_EPOCH) {
-        Ok(after) => after.as_nanos() as i64,
-        Err(before) => -(before.duration().as_nanos() as i64),
+        self.stamp == Stamp::of(metadata)
     }
 }
 
@@ -319,7 +354,7 @@ pub fn modified_ns(metadata: &Metadata) -> i64 {
 /// When it cannot be read.
 pub fn hash_file(path: &Path) -> Result<Hash, ManifestError> {
     let hash = || -> io::Result<Hash> {
-        let mut file = File::open(path)?;
+        let mut file = fs::open(path)?;
         let mut hasher = blake3::Hasher::new();
         let mut buffer = vec![0; BUFFER_BYTES];
         loop {
@@ -342,6 +377,36 @@ fn file_error(file: &Path, source: io::Error) -> ManifestError {
     ManifestError::File { file: file.to_owned(), source }
 }
 
+/// The JSON of a manifest, and its path; `None` if there is none.
+fn read<F: DeserializeOwned>(root: &Path) -> Result<Option<(ManifestFile<F>, PathBuf)>, ManifestError> {
+    let file = root.join(MANIFEST_FILE);
+    let bytes = match fs::read(&file) {
+        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
+            return Ok(None);
+        }
+        read => read.map_err(|source| file_error(&file, source))?,
+    };
+    let format = |problem: String| ManifestError::Format { file: file.clone(), problem };
+    let read: ManifestFile<F> = serde_json::from_slice(&bytes).map_err(|error| format(error.to_string()))?;
+    if read.version != VERSION {
+        return Err(format(format!("version {}, not {VERSION}", read.version)));
+    }
+    Ok(Some((read, file)))
+}
+
+/// The texts whose checks are right, and the paths of the others.
+fn texts(lines: BTreeMap<String, Text>) -> (BTreeMap<String, String>, Vec<String>) {
+    let (mut texts, mut damaged) = (BTreeMap::new(), Vec::new());
+    for (path, line) in lines {
+        if Text::of(&path, &line.text) == line {
+            texts.insert(path, line.text);
+        } else {
+            damaged.push(path);
+        }
+    }
+    (texts, damaged)
+}
+
 /// Removes the half-written manifests of processes that were killed.
 fn sweep(root: &Path) -> io::Result<()> {
     for entry in fs::read_dir(root)? {
@@ -354,6 +419,10 @@ fn sweep(root: &Path) -> io::Result<()> {
     Ok(())
 }
 
+fn line(path: &str, content: &impl Serialize) -> serde_json::Result<String> {
+    Ok(format!("{}: {}", serde_json::to_string(path)?, serde_json::to_string(content)?))
+}
+
 fn key(path: &Path) -> String {
     let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
     parts.join("/")
@@ -361,6 +430,8 @@ fn key(path: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::fs::{self, File};
+
     use super::*;
 
     fn folder_with(text: &str) -> (tempfile::TempDir, Manifest) {
@@ -403,9 +474,9 @@ mod tests {
         assert_eq!(Manifest::load(folder.path()).unwrap(), Some(manifest));
         let text = fs::read_to_string(folder.path().join(MANIFEST_FILE)).unwrap();
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(lines.len(), 7);
-        assert!(lines[3].starts_with("\"a.trc\": {\"bytes\":5,\"modified_ns\":"));
-        assert!(lines[3].contains(&content.to_hex().to_string()));
+        assert_eq!(lines.len(), 10);
+        assert!(lines[6].starts_with("\"a.trc\": {\"bytes\":5,\"modified_ns\":"));
+        assert!(lines[6].contains(&content.to_hex().to_string()));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing left over");
     }
 
@@ -427,7 +498,7 @@ mod tests {
         let empty = Manifest::default();
         empty.save(folder.path()).unwrap();
         assert_eq!(Manifest::load(folder.path()).unwrap(), Some(empty));
-        for text in ["", "{}", "{\"version\": 1, \"files\": {}}"] {
+        for text in ["", "{}", "{\"version\": 2, \"files\": {}}", "{\"version\": 2, \"settings\": {}, \"files\": {}}"] {
             fs::write(folder.path().join(MANIFEST_FILE), text).unwrap();
             let error = Manifest::load(folder.path()).unwrap_err().to_string();
             assert!(error.contains("seal the folder anew"), "{error}");
@@ -436,7 +507,8 @@ mod tests {
 
     #[test]
     fn every_flipped_bit_is_found_and_its_line_named() {
-        let (folder, manifest) = folder_with("light");
+        let (folder, mut manifest) = folder_with("light");
+        manifest.settings.insert("campaign.toml".to_owned(), "[campaign]\nname = 'c'\n".to_owned());
         manifest.save(folder.path()).unwrap();
         let file = folder.path().join(MANIFEST_FILE);
         let bytes = fs::read(&file).unwrap();
@@ -454,7 +526,7 @@ mod tests {
     }
 
     #[test]
-    fn size_or_time_tell_that_a_file_was_touched() {
+    fn the_stamp_tells_that_a_file_was_touched() {
         let (folder, manifest) = folder_with("light");
         let (path, file) = (Path::new("a.trc"), folder.path().join("a.trc"));
         let content = blake3::hash(b"light");

@@ -7,7 +7,7 @@
 //! | `toml_text`, `suggest` | if not: which line is wrong, and what was meant? |
 //! | `survey`, `pattern`, `walk`, `captures_table`, `references`, `companions`, `exclusions`, `exposure`, `claims` | which file is which exposure? |
 //! | `left_out` | what does a run not use, and what is to be done? |
-//! | `manifest`, `seal`, `tree_hash` | is it still the same file as before? |
+//! | `stamp`, `manifest`, `seal`, `settings`, `tree_hash` | is it still the same file as before? |
 //! | `parts` | where does a part end, the unit of storage and computation? |
 //!
 //! No file here reads a waveform; `formats` does.
@@ -27,6 +27,8 @@ pub mod parts;
 pub mod pattern;
 pub mod references;
 pub mod seal;
+pub mod settings;
+pub mod stamp;
 pub mod suggest;
 pub mod survey;
 pub mod toml_text;
@@ -39,7 +41,8 @@ pub use fault::Fault;
 pub use keys::{Axis, Campaign, CaptureRule, RecordKeys, Role};
 pub use left_out::{Cause, LeftOut};
 pub use load::CampaignError;
-pub use manifest::{FileState, Manifest, ManifestError, hash_file, modified_ns};
+pub use manifest::{FileState, Manifest, ManifestError, hash_file};
 pub use parts::closes_part;
 pub use seal::{SealReport, seal};
+pub use stamp::Stamp;
 pub use survey::{Survey, SurveyError};

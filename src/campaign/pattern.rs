@@ -9,14 +9,23 @@
 //! | all else | itself |
 //!
 //! A repeated placeholder must have the same value everywhere. A path that can be read in two ways with different
-//! values is an error, not a match. Matching backtracks over the tokens. Not supported: `?`, `[a-z]`, escapes, and
-//! ignoring case.
+//! values is an error, not a match. Not supported: `?`, `[a-z]`, escapes, and ignoring case.
+//!
+//! Matching backtracks over the tokens, but never into a dead end twice. A table says, for each token and place, if the
+//! rest can match where every placeholder may have any value; only such states are entered, and each once for the same
+//! values so far. Without a repeated placeholder every state that is entered leads to a reading, and the second reading
+//! ends the search: steps are at most some number of tokens times length of the path squared. Each repeated placeholder
+//! adds a factor of at most the number of its possible values in the path.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::ops::Range;
 
 use super::keys::Axis;
 use super::suggest::hint;
+
+/// Most tokens of a pattern.
+const TOKENS: usize = 64;
 
 /// Why a text is not a valid pattern.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -108,7 +117,7 @@ impl Pattern {
     ///
     /// # Errors
     /// When it is not relative to the campaign folder, has an unknown placeholder, two placeholders without a sign
-    /// between them, or a stray `{`, `}` or `**`.
+    /// between them, a stray `{`, `}` or `**`, or too many parts.
     pub fn parse(text: &str) -> Result<Self, PatternError> {
         let fail = |problem: String| PatternError { pattern: text.to_owned(), problem };
         check_path(text).map_err(fail)?;
@@ -118,6 +127,9 @@ impl Pattern {
             let (token, length) = token(rest, tokens.last()).map_err(fail)?;
             tokens.push(token);
             rest = &rest[length..];
+        }
+        if tokens.len() > TOKENS {
+            return Err(fail(format!("has {} texts, stars and placeholders; {TOKENS} are enough", tokens.len())));
         }
         for index in 0..tokens.len() {
             let Token::Value(mut value) = tokens[index] else {
@@ -152,8 +164,8 @@ impl Pattern {
     /// Reads a path: relative to the campaign folder, with `/` between its parts.
     #[must_use]
     pub fn read<'a>(&self, path: &'a str) -> Reading<'a> {
-        let mut reader = Reader::new(path);
-        reader.walk(false, &self.tokens, 0);
+        let mut reader = Reader::new(&self.tokens, path);
+        reader.walk(false, 0, 0);
         match reader.readings.as_slice() {
             [] => Reading::No,
             [one] => Reading::Yes(*one),
@@ -164,8 +176,8 @@ impl Pattern {
     /// A matching path with `*` for each value of this placeholder: what files that differ only there have in common.
     #[must_use]
     pub fn starred(&self, path: &str, axis: Axis) -> String {
-        let mut reader = Reader::new(path);
-        reader.walk(false, &self.tokens, 0);
+        let mut reader = Reader::new(&self.tokens, path);
+        reader.walk(false, 0, 0);
         let (mut starred, mut rest) = (String::new(), 0);
         for (_, range) in reader.places.iter().filter(|(of, _)| *of == axis) {
             starred.push_str(&path[rest..range.start]);
@@ -243,9 +255,70 @@ fn touches(before: Option<&Token>, after: Option<&Token>, sign: char) -> bool {
     left || right
 }
 
+/// Which states can lead to the end of the path, if every placeholder may have any value.
+struct Reach {
+    /// By token and place: without a star before it, and with one.
+    ends: Vec<[bool; 2]>,
+    places: usize,
+}
+
+impl Reach {
+    fn new(tokens: &[Token], path: &str) -> Self {
+        let (bytes, places) = (path.as_bytes(), path.len() + 1);
+        let mut reach = Self { ends: vec![[false; 2]; (tokens.len() + 1) * places], places };
+        reach.ends[tokens.len() * places + path.len()] = [true; 2];
+        for (index, token) in tokens.iter().enumerate().rev() {
+            // For a star: whether some place from here to the end of the folder does; for folders: one behind a `/`.
+            let mut further = false;
+            for at in (0..places).rev() {
+                let next = bytes.get(at);
+                let ends = match token {
+                    Token::Text(text) => {
+                        bytes[at..].starts_with(text.as_bytes()) && reach.from(index + 1, at + text.len(), false)
+                    }
+                    Token::Star => {
+                        further = reach.from(index + 1, at, true) || (further && next != Some(&b'/'));
+                        further
+                    }
+                    Token::Folders => {
+                        further |= next == Some(&b'/') && reach.from(index + 1, at + 1, false);
+                        further || reach.from(index + 1, at, false)
+                    }
+                    Token::Value(value) => lengths(*value, tokens.get(index + 1), &bytes[at..])
+                        .any(|length| reach.from(index + 1, at + length, false)),
+                };
+                let cut = matches!(token, Token::Value(value) if is_cut(*value, bytes, at));
+                reach.ends[index * places + at] = [ends, ends && !cut];
+            }
+        }
+        reach
+    }
+
+    fn from(&self, token: usize, at: usize, after_star: bool) -> bool {
+        self.ends[token * self.places + at][usize::from(after_star)]
+    }
+}
+
+/// Possible lengths of a value at the start of `tail`. Before text any length is possible (`{sensor}x{channel}`).
+/// Before a star only the whole run is, or the star would cut a number or a name in two.
+fn lengths(value: Value, next: Option<&Token>, tail: &[u8]) -> impl DoubleEndedIterator<Item = usize> + use<> {
+    let longest = tail.iter().take_while(|byte| value.takes(**byte)).count();
+    let shortest = if matches!(next, Some(Token::Text(_))) { 1 } else { longest.max(1) };
+    shortest..=longest
+}
+
+/// Whether a value here, behind a star, would be the rest of a longer one.
+fn is_cut(value: Value, path: &[u8], at: usize) -> bool {
+    at > 0 && value.takes(path[at - 1])
+}
+
 /// A backtracking reader. It collects readings with different values, and stops at the second.
-struct Reader<'a> {
+struct Reader<'a, 't> {
+    tokens: &'t [Token],
     path: &'a str,
+    reach: Reach,
+    /// States that were entered: token, place, whether a star precedes, and the values so far.
+    entered: BTreeSet<(usize, usize, bool, Bound<'a>)>,
     bound: Bound<'a>,
     /// Where the placeholders so far got their values.
     values: Vec<(Axis, Range<usize>)>,
@@ -254,18 +327,28 @@ struct Reader<'a> {
     places: Vec<(Axis, Range<usize>)>,
 }
 
-impl<'a> Reader<'a> {
-    fn new(path: &'a str) -> Self {
-        Self { path, bound: Bound::default(), values: Vec::new(), readings: Vec::new(), places: Vec::new() }
+impl<'a, 't> Reader<'a, 't> {
+    fn new(tokens: &'t [Token], path: &'a str) -> Self {
+        Self {
+            tokens,
+            path,
+            reach: Reach::new(tokens, path),
+            entered: BTreeSet::new(),
+            bound: Bound::default(),
+            values: Vec::new(),
+            readings: Vec::new(),
+            places: Vec::new(),
+        }
     }
 
-    /// Reads the path from byte `at` by `tokens`. `after_star`: a star precedes.
-    fn walk(&mut self, after_star: bool, tokens: &[Token], at: usize) {
-        if self.readings.len() > 1 {
+    /// Reads the path from byte `at` by the tokens from `index` on. `after_star`: a star precedes.
+    fn walk(&mut self, after_star: bool, index: usize, at: usize) {
+        let is_over = self.readings.len() > 1 || !self.reach.from(index, at, after_star);
+        if is_over || !self.entered.insert((index, at, after_star, self.bound)) {
             return;
         }
-        let Some((token, rest)) = tokens.split_first() else {
-            if at == self.path.len() && !self.readings.contains(&self.bound) {
+        let Some(token) = self.tokens.get(index) else {
+            if !self.readings.contains(&self.bound) {
                 if self.readings.is_empty() {
                     self.places.clone_from(&self.values);
                 }
@@ -275,42 +358,27 @@ impl<'a> Reader<'a> {
         };
         let tail = &self.path.as_bytes()[at..];
         match token {
-            Token::Text(text) => {
-                if tail.starts_with(text.as_bytes()) {
-                    self.walk(false, rest, at + text.len());
-                }
-            }
+            Token::Text(text) => self.walk(false, index + 1, at + text.len()),
             Token::Star => {
                 let end = tail.iter().position(|b| *b == b'/').unwrap_or(tail.len());
                 for length in 0..=end {
-                    self.walk(true, rest, at + length);
+                    self.walk(true, index + 1, at + length);
                 }
             }
             Token::Folders => {
-                self.walk(false, rest, at);
-                for (index, _) in tail.iter().enumerate().filter(|(_, b)| **b == b'/') {
-                    self.walk(false, rest, at + index + 1);
+                self.walk(false, index + 1, at);
+                for (length, _) in tail.iter().enumerate().filter(|(_, b)| **b == b'/') {
+                    self.walk(false, index + 1, at + length + 1);
                 }
             }
-            Token::Value(value) => {
-                let cut = after_star && at > 0 && value.takes(self.path.as_bytes()[at - 1]);
-                if !cut {
-                    self.value(*value, rest, at);
-                }
-            }
+            Token::Value(value) => self.value(*value, index, at),
         }
     }
 
-    fn value(&mut self, value: Value, rest: &[Token], at: usize) {
+    fn value(&mut self, value: Value, index: usize, at: usize) {
         let path = self.path;
-        let bytes = path.as_bytes()[at..].iter();
-        let longest = bytes.take_while(|b| value.takes(**b)).count();
-        // Before text any length is possible (`{sensor}x{channel}`). Before a star only the whole run is, or the star
-        // would cut a number or a name in two.
-        let before_text = matches!(rest.first(), Some(Token::Text(_)));
-        let shortest = if before_text { 1 } else { longest.max(1) };
         let bound_before = self.bound;
-        for length in (shortest..=longest).rev() {
+        for length in lengths(value, self.tokens.get(index + 1), &path.as_bytes()[at..]).rev() {
             let mut text = &path[at..at + length];
             if value.axis.is_number() {
                 text = without_leading_zeros(text);
@@ -318,7 +386,7 @@ impl<'a> Reader<'a> {
             if bound_before.get(value.axis).is_none_or(|bound_before| bound_before == text) {
                 self.bound.0[value.axis as usize] = Some(text);
                 self.values.push((value.axis, at..at + length));
-                self.walk(false, rest, at + length);
+                self.walk(false, index + 1, at + length);
                 self.values.pop();
             }
         }
@@ -374,6 +442,25 @@ mod tests {
         assert_eq!(read("raw/**/*.npy", "raw/day1/am/a.npy"), "");
         assert_eq!(read("**/L{lit}.npy", "day1/L3.npy"), "lit = 3");
         assert_eq!(read("*ä*/L{lit}.npy", "prä/L3.npy"), "lit = 3");
+    }
+
+    #[test]
+    fn no_pattern_takes_long() {
+        let started = std::time::Instant::now();
+        let long = "a".repeat(200);
+        assert_eq!(read(&"*a".repeat(30), &format!("{long}b")), "no");
+        assert_eq!(read(&("*a".repeat(30) + "*{lit}"), &format!("{long}7")), "lit = 7");
+        assert_eq!(read(&("**/".repeat(60) + "x"), &("a/".repeat(200) + "y")), "no");
+        assert_eq!(read("*{sensor}*{channel}*{range}*.x", &"a.".repeat(100)), "no");
+        let equal = read("*{sensor}*{channel}*{range}*", &"a.".repeat(100));
+        assert_eq!(equal, "sensor = a, range = a, channel = a");
+        let two = read("*{sensor}*{channel}*{range}*", &"a.b.".repeat(50));
+        assert!(two.contains('|'), "{two}");
+        let distinct = (0..60).map(|n| format!("a{n}")).collect::<Vec<_>>().join(".");
+        assert_eq!(read("*{sensor}*{sensor}*{range}*{range}*", &distinct), "no");
+        assert!(started.elapsed().as_secs() < 2, "{:?}", started.elapsed());
+        let text = Pattern::parse(&"a*".repeat(40)).unwrap_err().to_string();
+        assert!(text.contains("64 are enough"), "{text}");
     }
 
     #[test]

@@ -1,14 +1,15 @@
-//! Seals a campaign: records the content of its raw files, and later checks the files against that record.
+//! Seals a campaign: records its settings and the content of its raw files, and later checks them against that record.
 //!
-//! The first seal hashes every raw file. Later ones compare sizes and times, hash only files where these differ, and
-//! refuse changed files by name. New files are reported, and recorded on request. A missing file keeps its line, since
-//! its disk may be elsewhere today.
+//! The first seal hashes every raw file. Later ones compare stamps, hash only files where these differ, and refuse
+//! changed files by name. New files are reported, and recorded on request, as are changed settings. A missing file
+//! keeps its line, since its disk may be elsewhere today.
 
 use std::fmt;
 use std::path::PathBuf;
 
 use super::keys::Campaign;
 use super::manifest::{FileState, MANIFEST_FILE, Manifest, ManifestError, hash_file, metadata};
+use super::settings::{self, Change};
 use super::survey::Survey;
 
 /// The result of sealing. Paths are relative to the campaign folder.
@@ -20,21 +21,26 @@ pub struct SealReport {
     pub new: Vec<PathBuf>,
     /// Whether the new files were hashed and recorded.
     pub joined: bool,
-    /// Files whose size and time of change were recorded anew, since their content is the same.
+    /// Files whose stamp was recorded anew, since their content is the same.
     pub refreshed: Vec<PathBuf>,
+    /// Changes of the settings that were recorded.
+    pub settings: Vec<Change>,
     /// Files in the manifest that do not exist.
     pub gone: Vec<PathBuf>,
 }
 
 impl fmt::Display for SealReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let new = if self.joined { "joined   " } else { "new      " };
+        for change in &self.settings {
+            write!(f, "\nchanged   {change}")?;
+        }
         let mut list = |what: &str, files: &[PathBuf]| -> fmt::Result {
             for file in files {
                 write!(f, "\n{what} {}", file.display())?;
             }
             Ok(())
         };
-        let new = if self.joined { "joined   " } else { "new      " };
         list("touched  ", &self.refreshed)?;
         list("gone     ", &self.gone)?;
         list(new, &self.new)?;
@@ -54,7 +60,7 @@ impl fmt::Display for SealReport {
 pub struct Audit {
     /// Files with the recorded content.
     pub unchanged: usize,
-    /// Those among them with another time of change.
+    /// Those among them with another stamp.
     pub touched: Vec<PathBuf>,
     /// Files with another content.
     pub changed: Vec<PathBuf>,
@@ -63,8 +69,7 @@ pub struct Audit {
 }
 
 impl Manifest {
-    /// Compares every record with its file: by size and time of change, and by content where these differ, or
-    /// everywhere if `rehash`.
+    /// Compares every record with its file: by its stamp, and by content where that differs, or everywhere if `rehash`.
     ///
     /// # Errors
     /// When an existing file cannot be read.
@@ -90,15 +95,16 @@ impl Manifest {
     }
 }
 
-/// Seals a campaign, or checks it against its seal. With `update`, new files are recorded.
+/// Seals a campaign, or checks it against its seal. With `update`, new files and changed settings are recorded.
 ///
 /// # Errors
-/// When the content of files differs from the record (the message names all of them, and nothing is stored), or a file
-/// cannot be read.
+/// When the content of files differs from the record, or without `update` the settings do (the message names all
+/// changes, and nothing is stored), or a file cannot be read.
 pub fn seal(campaign: &Campaign, survey: &Survey, update: bool) -> Result<SealReport, ManifestError> {
     let root = &campaign.root;
     let sealed = Manifest::load(root)?;
-    let join = update || sealed.is_none();
+    let is_first = sealed.is_none();
+    let join = update || is_first;
     let mut manifest = sealed.unwrap_or_default();
     let audit = manifest.audit(campaign, false)?;
     if !audit.changed.is_empty() {
@@ -107,6 +113,16 @@ pub fn seal(campaign: &Campaign, survey: &Survey, update: bool) -> Result<SealRe
             manifest: root.join(MANIFEST_FILE),
         });
     }
+    let mut changes = settings::changes(root, &manifest.settings)?;
+    let texts = settings::read(campaign)?;
+    if !is_first {
+        let unsealed = texts.keys().filter(|file| !manifest.settings.contains_key(*file));
+        changes.extend(unsealed.map(|file| Change { file: file.clone(), what: "is not in the seal".to_owned() }));
+    }
+    if !join && !changes.is_empty() {
+        return Err(settings::refused(root, &changes));
+    }
+    manifest.settings = texts;
     let files = survey.files();
     let new = files.into_iter().filter(|file| manifest.get(file).is_none());
     let new: Vec<PathBuf> = new.map(PathBuf::from).collect();
@@ -121,7 +137,14 @@ pub fn seal(campaign: &Campaign, survey: &Survey, update: bool) -> Result<SealRe
         manifest.record(path, hash_file(&file)?, &before);
     }
     manifest.save(root)?;
-    Ok(SealReport { unchanged: audit.unchanged, new, joined: join, refreshed: audit.touched, gone: audit.gone })
+    Ok(SealReport {
+        unchanged: audit.unchanged,
+        new,
+        joined: join,
+        refreshed: audit.touched,
+        settings: changes,
+        gone: audit.gone,
+    })
 }
 
 #[cfg(test)]
@@ -178,7 +201,7 @@ mod tests {
         assert_eq!(report.new, paths(&["a.npy", "b.npy"]));
         assert!(report.joined);
         let record = *folder.manifest().get(Path::new("a.npy")).unwrap();
-        assert_eq!((record.blake3, record.bytes), (blake3::hash(b"a.npy"), 5));
+        assert_eq!((record.blake3, record.stamp.bytes), (blake3::hash(b"a.npy"), 5));
         let before = folder.manifest();
         let again = folder.seal(true).unwrap();
         assert_eq!((again.unchanged, again.new.len()), (2, 0));
@@ -216,14 +239,47 @@ mod tests {
     }
 
     #[test]
-    fn only_hashing_again_sees_a_change_that_keeps_size_and_time() {
+    fn a_change_that_keeps_size_and_time_of_modification_is_seen() {
         let folder = Folder::new(&["a.npy"]);
         folder.touch("a.npy");
         folder.seal(false).unwrap();
+        std::thread::sleep(Duration::from_millis(20)); // the clock of the file system is coarse
         folder.write("a.npy", "A.NPY");
         folder.touch("a.npy");
         let audit = |rehash| folder.manifest().audit(&folder.campaign(), rehash).unwrap();
-        assert_eq!((audit(false).unchanged, audit(false).changed), (1, paths(&[])));
-        assert_eq!((audit(true).unchanged, audit(true).changed), (0, paths(&["a.npy"])));
+        assert_eq!((audit(false).unchanged, audit(false).changed), (0, paths(&["a.npy"])));
+    }
+
+    #[test]
+    fn settings_are_sealed_and_a_change_joins_only_on_request() {
+        let folder = Folder::new(&["a.npy"]);
+        folder.write("rows.csv", "file\nb.npy\n");
+        folder.write("b.npy", "b");
+        let text = |latency: &str| {
+            format!(
+                "[campaign]\nname = 'c'\n[sensors.s1]\nlatency_ps = {latency}\n[[captures]]\nrole = 'dark'\ntable = 'rows.csv'\n"
+            )
+        };
+        folder.write("campaign.toml", &text("0.0"));
+        assert_eq!(folder.seal(false).unwrap().settings, []);
+        assert!(folder.seal(true).unwrap().settings.is_empty());
+        folder.write("campaign.toml", &text("1.5"));
+        folder.write("rows.csv", "file\na.npy\n");
+        let load = || Campaign::load(folder.0.path()).unwrap_err().to_string();
+        let sealed = folder.manifest();
+        let seal = |update| {
+            let campaign = Campaign::read(folder.0.path()).unwrap();
+            seal(&campaign, &campaign.survey().unwrap(), update)
+        };
+        for error in [load(), seal(false).unwrap_err().to_string()] {
+            assert!(error.contains("campaign.toml: `sensors.s1.latency_ps` was 0.0 and is 1.5"), "{error}");
+            assert!(error.contains("rows.csv: line 2 was `b.npy` and is `a.npy`"), "{error}");
+        }
+        assert_eq!(folder.manifest(), sealed);
+        let changes = seal(true).unwrap().settings;
+        assert_eq!(changes.len(), 2, "{changes:?}");
+        Campaign::load(folder.0.path()).unwrap();
+        fs::remove_file(folder.0.path().join("rows.csv")).unwrap();
+        assert!(load().contains("rows.csv: is gone"), "{}", load());
     }
 }

@@ -32,8 +32,6 @@ pub struct Survey {
     pub empty: Vec<String>,
     /// Files that are excluded, or have an excluded record, each with the reason.
     pub excluded: Vec<(PathBuf, String)>,
-    /// Files that changed after [`Campaign::as_of`]: they may still be being written.
-    pub waiting: Vec<PathBuf>,
 }
 
 /// An exposure without its reference.
@@ -101,10 +99,8 @@ impl Campaign {
     /// When a folder or table cannot be read, a file does not fit its rule, or two rules claim the same record.
     pub fn survey(&self) -> Result<Survey, SurveyError> {
         let raw_files = walk::files(&self.root).map_err(|(folder, source)| SurveyError::Folder { folder, source })?;
-        let is_settled = |file: &walk::RawFile| self.as_of.is_none_or(|as_of| file.modified <= as_of);
-        let (settled, waiting): (Vec<_>, Vec<_>) = raw_files.into_iter().partition(is_settled);
-        let [mut files, waiting] =
-            [settled, waiting].map(|files| files.into_iter().map(|file| file.path).collect::<Vec<_>>());
+        let mut files: Vec<PathBuf> = raw_files.into_iter().map(|file| file.path).collect();
+        files.retain(|file| self.settled.as_ref().is_none_or(|settled| settled.contains(file)));
         files.retain(|file| !self.captures.iter().any(|rule| rule.table.as_ref() == Some(file)));
         let mut paths: BTreeSet<&str> = files.iter().filter_map(|file| file.to_str()).collect();
         let companions: BTreeSet<PathBuf> = paths.iter().filter_map(|path| companion(Path::new(path))).collect();
@@ -119,7 +115,7 @@ impl Campaign {
             claims: Vec::new(),
             taken: BTreeSet::new(),
             excludes_used: BTreeSet::new(),
-            survey: Survey { waiting, ..Survey::default() },
+            survey: Survey::default(),
         };
         for (index, rule) in self.captures.iter().enumerate() {
             if let Some(files) = &rule.files {
@@ -262,7 +258,6 @@ mod tests {
     use super::*;
     use crate::campaign::keys::Role;
     use std::fs;
-    use std::time::{Duration, SystemTime};
 
     const SENSOR: &str = "[campaign]\nname = 'c'\n[sensors.s1]\n";
 
@@ -407,13 +402,10 @@ mod tests {
 
     #[test]
     fn files_that_are_still_being_written_wait() {
-        let (folder, campaign) = folder(&["old.npy", "new.npy"], "[[captures]]\nrole = 'dark'\nfiles = '*.npy'\n");
-        let as_of = SystemTime::now() - Duration::from_mins(1);
-        let old = fs::File::options().write(true).open(folder.path().join("old.npy")).unwrap();
-        old.set_modified(as_of).unwrap();
-        let survey = Campaign { as_of: Some(as_of), ..campaign.clone() }.survey().unwrap();
+        let (_folder, campaign) = folder(&["old.npy", "new.npy"], "[[captures]]\nrole = 'dark'\nfiles = '*.npy'\n");
+        let settled = Some(BTreeSet::from([PathBuf::from("old.npy")]));
+        let survey = Campaign { settled, ..campaign.clone() }.survey().unwrap();
         assert_eq!(survey.exposures.iter().map(|exposure| &exposure.file).collect::<Vec<_>>(), [Path::new("old.npy")]);
-        assert_eq!(names(&survey.waiting), ["new.npy"]);
         assert!(survey.unmatched.is_empty());
         assert_eq!(campaign.survey().unwrap().exposures.len(), 2);
     }

@@ -5,6 +5,7 @@
 //! heading, since the text has no tree then.
 
 use std::fmt;
+use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -12,6 +13,31 @@ use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 
 use super::suggest::hint;
+use crate::store::disk as fs;
+
+/// Most bytes of a TOML file: a campaign of 65,536 patches with their positions takes 5 MB. A parsed file takes some
+/// thirty times its size.
+const MOST_BYTES: u64 = 16 << 20;
+
+/// Most characters of a line that a message shows.
+const SHOWN: usize = 120;
+
+/// Reads a TOML file.
+///
+/// # Errors
+/// When it cannot be read, is no regular file, is no text in UTF-8, or is too large.
+pub fn read(file: &Path) -> io::Result<String> {
+    let metadata = fs::metadata(file)?;
+    if !metadata.is_file() && !metadata.is_dir() {
+        // Opening a pipe would wait for whoever writes into it.
+        return Err(io::Error::other("is a pipe or a device; copy what it holds to a file"));
+    }
+    if metadata.len() > MOST_BYTES {
+        let size = metadata.len();
+        return Err(io::Error::other(format!("has {size} bytes, and at most {MOST_BYTES} are read as TOML")));
+    }
+    fs::read_to_string(file)
+}
 
 /// What is wrong in a TOML file, and where.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -81,7 +107,8 @@ fn advice(message: &str, text: &str, span: &Range<usize>) -> String {
         return String::new();
     }
     let start = text[..span.start].rfind('\n').map_or(0, |at| at + 1);
-    let line = text[start..].lines().next().unwrap_or_default().trim();
+    let whole = text[start..].lines().next().unwrap_or_default().trim();
+    let line: String = whole.chars().take(SHOWN).collect();
     // Text without quotes: the parser takes its first letter for the start of `true`, `false`, `inf`, `nan` or a
     // number.
     let bare =
@@ -197,6 +224,8 @@ fn quoted(message: &str) -> Vec<&str> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use serde::Deserialize;
     use std::collections::BTreeMap;
@@ -259,6 +288,19 @@ mod tests {
             error("[station.a]\n"),
             "c.toml, line 1: unknown key `station` in the top level; did you mean `stations`?"
         );
+    }
+
+    #[test]
+    fn what_is_too_large_too_deep_or_a_pipe_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("c.toml");
+        fs::File::create(&file).unwrap().set_len(MOST_BYTES + 1).unwrap();
+        assert!(read(&file).unwrap_err().to_string().contains("at most 16777216 are read"));
+        fs::remove_file(&file).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&file).status().unwrap().success());
+        assert!(read(&file).unwrap_err().to_string().contains("is a pipe"));
+        let text = error(&format!("stations = {}{}", "[".repeat(100_000), "]".repeat(100_000)));
+        assert!(text.contains("c.toml, line 1: ") && text.len() < 500, "{}", text.len());
     }
 
     #[test]

@@ -6,10 +6,10 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
-use super::load::CAMPAIGN_FILE;
+use super::keys::CAMPAIGN_FILE;
 use super::manifest::MANIFEST_FILE;
+use super::stamp::Stamp;
 
 /// Folder of ground-truth tables of a simulated campaign.
 pub const TRUTH: &str = "truth";
@@ -18,12 +18,12 @@ pub const TRUTH: &str = "truth";
 const SHELF: &str = ".shelf";
 
 /// A file of a campaign folder.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawFile {
     /// Path, relative to the folder.
     pub path: PathBuf,
-    /// When it was last changed; 1970 where the file system has no times.
-    pub modified: SystemTime,
+    /// How it is recognised again.
+    pub stamp: Stamp,
 }
 
 /// All files below `root`, sorted by path.
@@ -36,7 +36,7 @@ pub fn files(root: &Path) -> Result<Vec<RawFile>, (PathBuf, io::Error)> {
     files.retain(|RawFile { path, .. }| {
         path != Path::new(CAMPAIGN_FILE) && path != Path::new(MANIFEST_FILE) && !path.starts_with(TRUTH)
     });
-    files.sort();
+    files.sort_by(|a, b| a.path.cmp(&b.path));
     Ok(files)
 }
 
@@ -65,7 +65,7 @@ fn visit(
             Ok(metadata) if metadata.is_dir() && root.join(&path).join(SHELF).is_dir() => {}
             Ok(metadata) if metadata.is_dir() => visit(root, &path, above, files)?,
             Ok(metadata) if metadata.is_file() => {
-                files.push(RawFile { path, modified: metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH) });
+                files.push(RawFile { path, stamp: Stamp::of(&metadata) });
             }
             _ => {}
         }

@@ -15,8 +15,9 @@ use super::SOME_REJECTED;
 use super::output::{Format, Rows, say};
 pub use losses::print_rejects as tell_rejects;
 
-/// Prints the tables to standard output, a row each, then warnings. Returns the exit code.
-pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool, format: Format) -> Result<ExitCode> {
+/// Prints the tables to standard output, a row each, then warnings. Returns whether something was left out or rejected,
+/// or a result is empty.
+pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, format: Format) -> Result<bool> {
     let out = shelf.out().display();
     let mut tables = Rows::new(&["table", "rows", "made", "folder"]);
     for step in &spec.steps {
@@ -34,9 +35,14 @@ pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, is_strict: bool, form
     // Warnings come also where nothing reads standard output.
     let is_incomplete = losses::print(spec, outcome, shelf)?;
     printed?;
-    Ok(match (is_incomplete, is_strict) {
+    Ok(is_incomplete)
+}
+
+/// The exit code of a run that ended.
+pub fn exit_code(is_incomplete: bool, is_strict: bool) -> ExitCode {
+    match (is_incomplete, is_strict) {
         (false, _) => ExitCode::SUCCESS,
         (true, true) => ExitCode::FAILURE,
         (true, false) => ExitCode::from(SOME_REJECTED),
-    })
+    }
 }

@@ -29,7 +29,7 @@ use periscope::store::finite::NotJson;
 use periscope::tables::{Calibration, Reject, Row};
 
 use super::SOME_REJECTED;
-use super::output::{Format, Output, json, print};
+use super::output::{Format, Output, json, print, print_text};
 use super::run::{or_declared, reference};
 use report::Report;
 
@@ -96,7 +96,7 @@ pub fn check(args: &Check) -> Result<ExitCode> {
     let reference = or_declared(args.pipeline.as_ref(), std::slice::from_ref(&campaign));
     let report = look(&campaign, &survey, &rules(&Spec::new(&Definition::load(&reference)?)?)?, &out.path)?;
     match args.output.format {
-        Format::Table => print(text::text(&report))?,
+        Format::Table => print_text(&text::text(&report))?,
         Format::Json => print(json(&report)?)?,
         Format::Csv => rows::rows(&report).print(Format::Csv)?,
     }

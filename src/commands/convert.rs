@@ -7,6 +7,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use periscope::exchange::{self, CampaignOptions, Defaults, Summary};
 
+use super::machine::size;
 use super::output::{note, say};
 
 /// Arguments of `convert`.
@@ -48,7 +49,13 @@ pub struct Convert {
     /// MAT-files: the file with `tofgrid`, the delay of each point
     #[arg(long, value_name = "FILE")]
     tof: Option<PathBuf>,
+    /// Memory for the capture's histograms; a capture that needs more is refused before it is read
+    #[arg(long, value_name = "SIZE", value_parser = size, default_value = "4GiB")]
+    memory: usize,
 }
+
+/// How often the histograms are in memory at once: as read, and while they are brought into order.
+const COPIES: u64 = 2;
 
 /// Bins across the response's width: with fewer than the first, nothing can be timed; from the second on, error bars
 /// are right.
@@ -68,8 +75,13 @@ pub fn convert(args: &Convert) -> Result<ExitCode> {
     if args.every == 0 {
         bail!("--every 0: give 1 for all points, 2 for every other");
     }
-    let defaults =
-        Defaults { dt_ps: args.dt_ps, wall_m: args.wall_m, start_ps: args.start_ps, delays: args.tof.as_deref() };
+    let defaults = Defaults {
+        dt_ps: args.dt_ps,
+        wall_m: args.wall_m,
+        start_ps: args.start_ps,
+        delays: args.tof.as_deref(),
+        most_bytes: Some(args.memory as u64 / COPIES),
+    };
     let capture = exchange::read(&args.capture, &defaults)?;
     if args.fwhm_ps < COARSE_BINS * capture.dt_ps {
         bail!(
@@ -119,5 +131,8 @@ fn positive(key: &str, value: Option<f64>) -> Result<()> {
 /// Name of the campaign, from its file.
 fn name(capture: &Path) -> String {
     let stem = capture.file_stem().map_or_else(|| "capture".into(), |stem| stem.to_string_lossy());
-    stem.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '-' }).collect()
+    let name: String = stem.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '-' }).collect();
+    // A name begins with a letter or a digit, and is no longer than a file system takes.
+    let name: String = name.trim_start_matches('-').chars().take(80).collect();
+    if name.is_empty() { "capture".to_owned() } else { name }
 }

@@ -17,7 +17,7 @@ use periscope::tables::{Patch, Row};
 
 use super::interrupt::cancel_on_signals;
 use super::machine::use_threads;
-use super::output::{print, say};
+use super::output::{print_text, say};
 use super::report::write_page;
 use super::run::Job;
 
@@ -91,7 +91,7 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
         truth.patches.len()
     )?;
     let paper = if spec.steps.iter().any(|step| step.heading == "paper") { rows(&shelf, "paper")? } else { Vec::new() };
-    print(comparison(&rows(&shelf, "patches")?, &paper, &truth.patches, &scene)?)?;
+    print_text(&comparison(&rows(&shelf, "patches")?, &paper, &truth.patches, &scene)?)?;
     say!("\nTables (Parquet; read them with Polars, DuckDB or anything else):")?;
     for step in &spec.steps {
         let rows = outcome.tables.get(&step.heading).map_or(0, |record| record.rows(&step.node.tables()[0].name));

@@ -12,7 +12,7 @@ use periscope::campaign::keys::PatchRole;
 use periscope::simulate::Scene;
 use serde_json::json;
 
-use super::output::{Format, Output, Rows, json, print};
+use super::output::{Format, Output, Rows, json, print, print_text};
 
 /// Arguments of `design`.
 #[derive(Args)]
@@ -47,7 +47,7 @@ pub fn design(args: &Design) -> Result<ExitCode> {
     scene.captures.bounces = scene.captures.bounces.max(bounces).max(3);
     let outlook = Outlook::new(&scene, Use { bounces, threshold_sigma: args.threshold })?;
     match args.output.format {
-        Format::Table => print(text(&scene, &outlook, bounces, args.threshold)?)?,
+        Format::Table => print_text(&text(&scene, &outlook, bounces, args.threshold)?)?,
         Format::Json => print(json(&object(&scene, &outlook))?)?,
         Format::Csv => {
             let columns =

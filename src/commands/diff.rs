@@ -8,7 +8,7 @@ use clap::Args;
 use periscope::history::comparison::{Comparison, RowsComparison, TableComparison, Verdict, compare};
 use serde_json::{Value, json};
 
-use super::output::{Format, Output, Rows, json, print};
+use super::output::{Format, Output, Rows, json, print, print_text};
 
 /// Most tables on one line; the JSON has all.
 const NAMED: usize = 12;
@@ -66,7 +66,7 @@ pub struct Diff {
 pub fn diff(args: &Diff) -> Result<ExitCode> {
     let comparison = compare(&args.a, &args.b, args.all)?;
     match args.output.format {
-        Format::Table => print(text(&comparison))?,
+        Format::Table => print_text(&text(&comparison))?,
         Format::Json => print(json(&comparison)?)?,
         Format::Csv => rows(&comparison)?.print(Format::Csv)?,
     }

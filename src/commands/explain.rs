@@ -11,7 +11,7 @@ use periscope::history::explanation::{Explanation, explain as explained};
 use periscope::history::target::Target;
 use periscope::store::Shelf;
 
-use super::output::{Format, Rows, json, print};
+use super::output::{Format, Rows, json, print, print_text};
 
 /// The fields of the JSON object.
 const JSON_HELP: &str = "\
@@ -92,10 +92,10 @@ pub fn explain(args: &Explain) -> Result<ExitCode> {
     let shelf = Shelf::look(&args.out)?;
     let explanation = explained(&shelf, &args.target, args.table.as_deref(), &args.campaign)?;
     match args.format {
-        Form::Table => print(text::text(&explanation, args.all))?,
+        Form::Table => print_text(&text::text(&explanation, args.all))?,
         Form::Json => print(json(&explanation)?)?,
         Form::Csv => Rows::of(&ONSET_COLUMNS, &explanation.onsets)?.print(Format::Csv)?,
-        Form::Sql => print(sql(&explanation))?,
+        Form::Sql => print_text(&sql(&explanation))?,
     }
     Ok(ExitCode::SUCCESS)
 }

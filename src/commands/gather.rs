@@ -8,12 +8,12 @@ use clap::Args;
 use periscope::pipeline::rejects::MaxRejects;
 use periscope::pipeline::run::Settings;
 use periscope::pipeline::shards::{Job as Dealt, ShardError};
-use periscope::store::Shelf;
+use periscope::store::{Gathered, Shelf};
 
 use super::aftermath;
 use super::interrupt::cancel_on_signals;
 use super::machine::Machine;
-use super::output::Output;
+use super::output::{Output, note};
 use super::run::{Job, campaigns, open};
 
 /// Arguments of `gather`.
@@ -41,8 +41,13 @@ pub struct Gather {
 pub fn gather(args: &Gather) -> Result<ExitCode> {
     args.machine.start()?;
     Shelf::look(&args.out)?;
-    let shelf = open(&args.out, args.wait)?;
-    let dealt: Dealt = shelf.job()?.ok_or_else(|| ShardError::NoJob(args.out.clone()))?;
+    let shelf = args.machine.folder(open(&args.out, args.wait)?);
+    let dealt: Option<Dealt> = shelf.job()?;
+    let Some(dealt) = dealt else {
+        let gathered = shelf.gathered()?.ok_or_else(|| ShardError::NoJob(args.out.clone()))?;
+        note!("gathered already: nothing to do");
+        return Ok(aftermath::exit_code(gathered.is_incomplete, args.strict));
+    };
     let mut record = dealt.run.clone();
     let spec = dealt.work.spec()?;
     let campaigns = campaigns(&dealt.work.campaigns)?;
@@ -60,6 +65,9 @@ pub fn gather(args: &Gather) -> Result<ExitCode> {
         shards: Some(&dealt),
     };
     let outcome = job.execute_and_tell(&mut record)?;
-    shelf.remove_shards()?;
-    aftermath::tell(&spec, &outcome, &shelf, args.strict, args.output.format)
+    let is_incomplete = aftermath::tell(&spec, &outcome, &shelf, args.output.format)?;
+    let pieces = dealt.cut.iter().flat_map(|(key, pieces)| pieces.iter().chain([key]));
+    let keys = dealt.shards.iter().chain(pieces).cloned().collect();
+    shelf.end_shards(&Gathered { keys, is_incomplete })?;
+    Ok(aftermath::exit_code(is_incomplete, args.strict))
 }

@@ -4,6 +4,7 @@ use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use periscope::pipeline::progress::Style;
 use periscope::pipeline::run::Settings;
+use periscope::store::Shelf;
 
 /// Options of every command that computes tables; the tables do not depend on them.
 #[derive(Args)]
@@ -14,6 +15,9 @@ pub struct Machine {
     /// Memory for raw samples in flight, such as 512MiB
     #[arg(long, value_name = "SIZE", value_parser = size)]
     memory: Option<usize>,
+    /// Wait until each finished part is on the disk: then a power cut loses none
+    #[arg(long)]
+    durable: bool,
     /// How to show progress
     #[arg(long, value_enum, default_value = "auto")]
     progress: ProgressKind,
@@ -29,6 +33,11 @@ impl Machine {
     pub fn settings(&self, defaults: Settings) -> Settings {
         let memory_bytes = self.memory.unwrap_or(defaults.memory_bytes.max(defaults.least_memory()));
         Settings { memory_bytes, ..defaults }
+    }
+
+    /// A result folder that is written as these options say.
+    pub fn folder(&self, shelf: Shelf) -> Shelf {
+        shelf.durable(self.durable)
     }
 
     /// How to show progress.

@@ -9,6 +9,7 @@ pub mod diff;
 pub mod explain;
 pub mod export;
 pub mod gather;
+mod inert;
 pub mod inspect;
 mod interrupt;
 mod machine;

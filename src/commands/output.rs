@@ -2,15 +2,18 @@
 //!
 //! A closed pipe ends a command quietly: what is printed then fails as [`Closed`], which `main` turns into an exit
 //! code.
-//! Messages to standard error are dropped there, and the command goes on.
+//! Messages to standard error are dropped there, and the command goes on. Text for readers is made inert; rows as JSON
+//! or CSV are for programs, and made inert where they go to a terminal.
 
 use std::fmt;
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind, IsTerminal, Write};
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use serde_json::Value;
+
+use super::inert;
 
 /// Form of what a command prints.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -45,20 +48,25 @@ pub fn failure(error: io::Error) -> anyhow::Error {
     }
 }
 
-/// Prints text as it is.
+/// Prints bytes as they are.
 pub fn print(text: impl AsRef<[u8]>) -> Result<()> {
     let mut out = io::stdout().lock();
     out.write_all(text.as_ref()).and_then(|()| out.flush()).map_err(failure)
 }
 
+/// Prints text for a reader.
+pub fn print_text(text: &str) -> Result<()> {
+    print(inert::lines(text).as_bytes())
+}
+
 /// Prints a message to standard error. That it is closed is no reason to stop.
 pub fn message(text: fmt::Arguments<'_>) {
-    let _ = writeln!(io::stderr().lock(), "{text}");
+    let _ = writeln!(io::stderr().lock(), "{}", inert::lines(&text.to_string()));
 }
 
 /// Prints a line to standard output.
 macro_rules! say {
-    ($($text:tt)*) => { $crate::commands::output::print(format!($($text)*) + "\n") };
+    ($($text:tt)*) => { $crate::commands::output::print_text(&(format!($($text)*) + "\n")) };
 }
 pub(crate) use say;
 
@@ -70,7 +78,7 @@ pub(crate) use note;
 
 /// One object as JSON, with its fields in their order.
 pub fn json(object: &impl Serialize) -> Result<String> {
-    Ok(serde_json::to_string_pretty(object)? + "\n")
+    Ok(inert::json(&serde_json::to_string_pretty(object)?).into_owned() + "\n")
 }
 
 /// Rows of equal columns.
@@ -120,7 +128,8 @@ impl Rows {
 
     /// Columns as wide as their widest value; numbers stand at the right.
     fn table(&self) -> String {
-        let cells: Vec<Vec<String>> = self.rows.iter().map(|row| row.iter().map(plain).collect()).collect();
+        let cell = |value: &Value| inert::line(&plain(value)).into_owned();
+        let cells: Vec<Vec<String>> = self.rows.iter().map(|row| row.iter().map(cell).collect()).collect();
         let is_number = |column: usize| {
             let mut values = self.rows.iter().map(|row| &row[column]).filter(|value| !value.is_null());
             values.clone().next().is_some() && values.all(Value::is_number)
@@ -165,9 +174,11 @@ impl<'a, W: Write> Stream<'a, W> {
     pub fn row(&mut self, row: &[Value]) -> Result<()> {
         self.count += 1;
         if self.format == Format::Csv {
-            return record(&mut self.out, row.iter().map(plain));
+            let is_read = io::stdout().is_terminal();
+            let cell = |value: &Value| if is_read { inert::line(&plain(value)).into_owned() } else { plain(value) };
+            return record(&mut self.out, row.iter().map(cell));
         }
-        let field = |(column, value): (&&str, &Value)| format!("\"{column}\":{value}");
+        let field = |(column, value): (&&str, &Value)| format!("\"{column}\":{}", inert::json(&value.to_string()));
         let fields: Vec<String> = self.columns.iter().zip(row).map(field).collect();
         let before = if self.count > 1 { ",\n" } else { "\n" };
         write!(self.out, "{before}{{{}}}", fields.join(",")).map_err(failure)

@@ -64,7 +64,7 @@ pub struct Run {
     /// Stop if more than this many records are rejected, or more than this share of all, such as 5%
     #[arg(long, value_name = "N|P%")]
     max_rejects: Option<MaxRejects>,
-    /// First read all raw files again, even those with the recorded size and time of change
+    /// First read all raw files again, even those with the recorded size, times and inode
     #[arg(long)]
     rehash: bool,
     /// Exit with 1 if any input was left out or rejected, or a result is empty
@@ -270,7 +270,7 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     let mut definition = Definition::load(&reference)?;
     definition.set(&args.set)?;
     let spec = Spec::new(&definition)?;
-    let shelf = open(&out, args.wait)?;
+    let shelf = args.machine.folder(open(&out, args.wait)?);
     if args.rehash {
         roots::rehash(&campaigns, &shelf)?;
     }
@@ -298,7 +298,8 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     } else {
         job.execute_and_tell(&mut job.record()?)?
     };
-    aftermath::tell(&spec, &outcome, &shelf, args.strict, args.output.format)
+    let is_incomplete = aftermath::tell(&spec, &outcome, &shelf, args.output.format)?;
+    Ok(aftermath::exit_code(is_incomplete, args.strict))
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use periscope::store::Shelf;
 
 use super::interrupt::cancel_on_signals;
 use super::machine::Machine;
-use super::output::say;
+use super::output::{note, say};
 
 /// Arguments of `run-shard`.
 #[derive(Args)]
@@ -31,7 +31,11 @@ pub fn run_shard(args: &RunShard) -> Result<ExitCode> {
     args.machine.start()?;
     // A missing folder is not created here: a worker that does not see the result folder must fail.
     Shelf::look(&args.out)?;
-    let shelf = Shelf::join(&args.out)?;
+    let shelf = args.machine.folder(Shelf::join(&args.out)?);
+    if shelf.gathered()?.is_some_and(|gathered| gathered.keys.contains(&args.key)) {
+        note!("shard {} was gathered already: nothing to do", args.key);
+        return Ok(ExitCode::SUCCESS);
+    }
     let cut: Option<Cut> = shelf.cut(&args.key)?;
     let settings = args.machine.settings(Settings::default());
     cancel_on_signals(&settings.cancel)?;

@@ -14,14 +14,14 @@ use super::output::say;
 pub struct Seal {
     /// Campaign folder
     dir: PathBuf,
-    /// Also record files that are new since the last seal
+    /// Also record files that are new since the last seal, and campaign.toml as it is now
     #[arg(long)]
     update: bool,
 }
 
 /// The command.
 pub fn seal(args: &Seal) -> Result<ExitCode> {
-    let campaign = Campaign::load(&args.dir)?;
+    let campaign = Campaign::read(&args.dir)?;
     let survey = campaign.survey()?;
     let report = seal_campaign(&campaign, &survey, args.update)?;
     say!("{}", report.to_string().trim_start())?;

@@ -7,8 +7,9 @@ use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use clap::Args;
+use periscope::campaign::keys::CAMPAIGN_FILE;
 use periscope::campaign::manifest::MANIFEST_FILE;
-use periscope::campaign::{Campaign, Manifest, ManifestError};
+use periscope::campaign::{Campaign, Manifest, ManifestError, settings};
 use periscope::pipeline::roots::{self, Root};
 use periscope::store::{Digest, Shelf, StageId, verify as store};
 use serde_json::{Value, json};
@@ -21,7 +22,7 @@ pub struct Verify {
     /// Campaign folder (checks raw files against the seal), or result folder (checks tables, records, lineages, and
     /// their raw files)
     dir: PathBuf,
-    /// Read all raw files again, even those with the recorded size and time of change
+    /// Read all raw files again, even those with the recorded size, times and inode
     #[arg(long)]
     rehash: bool,
     /// Campaign folder of a result folder, if it differs from that of the last run; may be given several times
@@ -100,8 +101,7 @@ fn campaign(args: &Verify, verification: &mut Verification) -> Result<()> {
     if args.repair || !args.campaign.is_empty() {
         bail!("--repair and --campaign are for result folders; {} is a campaign", args.dir.display());
     }
-    let campaign = Campaign::load(&args.dir)?;
-    let manifest = match Manifest::load(&campaign.root) {
+    let manifest = match Manifest::load(&args.dir) {
         Ok(manifest) => manifest,
         Err(error) => {
             damaged_manifest(error, verification)?;
@@ -115,6 +115,12 @@ fn campaign(args: &Verify, verification: &mut Verification) -> Result<()> {
             "`periscope seal` records what its files hold now",
         );
         return Ok(());
+    };
+    settings(&args.dir, &manifest, verification)?;
+    // Settings that cannot be read any more are a finding already.
+    let campaign = match Campaign::read(&args.dir) {
+        Err(_) if !verification.findings.is_empty() => return Ok(()),
+        campaign => campaign?,
     };
     raw_files(&campaign, &manifest, args.rehash, verification)?;
     let survey = campaign.survey()?;
@@ -131,6 +137,23 @@ fn campaign(args: &Verify, verification: &mut Verification) -> Result<()> {
             new.join(", ")
         ));
     }
+    Ok(())
+}
+
+/// Checks campaign.toml and the tables that it names against the seal.
+fn settings(root: &Path, seal: &Manifest, verification: &mut Verification) -> Result<()> {
+    for change in settings::changes(root, seal.settings())? {
+        verification.add(
+            &root.join(&change.file),
+            format!("changed since the campaign was sealed: {}", change.what),
+            "restore it; if the change is meant, `periscope seal --update`",
+        );
+    }
+    if !seal.settings().contains_key(CAMPAIGN_FILE) {
+        let file = root.join(CAMPAIGN_FILE);
+        verification.add(&file, "is not in the seal", "`periscope seal --update` takes it in");
+    }
+    verification.looked_at.push(format!("{} files of settings", seal.settings().len()));
     Ok(())
 }
 
@@ -153,12 +176,12 @@ fn raw_files(campaign: &Campaign, manifest: &Manifest, rehash: bool, verificatio
     }
     if !audit.touched.is_empty() {
         verification.notes.push(format!(
-            "{} raw files of campaign {} have another time of change, and the same content",
+            "{} raw files of campaign {} have another time or inode, and the same content",
             audit.touched.len(),
             campaign.name
         ));
     }
-    let how = if rehash { "content" } else { "size and time of change" };
+    let how = if rehash { "content" } else { "size, times and inode" };
     verification.looked_at.push(format!(
         "{} raw files of campaign {} by {how}",
         manifest.iter().count(),
@@ -202,6 +225,9 @@ fn results(args: &Verify, verification: &mut Verification) -> Result<()> {
         // The seal decides if there is one; otherwise the notes of runs on raw files.
         match Manifest::load(&campaign.root) {
             Ok(sealed) => {
+                if let Some(sealed) = &sealed {
+                    settings(&campaign.root, sealed, verification)?;
+                }
                 let manifest = sealed.or_else(|| manifests.remove(&campaign.name));
                 manifest.map_or(Ok(()), |manifest| raw_files(campaign, &manifest, args.rehash, verification))?;
             }
@@ -289,8 +315,11 @@ fn campaigns<'a>(
     }
     let mut campaigns = Vec::new();
     for folder in folders {
-        match Campaign::load(&folder) {
+        match Campaign::read(&folder) {
             Ok(campaign) => campaigns.push(campaign),
+            Err(_) if let Err(changed) = settings::hold(&folder) => {
+                verification.add(&folder.join(CAMPAIGN_FILE), "differs from the seal, and cannot be read", changed);
+            }
             Err(error) => verification.notes.push(format!(
                 "RAW FILES WERE NOT CHECKED: campaign {}: {error}; say where it is with --campaign DIR",
                 folder.display()

@@ -1,18 +1,19 @@
 //! `periscope run --watch`: follows a measurement in progress, pass after pass.
 //!
-//! The campaign of a pass is every file that exists when the pass begins and has not changed for [`SETTLED`]; later
-//! files join the next pass. Only parts with new files, and the tables of all patches, are computed again. Results that
-//! they replace are removed, so that the result folder does not grow with each pass.
+//! The campaign of a pass is every file that exists when the pass begins and was the same at all looks for [`SETTLED`]:
+//! size, times and inode. Whether clocks agree does not matter. Later files join the next pass. Only parts with new
+//! files, and the tables of all patches, are computed again. Results that they replace are removed, so that the result
+//! folder does not grow with each pass.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::thread;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use periscope::campaign::left_out::left_out;
-use periscope::campaign::{Campaign, Manifest, walk};
-use periscope::pipeline::run::Outcome;
+use periscope::campaign::{Campaign, Manifest, Stamp, walk};
+use periscope::pipeline::run::{Outcome, RunError};
 use periscope::store::runs::RunRecord;
 
 use super::check::report::Report;
@@ -26,29 +27,39 @@ const SETTLED: Duration = Duration::from_secs(2);
 /// Time between two looks at the campaign folders.
 const LOOK_AGAIN: Duration = Duration::from_millis(500);
 
-/// The files of the campaign folders at some moment.
-#[derive(Default, PartialEq)]
-struct Files {
-    settled: BTreeSet<(PathBuf, SystemTime)>,
-    waiting: usize,
+/// Settled files of a campaign folder, by path in it.
+type Settled = BTreeMap<PathBuf, Stamp>;
+
+/// Everything that was seen of a campaign folder.
+struct Watched<'a> {
+    folder: &'a Path,
+    /// Each file with the look at which it first had its stamp.
+    seen: BTreeMap<PathBuf, (Stamp, Instant)>,
 }
 
-impl Files {
-    fn of(folders: &[PathBuf], as_of: SystemTime) -> Result<Self> {
-        let mut files = Self::default();
-        for folder in folders {
-            let found = walk::files(folder)
-                .map_err(|(folder, error)| error_at(&folder, error))
-                .with_context(|| format!("campaign {}", folder.display()))?;
-            for walk::RawFile { path, modified } in found {
-                if modified <= as_of {
-                    files.settled.insert((folder.join(path), modified));
-                } else {
-                    files.waiting += 1;
-                }
+impl Watched<'_> {
+    /// Looks at the folder; returns the settled files, and the number of the others.
+    fn look(&mut self) -> Result<(Settled, usize)> {
+        let now = Instant::now();
+        let files = walk::files(self.folder)
+            .map_err(|(folder, error)| error_at(&folder, error))
+            .with_context(|| format!("campaign {}", self.folder.display()))?;
+        let mut seen = BTreeMap::new();
+        let (mut settled, mut waiting) = (Settled::new(), 0);
+        for walk::RawFile { path, stamp } in files {
+            let since = match self.seen.get(&path) {
+                Some((before, since)) if *before == stamp => *since,
+                _ => now,
+            };
+            if now.duration_since(since) >= SETTLED {
+                settled.insert(path.clone(), stamp);
+            } else {
+                waiting += 1;
             }
+            seen.insert(path, (stamp, since));
         }
-        Ok(files)
+        self.seen = seen;
+        Ok((settled, waiting))
     }
 }
 
@@ -60,44 +71,59 @@ fn error_at(folder: &Path, error: std::io::Error) -> anyhow::Error {
 /// `idle`. Returns the last outcome.
 pub fn follow(job: &Job<'_>, folders: &[PathBuf], idle: Option<Duration>) -> Result<Outcome> {
     let mut record = job.record()?;
-    let (mut seen, mut passes) = (Files::default(), 0);
+    let mut watched: Vec<Watched<'_>> =
+        folders.iter().map(|folder| Watched { folder, seen: BTreeMap::new() }).collect();
+    let (mut before, mut passes) = (vec![Settled::new(); folders.len()], 0);
     let mut last: Option<Result<Outcome>> = None;
     let mut changed = Instant::now();
     loop {
-        let as_of = SystemTime::now() - SETTLED;
-        let files = Files::of(folders, as_of)?;
-        if files.waiting > 0 {
+        let looks = watched.iter_mut().map(Watched::look).collect::<Result<Vec<_>>>()?;
+        let waiting: usize = looks.iter().map(|(_, waiting)| waiting).sum();
+        let settled: Vec<Settled> = looks.into_iter().map(|(settled, _)| settled).collect();
+        if waiting > 0 {
             changed = Instant::now();
         }
-        if last.is_none() || files.settled != seen.settled {
+        // The first pass does not begin in the middle of what is there already.
+        if (last.is_none() && waiting == 0) || settled != before {
             passes += 1;
             changed = Instant::now();
-            let new = files.settled.difference(&seen.settled).count();
-            let now = campaigns(folders).map(|mut campaigns| {
-                campaigns.iter_mut().for_each(|campaign| campaign.as_of = Some(as_of));
-                campaigns
+            let outcome = campaigns(folders).and_then(|mut campaigns| {
+                for (campaign, settled) in campaigns.iter_mut().zip(&settled) {
+                    campaign.settled = Some(settled.keys().cloned().collect());
+                }
+                pass(job, &campaigns, &mut record)
             });
-            let outcome = now.and_then(|campaigns| pass(job, &campaigns, &mut record));
             if let Err(error) = &outcome
                 && is_interruption(error)
             {
                 return outcome;
             }
-            let state = match &outcome {
-                Ok(_) => "its tables are whole".to_owned(),
-                Err(error) => format!("not yet: {error:#}"),
-            };
-            let (count, waiting) = (files.settled.len(), files.waiting);
-            note!("pass {passes}: {count} files, {new} new or changed, {waiting} still being written: {state}");
+            tell(passes, &before, &settled, waiting, &outcome);
             last = Some(outcome);
-            seen = files;
+            before = settled;
         }
-        let is_over = idle.is_some_and(|idle| changed.elapsed() >= idle);
-        if is_over || job.settings.cancel.is_cancelled() {
-            return last.expect("there was a pass");
+        let is_cancelled = job.settings.cancel.is_cancelled();
+        let is_over = is_cancelled || idle.is_some_and(|idle| changed.elapsed() >= idle);
+        match last {
+            Some(outcome) if is_over => return outcome,
+            None if is_cancelled => return Err(RunError::Interrupted { kept: "0 tables".to_owned() }.into()),
+            _ => thread::sleep(LOOK_AGAIN),
         }
-        thread::sleep(LOOK_AGAIN);
     }
+}
+
+/// Reports a pass.
+fn tell(number: usize, before: &[Settled], settled: &[Settled], waiting: usize, outcome: &Result<Outcome>) {
+    let files: usize = settled.iter().map(BTreeMap::len).sum();
+    let of_folder = |(settled, before): (&Settled, &Settled)| {
+        settled.iter().filter(|(path, stamp)| before.get(*path) != Some(*stamp)).count()
+    };
+    let new: usize = settled.iter().zip(before).map(of_folder).sum();
+    let state = match outcome {
+        Ok(_) => "its tables are whole".to_owned(),
+        Err(error) => format!("not yet: {error:#}"),
+    };
+    note!("pass {number}: {files} files, {new} new or changed, {waiting} still being written: {state}");
 }
 
 fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result<Outcome> {
@@ -105,7 +131,7 @@ fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result
         check::forget_changed(campaign, job.shelf)?;
     }
     let outcome = Job { campaigns, ..job.clone() }.execute(record)?;
-    job.shelf.remove(&job.shelf.replaced()?)?;
+    job.shelf.remove(&job.shelf.replaced(&outcome.behind)?)?;
     for campaign in campaigns {
         let mut report = Report::default();
         let survey = campaign.survey()?;

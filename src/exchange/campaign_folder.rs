@@ -8,8 +8,8 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
 use super::{Capture, ExchangeError, Grid, Pair, Spot};
+use crate::campaign::keys::CAMPAIGN_FILE;
 use crate::campaign::keys::LASER;
-use crate::campaign::load::CAMPAIGN_FILE;
 use crate::formats::npy;
 use crate::units::{self, PatchId};
 

@@ -21,6 +21,8 @@ pub struct Defaults<'a> {
     pub start_ps: Option<f64>,
     /// File with the delay of each point, `tofgrid`.
     pub delays: Option<&'a Path>,
+    /// Most bytes of an array, as it is in memory; `None`: any number.
+    pub most_bytes: Option<u64>,
 }
 
 /// Reads a capture.
@@ -29,14 +31,15 @@ pub struct Defaults<'a> {
 /// When the file cannot be read, has another format, or lacks a value that `defaults` does not give either.
 pub fn read(path: &Path, defaults: &Defaults) -> Result<Capture, ExchangeError> {
     let unfit = |problem: String| ExchangeError::Unfit { path: path.to_owned(), problem };
-    let (arrays, names) = arrays(path)?;
+    let (arrays, names) = arrays(path, defaults.most_bytes)?;
     let has = |name: &str| arrays.contains_key(name);
     let capture = if has("H") {
         y_tal::read(arrays)
     } else if has("data") && has("cameraGridPositions") {
         z_nlos::read(arrays)
     } else if has("rect_data") || has("meas") {
-        let delays = defaults.delays.map(self::arrays).transpose()?.map(|(arrays, _)| arrays);
+        let delays =
+            defaults.delays.map(|path| self::arrays(path, defaults.most_bytes)).transpose()?.map(|(arrays, _)| arrays);
         confocal_mat::read(arrays, defaults, delays.as_ref())
     } else {
         Err(format!(
@@ -58,19 +61,20 @@ pub fn read(path: &Path, defaults: &Defaults) -> Result<Capture, ExchangeError> 
 }
 
 /// The arrays that any of the formats needs, and the names of all arrays.
-fn arrays(path: &Path) -> Result<(Arrays, Vec<String>), ExchangeError> {
+fn arrays(path: &Path, most_bytes: Option<u64>) -> Result<(Arrays, Vec<String>), ExchangeError> {
     let failed = |source: FormatError| ExchangeError::Read { path: path.to_owned(), source };
+    let most_bytes = most_bytes.unwrap_or(u64::MAX);
     let wanted = |name: &str| [&y_tal::NAMES[..], &z_nlos::NAMES, &confocal_mat::NAMES].concat().contains(&name);
     let mut source = Source::open(path).map_err(failed)?;
     let length = source.length();
     let head = source.bytes("the head", 0, length.min(HEAD_BYTES)).map_err(failed)?;
     if mat5::recognises(&head) {
-        return mat5::arrays(&mut source, wanted).map_err(failed);
+        return mat5::arrays(&mut source, wanted, most_bytes).map_err(failed);
     }
     if !Hdf5.recognises(&head) && !head.get(512..).is_some_and(|head| Hdf5.recognises(head)) {
         let problem =
             "is neither HDF5 nor a MAT-file of version 5 to 7.3; give a capture such as y-tal writes".to_owned();
         return Err(ExchangeError::Unfit { path: path.to_owned(), problem });
     }
-    hdf5::arrays(&mut source, wanted).map_err(failed)
+    hdf5::arrays(&mut source, wanted, most_bytes).map_err(failed)
 }

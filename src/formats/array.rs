@@ -73,6 +73,14 @@ pub(super) fn bytes_of(axes: &[u64], width: usize) -> Option<u64> {
     count.checked_mul(width as u64).filter(|bytes| usize::try_from(*bytes).is_ok())
 }
 
+/// Refuses an array of more than `most_bytes`.
+pub(super) fn check_size(name: &str, bytes: u64, most_bytes: u64) -> Result<(), String> {
+    if bytes <= most_bytes {
+        return Ok(());
+    }
+    Err(format!("{name} takes {bytes} bytes in memory, and may take {most_bytes}; allow more, or save a part of it"))
+}
+
 /// Lengths of axes that [`bytes_of`] has accepted.
 pub(super) fn lengths(axes: &[u64]) -> Vec<usize> {
     axes.iter().map(|length| *length as usize).collect()

@@ -31,11 +31,15 @@ pub fn recognises(head: &[u8]) -> bool {
     head.starts_with(b"MATLAB 5.0") && head.get(124..128).is_some_and(|version| version == [0, 1, b'I', b'M'])
 }
 
-/// Returns the arrays whose names `wanted` accepts, and the names of all variables.
+/// Returns the arrays whose names `wanted` accepts, and the names of all variables. An array may have `most_bytes`.
 ///
 /// # Errors
-/// When the file contradicts the format.
-pub fn arrays(input: &mut dyn Input, wanted: impl Fn(&str) -> bool) -> Result<(Arrays, Vec<String>), FormatError> {
+/// When the file contradicts the format, or a wanted array is larger.
+pub fn arrays(
+    input: &mut dyn Input,
+    wanted: impl Fn(&str) -> bool,
+    most_bytes: u64,
+) -> Result<(Arrays, Vec<String>), FormatError> {
     let (mut arrays, mut names) = (Arrays::new(), Vec::new());
     let mut at = HEAD;
     while at + TAG <= input.length() {
@@ -55,7 +59,7 @@ pub fn arrays(input: &mut dyn Input, wanted: impl Fn(&str) -> bool) -> Result<(A
                 ));
             }
         };
-        if let Some((name, array)) = stream.variable(input, &wanted)? {
+        if let Some((name, array)) = stream.variable(input, &wanted, most_bytes)? {
             arrays.extend(array.map(|array| (name.clone(), array)));
             names.push(name);
         }
@@ -155,6 +159,7 @@ impl Stream {
         &mut self,
         input: &mut dyn Input,
         wanted: &impl Fn(&str) -> bool,
+        most_bytes: u64,
     ) -> Result<Option<(String, Option<Array>)>, FormatError> {
         let flags = self.short(input, "the flags")?;
         let dimensions = self.short(input, "the dimensions")?;
@@ -179,6 +184,7 @@ impl Stream {
                 format!("{name} holds {} bytes, not those of its dimensions; copy the file again", element.bytes);
             return Err(refuse(self.place, problem));
         }
+        array::check_size(&name, element.bytes, most_bytes).map_err(|problem| refuse(self.place, problem))?;
         let kind = element.kind;
         let mut codes = self.data(input, element)?;
         if let Some(signed) = long {

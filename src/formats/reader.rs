@@ -84,6 +84,11 @@ pub struct Joined {
 
 impl Joined {
     fn open(path: &Path) -> io::Result<Self> {
+        let kind = path.metadata()?.file_type();
+        if !kind.is_file() && !kind.is_dir() {
+            // Opening a pipe would wait for whoever writes into it.
+            return Err(io::Error::other("is a pipe or a device; copy what it holds to a file"));
+        }
         let measured = |mut file: File| file.seek(SeekFrom::End(0)).map(|length| (file, length));
         let (file, length) = File::open(path).and_then(measured)?;
         let companion = match companion(path).map(File::open) {

@@ -39,9 +39,11 @@ impl Questions<'_> {
         if self.ancestry.files(table)?.is_empty() {
             return Ok(None);
         }
-        let pattern = self.ancestry.folder(self.shelf, table).map(|folder| folder.join("*.parquet"));
-        let quoted = |pattern: std::path::PathBuf| pattern.to_string_lossy().replace('\'', "''");
-        Ok(pattern.map(|pattern| format!("read_parquet('{}')", quoted(pattern))))
+        let folder = self.ancestry.folder(self.shelf, table);
+        Ok(folder.map(|folder| {
+            let pattern = format!("{}/*.parquet", literal(&folder.to_string_lossy()));
+            format!("read_parquet({})", quoted(&pattern))
+        }))
     }
 
     /// Some rows of a table.
@@ -111,6 +113,13 @@ impl Questions<'_> {
         );
         Ok(Some(Query { about, sql }))
     }
+}
+
+/// A path within a pattern of files: what DuckDB takes for a wildcard stands for itself. It has no escape for a
+/// backslash, and finds no file then.
+fn literal(path: &str) -> String {
+    let class = |c: char| if matches!(c, '*' | '?' | '[') { format!("[{c}]") } else { c.to_string() };
+    path.chars().map(class).collect()
 }
 
 /// A text as an SQL literal.

@@ -3,6 +3,8 @@
 pub mod arithmetic;
 pub mod budget;
 mod cut;
+#[cfg(test)]
+mod faulty_disk;
 pub mod pass;
 pub mod plan;
 pub mod progress;

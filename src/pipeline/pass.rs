@@ -380,9 +380,7 @@ fn work(
                     Node::Source(_) => lineage,
                     Node::Operator(_) => plan.part_lineage(step, &lineage, &beside),
                 };
-                // The steps below end their part while this one commits its own.
-                send(children, || Message::PartEnd(part, lineage, Vec::new()))?;
-                commit(shared, step, &mut writer, lineage)?;
+                end_part(shared, step, &mut writer, part, lineage, children)?;
             }
             Message::PartEnd(_, lineage, _) => inputs.push(lineage),
             Message::End => break,
@@ -392,8 +390,7 @@ fn work(
         let output = running.flush().map_err(failed)?;
         emit(shared, step, &mut writer, output, children, None)?;
         let lineage = plan.part_lineage(step, &TableRecord::lineage_of(&inputs), &beside);
-        send(children, || Message::PartEnd(0, lineage, Vec::new()))?;
-        commit(shared, step, &mut writer, lineage)?;
+        end_part(shared, step, &mut writer, 0, lineage, children)?;
     }
     send(children, || Message::End)
 }
@@ -441,6 +438,26 @@ fn open<'a, 'b>(
         *writer = Some(plan.shelf.begin(&plan.tables[step].id, &plan.stored_tables(step))?);
     }
     Ok(writer.as_mut().expect("made above"))
+}
+
+/// Commits a part, and ends it for the steps below. These end theirs meanwhile; but where rows are not kept, the list
+/// of rejects counts first: once all that is made of the rows is there, no run would look for it again.
+fn end_part<'a>(
+    shared: &Shared<'a>,
+    step: usize,
+    writer: &mut Option<PartWriter<'a>>,
+    part: usize,
+    lineage: Digest,
+    children: &[Sender<Message>],
+) -> Result<(), Failure> {
+    let end = || send(children, || Message::PartEnd(part, lineage, Vec::new()));
+    if shared.plan.spec.steps[step].keep {
+        end()?;
+        commit(shared, step, writer, lineage)
+    } else {
+        commit(shared, step, writer, lineage)?;
+        end()
+    }
 }
 
 fn commit<'a>(

@@ -1,5 +1,7 @@
 //! The roots of a result folder: whether its source parts match the present raw files of the campaigns.
 
+use std::collections::BTreeSet;
+
 use crate::campaign::manifest::MANIFEST_FILE;
 use crate::campaign::{Campaign, Manifest, ManifestError};
 use crate::stages::stage::StageError;
@@ -56,8 +58,8 @@ pub fn follow(id: &StageId, parts: &[Digest], campaigns: &[Campaign], shelf: &Sh
         Err(StageError::Refused(why)) => return Root::Refused(why),
         Err(error) => return Root::Refused(error.to_string()),
     };
-    let lineages: Vec<Digest> = made.iter().map(|content| lineage::part(&id.recipe(), content, &[])).collect();
-    let followed = parts.iter().filter(|part| lineages.contains(part)).count();
+    let lineages: BTreeSet<Digest> = made.iter().map(|content| lineage::part(&id.recipe(), content, &[])).collect();
+    let followed = parts.iter().filter(|part| lineages.contains(*part)).count();
     Root::Followed { parts: followed, other: parts.len() - followed }
 }
 

@@ -11,7 +11,7 @@ use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
 use crate::campaign::LeftOut;
 use crate::store::runs::PassRecord;
-use crate::store::{Digest, StoreError, TableRecord};
+use crate::store::{Digest, StageId, StoreError, TableRecord};
 use crate::tables::{Reject, Row};
 
 /// What a run did.
@@ -27,6 +27,8 @@ pub struct Outcome {
     pub left_out: Vec<LeftOut>,
     /// Passes that it took.
     pub passes: Vec<PassRecord>,
+    /// Everything that its tables are made from, themselves included: stages, with the lineages of their parts.
+    pub behind: Vec<(StageId, Vec<Digest>)>,
 }
 
 /// Runs what the plan wants and does not have. Not to be called from one of rayon's own threads: stages would wait for
@@ -49,6 +51,8 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     ended?;
     outcome.rejects = rejects?;
     outcome.left_out = plan.left_out();
+    let lineages = |i: usize| plan.tables[i].present.iter().flatten().map(|part| part.lineage).collect();
+    outcome.behind = behind(plan).into_iter().map(|i| (plan.tables[i].id.clone(), lineages(i))).collect();
     if outcome.rejects > most_rejects {
         return Err(RunError::Rejects(TooMany::of(plan.shelf, outcome.rejects, most_rejects, records(plan))?));
     }

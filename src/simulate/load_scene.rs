@@ -48,8 +48,7 @@ impl Scene {
     /// # Errors
     /// When the file cannot be read, or anything in it is refused.
     pub fn load(file: &Path) -> Result<Self, SceneError> {
-        let text =
-            std::fs::read_to_string(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
+        let text = toml_text::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
         Self::parse(file, &text)
     }
 

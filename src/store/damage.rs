@@ -4,7 +4,6 @@
 //! footer's own digest is right.
 
 use std::fmt;
-use std::fs::File;
 use std::io::{self, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -16,6 +15,7 @@ use parquet::errors::ParquetError;
 use parquet::file::metadata::{PageIndexPolicy, ParquetMetaData};
 use serde::Serialize;
 
+use super::disk;
 use super::failure::{At, StoreError};
 use super::page_checksums;
 use super::parquet::FileRecord;
@@ -113,7 +113,7 @@ pub fn check(path: &Path, record: &FileRecord) -> Result<(), StoreError> {
 /// When it cannot be read.
 pub fn find(path: &Path, record: &FileRecord) -> Result<Option<Box<Damage>>, StoreError> {
     let place = |place| Ok(Some(Box::new(Damage { file: path.to_owned(), place })));
-    let mut file = match File::open(path) {
+    let mut file = match disk::open(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return place(Place::Gone),
         opened => opened.at("read", path)?,
     };
@@ -134,7 +134,7 @@ pub fn find(path: &Path, record: &FileRecord) -> Result<Option<Box<Damage>>, Sto
     if record.digest == whole.finalize().into() {
         return Ok(None);
     }
-    let bytes = std::fs::read(path).at("read", path)?;
+    let bytes = disk::read(path).at("read", path)?;
     place(locate(path, &bytes, record).at("read", path)?)
 }
 
@@ -145,7 +145,7 @@ fn locate(path: &Path, bytes: &[u8], record: &FileRecord) -> Result<Place, Parqu
         return Ok(Place::Footer { byte: record.pages_end });
     }
     let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Required);
-    let builder = ParquetRecordBatchReaderBuilder::try_new_with_options(File::open(path)?, options)?;
+    let builder = ParquetRecordBatchReaderBuilder::try_new_with_options(disk::open(path)?, options)?;
     let metadata = builder.metadata();
     let damaged: Vec<Page> = pages(metadata)
         .into_iter()
@@ -196,7 +196,7 @@ fn records(path: &Path, metadata: &ParquetMetaData, page: &Page, damaged: &[Page
     let record = |row: u64| -> Option<String> {
         let selection = RowSelection::from(vec![RowSelector::skip(row as usize), RowSelector::select(1)]);
         let mask = ProjectionMask::columns(schema, keys.iter().copied());
-        let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(path).ok()?).ok()?;
+        let builder = ParquetRecordBatchReaderBuilder::try_new(disk::open(path).ok()?).ok()?;
         let mut batches = builder.with_projection(mask).with_row_selection(selection).build().ok()?;
         let batch = batches.next()?.ok()?;
         let schema = batch.schema();

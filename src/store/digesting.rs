@@ -1,9 +1,9 @@
 //! A file writer that computes a digest of the bytes it writes.
 
-use std::fs::File;
 use std::io::{self, Write};
 
 use super::Digest;
+use super::disk::Output;
 
 /// Bytes that are digested and written at once. The Parquet crate passes small pieces, which BLAKE3 would digest one by
 /// one; of large blocks it digests 16 KiB in parallel.
@@ -11,7 +11,7 @@ const BLOCK_BYTES: usize = 1 << 18;
 
 /// Writes bytes to a file in blocks, and digests them.
 pub struct Digesting {
-    file: File,
+    file: Output,
     /// Bytes of the unfinished block.
     block: Vec<u8>,
     hasher: blake3::Hasher,
@@ -22,7 +22,7 @@ pub struct Digesting {
 
 impl Digesting {
     /// Writes from the start of the file.
-    pub fn new(file: File) -> Self {
+    pub fn new(file: Output) -> Self {
         let block = Vec::with_capacity(BLOCK_BYTES);
         Self { file, block, hasher: blake3::Hasher::new(), footer: None, bytes: 0 }
     }

@@ -3,6 +3,7 @@
 mod changes;
 pub mod damage;
 mod digesting;
+pub mod disk;
 pub mod failure;
 pub mod finite;
 pub mod lineage;
@@ -27,6 +28,6 @@ pub mod whole;
 pub use failure::StoreError;
 pub use lineage::Digest;
 pub use parquet::{FileRecord, TableWriter, uncompressed};
-pub use shards::PieceRecord;
+pub use shards::{Gathered, PieceRecord};
 pub use shelf::{PartRecord, Shelf, StageId, TableRecord};
 pub use sweep::Left;

@@ -3,7 +3,6 @@
 //! The sizes of the rows decide where a row group ends, so that a file's bytes do not depend on how the rows were
 //! batched. The worker pool encodes row groups; they are appended in order.
 
-use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,6 +28,7 @@ use serde::{Deserialize, Serialize};
 use super::Digest;
 use super::damage;
 use super::digesting::Digesting;
+use super::disk;
 use super::failure::{At, StoreError};
 use super::page_checksums::{ChunkPages, with_checksums};
 
@@ -78,7 +78,7 @@ impl TableWriter {
     /// # Errors
     /// When the file cannot be created.
     pub fn create(path: &Path, schema: &SchemaRef) -> Result<Self, ParquetError> {
-        let sink = Digesting::new(File::create(path)?);
+        let sink = Digesting::new(disk::create(path)?);
         let pages = Arc::new(ChunkPages::default());
         let options =
             ArrowWriterOptions::new().with_properties(properties(schema)).with_page_store_factory(pages.clone());
@@ -278,12 +278,12 @@ pub fn read(
     path: &Path,
     rows: usize,
 ) -> Result<impl Iterator<Item = Result<RecordBatch, ParquetError>> + use<>, ParquetError> {
-    let metadata = ArrowReaderMetadata::load(&File::open(path)?, ArrowReaderOptions::new())?;
+    let metadata = ArrowReaderMetadata::load(&disk::open(path)?, ArrowReaderOptions::new())?;
     let groups = metadata.metadata().num_row_groups();
     let path = path.to_owned();
     let decode = move |group: usize| -> Result<Vec<RecordBatch>, ParquetError> {
         // Each reader opens the file itself: clones of one handle would share its position.
-        let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(File::open(&path)?, metadata.clone());
+        let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(disk::open(&path)?, metadata.clone());
         let reader = builder.with_row_groups(vec![group]).with_batch_size(rows).build()?;
         Ok(reader.collect::<Result<_, _>>()?)
     };
@@ -317,7 +317,7 @@ pub fn read_recorded(
 /// # Errors
 /// When the file is missing or is not Parquet.
 pub fn describe(path: &Path) -> Result<(SchemaRef, u64, Vec<(String, String)>), ParquetError> {
-    let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(path)?)?;
+    let builder = ParquetRecordBatchReaderBuilder::try_new(disk::open(path)?)?;
     let file = builder.metadata().file_metadata();
     let footer = file.key_value_metadata().into_iter().flatten();
     let footer = footer.filter_map(|entry| Some((entry.key.clone(), entry.value.clone()?))).collect();

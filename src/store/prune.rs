@@ -5,10 +5,11 @@
 //! release a table that a view shows, remove the view first (`rm OUT/stir`).
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, Metadata};
+use std::fs::Metadata;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use super::disk as fs;
 use super::failure::{At, StoreError};
 use super::runs::{Ending, utc};
 use super::shards::SHARDS;
@@ -45,6 +46,12 @@ impl Shelf {
     /// # Errors
     /// When the shelf cannot be read.
     pub fn unneeded(&self) -> Result<Vec<Unneeded>, StoreError> {
+        self.unneeded_now(&BTreeMap::new())
+    }
+
+    /// The same, if the present parts of some stages are known, by folder: then their other lists of rejects are
+    /// unneeded too.
+    fn unneeded_now(&self, present: &BTreeMap<String, BTreeSet<Digest>>) -> Result<Vec<Unneeded>, StoreError> {
         let since = self.unfinished_since()?;
         let is_unfinished = |metadata: &Metadata| {
             since.as_ref().is_some_and(|since| metadata.modified().is_ok_and(|modified| utc(modified) >= *since))
@@ -69,8 +76,11 @@ impl Shelf {
                 continue;
             }
             let nothing = Visible::default();
-            let contents =
-                Contents::of(&folder, visible.get(&name).unwrap_or(&nothing), origins.contains(&name), &is_unfinished)?;
+            let is_list = |part: &PartRecord| {
+                let is_present = || present.get(&name).is_none_or(|parts| parts.contains(&part.lineage));
+                origins.contains(&name) && part.files.keys().all(|table| table == Reject::TABLE) && is_present()
+            };
+            let contents = Contents::of(&folder, visible.get(&name).unwrap_or(&nothing), is_list, &is_unfinished)?;
             unneeded.extend(contents.unneeded(folder, name));
         }
         Ok(unneeded)
@@ -97,13 +107,14 @@ impl Shelf {
         Ok((unneeded.parts > 0).then_some(unneeded))
     }
 
-    /// Of that, what visible tables have replaced: parts, tables and lists of rejects. Results of other parameters
-    /// stay.
+    /// Of that, what the tables of a run have replaced: parts, tables and lists of rejects. `present` are the stages
+    /// behind these tables, with the lineages of their parts. Results of other parameters stay.
     ///
     /// # Errors
     /// When the shelf cannot be read.
-    pub fn replaced(&self) -> Result<Vec<Unneeded>, StoreError> {
-        let mut unneeded = self.unneeded()?;
+    pub fn replaced(&self, present: &[(StageId, Vec<Digest>)]) -> Result<Vec<Unneeded>, StoreError> {
+        let present = present.iter().map(|(stage, parts)| (stage.folder(), parts.iter().copied().collect()));
+        let mut unneeded = self.unneeded_now(&present.collect())?;
         unneeded.retain(|unneeded| !unneeded.is_whole || is_list_of_rejects(&unneeded.folder));
         Ok(unneeded)
     }
@@ -198,18 +209,17 @@ impl Contents {
     fn of(
         folder: &Path,
         visible: &Visible,
-        is_behind: bool,
+        is_list: impl Fn(&PartRecord) -> bool,
         is_unfinished: &impl Fn(&Metadata) -> bool,
     ) -> Result<Self, StoreError> {
         let mut contents = Self::default();
         let entries = entries(folder)?;
         let mut needed: BTreeSet<String> = visible.parts.iter().map(ToString::to_string).collect();
         for (path, metadata) in &entries {
-            if let Some(lineage) = part_of(path).filter(|_| is_record(path)) {
-                let is_list = |part: &PartRecord| is_behind && part.files.keys().all(|table| table == Reject::TABLE);
-                if is_unfinished(metadata) || record::read::<PartRecord>(path)?.as_ref().is_some_and(is_list) {
-                    needed.insert(lineage.to_owned());
-                }
+            if let Some(lineage) = part_of(path).filter(|_| is_record(path))
+                && (is_unfinished(metadata) || record::read::<PartRecord>(path)?.as_ref().is_some_and(&is_list))
+            {
+                needed.insert(lineage.to_owned());
             }
         }
         for (path, metadata) in entries {

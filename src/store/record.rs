@@ -8,7 +8,6 @@
 //! }
 //! ```
 
-use std::fs;
 use std::io;
 use std::path::Path;
 
@@ -16,6 +15,7 @@ use serde::Serialize;
 use serde::de::{DeserializeOwned, Error};
 
 use super::Digest;
+use super::disk as fs;
 use super::failure::{At, StoreError};
 
 const BEFORE: &str = "{\n  \"check\": \"";
@@ -55,6 +55,8 @@ fn checked(bytes: &[u8]) -> Result<&str, serde_json::Error> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use serde::Deserialize;
 

@@ -4,7 +4,6 @@
 //! without an end belongs to a run that still works, or was killed.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -12,6 +11,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde::{Deserialize, Serialize};
 
 use super::Digest;
+use super::disk as fs;
 use super::failure::{At, StoreError};
 use super::lock::Holder;
 use super::record;

@@ -1,7 +1,6 @@
 //! Reads some columns of a Parquet file, in batches whose size follows from that of the rows.
 
 use std::collections::BTreeSet;
-use std::fs::File;
 use std::path::Path;
 
 use arrow_array::RecordBatch;
@@ -13,6 +12,7 @@ use parquet::file::metadata::RowGroupMetaData;
 use parquet::file::statistics::Statistics;
 
 use super::damage;
+use super::disk;
 use super::failure::{At, StoreError};
 use super::views::on_record;
 
@@ -43,7 +43,7 @@ pub fn scan_near<F: Fn(&str) -> bool>(
     numbers: &[(&str, &BTreeSet<i32>)],
 ) -> Result<impl Iterator<Item = Result<RecordBatch, StoreError>> + use<F>, StoreError> {
     check(path)?;
-    let builder = ParquetRecordBatchReaderBuilder::try_new(File::open(path).at("read", path)?).at("read", path)?;
+    let builder = ParquetRecordBatchReaderBuilder::try_new(disk::open(path).at("read", path)?).at("read", path)?;
     let fields = builder.schema().fields().iter().enumerate();
     let roots: Vec<usize> = fields.filter(|(_, field)| wanted(field.name())).map(|(i, _)| i).collect();
     let mask = ProjectionMask::roots(builder.parquet_schema(), roots);

@@ -6,10 +6,10 @@
 //! OUT/.shelf/shards/<key>.cut.json            the same for a piece of a part, with its range of records
 //! OUT/.shelf/shards/<key>.subtotals.parquet   the subtotals of a piece
 //! OUT/.shelf/shards/<key>.made.json           written last: the piece is complete, with digests
+//! OUT/.shelf/shards/gathered.json             what is left when all is gathered: the keys, and how it ended
 //! ```
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::io;
 use std::path::PathBuf;
 
@@ -19,6 +19,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::disk as fs;
 use super::failure::{At, StoreError};
 use super::parquet::{self, FileRecord, TableWriter};
 use super::record;
@@ -28,6 +29,8 @@ use super::shelf::Shelf;
 pub(super) const SHARDS: &str = "shards";
 /// Name of the job's file; no key has this form.
 const JOB: &str = "job";
+/// Name of the record of a gathered job; no key has this form either.
+const GATHERED: &str = "gathered";
 /// Rows of subtotals that are read at once: each has the sums of a phase.
 const SUBTOTAL_ROWS: usize = 16;
 /// Ending of the record of a finished piece.
@@ -42,6 +45,15 @@ pub struct PieceRecord {
     pub learnt: Value,
     /// Why the part must be computed whole, if it must.
     pub indivisible: Option<String>,
+}
+
+/// What remains of a job whose results were gathered.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Gathered {
+    /// Keys of its shards and pieces.
+    pub keys: BTreeSet<String>,
+    /// Whether something was left out or rejected, or a result is empty.
+    pub is_incomplete: bool,
 }
 
 fn is_key(key: &str) -> bool {
@@ -188,15 +200,33 @@ impl Shelf {
         record::read(&self.shard_file(JOB))
     }
 
-    /// Removes job and shards.
+    /// Replaces job and shards by the record that they were gathered.
     ///
     /// # Errors
-    /// When they cannot be removed.
-    pub fn remove_shards(&self) -> Result<(), StoreError> {
+    /// When it cannot be written, or they cannot be removed.
+    pub fn end_shards(&self, gathered: &Gathered) -> Result<(), StoreError> {
+        let record = self.shard_file(GATHERED);
+        self.write_json(&record, gathered)?;
         let folder = self.root().join(SHARDS);
-        match fs::remove_dir_all(&folder) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-            removed => removed.at("remove", &folder),
+        // The job goes first: without it, what is left of its shards counts for nothing.
+        let mut paths = vec![self.shard_file(JOB)];
+        for entry in fs::read_dir(&folder).at("read", &folder)? {
+            paths.push(entry.at("read", &folder)?.path());
         }
+        for path in paths.iter().filter(|path| **path != record) {
+            match fs::remove_file(path) {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                removed => removed.at("remove", path)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// The record of the last job, if its results were gathered.
+    ///
+    /// # Errors
+    /// When it is damaged or cannot be read.
+    pub fn gathered(&self) -> Result<Option<Gathered>, StoreError> {
+        record::read(&self.shard_file(GATHERED))
     }
 }

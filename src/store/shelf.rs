@@ -10,7 +10,6 @@
 //! ```
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -20,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::Digest;
+use super::disk as fs;
 use super::failure::{At, StoreError};
 use super::lock::{self, Hold};
 use super::parquet::{self as file, FileRecord, TableWriter};
@@ -103,6 +103,7 @@ pub struct Shelf {
     _lock: Option<lock::Lock>,
     temporary: AtomicU64,
     leftovers: Vec<Left>,
+    is_durable: bool,
 }
 
 impl Shelf {
@@ -137,7 +138,7 @@ impl Shelf {
         }
         fs::create_dir_all(&shelf).at("create", &shelf)?;
         let lock = lock::take(out, &shelf, hold)?;
-        Ok(Self { out: out.to_owned(), _lock: Some(lock), temporary: AtomicU64::new(0), leftovers: Vec::new() })
+        Ok(Self { _lock: Some(lock), ..Self::imagine(out) })
     }
 
     /// Opens a result folder for reading.
@@ -148,13 +149,26 @@ impl Shelf {
         if !out.join(".shelf").is_dir() {
             return Err(StoreError::Absent(out.to_owned()));
         }
-        Ok(Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0), leftovers: Vec::new() })
+        Ok(Self::imagine(out))
     }
 
     /// A shelf for planning only: it accepts a folder that does not exist yet, and writes nothing.
     #[must_use]
     pub fn imagine(out: &Path) -> Self {
-        Self { out: out.to_owned(), _lock: None, temporary: AtomicU64::new(0), leftovers: Vec::new() }
+        Self {
+            out: out.to_owned(),
+            _lock: None,
+            temporary: AtomicU64::new(0),
+            leftovers: Vec::new(),
+            is_durable: false,
+        }
+    }
+
+    /// The same, if `is_durable` with parts and records that are on the disk before they have their names: a power cut
+    /// then loses no finished part.
+    #[must_use]
+    pub fn durable(self, is_durable: bool) -> Self {
+        Self { is_durable, ..self }
     }
 
     /// The result folder.
@@ -225,7 +239,15 @@ impl Shelf {
     pub(super) fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), StoreError> {
         let temporary = self.temporary(path.parent().expect("a record lies in a folder"));
         fs::write(&temporary, record::text(value)).at("write", &temporary)?;
-        fs::rename(&temporary, path).at("write", path)
+        self.place(&temporary, path)
+    }
+
+    /// Gives a complete file its name.
+    fn place(&self, temporary: &Path, path: &Path) -> Result<(), StoreError> {
+        if self.is_durable {
+            fs::sync(temporary).at("write", temporary)?;
+        }
+        fs::rename(temporary, path).at("write", path)
     }
 
     /// File of one table of one part.
@@ -281,12 +303,15 @@ impl PartWriter<'_> {
         for (table, writer) in std::mem::take(&mut self.writers) {
             let temporary = writer.path().to_owned();
             let record = writer.finish(&footer).at("write", &temporary)?;
-            let path = self.folder.join(format!("part-{lineage}.{table}.parquet"));
-            fs::rename(&temporary, &path).at("write", &path)?;
+            self.shelf.place(&temporary, &self.folder.join(format!("part-{lineage}.{table}.parquet")))?;
             files.insert(table, record);
         }
         let record = PartRecord { lineage, files };
         self.shelf.write_json(&self.folder.join(format!("part-{lineage}.json")), &record)?;
+        if self.shelf.is_durable {
+            // The names too.
+            fs::sync(&self.folder).at("write", &self.folder)?;
+        }
         Ok(record)
     }
 }

@@ -5,9 +5,9 @@
 //! copy is read, verified and run on like the original.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Component, Path, PathBuf};
 
+use super::disk as fs;
 use super::failure::{At, StoreError};
 use super::shelf::Shelf;
 

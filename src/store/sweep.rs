@@ -5,10 +5,10 @@
 //! tables and records. All else stays as it is.
 
 use std::ffi::OsStr;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use super::disk as fs;
 use super::failure::{At, StoreError};
 use super::lock::MARK_DIGITS;
 
@@ -138,6 +138,8 @@ mod tests {
 
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+
+    use std::fs;
 
     use super::*;
 

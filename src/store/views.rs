@@ -1,12 +1,12 @@
 //! The views: complete tables under the names of their headings. Each is a link to a table that never changes.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use arrow_array::RecordBatch;
 use serde::{Deserialize, Serialize};
 
+use super::disk as fs;
 use super::failure::{At, StoreError};
 use super::parquet::{self as file, FileRecord, TableWriter};
 use super::shelf::{PartRecord, Shelf, StageId, TableRecord};
@@ -142,7 +142,7 @@ impl Shelf {
         // It may be left from a run that was killed.
         let _ = fs::remove_file(&temporary);
         // The link is made in the shelf and then moved, so its target is relative to OUT.
-        std::os::unix::fs::symlink(target, &temporary).at("link", &temporary)?;
+        fs::symlink(target, &temporary).at("link", &temporary)?;
         if is_copy {
             let aside = self.temporary(&self.root());
             fs::rename(&link, &aside).at("replace", &link)?;

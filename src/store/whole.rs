@@ -1,10 +1,10 @@
 //! Everything complete on a shelf, with or without a view, for following a table back to its origins.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::Digest;
+use super::disk as fs;
 use super::failure::{At, StoreError};
 use super::record;
 use super::shelf::{Shelf, StageId, TableRecord};

@@ -252,7 +252,7 @@ fn faults_name_the_file_and_the_mend() {
     let without = |name: &str, file: &str| {
         made.write(&path(file));
         let mut source = periscope::formats::Source::open(&path(file)).unwrap();
-        let (mut arrays, _) = periscope::formats::hdf5::arrays(&mut source, |_| true).unwrap();
+        let (mut arrays, _) = periscope::formats::hdf5::arrays(&mut source, |_| true, u64::MAX).unwrap();
         arrays.remove(name).unwrap();
         save(&path(file), &arrays);
     };

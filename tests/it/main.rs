@@ -34,6 +34,7 @@ mod lifecycle;
 mod lineage;
 mod lineage_random;
 mod locate;
+mod manipulations;
 mod many_parts;
 mod methods;
 mod mirror;

@@ -103,7 +103,14 @@ fn three_workers_one_killed_at_a_third_leave_the_bytes_of_a_single_run() {
     // The run that was planned is the run that ended; what it ran is known, and nothing is left to do.
     let runs = Shelf::look(&lab.path("out")).unwrap().runs().unwrap();
     assert!(runs.len() == 1 && runs[0].ended.is_some() && runs[0].tables.contains_key("onsets"), "{runs:?}");
-    assert!(!lab.path("out/.shelf/shards").exists());
+    // An engine that asks again for what is done is not refused, and nothing is done.
+    let (files, again) = (lab.files("out"), output(&lab, &["gather", "--out", "out"]));
+    assert!(again.status.success() && errors(&again).contains("nothing to do"), "{}", errors(&again));
+    for key in lines.keys() {
+        let again = output(&lab, &shard(key, "out"));
+        assert!(again.status.success() && errors(&again).contains("nothing to do"), "{}", errors(&again));
+    }
+    assert_eq!((lab.files("out"), lab.path("out/.shelf/shards/job.json").exists()), (files, false));
     assert!(!printed(&lab, &["run", "pipeline.toml", "--campaign", "campaign", "--out", "out"]).contains("computed"));
 }
 

@@ -16,6 +16,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::lab::{ALL_VISIBLE, Lab, chain};
+use crate::manipulations::{MANIPULATIONS, copy, flip, links};
 
 fn periscope(lab: &Lab, args: &[&str]) -> (Option<i32>, String) {
     let Output { status, stdout, stderr } =
@@ -27,12 +28,13 @@ fn looked(lab: &Lab) -> Report {
     verify(&Shelf::look(&lab.path("out")).unwrap()).unwrap()
 }
 
-fn flip(path: &Path, bit: u64) {
-    let modified = fs::metadata(path).unwrap().modified().unwrap();
-    let mut bytes = fs::read(path).unwrap();
-    bytes[(bit / 8) as usize] ^= 1 << (bit % 8);
-    fs::write(path, bytes).unwrap();
-    File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
+/// Flips a bit of a raw file as a disk does that decays: what is on record in `notes` still has the file's stamp.
+fn decay(campaign: &Path, file: &str, notes: &Path) {
+    flip(&campaign.join(file), 8 * 3000);
+    let mut manifest = Manifest::load(notes).unwrap().unwrap();
+    let recorded = manifest.get(Path::new(file)).unwrap().blake3;
+    manifest.record(Path::new(file), recorded, &fs::metadata(campaign.join(file)).unwrap());
+    manifest.save(notes).unwrap();
 }
 
 /// Files of the shelf whose path contains this; what is linked twice, once.
@@ -224,8 +226,8 @@ fn a_campaign_is_held_to_its_seal() {
     fs::copy(raw.join("s1_L1_P2_C2.trc"), raw.join("s1_L1_P5_C2.trc")).unwrap();
     let (code, text) = periscope(&lab, &["verify", "campaign"]);
     assert!(code == Some(0) && text.contains("s1_L1_P5_C1.trc") && text.contains("seal --update"), "{text}");
-    // A bit that flips on the disk changes neither size nor time.
-    flip(&raw.join("s1_L2_P3_C1.trc"), 8 * 3000);
+    // A bit that flips on the disk changes neither size nor times.
+    decay(&lab.campaign(), "raw/scene/s1_L2_P3_C1.trc", &lab.campaign());
     assert_eq!(periscope(&lab, &["verify", "campaign"]).0, Some(0));
     fs::remove_file(raw.join("s1_L3_P4_C1.trc")).unwrap();
     let (code, text) = periscope(&lab, &["verify", "campaign", "--rehash", "--format", "json"]);
@@ -244,13 +246,71 @@ fn a_campaign_is_held_to_its_seal() {
 }
 
 #[test]
+fn no_flip_in_the_settings_of_a_sealed_campaign_passes() {
+    let lab = Lab::tiny();
+    let campaign = Campaign::load(&lab.campaign()).unwrap();
+    seal(&campaign, &campaign.survey().unwrap(), false).unwrap();
+    run_by_command(&lab);
+    let file = lab.campaign().join("campaign.toml");
+    let bits = 8 * fs::metadata(&file).unwrap().len();
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for _ in 0..12 {
+        let bit = rng.random_range(0..bits);
+        flip(&file, bit);
+        let run = ["run", "pipeline.toml", "--campaign", "campaign", "--out", "out"];
+        let plan = ["plan", "pipeline.toml", "--campaign", "campaign", "--out", "out"];
+        for command in [&run[..], &plan, &["verify", "campaign"], &["verify", "out"], &["seal", "campaign"]] {
+            let (code, text) = periscope(&lab, command);
+            assert!(code == Some(1) && text.contains("campaign.toml"), "bit {bit}, {command:?}: {text}");
+        }
+        flip(&file, bit);
+    }
+    assert_eq!(periscope(&lab, &["verify", "out"]).0, Some(0));
+    // A change that is meant is named by its key, and joins on request.
+    let text = fs::read_to_string(&file).unwrap();
+    fs::write(&file, text.replace("[campaign]\n", "[campaign]\npart_bytes = 1000000\n")).unwrap();
+    let (code, said) = periscope(&lab, &["verify", "campaign"]);
+    assert!(code == Some(1) && said.contains("`campaign.part_bytes`") && said.contains("seal --update"), "{said}");
+    let (code, said) = periscope(&lab, &["seal", "--update", "campaign"]);
+    assert!(code == Some(0) && said.contains("`campaign.part_bytes`"), "{said}");
+    assert_eq!(periscope(&lab, &["verify", "campaign"]).0, Some(0));
+}
+
+#[test]
+fn other_content_of_the_same_size_and_time_is_seen() {
+    let lab = Lab::tiny();
+    run_by_command(&lab);
+    let raw = lab.campaign().join("raw/scene");
+    let file = raw.join("s1_L2_P3_C1.trc");
+    let run = ["run", "pipeline.toml", "--campaign", "campaign", "--out", "out"];
+    let seen_by_all = |what: &str| {
+        for command in [&run[..], &["verify", "out"]] {
+            let (code, text) = periscope(&lab, command);
+            assert!(code == Some(1) && text.contains("s1_L2_P3_C1.trc"), "{what}: {text}");
+        }
+    };
+    // Written over: the system's time of change is another.
+    flip(&file, 8 * 3000);
+    seen_by_all("written over");
+    flip(&file, 8 * 3000);
+    assert_eq!(periscope(&lab, &run).0, Some(0));
+    // Another file in its place: the inode is another.
+    let other = lab.path("other");
+    copy(&file, &other, true);
+    flip(&other, 8 * 3000);
+    let modified = fs::metadata(&file).unwrap().modified().unwrap();
+    File::options().write(true).open(&other).unwrap().set_modified(modified).unwrap();
+    fs::rename(&other, &file).unwrap();
+    seen_by_all("another file");
+}
+
+#[test]
 fn a_raw_file_that_decays_on_the_disk_is_refused_by_the_run_that_reads_it() {
     let lab = Lab::tiny();
     // Noted by a first run, and read again by a second, which has no traces on the shelf.
     lab.run_with("out", ALL_VISIBLE, &["traces.keep=false".to_owned()], &Settings::default()).unwrap();
     let before = lab.parts("out");
-    let file = lab.campaign().join("raw/scene/s1_L2_P3_C1.trc");
-    flip(&file, 8 * 3000);
+    decay(&lab.campaign(), "raw/scene/s1_L2_P3_C1.trc", &lab.path("out/.shelf/notes/tiny"));
     let set = ["traces.keep=false".to_owned(), "profiles.shots_min=3".to_owned()];
     let error = chain(lab.run_with("out", ALL_VISIBLE, &set, &Settings::default()).unwrap_err());
     assert!(error.contains("s1_L2_P3_C1.trc") && error.contains("changed since they were first read"), "{error}");
@@ -270,115 +330,6 @@ fn run_by_command(lab: &Lab) {
     assert_eq!(code, Some(0), "{text}");
 }
 
-/// Copies a folder as `cp -r` does, or with `follow` as `cp -rL`: links become what they lead to.
-fn copy(from: &Path, to: &Path, follow: bool) {
-    let mut command = Command::new("cp");
-    let done = command.arg(if follow { "-rL" } else { "-rP" }).arg(from).arg(to).status().unwrap();
-    assert!(done.success());
-}
-
-/// A change to what a reader sees.
-type Manipulation = (&'static str, fn(&Path, &mut ChaCha8Rng));
-
-/// Links among the views, sorted.
-fn links(out: &Path) -> Vec<PathBuf> {
-    let mut links: Vec<PathBuf> =
-        fs::read_dir(out).unwrap().flatten().map(|entry| entry.path()).filter(|path| path.is_symlink()).collect();
-    links.sort();
-    links
-}
-
-fn some_link(out: &Path, rng: &mut ChaCha8Rng) -> PathBuf {
-    let mut links = links(out);
-    links.swap_remove(rng.random_range(0..links.len()))
-}
-
-/// A table file of a view that has some; the record of the rejects is none.
-fn some_file(out: &Path, rng: &mut ChaCha8Rng) -> PathBuf {
-    loop {
-        let link = some_link(out, rng);
-        let mut files: Vec<PathBuf> = fs::read_dir(&link).unwrap().flatten().map(|entry| entry.path()).collect();
-        files.sort();
-        if !link.ends_with("rejects") && !files.is_empty() {
-            return files.swap_remove(rng.random_range(0..files.len()));
-        }
-    }
-}
-
-fn relink(link: &Path, target: &Path) {
-    fs::remove_file(link).unwrap();
-    std::os::unix::fs::symlink(target, link).unwrap();
-}
-
-/// A view becomes a folder with copies of its files.
-fn unlink(link: &Path) {
-    let real = fs::canonicalize(link).unwrap();
-    fs::remove_file(link).unwrap();
-    copy(&real, link, true);
-}
-
-const MANIPULATIONS: [Manipulation; 10] = [
-    ("swapped", |out, rng| {
-        loop {
-            let (a, b) = (some_link(out, rng), some_link(out, rng));
-            let [to_a, to_b] = [&a, &b].map(|link| fs::read_link(link).unwrap());
-            if a != b && to_a != to_b {
-                relink(&a, &to_b);
-                relink(&b, &to_a);
-                return;
-            }
-        }
-    }),
-    ("another table", |out, rng| {
-        loop {
-            let (a, b) = (some_link(out, rng), some_link(out, rng));
-            let to_b = fs::read_link(b).unwrap();
-            if fs::read_link(&a).unwrap() != to_b {
-                return relink(&a, &to_b);
-            }
-        }
-    }),
-    ("deleted", |out, rng| fs::remove_file(some_link(out, rng)).unwrap()),
-    ("outside", |out, rng| {
-        let link = some_link(out, rng);
-        let elsewhere = out.with_file_name("elsewhere");
-        copy(&fs::canonicalize(&link).unwrap(), &elsewhere, true);
-        relink(&link, &elsewhere);
-    }),
-    ("a stray view", |out, rng| {
-        let target = fs::read_link(some_link(out, rng)).unwrap();
-        std::os::unix::fs::symlink(target, out.join("mine")).unwrap();
-    }),
-    ("a stray file in a view", |out, rng| {
-        let file = some_file(out, rng);
-        fs::copy(&file, file.with_file_name("part-99999.parquet")).unwrap();
-    }),
-    ("a stray folder of tables", |out, rng| {
-        let file = some_file(out, rng);
-        fs::create_dir(out.join("mine")).unwrap();
-        fs::copy(&file, out.join("mine/part-00000.parquet")).unwrap();
-    }),
-    ("a changed copy", |out, rng| {
-        let file = some_file(out, rng);
-        let (view, name) = (file.parent().unwrap().to_owned(), file.file_name().unwrap().to_owned());
-        unlink(&view);
-        let bits = 8 * fs::metadata(view.join(&name)).unwrap().len();
-        flip(&view.join(name), rng.random_range(0..bits));
-    }),
-    ("a copy with a file less", |out, rng| {
-        let file = some_file(out, rng);
-        let (view, name) = (file.parent().unwrap().to_owned(), file.file_name().unwrap().to_owned());
-        unlink(&view);
-        fs::remove_file(view.join(name)).unwrap();
-    }),
-    ("a copy with a file more", |out, rng| {
-        let file = some_file(out, rng);
-        let (view, name) = (file.parent().unwrap().to_owned(), file.file_name().unwrap().to_owned());
-        unlink(&view);
-        fs::copy(view.join(name), view.join("more.parquet")).unwrap();
-    }),
-];
-
 /// Views that show what no run left there: three draws of each kind of change, in the folder and in a copy of it.
 #[test]
 fn what_a_reader_sees_is_what_a_run_left() {
@@ -386,11 +337,11 @@ fn what_a_reader_sees_is_what_a_run_left() {
     run_by_command(&lab);
     assert_eq!(looked(&lab).findings, []);
     let mut rng = ChaCha8Rng::seed_from_u64(30);
-    for (name, change) in MANIPULATIONS {
+    for (name, is_followed, change) in MANIPULATIONS {
         for _ in 0..3 {
             let folder = tempfile::tempdir().unwrap();
             let out = folder.path().join("out");
-            copy(&lab.path("out"), &out, false);
+            copy(&lab.path("out"), &out, is_followed);
             change(&out, &mut rng);
             let report = verify(&Shelf::look(&out).unwrap()).unwrap();
             assert!(!report.findings.is_empty(), "{name}: {:?}", links(&out));

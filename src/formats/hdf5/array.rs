@@ -12,8 +12,8 @@ use super::value::{Number, axes};
 const AXES_MAX: usize = 32;
 
 impl Array {
-    /// Reads the numbers of an object; `None` for a null data space.
-    pub(super) fn read(file: &mut File, name: &str, at: u64) -> Result<Option<Self>, FormatError> {
+    /// Reads the numbers of an object of at most `most_bytes`; `None` for a null data space.
+    pub(super) fn read(file: &mut File, name: &str, at: u64, most_bytes: u64) -> Result<Option<Self>, FormatError> {
         let header = file.header(at)?;
         let refuse = |problem: &str| field(at, format!("{name} {problem}"));
         let Some(axes) = axes(header.need(message::DATASPACE, "data space")?) else { return Ok(None) };
@@ -22,6 +22,7 @@ impl Array {
         let bytes = array::bytes_of(&axes, number.bytes())
             .filter(|_| axes.len() <= AXES_MAX)
             .ok_or_else(|| refuse("has more numbers than any memory"))?;
+        array::check_size(name, bytes, most_bytes).map_err(|problem| field(at, problem))?;
         let mut codes = match Layout::read(&header)? {
             Layout::Compact(data) if data.len() as u64 == bytes => data.to_vec(),
             Layout::Contiguous { at, bytes: stored } if stored == bytes && at != UNDEFINED => {

@@ -65,16 +65,20 @@ impl Reader for Hdf5 {
 }
 
 /// Returns the arrays in the root group whose names `wanted` accepts, without null data spaces, and the names of all
-/// entries.
+/// entries. An array may have `most_bytes`.
 ///
 /// # Errors
-/// When the file contradicts the format, or a wanted entry is no array of numbers.
-pub fn arrays(input: &mut dyn Input, wanted: impl Fn(&str) -> bool) -> Result<(Arrays, Vec<String>), FormatError> {
+/// When the file contradicts the format, or a wanted entry is no array of numbers, or a larger one.
+pub fn arrays(
+    input: &mut dyn Input,
+    wanted: impl Fn(&str) -> bool,
+    most_bytes: u64,
+) -> Result<(Arrays, Vec<String>), FormatError> {
     let (mut file, root) = File::open(input)?;
     let entries = file.group(root)?;
     let mut arrays = Arrays::new();
     for entry in entries.iter().filter(|entry| wanted(&entry.name)) {
-        let array = Array::read(&mut file, &entry.name, entry.at)?;
+        let array = Array::read(&mut file, &entry.name, entry.at, most_bytes)?;
         arrays.extend(array.map(|array| (entry.name.clone(), array)));
     }
     Ok((arrays, entries.iter().map(|entry| entry.name.clone()).collect()))

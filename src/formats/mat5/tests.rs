@@ -9,7 +9,7 @@ use crate::{Source, hostile};
 
 fn read(bytes: &[u8]) -> Result<(Arrays, Vec<String>), String> {
     let mut source = Source::new(Cursor::new(bytes), Path::new("a.mat")).unwrap();
-    arrays(&mut source, |name| name != "unwanted").map_err(|error| error.to_string())
+    arrays(&mut source, |name| name != "unwanted", 1 << 20).map_err(|error| error.to_string())
 }
 
 /// An element; data of up to four bytes stand in the tag.

@@ -27,6 +27,9 @@ pub(super) struct Placed<T> {
 /// Values by their names, in the order in which they appear.
 pub(super) type Named<T> = Vec<(String, Placed<T>)>;
 
+/// Most headings of a file: each is a thread of the passes that it takes part in.
+const MOST_HEADINGS: usize = 1000;
+
 /// A heading with all that its files say.
 #[derive(Clone, Debug)]
 pub(super) struct Heading {
@@ -210,6 +213,10 @@ impl Layer {
             text.parse().map_err(|error: toml::de::Error| syntax(error.to_string().trim_end().to_owned()))?;
         let (mut base, mut without, mut headings) = (None, Vec::new(), Vec::new());
         let is_based = table.get("base").is_some_and(toml::Value::is_str);
+        if table.len() > MOST_HEADINGS {
+            let count = table.len();
+            return Err(syntax(format!("has {count} headings, and a pipeline has at most {MOST_HEADINGS}; divide it")));
+        }
         if let Some(kind) = other_kind(&table).filter(|_| !is_based) {
             return Err(syntax(kind.to_owned()));
         }

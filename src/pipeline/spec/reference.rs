@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::built_in::BuiltIn;
 use super::failure::SpecError;
+use crate::campaign::toml_text;
 
 /// Which pipeline.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -51,9 +52,7 @@ impl Reference {
     pub(super) fn text(&self) -> Result<String, SpecError> {
         match self {
             Self::BuiltIn(pipeline) => Ok(pipeline.text.to_owned()),
-            Self::File(path) => {
-                std::fs::read_to_string(path).map_err(|source| SpecError::Read { path: path.clone(), source })
-            }
+            Self::File(path) => toml_text::read(path).map_err(|source| SpecError::Read { path: path.clone(), source }),
         }
     }
 

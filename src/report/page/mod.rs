@@ -14,6 +14,7 @@ mod words;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::Report;
+use crate::store::Digest;
 
 const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
@@ -34,6 +35,26 @@ pub fn page(report: &Report) -> String {
         ("rejects", "Set aside"),
         ("provenance", "Origin"),
     ];
+    let body = html! {
+        header {
+            h1 { (title) }
+            p.lead { (lead(report)) }
+            nav { @for (id, name) in sections.iter().filter(|(id, _)| *id != "patches" || report.scene.is_some()) { a href={ "#" (id) } { (name) } } }
+        }
+        main {
+            (answer::section(report))
+            (patches::section(report))
+            (stir::section(report))
+            (waves::profiles(report))
+            (waves::responses(report))
+            (solution::residuals(report))
+            (solution::distances(report))
+            (provenance::rejects(report))
+            (provenance::section(report))
+        }
+        footer { "Made by Periscope " (env!("CARGO_PKG_VERSION")) " from " code { (report.folder) } ". Every number stands in its tables." }
+    };
+    let nonce = nonce(&body);
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -41,33 +62,30 @@ pub fn page(report: &Report) -> String {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta name="color-scheme" content="light dark";
+                meta http-equiv="Content-Security-Policy" content=(policy(&nonce));
                 title { (title) " - Periscope" }
                 style { (PreEscaped(STYLE)) }
             }
             body {
-                header {
-                    h1 { (title) }
-                    p.lead { (lead(report)) }
-                    nav { @for (id, name) in sections.iter().filter(|(id, _)| *id != "patches" || report.scene.is_some()) { a href={ "#" (id) } { (name) } } }
-                }
-                main {
-                    (answer::section(report))
-                    (patches::section(report))
-                    (stir::section(report))
-                    (waves::profiles(report))
-                    (waves::responses(report))
-                    (solution::residuals(report))
-                    (solution::distances(report))
-                    (provenance::rejects(report))
-                    (provenance::section(report))
-                }
-                footer { "Made by Periscope " (env!("CARGO_PKG_VERSION")) " from " code { (report.folder) } ". Every number stands in its tables." }
-                (library())
-                script { (PreEscaped(SCRIPT)) }
+                (body)
+                (library(&nonce))
+                script nonce=(nonce) { (PreEscaped(SCRIPT)) }
             }
         }
     };
     page.into_string()
+}
+
+/// The word by which the page's own scripts are known: a digest of all else, so that nothing in a table can hold it.
+fn nonce(body: &Markup) -> String {
+    Digest::of_bytes(body.0.as_bytes()).to_string()
+}
+
+/// What the page may do: run its own two scripts, and draw. It loads nothing and sends nothing.
+fn policy(nonce: &str) -> String {
+    format!(
+        "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
 }
 
 fn lead(report: &Report) -> Markup {
@@ -87,8 +105,8 @@ fn lead(report: &Report) -> Markup {
 
 /// The plotting library's own script. Formulas, for which it brings a second script of two megabytes, are not used
 /// here.
-fn library() -> Markup {
+fn library(nonce: &str) -> Markup {
     let scripts = plotly::Plot::offline_js_sources();
     let first = scripts.find("</script>").map_or(scripts.as_str(), |end| &scripts[..end + "</script>".len()]);
-    PreEscaped(first.to_owned())
+    PreEscaped(first.replacen("<script ", &format!("<script nonce=\"{nonce}\" "), 1))
 }

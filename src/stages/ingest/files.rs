@@ -47,7 +47,13 @@ impl Files {
     pub fn turn_to(&mut self, job: &Job<'_>) -> Result<(), Bad> {
         let exposure = &job.item.exposure;
         let segment = exposure.segment.map(|segment| segment as i32);
-        let bad = |reason: String| Bad { file: exposure.file.clone(), segment, byte_offset: None, reason };
+        let bad = |reason: String| Bad {
+            file: exposure.file.clone(),
+            segment,
+            byte_offset: None,
+            reason,
+            is_unreadable: false,
+        };
         self.signal_records = match &job.item.records {
             Some(records) => records.clone(),
             None => numbered(
@@ -64,7 +70,7 @@ impl Files {
         };
         let of_file = &self.reference.as_ref().unwrap_or(&self.signal).records;
         let index = self.reference_index.as_ref().unwrap_or(&self.signal_index);
-        let bad_reference = |reason: String| Bad { file: reference.file.clone(), segment, byte_offset: None, reason };
+        let bad_reference = |reason: String| Bad { file: reference.file.clone(), ..bad(reason) };
         let records = index.select(of_file, reference.channel.as_deref(), exposure.segment).map_err(bad_reference)?;
         if records.len() != self.signal_records.len() {
             return Err(bad(format!(

@@ -10,10 +10,11 @@ use super::content::{self, FileDigests};
 use super::files::Files;
 use super::raw_file::{Bad, Hashed, HashedStretch, Reading};
 use super::survey::{Capture, Item, Job, Surveyed, chain};
-use crate::campaign::{Campaign, hash_file};
+use crate::campaign::{Campaign, Stamp, hash_file};
 use crate::stages::source::{Feed, PartRead};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
+use crate::store::disk;
 use crate::tables::traces::Records;
 
 /// Items that are sent on together: what is made of small ones takes many times their own bytes.
@@ -25,7 +26,7 @@ struct Done {
     rows: Records,
     shots: i32,
     digests: Vec<Hashed>,
-    rejection: Option<Rejection>,
+    rejection: Option<Result<Rejection, StageError>>,
 }
 
 /// Reads a part, in batches of about `batch_bytes`.
@@ -213,17 +214,17 @@ impl Reader<'_> {
     /// stops the run before anything that was made of it counts.
     fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Records, StageError> {
         let campaign = job.capture.campaign;
+        self.rejections.extend(done.rejection.transpose()?);
         for Hashed { file, digest, metadata } in done.digests {
             // What changed while it was read is not what was hashed, and goes down in no notes.
-            let now = std::fs::metadata(self.surveyed.campaigns[campaign].path_of(&file));
-            if !now.is_ok_and(|now| now.len() == metadata.len() && now.modified().ok() == metadata.modified().ok()) {
+            let now = disk::metadata(self.surveyed.campaigns[campaign].path_of(&file));
+            if !now.is_ok_and(|now| Stamp::of(&now) == Stamp::of(&metadata)) {
                 continue;
             }
             self.surveyed.hold(campaign, &file, digest)?;
             self.surveyed.record(campaign, &file, digest, &metadata);
             self.digests.insert((campaign, file), digest.into());
         }
-        self.rejections.extend(done.rejection);
         let numbered = job.item.exposure.shot.is_some() || job.item.records.is_some();
         if !numbered {
             let first = self.shots.entry(index).or_insert(0);
@@ -241,7 +242,7 @@ pub fn content(surveyed: &Surveyed<'_>, captures: &[Capture], mut digests: FileD
         if digests.contains_key(&key) {
             continue;
         }
-        let digest = surveyed.digest_of(campaign, file).ok_or_else(|| unread(&surveyed.campaigns[campaign], file))?;
+        let digest = surveyed.digest_of(campaign, file)?.ok_or_else(|| unread(&surveyed.campaigns[campaign], file))?;
         digests.insert(key, digest);
     }
     let campaign = captures[0].campaign;
@@ -295,7 +296,7 @@ fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
 fn is_most_of_its_file(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> bool {
     let Job { capture, item, .. } = jobs[0];
     let bytes: u64 = jobs.iter().map(|job| job.item.bytes).sum();
-    let file = std::fs::metadata(surveyed.campaigns[capture.campaign].path_of(&item.exposure.file));
+    let file = disk::metadata(surveyed.campaigns[capture.campaign].path_of(&item.exposure.file));
     file.is_ok_and(|file| bytes > file.len() / 2)
 }
 
@@ -322,7 +323,7 @@ fn digests_of_bad(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Vec<Hashed> {
     let campaign = &surveyed.campaigns[job.capture.campaign];
     let hashed = |file: &PathBuf| {
         let path = campaign.path_of(file);
-        let metadata = std::fs::metadata(&path).ok()?;
+        let metadata = disk::metadata(&path).ok()?;
         Some(Hashed { file: file.clone(), digest: hash_file(&path).ok()?, metadata })
     };
     job.item.exposure.files().filter_map(hashed).collect()

@@ -8,7 +8,6 @@
 mod cut;
 
 use std::collections::BTreeMap;
-use std::fs::Metadata;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -19,12 +18,13 @@ use super::files::Files;
 use super::part::{Reader, Share, content, items, unread};
 use super::raw_file::{Bad, HashedStretch, Reading};
 use super::survey::{Capture, Item, Job, Surveyed};
-use crate::campaign::modified_ns;
+use crate::campaign::Stamp;
 use crate::campaign::tree_hash::{self, Subtree};
 use crate::signal::shot_spread::HEAD_SHOTS;
 use crate::stages::source::{Piece, PieceFeed};
-use crate::stages::stage::StageError;
+use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
+use crate::store::disk;
 pub use cut::{cut, most_pieces};
 
 /// A place between two exposures of a part: number of the capture, of its item, and of the exposure in that.
@@ -41,28 +41,15 @@ struct Stretch {
     from: Boundary,
     to: Boundary,
     /// Its files as they were when it was cut.
-    states: BTreeMap<PathBuf, State>,
+    states: BTreeMap<PathBuf, Stamp>,
     /// Of files that it shares with other pieces: the bytes that it hashes.
     hashed: BTreeMap<PathBuf, Range<u64>>,
-}
-
-/// Size of a file, and time of its last change.
-#[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct State {
-    bytes: u64,
-    modified_ns: i64,
-}
-
-impl State {
-    fn of(metadata: &Metadata) -> Self {
-        Self { bytes: metadata.len(), modified_ns: modified_ns(metadata) }
-    }
 }
 
 /// What a piece has learnt of its files.
 #[derive(Serialize, Deserialize)]
 struct Learnt {
-    states: BTreeMap<PathBuf, State>,
+    states: BTreeMap<PathBuf, Stamp>,
     /// Of files that it has read to their end.
     digests: BTreeMap<PathBuf, Digest>,
     /// Of files that it has read in part.
@@ -114,8 +101,8 @@ pub fn read_piece(
     let digests = reader.digests.into_iter().map(|((_, file), digest)| (file, digest));
     let mut learnt = Learnt { digests: digests.collect(), subtrees: BTreeMap::new(), states };
     for HashedStretch { file, subtrees, metadata } in reader.stretches {
-        let now = std::fs::metadata(campaign.path_of(&file));
-        if now.is_ok_and(|now| State::of(&now) == State::of(&metadata)) {
+        let now = disk::metadata(campaign.path_of(&file));
+        if now.is_ok_and(|now| Stamp::of(&now) == Stamp::of(&metadata)) {
             learnt.subtrees.insert(file, subtrees);
         }
     }
@@ -149,7 +136,12 @@ pub fn read_head(
                 break;
             }
             let job = Job { capture, item, first_shot: 0 };
-            let odd = |error: Bad| StageError::Indivisible(format!("{}: {}", error.file.display(), error.reason));
+            let odd = |error: Bad| match error.rejection(surveyed, &job) {
+                Ok(Rejection { file, reason, .. }) => {
+                    StageError::Indivisible(format!("{}: {reason}", file.as_deref().unwrap_or_default()))
+                }
+                Err(refused) => refused,
+            };
             let mut files = Files::open(surveyed, &job, Reading::Unhashed).map_err(odd)?;
             let (end, bytes) = (files.exposures().min(before(number)), files.exposure_bytes(&job));
             let per_batch = (batch_bytes / bytes.max(1)).clamp(1, HEAD_SHOTS);
@@ -181,19 +173,16 @@ pub fn read_head(
 fn check(
     surveyed: &Surveyed<'_>,
     captures: &[Capture],
-    states: &BTreeMap<PathBuf, State>,
+    states: &BTreeMap<PathBuf, Stamp>,
     since: &str,
 ) -> Result<(), StageError> {
     let campaign = &surveyed.campaigns[captures[0].campaign];
     for (file, state) in states {
         let path = campaign.path_of(file);
-        match std::fs::metadata(&path) {
-            Ok(metadata) if State::of(&metadata) == *state => {}
+        match disk::metadata(&path) {
+            Ok(metadata) if Stamp::of(&metadata) == *state => {}
             Ok(_) => {
-                let path = path.display();
-                return Err(StageError::Refused(format!(
-                    "{path} has changed since {since}, or restore the file with its time"
-                )));
+                return Err(StageError::Refused(format!("{} has changed since {since}", path.display())));
             }
             Err(error) => return Err(StageError::Refused(format!("{}: {error}", path.display()))),
         }
@@ -206,7 +195,7 @@ pub fn join(surveyed: &Surveyed<'_>, part: usize, learnt: &[Value]) -> Result<Di
     let captures = &surveyed.parts[part];
     let index = captures[0].campaign;
     let mut digests: BTreeMap<PathBuf, Digest> = BTreeMap::new();
-    let mut states: BTreeMap<PathBuf, State> = BTreeMap::new();
+    let mut states: BTreeMap<PathBuf, Stamp> = BTreeMap::new();
     let mut subtrees: BTreeMap<PathBuf, Vec<Subtree>> = BTreeMap::new();
     for piece in learnt {
         let piece = Learnt::deserialize(piece)
@@ -226,10 +215,10 @@ pub fn join(surveyed: &Surveyed<'_>, part: usize, learnt: &[Value]) -> Result<Di
     }
     for (file, digest) in &digests {
         surveyed.hold(index, file, (*digest).into())?;
-        let metadata = std::fs::metadata(surveyed.campaigns[index].path_of(file));
+        let metadata = disk::metadata(surveyed.campaigns[index].path_of(file));
         let metadata = metadata.map_err(|_| unread(&surveyed.campaigns[index], file))?;
         // As it was when the last piece was looked at, or it goes down in no notes.
-        if states.get(file as &Path) == Some(&State::of(&metadata)) {
+        if states.get(file as &Path) == Some(&Stamp::of(&metadata)) {
             surveyed.record(index, file, (*digest).into(), &metadata);
         }
     }

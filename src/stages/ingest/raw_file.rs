@@ -11,11 +11,12 @@ use arrow_buffer::Buffer;
 
 use super::blocks::Blocks;
 use super::survey::{Job, Surveyed};
-use crate::campaign::hash_file;
 use crate::campaign::tree_hash::{StretchHasher, Subtree};
+use crate::campaign::{ManifestError, hash_file};
 use crate::formats::companions::companion;
 use crate::formats::{self, FormatError, Joined, Source};
-use crate::stages::stage::Rejection;
+use crate::stages::stage::{Rejection, StageError};
+use crate::store::disk;
 use crate::tables::{Codes, Name};
 use crate::waveform::Record;
 
@@ -86,25 +87,43 @@ impl Hashing {
     }
 }
 
-/// Why an item is rejected.
+/// Why an item is not used.
 #[derive(Clone)]
 pub struct Bad {
     pub file: PathBuf,
     pub segment: Option<i32>,
     pub byte_offset: Option<i64>,
     pub reason: String,
+    /// The system could not read the file. That says nothing about its content, and may be over at the next try.
+    pub is_unreadable: bool,
 }
 
 impl Bad {
-    pub fn rejection(self, surveyed: &Surveyed<'_>, job: &Job<'_>) -> Rejection {
-        Rejection {
+    /// The rejection of an item for its content.
+    ///
+    /// # Errors
+    /// When the file could not be read: a rejection would count as long as the content is the same.
+    pub fn rejection(self, surveyed: &Surveyed<'_>, job: &Job<'_>) -> Result<Rejection, StageError> {
+        if self.is_unreadable {
+            let path = surveyed.campaigns[job.capture.campaign].path_of(&self.file);
+            let (path, reason) = (path.display(), self.reason);
+            return Err(StageError::Refused(format!(
+                "{path}: cannot be read; check that it exists, and its permissions: {reason}"
+            )));
+        }
+        Ok(Rejection {
             campaign: surveyed.campaigns[job.capture.campaign].name.as_str().into(),
             file: Some(self.file.to_string_lossy().as_ref().into()),
             segment: self.segment,
             byte_offset: self.byte_offset,
             reason: self.reason,
-        }
+        })
     }
+}
+
+/// Whether the system could not read a file; that it ends too early is its content.
+fn is_unreadable(error: &FormatError) -> bool {
+    matches!(error, FormatError::Io(error) if error.kind() != io::ErrorKind::UnexpectedEof)
 }
 
 /// A raw file.
@@ -136,20 +155,22 @@ impl RawFile {
             segment: None,
             byte_offset: None,
             reason: error.to_string(),
+            is_unreadable: true,
         };
         let format = |error: FormatError| Bad {
             file: name.to_owned(),
             segment: None,
             byte_offset: error.byte_offset().map(|at| at as i64),
             reason: error.to_string(),
+            is_unreadable: is_unreadable(&error),
         };
         let path = path_of(name);
-        let metadata = std::fs::metadata(&path).map_err(io)?;
+        let metadata = disk::metadata(&path).map_err(io)?;
         let companion = companion(name).filter(|file| job.item.exposure.companions.contains(file));
         let mut to_hash = Vec::new();
         if let Some(companion) = companion.as_ref().filter(|_| !matches!(reading, Reading::Unhashed)) {
             for file in [name, companion.as_path()] {
-                to_hash.push((file.to_owned(), path_of(file), std::fs::metadata(path_of(file)).map_err(io)?));
+                to_hash.push((file.to_owned(), path_of(file), disk::metadata(path_of(file)).map_err(io)?));
             }
         }
         let hashing = match reading {
@@ -178,7 +199,7 @@ impl RawFile {
 
     /// Something about this file that keeps it from being used.
     pub fn bad(&self, reason: impl Into<String>) -> Bad {
-        Bad { file: self.name.clone(), segment: None, byte_offset: None, reason: reason.into() }
+        Bad { file: self.name.clone(), segment: None, byte_offset: None, reason: reason.into(), is_unreadable: false }
     }
 
     /// Something about one of its records that keeps the file from being used.
@@ -208,7 +229,10 @@ impl RawFile {
         let read = file.seek(SeekFrom::Start(range.start)).and_then(|_| file.read_exact(&mut bytes));
         match read {
             Ok(()) => Ok(self.blocks.lend(bytes)),
-            Err(error) => Err(Bad { byte_offset: Some(range.start as i64), ..self.bad(error.to_string()) }),
+            Err(error) => {
+                let (byte_offset, reason) = (Some(range.start as i64), error.to_string());
+                Err(Bad { byte_offset, is_unreadable: is_unreadable(&error.into()), ..self.bad(reason) })
+            }
         }
     }
 
@@ -238,7 +262,8 @@ impl RawFile {
     pub fn digests(&mut self) -> Result<Vec<Hashed>, Bad> {
         let mut digests = Vec::new();
         for (file, path, metadata) in &self.to_hash {
-            let digest = hash_file(path).map_err(|error| self.bad(error.to_string()))?;
+            let unreadable = |error: ManifestError| Bad { is_unreadable: true, ..self.bad(error.to_string()) };
+            let digest = hash_file(path).map_err(unreadable)?;
             digests.push(Hashed { file: file.clone(), digest, metadata: metadata.clone() });
         }
         self.hash_rest()?;
@@ -330,7 +355,11 @@ impl RawFile {
             Bytes::Memory(memory) => record.read(&mut Cursor::new(memory.as_slice()), samples),
             Bytes::Disk(file) => record.read(file, samples),
         };
-        let block = Buffer::from_vec(read.map_err(|error| self.bad_record(number, error.to_string()))?);
+        let bad = |error: io::Error| {
+            let reason = error.to_string();
+            Bad { is_unreadable: is_unreadable(&error.into()), ..self.bad_record(number, reason) }
+        };
+        let block = Buffer::from_vec(read.map_err(bad)?);
         Ok(Codes::new(&block, 0, block.len()))
     }
 }

@@ -10,7 +10,7 @@
 //! files. No run waits until its notes are on the disk, which takes longer than a part: a machine that goes down may
 //! lose them, and files are hashed again.
 
-use std::fs::{self, Metadata};
+use std::fs::Metadata;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -20,6 +20,7 @@ use serde_json::json;
 use super::survey::Capture;
 use crate::campaign::{Campaign, FileState, Manifest, ManifestError};
 use crate::store::Digest;
+use crate::store::disk as fs;
 
 /// How the folders of slips begin.
 const SLIP: &str = "part-";
@@ -145,7 +146,7 @@ fn slips(notes: &Path) -> Result<Vec<PathBuf>, ManifestError> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(|source| at(notes, source))?,
     };
-    let path = |entry: io::Result<fs::DirEntry>| Ok(entry.map_err(|source| at(notes, source))?.path());
+    let path = |entry: io::Result<std::fs::DirEntry>| Ok(entry.map_err(|source| at(notes, source))?.path());
     let mut slips = entries.map(path).collect::<Result<Vec<_>, ManifestError>>()?;
     slips.retain(|path| path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(SLIP.as_bytes())));
     Ok(slips)

@@ -15,6 +15,7 @@ use crate::formats;
 use crate::stages::source::SourcePart;
 use crate::stages::stage::StageError;
 use crate::store::Digest;
+use crate::store::disk;
 use crate::units::PatchId;
 
 /// One file's share of a capture.
@@ -153,8 +154,8 @@ impl<'a> Surveyed<'a> {
             blocks: Arc::default(),
         };
         surveyed.check_files()?;
-        let parts = surveyed.parts.iter().map(|part| surveyed.source_part(part)).collect();
-        surveyed.source_parts = parts;
+        surveyed.source_parts =
+            surveyed.parts.iter().map(|part| surveyed.source_part(part)).collect::<Result<_, StageError>>()?;
         Ok(surveyed)
     }
 
@@ -169,7 +170,7 @@ impl<'a> Surveyed<'a> {
             let FileState::Touched { recorded } = state else {
                 continue;
             };
-            let metadata = std::fs::metadata(root.join(file)).map_err(|error| refused(&error))?;
+            let metadata = disk::metadata(root.join(file)).map_err(|error| refused(&error))?;
             if hash_file(&root.join(file)).map_err(|error| refused(&error))? == recorded {
                 self.record(campaign, file, recorded, &metadata);
             } else {
@@ -196,11 +197,16 @@ impl<'a> Surveyed<'a> {
         }
     }
 
-    /// The digest of a file, if it is on record and the file still has the size and time that it had then.
-    pub fn digest_of(&self, campaign: usize, file: &Path) -> Option<Digest> {
-        match self.records[campaign].check(&self.campaigns[campaign].root, file) {
-            Ok(FileState::Same(digest)) => Some(digest.into()),
-            _ => None,
+    /// The digest of a file, if it is on record and the file still has the stamp that it had then.
+    ///
+    /// # Errors
+    /// When its metadata cannot be read.
+    pub fn digest_of(&self, campaign: usize, file: &Path) -> Result<Option<Digest>, StageError> {
+        let root = &self.campaigns[campaign].root;
+        match self.records[campaign].check(root, file) {
+            Ok(FileState::Same(digest)) => Ok(Some(digest.into())),
+            Ok(_) => Ok(None),
+            Err(error) => Err(StageError::Refused(chain(root, &error))),
         }
     }
 
@@ -213,16 +219,19 @@ impl<'a> Surveyed<'a> {
     /// Whether this run has read a file to its end before, and it is as it was then.
     pub fn was_read(&self, campaign: usize, file: &Path) -> bool {
         let read = self.read.lock().unwrap_or_else(PoisonError::into_inner).contains(&(campaign, file.to_owned()));
-        read && self.digest_of(campaign, file).is_some()
+        read && matches!(self.digest_of(campaign, file), Ok(Some(_)))
     }
 
-    fn source_part(&self, part: &[Capture]) -> SourcePart {
-        let entry =
-            |(campaign, file): (usize, &Path)| Some(((campaign, file.to_owned()), self.digest_of(campaign, file)?));
-        let digests: Option<FileDigests> = content::files(part).into_iter().map(entry).collect();
+    fn source_part(&self, part: &[Capture]) -> Result<SourcePart, StageError> {
+        let entry = |(campaign, file): (usize, &Path)| -> Result<_, StageError> {
+            Ok(self.digest_of(campaign, file)?.map(|digest| ((campaign, file.to_owned()), digest)))
+        };
+        let digests = content::files(part).into_iter().map(entry).collect::<Result<Vec<_>, _>>()?;
+        // Without one of them the content is not known.
+        let digests: Option<FileDigests> = digests.into_iter().collect();
         let content = digests.map(|digests| content::digest(self.campaigns, part, &digests));
         let records = part.iter().map(|capture| capture.items.len() as u64).sum();
-        SourcePart { content, bytes: part.iter().map(Capture::bytes).sum(), records }
+        Ok(SourcePart { content, bytes: part.iter().map(Capture::bytes).sum(), records })
     }
 }
 
@@ -291,7 +300,7 @@ fn items(
     let size = |file: &PathBuf| {
         let path = campaign.path_of(file);
         let shared_by = if exposure.segment.is_some() { segments.get(file).copied().unwrap_or(1) } else { 1 };
-        std::fs::metadata(&path)
+        disk::metadata(&path)
             .map(|file| file.len() / shared_by)
             .map_err(|error| StageError::Refused(format!("{}: {error}", path.display())))
     };

@@ -7,7 +7,6 @@ mod chain;
 mod stage_folder;
 mod views;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -20,6 +19,7 @@ use super::runs::RunRecord;
 use super::shelf::{Shelf, StageId};
 use super::views::{REJECTS_RECORD, RejectsRecord};
 use super::{Digest, TableRecord, sweep};
+use crate::store::disk as fs;
 use stage_folder::StageFolder;
 
 /// Something wrong, and how to fix it.

@@ -1,10 +1,10 @@
 //! The views: what a reader sees, compared with what the last run left.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::{Report, entries, name, strays};
+use crate::store::disk as fs;
 use crate::store::failure::{At, StoreError};
 use crate::store::shelf::Shelf;
 use crate::store::shown::{self, SHELF};

@@ -1,5 +1,5 @@
 //! The rules of ARCHITECTURE.md, kept: who imports whom (`floors`), where packages of others are named (`packages`),
-//! and how the code looks (`form`). `sources` reads the files that they look at.
+//! how the code looks (`form`), and what comes from others (`supply`). `sources` reads the files that they look at.
 //!
 //! A rule that some folders do not keep yet lists them in a constant `.._NOT_YET`; a folder that keeps it must leave
 //! the list.
@@ -8,3 +8,4 @@ mod floors;
 mod form;
 mod packages;
 mod sources;
+mod supply;

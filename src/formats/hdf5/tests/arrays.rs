@@ -10,7 +10,7 @@ use crate::{Source, hostile};
 
 fn read(bytes: &[u8]) -> Result<(Arrays, Vec<String>), String> {
     let mut source = Source::new(Cursor::new(bytes), Path::new("a.hdf5")).unwrap();
-    arrays(&mut source, |name| name != "unwanted").map_err(|error| error.to_string())
+    arrays(&mut source, |name| name != "unwanted", 1 << 20).map_err(|error| error.to_string())
 }
 
 /// Numbers that differ everywhere.
@@ -30,6 +30,15 @@ fn file(array: &Array, chunk: Option<&[u32]>, deflate: bool) -> Vec<u8> {
     };
     let root = file.group(&[("H", at)], &[]);
     file.finish(root)
+}
+
+#[test]
+fn an_array_that_takes_too_much_memory_is_refused_by_what_it_claims() {
+    let zeros = Array { axes: vec![1 << 10, 300], code_type: CodeType::F32, codes: vec![0; 4 * 300 * 1024] };
+    let bytes = file(&zeros, Some(&[1 << 10, 300]), true);
+    assert!(bytes.len() < 100_000, "{}", bytes.len());
+    let error = read(&bytes).unwrap_err();
+    assert!(error.contains("H takes 1228800 bytes in memory, and may take 1048576"), "{error}");
 }
 
 #[test]

@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use super::{Boundary, State, Stretch, between};
+use super::{Boundary, Stretch, between};
+use crate::campaign::Stamp;
 use crate::campaign::tree_hash::BLOCK_BYTES;
 use crate::stages::ingest::files::Files;
 use crate::stages::ingest::part::items;
@@ -140,7 +141,7 @@ fn piece(surveyed: &Surveyed<'_>, captures: &[Capture], from: &Cut, to: &Cut) ->
         let mut share = 0;
         for file in item.exposure.files().collect::<BTreeSet<_>>() {
             let metadata = std::fs::metadata(root.path_of(file)).map_err(|error| error.to_string())?;
-            states.insert(file.clone(), State::of(&metadata));
+            states.insert(file.clone(), Stamp::of(&metadata));
             if !whole {
                 let start = if exposures.start == 0 { 0 } else { place_of(&from.1, file).unwrap_or(0) };
                 let end =
