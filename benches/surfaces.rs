@@ -1,7 +1,7 @@
 //! Study: points of hidden surfaces from first light, through files and `run`. Prints the tables of docs/surfaces.md.
 //!
 //! `cargo bench --bench surfaces -- 5 32 1000`: 5 scans of each cell, 32 x 32 points of the wall, seeds from 1000 on;
-//! a fourth number takes scans of so many photons in a mean histogram alone.
+//! a fourth number takes scans of so many photons in a mean histogram alone. Names of things take these alone.
 
 #[allow(dead_code, unused_imports, reason = "the tests use more of it")]
 #[path = "../tests/it/first_returns.rs"]
@@ -12,7 +12,7 @@ mod relay_scene;
 
 use first_returns::{Tally, capture, median, tallies, thing};
 
-const THINGS: [&str; 4] = ["sphere", "plate", "box", "sphere and plate"];
+const THINGS: [&str; 6] = ["sphere", "plate", "box", "sphere and plate", "wavy", "saddle"];
 const PHOTONS: [f64; 3] = [300.0, 3000.0, 30_000.0];
 const KINDS: [&str; 3] = ["smooth", "edge", "corner"];
 
@@ -25,7 +25,9 @@ fn main() {
         "| scene | photons | kind | scans | points | 95 % hold (least to most of a scan) | median error (mm) | 95 % of errors below (mm) | median sd (mm) | median turn of the normal (degrees) |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
-    for kind in THINGS {
+    let named = |kind: &&str| std::env::args().any(|arg| arg == **kind);
+    let is_any_named = THINGS.iter().any(|kind| named(&kind));
+    for kind in THINGS.into_iter().filter(|kind| !is_any_named || named(&kind)) {
         for photons in &photons {
             let of_seed = |seed| tallies(&thing(kind, seed), &capture(side, seed), *photons);
             let scans: Vec<[Tally; 3]> = (first..first + scans).map(of_seed).collect();

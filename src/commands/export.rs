@@ -9,7 +9,7 @@ use periscope::campaign::Campaign;
 use periscope::exchange::{self, ply};
 use periscope::formats::npy;
 use periscope::store::Shelf;
-use periscope::tables::{Image, Patch, Row, VolumeRow};
+use periscope::tables::{Image, Patch, Row, SurfacePoint, VolumeRow};
 
 use super::output::say;
 use super::whole_file;
@@ -23,12 +23,16 @@ const ALL: &str = "all_patches";
 pub struct Export {
     /// Result folder
     results: PathBuf,
-    /// File to write: .ply for the patches as a point cloud, .hdf5 for the profiles as a capture of y-tal (--volume:
-    /// the volume of an image), .npy for the volume of an image
+    /// File to write: .ply for the patches as a point cloud (--surface-points: the points of a surface), .hdf5 for the
+    /// profiles as a capture of y-tal (--volume: the volume of an image), .npy for the volume of an image
+    /// (--surface-points: the points of a surface)
     file: PathBuf,
     /// Table of patches [default: `all_patches` if there is one, else `patches`]
     #[arg(long, value_name = "TABLE")]
     patches: Option<String>,
+    /// .ply, .npy: points of a surface from this table, in place of patches and volume [default: `surface`]
+    #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "surface")]
+    surface_points: Option<String>,
     /// .hdf5: the campaign that was run, which says where laser and sensor are
     #[arg(long, value_name = "DIR")]
     campaign: Option<PathBuf>,
@@ -55,6 +59,18 @@ pub fn export(args: &Export) -> Result<ExitCode> {
     let patches_view = args.patches.as_deref().unwrap_or_else(|| shelf.table_of(ALL).map_or("patches", |_| ALL));
     let ending = args.file.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     match ending.as_deref() {
+        Some("ply") if args.surface_points.is_some() => {
+            let points = surface(&shelf, args)?;
+            whole_file::write(&args.file, |out| ply::write_surface(out, &points))?;
+            say!("{}: {} points", args.file.display(), points.len())?;
+        }
+        Some("npy") if args.surface_points.is_some() => {
+            let points = surface(&shelf, args)?;
+            let values: Vec<f64> = points.iter().flat_map(ply::surface_numbers).collect();
+            let shape = [points.len() as u64, (values.len() / points.len()) as u64];
+            whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
+            say!("{}: {} points, {} numbers each", args.file.display(), shape[0], shape[1])?;
+        }
         Some("ply") => {
             let patches: Vec<Patch> = rows(&shelf, patches_view)?;
             let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;
@@ -94,10 +110,24 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             say!("{}: {rows} rows, {columns} columns, {depths} depths", args.file.display())?;
         }
         _ => {
-            bail!("{}: end the name in .ply for patches, .hdf5 for profiles or .npy for a volume", args.file.display())
+            let file = args.file.display();
+            bail!(
+                "{file}: end the name in .ply for patches or points, .hdf5 for profiles or .npy for a volume or points"
+            )
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Points of the surface: at least one.
+fn surface(shelf: &Shelf, args: &Export) -> Result<Vec<SurfacePoint>> {
+    let view = args.surface_points.as_deref().unwrap_or("surface");
+    let points: Vec<SurfacePoint> = rows(shelf, view)?;
+    if points.is_empty() {
+        let results = args.results.display();
+        bail!("`{view}` of {results} has no points: `rejects` and `decisions` of the same folder say why");
+    }
+    Ok(points)
 }
 
 /// The rows of the volume in order: at least one.
@@ -119,7 +149,7 @@ fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
         None => bail!(
             "{} has no table `{view}`; `periscope tables` lists what it has, --{} names another",
             shelf.out().display(),
-            R::TABLE
+            R::TABLE.replace('_', "-")
         ),
     }
     let mut rows = Vec::new();

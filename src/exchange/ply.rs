@@ -1,16 +1,23 @@
-//! Patches as a point cloud: PLY, the format of MeshLab, CloudCompare and Open3D.
+//! Patches and points of surfaces as a point cloud: PLY, the format of MeshLab, CloudCompare and Open3D.
 //!
-//! One vertex for each patch of the best solution: place in metres, a colour for the eye (visible grey, hidden orange,
-//! mirror blue), number, kind (0, 1, 2). Then the standard deviation and the six numbers of the covariance; these are
-//! NaN for start values, which have none.
+//! Patches: one vertex for each patch of the best solution: place in metres, a colour for the eye (visible grey,
+//! hidden orange, mirror blue), number, kind (0, 1, 2). Then the standard deviation and the six numbers of the
+//! covariance; these are NaN for start values, which have none.
+//!
+//! Points of a surface: place, normal (the direction to the wall where it is no normal), a colour by the standard
+//! deviation (blue the surest, red from twice the median on), lit and seen patch of the wall, kind (0 smooth, 1 edge,
+//! 2 corner, 3 unknown), then standard deviation and covariance.
 
 use std::io::{self, Write};
 
-use crate::tables::Patch;
+use crate::tables::{Patch, SurfacePoint};
 
 /// Kinds of patches by their numbers, with the colour of each.
 const KINDS: [(&str, [u8; 3]); 3] =
     [("visible", [160, 160, 160]), ("hidden", [230, 120, 20]), ("mirror", [40, 110, 220])];
+
+/// Kinds of points of a surface by their numbers.
+const SURFACE_KINDS: [&str; 4] = ["smooth", "edge", "corner", "unknown"];
 
 /// Writes the best alternative of the patches; says how many.
 ///
@@ -43,4 +50,51 @@ pub fn write(out: &mut impl Write, patches: &[Patch]) -> io::Result<usize> {
         writeln!(out)?;
     }
     Ok(best.len())
+}
+
+/// Writes points of a surface.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub fn write_surface(out: &mut impl Write, points: &[SurfacePoint]) -> io::Result<()> {
+    writeln!(out, "ply\nformat ascii 1.0\ncomment kind: 0 smooth, 1 edge, 2 corner, 3 unknown; lengths in metres")?;
+    writeln!(out, "element vertex {}", points.len())?;
+    ["x", "y", "z", "nx", "ny", "nz"].iter().try_for_each(|name| writeln!(out, "property double {name}"))?;
+    ["red", "green", "blue"].iter().try_for_each(|name| writeln!(out, "property uchar {name}"))?;
+    writeln!(out, "property int lit\nproperty int seen\nproperty uchar kind\nproperty double sd_m")?;
+    ["xx", "xy", "xz", "yy", "yz", "zz"].iter().try_for_each(|pair| writeln!(out, "property double cov_{pair}_m2"))?;
+    writeln!(out, "end_header")?;
+    let mut sds_m: Vec<f64> = points.iter().map(|point| point.sd_m).collect();
+    sds_m.sort_by(f64::total_cmp);
+    let median_m = sds_m.get(sds_m.len() / 2).copied().unwrap_or(1.0);
+    for point in points {
+        let kind = SURFACE_KINDS.iter().position(|kind| **kind == *point.kind).unwrap_or(3);
+        let red = (127.5 * point.sd_m / median_m).min(255.0) as u8;
+        let [x, y, z, nx, ny, nz] = [point.x_m, point.y_m, point.z_m, point.normal_x, point.normal_y, point.normal_z];
+        write!(
+            out,
+            "{x} {y} {z} {nx} {ny} {nz} {red} 60 {} {} {} {kind} {:e}",
+            255 - red,
+            point.lit,
+            point.seen,
+            point.sd_m
+        )?;
+        for value in covariance_m2(point) {
+            write!(out, " {value:e}")?;
+        }
+        writeln!(out)?;
+    }
+    Ok(())
+}
+
+/// Numbers of a point of a surface in a row of an array: place, normal, covariance of the place from xx to zz.
+#[must_use]
+pub fn surface_numbers(point: &SurfacePoint) -> [f64; 12] {
+    let [xx, xy, xz, yy, yz, zz] = covariance_m2(point);
+    let SurfacePoint { x_m, y_m, z_m, normal_x, normal_y, normal_z, .. } = *point;
+    [x_m, y_m, z_m, normal_x, normal_y, normal_z, xx, xy, xz, yy, yz, zz]
+}
+
+fn covariance_m2(point: &SurfacePoint) -> [f64; 6] {
+    [point.cov_xx_m2, point.cov_xy_m2, point.cov_xz_m2, point.cov_yy_m2, point.cov_yz_m2, point.cov_zz_m2]
 }

@@ -8,25 +8,36 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | `field` | a local field: value, direction, curvature; their covariance; the point that they give |
-//! | `windows` | which neighbours a field is fitted to |
+//! | `local` | what fields have in common: how they are fitted to lengths, and how sure they are |
+//! | `field` | a bent field: value, direction, curvature |
+//! | `flat` | the field of flat faces that end: a rectangle, or a block |
+//! | `windows` | which neighbours a field is fitted to, and which field a place shares with others |
+//! | `choice` | the bent field or the flat faces: the mixture of what both say |
 //! | `laws` | under which law light begins at each point of the wall |
 //!
 //! Where the nearest point jumps from one place to another, the gradient jumps too, and no field may be fitted across.
 //! A window of neighbours starts where one field explains them, on one side if need be, and grows by neighbours that
 //! the field predicts, as long as it explains all of them and agrees with what smaller windows said.
 //!
-//! Covariances have three parts: noise; the error of the law of first light, which is a smooth random function over the
-//! wall ([`Scan::sigma_m`] sets its size and its length); and what the next smaller and the next larger window say
-//! otherwise. The latter two are common to neighbours and do not average out.
+//! When light begins depends on where the surface ends. Flat faces show that; so lengths are timed again under the law
+//! of the faces, and faces are fitted again, in some rounds.
+//!
+//! Covariances have four parts: noise; the error of the law of first light, which is a smooth random function over the
+//! wall ([`Scan::sigma_m`] sets its size and its length); what other windows and other faces say otherwise; and the
+//! mixture of bent fields and flat faces by their likelihoods. All but the first are common to neighbours and do not
+//! average out.
 //!
 //! Source: Tsai et al., The Geometry of First-Returning Photons, CVPR 2017; Xin et al., A Theory of Fermat Paths,
 //! CVPR 2019. Windows by agreement: Lepski, Theory Probab. Appl. 35:454, 1990.
 //!
-//! Not modelled: pairs of lit and seen point that move together apart, errors of the wall's places, later returns.
+//! Not modelled: pairs of lit and seen point that move together apart, errors of the wall's places, later returns, flat
+//! faces where the lit point is fixed.
 
+mod choice;
 mod field;
+mod flat;
 mod laws;
+mod local;
 mod windows;
 
 #[cfg(test)]
@@ -37,11 +48,18 @@ use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
 use super::Point;
+use choice::Choice;
+use field::Field;
 pub use field::Kind;
+use flat::{Flat, Known};
+use local::Sample;
+use windows::Chosen;
 
 /// Least number of places of the wall.
 pub const LEAST: usize = 16;
 
+/// Rounds in which first light is timed again under the law of flat faces.
+const ROUNDS: usize = 2;
 /// Points of a wall lie in a line where their squares across it are below this share of those along it.
 const IN_LINE: f64 = 1e-6;
 
@@ -52,8 +70,21 @@ pub struct Return {
     pub length_m: f64,
     /// Standard deviation.
     pub sd_m: f64,
+    /// Standard deviation of an error that neighbours have in common.
+    pub common_m: f64,
     /// Logarithm of the likelihood of this law.
     pub log_likelihood: f64,
+}
+
+/// A flat part of a surface as a point of the wall sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Face {
+    /// Its light next to that of other parts.
+    pub weight: f64,
+    /// Signed distances of the foot of the point from the edges of a rectangle, positive within, both ends of each of
+    /// its directions. Their unit is the radius of the ring whose light comes one standard deviation of the response
+    /// after the foot's.
+    pub ends: [[f64; 2]; 2],
 }
 
 /// A point of the wall, with its first return as a step, an edge and a corner make it.
@@ -103,12 +134,17 @@ pub struct SurfacePoint {
 }
 
 /// The point of the surface that each place of the wall sees first, where its neighbours tell it. Places are fewer
-/// than points where neighbours do not agree on one field.
+/// than points where neighbours do not agree on one field. `timed` is the first return of a place that sees these
+/// faces, near a length.
 ///
 /// # Panics
 /// If a standard deviation is not positive, or `sigma_m` is not.
 #[must_use]
-pub fn surface_points(scan: &Scan, cancel: &Cancel) -> Vec<SurfacePoint> {
+pub fn surface_points(
+    scan: &Scan,
+    timed: impl Fn(usize, &[Face], f64) -> Option<Return> + Sync,
+    cancel: &Cancel,
+) -> Vec<SurfacePoint> {
     assert!(scan.sigma_m > 0.0, "a response of some width");
     assert!(
         scan.places.iter().flat_map(|place| &place.returns).all(|one| one.sd_m > 0.0),
@@ -117,14 +153,71 @@ pub fn surface_points(scan: &Scan, cancel: &Cancel) -> Vec<SurfacePoint> {
     if scan.places.len() < LEAST {
         return Vec::new();
     }
-    let points: Vec<Point> = scan.places.iter().map(|place| place.seen).collect();
-    let near = windows::neighbours(&points, windows::MOST, cancel);
-    let likely = laws::by_likelihood(scan, &near);
-    let fields = windows::fields(scan, &laws::samples(scan, &likely), &near, cancel);
-    let shares = laws::by_curvature(scan, &near, &likely, &fields);
-    let fields = windows::fields(scan, &laws::samples(scan, &shares), &near, cancel);
-    let of_place = |(place, chosen): (usize, &Option<windows::Chosen>)| Some(chosen.as_ref()?.surface_point(place));
-    fields.par_iter().enumerate().filter_map(of_place).collect()
+    let mut rounds = Rounds::new(scan, cancel);
+    // The law of flat faces is that of a point that is lit and seen.
+    if scan.lit.is_none() {
+        for round in 0..=ROUNDS {
+            if round > 0 {
+                rounds.time_again(&timed);
+            }
+            rounds.find_faces(cancel);
+        }
+    }
+    rounds.points().into_iter().flatten().collect()
+}
+
+/// What is known of each place, and what a round hands on to the next.
+struct Rounds<'a> {
+    scan: &'a Scan,
+    /// The nearest places of each.
+    near: Vec<Vec<u32>>,
+    /// Lengths under the laws that likelihood and curvature show, and bent fields of them.
+    first: Vec<Sample>,
+    fields: Vec<Option<Chosen<Field>>>,
+    /// Lengths under the laws that flat faces show, and these faces.
+    samples: Vec<Sample>,
+    flats: Vec<Option<Chosen<Flat>>>,
+}
+
+impl<'a> Rounds<'a> {
+    fn new(scan: &'a Scan, cancel: &Cancel) -> Self {
+        let points: Vec<Point> = scan.places.iter().map(|place| place.seen).collect();
+        let near = windows::neighbours(&points, windows::MOST, cancel);
+        let likely = laws::by_likelihood(scan, &near);
+        let fields =
+            windows::fields(scan, &laws::samples(scan, &likely), &near, &windows::SIZES[..windows::FEW], cancel);
+        let shares = laws::by_curvature(scan, &near, &likely, &fields);
+        let first = laws::samples(scan, &shares);
+        let fields = windows::fields(scan, &first, &near, &windows::SIZES, cancel);
+        let wide = |sample: &Sample| Sample { weighted_m: sample.sd_m.hypot(sample.law_m), ..*sample };
+        let samples = first.iter().map(wide).collect();
+        let flats = fields.iter().map(|_| None).collect();
+        Self { scan, near, first, fields, samples, flats }
+    }
+
+    fn choice(&self, place: usize) -> Choice<'_> {
+        Choice::new(&self.fields[place], &self.flats[place], [&self.first, &self.samples])
+    }
+
+    fn points(&self) -> Vec<Option<SurfacePoint>> {
+        let of_place = |place: usize| self.choice(place).surface_point(self.scan, place);
+        (0..self.samples.len()).into_par_iter().map(of_place).collect()
+    }
+
+    /// Flat faces that go on from the points of the round before.
+    fn find_faces(&mut self, cancel: &Cancel) {
+        let known: Vec<Option<Known>> = self.points().iter().map(|point| point.as_ref().map(Known::new)).collect();
+        let flats = windows::flats(self.scan, &self.samples, &self.near, &known, cancel);
+        self.flats = windows::shared(&flats, &self.samples, &self.near);
+    }
+
+    /// Lengths under the laws of the faces.
+    fn time_again(&mut self, timed: &(impl Fn(usize, &[Face], f64) -> Option<Return> + Sync)) {
+        let choices: Vec<Choice<'_>> = (0..self.samples.len()).map(|place| self.choice(place)).collect();
+        let again = |place: usize| laws::again(self.scan, place, &choices[place], timed);
+        let again: Vec<_> = (0..choices.len()).into_par_iter().map(again).collect();
+        self.samples = laws::mixed(self.scan, &self.near, &self.first, &choices, &again);
+    }
 }
 
 /// Unit normal of the plane next to points of a wall, towards the side of `front`; `None` where they lie in a line.

@@ -2,7 +2,8 @@
 //!
 //! A surface returns light from its nearest point on. When that begins is timed in each histogram
 //! ([`crate::signal::edge`]), and neighbouring points of the wall together give place, normal and curvature of the
-//! surface ([`crate::geometry::first_return`]). Times of first light are not onsets of `detect`: a histogram of a
+//! surface ([`crate::geometry::first_return`]). Where the surface ends sets the law of its first light: histograms are
+//! timed again under the laws that the geometry shows. Times of first light are not onsets of `detect`: a histogram of a
 //! surface rises once and falls slowly, and the law of the rise is known only from its neighbours. So the stage takes
 //! all histograms together.
 //!
@@ -28,7 +29,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -36,12 +37,12 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side,
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::first_return::{self, Kind, LEAST, Place, Return, Scan, surface_points, wall_normal};
+use crate::geometry::first_return::{self, Face, Kind, LEAST, Place, Return, Scan, surface_points, wall_normal};
 use crate::parameter::{NonNegative, Positive};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, Medium};
 use crate::priors::relay_histograms::{self, Fields, Histogram, Times, Waveforms};
-use crate::signal::edge::{self, Bins, Noise, Rises};
+use crate::signal::edge::{self, Background, Bins, CORNER, EDGE, FirstReturn, Noise, Rises, STEP, Window};
 use crate::tables::{JointSearch, Patch, SurfacePoint};
 use crate::units::PatchId;
 
@@ -86,7 +87,7 @@ pub struct Context {
 
 impl Stage for FirstReturns {
     const KIND: &'static str = "first_returns";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -153,21 +154,45 @@ impl FirstReturns {
                 "a scan needs {LEAST} seen points or more, lit themselves or with one lit point; there is none"
             ));
         }
-        let mut rows = Vec::new();
-        for (lit, members) in groups {
-            let timed: Vec<(&Histogram<'_>, Place)> = members
-                .into_par_iter()
-                .filter_map(|one| {
-                    context.cancel.check();
-                    Some((one, self.place(one, &times, &rises, medium)?))
-                })
-                .collect();
-            let places = timed.iter().map(|(_, place)| *place).collect();
-            let scan = Scan { lit, inwards, sigma_m: medium.path_m(rises.sigma_ps()), places };
-            let points = surface_points(&scan, &context.cancel);
-            rows.extend(points.iter().map(|point| row(point, timed[point.place].0.pair())));
-        }
-        Ok(rows)
+        let scan = Setting { times: &times, rises: &rises, medium, inwards };
+        Ok(groups.into_iter().flat_map(|group| self.of_scan(context, &scan, group)).collect())
+    }
+
+    /// Points of one scan.
+    fn of_scan(
+        &self,
+        context: &Context,
+        &Setting { times, rises, medium, inwards }: &Setting<'_>,
+        (lit, members): (Option<Point>, Vec<&Histogram<'_>>),
+    ) -> Vec<SurfacePoint> {
+        let records: Vec<Record<'_, '_>> = members.into_iter().filter_map(|one| Record::new(one, times)).collect();
+        let threshold = self.threshold_sigma.get();
+        let starts: Vec<(&Record<'_, '_>, f64)> = records
+            .par_iter()
+            .filter_map(|record| Some((record, edge::first_rise(&record.bins(), rises.sigma_ps(), threshold)?)))
+            .collect();
+        let before: Vec<(Bins<'_>, f64)> = starts.iter().map(|(record, start)| (record.bins(), *start)).collect();
+        let background = Background::before(&before, rises.sigma_ps());
+        let timed: Vec<(&Histogram<'_>, Window<'_>, Place)> = starts
+            .par_iter()
+            .filter_map(|(record, start_ps)| {
+                context.cancel.check();
+                let window = Window::about(&record.bins(), rises, background, *start_ps)?;
+                let [step, edge, corner] = [STEP, EDGE, CORNER]
+                    .map(|ends| returned(window.first_return(&[edge::Face::quarter(ends)]), medium));
+                let place = Place { seen: record.histogram.seen, returns: [step?, edge?, corner?] };
+                Some((record.histogram, window, place))
+            })
+            .collect();
+        let places = timed.iter().map(|(.., place)| *place).collect();
+        let scan = Scan { lit, inwards, sigma_m: medium.path_m(rises.sigma_ps()), places };
+        let again = |place: usize, faces: &[Face], length_m: f64| {
+            let face = |face: &Face| edge::Face { weight: face.weight, ends: face.ends };
+            let faces: Vec<edge::Face> = faces.iter().map(face).collect();
+            returned(timed[place].1.first_return_near(&faces, medium.time_ps(length_m)), medium)
+        };
+        let points = surface_points(&scan, again, &context.cancel);
+        points.iter().map(|point| row(point, timed[point.place].0.pair())).collect()
     }
 
     /// The beginnings of light behind the response: that of the wall's own light, else that of the calibration.
@@ -184,24 +209,47 @@ impl FirstReturns {
         let values: Vec<f64> = (0..count).map(value).collect();
         Rises::new([support_ps, step_ps], &values, [width_ps, first.dt_ps()])
     }
+}
 
-    /// The first return of a histogram; `None` where light does not rise.
-    fn place(&self, histogram: &Histogram<'_>, times: &Times, rises: &Rises, medium: Medium) -> Option<Place> {
+/// What scans have in common.
+struct Setting<'a> {
+    times: &'a Times,
+    rises: &'a Rises,
+    medium: Medium,
+    inwards: Vector3<f64>,
+}
+
+/// The light of a histogram behind the gate.
+struct Record<'h, 'a> {
+    histogram: &'h Histogram<'a>,
+    first_ps: f64,
+    values: Vec<f64>,
+    noise: Noise,
+}
+
+impl<'h, 'a> Record<'h, 'a> {
+    /// `None` where levels have no noise.
+    fn new(histogram: &'h Histogram<'a>, times: &Times) -> Option<Self> {
         let (first_ps, values) = histogram.behind(times);
         let noise = match histogram.noise() {
             None => Noise::Counts,
             Some((variance, _)) if variance > 0.0 => Noise::Gauss { sd: variance.sqrt() },
             Some(_) => return None,
         };
-        let bins = Bins { first_ps, dt_ps: histogram.dt_ps(), values: &values, noise };
-        let start_ps = edge::first_rise(&bins, rises.sigma_ps(), self.threshold_sigma.get())?;
-        let returns = edge::fit(&bins, rises, start_ps)?.map(|one| Return {
-            length_m: medium.path_m(one.time_ps),
-            sd_m: medium.path_m(one.sd_ps),
-            log_likelihood: one.log_likelihood,
-        });
-        Some(Place { seen: histogram.seen, returns })
+        Some(Self { histogram, first_ps, values, noise })
     }
+
+    fn bins(&self) -> Bins<'_> {
+        let dt_ps = self.histogram.dt_ps();
+        Bins { first_ps: self.first_ps, dt_ps, values: &self.values, noise: self.noise }
+    }
+}
+
+/// A first return as a length.
+fn returned(first: Option<FirstReturn>, medium: Medium) -> Option<Return> {
+    let FirstReturn { time_ps, sd_ps, decline_ps, log_likelihood, .. } = first?;
+    let [length_m, sd_m, common_m] = [time_ps, sd_ps, decline_ps].map(|time_ps| medium.path_m(time_ps));
+    Some(Return { length_m, sd_m, common_m, log_likelihood })
 }
 
 /// First time and step at which a response is sampled.

@@ -84,6 +84,40 @@ fn sphere(middle: Point, radius_m: f64, pitch_m: f64) -> Thing {
     Thing { facets, nearest: Box::new(move |seen| (middle + (seen - middle).normalize() * radius_m, 0)) }
 }
 
+/// A square with a height, towards the wall; its nearest points are searched for.
+fn relief(middle: Point, half_m: f64, height_m: fn(f64, f64) -> f64, pitch_m: f64) -> Thing {
+    let place = move |x: f64, y: f64| middle + Vector3::new(x, y, -height_m(x, y));
+    let count = (2.0 * half_m / pitch_m).ceil() as usize;
+    let mut facets = Vec::new();
+    for n in 0..count * count {
+        let at = |n: usize| ((n as f64 + 0.5) / count as f64 * 2.0 - 1.0) * half_m;
+        let (x, y) = (at(n % count), at(n / count));
+        let slope = |dx: f64, dy: f64| (place(x + dx, y + dy) - place(x - dx, y - dy)) / 2e-5;
+        let area = slope(0.0, 1e-5).cross(&slope(1e-5, 0.0));
+        facets.push((place(x, y), area.normalize(), area.norm() * (2.0 * half_m / count as f64).powi(2)));
+    }
+    let nearest = move |seen: &Point| {
+        let square = |[x, y]: [f64; 2]| (place(x, y) - seen).norm_squared();
+        let along = |n: i32| half_m * f64::from(n) / 20.0;
+        let grid = (-20..=20).flat_map(|row| (-20..=20).map(move |column| [along(column), along(row)]));
+        let mut best = grid.min_by(|a, b| square(*a).total_cmp(&square(*b))).expect("a grid");
+        let mut step_m = half_m / 20.0;
+        while step_m > 1e-7 {
+            let moved = |x: f64, sign: i32| (x + f64::from(sign) * step_m).clamp(-half_m, half_m);
+            let tries = (0..9).map(|n| [moved(best[0], n % 3 - 1), moved(best[1], n / 3 - 1)]);
+            let next = tries.min_by(|a, b| square(*a).total_cmp(&square(*b))).expect("nine");
+            if square(next) < square(best) {
+                best = next;
+            } else {
+                step_m *= 0.5;
+            }
+        }
+        let beyond = best.iter().filter(|x| x.abs() > half_m - 1e-6).count();
+        (place(best[0], best[1]), beyond)
+    };
+    Thing { facets, nearest: Box::new(nearest) }
+}
+
 fn both(first: Thing, second: Thing) -> Thing {
     let mut facets = first.facets;
     facets.extend(second.facets);
@@ -108,6 +142,8 @@ pub fn thing(kind: &str, seed: u64) -> Thing {
             sphere(middle - Vector3::x() * 0.22, 0.12, PITCH_M),
             cuboid(middle + Vector3::x() * 0.22, axes(turn(0.0, 0.3), [0.12, 0.12, 0.0]), PITCH_M),
         ),
+        "wavy" => relief(middle, 0.25, |x, y| 0.015 * (14.0 * x).sin() * (11.0 * y).cos(), PITCH_M),
+        "saddle" => relief(middle, 0.25, |x, y| 0.6 * (x * x - y * y), PITCH_M),
         kind => panic!("no surface is called {kind}"),
     }
 }
@@ -221,8 +257,8 @@ fn points_of_a_sphere_and_a_plate_lie_within_their_error_bars() {
     let plate = tallies(&thing("plate", 1), &capture(32, 1), 3000.0);
     let [points, held] = [plate.iter().map(|one| one.points).sum::<usize>(), plate.iter().map(|one| one.held).sum()];
     println!("plate: {held} of {points}, {:?} m", plate.each_ref().map(|one| median(&one.errors_m)));
-    assert!(points > 700 && held * 100 > 80 * points);
-    assert!(median(&plate[0].errors_m) < 0.01 && median(&plate[1].errors_m) < 0.02);
+    assert!(points > 700 && held * 100 > 90 * points);
+    assert!(plate.iter().all(|one| median(&one.errors_m) < 3e-3));
 }
 
 #[test]

@@ -11,7 +11,7 @@ use std::process::{Command, Output};
 use nalgebra::{Matrix3, Vector3};
 use periscope::exchange::{self, Capture, Defaults, ply};
 use periscope::formats::array::{Array, Arrays};
-use periscope::tables::Patch;
+use periscope::tables::{Patch, SurfacePoint};
 
 use scene::{DT_PS, FWHM_PS, HIDDEN, LIGHT, Layout, Made, gap_m, save};
 
@@ -241,6 +241,33 @@ fn patches_become_a_point_cloud() {
     assert!(rows.len() == 2 && rows.iter().all(|row| row.len() == properties), "{text}");
     assert_eq!(rows[0][..9], ["0.5", "-0.25", "2", "160", "160", "160", "3", "0", "nan"]);
     assert_eq!(rows[1][6..9], ["9", "1", "1e-6"]);
+}
+
+#[test]
+fn points_of_a_surface_become_vertices_and_rows() {
+    let point = |seen: i32, kind: &str, sd_m: f64| SurfacePoint {
+        lit: seen,
+        seen,
+        x_m: 0.5,
+        y_m: -0.25,
+        z_m: 2.0,
+        normal_z: -1.0,
+        cov_zz_m2: sd_m * sd_m,
+        sd_m,
+        kind: kind.into(),
+        ..SurfacePoint::default()
+    };
+    let points = [point(3, "smooth", 1e-3), point(4, "edge", 4e-3), point(5, "unknown", 2e-3)];
+    let mut bytes = Vec::new();
+    ply::write_surface(&mut bytes, &points).unwrap();
+    let text = String::from_utf8(bytes).unwrap();
+    let (head, rows) = text.split_once("end_header\n").unwrap();
+    let properties = head.lines().filter(|line| line.starts_with("property")).count();
+    let rows: Vec<Vec<&str>> = rows.lines().map(|row| row.split(' ').collect()).collect();
+    assert!(rows.len() == 3 && rows.iter().all(|row| row.len() == properties), "{text}");
+    assert_eq!(rows[0][..13], ["0.5", "-0.25", "2", "0", "0", "-1", "63", "60", "192", "3", "3", "0", "1e-3"]);
+    assert_eq!(rows[1][6..13], ["255", "60", "0", "4", "4", "1", "4e-3"]);
+    assert_eq!(ply::surface_numbers(&points[0]), [0.5, -0.25, 2.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-6]);
 }
 
 #[test]

@@ -6,9 +6,12 @@
 
 use rayon::prelude::*;
 
-use super::field::Sample;
+use super::choice::Choice;
+use super::field::Field;
+use super::flat::Flat;
+use super::local::{Local, Sample};
 use super::windows::Chosen;
-use super::{Place, Scan};
+use super::{Face, Place, Return, Scan};
 
 /// Places whose likelihoods count together, and whose curvatures do.
 const POOL: usize = 150;
@@ -21,6 +24,11 @@ const BESIDE: f64 = 0.3;
 const NONE: f64 = 0.3;
 /// Standard deviation of the law's error over that of the response: of a step, with more for an edge and a corner.
 const ERROR: [f64; 3] = [0.12, 0.24, 0.36];
+/// The same of the law of flat faces, and the most by which its ends may be off, in radii of the zone.
+const FACES_ERROR: f64 = 0.05;
+const MOST_UNSURE: f64 = 1.5;
+/// Power of the likelihood by which a sheet and a block are told apart.
+const FACES_TEMPER: f64 = 0.3;
 /// Least standard deviation of a curvature times distance, and likelihood of one that no surface has.
 const LEAST_SD: f64 = 0.05;
 const BEYOND: f64 = 1e-3;
@@ -53,8 +61,13 @@ pub fn by_likelihood(scan: &Scan, near: &[Vec<u32>]) -> Vec<Shares> {
 }
 
 /// Of each place, by the curvatures of the fields about it and these shares.
-pub fn by_curvature(scan: &Scan, near: &[Vec<u32>], likely: &[Shares], fields: &[Option<Chosen>]) -> Vec<Shares> {
-    let of_field = |chosen: &Option<Chosen>| {
+pub fn by_curvature(
+    scan: &Scan,
+    near: &[Vec<u32>],
+    likely: &[Shares],
+    fields: &[Option<Chosen<Field>>],
+) -> Vec<Shares> {
+    let of_field = |chosen: &Option<Chosen<Field>>| {
         let Some(chosen) = chosen else { return [0.0; 3] };
         let [first, second] = chosen.field.bends(scan.lit.as_ref()).map(|[bend, sd]| {
             let sd = sd.hypot(LEAST_SD);
@@ -85,13 +98,90 @@ pub fn samples(scan: &Scan, shares: &[Shares]) -> Vec<Sample> {
         let mean = |of: &dyn Fn(usize) -> f64| shares.iter().enumerate().map(|(k, share)| share * of(k)).sum::<f64>();
         let length_m = mean(&|k| place.returns[k].length_m);
         let apart_m2 = mean(&|k| (place.returns[k].length_m - length_m).powi(2));
-        let error_m = scan.sigma_m * mean(&|k| ERROR[k]);
+        let error_m = mean(&|k| (scan.sigma_m * ERROR[k]).hypot(place.returns[k].common_m));
+        let sd_m = scan.share() * mean(&|k| place.returns[k].sd_m.powi(2)).sqrt();
         Sample {
             at: place.seen,
             length_m: scan.share() * length_m,
-            sd_m: scan.share() * mean(&|k| place.returns[k].sd_m.powi(2)).sqrt(),
+            sd_m,
             law_m: scan.share() * apart_m2.sqrt().hypot(error_m),
+            weighted_m: sd_m,
         }
     };
     scan.places.iter().zip(shares).map(of_place).collect()
+}
+
+/// First returns of a place whose flat faces are those of a sheet and of a block, and how sure their law is.
+#[derive(Clone, Copy, Debug)]
+pub struct Again {
+    returns: [Return; 2],
+    law_m2: f64,
+}
+
+/// The first return of a place under the law that its faces set; `None` where it has none.
+pub fn again(
+    scan: &Scan,
+    place: usize,
+    choice: &Choice<'_>,
+    timed: impl Fn(usize, &[Face], f64) -> Option<Return>,
+) -> Option<Again> {
+    let flat = &choice.flat?.field;
+    let length_m = flat.length_m(&scan.places[place].seen);
+    let zone_m = scan.zone_m(length_m);
+    let ends = flat.beyond(zone_m);
+    let beyond = ends.map(|[beyond, _]| beyond);
+    let of = |flat: &Flat, beyond: [f64; 5]| timed(place, &flat.faces(beyond), length_m / scan.share());
+    let own = of(flat, beyond)?;
+    let other = flat.other().and_then(|other| of(&other, beyond)).unwrap_or(own);
+    let mut law_m2 = (scan.sigma_m * FACES_ERROR).powi(2) + own.common_m.powi(2);
+    for (k, [_, sd]) in ends.into_iter().enumerate() {
+        let mut moved = beyond;
+        moved[k] += sd.min(MOST_UNSURE);
+        law_m2 += of(flat, moved).map_or(0.0, |moved| (moved.length_m - own.length_m).powi(2));
+    }
+    Some(Again { returns: if flat.is_block { [other, own] } else { [own, other] }, law_m2 })
+}
+
+/// Lengths under the laws of flat faces, mixed with those without them by their shares. Whether faces are those of a
+/// sheet or of a block is seen by the likelihoods of neighbours, unless lengths show it.
+pub fn mixed(
+    scan: &Scan,
+    near: &[Vec<u32>],
+    without: &[Sample],
+    choices: &[Choice<'_>],
+    again: &[Option<Again>],
+) -> Vec<Sample> {
+    let half = scan.share();
+    let of_place = |n: usize| {
+        let without = Sample { weighted_m: without[n].sd_m.hypot(without[n].law_m), ..without[n] };
+        let Some((own, flat)) = again[n].zip(choices[n].flat) else { return without };
+        let more = |other: &u32| {
+            again[*other as usize]
+                .map_or(0.0, |again| again.returns[1].log_likelihood - again.returns[0].log_likelihood)
+        };
+        let more: f64 = near[n].iter().take(POOL).map(more).sum();
+        let block = if flat.field.is_block { 1.0 } else { 1.0 / (1.0 + (-(FACES_TEMPER * more)).exp()) };
+        let rest = 1.0 - choices[n].share;
+        let parts = [
+            (
+                choices[n].share * (1.0 - block),
+                half * own.returns[0].length_m,
+                half * own.returns[0].sd_m,
+                half * half * own.law_m2,
+            ),
+            (
+                choices[n].share * block,
+                half * own.returns[1].length_m,
+                half * own.returns[1].sd_m,
+                half * half * own.law_m2,
+            ),
+            (rest, without.length_m, without.sd_m, without.law_m.powi(2)),
+        ];
+        let length_m: f64 = parts.iter().map(|(share, length_m, ..)| share * length_m).sum();
+        let sd_m2: f64 = parts.iter().map(|(share, _, sd_m, _)| share * sd_m * sd_m).sum();
+        let law_m2: f64 =
+            parts.iter().map(|(share, other_m, _, law_m2)| share * (law_m2 + (other_m - length_m).powi(2))).sum();
+        Sample { length_m, sd_m: sd_m2.sqrt(), law_m: law_m2.sqrt(), weighted_m: (sd_m2 + law_m2).sqrt(), ..without }
+    };
+    (0..without.len()).into_par_iter().map(of_place).collect()
 }

@@ -6,15 +6,32 @@ use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
-use super::field::{Field, Sample, frame};
-use super::{Scan, SurfacePoint};
+use super::Scan;
+use super::field::Field;
+use super::flat::{Flat, Known};
+use super::local::{Local, Sample, frame};
 use crate::Point;
 
 /// Places of a window, and the most that are neighbours: half of a window lies on one side.
-const SIZES: [usize; 7] = [13, 21, 34, 55, 88, 140, 225];
-pub const MOST: usize = 2 * SIZES[SIZES.len() - 1];
+pub const SIZES: [usize; 11] = [13, 21, 34, 55, 89, 144, 233, 377, 610, 987, 1600];
+/// So many sizes do for curvatures.
+pub const FEW: usize = 7;
+pub const MOST: usize = 2000;
 /// Windows on one side.
 const SIDES: usize = 8;
+/// Of so many nearest places, itself with them, one has flat faces of its own; of more where there are many places.
+const NEAREST: usize = 9;
+const CENTRES: usize = 100;
+/// So many zones of a place have an error of the law of flat faces in common.
+const FAR: f64 = 2.0;
+/// Faces with most members among which the surest is sought.
+const SHARED: usize = 16;
+/// Chi-square of neighbours by which flat faces may be worse than the best.
+const AS_GOOD: f64 = 4.0;
+/// Places of a window of flat faces.
+const FLAT_SIZES: [usize; 6] = [34, 89, 233, 377, 610, 1600];
+/// Most places of a window that are fitted, evenly over it.
+const FITTED: usize = 610;
 /// Cube-root score of chi-square (nearly a standard normal): beyond it a window has no field, sides are tried, it
 /// grows no more.
 const NO_FIELD: f64 = 3.0;
@@ -88,32 +105,82 @@ fn extent(points: &[Point], axis: usize) -> f64 {
     ends[1] - ends[0]
 }
 
-/// A field, and what other windows say otherwise of its point and its normal.
-pub struct Chosen {
-    pub field: Field,
+/// A field, its members, and what other windows say otherwise of its point and its normal.
+pub struct Chosen<F> {
+    pub field: F,
+    pub members: Vec<u32>,
     lit: Option<Point>,
-    bias: [Matrix3<f64>; 2],
+    /// Fields that other windows say, and the share of their difference that is bias.
+    others: Vec<(f64, F)>,
 }
 
-/// The field of each place; `None` where its neighbours do not follow one.
-pub fn fields(scan: &Scan, samples: &[Sample], near: &[Vec<u32>], cancel: &Cancel) -> Vec<Option<Chosen>> {
+/// The bent field of each place; `None` where its neighbours do not follow one.
+pub fn fields(
+    scan: &Scan,
+    samples: &[Sample],
+    near: &[Vec<u32>],
+    sizes: &[usize],
+    cancel: &Cancel,
+) -> Vec<Option<Chosen<Field>>> {
     let of_place = |n: usize| {
         cancel.check();
         let zone_m = scan.zone_m(samples[n].length_m * if scan.lit.is_some() { 0.5 } else { 1.0 });
-        Growth { scan, samples, near: &near[n], zone_m }.chosen()
+        let start = |members: &[u32]| Field::new(&samples[n], -scan.inwards).fit(samples, members, zone_m);
+        Growth { scan, samples, near: &near[n], zone_m, sizes, start }.chosen()
     };
     (0..samples.len()).into_par_iter().map(of_place).collect()
 }
 
-/// Windows about one place, the first of its neighbours.
-struct Growth<'a> {
+/// The flat faces about some places, from points that are known; `None` elsewhere, and where neighbours follow none.
+pub fn flats(
+    scan: &Scan,
+    samples: &[Sample],
+    near: &[Vec<u32>],
+    known: &[Option<Known>],
+    cancel: &Cancel,
+) -> Vec<Option<Chosen<Flat>>> {
+    let centres = apart(near, NEAREST.max(near.len() / CENTRES));
+    let of_place = |n: usize| {
+        cancel.check();
+        if !centres[n] {
+            return None;
+        }
+        let zone_m = scan.zone_m(samples[n].length_m);
+        let far_m = FAR * zone_m;
+        let start = |members: &[u32]| {
+            let known: Vec<Known> = members.iter().filter_map(|member| known[*member as usize]).collect();
+            if known.len() < SIZES[0] {
+                return None;
+            }
+            let starts = Flat::starts(samples[n].at, &known, samples, members, zone_m);
+            let flats = starts.iter().filter_map(|flat| flat.fit(samples, members, far_m));
+            flats.min_by(|a, b| a.fitted().square.total_cmp(&b.fitted().square))
+        };
+        Growth { scan, samples, near: &near[n], zone_m: far_m, sizes: &FLAT_SIZES, start }.chosen()
+    };
+    (0..samples.len()).into_par_iter().map(of_place).collect()
+}
+
+/// Places of which none is among the nearest of another.
+fn apart(near: &[Vec<u32>], nearest: usize) -> Vec<bool> {
+    let mut is_centre = vec![false; near.len()];
+    for (n, near) in near.iter().enumerate() {
+        is_centre[n] = !near[1..nearest.min(near.len())].iter().any(|other| is_centre[*other as usize]);
+    }
+    is_centre
+}
+
+/// Windows about one place, the first of its neighbours, and the field that a smallest one starts with.
+struct Growth<'a, S> {
     scan: &'a Scan,
     samples: &'a [Sample],
     near: &'a [u32],
     zone_m: f64,
+    sizes: &'a [usize],
+    start: S,
 }
 
-impl Growth<'_> {
+impl<F: Local, S: Fn(&[u32]) -> Option<F>> Growth<'_, S> {
     fn at(&self, n: u32) -> &Sample {
         &self.samples[n as usize]
     }
@@ -128,31 +195,32 @@ impl Growth<'_> {
         self.near.iter().copied().filter(is_there).take(size).collect()
     }
 
-    fn start(&self, side: usize) -> Option<Field> {
-        let members = self.nearest(side, SIZES[0]);
-        if members.len() < SIZES[0] {
+    fn begin(&self, side: usize) -> Option<(F, Vec<u32>)> {
+        let members = self.nearest(side, self.sizes[0]);
+        if members.len() < self.sizes[0] {
             return None;
         }
-        Field::new(self.at(self.near[0]), -self.scan.inwards).fit(self.samples, &members, self.zone_m)
+        Some(((self.start)(&members)?, members))
     }
 
     /// The smallest window, all around or on the side where one field explains it best.
-    fn smallest(&self) -> Option<(usize, Field)> {
-        let mut best = self.start(0).map(|field| (0, field));
-        if best.as_ref().is_none_or(|(_, field)| score(field) > TRY_SIDES) {
+    fn smallest(&self) -> Option<(usize, F, Vec<u32>)> {
+        let score = |field: &F| field.fitted().score();
+        let mut best = self.begin(0).map(|(field, members)| (0, field, members));
+        if best.as_ref().is_none_or(|(_, field, _)| score(field) > TRY_SIDES) {
             for side in 1..=SIDES {
-                let Some(field) = self.start(side) else { continue };
-                if best.as_ref().is_none_or(|(_, best)| score(&field) < score(best) - BETTER) {
-                    best = Some((side, field));
+                let Some((field, members)) = self.begin(side) else { continue };
+                if best.as_ref().is_none_or(|(_, best, _)| score(&field) < score(best) - BETTER) {
+                    best = Some((side, field, members));
                 }
             }
         }
-        best.filter(|(_, field)| score(field) <= NO_FIELD)
+        best.filter(|(_, field, _)| score(field) <= NO_FIELD)
     }
 
     /// Those of a larger window that follow the field, and do not lie among others that do not.
-    fn followers(&self, field: &Field, window: &[u32]) -> Vec<u32> {
-        let covariance = field.noise + field.law;
+    fn followers(&self, field: &F, window: &[u32]) -> Vec<u32> {
+        let covariance = field.fitted().noise + field.fitted().law;
         let follows = |n: &u32| {
             let sample = self.at(*n);
             let (length_m, slopes) = field.length(&sample.at);
@@ -169,13 +237,13 @@ impl Growth<'_> {
     }
 
     /// Whether a larger window says what the smaller ones said.
-    fn agrees(&self, smaller: &[Field], field: &Field) -> bool {
+    fn agrees(&self, smaller: &[(F, Vec<u32>)], field: &F) -> bool {
         let lit = self.scan.lit.as_ref();
         let (point, _) = field.reading(lit);
-        let [own, _] = field.covariances(lit, &field.noise);
-        smaller.iter().all(|other| {
-            let [noise, _] = other.covariances(lit, &other.noise);
-            let [law, _] = other.covariances(lit, &other.law);
+        let [own, _] = field.covariances(lit, &field.fitted().noise);
+        smaller.iter().all(|(other, _)| {
+            let [noise, _] = other.covariances(lit, &other.fitted().noise);
+            let [law, _] = other.covariances(lit, &other.fitted().law);
             // Windows share places: the smaller one is off the larger one by what it has more of noise.
             let covariance = noise * 1.1 - own + law * 1.1;
             let off = point - other.reading(lit).0;
@@ -183,71 +251,118 @@ impl Growth<'_> {
         })
     }
 
-    fn chosen(&self) -> Option<Chosen> {
-        let (side, smallest) = self.smallest()?;
-        let mut windows = vec![smallest];
-        let mut refused = None;
-        for size in &SIZES[1..] {
-            let last = &windows[windows.len() - 1];
-            let window = self.nearest(side, *size);
+    /// The field, or that of the other kind, that explains more of a larger window.
+    fn grown(&self, last: &F, window: &[u32]) -> Option<(F, Vec<u32>)> {
+        let fitted = |start: F| {
+            let members = self.followers(&start, window);
+            let is_enough = members.len() as f64 >= ENOUGH * window.len() as f64;
+            let field = is_enough.then(|| start.fit(self.samples, &members, self.zone_m))??;
+            let unexplained = field.fitted().square + FOLLOWS * (window.len() - members.len()) as f64;
+            Some((unexplained, field, members))
+        };
+        let starts = [Some(last.clone()), last.other().map(|other| other.with(last.fitted().clone()))];
+        let fields = starts.into_iter().flatten().filter_map(fitted);
+        fields.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, field, members)| (field, members))
+    }
+
+    fn chosen(&self) -> Option<Chosen<F>> {
+        let (side, smallest, members) = self.smallest()?;
+        let mut windows = vec![(smallest, members)];
+        let (mut sizes, mut refused) = (vec![self.sizes[0]], None);
+        for size in &self.sizes[1..] {
+            let (last, last_members) = &windows[windows.len() - 1];
+            let mut window = self.nearest(side, *size);
             if window.len() < *size {
                 break;
             }
-            let members = self.followers(last, &window);
-            if (members.len() as f64) < ENOUGH * *size as f64 {
-                break;
-            }
-            if members.len() < last.count + 3 {
+            window = window.into_iter().step_by(size.div_ceil(FITTED)).collect();
+            let Some((field, members)) = self.grown(last, &window) else { break };
+            if *size <= FITTED && members.len() < last_members.len() + 3 {
                 continue;
             }
-            let Some(field) = last.fit(self.samples, &members, self.zone_m) else { break };
-            if score(&field) > NO_GROWTH || !self.agrees(&windows, &field) {
+            if field.fitted().score() > NO_GROWTH || !self.agrees(&windows, &field) {
                 refused = Some(field);
                 break;
             }
-            windows.push(field);
+            windows.push((field, members));
+            sizes.push(*size);
         }
         // One window less than would do: its bias is a fraction of its noise.
-        let at = windows.len().saturating_sub(2);
-        let larger = windows.get(at + 1).or(refused.as_ref());
-        let others = at.checked_sub(1).map(|smaller| &windows[smaller]).into_iter().chain(larger);
-        let lit = self.scan.lit;
-        let (point, normal) = windows[at].reading(lit.as_ref());
-        let mut bias = [Matrix3::zeros(); 2];
-        for other in others {
-            let (other_point, other_normal) = other.reading(lit.as_ref());
-            let offs = [other_point - point, other_normal - normal];
-            bias.iter_mut().zip(offs).for_each(|(bias, off): (_, Vector3<f64>)| *bias += off * off.transpose() * BIAS);
+        let at = windows.len().saturating_sub(1 + usize::from(refused.is_some()));
+        let larger = windows.get(at + 1).map(|(field, _)| field).or(refused.as_ref());
+        let smaller = at.checked_sub(1).map(|smaller| &windows[smaller].0);
+        let others = smaller.into_iter().chain(larger).map(|other| (BIAS, other.clone())).collect();
+        let (field, mut members) = windows.swap_remove(at);
+        if sizes[at] > FITTED {
+            members = self.followers(&field, &self.nearest(side, sizes[at]));
         }
-        Some(Chosen { field: windows.swap_remove(at), lit, bias })
+        Some(Chosen { field, members, lit: self.scan.lit, others })
     }
 }
 
-impl Chosen {
-    pub fn surface_point(&self, place: usize) -> SurfacePoint {
-        let (field, lit) = (&self.field, self.lit.as_ref());
-        let (point, normal) = field.reading(lit);
-        let [own, own_normal] = field.covariances(lit, &(field.noise + field.law));
-        let kind = field.kind(lit);
-        let distance_m = field.distance_m(lit);
-        let curvatures = field.bends(lit).map(|[bend, _]| bend / distance_m / (1.0 - bend));
-        SurfacePoint {
-            place,
-            point,
-            covariance_m2: own + self.bias[0],
-            normal,
-            normal_covariance: own_normal + self.bias[1],
-            kind,
-            curvatures_per_m: (kind == super::Kind::Smooth && lit.is_none()).then_some(curvatures),
-            places: field.count,
-            misfit: field.square / (field.count as f64 - 6.0).max(1.0),
+/// A point and a unit vector away from the surface, with their covariances.
+#[derive(Clone, Copy, Debug)]
+pub struct Reading {
+    pub point: Point,
+    pub covariance_m2: Matrix3<f64>,
+    pub away: Vector3<f64>,
+    pub away_covariance: Matrix3<f64>,
+}
+
+impl<F: Local> Chosen<F> {
+    pub fn reading(&self) -> Reading {
+        let lit = self.lit.as_ref();
+        let (point, away) = self.field.reading(lit);
+        let fitted = self.field.fitted();
+        let [mut covariance_m2, mut away_covariance] = self.field.covariances(lit, &(fitted.noise + fitted.law));
+        for (share, (other_point, other_away)) in self.others.iter().map(|(share, other)| (share, other.reading(lit))) {
+            let [off, off_away] = [other_point - point, other_away - away];
+            covariance_m2 += off * off.transpose() * *share;
+            away_covariance += off_away * off_away.transpose() * *share;
         }
+        Reading { point, covariance_m2, away, away_covariance }
     }
 }
 
-/// Cube root of chi-square over its degrees of freedom, as a nearly standard normal score (Wilson and Hilferty).
-fn score(field: &Field) -> f64 {
-    let freedom = field.count as f64 - 6.0;
-    let spread = 2.0 / (9.0 * freedom);
-    ((field.square / freedom).cbrt() - (1.0 - spread)) / spread.sqrt()
+impl Chosen<Flat> {
+    /// The same faces as another place sees them.
+    fn seen_from(&self, at: Point) -> Self {
+        let others = self.others.iter().map(|(share, other)| (*share, other.seen_from(at))).collect();
+        Self { field: self.field.seen_from(at), members: self.members.clone(), lit: self.lit, others }
+    }
+}
+
+/// The surest faces of each place among those that it is a member of, and that explain its neighbours about as well as
+/// the best.
+pub fn shared(flats: &[Option<Chosen<Flat>>], samples: &[Sample], near: &[Vec<u32>]) -> Vec<Option<Chosen<Flat>>> {
+    let mut holders: Vec<Vec<u32>> = vec![Vec::new(); samples.len()];
+    for (n, flat) in flats.iter().enumerate() {
+        for member in flat.iter().flat_map(|flat| &flat.members) {
+            holders[*member as usize].push(n as u32);
+        }
+    }
+    let of_place = |(n, mut holders): (usize, Vec<u32>)| {
+        let of = |holder: &u32| flats[*holder as usize].as_ref();
+        holders.sort_by_key(|holder| std::cmp::Reverse(of(holder).map_or(0, |flat| flat.members.len())));
+        let about = &near[n][..SIZES[0].min(near[n].len())];
+        let seen = holders.iter().take(SHARED).filter_map(of);
+        let seen: Vec<(f64, &Chosen<Flat>)> = seen.map(|flat| (flat.field.square(samples, about).0, flat)).collect();
+        let best = seen.iter().map(|(square, _)| *square).fold(f64::INFINITY, f64::min);
+        let good = seen.into_iter().filter(|(square, _)| *square <= best + AS_GOOD);
+        let mut good: Vec<(f64, f64, Chosen<Flat>)> = good
+            .map(|(square, flat)| (square, flat.seen_from(samples[n].at)))
+            .map(|(square, flat)| (flat.reading().covariance_m2.trace(), square, flat))
+            .collect();
+        good.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // What the others say otherwise counts by how likely and how sure they are.
+        let least = good.first()?.0;
+        let weight = |trace: f64, square: f64| (0.5 * (best - square)).exp() * least / trace;
+        let sum: f64 = good.iter().map(|(trace, square, _)| weight(*trace, *square)).sum();
+        let others: Vec<(f64, Flat)> =
+            good.iter().map(|(trace, square, flat)| (weight(*trace, *square) / sum, flat.field.clone())).collect();
+        let (_, _, mut flat) = good.swap_remove(0);
+        flat.others.extend(others);
+        Some(flat)
+    };
+    holders.into_par_iter().enumerate().map(of_place).collect()
 }

@@ -1,0 +1,106 @@
+//! A bent field or flat faces that end: which explains the lengths about a place, and what both say together.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::field::{Field, Kind};
+use super::flat::Flat;
+use super::local::{Local, Sample};
+
+use super::windows::{Chosen, Reading};
+use super::{Scan, SurfacePoint};
+
+/// Power of a likelihood that counts: errors of the law are common to neighbours.
+const TEMPER: f64 = 0.3;
+/// Standard deviation of the law's error that is common to all places, over that of the response.
+const COMMON: f64 = 0.05;
+/// Share of a kind that is sure.
+const SURE: f64 = 0.9;
+
+/// What explains a place: a bent field, flat faces, and their share.
+pub struct Choice<'a> {
+    pub bent: Option<&'a Chosen<Field>>,
+    pub flat: Option<&'a Chosen<Flat>>,
+    pub share: f64,
+}
+
+impl<'a> Choice<'a> {
+    pub fn new(bent: &'a Option<Chosen<Field>>, flat: &'a Option<Chosen<Flat>>, samples: [&[Sample]; 2]) -> Self {
+        let (bent, flat) = (bent.as_ref(), flat.as_ref());
+        let share = match (bent, flat) {
+            (Some(bent), Some(flat)) => {
+                // The larger window tells: a wrong model explains a small one too.
+                let is_bent = bent.members.len() > flat.members.len();
+                let members = if is_bent { &bent.members } else { &flat.members };
+                let more = square(&flat.field, samples[1], members) - square(&bent.field, samples[0], members);
+                1.0 / (1.0 + (0.5 * TEMPER * more).min(500.0).exp())
+            }
+            (None, Some(_)) => 1.0,
+            (_, None) => 0.0,
+        };
+        Self { bent, flat, share }
+    }
+
+    /// The point of the surface; `None` where nothing explains the place.
+    pub fn surface_point(&self, scan: &Scan, place: usize) -> Option<SurfacePoint> {
+        let parts: Vec<(f64, Reading)> = [
+            self.bent.map(|bent| (1.0 - self.share, bent.reading())),
+            self.flat.map(|flat| (self.share, flat.reading())),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        let most = parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?.1;
+        let mean = |of: &dyn Fn(&Reading) -> Vector3<f64>| parts.iter().map(|(share, one)| of(one) * *share).sum();
+        let (point, away): (Vector3<f64>, Vector3<f64>) = (mean(&|one| one.point.coords), mean(&|one| one.away));
+        let common_m2 = (scan.share() * scan.sigma_m * COMMON).powi(2);
+        let (mut covariance_m2, mut away_covariance) = (Matrix3::zeros(), Matrix3::zeros());
+        for (share, one) in &parts {
+            let [off, off_away] = [one.point.coords - point, one.away - away];
+            covariance_m2 +=
+                (one.covariance_m2 + one.away * one.away.transpose() * common_m2 + off * off.transpose()) * *share;
+            away_covariance += (one.away_covariance + off_away * off_away.transpose()) * *share;
+        }
+        let kind = self.kind(scan);
+        let is_bent = self.share < 0.5;
+        let fitted = if is_bent { self.bent?.field.fitted() } else { self.flat?.field.fitted() };
+        let curvatures = self.bent.filter(|_| kind == Kind::Smooth && is_bent && scan.lit.is_none()).map(|bent| {
+            let distance_m = bent.field.distance_m(None);
+            bent.field.bends(None).map(|[bend, _]| bend / distance_m / (1.0 - bend))
+        });
+        Some(SurfacePoint {
+            place,
+            point: point.into(),
+            covariance_m2,
+            normal: away.try_normalize(0.5).unwrap_or(most.away),
+            normal_covariance: away_covariance,
+            kind,
+            curvatures_per_m: curvatures,
+            places: fitted.count,
+            misfit: fitted.misfit(),
+        })
+    }
+
+    fn kind(&self, scan: &Scan) -> Kind {
+        let mut shares = [0.0; 3];
+        match self.bent.map(|bent| bent.field.kind(scan.lit.as_ref())) {
+            Some(Kind::Smooth) => shares[0] += 1.0 - self.share,
+            Some(Kind::Edge) => shares[1] += 1.0 - self.share,
+            Some(Kind::Corner) => shares[2] += 1.0 - self.share,
+            Some(Kind::Unknown) | None => {}
+        }
+        if let Some(flat) = self.flat {
+            shares.iter_mut().zip(flat.field.kinds()).for_each(|(share, own)| *share += self.share * own);
+        }
+        let kinds = [Kind::Smooth, Kind::Edge, Kind::Corner];
+        kinds.into_iter().zip(shares).find(|(_, share)| *share > SURE).map_or(Kind::Unknown, |(kind, _)| kind)
+    }
+}
+
+/// Chi-square with the errors of the law.
+fn square(field: &impl Local, samples: &[Sample], members: &[u32]) -> f64 {
+    let of_one = |n: &u32| {
+        let sample = &samples[*n as usize];
+        (sample.length_m - field.length_m(&sample.at)).powi(2) / (sample.sd_m.powi(2) + sample.law_m.powi(2))
+    };
+    members.iter().map(of_one).sum()
+}
