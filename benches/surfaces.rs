@@ -26,8 +26,8 @@ fn main() {
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     let named = |kind: &&str| std::env::args().any(|arg| arg == **kind);
-    let is_any_named = THINGS.iter().any(|kind| named(&kind));
-    for kind in THINGS.into_iter().filter(|kind| !is_any_named || named(&kind)) {
+    let is_any_named = THINGS.iter().any(|kind| named(kind));
+    for kind in THINGS.into_iter().filter(|kind| !is_any_named || named(kind)) {
         for photons in &photons {
             let of_seed = |seed| tallies(&thing(kind, seed), &capture(side, seed), *photons);
             let scans: Vec<[Tally; 3]> = (first..first + scans).map(of_seed).collect();

@@ -51,8 +51,8 @@ use super::Point;
 use choice::Choice;
 use field::Field;
 pub use field::Kind;
-use flat::{Flat, Known};
-use local::Sample;
+use flat::{Flat, Hint};
+use local::{Local, Sample};
 use windows::Chosen;
 
 /// Least number of places of the wall.
@@ -60,6 +60,8 @@ pub const LEAST: usize = 16;
 
 /// Rounds in which first light is timed again under the law of flat faces.
 const ROUNDS: usize = 2;
+/// Error of the law over what lengths still have in common beyond the faces that were fitted to them.
+const LEFT: f64 = 1.5;
 /// Points of a wall lie in a line where their squares across it are below this share of those along it.
 const IN_LINE: f64 = 1e-6;
 
@@ -196,7 +198,7 @@ impl<'a> Rounds<'a> {
     }
 
     fn choice(&self, place: usize) -> Choice<'_> {
-        Choice::new(&self.fields[place], &self.flats[place], [&self.first, &self.samples])
+        Choice::new(self.fields[place].as_ref(), self.flats[place].as_ref(), [&self.first, &self.samples])
     }
 
     fn points(&self) -> Vec<Option<SurfacePoint>> {
@@ -206,15 +208,34 @@ impl<'a> Rounds<'a> {
 
     /// Flat faces that go on from the points of the round before.
     fn find_faces(&mut self, cancel: &Cancel) {
-        let known: Vec<Option<Known>> = self.points().iter().map(|point| point.as_ref().map(Known::new)).collect();
-        let flats = windows::flats(self.scan, &self.samples, &self.near, &known, cancel);
+        let hints: Vec<Option<Hint>> = self.points().iter().map(|point| point.as_ref().map(Hint::new)).collect();
+        let flats = windows::flats(self.scan, &self.samples, &self.near, &hints, cancel);
         self.flats = windows::shared(&flats, &self.samples, &self.near);
+    }
+
+    /// Standard deviation of the law's error, as lengths of the field: what lengths of neighbours have in common beyond
+    /// their faces. Noise is not common to them.
+    fn common_m(&self) -> f64 {
+        let off = |place: usize| {
+            let choice = self.choice(place);
+            let flat = choice.flat.filter(|_| choice.share > 0.5)?;
+            let sample = &self.samples[place];
+            Some((sample.length_m - flat.field.length_m(&sample.at), sample.weighted_m.powi(-2)))
+        };
+        let offs: Vec<Option<(f64, f64)>> = (0..self.samples.len()).into_par_iter().map(off).collect();
+        let pairs = self.near.iter().filter_map(|near| offs[near[0] as usize].zip(offs[near[1] as usize]));
+        let (sum, weight) = pairs.fold((0.0, 1e-300), |(sum, weight), (one, other)| {
+            let own = one.1 * other.1;
+            (sum + own * one.0 * other.0, weight + own)
+        });
+        LEFT * (sum / weight).max(0.0).sqrt()
     }
 
     /// Lengths under the laws of the faces.
     fn time_again(&mut self, timed: &(impl Fn(usize, &[Face], f64) -> Option<Return> + Sync)) {
+        let common_m = self.common_m();
         let choices: Vec<Choice<'_>> = (0..self.samples.len()).map(|place| self.choice(place)).collect();
-        let again = |place: usize| laws::again(self.scan, place, &choices[place], timed);
+        let again = |place: usize| laws::again(self.scan, place, &choices[place], common_m, timed);
         let again: Vec<_> = (0..choices.len()).into_par_iter().map(again).collect();
         self.samples = laws::mixed(self.scan, &self.near, &self.first, &choices, &again);
     }

@@ -3,9 +3,9 @@
 //! A surface returns light from its nearest point on. When that begins is timed in each histogram
 //! ([`crate::signal::edge`]), and neighbouring points of the wall together give place, normal and curvature of the
 //! surface ([`crate::geometry::first_return`]). Where the surface ends sets the law of its first light: histograms are
-//! timed again under the laws that the geometry shows. Times of first light are not onsets of `detect`: a histogram of a
-//! surface rises once and falls slowly, and the law of the rise is known only from its neighbours. So the stage takes
-//! all histograms together.
+//! timed again under the laws that the geometry shows. Times of first light are not onsets of `detect`: a histogram of
+//! a surface rises once and falls slowly, and the law of the rise is known only from its neighbours. So the stage
+//! takes all histograms together.
 //!
 //! Response and gate are those of `locate`: where a confocal scan begins with the light of the wall, that light shows
 //! the response with its tail.

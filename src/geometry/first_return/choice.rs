@@ -24,8 +24,7 @@ pub struct Choice<'a> {
 }
 
 impl<'a> Choice<'a> {
-    pub fn new(bent: &'a Option<Chosen<Field>>, flat: &'a Option<Chosen<Flat>>, samples: [&[Sample]; 2]) -> Self {
-        let (bent, flat) = (bent.as_ref(), flat.as_ref());
+    pub fn new(bent: Option<&'a Chosen<Field>>, flat: Option<&'a Chosen<Flat>>, samples: [&[Sample]; 2]) -> Self {
         let share = match (bent, flat) {
             (Some(bent), Some(flat)) => {
                 // The larger window tells: a wrong model explains a small one too.

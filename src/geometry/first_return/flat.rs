@@ -25,7 +25,7 @@ const SHOWN: f64 = 1.0;
 
 /// A point of the surface that is known roughly.
 #[derive(Clone, Copy, Debug)]
-pub struct Known {
+pub struct Hint {
     point: Point,
     sd_m: f64,
     /// Unit vector away from the surface, and whether it is its normal.
@@ -33,7 +33,7 @@ pub struct Known {
     is_smooth: bool,
 }
 
-impl Known {
+impl Hint {
     pub fn new(point: &SurfacePoint) -> Self {
         let sd_m = point.covariance_m2.trace().sqrt();
         Self { point: point.point, sd_m, away: point.normal, is_smooth: point.kind == Kind::Smooth }
@@ -61,16 +61,16 @@ pub struct Flat {
 
 impl Flat {
     /// The likeliest sheets through known points, by chi-square before they are fitted.
-    pub fn starts(at: Point, known: &[Known], samples: &[Sample], members: &[u32], zone_m: f64) -> Vec<Self> {
+    pub fn starts(at: Point, hints: &[Hint], samples: &[Sample], members: &[u32], zone_m: f64) -> Vec<Self> {
         let mut starts = Vec::new();
-        let mean = mean(known);
-        for normal in normals(known) {
+        let mean = mean(hints);
+        for normal in normals(hints) {
             let normal = if normal.dot(&(at - mean)) < 0.0 { -normal } else { normal };
             let [x, y] = frame(&normal);
             for turn in 0..AZIMUTHS {
                 let (sin, cos) = (std::f64::consts::FRAC_PI_2 * turn as f64 / AZIMUTHS as f64).sin_cos();
                 let [a, b] = [x * cos + y * sin, y * cos - x * sin];
-                let reach = |axis: Vector3<f64>| end(known, &axis) + BEYOND * zone_m;
+                let reach = |axis: Vector3<f64>| end(hints, &axis) + BEYOND * zone_m;
                 let corner = Point::from(a * reach(a) + b * reach(b) + normal * normal.dot(&mean.coords));
                 let widths_m = [a, b].map(|axis| reach(axis) + reach(-axis));
                 let flat = Self::new(at, corner, [a, b, normal], widths_m, zone_m);
@@ -234,25 +234,25 @@ impl Local for Flat {
     }
 }
 
-fn mean(known: &[Known]) -> Point {
-    let sum: f64 = known.iter().map(|one| one.sd_m.powi(-2)).sum();
-    Point::from(known.iter().map(|one| one.point.coords * one.sd_m.powi(-2)).sum::<Vector3<f64>>() / sum)
+fn mean(hints: &[Hint]) -> Point {
+    let sum: f64 = hints.iter().map(|one| one.sd_m.powi(-2)).sum();
+    Point::from(hints.iter().map(|one| one.point.coords * one.sd_m.powi(-2)).sum::<Vector3<f64>>() / sum)
 }
 
 /// Normals that a sheet through the points may have: that of the surest point of a smooth surface, and that of the
 /// plane of least squares.
-fn normals(known: &[Known]) -> Vec<Vector3<f64>> {
-    let mean = mean(known);
-    let arms = known.iter().map(|one| (one.point - mean, one.sd_m.powi(-2)));
+fn normals(hints: &[Hint]) -> Vec<Vector3<f64>> {
+    let mean = mean(hints);
+    let arms = hints.iter().map(|one| (one.point - mean, one.sd_m.powi(-2)));
     let eigen = arms.map(|(arm, weight)| arm * arm.transpose() * weight).sum::<Matrix3<f64>>().symmetric_eigen();
     let across: Vector3<f64> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into();
-    let surest = known.iter().filter(|one| one.is_smooth).min_by(|a, b| a.sd_m.total_cmp(&b.sd_m));
+    let surest = hints.iter().filter(|one| one.is_smooth).min_by(|a, b| a.sd_m.total_cmp(&b.sd_m));
     surest.map(|one| one.away).into_iter().chain([across]).collect()
 }
 
 /// How far known points reach along an axis: all but a twentieth.
-fn end(known: &[Known], axis: &Vector3<f64>) -> f64 {
-    let mut places: Vec<f64> = known.iter().map(|one| axis.dot(&one.point.coords)).collect();
+fn end(hints: &[Hint], axis: &Vector3<f64>) -> f64 {
+    let mut places: Vec<f64> = hints.iter().map(|one| axis.dot(&one.point.coords)).collect();
     let last = (places.len() - 1) * 19 / 20;
     *places.select_nth_unstable_by(last, f64::total_cmp).1
 }

@@ -118,11 +118,13 @@ pub struct Again {
     law_m2: f64,
 }
 
-/// The first return of a place under the law that its faces set; `None` where it has none.
+/// The first return of a place under the law that its faces set, with an error of the law that lengths of neighbours
+/// have in common; `None` where it has none.
 pub fn again(
     scan: &Scan,
     place: usize,
     choice: &Choice<'_>,
+    common_m: f64,
     timed: impl Fn(usize, &[Face], f64) -> Option<Return>,
 ) -> Option<Again> {
     let flat = &choice.flat?.field;
@@ -133,7 +135,8 @@ pub fn again(
     let of = |flat: &Flat, beyond: [f64; 5]| timed(place, &flat.faces(beyond), length_m / scan.share());
     let own = of(flat, beyond)?;
     let other = flat.other().and_then(|other| of(&other, beyond)).unwrap_or(own);
-    let mut law_m2 = (scan.sigma_m * FACES_ERROR).powi(2) + own.common_m.powi(2);
+    let error_m = (common_m / scan.share()).max(scan.sigma_m * FACES_ERROR);
+    let mut law_m2 = error_m.powi(2) + own.common_m.powi(2);
     for (k, [_, sd]) in ends.into_iter().enumerate() {
         let mut moved = beyond;
         moved[k] += sd.min(MOST_UNSURE);

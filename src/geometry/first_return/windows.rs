@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::Scan;
 use super::field::Field;
-use super::flat::{Flat, Known};
+use super::flat::{Flat, Hint};
 use super::local::{Local, Sample, frame};
 use crate::Point;
 
@@ -136,7 +136,7 @@ pub fn flats(
     scan: &Scan,
     samples: &[Sample],
     near: &[Vec<u32>],
-    known: &[Option<Known>],
+    hints: &[Option<Hint>],
     cancel: &Cancel,
 ) -> Vec<Option<Chosen<Flat>>> {
     let centres = apart(near, NEAREST.max(near.len() / CENTRES));
@@ -148,11 +148,11 @@ pub fn flats(
         let zone_m = scan.zone_m(samples[n].length_m);
         let far_m = FAR * zone_m;
         let start = |members: &[u32]| {
-            let known: Vec<Known> = members.iter().filter_map(|member| known[*member as usize]).collect();
-            if known.len() < SIZES[0] {
+            let hints: Vec<Hint> = members.iter().filter_map(|member| hints[*member as usize]).collect();
+            if hints.len() < SIZES[0] {
                 return None;
             }
-            let starts = Flat::starts(samples[n].at, &known, samples, members, zone_m);
+            let starts = Flat::starts(samples[n].at, &hints, samples, members, zone_m);
             let flats = starts.iter().filter_map(|flat| flat.fit(samples, members, far_m));
             flats.min_by(|a, b| a.fitted().square.total_cmp(&b.fitted().square))
         };
