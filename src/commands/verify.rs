@@ -117,13 +117,16 @@ fn campaign(args: &Verify, verification: &mut Verification) -> Result<()> {
         return Ok(());
     };
     settings(&args.dir, &manifest, verification)?;
-    // Settings that cannot be read any more are a finding already.
+    // Settings that cannot be read or applied any more are a finding already.
     let campaign = match Campaign::read(&args.dir) {
         Err(_) if !verification.findings.is_empty() => return Ok(()),
         campaign => campaign?,
     };
     raw_files(&campaign, &manifest, args.rehash, verification)?;
-    let survey = campaign.survey()?;
+    let survey = match campaign.survey() {
+        Err(_) if !verification.findings.is_empty() => return Ok(()),
+        survey => survey?,
+    };
     let new: Vec<String> = survey
         .files()
         .into_iter()
