@@ -60,8 +60,6 @@ pub const LEAST: usize = 16;
 
 /// Rounds in which first light is timed again under the law of flat faces.
 const ROUNDS: usize = 2;
-/// Error of the law over what lengths still have in common beyond the faces that were fitted to them.
-const LEFT: f64 = 1.5;
 /// Points of a wall lie in a line where their squares across it are below this share of those along it.
 const IN_LINE: f64 = 1e-6;
 
@@ -228,7 +226,7 @@ impl<'a> Rounds<'a> {
             let own = one.1 * other.1;
             (sum + own * one.0 * other.0, weight + own)
         });
-        LEFT * (sum / weight).max(0.0).sqrt()
+        (sum / weight).max(0.0).sqrt()
     }
 
     /// Lengths under the laws of the faces.
