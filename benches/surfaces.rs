@@ -26,7 +26,7 @@ fn main() {
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     let named = |kind: &&str| std::env::args().any(|arg| arg == **kind);
-    let is_any_named = THINGS.iter().any(|kind| named(kind));
+    let is_any_named = THINGS.iter().any(named);
     for kind in THINGS.into_iter().filter(|kind| !is_any_named || named(kind)) {
         for photons in &photons {
             let of_seed = |seed| tallies(&thing(kind, seed), &capture(side, seed), *photons);

@@ -309,6 +309,14 @@ pub struct Reading {
     pub away_covariance: Matrix3<f64>,
 }
 
+impl Reading {
+    /// With larger variances.
+    pub fn wider(self, times: f64) -> Self {
+        let [covariance_m2, away_covariance] = [self.covariance_m2, self.away_covariance].map(|one| one * times);
+        Self { covariance_m2, away_covariance, ..self }
+    }
+}
+
 impl<F: Local> Chosen<F> {
     pub fn reading(&self) -> Reading {
         let lit = self.lit.as_ref();
