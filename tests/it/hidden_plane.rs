@@ -138,7 +138,9 @@ pub fn noisy(seed: u64, noise_ps: f64, rank: bool) -> Noisy {
     let whole = Definition::parse("scene", PIPELINE).unwrap().to_toml();
     let from = whole.find("[anchors]").expect("anchors come before labels");
     let solved = without_search(&whole[from..]);
-    let solved = if rank { solved.replace("bounces = 3", "bounces = 3, hidden = \"rank\"") } else { solved };
+    let by_rank = solved.replace("bounces = 5", "bounces = 3, hidden = \"rank\"");
+    assert_ne!(by_rank, solved);
+    let solved = if rank { by_rank } else { solved };
     let import = |table: &str| {
         let path = lab.path(&format!("{table}.parquet"));
         format!("[{table}]\nstage = 'import'\nparams = {{ table = '{table}', path = '{}' }}\n", path.display())
