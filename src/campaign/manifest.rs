@@ -5,6 +5,8 @@
 //! one is noticed. Lineages use the hash (BLAKE3). The stamp (size, times, inode) only avoids hashing a file again:
 //! where it differs from the record, the content decides.
 
+mod text;
+
 use std::collections::BTreeMap;
 use std::fs::Metadata;
 use std::io::{self, Read, Write};
@@ -12,17 +14,16 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use blake3::Hash;
-use serde::de::{DeserializeOwned, IgnoredAny};
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 use super::stamp::Stamp;
 use crate::store::disk::{self as fs, Output};
 use crate::store::lock;
+use text::Line;
 
 /// Name of the manifest in a campaign folder.
 pub const MANIFEST_FILE: &str = "manifest.json";
-
-const VERSION: u32 = 3;
 
 /// Prefix of half-written manifests; a mark of the writing process follows.
 const HALF: &str = ".manifest.json.";
@@ -134,73 +135,16 @@ pub struct Manifest {
     pub(super) settings: BTreeMap<String, String>,
 }
 
-/// The JSON of the file.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ManifestFile<F> {
-    version: u32,
-    settings: BTreeMap<String, Text>,
-    files: F,
-}
-
-/// A line of the file, for a text that is kept whole.
-#[derive(PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Text {
-    text: String,
-    /// The first 16 hexadecimal digits of the BLAKE3 hash of path and text.
-    check: String,
-}
-
-impl Text {
-    fn of(path: &str, text: &str) -> Self {
-        let check = blake3::hash(format!("{path}\0{text}").as_bytes());
-        Self { text: text.to_owned(), check: check.to_hex()[..16].to_owned() }
-    }
-}
-
-/// A line of the file, for a raw file.
-#[derive(PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Line {
-    bytes: u64,
-    modified_ns: i64,
-    changed_ns: i64,
-    inode: u64,
-    /// Hexadecimal, lower case.
-    blake3: String,
-    /// The first 16 hexadecimal digits of the BLAKE3 hash of path and fields.
-    check: String,
-}
-
-impl Line {
-    fn of(path: &str, record: &FileRecord) -> Self {
-        let Stamp { bytes, modified_ns, changed_ns, inode } = record.stamp;
-        let blake3 = record.blake3.to_hex().to_string();
-        let fields = format!("{path}\0{bytes}\0{modified_ns}\0{changed_ns}\0{inode}\0{blake3}");
-        let check = blake3::hash(fields.as_bytes()).to_hex()[..16].to_owned();
-        Self { bytes, modified_ns, changed_ns, inode, blake3, check }
-    }
-
-    /// The record, if the line's checksum is right.
-    fn record(&self, path: &str) -> Option<FileRecord> {
-        let blake3 = Hash::from_hex(&self.blake3).ok()?;
-        let &Self { bytes, modified_ns, changed_ns, inode, .. } = self;
-        let record = FileRecord { stamp: Stamp { bytes, modified_ns, changed_ns, inode }, blake3 };
-        (Self::of(path, &record) == *self).then_some(record)
-    }
-}
-
 impl Manifest {
     /// Reads the manifest of a campaign folder; `None` if it has none.
     ///
     /// # Errors
     /// When the manifest cannot be read, or is damaged.
     pub fn load(root: &Path) -> Result<Option<Self>, ManifestError> {
-        let Some((read, file)) = read::<BTreeMap<String, Line>>(root)? else {
+        let Some((read, file)) = text::read::<BTreeMap<String, Line>>(root)? else {
             return Ok(None);
         };
-        let (settings, mut damaged) = texts(read.settings);
+        let (settings, mut damaged) = text::texts(read.settings);
         let mut files = BTreeMap::new();
         for (path, line) in read.files {
             match line.record(&path) {
@@ -220,10 +164,10 @@ impl Manifest {
     /// # Errors
     /// When the manifest cannot be read, or these lines are damaged.
     pub fn sealed_texts(root: &Path) -> Result<Option<BTreeMap<String, String>>, ManifestError> {
-        let Some((read, file)) = read::<IgnoredAny>(root)? else {
+        let Some((read, file)) = text::read::<IgnoredAny>(root)? else {
             return Ok(None);
         };
-        let (settings, damaged) = texts(read.settings);
+        let (settings, damaged) = text::texts(read.settings);
         if damaged.is_empty() { Ok(Some(settings)) } else { Err(ManifestError::Damaged { file, lines: damaged }) }
     }
 
@@ -250,21 +194,12 @@ impl Manifest {
         let half = root.join(format!("{HALF}{}", lock::mark()));
         let write = || -> io::Result<()> {
             let mut out = fs::create(&half)?;
-            out.write_all(self.text()?.as_bytes())?;
+            out.write_all(text::text(&self.settings, &self.files)?.as_bytes())?;
             sync(&out)?;
             fs::rename(&half, &file)?;
             sweep(root)
         };
         write().map_err(|source| file_error(&file, source))
-    }
-
-    /// JSON with one line per file: easy to read, to compare, and to delete a line.
-    fn text(&self) -> serde_json::Result<String> {
-        let settings = self.settings.iter().map(|(path, text)| line(path, &Text::of(path, text)));
-        let files = self.files.iter().map(|(path, record)| line(path, &Line::of(path, record)));
-        let settings = settings.collect::<Result<Vec<_>, _>>()?.join(",\n");
-        let files = files.collect::<Result<Vec<_>, _>>()?.join(",\n");
-        Ok(format!("{{\n\"version\": {VERSION},\n\"settings\": {{\n{settings}\n}},\n\"files\": {{\n{files}\n}}\n}}\n"))
     }
 
     /// Compares a file with its record by its stamp, without reading its content.
@@ -377,36 +312,6 @@ fn file_error(file: &Path, source: io::Error) -> ManifestError {
     ManifestError::File { file: file.to_owned(), source }
 }
 
-/// The JSON of a manifest, and its path; `None` if there is none.
-fn read<F: DeserializeOwned>(root: &Path) -> Result<Option<(ManifestFile<F>, PathBuf)>, ManifestError> {
-    let file = root.join(MANIFEST_FILE);
-    let bytes = match fs::read(&file) {
-        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
-            return Ok(None);
-        }
-        read => read.map_err(|source| file_error(&file, source))?,
-    };
-    let format = |problem: String| ManifestError::Format { file: file.clone(), problem };
-    let read: ManifestFile<F> = serde_json::from_slice(&bytes).map_err(|error| format(error.to_string()))?;
-    if read.version != VERSION {
-        return Err(format(format!("version {}, not {VERSION}", read.version)));
-    }
-    Ok(Some((read, file)))
-}
-
-/// The texts whose checks are right, and the paths of the others.
-fn texts(lines: BTreeMap<String, Text>) -> (BTreeMap<String, String>, Vec<String>) {
-    let (mut texts, mut damaged) = (BTreeMap::new(), Vec::new());
-    for (path, line) in lines {
-        if Text::of(&path, &line.text) == line {
-            texts.insert(path, line.text);
-        } else {
-            damaged.push(path);
-        }
-    }
-    (texts, damaged)
-}
-
 /// Removes the half-written manifests of processes that were killed.
 fn sweep(root: &Path) -> io::Result<()> {
     for entry in fs::read_dir(root)? {
@@ -419,139 +324,10 @@ fn sweep(root: &Path) -> io::Result<()> {
     Ok(())
 }
 
-fn line(path: &str, content: &impl Serialize) -> serde_json::Result<String> {
-    Ok(format!("{}: {}", serde_json::to_string(path)?, serde_json::to_string(content)?))
-}
-
 fn key(path: &Path) -> String {
     let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
     parts.join("/")
 }
 
 #[cfg(test)]
-mod tests {
-    use std::fs::{self, File};
-
-    use super::*;
-
-    fn folder_with(text: &str) -> (tempfile::TempDir, Manifest) {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("a.trc");
-        fs::write(&file, text).unwrap();
-        let mut manifest = Manifest::default();
-        let content = hash_file(&file).unwrap();
-        manifest.record(Path::new("a.trc"), content, &metadata(&file).unwrap());
-        (folder, manifest)
-    }
-
-    #[test]
-    fn what_went_down_with_the_machine_is_recorded_again_and_what_is_damaged_is_told() {
-        let (folder, manifest) = folder_with("light");
-        manifest.save_without_waiting(folder.path()).unwrap();
-        let text = fs::read_to_string(folder.path().join(MANIFEST_FILE)).unwrap();
-        let mut joined = Manifest::default();
-        for length in 0..text.trim_end().len() {
-            fs::write(folder.path().join(MANIFEST_FILE), &text[..length]).unwrap();
-            joined.join(folder.path()).unwrap();
-            assert!(Manifest::load(folder.path()).is_err(), "a seal of {length} bytes");
-        }
-        assert_eq!(joined, Manifest::default());
-        fs::write(folder.path().join(MANIFEST_FILE), text.replace("bytes", "bites")).unwrap();
-        assert!(joined.join(folder.path()).is_err());
-        fs::write(folder.path().join(MANIFEST_FILE), text).unwrap();
-        joined.join(folder.path()).unwrap();
-        assert_eq!(joined, manifest);
-    }
-
-    #[test]
-    fn a_manifest_reads_back_and_has_one_file_a_line() {
-        let (folder, mut manifest) = folder_with("light");
-        let content = blake3::hash(b"light");
-        let metadata = metadata(&folder.path().join("a.trc")).unwrap();
-        manifest.record(Path::new("raw/\"b\".trc"), content, &metadata);
-        assert_eq!(Manifest::load(folder.path()).unwrap(), None);
-        manifest.save(folder.path()).unwrap();
-        assert_eq!(Manifest::load(folder.path()).unwrap(), Some(manifest));
-        let text = fs::read_to_string(folder.path().join(MANIFEST_FILE)).unwrap();
-        let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(lines.len(), 10);
-        assert!(lines[6].starts_with("\"a.trc\": {\"bytes\":5,\"modified_ns\":"));
-        assert!(lines[6].contains(&content.to_hex().to_string()));
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing left over");
-    }
-
-    #[test]
-    fn halves_of_killed_processes_go_and_those_under_way_stay() {
-        let folder = tempfile::tempdir().unwrap();
-        let half = |process: u32| folder.path().join(format!("{HALF}{process}"));
-        fs::write(half(1), "{").unwrap();
-        fs::write(half(2), "{").unwrap();
-        let long_ago = std::time::SystemTime::now() - 2 * LEFT_BEHIND;
-        File::options().write(true).open(half(1)).unwrap().set_modified(long_ago).unwrap();
-        Manifest::default().save(folder.path()).unwrap();
-        assert!(!half(1).exists() && half(2).exists());
-    }
-
-    #[test]
-    fn empty_and_broken_manifests() {
-        let folder = tempfile::tempdir().unwrap();
-        let empty = Manifest::default();
-        empty.save(folder.path()).unwrap();
-        assert_eq!(Manifest::load(folder.path()).unwrap(), Some(empty));
-        for text in ["", "{}", "{\"version\": 2, \"files\": {}}", "{\"version\": 2, \"settings\": {}, \"files\": {}}"] {
-            fs::write(folder.path().join(MANIFEST_FILE), text).unwrap();
-            let error = Manifest::load(folder.path()).unwrap_err().to_string();
-            assert!(error.contains("seal the folder anew"), "{error}");
-        }
-    }
-
-    #[test]
-    fn every_flipped_bit_is_found_and_its_line_named() {
-        let (folder, mut manifest) = folder_with("light");
-        manifest.settings.insert("campaign.toml".to_owned(), "[campaign]\nname = 'c'\n".to_owned());
-        manifest.save(folder.path()).unwrap();
-        let file = folder.path().join(MANIFEST_FILE);
-        let bytes = fs::read(&file).unwrap();
-        for bit in 0..8 * bytes.len() {
-            let mut flipped = bytes.clone();
-            flipped[bit / 8] ^= 1 << (bit % 8);
-            fs::write(&file, &flipped).unwrap();
-            let error = Manifest::load(folder.path()).unwrap_err().to_string();
-            assert!(error.contains("damaged"), "bit {bit}: {error}");
-        }
-        let text = String::from_utf8(bytes).unwrap();
-        fs::write(&file, text.replace("\"bytes\":5", "\"bytes\":4")).unwrap();
-        let error = Manifest::load(folder.path()).unwrap_err().to_string();
-        assert!(error.contains("damaged in the lines of a.trc; restore it"), "{error}");
-    }
-
-    #[test]
-    fn the_stamp_tells_that_a_file_was_touched() {
-        let (folder, manifest) = folder_with("light");
-        let (path, file) = (Path::new("a.trc"), folder.path().join("a.trc"));
-        let content = blake3::hash(b"light");
-        let state = |path| manifest.check(folder.path(), path).unwrap();
-        assert_eq!(state(path), FileState::Same(content));
-        assert_eq!(state(Path::new("b.trc")), FileState::New);
-        let time = fs::metadata(&file).unwrap().modified().unwrap();
-        let set_time = |time| File::options().write(true).open(&file).unwrap().set_modified(time);
-        set_time(time + Duration::from_secs(1)).unwrap();
-        assert_eq!(state(path), FileState::Touched { recorded: content });
-        fs::write(&file, "lights").unwrap();
-        set_time(time).unwrap();
-        assert_eq!(state(path), FileState::Touched { recorded: content });
-        fs::remove_file(&file).unwrap();
-        assert!(manifest.check(folder.path(), path).is_err());
-    }
-
-    #[test]
-    fn hashing_in_pieces_is_hashing_at_once() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("big");
-        for length in [0, 1, BUFFER_BYTES, 2 * BUFFER_BYTES + 17] {
-            let bytes: Vec<u8> = (0..length).map(|i| (i * 31 % 251) as u8).collect();
-            fs::write(&file, &bytes).unwrap();
-            assert_eq!(hash_file(&file).unwrap(), blake3::hash(&bytes));
-        }
-    }
-}
+mod tests;

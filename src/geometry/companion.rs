@@ -36,8 +36,6 @@ const LEVELS: usize = 18;
 const LN_LEVEL_MIN: f64 = -8.0;
 const LN_LEVEL_MAX: f64 = 0.5;
 const LN_LEVEL: f64 = 0.5;
-/// Levels of less weight beside the likeliest make no difference.
-const LEAST_WEIGHT: f64 = 1e-9;
 
 /// How often companions have light, and how strong it is beside that of the onset's own path.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -127,26 +125,26 @@ pub struct Onset {
 /// What companions add to the lengths of onsets.
 #[must_use]
 pub fn pulls(onsets: &[Onset]) -> Vec<Pull> {
-    let lights: Vec<Option<Light>> = onsets.iter().map(Light::new).collect();
-    let mut ln_weights: Vec<f64> = (0..LEVELS).map(|n| -(ln_level(n) / LN_LEVEL).powi(2).ln_1p()).collect();
-    for (light, onset) in lights.iter().zip(onsets) {
-        let Some(light) = light else { continue };
-        for (n, ln_weight) in ln_weights.iter_mut().enumerate() {
-            *ln_weight += light.pulled(onset, n).weight.ln();
-        }
-    }
+    let at_levels = |onset: &Onset| {
+        let light = Light::new(onset)?;
+        Some((0..LEVELS).map(|n| light.pulled(onset, n)).collect())
+    };
+    let pulled: Vec<Option<Vec<Moments>>> = onsets.iter().map(at_levels).collect();
+    let ln_weight = |n: usize| {
+        let widths: f64 = pulled.iter().flatten().map(|at_levels| at_levels[n].weight.ln()).sum();
+        widths - (ln_level(n) / LN_LEVEL).powi(2).ln_1p()
+    };
+    let ln_weights: Vec<f64> = (0..LEVELS).map(ln_weight).collect();
     let largest = ln_weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let weights: Vec<f64> = ln_weights.iter().map(|ln_weight| (ln_weight - largest).exp()).collect();
-    let pull = |(light, onset): (&Option<Light>, &Onset)| {
-        let Some(light) = light else { return Pull::default() };
+    let pull = |at_levels: &Option<Vec<Moments>>| {
+        let Some(at_levels) = at_levels else { return Pull::default() };
         let mut all = Moments::default();
-        for (n, weight) in weights.iter().enumerate().filter(|(_, weight)| **weight > LEAST_WEIGHT) {
-            let at_level = light.pulled(onset, n);
-            all.add(weight / at_level.weight, &at_level);
+        for (ln_weight, at_level) in ln_weights.iter().zip(at_levels) {
+            all.add((ln_weight - largest).exp() / at_level.weight, at_level);
         }
         all.pull()
     };
-    lights.iter().zip(onsets).map(pull).collect()
+    pulled.iter().map(pull).collect()
 }
 
 /// Level `n` of the light of companions, as a logarithm.

@@ -4,6 +4,9 @@
 //! of them fail below some folder (`faults`), so that every place at which a disk can fail is visited
 //! (`pipeline/faulty_disk.rs`).
 
+use std::fs::Metadata;
+use std::io::{self, ErrorKind};
+
 #[cfg(test)]
 pub(crate) mod faults;
 
@@ -21,6 +24,17 @@ pub use std::fs::{
 };
 #[cfg(not(test))]
 pub use std::os::unix::fs::symlink;
+
+/// What there is at a path; `None` if nothing is. That a disk did not say is an error, and not an absence.
+///
+/// # Errors
+/// When it cannot be told.
+pub fn if_there(metadata: io::Result<Metadata>) -> io::Result<Option<Metadata>> {
+    match metadata {
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
+        metadata => metadata.map(Some),
+    }
+}
 
 #[cfg(not(test))]
 mod plain {

@@ -151,11 +151,12 @@ impl Shelf {
     /// Reads the results of a piece, if it is finished.
     ///
     /// # Errors
-    /// When its record is damaged.
+    /// When its record is damaged, or its subtotals cannot be looked at.
     pub fn piece(&self, key: &str) -> Result<Option<PieceRecord>, StoreError> {
         let record: Option<PieceRecord> = record::read(&self.file_of(key, MADE))?;
-        let size = fs::metadata(self.file_of(key, "subtotals.parquet")).map(|metadata| metadata.len()).ok();
-        Ok(record.filter(|record| size == Some(record.subtotals.bytes)))
+        let path = self.file_of(key, "subtotals.parquet");
+        let bytes = fs::if_there(fs::metadata(&path)).at("read", &path)?.map(|metadata| metadata.len());
+        Ok(record.filter(|record| bytes == Some(record.subtotals.bytes)))
     }
 
     /// Reads the subtotals of a piece, in batches of some rows.

@@ -200,17 +200,20 @@ impl Shelf {
     /// Record of a part, if it is complete.
     ///
     /// # Errors
-    /// When its record is damaged.
+    /// When its record is damaged, or a file cannot be looked at.
     pub fn part(&self, stage: &StageId, lineage: &Digest) -> Result<Option<PartRecord>, StoreError> {
         let folder = self.root().join(stage.folder());
         let Some(record) = record::read::<PartRecord>(&folder.join(format!("part-{lineage}.json")))? else {
             return Ok(None);
         };
-        let present = |(table, file): (&String, &FileRecord)| {
-            fs::metadata(folder.join(format!("part-{lineage}.{table}.parquet")))
-                .is_ok_and(|metadata| metadata.len() == file.bytes)
-        };
-        Ok(record.files.iter().all(present).then_some(record))
+        for (table, file) in &record.files {
+            let path = folder.join(format!("part-{lineage}.{table}.parquet"));
+            let there = fs::if_there(fs::metadata(&path)).at("read", &path)?;
+            if there.is_none_or(|metadata| metadata.len() != file.bytes) {
+                return Ok(None);
+            }
+        }
+        Ok(Some(record))
     }
 
     /// Starts a part of these tables.

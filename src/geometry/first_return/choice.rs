@@ -5,7 +5,6 @@ use nalgebra::{Matrix3, Vector3};
 use super::field::{Field, Kind};
 use super::flat::Flat;
 use super::local::{Local, Sample};
-
 use super::windows::{Chosen, Reading};
 use super::{Scan, SurfacePoint};
 

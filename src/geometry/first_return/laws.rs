@@ -165,19 +165,12 @@ pub fn mixed(
         let more: f64 = near[n].iter().take(POOL).map(more).sum();
         let block = if flat.field.is_block { 1.0 } else { 1.0 / (1.0 + (-(FACES_TEMPER * more)).exp()) };
         let rest = 1.0 - choices[n].share;
+        let of_faces = |share: f64, one: &Return| {
+            (choices[n].share * share, half * one.length_m, half * one.sd_m, half * half * own.law_m2)
+        };
         let parts = [
-            (
-                choices[n].share * (1.0 - block),
-                half * own.returns[0].length_m,
-                half * own.returns[0].sd_m,
-                half * half * own.law_m2,
-            ),
-            (
-                choices[n].share * block,
-                half * own.returns[1].length_m,
-                half * own.returns[1].sd_m,
-                half * half * own.law_m2,
-            ),
+            of_faces(1.0 - block, &own.returns[0]),
+            of_faces(block, &own.returns[1]),
             (rest, without.length_m, without.sd_m, without.law_m.powi(2)),
         ];
         let length_m: f64 = parts.iter().map(|(share, length_m, ..)| share * length_m).sum();

@@ -7,7 +7,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::paths::{Graph, Paths};
+use super::paths::{Dense, Graph, Paths};
 use super::problem::{SensorProfiles, View};
 use super::scene::Prediction;
 use crate::association::Time;
@@ -60,16 +60,7 @@ impl Chances {
 
     /// Adds the paths of one profile.
     fn count(&self, graph: &Graph, view: View, bounces: usize, counts: &mut BTreeMap<Class, Count>) {
-        let arrivals: Vec<Time> = view.profile.arrivals.iter().map(|arrival| folded(arrival.time(), view)).collect();
-        let typical_sd_ps = arrivals.iter().map(|arrival| arrival.sd_ps).sum::<f64>() / arrivals.len() as f64;
-        let Paths { mut predictions, dense } = graph.recorded(view, bounces);
-        predictions.push(graph.scene.predict(view.profile.direct(), view));
-        let rest_ps = predictions.iter().map(|path| graph.rest_ps(view, path.time.time_ps)).fold(1.0, f64::max);
-        for Prediction { time, .. } in &mut predictions {
-            // An arrival's error is part of how far it may lie from its path.
-            *time = Time { sd_ps: time.sd_ps.hypot(typical_sd_ps), ..folded(*time, view) };
-        }
-        predictions.sort_by(|a, b| a.time.time_ps.total_cmp(&b.time.time_ps));
+        let Recorded { arrivals, predictions, dense, rest_ps } = Recorded::new(graph, view, bounces);
         // What no path explains comes by chance, anywhere.
         let is_free = |arrival: &&Time| !predictions.iter().any(|path| is_own(arrival, &path.time));
         let free: Vec<&Time> = arrivals.iter().filter(is_free).collect();
@@ -128,8 +119,33 @@ impl Count {
     }
 }
 
+/// Arrivals of a profile and the paths that its record holds, the direct one among them, within the laser's first period.
+pub(super) struct Recorded {
+    pub(super) arrivals: Vec<Time>,
+    /// In order of time. An arrival's error is part of theirs: of how far it may lie from its path.
+    pub(super) predictions: Vec<Prediction>,
+    dense: Option<Dense>,
+    /// Time that the record goes on after the first path.
+    rest_ps: f64,
+}
+
+impl Recorded {
+    pub(super) fn new(graph: &Graph, view: View, bounces: usize) -> Self {
+        let arrivals: Vec<Time> = view.profile.arrivals.iter().map(|arrival| folded(arrival.time(), view)).collect();
+        let typical_sd_ps = arrivals.iter().map(|arrival| arrival.sd_ps).sum::<f64>() / arrivals.len() as f64;
+        let Paths { mut predictions, dense } = graph.recorded(view, bounces);
+        predictions.push(graph.scene.predict(view.profile.direct(), view));
+        let rest_ps = predictions.iter().map(|path| graph.rest_ps(view, path.time.time_ps)).fold(1.0, f64::max);
+        for Prediction { time, .. } in &mut predictions {
+            *time = Time { sd_ps: time.sd_ps.hypot(typical_sd_ps), ..folded(*time, view) };
+        }
+        predictions.sort_by(|a, b| a.time.time_ps.total_cmp(&b.time.time_ps));
+        Self { arrivals, predictions, dense, rest_ps }
+    }
+}
+
 /// A time within the laser's first period.
-pub(super) fn folded(time: Time, view: View) -> Time {
+fn folded(time: Time, view: View) -> Time {
     let period_ps = view.medium().repetition_ps;
     Time { time_ps: period_ps.map_or(time.time_ps, |period_ps| time.time_ps.rem_euclid(period_ps)), ..time }
 }

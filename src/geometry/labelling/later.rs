@@ -5,7 +5,7 @@
 //! they must come: at the times of fourth bounces over visible patches and the surest hidden ones. Windows of the same
 //! width to either side, where no path is due, tell how many arrivals chance puts there.
 
-use super::chances::folded;
+use super::chances::Recorded;
 use super::paths::Graph;
 use super::problem::{SensorProfiles, View};
 use super::scene::Prediction;
@@ -14,7 +14,7 @@ use crate::association::Time;
 /// Bounces of the paths that are looked for.
 pub(super) const FOURTH: usize = 4;
 /// Fourth bounces are seen if so many standard deviations more of their windows have an arrival than of those beside
-/// them. A pair lit and seen in turn tells the same twice, which makes that root two fewer.
+/// them. The two profiles of a pair tell the same, so that these are 2.8 where all pairs have both.
 const EXCESS_SIGMA: f64 = 4.0;
 /// A window reaches so many standard deviations to either side. It tells of its own path where no other comes within
 /// its own reach of it.
@@ -54,24 +54,15 @@ pub(super) fn are_seen(graphs: &[Graph], sensors: &[SensorProfiles]) -> bool {
 
 /// Adds the windows of one profile: those of fourth bounces that no other path comes near, and beside them.
 fn count(graph: &Graph, view: View, own: &mut Windows, beside: &mut Windows) {
-    let arrivals: Vec<Time> = view.profile.arrivals.iter().map(|arrival| folded(arrival.time(), view)).collect();
-    let typical_sd_ps = arrivals.iter().map(|arrival| arrival.sd_ps).sum::<f64>() / arrivals.len() as f64;
-    let mut predictions = graph.recorded(view, FOURTH).predictions;
-    predictions.push(graph.scene.predict(view.profile.direct(), view));
-    let paths = predictions.into_iter().map(|Prediction { path, time, .. }| {
-        // An arrival's error is part of how far it may lie from its path.
-        (path.len(), Time { sd_ps: time.sd_ps.hypot(typical_sd_ps), ..folded(time, view) })
-    });
-    let mut paths: Vec<(usize, Time)> = paths.collect();
-    paths.sort_by(|a, b| a.1.time_ps.total_cmp(&b.1.time_ps));
+    let Recorded { arrivals, predictions, .. } = Recorded::new(graph, view, FOURTH);
     let is_seen = |time_ps: f64, sd_ps: f64| arrivals.iter().any(|one| (one.time_ps - time_ps).abs() < OWN_SD * sd_ps);
     // Paths that come near a time.
     let near = |at_ps: f64, sd_ps: f64| {
-        let before = |limit_ps: f64| paths.partition_point(|(_, time)| time.time_ps < limit_ps);
+        let before = |limit_ps: f64| predictions.partition_point(|path| path.time.time_ps < limit_ps);
         before(at_ps + ALONE_SD * sd_ps) - before(at_ps - ALONE_SD * sd_ps)
     };
-    for (bounces, Time { time_ps, sd_ps, .. }) in &paths {
-        if *bounces != FOURTH || near(*time_ps, *sd_ps) > 1 {
+    for Prediction { path, time: Time { time_ps, sd_ps, .. }, .. } in &predictions {
+        if path.len() != FOURTH || near(*time_ps, *sd_ps) > 1 {
             continue;
         }
         own.add(is_seen(*time_ps, *sd_ps));

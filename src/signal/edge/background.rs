@@ -4,6 +4,8 @@
 //! before the first return of each, since a single one has too few counts. A background taken as constant where it
 //! declines makes weak first returns late.
 
+use std::collections::BTreeMap;
+
 use super::{Bins, Noise};
 
 /// Bins of a histogram that enter, before its first return, in standard deviations of the response.
@@ -29,38 +31,17 @@ impl Background {
     /// No tail.
     pub const CONSTANT: Self = Self { constant: f64::INFINITY, from_ps: 0.0, decline_ps: 1.0 };
 
-    /// The likeliest shape before the first returns of histograms on one grid of time. Levels are taken as constant.
+    /// The likeliest shape before the first returns of histograms. Levels are taken as constant; histograms whose bins
+    /// are not as wide as those of the first one tell nothing.
     #[must_use]
     pub fn before(histograms: &[(Bins<'_>, f64)], sigma_ps: f64) -> Self {
-        let counted = histograms.iter().filter(|(bins, _)| bins.noise == Noise::Counts);
-        let Some(first_ps) = counted.clone().map(|(bins, _)| bins.first_ps).min_by(f64::total_cmp) else {
-            return Self::CONSTANT;
-        };
-        let mut sums: Vec<[f64; 2]> = Vec::new();
-        let mut dt_ps = 1.0;
-        for (bins, start_ps) in counted {
-            dt_ps = bins.dt_ps;
-            let offset = ((bins.first_ps - first_ps) / dt_ps).round() as usize;
-            let place = |sigmas: f64| ((start_ps - sigmas * sigma_ps - bins.first_ps) / dt_ps).max(0.0) as usize;
-            let to = place(TO).min(bins.values.len());
-            for n in place(FROM).min(to)..to {
-                sums.resize(sums.len().max(offset + n + 1), [0.0; 2]);
-                sums[offset + n][0] += bins.values[n];
-                sums[offset + n][1] += 1.0;
-            }
-        }
-        let from = sums.iter().position(|[_, count]| *count > 0.0).unwrap_or(0);
-        let shape = |decline: f64| Self {
-            constant: 1.0,
-            from_ps: first_ps + from as f64 * dt_ps,
-            decline_ps: decline * sigma_ps,
-        };
+        let sums = Sum::all(histograms, sigma_ps);
+        let Some(from_ps) = sums.first().map(|sum| sum.time_ps) else { return Self::CONSTANT };
         let flat = levels(&sums, |_| 0.0);
         let tries = (0..TIMES).map(|n| {
-            let shape = shape(SHORTEST * RATIO.powi(n as i32));
-            let tail = |n: usize| (-(first_ps + n as f64 * dt_ps - shape.from_ps) / shape.decline_ps).exp();
-            let ([constant, level], likelihood) = levels(&sums, tail);
-            (likelihood, Self { constant: constant / level.max(1e-300), ..shape })
+            let decline_ps = SHORTEST * RATIO.powi(n as i32) * sigma_ps;
+            let ([constant, level], likelihood) = levels(&sums, |time_ps| (-(time_ps - from_ps) / decline_ps).exp());
+            (likelihood, Self { constant: constant / level.max(1e-300), from_ps, decline_ps })
         });
         let best = tries.max_by(|a, b| a.0.total_cmp(&b.0));
         // Two more unknowns that explain nothing gain one in the mean.
@@ -76,11 +57,43 @@ impl Background {
     }
 }
 
-/// The likeliest levels of a constant and a tail (by expectation and maximization), and the logarithm of the
-/// likelihood.
-fn levels(sums: &[[f64; 2]], tail: impl Fn(usize) -> f64) -> ([f64; 2], f64) {
-    let shapes: Vec<(f64, f64, f64)> =
-        sums.iter().enumerate().map(|(n, [sum, count])| (*sum, *count, tail(n))).filter(|one| one.1 > 0.0).collect();
+/// Counts of all histograms in a bin of time, and how many histograms have it.
+#[derive(Clone, Copy)]
+struct Sum {
+    time_ps: f64,
+    counts: f64,
+    histograms: f64,
+}
+
+impl Sum {
+    /// Of the bins before first returns, in order of time.
+    fn all(histograms: &[(Bins<'_>, f64)], sigma_ps: f64) -> Vec<Self> {
+        let counted = || histograms.iter().filter(|(bins, _)| bins.noise == Noise::Counts);
+        let Some((first, _)) = counted().min_by(|(a, _), (b, _)| a.first_ps.total_cmp(&b.first_ps)) else {
+            return Vec::new();
+        };
+        let (first_ps, dt_ps) = (first.first_ps, first.dt_ps);
+        let mut sums: BTreeMap<i64, Self> = BTreeMap::new();
+        for (bins, start_ps) in counted().filter(|(bins, _)| bins.dt_ps == dt_ps) {
+            let offset = ((bins.first_ps - first_ps) / dt_ps).round() as i64;
+            let place = |sigmas: f64| ((start_ps - sigmas * sigma_ps - bins.first_ps) / dt_ps).max(0.0) as usize;
+            let to = place(TO).min(bins.values.len());
+            for n in place(FROM).min(to)..to {
+                let bin = offset + n as i64;
+                let none = Self { time_ps: first_ps + bin as f64 * dt_ps, counts: 0.0, histograms: 0.0 };
+                let sum = sums.entry(bin).or_insert(none);
+                sum.counts += bins.values[n];
+                sum.histograms += 1.0;
+            }
+        }
+        sums.into_values().collect()
+    }
+}
+
+/// The likeliest levels of a constant and a tail, given by time (by expectation and maximization), and the logarithm of
+/// the likelihood.
+fn levels(sums: &[Sum], tail: impl Fn(f64) -> f64) -> ([f64; 2], f64) {
+    let shapes: Vec<(f64, f64, f64)> = sums.iter().map(|sum| (sum.counts, sum.histograms, tail(sum.time_ps))).collect();
     let total: f64 = shapes.iter().map(|one| one.0).sum();
     let [ones, tails]: [f64; 2] = [shapes.iter().map(|one| one.1).sum(), shapes.iter().map(|one| one.1 * one.2).sum()];
     let mut levels = [0.5 * total / ones.max(1.0), if tails > 0.0 { 0.5 * total / tails } else { 0.0 }];

@@ -175,8 +175,8 @@ pub fn verify(shelf: &Shelf) -> Result<Report, StoreError> {
 /// When one cannot be deleted.
 pub fn repair(findings: &[Finding]) -> Result<(), StoreError> {
     for path in findings.iter().flat_map(|finding| &finding.remove) {
-        let Ok(metadata) = fs::symlink_metadata(path) else {
-            continue; // with another finding
+        let Some(metadata) = fs::if_there(fs::symlink_metadata(path)).at("read", path)? else {
+            continue; // went with another finding
         };
         if metadata.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) }.at("remove", path)?;
     }
@@ -185,8 +185,8 @@ pub fn repair(findings: &[Finding]) -> Result<(), StoreError> {
 
 /// Entries of a folder, sorted by name; none if it does not exist.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
-    let mut entries: Vec<PathBuf> =
-        fs::read_dir(folder).at("read", folder)?.flatten().map(|entry| entry.path()).collect();
+    let entries = fs::read_dir(folder).at("read", folder)?.map(|entry| Ok(entry.at("read", folder)?.path()));
+    let mut entries = entries.collect::<Result<Vec<PathBuf>, StoreError>>()?;
     entries.sort();
     Ok(entries)
 }
