@@ -27,6 +27,8 @@ mod parts;
 #[allow(dead_code, reason = "other studies use more of it")]
 #[path = "resolution/score.rs"]
 mod score;
+#[path = "reliability/system_calls.rs"]
+mod system_calls;
 #[path = "reliability/views.rs"]
 mod views;
 #[path = "reliability/watch.rs"]
@@ -35,9 +37,10 @@ mod watch;
 /// A study takes the numbers behind its name.
 type Study = fn(&[usize]);
 
-const STUDIES: [(&str, Study); 10] = [
+const STUDIES: [(&str, Study); 11] = [
     ("kill", kill::study),
     ("faults", faults::study),
+    ("system-calls", system_calls::study),
     ("flips", flips::study),
     ("settings", flips::settings),
     ("views", views::study),

@@ -18,7 +18,7 @@ use parquet::arrow::arrow_writer::{ArrowColumnWriter, ArrowRowGroupWriterFactory
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::column::writer::ColumnCloseResult;
 use parquet::errors::ParquetError;
-use parquet::file::metadata::KeyValue;
+use parquet::file::metadata::{KeyValue, ParquetMetaDataReader};
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::ColumnPath;
@@ -312,16 +312,25 @@ pub fn read_recorded(
     Ok(read(path, rows).at("read", path)?.map(move |batch| batch.at("read", &at)))
 }
 
-/// Schema and number of rows of a file, and its footer entries.
+/// Schema of a file.
 ///
 /// # Errors
 /// When the file is missing or is not Parquet.
-pub fn describe(path: &Path) -> Result<(SchemaRef, u64, Vec<(String, String)>), ParquetError> {
-    let builder = ParquetRecordBatchReaderBuilder::try_new(disk::open(path)?)?;
-    let file = builder.metadata().file_metadata();
-    let footer = file.key_value_metadata().into_iter().flatten();
-    let footer = footer.filter_map(|entry| Some((entry.key.clone(), entry.value.clone()?))).collect();
-    Ok((Arc::clone(builder.schema()), file.num_rows() as u64, footer))
+pub fn schema(path: &Path) -> Result<SchemaRef, ParquetError> {
+    Ok(Arc::clone(ParquetRecordBatchReaderBuilder::try_new(disk::open(path)?)?.schema()))
+}
+
+/// Number of rows of a file, and the entries of its footer.
+///
+/// # Errors
+/// When the file is missing or is not Parquet.
+pub fn footer(path: &Path) -> Result<(u64, Vec<(String, String)>), ParquetError> {
+    // Without the Arrow schema, which takes most of the time of a small file.
+    let metadata = ParquetMetaDataReader::new().parse_and_finish(&disk::open(path)?)?;
+    let file = metadata.file_metadata();
+    let entries = file.key_value_metadata().into_iter().flatten();
+    let entries = entries.filter_map(|entry| Some((entry.key.clone(), entry.value.clone()?))).collect();
+    Ok((file.num_rows() as u64, entries))
 }
 
 #[cfg(test)]

@@ -86,7 +86,7 @@ fn may_hold(group: &RowGroupMetaData, column: &str, numbers: &BTreeSet<i32>) -> 
 /// When the file is missing or is not Parquet.
 pub fn schema(path: &Path) -> Result<SchemaRef, StoreError> {
     check(path)?;
-    super::parquet::describe(path).map(|(schema, ..)| schema).at("read", path)
+    super::parquet::schema(path).at("read", path)
 }
 
 /// Rows of a file.
@@ -95,7 +95,7 @@ pub fn schema(path: &Path) -> Result<SchemaRef, StoreError> {
 /// When the file is missing or is not Parquet.
 pub fn rows(path: &Path) -> Result<u64, StoreError> {
     check(path)?;
-    super::parquet::describe(path).map(|(_, rows, _)| rows).at("read", path)
+    super::parquet::footer(path).map(|(rows, _)| rows).at("read", path)
 }
 
 #[cfg(test)]

@@ -128,9 +128,9 @@ fn readers_see_whole_tables_while_runs_publish() {
             while !is_over.load(Ordering::Relaxed) {
                 for (view, heading, table) in VIEWS {
                     let files = shelf.files(view).unwrap();
-                    let footers = files.iter().map(|file| parquet::describe(file).unwrap());
+                    let footers = files.iter().map(|file| parquet::footer(file).unwrap());
                     let lineages: Vec<String> = footers
-                        .map(|(_, _, footer)| footer.into_iter().find(|(key, _)| key == "periscope.lineage").unwrap().1)
+                        .map(|(_, entries)| entries.into_iter().find(|(key, _)| key == "periscope.lineage").unwrap().1)
                         .collect();
                     let is_of = |tables: &BTreeMap<String, TableRecord>| {
                         lineages.iter().eq(tables[heading]

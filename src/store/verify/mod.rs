@@ -75,7 +75,7 @@ pub struct Counts {
 /// Outcome of a verification.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// What a user should know although it is no fault.
+    /// What is wrong.
     pub findings: Vec<Finding>,
     /// What a user should know although it is no fault.
     pub notes: Vec<String>,
@@ -91,6 +91,15 @@ pub struct Report {
 const FIX: &str = "delete it (`periscope verify --repair` does), and the next `run` makes it again";
 
 impl Report {
+    /// Adds what another found after this one, of files alone.
+    fn append(&mut self, mut other: Self) {
+        self.findings.append(&mut other.findings);
+        self.notes.append(&mut other.notes);
+        self.counts.parts += other.counts.parts;
+        self.counts.files += other.counts.files;
+        self.counts.bytes += other.counts.bytes;
+    }
+
     /// Adds a finding; `file` is absolute.
     fn add(&mut self, shelf: &Shelf, file: &Path, what: impl ToString, remove: Vec<PathBuf>) -> &mut Finding {
         let file = file.strip_prefix(shelf.out()).unwrap_or(file).to_owned();
@@ -187,7 +196,8 @@ pub fn repair(findings: &[Finding]) -> Result<(), StoreError> {
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let entries = fs::read_dir(folder).at("read", folder)?.map(|entry| Ok(entry.at("read", folder)?.path()));
     let mut entries = entries.collect::<Result<Vec<PathBuf>, StoreError>>()?;
-    entries.sort();
+    // Paths of one folder stand in the order of their bytes, which takes a fraction of the time.
+    entries.sort_unstable_by(|a, b| a.as_os_str().cmp(b.as_os_str()));
     Ok(entries)
 }
 

@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
+
 use super::{Report, entries, left_over, name, same_file, strays};
 use crate::store::failure::{At, StoreError};
 use crate::store::shelf::{PartRecord, Shelf, StageId, TableRecord};
@@ -33,17 +35,18 @@ impl StageFolder {
             );
             folder.id = None;
         }
-        let mut tables = Vec::new();
         let all = entries(&folder.path)?;
+        let mut parts = Vec::new();
+        let mut tables = Vec::new();
         for path in &all {
-            let (name, path) = (name(path), path.clone());
+            let name = name(path);
             if name == "stage.json" {
             } else if sweep::is_unfinished(name.as_ref()) {
-                report.notes.push(left_over(&path));
+                report.notes.push(left_over(path));
             } else if name.starts_with("table-") {
                 tables.push(path);
-            } else if let Some(part) = name.strip_prefix("part-").and_then(|name| name.strip_suffix(".json")) {
-                folder.part(shelf, &path, part, &all, report)?;
+            } else if let Some(lineage) = name.strip_prefix("part-").and_then(|name| name.strip_suffix(".json")) {
+                parts.push((path, lineage.to_owned()));
             } else if name.starts_with("part-") && name.ends_with(".parquet") {
                 let (part, _) = name.split_once('.').expect("it ends with .parquet");
                 if !folder.path.join(format!("{part}.json")).exists() {
@@ -53,55 +56,56 @@ impl StageFolder {
                 report.notes.push(format!("{} is none of periscope's files", path.display()));
             }
         }
+        let check = |(path, lineage): &(&PathBuf, String)| folder.part(shelf, path, lineage, &all);
+        // In order, whichever thread checked it.
+        let checked: Vec<_> = parts.par_iter().map(check).collect::<Result<_, StoreError>>()?;
+        for (record, of_part) in checked {
+            report.append(of_part);
+            folder.parts.extend(record.map(|record| (record.lineage, record)));
+        }
         for path in tables {
-            folder.table(shelf, &path, report)?;
+            folder.table(shelf, path, report)?;
         }
         Ok(folder)
     }
 
-    /// Checks a part: its record, and its files among all (sorted) of the folder.
+    /// Checks a part: its record, and its files among all (sorted) of the folder. Gives the record, if it can be read.
     fn part(
-        &mut self,
+        &self,
         shelf: &Shelf,
         path: &Path,
         lineage: &str,
         files: &[PathBuf],
-        report: &mut Report,
-    ) -> Result<(), StoreError> {
-        let of_part = self.path.join(format!("part-{lineage}."));
-        let starts =
-            |file: &Path| file.as_os_str().as_encoded_bytes().starts_with(of_part.as_os_str().as_encoded_bytes());
-        let first = files.partition_point(|file| *file < of_part);
+    ) -> Result<(Option<PartRecord>, Report), StoreError> {
+        let mut report = Report::default();
+        let of_part = self.path.join(format!("part-{lineage}.")).into_os_string();
+        let starts = |file: &Path| file.as_os_str().as_encoded_bytes().starts_with(of_part.as_encoded_bytes());
+        let first = files.partition_point(|file| *file.as_os_str() < *of_part);
         let all: Vec<PathBuf> = files[first..].iter().take_while(|file| starts(file)).cloned().collect();
         let Some(record) = report.record::<PartRecord>(shelf, path, all.clone())? else {
-            return Ok(());
+            return Ok((None, report));
         };
         if record.lineage.to_string() != lineage {
             report.add(shelf, path, format!("is the record of another part, {}", record.lineage), all);
-            return Ok(());
+            return Ok((None, report));
         }
         report.counts.parts += 1;
         for (table, file) in &record.files {
             let path = self.path.join(format!("part-{lineage}.{table}.parquet"));
             if report.file(shelf, &path, file, all.clone())? {
-                let (_, rows, footer) = parquet::describe(&path).at("read", &path)?;
+                let (rows, footer) = parquet::footer(&path).at("read", &path)?;
                 let stage = self.id.as_ref().and_then(|id| serde_json::to_string(id).ok());
                 let says = |key: &str, value: &str| footer.iter().any(|(k, v)| k == key && v == value);
                 let of_this = says("periscope.lineage", lineage)
                     && stage.is_none_or(|stage| says("periscope.stage", &stage))
                     && rows == file.rows;
                 if !of_this {
-                    report.add(
-                        shelf,
-                        &path,
-                        "is of another part: its footer names another lineage or stage",
-                        all.clone(),
-                    );
+                    let what = "is of another part: its footer names another lineage or stage";
+                    report.add(shelf, &path, what, all.clone());
                 }
             }
         }
-        self.parts.insert(record.lineage, record);
-        Ok(())
+        Ok((Some(record), report))
     }
 
     /// Checks a complete table: its record, and the files by which its views show its parts.
