@@ -89,12 +89,41 @@ enum Command {
     Man(commands::man::Man),
 }
 
+impl Command {
+    /// How a command that computes tables is asked to use the machine.
+    fn machine(&self) -> Option<&commands::Machine> {
+        match self {
+            Self::Run(args) => Some(&args.machine),
+            Self::RunShard(args) => Some(&args.machine),
+            Self::Gather(args) => Some(&args.machine),
+            _ => None,
+        }
+    }
+}
+
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => return refuse(error),
     };
-    let result = match cli.command {
+    let result = commands::start_threads(cli.command.machine()).and_then(|()| execute(cli.command));
+    match result {
+        Ok(code) => code,
+        // A reader that has seen enough (`| head`) needs no message.
+        Err(error) if error.is::<Closed>() => ExitCode::from(commands::CLOSED),
+        Err(error) if commands::is_interruption(&error) => {
+            note!("interrupted: {error}");
+            ExitCode::from(commands::INTERRUPTED)
+        }
+        Err(error) => {
+            note!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn execute(command: Command) -> anyhow::Result<ExitCode> {
+    match command {
         Command::Demo(args) => commands::demo::demo(&args),
         Command::Run(args) => commands::run::run(&args),
         Command::Pipelines(args) => commands::pipelines::pipelines(&args),
@@ -122,19 +151,6 @@ fn main() -> ExitCode {
             print(script).map(|()| ExitCode::SUCCESS)
         }
         Command::Man(args) => commands::man::man(&args, Cli::command()),
-    };
-    match result {
-        Ok(code) => code,
-        // A reader that has seen enough (`| head`) needs no message.
-        Err(error) if error.is::<Closed>() => ExitCode::from(commands::CLOSED),
-        Err(error) if commands::is_interruption(&error) => {
-            note!("interrupted: {error}");
-            ExitCode::from(commands::INTERRUPTED)
-        }
-        Err(error) => {
-            note!("error: {error:#}");
-            ExitCode::FAILURE
-        }
     }
 }
 

@@ -308,7 +308,7 @@ pub(super) fn metadata(path: &Path) -> Result<Metadata, ManifestError> {
     fs::metadata(path).map_err(|source| file_error(path, source))
 }
 
-fn file_error(file: &Path, source: io::Error) -> ManifestError {
+pub(super) fn file_error(file: &Path, source: io::Error) -> ManifestError {
     ManifestError::File { file: file.to_owned(), source }
 }
 

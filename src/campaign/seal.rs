@@ -8,9 +8,10 @@ use std::fmt;
 use std::path::PathBuf;
 
 use super::keys::Campaign;
-use super::manifest::{FileState, MANIFEST_FILE, Manifest, ManifestError, hash_file, metadata};
+use super::manifest::{FileState, MANIFEST_FILE, Manifest, ManifestError, file_error, hash_file, metadata};
 use super::settings::{self, Change};
 use super::survey::Survey;
+use crate::store::disk;
 
 /// The result of sealing. Paths are relative to the campaign folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -77,7 +78,7 @@ impl Manifest {
         let mut audit = Audit::default();
         for (path, record) in self.iter() {
             let file = campaign.path_of(path);
-            if !file.exists() {
+            if !disk::is_there(&file).map_err(|source| file_error(&file, source))? {
                 audit.gone.push(path.to_owned());
                 continue;
             }

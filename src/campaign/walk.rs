@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use super::keys::CAMPAIGN_FILE;
 use super::manifest::MANIFEST_FILE;
 use super::stamp::Stamp;
+use crate::store::disk;
 
 /// Folder of ground-truth tables of a simulated campaign.
 pub const TRUTH: &str = "truth";
@@ -49,25 +50,25 @@ fn visit(
 ) -> Result<(), (PathBuf, io::Error)> {
     let here = root.join(folder);
     let fail = |error| (here.clone(), error);
-    let real = here.canonicalize().map_err(fail)?;
+    let real = disk::canonicalize(&here).map_err(fail)?;
     if above.contains(&real) {
         return Ok(());
     }
     above.push(real);
-    for entry in here.read_dir().map_err(fail)? {
+    for entry in disk::read_dir(&here).map_err(fail)? {
         let name = entry.map_err(fail)?.file_name();
         if name.as_encoded_bytes().starts_with(b".") {
             continue;
         }
         let path = folder.join(name);
+        let whole = root.join(&path);
+        let fail = |error| (whole.clone(), error);
         // A link without target, or a file that has just vanished, does not count.
-        match root.join(&path).metadata() {
-            Ok(metadata) if metadata.is_dir() && root.join(&path).join(SHELF).is_dir() => {}
-            Ok(metadata) if metadata.is_dir() => visit(root, &path, above, files)?,
-            Ok(metadata) if metadata.is_file() => {
-                files.push(RawFile { path, stamp: Stamp::of(&metadata) });
-            }
-            _ => {}
+        let Some(metadata) = disk::if_there(disk::metadata(&whole)).map_err(fail)? else { continue };
+        if metadata.is_file() {
+            files.push(RawFile { path, stamp: Stamp::of(&metadata) });
+        } else if metadata.is_dir() && !disk::is_folder(&whole.join(SHELF)).map_err(fail)? {
+            visit(root, &path, above, files)?;
         }
     }
     above.pop();

@@ -16,7 +16,6 @@ use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
 
 use super::interrupt::cancel_on_signals;
-use super::machine::use_threads;
 use super::output::{print_text, say};
 use super::report::write_page;
 use super::run::Job;
@@ -56,7 +55,6 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
         let names: Vec<&str> = DEMOS.iter().map(|(name, ..)| *name).collect();
         bail!("there is no demo `{}`; there is {}", args.name, names.join(", "));
     };
-    use_threads(None)?;
     clear(&args.out)?;
     let (campaign, results) = (args.out.join("campaign"), args.out.join("out"));
     let scene = Scene::parse(Path::new(&format!("{name}.toml")), scene)?;

@@ -56,7 +56,8 @@ pub struct Export {
 /// The command.
 pub fn export(args: &Export) -> Result<ExitCode> {
     let shelf = Shelf::look(&args.results)?;
-    let patches_view = args.patches.as_deref().unwrap_or_else(|| shelf.table_of(ALL).map_or("patches", |_| ALL));
+    let found = shelf.table_of(ALL)?.map_or("patches", |_| ALL);
+    let patches_view = args.patches.as_deref().unwrap_or(found);
     let ending = args.file.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     match ending.as_deref() {
         Some("ply") if args.surface_points.is_some() => {
@@ -92,7 +93,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
                 campaign.context("a capture needs to know where laser and sensor are: add --campaign DIR")?;
             let campaign = Campaign::load(campaign)?;
             // Where no patches were solved for, the anchors of campaign.toml do.
-            let has_patches = shelf.table_of(patches_view).is_some();
+            let has_patches = shelf.table_of(patches_view)?.is_some();
             let patches = if has_patches { rows(&shelf, patches_view)? } else { Vec::new() };
             let (profiles, calibration) = (rows(&shelf, &args.profiles)?, rows(&shelf, &args.calibration)?);
             let capture =
@@ -142,7 +143,7 @@ fn volume(shelf: &Shelf, args: &Export) -> Result<Vec<VolumeRow>> {
 }
 
 fn rows<R: Row>(shelf: &Shelf, view: &str) -> Result<Vec<R>> {
-    let found = shelf.table_of(view);
+    let found = shelf.table_of(view)?;
     match found.as_deref() {
         Some(table) if table == R::TABLE => {}
         Some(table) => bail!("`{view}` of {} is a table `{table}`, not `{}`", shelf.out().display(), R::TABLE),

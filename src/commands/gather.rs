@@ -23,7 +23,7 @@ pub struct Gather {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
-    machine: Machine,
+    pub machine: Machine,
     /// Wait while shards are still being computed into the result folder, instead of failing
     #[arg(long)]
     wait: bool,
@@ -39,7 +39,6 @@ pub struct Gather {
 
 /// The command.
 pub fn gather(args: &Gather) -> Result<ExitCode> {
-    args.machine.start()?;
     Shelf::look(&args.out)?;
     let shelf = args.machine.folder(open(&args.out, args.wait)?);
     let dealt: Option<Dealt> = shelf.job()?;

@@ -4,6 +4,7 @@
 //! these signals. The other commands have no handler: the signal ends them at once, and nothing half-written of them
 //! looks whole.
 
+use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context, Error, Result};
@@ -24,19 +25,23 @@ const PATIENCE: Duration = Duration::from_millis(1700);
 pub fn cancel_on_signals(cancel: &Cancel) -> Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot watch for Ctrl-C")?;
     let cancel = cancel.clone();
-    std::thread::spawn(move || {
+    let watch = move || {
         for _ in signals.forever() {
             if cancel.is_cancelled() {
                 std::process::exit(i32::from(INTERRUPTED));
             }
             cancel.cancel();
             note!("stopping: what is under way is dropped, what is finished is kept (once more ends at once)");
-            std::thread::spawn(|| {
-                std::thread::sleep(PATIENCE);
+            let force = thread::Builder::new().spawn(|| {
+                thread::sleep(PATIENCE);
                 std::process::exit(i32::from(INTERRUPTED));
             });
+            if force.is_err() {
+                note!("no thread is left that could end it by force");
+            }
         }
-    });
+    };
+    thread::Builder::new().spawn(watch).context("cannot start the thread that watches for Ctrl-C")?;
     Ok(())
 }
 

@@ -24,11 +24,6 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Starts the worker threads; call this before anything uses them.
-    pub fn start(&self) -> Result<()> {
-        use_threads(self.threads)
-    }
-
     /// These settings, with the requested memory, or the default.
     pub fn settings(&self, defaults: Settings) -> Settings {
         let memory_bytes = self.memory.unwrap_or(defaults.memory_bytes.max(defaults.least_memory()));
@@ -94,13 +89,15 @@ pub fn size(text: &str) -> Result<usize, String> {
     number.checked_mul(factor).ok_or_else(|| format!("`{text}` is too much"))
 }
 
-/// Sets the number of worker threads.
-pub fn use_threads(threads: Option<usize>) -> Result<()> {
+/// Starts the worker threads: as many as the command asks for, if it does. Comes before anything that uses them, which
+/// would start them itself, and panic where the system gives none.
+pub fn start_threads(machine: Option<&Machine>) -> Result<()> {
+    let threads = machine.and_then(|machine| machine.threads);
     if threads == Some(0) {
         bail!("--threads 0: give at least 1");
     }
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads.unwrap_or(0))
         .build_global()
-        .context("cannot start the worker threads")
+        .context("cannot start the worker threads; this user, or container, is at its limit of processes")
 }

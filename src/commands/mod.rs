@@ -30,6 +30,7 @@ mod watch;
 mod whole_file;
 
 pub use interrupt::is_interruption;
+pub use machine::{Machine, start_threads};
 
 /// Done, but some input was rejected, or something needs to be fixed.
 pub const SOME_REJECTED: u8 = 3;

@@ -51,7 +51,7 @@ pub struct Run {
     #[arg(long, value_name = "TABLE.PARAM=VALUE")]
     set: Vec<String>,
     #[command(flatten)]
-    machine: Machine,
+    pub machine: Machine,
     /// Wait while another run holds the result folder, instead of failing
     #[arg(long)]
     wait: bool,
@@ -263,7 +263,6 @@ fn next_to(campaign: &Path) -> Result<PathBuf> {
 
 /// The command.
 pub fn run(args: &Run) -> Result<ExitCode> {
-    args.machine.start()?;
     let out = results(args.out.as_deref(), &args.campaign)?;
     let campaigns = campaigns(&args.campaign)?;
     let reference = or_declared(args.pipeline.as_ref(), &campaigns);

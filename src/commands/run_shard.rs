@@ -23,12 +23,11 @@ pub struct RunShard {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
-    machine: Machine,
+    pub machine: Machine,
 }
 
 /// The command.
 pub fn run_shard(args: &RunShard) -> Result<ExitCode> {
-    args.machine.start()?;
     // A missing folder is not created here: a worker that does not see the result folder must fail.
     Shelf::look(&args.out)?;
     let shelf = args.machine.folder(Shelf::join(&args.out)?);

@@ -36,11 +36,11 @@ pub fn tables(args: &Tables) -> Result<ExitCode> {
     let mut rows = Rows::new(&["table", "stage", "rows", "bytes", "parts", "lineage", "made"]);
     for (view, record) in shelf.tables()? {
         let TableRecord { lineage, stage, parts } = &record;
-        let Some(table) = shelf.table_of(&view) else {
+        let Some(table) = shelf.table_of(&view)? else {
             continue;
         };
         let lineage = if is_table { lineage.short() } else { lineage.to_string() };
-        let (count, bytes, made) = (record.rows(&table), record.bytes(&table), shelf.made(&view).map(utc));
+        let (count, bytes, made) = (record.rows(&table), record.bytes(&table), shelf.made(&view)?.map(utc));
         rows.push([
             json!(view),
             json!(stage.kind),

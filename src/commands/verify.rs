@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use periscope::campaign::keys::CAMPAIGN_FILE;
 use periscope::campaign::manifest::MANIFEST_FILE;
@@ -252,8 +253,11 @@ fn results(args: &Verify, verification: &mut Verification) -> Result<()> {
 /// The notes of runs on raw files, by campaign, and the damaged files among them.
 fn notes(shelf: &Shelf, verification: &mut Verification) -> Result<(BTreeMap<String, Manifest>, Vec<PathBuf>)> {
     let (mut manifests, mut damaged) = (BTreeMap::new(), Vec::new());
-    let folders = fs::read_dir(shelf.notes()).into_iter().flatten().flatten();
-    for folder in folders.map(|folder| folder.path()).collect::<BTreeSet<_>>() {
+    let entries = match fs::read_dir(shelf.notes()) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok((manifests, damaged)),
+        entries => entries.with_context(|| format!("cannot read {}", shelf.notes().display()))?,
+    };
+    for folder in entries.map(|entry| Ok(entry?.path())).collect::<io::Result<BTreeSet<_>>>()? {
         match Manifest::load(&folder) {
             Ok(manifest) => {
                 let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();

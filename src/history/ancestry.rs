@@ -80,7 +80,7 @@ impl Ancestry {
         }
         let mut ancestry = Self { works };
         for (view, record) in shelf.tables()? {
-            if let (Some(work), Some(table)) = (ancestry.work_of(&record), shelf.table_of(&view)) {
+            if let (Some(work), Some(table)) = (ancestry.work_of(&record), shelf.table_of(&view)?) {
                 ancestry.works[work].views.entry(table).or_insert(view);
             }
         }

@@ -7,6 +7,7 @@ use std::any::Any;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
 
 use arrow_array::RecordBatch;
 use arrow_select::concat::concat_batches;
@@ -125,6 +126,11 @@ impl Shared<'_> {
                 Failure::Cause(RunError::Panic { heading: self.heading(step), message })
             }
         };
+        self.fail(failure);
+    }
+
+    /// The first failure counts; the others follow from it.
+    fn fail(&self, failure: Failure) {
         self.first.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(failure);
         self.budget.stop();
     }
@@ -168,7 +174,7 @@ pub fn run(
     for &step in &pass.steps {
         beside.insert(step, tables_beside(plan, step, &settings.cancel)?);
     }
-    std::thread::scope(|scope| {
+    thread::scope(|scope| {
         let mut senders: BTreeMap<usize, Vec<Sender<Message>>> = BTreeMap::new();
         let mut receivers: BTreeMap<usize, Receiver<Message>> = BTreeMap::new();
         for &step in &pass.steps {
@@ -191,7 +197,10 @@ pub fn run(
             let children = senders.remove(&step).unwrap_or_default();
             let beside = beside.remove(&step).expect("collected above");
             let joined = pass.joined.as_ref().filter(|joined| joined.step == step);
-            scope.spawn(move || shared.guard(step, || work(shared, step, &receiver, &children, beside, joined)));
+            let body = move || shared.guard(step, || work(shared, step, &receiver, &children, beside, joined));
+            if let Err(source) = thread::Builder::new().spawn_scoped(scope, body) {
+                shared.fail(Failure::Cause(RunError::Thread { heading: shared.heading(step), source }));
+            }
         }
         let children = senders.remove(&usize::MAX).unwrap_or_default();
         shared.guard(pass.root, || read(shared, pass, &children));

@@ -79,6 +79,16 @@ pub enum RunError {
         /// Message of the panic.
         message: String,
     },
+    /// The system gives no thread.
+    #[error(
+        "[{heading}]: cannot start its thread; this user, or container, is at its limit of processes: raise it (`ulimit -u`)"
+    )]
+    Thread {
+        /// Heading.
+        heading: String,
+        /// Cause.
+        source: std::io::Error,
+    },
     /// Its user ended it.
     #[error("{kept} are kept; the same command goes on from there")]
     Interrupted {

@@ -82,7 +82,8 @@ impl Provenance {
                 inputs: inputs.map(|(name, input)| (name.clone(), ancestry.label(input))).collect(),
             })
         };
-        let rejects = if shelf.out().join(Reject::TABLE).is_dir() { rejects::rows(shelf)? } else { Vec::new() };
+        let has_rejects = shelf.names()?.iter().any(|view| view == Reject::TABLE);
+        let rejects = if has_rejects { rejects::rows(shelf)? } else { Vec::new() };
         let kinds = rejects::kinds(&rejects);
         let shown = kinds.iter().take(REASONS);
         Ok(Self {

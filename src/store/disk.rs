@@ -6,6 +6,7 @@
 
 use std::fs::Metadata;
 use std::io::{self, ErrorKind};
+use std::path::Path;
 
 #[cfg(test)]
 pub(crate) mod faults;
@@ -34,6 +35,30 @@ pub fn if_there(metadata: io::Result<Metadata>) -> io::Result<Option<Metadata>> 
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
         metadata => metadata.map(Some),
     }
+}
+
+/// Whether something is there; a link counts for what it leads to.
+///
+/// # Errors
+/// When it cannot be told.
+pub fn is_there(path: &Path) -> io::Result<bool> {
+    Ok(if_there(metadata(path))?.is_some())
+}
+
+/// Whether a folder is there, or a link to one.
+///
+/// # Errors
+/// When it cannot be told.
+pub fn is_folder(path: &Path) -> io::Result<bool> {
+    Ok(if_there(metadata(path))?.is_some_and(|metadata| metadata.is_dir()))
+}
+
+/// Whether a link is there.
+///
+/// # Errors
+/// When it cannot be told.
+pub fn is_link(path: &Path) -> io::Result<bool> {
+    Ok(if_there(symlink_metadata(path))?.is_some_and(|metadata| metadata.is_symlink()))
 }
 
 #[cfg(not(test))]

@@ -123,7 +123,7 @@ fn frame(shelf: &Shelf, view: &str, is_asked_for: bool) -> Result<LazyFrame, Que
 
 /// A table without parts: the campaign has nothing for it.
 fn empty(shelf: &Shelf, view: &str) -> Result<DataFrame, QueryError> {
-    let kind = shelf.table_of(view).unwrap_or_default();
+    let kind = shelf.table_of(view)?.unwrap_or_default();
     let schema = crate::tables::all().into_iter().find(|(table, _)| *table == kind).map(|(_, schema)| schema);
     let schema = schema.ok_or_else(|| QueryError::Refused(format!("table `{view}` is empty")))?;
     let bytes = ArrowWriter::try_new(Vec::new(), schema, None).and_then(ArrowWriter::into_inner);

@@ -144,7 +144,8 @@ impl Shelf {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
             entries => entries.at("read", &folder)?,
         };
-        let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+        let files = entries.map(|entry| Ok(entry.at("read", &folder)?.path()));
+        let mut files = files.collect::<Result<Vec<PathBuf>, StoreError>>()?;
         files.retain(|file| file.extension().is_some_and(|extension| extension == "json"));
         files.sort();
         let read = files.iter().map(|file| record::read(file));

@@ -129,11 +129,11 @@ impl Shelf {
 
     fn take(out: &Path, hold: Hold) -> Result<Self, StoreError> {
         let shelf = out.join(".shelf");
-        if shelf.is_symlink() {
+        if fs::is_link(&shelf).at("read", &shelf)? {
             return Err(StoreError::Linked(shelf));
         }
-        let foreign = !shelf.exists() && out.exists() && fs::read_dir(out).at("read", out)?.next().is_some();
-        if foreign {
+        let is_new = !fs::is_there(&shelf).at("read", &shelf)? && fs::is_there(out).at("read", out)?;
+        if is_new && fs::read_dir(out).at("read", out)?.next().is_some() {
             return Err(StoreError::Foreign(out.to_owned()));
         }
         fs::create_dir_all(&shelf).at("create", &shelf)?;
@@ -146,7 +146,7 @@ impl Shelf {
     /// # Errors
     /// When it is not a result folder.
     pub fn look(out: &Path) -> Result<Self, StoreError> {
-        if !out.join(".shelf").is_dir() {
+        if !fs::is_folder(&out.join(".shelf")).at("read", out)? {
             return Err(StoreError::Absent(out.to_owned()));
         }
         Ok(Self::imagine(out))
@@ -236,7 +236,7 @@ impl Shelf {
         let folder = self.root().join(stage.folder());
         fs::create_dir_all(&folder).at("create", &folder)?;
         let path = folder.join("stage.json");
-        if path.exists() { Ok(()) } else { self.write_json(&path, stage) }
+        if fs::is_there(&path).at("read", &path)? { Ok(()) } else { self.write_json(&path, stage) }
     }
 
     pub(super) fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), StoreError> {

@@ -23,7 +23,8 @@ impl Shelf {
         let path = self.out().join(view);
         match fs::read_link(&path) {
             Ok(target) => Ok(Some(target)),
-            Err(_) if view != SHELF && path.is_dir() => {
+            Err(error) if fs::is_link(&path).at("read", &path)? => Err(error).at("read", &path),
+            Err(_) if view != SHELF && fs::is_folder(&path).at("read", &path)? => {
                 let runs = self.runs()?;
                 let target = runs.iter().rev().find_map(|run| run.views.get(view)).cloned();
                 // A record is a file like others: what it says must not lead elsewhere.

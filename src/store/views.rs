@@ -92,7 +92,7 @@ impl Shelf {
         let linked = |(heading, stage, i, part): &(&str, &StageId, usize, &PartRecord)| {
             shows(&whole.join(format!("{heading}-{i:05}.parquet")), &self.part_file(stage, &part.lineage, table))
         };
-        if whole.exists() && files.iter().all(linked) {
+        if fs::is_there(&whole).at("read", &whole)? && files.iter().all(linked) {
             self.show(table, &PathBuf::from(".shelf").join(name))?;
             return Ok(rows);
         }
@@ -119,7 +119,7 @@ impl Shelf {
     /// Replaces a folder that differs from its record. Readers miss it during two renames, not during the removal of
     /// its files.
     fn replace(&self, temporary: &Path, whole: &Path) -> Result<(), StoreError> {
-        if whole.exists() {
+        if fs::is_there(whole).at("read", whole)? {
             let aside = self.temporary(&self.root());
             fs::rename(whole, &aside).at("replace", whole)?;
             fs::rename(temporary, whole).at("write", whole)?;
@@ -135,7 +135,7 @@ impl Shelf {
         let is_copy = match fs::read_link(&link) {
             Ok(present) if present == target => return Ok(()),
             Err(_) if self.is_copy(view, &link)? => true,
-            Err(_) if link.exists() => return Err(StoreError::InTheWay(link)),
+            Err(_) if fs::is_there(&link).at("read", &link)? => return Err(StoreError::InTheWay(link)),
             Ok(_) | Err(_) => false,
         };
         let temporary = self.root().join(format!("{}{view}", sweep::VIEW));
@@ -199,8 +199,8 @@ impl Shelf {
     /// When the folder cannot be read.
     pub fn tables(&self) -> Result<Vec<(String, TableRecord)>, StoreError> {
         let mut tables = Vec::new();
-        for entry in fs::read_dir(self.out()).at("read", self.out())?.flatten() {
-            let name = entry.file_name().to_string_lossy().into_owned();
+        for entry in fs::read_dir(self.out()).at("read", self.out())? {
+            let name = entry.at("read", self.out())?.file_name().to_string_lossy().into_owned();
             if let Some(record) = self.view(&name)? {
                 tables.push((name, record));
             }
@@ -215,7 +215,8 @@ impl Shelf {
     /// When the folder cannot be read.
     pub fn names(&self) -> Result<Vec<String>, StoreError> {
         let mut names: Vec<String> = self.tables()?.into_iter().map(|(view, _)| view).collect();
-        names.extend(Some(Reject::TABLE.to_owned()).filter(|rejects| self.out().join(rejects).is_dir()));
+        let rejects = self.out().join(Reject::TABLE);
+        names.extend(fs::is_folder(&rejects).at("read", &rejects)?.then(|| Reject::TABLE.to_owned()));
         Ok(names)
     }
 
@@ -233,18 +234,24 @@ impl Shelf {
         record::read(&self.out().join(whole).join("table.json"))
     }
 
-    /// Name of the table (main or side) that a view shows.
-    #[must_use]
-    pub fn table_of(&self, view: &str) -> Option<String> {
-        let target = self.target(view).ok()??;
-        Some(target.file_name()?.to_string_lossy().into_owned())
+    /// Name of the table (main or side) that a view shows; `None` if there is no such view.
+    ///
+    /// # Errors
+    /// When a record of a run is damaged, or the disk does not say.
+    pub fn table_of(&self, view: &str) -> Result<Option<String>, StoreError> {
+        let name = |target: PathBuf| Some(target.file_name()?.to_string_lossy().into_owned());
+        Ok(self.target(view)?.and_then(name))
     }
 
-    /// Time at which the table behind a view was completed.
-    #[must_use]
-    pub fn made(&self, view: &str) -> Option<std::time::SystemTime> {
-        let target = self.target(view).ok()??;
-        fs::metadata(self.out().join(target.parent()?).join("table.json")).ok()?.modified().ok()
+    /// Time at which the table behind a view was completed; `None` if there is no such view.
+    ///
+    /// # Errors
+    /// When a record of a run is damaged, or the disk does not say.
+    pub fn made(&self, view: &str) -> Result<Option<std::time::SystemTime>, StoreError> {
+        let Some(target) = self.target(view)? else { return Ok(None) };
+        let record = self.out().join(target).with_file_name("table.json");
+        let record_is = fs::if_there(fs::metadata(&record)).at("read", &record)?;
+        record_is.map(|metadata| metadata.modified().at("read", &record)).transpose()
     }
 
     /// Files of a view, in order. They belong to the present table even if a run switches the view before they are
@@ -264,7 +271,11 @@ impl Shelf {
         let missing = || StoreError::NoTable { out: self.out().to_owned(), heading: view.to_owned() };
         // Resolve the link first, in case a run switches the view meanwhile.
         let target = self.target(view)?.ok_or_else(missing)?;
-        let folder = fs::canonicalize(self.out().join(&target)).map_err(|_| missing())?;
+        let folder = self.out().join(&target);
+        if !fs::is_folder(&folder).at("read", &folder)? {
+            return Err(missing());
+        }
+        let folder = fs::canonicalize(&folder).at("read", &folder)?;
         let files = self.files_of(&target)?.ok_or_else(missing)?;
         Ok(files.into_iter().map(|(name, file)| (folder.join(name), file)).collect())
     }

@@ -35,8 +35,10 @@ impl WholeTable {
     /// # Errors
     /// When the folder cannot be read.
     pub fn names(&self) -> Result<Vec<String>, StoreError> {
-        let folders = entries(&self.folder)?.into_iter().filter(|path| path.is_dir());
-        Ok(folders.filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned())).collect())
+        Ok(folders(&self.folder)?
+            .iter()
+            .filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned()))
+            .collect())
     }
 
     /// Files of one of its tables, in order.
@@ -55,7 +57,7 @@ impl Shelf {
     /// When the shelf cannot be read, or a record is damaged.
     pub fn stored(&self) -> Result<Vec<StoredStage>, StoreError> {
         let mut stored = Vec::new();
-        for folder in entries(&self.out().join(".shelf"))?.into_iter().filter(|folder| folder.is_dir()) {
+        for folder in folders(&self.out().join(".shelf"))? {
             let (mut parts, mut tables) = (BTreeSet::new(), Vec::new());
             for path in entries(&folder)? {
                 let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -79,8 +81,14 @@ impl Shelf {
 
 /// Entries of a folder, sorted.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
-    let mut entries: Vec<PathBuf> =
-        fs::read_dir(folder).at("read", folder)?.flatten().map(|entry| entry.path()).collect();
+    let entries = fs::read_dir(folder).at("read", folder)?.map(|entry| Ok(entry.at("read", folder)?.path()));
+    let mut entries = entries.collect::<Result<Vec<PathBuf>, StoreError>>()?;
     entries.sort();
     Ok(entries)
+}
+
+/// Folders in a folder, sorted.
+fn folders(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
+    let is_folder = |path: PathBuf| Ok(fs::is_folder(&path).at("read", &path)?.then_some(path));
+    entries(folder)?.into_iter().filter_map(|path| is_folder(path).transpose()).collect()
 }

@@ -1,5 +1,5 @@
-//! The file of a manifest: JSON with one line per file, easy to read, to compare, and to delete a line. Each line has its
-//! own checksum.
+//! The file of a manifest: JSON with one line per file, easy to read, to compare, and to delete a line. Each line has
+//! its own checksum.
 
 use std::collections::BTreeMap;
 use std::io;

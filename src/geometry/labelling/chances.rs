@@ -119,7 +119,8 @@ impl Count {
     }
 }
 
-/// Arrivals of a profile and the paths that its record holds, the direct one among them, within the laser's first period.
+/// Arrivals of a profile and the paths that its record holds, the direct one among them, within the laser's first
+/// period.
 pub(super) struct Recorded {
     pub(super) arrivals: Vec<Time>,
     /// In order of time. An arrival's error is part of theirs: of how far it may lie from its path.

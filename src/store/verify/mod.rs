@@ -159,10 +159,10 @@ pub fn verify(shelf: &Shelf) -> Result<Report, StoreError> {
             "lock" | "notes" | "shards" => {}
             "runs" => runs(shelf, &path, &mut report)?,
             _ if sweep::is_unfinished(name.as_ref()) => report.notes.push(left_over(&path)),
-            _ if path.join(REJECTS_RECORD).exists() || name.starts_with("rejects-") => {
+            _ if is_there(&path.join(REJECTS_RECORD))? || name.starts_with("rejects-") => {
                 rejects(shelf, &path, &mut report)?
             }
-            _ if path.is_dir() => stages.push(StageFolder::read(shelf, path, &mut report)?),
+            _ if fs::is_folder(&path).at("read", &path)? => stages.push(StageFolder::read(shelf, path, &mut report)?),
             _ => report.notes.push(format!("{} is none of periscope's files", path.display())),
         }
     }
@@ -176,6 +176,10 @@ pub fn verify(shelf: &Shelf) -> Result<Report, StoreError> {
         .collect();
     name_tables(shelf, &mut report);
     Ok(report)
+}
+
+fn is_there(path: &Path) -> Result<bool, StoreError> {
+    fs::is_there(path).at("read", path)
 }
 
 /// Deletes damaged files.

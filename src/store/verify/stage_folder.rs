@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::{Report, entries, left_over, name, same_file, strays};
+use crate::store::disk as fs;
 use crate::store::failure::{At, StoreError};
 use crate::store::shelf::{PartRecord, Shelf, StageId, TableRecord};
 use crate::store::{Digest, parquet, sweep};
@@ -24,7 +25,7 @@ impl StageFolder {
     pub fn read(shelf: &Shelf, path: PathBuf, report: &mut Report) -> Result<Self, StoreError> {
         let mut folder = Self { path, id: None, parts: BTreeMap::new(), tables: BTreeMap::new() };
         let stage = folder.path.join("stage.json");
-        let remove = stage.exists().then(|| stage.clone()).into_iter().collect();
+        let remove = fs::is_there(&stage).at("read", &stage)?.then(|| stage.clone()).into_iter().collect();
         folder.id = report.record::<StageId>(shelf, &stage, remove)?;
         if folder.id.as_ref().is_some_and(|id| id.folder() != name(&folder.path)) {
             report.add(
@@ -49,7 +50,8 @@ impl StageFolder {
                 parts.push((path, lineage.to_owned()));
             } else if name.starts_with("part-") && name.ends_with(".parquet") {
                 let (part, _) = name.split_once('.').expect("it ends with .parquet");
-                if !folder.path.join(format!("{part}.json")).exists() {
+                let record = folder.path.join(format!("{part}.json"));
+                if !fs::is_there(&record).at("read", &record)? {
                     report.notes.push(format!("{} belongs to no finished part: no table shows it", path.display()));
                 }
             } else {
@@ -128,7 +130,10 @@ impl StageFolder {
             return Ok(());
         }
         report.counts.tables += 1;
-        for folder in entries(path)?.into_iter().filter(|entry| entry.is_dir()) {
+        for folder in entries(path)? {
+            if !fs::is_folder(&folder).at("read", &folder)? {
+                continue;
+            }
             let table = name(&folder);
             let is_part = |file: &str| {
                 let number = file.strip_prefix("part-").and_then(|file| file.strip_suffix(".parquet"));
@@ -151,7 +156,7 @@ impl StageFolder {
         }
         for part in record.parts.iter().filter(|part| self.parts.get(&part.lineage) != Some(part)) {
             let path = self.path.join(format!("part-{}.json", part.lineage));
-            if path.exists() {
+            if fs::is_there(&path).at("read", &path)? {
                 continue; // found where it lies
             }
             report.add(shelf, &path, "is gone, and a table needs it", Vec::new());

@@ -29,22 +29,23 @@ pub fn check(shelf: &Shelf, report: &mut Report) -> Result<(), StoreError> {
         report.notes.push(what.to_owned());
     }
     for path in entries(shelf.out())? {
-        let view = name(&path);
+        let (view, is_link) = (name(&path), fs::is_link(&path).at("read", &path)?);
         if view == SHELF {
-            if path.is_symlink() {
+            if is_link {
                 let fix = "put the folder in its place, or make all of the result folder a link";
                 report.add(shelf, &path, "is a link: `run` refuses it", Vec::new()).fixed_by(fix);
             }
-        } else if path.is_symlink() {
+        } else if is_link {
             link(shelf, &path, &view, views.as_ref(), report)?;
-        } else if path.is_dir() {
+        } else if fs::is_folder(&path).at("read", &path)? {
             copy(shelf, &path, &view, report)?;
         }
     }
     for (view, target) in views.iter().flatten() {
         let path = shelf.out().join(view);
         // Whoever releases a table deletes its view and then prunes the shelf.
-        if path.symlink_metadata().is_err() && shelf.out().join(target).is_dir() {
+        let is_gone = fs::if_there(fs::symlink_metadata(&path)).at("read", &path)?.is_none();
+        if is_gone && fs::is_folder(&shelf.out().join(target)).at("read", &path)? {
             let fix = "the next `run` shows it again; to release its table, `periscope tables --prune`";
             report.add(shelf, &path, "is gone: the last run left a view here", Vec::new()).fixed_by(fix);
         }
@@ -63,12 +64,13 @@ fn link(
     let target = fs::read_link(path).at("read", path)?;
     // A link on the way would lead out of the shelf.
     let mut way = shelf.out().to_owned();
-    let leaves = target.iter().any(|step| {
+    let mut leaves = false;
+    for step in &target {
         way.push(step);
-        way.is_symlink()
-    });
+        leaves |= fs::is_link(&way).at("read", &way)?;
+    }
     let left = views.map(|views| views.get(view));
-    let what = if !shown::is_table(&target) || leaves || !path.is_dir() {
+    let what = if !shown::is_table(&target) || leaves || !fs::is_folder(path).at("read", path)? {
         format!("leads to {}, where no table of this folder is", target.display())
     } else if left == Some(None) {
         "is a view that the last run did not leave".to_owned()

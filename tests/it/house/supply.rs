@@ -36,7 +36,7 @@ fn text<'a>(package: &'a Value, key: &str) -> &'a str {
 /// Whether one of the licences that an expression offers is allowed, where it demands several, of each.
 fn is_allowed(expression: &str, allowed: &BTreeSet<&str>) -> bool {
     let plain = expression.replace(['(', ')'], "").replace('/', " OR ");
-    plain.split(" AND ").all(|offered| offered.split(" OR ").any(|licence| allowed.contains(licence)))
+    plain.split(" AND ").all(|offered| offered.split(" OR ").any(|licence| allowed.contains(licence.trim())))
 }
 
 #[test]
