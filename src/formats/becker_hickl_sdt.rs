@@ -5,20 +5,25 @@
 //! modules measure from the photon to the next reference pulse. The position of that pulse on the axis depends on
 //! cables and delays, so that only differences between channels of one set-up have a meaning.
 //!
-//! Each curve is a record. A block holds one curve (DECAY) or a set of them (PAGE). Channels are named by module and
-//! number of the curve, those of FIFO measurements by their routing channel. Counts are u16, u32 or f64. Each read
-//! unpacks compressed blocks and checks their CRC-32 where they have one.
+//! Each curve is a record. A block holds one curve (DECAY), a set of them (PAGE) or an image (a PAGE or IMG block of as
+//! many curves as pixels). Channels are named by module and number of the curve, those of FIFO measurements by their
+//! routing channel. The curves of an image are the segments of one channel, row by row, and `shape` is rows and columns.
+//! Counts are u16, u32 or f64. Curves of a compressed block are unpacked one after the other; its CRC-32 is checked
+//! where it ends.
 //!
-//! Other contents (correlation curves, images, moments: FCS, FIDA, FILDA, MCS, IMG, MOM) are omitted next to curves,
-//! and refused by name where they are alone. Refused as well: curves of FIFO measurements before software 8.3, which
-//! share one block. Events (.spc) are not read. `acquired_at` is `None` where day and month of the date are ambiguous.
+//! Other contents (correlation curves, moments, images of other than histograms: FCS, FIDA, FILDA, MCS, MOM) are
+//! omitted next to curves, and refused by name where they are alone. Refused as well: curves of FIFO measurements
+//! before software 8.3, which share one block, and images of many more pixels than the file has bytes for. Measurement
+//! descriptions may be short: those of older software end before the routing channel or the size of an image.
+//! `acquired_at` is `None` where day and month of the date are ambiguous.
 //!
-//! Source: SPC_data_file_structure.h, which comes with the vendor's software. Tested on files that the tests build, for
-//! which `sdtfile` reads the same counts and times.
+//! Source: SPC_data_file_structure.h, which comes with the vendor's software. Tested on a real FIFO image of an SPC-160
+//! (512 x 512 curves, compressed), all of whose counts and times equal those of `sdtfile`; the rest on files that the
+//! tests build, for which it reads the same.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
-use self::packed::Packed;
+use self::packed::{Packed, Part};
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
 
@@ -30,11 +35,12 @@ pub struct BeckerHicklSdt;
 /// Length of the file's header, and of a block's.
 const HEADER_BYTES: u64 = 42;
 const BLOCK_HEADER_BYTES: u64 = 22;
-/// Bytes of a measurement description that are read.
-const DESCRIPTION_BYTES: u64 = 309;
-/// `header_valid` and `chksum` of the header.
+/// Bytes of a measurement description: the least that have a time base, and those that are read where they are.
+const DESCRIPTION_LEAST: u64 = 133;
+const DESCRIPTION_BYTES: u64 = 325;
+/// `header_valid` of the header, and the sum of its 16 bit words, `chksum` included.
 const VALID: u16 = 0x5555;
-const CHECKSUM: u16 = 0x55AA;
+const SUM: u16 = 0x55AA;
 /// The revision from which offsets have 40 bits.
 const REVISION_LONG_OFFSETS: u16 = 15;
 /// Number of blocks that means that another field holds the number.
@@ -45,10 +51,19 @@ const FIFO_DATA_FROM_FILE: u16 = 9;
 const CONTENTS: u16 = 0xF0;
 const DECAY: u16 = 0x00;
 const PAGE: u16 = 0x10;
+const IMAGE: u16 = 0x60;
 const NUMBERS: u16 = 0xF00;
 const COMPRESSED: u16 = 0x1000;
-/// Approximate memory of a record with its head, in bytes.
+/// Approximate memory of a record with its own head, in bytes.
 const RECORD_BYTES: u64 = 640;
+/// Bytes of the counters of an `Arc`.
+const COUNTERS: usize = 16;
+
+/// Whether the words of the header have the sum that the instrument's software gives them.
+fn is_whole(header: &[u8]) -> bool {
+    let words = header.chunks_exact(2).map(|word| u16::from_le_bytes([word[0], word[1]]));
+    words.fold(0_u16, u16::wrapping_add) == SUM
+}
 
 fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
     FormatError::Field { byte_offset, problem: problem.into() }
@@ -94,7 +109,7 @@ impl Reader for BeckerHicklSdt {
         &["sdt"]
     }
     fn recognises(&self, head: &[u8]) -> bool {
-        head.get(32..34) == Some(&VALID.to_le_bytes()) && head.get(40..42) == Some(&CHECKSUM.to_le_bytes())
+        head.get(32..34) == Some(&VALID.to_le_bytes()) && head.get(..HEADER_BYTES as usize).is_some_and(is_whole)
     }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
@@ -136,10 +151,13 @@ struct File {
 impl File {
     fn read(input: &mut dyn Input) -> Result<Self, FormatError> {
         let header = Fields::read(input, "the header", 0, HEADER_BYTES)?;
-        let (valid, checksum) = (header.u16(32), header.u16(40));
-        if valid != VALID || checksum != CHECKSUM {
-            let problem = format!("header_valid = {valid:#06x}, chksum = {checksum:#06x}: the file was not completed");
-            return Err(header.refuse(32, problem));
+        let valid = header.u16(32);
+        if valid != VALID {
+            return Err(header.refuse(32, format!("header_valid = {valid:#06x}: the file was not completed")));
+        }
+        if !is_whole(&header.bytes) {
+            let problem = "chksum: the words of the header do not add up to 0x55aa; copy the file again";
+            return Err(header.refuse(40, problem));
         }
         let blocks = match header.u16(18) {
             MANY_BLOCKS => u64::from(header.u32(34)),
@@ -151,18 +169,27 @@ impl File {
             return Err(header.refuse(18, problem));
         }
         let description_bytes = u64::from(header.u16(30));
-        if description_bytes < DESCRIPTION_BYTES {
+        if description_bytes < DESCRIPTION_LEAST {
             let problem = format!("meas_desc_block_length = {description_bytes}: such old files are not read");
             return Err(header.refuse(30, problem));
         }
-        Ok(Self {
+        let file = Self {
             revision: header.u16(0) & 0xF,
             first_block: header.offset(14, "data_block_offs")?,
             blocks,
             descriptions: header.offset(24, "meas_desc_block_offs")?,
             description_count: header.u16(28),
             description_bytes,
-        })
+        };
+        let descriptions = u64::from(file.description_count) * description_bytes;
+        for (start, bytes) in [
+            (header.offset(2, "info_offs")?, u64::from(header.u16(6))),
+            (header.offset(8, "setup_offs")?, u64::from(header.u16(12))),
+            (file.descriptions, descriptions),
+        ] {
+            input.uses(start..(start + bytes).min(input.length()));
+        }
+        Ok(file)
     }
 }
 
@@ -191,7 +218,10 @@ impl Block {
             return Err(header.refuse(12, problem));
         }
         let place = file.descriptions + u64::from(number) * file.description_bytes;
-        let description = Fields::read(input, "a measurement description", place, DESCRIPTION_BYTES)?;
+        let known = file.description_bytes.min(DESCRIPTION_BYTES);
+        let mut description = Fields::read(input, "a measurement description", place, known)?;
+        // Older software does not have the last fields; zeros say so.
+        description.bytes.resize(DESCRIPTION_BYTES as usize, 0);
         let (kind, length) = (header.u16(10), u64::from(header.u32(18)));
         Ok(Self { header, description, kind, data, next, length })
     }
@@ -200,12 +230,12 @@ impl Block {
     fn contents(&self) -> Option<&'static str> {
         match self.kind & CONTENTS {
             DECAY if self.is_fifo() && self.kind & NUMBERS == 0 => Some("curves of software before 8.3"),
-            DECAY | PAGE => None,
+            DECAY | PAGE | IMAGE => None,
             0x20 => Some("FCS correlations"),
             0x30 => Some("FIDA histograms"),
             0x40 => Some("FILDA histograms"),
             0x50 | 0x70 => Some("MCS histograms"),
-            0x60 | 0x80 | 0xA0 => Some("FIFO images"),
+            0x80 | 0xA0 | 0xB0 | 0xC0 => Some("FIFO images of other than histograms"),
             0x90 => Some("moments"),
             _ => Some("contents that are not known"),
         }
@@ -225,7 +255,12 @@ impl Block {
     }
 
     /// Appends its curves, one record each.
-    fn curves(&self, input: &dyn Input, format: &'static str, records: &mut Vec<Record>) -> Result<(), FormatError> {
+    fn curves(
+        &self,
+        input: &mut dyn Input,
+        format: &'static str,
+        records: &mut Vec<Record>,
+    ) -> Result<(), FormatError> {
         let code_type = self.code_type()?;
         let bins = match self.description.u16(82) {
             0 => 65536,
@@ -237,31 +272,53 @@ impl Block {
             let problem = format!("block_length = {} is no number of curves of adc_re = {bins} bins", self.length);
             return Err(self.header.refuse(18, problem));
         }
-        let room = (3 * input.length() + (1 << 19)) / RECORD_BYTES;
-        if curves.saturating_add(records.len() as u64) > room {
-            let problem = format!("block_length: {curves} curves are an image; sum its pixels before it is exported");
+        let image = self.image(curves);
+        let most = match image {
+            Some(_) => (4 * input.length() + (1 << 19)) / (size_of::<Record>() + size_of::<Part>() + COUNTERS) as u64,
+            None => (3 * input.length() + (1 << 19)) / RECORD_BYTES,
+        };
+        if curves.saturating_add(records.len() as u64) > most.min(u64::from(u32::MAX)) {
+            let problem = format!(
+                "block_length: an image of {curves} curves needs more memory than its file; sum pixels (spatial \
+                 binning) before it is exported"
+            );
             return Err(self.header.refuse(18, problem));
         }
-        let packed = self.place(input)?;
+        let packed = self.place(input, curve_bytes)?.map(Arc::new);
         let head = self.head(format, code_type, bins as usize)?;
+        let of_image = image.map(|shape| Arc::new(Head { shape, channel: Some(self.module()), ..head.clone() }));
         records.reserve_exact(curves as usize);
-        for curve in 0..curves {
-            let payload = match packed {
-                Some(packed) => Payload::Packed(Arc::new(packed.part(curve * curve_bytes, curve_bytes, code_type))),
+        for curve in 0..curves as u32 {
+            let payload = match &packed {
+                Some(block) => Payload::Packed(Arc::new(Part { block: Arc::clone(block), curve })),
                 None => Payload::File {
-                    byte_offset: self.data + curve * curve_bytes,
+                    byte_offset: self.data + u64::from(curve) * curve_bytes,
                     stride: code_type.bytes() as u64,
                     big_endian: false,
                 },
             };
-            let head = Arc::new(Head { channel: Some(self.channel(curve)), ..head.clone() });
-            records.push(Record { head, segment: None, t0_s: Some(0.0), trigger_s: None, payload });
+            let own = || Arc::new(Head { channel: Some(self.channel(curve.into())), ..head.clone() });
+            let (segment, head) = (of_image.is_some().then_some(curve), of_image.clone().unwrap_or_else(own));
+            records.push(Record { head, segment, t0_s: Some(0.0), trigger_s: None, payload });
         }
         Ok(())
     }
 
+    /// Rows and columns, if its curves are the pixels of an image.
+    fn image(&self, curves: u64) -> Option<Vec<usize>> {
+        let length = |at: usize| u64::from(self.description.u32(at));
+        // Columns and rows of the scanner, for each routing channel; then those of a FIFO image.
+        let sizes = [(173, 177, 181, 185), (309, 313, 317, 321)];
+        let shape = sizes.into_iter().find_map(|(x, y, rx, ry)| {
+            let (x, y, routed) = (length(x), length(y), length(rx).max(1).checked_mul(length(ry).max(1))?);
+            (x.checked_mul(y)?.checked_mul(routed)? == curves).then_some([routed, y, x])
+        })?;
+        let is_image = curves > 1 && shape[1] * shape[2] > 1;
+        is_image.then(|| shape.iter().map(|length| *length as usize).skip(usize::from(shape[0] == 1)).collect())
+    }
+
     /// Checks that the data is within the file; returns the archive if the data is compressed.
-    fn place(&self, input: &dyn Input) -> Result<Option<Packed>, FormatError> {
+    fn place(&self, input: &mut dyn Input, curve_bytes: u64) -> Result<Option<Packed>, FormatError> {
         let (what, byte_offset, length) = ("a data block", self.data, input.length());
         if self.kind & COMPRESSED == 0 {
             return match self.data.checked_add(self.length) {
@@ -274,7 +331,8 @@ impl Block {
             let needed = end.saturating_sub(self.data);
             return Err(FormatError::Truncated { what, byte_offset, needed, length });
         }
-        let packed = Packed { start: self.data, end, unpacked: self.length };
+        input.uses(self.data..end);
+        let packed = Packed { start: self.data, end, unpacked: self.length, curve_bytes, resumed: Mutex::new(None) };
         if packed.is_possible() {
             return Ok(Some(packed));
         }
@@ -301,14 +359,18 @@ impl Block {
         })
     }
 
+    /// The module that counted.
+    fn module(&self) -> String {
+        format!("M{}", (self.header.u32(14) >> 24 & 3) + 1)
+    }
+
     /// Module and number of a curve, from 1; for FIFO measurements the routing channel, from 0.
     fn channel(&self, curve: u64) -> String {
-        let number = self.header.u32(14);
-        let module = (number >> 24 & 3) + 1;
+        let (number, module) = (self.header.u32(14), self.module());
         if self.is_fifo() {
-            return format!("M{module} routing {}", u64::from(self.description.u16(271)) + curve);
+            return format!("{module} routing {}", u64::from(self.description.u16(271)) + curve);
         }
-        format!("M{module} curve {}", u64::from(number & 0xFF_FFFF) + curve)
+        format!("{module} curve {}", u64::from(number & 0xFF_FFFF) + curve)
     }
 
     fn acquired_at(&self) -> Option<String> {

@@ -16,6 +16,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use super::accounting::cut_short;
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Payload, Record};
 
@@ -29,6 +30,8 @@ const BOARDS: u32 = 32;
 const CHANNELS: u32 = 64;
 /// Bytes of the longest event that is accepted: no board records more than 100 million samples per channel.
 const MAX_EVENT: u32 = 200_000_000;
+/// Events after which the counter of a board begins anew.
+const COUNTER_WRAPS: u32 = 1 << 24;
 /// Largest code of any board with 16 bit codes.
 const MAX_CODE: u16 = (1 << 14) - 1;
 /// Bytes of the first event that are searched for codes beyond `MAX_CODE`.
@@ -53,23 +56,41 @@ impl Reader for CaenWavedump {
     }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let mut first = None;
+        let (mut first, mut last) = (None, None);
         let mut count = 0_usize;
         // Counted before any record is kept: a growing vector could take more memory than the file is long.
         let mut at = 0;
-        while at < input.length() {
-            let event = Event::read(input, at, first)?;
+        let end = loop {
+            if at == input.length() {
+                break at;
+            }
+            let event = match Event::read(input, at, first) {
+                Err(FormatError::Truncated { .. }) if count > 0 => {
+                    input.uses(at..input.length());
+                    input.remark(at, cut_short("event", count as u64));
+                    break at;
+                }
+                event => event?,
+            };
             if first.is_none() {
                 sixteen_bits(input, event)?;
             }
             first.get_or_insert(event);
+            if last.is_some_and(|last| event.repeats(last)) {
+                let problem = format!(
+                    "event counter {} comes after a later one: is the file put together of two?",
+                    event.counter
+                );
+                input.remark(at + 16, problem);
+            }
+            last = Some(event.counter);
             at += u64::from(event.bytes);
             count += 1;
-        }
+        };
         let mut heads = BTreeMap::new();
         let mut records = Vec::with_capacity(count);
         at = 0;
-        while at < input.length() {
+        while at < end {
             let event = Event::read(input, at, first)?;
             let head = heads.entry(event.samples()).or_insert_with(|| Arc::new(self.head(event)));
             let segment = u32::try_from(records.len()).map_err(|_| field(at, "has more events than are counted"))?;
@@ -106,6 +127,7 @@ struct Event {
     bytes: u32,
     board: u32,
     channel: u32,
+    counter: u32,
 }
 
 impl Event {
@@ -114,16 +136,21 @@ impl Event {
             |i: usize| head.get(4 * i..4 * i + 4).map(|word| u32::from_le_bytes(word.try_into().expect("four bytes")));
         // Reading the last word ensures that the header is complete.
         word(5)?;
-        Some(Self { bytes: word(0)?, board: word(1)?, channel: word(3)? })
+        Some(Self { bytes: word(0)?, board: word(1)?, channel: word(3)?, counter: word(4)? })
     }
 
     fn samples(self) -> usize {
         (self.bytes as usize - HEAD as usize) / 2
     }
 
+    /// Whether its counter does not go on from that of the event before it. A counter that wraps falls far.
+    fn repeats(self, last: u32) -> bool {
+        self.counter <= last && last - self.counter < COUNTER_WRAPS / 2
+    }
+
     /// What is wrong with the event: where in the header, and how.
     fn problem(self, first: Option<Self>) -> Option<(u64, String)> {
-        let Self { bytes, board, channel } = self;
+        let Self { bytes, board, channel, .. } = self;
         if !(26..=MAX_EVENT).contains(&bytes) || bytes % 2 == 1 {
             let problem = format!(
                 "event size {bytes} is none of an event of 16 bit codes with its head of 24 bytes; record with \
@@ -146,7 +173,7 @@ impl Event {
 
     fn read(input: &mut dyn Input, at: u64, first: Option<Self>) -> Result<Self, FormatError> {
         let length = input.length();
-        let bytes = input.bytes("an event's head", at, HEAD)?;
+        let bytes = input.peek("an event's head", at, HEAD)?;
         let event = Self::parse(&bytes).expect("24 bytes are a head");
         if let Some((offset, problem)) = event.problem(first) {
             return Err(field(at + offset, problem));
@@ -155,13 +182,14 @@ impl Event {
         if at.checked_add(needed).is_none_or(|end| end > length) {
             return Err(FormatError::Truncated { what: "an event", byte_offset: at, needed, length });
         }
+        input.uses(at..at + needed);
         Ok(event)
     }
 }
 
 /// Refuses codes that are not 16 bit integers: pairs of bytes, or floats.
 fn sixteen_bits(input: &mut dyn Input, event: Event) -> Result<(), FormatError> {
-    let codes = input.bytes("the first event", HEAD, (u64::from(event.bytes) - HEAD).min(LOOKED_AT))?;
+    let codes = input.peek("the first event", HEAD, (u64::from(event.bytes) - HEAD).min(LOOKED_AT))?;
     let beyond = codes.chunks_exact(2).position(|code| u16::from_le_bytes([code[0], code[1]]) > MAX_CODE);
     match beyond {
         None => Ok(()),
@@ -239,8 +267,8 @@ mod tests {
     #[test]
     fn what_is_wrong_is_said() {
         let two = two_events();
-        assert!(error(two[..50].to_vec()).contains("an event's head needs 24 bytes from byte 30"));
-        assert!(error(two[..two.len() - 1].to_vec()).contains("cut short: an event needs 32 bytes"));
+        assert!(error(two[..20].to_vec()).contains("an event's head needs 24 bytes from byte 0"));
+        assert!(error(two[..29].to_vec()).contains("cut short: an event needs 30 bytes"));
         assert!(error([event(0, 1, 0, &[1]), event(0, 2, 1, &[1])].concat()).contains("byte 38: channel 2"));
         assert!(error([event(0, 1, 0, &[1]), event(3, 1, 1, &[1])].concat()).contains("board ID 3"));
         assert!(error(event(0, 1, 0, &[])).contains("event size 24"));
@@ -248,6 +276,19 @@ mod tests {
         let mut odd = event(0, 1, 0, &[1, 1]);
         odd[0] -= 1;
         assert!(error(odd).contains("event size 27"));
+    }
+
+    /// An interrupted run ends anywhere: the whole events are read, and the rest is reported once.
+    #[test]
+    fn whole_events_before_a_cut_are_read() {
+        let two = two_events();
+        for length in [31, 50, two.len() - 1] {
+            let mut source = Source::new(Cursor::new(two[..length].to_vec()), Path::new("wave5.dat")).unwrap();
+            let contents = crate::contents(&mut source).unwrap();
+            assert_eq!((contents.records.len(), contents.remarks.len()), (1, 1));
+            assert!(contents.remarks[0].problem.contains("within event 1"), "{:?}", contents.remarks);
+            assert_eq!(contents.remarks[0].byte_offset, 30);
+        }
     }
 
     #[test]

@@ -82,11 +82,57 @@ pub fn refusal(reader: &dyn Reader, bytes: &[u8]) -> String {
 pub fn cut_everywhere(reader: &dyn Reader, bytes: &[u8]) {
     let whole = decode(reader, bytes);
     leave_seed(reader, bytes);
+    surplus_is_reported(reader, bytes);
     for length in 0..bytes.len() {
         for (i, (_, values)) in read(reader, &bytes[..length]).unwrap_or_default().into_iter().enumerate() {
             assert_eq!(values, whole[i].1, "record {i}, cut to {length} bytes");
         }
     }
+}
+
+/// Adds bytes to a file: at its end, as a second copy of it, and at every place within it. The reader must refuse each,
+/// or the file's remarks must say so.
+///
+/// # Panics
+/// When it says nothing.
+pub fn surplus_is_reported(reader: &dyn Reader, bytes: &[u8]) {
+    appended_is_reported(reader, bytes);
+    let step = (bytes.len() / 500).max(1);
+    for at in (0..bytes.len()).step_by(step) {
+        let (start, end) = bytes.split_at(at);
+        for put_in in [&[0xA5; 16][..], &[1, 2, 3]] {
+            is_reported(reader, bytes, &[start, put_in, end].concat(), &format!("{put_in:?} put in at byte {at}"));
+        }
+    }
+}
+
+/// Pads a file and doubles it, as [`surplus_is_reported`]. (In a head of text, what is put in may be part of a name.)
+///
+/// # Panics
+/// When the reader says nothing.
+pub fn appended_is_reported(reader: &dyn Reader, bytes: &[u8]) {
+    let before = remarks(reader, bytes).expect("a file that is all right");
+    assert!(before.iter().all(|remark| !remark.problem.contains("belong")), "{}: {before:?}", reader.format());
+    for count in [1, 7, 4096] {
+        is_reported(reader, bytes, &[bytes, &vec![0; count]].concat(), "padded");
+    }
+    is_reported(reader, bytes, &[bytes, bytes].concat(), "doubled");
+}
+
+fn is_reported(reader: &dyn Reader, bytes: &[u8], changed: &[u8], how: &str) {
+    let (before, after) = (remarks(reader, bytes), remarks(reader, changed));
+    assert!(
+        after.is_none() || after != before,
+        "{}: {how} without a word: {:02x?}",
+        reader.format(),
+        &bytes[..bytes.len().min(4)]
+    );
+}
+
+/// What is said about a file, if it is not refused.
+fn remarks(reader: &dyn Reader, bytes: &[u8]) -> Option<Vec<crate::Remark>> {
+    let mut source = source(bytes);
+    reader.records(&mut source).ok().map(|records| source.remarks(&records))
 }
 
 /// Saves a file that a test built as a seed for the fuzzer (`tests/fuzz/run`), where the environment asks for it.

@@ -68,10 +68,16 @@ impl Maker {
     pub fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let (walk, file_size, count) = Walk::start(self, input)?;
         let (traces, end) = walk.waveforms(input, count)?;
+        let Some(end) = end else { return Ok(records(traces)) };
+        let length = input.length();
+        if file_size > length {
+            let what = "the whole file (File Size)";
+            return Err(FormatError::Truncated { what, byte_offset: 0, needed: file_size, length });
+        }
         // The File Size of `RG01` may be too small, so waveforms that fill the file are accepted whatever it says.
         // Bytes after the last waveform are ignored only if the File Size excludes them.
-        if end != input.length() && end != file_size {
-            let left = input.length() - end;
+        if end != length && end != file_size {
+            let left = length - end;
             let problem = format!("Number of Waveforms = {count}, but {left} bytes follow the last of them");
             return Err(field(end, format!("{problem}; save the file again")));
         }

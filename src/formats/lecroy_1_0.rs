@@ -13,7 +13,7 @@
 
 use std::sync::Arc;
 
-use super::lecroy_trc::{TRIGGER_BYTES, acquired_at, position, trigger_times};
+use super::lecroy_trc::{TRIGGER_BYTES, acquired_at, before, line_end, position, trigger_times};
 use super::numbers::Numbers;
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
@@ -46,12 +46,13 @@ impl Reader for Lecroy10 {
         descriptor(head).is_some()
     }
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let head = input.bytes("the head", 0, input.length().min(SEARCH_BYTES + DESCRIPTOR))?;
+        let head = input.peek("the head", 0, input.length().min(SEARCH_BYTES + DESCRIPTOR))?;
         let start = descriptor(&head).ok_or_else(|| FormatError::Field {
             byte_offset: 0,
             problem: "no WAVEDESC block of the template LECROY_1_0: this is no trace of a 7200A, or its head is lost"
                 .into(),
         })?;
+        before(input, &head[..start]);
         Descriptor::read(input, start as u64)?.records(input, self.format())
     }
 }
@@ -110,6 +111,8 @@ impl Descriptor {
             let problem = format!("SUBARRAY_COUNT = {segments} is more segments than {count} points make sense for");
             return Err(self.0.refuse(108, problem));
         }
+        input.uses(self.0.origin..blocks.data);
+        line_end(input, blocks.data + blocks.length)?;
         let head = Arc::new(self.head(code_type, (count / segments) as usize, format)?);
         let record = |(i, (trigger_s, t0_s)): (usize, (Option<f64>, f64))| Record {
             head: Arc::clone(&head),

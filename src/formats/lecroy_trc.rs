@@ -3,11 +3,12 @@
 //!
 //! Offsets count from the bytes `WAVEDESC`. Source: LeCroy's remote control manual (the template that the instrument
 //! prints on `TMPL?`). The older template LECROY_1_0 has a reader of its own. Other templates are refused by name, and
-//! so are RIS and dual arrays.
+//! so are RIS and dual arrays. Some firmware leaves SUBARRAY_COUNT at 0 in a sequence: the trigger times count then.
 
 use std::io::Write;
 use std::sync::Arc;
 
+use super::accounting::cut_short;
 use super::numbers::{Numbers, text};
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Payload, Record, Scale};
@@ -36,15 +37,32 @@ impl Reader for LecroyTrc {
             .is_some_and(|at| !head[at..].get(16..).is_some_and(|template| template.starts_with(b"LECROY_1_0")))
     }
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let head = input.bytes("the head", 0, input.length().min(SEARCH_BYTES))?;
+        let head = input.peek("the head", 0, input.length().min(SEARCH_BYTES))?;
         let start = position(&head)
             .ok_or_else(|| field(0, "no WAVEDESC block: this is no LeCroy waveform, or its head is lost"))?;
+        before(input, &head[..start]);
         Descriptor::read(input, start as u64)?.records(input, self.format())
     }
 }
 
 pub(super) fn position(head: &[u8]) -> Option<usize> {
     head.windows(MARK.len()).take(SEARCH_BYTES as usize).position(|window| window == MARK)
+}
+
+/// Counts what stands before the descriptor, if it is the head of a block (`#9...`) or the text of a query.
+pub(super) fn before(input: &mut dyn Input, head: &[u8]) {
+    if head.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace()) {
+        input.uses(0..head.len() as u64);
+    }
+}
+
+/// Counts the end of the line after a block, which transfers over SCPI leave.
+pub(super) fn line_end(input: &mut dyn Input, end: u64) -> Result<(), FormatError> {
+    let left = input.length().saturating_sub(end);
+    if (1..=2).contains(&left) && input.peek("the end", end, left)?.iter().all(|byte| b"\r\n".contains(byte)) {
+        input.uses(end..end + left);
+    }
+    Ok(())
 }
 
 fn field(byte_offset: u64, problem: impl Into<String>) -> FormatError {
@@ -126,7 +144,8 @@ impl Descriptor {
         };
         let blocks = self.blocks()?;
         let data = self.0.origin + blocks[..6].iter().sum::<u64>();
-        let (count, segments) = (self.count(116, "WAVE_ARRAY_COUNT")?, self.count(144, "SUBARRAY_COUNT")?.max(1));
+        let count = self.count(116, "WAVE_ARRAY_COUNT")?;
+        let segments = self.segments(input, blocks, count)?;
         if count * code_type.bytes() as u64 != blocks[6] {
             return Err(self.0.refuse(
                 116,
@@ -139,7 +158,13 @@ impl Descriptor {
                 format!("{count} points are no whole number of samples for each of {segments} segments"),
             ));
         }
-        if data + blocks[6] > input.length() {
+        let segment_bytes = blocks[6] / segments;
+        let whole = input.length().saturating_sub(data) / segment_bytes;
+        if whole < segments && segments > 1 && whole > 0 {
+            let end = data + whole * segment_bytes;
+            input.uses(end..input.length());
+            input.remark(end, cut_short("segment", whole));
+        } else if whole < segments {
             return Err(FormatError::Truncated {
                 what: "WAVE_ARRAY_1",
                 byte_offset: data,
@@ -147,9 +172,10 @@ impl Descriptor {
                 length: input.length(),
             });
         }
+        input.uses(self.0.origin..data);
+        line_end(input, data + blocks[6])?;
         let head = Arc::new(self.head(code_type, (count / segments) as usize, format)?);
         let triggers = self.triggers(input, blocks, segments)?;
-        let segment_bytes = blocks[6] / segments;
         let record = |(i, (trigger_s, t0_s)): (usize, (Option<f64>, f64))| Record {
             head: Arc::clone(&head),
             segment: (segments > 1).then_some(i as u32),
@@ -161,7 +187,22 @@ impl Descriptor {
                 big_endian: self.0.big_endian,
             },
         };
-        Ok(triggers.into_iter().enumerate().map(record).collect())
+        Ok(triggers.into_iter().take(whole as usize).enumerate().map(record).collect())
+    }
+
+    /// The number of segments: `SUBARRAY_COUNT`, or, where that is 0, one for each trigger time.
+    fn segments(&self, input: &mut dyn Input, blocks: [u64; 7], count: u64) -> Result<u64, FormatError> {
+        let segments = self.count(144, "SUBARRAY_COUNT")?;
+        let times = blocks[3] / TRIGGER_BYTES;
+        if segments > 0 || times < 2 || blocks[3] % TRIGGER_BYTES != 0 || count % times != 0 {
+            return Ok(segments.max(1));
+        }
+        let problem = format!(
+            "SUBARRAY_COUNT = 0 beside {times} trigger times: read as {times} segments of {} samples",
+            count / times
+        );
+        input.remark(self.0.origin + 144, problem);
+        Ok(times)
     }
 
     fn head(&self, code_type: CodeType, samples: usize, format: &'static str) -> Result<Head, FormatError> {
@@ -363,4 +404,54 @@ pub fn write_sequence(
         out.write_all(&codes)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hostile::{source, surplus_is_reported};
+
+    /// Segments of 40 codes.
+    fn sequence(segments: usize) -> Vec<u8> {
+        let head = SequenceHead {
+            instrument: "LECROYSIM".to_owned(),
+            channel: 1,
+            gain_v: 0.25,
+            offset_v: -0.5,
+            dt_s: 5e-11,
+            bits: 8,
+            acquired: Acquired { year: 2026, month: 3, day: 4, hour: 5, minute: 6, second: 7.25 },
+        };
+        let segment = |i: usize| (1e-3 * i as f64, -1e-9 * i as f64, vec![i as i16; 40]);
+        let mut bytes = Vec::new();
+        write_sequence(&mut bytes, &head, &(0..segments).map(segment).collect::<Vec<_>>()).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn bytes_that_no_block_counts_are_reported() {
+        surplus_is_reported(&LecroyTrc, &sequence(1));
+        surplus_is_reported(&LecroyTrc, &sequence(4));
+    }
+
+    #[test]
+    fn whole_segments_before_a_cut_are_read() {
+        let bytes = sequence(4);
+        let contents = crate::contents(&mut source(&bytes[..bytes.len() - 50])).unwrap();
+        assert_eq!((contents.records.len(), contents.remarks.len()), (2, 1));
+        assert!(contents.remarks[0].problem.contains("within segment 2"), "{:?}", contents.remarks);
+        assert!(crate::contents(&mut source(&sequence(1)[..380])).unwrap_err().to_string().contains("cut short"));
+    }
+
+    /// Some firmware does not count the segments of a sequence: there is one for each trigger time.
+    #[test]
+    fn segments_that_are_not_counted_are_those_of_the_trigger_times() {
+        let mut bytes = sequence(4);
+        let at = 11 + 144;
+        bytes[at..at + 4].fill(0);
+        let contents = crate::contents(&mut source(&bytes)).unwrap();
+        assert_eq!((contents.records.len(), contents.remarks.len()), (4, 1));
+        assert_eq!((contents.records[3].head.samples, contents.records[3].t0_s), (40, Some(-1e-9 * 3.0)));
+        assert_eq!(contents.remarks[0].byte_offset, at as u64);
+    }
 }

@@ -55,6 +55,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`waveform`] | [`Record`]: head, time base, scale, and where its codes lie |
+//! | [`accounting`] | which bytes of a file were used, and what is said of the others ([`Remark`]) |
 //! | [`mod@reader`] | the trait [`Reader`], the file as a reader sees it ([`Source`]), [`FormatError`] |
 //! | [`companions`] | the second file of formats that keep head and samples apart |
 //! | [`lecroy_trc`], [`lecroy_1_0`] | Teledyne LeCroy |
@@ -83,6 +84,7 @@
 //! No averaging, no plots, no conversion to picoseconds; no instrument control. Logic levels, spectra and envelopes are
 //! read and named ([`Kind`](waveform::Kind)), but arrival times cannot be taken from them.
 
+pub mod accounting;
 pub mod array;
 pub mod becker_hickl_sdt;
 pub mod caen_wavedump;
@@ -113,6 +115,7 @@ mod zip_file;
 
 use std::io::{Read, Seek};
 
+pub use accounting::Remark;
 pub use reader::{FormatError, Input, Joined, Reader, Source};
 
 use crate::waveform::Record;
@@ -157,10 +160,29 @@ pub fn reader<F: Read + Seek>(source: &mut Source<F>) -> Result<&'static dyn Rea
     by_content.or_else(by_name).ok_or(FormatError::Unknown)
 }
 
-/// Returns the records of a file. It reads the headers, and samples only where they are text.
+/// The records of a file, and what is to be said about it.
+#[derive(Debug)]
+pub struct Contents {
+    /// The records.
+    pub records: Vec<Record>,
+    /// Bytes that belong to none of them, and what else they do not show.
+    pub remarks: Vec<Remark>,
+}
+
+/// Returns the records of a file with remarks about it. It reads the headers, and samples only where they are text.
+///
+/// # Errors
+/// When no reader recognises the file, or when its reader refuses it.
+pub fn contents<F: Read + Seek>(source: &mut Source<F>) -> Result<Contents, FormatError> {
+    let records = reader(source)?.records(source)?;
+    let remarks = source.remarks(&records);
+    Ok(Contents { records, remarks })
+}
+
+/// Returns the records of a file, as [`contents`] does.
 ///
 /// # Errors
 /// When no reader recognises the file, or when its reader refuses it.
 pub fn records<F: Read + Seek>(source: &mut Source<F>) -> Result<Vec<Record>, FormatError> {
-    reader(source)?.records(source)
+    Ok(contents(source)?.records)
 }

@@ -28,11 +28,12 @@ impl Reader for Npy {
     }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let bytes = input.bytes("the header", 0, input.length().min(HEADER_BYTES))?;
+        let bytes = input.peek("the header", 0, input.length().min(HEADER_BYTES))?;
         let Some(array) = Array::read(&bytes, input.length())? else {
             return Err(refuse("a single number is no waveform"));
         };
         array.limit(input.length(), 0, size_of::<Record>())?;
+        input.uses(0..array.data);
         let head = Arc::new(array.head(self.format()));
         let record = |i: u64| Record {
             head: Arc::clone(&head),
@@ -334,6 +335,13 @@ mod tests {
 
     fn read(bytes: &[u8]) -> Result<Option<Array>, FormatError> {
         Array::read(bytes, bytes.len() as u64)
+    }
+
+    #[test]
+    fn bytes_that_the_shape_does_not_count_are_reported() {
+        let mut bytes = Vec::new();
+        write(&mut bytes, &[2, 3], &[1, 2, 3, 4, 5, 6]).unwrap();
+        crate::hostile::surplus_is_reported(&Npy, &bytes);
     }
 
     #[test]

@@ -4,15 +4,21 @@
 //! A file is a list of tags (name, index, type, value), then data. Bin i is at `t0_s` + i * dt. .phu: one record for
 //! each curve; dt is HistResDscr_MDescResolution, `t0_s` HistResDscr_MDescOffset (ns). .ptu in T3 mode: one record for
 //! each input channel with photons; dt is MeasDesc_Resolution, `t0_s` MeasDesc_Offset (ns). All have as many bins as
-//! the latest photon of the file needs; markers are not counted. The instrument subtracts the offset (0 by default)
-//! from each time after the sync. Channel numbers are those of the file: PicoHarps count from 1, others from 0. Several
-//! curves of one channel are its segments.
+//! the latest photon of the file needs; markers are not counted, and photons of all pixels of an image are one
+//! histogram. The instrument subtracts the offset (0 by default) from each time after the sync. Channel numbers are
+//! those of the file: PicoHarps count from 1, others from 0. Several curves of one channel are its segments.
 //!
-//! Pile-up corrections need the number of sync cycles, which a record cannot hold: the campaign gives it. T2 mode is
-//! refused, since it has no sync period to make a histogram over. Older formats (.pt3, .ht3, .phd, .thd) are not read.
-//! Source: PicoQuant's description of the tagged file format with its demonstration programs. Tested on files that the
-//! tests build, for which `ptufile` reads the same counts.
+//! .ptu in T2 mode: times count from the last event of the sync channel (channel 0 of a PicoHarp); photons before the
+//! first one are left out, and a file without such events is refused. dt is the resolution times the smallest power of
+//! two by which the longest time takes at most 65,536 bins. A file whose head claims no events was not ended properly:
+//! all events up to its end are read, with a remark.
+//!
+//! Pile-up corrections need the number of sync cycles, which a record cannot hold: the campaign gives it. Older formats
+//! (.pt3, .ht3, .phd, .thd) are refused by name. Source: PicoQuant's description of the tagged file format with its
+//! demonstration programs. Tested on a real image of a PicoHarp in T3 mode, whose histogram equals that of `ptufile`;
+//! the rest on files that the tests build, for which it reads the same counts.
 
+mod events;
 mod tags;
 
 use std::collections::BTreeMap;
@@ -20,6 +26,7 @@ use std::io::{self, SeekFrom};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
+use self::events::{Clock, Layout};
 use self::tags::{Tags, WHOLE};
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{Head, Payload, ReadSeek, Record, Unpack};
@@ -36,6 +43,10 @@ const EVENTS: &[u8] = b"PQTTTR\0\0";
 const WORD_BYTES: u64 = 4;
 /// Bytes of events that are in memory at a time.
 const PIECE_BYTES: u64 = 1 << 16;
+/// Tag of the number of events.
+const RECORDS: &str = "TTResult_NumberOfRecords";
+/// Most bins of a histogram that is made of absolute times.
+const MOST_BINS: u64 = 1 << 16;
 /// Most curves of a file; instruments have up to 512.
 const MAX_CURVES: i32 = 1024;
 
@@ -128,34 +139,37 @@ impl Reader for PicoquantPtu {
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let tags = Tags::read(input, EVENTS)?;
         let events = Events::of(input, &tags)?;
-        let dt_s = tags.required_bin_s("MeasDesc_Resolution", WHOLE)?;
-        let t0_s = Some(tags.offset_s("MeasDesc_Offset", WHOLE)?);
-        let (mut bins, mut channels) = (0, [false; 64]);
-        events.photons(input.file(), &mut |channel, bin| {
+        let is_t2 = events.layout.is_t2();
+        let unit_s = match tags.bin_s("MeasDesc_GlobalResolution", WHOLE)?.filter(|_| is_t2) {
+            Some(unit_s) => unit_s,
+            None => tags.required_bin_s("MeasDesc_Resolution", WHOLE)?,
+        };
+        let t0_s = if is_t2 { Some(0.0) } else { Some(tags.offset_s("MeasDesc_Offset", WHOLE)?) };
+        let (mut times, mut channels) = (0, [false; 64]);
+        events.photons(input.file(), &mut |channel, time| {
             channels[channel] = true;
-            bins = bins.max(bin + 1);
+            times = times.max(time + 1);
             Ok(())
         })?;
+        let shift = (0..u64::BITS).find(|shift| times.div_ceil(1 << shift) <= MOST_BINS).unwrap_or_default();
+        let (bins, dt_s) = (times.div_ceil(1 << shift) as usize, unit_s * (1_u64 << shift) as f64);
         let record = |channel: usize| {
             let head = Head { channel: Some(channel.to_string()), ..tags.head(self.format(), bins, dt_s) };
-            let payload = Payload::Packed(Arc::new(Histogram { events, channel, bins }));
+            let payload = Payload::Packed(Arc::new(Histogram { events, channel, bins, shift }));
             Record { head: Arc::new(head), segment: None, t0_s, trigger_s: None, payload }
         };
         let records: Vec<Record> = (0..channels.len()).filter(|channel| channels[*channel]).map(record).collect();
         if records.is_empty() {
-            return Err(tags.refuse("TTResult_NumberOfRecords", WHOLE, ": none of the events is a photon"));
+            let problem = if is_t2 {
+                ": no photon follows an event of the sync channel, from which T2 mode would count; record in T3 mode, or \
+                 with the laser's trigger on the sync input"
+            } else {
+                ": none of the events is a photon"
+            };
+            return Err(tags.refuse(RECORDS, WHOLE, problem));
         }
         Ok(records)
     }
-}
-
-/// How an event is laid out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Layout {
-    /// 4 bits channel, 12 bits time, 16 bits sync counter.
-    PicoHarp,
-    /// Special, 6 bits channel, 15 bits time, 10 bits sync counter.
-    HydraHarp,
 }
 
 /// Where the events are.
@@ -167,69 +181,51 @@ struct Events {
 }
 
 impl Events {
-    fn of(input: &dyn Input, tags: &Tags) -> Result<Self, FormatError> {
+    fn of(input: &mut dyn Input, tags: &Tags) -> Result<Self, FormatError> {
         const TYPE: &str = "TTResultFormat_TTTRRecType";
         let record_type = tags.count(TYPE, WHOLE)?;
-        let layout = match record_type {
-            0x0001_0303 => Layout::PicoHarp,
-            // HydraHarp, its version 2, TimeHarp 260 N and P, MultiHarp and PicoHarp 330.
-            0x0001_0304..=0x0001_0307 | 0x0101_0304..=0x0101_0307 => Layout::HydraHarp,
-            _ if record_type & 0xFF00 == 0x0200 => {
-                let problem = "is of T2 mode, which has no sync period to make a histogram over; record in T3 mode, or \
-                    export a histogram as .phu";
-                return Err(tags.refuse(TYPE, WHOLE, problem));
-            }
-            _ => return Err(tags.refuse(TYPE, WHOLE, format!("= {record_type:#010x} is not known"))),
-        };
+        let unknown = || tags.refuse(TYPE, WHOLE, format!("= {record_type:#010x} is not known"));
+        let layout = Layout::of(record_type).ok_or_else(unknown)?;
         if let Some(bits) = tags.integer("TTResultFormat_BitsPerRecord", WHOLE)?.filter(|bits| ![0, 32].contains(bits))
         {
             return Err(tags.refuse("TTResultFormat_BitsPerRecord", WHOLE, format!("= {bits}: only 32 are read")));
         }
-        let (byte_offset, count) = (tags.end, tags.count("TTResult_NumberOfRecords", WHOLE)?);
+        let (byte_offset, mut count) = (tags.end, tags.count(RECORDS, WHOLE)?);
+        if count == 0 {
+            count = input.length().saturating_sub(byte_offset) / WORD_BYTES;
+            let problem = format!(
+                "{RECORDS} = 0: the measurement was not ended in its software, and all {count} events up to the end of \
+                 the file are read; take its duration from another source"
+            );
+            input.remark(byte_offset, problem);
+        }
         let needed = count.saturating_mul(WORD_BYTES);
         if byte_offset.checked_add(needed).is_none_or(|end| end > input.length()) {
             return Err(FormatError::Truncated { what: "the events", byte_offset, needed, length: input.length() });
         }
+        input.uses(byte_offset..byte_offset + needed);
         Ok(Self { byte_offset, count, layout })
     }
 
-    /// Passes on the channel and time, in bins, of each photon.
-    fn photons(&self, file: &mut dyn ReadSeek, take: &mut dyn FnMut(usize, usize) -> io::Result<()>) -> io::Result<()> {
+    /// Passes on the channel and time, in units of the time base, of each photon.
+    fn photons(&self, file: &mut dyn ReadSeek, take: &mut dyn FnMut(usize, u64) -> io::Result<()>) -> io::Result<()> {
         let length = self.count * WORD_BYTES;
         let mut piece = vec![0; PIECE_BYTES.min(length) as usize];
         file.seek(SeekFrom::Start(self.byte_offset))?;
+        let mut clock = Clock::new(self.layout);
         let mut done = 0;
         while done < length {
             let piece = &mut piece[..PIECE_BYTES.min(length - done) as usize];
             file.read_exact(piece)?;
             for event in piece.chunks_exact(WORD_BYTES as usize) {
                 let event = u32::from_le_bytes(event.try_into().expect("chunks of four"));
-                if let Some((channel, bin)) = self.layout.photon(event)? {
-                    take(channel, bin)?;
+                if let Some((channel, time)) = clock.photon(event)? {
+                    take(channel, time)?;
                 }
             }
             done += piece.len() as u64;
         }
         Ok(())
-    }
-}
-
-impl Layout {
-    /// Channel and time, in bins, of an event, if it is a photon.
-    fn photon(self, event: u32) -> io::Result<Option<(usize, usize)>> {
-        match self {
-            Self::PicoHarp => match (event >> 28, (event >> 16) & 0xFFF) {
-                (15, _) => Ok(None),
-                (channel @ 1..=4, bin) => Ok(Some((channel as usize, bin as usize))),
-                (channel, _) => {
-                    let problem =
-                        format!("an event on channel {channel}, but a PicoHarp has 1 to 4: the file is damaged");
-                    Err(io::Error::new(io::ErrorKind::InvalidData, problem))
-                }
-            },
-            Self::HydraHarp if event >> 31 == 1 => Ok(None),
-            Self::HydraHarp => Ok(Some((((event >> 25) & 0x3F) as usize, ((event >> 10) & 0x7FFF) as usize))),
-        }
     }
 }
 
@@ -240,6 +236,8 @@ struct Histogram {
     events: Events,
     channel: usize,
     bins: usize,
+    /// A bin is two to this power of the time base's units.
+    shift: u32,
 }
 
 impl Unpack for Histogram {
@@ -249,11 +247,12 @@ impl Unpack for Histogram {
         take: &mut dyn FnMut(&[u8]) -> io::Result<ControlFlow<()>>,
     ) -> io::Result<()> {
         let mut counts = vec![0_u32; self.bins];
-        self.events.photons(file, &mut |channel, bin| {
+        self.events.photons(file, &mut |channel, time| {
             if channel != self.channel {
                 return Ok(());
             }
-            let count = counts.get_mut(bin).and_then(|count| Some((count.checked_add(1)?, count)));
+            let count =
+                counts.get_mut((time >> self.shift) as usize).and_then(|count| Some((count.checked_add(1)?, count)));
             let (next, count) = count.ok_or_else(|| io::Error::other("more photons, or later ones, than at first"))?;
             *count = next;
             Ok(())

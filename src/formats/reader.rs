@@ -7,6 +7,7 @@ use std::path::Path;
 
 use thiserror::Error;
 
+use crate::accounting::{Ledger, Remark};
 use crate::companions::companion;
 use crate::waveform::{ReadSeek, Record};
 
@@ -144,6 +145,7 @@ pub struct Source<F> {
     /// Length of the file and its companion.
     total: u64,
     extension: String,
+    ledger: Ledger,
 }
 
 /// A file as a format reader sees it.
@@ -152,12 +154,27 @@ pub trait Input {
     fn length(&self) -> u64;
     /// Where the bytes of its companion begin and end, if it has one: after its own bytes.
     fn companion(&self) -> Option<Range<u64>>;
-    /// Returns `count` bytes from `byte_offset` on. The range must be within the file, or within its companion.
+    /// Returns `count` bytes from `byte_offset` on, for a look at what they may be. The range must be within the file,
+    /// or within its companion.
     ///
     /// # Errors
     /// When the range is outside, or cannot be read.
-    fn bytes(&mut self, what: &'static str, byte_offset: u64, count: u64) -> Result<Vec<u8>, FormatError>;
-    /// Reads everything from the start, without the companion.
+    fn peek(&mut self, what: &'static str, byte_offset: u64, count: u64) -> Result<Vec<u8>, FormatError>;
+    /// Returns `count` bytes from `byte_offset` on, and counts them as used.
+    ///
+    /// # Errors
+    /// As [`Self::peek`].
+    fn bytes(&mut self, what: &'static str, byte_offset: u64, count: u64) -> Result<Vec<u8>, FormatError> {
+        let bytes = self.peek(what, byte_offset, count)?;
+        self.uses(byte_offset..byte_offset + count);
+        Ok(bytes)
+    }
+    /// Counts bytes as used: a part that the reader knows and skips, or samples that are packed. Samples of
+    /// [`Payload::File`](crate::waveform::Payload::File) need no word; what is counted nowhere is reported.
+    fn uses(&mut self, bytes: Range<u64>);
+    /// Notes something about the file that its records do not show.
+    fn remark(&mut self, byte_offset: u64, problem: String);
+    /// Reads everything from the start, without the companion; counts nothing as used.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -173,7 +190,8 @@ impl Source<Joined> {
     /// When the file cannot be read.
     pub fn open(path: &Path) -> Result<Self, FormatError> {
         let file = Joined::open(path)?;
-        Ok(Self { length: file.length, total: file.total(), file, extension: extension(path) })
+        let (length, total) = (file.length, file.total());
+        Ok(Self { length, total, file, extension: extension(path), ledger: Ledger::default() })
     }
 
     /// Length in bytes, companion included.
@@ -196,7 +214,7 @@ impl Source<Joined> {
             companion.read_to_end(&mut bytes)?;
         }
         let total = bytes.len() as u64;
-        Ok(Source { file: Cursor::new(bytes), length, total, extension: self.extension })
+        Ok(Source { file: Cursor::new(bytes), length, total, extension: self.extension, ledger: Ledger::default() })
     }
 }
 
@@ -212,7 +230,7 @@ impl<F: Read + Seek> Source<F> {
     /// When the length of `file` cannot be determined.
     pub fn new(mut file: F, path: &Path) -> Result<Self, FormatError> {
         let length = file.seek(SeekFrom::End(0))?;
-        Ok(Self { file, length, total: length, extension: extension(path) })
+        Ok(Self { file, length, total: length, extension: extension(path), ledger: Ledger::default() })
     }
 
     /// A source whose bytes from `length` on belong to the companion.
@@ -241,7 +259,13 @@ impl<F: Read + Seek> Source<F> {
 
     /// The first bytes, up to `count`.
     pub(super) fn head(&mut self, count: usize) -> Result<Vec<u8>, FormatError> {
-        self.bytes("the head", 0, self.length.min(count as u64))
+        self.peek("the head", 0, self.length.min(count as u64))
+    }
+
+    /// What is to be said about the file of these records, after they were read: bytes that its reader did not use, and
+    /// the reader's own remarks.
+    pub(super) fn remarks(&mut self, records: &[Record]) -> Vec<Remark> {
+        std::mem::take(&mut self.ledger).remarks(records, &[0..self.length, self.length..self.total])
     }
 
     /// The file alone.
@@ -259,7 +283,7 @@ impl<F: Read + Seek> Input for Source<F> {
         (self.total > self.length).then_some(self.length..self.total)
     }
 
-    fn bytes(&mut self, what: &'static str, byte_offset: u64, count: u64) -> Result<Vec<u8>, FormatError> {
+    fn peek(&mut self, what: &'static str, byte_offset: u64, count: u64) -> Result<Vec<u8>, FormatError> {
         let length = if byte_offset < self.length { self.length } else { self.total };
         if byte_offset.checked_add(count).is_none_or(|end| end > length) {
             return Err(FormatError::Truncated { what, byte_offset, needed: count, length });
@@ -268,6 +292,14 @@ impl<F: Read + Seek> Input for Source<F> {
         self.file.seek(SeekFrom::Start(byte_offset))?;
         self.file.read_exact(&mut bytes)?;
         Ok(bytes)
+    }
+
+    fn uses(&mut self, bytes: Range<u64>) {
+        self.ledger.uses(bytes);
+    }
+
+    fn remark(&mut self, byte_offset: u64, problem: String) {
+        self.ledger.remark(byte_offset, problem);
     }
 
     fn stream(&mut self) -> Result<Box<dyn Read + '_>, FormatError> {

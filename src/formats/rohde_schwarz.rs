@@ -54,12 +54,13 @@ impl Reader for RohdeSchwarz {
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let count = input.length().min(2048);
-        if !self.recognises(&input.bytes("the head", 0, count)?) {
+        if !self.recognises(&input.peek("the head", 0, count)?) {
             let problem = "is no binary recording that is read; if it holds the samples of a Rohde & Schwarz recording (NAME.Wfm.bin), \
                  give NAME.bin, the XML head beside it";
             return Err(field(0, problem));
         }
         let settings = Settings::read(input)?;
+        input.uses(0..input.length());
         let Some(companion) = input.companion() else {
             let problem =
                 "the samples lie in a second file of the same name that ends in .Wfm.bin; copy it beside this one";
@@ -218,6 +219,7 @@ impl Layout {
                 ),
             ));
         };
+        input.uses(companion.clone());
         if count * values * RECORD_BYTES > 4 * companion.end + (1 << 19) {
             return Err(field(
                 settings.position("RecordLength"),

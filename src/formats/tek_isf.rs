@@ -15,6 +15,8 @@ pub struct TekIsf;
 
 /// Longest header that is read.
 const HEAD_BYTES: u64 = 1 << 16;
+/// Bytes that may end the line of the curve.
+const LINE_END: u64 = 2;
 
 impl Reader for TekIsf {
     fn format(&self) -> &'static str {
@@ -29,11 +31,17 @@ impl Reader for TekIsf {
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let length = input.length();
-        let bytes = input.bytes("the head", 0, length.min(HEAD_BYTES))?;
+        let bytes = input.peek("the head", 0, length.min(HEAD_BYTES))?;
         let keys = Keys::read(&bytes)?;
         let (start, block) = curve(&bytes, keys.curve)?;
         if start.checked_add(block).is_none_or(|end| end > length) {
             return Err(FormatError::Truncated { what: "the curve", byte_offset: start, needed: block, length });
+        }
+        input.uses(0..start);
+        let end = start + block;
+        let after = input.peek("the end", end, length.min(end + LINE_END) - end)?;
+        if after.iter().all(|byte| b"\r\n;".contains(byte)) {
+            input.uses(end..end + after.len() as u64);
         }
         let kind = keys.kind()?;
         let code_type = keys.code_type()?;
@@ -204,6 +212,13 @@ mod tests {
         assert!((record.t0_s.unwrap() + 3e-9).abs() < 1e-20 && record.head.channel.as_deref() == Some("Ch2; DC"));
         let (volts, _) = values(file(SHORT, &[0, 1, 255])).unwrap();
         assert_eq!(volts, [0.0, 2.0, 510.0]);
+    }
+
+    #[test]
+    fn what_follows_the_curve_is_reported_but_for_the_end_of_its_line() {
+        let bytes = file(LONG, &[0, 10, 0, 12, 255, 254]);
+        crate::hostile::appended_is_reported(&TekIsf, &bytes);
+        crate::hostile::appended_is_reported(&TekIsf, &[&bytes[..], b"\r\n"].concat());
     }
 
     #[test]

@@ -46,6 +46,7 @@ impl Reader for Wav {
             return Err(field(0, problem));
         }
         let (format, byte_offset, bytes) = chunks(input)?;
+        input.uses(byte_offset..byte_offset + bytes);
         let samples =
             usize::try_from(bytes / format.block).map_err(|_| field(byte_offset, "is too large for this machine"))?;
         let record = |channel: u16| {
@@ -95,13 +96,35 @@ fn chunks(input: &mut dyn Input) -> Result<(Format, u64, u64), FormatError> {
                     let problem = format!("{bytes} bytes of data are no whole number of {} byte blocks", format.block);
                     return Err(field(at + 4, problem));
                 }
+                trailing(input, start + bytes, bytes % 2)?;
                 return Ok((format, start, bytes));
             }
             _ => {}
         }
+        input.uses(start..(start + bytes + bytes % 2).min(input.length()));
         // A padding byte follows each chunk of odd length.
         at = start + bytes + bytes % 2;
     }
+}
+
+/// Counts the chunks after the samples: names, markers, padding.
+fn trailing(input: &mut dyn Input, end: u64, padding: u64) -> Result<(), FormatError> {
+    let length = input.length();
+    let mut at = end + padding;
+    input.uses(end..at.min(length));
+    while at + 8 <= length {
+        let head = input.peek("a chunk's head", at, 8)?;
+        let bytes = u64::from(u32::from_le_bytes(head[4..].try_into().expect("four bytes")));
+        let end = at + 8 + bytes + bytes % 2;
+        let is_name =
+            head[..4].iter().all(|byte| byte.is_ascii_graphic() || *byte == b' ') && !head.starts_with(b"RIFF");
+        if !is_name || end > length {
+            break;
+        }
+        input.uses(at..end);
+        at = end;
+    }
+    Ok(())
 }
 
 /// How the file stores a code.
@@ -127,7 +150,7 @@ struct Format {
 
 impl Format {
     fn read(input: &mut dyn Input, at: u64, bytes: u64) -> Result<Self, FormatError> {
-        let chunk = input.bytes("the fmt chunk", at, bytes.clamp(16, 40))?;
+        let chunk = input.peek("the fmt chunk", at, bytes.clamp(16, 40))?;
         let u16_at = |i: usize| chunk.get(i..i + 2).map_or(0, |two| u16::from_le_bytes([two[0], two[1]]));
         let (channels, block, bits) = (u16_at(2), u16_at(12), u16_at(14));
         let rate_hz = u32::from_le_bytes(chunk[4..8].try_into().expect("four bytes"));

@@ -18,6 +18,8 @@ const END_MARK: &[u8] = b"PK\x05\x06";
 const END: usize = 22;
 const ENTRY_MARK: &[u8] = b"PK\x01\x02";
 const ENTRY: usize = 46;
+const DESCRIPTOR_MARK: &[u8] = b"PK\x07\x08";
+const DESCRIPTOR: u64 = 16;
 const LOCAL: u64 = 30;
 /// Bytes of samples that are in memory at a time.
 const PIECE_BYTES: usize = 1 << 16;
@@ -55,7 +57,10 @@ pub(super) fn members(input: &mut dyn Input) -> Result<Vec<Member>, FormatError>
         let place = start + at as u64;
         let (member, local, next) = entry(&directory, at, place)?;
         let member = located(input, member, local, start, place)?;
-        places.push((local, member.byte_offset + member.packed));
+        let end = member.byte_offset + member.packed;
+        let after = end + descriptor(input, end, start)?;
+        input.uses(local..after);
+        places.push((local, end));
         members.push(member);
         at = next;
     }
@@ -84,7 +89,7 @@ fn directory(input: &mut dyn Input) -> Result<(usize, u64, u64), FormatError> {
     let length = input.length();
     // A comment of up to 64 KiB may follow the end record, and nothing else.
     let tail_bytes = length.min((END + usize::from(u16::MAX)) as u64);
-    let tail = input.bytes("the end of the zip file", length - tail_bytes, tail_bytes)?;
+    let tail = input.peek("the end of the zip file", length - tail_bytes, tail_bytes)?;
     let is_end =
         |at: &usize| tail[*at..].starts_with(END_MARK) && at + END + usize::from(u16_at(&tail, at + 20)) == tail.len();
     let Some(at) = (0..(tail.len() + 1).saturating_sub(END)).rev().find(is_end) else {
@@ -97,6 +102,7 @@ fn directory(input: &mut dyn Input) -> Result<(usize, u64, u64), FormatError> {
     if count == u16::MAX || bytes == u32::MAX || start == u32::MAX {
         return Err(field(place, "is a Zip64 file, which is not read; save less than 4 GiB and 65535 members"));
     }
+    input.uses(place..length);
     if u16_at(end, 4) != 0 || u16_at(end, 6) != 0 || u16_at(end, 8) != count {
         return Err(field(place, "is one part of several of a zip file; join them, or save it as one"));
     }
@@ -165,6 +171,15 @@ fn located(
         return Err(lost());
     }
     Ok(Member { byte_offset, ..member })
+}
+
+/// Bytes of the data descriptor after a member, which writers leave that stream: signature, checksum and lengths.
+fn descriptor(input: &mut dyn Input, at: u64, directory: u64) -> Result<u64, FormatError> {
+    let left = directory.saturating_sub(at);
+    if left >= DESCRIPTOR && input.peek("a data descriptor", at, 4)? == DESCRIPTOR_MARK {
+        return Ok(DESCRIPTOR);
+    }
+    Ok(0)
 }
 
 impl Member {

@@ -55,7 +55,7 @@ fn sdt(revision: u16, blocks: &[(u16, Vec<u8>)]) -> Vec<u8> {
     put(&mut bytes, 28, &1_u16.to_le_bytes());
     put(&mut bytes, 30, &512_u16.to_le_bytes());
     put(&mut bytes, 32, &VALID.to_le_bytes());
-    put(&mut bytes, 40, &CHECKSUM.to_le_bytes());
+    seal(&mut bytes);
     bytes.extend(description());
     for (number, (kind, data)) in blocks.iter().enumerate() {
         let stored = if kind & COMPRESSED == 0 { data.clone() } else { zip(data, 8) };
@@ -70,6 +70,13 @@ fn sdt(revision: u16, blocks: &[(u16, Vec<u8>)]) -> Vec<u8> {
         bytes.extend(stored);
     }
     bytes
+}
+
+/// Puts the checksum of the header right.
+fn seal(bytes: &mut [u8]) {
+    put(bytes, 40, &[0, 0]);
+    let sum = bytes[..42].chunks(2).fold(0_u16, |sum, word| sum.wrapping_add(u16::from_le_bytes([word[0], word[1]])));
+    put(bytes, 40, &SUM.wrapping_sub(sum).to_le_bytes());
 }
 
 /// Counts from `first` on, as they lie in a file.
@@ -146,6 +153,52 @@ fn stored_archives_are_read_and_damaged_ones_refused() {
     }
 }
 
+/// The maker's programs make the sum of the header's words 0x55AA; the field alone is another number.
+#[test]
+fn a_header_has_the_sum_of_its_words() {
+    let file = sdt(15, &[(0x01, counts(3, 64, CodeType::U16))]);
+    assert!(BeckerHicklSdt.recognises(&file));
+    let mut wrong = file;
+    put(&mut wrong, 40, &SUM.to_le_bytes());
+    assert!(!BeckerHicklSdt.recognises(&wrong));
+    assert!(refusal(&BeckerHicklSdt, &wrong).contains("do not add up to 0x55aa"));
+}
+
+/// Descriptions of old software end before the fields of FIFO measurements.
+#[test]
+fn short_descriptions_are_read() {
+    let whole = sdt(15, &[(0x01, counts(3, 64, CodeType::U16))]);
+    let mut file = [&whole[..42 + 203], &whole[42 + 512..]].concat();
+    put(&mut file, 14, &(42_u32 + 203).to_le_bytes());
+    put(&mut file, 30, &203_u16.to_le_bytes());
+    let header = 42 + 203;
+    put(&mut file, header + 2, &(header as u32 + 22).to_le_bytes());
+    put(&mut file, header + 6, &(header as u32 + 22 + 128).to_le_bytes());
+    seal(&mut file);
+    assert_eq!(decode(&BeckerHicklSdt, &file)[0].1, expected(3));
+}
+
+/// The curves of an image are segments, whether they are packed or not, in order or not.
+#[test]
+fn curves_of_an_image_are_its_pixels() {
+    for kind in [0x11, 0x69, 0x1069] {
+        let mut file = sdt(15, &[(kind, counts(0, 6 * 64, CodeType::U16))]);
+        let (columns, rows) = if kind == 0x11 { (173, 177) } else { (309, 313) };
+        put(&mut file, 42 + columns, &3_u32.to_le_bytes());
+        put(&mut file, 42 + rows, &2_u32.to_le_bytes());
+        let records = decode(&BeckerHicklSdt, &file);
+        assert_eq!((records.len(), &records[0].0.head.shape[..]), (6, &[2, 3][..]));
+        assert_eq!(records[5].0.head.channel.as_deref(), Some("M1"));
+        for (pixel, (record, values)) in records.iter().enumerate() {
+            assert_eq!((record.segment, values), (Some(pixel as u32), &expected(64 * pixel as u32)));
+        }
+        let mut source = source(&file);
+        for pixel in [4, 1, 5, 0] {
+            assert_eq!(source.values(&records[pixel].0).unwrap(), expected(64 * pixel as u32));
+        }
+    }
+}
+
 #[test]
 fn a_date_that_can_be_two_is_none() {
     for (date, read) in [
@@ -166,7 +219,7 @@ fn what_is_no_curve_is_left_out_or_refused() {
     let curve = (0x01, counts(0, 64, CodeType::U16));
     let correlation = (0x228, counts(0, 10, CodeType::F64));
     assert_eq!(decode(&BeckerHicklSdt, &sdt(15, &[correlation.clone(), curve.clone()])).len(), 1);
-    for (kind, says) in [(0x228, "FCS"), (0x68, "images"), (0x9A, "moments"), (0x08, "before 8.3"), (0xF1, "not known")]
+    for (kind, says) in [(0x228, "FCS"), (0x88, "images"), (0x9A, "moments"), (0x08, "before 8.3"), (0xF1, "not known")]
     {
         let error = refusal(&BeckerHicklSdt, &sdt(15, &[(kind, counts(0, 64, CodeType::U16))]));
         assert!(error.contains(says), "{error}");
@@ -175,6 +228,7 @@ fn what_is_no_curve_is_left_out_or_refused() {
     let with = |at: usize, bytes: &[u8]| {
         let mut file = file.clone();
         put(&mut file, at, bytes);
+        seal(&mut file);
         refusal(&BeckerHicklSdt, &file)
     };
     let header = 42 + 512;
@@ -191,7 +245,7 @@ fn what_is_no_curve_is_left_out_or_refused() {
         (header + 10, &[1, 3], "0x300 are not known"),
         (header + 12, &[1, 0], "meas_desc_block_no = 1"),
         (header + 18, &[127], "is no number of curves"),
-        (header + 18, &[0x80, 0, 0, 0x7F], "are an image"),
+        (header + 18, &[0x80, 0, 0, 0x7F], "an image of 16646145 curves"),
         (42 + 64, &[0; 4], "tac_r = 0"),
         (42 + 68, &[0; 2], "tac_g = 0"),
     ] {

@@ -76,6 +76,7 @@ impl Reader for Csv {
         }
         let base = times::Base::new(&layout, &survey, samples)?;
         let codes = rows::fill(&mut Lines::new(BufReader::new(input.stream()?)), &layout, &base, samples as usize)?;
+        input.uses(0..length);
         Ok(records(&layout, &base, &codes, samples as usize))
     }
 }

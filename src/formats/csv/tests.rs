@@ -31,6 +31,14 @@ fn near(value: Option<f64>, expected: f64) -> bool {
     value.is_some_and(|value| (value - expected).abs() <= 1e-12 * expected.abs())
 }
 
+/// A table that is appended to a table has a line of names between rows; padding is no text.
+#[test]
+fn what_is_appended_is_refused() {
+    for text in [LECROY, TEK, "time_ns,ch1\n0,1\n0.5,2\n1,3\n"] {
+        crate::hostile::appended_is_reported(&Csv, text.as_bytes());
+    }
+}
+
 const LECROY: &str = "LECROYWR104MXi-A,52137,Waveform\nSegments,2,SegmentSize,3\nSegment,TrigTime,TimeSinceSegment1\n\
     #1,03-May-2017 11:41:40,0\n#2,03-May-2017 11:41:41,1.25\nTime,Ampl\n-1.01e-9,1\n0,2\n1.01e-9,3\n-1.51e-9,4\n-0.5e-9,5\n0.51e-9,6\n";
 

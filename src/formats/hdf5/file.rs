@@ -78,6 +78,8 @@ impl<'a> File<'a> {
             let what = "all up to the End of File Address in the superblock";
             return Err(FormatError::Truncated { what, byte_offset: 0, needed: end, length });
         }
+        // The format manages its own free space, up to its end.
+        file.input.uses(0..end.saturating_add(file.base).min(length));
         Ok((file, root))
     }
 

@@ -162,7 +162,7 @@ fn kinds_follow_types_and_units() {
     let spectrum = one(Waveform { units: (6, 5), ..wave(1) }).unwrap().0;
     assert_eq!((spectrum.head.kind, spectrum.head.unit.as_deref()), (Kind::Spectrum, Some("dB")));
     let unknown = one(Waveform { units: (0, 3), ..wave(1) }).unwrap().0;
-    assert_eq!((unknown.t0_s, unknown.head.dt_s, unknown.head.unit.as_deref()), (None, None, None));
+    assert_eq!((unknown.t0_s, unknown.head.dt_s, unknown.head.unit.as_deref()), (Some(-2.5e-9), Some(1e-9), None));
     let logic = Waveform { units: (2, 0), buffers: vec![(6, 1, vec![0, 1, 255])], ..wave(1) };
     let (record, values) = one(logic.clone()).unwrap();
     assert_eq!(
@@ -225,6 +225,20 @@ fn fields_that_make_no_sense_are_named() {
     }
     assert!(Built { uncounted: 2, ..Built::new("AG10", vec![base()]) }.read().is_ok(), "the file says where it ends");
     assert!(Built { counted: 2, ..Built::new("AG10", vec![base()]) }.read().unwrap_err().contains("2 bytes follow"));
+}
+
+/// Whole waveforms before a cut are read, with one remark; a time base without a unit is one of seconds, with another.
+#[test]
+fn what_the_waveforms_do_not_show_is_remarked() {
+    let bytes = Built::new("AG10", (0..3).map(|i| Waveform::new("1", [1.0; 3]).segment(i, 0.0)).collect()).bytes();
+    let mut cut = crate::hostile::source(&bytes[..bytes.len() - 3]);
+    let contents = crate::contents(&mut cut).unwrap();
+    assert_eq!((contents.records.len(), contents.remarks.len()), (2, 1));
+    assert!(contents.remarks[0].problem.contains("within waveform 2"), "{:?}", contents.remarks);
+    let unknown = Waveform { units: (0, 0), ..Waveform::new("1", [1.0; 3]) };
+    let remarks =
+        crate::contents(&mut crate::hostile::source(&Built::new("AG10", vec![unknown]).bytes())).unwrap().remarks;
+    assert_eq!((remarks.len(), remarks[0].byte_offset), (1, 60));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Walks through the waveforms and buffers of a file, in order.
 
 use super::{Maker, date};
+use crate::accounting::cut_short;
 use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Scale};
 
@@ -101,24 +102,29 @@ impl<'a> Walk<'a> {
             let problem = format!("Number of Waveforms = {count} in a file of {length} bytes");
             return Err(header.refuse(count_at, problem));
         }
-        if file_size > length {
-            return Err(FormatError::Truncated {
-                what: "the whole file (File Size)",
-                byte_offset: 0,
-                needed: file_size,
-                length,
-            });
-        }
         Ok((Self { maker, wide, at: bytes }, file_size, count))
     }
 
-    /// Reads all buffers of all waveforms; returns also where the last one ends.
-    pub(super) fn waveforms(mut self, input: &mut dyn Input, count: u32) -> Result<(Vec<Trace>, u64), FormatError> {
+    /// Reads all buffers of all waveforms; returns also where the last one ends. Of a file that ends within a
+    /// waveform it returns the whole ones, and no end.
+    pub(super) fn waveforms(
+        mut self,
+        input: &mut dyn Input,
+        count: u32,
+    ) -> Result<(Vec<Trace>, Option<u64>), FormatError> {
         let mut traces = Vec::new();
         // Name and index of the previous waveform, and the number of channels so far.
         let (mut before, mut channels) = (None, 0);
-        for _ in 0..count {
-            let header = self.header(input)?;
+        for number in 0..count {
+            let at = self.at;
+            let (header, buffers) = match self.waveform(input) {
+                Err(FormatError::Truncated { .. }) if number > 0 => {
+                    input.uses(at..input.length());
+                    input.remark(at, cut_short("waveform", number.into()));
+                    return Ok((traces, None));
+                }
+                read => read?,
+            };
             let index = if self.maker.segments { header.u32(136) } else { 0 };
             let label = text(&header.bytes[112..128]);
             if before.as_ref().is_none_or(|(name, last)| *name != label || *last >= index) {
@@ -127,13 +133,8 @@ impl<'a> Walk<'a> {
             let name = label.clone().unwrap_or_else(|| format!("wf{}", channels - 1));
             before = Some((label, index));
             let tag_s = if self.maker.segments { header.finite(128, "Time Tag")? } else { 0.0 };
-            let axis = Axis::read(&header, self.maker)?;
-            let buffers = header.u32(8);
-            if buffers == 0 {
-                return Err(header.refuse(8, "Number of Waveform Buffers = 0: nothing was acquired".to_owned()));
-            }
-            for _ in 0..buffers {
-                let buffer = self.buffer(input, &header)?;
+            let axis = Axis::read(&header, self.maker, input)?;
+            for buffer in buffers {
                 let records = traces.len() as u64 + 1;
                 if records > RECORDS && records * RECORD_BYTES > input.length() {
                     let problem = format!("{records} waveforms in {} bytes are no recording", input.length());
@@ -141,10 +142,24 @@ impl<'a> Walk<'a> {
                 }
                 let head = buffer.head(&header, self.maker, &axis, &name)?;
                 let byte_offset = buffer.byte_offset;
-                traces.push(Trace { head, t0_s: axis.origin, byte_offset, segment: (index, tag_s) });
+                traces.push(Trace { head, t0_s: Some(axis.origin), byte_offset, segment: (index, tag_s) });
             }
         }
-        Ok((traces, self.at))
+        Ok((traces, Some(self.at)))
+    }
+
+    /// Reads a waveform: its header and its buffers.
+    fn waveform(&mut self, input: &mut dyn Input) -> Result<(Block, Vec<Buffer>), FormatError> {
+        let header = self.header(input)?;
+        let count = header.u32(8);
+        if count == 0 {
+            return Err(header.refuse(8, "Number of Waveform Buffers = 0: nothing was acquired".to_owned()));
+        }
+        let mut buffers = Vec::new();
+        for _ in 0..count {
+            buffers.push(self.buffer(input, &header)?);
+        }
+        Ok((header, buffers))
     }
 
     fn header(&mut self, input: &mut dyn Input) -> Result<Block, FormatError> {
@@ -156,6 +171,7 @@ impl<'a> Walk<'a> {
         self.within(input, "the waveform header", bytes)?;
         let mut header = Block::read(input, "the waveform header", self.at, bytes.min(WAVEFORM as u64))?;
         header.bytes.resize(WAVEFORM, 0);
+        input.uses(self.at..self.at + bytes);
         self.at += bytes;
         Ok(header)
     }
@@ -168,6 +184,7 @@ impl<'a> Walk<'a> {
             return Err(header.refuse(0, format!("Waveform Data Header Size = {bytes} is less than {least}")));
         }
         self.within(input, "the waveform data header", bytes)?;
+        input.uses(self.at..self.at + bytes);
         self.at += bytes;
         self.within(input, "the waveform buffer", size)?;
         let byte_offset = self.at;
@@ -201,21 +218,27 @@ impl<'a> Walk<'a> {
 
 /// The x axis of a waveform.
 struct Axis {
-    increment: Option<f64>,
-    origin: Option<f64>,
+    increment: f64,
+    origin: f64,
     hertz: bool,
 }
 
 impl Axis {
-    fn read(header: &Block, maker: &Maker) -> Result<Self, FormatError> {
+    fn read(header: &Block, maker: &Maker, input: &mut dyn Input) -> Result<Self, FormatError> {
         let (increment, origin) = (header.finite(32, "X Increment")?, header.finite(40, "X Origin")?);
         if increment <= 0.0 {
             return Err(header.refuse(32, format!("X Increment = {increment} is not positive: nothing was acquired")));
         }
         match header.u32(48) {
-            0 => Ok(Self { increment: None, origin: None, hertz: false }),
-            2 => Ok(Self { increment: Some(increment), origin: Some(maker.origin_sign * origin), hertz: false }),
-            6 => Ok(Self { increment: Some(increment), origin: Some(origin), hertz: true }),
+            unit @ (0 | 2) => {
+                if unit == 0 {
+                    let problem = "X Units = 0 (unknown): X Increment and X Origin are read as seconds; compare them \
+                                   with the instrument's screen";
+                    input.remark(header.at + 48, problem.to_owned());
+                }
+                Ok(Self { increment, origin: maker.origin_sign * origin, hertz: false })
+            }
+            6 => Ok(Self { increment, origin, hertz: true }),
             unit => {
                 let unit = unit_name(unit).unwrap_or("an unknown unit");
                 Err(header.refuse(48, format!("X Units: a record over {unit} is neither over seconds nor over Hz")))
@@ -271,7 +294,7 @@ impl Buffer {
             instrument: frame.and_then(|frame| frame.split(':').next().map(|model| model.trim().to_owned())),
             channel: Some(format!("{name}{suffix}")),
             unit: unit_name(header.u32(52)).map(str::to_owned),
-            dt_s: axis.increment,
+            dt_s: Some(axis.increment),
             scale: Some(Scale { gain: 1.0, offset: 0.0 }),
             acquired_at: date.zip(time).and_then(|(date, time)| date::acquired_at(&date, &time)),
             ..Head::new(maker.format, self.code_type, self.samples)

@@ -18,7 +18,7 @@ const WIDEST_BIN_S: f64 = 0.01;
 /// Index of a tag that occurs once in a file.
 pub(super) const WHOLE: i32 = -1;
 /// Names of the tags that are read.
-const NAMES: [&str; 16] = [
+const NAMES: [&str; 17] = [
     "File_CreatingTime",
     "HW_Type",
     "HistoResult_NumberOfCurves",
@@ -30,6 +30,7 @@ const NAMES: [&str; 16] = [
     "HistResDscr_MDescOffset",
     "HistResDscr_TimeOfRecording",
     "MeasDesc_Resolution",
+    "MeasDesc_GlobalResolution",
     "MeasDesc_Offset",
     "TTResultFormat_TTTRRecType",
     "TTResultFormat_BitsPerRecord",
@@ -76,6 +77,7 @@ impl Tags {
                 let (what, length) = ("what a tag announces", input.length());
                 let cut = FormatError::Truncated { what, byte_offset: content, needed: tag.value, length };
                 all.end = end.ok_or(cut)?;
+                input.uses(content..all.end);
             }
             match name {
                 Some("Header_End") => return Ok(all),

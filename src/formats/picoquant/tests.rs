@@ -63,6 +63,10 @@ fn pico_harp(channel: u32, time: u32, sync: u32) -> u32 {
     channel << 28 | time << 16 | sync
 }
 
+fn t2(special: u32, channel: u32, time: u32) -> u32 {
+    special << 31 | channel << 25 | time
+}
+
 fn hydra_harp(special: u32, channel: u32, time: u32, sync: u32) -> u32 {
     special << 31 | channel << 25 | time << 10 | sync
 }
@@ -127,6 +131,54 @@ fn more_events_than_a_piece_are_counted() {
     assert_eq!(records[0].1[0], (0..40_000).filter(|event| event % 21 == 0).count() as f64);
 }
 
+/// Times count from the last sync pulse, over any number of overflows; what comes before the first is left out.
+#[test]
+fn absolute_times_become_times_after_the_sync() {
+    let events = [
+        t2(0, 0, 3), // no sync yet
+        t2(1, 0, 1 << 24),
+        t2(0, 0, (1 << 24) + 2),
+        t2(1, 5, 0), // a marker
+        t2(1, 63, 2),
+        t2(1, 0, 7),
+        t2(0, 2, 7),
+        t2(0, 0, 9),
+        t2(1, 63, 0), // overflows of old software do not say how many: one
+        t2(0, 2, 7),
+    ];
+    let records = decode(&PicoquantPtu, &ptu(0x101_0204, &events));
+    let channels: Vec<_> = records.iter().map(|(record, _)| record.head.channel.as_deref().unwrap()).collect();
+    assert_eq!(channels, ["0", "2"]);
+    // The last photon is 2^25 units after its sync pulse: 65,536 bins of 512 units would be one too few.
+    assert_eq!((records[0].0.head.samples, records[0].0.head.dt_s), (32_769, Some(1024.0 * 4e-12)));
+    assert_eq!(records[0].1[0], 2.0);
+    assert_eq!((records[1].1[0], records[1].1[32_768]), (1.0, 1.0));
+    let near = decode(&PicoquantPtu, &ptu(0x1_0206, &events[..8]));
+    assert_eq!((near[0].0.head.dt_s, near[0].1.as_slice()), (Some(4e-12), &[0.0, 0.0, 2.0][..]));
+    // A PicoHarp: channel 0 is the sync input, an overflow is channel 15 without markers.
+    let pico = |channel: u32, time: u32| channel << 28 | time;
+    let events = [pico(0, 210_698_239), pico(15, 0), pico(15, 1), pico(1, 3), pico(2, 1)];
+    let records = decode(&PicoquantPtu, &ptu(0x1_0203, &events));
+    assert_eq!(
+        (records[0].1.as_slice(), records[1].1.as_slice()),
+        (&[0.0, 0.0, 0.0, 0.0, 1.0][..], &[0.0, 0.0, 1.0, 0.0, 0.0][..])
+    );
+}
+
+/// A measurement that was not ended has no number of events: they are counted by the length of the file.
+#[test]
+fn events_that_the_head_does_not_count_are_read() {
+    let mut file = ptu(0x1_0307, &hydra_harp_events());
+    let name = b"TTResult_NumberOfRecords";
+    let at = file.windows(name.len()).position(|bytes| bytes == name).unwrap() + 40;
+    file[at..at + 8].fill(0);
+    assert_eq!(decode(&PicoquantPtu, &file).len(), 3);
+    let mut source = crate::hostile::source(&file);
+    let remarks = crate::contents(&mut source).unwrap().remarks;
+    assert_eq!(remarks.len(), 1);
+    assert!(remarks[0].problem.contains("was not ended"), "{remarks:?}");
+}
+
 #[test]
 fn refusals_are_named() {
     let bad_phu = |name: &str, value: u64| {
@@ -151,7 +203,7 @@ fn refusals_are_named() {
         assert!(error.contains(says), "{error}");
     }
     for (record_type, events, says) in [
-        (0x1_0204, &[][..], "T2 mode"),
+        (0x1_0204, &[t2(0, 1, 5)][..], "no photon follows an event of the sync channel"),
         (0x77, &[], "0x00000077 is not known"),
         (0x1_0303, &[pico_harp(7, 0, 0)], "channel 7"),
         (0x1_0303, &[pico_harp(15, 0, 0)], "none of the events is a photon"),
@@ -181,6 +233,9 @@ fn hostile_files_are_survived() {
     let file = phu(&[0, 1]);
     cut_everywhere(&PicoquantPhu, &file);
     change_anywhere(&PicoquantPhu, &file, 5000);
+    let t2_events = ptu(0x101_0204, &[t2(1, 0, 1), t2(0, 3, 9), t2(1, 63, 1), t2(0, 0, 1)]);
+    cut_everywhere(&PicoquantPtu, &t2_events);
+    change_anywhere(&PicoquantPtu, &t2_events, 5000);
     for file in [ptu(0x1_0303, &[pico_harp(1, 3, 0), pico_harp(2, 1, 0)]), ptu(0x1_0307, &hydra_harp_events())] {
         cut_everywhere(&PicoquantPtu, &file);
         assert!(refusal(&PicoquantPtu, &file[..file.len() - 1]).contains("cut short"));

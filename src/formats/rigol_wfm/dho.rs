@@ -72,6 +72,7 @@ impl Channel {
 pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
     let (mut channels, end) = blocks(input)?;
     let data = Data::find(input, end)?;
+    input.uses(end..data.start + DATA_HEAD_BYTES);
     // Older files do not mark channels as on; there, every channel with a block is on.
     if channels.iter().filter(|channel| channel.is_on).count() == data.channels {
         channels.retain(|channel| channel.is_on);
@@ -95,6 +96,7 @@ pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError>
 /// Returns the channels' blocks, and where the blocks end.
 fn blocks(input: &mut dyn Input) -> Result<(Vec<Channel>, u64), FormatError> {
     let mut channels: Vec<Channel> = Vec::new();
+    input.uses(0..HEAD_BYTES);
     let mut at = HEAD_BYTES;
     loop {
         let head = Numbers::little(input.bytes("a block of settings", at, BLOCK_HEAD_BYTES)?, 0);
@@ -115,6 +117,7 @@ fn blocks(input: &mut dyn Input) -> Result<(Vec<Channel>, u64), FormatError> {
             let bytes = input.bytes("a channel's settings", content, u64::from(packed))?;
             channels.push(channel(&bytes, packed < unpacked, (number, kind), content)?);
         }
+        input.uses(content..(content + u64::from(length)).min(input.length()));
         at = content + u64::from(length);
     }
 }
@@ -166,7 +169,7 @@ impl Data {
                 continue;
             }
             if let Some(data) =
-                Self::read(&Numbers::little(input.bytes("the head of the samples", start, DATA_HEAD_BYTES)?, 0), start)
+                Self::read(&Numbers::little(input.peek("the head of the samples", start, DATA_HEAD_BYTES)?, 0), start)
             {
                 if data.end() == Some(input.length()) {
                     return Ok(data);
@@ -200,7 +203,7 @@ impl Data {
 fn first_nonzero(input: &mut dyn Input, from: u64) -> Result<u64, FormatError> {
     let mut at = from;
     while at < input.length() {
-        let piece = input.bytes("padding", at, PIECE_BYTES.min(input.length() - at))?;
+        let piece = input.peek("padding", at, PIECE_BYTES.min(input.length() - at))?;
         if let Some(position) = piece.iter().position(|byte| *byte != 0) {
             return Ok(at + position as u64);
         }

@@ -7,6 +7,9 @@
 //! stopped, the offset on the screen differs from that of the measurement. The file does not say which counts, and then
 //! there is no time of sample 0.
 //!
+//! Of DS1000C, D and E, the time of sample 0 is nominal: real DS1000D and DS1000E captures lie 1 to 4 samples off the
+//! scope's own CSV.
+//!
 //! Probe: the DS1000E stores the scale without it, the DS1000D with it, and nothing in the file distinguishes the two.
 //! The reader assumes a DS1000E: with a probe other than 1x, volts of a DS1000D come out larger by its factor. An
 //! inverted channel has no scale, since it is unknown whether its codes are inverted already. Rolling captures of the
@@ -38,6 +41,8 @@ const B: Layout = Layout { channel_heads: 68, on: 14, inverted: 15, zero: 99.0 }
 const B_TIME: TimeBase = TimeBase { rate: 180, offset: 172, measured_offset: 192 };
 const B_POINTS: usize = 60;
 const B_DATA: u64 = 420;
+/// Least depth of its memory.
+const B_LEAST_POINTS: u32 = 1 << 12;
 
 const E: Layout = Layout { channel_heads: 36, on: 13, inverted: 14, zero: 125.0 };
 const E_TIME: TimeBase = TimeBase { rate: 100, offset: 92, measured_offset: 112 };
@@ -64,6 +69,11 @@ const CODES_PER_DIVISION: f64 = 25.0;
 pub(super) fn records_b(input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
     let fields = Numbers::head(input, B_DATA)?;
     let points = fields.u32(B_POINTS);
+    // Behind the four channels lies a fifth stretch of their length, whose content is not known.
+    let channels = B_DATA + 4 * u64::from(points);
+    let has_fifth = points >= B_LEAST_POINTS && input.length() == channels + u64::from(points);
+    let fifth = if has_fifth { u64::from(points) } else { 0 };
+    input.uses(B_DATA..(channels + fifth).min(input.length()));
     let mut records = Vec::new();
     for number in 0..4 {
         if B.is_on(&fields, number) {
@@ -86,6 +96,7 @@ pub(super) fn records_e(input: &mut dyn Input) -> Result<Vec<Record>, FormatErro
     if fields.u8(0) == 0xA1 {
         return two_channels(input, &fields, [points; 2], C_DATA);
     } else if input.length() == padded + on * u64::from(points) {
+        input.uses(C_DATA..padded);
         return two_channels(input, &fields, [points; 2], padded);
     }
     let fields = Numbers::head(input, E_DATA)?;
@@ -96,7 +107,12 @@ pub(super) fn records_e(input: &mut dyn Input) -> Result<Vec<Record>, FormatErro
     two_channels(input, &fields, [points, points_2], E_DATA)
 }
 
-fn two_channels(input: &dyn Input, fields: &Numbers, depths: [u32; 2], data: u64) -> Result<Vec<Record>, FormatError> {
+fn two_channels(
+    input: &mut dyn Input,
+    fields: &Numbers,
+    depths: [u32; 2],
+    data: u64,
+) -> Result<Vec<Record>, FormatError> {
     let is_e = data == E_DATA;
     // The file has two bytes more than the header gives, which are no samples.
     let skipped = match fields.u32(E_ROLL_STOP) {
@@ -111,11 +127,14 @@ fn two_channels(input: &dyn Input, fields: &Numbers, depths: [u32; 2], data: u64
             return Err(field(at, format!("CH{} has no samples: {skipped} of {depth} are none", number + 1)));
         }
         let mut head = E.head(fields, number, valid)?;
+        head.t0_nominal = true;
         let own_trigger = is_e && number == 1 && fields.u8(E_TRIGGER_MODE) == ALTERNATING;
         let time = if own_trigger { &E_TIME_2 } else { &E_TIME };
         let t0_s = time.place(fields, &mut head, depth)?;
         records.push(record(input, head, t0_s, (byte_offset, 1))?);
-        byte_offset += u64::from(depth);
+        let next = byte_offset + u64::from(depth);
+        input.uses(byte_offset..next.min(input.length()));
+        byte_offset = next;
     }
     some(records, E.channel_heads + E.on)
 }

@@ -55,6 +55,8 @@ pub(super) fn records(input: &mut dyn Input) -> Result<Vec<Record>, FormatError>
     if data < HEAD_BYTES {
         return Err(field(HORIZONTAL_OFFSET, format!("samples from byte {data} would lie in the head")));
     }
+    // Settings that are not read lie before the samples.
+    input.uses(0..data.min(input.length()));
     let mut records = Vec::new();
     for (position, number) in on.iter().enumerate() {
         let lane = match stride {

@@ -32,6 +32,8 @@ struct Layout {
     /// Horizontal offset of the middle of the memory, i64 in ps.
     horizontal_offset: usize,
     channel_heads: usize,
+    /// Where the settings end and the memory begins.
+    settings_end: usize,
     first_valid: usize,
     samples: usize,
     codes_per_division: f64,
@@ -45,6 +47,7 @@ const DS2000: Layout = Layout {
     rate: 0x60,
     horizontal_offset: 0x70,
     channel_heads: 0x78,
+    settings_end: 0xF0,
     first_valid: 0xF8,
     samples: 0xFC,
     codes_per_division: 25.0,
@@ -56,6 +59,7 @@ const DS4000: Layout = Layout {
     rate: 0x64,
     horizontal_offset: 0x74,
     channel_heads: 0x7C,
+    settings_end: 0x100,
     first_valid: 0x108,
     samples: 0x10C,
     codes_per_division: 32.0,
@@ -68,6 +72,8 @@ const INTERWOVEN: usize = 0x41;
 const OFFSETS: usize = 0x44;
 /// Bytes of a channel in the header.
 const CHANNEL_BYTES: usize = 28;
+/// Most bytes after the valid samples of a channel that is alone.
+const SPARE_BYTES: u64 = 1 << 11;
 /// Code in the middle of the screen.
 const MIDDLE: f64 = 127.0;
 
@@ -89,7 +95,9 @@ impl Layout {
     fn records(&self, input: &mut dyn Input, serial: &str) -> Result<Vec<Record>, FormatError> {
         let fields = Numbers::head(input, self.head_bytes)?;
         let samples = fields.u32(self.samples);
-        if self.is_ds2000 && fields.u8(INTERWOVEN) & 1 == 1 {
+        let is_interwoven = self.is_ds2000 && fields.u8(INTERWOVEN) & 1 == 1;
+        self.use_memories(input, &fields, if is_interwoven { samples / 2 } else { samples });
+        if is_interwoven {
             return Ok(vec![self.interwoven(input, &fields, serial, samples)?]);
         }
         let mut records = Vec::new();
@@ -99,6 +107,28 @@ impl Layout {
             records.push(record(input, head, t0_s, (self.stretch(&fields, number)?, 1))?);
         }
         some(records, ENABLED)
+    }
+
+    /// Counts the settings and the memory of each channel as used. A memory holds samples before and after the valid
+    /// ones; it ends where the next begins. The last is as long as the one before it.
+    fn use_memories(&self, input: &mut dyn Input, fields: &Numbers, samples: u32) {
+        let starts: Vec<u64> = (0..CHANNELS)
+            .map(|number| u64::from(fields.u32(OFFSETS + 4 * number)))
+            .filter(|offset| *offset >= self.head_bytes)
+            .collect();
+        let Some(last) = starts.last() else { return };
+        let before = u64::from(fields.u32(self.settings_end));
+        let has_settings = (self.head_bytes..=starts[0]).contains(&before);
+        let spare = match starts[..] {
+            [.., previous, last] if has_settings && last > previous => {
+                // The first memory begins where the settings end.
+                (last - previous).saturating_sub(starts[0] - before).saturating_sub(u64::from(samples))
+            }
+            _ if has_settings => SPARE_BYTES,
+            _ => 0,
+        };
+        let end = last + u64::from(fields.u32(self.first_valid)) + u64::from(samples) + spare;
+        input.uses(self.head_bytes..end.min(input.length()));
     }
 
     /// Where the valid samples of a channel begin.

@@ -93,9 +93,7 @@ impl<'a> Frames<'a> {
             return Err(field(72, format!("{problem}; save the waveform again")));
         }
         let first = Curve::read(numbers, header.layout.curve, code_type.bytes() as u64)?;
-        // Each frame needs at least its samples.
-        let least = (first.stop - first.start).checked_mul(more + 1).and_then(|bytes| bytes.checked_add(buffer));
-        if least.is_none_or(|end| end > length) {
+        if first.end.checked_add(buffer).is_none_or(|end| end > length) {
             let needed = first.end.saturating_mul(more + 1);
             return Err(FormatError::Truncated { what: "the curve buffer", byte_offset: buffer, needed, length });
         }
@@ -104,7 +102,8 @@ impl<'a> Frames<'a> {
         Ok((Self { header, tables, first, code_type }, buffer))
     }
 
-    /// Returns the frames, and where the last one's curve buffer ends.
+    /// Returns the frames, and where the last one's curve buffer ends. Of a file that ends within a frame it returns the
+    /// whole ones.
     pub(super) fn list(&self, mut buffer: u64, length: u64, dt_s: f64) -> Result<(Vec<Frame>, u64), FormatError> {
         let at = self.header.layout.implicit + 8;
         let offset_s =
@@ -114,6 +113,9 @@ impl<'a> Frames<'a> {
         for i in 0..=more {
             let curve = self.curve(i, more)?;
             if buffer.checked_add(curve.end).is_none_or(|end| end > length) {
+                if i > 0 {
+                    break;
+                }
                 let what = "the curve buffer of a frame";
                 return Err(FormatError::Truncated { what, byte_offset: buffer, needed: curve.end, length });
             }
@@ -121,6 +123,11 @@ impl<'a> Frames<'a> {
             buffer += curve.end;
         }
         Ok((frames, buffer))
+    }
+
+    /// How many frames the file should hold.
+    pub(super) fn count(&self) -> usize {
+        1 + self.tables.bytes.len() / (UPDATE + CURVE)
     }
 
     /// Curve object of a frame. Instruments leave it zero where it equals that of frame 0.

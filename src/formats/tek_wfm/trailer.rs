@@ -25,25 +25,28 @@ impl Trailer {
         if bytes == 0 {
             return Ok(Self::default());
         }
-        let bytes = input.bytes("the trailer", from, bytes)?;
+        let bytes = input.peek("the trailer", from, bytes)?;
         let Some(start) = bytes.windows(TRAILER.len()).position(|window| window == TRAILER) else {
             return Ok(Self::default());
         };
-        Self::entries(&bytes[start + TRAILER.len()..], big_endian).ok_or_else(|| FormatError::Field {
+        let mut rest = &bytes[start + TRAILER.len()..];
+        let trailer = Self::entries(&mut rest, big_endian).ok_or_else(|| FormatError::Field {
             byte_offset: from + start as u64,
             problem: "the tekmeta! trailer is cut or damaged; copy the file from the instrument again".to_owned(),
-        })
+        })?;
+        input.uses(from + start as u64..from + (bytes.len() - rest.len()) as u64);
+        Ok(trailer)
     }
 
     /// Parses a count, then that many keys and values; a length precedes each text.
-    fn entries(mut bytes: &[u8], big_endian: bool) -> Option<Self> {
+    fn entries(bytes: &mut &[u8], big_endian: bool) -> Option<Self> {
         let mut trailer = Self::default();
-        let count = number(&mut bytes, big_endian)?;
+        let count = number(bytes, big_endian)?;
         for _ in 0..count {
-            let key = number(&mut bytes, big_endian)?;
+            let key = number(bytes, big_endian)?;
             let key = bytes.split_off(..key)?;
             let value = match bytes.split_off_first()? {
-                1 => number(&mut bytes, big_endian)?,
+                1 => number(bytes, big_endian)?,
                 2 | 4 => 4,
                 3 => 8,
                 _ => return None,

@@ -1,0 +1,112 @@
+//! Events of 32 bits, one after the other: photons, sync pulses, overflows of the counter and markers.
+
+use std::io;
+
+/// Counts after which the time of an event begins anew in T2 mode: PicoHarp, first version of the HydraHarp, others.
+const WRAP_PICO_HARP: u64 = 210_698_240;
+const WRAP_HYDRA_HARP_1: u64 = 33_552_000;
+const WRAP: u64 = 1 << 25;
+
+/// How an event is laid out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Layout {
+    /// 4 bits channel, 12 bits time after the sync, 16 bits sync counter.
+    PicoHarpT3,
+    /// Special, 6 bits channel, 15 bits time after the sync, 10 bits sync counter.
+    HydraHarpT3,
+    /// 4 bits channel (0: sync), 28 bits time.
+    PicoHarpT2,
+    /// Special, 6 bits channel (0 of the special ones: sync), 25 bits time, which wraps after so many; whether an
+    /// overflow counts how often.
+    HydraHarpT2 { wrap: u64, is_counted: bool },
+}
+
+impl Layout {
+    /// Of a record type of the file's head.
+    pub(super) fn of(record_type: u64) -> Option<Self> {
+        match record_type {
+            0x0001_0303 => Some(Self::PicoHarpT3),
+            // HydraHarp, its version 2, TimeHarp 260 N and P, MultiHarp and PicoHarp 330.
+            0x0001_0304..=0x0001_0307 | 0x0101_0304..=0x0101_0307 => Some(Self::HydraHarpT3),
+            0x0001_0203 => Some(Self::PicoHarpT2),
+            0x0001_0204 => Some(Self::HydraHarpT2 { wrap: WRAP_HYDRA_HARP_1, is_counted: false }),
+            0x0001_0205..=0x0001_0207 | 0x0101_0204..=0x0101_0207 => {
+                Some(Self::HydraHarpT2 { wrap: WRAP, is_counted: true })
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether times count from the start of the measurement.
+    pub(super) const fn is_t2(self) -> bool {
+        matches!(self, Self::PicoHarpT2 | Self::HydraHarpT2 { .. })
+    }
+}
+
+/// The time of events in a file, as they are passed.
+pub(super) struct Clock {
+    layout: Layout,
+    /// Time at which the counter last began anew, and of the last sync pulse.
+    wrapped: u64,
+    sync: Option<u64>,
+}
+
+impl Clock {
+    pub(super) const fn new(layout: Layout) -> Self {
+        Self { layout, wrapped: 0, sync: None }
+    }
+
+    /// Channel of an event and its time after the sync pulse, if it is a photon.
+    pub(super) fn photon(&mut self, event: u32) -> io::Result<Option<(usize, u64)>> {
+        let field = |from: u32, bits: u32| event >> from & ((1 << bits) - 1);
+        match self.layout {
+            Layout::PicoHarpT3 => match (field(28, 4), field(16, 12)) {
+                (15, _) => Ok(None),
+                (channel @ 1..=4, time) => Ok(Some((channel as usize, time.into()))),
+                (channel, _) => Err(no_channel(channel)),
+            },
+            Layout::HydraHarpT3 if field(31, 1) == 1 => Ok(None),
+            Layout::HydraHarpT3 => Ok(Some((field(25, 6) as usize, field(10, 15).into()))),
+            Layout::PicoHarpT2 => match (field(28, 4), field(0, 28)) {
+                // The lowest bits of a special event are markers.
+                (15, time) if time & 15 == 0 => Ok(self.wrap(WRAP_PICO_HARP)),
+                (15, _) => Ok(None),
+                (0, time) => Ok(self.sync(time)),
+                (channel @ 1..=4, time) => Ok(self.after_sync(channel, time)),
+                (channel, _) => Err(no_channel(channel)),
+            },
+            Layout::HydraHarpT2 { wrap, is_counted } => {
+                let (channel, time) = (field(25, 6), field(0, 25));
+                Ok(match (field(31, 1), channel) {
+                    (0, _) => self.after_sync(channel, time),
+                    (_, 0) => self.sync(time),
+                    (_, 63) if is_counted => self.wrap(wrap * u64::from(time.max(1))),
+                    (_, 63) => self.wrap(wrap),
+                    _ => None,
+                })
+            }
+        }
+    }
+
+    fn wrap(&mut self, by: u64) -> Option<(usize, u64)> {
+        // A file of so many overflows that this ends is larger than any disk.
+        self.wrapped = self.wrapped.saturating_add(by);
+        None
+    }
+
+    fn sync(&mut self, time: u32) -> Option<(usize, u64)> {
+        self.sync = Some(self.wrapped.saturating_add(time.into()));
+        None
+    }
+
+    /// A photon, if a sync pulse came before it.
+    fn after_sync(&self, channel: u32, time: u32) -> Option<(usize, u64)> {
+        let time = self.wrapped.saturating_add(time.into());
+        Some((channel as usize, time.checked_sub(self.sync?)?))
+    }
+}
+
+fn no_channel(channel: u32) -> io::Error {
+    let problem = format!("an event on channel {channel}, but a PicoHarp has 1 to 4: the file is damaged");
+    io::Error::new(io::ErrorKind::InvalidData, problem)
+}
