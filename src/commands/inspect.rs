@@ -1,19 +1,25 @@
 //! `periscope inspect`.
 
-use std::collections::VecDeque;
-use std::io::Write;
+mod line;
+mod plot;
+mod summary;
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use periscope::formats::{self, Input, Source};
-use periscope::signal::codes::Codes;
-use periscope::waveform::{Kind, Record};
-use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
+use periscope::formats::{self, Contents, Input, Joined, Source, npy};
+use periscope::waveform::Record;
+use serde_json::json;
 
-use super::output::{Closed, Format, Output, Stream, note, say};
+use super::output::{Closed, Format, Output, Rows, Stream, note, say};
+use line::{TIME, line, with_unit};
+use plot::Plot;
+use summary::Summary;
 
 /// Arguments of `inspect`.
 #[derive(Args)]
@@ -21,12 +27,27 @@ pub struct Inspect {
     /// Scope files
     #[arg(required = true)]
     files: Vec<PathBuf>,
+    /// Only this channel
+    #[arg(long, value_name = "NAME")]
+    channel: Option<String>,
+    /// Only this segment
+    #[arg(long, value_name = "NUMBER")]
+    segment: Option<u32>,
+    /// Draw each waveform as a small plot
+    #[arg(long)]
+    plot: bool,
+    /// Write the samples of the one waveform, with their times, to a CSV file
+    #[arg(long, value_name = "FILE", conflicts_with = "npy")]
+    csv: Option<PathBuf>,
+    /// Write the samples of the waveforms, all of one length, as an array [waveform, sample] to an .npy file
+    #[arg(long, value_name = "FILE")]
+    npy: Option<PathBuf>,
     #[command(flatten)]
     output: Output,
 }
 
 /// What is known of a waveform.
-const COLUMNS: [&str; 21] = [
+const COLUMNS: [&str; 22] = [
     "file",
     "format",
     "kind",
@@ -48,19 +69,36 @@ const COLUMNS: [&str; 21] = [
     "min",
     "max",
     "sha256_f32le",
+    "remarks",
 ];
+
+/// What a table of many files shows of each.
+const FILE_COLUMNS: [&str; 9] =
+    ["file", "format", "instrument", "channels", "waveforms", "samples", "dt", "t0", "remarks"];
+
+/// More waveforms than this are summed up by channel.
+const LINES: usize = 64;
 
 /// The command. A file that cannot be decoded gives an error line, and the others continue.
 pub fn inspect(args: &Inspect) -> Result<ExitCode> {
+    if let Some(file) = args.csv.as_ref().or(args.npy.as_ref()) {
+        return export(args, file);
+    }
     let format = args.output.format;
     let stdout = || std::io::stdout().lock();
-    let mut stream = match format {
-        Format::Table => None,
-        Format::Json | Format::Csv => Some(Stream::start(stdout(), format, &COLUMNS)?),
+    let (mut stream, mut table) = match format {
+        Format::Table if args.files.len() > 1 && !args.plot => (None, Some(Rows::new(&FILE_COLUMNS))),
+        Format::Table => (None, None),
+        Format::Json | Format::Csv => (Some(Stream::start(stdout(), format, &COLUMNS)?), None),
     };
     let mut failed = false;
     for file in &args.files {
-        if let Err(error) = inspect_file(file, stream.as_mut()) {
+        let inspected = match (&mut stream, &mut table) {
+            (Some(stream), _) => rows_of_waveforms(args, file, stream),
+            (None, Some(table)) => row_of_file(args, file, table),
+            (None, None) => lines_of_file(args, file),
+        };
+        if let Err(error) = inspected {
             if error.is::<Closed>() {
                 return Err(error);
             }
@@ -69,160 +107,190 @@ pub fn inspect(args: &Inspect) -> Result<ExitCode> {
         }
     }
     stream.map_or(Ok(()), Stream::end)?;
+    table.map_or(Ok(()), |table| table.print(Format::Table))?;
     Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-fn inspect_file<W: Write>(file: &Path, mut stream: Option<&mut Stream<W>>) -> Result<()> {
+/// A file that was opened, with the records that were asked for.
+struct Opened {
+    source: Source<Joined>,
+    records: Vec<Record>,
+    remarks: Vec<String>,
+}
+
+fn open(args: &Inspect, file: &Path) -> Result<Opened> {
     if file.is_dir() {
         bail!("is a folder; name the files in it, such as {}", file.join("*").display());
     }
     let mut source = Source::open(file)?;
-    let records = formats::records(&mut source)?;
-    if stream.is_none() {
-        let head = records.first().context("holds no waveform")?.head.clone();
-        let instrument = head.instrument.as_deref().unwrap_or("unknown instrument");
-        say!("{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
+    let Contents { mut records, remarks } = formats::contents(&mut source)?;
+    let is_asked_for = |record: &Record| {
+        args.channel.as_ref().is_none_or(|channel| record.head.channel.as_ref() == Some(channel))
+            && args.segment.is_none_or(|segment| record.segment.unwrap_or(0) == segment)
+    };
+    let channels = channels(&records).into_keys().collect::<Vec<_>>().join(", ");
+    records.retain(is_asked_for);
+    if records.is_empty() {
+        bail!("holds no waveform of that channel and segment; its channels are {channels}");
     }
+    let remark = |remark: &formats::Remark| format!("byte {}: {}", remark.byte_offset, remark.problem);
+    Ok(Opened { source, records, remarks: remarks.iter().map(remark).collect() })
+}
+
+/// Channels with the number of their waveforms.
+fn channels(records: &[Record]) -> BTreeMap<&str, usize> {
+    let mut channels = BTreeMap::new();
+    for record in records {
+        *channels.entry(record.head.channel.as_deref().unwrap_or("-")).or_insert(0) += 1;
+    }
+    channels
+}
+
+/// A row for each waveform.
+fn rows_of_waveforms<W: Write>(args: &Inspect, file: &Path, stream: &mut Stream<'_, W>) -> Result<()> {
+    let Opened { mut source, records, remarks } = open(args, file)?;
     for record in &records {
         let mut summary = Summary::of(record);
         record.visit(source.file(), 0..record.head.samples, &mut |codes| summary.take(record, codes))?;
-        let facts = summary.facts(file, record);
-        match &mut stream {
-            Some(stream) => stream.row(&COLUMNS.map(|column| facts[column].clone()))?,
-            None => say!("  {}", line(&facts))?,
+        let facts = summary.facts(file, record, &remarks);
+        stream.row(&COLUMNS.map(|column| facts[column].clone()))?;
+    }
+    Ok(())
+}
+
+/// A row for the file. It reads no samples but those that are text.
+fn row_of_file(args: &Inspect, file: &Path, table: &mut Rows) -> Result<()> {
+    let Opened { records, remarks, .. } = open(args, file)?;
+    let head = &records[0].head;
+    let time = |time_s: Option<f64>| time_s.map(|time_s| with_unit(time_s, &TIME));
+    let samples = records.iter().map(|record| record.head.samples);
+    let samples = match (samples.clone().min(), samples.max()) {
+        (Some(least), Some(most)) if least < most => json!(format!("{least} to {most}")),
+        (least, _) => json!(least),
+    };
+    let names: Vec<&str> = channels(&records).into_keys().collect();
+    table.push([
+        json!(file.display().to_string()),
+        json!(head.format),
+        json!(head.instrument),
+        json!(names.join(", ")),
+        json!(records.len()),
+        samples,
+        json!(time(head.dt_s)),
+        json!(time(records[0].t0_s)),
+        json!(remarks.join("; ")),
+    ]);
+    Ok(())
+}
+
+/// A line for each waveform, or, of very many, for each channel.
+fn lines_of_file(args: &Inspect, file: &Path) -> Result<()> {
+    let Opened { mut source, records, remarks } = open(args, file)?;
+    let head = &records[0].head;
+    let instrument = head.instrument.as_deref().unwrap_or("unknown instrument");
+    say!("{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
+    for remark in &remarks {
+        say!("  remark: {remark}")?;
+    }
+    if records.len() > LINES {
+        return lines_of_channels(&mut source, &records);
+    }
+    for record in &records {
+        let (mut summary, mut plot) = (Summary::of(record), Plot::of(record.head.samples));
+        record.visit(source.file(), 0..record.head.samples, &mut |codes| {
+            summary.take(record, codes);
+            if args.plot {
+                plot.take(&record.values(codes));
+            }
+        })?;
+        say!("  {}", line(&summary.facts(file, record, &remarks)))?;
+        if args.plot {
+            plot.rows().iter().try_for_each(|row| say!("  |{row}|"))?;
         }
     }
     Ok(())
 }
 
-/// Number of values shown at either end.
-const ENDS: usize = 5;
-
-/// Running summary of a record, which may be larger than memory. Values are volts if the file has a scale, else those
-/// of the file.
-struct Summary {
-    first: Vec<f64>,
-    last: VecDeque<f64>,
+/// What the waveforms of a channel are together.
+#[derive(Default)]
+struct Together {
+    waveforms: usize,
     sum: f64,
-    min: Option<f64>,
-    max: Option<f64>,
-    clipped: Option<usize>,
-    sha: Sha256,
+    extremes: Option<(f64, f64)>,
 }
 
-impl Summary {
-    fn of(record: &Record) -> Self {
-        Self {
-            first: Vec::new(),
-            last: VecDeque::new(),
-            sum: 0.0,
-            min: None,
-            max: None,
-            clipped: record.head.rails.map(|_| 0),
-            sha: Sha256::new(),
-        }
+fn lines_of_channels(source: &mut Source<Joined>, records: &[Record]) -> Result<()> {
+    let mut together: BTreeMap<&str, (&Record, Together)> = BTreeMap::new();
+    for record in records {
+        let name = record.head.channel.as_deref().unwrap_or("-");
+        let (_, channel) = together.entry(name).or_insert((record, Together::default()));
+        channel.waveforms += 1;
+        record.visit(source.file(), 0..record.head.samples, &mut |codes| {
+            for value in record.values(codes) {
+                let (low, high) = channel.extremes.unwrap_or((value, value));
+                (channel.sum, channel.extremes) = (channel.sum + value, Some((low.min(value), high.max(value))));
+            }
+        })?;
     }
-
-    fn take(&mut self, record: &Record, codes: &[u8]) {
-        let values = record.values(codes);
-        let floats: Vec<u8> = values.iter().flat_map(|value| (*value as f32).to_le_bytes()).collect();
-        self.sha.update(&floats);
-        self.first.extend(&values[..values.len().min(ENDS - self.first.len())]);
-        self.last.extend(&values[values.len().saturating_sub(ENDS)..]);
-        self.last.drain(..self.last.len().saturating_sub(ENDS));
-        self.sum = values.iter().fold(self.sum, |sum, value| sum + value);
-        self.min = values.iter().copied().chain(self.min).reduce(f64::min);
-        self.max = values.iter().copied().chain(self.max).reduce(f64::max);
-        if let (Some(clipped), Some((low, high))) = (&mut self.clipped, record.head.rails) {
-            let codes = Codes::of(record.head.code_type.name(), codes).expect("code types have one name everywhere");
-            *clipped += codes.count_at_or_beyond(low, high);
-        }
-    }
-
-    fn facts(self, file: &Path, record: &Record) -> Value {
+    for (name, (record, Together { waveforms, sum, extremes })) in together {
         let head = &record.head;
-        let sha = self.sha.finalize().iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
-        json!({
-            "file": file.display().to_string(),
-            "format": head.format,
-            "kind": head.kind.name(),
-            "instrument": head.instrument,
-            "channel": head.channel,
-            "segment": record.segment,
-            "samples": head.samples,
-            "dt_s": head.dt_s,
-            "t0_s": record.t0_s,
-            "t0_nominal": head.t0_nominal,
-            "unit": head.unit,
-            "gain": head.header_gain,
-            "offset": head.header_offset,
-            "acquired_at": head.acquired_at,
-            "clipped": self.clipped,
-            "first": self.first,
-            "last": self.last,
-            "mean": (head.samples > 0).then(|| self.sum / head.samples as f64),
-            "min": self.min,
-            "max": self.max,
-            "sha256_f32le": sha,
-        })
+        let axes = head.shape.iter().map(usize::to_string).collect::<Vec<_>>().join(" x ");
+        let shape = if axes.is_empty() { String::new() } else { format!(" ({axes})") };
+        let time = |time_s: Option<f64>| time_s.map_or("-".to_owned(), |time_s| with_unit(time_s, &TIME));
+        let (low, high) = extremes.unwrap_or_default();
+        say!(
+            "  {} channel {name}: {waveforms} waveforms{shape} of {} samples  dt {}  t0 {}  {low} to {high} {}  sum {sum}",
+            head.kind.name(),
+            head.samples,
+            time(head.dt_s),
+            time(record.t0_s),
+            head.unit.as_deref().unwrap_or("(no unit)"),
+        )?;
     }
+    say!("  One line each: --format csv. One of them: --channel NAME --segment NUMBER.")
 }
 
-/// The most important facts, for people.
-fn line(facts: &Value) -> String {
-    let text = |key: &str| match &facts[key] {
-        Value::Null => "-".to_owned(),
-        Value::String(text) => text.clone(),
-        other => other.to_string(),
-    };
-    let with =
-        |key: &str, units: &[(&str, f64)]| facts[key].as_f64().map_or("-".to_owned(), |value| with_unit(value, units));
-    let step = if facts["kind"] == Kind::Spectrum.name() { &FREQUENCY[..] } else { &TIME };
-    let value = |key: &str| match facts["unit"].as_str() {
-        Some("V") => with(key, &VOLTAGE),
-        unit => format!("{} {}", text(key), unit.unwrap_or_default()).trim_end().to_owned(),
-    };
-    format!(
-        "{} channel {:4} segment {:4} {:>8} samples  dt {}  t0 {}  {} to {}  clipped {}",
-        text("kind"),
-        text("channel"),
-        text("segment"),
-        text("samples"),
-        with("dt_s", step),
-        with("t0_s", &TIME) + if facts["t0_nominal"] == true { " (nominal)" } else { "" },
-        value("min"),
-        value("max"),
-        text("clipped"),
-    )
-}
-
-const TIME: [(&str, f64); 5] = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9), ("ps", 1e-12)];
-const FREQUENCY: [(&str, f64); 4] = [("GHz", 1e9), ("MHz", 1e6), ("kHz", 1e3), ("Hz", 1.0)];
-const VOLTAGE: [(&str, f64); 3] = [("V", 1.0), ("mV", 1e-3), ("uV", 1e-6)];
-
-/// A value in the largest unit in which it is at least one, else in the smallest, with up to seven digits. JSON and CSV
-/// have all digits.
-fn with_unit(value: f64, units: &[(&str, f64)]) -> String {
-    let is_enough = |(_, one): &&(&str, f64)| value == 0.0 || value.abs() >= (1.0 - 1e-7) * one;
-    let (unit, one) = units.iter().find(is_enough).or(units.last()).expect("there are units");
-    let seven: f64 = format!("{:.6e}", value / one).parse().expect("a number as it is printed");
-    format!("{seven} {unit}")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn values_are_shown_in_the_unit_that_fits() {
-        let time = |value| with_unit(value, &TIME);
-        assert_eq!(time(50e-12), "50 ps");
-        assert_eq!(time(1e-9 * (1.0 + 2e-8)), "1 ns");
-        assert_eq!(time(1e-12 * (1.0 - 4e-9)), "1 ps");
-        assert_eq!(time(-2.007_329_1e-6), "-2.007329 us");
-        assert_eq!(time(0.0), "0 s");
-        assert_eq!(time(1.5e-14), "0.015 ps");
-        assert_eq!(with_unit(2.5e6, &FREQUENCY), "2.5 MHz");
-        assert_eq!(with_unit(-0.0125, &VOLTAGE), "-12.5 mV");
+/// Writes samples to a file.
+fn export(args: &Inspect, to: &Path) -> Result<ExitCode> {
+    let [file] = args.files.as_slice() else { bail!("name one file whose samples are to be written") };
+    let Opened { mut source, records, remarks } = open(args, file).with_context(|| file.display().to_string())?;
+    remarks.iter().for_each(|remark| note!("{}: {remark}", file.display()));
+    let samples = records[0].head.samples;
+    if records.iter().any(|record| record.head.samples != samples) {
+        bail!("{}: its waveforms have different lengths; choose one with --channel and --segment", file.display());
     }
+    if args.csv.is_some() && records.len() > 1 {
+        let channels = channels(&records).into_keys().collect::<Vec<_>>().join(", ");
+        bail!(
+            "{}: has {} waveforms; choose one with --channel ({channels}) and --segment, or write --npy",
+            file.display(),
+            records.len()
+        );
+    }
+    let mut out = BufWriter::new(File::create(to).with_context(|| to.display().to_string())?);
+    if args.csv.is_some() {
+        write_csv(&mut out, &mut source, &records[0])?;
+    } else {
+        npy::write_head::<f64>(&mut out, &[records.len() as u64, samples as u64])?;
+        for record in &records {
+            let values = source.values(record)?;
+            values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
+        }
+    }
+    out.flush().with_context(|| to.display().to_string())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Times and values; numbers of samples where the file has no time base. What has no unit is headed `value`.
+fn write_csv(out: &mut impl Write, source: &mut Source<Joined>, record: &Record) -> Result<()> {
+    let is_timed = record.time_s(0).is_some();
+    let unit = record.head.unit.as_deref().map_or(String::new(), |unit| format!(" ({unit})"));
+    writeln!(out, "{},value{unit}", if is_timed { "time (s)" } else { "sample" })?;
+    for (sample, value) in source.values(record)?.into_iter().enumerate() {
+        match record.time_s(sample) {
+            Some(time_s) => writeln!(out, "{time_s:e},{value}")?,
+            None => writeln!(out, "{sample},{value}")?,
+        }
+    }
+    Ok(())
 }

@@ -98,6 +98,7 @@ pub mod keysight_bin;
 pub mod lecroy_1_0;
 pub mod lecroy_trc;
 pub mod mat5;
+mod named;
 pub mod npy;
 pub mod npz;
 mod numbers;
@@ -148,7 +149,7 @@ const HEAD_BYTES: usize = 2048;
 /// Returns the reader of a file: by its content, else by its extension.
 ///
 /// # Errors
-/// When no reader recognises the file.
+/// When no reader recognises the file, or it is known to be of a format that is not read.
 pub fn reader<F: Read + Seek>(source: &mut Source<F>) -> Result<&'static dyn Reader, FormatError> {
     let head = source.head(HEAD_BYTES)?;
     if head.is_empty() {
@@ -156,6 +157,9 @@ pub fn reader<F: Read + Seek>(source: &mut Source<F>) -> Result<&'static dyn Rea
     }
     let by_content = READERS.into_iter().find(|reader| reader.recognises(&head));
     let extension = source.extension();
+    if let Some(refusal) = named::refusal(&head, extension).filter(|_| by_content.is_none()) {
+        return Err(refusal);
+    }
     let by_name = || READERS.into_iter().find(|reader| reader.extensions().contains(&extension));
     by_content.or_else(by_name).ok_or(FormatError::Unknown)
 }

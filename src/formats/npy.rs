@@ -308,6 +308,21 @@ number! {
 /// When the number of values contradicts the shape.
 pub fn write<T: Number>(out: &mut impl Write, shape: &[u64], values: &[T]) -> io::Result<()> {
     assert_eq!(shape.iter().product::<u64>(), values.len() as u64, "as many values as the shape says");
+    write_head::<T>(out, shape)?;
+    let mut block = Vec::new();
+    for values in values.chunks(1 << 16) {
+        block.clear();
+        values.iter().for_each(|value| block.extend_from_slice(value.bytes().as_ref()));
+        out.write_all(&block)?;
+    }
+    Ok(())
+}
+
+/// Writes what stands before the values of an array, for those that come piece by piece, little-endian.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub fn write_head<T: Number>(out: &mut impl Write, shape: &[u64]) -> io::Result<()> {
     let lengths: Vec<String> = shape.iter().map(|length| format!("{length},")).collect();
     let mut text = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}", T::DESCR, lengths.join(" "));
     // The format demands that numbers begin at a multiple of 64, after magic, version, length and a text that ends its
@@ -318,14 +333,7 @@ pub fn write<T: Number>(out: &mut impl Write, shape: &[u64], values: &[T]) -> io
     text.push('\n');
     out.write_all(b"\x93NUMPY\x01\x00")?;
     out.write_all(&u16::try_from(text.len()).expect("a shape of few axes").to_le_bytes())?;
-    out.write_all(text.as_bytes())?;
-    let mut block = Vec::new();
-    for values in values.chunks(1 << 16) {
-        block.clear();
-        values.iter().for_each(|value| block.extend_from_slice(value.bytes().as_ref()));
-        out.write_all(&block)?;
-    }
-    Ok(())
+    out.write_all(text.as_bytes())
 }
 
 #[cfg(test)]

@@ -25,6 +25,14 @@ pub enum FormatError {
         "is in no format that is read; export it from the instrument as CSV, or see docs/formats.md for the formats that are"
     )]
     Unknown,
+    /// It is known what it is, and that it is not read.
+    #[error("is {what}, which is not read; {mend}")]
+    NotRead {
+        /// What it is.
+        what: &'static str,
+        /// What to do.
+        mend: &'static str,
+    },
     /// It ends too early.
     #[error(
         "is cut short: {what} needs {needed} bytes from byte {byte_offset}, but the file ends after {length}; copy it from the instrument again"

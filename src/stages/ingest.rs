@@ -86,7 +86,7 @@ impl Source for Ingest {
         "ingest"
     }
     fn version(&self) -> u32 {
-        3
+        4
     }
     fn params(&self) -> Result<Value, NotJson> {
         let mut roles = self.roles.clone();

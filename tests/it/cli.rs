@@ -122,6 +122,7 @@ fn inspect_says_what_is_in_a_file() {
         "min",
         "max",
         "sha256_f32le",
+        "remarks",
     ];
     assert!(keys.iter().all(|key| lines[0].get(key).is_some()), "{}", lines[0]);
     assert!(
@@ -135,10 +136,55 @@ fn inspect_says_what_is_in_a_file() {
     fs::write(lab.path("bad.trc"), "WAVEDESC").unwrap();
     let mixed = periscope(&lab.path(""), &["inspect", "bad.trc", file]);
     assert!(
-        mixed.status.code() == Some(1) && err(&mixed).contains("bad.trc") && out(&mixed).contains("24 waveforms"),
-        "{}",
+        mixed.status.code() == Some(1) && err(&mixed).contains("bad.trc") && out(&mixed).lines().count() == 2,
+        "{}{}",
+        out(&mixed),
         err(&mixed)
     );
+    assert!(
+        out(&mixed).starts_with("file ") && out(&mixed).contains("C1               24      320  50 ps"),
+        "{}",
+        out(&mixed)
+    );
+}
+
+/// Samples leave a file as text or as an array, with a plot to look at them first; what surrounds them is told.
+#[test]
+fn inspect_gives_samples_out() {
+    let lab = Lab::tiny();
+    let (here, file) = (lab.path(""), "campaign/raw/scene/s1_L1_P2_C1.trc");
+    let inspect = |args: &[&str]| periscope(&here, &[&["inspect", file], args].concat());
+    let plotted = out(&inspect(&["--plot", "--segment", "3"]));
+    assert!(plotted.lines().count() == 10 && plotted.contains('\u{2588}'), "{plotted}");
+    out(&inspect(&["--npy", "all.npy"]));
+    let array = periscope(&here, &["inspect", "all.npy", "--format", "json"]);
+    let rows: Vec<Value> = serde_json::from_str(&out(&array)).unwrap();
+    let json: Vec<Value> = serde_json::from_str(&out(&inspect(&["--format", "json"]))).unwrap();
+    assert_eq!(rows.len(), 24);
+    assert!(rows.iter().zip(&json).all(|(row, json)| row["sha256_f32le"] == json["sha256_f32le"]));
+    let several = inspect(&["--csv", "one.csv"]);
+    assert!(err(&several).contains("choose one with --channel (C1) and --segment"), "{}", err(&several));
+    out(&inspect(&["--csv", "one.csv", "--channel", "C1", "--segment", "3"]));
+    let one: Vec<Value> =
+        serde_json::from_str(&out(&periscope(&here, &["inspect", "one.csv", "--format", "json"]))).unwrap();
+    assert_eq!((&one[0]["sha256_f32le"], &one[0]["unit"]), (&json[3]["sha256_f32le"], &json[3]["unit"]));
+    assert!((one[0]["t0_s"].as_f64().unwrap() - json[3]["t0_s"].as_f64().unwrap()).abs() < 1e-18);
+    assert!(err(&inspect(&["--channel", "C9"])).contains("its channels are C1"));
+    let mut longer = fs::read(lab.path(file)).unwrap();
+    longer.extend([7; 100]);
+    fs::write(lab.path("longer.trc"), longer).unwrap();
+    let told = out(&periscope(&here, &["inspect", "longer.trc"]));
+    assert!(told.contains("remark: byte") && told.contains("100 bytes at the end of the file"), "{told}");
+}
+
+/// A named pipe has no end to wait for.
+#[cfg(unix)]
+#[test]
+fn inspect_refuses_a_pipe_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    assert!(std::process::Command::new("mkfifo").arg(folder.path().join("a.trc")).status().unwrap().success());
+    let refused = periscope(folder.path(), &["inspect", "a.trc"]);
+    assert!(refused.status.code() == Some(1) && err(&refused).contains("is a pipe or a device"), "{}", err(&refused));
 }
 
 #[test]

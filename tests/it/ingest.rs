@@ -67,6 +67,44 @@ fn a_nominal_rate_that_is_another_is_refused() {
     assert!(error.contains("give one of them"), "{error}");
 }
 
+/// Bytes that belong to no record, and a file that ends within a segment: what is whole is used, and `rejects` says the
+/// rest, once a file.
+#[test]
+fn what_a_file_holds_besides_its_records_is_in_rejects() {
+    let lab = Lab::tiny();
+    lab.run("before", TRACES, &Settings::default()).unwrap();
+    let before: Vec<Trace> = lab.rows("before", "traces");
+    let file = |number: usize| {
+        let mut files: Vec<_> =
+            fs::read_dir(lab.campaign().join("raw/scene")).unwrap().map(|file| file.unwrap().path()).collect();
+        files.retain(|file| file.to_string_lossy().ends_with("C1.trc"));
+        files.sort();
+        files.swap_remove(number)
+    };
+    let mut longer = fs::read(file(0)).unwrap();
+    longer.extend([7; 100]);
+    fs::write(file(0), longer).unwrap();
+    let cut = fs::read(file(1)).unwrap();
+    fs::write(file(1), &cut[..cut.len() - 10]).unwrap();
+    lab.run("out", TRACES, &Settings::default()).unwrap();
+    let rejects: Vec<Reject> = lab.rows("out", "rejects");
+    let of = |path: &Path| -> Vec<String> {
+        let name = path.file_name().unwrap().to_str().unwrap();
+        let its = rejects.iter().filter(|row| row.file.as_ref().is_some_and(|file| file.ends_with(name)));
+        its.map(|row| row.reason.to_string()).collect()
+    };
+    let (surplus, short) = (of(&file(0)), of(&file(1)));
+    assert!(surplus.len() == 1 && surplus[0].contains("100 bytes at the end"), "{rejects:?}");
+    assert!(!short.is_empty() && short[0].contains("the file ends within segment 23"), "{rejects:?}");
+    let rows: Vec<Trace> = lab.rows("out", "traces");
+    assert!(
+        rows.len() < before.len() && rows.iter().all(|row| before.contains(row)),
+        "{} {}",
+        rows.len(),
+        before.len()
+    );
+}
+
 /// A `.npy` of one record of zero bytes, which costs no room on disk.
 fn sparse(path: &Path, samples: u64) -> File {
     let mut file = File::create(path).unwrap();

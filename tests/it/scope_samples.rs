@@ -25,7 +25,8 @@ use sha2::{Digest, Sha256};
 use crate::formats::mutate;
 
 /// What the files of a format do not hold, though the reference names it: these keys are null.
-const NOT_IN_THE_FILE: [(&str, &[&str]); 3] = [
+const NOT_IN_THE_FILE: [(&str, &[&str]); 4] = [
+    ("rs-csv", &["dt_s", "t0_s", "unit"]),  // rows without a heading
     ("npy-tdr", &["dt_s", "t0_s", "unit"]), // and the values are codes
     ("sigrok-sr", &["t0_s", "unit"]),
     ("wav", &["t0_s"]),

@@ -81,7 +81,7 @@ fn plain(head: &Head) -> Result<Layout, FormatError> {
         }
         [_, (line, cells), ..] => return Err(not_a_row(*line, &cells.join(" "))),
     };
-    Ok(Layout::new("csv", head.separator, head.first_line, columns, axis))
+    Ok(Layout::new("csv", head.separator, head.first_line, columns, axis).only_given_units())
 }
 
 fn is_unit(text: &str) -> bool {
@@ -237,7 +237,7 @@ fn lecroy_ascii(lines: &mut Lines<impl BufRead>, first: Vec<u8>) -> Result<Layou
     }
     let spectrum = unit == "Hz";
     let axis = Axis { unit: Unit::plain("s"), spectrum, sequence: false, dt_s: Some(dt_s), t0_s: Some(t0_s) };
-    let skip = || Column { role: Role::Skip, name: None, unit: Unit::none(), kind: Kind::Waveform };
+    let skip = || Column { role: Role::Skip, name: None, unit: Unit::none(), has_unit: true, kind: Kind::Waveform };
     let value = Column { role: Role::Channel, unit: Unit::plain("V"), ..skip() };
     let layout = Layout::new("lecroy-ascii", separator, 1, vec![skip(), skip(), skip(), skip(), value], axis);
     Ok(Layout { samples: Some((samples as u64, "Record Length")), ..layout })

@@ -4,7 +4,7 @@ use std::io::BufRead;
 
 use super::super::reader::FormatError;
 use super::text::{Lines, Numbers, Separator, texts};
-use super::units::{Unit, is_time, split};
+use super::units::{COUNTS, Unit, is_time, split};
 use super::{clip, refuse};
 use crate::waveform::Kind;
 
@@ -35,6 +35,8 @@ pub(super) struct Column {
     pub role: Role,
     pub name: Option<String>,
     pub unit: Unit,
+    /// Whether the header gives the unit; else it is that of most scopes, V or s.
+    pub has_unit: bool,
     pub kind: Kind,
 }
 
@@ -95,6 +97,19 @@ impl Layout {
             triggers_s: Vec::new(),
             blank_end: false,
         }
+    }
+
+    /// Takes off the units that the header does not give: they would be a guess.
+    pub(super) fn only_given_units(mut self) -> Self {
+        for column in &mut self.columns {
+            if !column.has_unit {
+                column.unit = Unit::none();
+                if [Role::Time, Role::Perhaps].contains(&column.role) {
+                    self.axis.unit = Unit::none();
+                }
+            }
+        }
+        self
     }
 
     /// Decides whether the undecided column is x.
@@ -216,14 +231,18 @@ pub(super) fn columns(
         if role == Role::Time {
             axis.spectrum = frequencies || parsed_unit.as_ref().is_some_and(|unit| unit.is("Hz"));
             axis.unit = x_unit(parsed_unit, unit, axis.spectrum).map_err(|problem| refuse(line, problem))?;
-            columns.push(Column { role, name: None, unit: axis.unit.clone(), kind: Kind::Waveform });
+            let has_unit = unit.is_some_and(|unit| !unit.is_empty()) || Unit::of_name(name).is_some();
+            columns.push(Column { role, name: None, unit: axis.unit.clone(), has_unit, kind: Kind::Waveform });
             continue;
         }
         if unit == Some("MV") {
             return Err(refuse(line, format!("the unit MV of {:?} may mean mV; write mV, or V", clip(name))));
         }
-        let unit = parsed_unit.unwrap_or_else(|| Unit::plain(unit.filter(|unit| !unit.is_empty()).unwrap_or("V")));
-        columns.push(channel(role, name, unit, names.is_none().then_some(index)));
+        let given = parsed_unit.or_else(|| unit.filter(|unit| !unit.is_empty()).map(Unit::plain));
+        let given = given.or_else(|| Unit::of_name(name));
+        let has_unit = given.is_some();
+        let unit = given.unwrap_or_else(|| Unit::plain("V"));
+        columns.push(Column { has_unit, ..channel(role, name, unit, names.is_none().then_some(index)) });
     }
     // Without a telling name, the rows must decide: x increases.
     let telling = |name: &str| name.to_lowercase().starts_with("ch");
@@ -258,6 +277,10 @@ fn channel(role: Role, name: &str, unit: Unit, index: Option<usize>) -> Column {
         Some(index) => Some(format!("col{index}")),
         None => (!NAMELESS.contains(&&name.to_lowercase()[..])).then(|| name.to_owned()),
     };
-    let (unit, kind) = if logic { (Unit::none(), Kind::Digital) } else { (unit, Kind::Waveform) };
-    Column { role, name, unit, kind }
+    let (unit, kind) = match unit {
+        _ if logic => (Unit::none(), Kind::Digital),
+        unit if unit.is(COUNTS) => (unit, Kind::Counts),
+        unit => (unit, Kind::Waveform),
+    };
+    Column { role, name, unit, has_unit: true, kind }
 }

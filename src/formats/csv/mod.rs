@@ -12,7 +12,9 @@
 //! With only a column of times, dt is (last - first) / (rows - 1), since printed times are rounded; uneven times are
 //! refused. A first column without a telling name holds times if it increases from row to row. The separator is a
 //! comma, a semicolon, a tab or spaces; where it is not a comma, commas may be decimal marks. Units of times and
-//! prefixes of units (`Time (ns)`, `ch1_mv`) are applied; without a unit, V and s.
+//! prefixes of units (`Time (ns)`, `ch1_mv`) are applied. Columns of counts (`counts`, `photons`) are histograms of
+//! photons. A plain text without units has none: no time base where times have none, no scale where values have none.
+//! The dialects of scopes are in s and V.
 //!
 //! Not read: two time bases in one file, more than 256 columns, lines of more than 64 KiB, headers of other vendors. A
 //! text that is cut between two rows is noticed only if its header gives the number of rows; one that is cut within its
@@ -92,7 +94,8 @@ fn records(layout: &Layout, base: &times::Base, codes: &[Arc<[u8]>], samples: us
             channel: column.name.clone(),
             unit: column.unit.name.clone(),
             dt_s: base.dt_s,
-            scale: Some(Scale { gain: 1.0, offset: 0.0 }),
+            scale: (column.unit.name.is_some() || column.kind == Kind::Digital)
+                .then_some(Scale { gain: 1.0, offset: 0.0 }),
             acquired_at: layout.acquired_at.clone(),
             ..Head::new(layout.format, CodeType::F64, samples)
         });

@@ -227,7 +227,7 @@ fn plain_columns_are_read_with_their_names_and_units() {
 #[test]
 fn columns_without_names_are_times_if_they_increase() {
     let (record, values) = one("0,5\n1,4\n2,3\n");
-    assert_eq!((values, record.head.dt_s), (vec![5.0, 4.0, 3.0], Some(1.0)));
+    assert_eq!((values, record.head.dt_s), (vec![5.0, 4.0, 3.0], None), "times without a unit");
     assert_eq!(record.head.channel.as_deref(), Some("col1"));
     let records = read("0,5\n1,4\n1,3\n").unwrap();
     assert_eq!((&records[0].1[..], &records[1].1[..]), (&[0.0, 1.0, 1.0][..], &[5.0, 4.0, 3.0][..]));
@@ -235,6 +235,25 @@ fn columns_without_names_are_times_if_they_increase() {
     assert_eq!(one("3\n4\n5\n").1, [3.0, 4.0, 5.0]);
     assert!(read("0,5\n1,4\n3,3\n4,2\n").unwrap_err().contains("even step"));
     assert_eq!(read("CH1,CH2\n1,2\n2,3\n").unwrap()[0].0.head.dt_s, None);
+}
+
+/// 48.8 could be picoseconds or milliseconds: only a heading says it.
+#[test]
+fn without_a_unit_there_is_none() {
+    let facts = |text: &str| {
+        let (record, values) = one(text);
+        let head = record.head.clone();
+        (head.unit.clone(), head.kind, head.dt_s, record.t0_s, head.scale.is_some(), values[1])
+    };
+    let (counts, volts) = (Some("counts".to_owned()), Some("V".to_owned()));
+    assert_eq!(facts("time,counts\n0,1\n48.8,2\n"), (counts.clone(), Kind::Counts, None, None, true, 2.0));
+    assert_eq!(
+        facts("time (ps),signal (counts)\n0,1\n50,2\n"),
+        (counts.clone(), Kind::Counts, Some(50e-12), Some(0.0), true, 2.0)
+    );
+    assert_eq!(facts("time_ns,photon counts\n1,1\n2,7\n"), (counts, Kind::Counts, Some(1e-9), Some(1e-9), true, 7.0));
+    assert_eq!(facts("time,signal\n0,1\n1,2\n"), (None, Kind::Waveform, None, None, false, 2.0));
+    assert_eq!(facts("seconds,volts\n0,1\n1,2\n"), (volts, Kind::Waveform, Some(1.0), Some(0.0), true, 2.0));
 }
 
 #[test]
@@ -252,7 +271,7 @@ fn errors_name_their_line() {
         ("time,volts\n0,1\n1,2,3\n2,3\n", "line 3: has 3 fields, those before have 2"),
         ("time,volts\n0,1\n", "line 2: a single time"),
         ("time,volts\n1,1\n0,2\n", "line 2: times do not increase"),
-        ("time,volts\n0,1\n1,2\n2.4,3\n3,4\n", "line 4: time 2.4 s is off the even step of 1"),
+        ("time,volts\n0,1\n1,2\n2.4,3\n3,4\n", "line 4: time 2.4 is off the even step of 1"),
         ("time;volts\n0,0;1\n1.0;2\n", "line 3: \"1.0\""),
         ("time\n1\n2\n", "no column of values"),
         ("time,volts,time\n0,1,0\n1,2,1.5\n", "line 3: has two times"),

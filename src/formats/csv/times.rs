@@ -36,7 +36,11 @@ struct Printed {
 
 impl Base {
     pub(super) fn new(layout: &Layout, survey: &Survey, samples: u64) -> Result<Self, FormatError> {
-        let base = Self::of(layout, survey, samples)?;
+        let mut base = Self::of(layout, survey, samples)?;
+        if layout.axis.unit.name.is_none() {
+            // The grid of the times is checked all the same.
+            (base.dt_s, base.t0_s) = (None, vec![None; base.t0_s.len()]);
+        }
         if base.t0_s.iter().flatten().all(|t0_s| t0_s.is_finite()) {
             return Ok(base);
         }
@@ -92,7 +96,8 @@ impl Base {
         if (x - (first[segment] + index as f64 * step)).abs() <= *tolerance {
             return Ok(());
         }
-        Err(format!("time {x} {unit} is off the even step of {step}; export the trace again with all its points"))
+        let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+        Err(format!("time {x}{unit} is off the even step of {step}; export the trace again with all its points"))
     }
 }
 

@@ -25,8 +25,19 @@ const PREFIXES: [(&str, f64, f64); 10] = [
     ("G", 1e9, 1.0),
 ];
 
+/// The unit of photon counts.
+pub(super) const COUNTS: &str = "counts";
+
 /// Words for units, in lower case.
-const WORDS: [(&str, &str); 12] = [
+const WORDS: [(&str, &str); 20] = [
+    ("counts", COUNTS),
+    ("count", COUNTS),
+    ("cts", COUNTS),
+    ("photons", COUNTS),
+    ("events", COUNTS),
+    ("hits", COUNTS),
+    ("voltage", "V"),
+    ("v", "V"),
     ("second", "s"),
     ("seconds", "s"),
     ("sec", "s"),
@@ -50,6 +61,15 @@ impl Unit {
     /// No unit.
     pub(super) fn none() -> Self {
         Self { name: None, times: 1.0, per: 1.0 }
+    }
+
+    /// The unit that the name of a column is, or ends in: `counts`, `Voltage`, `photon counts`.
+    pub(super) fn of_name(name: &str) -> Option<Self> {
+        let last = name.rsplit([' ', '_']).next()?.to_lowercase();
+        if last == "s" {
+            return Some(Self::plain("s"));
+        }
+        WORDS.iter().find(|(word, _)| *word == last).map(|(_, unit)| Self::plain(unit))
     }
 
     /// Parses a unit; `None` if the text is ambiguous or no unit.

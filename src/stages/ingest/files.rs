@@ -113,6 +113,21 @@ impl Files {
         Ok(stretches.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
+    /// What is to be said about the files. Of a file that several items share, the item with its first exposure says
+    /// it.
+    pub fn remarks(&self) -> Vec<Bad> {
+        let mut remarks = Vec::new();
+        let files = [Some(&self.signal), self.reference.as_ref()];
+        let first = self.signal_records.iter().map(|(record, _)| *record).min();
+        for file in files.into_iter().flatten() {
+            let is_first = |first: usize| Index::is_first(&file.records, first);
+            if file.has_remarks() && first.is_some_and(is_first) {
+                remarks.extend(file.remarks());
+            }
+        }
+        remarks
+    }
+
     /// The records of all files.
     pub fn records(&self) -> impl Iterator<Item = &Record> {
         self.signal.records.iter().chain(self.reference.iter().flat_map(|reference| &reference.records))
@@ -198,6 +213,12 @@ impl Index {
         let mut segments: Vec<(u32, usize)> = records.iter().enumerate().filter_map(segment).collect();
         segments.sort_unstable();
         Self { channels: channels.into_iter().map(str::to_owned).collect(), segments }
+    }
+
+    /// Whether no record of the same channel comes before this one.
+    fn is_first(records: &[Record], number: usize) -> bool {
+        let channel = records.get(number).map(|record| &record.head.channel);
+        !records[..number.min(records.len())].iter().any(|record| Some(&record.head.channel) == channel)
     }
 
     /// Records of one channel (the only one, where none is named), or of one segment of it.

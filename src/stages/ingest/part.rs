@@ -27,6 +27,8 @@ struct Done {
     shots: i32,
     digests: Vec<Hashed>,
     rejection: Option<Result<Rejection, StageError>>,
+    /// What is to be said about the files, though their records are used.
+    remarks: Vec<Rejection>,
 }
 
 /// Reads a part, in batches of about `batch_bytes`.
@@ -165,7 +167,7 @@ impl Reader<'_> {
             Err(error) => {
                 let digests = digests_of_bad(self.surveyed, &job);
                 let rejection = Some(error.rejection(self.surveyed, &job));
-                self.take(index, &job, Done { rows: Records::default(), shots: 0, digests, rejection })?;
+                self.take(index, &job, Done { digests, rejection, ..Done::default() })?;
                 return Ok(());
             }
         };
@@ -180,8 +182,10 @@ impl Reader<'_> {
         let count = files.exposures();
         let exposures = of_file.as_ref().map_or(0..count, |(shots, _)| shots.start..shots.end.min(count));
         let per_batch = (self.batch_bytes / files.exposure_bytes(&job).max(1)).max(1);
-        let mut outcome =
-            Done { rows: Records::default(), shots: exposures.len() as i32, digests: Vec::new(), rejection: None };
+        let mut outcome = Done { shots: exposures.len() as i32, ..Done::default() };
+        if exposures.start == 0 {
+            outcome.remarks = remarks(self.surveyed, &job, &files)?;
+        }
         for start in exposures.clone().step_by(per_batch) {
             let range = start..exposures.end.min(start + per_batch);
             let bytes = files.exposure_bytes(&job) * range.len();
@@ -215,6 +219,11 @@ impl Reader<'_> {
     fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Records, StageError> {
         let campaign = job.capture.campaign;
         self.rejections.extend(done.rejection.transpose()?);
+        for remark in done.remarks {
+            if !self.rejections.contains(&remark) {
+                self.rejections.push(remark);
+            }
+        }
         for Hashed { file, digest, metadata } in done.digests {
             // What changed while it was read is not what was hashed, and goes down in no notes.
             let now = disk::metadata(self.surveyed.campaigns[campaign].path_of(&file));
@@ -307,10 +316,21 @@ fn read_item(surveyed: &Surveyed<'_>, files: &mut Files, job: &Job<'_>) -> Done 
         files.rows(surveyed, job, 0..files.exposures())
     });
     match rows {
-        Ok(rows) => done.rows = rows,
+        Ok(rows) => {
+            done.rows = rows;
+            match remarks(surveyed, job, files) {
+                Ok(remarks) => done.remarks = remarks,
+                Err(error) => done.rejection = Some(Err(error)),
+            }
+        }
         Err(error) => done.rejection = Some(error.rejection(surveyed, job)),
     }
     done
+}
+
+/// What is to be said about the files of an item whose records are used.
+fn remarks(surveyed: &Surveyed<'_>, job: &Job<'_>, files: &Files) -> Result<Vec<Rejection>, StageError> {
+    files.remarks().into_iter().map(|remark| remark.rejection(surveyed, job)).collect()
 }
 
 /// Whether this run has read all files of an item to their ends before.

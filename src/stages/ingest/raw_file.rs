@@ -14,7 +14,7 @@ use super::survey::{Job, Surveyed};
 use crate::campaign::tree_hash::{StretchHasher, Subtree};
 use crate::campaign::{ManifestError, hash_file};
 use crate::formats::companions::companion;
-use crate::formats::{self, FormatError, Joined, Source};
+use crate::formats::{self, FormatError, Joined, Remark, Source};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::disk;
 use crate::tables::{Codes, Name};
@@ -132,6 +132,8 @@ pub struct RawFile {
     /// The same, as the rows have it.
     pub text: Name,
     pub records: Vec<Record>,
+    /// What is to be said about the file, though its records can be used.
+    remarks: Vec<Remark>,
     bytes: Bytes,
     blocks: Arc<Blocks>,
     metadata: Metadata,
@@ -183,18 +185,30 @@ impl RawFile {
         };
         let mut source = Source::open(&path).map_err(format)?;
         let blocks = Arc::clone(&surveyed.blocks);
-        let (bytes, records) = if matches!(reading, Reading::Whole) {
+        let (bytes, contents) = if matches!(reading, Reading::Whole) {
             let room = blocks.take(source.total());
             let mut source = source.load(room).map_err(format)?;
-            let records = formats::records(&mut source);
-            (Bytes::Memory(blocks.lend(source.into_inner().into_inner())), records)
+            let contents = formats::contents(&mut source);
+            (Bytes::Memory(blocks.lend(source.into_inner().into_inner())), contents)
         } else {
-            let records = formats::records(&mut source);
-            (Bytes::Disk(source.into_inner()), records)
+            let contents = formats::contents(&mut source);
+            (Bytes::Disk(source.into_inner()), contents)
         };
-        let records = records.map_err(format)?;
+        let formats::Contents { records, remarks } = contents.map_err(format)?;
         let text = name.to_string_lossy().as_ref().into();
-        Ok(Self { name: name.to_owned(), text, records, bytes, blocks, metadata, hashing, to_hash })
+        Ok(Self { name: name.to_owned(), text, records, remarks, bytes, blocks, metadata, hashing, to_hash })
+    }
+
+    /// Whether anything is to be said about the file next to its rows.
+    pub fn has_remarks(&self) -> bool {
+        !self.remarks.is_empty()
+    }
+
+    /// What is to be said about the file next to its rows.
+    pub fn remarks(&self) -> impl Iterator<Item = Bad> {
+        let bad =
+            |remark: &Remark| Bad { byte_offset: Some(remark.byte_offset as i64), ..self.bad(remark.problem.clone()) };
+        self.remarks.iter().map(bad)
     }
 
     /// Something about this file that keeps it from being used.

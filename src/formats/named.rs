@@ -1,0 +1,86 @@
+//! Files that are not read, but known by their first bytes or their name: a refusal says what they are and what to do.
+
+use crate::reader::FormatError;
+
+/// A format: its first bytes, extensions of which one is needed (none where the bytes suffice), what it is, what to do.
+type Known = (&'static [u8], &'static [&'static str], &'static str, &'static str);
+
+const PTU: &str = "convert it to .ptu or .phu with the maker's software";
+const NPY: &str = "save the samples as .npy, with the last axis over time";
+
+const KNOWN: [Known; 21] = [
+    (b"PicoHarp 300", &["pt2", "pt3"], "PicoQuant PicoHarp events of before 2014 (.pt2, .pt3)", PTU),
+    (b"PicoHarp 300", &[], "PicoQuant PicoHarp histograms of before 2014 (.phd)", PTU),
+    (b"HydraHarp 400", &["ht2", "ht3"], "PicoQuant HydraHarp events of before 2014 (.ht2, .ht3)", PTU),
+    (b"HydraHarp 400", &[], "PicoQuant HydraHarp histograms of before 2014 (.hhd)", PTU),
+    (b"TimeHarp", &["t3r"], "PicoQuant TimeHarp events of before 2014 (.t3r)", PTU),
+    (b"TimeHarp", &[], "PicoQuant TimeHarp histograms of before 2014 (.thd)", PTU),
+    (b"", &["spc"], "Becker & Hickl photon events (.spc)", "save the histograms as .sdt in SPCM"),
+    (b"TDSm", &[], "a National Instruments TDMS file", NPY),
+    (b"TDSh", &[], "the index of a National Instruments TDMS file", NPY),
+    (b"root", &[], "a ROOT file", NPY),
+    (b"MATLAB 5.0 MAT-file", &[], "a MATLAB file", "use `convert` for a confocal capture, or save the samples as .npy"),
+    (
+        b"MATLAB 7.3 MAT-file",
+        &[],
+        "a MATLAB 7.3 file",
+        "use `convert` for a confocal capture, or save the samples as .npy",
+    ),
+    (b"PulseWavesPulse", &[], "pulses of a PulseWaves lidar file (.pls)", NPY),
+    (b"PulseWavesWave", &[], "waves of a PulseWaves lidar file (.wvs)", NPY),
+    (b"LASF", &[], "a LAS or LAZ lidar point cloud", "save its waveform packets as .npy, with the last axis over time"),
+    (b"", &["wdp"], "waveform packets of a LAS lidar file (.wdp)", NPY),
+    (b"DRS2", &[], "events of a DRS4 evaluation board", NPY),
+    (b"DRS4", &[], "events of a DRS4 evaluation board", NPY),
+    (b"TIME", &["dat"], "events of a DRS4 evaluation board of before 2014", NPY),
+    (b"", &["psdata", "psd"], "a PicoScope recording", "export it as CSV"),
+    (b"", &["wdf", "wvf"], "a Yokogawa recording", "export it as CSV"),
+];
+
+/// CAEN CoMPASS begins with a word 0xCAEx, little-endian, which says what each event holds.
+const COMPASS: (u8, u8) = (0xE0, 0xCA);
+
+/// Why a file of these first bytes and this extension is not read, if that is known.
+pub(super) fn refusal(head: &[u8], extension: &str) -> Option<FormatError> {
+    let is_it = |(bytes, extensions, ..): &&Known| {
+        let named = extensions.contains(&extension) || extensions.is_empty() && !bytes.is_empty();
+        head.starts_with(bytes) && named
+    };
+    let known = KNOWN.iter().find(is_it).map(|(_, _, what, mend)| (*what, *mend));
+    let is_compass = head.len() >= 2 && head[0] & 0xF0 == COMPASS.0 && head[1] == COMPASS.1;
+    let (what, mend) =
+        known.or(is_compass.then_some(("events of CAEN CoMPASS", "export the waves as text, or as .npy")))?;
+    Some(FormatError::NotRead { what, mend })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::hostile::source;
+    use crate::{FormatError, Source, contents};
+
+    #[test]
+    fn what_is_not_read_is_named() {
+        for (bytes, name, says) in [
+            (&b"PicoHarp 300\0\0\0\x002.0"[..], "a.pt3", "PicoHarp events"),
+            (b"PicoHarp 300\0\0\0\x002.0", "a.phd", "PicoHarp histograms"),
+            (b"HydraHarp 400\0\0\x001.0", "a.ht3", "HydraHarp events"),
+            (b"HydraHarp 400\0\0\x001.0", "a.hhd", "HydraHarp histograms"),
+            (b"TimeHarp 200", "a.t3r", "TimeHarp events"),
+            (b"TimeHarp 200", "a.thd", "TimeHarp histograms"),
+            (&[0x5F, 0, 0, 0x80], "a.spc", "Becker & Hickl photon events"),
+            (b"TDSm\x0e\0\0\0", "a.tdms", "TDMS"),
+            (b"root\0\0\xf7\x48", "a.root", "ROOT"),
+            (b"MATLAB 5.0 MAT-file, Platform: PCWIN", "a.mat", "`convert`"),
+            (b"PulseWavesPulse\0", "a.pls", "PulseWaves"),
+            (b"LASF\0\0", "a.las", "LAS"),
+            (b"DRS2TIMEB#", "a.dat", "DRS4"),
+            (&[0xE1, 0xCA, 3, 0], "a.BIN", "CoMPASS"),
+        ] {
+            let mut source = Source::new(std::io::Cursor::new(bytes.to_vec()), name.as_ref()).unwrap();
+            let error = contents(&mut source).unwrap_err();
+            assert!(matches!(error, FormatError::NotRead { .. }), "{name}: {error}");
+            assert!(error.to_string().contains(says), "{name}: {error}");
+        }
+        assert!(matches!(contents(&mut source(b"what is this")), Err(FormatError::Unknown)));
+    }
+}
