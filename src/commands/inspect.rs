@@ -77,7 +77,7 @@ const FILE_COLUMNS: [&str; 9] =
     ["file", "format", "instrument", "channels", "waveforms", "samples", "dt", "t0", "remarks"];
 
 /// More waveforms than this are summed up by channel.
-const LINES: usize = 64;
+const LINES: usize = 1000;
 
 /// The command. A file that cannot be decoded gives an error line, and the others continue.
 pub fn inspect(args: &Inspect) -> Result<ExitCode> {

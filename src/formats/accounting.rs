@@ -15,14 +15,8 @@ pub struct Remark {
     pub byte_offset: u64,
     /// What it is, and what to do.
     pub problem: String,
-}
-
-/// What is said of a file that ends within one of its records, when `whole` come before.
-pub(super) fn cut_short(what: &str, whole: u64) -> String {
-    format!(
-        "the file ends within {what} {whole}, counted from 0: the {whole} before it are read. Copy the file from the \
-         instrument again, or go on without the rest"
-    )
+    /// Whether the file ends within a record, so that records are missing.
+    pub is_cut: bool,
 }
 
 /// What a reader says about the bytes of its file while it reads.
@@ -46,7 +40,16 @@ impl Ledger {
 
     /// Notes something that the records do not show.
     pub fn remark(&mut self, byte_offset: u64, problem: String) {
-        self.remarks.push(Remark { byte_offset, problem });
+        self.remarks.push(Remark { byte_offset, problem, is_cut: false });
+    }
+
+    /// Notes that the file ends within one of its records, after `whole` others.
+    pub fn cut_short(&mut self, byte_offset: u64, what: &str, whole: u64) {
+        let problem = format!(
+            "the file ends within {what} {whole}, counted from 0: the {whole} before it are read. Copy the file from \
+             the instrument again, or go on without the rest"
+        );
+        self.remarks.push(Remark { byte_offset, problem, is_cut: true });
     }
 
     /// The reader's own remarks, then those on bytes that nothing uses and on records that share bytes. `files` are
@@ -86,7 +89,7 @@ fn overlap(records: &[Record]) -> Option<Remark> {
     all.sort_unstable_by_key(|bytes| bytes.start);
     let pair = all.windows(2).find(|pair| pair[1].start < pair[0].end)?;
     let problem = "two records share bytes from here on: an offset in the file is wrong; save the file again";
-    Some(Remark { byte_offset: pair[1].start, problem: problem.to_owned() })
+    Some(Remark { byte_offset: pair[1].start, problem: problem.to_owned(), is_cut: false })
 }
 
 /// Stretches of a file that are in none of the used ones, which are in order.
@@ -118,7 +121,7 @@ fn of_gap(gap: Range<u64>, file: &Range<u64>) -> Remark {
         "{count} {bytes} {place} {belong} to nothing that the header describes; the rest is read. Compare the file with \
          the instrument's own: it may be appended to, padded, or damaged"
     );
-    Remark { byte_offset: gap.start, problem }
+    Remark { byte_offset: gap.start, problem, is_cut: false }
 }
 
 #[cfg(test)]

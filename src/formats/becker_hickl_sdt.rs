@@ -7,7 +7,7 @@
 //!
 //! Each curve is a record. A block holds one curve (DECAY), a set of them (PAGE) or an image (a PAGE or IMG block of as
 //! many curves as pixels). Channels are named by module and number of the curve, those of FIFO measurements by their
-//! routing channel. The curves of an image are the segments of one channel, row by row, and `shape` is rows and columns.
+//! routing channel. The curves of an image are the segments of one channel, row by row; `shape` is rows and columns.
 //! Counts are u16, u32 or f64. Curves of a compressed block are unpacked one after the other; its CRC-32 is checked
 //! where it ends.
 //!

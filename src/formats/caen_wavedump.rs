@@ -16,7 +16,6 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::accounting::cut_short;
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Payload, Record};
 
@@ -66,8 +65,7 @@ impl Reader for CaenWavedump {
             }
             let event = match Event::read(input, at, first) {
                 Err(FormatError::Truncated { .. }) if count > 0 => {
-                    input.uses(at..input.length());
-                    input.remark(at, cut_short("event", count as u64));
+                    input.cut_short(at, "event", count as u64);
                     break at;
                 }
                 event => event?,

@@ -8,7 +8,6 @@
 use std::io::Write;
 use std::sync::Arc;
 
-use super::accounting::cut_short;
 use super::numbers::{Numbers, text};
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Payload, Record, Scale};
@@ -161,9 +160,7 @@ impl Descriptor {
         let segment_bytes = blocks[6] / segments;
         let whole = input.length().saturating_sub(data) / segment_bytes;
         if whole < segments && segments > 1 && whole > 0 {
-            let end = data + whole * segment_bytes;
-            input.uses(end..input.length());
-            input.remark(end, cut_short("segment", whole));
+            input.cut_short(data + whole * segment_bytes, "segment", whole);
         } else if whole < segments {
             return Err(FormatError::Truncated {
                 what: "WAVE_ARRAY_1",

@@ -3,12 +3,12 @@
 use crate::reader::FormatError;
 
 /// A format: its first bytes, extensions of which one is needed (none where the bytes suffice), what it is, what to do.
-type Known = (&'static [u8], &'static [&'static str], &'static str, &'static str);
+type Entry = (&'static [u8], &'static [&'static str], &'static str, &'static str);
 
 const PTU: &str = "convert it to .ptu or .phu with the maker's software";
 const NPY: &str = "save the samples as .npy, with the last axis over time";
 
-const KNOWN: [Known; 21] = [
+const FORMATS: [Entry; 21] = [
     (b"PicoHarp 300", &["pt2", "pt3"], "PicoQuant PicoHarp events of before 2014 (.pt2, .pt3)", PTU),
     (b"PicoHarp 300", &[], "PicoQuant PicoHarp histograms of before 2014 (.phd)", PTU),
     (b"HydraHarp 400", &["ht2", "ht3"], "PicoQuant HydraHarp events of before 2014 (.ht2, .ht3)", PTU),
@@ -42,14 +42,14 @@ const COMPASS: (u8, u8) = (0xE0, 0xCA);
 
 /// Why a file of these first bytes and this extension is not read, if that is known.
 pub(super) fn refusal(head: &[u8], extension: &str) -> Option<FormatError> {
-    let is_it = |(bytes, extensions, ..): &&Known| {
+    let is_it = |(bytes, extensions, ..): &&Entry| {
         let named = extensions.contains(&extension) || extensions.is_empty() && !bytes.is_empty();
         head.starts_with(bytes) && named
     };
-    let known = KNOWN.iter().find(is_it).map(|(_, _, what, mend)| (*what, *mend));
+    let entry = FORMATS.iter().find(is_it).map(|(_, _, what, mend)| (*what, *mend));
     let is_compass = head.len() >= 2 && head[0] & 0xF0 == COMPASS.0 && head[1] == COMPASS.1;
     let (what, mend) =
-        known.or(is_compass.then_some(("events of CAEN CoMPASS", "export the waves as text, or as .npy")))?;
+        entry.or(is_compass.then_some(("events of CAEN CoMPASS", "export the waves as text, or as .npy")))?;
     Some(FormatError::NotRead { what, mend })
 }
 

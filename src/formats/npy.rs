@@ -1,7 +1,7 @@
-//! NumPy `.npy`: integer and floating arrays in C order. The last axis counts samples; the campaign names the leading
-//! ones.
+//! NumPy `.npy`: integer and floating arrays. The last axis counts samples; the campaign names the leading ones. In
+//! Fortran order, as MATLAB and R write, the samples of a record lie apart, and are read one by one.
 //!
-//! The file has no scale and no time base. Fortran order, structured and complex types are refused. Source: NumPy
+//! The file has no scale and no time base. Structured and complex types are refused. Source: NumPy
 //! Enhancement Proposal 1; the header is a Python dictionary of three keys.
 
 use std::io::{self, Write};
@@ -40,11 +40,7 @@ impl Reader for Npy {
             segment: array.segment(i),
             t0_s: None,
             trigger_s: None,
-            payload: Payload::File {
-                byte_offset: array.data + i * array.record_bytes(),
-                stride: array.code_type.bytes() as u64,
-                big_endian: array.big_endian,
-            },
+            payload: array.payload(i, 0),
         };
         Ok((0..array.records).map(record).collect())
     }
@@ -65,6 +61,8 @@ pub(super) struct Array {
     /// The leading axes, and their product.
     axes: Vec<usize>,
     pub records: u64,
+    /// Whether the first axis is the one whose neighbours lie side by side (Fortran order, as MATLAB and R write).
+    is_fortran: bool,
 }
 
 impl Array {
@@ -75,9 +73,6 @@ impl Array {
         let Some((&samples, axes)) = shape.split_last() else {
             return Ok(None);
         };
-        if fortran_order && !axes.is_empty() {
-            return Err(refuse("the array is in Fortran order; save it with numpy.ascontiguousarray"));
-        }
         let (code_type, big_endian) = code_type(descr).ok_or_else(|| {
             refuse(format!("numbers of type {descr} are not read; save them as i1, i2, i4, u1, u2, f4 or f8"))
         })?;
@@ -96,7 +91,8 @@ impl Array {
         }
         let axes: Vec<usize> = axes.iter().map(|&length| length as usize).collect();
         let records = axes.iter().map(|&length| length as u64).product();
-        Ok(Some(Self { code_type, big_endian, data, samples, axes, records }))
+        let is_fortran = fortran_order && records > 1;
+        Ok(Some(Self { code_type, big_endian, data, samples, axes, records, is_fortran }))
     }
 
     /// Bytes of its numbers.
@@ -107,6 +103,31 @@ impl Array {
     /// Bytes of one record.
     pub fn record_bytes(&self) -> u64 {
         self.samples * self.code_type.bytes() as u64
+    }
+
+    /// Whether each record lies in one run of bytes.
+    pub fn is_contiguous(&self) -> bool {
+        !self.is_fortran
+    }
+
+    /// Where the samples of a record are, in a file in which the array begins at `start`.
+    pub fn payload(&self, record: u64, start: u64) -> Payload {
+        let (width, big_endian) = (self.code_type.bytes() as u64, self.big_endian);
+        if !self.is_fortran {
+            return Payload::File {
+                byte_offset: start + self.data + record * self.record_bytes(),
+                stride: width,
+                big_endian,
+            };
+        }
+        // Records are counted in C order, with the last of the leading axes first; in the file the first axis is.
+        let (mut place, mut rest, mut step) = (0, record, self.records);
+        for &length in self.axes.iter().rev() {
+            step /= length as u64;
+            place += rest % length as u64 * step;
+            rest /= length as u64;
+        }
+        Payload::File { byte_offset: start + self.data + place * width, stride: self.records * width, big_endian }
     }
 
     pub fn segment(&self, record: u64) -> Option<u32> {
@@ -343,6 +364,29 @@ mod tests {
 
     fn read(bytes: &[u8]) -> Result<Option<Array>, FormatError> {
         Array::read(bytes, bytes.len() as u64)
+    }
+
+    /// The same array in both orders: equal records in equal order.
+    #[test]
+    fn fortran_order_is_read() {
+        let (mut c, shape) = (Vec::new(), [2, 3, 4]);
+        write(&mut c, &shape, &(0..24).collect::<Vec<i16>>()).unwrap();
+        let mut fortran = c[..c.len() - 48].to_vec();
+        let at = fortran.windows(5).position(|bytes| bytes == b"False").expect("the order");
+        fortran[at..at + 5].copy_from_slice(b"True ");
+        for sample in 0..4 {
+            for middle in 0..3 {
+                fortran.extend((0..2).flat_map(|first: i16| (12 * first + 4 * middle + sample).to_le_bytes()));
+            }
+        }
+        let records = |bytes: &[u8]| crate::hostile::decode(&Npy, bytes);
+        let (c, fortran_records) = (records(&c), records(&fortran));
+        assert_eq!(c.len(), fortran_records.len());
+        for ((c, values), (record, fortran_values)) in c.iter().zip(&fortran_records) {
+            assert_eq!((values, c.segment, &c.head.shape), (fortran_values, record.segment, &record.head.shape));
+        }
+        crate::hostile::change_anywhere(&Npy, &fortran, 3000);
+        crate::hostile::appended_is_reported(&Npy, &fortran);
     }
 
     #[test]

@@ -53,6 +53,11 @@ impl Reader for Npz {
                 );
                 return Err(FormatError::Field { byte_offset: member.byte_offset, problem });
             }
+            if member.packing != Packing::Stored && !array.is_contiguous() {
+                let problem =
+                    "is in Fortran order and compressed; save it with numpy.savez, or as numpy.ascontiguousarray";
+                return Err(named(FormatError::Field { byte_offset: 0, problem: problem.to_owned() }));
+            }
             let each = size_of::<Record>() + size_of::<Deflated>();
             array.limit(input.length(), records.len(), each).map_err(named)?;
             self.push(&mut records, member, &array, &resumed);
@@ -74,11 +79,7 @@ impl Npz {
         for i in 0..array.records {
             let start = array.data + i * array.record_bytes();
             let payload = match member.packing {
-                Packing::Stored => Payload::File {
-                    byte_offset: member.byte_offset + start,
-                    stride: array.code_type.bytes() as u64,
-                    big_endian: array.big_endian,
-                },
+                Packing::Stored => array.payload(i, member.byte_offset),
                 _ => Payload::Packed(Arc::new(Deflated {
                     member: Arc::clone(&member),
                     start,

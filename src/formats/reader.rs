@@ -182,6 +182,8 @@ pub trait Input {
     fn uses(&mut self, bytes: Range<u64>);
     /// Notes something about the file that its records do not show.
     fn remark(&mut self, byte_offset: u64, problem: String);
+    /// Notes that the file ends within a record from `byte_offset` on, after `whole` others, which are read.
+    fn cut_short(&mut self, byte_offset: u64, what: &str, whole: u64);
     /// Reads everything from the start, without the companion; counts nothing as used.
     ///
     /// # Errors
@@ -308,6 +310,11 @@ impl<F: Read + Seek> Input for Source<F> {
 
     fn remark(&mut self, byte_offset: u64, problem: String) {
         self.ledger.remark(byte_offset, problem);
+    }
+
+    fn cut_short(&mut self, byte_offset: u64, what: &str, whole: u64) {
+        self.ledger.uses(byte_offset..self.length);
+        self.ledger.cut_short(byte_offset, what, whole);
     }
 
     fn stream(&mut self) -> Result<Box<dyn Read + '_>, FormatError> {

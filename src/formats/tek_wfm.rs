@@ -29,7 +29,6 @@ pub use encode::{FrameHead, write};
 use frames::{Frame, Frames};
 use trailer::Trailer;
 
-use super::accounting::cut_short;
 use super::numbers::Numbers;
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
@@ -91,9 +90,9 @@ impl Reader for TekWfm {
             (frames, count, end)
         };
         if frames.len() < count {
-            input.uses(end..input.length());
-            let what = cut_short("frame", frames.len() as u64);
-            input.remark(end, what + "; the checksum of the file is lost, so they are not verified");
+            input.cut_short(end, "frame", frames.len() as u64);
+            let problem = "the checksum at the end of the file is lost: the frames before are not verified";
+            input.remark(end, problem.to_owned());
             let head = Head { dt_s: Some(dt_s), ..header.head(code_type, &Trailer::default(), &frames[0])? };
             return header.records(head, &frames, count);
         }

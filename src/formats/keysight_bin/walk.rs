@@ -1,7 +1,6 @@
 //! Walks through the waveforms and buffers of a file, in order.
 
 use super::{Maker, date};
-use crate::accounting::cut_short;
 use crate::reader::{FormatError, Input};
 use crate::waveform::{CodeType, Head, Kind, Scale};
 
@@ -106,7 +105,7 @@ impl<'a> Walk<'a> {
     }
 
     /// Reads all buffers of all waveforms; returns also where the last one ends. Of a file that ends within a
-    /// waveform it returns the whole ones, and no end.
+    /// segment it returns the whole ones, and no end.
     pub(super) fn waveforms(
         mut self,
         input: &mut dyn Input,
@@ -118,9 +117,8 @@ impl<'a> Walk<'a> {
         for number in 0..count {
             let at = self.at;
             let (header, buffers) = match self.waveform(input) {
-                Err(FormatError::Truncated { .. }) if number > 0 => {
-                    input.uses(at..input.length());
-                    input.remark(at, cut_short("waveform", number.into()));
+                Err(FormatError::Truncated { .. }) if before.as_ref().is_some_and(|(_, index)| *index > 0) => {
+                    input.cut_short(at, "waveform", number.into());
                     return Ok((traces, None));
                 }
                 read => read?,

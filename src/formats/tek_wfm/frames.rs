@@ -102,8 +102,8 @@ impl<'a> Frames<'a> {
         Ok((Self { header, tables, first, code_type }, buffer))
     }
 
-    /// Returns the frames, and where the last one's curve buffer ends. Of a file that ends within a frame it returns the
-    /// whole ones.
+    /// Returns the frames, and where the last one's curve buffer ends. Of a file that ends within a frame, it returns
+    /// the whole ones.
     pub(super) fn list(&self, mut buffer: u64, length: u64, dt_s: f64) -> Result<(Vec<Frame>, u64), FormatError> {
         let at = self.header.layout.implicit + 8;
         let offset_s =

@@ -71,7 +71,14 @@ impl Files {
         let of_file = &self.reference.as_ref().unwrap_or(&self.signal).records;
         let index = self.reference_index.as_ref().unwrap_or(&self.signal_index);
         let bad_reference = |reason: String| Bad { file: reference.file.clone(), ..bad(reason) };
-        let records = index.select(of_file, reference.channel.as_deref(), exposure.segment).map_err(bad_reference)?;
+        let mut records =
+            index.select(of_file, reference.channel.as_deref(), exposure.segment).map_err(bad_reference)?;
+        if self.signal.is_cut() || self.reference.as_ref().is_some_and(RawFile::is_cut) {
+            // Exposures that only one of the two files still holds have no partner.
+            let whole = records.len().min(self.signal_records.len());
+            records.truncate(whole);
+            self.signal_records.truncate(whole);
+        }
         if records.len() != self.signal_records.len() {
             return Err(bad(format!(
                 "{} exposures, but its reference has {}; capture both channels together",

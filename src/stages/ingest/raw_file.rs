@@ -204,6 +204,11 @@ impl RawFile {
         !self.remarks.is_empty()
     }
 
+    /// Whether the file ends within one of its records.
+    pub fn is_cut(&self) -> bool {
+        self.remarks.iter().any(|remark| remark.is_cut)
+    }
+
     /// What is to be said about the file next to its rows.
     pub fn remarks(&self) -> impl Iterator<Item = Bad> {
         let bad =
