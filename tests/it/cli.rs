@@ -182,7 +182,7 @@ fn inspect_gives_samples_out() {
 #[test]
 fn inspect_refuses_a_pipe_at_once() {
     let folder = tempfile::tempdir().unwrap();
-    assert!(std::process::Command::new("mkfifo").arg(folder.path().join("a.trc")).status().unwrap().success());
+    assert!(Command::new("mkfifo").arg(folder.path().join("a.trc")).status().unwrap().success());
     let refused = periscope(folder.path(), &["inspect", "a.trc"]);
     assert!(refused.status.code() == Some(1) && err(&refused).contains("is a pipe or a device"), "{}", err(&refused));
 }
