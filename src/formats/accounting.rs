@@ -108,7 +108,7 @@ fn gaps(used: &[Range<u64>], file: &Range<u64>) -> Vec<Remark> {
     let left = stretches.len().saturating_sub(REMARKS);
     let mut remarks: Vec<Remark> = stretches.into_iter().take(REMARKS).map(|gap| of_gap(gap, file)).collect();
     if let Some(last) = remarks.last_mut().filter(|_| left > 0) {
-        last.problem += &format!(" ({left} more such stretches follow)");
+        last.problem = format!("{} ({left} more such stretches follow)", last.problem);
     }
     remarks
 }
@@ -137,9 +137,10 @@ mod tests {
         Record { head, segment: None, t0_s: None, trigger_s: None, payload }
     }
 
-    fn places(records: &[Record], used: &[Range<u64>], length: u64) -> Vec<u64> {
+    /// Places of remarks on a file whose reader used the stretches from and up to these bytes.
+    fn places(records: &[Record], used: &[(u64, u64)], length: u64) -> Vec<u64> {
         let mut ledger = Ledger::default();
-        used.iter().for_each(|bytes| ledger.uses(bytes.clone()));
+        used.iter().for_each(|(start, end)| ledger.uses(*start..*end));
         let (file, companion) = (0..length, length..length + 5);
         ledger.uses(companion.clone());
         ledger.remarks(records, &[file, companion]).into_iter().map(|remark| remark.byte_offset).collect()
@@ -147,20 +148,20 @@ mod tests {
 
     #[test]
     fn surplus_gaps_and_overlaps_are_told_apart() {
-        assert_eq!(places(&[record(10, 2), record(18, 2)], &[0..10], 26), []);
-        assert_eq!(places(&[record(10, 2)], &[0..10], 26), [18], "surplus at the end");
-        assert_eq!(places(&[record(12, 2), record(22, 2)], &[4..10, 0..2], 30), [2, 10, 20], "gaps");
-        assert_eq!(places(&[record(10, 2), record(16, 2)], &[0..10], 24), [16], "overlap");
-        assert_eq!(places(&[record(10, 4), record(12, 4)], &[0..10], 26), [], "interleaved records share no byte");
-        assert_eq!(places(&[record(10, 2), record(10, 2)], &[0..10], 18), [10], "a record twice");
+        assert_eq!(places(&[record(10, 2), record(18, 2)], &[(0, 10)], 26), []);
+        assert_eq!(places(&[record(10, 2)], &[(0, 10)], 26), [18], "surplus at the end");
+        assert_eq!(places(&[record(12, 2), record(22, 2)], &[(4, 10), (0, 2)], 30), [2, 10, 20], "gaps");
+        assert_eq!(places(&[record(10, 2), record(16, 2)], &[(0, 10)], 24), [16], "overlap");
+        assert_eq!(places(&[record(10, 4), record(12, 4)], &[(0, 10)], 26), [], "interleaved records share no byte");
+        assert_eq!(places(&[record(10, 2), record(10, 2)], &[(0, 10)], 18), [10], "a record twice");
     }
 
     #[test]
     fn many_gaps_are_counted() {
-        let used: Vec<Range<u64>> = (0..20).map(|i| 2 * i..2 * i + 1).collect();
         let mut ledger = Ledger::default();
-        used.iter().for_each(|bytes| ledger.uses(bytes.clone()));
-        let remarks = ledger.remarks(&[], &[0..40]);
+        (0..20).for_each(|i| ledger.uses(2 * i..2 * i + 1));
+        let file = 0..40;
+        let remarks = ledger.remarks(&[], std::slice::from_ref(&file));
         assert_eq!(remarks.len(), REMARKS);
         assert!(remarks[REMARKS - 1].problem.contains("12 more"), "{remarks:?}");
     }

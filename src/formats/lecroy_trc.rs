@@ -191,7 +191,7 @@ impl Descriptor {
     fn segments(&self, input: &mut dyn Input, blocks: [u64; 7], count: u64) -> Result<u64, FormatError> {
         let segments = self.count(144, "SUBARRAY_COUNT")?;
         let times = blocks[3] / TRIGGER_BYTES;
-        if segments > 0 || times < 2 || blocks[3] % TRIGGER_BYTES != 0 || count % times != 0 {
+        if segments > 0 || times < 2 || !blocks[3].is_multiple_of(TRIGGER_BYTES) || !count.is_multiple_of(times) {
             return Ok(segments.max(1));
         }
         let problem = format!(

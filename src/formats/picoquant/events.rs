@@ -69,7 +69,7 @@ impl Clock {
             Layout::HydraHarpT3 => Ok(Some((field(25, 6) as usize, field(10, 15).into()))),
             Layout::PicoHarpT2 => match (field(28, 4), field(0, 28)) {
                 // The lowest bits of a special event are markers.
-                (15, time) if time & 15 == 0 => Ok(self.wrap(WRAP_PICO_HARP)),
+                (15, time) if time.trailing_zeros() >= 4 => Ok(self.wrap(WRAP_PICO_HARP)),
                 (15, _) => Ok(None),
                 (0, time) => Ok(self.sync(time)),
                 (channel @ 1..=4, time) => Ok(self.after_sync(channel, time)),
