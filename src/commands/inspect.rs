@@ -5,8 +5,7 @@ mod plot;
 mod summary;
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -17,6 +16,7 @@ use periscope::waveform::Record;
 use serde_json::json;
 
 use super::output::{Closed, Format, Output, Rows, Stream, note, say};
+use super::whole_file;
 use line::{TIME, line, with_unit};
 use plot::Plot;
 use summary::Summary;
@@ -267,18 +267,24 @@ fn export(args: &Inspect, to: &Path) -> Result<ExitCode> {
             records.len()
         );
     }
-    let mut out = BufWriter::new(File::create(to).with_context(|| to.display().to_string())?);
-    if args.csv.is_some() {
-        write_csv(&mut out, &mut source, &records[0])?;
-    } else {
-        npy::write_head::<f64>(&mut out, &[records.len() as u64, samples as u64])?;
-        for record in &records {
-            let values = source.values(record)?;
-            values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
-        }
-    }
-    out.flush().with_context(|| to.display().to_string())?;
+    whole_file::write(to, |out| {
+        let written = if args.csv.is_some() {
+            write_csv(out, &mut source, &records[0])
+        } else {
+            write_npy(out, &mut source, &records)
+        };
+        written.map_err(io::Error::other)
+    })?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// An array [waveform, sample].
+fn write_npy(out: &mut impl Write, source: &mut Source<Joined>, records: &[Record]) -> Result<()> {
+    npy::write_head::<f64>(out, &[records.len() as u64, records[0].head.samples as u64])?;
+    for record in records {
+        source.values(record)?.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
+    }
+    Ok(())
 }
 
 /// Times and values; numbers of samples where the file has no time base. What has no unit is headed `value`.

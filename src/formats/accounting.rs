@@ -46,7 +46,7 @@ impl Ledger {
     /// Notes that the file ends within one of its records, after `whole` others.
     pub fn cut_short(&mut self, byte_offset: u64, what: &str, whole: u64) {
         let problem = format!(
-            "the file ends within {what} {whole}, counted from 0: the {whole} before it are read. Copy the file from \
+            "is cut short: it ends within {what} {whole}, counted from 0; the {whole} before it are read: copy it from \
              the instrument again, or go on without the rest"
         );
         self.remarks.push(Remark { byte_offset, problem, is_cut: true });

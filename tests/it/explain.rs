@@ -278,19 +278,34 @@ fn text_json_and_sql_say_the_same() {
     );
 }
 
-/// The questions behind patch 3, and how many rows the explanation gives to each.
-fn questions() -> Vec<(String, usize)> {
+/// The questions behind patch 3 in a result folder, and how many rows the explanation gives to each.
+fn questions(out: &str) -> Vec<(String, usize)> {
     let (onsets, files) = behind_patch_3();
     let exposures: usize = files.values().flatten().map(Vec::len).sum();
     let expected = [1, onsets.len(), files.len() / 2, exposures];
-    let sql = text(&periscope(&["explain", "out", "patch=3", "--format", "sql"]).stdout);
+    let sql = text(&periscope(&["explain", out, "patch=3", "--format", "sql"]).stdout);
     let statements = sql.split(";\n").filter(|statement| !statement.trim().is_empty()).map(str::to_owned);
     statements.zip(expected).collect()
 }
 
 #[test]
 fn duckdb_answers_the_sql() {
-    for (statement, rows) in questions() {
+    duckdb_answers("out");
+}
+
+/// Names that DuckDB takes for patterns, beside folders that two of them would match.
+#[test]
+fn duckdb_reads_the_folder_that_is_meant_whatever_its_name() {
+    let names = ["of[1]", "it's *", "why?"];
+    for name in names.into_iter().chain(["it's all", "whyt"]) {
+        let copied = Command::new("cp").arg("-a").args([LAB.path("out"), LAB.path(name)]).status();
+        assert!(copied.unwrap().success());
+    }
+    names.into_iter().for_each(duckdb_answers);
+}
+
+fn duckdb_answers(out: &str) {
+    for (statement, rows) in questions(out) {
         let ask = format!("import duckdb\nprint(len(duckdb.sql(\"\"\"{statement}\"\"\").fetchall()))");
         let Some(answer) = printed(&LAB.path(""), &["-c", &ask]) else { return };
         assert_eq!(answer.trim(), rows.to_string(), "{statement}");
@@ -300,7 +315,7 @@ fn duckdb_answers_the_sql() {
 #[cfg(feature = "query")]
 #[test]
 fn query_answers_the_sql() {
-    for (statement, rows) in questions() {
+    for (statement, rows) in questions("out") {
         let statement = statement.as_str();
         let answer = periscope(&["query", "out", statement, "--format", "json"]);
         assert_eq!(answer.status.code(), Some(0), "{statement}: {}", text(&answer.stderr));

@@ -95,7 +95,7 @@ fn what_a_file_holds_besides_its_records_is_in_rejects() {
     };
     let (surplus, short) = (of(&file(0)), of(&file(1)));
     assert!(surplus.len() == 1 && surplus[0].contains("100 bytes at the end"), "{rejects:?}");
-    assert!(!short.is_empty() && short[0].contains("the file ends within segment 23"), "{rejects:?}");
+    assert!(!short.is_empty() && short[0].contains("it ends within segment 23"), "{rejects:?}");
     let rows: Vec<Trace> = lab.rows("out", "traces");
     assert!(
         rows.len() < before.len() && rows.iter().all(|row| before.contains(row)),

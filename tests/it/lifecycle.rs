@@ -164,7 +164,7 @@ fn a_run_that_goes_wrong_everywhere_is_stopped_and_says_by_what() {
     for name in ["s1_L1_P2_C1.trc", "s1_L2_P3_C1.trc", "s1_L3_P1_C1.trc"] {
         let path = lab.campaign().join("raw/scene").join(name);
         let bytes = fs::read(&path).unwrap();
-        fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        fs::write(&path, &bytes[..200]).unwrap(); // within its head: no shot is left
     }
     let run = |limit: &str, out: &str| {
         let settings = Settings { max_rejects: Some(limit.parse::<MaxRejects>().unwrap()), ..Settings::default() };
