@@ -85,7 +85,7 @@ pub fn inspect(args: &Inspect) -> Result<ExitCode> {
         return export(args, file);
     }
     let format = args.output.format;
-    let stdout = || std::io::stdout().lock();
+    let stdout = || io::stdout().lock();
     let (mut stream, mut table) = match format {
         Format::Table if args.files.len() > 1 && !args.plot => (None, Some(Rows::new(&FILE_COLUMNS))),
         Format::Table => (None, None),
