@@ -27,7 +27,7 @@ mod parts;
 #[allow(dead_code, reason = "other studies use more of it")]
 #[path = "resolution/score.rs"]
 mod score;
-#[path = "reliability/system_calls.rs"]
+#[path = "../tests/it/system_calls.rs"]
 mod system_calls;
 #[path = "reliability/views.rs"]
 mod views;

@@ -68,6 +68,8 @@ mod simulate;
 mod sizes;
 mod small_rooms;
 mod surface;
+#[allow(dead_code, reason = "the study uses more of it")]
+mod system_calls;
 mod twins;
 mod verify;
 mod version;
