@@ -82,8 +82,7 @@ impl Provenance {
                 inputs: inputs.map(|(name, input)| (name.clone(), ancestry.label(input))).collect(),
             })
         };
-        let has_rejects = shelf.names()?.iter().any(|view| view == Reject::TABLE);
-        let rejects = if has_rejects { rejects::rows(shelf)? } else { Vec::new() };
+        let rejects = if shelf.table_of(Reject::TABLE)?.is_some() { rejects::rows(shelf)? } else { Vec::new() };
         let kinds = rejects::kinds(&rejects);
         let shown = kinds.iter().take(REASONS);
         Ok(Self {
