@@ -2,6 +2,9 @@
 //!
 //! `cargo bench --bench surfaces -- 5 32 1000`: 5 scans of each cell, 32 x 32 points of the wall, seeds from 1000 on;
 //! a fourth number takes scans of so many photons in a mean histogram alone. Names of things take these alone.
+//!
+//! `cargo bench --bench surfaces -- write FOLDER 1 32 2000 3000` writes such scans as `THING-PHOTONS-SEED.mat`, with
+//! points of the true surface beside each (`.csv`: x, y, z, normal), and runs nothing: for other programs.
 
 #[allow(dead_code, unused_imports, reason = "the tests use more of it")]
 #[path = "../tests/it/first_returns.rs"]
@@ -10,6 +13,9 @@ mod first_returns;
 #[path = "../tests/it/relay_scene.rs"]
 mod relay_scene;
 
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
 use first_returns::{Tally, capture, median, tallies, thing};
 
 const THINGS: [&str; 6] = ["sphere", "plate", "box", "sphere and plate", "wavy", "saddle"];
@@ -17,17 +23,27 @@ const PHOTONS: [f64; 3] = [300.0, 3000.0, 30_000.0];
 const KINDS: [&str; 3] = ["smooth", "edge", "corner"];
 
 fn main() {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let folder = words.iter().position(|word| word == "write").map(|n| PathBuf::from(&words[n + 1]));
     let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|arg| arg.parse().ok()).collect();
     let number = |place: usize, other: u64| numbers.get(place).copied().unwrap_or(other);
     let (scans, side, first) = (number(0, 5), number(1, 32) as usize, number(2, 1000));
     let photons = numbers.get(3).map_or(PHOTONS.to_vec(), |photons| vec![*photons as f64]);
+    let named = |kind: &&str| std::env::args().any(|arg| arg == **kind);
+    let is_any_named = THINGS.iter().any(named);
+    let things = THINGS.into_iter().filter(|kind| !is_any_named || named(kind));
+    if let Some(folder) = folder {
+        for kind in things {
+            let of_kind = photons.iter().flat_map(|photons| (first..first + scans).map(move |seed| (*photons, seed)));
+            of_kind.for_each(|(photons, seed)| write(&folder, kind, photons, (side, seed)));
+        }
+        return;
+    }
     println!(
         "| scene | photons | kind | scans | points | 95 % hold (least to most of a scan) | median error (mm) | 95 % of errors below (mm) | median sd (mm) | median turn of the normal (degrees) |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
-    let named = |kind: &&str| std::env::args().any(|arg| arg == **kind);
-    let is_any_named = THINGS.iter().any(named);
-    for kind in THINGS.into_iter().filter(|kind| !is_any_named || named(kind)) {
+    for kind in things {
         for photons in &photons {
             let of_seed = |seed| tallies(&thing(kind, seed), &capture(side, seed), *photons);
             let scans: Vec<[Tally; 3]> = (first..first + scans).map(of_seed).collect();
@@ -37,6 +53,19 @@ fn main() {
             }
         }
     }
+}
+
+/// A scan, and points of its surface that face the wall.
+fn write(folder: &Path, kind: &str, photons: f64, (side, seed): (usize, u64)) {
+    let thing = thing(kind, seed);
+    let name = format!("{}-{photons}-{seed}", kind.replace(' ', "-"));
+    thing.write(&folder.join(format!("{name}.mat")), &capture(side, seed), photons);
+    let mut text = String::from("x_m,y_m,z_m,normal_x,normal_y,normal_z\n");
+    for (place, normal) in thing.facing().step_by(7) {
+        let [x, y, z, nx, ny, nz] = [place.x, place.y, place.z, normal.x, normal.y, normal.z];
+        writeln!(text, "{x:.5},{y:.5},{z:.5},{nx:.5},{ny:.5},{nz:.5}").expect("text");
+    }
+    std::fs::write(folder.join(format!("{name}.csv")), text).expect("a folder to write to");
 }
 
 fn print(name: &str, scans: &[&Tally]) {

@@ -13,6 +13,7 @@
 //! | `flat` | the field of flat faces that end: a rectangle, or a block |
 //! | `windows` | which neighbours a field is fitted to, and which field a place shares with others |
 //! | `choice` | the bent field or the flat faces: the mixture of what both say |
+//! | `dispersion` | how large the error of the law of first light is |
 //! | `laws` | under which law light begins at each point of the wall |
 //!
 //! Where the nearest point jumps from one place to another, the gradient jumps too, and no field may be fitted across.
@@ -34,6 +35,7 @@
 //! faces where the lit point is fixed.
 
 mod choice;
+mod dispersion;
 mod field;
 mod flat;
 mod laws;
@@ -49,6 +51,7 @@ use rayon::prelude::*;
 
 use super::Point;
 use choice::Choice;
+use dispersion::Dispersion;
 use field::Field;
 pub use field::Kind;
 use flat::{Flat, Hint};
@@ -177,6 +180,8 @@ struct Rounds<'a> {
     /// Lengths under the laws that flat faces show, and these faces.
     samples: Vec<Sample>,
     flats: Vec<Option<Chosen<Flat>>>,
+    /// Standard deviation of the error of their law, as residuals of all faces show it.
+    law_m: f64,
 }
 
 impl<'a> Rounds<'a> {
@@ -192,7 +197,7 @@ impl<'a> Rounds<'a> {
         let wide = |sample: &Sample| Sample { weighted_m: sample.sd_m.hypot(sample.law_m), ..*sample };
         let samples = first.iter().map(wide).collect();
         let flats = fields.iter().map(|_| None).collect();
-        Self { scan, near, first, fields, samples, flats }
+        Self { scan, near, first, fields, samples, flats, law_m: 0.0 }
     }
 
     fn choice(&self, place: usize) -> Choice<'_> {
@@ -204,36 +209,23 @@ impl<'a> Rounds<'a> {
         (0..self.samples.len()).into_par_iter().map(of_place).collect()
     }
 
-    /// Flat faces that go on from the points of the round before.
+    /// Flat faces that go on from the points of the round before, and what their residuals say of their law.
     fn find_faces(&mut self, cancel: &Cancel) {
         let hints: Vec<Option<Hint>> = self.points().iter().map(|point| point.as_ref().map(Hint::new)).collect();
         let flats = windows::flats(self.scan, &self.samples, &self.near, &hints, cancel);
-        self.flats = windows::shared(&flats, &self.samples, &self.near);
-    }
-
-    /// Standard deviation of the law's error, as lengths of the field: what lengths of neighbours have in common beyond
-    /// their faces. Noise is not common to them.
-    fn common_m(&self) -> f64 {
-        let off = |place: usize| {
-            let choice = self.choice(place);
-            let flat = choice.flat.filter(|_| choice.share > 0.5)?;
-            let sample = &self.samples[place];
-            Some((sample.length_m - flat.field.length_m(&sample.at), sample.weighted_m.powi(-2)))
+        let shown = |flat: &Chosen<Flat>| {
+            let zone_m = self.scan.zone_m(flat.field.length_m(&flat.field.at()));
+            Dispersion::of(&flat.field, &self.samples, &flat.members, &self.near, zone_m)
         };
-        let offs: Vec<Option<(f64, f64)>> = (0..self.samples.len()).into_par_iter().map(off).collect();
-        let pairs = self.near.iter().filter_map(|near| offs[near[0] as usize].zip(offs[near[1] as usize]));
-        let (sum, weight) = pairs.fold((0.0, 1e-300), |(sum, weight), (one, other)| {
-            let own = one.1 * other.1;
-            (sum + own * one.0 * other.0, weight + own)
-        });
-        (sum / weight).max(0.0).sqrt()
+        let shown: Vec<Option<Dispersion>> = flats.par_iter().flatten().map(shown).collect();
+        self.law_m = shown.into_iter().flatten().fold(Dispersion::default(), Dispersion::and).law_m();
+        self.flats = windows::shared(&flats, &self.samples, &self.near);
     }
 
     /// Lengths under the laws of the faces.
     fn time_again(&mut self, timed: &(impl Fn(usize, &[Face], f64) -> Option<Return> + Sync)) {
-        let common_m = self.common_m();
         let choices: Vec<Choice<'_>> = (0..self.samples.len()).map(|place| self.choice(place)).collect();
-        let again = |place: usize| laws::again(self.scan, place, &choices[place], common_m, timed);
+        let again = |place: usize| laws::again(self.scan, place, &choices[place], self.law_m, timed);
         let again: Vec<_> = (0..choices.len()).into_par_iter().map(again).collect();
         self.samples = laws::mixed(self.scan, &self.near, &self.first, &choices, &again);
     }

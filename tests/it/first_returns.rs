@@ -149,8 +149,13 @@ pub fn thing(kind: &str, seed: u64) -> Thing {
 }
 
 impl Thing {
+    /// Places and normals of facets that face the wall.
+    pub fn facing(&self) -> impl Iterator<Item = (Point, Vector3<f64>)> {
+        self.facets.iter().map(|(place, normal, _)| (*place, *normal)).filter(|(_, normal)| normal.z < 0.0)
+    }
+
     /// Writes a confocal scan with so many photons of the surface in a mean histogram.
-    fn write(&self, path: &Path, capture: &Capture, photons: f64) {
+    pub fn write(&self, path: &Path, capture: &Capture, photons: f64) {
         let light: Vec<Vec<f64>> = capture.wall().iter().map(|place| self.light(capture, *place)).collect();
         let mean = light.iter().flatten().sum::<f64>() / light.len() as f64;
         capture.write_light(path, |n, _, rates| {
@@ -271,4 +276,18 @@ fn one_thread_and_two_give_the_same_points() {
         rows::<SurfacePoint>(folder.path(), threads, "surface")
     });
     assert!(one.len() > 200 && one == two, "{} and {} points", one.len(), two.len());
+}
+
+/// What the study holds points against: the nearest point of a thing is as far off as its nearest facet.
+#[test]
+fn the_true_point_is_the_nearest_facet() {
+    for kind in ["sphere", "plate", "box", "sphere and plate", "wavy", "saddle"] {
+        let thing = thing(kind, 3);
+        for seen in capture(3, 3).wall().into_iter().map(Point::from) {
+            let (truth, _) = (thing.nearest)(&seen);
+            let facet_m = thing.facing().map(|(place, _)| (place - seen).norm()).fold(f64::INFINITY, f64::min);
+            let off_m = facet_m - (truth - seen).norm();
+            assert!((-1e-6..PITCH_M).contains(&off_m), "{kind}: a facet is {off_m} m farther than the true point");
+        }
+    }
 }

@@ -12,8 +12,6 @@ use super::{Scan, SurfacePoint};
 const TEMPER: f64 = 0.3;
 /// Standard deviation of the law's error that is common to all places, over that of the response.
 const COMMON: f64 = 0.05;
-/// Variance of flat faces over what noise, law and other windows say: points of a real chart scatter so.
-const WIDER: f64 = 4.0;
 /// Share of a kind that is sure.
 const SURE: f64 = 0.9;
 
@@ -44,7 +42,7 @@ impl<'a> Choice<'a> {
     pub fn surface_point(&self, scan: &Scan, place: usize) -> Option<SurfacePoint> {
         let parts: Vec<(f64, Reading)> = [
             self.bent.map(|bent| (1.0 - self.share, bent.reading())),
-            self.flat.map(|flat| (self.share, flat.reading().wider(WIDER))),
+            self.flat.map(|flat| (self.share, flat.reading())),
         ]
         .into_iter()
         .flatten()

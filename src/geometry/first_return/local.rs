@@ -13,9 +13,11 @@ pub type Covariance = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 const ROUNDS: usize = 8;
 const HALVINGS: usize = 4;
 const DONE: f64 = 1e-2;
-/// Frequencies and weights of a Gaussian spectrum, by quadrature of Hermite.
-const SPECTRUM: [[f64; 2]; 3] =
-    [[0.0, 0.533_333_333_333], [1.355_626_179_974, 0.222_075_922_006], [2.856_970_013_873, 0.011_257_411_328]];
+/// A Gaussian spectrum by quadrature of Hermite: frequencies, and variances of the heights of a constant and of a
+/// cosine and a sine of each.
+const FREQUENCIES: [f64; 2] = [1.355_626_179_974, 2.856_970_013_873];
+const VARIANCES: [f64; 5] =
+    [0.533_333_333_333, 0.444_151_844_012, 0.444_151_844_012, 0.022_514_822_656, 0.022_514_822_656];
 /// Step of differences.
 const STEP: f64 = 1e-6;
 
@@ -132,36 +134,41 @@ pub trait Local: Clone + Send + Sync {
         (information, gradient - precision.component_mul(&off))
     }
 
-    /// Covariance of the gradient under noise and what was thought before, and under errors of the law: a Gaussian
-    /// random function over the wall, whose correlation falls as a Gaussian of `zone_m`, as a sum of waves.
-    fn spread(&self, samples: &[Sample], members: &[u32], zone_m: f64) -> [Covariance; 2] {
-        let waves = |place: f64| SPECTRUM.map(|[frequency, _]| (frequency * place / zone_m).sin_cos());
+    /// Errors of the law over the members: a Gaussian random function over the wall, whose correlation falls as a
+    /// Gaussian of `zone_m`, as a sum of waves with random heights; the variance of each height, and its wave.
+    fn waves(&self, samples: &[Sample], members: &[u32], zone_m: f64) -> Vec<(f64, Vec<f64>)> {
         let across = frame(&self.reading(None).1);
+        let of_line = |axis: &Vector3<f64>| -> Vec<[f64; 5]> {
+            let along = |n: &u32| axis.dot(&(samples[*n as usize].at - self.at())) / zone_m;
+            members.iter().map(|n| wave_heights(along(n))).collect()
+        };
+        let lines = across.each_ref().map(of_line);
+        let mut waves = Vec::with_capacity(25);
+        for first in 0..5 {
+            for second in 0..5 {
+                let product = |(x, y): (&[f64; 5], &[f64; 5])| x[first] * y[second];
+                let wave = lines[0].iter().zip(&lines[1]).map(product).collect();
+                waves.push((VARIANCES[first] * VARIANCES[second], wave));
+            }
+        }
+        waves
+    }
+
+    /// Covariance of the gradient under noise and what was thought before, and under errors of the law.
+    fn spread(&self, samples: &[Sample], members: &[u32], zone_m: f64) -> [Covariance; 2] {
         let mut noise = Covariance::from_diagonal(&self.prior().1);
-        let mut sums = [[[Unknowns::zeros(); 4]; 3]; 3];
+        let mut rows = Vec::with_capacity(members.len());
         for sample in members.iter().map(|n| &samples[*n as usize]) {
-            let u = sample.at - self.at();
             let (_, slopes) = self.length(&sample.at);
             noise += slopes * slopes.transpose() * (sample.sd_m.powi(2) / sample.weighted_m.powi(4));
-            let row = slopes * (sample.law_m / sample.weighted_m.powi(2));
-            let [first, second] = across.map(|across| waves(across.dot(&u)));
-            for (a, (sin_a, cos_a)) in first.into_iter().enumerate() {
-                for (b, (sin_b, cos_b)) in second.into_iter().enumerate() {
-                    let products = [cos_a * cos_b, sin_a * sin_b, sin_a * cos_b, cos_a * sin_b];
-                    sums[a][b].iter_mut().zip(products).for_each(|(sum, product)| *sum += row * product);
-                }
-            }
+            rows.push(slopes * (sample.law_m / sample.weighted_m.powi(2)));
         }
-        let mut spread = Covariance::zeros();
-        for (a, sums) in sums.iter().enumerate() {
-            for (b, products) in sums.iter().enumerate() {
-                // Both signs of each frequency that is not zero.
-                let both = |n: usize| if n > 0 { 2.0 } else { 1.0 };
-                let weight = SPECTRUM[a][1] * SPECTRUM[b][1] * both(a) * both(b);
-                products.iter().for_each(|sum| spread += sum * sum.transpose() * weight);
-            }
+        let mut law = Covariance::zeros();
+        for (variance, wave) in self.waves(samples, members, zone_m) {
+            let sum: Unknowns = rows.iter().zip(&wave).map(|(row, wave)| row * *wave).sum();
+            law += sum * sum.transpose() * variance;
         }
-        [noise, spread]
+        [noise, law]
     }
 
     /// Covariances of both parts of the reading, from that of the unknowns.
@@ -179,6 +186,12 @@ pub trait Local: Clone + Send + Sync {
         }
         slopes.map(|slopes| slopes * covariance * slopes.transpose())
     }
+}
+
+/// The waves of [`VARIANCES`] at a place along a line.
+fn wave_heights(place: f64) -> [f64; 5] {
+    let [(sine, cosine), (next_sine, next_cosine)] = FREQUENCIES.map(|frequency| (frequency * place).sin_cos());
+    [1.0, cosine, sine, next_cosine, next_sine]
 }
 
 /// Two unit vectors across another.

@@ -4,6 +4,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::dispersion::Dispersion;
 use super::field::Field;
 use super::local::{Covariance, Local, Sample};
 use super::*;
@@ -195,5 +196,40 @@ fn plates_and_blocks_are_found_to_their_corners() {
         let (held, median_m) = judged(&scan, &surface);
         // Without flat faces the median is 5 mm.
         assert!(held > 0.9 && median_m < 1.5e-3, "depth {depth_m}: {held}, {median_m} m");
+    }
+}
+
+/// Distances of a plane with noise and a smooth error, which a field takes in part: residuals of many scans tell how
+/// large the error is.
+#[test]
+fn residuals_show_how_large_a_smooth_error_is() {
+    let wall = wall(12, |_, _| 0.0);
+    let near = windows::neighbours(&wall, 20, &Cancel::never());
+    let members: Vec<u32> = (0..wall.len() as u32).collect();
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let (zone_m, sd_m) = (0.15_f64, 1e-3);
+    let grid: Vec<Point> = (0..400).map(|n| Point::new(f64::from(n % 20), f64::from(n / 20), 0.0) * 0.1).collect();
+    let grid: Vec<Point> = grid.into_iter().map(|at| at - Vector3::new(0.95, 0.95, 0.0)).collect();
+    let unit = grid.iter().map(|at| (-2.0 * at.coords.norm_squared() / zone_m.powi(2)).exp()).sum::<f64>().sqrt();
+    for law_m in [0.0, 1e-3, 3e-3_f64] {
+        let mut of_scan = || {
+            let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
+            // Bumps of a Gaussian shape give an error whose correlation is one of twice the variance.
+            let bumps: Vec<(Point, f64)> = grid.iter().map(|at| (*at, normal())).collect();
+            let height = |place: &Point| -> f64 {
+                let of_bump = |(at, size): &(Point, f64)| size * (-(place - at).norm_squared() / zone_m.powi(2)).exp();
+                bumps.iter().map(of_bump).sum()
+            };
+            let sample = |seen: &Point| {
+                let length_m = 0.7 + law_m * height(seen) / unit + sd_m * normal();
+                Sample { at: *seen, length_m, sd_m, law_m, weighted_m: sd_m.hypot(law_m) }
+            };
+            let samples: Vec<Sample> = wall.iter().map(sample).collect();
+            let field = Field::new(&samples[66], -Vector3::z()).fit(&samples, &members, zone_m).expect("a plane");
+            Dispersion::of(&field, &samples, &members, &near, zone_m).expect("an information")
+        };
+        let shown = (0..40).map(|_| of_scan()).fold(Dispersion::default(), Dispersion::and).law_m();
+        println!("{law_m} m: {shown} m");
+        assert!((shown.powi(2) - law_m.powi(2)).abs() < 0.15 * law_m.powi(2) + 2e-7, "{shown} of {law_m}");
     }
 }

@@ -22,8 +22,6 @@ const SIDES: usize = 8;
 /// Of so many nearest places, itself with them, one has flat faces of its own; of more where there are many places.
 const NEAREST: usize = 9;
 const CENTRES: usize = 100;
-/// So many zones of a place have an error of the law of flat faces in common.
-const FAR: f64 = 2.0;
 /// Faces with most members among which the surest is sought.
 const SHARED: usize = 16;
 /// Chi-square of neighbours by which flat faces may be worse than the best.
@@ -146,17 +144,16 @@ pub fn flats(
             return None;
         }
         let zone_m = scan.zone_m(samples[n].length_m);
-        let far_m = FAR * zone_m;
         let start = |members: &[u32]| {
             let hints: Vec<Hint> = members.iter().filter_map(|member| hints[*member as usize]).collect();
             if hints.len() < SIZES[0] {
                 return None;
             }
             let starts = Flat::starts(samples[n].at, &hints, samples, members, zone_m);
-            let flats = starts.iter().filter_map(|flat| flat.fit(samples, members, far_m));
+            let flats = starts.iter().filter_map(|flat| flat.fit(samples, members, zone_m));
             flats.min_by(|a, b| a.fitted().square.total_cmp(&b.fitted().square))
         };
-        Growth { scan, samples, near: &near[n], zone_m: far_m, sizes: &FLAT_SIZES, start }.chosen()
+        Growth { scan, samples, near: &near[n], zone_m, sizes: &FLAT_SIZES, start }.chosen()
     };
     (0..samples.len()).into_par_iter().map(of_place).collect()
 }
@@ -307,14 +304,6 @@ pub struct Reading {
     pub covariance_m2: Matrix3<f64>,
     pub away: Vector3<f64>,
     pub away_covariance: Matrix3<f64>,
-}
-
-impl Reading {
-    /// With larger variances.
-    pub fn wider(self, times: f64) -> Self {
-        let [covariance_m2, away_covariance] = [self.covariance_m2, self.away_covariance].map(|one| one * times);
-        Self { covariance_m2, away_covariance, ..self }
-    }
 }
 
 impl<F: Local> Chosen<F> {

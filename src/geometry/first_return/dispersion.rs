@@ -1,0 +1,73 @@
+//! How large the error of the law of first light is: what residuals of neighbours have in common.
+//!
+//! Noise of one place does not show at the next, an error of the law does. A fit takes most of a smooth error into its
+//! unknowns, so that residuals `r = M e` show a part of it alone: with `M = 1 - J H J^T W` (slopes `J`, covariance `H`,
+//! weights `W`) their products have the mean `s^2 M K M^T + M N M^T`, where `K` is the correlation of the error over
+//! the wall, `s` its standard deviation, and `N` the noise. Products of neighbours, summed over all fields of a scan,
+//! give `s`.
+//!
+//! Source: the method of moments for components of variance, Henderson, Biometrics 9:226, 1953.
+
+use super::local::{Covariance, Local, Sample, Unknowns};
+
+/// Sums over pairs of neighbours: products of residuals less those of noise, and their mean where the error is 1 m.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Dispersion {
+    products_m2: f64,
+    mean: f64,
+}
+
+/// A member: its residual, its slopes, its weight and the variance of its noise.
+struct Line {
+    off_m: f64,
+    slopes: Unknowns,
+    weight: f64,
+    noise_m2: f64,
+}
+
+impl Dispersion {
+    /// Of a field that was fitted to members. `near` holds the nearest places of each, itself first; errors of the law
+    /// are common within `zone_m`.
+    pub fn of(field: &impl Local, samples: &[Sample], members: &[u32], near: &[Vec<u32>], zone_m: f64) -> Option<Self> {
+        let line = |n: &u32| {
+            let sample = &samples[*n as usize];
+            let (length_m, slopes) = field.length(&sample.at);
+            let (weight, noise_m2) = (sample.weighted_m.powi(-2), sample.sd_m.powi(2));
+            Line { off_m: sample.length_m - length_m, slopes, weight, noise_m2 }
+        };
+        let lines: Vec<Line> = members.iter().map(line).collect();
+        let mut place = vec![None; samples.len()];
+        members.iter().enumerate().for_each(|(k, n)| place[*n as usize] = Some(k));
+        let pair = |(k, n): (usize, &u32)| Some([k, place[near[*n as usize][1] as usize]?]);
+        let pairs: Vec<[usize; 2]> = members.iter().enumerate().filter_map(pair).collect();
+        let inverse = field.information(samples, members).0.cholesky()?.inverse();
+        let weighted = |[a, b]: &[usize; 2]| lines[*a].weight * lines[*b].weight;
+        let summed = |value: &dyn Fn(usize) -> f64| -> f64 {
+            pairs.iter().map(|pair| weighted(pair) * value(pair[0]) * value(pair[1])).sum()
+        };
+        let mut mean = 0.0;
+        for (weight, wave) in field.waves(samples, members, zone_m) {
+            let taken: Unknowns = lines.iter().zip(&wave).map(|(line, wave)| line.slopes * (line.weight * wave)).sum();
+            let taken = inverse * taken;
+            mean += weight * summed(&|k| wave[k] - lines[k].slopes.dot(&taken));
+        }
+        let noise = |line: &Line| line.slopes * line.slopes.transpose() * (line.weight.powi(2) * line.noise_m2);
+        let spread = inverse * lines.iter().map(noise).sum::<Covariance>() * inverse;
+        let of_noise = |[a, b]: &[usize; 2]| {
+            let [one, other] = [&lines[*a], &lines[*b]];
+            let both = one.weight * one.noise_m2 + other.weight * other.noise_m2;
+            one.slopes.dot(&((spread - inverse * both) * other.slopes))
+        };
+        let noise_m2: f64 = pairs.iter().map(|pair| weighted(pair) * of_noise(pair)).sum();
+        Some(Self { products_m2: summed(&|k| lines[k].off_m) - noise_m2, mean })
+    }
+
+    pub fn and(self, other: Self) -> Self {
+        Self { products_m2: self.products_m2 + other.products_m2, mean: self.mean + other.mean }
+    }
+
+    /// Standard deviation of the error; 0 where residuals show none.
+    pub fn law_m(&self) -> f64 {
+        (self.products_m2 / self.mean.max(1e-300)).max(0.0).sqrt()
+    }
+}
