@@ -65,6 +65,7 @@
 //! | [`rohde_schwarz`] | Rohde & Schwarz |
 //! | [`picoquant`], [`becker_hickl_sdt`] | photon counters |
 //! | [`caen_wavedump`] | CAEN digitisers |
+//! | [`pulse_waves`], [`las`], [`lidar`] | lidars, and the beam of each of their pulses |
 //! | [`csv`], [`npy`], [`npz`], [`wav`], [`sigrok_sr`] | formats that many programs write |
 //! | [`mat5`], [`array`](mod@array) | arrays by name, for files that hold whole data sets |
 //!
@@ -86,6 +87,7 @@
 
 pub mod accounting;
 pub mod array;
+mod beam;
 pub mod becker_hickl_sdt;
 pub mod caen_wavedump;
 pub mod companions;
@@ -95,14 +97,17 @@ pub mod hdf5;
 mod hostile;
 mod inflate;
 pub mod keysight_bin;
+pub mod las;
 pub mod lecroy_1_0;
 pub mod lecroy_trc;
+pub mod lidar;
 pub mod mat5;
 mod named;
 pub mod npy;
 pub mod npz;
 mod numbers;
 pub mod picoquant;
+pub mod pulse_waves;
 pub mod reader;
 pub mod rigol_bin;
 pub mod rigol_wfm;
@@ -122,7 +127,7 @@ pub use reader::{FormatError, Input, Joined, Reader, Source};
 use crate::waveform::Record;
 
 /// The formats. Those with a mark in their first bytes stand before those that accept any text.
-pub const READERS: [&dyn Reader; 18] = [
+pub const READERS: [&dyn Reader; 20] = [
     &lecroy_trc::LecroyTrc,
     &npy::Npy,
     &hdf5::Hdf5,
@@ -140,6 +145,8 @@ pub const READERS: [&dyn Reader; 18] = [
     &picoquant::PicoquantPhu,
     &picoquant::PicoquantPtu,
     &becker_hickl_sdt::BeckerHicklSdt,
+    &pulse_waves::PulseWaves,
+    &las::Las,
     &csv::Csv,
 ];
 

@@ -8,7 +8,7 @@ type Entry = (&'static [u8], &'static [&'static str], &'static str, &'static str
 const PTU: &str = "convert it to .ptu or .phu with the maker's software";
 const NPY: &str = "save the samples as .npy, with the last axis over time";
 
-const FORMATS: [Entry; 21] = [
+const FORMATS: [Entry; 19] = [
     (b"PicoHarp 300", &["pt2", "pt3"], "PicoQuant PicoHarp events of before 2014 (.pt2, .pt3)", PTU),
     (b"PicoHarp 300", &[], "PicoQuant PicoHarp histograms of before 2014 (.phd)", PTU),
     (b"HydraHarp 400", &["ht2", "ht3"], "PicoQuant HydraHarp events of before 2014 (.ht2, .ht3)", PTU),
@@ -26,10 +26,8 @@ const FORMATS: [Entry; 21] = [
         "a MATLAB 7.3 file",
         "use `convert` for a confocal capture, or save the samples as .npy",
     ),
-    (b"PulseWavesPulse", &[], "pulses of a PulseWaves lidar file (.pls)", NPY),
-    (b"PulseWavesWave", &[], "waves of a PulseWaves lidar file (.wvs)", NPY),
-    (b"LASF", &[], "a LAS or LAZ lidar point cloud", "save its waveform packets as .npy, with the last axis over time"),
-    (b"", &["wdp"], "waveform packets of a LAS lidar file (.wdp)", NPY),
+    (b"PulseWavesWave", &[], "the second file of a PulseWaves lidar file", "name the .pls of the same name"),
+    (b"", &["wdp"], "the second file of a LAS lidar file", "name the .las of the same name"),
     (b"DRS2", &[], "events of a DRS4 evaluation board", NPY),
     (b"DRS4", &[], "events of a DRS4 evaluation board", NPY),
     (b"TIME", &["dat"], "events of a DRS4 evaluation board of before 2014", NPY),
@@ -71,8 +69,8 @@ mod tests {
             (b"TDSm\x0e\0\0\0", "a.tdms", "TDMS"),
             (b"root\0\0\xf7\x48", "a.root", "ROOT"),
             (b"MATLAB 5.0 MAT-file, Platform: PCWIN", "a.mat", "`convert`"),
-            (b"PulseWavesPulse\0", "a.pls", "PulseWaves"),
-            (b"LASF\0\0", "a.las", "LAS"),
+            (b"PulseWavesWaves\0", "a.wvs", "PulseWaves"),
+            (b"\0\0LASF_Spec", "a.wdp", "LAS"),
             (b"DRS2TIMEB#", "a.dat", "DRS4"),
             (&[0xE1, 0xCA, 3, 0], "a.BIN", "CoMPASS"),
         ] {

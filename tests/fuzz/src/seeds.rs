@@ -37,6 +37,8 @@ fn seed(corpus: &Path, path: &Path) -> std::io::Result<()> {
         joined.append(&mut bytes);
         joined.extend(companion(path).and_then(|companion| fs::read(companion).ok()).unwrap_or_default());
         bytes = joined;
+    } else if format == "pulsewaves" {
+        bytes.extend(companion(path).and_then(|companion| fs::read(companion).ok()).unwrap_or_default());
     }
     let folder = corpus.join(format.replace('.', "-"));
     fs::create_dir_all(&folder)?;

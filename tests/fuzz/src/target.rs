@@ -10,6 +10,9 @@ use periscope_formats::{FormatError, Input, READERS, Reader, Source};
 /// Codes that are unpacked of one record; a compressed record may be a thousand times its file.
 const UNPACKED_BYTES: usize = 1 << 22;
 
+/// First bytes of the companion of a PulseWaves file.
+const WAVES: &[u8] = b"PulseWavesWaves\0";
+
 fuzz_target!(|data: &[u8]| {
     let name = env!("CARGO_BIN_NAME");
     let named = |reader: &&dyn Reader| reader.format().replace('.', "-") == name;
@@ -17,6 +20,11 @@ fuzz_target!(|data: &[u8]| {
     // Of a format in two files, the first four bytes say where the companion begins.
     let (length, bytes) = match data.split_first_chunk::<4>() {
         Some((length, bytes)) if name == "rs-bin" => (u32::from_le_bytes(*length).into(), bytes),
+        // The companion of a lidar begins with a mark of its own.
+        _ if name == "pulsewaves" => {
+            let companion = data.windows(WAVES.len()).position(|bytes| bytes == WAVES);
+            (companion.unwrap_or(data.len()) as u64, data)
+        }
         _ => (data.len() as u64, data),
     };
     let size = bytes.len() as u64;
