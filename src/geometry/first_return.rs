@@ -218,7 +218,8 @@ impl<'a> Rounds<'a> {
             Dispersion::of(&flat.field, &self.samples, &flat.members, &self.near, zone_m)
         };
         let shown: Vec<Option<Dispersion>> = flats.par_iter().flatten().map(shown).collect();
-        self.law_m = shown.into_iter().flatten().fold(Dispersion::default(), Dispersion::and).law_m();
+        let shown = shown.into_iter().flatten().fold(Dispersion::default(), Dispersion::and);
+        self.law_m = shown.law_m(self.scan.share() * self.scan.sigma_m * laws::MOST_ERROR);
         self.flats = windows::shared(&flats, &self.samples, &self.near);
     }
 

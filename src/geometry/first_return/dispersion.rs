@@ -6,15 +6,21 @@
 //! the wall, `s` its standard deviation, and `N` the noise. Products of neighbours, summed over all fields of a scan,
 //! give `s`.
 //!
+//! Where noise is large, residuals do not show a small error: `s` is one standard deviation more than the likeliest.
+//! Fields share places, so that their standard deviations add up.
+//!
 //! Source: the method of moments for components of variance, Henderson, Biometrics 9:226, 1953.
 
 use super::local::{Covariance, Local, Sample, Unknowns};
 
-/// Sums over pairs of neighbours: products of residuals less those of noise, and their mean where the error is 1 m.
+/// Sums over pairs of neighbours: products of residuals, weighted, less those of noise, and their mean where the error
+/// is 1 m.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Dispersion {
-    products_m2: f64,
+    products: f64,
     mean: f64,
+    /// Standard deviation of the products by noise.
+    sd: f64,
 }
 
 /// A member: its residual, its slopes, its weight and the variance of its noise.
@@ -58,16 +64,25 @@ impl Dispersion {
             let both = one.weight * one.noise_m2 + other.weight * other.noise_m2;
             one.slopes.dot(&((spread - inverse * both) * other.slopes))
         };
-        let noise_m2: f64 = pairs.iter().map(|pair| weighted(pair) * of_noise(pair)).sum();
-        Some(Self { products_m2: summed(&|k| lines[k].off_m) - noise_m2, mean })
+        let of_all_noise: f64 = pairs.iter().map(|pair| weighted(pair) * of_noise(pair)).sum();
+        let by_noise = |pair: &[usize; 2]| weighted(pair).powi(2) * lines[pair[0]].noise_m2 * lines[pair[1]].noise_m2;
+        let sd = pairs.iter().map(by_noise).sum::<f64>().sqrt();
+        Some(Self { products: summed(&|k| lines[k].off_m) - of_all_noise, mean, sd })
     }
 
     pub fn and(self, other: Self) -> Self {
-        Self { products_m2: self.products_m2 + other.products_m2, mean: self.mean + other.mean }
+        Self { products: self.products + other.products, mean: self.mean + other.mean, sd: self.sd + other.sd }
     }
 
-    /// Standard deviation of the error; 0 where residuals show none.
-    pub fn law_m(&self) -> f64 {
-        (self.products_m2 / self.mean.max(1e-300)).max(0.0).sqrt()
+    /// Standard deviation of the error that residuals show.
+    pub fn likeliest_m(&self) -> f64 {
+        (self.products / self.mean.max(1e-300)).max(0.0).sqrt()
+    }
+
+    /// Standard deviation of the error that residuals do not exclude, of which noise
+    /// hides `most_m` at most.
+    pub fn law_m(&self, most_m: f64) -> f64 {
+        let by_noise_m = (self.sd / self.mean.max(1e-300)).sqrt().min(most_m);
+        self.likeliest_m().hypot(by_noise_m)
     }
 }

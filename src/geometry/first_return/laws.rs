@@ -27,6 +27,8 @@ const ERROR: [f64; 3] = [0.12, 0.24, 0.36];
 /// The same of the law of flat faces, and the most by which its ends may be off, in radii of the zone.
 const FACES_ERROR: f64 = 0.05;
 const MOST_UNSURE: f64 = 1.5;
+/// The most of the error of the law of flat faces that noise may hide, as [`ERROR`].
+pub const MOST_ERROR: f64 = 0.36;
 /// Power of the likelihood by which a sheet and a block are told apart.
 const FACES_TEMPER: f64 = 0.3;
 /// Least standard deviation of a curvature times distance, and likelihood of one that no surface has.

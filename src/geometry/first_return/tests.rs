@@ -228,8 +228,10 @@ fn residuals_show_how_large_a_smooth_error_is() {
             let field = Field::new(&samples[66], -Vector3::z()).fit(&samples, &members, zone_m).expect("a plane");
             Dispersion::of(&field, &samples, &members, &near, zone_m).expect("an information")
         };
-        let shown = (0..40).map(|_| of_scan()).fold(Dispersion::default(), Dispersion::and).law_m();
+        let shown = (0..40).map(|_| of_scan()).fold(Dispersion::default(), Dispersion::and);
+        let (shown, most) = (shown.likeliest_m(), shown.law_m(1.0));
         println!("{law_m} m: {shown} m");
         assert!((shown.powi(2) - law_m.powi(2)).abs() < 0.15 * law_m.powi(2) + 2e-7, "{shown} of {law_m}");
+        assert!(most > law_m && most < 2.0 * law_m + 1e-3, "{most} for {law_m}");
     }
 }
