@@ -10,8 +10,9 @@ use super::{Scan, SurfacePoint};
 
 /// Power of a likelihood that counts: errors of the law are common to neighbours.
 const TEMPER: f64 = 0.3;
-/// Standard deviation of the law's error that is common to all places, over that of the response.
-const COMMON: f64 = 0.05;
+/// Standard deviation of the law's error that is common to all places, over that of the response: of bent fields, whose
+/// law is off by more at each place, and of flat faces, whose residuals do not show it.
+const COMMON: [f64; 2] = [0.05, 0.1];
 /// Share of a kind that is sure.
 const SURE: f64 = 0.9;
 
@@ -40,9 +41,10 @@ impl<'a> Choice<'a> {
 
     /// The point of the surface; `None` where nothing explains the place.
     pub fn surface_point(&self, scan: &Scan, place: usize) -> Option<SurfacePoint> {
+        let common_m = COMMON.map(|share| share * scan.share() * scan.sigma_m);
         let parts: Vec<(f64, Reading)> = [
-            self.bent.map(|bent| (1.0 - self.share, bent.reading())),
-            self.flat.map(|flat| (self.share, flat.reading())),
+            self.bent.map(|bent| (1.0 - self.share, bent.reading().and_along(common_m[0]))),
+            self.flat.map(|flat| (self.share, flat.reading().and_along(common_m[1]))),
         ]
         .into_iter()
         .flatten()
@@ -50,12 +52,10 @@ impl<'a> Choice<'a> {
         let most = parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?.1;
         let mean = |of: &dyn Fn(&Reading) -> Vector3<f64>| parts.iter().map(|(share, one)| of(one) * *share).sum();
         let (point, away): (Vector3<f64>, Vector3<f64>) = (mean(&|one| one.point.coords), mean(&|one| one.away));
-        let common_m2 = (scan.share() * scan.sigma_m * COMMON).powi(2);
         let (mut covariance_m2, mut away_covariance) = (Matrix3::zeros(), Matrix3::zeros());
         for (share, one) in &parts {
             let [off, off_away] = [one.point.coords - point, one.away - away];
-            covariance_m2 +=
-                (one.covariance_m2 + one.away * one.away.transpose() * common_m2 + off * off.transpose()) * *share;
+            covariance_m2 += (one.covariance_m2 + off * off.transpose()) * *share;
             away_covariance += (one.away_covariance + off_away * off_away.transpose()) * *share;
         }
         let kind = self.kind(scan);

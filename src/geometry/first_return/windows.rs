@@ -306,6 +306,13 @@ pub struct Reading {
     pub away_covariance: Matrix3<f64>,
 }
 
+impl Reading {
+    /// With an error along the line of sight.
+    pub fn and_along(self, sd_m: f64) -> Self {
+        Self { covariance_m2: self.covariance_m2 + self.away * self.away.transpose() * sd_m.powi(2), ..self }
+    }
+}
+
 impl<F: Local> Chosen<F> {
     pub fn reading(&self) -> Reading {
         let lit = self.lit.as_ref();
