@@ -232,6 +232,6 @@ fn residuals_show_how_large_a_smooth_error_is() {
         let (shown, most) = (shown.likeliest_m(), shown.law_m(1.0));
         println!("{law_m} m: {shown} m");
         assert!((shown.powi(2) - law_m.powi(2)).abs() < 0.15 * law_m.powi(2) + 2e-7, "{shown} of {law_m}");
-        assert!(most > law_m && most < 2.0 * law_m + 1e-3, "{most} for {law_m}");
+        assert!(most > shown && most < 2.0 * law_m + 2.0 * sd_m, "{most} for {law_m}");
     }
 }
