@@ -24,12 +24,13 @@ const KINDS: [&str; 3] = ["smooth", "edge", "corner"];
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    let folder = words.iter().position(|word| word == "write").map(|n| PathBuf::from(&words[n + 1]));
-    let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|arg| arg.parse().ok()).collect();
+    let is_to_write = words.first().is_some_and(|word| word == "write");
+    let folder = is_to_write.then(|| PathBuf::from(words.get(1).expect("`write` needs a folder")));
+    let numbers: Vec<u64> = words.iter().filter_map(|word| word.parse().ok()).collect();
     let number = |place: usize, other: u64| numbers.get(place).copied().unwrap_or(other);
     let (scans, side, first) = (number(0, 5), number(1, 32) as usize, number(2, 1000));
     let photons = numbers.get(3).map_or(PHOTONS.to_vec(), |photons| vec![*photons as f64]);
-    let named = |kind: &&str| std::env::args().any(|arg| arg == **kind);
+    let named = |kind: &&str| words.iter().any(|word| word == kind);
     let is_any_named = THINGS.iter().any(named);
     let things = THINGS.into_iter().filter(|kind| !is_any_named || named(kind));
     if let Some(folder) = folder {

@@ -24,8 +24,8 @@
 //! of the faces, and faces are fitted again, in some rounds.
 //!
 //! Covariances have four parts: noise; the error of the law of first light, which is a smooth random function over the
-//! wall ([`Scan::sigma_m`] sets its size and its length); what other windows and other faces say otherwise; and the
-//! mixture of bent fields and flat faces by their likelihoods. All but the first are common to neighbours and do not
+//! wall ([`Scan::sigma_m`] sets its length, and its size but for flat faces, whose residuals tell it); what other
+//! windows and other faces say otherwise; and the mixture of bent fields and flat faces by their likelihoods. All but the first are common to neighbours and do not
 //! average out.
 //!
 //! Source: Tsai et al., The Geometry of First-Returning Photons, CVPR 2017; Xin et al., A Theory of Fermat Paths,
