@@ -25,8 +25,8 @@
 //!
 //! Covariances have four parts: noise; the error of the law of first light, which is a smooth random function over the
 //! wall ([`Scan::sigma_m`] sets its length, and its size but for flat faces, whose residuals tell it); what other
-//! windows and other faces say otherwise; and the mixture of bent fields and flat faces by their likelihoods. All but the first are common to neighbours and do not
-//! average out.
+//! windows and other faces say otherwise; and the mixture of bent fields and flat faces by their likelihoods. All but
+//! the first are common to neighbours and do not average out.
 //!
 //! Source: Tsai et al., The Geometry of First-Returning Photons, CVPR 2017; Xin et al., A Theory of Fermat Paths,
 //! CVPR 2019. Windows by agreement: Lepski, Theory Probab. Appl. 35:454, 1990.
@@ -177,11 +177,10 @@ struct Rounds<'a> {
     /// Lengths under the laws that likelihood and curvature show, and bent fields of them.
     first: Vec<Sample>,
     fields: Vec<Option<Chosen<Field>>>,
-    /// Lengths under the laws that flat faces show, and these faces.
+    /// Lengths under the laws that flat faces show, the faces about some places, and those of each place among them.
     samples: Vec<Sample>,
+    faces: Vec<Option<Chosen<Flat>>>,
     flats: Vec<Option<Chosen<Flat>>>,
-    /// Standard deviation of the error of their law, as residuals of all faces show it.
-    law_m: f64,
 }
 
 impl<'a> Rounds<'a> {
@@ -197,7 +196,7 @@ impl<'a> Rounds<'a> {
         let wide = |sample: &Sample| Sample { weighted_m: sample.sd_m.hypot(sample.law_m), ..*sample };
         let samples = first.iter().map(wide).collect();
         let flats = fields.iter().map(|_| None).collect();
-        Self { scan, near, first, fields, samples, flats, law_m: 0.0 }
+        Self { scan, near, first, fields, samples, faces: Vec::new(), flats }
     }
 
     fn choice(&self, place: usize) -> Choice<'_> {
@@ -209,24 +208,29 @@ impl<'a> Rounds<'a> {
         (0..self.samples.len()).into_par_iter().map(of_place).collect()
     }
 
-    /// Flat faces that go on from the points of the round before, and what their residuals say of their law.
+    /// Flat faces that go on from the points of the round before.
     fn find_faces(&mut self, cancel: &Cancel) {
         let hints: Vec<Option<Hint>> = self.points().iter().map(|point| point.as_ref().map(Hint::new)).collect();
-        let flats = windows::flats(self.scan, &self.samples, &self.near, &hints, cancel);
-        let shown = |flat: &Chosen<Flat>| {
-            let zone_m = self.scan.zone_m(flat.field.length_m(&flat.field.at()));
-            Dispersion::of(&flat.field, &self.samples, &flat.members, &self.near, zone_m)
+        self.faces = windows::flats(self.scan, &self.samples, &self.near, &hints, cancel);
+        self.flats = windows::shared(&self.faces, &self.samples, &self.near);
+    }
+
+    /// Standard deviation of the error of the faces' law, as residuals of all faces show it.
+    fn law_m(&self) -> f64 {
+        let shown = |face: &Chosen<Flat>| {
+            let zone_m = self.scan.zone_m(face.field.length_m(&face.field.at()));
+            Dispersion::of(&face.field, &self.samples, &face.members, &self.near, zone_m)
         };
-        let shown: Vec<Option<Dispersion>> = flats.par_iter().flatten().map(shown).collect();
+        let shown: Vec<Option<Dispersion>> = self.faces.par_iter().flatten().map(shown).collect();
         let shown = shown.into_iter().flatten().fold(Dispersion::default(), Dispersion::and);
-        self.law_m = shown.law_m(self.scan.share() * self.scan.sigma_m * laws::MOST_ERROR);
-        self.flats = windows::shared(&flats, &self.samples, &self.near);
+        shown.law_m(self.scan.share() * self.scan.sigma_m * laws::MOST_ERROR)
     }
 
     /// Lengths under the laws of the faces.
     fn time_again(&mut self, timed: &(impl Fn(usize, &[Face], f64) -> Option<Return> + Sync)) {
+        let law_m = self.law_m();
         let choices: Vec<Choice<'_>> = (0..self.samples.len()).map(|place| self.choice(place)).collect();
-        let again = |place: usize| laws::again(self.scan, place, &choices[place], self.law_m, timed);
+        let again = |place: usize| laws::again(self.scan, place, &choices[place], law_m, timed);
         let again: Vec<_> = (0..choices.len()).into_par_iter().map(again).collect();
         self.samples = laws::mixed(self.scan, &self.near, &self.first, &choices, &again);
     }
