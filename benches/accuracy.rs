@@ -7,9 +7,12 @@
 //! `-- small-rooms 60` for few patches with pairs missing and spurious onsets, 60 rooms of each kind
 //! (`-- small-rooms 60 5000 30`: seeds from 5000 on, only with 30 % missing); `-- sizes 20` for patches of centimetres
 //! whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall (`-- locate 100 5000 14 15`:
-//! cells 14 and 15 of the table alone); `-- twins 300` for tables b, d, e and f of docs/time-resolution.md through
+//! cells 14 and 15 of the table alone); `-- claims 200 3000` for instruments that are not kind, 200 records a cell
+//! (docs/error-bars.md; `-- claims 200 3000 7 8`: cells 7 and 8 alone); `-- twins 300` for tables b, d, e and f of docs/time-resolution.md through
 //! `run`.
 
+#[path = "../tests/it/claims.rs"]
+mod claims;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/corner.rs"]
 mod corner;
@@ -72,6 +75,11 @@ fn main() {
     }
     if std::env::args().any(|arg| arg == "twins") {
         return print_twins(seeds as usize);
+    }
+    if std::env::args().any(|arg| arg == "claims") {
+        let first = numbers.get(1).copied().unwrap_or(3000);
+        let cells: Vec<usize> = numbers.iter().skip(2).map(|cell| *cell as usize).collect();
+        return print_claims(seeds as usize, first, &cells);
     }
     if std::env::args().any(|arg| arg == "locate") {
         let first = numbers.get(1).copied().unwrap_or(1000);
@@ -291,6 +299,24 @@ fn print_twins(records: usize) {
         }
         let tail = shape.with_tail(1000.0, 0.02);
         print(name, "without its tail of 2 %, 1 ns", [&tail, &shape], Kind::One, 100.0, 300);
+    }
+}
+
+/// Instruments that are not kind; of these cells all or those named, counted from 0.
+fn print_claims(records: usize, first_seed: u64, only: &[usize]) {
+    println!(
+        "| instrument | SNR | records | missed pulses | records with a false onset | rms / bound | in 95 % interval | flag `misfit` | bound / bound in white noise |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
+    let cells =
+        claims::Instrument::all().into_iter().flat_map(|instrument| [10.0, 50.0, 200.0].map(|snr| (instrument.clone(), snr)));
+    for (n, (instrument, snr)) in cells.enumerate().filter(|(n, _)| only.is_empty() || only.contains(n)) {
+        let claims = claims::claims(&instrument, snr, records, first_seed + n as u64);
+        let claims::Claims { missed, false_onsets, ratio, within, flagged, lost } = claims;
+        println!(
+            "| {} | {snr} | {records} | {missed} | {false_onsets} | {ratio} | {within} | {flagged:.2} | {lost:.2} |",
+            instrument.name
+        );
     }
 }
 

@@ -99,7 +99,14 @@ fn sparse_fit(c: &mut Criterion) {
     group.bench_function("fit", |b| {
         b.iter(|| {
             sparse::fit(
-                &Profile { mean_v: black_box(&mean_v), sd_v: &sd_v, acf: &[1.0], t0_ps: 0.0, dt_ps: 50.0 },
+                &Profile {
+                    mean_v: black_box(&mean_v),
+                    sd_v: &sd_v,
+                    acf: &[1.0],
+                    slow_v2: &[],
+                    t0_ps: 0.0,
+                    dt_ps: 50.0,
+                },
                 &response,
                 &SparseOptions::default(),
             )

@@ -83,6 +83,11 @@ pub fn noise_v(profile: &Profile) -> f64 {
     (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding_v(profile))
 }
 
+/// Variances of the components of slow noise in a profile's mean, V^2.
+pub fn slow_v2(profile: &Profile) -> Vec<f64> {
+    profile.slow_noise.iter().flatten().map(|variance_v2| variance_v2 / f64::from(profile.shots)).collect()
+}
+
 /// Rounding of a profile's f32 samples.
 pub fn rounding_v(profile: &Profile) -> f64 {
     f64::from(f32::EPSILON) * f64::from(largest(&profile.mean_v, f32::MIN_POSITIVE, f32::abs))

@@ -14,6 +14,8 @@ pub struct FlightProfile {
     pub sd_v: Vec<f64>,
     /// Autocorrelation of the noise.
     pub acf: Vec<f64>,
+    /// Variances of the components of slow noise in the means.
+    pub slow_v2: Vec<f64>,
     /// Time of flight at the first sample.
     pub t0_ps: f64,
     /// Time between samples.
@@ -43,6 +45,7 @@ impl FlightProfile {
             mean_v,
             sd_v,
             acf: acf(profile),
+            slow_v2: calibration::slow_v2(profile),
             t0_ps: profile.t0_ps - sensor.latency_ps - correction.drift_ps,
             dt_ps: profile.dt_ps,
             drift_sd_ps: correction.drift_sd_ps,
@@ -51,8 +54,8 @@ impl FlightProfile {
 
     /// The same as the kernel takes it.
     pub fn view(&self) -> sparse::Profile<'_> {
-        let Self { mean_v, sd_v, acf, t0_ps, dt_ps, .. } = self;
-        sparse::Profile { mean_v, sd_v, acf, t0_ps: *t0_ps, dt_ps: *dt_ps }
+        let Self { mean_v, sd_v, acf, slow_v2, t0_ps, dt_ps, .. } = self;
+        sparse::Profile { mean_v, sd_v, acf, slow_v2, t0_ps: *t0_ps, dt_ps: *dt_ps }
     }
 }
 

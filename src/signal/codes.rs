@@ -105,6 +105,12 @@ impl<'a> Codes<'a> {
         }
     }
 
+    /// Whether samples are whole numbers, rounded by a converter.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        !matches!(self, Self::F32(_) | Self::F64(_))
+    }
+
     /// Number of samples.
     #[must_use]
     pub fn len(&self) -> usize {

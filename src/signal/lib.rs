@@ -21,7 +21,7 @@
 //!     .map(|n| 50.0 * f64::from(n))
 //!     .map(|time_ps| 0.002 + 0.8 * pulse(2000.0, time_ps) + 0.5 * pulse(2040.0, time_ps))
 //!     .collect();
-//! let profile = Profile { mean_v: &mean_v, sd_v: &[0.0005; 100], acf: &[1.0], t0_ps: 0.0, dt_ps: 50.0 };
+//! let profile = Profile { mean_v: &mean_v, sd_v: &[0.0005; 100], acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 };
 //!
 //! let fit = sparse::fit(&profile, &response, &SparseOptions::default());
 //! for (k, pulse) in fit.pulses.iter().enumerate() {
@@ -92,6 +92,7 @@ pub mod regression;
 pub mod resample;
 pub mod response;
 pub mod shot_spread;
+pub mod slow_noise;
 pub mod sparse;
 pub mod spline_fit;
 pub mod tails;

@@ -137,8 +137,9 @@ impl OutlierTest {
 }
 
 /// Smallest difference of neighbouring samples: converters of fewer bits than their codes have count in steps of
-/// several codes.
-fn step(shots: &[(Codes<'_>, i64)]) -> f64 {
+/// several codes. 0 where samples do not differ.
+#[must_use]
+pub fn step(shots: &[(Codes<'_>, i64)]) -> f64 {
     let (mut values, mut least) = (Vec::new(), f64::INFINITY);
     for (codes, _) in shots {
         codes.read_into(&mut values);

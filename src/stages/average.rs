@@ -12,7 +12,10 @@
 //! ([`crate::signal::dark`]). A record without one stands in `rejects`, and its noise comes from these differences.
 //!
 //! The spread of the first 32 shots gives a model of a shot's variance over level and slope
-//! ([`crate::signal::noise_model`]). A sample's own error is its standard error. The laser's energy and jitter move all
+//! ([`crate::signal::noise_model`]). Where they differ by more than fast noise along the record, as by hum, wander or
+//! 1/f noise, `slow_noise` has the variances of its components ([`crate::signal::slow_noise`]), and noise model,
+//! `noise_acf` and `se_v` are those of the rest. A sample's own error is its standard error, and what rounding to whole
+//! codes leaves where noise is less than half a code. The laser's energy and jitter move all
 //! samples together, and are reported where they are significant. Otherwise the jitter is what the fits of the
 //! reference pulses leave; without reference channel, it is the trigger's, from the calibration's noise model.
 //!
@@ -179,7 +182,7 @@ impl Context {
 
 impl Stage for Average {
     const KIND: &'static str = "average";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
     const CONDITIONS: &'static [Condition] = &[Condition("outlier_sigma", "reject_outliers", &["true"])];

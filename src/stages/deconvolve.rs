@@ -64,7 +64,7 @@ use crate::priors::flight_profile::FlightProfile;
 use crate::priors::sensor_range::SensorRange;
 use crate::signal::fft::RealFft;
 use crate::signal::response::Response;
-use crate::signal::sparse::{self, SparseOptions, Unpiled};
+use crate::signal::sparse::{self, Baseline, SparseOptions, Unpiled};
 use crate::signal::wiener::{Transfer, Wiener};
 use crate::tables::{Calibration, Profile, Session, Stir};
 use explain::{Explained, Method};
@@ -345,7 +345,7 @@ impl Deconvolve {
         SparseOptions {
             evidence_min: self.evidence.map(Positive::get),
             pulses_max: self.impulses_max.get() as usize,
-            baseline: true,
+            baseline: Baseline::Line,
             signed: self.signed,
             extent_max_ps: self.extent_max_ps.get(),
             cancel: cancel.clone(),

@@ -248,8 +248,14 @@ fn delay(profile: &Profile, sensor: &Calibrated, cancel: &Cancel) -> Option<(f64
     let mean_v: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.polarity).collect();
     let sd_v: Vec<f64> = calibration::sd_v(profile);
     let acf = calibration::correlation(profile);
-    let record =
-        sparse::Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &acf, t0_ps: profile.t0_ps, dt_ps: profile.dt_ps };
+    let record = sparse::Profile {
+        mean_v: &mean_v,
+        sd_v: &sd_v,
+        acf: &acf,
+        slow_v2: &[],
+        t0_ps: profile.t0_ps,
+        dt_ps: profile.dt_ps,
+    };
     let one = SparseOptions { pulses_max: 1, cancel: cancel.clone(), ..SparseOptions::default() };
     let fit = sparse::fit(&record, &response, &one);
     let pulse = fit.pulses.first()?;

@@ -33,15 +33,19 @@ table! {
         dt_ps: f64,
         /// Mean signal.
         mean_v: Samples,
-        /// Independent standard error of each mean, by the noise model; infinite for a sample that every range clipped.
+        /// Standard error of each mean, by the noise model, without slow noise; infinite for a sample that every range
+        /// clipped.
         se_v: Samples,
-        /// Standard deviation of the noise of one shot, before the pulse.
+        /// Standard deviation of the noise of one shot, before the pulse, of all kinds.
         noise_v: f64,
-        /// Autocorrelation of that noise at lags 0, 1, 2...
+        /// Autocorrelation of that noise without its slow part at lags 0, 1, 2...
         noise_acf: Samples,
         /// Variance of one shot at level v: s0^2 + s1^2 abs(v) + s2^2 v^2 + j^2 (dv/dt)^2; the four coefficients in
         /// V^2, V, 1, ps^2. Null where shots are too few to estimate it.
         noise_model: Option<Vec<f64>>,
+        /// Slow noise of one shot (hum, wander, 1/f): variances of the amplitudes of sqrt(2) cos(pi k (n + 1/2) / N) in V^2,
+        /// k = 1, 2... over the N samples. Null where noise is fast alone.
+        slow_noise: Option<Vec<f64>>,
         /// Number of samples from which this noise was estimated; null where it is unknown.
         noise_samples: Option<i32>,
         /// Mean baseline that was removed.

@@ -7,6 +7,7 @@ mod bound;
 mod browser;
 mod characterize;
 mod check;
+mod claims;
 mod cli;
 mod cluster;
 mod commands;

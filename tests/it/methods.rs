@@ -97,8 +97,14 @@ fn compared(method: Method, raw: &[Stir], profiles: &[Profile], calibration: &Ca
         let response = averaged_response(&whole, profile.dt_ps, phase_shots);
         let samples: Vec<f64> = stir.profile.iter().map(|sample| f64::from(*sample)).collect();
         let sd_v: Vec<f64> = profile.se_v.iter().map(|se| f64::from(*se)).collect();
-        let record =
-            sparse::Profile { mean_v: &samples, sd_v: &sd_v, acf: &[1.0], t0_ps: stir.t0_ps, dt_ps: stir.dt_ps };
+        let record = sparse::Profile {
+            mean_v: &samples,
+            sd_v: &sd_v,
+            acf: &[1.0],
+            slow_v2: &[],
+            t0_ps: stir.t0_ps,
+            dt_ps: stir.dt_ps,
+        };
         let samples = baseline::remove(&record, &response);
         let record = sparse::Profile { mean_v: &samples, ..record };
         let pulses = method(&record, &response, sparse::evidence_min_of(&record, &response, 1e-4));

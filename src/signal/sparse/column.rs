@@ -104,6 +104,11 @@ impl Column {
         sums
     }
 
+    /// The constant that the pulse of amplitude 1 looks like.
+    pub(super) fn mean_v(&self, record: &WhitenedRecord) -> f64 {
+        record.nuisance.mean_v(self.first, self.samples.iter().map(|sample| sample[0]))
+    }
+
     /// Value and derivative by the time as whole whitened records.
     pub(super) fn dense(&self, len: usize) -> [Vec<f64>; 2] {
         let mut records = [vec![0.0; len], vec![0.0; len]];

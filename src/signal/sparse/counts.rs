@@ -17,7 +17,7 @@ use super::evidence::evidence_min_of;
 use super::greedy::Fitter;
 use super::joint::run;
 use super::model::Model;
-use super::{FALSE_PULSES, Profile, Response, SparseFit, SparseOptions};
+use super::{Baseline, FALSE_PULSES, Profile, Response, SparseFit, SparseOptions};
 use crate::Error;
 
 /// Repetitions at most; the first few reach the fixed point but where a pulse is on the edge of its evidence.
@@ -121,10 +121,12 @@ fn fit_with(
     options: &SparseOptions,
 ) -> SparseFit {
     let sd_v: Vec<f64> = histogram.variances(means).iter().map(|v| v.sqrt()).collect();
-    let profile = Profile { mean_v: &histogram.counts, sd_v: &sd_v, acf: &[], t0_ps, dt_ps };
+    let profile = Profile { mean_v: &histogram.counts, sd_v: &sd_v, acf: &[], slow_v2: &[], t0_ps, dt_ps };
     let threshold = options.evidence_min.unwrap_or_else(|| evidence_min_of(&profile, response, FALSE_PULSES));
     assert!(threshold > 0.0, "the evidence must be positive");
-    let model = Model::new(&[(profile, response)], options, true);
+    // Dark counts are as many in every bin.
+    let options = SparseOptions { baseline: Baseline::Constant, ..options.clone() };
+    let model = Model::new(&[(profile, response)], &options, true);
     // Of a Poisson number: one over its mean.
     let kurtosis = means.iter().map(|mean| 1.0 / mean).collect();
     let fitter = Fitter::new(model, &[&histogram.counts], threshold, options.pulses_max).with_kurtosis(kurtosis);

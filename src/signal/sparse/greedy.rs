@@ -26,8 +26,10 @@ const FREEDOM_MIN: f64 = 4.0;
 /// What stays fixed during a fit.
 pub(super) struct Fitter<'a> {
     pub(super) model: Model<'a>,
-    /// The records, whitened.
+    /// The records, whitened, and freed of what lies under their pulses.
     data: Vec<Vec<f64>>,
+    /// The constant under each, if it had no pulse.
+    means_v: Vec<f64>,
     filter: MatchedFilter,
     evidence_min: f64,
     pulses_max: usize,
@@ -44,9 +46,13 @@ struct Change {
 
 impl<'a> Fitter<'a> {
     pub(super) fn new(model: Model<'a>, means_v: &[&[f64]], evidence_min: f64, pulses_max: usize) -> Self {
-        let data = model.records.iter().zip(means_v).map(|(record, mean_v)| record.whitener.apply(mean_v)).collect();
+        let whitened: Vec<Vec<f64>> =
+            model.records.iter().zip(means_v).map(|(record, mean_v)| record.whitener.apply(mean_v)).collect();
+        let both = || model.records.iter().zip(&whitened);
+        let data = both().map(|(record, whitened)| record.nuisance.without(whitened)).collect();
+        let means_v = both().map(|(record, whitened)| record.nuisance.mean_v(0, whitened.iter().copied())).collect();
         let kurtosis = vec![Vec::new(); model.records.len()];
-        Self { filter: MatchedFilter::new(&model), model, data, evidence_min, pulses_max, kurtosis }
+        Self { filter: MatchedFilter::new(&model), model, data, means_v, evidence_min, pulses_max, kurtosis }
     }
 
     /// With noise in record 0 that is not Gaussian.
@@ -64,15 +70,15 @@ impl<'a> Fitter<'a> {
     fn solve(&self, places: Vec<Place>) -> Option<State> {
         let fit = refine(&self.model, &self.data, places)?;
         let mut residuals = self.data.clone();
+        let mut baselines_v = self.means_v.clone();
         for (group, range) in fit.groups.iter().zip(&self.model.groups) {
-            for (columns, residual) in group.columns.iter().zip(&mut residuals[range.clone()]) {
-                for (column, a) in columns.iter().zip(&group.amplitudes) {
-                    column.add_to(residual, -a);
-                }
+            for (columns, r) in group.columns.iter().zip(range.clone()) {
+                let pulses = || columns.iter().zip(&group.amplitudes).map(|(column, a)| (column, -a));
+                self.model.records[r].add_pulses(&mut residuals[r], pulses());
+                let of_pulse = |(column, a): (&Column, f64)| a * column.mean_v(&self.model.records[r]);
+                baselines_v[r] += pulses().map(of_pulse).sum::<f64>();
             }
         }
-        let both = self.model.records.iter().zip(&mut residuals);
-        let baselines_v = both.map(|(record, residual)| record.take_baseline(residual)).collect();
         Some(State { factor: fit.factor()?, fit, residuals, baselines_v })
     }
 
@@ -211,14 +217,13 @@ impl<'a> Fitter<'a> {
         (cluster.clone(), self.alone(state, &cluster))
     }
 
-    /// Whitened records of the pulses `kept` alone.
+    /// Whitened records of the pulses `kept` alone, freed of what lies under them.
     pub(super) fn alone(&self, state: &State, kept: &[usize]) -> Vec<Vec<f64>> {
         let mut data = state.residuals.clone();
         for (group, range) in state.fit.groups.iter().zip(&self.model.groups) {
-            for (columns, record) in group.columns.iter().zip(&mut data[range.clone()]) {
-                for k in kept {
-                    columns[*k].add_to(record, group.amplitudes[*k]);
-                }
+            for (columns, r) in group.columns.iter().zip(range.clone()) {
+                let pulses = kept.iter().map(|k| (&columns[*k], group.amplitudes[*k]));
+                self.model.records[r].add_pulses(&mut data[r], pulses);
             }
         }
         data
@@ -328,7 +333,7 @@ impl<'a> Fitter<'a> {
             })
             .sum();
         let share = used / record.len() as f64;
-        let freedom = used - unknowns - record.offsets() as f64 * share;
+        let freedom = used - unknowns - record.nuisance.freedom() * share;
         let kurtosis: f64 = self.kurtosis[r].get(range.clone()).map_or(0.0, |kurtosis| kurtosis.iter().sum());
         let chi2 = state.residuals[r][range].iter().map(|r| r * r).sum();
         Misfit { chi2, freedom, variance: 2.0 * freedom + kurtosis }

@@ -4,6 +4,7 @@ use periscope_cancel::Cancel;
 
 use super::column::Column;
 use super::model::WhitenedRecord;
+use super::nuisance::Nuisance;
 use super::place::{Place, spread_response};
 use super::{Profile, Response, SparseOptions};
 
@@ -45,8 +46,8 @@ pub struct Matched {
     pub gains: Vec<f64>,
 }
 
-/// The matched filter for a pulse of spread `width_ps` at each of `times_ps`, in whitened samples freed of a constant
-/// and of `given` light: what these could explain does not count. Amplitude and standard deviation are those of the
+/// The matched filter for a pulse of spread `width_ps` at each of `times_ps`, in whitened samples freed of a line,
+/// slow noise and `given` light: what these could explain does not count. Amplitude and standard deviation are those of the
 /// joint fit of the pulse with all of them.
 ///
 /// # Panics
@@ -62,11 +63,10 @@ pub fn matched(
 ) -> Matched {
     let options = SparseOptions { cancel: cancel.clone(), ..SparseOptions::default() };
     let record = WhitenedRecord::new(profile, response, &options);
-    let mut nuisance = Nuisance { axes: Vec::new() };
-    nuisance.add(record.constant.clone(), None);
+    let mut nuisance = record.nuisance.clone();
     for light in given {
         cancel.check();
-        nuisance.add_light(&record, light);
+        add_light(&mut nuisance, &record, light);
     }
     let residual = nuisance.without(&record.whitener.apply(profile.mean_v));
     let spread = spread(response, width_ps);
@@ -75,7 +75,7 @@ pub fn matched(
     for time_ps in times_ps {
         cancel.check();
         let column = Column::new(&record, &Place::point(time_ps));
-        let (norm, left) = nuisance.left_of(&column);
+        let (norm, left) = left_of(&nuisance, &column);
         let is_determined = record.holds(time_ps) && left > NEW * NEW * norm;
         let gain = if is_determined { left.sqrt() } else { 0.0 };
         matched.scores.push(if is_determined { column.dot_record(&residual)[0] / gain } else { 0.0 });
@@ -102,64 +102,31 @@ fn place(time_ps: f64, width_ps: f64) -> Place {
     if width_ps > 0.0 { Place::widened(time_ps, width_ps * width_ps) } else { Place::point(time_ps) }
 }
 
-/// What given light may look like: the inverse covariance of whitened samples is `Q = 1 - sum v v^T` over these axes v.
-struct Nuisance {
-    axes: Vec<Vec<f64>>,
-}
-
-impl Nuisance {
-    /// Adds a direction in which samples may lie off: by any amount, or by one whose score has standard deviation
-    /// `score_sd` about 0 (Sherman and Morrison's formula). A direction that the others explain is left out.
-    fn add(&mut self, direction: Vec<f64>, score_sd: Option<f64>) {
-        let norm = squared(&direction);
-        let mut axis = self.without(&direction);
-        let left: f64 = axis.iter().zip(&direction).map(|(a, d)| a * d).sum();
-        if left > NEW * NEW * norm {
-            let open = score_sd.map_or(0.0, |sd| norm / (sd * sd));
-            axis.iter_mut().for_each(|value| *value /= (open + left).sqrt());
-            self.axes.push(axis);
-        }
+/// Adds what given light may look like to what lies under a pulse.
+fn add_light(nuisance: &mut Nuisance, record: &WhitenedRecord, light: &Given) {
+    let column = Column::new(record, &place(light.time_ps, light.width_ps));
+    let [value, slope] = column.dense(record.len());
+    if let Open::Score(sd) = light.open {
+        // The score is the amplitude times the column's length.
+        return if sd > 0.0 {
+            nuisance.add(&value, Some(sd * sd / column.shared(&column)));
+        };
     }
-
-    fn add_light(&mut self, record: &WhitenedRecord, light: &Given) {
-        let column = Column::new(record, &place(light.time_ps, light.width_ps));
-        let [value, slope] = column.dense(record.len());
-        if let Open::Score(sd) = light.open {
-            return if sd > 0.0 {
-                self.add(value, Some(sd))
-            };
-        }
-        self.add(value, None);
-        if light.open != Open::Amplitude {
-            self.add(slope, None);
-        }
-        if light.open == Open::Width {
-            let [widening, _] = Column::widening(record, light.time_ps).dense(record.len());
-            self.add(widening, None);
-        }
+    nuisance.add(&value, None);
+    if light.open != Open::Amplitude {
+        nuisance.add(&slope, None);
     }
-
-    /// `Q samples`.
-    fn without(&self, samples: &[f64]) -> Vec<f64> {
-        let along = |axis: &Vec<f64>| axis.iter().zip(samples).map(|(a, s)| a * s).sum::<f64>();
-        let mut left = samples.to_vec();
-        for axis in &self.axes {
-            let along = along(axis);
-            left.iter_mut().zip(axis).for_each(|(s, a)| *s -= along * a);
-        }
-        left
-    }
-
-    /// Squared norm of a column c, and `c^T Q c`.
-    fn left_of(&self, column: &Column) -> (f64, f64) {
-        let norm = column.shared(column);
-        let along = |axis: &Vec<f64>| column.dot_record(axis)[0].powi(2);
-        (norm, norm - self.axes.iter().map(along).sum::<f64>())
+    if light.open == Open::Width {
+        let [widening, _] = Column::widening(record, light.time_ps).dense(record.len());
+        nuisance.add(&widening, None);
     }
 }
 
-fn squared(values: &[f64]) -> f64 {
-    values.iter().map(|value| value * value).sum()
+/// Squared norm of a column c, and `c^T Q c`.
+fn left_of(nuisance: &Nuisance, column: &Column) -> (f64, f64) {
+    let norm = column.shared(column);
+    let along = |axis: &Vec<f64>| column.dot_record(axis)[0].powi(2);
+    (norm, norm - nuisance.axes().iter().map(along).sum::<f64>())
 }
 
 #[cfg(test)]
@@ -187,10 +154,10 @@ mod tests {
     }
 
     fn profile<'a>(mean_v: &'a [f64], sd_v: &'a [f64]) -> Profile<'a> {
-        Profile { mean_v, sd_v, acf: &[1.0], t0_ps: 0.0, dt_ps: 50.0 }
+        Profile { mean_v, sd_v, acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 }
     }
 
-    /// Score and gain are those of least squares with a constant, the given pulse and its slope, whatever the given
+    /// Score and gain are those of least squares with a line, the given pulse and its slope, whatever the given
     /// pulse's amplitude.
     #[test]
     fn scores_are_those_of_least_squares_beside_given_light() {
@@ -203,7 +170,8 @@ mod tests {
         for (k, time_ps) in times_ps.into_iter().enumerate() {
             let column = |at_ps: f64| (0..COUNT).map(|n| response.value(50.0 * n as f64 - at_ps)).collect::<Vec<f64>>();
             let slope = (0..COUNT).map(|n| response.value_and_slope(50.0 * n as f64 - 1500.0).1).collect();
-            let columns = [column(time_ps), vec![1.0; COUNT], column(1500.0), slope];
+            let line = (0..COUNT).map(|n| n as f64).collect();
+            let columns = [column(time_ps), vec![1.0; COUNT], line, column(1500.0), slope];
             let fit = least_squares(&columns, &mean_v, &sd_v).unwrap();
             let sd = fit.covariance[0][0].sqrt();
             assert!((filtered.gains[k] * sd - 1.0).abs() < 1e-9, "{} {sd}", filtered.gains[k]);

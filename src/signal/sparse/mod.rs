@@ -1,7 +1,8 @@
 //! Sparse deconvolution: the pulses, between samples and closer than the response, that explain a profile best.
 //!
-//! Model: `y_n = b + sum_k a_k h(t_n - t_k) + w_n`, `a_k >= 0` (or of any sign), response h known, w of known sd a
-//! sample and autocorrelation, b a constant baseline. Everything happens after whitening ([`super::whiten`]): there
+//! Model: `y_n = b_n + sum_k a_k h(t_n - t_k) + w_n`, `a_k >= 0` (or of any sign), response h known, w of known sd a
+//! sample and autocorrelation, b a baseline: a line, and slow noise of known variances ([`super::slow_noise`]). It is
+//! explained together with the pulses and not taken off before. Everything happens after whitening ([`super::whiten`]): there
 //! least squares are maximum likelihood. Maximum likelihood for a number of pulses that grows greedily:
 //! 1. candidates: the matched filter's maximum in the residual, and the best pair in place of each pulse whose residual
 //!    looks widened;
@@ -32,6 +33,7 @@ mod joint;
 mod linear;
 mod matched;
 mod model;
+mod nuisance;
 mod pair;
 mod place;
 mod projection;
@@ -66,10 +68,24 @@ pub struct Profile<'a> {
     /// through
     /// [`super::noise::autoregressive`] first.
     pub acf: &'a [f64],
+    /// Variances of the components of slow noise in the means, V^2 ([`super::slow_noise::component`]), on top of the
+    /// noise above; nothing for none.
+    pub slow_v2: &'a [f64],
     /// Time of the first sample, ps.
     pub t0_ps: f64,
     /// Time between samples, ps.
     pub dt_ps: f64,
+}
+
+/// What lies under the pulses besides slow noise, of any size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Baseline {
+    /// Nothing.
+    None,
+    /// A constant, as of dark counts.
+    Constant,
+    /// A constant and a slope.
+    Line,
 }
 
 /// What is asked of a fit.
@@ -79,8 +95,8 @@ pub struct SparseOptions {
     pub evidence_min: Option<f64>,
     /// The fit stops at this many pulses.
     pub pulses_max: usize,
-    /// Whether a constant is fitted with the pulses; it costs one degree of freedom.
-    pub baseline: bool,
+    /// What is fitted with the pulses.
+    pub baseline: Baseline,
     /// Whether amplitudes may be negative, as reflections on a line are; light is never. Pulses closer than the
     /// response is wide are then not resolved: two of opposite sign imitate anything.
     pub signed: bool,
@@ -98,7 +114,7 @@ impl Default for SparseOptions {
         Self {
             evidence_min: None,
             pulses_max: 64,
-            baseline: true,
+            baseline: Baseline::Line,
             signed: false,
             extent_max_ps: 0.0,
             cancel: Cancel::never(),
@@ -168,7 +184,7 @@ pub struct SparseFit {
     /// the distance of two pulses, a second sd is taken from the profile likelihood: half the 95 % interval over 1.96.
     /// The larger counts; rows and columns grow alike.
     pub covariance_ps2: Vec<f64>,
-    /// Constant under the pulses, V; 0 if none is fitted.
+    /// Constant under the pulses, V, as what they leave says without a slope or slow noise; 0 if none is fitted.
     pub baseline_v: f64,
     /// Chi2 over degrees of freedom of the record.
     pub chi2_per_dof: f64,

@@ -5,6 +5,8 @@
 
 use periscope_cancel::Cancel;
 
+use super::column::Column;
+use super::nuisance::{self, Nuisance};
 use super::place::Place;
 use super::{Profile, Response, SparseOptions, Whitener};
 
@@ -15,10 +17,8 @@ pub(super) struct WhitenedRecord<'a> {
     pub(super) t0_ps: f64,
     pub(super) dt_ps: f64,
     pub(super) whitener: Whitener,
-    /// A constant of 1, whitened.
-    pub(super) constant: Vec<f64>,
-    /// Squared norm of the constant, if a baseline is fitted.
-    pub(super) baseline: Option<f64>,
+    /// What lies under the pulses.
+    pub(super) nuisance: Nuisance,
     /// First and last arrival, ps, whose maximum lies inside the record.
     arrivals_ps: (f64, f64),
 }
@@ -41,18 +41,15 @@ pub(super) struct Model<'a> {
 impl<'a> WhitenedRecord<'a> {
     pub(super) fn new(profile: &Profile, response: &'a Response, options: &SparseOptions) -> Self {
         let whitener = Whitener::new(profile.sd_v, profile.acf).ended_by(&options.cancel);
-        let constant = whitener.apply(&vec![1.0; profile.sd_v.len()]);
-        let squared = constant.iter().map(|w| w * w).sum::<f64>();
-        let last = (constant.len() - 1) as f64;
+        let last = (profile.sd_v.len() - 1) as f64;
         let first_ps = profile.t0_ps - response.peak_ps();
         Self {
             response,
             width_ps: response.width_ps(),
             t0_ps: profile.t0_ps,
             dt_ps: profile.dt_ps,
+            nuisance: Nuisance::new(&whitener, options.baseline, profile.slow_v2),
             whitener,
-            constant,
-            baseline: (options.baseline && squared > 0.0).then_some(squared),
             arrivals_ps: (first_ps, first_ps + last * profile.dt_ps),
         }
     }
@@ -64,24 +61,18 @@ impl<'a> WhitenedRecord<'a> {
 
     /// Number of samples.
     pub(super) fn len(&self) -> usize {
-        self.constant.len()
+        self.whitener.weights().len()
     }
+}
 
-    /// Takes the best constant out of a whitened `residual`, and returns it; 0 if no baseline is fitted.
-    pub(super) fn take_baseline(&self, residual: &mut [f64]) -> f64 {
-        let baseline_v = self.baseline.map_or(0.0, |squared| {
-            let sum: f64 = residual.iter().zip(&self.constant).map(|(z, w)| z * w).sum();
-            sum / squared
-        });
-        for (r, w) in residual.iter_mut().zip(&self.constant) {
-            *r -= baseline_v * w;
+impl WhitenedRecord<'_> {
+    /// Adds pulses, each with its amplitude, to samples that are freed of what lies under them.
+    pub(super) fn add_pulses<'c>(&self, samples: &mut [f64], pulses: impl Iterator<Item = (&'c Column, f64)> + Clone) {
+        for axis in self.nuisance.axes() {
+            let along: f64 = pulses.clone().map(|(column, a)| a * column.dot_record(axis)[0]).sum();
+            nuisance::subtract(samples, axis, along);
         }
-        baseline_v
-    }
-
-    /// Number of parameters besides those of the pulses.
-    pub(super) fn offsets(&self) -> usize {
-        usize::from(self.baseline.is_some())
+        pulses.for_each(|(column, a)| column.add_to(samples, a));
     }
 }
 

@@ -1,8 +1,8 @@
 //! The projection of whitened records on a set of pulses: best amplitudes for given places, and the next step of the
 //! places.
 //!
-//! The constant baseline is eliminated from every product in closed form (Schur complement). So all fits, also those of
-//! a few pulses in a long record, are joint fits with it.
+//! What lies under the pulses ([`super::nuisance`]) is eliminated from every product in closed form (Schur complement).
+//! So all fits, also those of a few pulses in a long record, are joint fits with it. Data come freed of it already.
 
 use super::column::Column;
 use super::linear::{Cholesky, least_squares, non_negative};
@@ -244,7 +244,8 @@ impl Group {
     }
 }
 
-/// Adds the products of one record's columns, with one another and with its data, less what its baseline can imitate.
+/// Adds the products of one record's columns, with one another and with its data, less what the ground under them can
+/// imitate.
 fn add_record(
     record: &WhitenedRecord,
     data: &[f64],
@@ -270,14 +271,13 @@ fn add_record(
         }
     };
     write(data, with_data);
-    if let Some(squared) = record.baseline {
-        let mut constant = vec![0.0; n];
-        write(&record.constant, &mut constant);
-        let data_sum: f64 = data.iter().zip(&record.constant).map(|(z, w)| z * w).sum();
+    let mut along = vec![0.0; n];
+    for axis in record.nuisance.axes() {
+        along.fill(0.0);
+        write(axis, &mut along);
         for i in 0..n {
-            with_data[i] -= constant[i] * data_sum / squared;
             for j in 0..=i {
-                products[i * n + j] -= constant[i] * constant[j] / squared;
+                products[i * n + j] -= along[i] * along[j];
             }
         }
     }

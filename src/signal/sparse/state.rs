@@ -12,7 +12,7 @@ const MISFIT_SIGMA: f64 = 3.0;
 /// Pulses that fit whole records best, near where they were started.
 pub(super) struct State {
     pub(super) fit: Projection,
-    /// Records less pulses and baseline, whitened.
+    /// Records less pulses, whitened, and freed of what lies under them.
     pub(super) residuals: Vec<Vec<f64>>,
     pub(super) baselines_v: Vec<f64>,
     /// Factor of the information matrix.

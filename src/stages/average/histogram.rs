@@ -100,6 +100,7 @@ impl Histogram {
             noise_v: (baseline.max(1.0) * f64::from(self.records)).sqrt(),
             noise_acf: [1.0_f64].into_iter().collect(),
             noise_model: None,
+            slow_noise: None,
             noise_samples: i32::try_from(quiet.len()).ok(),
             baseline_v: baseline,
             phase_shots: None,

@@ -1,12 +1,13 @@
 //! What the first shots of a range say of its noise: standard deviation, autocorrelation, and the variance of a record
-//! as a function of level and slope ([`noise_model`]).
+//! as a function of level and slope ([`noise_model`]); and what is slower than these describe ([`slow_noise`]).
 
 use crate::signal::average::Mean;
 use crate::signal::codes::Codes;
-use crate::signal::dark::Dark;
+use crate::signal::dark::{self, Dark};
 use crate::signal::noise;
 use crate::signal::noise_model::{self, NoiseModel};
 use crate::signal::shot_spread;
+use crate::signal::slow_noise::SlowNoise;
 use crate::tables::Trace;
 
 /// Lags of the noise autocorrelation that a profile keeps.
@@ -16,6 +17,9 @@ const MODEL_SHOTS_MIN: usize = 4;
 /// A coefficient within this many of its standard deviations of 0 is not claimed.
 const CLAIM_SIGMA: f64 = 2.0;
 
+/// Standard deviations of a shot up to which the mean counts as dark, where slow noise is sought.
+const DARK_SIGMA: f64 = 3.0;
+
 /// Terms of the model.
 const LEVEL: usize = 1;
 const ENERGY: usize = 2;
@@ -23,7 +27,7 @@ const JITTER: usize = 3;
 
 /// Noise of the records of one range.
 pub struct Noise {
-    /// Standard deviation of a sample without light, V.
+    /// Standard deviation of a sample without light, V, slow noise left out.
     pub sd_v: f64,
     /// Its autocorrelation.
     pub acf: Vec<f64>,
@@ -31,26 +35,83 @@ pub struct Noise {
     pub samples: usize,
     /// Variance of a sample; `None` where shots are too few, or do not vary.
     pub model: Option<NoiseModel>,
+    /// Variances of the components of slow noise, V^2; `None` where there is none.
+    pub slow_v2: Option<Vec<f64>>,
+    /// Variance that rounding to whole codes leaves in any mean, V^2.
+    rounding_v2: f64,
+}
+
+/// The shots of a range from which its noise is taken.
+pub struct Judges<'a> {
+    /// Codes and places on the grid.
+    pub shots: &'a [(Codes<'a>, i64)],
+    pub mean: &'a Mean,
+    /// Mean code without light.
+    pub level: f64,
+    /// Where each shot is dark.
+    pub dark: &'a Dark,
+    /// Which places no clipping touches.
+    pub clear: &'a [bool],
+    pub first: &'a Trace,
+}
+
+impl Judges<'_> {
+    /// Slow noise, and each shot less mean, offset and slow noise; `None` where noise is fast alone.
+    pub fn slow(&self) -> Option<Slow> {
+        let differences = dark::differences(self.shots, self.mean);
+        let shots = self.shots.len() as f64;
+        let squares = differences.iter().flatten().map(|value| value * value).sum::<f64>();
+        let sd = (squares / differences.iter().map(Vec::len).sum::<usize>() as f64).sqrt();
+        let is_dark = |(mean, clear): (&f64, &bool)| *clear && (mean - self.level).abs() < DARK_SIGMA * sd;
+        let is_dark: Vec<bool> = self.mean.mean.iter().zip(self.clear).map(is_dark).collect();
+        let noise = SlowNoise::of(&differences, &is_dark)?;
+        // The mean has its share of each shot.
+        let scale = (shots / (shots - 1.0)).sqrt();
+        let fast = |difference: &Vec<f64>| noise.fast(difference).iter().map(|value| value * scale).collect();
+        let fast = differences.iter().map(fast).collect();
+        Some(Slow { variances: noise.variances.iter().map(|variance| variance * scale * scale).collect(), fast })
+    }
+
+    /// Variance over shots at each place of the mean, codes squared.
+    fn variances(&self, slow: Option<&Slow>) -> Vec<f64> {
+        let Some(slow) = slow else { return shot_spread::spread(self.shots, self.mean, self.dark) };
+        let of_place = |n: usize| {
+            let (sum, count) = slow
+                .fast
+                .iter()
+                .filter_map(|fast| fast.get(n))
+                .fold((0.0, 0), |(sum, count), value| (sum + value * value, count + 1));
+            if count > 1 { sum / f64::from(count) } else { f64::NAN }
+        };
+        (0..self.mean.mean.len()).map(of_place).collect()
+    }
+}
+
+/// Slow noise of shots, codes.
+pub struct Slow {
+    variances: Vec<f64>,
+    /// Each shot without it, from the mean's first place on.
+    fast: Vec<Vec<f64>>,
+}
+
+impl Slow {
+    /// The fast noise of each shot where it is dark.
+    pub fn stretches(&self, dark: &Dark, mean: &Mean) -> Vec<Vec<f64>> {
+        let range = dark.of_mean(mean);
+        self.fast.iter().map(|fast| fast[range.start.min(fast.len())..range.end.min(fast.len())].to_vec()).collect()
+    }
 }
 
 impl Noise {
-    /// Of `shots` with their `mean`, codes: their `stretches` of noise, the level without light, where each is `dark`,
-    /// and which places are `clear` of clipping.
-    pub fn of(
-        shots: &[(Codes<'_>, i64)],
-        stretches: &[Vec<f64>],
-        mean: &Mean,
-        level: f64,
-        dark: &Dark,
-        clear: &[bool],
-        first: &Trace,
-    ) -> Self {
+    /// Of what the judges show: `stretches` of noise of theirs, and their `slow` noise.
+    pub fn of(judges: &Judges<'_>, stretches: &[Vec<f64>], slow: Option<Slow>) -> Self {
+        let Judges { shots, mean, level, clear, first, .. } = judges;
         let noise = noise::estimate(stretches, ACF_LAGS);
         let gain_v = first.gain_v.abs();
         let model = (shots.len() >= MODEL_SHOTS_MIN).then(|| {
             let variance_v2 = |(square, clear): (f64, &bool)| if *clear { square * gain_v * gain_v } else { f64::NAN };
             let variance_v2: Vec<f64> =
-                shot_spread::spread(shots, mean, dark).into_iter().zip(clear).map(variance_v2).collect();
+                judges.variances(slow.as_ref()).into_iter().zip(*clear).map(variance_v2).collect();
             let mean_v: Vec<f64> = mean.mean.iter().map(|code| (code - level) * gain_v).collect();
             let spread = noise_model::Spread {
                 mean_v: &mean_v,
@@ -60,16 +121,33 @@ impl Noise {
             };
             noise_model::fit(&spread)
         });
+        let slow_v2 = |slow: Slow| slow.variances.iter().map(|variance| variance * gain_v * gain_v).collect();
+        let is_whole = shots.first().is_some_and(|(codes, _)| codes.is_whole());
+        let step = if is_whole { shot_spread::step(shots).max(1.0) } else { 0.0 };
+        let rounding = if is_whole { step * step * dark::rounding_variance(noise.sd / step) } else { 0.0 };
         Self {
             sd_v: noise.sd * gain_v,
             acf: noise.acf,
             samples: stretches.iter().map(Vec::len).sum(),
             model: model.flatten(),
+            slow_v2: slow.map(slow_v2),
+            rounding_v2: rounding * gain_v * gain_v,
         }
     }
 
+    /// Variance of a sample without light in the mean of so many `records`, V^2, slow noise left out.
+    pub fn mean_v2(&self, v: f64, records: f64) -> f64 {
+        self.own_v2(v) / records + self.rounding_v2
+    }
+
+    /// Standard deviation of a sample without light in one of so many `records` whose mean has the noise of all kinds.
+    pub fn total_sd_v(&self, records: f64) -> f64 {
+        let slow_v2: f64 = self.slow_v2.iter().flatten().sum();
+        (self.sd_v * self.sd_v + slow_v2 + records * self.rounding_v2).sqrt()
+    }
+
     /// Variance that a sample at level `v` has for itself in one record, V^2.
-    pub fn own_v2(&self, v: f64) -> f64 {
+    fn own_v2(&self, v: f64) -> f64 {
         let own = |model: &NoiseModel| model.values[0] + model.values[LEVEL] * v.abs();
         self.model.as_ref().map_or(self.sd_v * self.sd_v, own)
     }

@@ -5,7 +5,7 @@ mod piece;
 use std::iter::empty;
 
 use super::clipping::Clipping;
-use super::noise::Noise;
+use super::noise::{Judges, Noise};
 use super::piece::Extent;
 use super::record::Record;
 use super::reference::{ReferencePulse, References};
@@ -194,10 +194,14 @@ impl Shots {
         if self.darkness == Darkness::Anywhere {
             self.dark.place = Some(mean.first_position + noise::quietest(&mean.mean, self.dark.samples) as i64);
         }
-        let stretches = self.stretches(&passed, &mean);
         let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
-        let level = self.level(&mean);
-        self.noise = Some(Noise::of(&passed, &stretches, &mean, level, &self.baseline(), &clear, &self.first));
+        let (level, dark) = (self.level(&mean), self.baseline());
+        let judges = Judges { shots: &passed, mean: &mean, level, dark: &dark, clear: &clear, first: &self.first };
+        // Of light that repeats, a record is cut and folded: its slow noise is not that of the profile.
+        let slow = if self.darkness == Darkness::Anywhere { None } else { judges.slow() };
+        let stretches =
+            slow.as_ref().map_or_else(|| self.stretches(&passed, &mean), |slow| slow.stretches(&dark, &mean));
+        self.noise = Some(Noise::of(&judges, &stretches, slow));
         self.head_mean = (!clipping).then(|| (self.whole.sums.shots(), mean));
     }
 
@@ -365,9 +369,10 @@ impl Shots {
             dt_ps: first.dt_ps,
             mean_v: empty::<f64>().collect(),
             se_v: empty::<f64>().collect(),
-            noise_v: noise.sd_v * averaged.sqrt(),
+            noise_v: noise.total_sd_v(records) * averaged.sqrt(),
             noise_acf: noise.acf.iter().copied().collect(),
             noise_model: noise.model.as_ref().map(|model| model.values.map(|value| value * averaged).to_vec()),
+            slow_noise: noise.slow_v2.as_ref().map(|slow_v2| slow_v2.iter().map(|value| value * averaged).collect()),
             noise_samples: i32::try_from(noise.samples).ok(),
             baseline_v: baseline * gain_v + offset_v,
             phase_shots: Some(self.whole.sums.phase_shots().into_iter().map(|shots| shots as i32).collect()),
@@ -387,7 +392,7 @@ impl Shots {
             bounces: first.bounces,
             acquired_at: first.acquired_at,
         };
-        let se_v = mean_v.iter().map(|v| (noise.own_v2(*v) / records).sqrt()).collect();
+        let se_v = mean_v.iter().map(|v| noise.mean_v2(*v, records).sqrt()).collect();
         Record { first: mean.first_position, mean_v, se_v, clipping: self.clipping, profile }
     }
 

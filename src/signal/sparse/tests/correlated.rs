@@ -60,7 +60,14 @@ fn onsets_in_correlated_noise_are_at_its_bound_with_honest_errors() {
                 let at = 3000.0 + rng.random_range(0.0..STEP_PS);
                 let noise = pole_noise(sd, len, &mut rng);
                 let y: Vec<f64> = samples_of(&shape, at, len).iter().zip(noise).map(|(y, w)| y + w).collect();
-                let profile = Profile { mean_v: &y, sd_v: &vec![sd_v; len], acf: &acf, t0_ps: T0_PS, dt_ps: STEP_PS };
+                let profile = Profile {
+                    mean_v: &y,
+                    sd_v: &vec![sd_v; len],
+                    acf: &acf,
+                    slow_v2: &[],
+                    t0_ps: T0_PS,
+                    dt_ps: STEP_PS,
+                };
                 let solution = fit(&profile, &shape.response, &SparseOptions::default());
                 assert_eq!(solution.pulses.len(), 1, "{}", shape.name);
                 let error = solution.pulses[0].time_ps - at;
@@ -88,7 +95,8 @@ fn false_pulses_in_correlated_noise_are_as_rare_as_promised() {
     let mut counts = [0, 0];
     for _ in 0..records {
         let y = pole_noise(1.0, len, &mut rng);
-        let correlated = Profile { mean_v: &y, sd_v: &vec![1.0; len], acf: &acf, t0_ps: T0_PS, dt_ps: STEP_PS };
+        let correlated =
+            Profile { mean_v: &y, sd_v: &vec![1.0; len], acf: &acf, slow_v2: &[], t0_ps: T0_PS, dt_ps: STEP_PS };
         for (count, profile) in counts.iter_mut().zip([correlated, Profile { acf: &[1.0], ..correlated }]) {
             let threshold = evidence_min_of(&profile, &shape.response, 1e-4) - 2.0 * 1000_f64.ln();
             let options = SparseOptions { evidence_min: Some(threshold), pulses_max: 1, ..SparseOptions::default() };
@@ -109,7 +117,7 @@ fn samples_to_be_ignored_do_not_matter_in_correlated_noise() {
     let mut sd_v = vec![sd; len];
     sd_v[124..130].fill(f64::INFINITY);
     let fit_of = |y: &[f64]| {
-        let profile = Profile { mean_v: y, sd_v: &sd_v, acf: &[1.0, PHI], t0_ps: T0_PS, dt_ps: STEP_PS };
+        let profile = Profile { mean_v: y, sd_v: &sd_v, acf: &[1.0, PHI], slow_v2: &[], t0_ps: T0_PS, dt_ps: STEP_PS };
         fit(&profile, &shape.response, &SparseOptions::default())
     };
     let before = fit_of(&y);

@@ -130,7 +130,8 @@ fn the_pair_beside_a_wide_pulse_is_the_best_two_points() {
         for draw in 0..120 {
             let at = 3000.0 + rng.random_range(0.0..DT_PS);
             let y = with_noise(&clean(&shape, &[(at, 1.0), (at + apart, 0.8)], 0.1, 120), sd, &mut rng);
-            let solution = fit_white(&shape, &y, sd, &extended(200.0));
+            let options = SparseOptions { baseline: Baseline::Constant, ..extended(200.0) };
+            let solution = fit_white(&shape, &y, sd, &options);
             let [pulse] = solution.pulses[..] else { continue };
             let Some(pair) = pulse.pair else { continue };
             count += 1;

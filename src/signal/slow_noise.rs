@@ -1,0 +1,324 @@
+//! Noise that is slower than an autoregressive process of a few lags describes: hum, wander, 1/f.
+//!
+//! Over a record of N samples it is a sum of cosines, `sqrt(2) cos(pi k (n + 1/2) / N)`, k = 1, 2, .., whose amplitudes
+//! are independent and normal: the Karhunen-Loeve expansion of a stationary process whose correlation is long, without
+//! the jump at the ends that a Fourier series has. Their variances come from the differences between shots and their
+//! mean, into which light does not enter, where the mean is dark. Maximum likelihood by expectation and maximisation
+//! (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1 (1977)): the amplitudes of each shot are the hidden variables,
+//! each shot has an offset of any size, and neighbouring components, in bands that widen by a quarter, have one
+//! variance. Samples are taken in blocks longer than fast noise is correlated, so that it is white from block to block.
+//!
+//! Not modelled: noise that is the same in every shot, which no difference shows; components beyond an eighth of the
+//! samples, which are not slow.
+
+use std::f64::consts::{PI, SQRT_2};
+use std::ops::Range;
+
+use crate::regression::invert;
+
+/// Samples of a block at least: fast noise is correlated over fewer.
+const BLOCK_MIN: usize = 4;
+/// Blocks of a record at most.
+const BLOCKS_MAX: usize = 512;
+/// Components at most, and blocks to each.
+const COMPONENTS_MAX: usize = 64;
+const BLOCKS_PER_COMPONENT: usize = 4;
+/// Long blocks of a record: slow noise moves their means against one another.
+const LONG_BLOCKS: usize = 16;
+/// Standard deviations by which these means scatter more than those of blocks close together, for slow noise to be
+/// sought.
+const CLAIM_SIGMA: f64 = 5.0;
+/// Density of fast noise at low frequencies over the one that blocks close together show, at most.
+const FAST_RISE: f64 = 1.25;
+/// Power of a band over that of fast noise from which components up to there are fitted.
+const POWER_MIN: f64 = 1.5;
+/// Variance of a component, over the one that fast noise gives it, below which it is taken as none.
+const SHARE_MIN: f64 = 0.3;
+/// Components of a band over its first one's number.
+const BAND: f64 = 0.25;
+const ROUNDS: usize = 15;
+
+/// Component `k` (0, 1, ..) of variance 1 at a place of a record of `len` samples.
+#[must_use]
+pub fn component(k: usize, place: f64, len: usize) -> f64 {
+    SQRT_2 * (PI * (k + 1) as f64 * (place + 0.5) / len as f64).cos()
+}
+
+/// Slow noise of the shots of a capture.
+#[derive(Clone, Debug)]
+pub struct SlowNoise {
+    /// Variance of each component's amplitude in one shot.
+    pub variances: Vec<f64>,
+    blocks: Blocks,
+    /// Covariance of a shot's offset and amplitudes, given its samples, over the variance of a block.
+    posterior: Vec<f64>,
+    /// Share of the samples' degrees of freedom that offset and amplitudes take.
+    taken: f64,
+}
+
+impl SlowNoise {
+    /// From the differences of shots from their mean, each from the mean's first place on; `dark`: the places that
+    /// count. `None` where nothing exceeds fast noise significantly.
+    #[must_use]
+    pub fn of(differences: &[Vec<f64>], dark: &[bool]) -> Option<Self> {
+        let covered = differences.iter().map(Vec::len).min()?.min(dark.len());
+        let mut blocks = Blocks::of(&dark[..covered], dark.len());
+        let means: Vec<Vec<f64>> = differences.iter().map(|difference| blocks.means(difference)).collect();
+        let fast = blocks.fast_variance(&means)?;
+        if !blocks.is_slow(&means, fast) {
+            return None;
+        }
+        let most = (blocks.ranges.len() / BLOCKS_PER_COMPONENT).min(COMPONENTS_MAX);
+        blocks.resolve(most);
+        blocks.resolve(blocks.components(&means, fast)?);
+        Some(Self::fit(blocks, &means, fast))
+    }
+
+    fn fit(blocks: Blocks, means: &[Vec<f64>], fast: f64) -> Self {
+        let (size, shots) = (blocks.size(), means.len() as f64);
+        let gram = blocks.gram();
+        let along: Vec<Vec<f64>> = means.iter().map(|means| blocks.along(means)).collect();
+        let count = blocks.ranges.len() as f64;
+        let total = means.iter().flatten().map(|mean| mean * mean).sum::<f64>();
+        let mut variances = vec![total / shots / count; size - 1];
+        let (mut own, mut posterior) = (fast, Vec::new());
+        let mut taken = 0.0;
+        for _ in 0..ROUNDS {
+            posterior = posterior_of(&gram, &variances, own);
+            let amplitudes: Vec<Vec<f64>> = along.iter().map(|along| product(&posterior, along)).collect();
+            // What is left of the samples, and what the amplitudes' own errors leave.
+            let explained: f64 =
+                along.iter().zip(&amplitudes).map(|(b, c)| 2.0 * dot(b, c) - quadratic(&gram, c)).sum();
+            let trace: f64 = gram.iter().zip(&posterior).map(|(g, a)| g * a).sum();
+            let next: Vec<f64> = (1..size)
+                .map(|k| amplitudes.iter().map(|c| c[k] * c[k]).sum::<f64>() / shots + own * posterior[k * (size + 1)])
+                .collect();
+            own = ((total - explained) / shots + own * trace) / count;
+            taken = trace;
+            variances = banded(&next);
+        }
+        let noise = own / count;
+        variances.iter_mut().filter(|variance| **variance < SHARE_MIN * noise).for_each(|variance| *variance = 0.0);
+        let samples = blocks.ranges.iter().map(Range::len).sum::<usize>() as f64;
+        Self { variances, blocks, posterior, taken: taken / samples }
+    }
+
+    /// A difference without its offset and slow noise. What these take of fast noise is given back to its size.
+    #[must_use]
+    pub fn fast(&self, difference: &[f64]) -> Vec<f64> {
+        let amplitudes = product(&self.posterior, &self.blocks.along(&self.blocks.means(difference)));
+        let scale = (1.0 - self.taken).sqrt().recip();
+        let slow = |n: usize| {
+            let of = |k: usize| amplitudes[k + 1] * component(k, n as f64, self.blocks.len);
+            amplitudes[0] + (0..amplitudes.len() - 1).map(of).sum::<f64>()
+        };
+        difference.iter().enumerate().map(|(n, value)| scale * (value - slow(n))).collect()
+    }
+}
+
+/// Blocks of dark samples of a record.
+#[derive(Clone, Debug)]
+struct Blocks {
+    ranges: Vec<Range<usize>>,
+    /// Samples of the record.
+    len: usize,
+    /// Of each block: 1, and the components at its middle.
+    basis: Vec<Vec<f64>>,
+}
+
+impl Blocks {
+    fn of(dark: &[bool], len: usize) -> Self {
+        let block = BLOCK_MIN.max(len.div_ceil(BLOCKS_MAX));
+        let ranges = (0..dark.len() / block).map(|b| b * block..(b + 1) * block);
+        Self {
+            ranges: ranges.filter(|range| dark[range.clone()].iter().all(|dark| *dark)).collect(),
+            len,
+            basis: Vec::new(),
+        }
+    }
+
+    /// Of so many components.
+    fn resolve(&mut self, components: usize) {
+        let row = |range: &Range<usize>| {
+            let middle = 0.5 * (range.start + range.end - 1) as f64;
+            std::iter::once(1.0).chain((0..components).map(|k| component(k, middle, self.len))).collect()
+        };
+        self.basis = self.ranges.iter().map(row).collect();
+    }
+
+    fn size(&self) -> usize {
+        self.basis[0].len()
+    }
+
+    fn means(&self, difference: &[f64]) -> Vec<f64> {
+        let mean = |range: &Range<usize>| difference[range.clone()].iter().sum::<f64>() / range.len() as f64;
+        self.ranges.iter().map(mean).collect()
+    }
+
+    /// Variance of a block's mean by fast noise: half of the mean square of differences over two blocks. `None` where
+    /// there are too few blocks to tell slow noise, or no noise.
+    fn fast_variance(&self, means: &[Vec<f64>]) -> Option<f64> {
+        let pairs =
+            self.ranges.windows(3).enumerate().filter(|(_, three)| three[2].start == three[0].end + three[1].len());
+        let pairs: Vec<usize> = pairs.map(|(b, _)| b).collect();
+        let squares = means.iter().flat_map(|means| pairs.iter().map(|b| (means[b + 2] - means[*b]).powi(2)));
+        let variance = 0.5 * squares.sum::<f64>() / (means.len() * pairs.len()) as f64;
+        (pairs.len() >= 2 * LONG_BLOCKS && means.len() >= 2 && variance > 0.0).then_some(variance)
+    }
+
+    /// Whether means over long runs of blocks scatter more than `fast` noise makes them.
+    fn is_slow(&self, means: &[Vec<f64>], fast: f64) -> bool {
+        let run = self.ranges.len() / LONG_BLOCKS;
+        let (mut squares, mut freedom) = (0.0, 0.0);
+        for means in means {
+            let long: Vec<f64> =
+                means.chunks_exact(run).map(|run| run.iter().sum::<f64>() / run.len() as f64).collect();
+            let middle = long.iter().sum::<f64>() / long.len() as f64;
+            squares += long.iter().map(|mean| (mean - middle).powi(2)).sum::<f64>() * run as f64 / fast;
+            freedom += long.len() as f64 - 1.0;
+        }
+        squares > FAST_RISE * (freedom + CLAIM_SIGMA * (2.0 * freedom).sqrt())
+    }
+
+    /// Components up to the last band whose power exceeds that of fast noise.
+    fn components(&self, means: &[Vec<f64>], fast: f64) -> Option<usize> {
+        let gram = self.gram();
+        let size = self.size();
+        let mut power = vec![0.0; size - 1];
+        for means in means {
+            // The offset is open.
+            let middle = means.iter().sum::<f64>() / means.len() as f64;
+            let along = self.along(&means.iter().map(|mean| mean - middle).collect::<Vec<_>>());
+            for (k, power) in power.iter_mut().enumerate() {
+                *power += along[k + 1].powi(2) / gram[(k + 1) * (size + 1)] / fast;
+            }
+        }
+        let power = banded(&power.iter().map(|sum| sum / means.len() as f64).collect::<Vec<_>>());
+        power.iter().rposition(|power| *power > POWER_MIN).map(|last| last + 1)
+    }
+
+    fn along(&self, means: &[f64]) -> Vec<f64> {
+        let mut along = vec![0.0; self.size()];
+        for (row, mean) in self.basis.iter().zip(means) {
+            along.iter_mut().zip(row).for_each(|(sum, value)| *sum += value * mean);
+        }
+        along
+    }
+
+    fn gram(&self) -> Vec<f64> {
+        let size = self.size();
+        let mut gram = vec![0.0; size * size];
+        for row in &self.basis {
+            for (sums, value) in gram.chunks_exact_mut(size).zip(row) {
+                sums.iter_mut().zip(row).for_each(|(sum, other)| *sum += value * other);
+            }
+        }
+        gram
+    }
+}
+
+/// `(G + diag(0, own / variances))^-1`.
+fn posterior_of(gram: &[f64], variances: &[f64], own: f64) -> Vec<f64> {
+    let size = variances.len() + 1;
+    let mut matrix = gram.to_vec();
+    for (k, variance) in variances.iter().enumerate() {
+        matrix[(k + 1) * (size + 1)] += own / variance;
+    }
+    let scale: Vec<f64> = (0..size).map(|k| matrix[k * (size + 1)].sqrt().recip()).collect();
+    let scaled = |matrix: &mut [f64]| {
+        matrix.iter_mut().enumerate().for_each(|(at, value)| *value *= scale[at / size] * scale[at % size]);
+    };
+    scaled(&mut matrix);
+    let mut inverse = vec![0.0; size * size];
+    invert(&mut matrix, &mut inverse).expect("each amplitude has a prior, and the offset has samples");
+    scaled(&mut inverse);
+    inverse
+}
+
+/// The mean of each band in place of its values.
+fn banded(values: &[f64]) -> Vec<f64> {
+    let mut means = Vec::with_capacity(values.len());
+    while means.len() < values.len() {
+        let first = means.len();
+        let width = ((BAND * (first + 1) as f64) as usize).max(1).min(values.len() - first);
+        let mean = values[first..first + width].iter().sum::<f64>() / width as f64;
+        means.resize(first + width, mean);
+    }
+    means
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn product(matrix: &[f64], vector: &[f64]) -> Vec<f64> {
+    matrix.chunks_exact(vector.len()).map(|row| dot(row, vector)).collect()
+}
+
+fn quadratic(matrix: &[f64], vector: &[f64]) -> f64 {
+    dot(vector, &product(matrix, vector))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    const LEN: usize = 800;
+    const SHOTS: usize = 32;
+
+    fn normal(rng: &mut ChaCha8Rng) -> f64 {
+        StandardNormal.sample(rng)
+    }
+
+    /// Shots of unit white noise smoothed over two samples, an offset, and a sine of so many turns a record and random
+    /// phase.
+    fn shots(height: f64, turns: f64, rng: &mut ChaCha8Rng) -> Vec<Vec<f64>> {
+        let shot = |_| {
+            let (offset, phase) = (normal(rng), rng.random_range(0.0..2.0 * PI));
+            let white: Vec<f64> = (0..=LEN).map(|_| normal(rng)).collect();
+            let sine = |n: usize| SQRT_2 * height * (2.0 * PI * turns * n as f64 / LEN as f64 + phase).sin();
+            (0..LEN).map(|n| (white[n] + white[n + 1]) / SQRT_2 + offset + sine(n)).collect()
+        };
+        (0..SHOTS).map(shot).collect()
+    }
+
+    fn variance(values: &[Vec<f64>]) -> f64 {
+        values.iter().flatten().map(|value| value * value).sum::<f64>() / (values.len() * LEN) as f64
+    }
+
+    #[test]
+    fn fast_noise_is_no_slow_noise() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let claims = (0..300).filter(|_| SlowNoise::of(&shots(0.0, 1.0, &mut rng), &[true; LEN]).is_some()).count();
+        assert!(claims <= 1, "{claims}");
+        assert!(SlowNoise::of(&[vec![1.0; LEN], vec![1.0; LEN]], &[true; LEN]).is_none());
+        assert!(SlowNoise::of(&shots(3.0, 2.0, &mut rng)[..1], &[true; LEN]).is_none());
+    }
+
+    /// Wander is told in size, and what is left is the fast noise, also where a part of the record is lit.
+    #[test]
+    fn wander_is_told_from_fast_noise() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        for (height, turns) in [(4.0, 0.4), (4.0, 2.7), (1.0, 0.4), (4.0, 6.2)] {
+            for lit in [0..0, 100..400] {
+                let shots = shots(height, turns, &mut rng);
+                let dark: Vec<bool> = (0..LEN).map(|n| !lit.contains(&n)).collect();
+                let slow = SlowNoise::of(&shots, &dark).expect("it is plain");
+                let total: f64 = slow.variances.iter().sum();
+                let fast: Vec<Vec<f64>> = shots.iter().map(|shot| slow.fast(shot)).collect();
+                let masked = |n: usize| if dark[n] { 1.0 } else { 0.0 };
+                let fast: Vec<Vec<f64>> =
+                    fast.iter().map(|shot| shot.iter().enumerate().map(|(n, v)| masked(n) * v).collect()).collect();
+                let share = dark.iter().filter(|dark| **dark).count() as f64 / LEN as f64;
+                let left = variance(&fast) / share;
+                assert!((left - 1.0).abs() < 0.07, "{height} {turns} {lit:?}: {left}");
+                // Less than a turn is an offset in part, and where a part is lit, a part of a turn is seen.
+                let right = if lit.is_empty() && turns > 1.0 { 0.7..1.4 } else { 0.2..2.5 };
+                assert!(right.contains(&(total / (height * height))), "{height} {turns} {lit:?}: {total}");
+            }
+        }
+    }
+}
