@@ -308,8 +308,9 @@ fn print_claims(records: usize, first_seed: u64, only: &[usize]) {
         "| instrument | SNR | records | missed pulses | records with a false onset | rms / bound | in 95 % interval | flag `misfit` | bound / bound in white noise |"
     );
     println!("|---|---|---|---|---|---|---|---|---|");
-    let cells =
-        claims::Instrument::all().into_iter().flat_map(|instrument| [10.0, 50.0, 200.0].map(|snr| (instrument.clone(), snr)));
+    let cells = claims::Instrument::all()
+        .into_iter()
+        .flat_map(|instrument| [10.0, 50.0, 200.0].map(|snr| (instrument.clone(), snr)));
     for (n, (instrument, snr)) in cells.enumerate().filter(|(n, _)| only.is_empty() || only.contains(n)) {
         let claims = claims::claims(&instrument, snr, records, first_seed + n as u64);
         let claims::Claims { missed, false_onsets, ratio, within, flagged, lost } = claims;

@@ -42,6 +42,16 @@ impl Response {
         Self { t0_ps, step_ps, pieces }
     }
 
+    /// The same, `factor` times as wide about the arrival.
+    ///
+    /// # Panics
+    /// If the factor is not positive or not finite.
+    #[must_use]
+    pub fn stretched(&self, factor: f64) -> Self {
+        assert!(factor > 0.0 && factor.is_finite(), "a width has a positive factor");
+        Self { t0_ps: factor * self.t0_ps, step_ps: factor * self.step_ps, pieces: self.pieces.clone() }
+    }
+
     /// Value at `time_ps` after the arrival of the pulse.
     #[must_use]
     pub fn value(&self, time_ps: f64) -> f64 {

@@ -115,7 +115,7 @@ impl Instrument {
     /// Standard deviation of a sample in the mean of all shots: white noise, and what rounding leaves whatever their
     /// number (harmonics of a sawtooth, filtered by the noise).
     fn mean_sd(&self) -> f64 {
-        let harmonic = |k: f64| (-0.5 * (TAU * k * self.codes).powi(2)).exp() / (k * k);
+        let harmonic = |k: f64| (-(TAU * k * self.codes).powi(2)).exp() / (k * k);
         let sawtooth: f64 = (1..100).map(|k| harmonic(f64::from(k))).sum::<f64>() * 2.0 / (TAU * self.codes).powi(2);
         (1.0 / SHOTS as f64 + sawtooth).sqrt()
     }

@@ -35,6 +35,22 @@ impl Column {
         Self::of_point(record, time_ps, |after_ps| [0.5 * record.response.curvature(after_ps), 0.0])
     }
 
+    /// The derivative by the logarithm of the response's width, in place of the value; the derivative is left 0.
+    pub(super) fn stretching(record: &WhitenedRecord, time_ps: f64) -> Self {
+        Self::of_point(record, time_ps, |after_ps| [-after_ps * record.response.value_and_slope(after_ps).1, 0.0])
+    }
+
+    /// The sum of the values of columns, each with its factor, over a record of `len` samples.
+    pub(super) fn sum(columns: impl Iterator<Item = (f64, Self)>, len: usize) -> Self {
+        let mut samples = vec![[0.0; 2]; len];
+        for (factor, column) in columns {
+            for (sum, sample) in samples[column.range()].iter_mut().zip(&column.samples) {
+                sum[0] += factor * sample[0];
+            }
+        }
+        Self { first: 0, samples, shape: Vec::new() }
+    }
+
     fn of_point(record: &WhitenedRecord, time_ps: f64, shape: impl Fn(f64) -> [f64; 2]) -> Self {
         let range = record.response.reach(time_ps, record.t0_ps, record.dt_ps, record.len());
         let (first, samples) = sample(record, time_ps, range, shape);

@@ -130,7 +130,8 @@ fn fit_with(
     // Of a Poisson number: one over its mean.
     let kurtosis = means.iter().map(|mean| 1.0 / mean).collect();
     let fitter = Fitter::new(model, &[&histogram.counts], threshold, options.pulses_max).with_kurtosis(kurtosis);
-    run(&fitter, threshold).remove(0)
+    let (state, evidences) = fitter.grown();
+    run(&fitter, &state, evidences, Vec::new(), threshold).remove(0)
 }
 
 /// Mean of each bin by a fit.

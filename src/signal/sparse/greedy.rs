@@ -30,11 +30,23 @@ pub(super) struct Fitter<'a> {
     data: Vec<Vec<f64>>,
     /// The constant under each, if it had no pulse.
     means_v: Vec<f64>,
+    /// Chi2 of all records, if they had no pulse, with what the ground under the pulses costs.
+    cost: f64,
     filter: MatchedFilter,
     evidence_min: f64,
     pulses_max: usize,
     /// Excess kurtosis of each sample's noise, of each record; nothing for Gaussian noise.
     kurtosis: Vec<Vec<f64>>,
+}
+
+/// A direction beside the unknowns of a fit.
+pub(super) struct Slope {
+    /// Its product with the residuals.
+    pub(super) with_residual: f64,
+    /// Information on its amplitude, that which the unknowns can imitate left out.
+    pub(super) own: f64,
+    /// By how much each unknown falls where its amplitude rises by one.
+    pub(super) imitation: Vec<f64>,
 }
 
 /// A change of a state: the places of all pulses after it, the drop of chi2 that it brings, and what that must exceed.
@@ -49,10 +61,13 @@ impl<'a> Fitter<'a> {
         let whitened: Vec<Vec<f64>> =
             model.records.iter().zip(means_v).map(|(record, mean_v)| record.whitener.apply(mean_v)).collect();
         let both = || model.records.iter().zip(&whitened);
-        let data = both().map(|(record, whitened)| record.nuisance.without(whitened)).collect();
+        let data: Vec<Vec<f64>> = both().map(|(record, whitened)| record.nuisance.without(whitened)).collect();
         let means_v = both().map(|(record, whitened)| record.nuisance.mean_v(0, whitened.iter().copied())).collect();
+        let chi2 = whitened.iter().zip(&data).flat_map(|(raw, free)| raw.iter().zip(free).map(|(a, b)| a * b));
+        let determinants = model.records.iter().map(|record| record.nuisance.log_determinant());
+        let cost = chi2.sum::<f64>() + determinants.sum::<f64>();
         let kurtosis = vec![Vec::new(); model.records.len()];
-        Self { filter: MatchedFilter::new(&model), model, data, means_v, evidence_min, pulses_max, kurtosis }
+        Self { filter: MatchedFilter::new(&model), model, data, means_v, cost, evidence_min, pulses_max, kurtosis }
     }
 
     /// With noise in record 0 that is not Gaussian.
@@ -62,8 +77,23 @@ impl<'a> Fitter<'a> {
     }
 
     /// The state without pulses.
-    pub(super) fn start(&self) -> State {
+    fn start(&self) -> State {
         self.solve(Vec::new()).expect("nothing can coincide")
+    }
+
+    /// The state with all pulses that are worth their evidence, and the evidence of each.
+    pub(super) fn grown(&self) -> (State, Vec<f64>) {
+        let mut state = self.start();
+        while let Some(grown) = self.grow(&state) {
+            state = grown;
+        }
+        self.prune(state)
+    }
+
+    /// Chi2 of a state, with what its pulses and the ground under them cost: twice the negative logarithm of its
+    /// likelihood, but for a constant.
+    pub(super) fn cost(&self, state: &State) -> f64 {
+        self.cost - state.fit.energy + self.evidence_min * state.pulses() as f64
     }
 
     /// Refines all pulses together from the given places. `None` if two of them cannot be resolved.
@@ -83,7 +113,7 @@ impl<'a> Fitter<'a> {
     }
 
     /// The state with one more pulse or a wider one, if that is worth its evidence.
-    pub(super) fn grow(&self, state: &State) -> Option<State> {
+    fn grow(&self, state: &State) -> Option<State> {
         let added = self
             .filter
             .best(&self.model, &state.residuals)
@@ -193,16 +223,27 @@ impl<'a> Fitter<'a> {
             .zip(&self.model.records)
             .map(|(a, record)| (a, Column::widening(record, state.time_ps(k))))
             .collect();
-        let parts = direction.iter().zip(&state.residuals);
-        let with_residual: f64 = parts.map(|((a, column), residual)| a * column.dot_record(residual)[0]).sum();
+        let Slope { with_residual, own, .. } = self.slope(state, &direction);
         if with_residual <= 0.0 {
             return (0.0, 0.0);
         }
-        let mut imitated = state.fit.products_with(&self.model, &direction);
-        state.factor.solve_lower(&mut imitated);
-        let own = direction.iter().map(|(a, column)| a * a * column.shared(column)).sum::<f64>()
-            - imitated.iter().map(|v| v * v).sum::<f64>();
         (with_residual * with_residual / own, with_residual / own)
+    }
+
+    /// What the residuals say of a direction, given as a column of each record, besides all unknowns.
+    pub(super) fn slope(&self, state: &State, direction: &[(f64, Column)]) -> Slope {
+        let parts = direction.iter().zip(&state.residuals);
+        let with_residual: f64 = parts.map(|((a, column), residual)| a * column.dot_record(residual)[0]).sum();
+        let mut imitation = state.fit.products_with(&self.model, direction);
+        let alone = direction.iter().zip(&self.model.records).map(|((a, column), record)| {
+            let along: f64 = record.nuisance.axes().iter().map(|axis| column.dot_record(axis)[0].powi(2)).sum();
+            a * a * (column.shared(column) - along)
+        });
+        let alone = alone.sum::<f64>();
+        state.factor.solve_lower(&mut imitation);
+        let own = alone - imitation.iter().map(|v| v * v).sum::<f64>();
+        state.factor.solve_upper(&mut imitation);
+        Slope { with_residual, own, imitation }
     }
 
     /// What chi2 of the samples of pulse `k` may exceed that of noise by.
@@ -277,7 +318,7 @@ impl<'a> Fitter<'a> {
 
     /// Takes out pulses, and parameters of their shape, not worth their evidence, the weakest first. The state that
     /// remains, and the evidence of each of its pulses.
-    pub(super) fn prune(&self, mut state: State) -> (State, Vec<f64>) {
+    fn prune(&self, mut state: State) -> (State, Vec<f64>) {
         loop {
             let removals: Vec<Option<Change>> = (0..state.pulses()).map(|k| self.removal(&state, k)).collect();
             // Without a fit for the rest, a pulse is indispensable.

@@ -4,6 +4,7 @@
 //! arrive at the same times, while noise, sampling and response differ. Fitted together, two records of equal noise
 //! give times better by `sqrt(2)`, and tell pulses apart as one of `sqrt(2)` times their SNR does.
 
+use super::cause;
 use super::evidence::{evidence_min_joint, evidence_min_of};
 use super::greedy::Fitter;
 use super::model::Model;
@@ -27,30 +28,36 @@ pub fn fit_joint(records: &[(Profile, &Response)], options: &SparseOptions, shar
         assert!(profile.dt_ps == records[0].0.dt_ps, "records that are fitted together have one sample step");
     }
     assert!((0.0..f64::INFINITY).contains(&options.extent_max_ps), "the extent must not be negative");
-    let model = Model::new(records, options, shared_amplitudes);
     let threshold = options.evidence_min.unwrap_or_else(|| {
         if let [(profile, response)] = records {
             return evidence_min_of(profile, response, FALSE_PULSES);
         }
         let total_ps: f64 = records.iter().map(|(profile, _)| profile.mean_v.len() as f64 * profile.dt_ps).sum();
+        let model = Model::new(records, options, shared_amplitudes);
         evidence_min_joint(&model, total_ps / records.len() as f64, FALSE_PULSES)
     });
     assert!(threshold > 0.0, "the evidence must be positive");
-    let means_v: Vec<&[f64]> = records.iter().map(|(profile, _)| profile.mean_v).collect();
-    run(&Fitter::new(model, &means_v, threshold, options.pulses_max), threshold)
+    cause::explain(records, options, shared_amplitudes, threshold)
 }
 
-/// Grows and prunes a fit: one result a record.
-pub(super) fn run(fitter: &Fitter, evidence_min: f64) -> Vec<SparseFit> {
-    let mut state = fitter.start();
-    while let Some(grown) = fitter.grow(&state) {
-        state = grown;
-    }
-    let (state, evidences) = fitter.prune(state);
-    let widenings = fitter.widenings(&state);
-    let pairs = fitter.pairs(&state);
-    let judged = Judged { evidences, widenings, pairs };
-    (0..fitter.records()).map(|r| describe(fitter, &state, r, &judged, evidence_min)).collect()
+/// An error that all unknowns of a fit share: what one unit of it does to each, and its variance.
+pub(super) struct Common {
+    pub(super) per_unit: Vec<f64>,
+    pub(super) variance: f64,
+}
+
+/// What a state says: one result a record.
+pub(super) fn run(
+    fitter: &Fitter,
+    state: &State,
+    evidences: Vec<f64>,
+    common: Vec<Common>,
+    evidence_min: f64,
+) -> Vec<SparseFit> {
+    let widenings = fitter.widenings(state);
+    let pairs = fitter.pairs(state);
+    let judged = Judged { evidences, widenings, pairs, common };
+    (0..fitter.records()).map(|r| describe(fitter, state, r, &judged, evidence_min)).collect()
 }
 
 fn check(profile: &Profile) {
@@ -65,20 +72,24 @@ fn check(profile: &Profile) {
 }
 
 /// What is known of each pulse of a state beyond its place: the evidence, the factor of the first-order sd of its time,
-/// and the pair that may stand in its place.
+/// and the pair that may stand in its place; and the errors that all share.
 struct Judged {
     evidences: Vec<f64>,
     widenings: Vec<f64>,
     pairs: Vec<Option<PairFit>>,
+    common: Vec<Common>,
 }
 
 /// The fit as record `r` sees it, pulses in order of time.
 fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_min: f64) -> SparseFit {
-    let Judged { evidences, widenings, pairs } = judged;
+    let Judged { evidences, widenings, pairs, common } = judged;
     let mut order: Vec<usize> = (0..state.pulses()).collect();
     order.sort_by(|i, j| state.time_ps(*i).total_cmp(&state.time_ps(*j)));
     let (all, unknowns) = state.covariance();
-    let covariance = |i: usize, j: usize| all[i * unknowns + j];
+    let shared = |i: usize, j: usize| {
+        common.iter().map(|error| error.variance * error.per_unit[i] * error.per_unit[j]).sum::<f64>()
+    };
+    let covariance = |i: usize, j: usize| all[i * unknowns + j] + shared(i, j);
     // All records' samples of a pulse speak for its time.
     let inflations: Vec<f64> = order.iter().map(|&k| fitter.misfit(state, None, Some(k)).inflation()).collect();
     let group = fitter.group_of(r);
@@ -115,5 +126,7 @@ fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_
         baseline_v: state.baseline_v(r),
         chi2_per_dof: fitter.misfit(state, Some(r), None).per_dof(),
         evidence_min,
+        ground_v: 0.0,
+        width: None,
     }
 }

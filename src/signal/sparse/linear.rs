@@ -37,6 +37,11 @@ impl Cholesky {
     /// Solves `A x = b` in place.
     pub(super) fn solve(&self, b: &mut [f64]) {
         self.solve_lower(b);
+        self.solve_upper(b);
+    }
+
+    /// Solves `L^T x = b` in place.
+    pub(super) fn solve_upper(&self, b: &mut [f64]) {
         for i in (0..self.n).rev() {
             let rest: f64 = (i + 1..self.n).map(|k| self.lower[k * self.n + i] * b[k]).sum();
             b[i] = (b[i] - rest) / self.lower[i * self.n + i];

@@ -20,10 +20,14 @@
 //! Light that extended patches spread in time is modelled where [`SparseOptions::extent_max_ps`] allows it. Several
 //! records of the same pulses are fitted together by [`fit_joint`]; histograms of single photons by [`fit_counts`].
 //!
-//! Not modelled: light wrapped around the end of the record, an inexact response. An error of the response shows as
-//! `chi2_per_dof` above 1 and, near strong pulses, as false pulses. Where its size is known, adding it to the sd of the
-//! samples under a strong pulse keeps both away.
+//! A baseline that moves the same way in every shot, and a response of another width than the calibration's, are tried
+//! where a record asks for them.
+//!
+//! Not modelled: light wrapped around the end of the record; a response of another shape, with an echo or a tail. Its
+//! error shows as `chi2_per_dof` above 1 and, near strong pulses, as false pulses. Where its size is known, adding it to
+//! the sd of the samples under a strong pulse keeps both away.
 
+mod cause;
 mod column;
 mod counts;
 mod evidence;
@@ -188,6 +192,12 @@ pub struct SparseFit {
     pub baseline_v: f64,
     /// Chi2 over degrees of freedom of the record.
     pub chi2_per_dof: f64,
+    /// Standard deviation of a baseline that moves the same way in every shot, V; 0 where the record shows none.
+    pub ground_v: f64,
+    /// Factor of the response's width that the record shows, and its standard deviation; `None` where it tells nothing
+    /// of it. Where the factor is significant, the pulses are those of a response so stretched, and its error is in
+    /// `covariance_ps2`.
+    pub width: Option<[f64; 2]>,
     /// The threshold that was applied to the evidence.
     pub evidence_min: f64,
 }

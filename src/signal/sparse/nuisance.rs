@@ -19,6 +19,8 @@ pub(super) struct Nuisance {
     axes: Vec<Vec<f64>>,
     /// The whitened constant over its squared norm; nothing if none is fitted.
     mean: Vec<f64>,
+    /// Logarithm of the determinant of the covariance, what may have any size left out.
+    log_determinant: f64,
 }
 
 impl Nuisance {
@@ -49,6 +51,7 @@ impl Nuisance {
         let mut axis = self.without(direction);
         let left: f64 = axis.iter().zip(direction).map(|(a, d)| a * d).sum();
         if variance.is_some() || left > NEW * NEW * squared(direction) {
+            self.log_determinant += variance.map_or(0.0, |variance| (variance * left).ln_1p());
             let scale = (variance.map_or(0.0, f64::recip) + left).sqrt().recip();
             axis.iter_mut().for_each(|value| *value *= scale);
             self.axes.push(axis);
@@ -73,6 +76,12 @@ impl Nuisance {
     /// Degrees of freedom that chi2 of `Q samples` has less than samples: the trace of `1 - Q`.
     pub(super) fn freedom(&self) -> f64 {
         self.axes.iter().map(|axis| squared(axis)).sum()
+    }
+
+    /// Logarithm of the determinant of the covariance, what may have any size left out: with chi2, what a likelihood
+    /// of the ground under the pulses costs.
+    pub(super) fn log_determinant(&self) -> f64 {
+        self.log_determinant
     }
 
     /// The constant under whitened samples from `first` on; 0 if none is fitted.

@@ -138,7 +138,8 @@ impl Projection {
         let mut products = vec![0.0; self.unknowns()];
         for (g, (group, range)) in self.groups.iter().zip(&model.groups).enumerate() {
             let mut with_direction = vec![0.0; self.layout.n];
-            for (columns, (scale, column)) in group.columns.iter().zip(&direction[range.clone()]) {
+            let records = model.records[range.clone()].iter().zip(&direction[range.clone()]);
+            for (columns, (record, (scale, column))) in group.columns.iter().zip(records) {
                 let met = |own: &&Column| own.overlaps(column);
                 for (k, own) in columns.iter().enumerate().filter(|(_, own)| met(own)) {
                     let mut block = [0.0; 4];
@@ -146,6 +147,15 @@ impl Projection {
                     let count = 1 + self.places[k].parameters();
                     for (p, value) in block[..count].iter().enumerate() {
                         with_direction[self.layout.values[k] + p] += scale * value;
+                    }
+                }
+                for axis in record.nuisance.axes() {
+                    let along = scale * column.dot_record(axis)[0];
+                    for (k, own) in columns.iter().enumerate() {
+                        let count = 1 + self.places[k].parameters();
+                        for (p, value) in own.dot_record(axis)[..count].iter().enumerate() {
+                            with_direction[self.layout.values[k] + p] -= along * value;
+                        }
                     }
                 }
             }

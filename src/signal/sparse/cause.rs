@@ -1,0 +1,237 @@
+//! What a record shows besides pulses on a line: a baseline that moves, a response of another width.
+//!
+//! Both are tried where the record asks for them, and kept where the whole record is the likelier for it: chi2, the
+//! evidence that each pulse must bring, and what the freedom of the cause costs, all in one sum.
+//!
+//! A baseline that moves is slow noise ([`crate::slow_noise`]) that no difference between shots shows, since it is the
+//! same in each: pick-up, undershoot, light that is far slower than the response. It is sought where noise does not
+//! explain the residual. Its first K components get one variance, K and variance by their marginal likelihood: with p
+//! the mean power of these components in the residual, over that of noise, `ln L = K / 2 (p - 1 - ln p)`.
+//!
+//! The width's factor has a prior about 1, that of a calibration of another day. Its score comes from the residual's
+//! product with the derivative by it, freed of what times and amplitudes can imitate. Where it is significant, the
+//! record is fitted again with the response so stretched, until it stays; its error is common to all times. A small
+//! pulse beside a large one may itself be what a wrong width looks like: then a wider and a narrower response are tried
+//! in any case. Where light may be spread in time, which looks the same as a wider response, only a narrower one is
+//! sought.
+
+use super::column::Column;
+use super::greedy::{Fitter, Slope};
+use super::joint::{Common, run};
+use super::model::Model;
+use super::state::State;
+use super::{Profile, Response, SparseFit, SparseOptions};
+use crate::slow_noise::component;
+
+/// Standard deviation of the logarithm of the width's factor, before a record is seen.
+const WIDTH_SD: f64 = 0.03;
+/// Score from which another width is tried, and from which it is moved on once it was taken.
+const WIDTH_SIGMA: f64 = 2.0;
+const WIDTH_SETTLED: f64 = 0.3;
+/// Steps of a width in one attempt, and those tried where a small pulse stands beside a large one: nearer than so many
+/// widths, and with less than this share of its amplitude.
+const WIDTH_STEP: f64 = 0.1;
+const WIDTH_TRIAL: f64 = 0.03;
+const BESIDE_WIDTHS: f64 = 1.5;
+const BESIDE_SHARE: f64 = 0.3;
+/// A width that is known no better is not tried.
+const WIDTH_SD_MAX: f64 = 0.05;
+/// Standard deviations of the record's chi2 from which its baseline is doubted.
+const MISFIT_SIGMA: f64 = 3.0;
+/// Components of a baseline that moves at most, and samples to each.
+const COMPONENTS_MAX: usize = 64;
+const SAMPLES_PER_COMPONENT: usize = 8;
+/// Part of a component that pulses, line and slow noise must leave for it to count.
+const NEW: f64 = 0.05;
+/// Attempts at most.
+const ATTEMPTS: usize = 6;
+
+/// What is supposed of a record besides its pulses.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Cause {
+    /// Variances of the components of a baseline that moves, V^2.
+    ground_v2: Vec<f64>,
+    /// Logarithm of the width's factor.
+    stretch: f64,
+}
+
+/// A change of one record's cause, and the chi2 that it promises.
+struct Hint {
+    record: usize,
+    cause: Cause,
+    promise: f64,
+}
+
+/// A fit under given causes.
+struct Attempt {
+    fits: Vec<SparseFit>,
+    /// Chi2, with all that pulses and causes cost.
+    cost: f64,
+    hints: Vec<Hint>,
+}
+
+/// Pulses of the records, under the causes that explain them best.
+pub(super) fn explain(
+    records: &[(Profile, &Response)],
+    options: &SparseOptions,
+    shared_amplitudes: bool,
+    evidence_min: f64,
+) -> Vec<SparseFit> {
+    let attempt = |causes: &[Cause]| Attempt::new(records, options, shared_amplitudes, evidence_min, causes);
+    let mut causes = vec![Cause::default(); records.len()];
+    let mut best = attempt(&causes);
+    for _ in 0..ATTEMPTS {
+        let better = best.hints.iter().find_map(|hint| {
+            let mut changed = causes.clone();
+            changed[hint.record] = hint.cause.clone();
+            let trial = attempt(&changed);
+            (trial.cost < best.cost).then_some((trial, changed))
+        });
+        let Some((trial, changed)) = better else { break };
+        (best, causes) = (trial, changed);
+    }
+    best.fits
+}
+
+impl Attempt {
+    fn new(
+        records: &[(Profile, &Response)],
+        options: &SparseOptions,
+        shared_amplitudes: bool,
+        evidence_min: f64,
+        causes: &[Cause],
+    ) -> Self {
+        let slow_v2: Vec<Vec<f64>> =
+            records.iter().zip(causes).map(|((profile, _), cause)| sum(profile.slow_v2, &cause.ground_v2)).collect();
+        let responses: Vec<Response> =
+            records.iter().zip(causes).map(|((_, response), cause)| response.stretched(cause.stretch.exp())).collect();
+        let supposed: Vec<(Profile, &Response)> = records
+            .iter()
+            .zip(slow_v2.iter().zip(&responses))
+            .map(|((profile, _), (slow_v2, response))| (Profile { slow_v2, ..*profile }, response))
+            .collect();
+        let means_v: Vec<&[f64]> = records.iter().map(|(profile, _)| profile.mean_v).collect();
+        let model = Model::new(&supposed, options, shared_amplitudes);
+        let fitter = Fitter::new(model, &means_v, evidence_min, options.pulses_max);
+        let (state, evidences) = fitter.grown();
+        let widths: Vec<Option<Width>> =
+            (0..records.len()).map(|r| Width::of(&fitter, &state, r, causes[r].stretch)).collect();
+        let mut hints: Vec<Hint> = (0..records.len())
+            .flat_map(|r| {
+                let may_be_wider = options.extent_max_ps == 0.0;
+                let width = widths[r].as_ref().and_then(|width| width.hint(r, &causes[r], may_be_wider));
+                [width, ground(&fitter, &state, r, &causes[r], evidence_min)]
+            })
+            .flatten()
+            .collect();
+        hints.sort_by(|a, b| b.promise.total_cmp(&a.promise));
+        if options.extent_max_ps == 0.0 && !options.signed && has_small_beside_large(&fitter, &state) {
+            hints.extend(trials(causes));
+        }
+        let stretches = causes.iter().map(|cause| (cause.stretch / WIDTH_SD).powi(2));
+        let cost = fitter.cost(&state) + stretches.sum::<f64>();
+        let taken = widths.iter().flatten().zip(causes).filter(|(_, cause)| cause.stretch != 0.0);
+        let common = taken.map(|(width, _)| width.common()).collect();
+        let mut fits = run(&fitter, &state, evidences, common, evidence_min);
+        for ((fit, cause), width) in fits.iter_mut().zip(causes).zip(&widths) {
+            fit.ground_v = cause.ground_v2.iter().sum::<f64>().sqrt();
+            fit.width = width.as_ref().map(|width| [width.stretch.exp(), width.variance.sqrt()]);
+        }
+        Self { fits, cost, hints }
+    }
+}
+
+/// Whether a small pulse stands beside a large one.
+fn has_small_beside_large(fitter: &Fitter, state: &State) -> bool {
+    let is_beside = |k: usize, j: usize| {
+        (state.time_ps(k) - state.time_ps(j)).abs() < BESIDE_WIDTHS * fitter.model.width_ps
+            && state.amplitude(k) < BESIDE_SHARE * state.amplitude(j)
+    };
+    (0..state.pulses()).any(|k| (0..state.pulses()).any(|j| is_beside(k, j)))
+}
+
+/// Another width of the response in all records, as long as none was taken.
+fn trials(causes: &[Cause]) -> Vec<Hint> {
+    if causes.iter().any(|cause| cause.stretch != 0.0) {
+        return Vec::new();
+    }
+    let trial = |stretch: f64| (0..causes.len()).map(move |record| (record, stretch));
+    let trials = [WIDTH_TRIAL, -WIDTH_TRIAL].into_iter().flat_map(trial);
+    trials
+        .map(|(record, stretch)| Hint { record, cause: Cause { stretch, ..causes[record].clone() }, promise: 0.0 })
+        .collect()
+}
+
+fn sum(own: &[f64], other: &[f64]) -> Vec<f64> {
+    let at = |values: &[f64], k: usize| values.get(k).copied().unwrap_or(0.0);
+    (0..own.len().max(other.len())).map(|k| at(own, k) + at(other, k)).collect()
+}
+
+/// What a record says of the response's width.
+struct Width {
+    /// The likeliest logarithm of its factor, to first order, and the variance of that.
+    stretch: f64,
+    variance: f64,
+    /// Chi2 that it would gain.
+    gain: f64,
+    imitation: Vec<f64>,
+}
+
+impl Width {
+    /// `None` where there are no pulses, or these tell nothing.
+    fn of(fitter: &Fitter, state: &State, r: usize, stretch: f64) -> Option<Self> {
+        let group = fitter.group_of(r);
+        let direction = |(other, record): (usize, &super::model::WhitenedRecord)| {
+            let pulses = (0..state.pulses()).filter(|k| other == r && state.place(*k).shapes == 0);
+            let column = |k: usize| (state.amplitude_of(group, k), Column::stretching(record, state.time_ps(k)));
+            (1.0, Column::sum(pulses.map(column), record.len()))
+        };
+        let direction: Vec<(f64, Column)> = fitter.model.records.iter().enumerate().map(direction).collect();
+        let Slope { with_residual, own, imitation } = fitter.slope(state, &direction);
+        (state.pulses() > 0 && own > WIDTH_SD_MAX.powi(-2)).then(|| {
+            let prior = WIDTH_SD.powi(-2);
+            let step = (with_residual - stretch * prior) / (own + prior);
+            let variance = (own + prior).recip();
+            Self { stretch: stretch + step, variance, gain: step * step / variance, imitation }
+        })
+    }
+
+    fn hint(&self, record: usize, cause: &Cause, may_be_wider: bool) -> Option<Hint> {
+        let least = if cause.stretch == 0.0 { WIDTH_SIGMA } else { WIDTH_SETTLED };
+        let stretch = self.stretch.clamp(cause.stretch - WIDTH_STEP, cause.stretch + WIDTH_STEP);
+        let cause = Cause { stretch, ..cause.clone() };
+        let is_sought = may_be_wider || stretch < 0.0;
+        (is_sought && self.gain > least * least).then_some(Hint { record, cause, promise: self.gain })
+    }
+
+    /// Its error in all unknowns.
+    fn common(&self) -> Common {
+        Common { per_unit: self.imitation.clone(), variance: self.variance }
+    }
+}
+
+/// A baseline that moves, where noise does not explain the residual of record `r`.
+fn ground(fitter: &Fitter, state: &State, r: usize, cause: &Cause, evidence_min: f64) -> Option<Hint> {
+    if fitter.misfit(state, Some(r), None).sigma() < MISFIT_SIGMA {
+        return None;
+    }
+    let (record, residual) = (&fitter.model.records[r], &state.residuals[r]);
+    let len = record.len();
+    let (mut power, mut left) = (Vec::new(), Vec::new());
+    for k in 0..(len / SAMPLES_PER_COMPONENT).min(COMPONENTS_MAX) {
+        let direction = record.whitener.apply(&(0..len).map(|n| component(k, n as f64, len)).collect::<Vec<_>>());
+        let dot = |other: &[f64]| direction.iter().zip(other).map(|(a, b)| a * b).sum::<f64>();
+        let own = dot(&record.nuisance.without(&direction));
+        let counts = own > NEW * NEW * dot(&direction);
+        power.push(if counts { dot(residual).powi(2) / own } else { 1.0 });
+        left.push(own);
+    }
+    let of_first = |count: usize| {
+        let mean = |values: &[f64]| values[..count].iter().sum::<f64>() / count as f64;
+        let excess = (mean(&power) - 1.0).max(0.0);
+        (count as f64 * (excess - excess.ln_1p()), count, excess / mean(&left))
+    };
+    let (promise, count, variance_v2) = (1..=power.len()).map(of_first).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let cause = Cause { ground_v2: sum(&cause.ground_v2, &vec![variance_v2; count]), ..cause.clone() };
+    (promise > evidence_min).then_some(Hint { record: r, cause, promise })
+}
