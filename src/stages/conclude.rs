@@ -16,6 +16,8 @@
 //! | walls of the patches | `planes`: which patches lie on one |
 //! | sizes of patches | `footprints`: which patches are no points, and how that is known |
 //! | pulse shapes | onsets that are wider than the response, and how many blend |
+//! | waveforms | onsets: in how many profiles pulses, noise and baseline explain the samples |
+//! | response of a sensor | onsets: the width that its pulses have, against the calibration's |
 //! | vertical ranges | onsets by range |
 //! | hidden things, response, gate | `searches`: the verdict of `locate` |
 //! | image | `images`: how far the brightest voxel exceeds noise |
@@ -44,6 +46,7 @@
 //! ```
 
 mod relay_wall;
+mod waveforms;
 
 use std::collections::BTreeMap;
 
@@ -88,7 +91,7 @@ pub struct Context {
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },
@@ -164,6 +167,7 @@ impl Context {
         // The row of the frame says what a free rotation means.
         decisions.extend(self.ambiguities.iter().filter(|one| &*one.kind != "rotation").map(other_solution));
         decisions.extend([self.frame(), self.coplanar(best), self.sizes(), self.pulse_shapes()]);
+        decisions.extend(waveforms::decisions(&self.onsets));
         decisions.extend(self.ranges());
         decisions
     }

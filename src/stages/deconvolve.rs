@@ -28,6 +28,11 @@
 //! Photon counts are explained by the likelihood of counts, freed of pile-up by the dead time in campaign.toml;
 //! amplitudes are counts a bin.
 //!
+//! Under the impulses lies a line and the profile's slow noise, explained together with them. Where noise does not
+//! explain a profile, a baseline that moves the same way in every shot is tried (`ground_v`), and where its pulses ask
+//! for it, a response of another width than the calibration's (`response_width`). Both are kept where the profile is
+//! the likelier for it, and their errors are in the covariance.
+//!
 //! Takes `profiles` and `calibration`; writes `stir`. With `session` (of `track`), drift and pick-up are taken off; the
 //! drift's error joins `jitter_ps`, the pick-up's the noise. The noise of each sample is the profile's `se_v`. Its
 //! autocorrelation is `noise_acf`, smoothed to that of an autoregressive process of the order that `noise_samples`
@@ -161,7 +166,7 @@ struct Ready {
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const GRAIN: Grain = Grain::Pair;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
@@ -235,6 +240,8 @@ fn rejection(profile: &Profile, why: &str) -> Rejection {
 
 fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
     let chi2_dof = explained.as_ref().map(|explained| explained.chi2_dof);
+    let ground_v = explained.as_ref().map_or(0.0, |explained| explained.ground_v);
+    let width = explained.as_ref().and_then(|explained| explained.width);
     let (mut impulses, impulse_cov) =
         explained.map_or_else(Default::default, |explained| (explained.impulses, explained.covariance_ps2));
     for impulse in &mut impulses {
@@ -257,6 +264,9 @@ fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
         impulses,
         impulse_cov,
         chi2_dof,
+        ground_v,
+        response_width: width.map(|[factor, _]| factor),
+        response_width_sd: width.map(|[_, sd]| sd),
         jitter_ps: ready.jitter_ps,
         gain_sd: profile.gain_sd,
         power_ratio: ready.power_ratio,

@@ -21,6 +21,7 @@
 //! Takes `stir`; writes `onsets`. Not modelled yet: saturated arrivals. Flags:
 //! - `blended`: its time is strongly correlated with a neighbour's, or its light divides uncertainly between both;
 //! - `misfit`: the fit leaves more than noise in the samples that it reaches;
+//! - `moving-baseline`: the baseline of its profile moves the same way in every shot;
 //! - `at-edge`: near an end of the record;
 //! - `extended`: its light is spread in time. `earliest_ps` is where it would begin if it were spread evenly, as by one
 //!   flat patch; after two patches it begins up to 0.7 widths before that.
@@ -105,7 +106,7 @@ impl Default for Detect {
 
 impl Stage for Detect {
     const KIND: &'static str = "detect";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const GRAIN: Grain = Grain::Capture;
     const CONDITIONS: &'static [Condition] = &[
         Condition("fraction", "method", &["leading-edge", "constant-fraction"]),
@@ -189,6 +190,7 @@ impl Detect {
                     ("blended", correlated || snr(impulse) < self.threshold_sigma.get()),
                     ("extended", extended),
                     ("misfit", misfit),
+                    ("moving-baseline", stir.ground_v > 0.0),
                     ("at-edge", at_edge),
                 ]),
                 ..blank(stir)
@@ -334,6 +336,8 @@ fn blank(stir: &Stir) -> Onset {
         range: stir.range.clone(),
         jitter_ps: stir.jitter_ps,
         power_ratio: stir.power_ratio,
+        response_width: stir.response_width,
+        response_width_sd: stir.response_width_sd,
         ..Onset::default()
     }
 }

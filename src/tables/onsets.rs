@@ -44,6 +44,11 @@ table! {
         covariance: Vec<f64>,
         /// Standard deviation of the time error that all onsets of the profile share.
         jitter_ps: f64,
+        /// Width of the response over that of the calibration, as all arrivals of the profile show it; null where they tell
+        /// nothing of it.
+        response_width: Option<f64>,
+        /// Standard deviation of that.
+        response_width_sd: Option<f64>,
         /// Laser energy relative to the response captures, by which amplitudes of different captures are compared. Null
         /// without reference channel.
         power_ratio: Option<f64>,
@@ -65,7 +70,7 @@ table! {
         /// Chi-square of one wide arrival less that of the pair, over the chi-square per degree of freedom of the
         /// better one where noise does not explain it.
         pair_gain: Option<f64>,
-        /// Special conditions: blended, extended, misfit, at-edge.
+        /// Special conditions: blended, extended, misfit, moving-baseline, at-edge.
         flags: Vec<Name>,
     }
 }

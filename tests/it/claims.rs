@@ -296,6 +296,7 @@ fn baselines_that_move_make_no_onsets() {
         eprintln!("{name}: {claims:?}");
         assert!(claims.missed.hits == 0 && claims.false_onsets.hits == 0, "{name}: {claims:?}");
         assert!(claims.within.share() > 0.85 && claims.ratio.value < 1.3, "{name}: {claims:?}");
+        assert!(claims.flagged.hits <= 2 && claims.lost < 1.2, "{name}: {claims:?}");
     }
 }
 

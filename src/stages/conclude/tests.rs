@@ -159,3 +159,27 @@ fn something_must_have_been_solved() {
     let refused = Conclude {}.context((), &BesideTables::from([]));
     assert!(matches!(refused, Err(StageError::Refused(text)) if text.contains("`searches` of `locate`")));
 }
+
+/// What onsets show of waveforms and response is told, one row a sensor.
+#[test]
+fn waveforms_and_responses_have_rows() {
+    let onset = |seen: i32, flags: &[&str], width: f64| Onset {
+        sensor: "s1".into(),
+        lit: 1,
+        seen,
+        flags: flags.iter().map(|flag| Name::from(*flag)).collect(),
+        response_width: Some(width),
+        response_width_sd: Some(0.01),
+        ..Onset::default()
+    };
+    let rows = |onsets: Vec<Onset>| decisions(&Context { onsets, ..context(fit(50.0, 50)) });
+    let chosen = |rows: &[Decision], what: &str| {
+        rows.iter().find(|row| &*row.what == what).map(|row| row.chosen.to_string()).expect("it has a row")
+    };
+    let good = rows((1..40).map(|seen| onset(seen, &[], 1.002)).collect());
+    assert_eq!(chosen(&good, "waveforms"), "explained by pulses, noise and baseline");
+    assert_eq!(chosen(&good, "response of s1"), "as wide as calibrated");
+    let bad = rows((1..40).map(|seen| onset(seen, &["misfit"], 0.95)).collect());
+    assert!(chosen(&bad, "waveforms").starts_with("not explained in 39 of 39 profiles"), "{bad:?}");
+    assert!(chosen(&bad, "response of s1").contains("5.0 % narrower"), "{bad:?}");
+}

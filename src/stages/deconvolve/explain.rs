@@ -21,6 +21,10 @@ pub(super) struct Explained {
     /// Covariance of the times, ps^2, row by row.
     pub(super) covariance_ps2: Vec<f64>,
     pub(super) chi2_dof: f64,
+    /// Standard deviation of a baseline that moves.
+    pub(super) ground_v: f64,
+    /// Width of the response over the calibration's, and its standard deviation.
+    pub(super) width: Option<[f64; 2]>,
 }
 
 /// Profiles of the same light by maximum likelihood off the grid, as the first of them sees it. Each comes with the
@@ -55,7 +59,13 @@ impl Explained {
             pair: pulse.pair.as_ref().map(pair),
         };
         let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
-        Self { impulses, covariance_ps2: fit.covariance_ps2.clone(), chi2_dof: fit.chi2_per_dof }
+        Self {
+            impulses,
+            covariance_ps2: fit.covariance_ps2.clone(),
+            chi2_dof: fit.chi2_per_dof,
+            ground_v: fit.ground_v,
+            width: fit.width,
+        }
     }
 }
 

@@ -51,6 +51,9 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         profile_noise: 1.0,
         impulses: (0..count).map(impulse).collect(),
         impulse_cov: fit.covariance_ps2.clone(),
+        ground_v: 0.0,
+        response_width: None,
+        response_width_sd: None,
         chi2_dof: Some(fit.chi2_per_dof),
         jitter_ps: 0.0,
         gain_sd: 0.0,
@@ -123,6 +126,9 @@ fn responses_and_beginnings_are_found_each() {
         profile: (0..120).map(profile).collect(),
         impulses: Vec::new(),
         impulse_cov: Vec::new(),
+        ground_v: 0.0,
+        response_width: None,
+        response_width_sd: None,
         chi2_dof: None,
         ..stir(&[], &response(), &mut ChaCha8Rng::seed_from_u64(3))
     };
