@@ -65,6 +65,7 @@
 //! | [`rohde_schwarz`] | Rohde & Schwarz |
 //! | [`picoquant`], [`becker_hickl_sdt`] | photon counters |
 //! | [`caen_wavedump`] | CAEN digitisers |
+//! | [`tdms`] | National Instruments |
 //! | [`pulse_waves`], [`las`], [`lidar`] | lidars, and the beam of each of their pulses |
 //! | [`csv`], [`npy`], [`npz`], [`wav`], [`sigrok_sr`] | formats that many programs write |
 //! | [`mat5`], [`array`](mod@array) | arrays by name, for files that hold whole data sets |
@@ -113,6 +114,7 @@ pub mod rigol_bin;
 pub mod rigol_wfm;
 pub mod rohde_schwarz;
 pub mod sigrok_sr;
+pub mod tdms;
 pub mod tek_isf;
 pub mod tek_wfm;
 pub mod wav;
@@ -127,7 +129,7 @@ pub use reader::{FormatError, Input, Joined, Reader, Source};
 use crate::waveform::Record;
 
 /// The formats. Those with a mark in their first bytes stand before those that accept any text.
-pub const READERS: [&dyn Reader; 20] = [
+pub const READERS: [&dyn Reader; 21] = [
     &lecroy_trc::LecroyTrc,
     &npy::Npy,
     &hdf5::Hdf5,
@@ -145,6 +147,7 @@ pub const READERS: [&dyn Reader; 20] = [
     &picoquant::PicoquantPhu,
     &picoquant::PicoquantPtu,
     &becker_hickl_sdt::BeckerHicklSdt,
+    &tdms::Tdms,
     &pulse_waves::PulseWaves,
     &las::Las,
     &csv::Csv,

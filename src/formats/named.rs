@@ -8,7 +8,7 @@ type Entry = (&'static [u8], &'static [&'static str], &'static str, &'static str
 const PTU: &str = "convert it to .ptu or .phu with the maker's software";
 const NPY: &str = "save the samples as .npy, with the last axis over time";
 
-const FORMATS: [Entry; 19] = [
+const FORMATS: [Entry; 18] = [
     (b"PicoHarp 300", &["pt2", "pt3"], "PicoQuant PicoHarp events of before 2014 (.pt2, .pt3)", PTU),
     (b"PicoHarp 300", &[], "PicoQuant PicoHarp histograms of before 2014 (.phd)", PTU),
     (b"HydraHarp 400", &["ht2", "ht3"], "PicoQuant HydraHarp events of before 2014 (.ht2, .ht3)", PTU),
@@ -16,8 +16,7 @@ const FORMATS: [Entry; 19] = [
     (b"TimeHarp", &["t3r"], "PicoQuant TimeHarp events of before 2014 (.t3r)", PTU),
     (b"TimeHarp", &[], "PicoQuant TimeHarp histograms of before 2014 (.thd)", PTU),
     (b"", &["spc"], "Becker & Hickl photon events (.spc)", "save the histograms as .sdt in SPCM"),
-    (b"TDSm", &[], "a National Instruments TDMS file", NPY),
-    (b"TDSh", &[], "the index of a National Instruments TDMS file", NPY),
+    (b"TDSh", &[], "the index of a National Instruments TDMS file", "name the .tdms of the same name"),
     (b"root", &[], "a ROOT file", NPY),
     (b"MATLAB 5.0 MAT-file", &[], "a MATLAB file", "use `convert` for a confocal capture, or save the samples as .npy"),
     (
@@ -66,7 +65,7 @@ mod tests {
             (b"TimeHarp 200", "a.t3r", "TimeHarp events"),
             (b"TimeHarp 200", "a.thd", "TimeHarp histograms"),
             (&[0x5F, 0, 0, 0x80], "a.spc", "Becker & Hickl photon events"),
-            (b"TDSm\x0e\0\0\0", "a.tdms", "TDMS"),
+            (b"TDSh\x0e\0\0\0", "a.tdms_index", "TDMS"),
             (b"root\0\0\xf7\x48", "a.root", "ROOT"),
             (b"MATLAB 5.0 MAT-file, Platform: PCWIN", "a.mat", "`convert`"),
             (b"PulseWavesWaves\0", "a.wvs", "PulseWaves"),
