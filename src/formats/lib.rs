@@ -63,6 +63,7 @@
 //! | [`keysight_bin`], [`hdf5`] | Keysight and Agilent |
 //! | [`rigol_wfm`], [`rigol_bin`] | Rigol |
 //! | [`rohde_schwarz`] | Rohde & Schwarz |
+//! | [`siglent_bin`] | Siglent |
 //! | [`picoquant`], [`becker_hickl_sdt`] | photon counters |
 //! | [`caen_wavedump`] | CAEN digitisers |
 //! | [`tdms`] | National Instruments |
@@ -113,6 +114,7 @@ pub mod reader;
 pub mod rigol_bin;
 pub mod rigol_wfm;
 pub mod rohde_schwarz;
+pub mod siglent_bin;
 pub mod sigrok_sr;
 pub mod tdms;
 pub mod tek_isf;
@@ -129,7 +131,7 @@ pub use reader::{FormatError, Input, Joined, Reader, Source};
 use crate::waveform::Record;
 
 /// The formats. Those with a mark in their first bytes stand before those that accept any text.
-pub const READERS: [&dyn Reader; 21] = [
+pub const READERS: [&dyn Reader; 22] = [
     &lecroy_trc::LecroyTrc,
     &npy::Npy,
     &hdf5::Hdf5,
@@ -143,6 +145,7 @@ pub const READERS: [&dyn Reader; 21] = [
     &keysight_bin::KeysightBin,
     &rigol_bin::RigolBin,
     &lecroy_1_0::Lecroy10,
+    &siglent_bin::SiglentBin,
     &rigol_wfm::RigolWfm,
     &picoquant::PicoquantPhu,
     &picoquant::PicoquantPtu,

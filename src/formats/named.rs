@@ -8,7 +8,7 @@ type Entry = (&'static [u8], &'static [&'static str], &'static str, &'static str
 const PTU: &str = "convert it to .ptu or .phu with the maker's software";
 const NPY: &str = "save the samples as .npy, with the last axis over time";
 
-const FORMATS: [Entry; 18] = [
+const FORMATS: [Entry; 20] = [
     (b"PicoHarp 300", &["pt2", "pt3"], "PicoQuant PicoHarp events of before 2014 (.pt2, .pt3)", PTU),
     (b"PicoHarp 300", &[], "PicoQuant PicoHarp histograms of before 2014 (.phd)", PTU),
     (b"HydraHarp 400", &["ht2", "ht3"], "PicoQuant HydraHarp events of before 2014 (.ht2, .ht3)", PTU),
@@ -30,6 +30,8 @@ const FORMATS: [Entry; 18] = [
     (b"DRS2", &[], "events of a DRS4 evaluation board", NPY),
     (b"DRS4", &[], "events of a DRS4 evaluation board", NPY),
     (b"TIME", &["dat"], "events of a DRS4 evaluation board of before 2014", NPY),
+    (b"\x05\0\0\0", &["bin"], "a Siglent waveform of version 5", "save it as CSV"),
+    (b"\x06\0\0\0", &["bin"], "a Siglent waveform of version 6", "save it as CSV"),
     (b"", &["psdata", "psd"], "a PicoScope recording", "export it as CSV"),
     (b"", &["wdf", "wvf"], "a Yokogawa recording", "export it as CSV"),
 ];
@@ -71,6 +73,7 @@ mod tests {
             (b"PulseWavesWaves\0", "a.wvs", "PulseWaves"),
             (b"\0\0LASF_Spec", "a.wdp", "LAS"),
             (b"DRS2TIMEB#", "a.dat", "DRS4"),
+            (b"\x06\0\0\0\x80\0", "a.bin", "Siglent waveform of version 6"),
             (&[0xE1, 0xCA, 3, 0], "a.BIN", "CoMPASS"),
         ] {
             let mut source = Source::new(std::io::Cursor::new(bytes.to_vec()), name.as_ref()).unwrap();
