@@ -65,7 +65,7 @@
 //! | [`rohde_schwarz`] | Rohde & Schwarz |
 //! | [`siglent_bin`] | Siglent |
 //! | [`picoquant`], [`becker_hickl_sdt`] | photon counters |
-//! | [`caen_wavedump`] | CAEN digitisers |
+//! | [`caen_wavedump`], [`caen_compass`] | CAEN digitisers |
 //! | [`tdms`] | National Instruments |
 //! | [`pulse_waves`], [`las`], [`lidar`] | lidars, and the beam of each of their pulses |
 //! | [`csv`], [`npy`], [`npz`], [`wav`], [`sigrok_sr`] | formats that many programs write |
@@ -91,6 +91,7 @@ pub mod accounting;
 pub mod array;
 mod beam;
 pub mod becker_hickl_sdt;
+pub mod caen_compass;
 pub mod caen_wavedump;
 pub mod companions;
 pub mod csv;
@@ -131,7 +132,7 @@ pub use reader::{FormatError, Input, Joined, Reader, Source};
 use crate::waveform::Record;
 
 /// The formats. Those with a mark in their first bytes stand before those that accept any text.
-pub const READERS: [&dyn Reader; 22] = [
+pub const READERS: [&dyn Reader; 23] = [
     &lecroy_trc::LecroyTrc,
     &npy::Npy,
     &hdf5::Hdf5,
@@ -147,6 +148,7 @@ pub const READERS: [&dyn Reader; 22] = [
     &lecroy_1_0::Lecroy10,
     &siglent_bin::SiglentBin,
     &rigol_wfm::RigolWfm,
+    &caen_compass::CaenCompass,
     &picoquant::PicoquantPhu,
     &picoquant::PicoquantPtu,
     &becker_hickl_sdt::BeckerHicklSdt,

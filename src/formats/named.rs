@@ -36,19 +36,13 @@ const FORMATS: [Entry; 20] = [
     (b"", &["wdf", "wvf"], "a Yokogawa recording", "export it as CSV"),
 ];
 
-/// CAEN CoMPASS begins with a word 0xCAEx, little-endian, which says what each event holds.
-const COMPASS: (u8, u8) = (0xE0, 0xCA);
-
 /// Why a file of these first bytes and this extension is not read, if that is known.
 pub(super) fn refusal(head: &[u8], extension: &str) -> Option<FormatError> {
     let is_it = |(bytes, extensions, ..): &&Entry| {
         let named = extensions.contains(&extension) || extensions.is_empty() && !bytes.is_empty();
         head.starts_with(bytes) && named
     };
-    let entry = FORMATS.iter().find(is_it).map(|(_, _, what, mend)| (*what, *mend));
-    let is_compass = head.len() >= 2 && head[0] & 0xF0 == COMPASS.0 && head[1] == COMPASS.1;
-    let (what, mend) =
-        entry.or(is_compass.then_some(("events of CAEN CoMPASS", "export the waves as text, or as .npy")))?;
+    let (_, _, what, mend) = *FORMATS.iter().find(is_it)?;
     Some(FormatError::NotRead { what, mend })
 }
 
@@ -74,7 +68,7 @@ mod tests {
             (b"\0\0LASF_Spec", "a.wdp", "LAS"),
             (b"DRS2TIMEB#", "a.dat", "DRS4"),
             (b"\x06\0\0\0\x80\0", "a.bin", "Siglent waveform of version 6"),
-            (&[0xE1, 0xCA, 3, 0], "a.BIN", "CoMPASS"),
+            (&[0xE1, 0xCA, 3, 0], "a.BIN", "CoMPASS list"),
         ] {
             let mut source = Source::new(std::io::Cursor::new(bytes.to_vec()), name.as_ref()).unwrap();
             let error = contents(&mut source).unwrap_err();
