@@ -66,6 +66,7 @@
 //! | [`siglent_bin`] | Siglent |
 //! | [`picoquant`], [`becker_hickl_sdt`] | photon counters |
 //! | [`caen_wavedump`], [`caen_compass`] | CAEN digitisers |
+//! | [`drs4`] | DRS4 evaluation boards |
 //! | [`tdms`] | National Instruments |
 //! | [`pulse_waves`], [`las`], [`lidar`] | lidars, and the beam of each of their pulses |
 //! | [`csv`], [`npy`], [`npz`], [`wav`], [`sigrok_sr`] | formats that many programs write |
@@ -95,6 +96,7 @@ pub mod caen_compass;
 pub mod caen_wavedump;
 pub mod companions;
 pub mod csv;
+pub mod drs4;
 pub mod hdf5;
 #[cfg(test)]
 mod hostile;
@@ -132,7 +134,7 @@ pub use reader::{FormatError, Input, Joined, Reader, Source};
 use crate::waveform::Record;
 
 /// The formats. Those with a mark in their first bytes stand before those that accept any text.
-pub const READERS: [&dyn Reader; 23] = [
+pub const READERS: [&dyn Reader; 24] = [
     &lecroy_trc::LecroyTrc,
     &npy::Npy,
     &hdf5::Hdf5,
@@ -149,6 +151,7 @@ pub const READERS: [&dyn Reader; 23] = [
     &siglent_bin::SiglentBin,
     &rigol_wfm::RigolWfm,
     &caen_compass::CaenCompass,
+    &drs4::Drs4,
     &picoquant::PicoquantPhu,
     &picoquant::PicoquantPtu,
     &becker_hickl_sdt::BeckerHicklSdt,
