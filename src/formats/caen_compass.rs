@@ -15,8 +15,8 @@
 //! Lists without waveforms are refused. So are files without the first word (CoMPASS 1, and all but the first file of a
 //! run that is saved in files of limited size), since nothing in them says what an event holds: no reader knows them.
 //!
-//! Source: public readers of the format (`pygama`, `legend-daq2lh5`). No real file could be had: tested on files that the tests
-//! build.
+//! Source: public readers of the format (`pygama`, `legend-daq2lh5`). No real file could be had: tested on files that
+//! the tests build.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

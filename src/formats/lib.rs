@@ -67,6 +67,7 @@
 //! | [`picoquant`], [`becker_hickl_sdt`] | photon counters |
 //! | [`caen_wavedump`], [`caen_compass`] | CAEN digitisers |
 //! | [`drs4`] | DRS4 evaluation boards |
+//! | [`picoscope_mat`] | Pico Technology |
 //! | [`tdms`] | National Instruments |
 //! | [`pulse_waves`], [`las`], [`lidar`] | lidars, and the beam of each of their pulses |
 //! | [`csv`], [`npy`], [`npz`], [`wav`], [`sigrok_sr`] | formats that many programs write |
@@ -112,6 +113,7 @@ pub mod npy;
 pub mod npz;
 mod numbers;
 pub mod picoquant;
+pub mod picoscope_mat;
 pub mod pulse_waves;
 pub mod reader;
 pub mod rigol_bin;
@@ -134,7 +136,7 @@ pub use reader::{FormatError, Input, Joined, Reader, Source};
 use crate::waveform::Record;
 
 /// The formats. Those with a mark in their first bytes stand before those that accept any text.
-pub const READERS: [&dyn Reader; 24] = [
+pub const READERS: [&dyn Reader; 25] = [
     &lecroy_trc::LecroyTrc,
     &npy::Npy,
     &hdf5::Hdf5,
@@ -152,6 +154,7 @@ pub const READERS: [&dyn Reader; 24] = [
     &rigol_wfm::RigolWfm,
     &caen_compass::CaenCompass,
     &drs4::Drs4,
+    &picoscope_mat::PicoscopeMat,
     &picoquant::PicoquantPhu,
     &picoquant::PicoquantPtu,
     &becker_hickl_sdt::BeckerHicklSdt,

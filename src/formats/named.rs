@@ -32,7 +32,7 @@ const FORMATS: [Entry; 20] = [
     (b"TIME", &["dat"], "events of a DRS4 evaluation board of before 2014", NPY),
     (b"\x05\0\0\0", &["bin"], "a Siglent waveform of version 5", "save it as CSV"),
     (b"\x06\0\0\0", &["bin"], "a Siglent waveform of version 6", "save it as CSV"),
-    (b"", &["psdata", "psd"], "a PicoScope recording", "export it as CSV"),
+    (b"", &["psdata", "psd"], "a PicoScope recording", "save it as .mat or CSV"),
     (b"", &["wdf", "wvf"], "a Yokogawa recording", "export it as CSV"),
 ];
 
