@@ -3,13 +3,11 @@
 //! A file is a list of variables in any order. Each has a header of five 32 bit words (type of its numbers, rows,
 //! columns, 0, length of its name), its name, and its numbers. `Tstart` and `Tinterval` are the time of sample 0 after
 //! the trigger and the time between samples, in seconds; `Length` is the number of samples. Each other array of more
-//! than one number is a record of the channel of its name: `A`, `B`, or that of a math channel. Text is
-//! skipped.
+//! than one number is a record of the channel of its name: `A`, `B`, or that of a math channel. Text is skipped.
 //!
-//! The file does not name the unit of its values, which PicoScope takes from the axis (V, mV): `unit` is `None`, and
-//! the campaign gives `gain_v`. A file with times one by one (`T`, of equivalent-time sampling) is refused, as are files
-//! of version 4 of other programs, which have no `Tinterval`. A waveform buffer is a file of its own, without the time
-//! of its trigger.
+//! Neither the file nor the guide names the unit of the values: `unit` is `None`, and the campaign gives `gain_v`. A
+//! file with times one by one (`T`, of equivalent-time sampling) is refused, as are files of version 4 of other
+//! programs, which have no `Tinterval`. A waveform buffer is a file of its own, without the time of its trigger.
 //!
 //! Source: Pico Technology, *PicoScope 6 User's Guide*, "Binary formats". No real file could be had: built from the
 //! specification only.
