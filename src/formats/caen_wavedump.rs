@@ -8,9 +8,9 @@
 //! are `None`. The campaign must give rate, range and post-trigger, which are in the `WaveDumpConfig.txt` of the run.
 //! The trigger time tag is not read: it wraps, and its tick depends on the board.
 //!
-//! Boards of the 742 family write floats in place of codes, after WaveDump's corrections of their cells: they are told
-//! by the values of the first event. Their channels are numbered within a group of eight, the trigger input as 8; the
-//! name of the file says which group it is.
+//! Boards of the 742 family write floats in place of codes, after WaveDump's corrections of their cells. The values of
+//! the first event decide which of both a file holds. Channels of a 742 are numbered within a group of eight, and its
+//! trigger input is channel 8; the name of the file says which group it is.
 //!
 //! Refused where they are recognised: 8 bit boards (721, 731: one byte per code), by codes beyond 14 bits in the
 //! first event; files without headers (record with `OUTPUT_FILE_HEADER YES`). Text (`OUTPUT_FILE_FORMAT ASCII`) is for
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn floats_of_a_742_are_told_from_codes_of_8_bits() {
+    fn floats_of_a_742_differ_from_codes_of_8_bits() {
         let bytes = [floats(0, &[2048.25, 2047.5, 1.0, -3.5]), floats(1, &[0.0, 5.0, 4000.0])].concat();
         assert!(CaenWavedump.recognises(&bytes));
         let records = hostile::decode(&CaenWavedump, &bytes);

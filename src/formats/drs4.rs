@@ -6,11 +6,11 @@
 //!
 //! # Time
 //!
-//! Cells differ in width by a third and more, and records have one time between samples. The codes are therefore
-//! interpolated to equal steps: a cubic through the two samples on either side, at most as high as the converter goes.
-//! The step is the mean width of a cell of the board's first channel. Cell 0 is sampled at the same moment in all
-//! channels of a board; sample i of every channel of an event is at i steps after sample 0 of the first channel, so
-//! that times of channels can be compared. Samples beyond a channel's own ends repeat its last one.
+//! Cells differ in width by a third and more, and a record has one time between samples. The reader therefore
+//! interpolates the codes to equal steps: a cubic through the two samples on either side, limited to the range of the
+//! converter. The step is the mean width of a cell of the board's first channel. All channels of a board sample cell 0
+//! at the same moment. Sample i of every channel of an event lies i steps after sample 0 of the first channel, so that
+//! times of channels can be compared. Samples beyond a channel's own ends repeat its first or last code.
 //!
 //! The file does not say where in the record the trigger is: `t0_s` is `None`, and so is `trigger_s`, since the events
 //! have only the time of a computer. volts = code / 65536 + middle - 0.5. Scalers are not read. Each channel of an

@@ -100,7 +100,7 @@ fn remarks(input: &mut dyn Input, channels: &[Channel]) {
         let mut of = channels.iter().filter_map(|channel| Some((channel, holds(channel)?)));
         of.next().map(|(channel, text)| (channel, text, of.count()))
     };
-    let found = [
+    let notes = [
         first(&|channel| {
             let kind = channel.skipped?;
             Some(format!("is skipped, since its values are {kind}; save it as numbers of 32 bits or floats"))
@@ -129,8 +129,8 @@ fn remarks(input: &mut dyn Input, channels: &[Channel]) {
             })
         }),
     ];
-    for (Channel { place, name, .. }, text, others) in found.into_iter().flatten() {
-        let others = if others > 0 { format!(" (so it is with {others} more)") } else { String::new() };
+    for (Channel { place, name, .. }, text, others) in notes.into_iter().flatten() {
+        let others = if others > 0 { format!(" (the same holds for {others} more)") } else { String::new() };
         input.remark(*place, format!("channel {name:.60} {text}{others}"));
     }
 }

@@ -149,7 +149,7 @@ fn chunks_of_a_channel_are_waveforms() {
 }
 
 #[test]
-fn interleaved_channels_are_told_apart() {
+fn interleaved_channels_are_separated() {
     let objects = [("/'g'/'a'", index(2, 2), vec![]), ("/'h'/'b'", index(10, 2), vec![])];
     let row = |a: i16, b: f64| [Field::I16(a), Field::F64(b)];
     let raw = [row(1, 0.5), row(2, 0.25), row(3, 8.0), row(4, -1.0)].concat();
