@@ -8,10 +8,14 @@
 //! are `None`. The campaign must give rate, range and post-trigger, which are in the `WaveDumpConfig.txt` of the run.
 //! The trigger time tag is not read: it wraps, and its tick depends on the board.
 //!
-//! Refused where they are recognised: 8 bit boards (721, 731: one byte per code) and the 742 (floats), by codes beyond
-//! 14 bits in the first event; files without headers (record with `OUTPUT_FILE_HEADER YES`). Text (`OUTPUT_FILE_FORMAT
-//! ASCII`) is for the CSV reader, which gets all `.dat` files that are not recognised. Events of unequal length were
-//! tested on files that the tests build; all else on real files of a DT5751.
+//! Boards of the 742 family write floats in place of codes, after WaveDump's corrections of their cells. The values of
+//! the first event decide which of both a file holds. Channels of a 742 are numbered within a group of eight, and its
+//! trigger input is channel 8; the name of the file says which group it is.
+//!
+//! Refused where they are recognised: 8 bit boards (721, 731: one byte per code), by codes beyond 14 bits in the
+//! first event; files without headers (record with `OUTPUT_FILE_HEADER YES`). Text (`OUTPUT_FILE_FORMAT ASCII`) is for
+//! the CSV reader, which gets all `.dat` files that are not recognised. Events of unequal length and floats were tested
+//! on files that the tests build; all else on real files of a DT5751.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -33,6 +37,10 @@ const MAX_EVENT: u32 = 200_000_000;
 const COUNTER_WRAPS: u32 = 1 << 24;
 /// Largest code of any board with 16 bit codes.
 const MAX_CODE: u16 = (1 << 14) - 1;
+/// Smallest and largest code that a 742 writes as a float, besides 0: its converter has 12 bits.
+const FLOATS: (f32, f32) = (1e-6, 8192.0);
+/// How far from their baseline most codes of 8 bits lie.
+const NEAR: u8 = 8;
 /// Bytes of the first event that are searched for codes beyond `MAX_CODE`.
 const LOOKED_AT: u64 = 1 << 16;
 
@@ -56,7 +64,7 @@ impl Reader for CaenWavedump {
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let (mut first, mut last) = (None, None);
-        let mut count = 0_usize;
+        let (mut count, mut code_type) = (0_usize, CodeType::U16);
         // Counted before any record is kept: a growing vector could take more memory than the file is long.
         let mut at = 0;
         let end = loop {
@@ -71,9 +79,14 @@ impl Reader for CaenWavedump {
                 event => event?,
             };
             if first.is_none() {
-                sixteen_bits(input, event)?;
+                code_type = codes(input, event)?;
             }
             first.get_or_insert(event);
+            if !u64::from(event.bytes).is_multiple_of(code_type.bytes() as u64) {
+                let problem =
+                    format!("an event of {} bytes does not hold whole floats; copy the file again", event.bytes);
+                return Err(field(at, problem));
+            }
             if last.is_some_and(|last| event.repeats(last)) {
                 let problem = format!(
                     "event counter {} comes after a later one: is the file put together of two?",
@@ -90,14 +103,14 @@ impl Reader for CaenWavedump {
         at = 0;
         while at < end {
             let event = Event::read(input, at, first)?;
-            let head = heads.entry(event.samples()).or_insert_with(|| Arc::new(self.head(event)));
+            let head = heads.entry(event.bytes).or_insert_with(|| Arc::new(self.head(event, code_type)));
             let segment = u32::try_from(records.len()).map_err(|_| field(at, "has more events than are counted"))?;
             records.push(Record {
                 head: Arc::clone(head),
                 segment: (count > 1).then_some(segment),
                 t0_s: None,
                 trigger_s: None,
-                payload: Payload::File { byte_offset: at + HEAD, stride: 2, big_endian: false },
+                payload: Payload::File { byte_offset: at + HEAD, stride: code_type.bytes() as u64, big_endian: false },
             });
             at += u64::from(event.bytes);
         }
@@ -106,11 +119,11 @@ impl Reader for CaenWavedump {
 }
 
 impl CaenWavedump {
-    fn head(&self, event: Event) -> Head {
+    fn head(&self, event: Event, code_type: CodeType) -> Head {
         Head {
             channel: Some(format!("ch{}", event.channel)),
             unit: Some("adc".to_owned()),
-            ..Head::new(self.format(), CodeType::U16, event.samples())
+            ..Head::new(self.format(), code_type, (event.bytes as usize - HEAD as usize) / code_type.bytes())
         }
     }
 }
@@ -135,10 +148,6 @@ impl Event {
         // Reading the last word ensures that the header is complete.
         word(5)?;
         Some(Self { bytes: word(0)?, board: word(1)?, channel: word(3)?, counter: word(4)? })
-    }
-
-    fn samples(self) -> usize {
-        (self.bytes as usize - HEAD as usize) / 2
     }
 
     /// Whether its counter does not go on from that of the event before it. A counter that wraps falls far.
@@ -185,18 +194,32 @@ impl Event {
     }
 }
 
-/// Refuses codes that are not 16 bit integers: pairs of bytes, or floats.
-fn sixteen_bits(input: &mut dyn Input, event: Event) -> Result<(), FormatError> {
+/// The type of a file's codes by its first event: 16 bit integers, or the floats of a 742.
+fn codes(input: &mut dyn Input, event: Event) -> Result<CodeType, FormatError> {
     let codes = input.peek("the first event", HEAD, (u64::from(event.bytes) - HEAD).min(LOOKED_AT))?;
     let beyond = codes.chunks_exact(2).position(|code| u16::from_le_bytes([code[0], code[1]]) > MAX_CODE);
     match beyond {
-        None => Ok(()),
+        None => Ok(CodeType::U16),
+        Some(_) if are_floats(&codes) => Ok(CodeType::F32),
         Some(i) => Err(field(
             HEAD + 2 * i as u64,
-            "a code has more than 14 bits: an 8 bit board (721, 731) or a 742, whose files are not read; \
-             convert the run to .npy",
+            "a code has more than 14 bits: an 8 bit board (721, 731), whose files are not read; convert the run \
+             to .npy",
         )),
     }
+}
+
+/// Whether bytes are codes as floats. Those of an 8 bit board may look like it, but lie near their baseline.
+fn are_floats(bytes: &[u8]) -> bool {
+    let is_code = |code: &[u8; 4]| {
+        let code = f32::from_le_bytes(*code).abs();
+        code == 0.0 || (FLOATS.0..=FLOATS.1).contains(&code)
+    };
+    let mut sorted = bytes.to_vec();
+    sorted.sort_unstable();
+    let middle = sorted[sorted.len() / 2];
+    let near = bytes.iter().filter(|byte| byte.abs_diff(middle) <= NEAR).count();
+    bytes.len().is_multiple_of(4) && bytes.as_chunks().0.iter().all(is_code) && 4 * near < 3 * bytes.len()
 }
 
 #[cfg(test)]
@@ -250,6 +273,36 @@ mod tests {
         let records =
             CaenWavedump.records(&mut Source::new(Cursor::new(bytes), Path::new("wave0.dat")).unwrap()).unwrap();
         assert!(Arc::ptr_eq(&records[0].head, &records[1].head));
+    }
+
+    /// The event of a 742: samples as floats.
+    fn floats(counter: u32, samples: &[f32]) -> Vec<u8> {
+        let halves: Vec<u16> = samples
+            .iter()
+            .flat_map(|sample| {
+                let bits = sample.to_bits();
+                [bits as u16, (bits >> 16) as u16]
+            })
+            .collect();
+        event(31, 8, counter, &halves)
+    }
+
+    #[test]
+    fn floats_of_a_742_differ_from_codes_of_8_bits() {
+        let bytes = [floats(0, &[2048.25, 2047.5, 1.0, -3.5]), floats(1, &[0.0, 5.0, 4000.0])].concat();
+        assert!(CaenWavedump.recognises(&bytes));
+        let records = hostile::decode(&CaenWavedump, &bytes);
+        assert_eq!(
+            (&records[0].1[..], &records[1].1[..]),
+            (&[2048.25, 2047.5, 1.0, -3.5][..], &[0.0, 5.0, 4000.0][..])
+        );
+        let head = &records[1].0.head;
+        assert_eq!((head.code_type, head.channel.as_deref()), (CodeType::F32, Some("ch8")));
+        hostile::cut_everywhere(&CaenWavedump, &bytes);
+        hostile::change_anywhere(&CaenWavedump, &bytes, 3000);
+        // Codes of 8 bits around 69 are floats of some 3000, and far too much alike.
+        assert!(error(event(0, 1, 0, &[0x4545, 0x4544, 0x4645, 0x4545])).contains("8 bit board"));
+        assert!(error([bytes.clone(), event(31, 8, 2, &[1])].concat()).contains("does not hold whole floats"));
     }
 
     #[test]

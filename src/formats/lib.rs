@@ -63,8 +63,12 @@
 //! | [`keysight_bin`], [`hdf5`] | Keysight and Agilent |
 //! | [`rigol_wfm`], [`rigol_bin`] | Rigol |
 //! | [`rohde_schwarz`] | Rohde & Schwarz |
+//! | [`siglent_bin`] | Siglent |
 //! | [`picoquant`], [`becker_hickl_sdt`] | photon counters |
-//! | [`caen_wavedump`] | CAEN digitisers |
+//! | [`caen_wavedump`], [`caen_compass`] | CAEN digitisers |
+//! | [`drs4`] | DRS4 evaluation boards |
+//! | [`picoscope_mat`] | Pico Technology |
+//! | [`tdms`] | National Instruments |
 //! | [`pulse_waves`], [`las`], [`lidar`] | lidars, and the beam of each of their pulses |
 //! | [`csv`], [`npy`], [`npz`], [`wav`], [`sigrok_sr`] | formats that many programs write |
 //! | [`mat5`], [`array`](mod@array) | arrays by name, for files that hold whole data sets |
@@ -89,9 +93,11 @@ pub mod accounting;
 pub mod array;
 mod beam;
 pub mod becker_hickl_sdt;
+pub mod caen_compass;
 pub mod caen_wavedump;
 pub mod companions;
 pub mod csv;
+pub mod drs4;
 pub mod hdf5;
 #[cfg(test)]
 mod hostile;
@@ -107,12 +113,15 @@ pub mod npy;
 pub mod npz;
 mod numbers;
 pub mod picoquant;
+pub mod picoscope_mat;
 pub mod pulse_waves;
 pub mod reader;
 pub mod rigol_bin;
 pub mod rigol_wfm;
 pub mod rohde_schwarz;
+pub mod siglent_bin;
 pub mod sigrok_sr;
+pub mod tdms;
 pub mod tek_isf;
 pub mod tek_wfm;
 pub mod wav;
@@ -127,7 +136,7 @@ pub use reader::{FormatError, Input, Joined, Reader, Source};
 use crate::waveform::Record;
 
 /// The formats. Those with a mark in their first bytes stand before those that accept any text.
-pub const READERS: [&dyn Reader; 20] = [
+pub const READERS: [&dyn Reader; 25] = [
     &lecroy_trc::LecroyTrc,
     &npy::Npy,
     &hdf5::Hdf5,
@@ -141,10 +150,15 @@ pub const READERS: [&dyn Reader; 20] = [
     &keysight_bin::KeysightBin,
     &rigol_bin::RigolBin,
     &lecroy_1_0::Lecroy10,
+    &siglent_bin::SiglentBin,
     &rigol_wfm::RigolWfm,
+    &caen_compass::CaenCompass,
+    &drs4::Drs4,
+    &picoscope_mat::PicoscopeMat,
     &picoquant::PicoquantPhu,
     &picoquant::PicoquantPtu,
     &becker_hickl_sdt::BeckerHicklSdt,
+    &tdms::Tdms,
     &pulse_waves::PulseWaves,
     &las::Las,
     &csv::Csv,

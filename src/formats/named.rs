@@ -8,7 +8,7 @@ type Entry = (&'static [u8], &'static [&'static str], &'static str, &'static str
 const PTU: &str = "convert it to .ptu or .phu with the maker's software";
 const NPY: &str = "save the samples as .npy, with the last axis over time";
 
-const FORMATS: [Entry; 19] = [
+const FORMATS: [Entry; 20] = [
     (b"PicoHarp 300", &["pt2", "pt3"], "PicoQuant PicoHarp events of before 2014 (.pt2, .pt3)", PTU),
     (b"PicoHarp 300", &[], "PicoQuant PicoHarp histograms of before 2014 (.phd)", PTU),
     (b"HydraHarp 400", &["ht2", "ht3"], "PicoQuant HydraHarp events of before 2014 (.ht2, .ht3)", PTU),
@@ -16,8 +16,7 @@ const FORMATS: [Entry; 19] = [
     (b"TimeHarp", &["t3r"], "PicoQuant TimeHarp events of before 2014 (.t3r)", PTU),
     (b"TimeHarp", &[], "PicoQuant TimeHarp histograms of before 2014 (.thd)", PTU),
     (b"", &["spc"], "Becker & Hickl photon events (.spc)", "save the histograms as .sdt in SPCM"),
-    (b"TDSm", &[], "a National Instruments TDMS file", NPY),
-    (b"TDSh", &[], "the index of a National Instruments TDMS file", NPY),
+    (b"TDSh", &[], "the index of a National Instruments TDMS file", "name the .tdms of the same name"),
     (b"root", &[], "a ROOT file", NPY),
     (b"MATLAB 5.0 MAT-file", &[], "a MATLAB file", "use `convert` for a confocal capture, or save the samples as .npy"),
     (
@@ -28,15 +27,14 @@ const FORMATS: [Entry; 19] = [
     ),
     (b"PulseWavesWave", &[], "the second file of a PulseWaves lidar file", "name the .pls of the same name"),
     (b"", &["wdp"], "the second file of a LAS lidar file", "name the .las of the same name"),
-    (b"DRS2", &[], "events of a DRS4 evaluation board", NPY),
-    (b"DRS4", &[], "events of a DRS4 evaluation board", NPY),
+    (b"DRS4", &[], "events of a DRS4 evaluation board in another version", "save them with DRSOsc, or as .npy"),
+    (b"DRS8", &[], "events of a WaveDREAM board", NPY),
     (b"TIME", &["dat"], "events of a DRS4 evaluation board of before 2014", NPY),
-    (b"", &["psdata", "psd"], "a PicoScope recording", "export it as CSV"),
+    (b"\x05\0\0\0", &["bin"], "a Siglent waveform of version 5", "save it as CSV"),
+    (b"\x06\0\0\0", &["bin"], "a Siglent waveform of version 6", "save it as CSV"),
+    (b"", &["psdata", "psd"], "a PicoScope recording", "save it as .mat or CSV"),
     (b"", &["wdf", "wvf"], "a Yokogawa recording", "export it as CSV"),
 ];
-
-/// CAEN CoMPASS begins with a word 0xCAEx, little-endian, which says what each event holds.
-const COMPASS: (u8, u8) = (0xE0, 0xCA);
 
 /// Why a file of these first bytes and this extension is not read, if that is known.
 pub(super) fn refusal(head: &[u8], extension: &str) -> Option<FormatError> {
@@ -44,10 +42,7 @@ pub(super) fn refusal(head: &[u8], extension: &str) -> Option<FormatError> {
         let named = extensions.contains(&extension) || extensions.is_empty() && !bytes.is_empty();
         head.starts_with(bytes) && named
     };
-    let entry = FORMATS.iter().find(is_it).map(|(_, _, what, mend)| (*what, *mend));
-    let is_compass = head.len() >= 2 && head[0] & 0xF0 == COMPASS.0 && head[1] == COMPASS.1;
-    let (what, mend) =
-        entry.or(is_compass.then_some(("events of CAEN CoMPASS", "export the waves as text, or as .npy")))?;
+    let (_, _, what, mend) = *FORMATS.iter().find(is_it)?;
     Some(FormatError::NotRead { what, mend })
 }
 
@@ -66,13 +61,15 @@ mod tests {
             (b"TimeHarp 200", "a.t3r", "TimeHarp events"),
             (b"TimeHarp 200", "a.thd", "TimeHarp histograms"),
             (&[0x5F, 0, 0, 0x80], "a.spc", "Becker & Hickl photon events"),
-            (b"TDSm\x0e\0\0\0", "a.tdms", "TDMS"),
+            (b"TDSh\x0e\0\0\0", "a.tdms_index", "TDMS"),
             (b"root\0\0\xf7\x48", "a.root", "ROOT"),
             (b"MATLAB 5.0 MAT-file, Platform: PCWIN", "a.mat", "`convert`"),
             (b"PulseWavesWaves\0", "a.wvs", "PulseWaves"),
             (b"\0\0LASF_Spec", "a.wdp", "LAS"),
-            (b"DRS2TIMEB#", "a.dat", "DRS4"),
-            (&[0xE1, 0xCA, 3, 0], "a.BIN", "CoMPASS"),
+            (b"TIMEB#", "a.dat", "DRS4 evaluation board of before 2014"),
+            (b"DRS8TIMEB#", "a.dat", "WaveDREAM"),
+            (b"\x06\0\0\0\x80\0", "a.bin", "Siglent waveform of version 6"),
+            (&[0xE1, 0xCA, 3, 0], "a.BIN", "CoMPASS list"),
         ] {
             let mut source = Source::new(std::io::Cursor::new(bytes.to_vec()), name.as_ref()).unwrap();
             let error = contents(&mut source).unwrap_err();

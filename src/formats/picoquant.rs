@@ -27,6 +27,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use self::events::{Clock, Layout};
+pub(crate) use self::tags::iso;
 use self::tags::{Tags, WHOLE};
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{Head, Payload, ReadSeek, Record, Unpack};

@@ -162,7 +162,7 @@ fn tag(bytes: &[u8], at: u64) -> (Option<&'static str>, i32, Tag) {
 
 /// Converts days since 1899-12-30 to ISO 8601, to the millisecond; `None` for days that cannot be a date of a
 /// measurement.
-pub(super) fn iso(days: f64) -> Option<String> {
+pub(crate) fn iso(days: f64) -> Option<String> {
     // 1982 to 2173.
     let total_ms = (30_000.0..100_000.0).contains(&days).then(|| (days * 86_400_000.0).round() as u64)?;
     let (mut day, ms) = (total_ms / 86_400_000, total_ms % 86_400_000);
