@@ -8,8 +8,8 @@
 //! (`-- small-rooms 60 5000 30`: seeds from 5000 on, only with 30 % missing); `-- sizes 20` for patches of centimetres
 //! whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall (`-- locate 100 5000 14 15`:
 //! cells 14 and 15 of the table alone); `-- claims 200 3000` for instruments that are not kind, 200 records a cell
-//! (docs/error-bars.md; `-- claims 200 3000 7 8`: cells 7 and 8 alone); `-- twins 300` for tables b, d, e and f of docs/time-resolution.md through
-//! `run`.
+//! (docs/error-bars.md; `-- claims 200 3000 7 8`: cells 7 and 8 alone); `-- twins 300` for tables b, d, e and f of
+//! docs/time-resolution.md through `run`.
 
 #[path = "../tests/it/claims.rs"]
 mod claims;

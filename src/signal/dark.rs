@@ -97,8 +97,8 @@ impl Scale {
 }
 
 /// Variance that rounding to whole codes leaves in the mean of any number of records, whose noise has the standard
-/// deviation `sd`: that of a sawtooth after a Gaussian filter, harmonic by harmonic. Noise of half a code and more leaves
-/// next to nothing, none a twelfth.
+/// deviation `sd`: that of a sawtooth after a Gaussian filter, harmonic by harmonic. Noise of half a code and more
+/// leaves next to nothing, none a twelfth.
 #[must_use]
 pub fn rounding_variance(sd: f64) -> f64 {
     const HARMONICS: i32 = 50;

@@ -43,8 +43,8 @@ table! {
         /// Variance of one shot at level v: s0^2 + s1^2 abs(v) + s2^2 v^2 + j^2 (dv/dt)^2; the four coefficients in
         /// V^2, V, 1, ps^2. Null where shots are too few to estimate it.
         noise_model: Option<Vec<f64>>,
-        /// Slow noise of one shot (hum, wander, 1/f): variances of the amplitudes of sqrt(2) cos(pi k (n + 1/2) / N) in V^2,
-        /// k = 1, 2... over the N samples. Null where noise is fast alone.
+        /// Slow noise of one shot (hum, wander, 1/f): variances of the amplitudes of sqrt(2) cos(pi k (n + 1/2) / N) in
+        /// V^2, k = 1, 2... over the N samples. Null where noise is fast alone.
         slow_noise: Option<Vec<f64>>,
         /// Number of samples from which this noise was estimated; null where it is unknown.
         noise_samples: Option<i32>,

@@ -227,8 +227,8 @@ table! {
         impulse_cov: Vec<f64>,
         /// Chi-square of the fit over its degrees of freedom; null for methods without a fit.
         chi2_dof: Option<f64>,
-        /// Standard deviation of a baseline that moves the same way in every shot, which the impulses were explained with,
-        /// in the unit of the profile as it was measured; 0 where the profile shows none.
+        /// Standard deviation of a baseline that moves the same way in every shot, which the impulses were explained
+        /// with, in the unit of the profile as it was measured; 0 where the profile shows none.
         ground_v: f64,
         /// Width of the response over that of the calibration, as the profile shows it; null where it tells nothing of
         /// it. Where it is significant, the impulses are those of a response of this width.

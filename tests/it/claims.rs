@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::lab::{Lab, write_table};
-use crate::reading_scene::calibration;
+use crate::reading_scene;
 use crate::readings::import;
 use crate::score::{Estimate, Rate};
 use crate::shape::{Sensor, Shape};
@@ -51,7 +51,7 @@ pub struct Instrument {
     pub codes: f64,
     /// The response as it is, and as the calibration has it.
     pub own: Shape,
-    pub told: Shape,
+    pub calibrated: Shape,
     /// Share of bad shots.
     pub bad: f64,
     /// Standard deviation of the trigger, ps.
@@ -68,7 +68,7 @@ impl Instrument {
             is_locked: false,
             codes: 100.0,
             own: Sensor::exponential().shape,
-            told: Sensor::exponential().shape,
+            calibrated: Sensor::exponential().shape,
             bad: 0.0,
             jitter_ps: 0.0,
         }
@@ -84,7 +84,7 @@ impl Instrument {
             is_locked: true,
             ..kind(&format!("ripple of {height} locked to the laser, {:.0} MHz", 1e3 * ghz))
         };
-        let told = |factor: f64, name: &str| Self { own: shape.stretched(1.0 / factor), ..kind(name) };
+        let stretched = |factor: f64, name: &str| Self { own: shape.stretched(1.0 / factor), ..kind(name) };
         vec![
             kind("white noise"),
             Self { slope: 0.5, ..kind("slope of 0.5") },
@@ -102,11 +102,11 @@ impl Instrument {
             Self { codes: 0.3, ..kind("0.3 codes of noise") },
             Self { codes: 0.1, ..kind("0.1 codes of noise") },
             Self { bad: 0.06, ..kind("6 % bad shots") },
-            Self { jitter_ps: 30.0, told: shape.widened(30.0), ..kind("jitter of 30 ps") },
-            told(1.02, "response told 2 % too wide"),
-            told(0.98, "response told 2 % too narrow"),
-            told(1.05, "response told 5 % too wide"),
-            told(0.95, "response told 5 % too narrow"),
+            Self { jitter_ps: 30.0, calibrated: shape.widened(30.0), ..kind("jitter of 30 ps") },
+            stretched(1.02, "response told 2 % too wide"),
+            stretched(0.98, "response told 2 % too narrow"),
+            stretched(1.05, "response told 5 % too wide"),
+            stretched(0.95, "response told 5 % too narrow"),
             Self { own: shape.with_echo(600.0, 0.01), ..kind("echo of -40 dB after 0.6 ns") },
             Self { own: shape.with_tail(1000.0, 0.01), ..kind("tail of 1 %, 1 ns") },
         ]
@@ -189,8 +189,8 @@ pub fn claims(instrument: &Instrument, snr: f64, records: usize, seed: u64) -> C
     fs::write(lab.campaign().join("campaign.toml"), campaign).unwrap();
     // As `calibrate` finds the jitter of the trigger in its own shots.
     let noise_model = Some(vec![0.0, 0.0, 0.0, instrument.jitter_ps.powi(2)]);
-    let told = Calibration { noise_model, ..calibration(&instrument.told, BEFORE) };
-    write_table(&lab.path("calibration.parquet"), &[told]);
+    let calibration = Calibration { noise_model, ..reading_scene::calibration(&instrument.calibrated, BEFORE) };
+    write_table(&lab.path("calibration.parquet"), &[calibration]);
     let lights: Vec<_> = (0..records).map(|_| light(&mut rng)).collect();
     for (n, light) in lights.iter().enumerate() {
         record(&lab, n + 1, instrument, light, snr, &mut rng);
@@ -303,7 +303,10 @@ fn baselines_that_move_make_no_onsets() {
 /// A converter of coarse steps is not taken for one without noise.
 #[test]
 fn coarse_converters_have_the_noise_of_rounding() {
-    let instrument = Instrument { codes: 0.1, ..Instrument::kind("0.1 codes of noise") };
-    let claims = claims(&instrument, 100.0, 40, 2);
-    assert!(claims.missed.hits == 0 && claims.false_onsets.hits <= 1 && claims.within.share() > 0.8, "{claims:?}");
+    for codes in [0.1, 0.3] {
+        let instrument = Instrument { codes, ..Instrument::kind("coarse") };
+        let claims = claims(&instrument, 100.0, 40, 2);
+        eprintln!("{codes}: {claims:?}");
+        assert!(claims.missed.hits == 0 && claims.false_onsets.hits <= 1 && claims.within.share() > 0.85, "{claims:?}");
+    }
 }

@@ -46,8 +46,8 @@ pub struct Matched {
     pub gains: Vec<f64>,
 }
 
-/// The matched filter for a pulse of spread `width_ps` at each of `times_ps`, in whitened samples freed of a line,
-/// slow noise and `given` light: what these could explain does not count. Amplitude and standard deviation are those of the
+/// The matched filter for a pulse of spread `width_ps` at each of `times_ps`, in whitened samples freed of a line, slow
+/// noise and `given` light: what these could explain does not count. Amplitude and standard deviation are those of the
 /// joint fit of the pulse with all of them.
 ///
 /// # Panics

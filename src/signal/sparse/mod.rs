@@ -2,8 +2,8 @@
 //!
 //! Model: `y_n = b_n + sum_k a_k h(t_n - t_k) + w_n`, `a_k >= 0` (or of any sign), response h known, w of known sd a
 //! sample and autocorrelation, b a baseline: a line, and slow noise of known variances ([`super::slow_noise`]). It is
-//! explained together with the pulses and not taken off before. Everything happens after whitening ([`super::whiten`]): there
-//! least squares are maximum likelihood. Maximum likelihood for a number of pulses that grows greedily:
+//! explained together with the pulses and not taken off before. Everything happens after whitening ([`super::whiten`]):
+//! there least squares are maximum likelihood. Maximum likelihood for a number of pulses that grows greedily:
 //! 1. candidates: the matched filter's maximum in the residual, and the best pair in place of each pulse whose residual
 //!    looks widened;
 //! 2. each candidate is refined jointly with the pulses around it;
@@ -24,8 +24,8 @@
 //! where a record asks for them.
 //!
 //! Not modelled: light wrapped around the end of the record; a response of another shape, with an echo or a tail. Its
-//! error shows as `chi2_per_dof` above 1 and, near strong pulses, as false pulses. Where its size is known, adding it to
-//! the sd of the samples under a strong pulse keeps both away.
+//! error shows as `chi2_per_dof` above 1 and, near strong pulses, as false pulses. Where its size is known, adding it
+//! to the sd of the samples under a strong pulse keeps both away.
 
 mod cause;
 mod column;

@@ -2,9 +2,9 @@
 //!
 //! Whitened samples of a model without pulses have the covariance `1 + sum_k p_k b_k b_k^T`: one direction `b_k` for
 //! each thing that may lie under the pulses, `p_k` the variance of its amplitude, infinite where it may have any. The
-//! inverse, `Q = 1 - sum_k v_k v_k^T`, takes the place of the unit matrix in every product of a fit. Its axes `v_k` come
-//! one by one (Sherman and Morrison's formula; for infinite `p_k` that is Gram-Schmidt). Nothing is subtracted before
-//! the pulses are known, and what a pulse shares with the ground under it is not counted for it.
+//! inverse, `Q = 1 - sum_k v_k v_k^T`, takes the place of the unit matrix in every product of a fit. Its axes `v_k`
+//! come one by one (Sherman and Morrison's formula; for infinite `p_k` that is Gram-Schmidt). Nothing is subtracted
+//! before the pulses are known, and what a pulse shares with the ground under it is not counted for it.
 
 use super::Baseline;
 use crate::slow_noise::component;

@@ -17,6 +17,9 @@ const MODEL_SHOTS_MIN: usize = 4;
 /// A coefficient within this many of its standard deviations of 0 is not claimed.
 const CLAIM_SIGMA: f64 = 2.0;
 
+/// Rounding errors of neighbouring samples are alike where a signal moves by less than a step from one to the next, and
+/// so count for fewer: for so many times less.
+const ROUNDING_ALIKE: f64 = 4.0;
 /// Standard deviations of a shot up to which the mean counts as dark, where slow noise is sought.
 const DARK_SIGMA: f64 = 3.0;
 
@@ -124,7 +127,8 @@ impl Noise {
         let slow_v2 = |slow: Slow| slow.variances.iter().map(|variance| variance * gain_v * gain_v).collect();
         let is_whole = shots.first().is_some_and(|(codes, _)| codes.is_whole());
         let step = if is_whole { shot_spread::step(shots).max(1.0) } else { 0.0 };
-        let rounding = if is_whole { step * step * dark::rounding_variance(noise.sd / step) } else { 0.0 };
+        let rounding =
+            if is_whole { ROUNDING_ALIKE * step * step * dark::rounding_variance(noise.sd / step) } else { 0.0 };
         Self {
             sd_v: noise.sd * gain_v,
             acf: noise.acf,
