@@ -75,7 +75,9 @@ fn deconvolve(c: &mut Criterion) {
     });
     let wiener = Wiener::new(&Transfer::from_response(&mut fft, &pulse(), 50.0, SAMPLES), 0.02, Some(0.08));
     group.bench_function("wiener", |b| b.iter(|| wiener.apply(&mut fft, black_box(&profile), &mut light)));
-    group.bench_function("leading edge", |b| b.iter(|| onset::leading_edge(black_box(&light), 0.2, 1.0)));
+    group.bench_function("leading edge", |b| {
+        b.iter(|| onset::leading_edge(black_box(&light), 0.2, onset::Noise::even(1.0)))
+    });
     group.finish();
 }
 

@@ -112,7 +112,7 @@ fn wiener() -> Kernel {
 fn leading_edge() -> Kernel {
     let profile = Codes::I16(&shot()).to_f64();
     Box::new(move || {
-        black_box(onset::leading_edge(black_box(&profile), 0.2, 1.0));
+        black_box(onset::leading_edge(black_box(&profile), 0.2, onset::Noise::even(1.0)));
     })
 }
 

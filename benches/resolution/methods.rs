@@ -72,8 +72,12 @@ impl Method {
                 solution.pruned(&record, response, evidence_min).times_ps
             }
             Self::RichardsonLucy => richardson_lucy::fit(&record, response, &RichardsonLucyOptions::default()).times_ps,
-            Self::LeadingEdge => at(onset::leading_edge(samples, 0.5, sd).map(|edge| edge.position)),
-            Self::ConstantFraction => at(onset::constant_fraction(samples, 0.5, 2.0, sd).map(|edge| edge.position)),
+            Self::LeadingEdge => {
+                at(onset::leading_edge(samples, 0.5, onset::Noise::even(sd)).map(|edge| edge.position))
+            }
+            Self::ConstantFraction => {
+                at(onset::constant_fraction(samples, 0.5, 2.0, onset::Noise::even(sd)).map(|edge| edge.position))
+            }
             Self::Akaike => at(onset::akaike(samples, 20, sd)),
             Self::FirstResponse => at(onset::responses(samples, 5.0, 2.0, sd).first().map(|first| first.position)),
         }

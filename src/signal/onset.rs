@@ -12,6 +12,27 @@
 
 use super::largest::largest;
 
+/// Noise of a record's samples, independent from sample to sample: `sd^2 + per_level v` at a sample that is v.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Standard deviation without signal.
+    pub sd: f64,
+    /// Variance that each unit of signal adds: 1 for counts, by Poisson's law; 0 where noise is even.
+    pub per_level: f64,
+}
+
+impl Noise {
+    /// Of one standard deviation everywhere.
+    #[must_use]
+    pub fn even(sd: f64) -> Self {
+        Self { sd, per_level: 0.0 }
+    }
+
+    fn variance(&self, sample: f64) -> f64 {
+        self.sd * self.sd + self.per_level * sample.max(0.0)
+    }
+}
+
 /// An upward crossing of a level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
@@ -111,12 +132,12 @@ pub fn akaike(samples: &[f64], before: usize, noise_sd: f64) -> Option<f64> {
 /// sample below the level and its successor. `None` if the maximum is not positive or nothing before it is below the
 /// level.
 ///
-/// The level carries the maximum's noise, independent of the noise at the crossing.
+/// The level carries the maximum's noise, the crossing that of the two samples beside it, each by its weight.
 ///
 /// # Panics
 /// If `fraction` is not between 0 and 1.
 #[must_use]
-pub fn leading_edge(samples: &[f64], fraction: f64, noise_sd: f64) -> Option<Crossing> {
+pub fn leading_edge(samples: &[f64], fraction: f64, noise: Noise) -> Option<Crossing> {
     assert!(fraction > 0.0 && fraction < 1.0, "the fraction must lie between 0 and 1, got {fraction}");
     let peak = first_maximum(samples)?;
     let level = fraction * samples[peak];
@@ -124,8 +145,19 @@ pub fn leading_edge(samples: &[f64], fraction: f64, noise_sd: f64) -> Option<Cro
         return None;
     }
     let i = samples[..peak].iter().rposition(|v| *v < level)?;
-    let sd = noise_sd * (1.0 + fraction * fraction).sqrt();
-    Some(interpolate(samples, i, level, sd))
+    let crossing = interpolate(samples, i, level, 1.0);
+    let later = crossing.position - i as f64;
+    // The largest of several samples that noise alone tells apart scatters less than one of them: about as their number
+    // to the power of -1/4.
+    let top_sd = noise.variance(samples[peak]).sqrt();
+    let rivals = samples.iter().filter(|sample| **sample > samples[peak] - top_sd).count() as f64;
+    // Noise that is as large as a step also decides between which two samples the crossing lies: their weights are then
+    // those of a mean crossing.
+    let slope = slope(samples, i);
+    let mixed = (2.0 * noise.variance(level).sqrt() / slope).min(1.0);
+    let weight = |own: f64| ((1.0 - mixed) * own * own + mixed / 3.0).sqrt();
+    let weights = [(i, weight(1.0 - later)), (i + 1, weight(later)), (peak, -fraction * rivals.powf(-0.25))];
+    Some(Crossing { sd: combined_sd(samples, &weights, noise) / slope, ..crossing })
 }
 
 /// Constant fraction discriminator: zero of `y(t - delay) - fraction * y(t)` on the way up to its maximum, less the
@@ -135,7 +167,7 @@ pub fn leading_edge(samples: &[f64], fraction: f64, noise_sd: f64) -> Option<Cro
 /// # Panics
 /// If `fraction` is not between 0 and 1, or `delay` below 1.
 #[must_use]
-pub fn constant_fraction(samples: &[f64], fraction: f64, delay: f64, noise_sd: f64) -> Option<Crossing> {
+pub fn constant_fraction(samples: &[f64], fraction: f64, delay: f64, noise: Noise) -> Option<Crossing> {
     assert!(fraction > 0.0 && fraction < 1.0, "the fraction must lie between 0 and 1, got {fraction}");
     assert!(delay >= 1.0, "the delay must be at least one sample, got {delay}");
     let whole = delay.ceil() as usize;
@@ -152,9 +184,34 @@ pub fn constant_fraction(samples: &[f64], fraction: f64, delay: f64, noise_sd: f
         return None;
     }
     let i = difference[..peak].iter().rposition(|v| *v < 0.0)?;
-    let sd = noise_sd * (1.0 + fraction * fraction).sqrt();
-    let zero = interpolate(&difference, i, 0.0, sd);
-    Some(Crossing { position: zero.position + part, ..zero })
+    let zero = interpolate(&difference, i, 0.0, 1.0);
+    let later = zero.position - i as f64;
+    let of_difference =
+        |j: usize, weight: f64| [(j, weight * (1.0 - part)), (j + 1, weight * part), (j + whole, -weight * fraction)];
+    let weights = [of_difference(i, 1.0 - later), of_difference(i + 1, later)].concat();
+    Some(Crossing {
+        position: zero.position + part,
+        sd: combined_sd(samples, &weights, noise) / slope(&difference, i),
+        ..zero
+    })
+}
+
+/// Slope from sample `i` to the next, for an error bar: over three steps where the edge is that long, since the inverse
+/// of a single step is all noise where bins are fine.
+fn slope(samples: &[f64], i: usize) -> f64 {
+    /// Share of the single step from which the edge counts as long.
+    const LONG: f64 = 0.6;
+    let own = samples[i + 1] - samples[i];
+    let around = (i > 0 && i + 2 < samples.len()).then(|| (samples[i + 2] - samples[i - 1]) / 3.0);
+    around.filter(|around| *around > LONG * own).unwrap_or(own)
+}
+
+/// Standard deviation of a sum of samples, each with its weight; samples may come more than once.
+fn combined_sd(samples: &[f64], weights: &[(usize, f64)], noise: Noise) -> f64 {
+    let of_sample = |n: usize| weights.iter().filter(|(other, _)| *other == n).map(|(_, weight)| weight).sum::<f64>();
+    let is_first = |k: usize| weights[..k].iter().all(|(other, _)| *other != weights[k].0);
+    let once = (0..weights.len()).filter(|k| is_first(*k)).map(|k| weights[k].0);
+    once.map(|n| of_sample(n).powi(2) * noise.variance(samples[n])).sum::<f64>().sqrt()
 }
 
 /// The line between samples `i` and `i + 1`, `samples[i] < level <= samples[i + 1]`, where it meets the level.

@@ -261,6 +261,7 @@ fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
         dt_ps: ready.flight.dt_ps,
         profile: ready.light.into_iter().collect(),
         profile_noise: ready.light_noise_v,
+        background: profile.counts.as_ref().map(|_| profile.baseline_v.max(1.0)),
         impulses,
         impulse_cov,
         chi2_dof,

@@ -230,6 +230,9 @@ impl Detect {
         if !(peak > 0.0 && peak >= self.threshold_sigma.get() * noise) {
             return Ok(Vec::new());
         }
+        // Noise is Poisson's where light is counted: as much for each count of signal as for one of background.
+        let per_level = stir.background.map_or(0.0, |background| noise * noise / background);
+        let by_level = onset::Noise { sd: noise, per_level };
         let at_maximum = |crossing: Option<Crossing>| {
             crossing.map(|Crossing { position, sd, .. }| Edge { position, sd, height: peak }).into_iter().collect()
         };
@@ -243,11 +246,11 @@ impl Detect {
                         stir.dt_ps
                     )));
                 }
-                at_maximum(onset::constant_fraction(&profile, self.fraction.get(), delay, noise))
+                at_maximum(onset::constant_fraction(&profile, self.fraction.get(), delay, by_level))
             }
             Method::FirstResponse => self.responses(&profile, noise).into_iter().map(|(_, edge)| edge).collect(),
             Method::Aic => self.beginnings(&profile, noise, self.window_ps.get() / stir.dt_ps),
-            Method::LeadingEdge => at_maximum(onset::leading_edge(&profile, self.fraction.get(), noise)),
+            Method::LeadingEdge => at_maximum(onset::leading_edge(&profile, self.fraction.get(), by_level)),
             Method::Impulses => unreachable!("impulses are no edges"),
         };
         let edges: Vec<Edge> = if self.sampled { edges.into_iter().map(Edge::at_sample).collect() } else { edges };

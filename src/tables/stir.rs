@@ -221,6 +221,8 @@ table! {
         profile: Samples,
         /// Standard deviation of the noise in the deconvolved profile, in its unit.
         profile_noise: f64,
+        /// Counts a bin without signal, whose noise that is, at least 1; null for voltages.
+        background: Option<f64>,
         /// Impulses that explain the measured profile, in order of time; empty for methods that find none.
         impulses: Vec<Impulse>,
         /// Covariance of the impulses' times in ps^2, row by row.

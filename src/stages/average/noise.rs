@@ -127,8 +127,11 @@ impl Noise {
         let slow_v2 = |slow: Slow| slow.variances.iter().map(|variance| variance * gain_v * gain_v).collect();
         let is_whole = shots.first().is_some_and(|(codes, _)| codes.is_whole());
         let step = if is_whole { shot_spread::step(shots).max(1.0) } else { 0.0 };
-        let rounding =
-            if is_whole { ROUNDING_ALIKE * step * step * dark::rounding_variance(noise.sd / step) } else { 0.0 };
+        // Two neighbouring codes alone do not tell how much noise there is: the level may lie between them.
+        let codes = || stretches.iter().flatten();
+        let extent = codes().fold(f64::MIN, |a, b| a.max(*b)) - codes().fold(f64::MAX, |a, b| a.min(*b));
+        let sd = if extent <= step { 0.0 } else { noise.sd };
+        let rounding = if is_whole { ROUNDING_ALIKE * step * step * dark::rounding_variance(sd / step) } else { 0.0 };
         Self {
             sd_v: noise.sd * gain_v,
             acf: noise.acf,
