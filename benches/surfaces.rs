@@ -41,9 +41,9 @@ fn main() {
         return;
     }
     println!(
-        "| scene | photons | kind | scans | points | 95 % hold (least to most of a scan) | median error (mm) | 95 % of errors below (mm) | median sd (mm) | median turn of the normal (degrees) |"
+        "| scene | photons | kind | scans | points | of a farther thing | 95 % hold (least to most of a scan) | median error (mm) | 95 % of errors below (mm) | median sd (mm) | median turn of the normal (degrees) |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
     for kind in things {
         for photons in &photons {
             let of_seed = |seed| tallies(&thing(kind, seed), &capture(side, seed), *photons);
@@ -75,13 +75,14 @@ fn print(name: &str, scans: &[&Tally]) {
     }
     let all =
         |values: fn(&Tally) -> &Vec<f64>| -> Vec<f64> { scans.iter().flat_map(|one| values(one)).copied().collect() };
-    let (points, held) = scans.iter().fold((0, 0), |sum, one| (sum.0 + one.points, sum.1 + one.held));
+    let sum = |value: fn(&Tally) -> usize| scans.iter().map(|one| value(one)).sum::<usize>();
+    let (points, farther, held) = (sum(|one| one.points), sum(|one| one.farther), sum(|one| one.held));
     let shares = scans.iter().map(|one| one.held as f64 / one.points as f64);
     let (least, most) = (shares.clone().fold(1.0, f64::min), shares.fold(0.0, f64::max));
     let mut errors_m = all(|one| &one.errors_m);
     errors_m.sort_by(f64::total_cmp);
     println!(
-        "| {name} | {} | {points} | {:.2} ({least:.2} to {most:.2}) | {:.2} | {:.1} | {:.2} | {:.2} |",
+        "| {name} | {} | {points} | {farther} | {:.2} ({least:.2} to {most:.2}) | {:.2} | {:.1} | {:.2} | {:.2} |",
         scans.len(),
         held as f64 / points as f64,
         1e3 * median(&errors_m),

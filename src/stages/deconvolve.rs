@@ -356,7 +356,8 @@ impl Deconvolve {
         SparseOptions {
             evidence_min: self.evidence.map(Positive::get),
             pulses_max: self.impulses_max.get() as usize,
-            baseline: Baseline::Line,
+            // On a line, steps and ringing are signal.
+            baseline: if self.signed { Baseline::Constant } else { Baseline::Line },
             signed: self.signed,
             extent_max_ps: self.extent_max_ps.get(),
             cancel: cancel.clone(),

@@ -24,8 +24,8 @@ const HOLDS: f64 = 7.815;
 /// Distance of facets.
 const PITCH_M: f64 = 0.0015;
 
-/// The nearest point of a surface to a place, and what it is: 0 smooth, 1 edge, 2 corner.
-type Nearest = Box<dyn Fn(&Point) -> (Point, usize)>;
+/// The nearest point of each thing to a place, and what it is: 0 smooth, 1 edge, 2 corner.
+type Nearest = Box<dyn Fn(&Point) -> Vec<(Point, usize)>>;
 
 /// A surface: facets (place, normal, area), and its nearest points.
 pub struct Thing {
@@ -58,7 +58,7 @@ fn cuboid(middle: Point, axes: [Vector3<f64>; 3], pitch_m: f64) -> Thing {
             beyond += usize::from(share.abs() > 1.0);
             thin += usize::from(square == 0.0);
         }
-        (point, (beyond + thin).saturating_sub(1))
+        vec![(point, (beyond + thin).saturating_sub(1))]
     };
     Thing { facets, nearest: Box::new(nearest) }
 }
@@ -81,7 +81,7 @@ fn sphere(middle: Point, radius_m: f64, pitch_m: f64) -> Thing {
             }
         }
     }
-    Thing { facets, nearest: Box::new(move |seen| (middle + (seen - middle).normalize() * radius_m, 0)) }
+    Thing { facets, nearest: Box::new(move |seen| vec![(middle + (seen - middle).normalize() * radius_m, 0)]) }
 }
 
 /// A square with a height, towards the wall; its nearest points are searched for.
@@ -113,7 +113,7 @@ fn relief(middle: Point, half_m: f64, height_m: fn(f64, f64) -> f64, pitch_m: f6
             }
         }
         let beyond = best.iter().filter(|x| x.abs() > half_m - 1e-6).count();
-        (place(best[0], best[1]), beyond)
+        vec![(place(best[0], best[1]), beyond)]
     };
     Thing { facets, nearest: Box::new(nearest) }
 }
@@ -121,10 +121,7 @@ fn relief(middle: Point, half_m: f64, height_m: fn(f64, f64) -> f64, pitch_m: f6
 fn both(first: Thing, second: Thing) -> Thing {
     let mut facets = first.facets;
     facets.extend(second.facets);
-    let nearest = move |seen: &Point| {
-        let [a, b] = [(first.nearest)(seen), (second.nearest)(seen)];
-        if (a.0 - seen).norm() < (b.0 - seen).norm() { a } else { b }
-    };
+    let nearest = move |seen: &Point| [(first.nearest)(seen), (second.nearest)(seen)].concat();
     Thing { facets, nearest: Box::new(nearest) }
 }
 
@@ -196,6 +193,8 @@ impl Thing {
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     pub points: usize,
+    /// Of several things, points of one that is not the nearest.
+    pub farther: usize,
     /// Points within their ellipsoid of 95 %.
     pub held: usize,
     /// Distances from the true point, stated standard deviations, and angles between the normal and the true direction.
@@ -214,13 +213,21 @@ pub fn tallies(thing: &Thing, capture: &Capture, photons: f64) -> [Tally; 3] {
     for point in rows::<SurfacePoint>(folder.path(), "out", "surface") {
         let anchor = anchors.iter().find(|anchor| anchor.patch == point.seen).unwrap();
         let seen = Point::new(anchor.x_m, anchor.y_m, anchor.z_m);
-        let (truth, kind) = (thing.nearest)(&seen);
-        let off = Point::new(point.x_m, point.y_m, point.z_m) - truth;
+        let place = Point::new(point.x_m, point.y_m, point.z_m);
+        // Light of the nearest thing may be too weak to be seen: then the point is that of another.
+        let candidates = (thing.nearest)(&seen);
+        let nearest = |to: Point| {
+            let gap_m = |one: &&(Point, usize)| (one.0 - to).norm();
+            candidates.iter().min_by(|a, b| gap_m(a).total_cmp(&gap_m(b))).copied().expect("there is a thing")
+        };
+        let (truth, kind) = nearest(place);
+        let off = place - truth;
         let [xx, xy, xz, yy, yz, zz] =
             [point.cov_xx_m2, point.cov_xy_m2, point.cov_xz_m2, point.cov_yy_m2, point.cov_yz_m2, point.cov_zz_m2];
         let root = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz).cholesky().expect("a covariance");
         let tally = &mut tallies[kind];
         tally.points += 1;
+        tally.farther += usize::from(truth != nearest(seen).0);
         tally.held += usize::from(off.dot(&root.solve(&off)) < HOLDS);
         tally.errors_m.push(off.norm());
         tally.sds_m.push(point.sd_m);
@@ -284,9 +291,10 @@ fn the_true_point_is_the_nearest_facet() {
     for kind in ["sphere", "plate", "box", "sphere and plate", "wavy", "saddle"] {
         let thing = thing(kind, 3);
         for seen in capture(3, 3).wall().into_iter().map(Point::from) {
-            let (truth, _) = (thing.nearest)(&seen);
+            let gaps_m = (thing.nearest)(&seen).into_iter().map(|(truth, _)| (truth - seen).norm());
+            let gap_m = gaps_m.fold(f64::INFINITY, f64::min);
             let facet_m = thing.facing().map(|(place, _)| (place - seen).norm()).fold(f64::INFINITY, f64::min);
-            let off_m = facet_m - (truth - seen).norm();
+            let off_m = facet_m - gap_m;
             assert!((-1e-6..PITCH_M).contains(&off_m), "{kind}: a facet is {off_m} m farther than the true point");
         }
     }

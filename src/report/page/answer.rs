@@ -62,10 +62,14 @@ pub fn summary(scene: &Scene) -> String {
         0 => String::new(),
         anchors => format!(" {} given by campaign.toml.", count(anchors, "patch is", "patches are")),
     };
-    // Of a relay wall the verdict comes first: without it, no patch would mean that there is nothing.
-    let verdict = scene.decisions.iter().find(|row| &*row.what == "hidden things");
-    let verdict = verdict.map_or(String::new(), |row| format!("Hidden things: {}. ", row.chosen));
-    format!("{verdict}Patches found: {found}.{given}{left_open}")
+    // What the rest depends on comes first: whether the data are explained, and of a relay wall whether there is
+    // anything.
+    let verdict = |(what, name): (&str, &str)| {
+        let row = scene.decisions.iter().find(|row| &*row.what == what);
+        row.map_or(String::new(), |row| format!("{name}: {}. ", row.chosen))
+    };
+    let verdicts = [("hidden things", "Hidden things"), ("fit", "Fit"), ("waveforms", "Waveforms")].map(verdict);
+    format!("{}Patches found: {found}.{given}{left_open}", verdicts.concat())
 }
 
 /// What the solution rests on, each choice with its evidence; first of all, since all below depends on it.
