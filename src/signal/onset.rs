@@ -150,7 +150,8 @@ pub fn leading_edge(samples: &[f64], fraction: f64, noise: Noise) -> Option<Cros
     // The largest of several samples that noise alone tells apart scatters less than one of them: about as their number
     // to the power of -1/4.
     let top_sd = noise.variance(samples[peak]).sqrt();
-    let rivals = samples.iter().filter(|sample| **sample > samples[peak] - top_sd).count() as f64;
+    let top = &samples[i..(2 * peak - i).min(samples.len())];
+    let rivals = top.iter().filter(|sample| **sample > samples[peak] - top_sd).count() as f64;
     // Noise that is as large as a step also decides between which two samples the crossing lies: their weights are then
     // those of a mean crossing.
     let slope = slope(samples, i);

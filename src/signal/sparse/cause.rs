@@ -26,8 +26,10 @@ use crate::slow_noise::component;
 
 /// Standard deviation of the logarithm of the width's factor, before a record is seen.
 const WIDTH_SD: f64 = 0.03;
-/// Score from which another width is tried, and from which it is moved on once it was taken.
+/// Score from which another width is tried: of pulses that stand alone; of pulses that blend, whose distance looks like
+/// a width. And score from which a width is moved on once it was taken.
 const WIDTH_SIGMA: f64 = 2.0;
+const WIDTH_SIGMA_BLENDED: f64 = 4.0;
 const WIDTH_SETTLED: f64 = 0.3;
 /// Steps of a width in one attempt, and those tried where a small pulse stands beside a large one: nearer than so many
 /// widths, and with less than this share of its amplitude.
@@ -61,6 +63,8 @@ struct Hint {
     record: usize,
     cause: Cause,
     promise: f64,
+    /// Chi2 that it must gain at least.
+    least_gain: f64,
 }
 
 /// A fit under given causes.
@@ -93,7 +97,8 @@ pub(super) fn explain(
             // Two pulses that blend look like one of a wider response. That there is one pulse less is no evidence for
             // the width: the calibration is rather right.
             let fewer = if is_stretched { best.pulses().saturating_sub(trial.pulses()) } else { 0 };
-            (trial.cost + evidence_min * fewer as f64 <= best.cost).then_some((trial, changed))
+            let cost = trial.cost + evidence_min * fewer as f64 + hint.least_gain;
+            (cost <= best.cost).then_some((trial, changed))
         });
         let Some((trial, changed)) = better else { break };
         (best, causes) = (trial, changed);
@@ -128,16 +133,23 @@ impl Attempt {
         let (state, evidences) = fitter.grown();
         let widths: Vec<Option<Width>> =
             (0..records.len()).map(|r| Width::of(&fitter, &state, r, causes[r].stretch)).collect();
+        let least_score = if has_pair(&fitter, &state, |_, _| true) { WIDTH_SIGMA_BLENDED } else { WIDTH_SIGMA };
         let mut hints: Vec<Hint> = (0..records.len())
             .flat_map(|r| {
                 let may_be_wider = options.extent_max_ps == 0.0;
-                let width = widths[r].as_ref().and_then(|width| width.hint(r, &causes[r], may_be_wider));
+                let hint = |width: &Width| {
+                    width.hint(r, &causes[r], least_score).filter(|hint| may_be_wider || hint.cause.stretch < 0.0)
+                };
+                let width = widths[r].as_ref().and_then(hint);
                 [width, ground(&fitter, &state, r, &causes[r], evidence_min)]
             })
             .flatten()
             .collect();
         hints.sort_by(|a, b| b.promise.total_cmp(&a.promise));
-        if options.extent_max_ps == 0.0 && !options.signed && has_small_beside_large(&fitter, &state) {
+        if options.extent_max_ps == 0.0
+            && !options.signed
+            && has_pair(&fitter, &state, |small, large| small < BESIDE_SHARE * large)
+        {
             hints.extend(trials(causes));
         }
         let stretches = causes.iter().map(|cause| (cause.stretch / WIDTH_SD).powi(2));
@@ -153,24 +165,31 @@ impl Attempt {
     }
 }
 
-/// Whether a small pulse stands beside a large one.
-fn has_small_beside_large(fitter: &Fitter, state: &State) -> bool {
+/// Whether two pulses of such amplitudes stand beside one another.
+fn has_pair(fitter: &Fitter, state: &State, are_such: impl Fn(f64, f64) -> bool) -> bool {
     let is_beside = |k: usize, j: usize| {
-        (state.time_ps(k) - state.time_ps(j)).abs() < BESIDE_WIDTHS * fitter.model.width_ps
-            && state.amplitude(k) < BESIDE_SHARE * state.amplitude(j)
+        k != j
+            && (state.time_ps(k) - state.time_ps(j)).abs() < BESIDE_WIDTHS * fitter.model.width_ps
+            && are_such(state.amplitude(k), state.amplitude(j))
     };
     (0..state.pulses()).any(|k| (0..state.pulses()).any(|j| is_beside(k, j)))
 }
 
-/// Another width of the response in all records, as long as none was taken.
+/// Another width of the response in each record, as long as none was taken.
 fn trials(causes: &[Cause]) -> Vec<Hint> {
     if causes.iter().any(|cause| cause.stretch != 0.0) {
         return Vec::new();
     }
-    let trial = |stretch: f64| (0..causes.len()).map(move |record| (record, stretch));
-    let trials = [WIDTH_TRIAL, -WIDTH_TRIAL].into_iter().flat_map(trial);
-    trials
-        .map(|(record, stretch)| Hint { record, cause: Cause { stretch, ..causes[record].clone() }, promise: 0.0 })
+    let least_gain = WIDTH_SIGMA_BLENDED.powi(2);
+    let trial = |(record, stretch): (usize, f64)| {
+        let cause = Cause { stretch, ..causes[record].clone() };
+        Hint { record, cause, promise: 0.0, least_gain }
+    };
+    let records = || 0..causes.len();
+    [WIDTH_TRIAL, -WIDTH_TRIAL]
+        .into_iter()
+        .flat_map(|stretch| records().map(move |r| (r, stretch)))
+        .map(trial)
         .collect()
 }
 
@@ -208,12 +227,11 @@ impl Width {
         })
     }
 
-    fn hint(&self, record: usize, cause: &Cause, may_be_wider: bool) -> Option<Hint> {
-        let least = if cause.stretch == 0.0 { WIDTH_SIGMA } else { WIDTH_SETTLED };
+    fn hint(&self, record: usize, cause: &Cause, least_score: f64) -> Option<Hint> {
+        let least = if cause.stretch == 0.0 { least_score } else { WIDTH_SETTLED };
         let stretch = self.stretch.clamp(cause.stretch - WIDTH_STEP, cause.stretch + WIDTH_STEP);
         let cause = Cause { stretch, ..cause.clone() };
-        let is_sought = may_be_wider || stretch < 0.0;
-        (is_sought && self.gain > least * least).then_some(Hint { record, cause, promise: self.gain })
+        (self.gain > least * least).then_some(Hint { record, cause, promise: self.gain, least_gain: 0.0 })
     }
 
     /// Its error in all unknowns.
@@ -245,5 +263,5 @@ fn ground(fitter: &Fitter, state: &State, r: usize, cause: &Cause, evidence_min:
     };
     let (promise, count, variance_v2) = (1..=power.len()).map(of_first).max_by(|a, b| a.0.total_cmp(&b.0))?;
     let cause = Cause { ground_v2: sum(&cause.ground_v2, &vec![variance_v2; count]), ..cause.clone() };
-    (promise > evidence_min).then_some(Hint { record: r, cause, promise })
+    (promise > evidence_min).then_some(Hint { record: r, cause, promise, least_gain: 0.0 })
 }
