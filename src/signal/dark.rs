@@ -72,21 +72,22 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// From shots, whose differences from their mean hold noise and no light. `variances`: of a shot at each place of
-    /// the mean, as [`super::shot_spread::spread`] has them.
+    /// From the [`differences`] of shots from their mean, which hold noise and no light. `variances`: of a shot at each
+    /// place of the mean, as [`super::shot_spread::spread`] has them.
     #[must_use]
-    pub fn of(shots: &[(Codes<'_>, i64)], mean: &Mean, variances: &[f64]) -> Self {
+    pub fn of(differences: &[Vec<f64>], variances: &[f64]) -> Self {
+        let shots = differences.len();
         let mut known: Vec<f64> = variances.iter().copied().filter(|variance| variance.is_finite()).collect();
-        if shots.len() < 2 || known.is_empty() {
+        if shots < 2 || known.is_empty() {
             return Self { variance: None, spread: 1.0 };
         }
         // Light has shot noise, energy and jitter: half of the places have none.
         let half = known.len() / 2;
         let middle = *known.select_nth_unstable_by(half, f64::total_cmp).1;
-        let own = middle / chi_square_share(shots.len() as f64 - 1.0, 0.0);
-        let acf = noise::estimate(&differences(shots, mean), LAGS).acf;
+        let own = middle / chi_square_share(shots as f64 - 1.0, 0.0);
+        let acf = noise::estimate(differences, LAGS).acf;
         let spread = 1.0 + 2.0 * acf.iter().skip(1).map(|r| r * r).sum::<f64>();
-        Self { variance: Some(own / shots.len() as f64 + rounding_variance(own.sqrt())), spread }
+        Self { variance: Some(own / shots as f64 + rounding_variance(own.sqrt())), spread }
     }
 
     /// The same for a mean of more shots.

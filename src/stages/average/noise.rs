@@ -49,6 +49,8 @@ pub struct Judges<'a> {
     /// Codes and places on the grid.
     pub shots: &'a [(Codes<'a>, i64)],
     pub mean: &'a Mean,
+    /// Each shot less the mean.
+    pub differences: &'a [Vec<f64>],
     /// Mean code without light.
     pub level: f64,
     /// Where each shot is dark.
@@ -61,13 +63,13 @@ pub struct Judges<'a> {
 impl Judges<'_> {
     /// Slow noise, and each shot less mean, offset and slow noise; `None` where noise is fast alone.
     pub fn slow(&self) -> Option<Slow> {
-        let differences = dark::differences(self.shots, self.mean);
-        let shots = self.shots.len() as f64;
+        let Self { differences, .. } = *self;
+        let shots = differences.len() as f64;
         let squares = differences.iter().flatten().map(|value| value * value).sum::<f64>();
         let sd = (squares / differences.iter().map(Vec::len).sum::<usize>() as f64).sqrt();
         let is_dark = |(mean, clear): (&f64, &bool)| *clear && (mean - self.level).abs() < DARK_SIGMA * sd;
         let is_dark: Vec<bool> = self.mean.mean.iter().zip(self.clear).map(is_dark).collect();
-        let noise = SlowNoise::of(&differences, &is_dark)?;
+        let noise = SlowNoise::of(differences, &is_dark)?;
         // The mean has its share of each shot.
         let scale = (shots / (shots - 1.0)).sqrt();
         let fast = |difference: &Vec<f64>| noise.fast(difference).iter().map(|value| value * scale).collect();

@@ -80,6 +80,13 @@ impl Tally {
     }
 }
 
+/// Shots of the head that are not outlying: their mean, and each less the mean.
+struct Judged<'a> {
+    passed: Vec<(Samples<'a>, i64)>,
+    mean: Mean,
+    differences: Vec<Vec<f64>>,
+}
+
 /// Shots of one range.
 pub struct Shots {
     /// First signal row: scale and time base that all others must have.
@@ -181,45 +188,55 @@ impl Shots {
         let views: Vec<(Samples<'_>, i64)> =
             judges.map(|shot| (view(&code_type, &shot.codes), shot.position)).collect();
         let before = self.rejected;
-        let Some((mut passed, mut mean)) = self.judge(average, &head, &views, clipping) else { return };
-        if self.darkness == Darkness::Sought && self.seek_dark(&passed, &mean) {
+        let Some(mut judged) = self.judge(average, &head, &views, clipping) else { return };
+        if self.darkness == Darkness::Sought && self.seek_dark(&judged) {
             // By light in their baselines shots were judged wrongly.
             (self.rejected, self.whole, self.cut) = (before, self.tally(), self.tally());
             self.clipping.forget();
             match self.judge(average, &head, &views, clipping) {
-                Some(judged) => (passed, mean) = judged,
+                Some(again) => judged = again,
                 None => return,
             }
         }
+        let Judged { passed, mean, differences } = judged;
         if self.darkness == Darkness::Anywhere {
             self.dark.place = Some(mean.first_position + noise::quietest(&mean.mean, self.dark.samples) as i64);
         }
         let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
         let (level, dark) = (self.level(&mean), self.baseline());
-        let judges = Judges { shots: &passed, mean: &mean, level, dark: &dark, clear: &clear, first: &self.first };
+        let judges = Judges {
+            shots: &passed,
+            mean: &mean,
+            differences: &differences,
+            level,
+            dark: &dark,
+            clear: &clear,
+            first: &self.first,
+        };
         // Of light that repeats, a record is cut and folded: its slow noise is not that of the profile.
         let slow = if self.darkness == Darkness::Anywhere { None } else { judges.slow() };
-        let stretches =
-            slow.as_ref().map_or_else(|| self.stretches(&passed, &mean), |slow| slow.stretches(&dark, &mean));
+        let stretches = slow
+            .as_ref()
+            .map_or_else(|| self.stretches(&passed, &mean, &differences), |slow| slow.stretches(&dark, &mean));
         self.noise = Some(Noise::of(&judges, &stretches, slow));
         self.head_mean = (!clipping).then(|| (self.whole.sums.shots(), mean));
     }
 
-    /// Adds the shots of the head that are not outlying; those of the `views` that pass, and their mean.
+    /// Adds the shots of the head that are not outlying.
     fn judge<'a>(
         &mut self,
         average: &Average,
         head: &[Shot],
         views: &[(Samples<'a>, i64)],
         clipping: bool,
-    ) -> Option<(Vec<(Samples<'a>, i64)>, Mean)> {
+    ) -> Option<Judged<'a>> {
         if average.reject_outliers {
             self.test = OutlierTest::new(views, self.baseline(), average.outlier_sigma.get());
         }
         let is_good = |(codes, position): &&(Samples<'_>, i64)| {
             !self.test.as_ref().is_some_and(|test| test.is_outlier(*codes, *position))
         };
-        let passed = views.iter().filter(is_good).copied().collect();
+        let passed: Vec<(Samples<'_>, i64)> = views.iter().filter(is_good).copied().collect();
         head.iter().for_each(|shot| self.add(shot));
         // Those that passed, and no others, have been added up.
         let mean = if clipping {
@@ -229,14 +246,16 @@ impl Shots {
         } else {
             self.whole.sums.finish()
         };
-        Some((passed, mean?))
+        let mean = mean?;
+        Some(Judged { differences: dark::differences(&passed, &mean), passed, mean })
     }
 
     /// Looks for light where the records are taken as dark, and for a stretch without. Returns whether there is a
     /// better one than the start of each record.
-    fn seek_dark(&mut self, passed: &[(Samples<'_>, i64)], mean: &Mean) -> bool {
+    fn seek_dark(&mut self, judged: &Judged<'_>) -> bool {
+        let Judged { passed, mean, differences } = judged;
         let samples = self.dark.samples.min(mean.mean.len());
-        let scale = Scale::of(passed, mean, &shot_spread::spread(passed, mean, &self.dark));
+        let scale = Scale::of(differences, &shot_spread::spread(passed, mean, &self.dark));
         self.scale = Some((passed.len(), scale));
         let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
         let place = match dark::find(&mean.mean, &clear, samples, &scale) {
@@ -265,7 +284,7 @@ impl Shots {
 
     /// Samples of noise alone: of the shots where they are dark. Where they are dark nowhere, their differences from
     /// the mean there.
-    fn stretches(&self, passed: &[(Samples<'_>, i64)], mean: &Mean) -> Vec<Vec<f64>> {
+    fn stretches(&self, passed: &[(Samples<'_>, i64)], mean: &Mean, differences: &[Vec<f64>]) -> Vec<Vec<f64>> {
         if !self.is_lit || passed.len() < 2 {
             let stretch =
                 |(codes, position): &(Samples<'_>, i64)| codes.slice(self.dark.range(codes.len(), *position)).to_f64();
@@ -274,16 +293,13 @@ impl Shots {
         let shots = passed.len() as f64;
         // The mean has its share of each shot.
         let scale = (shots / (shots - 1.0)).sqrt();
-        let differences = dark::differences(passed, mean).into_iter().zip(passed);
-        let stretch = |(mut difference, (_, position)): (Vec<f64>, &(Samples<'_>, i64))| {
+        let stretch = |(difference, (_, position)): (&Vec<f64>, &(Samples<'_>, i64))| {
             // Differences begin where both shot and mean do.
             let first = (*position).max(mean.first_position * PHASES as i64);
             let range = self.dark.range(difference.len(), first);
-            difference = difference[range].to_vec();
-            difference.iter_mut().for_each(|value| *value *= scale);
-            difference
+            difference[range].iter().map(|value| value * scale).collect()
         };
-        differences.map(stretch).collect()
+        differences.iter().zip(passed).map(stretch).collect()
     }
 
     /// Mean code without light.
