@@ -18,12 +18,8 @@ use crate::reading_scene;
 use crate::readings::import;
 use crate::score::{Estimate, Rate};
 use crate::shape::{Sensor, Shape};
+use crate::twins::STAGES;
 
-const STAGES: &str = "[traces]\nstage = 'ingest'\nparams = { roles = ['scene'] }\n\
-    [profiles]\nstage = 'average'\nfrom = 'traces'\nwith = { calibration = 'calibration' }\n\
-    [stir]\nstage = 'deconvolve'\nfrom = 'profiles'\nwith = { calibration = 'calibration' }\n\
-    params = { method = 'sparse' }\n\
-    [onsets]\nstage = 'detect'\nfrom = 'stir'\nparams = { method = 'impulses', threshold_sigma = 5.0 }\n";
 /// Steps of the response before its start.
 const BEFORE: i32 = 270;
 const DT_PS: f64 = 50.0;

@@ -19,7 +19,8 @@ use crate::shape::Shape;
 
 const CAMPAIGN: &str = "[campaign]\nname = 'readings'\n[sensors.s1]\n[[captures]]\nrole = 'scene'\n\
     files = 'raw/L{lit}_P{seen}.npy'\ndt_ps = 50.0\nt0_ps = 0.0\ngain_v = 0.0001\noffset_v = 0.0\n";
-const STAGES: &str = "[traces]\nstage = 'ingest'\nparams = { roles = ['scene'] }\n\
+/// From arrays of shots to onsets, with a calibration of the heading `calibration`.
+pub const STAGES: &str = "[traces]\nstage = 'ingest'\nparams = { roles = ['scene'] }\n\
     [profiles]\nstage = 'average'\nfrom = 'traces'\nwith = { calibration = 'calibration' }\n\
     [stir]\nstage = 'deconvolve'\nfrom = 'profiles'\nwith = { calibration = 'calibration' }\n\
     params = { method = 'sparse' }\n\

@@ -20,9 +20,9 @@ use super::column::Column;
 use super::greedy::{Fitter, Slope};
 use super::joint::{Common, run};
 use super::model::Model;
+use super::nuisance::slow_direction;
 use super::state::State;
 use super::{Baseline, Profile, Response, SparseFit, SparseOptions};
-use crate::slow_noise::component;
 
 /// Standard deviation of the logarithm of the width's factor, before a record is seen.
 const WIDTH_SD: f64 = 0.03;
@@ -154,12 +154,12 @@ impl Attempt {
         }
         let stretches = causes.iter().map(|cause| (cause.stretch / WIDTH_SD).powi(2));
         let cost = fitter.cost(&state) + stretches.sum::<f64>();
-        let taken = widths.iter().flatten().zip(causes).filter(|(_, cause)| cause.stretch != 0.0);
-        let common = taken.map(|(width, _)| width.common()).collect();
+        let taken = widths.iter().zip(causes).filter(|(_, cause)| cause.stretch != 0.0);
+        let common = taken.filter_map(|(width, _)| width.as_ref()).map(Width::common).collect();
         let mut fits = run(&fitter, &state, evidences, common, evidence_min);
         for ((fit, cause), width) in fits.iter_mut().zip(causes).zip(&widths) {
             fit.ground_v = cause.ground_v2.iter().sum::<f64>().sqrt();
-            fit.width = width.as_ref().map(|width| [width.stretch.exp(), width.variance.sqrt()]);
+            fit.width = width.as_ref().map(|width| width.shown);
         }
         Self { fits, cost, hints }
     }
@@ -200,9 +200,11 @@ fn sum(own: &[f64], other: &[f64]) -> Vec<f64> {
 
 /// What a record says of the response's width.
 struct Width {
-    /// The likeliest logarithm of its factor, to first order, and the variance of that.
+    /// The likeliest logarithm of its factor with the prior, to first order, and the variance of that.
     stretch: f64,
     variance: f64,
+    /// What the record alone says of the factor, and its standard deviation: those of many records add up.
+    shown: [f64; 2],
     /// Chi2 that it would gain.
     gain: f64,
     imitation: Vec<f64>,
@@ -219,11 +221,13 @@ impl Width {
         };
         let direction: Vec<(f64, Column)> = fitter.model.records.iter().enumerate().map(direction).collect();
         let Slope { with_residual, own, imitation } = fitter.slope(state, &direction);
-        (state.pulses() > 0 && own > WIDTH_SD_MAX.powi(-2)).then(|| {
+        let is_known = own > WIDTH_SD_MAX.powi(-2) || stretch != 0.0 && own > 0.0;
+        (state.pulses() > 0 && is_known).then(|| {
             let prior = WIDTH_SD.powi(-2);
             let step = (with_residual - stretch * prior) / (own + prior);
             let variance = (own + prior).recip();
-            Self { stretch: stretch + step, variance, gain: step * step / variance, imitation }
+            let shown = [(stretch + with_residual / own).exp(), own.sqrt().recip()];
+            Self { stretch: stretch + step, variance, shown, gain: step * step / variance, imitation }
         })
     }
 
@@ -249,7 +253,7 @@ fn ground(fitter: &Fitter, state: &State, r: usize, cause: &Cause, evidence_min:
     let len = record.len();
     let (mut power, mut left) = (Vec::new(), Vec::new());
     for k in 0..(len / SAMPLES_PER_COMPONENT).min(COMPONENTS_MAX) {
-        let direction = record.whitener.apply(&(0..len).map(|n| component(k, n as f64, len)).collect::<Vec<_>>());
+        let direction = slow_direction(&record.whitener, k);
         let dot = |other: &[f64]| direction.iter().zip(other).map(|(a, b)| a * b).sum::<f64>();
         let own = dot(&record.nuisance.without(&direction));
         let counts = own > NEW * NEW * dot(&direction);

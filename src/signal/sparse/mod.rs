@@ -194,9 +194,9 @@ pub struct SparseFit {
     pub chi2_per_dof: f64,
     /// Standard deviation of a baseline that moves the same way in every shot, V; 0 where the record shows none.
     pub ground_v: f64,
-    /// Factor of the response's width that the record shows, and its standard deviation; `None` where it tells nothing
-    /// of it. Where the factor is significant, the pulses are those of a response so stretched, and its error is in
-    /// `covariance_ps2`.
+    /// Factor of the response's width that the record alone shows, and its standard deviation; `None` where it tells
+    /// nothing of it. Where the factor is significant, the pulses are those of a response so stretched, and its error
+    /// is in `covariance_ps2`.
     pub width: Option<[f64; 2]>,
     /// The threshold that was applied to the evidence.
     pub evidence_min: f64,

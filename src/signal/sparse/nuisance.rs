@@ -39,8 +39,7 @@ impl Nuisance {
             nuisance.add(&whitener.apply(&(0..len).map(|n| n as f64 - middle).collect::<Vec<_>>()), None);
         }
         for (k, variance_v2) in slow_v2.iter().enumerate().filter(|(_, variance_v2)| **variance_v2 > 0.0) {
-            let component: Vec<f64> = (0..len).map(|n| component(k, n as f64, len)).collect();
-            nuisance.add(&whitener.apply(&component), Some(*variance_v2));
+            nuisance.add(&slow_direction(whitener, k), Some(*variance_v2));
         }
         nuisance
     }
@@ -88,6 +87,12 @@ impl Nuisance {
     pub(super) fn mean_v(&self, first: usize, samples: impl Iterator<Item = f64>) -> f64 {
         self.mean.iter().skip(first).zip(samples).map(|(m, s)| m * s).sum()
     }
+}
+
+/// Component `k` of slow noise, whitened.
+pub(super) fn slow_direction(whitener: &Whitener, k: usize) -> Vec<f64> {
+    let len = whitener.weights().len();
+    whitener.apply(&(0..len).map(|n| component(k, n as f64, len)).collect::<Vec<_>>())
 }
 
 /// Takes `amount` of a direction away.

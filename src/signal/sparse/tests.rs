@@ -292,3 +292,21 @@ fn an_inexact_response_shows_in_chi2_and_is_borne_by_its_own_variance() {
     assert_eq!(solution.pulses.len(), 1);
     assert!((solution.pulses[0].time_ps - 3000.0).abs() < 4.0 * solution.covariance_ps2[0].sqrt());
 }
+
+/// Records that tell little of the width each: together they tell the true one, without a pull to the calibration's.
+#[test]
+fn widths_of_weak_records_add_up_to_the_true_one() {
+    let mut rng = ChaCha8Rng::seed_from_u64(19);
+    let wider = Shape { formula: |t| (-0.5 * (t / (1.04 * 106.17)).powi(2)).exp(), ..gaussian() };
+    let (mut sum, mut weights, mut count) = (0.0, 0.0, 0);
+    for _ in 0..400 {
+        let y = with_noise(&clean(&wider, &[(3000.0 + rng.random_range(0.0..DT_PS), 1.0)], 0.0, 120), 0.03, &mut rng);
+        let fit = fit_white(&gaussian(), &y, 0.03, &SparseOptions::default());
+        if let Some([width, sd]) = fit.width {
+            (sum, weights, count) = (sum + width / (sd * sd), weights + 1.0 / (sd * sd), count + 1);
+        }
+    }
+    let (width, sd) = (sum / weights, 1.0 / f64::sqrt(weights));
+    println!("{count} records: {width:.4}, sd {sd:.4}");
+    assert!(count > 350 && sd < 0.003 && (width - 1.04).abs() < 4.0 * sd + 0.002, "{count}: {width} {sd}");
+}

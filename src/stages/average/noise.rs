@@ -72,8 +72,8 @@ impl Judges<'_> {
         let noise = SlowNoise::of(differences, &is_dark)?;
         // The mean has its share of each shot.
         let scale = (shots / (shots - 1.0)).sqrt();
-        let fast = |difference: &Vec<f64>| noise.fast(difference).iter().map(|value| value * scale).collect();
-        let fast = differences.iter().map(fast).collect();
+        let mut fast = noise.fast(differences);
+        fast.iter_mut().flatten().for_each(|value| *value *= scale);
         Some(Slow { variances: noise.variances.iter().map(|variance| variance * scale * scale).collect(), fast })
     }
 

@@ -247,7 +247,10 @@ impl Shots {
             self.whole.sums.finish()
         };
         let mean = mean?;
-        Some(Judged { differences: dark::differences(&passed, &mean), passed, mean })
+        // Light that repeats has no dark stretch to compare, and its records are folded.
+        let is_compared = self.darkness != Darkness::Anywhere;
+        let differences = if is_compared { dark::differences(&passed, &mean) } else { Vec::new() };
+        Some(Judged { passed, mean, differences })
     }
 
     /// Looks for light where the records are taken as dark, and for a stretch without. Returns whether there is a
