@@ -21,7 +21,8 @@
 //! the field predicts, as long as it explains all of them and agrees with what smaller windows said.
 //!
 //! When light begins depends on where the surface ends. Flat faces show that; so lengths are timed again under the law
-//! of the faces, and faces are fitted again, in some rounds.
+//! of the faces, and faces are fitted again, in some rounds. Faces count as long as bent fields, which know nothing of
+//! them, say the same of the points: a slightly curved surface has nearly the lengths of flat faces.
 //!
 //! Covariances have four parts: noise; the error of the law of first light, which is a smooth random function over the
 //! wall ([`Scan::sigma_m`] sets its length, and its size but for flat faces, whose residuals tell it); what other
@@ -56,7 +57,7 @@ use field::Field;
 pub use field::Kind;
 use flat::{Flat, Hint};
 use local::{Local, Sample};
-use windows::Chosen;
+use windows::{Chosen, Reading};
 
 /// Least number of places of the wall.
 pub const LEAST: usize = 16;
@@ -211,7 +212,8 @@ impl<'a> Rounds<'a> {
     /// Flat faces that go on from the points of the round before.
     fn find_faces(&mut self, cancel: &Cancel) {
         let hints: Vec<Option<Hint>> = self.points().iter().map(|point| point.as_ref().map(Hint::new)).collect();
-        self.faces = windows::flats(self.scan, &self.samples, &self.near, &hints, cancel);
+        let bent: Vec<Option<Reading>> = self.fields.par_iter().map(|field| Some(field.as_ref()?.reading())).collect();
+        self.faces = windows::flats(self.scan, &self.samples, &self.near, (&hints, &bent), cancel);
         self.flats = windows::shared(&self.faces, &self.samples, &self.near);
     }
 

@@ -273,6 +273,15 @@ fn points_of_a_sphere_and_a_plate_lie_within_their_error_bars() {
     assert!(plate.iter().all(|one| median(&one.errors_m) < 3e-3));
 }
 
+/// Lengths to a wave are nearly those to flat faces with a larger error of their law.
+#[test]
+fn a_wavy_surface_is_no_flat_face() {
+    let wavy = tallies(&thing("wavy", 2000), &capture(32, 2000), 3000.0);
+    let [points, held] = [wavy.iter().map(|one| one.points).sum::<usize>(), wavy.iter().map(|one| one.held).sum()];
+    println!("wavy: {held} of {points}, {:?} m", wavy.each_ref().map(|one| median(&one.errors_m)));
+    assert!(points > 700 && held * 100 > 90 * points);
+}
+
 #[test]
 fn one_thread_and_two_give_the_same_points() {
     let folder = tempfile::tempdir().unwrap();

@@ -20,8 +20,9 @@ const BEYOND: f64 = 0.3;
 /// Turns of the edges that are tried in a quarter, and starts that are followed.
 const AZIMUTHS: usize = 6;
 const FOLLOWED: usize = 3;
-/// Standard deviation of an edge that is shown, in radii of the zone.
+/// Standard deviation of an edge that is shown, and the most by which one counts as unsure, in radii of the zone.
 const SHOWN: f64 = 1.0;
+const MOST_UNSURE: f64 = 4.0;
 
 /// A point of the surface that is known roughly.
 #[derive(Clone, Copy, Debug)]
@@ -37,6 +38,28 @@ impl Hint {
     pub fn new(point: &SurfacePoint) -> Self {
         let sd_m = point.covariance_m2.trace().sqrt();
         Self { point: point.point, sd_m, away: point.normal, is_smooth: point.kind == Kind::Smooth }
+    }
+}
+
+/// How far beyond an edge a place lies, in radii of the zone.
+#[derive(Clone, Copy, Debug)]
+pub struct Beyond {
+    pub thought: f64,
+    pub sd: f64,
+    /// Whether lengths show the edge; else there is none as far as they tell.
+    pub is_shown: bool,
+}
+
+impl Beyond {
+    pub fn likeliest(&self) -> f64 {
+        if self.is_shown { self.thought } else { f64::NEG_INFINITY }
+    }
+
+    /// Where the edge may be otherwise: one standard deviation farther, and nearer too where that is much.
+    pub fn otherwise(&self) -> impl Iterator<Item = f64> {
+        let sd = self.sd.min(MOST_UNSURE);
+        let nearer = (sd > SHOWN).then_some(self.thought - sd);
+        [self.thought + sd].into_iter().chain(nearer)
     }
 }
 
@@ -127,11 +150,12 @@ impl Flat {
         })
     }
 
-    /// The same, in radii of the zone of a length. Edges that no length shows are none.
-    pub fn beyond(&self, zone_m: f64) -> [[f64; 2]; 5] {
+    /// The same, in radii of the zone of a length.
+    pub fn beyond(&self, zone_m: f64) -> [Beyond; 5] {
         self.beyond_m().map(|end| {
-            let [beyond, sd] = end.map(|end_m| end_m / zone_m);
-            if sd > SHOWN && beyond < 0.0 { [f64::NEG_INFINITY, 0.0] } else { [beyond, sd] }
+            let [thought, sd] = end.map(|end_m| end_m / zone_m);
+            let is_shown = sd <= SHOWN || thought >= 0.0;
+            Beyond { thought, sd, is_shown }
         })
     }
 
@@ -158,7 +182,7 @@ impl Flat {
     pub fn kinds(&self) -> [f64; 3] {
         // About the probability that a standard normal is below this.
         let within = |z: f64| 1.0 / (1.0 + (-1.702 * z).exp());
-        let [x, y, z, left, below] = self.beyond(self.zone_m).map(|[beyond, sd]| within(beyond / sd.max(1e-9)));
+        let [x, y, z, left, below] = self.beyond(self.zone_m).map(|end| within(end.likeliest() / end.sd.max(1e-9)));
         let [a, b] = [(x + left).min(1.0), (y + below).min(1.0)];
         let c = if self.is_block { z } else { 1.0 };
         let one = a * (1.0 - b) * (1.0 - c) + b * (1.0 - a) * (1.0 - c) + c * (1.0 - a) * (1.0 - b);

@@ -24,9 +24,8 @@ const BESIDE: f64 = 0.3;
 const NONE: f64 = 0.3;
 /// Standard deviation of the law's error over that of the response: of a step, with more for an edge and a corner.
 const ERROR: [f64; 3] = [0.12, 0.24, 0.36];
-/// The same of the law of flat faces, and the most by which its ends may be off, in radii of the zone.
+/// The same of the law of flat faces.
 const FACES_ERROR: f64 = 0.05;
-const MOST_UNSURE: f64 = 1.5;
 /// The most of the error of the law of flat faces that noise may hide, as [`ERROR`].
 pub const MOST_ERROR: f64 = 0.36;
 /// Power of the likelihood by which a sheet and a block are told apart.
@@ -133,16 +132,19 @@ pub fn again(
     let length_m = flat.length_m(&scan.places[place].seen);
     let zone_m = scan.zone_m(length_m);
     let ends = flat.beyond(zone_m);
-    let beyond = ends.map(|[beyond, _]| beyond);
+    let beyond = ends.map(|end| end.likeliest());
     let of = |flat: &Flat, beyond: [f64; 5]| timed(place, &flat.faces(beyond), length_m / scan.share());
     let own = of(flat, beyond)?;
     let other = flat.other().and_then(|other| of(&other, beyond)).unwrap_or(own);
     let error_m = (common_m / scan.share()).max(scan.sigma_m * FACES_ERROR);
     let mut law_m2 = error_m.powi(2) + own.common_m.powi(2);
-    for (k, [_, sd]) in ends.into_iter().enumerate() {
-        let mut moved = beyond;
-        moved[k] += sd.min(MOST_UNSURE);
-        law_m2 += of(flat, moved).map_or(0.0, |moved| (moved.length_m - own.length_m).powi(2));
+    for (k, end) in ends.iter().enumerate() {
+        let off_m2 = |other: f64| {
+            let mut moved = beyond;
+            moved[k] = other;
+            of(flat, moved).map_or(0.0, |moved| (moved.length_m - own.length_m).powi(2))
+        };
+        law_m2 += end.otherwise().map(off_m2).fold(0.0, f64::max);
     }
     Some(Again { returns: if flat.is_block { [other, own] } else { [own, other] }, law_m2 })
 }

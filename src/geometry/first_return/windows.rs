@@ -45,6 +45,9 @@ const LOST: usize = 3;
 const NEXT: f64 = 1.6;
 /// Least share of a window that follows.
 const ENOUGH: f64 = 0.6;
+/// Points of flat faces that are compared with those of bent fields, and the middle chi-square of three coordinates.
+const COMPARED: usize = 60;
+const MIDDLE: f64 = 2.37;
 /// Share of differences between windows that is bias.
 const BIAS: f64 = 1.5;
 
@@ -124,17 +127,20 @@ pub fn fields(
         cancel.check();
         let zone_m = scan.zone_m(samples[n].length_m * if scan.lit.is_some() { 0.5 } else { 1.0 });
         let start = |members: &[u32]| Field::new(&samples[n], -scan.inwards).fit(samples, members, zone_m);
-        Growth { scan, samples, near: &near[n], zone_m, sizes, start }.chosen()
+        let accepts = |_: &Field, _: &[u32]| true;
+        Growth { scan, samples, near: &near[n], zone_m, sizes, start, accepts }.chosen()
     };
     (0..samples.len()).into_par_iter().map(of_place).collect()
 }
 
 /// The flat faces about some places, from points that are known; `None` elsewhere, and where neighbours follow none.
+/// Faces hold only where their points are those of `bent` fields, which know nothing of faces: lengths alone seldom
+/// contradict them, since the error of their law is as large as what a slightly curved surface differs by.
 pub fn flats(
     scan: &Scan,
     samples: &[Sample],
     near: &[Vec<u32>],
-    hints: &[Option<Hint>],
+    (hints, bent): (&[Option<Hint>], &[Option<Reading>]),
     cancel: &Cancel,
 ) -> Vec<Option<Chosen<Flat>>> {
     let centres = apart(near, NEAREST.max(near.len() / CENTRES));
@@ -153,7 +159,17 @@ pub fn flats(
             let flats = starts.iter().filter_map(|flat| flat.fit(samples, members, zone_m));
             flats.min_by(|a, b| a.fitted().square.total_cmp(&b.fitted().square))
         };
-        Growth { scan, samples, near: &near[n], zone_m, sizes: &FLAT_SIZES, start }.chosen()
+        let accepts = |flat: &Flat, members: &[u32]| {
+            let step = members.len().div_ceil(COMPARED);
+            let off = |member: &u32| {
+                let bent = bent[*member as usize].as_ref()?;
+                reading(&flat.seen_from(samples[*member as usize].at), None).off(bent)
+            };
+            let mut off: Vec<f64> = members.iter().step_by(step).filter_map(off).collect();
+            off.sort_by(f64::total_cmp);
+            off.get(off.len() / 2).is_none_or(|middle| *middle < MIDDLE)
+        };
+        Growth { scan, samples, near: &near[n], zone_m, sizes: &FLAT_SIZES, start, accepts }.chosen()
     };
     (0..samples.len()).into_par_iter().map(of_place).collect()
 }
@@ -167,17 +183,19 @@ fn apart(near: &[Vec<u32>], nearest: usize) -> Vec<bool> {
     is_centre
 }
 
-/// Windows about one place, the first of its neighbours, and the field that a smallest one starts with.
-struct Growth<'a, S> {
+/// Windows about one place, the first of its neighbours, the field that a smallest one starts with, and what else
+/// speaks for or against a field of some members.
+struct Growth<'a, S, A> {
     scan: &'a Scan,
     samples: &'a [Sample],
     near: &'a [u32],
     zone_m: f64,
     sizes: &'a [usize],
     start: S,
+    accepts: A,
 }
 
-impl<F: Local, S: Fn(&[u32]) -> Option<F>> Growth<'_, S> {
+impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_, S, A> {
     fn at(&self, n: u32) -> &Sample {
         &self.samples[n as usize]
     }
@@ -212,7 +230,7 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>> Growth<'_, S> {
                 }
             }
         }
-        best.filter(|(_, field, _)| score(field) <= NO_FIELD)
+        best.filter(|(_, field, members)| score(field) <= NO_FIELD && (self.accepts)(field, members))
     }
 
     /// Those of a larger window that follow the field, and do not lie among others that do not.
@@ -277,7 +295,8 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>> Growth<'_, S> {
             if *size <= FITTED && members.len() < last_members.len() + 3 {
                 continue;
             }
-            if field.fitted().score() > NO_GROWTH || !self.agrees(&windows, &field) {
+            let is_borne_out = self.agrees(&windows, &field) && (self.accepts)(&field, &members);
+            if field.fitted().score() > NO_GROWTH || !is_borne_out {
                 refused = Some(field);
                 break;
             }
@@ -307,18 +326,29 @@ pub struct Reading {
 }
 
 impl Reading {
+    /// Chi-square of the difference of two points whose errors are independent; `None` where one has none.
+    fn off(&self, other: &Self) -> Option<f64> {
+        let off = self.point - other.point;
+        Some(off.dot(&(self.covariance_m2 + other.covariance_m2).cholesky()?.solve(&off)))
+    }
+
     /// With an error along the line of sight.
     pub fn and_along(self, sd_m: f64) -> Self {
         Self { covariance_m2: self.covariance_m2 + self.away * self.away.transpose() * sd_m.powi(2), ..self }
     }
 }
 
+/// What a field alone says.
+fn reading(field: &impl Local, lit: Option<&Point>) -> Reading {
+    let (point, away) = field.reading(lit);
+    let [covariance_m2, away_covariance] = field.covariances(lit, &(field.fitted().noise + field.fitted().law));
+    Reading { point, covariance_m2, away, away_covariance }
+}
+
 impl<F: Local> Chosen<F> {
     pub fn reading(&self) -> Reading {
         let lit = self.lit.as_ref();
-        let (point, away) = self.field.reading(lit);
-        let fitted = self.field.fitted();
-        let [mut covariance_m2, mut away_covariance] = self.field.covariances(lit, &(fitted.noise + fitted.law));
+        let Reading { point, mut covariance_m2, away, mut away_covariance } = reading(&self.field, lit);
         for (share, (other_point, other_away)) in self.others.iter().map(|(share, other)| (share, other.reading(lit))) {
             let [off, off_away] = [other_point - point, other_away - away];
             covariance_m2 += off * off.transpose() * *share;
