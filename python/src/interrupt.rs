@@ -26,7 +26,7 @@ pub fn interruptible<T: Send>(py: Python<'_>, compute: impl FnOnce(&Cancel) -> T
             let mut interruption = None;
             while let Err(RecvTimeoutError::Timeout) = ended.recv_timeout(LOOK) {
                 if interruption.is_none() {
-                    interruption = Python::attach(|py| py.check_signals()).err();
+                    interruption = Python::attach(|py| py.check_signals().err());
                     interruption.iter().for_each(|_| cancel.cancel());
                 }
             }

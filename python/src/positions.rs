@@ -98,7 +98,7 @@ impl Positions {
 }
 
 /// A patch of known position: its number, where it is (m), and the standard deviation of each coordinate (m).
-type KnownPlace = (usize, [f64; 3], f64);
+type Fixed = (usize, [f64; 3], f64);
 
 /// The most likely positions of patches, from times of flight over them.
 ///
@@ -161,7 +161,7 @@ pub fn solve_positions(
     start_m: Option<Rows<'_>>,
     dimensions: usize,
     delay_sd_ps: Option<f64>,
-    anchors: Vec<KnownPlace>,
+    anchors: Vec<Fixed>,
     loss: &str,
     group_index: f64,
 ) -> PyResult<Positions> {
@@ -181,7 +181,8 @@ pub fn solve_positions(
     let observations = nodes.into_iter().zip(lengths).map(observation).collect();
     let mut problem = Problem::new(start, space(dimensions)?, &stations, observations);
     problem.loss = named_loss(loss)?;
-    problem.anchors = anchors.into_iter().map(|anchor| known(anchor, problem.start.len())).collect::<PyResult<_>>()?;
+    problem.anchors =
+        anchors.into_iter().map(|anchor| anchor_of(anchor, problem.start.len())).collect::<PyResult<_>>()?;
     if let Some(sd_ps) = delay_sd_ps {
         problem = problem.with_common_delay(path_m(positive("delay_sd_ps", sd_ps)?, index));
     }
@@ -212,7 +213,7 @@ fn named_loss(name: &str) -> PyResult<Loss> {
     }
 }
 
-fn known((patch, [x, y, z], sd_m): KnownPlace, patches: usize) -> PyResult<Anchor> {
+fn anchor_of((patch, [x, y, z], sd_m): Fixed, patches: usize) -> PyResult<Anchor> {
     require(patch < patches, || format!("anchors name patch {patch}; there are {patches} patches"))?;
     let coordinate = |value| number("the position of an anchor", value);
     let position = Point::new(coordinate(x)?, coordinate(y)?, coordinate(z)?);

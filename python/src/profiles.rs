@@ -18,7 +18,7 @@ use crate::interrupt::interruptible;
 #[pyclass(frozen, get_all, module = "periscope")]
 pub struct Mean {
     /// Mean of each sample, in the unit of the shots; shape (samples,).
-    mean: Py<PyArray1<f64>>,
+    values: Py<PyArray1<f64>>,
     /// Time of its first sample, ps.
     t0_ps: f64,
     /// Shots that went into it.
@@ -90,7 +90,7 @@ pub fn average(
     let mean = sums.finish().ok_or_else(|| PyValueError::new_err("no time is covered by all shots; check t0_ps"))?;
     let phase_shots = sums.phase_shots().into_iter().map(|shots| shots as i32).collect();
     Ok(Mean {
-        mean: vector(py, mean.mean),
+        values: vector(py, mean.mean),
         t0_ps: starts_ps[0] + mean.first_position as f64 * dt_ps,
         shots: sums.shots(),
         phase_shots: vector(py, phase_shots),

@@ -1,6 +1,6 @@
 //! Result folders: their tables as Arrow streams, origins of rows, and the report.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_array::ffi_stream::FFI_ArrowArrayStream;
@@ -52,7 +52,7 @@ impl Results {
             let problem = format!("{} has no table {name:?}; it has {names:?}", self.shelf.out().display());
             return Err(PyKeyError::new_err(problem));
         }
-        py.detach(|| Table::of(&self.shelf, name)).map_err(of_store)
+        py.detach(|| Table::of(&self.shelf, name))
     }
 
     /// Origins of a row as a JSON text.
@@ -94,14 +94,16 @@ pub struct Table {
 }
 
 impl Table {
-    fn of(shelf: &Shelf, name: &str) -> Result<Self, StoreError> {
-        let files = shelf.recorded(name)?;
-        let schema = match files.first() {
-            Some((path, _)) => scan::schema(path)?,
-            None => {
-                let kind = shelf.table_of(name)?.unwrap_or_else(|| name.to_owned());
-                tables::schema_of(&kind).unwrap_or_else(|| Arc::new(arrow_schema::Schema::empty()))
-            }
+    fn of(shelf: &Shelf, name: &str) -> PyResult<Self> {
+        let files = shelf.recorded(name).map_err(of_store)?;
+        let schema = if let Some((path, _)) = files.first() {
+            scan::schema(path).map_err(of_store)?
+        } else {
+            // A table without rows may have no file; its kind says what it would hold.
+            let kind = shelf.table_of(name).map_err(of_store)?.unwrap_or_else(|| name.to_owned());
+            let unlisted =
+                || ResultsError::new_err(format!("table {name} has no file, and {kind} is no kind of table"));
+            tables::schema_of(&kind).ok_or_else(unlisted)?
         };
         let rows = files.iter().map(|(_, record)| record.rows).sum();
         Ok(Self { name: name.to_owned(), schema, files: files.into(), rows })
@@ -119,10 +121,7 @@ impl Table {
 }
 
 /// The batches of a file; of a damaged one, its error.
-fn batches(
-    path: &std::path::Path,
-    record: &FileRecord,
-) -> Box<dyn Iterator<Item = Result<RecordBatch, ArrowError>> + Send> {
+fn batches(path: &Path, record: &FileRecord) -> Box<dyn Iterator<Item = Result<RecordBatch, ArrowError>> + Send> {
     let external = |error: StoreError| ArrowError::ExternalError(Box::new(error));
     match parquet::read_recorded(path, record, BATCH_ROWS) {
         Ok(batches) => Box::new(batches.map(move |batch| batch.map_err(external))),

@@ -9,7 +9,9 @@ import tomllib
 import warnings
 from pathlib import Path
 
+import duckdb
 import numpy as np
+import pandas as pd
 import polars as pl
 import pyarrow as pa
 import pytest
@@ -55,6 +57,14 @@ def test_tables_stream_into_polars_and_pyarrow(results: periscope.Results) -> No
         again = pa.RecordBatchReader.from_stream(table).read_all()
         assert again == arrow
     assert {"patch", "x_m", "y_m", "z_m"} <= set(results.patches.columns) and len(results.patches) > 3
+
+
+def test_tables_stream_into_duckdb_and_pandas(results: periscope.Results) -> None:
+    onsets = results["onsets"]
+    times_ps = pl.DataFrame(onsets)["time_ps"].to_numpy()
+    row = duckdb.execute("SELECT count(*), sum(time_ps) FROM onsets").fetchone()
+    assert row is not None and row[0] == len(onsets) and row[1] == pytest.approx(times_ps.sum())
+    np.testing.assert_array_equal(pd.DataFrame.from_arrow(onsets)["time_ps"], times_ps)
 
 
 def test_positions_are_near_the_truth(campaign: Path, results: periscope.Results) -> None:

@@ -13,9 +13,9 @@ import periscope
 def test_a_mean_without_jitter_is_that_of_numpy(dtype: str, rng: np.random.Generator) -> None:
     shots = rng.integers(0, 100, (40, 257)).astype(dtype)
     mean = periscope.average(shots)
-    np.testing.assert_allclose(mean.mean, shots.astype(float).mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(mean.values, shots.astype(float).mean(axis=0), rtol=1e-14)
     assert mean.shots == 40 and mean.phase_shots[0] == 40 and mean.phase_shots.sum() == 40
-    np.testing.assert_array_equal(periscope.average(shots.T.copy().T).mean, mean.mean)  # not contiguous
+    np.testing.assert_array_equal(periscope.average(shots.T.copy().T).values, mean.values)  # not contiguous
 
 
 def test_shots_are_aligned_by_their_trigger_times(rng: np.random.Generator) -> None:
@@ -23,8 +23,8 @@ def test_shots_are_aligned_by_their_trigger_times(rng: np.random.Generator) -> N
     t0_ps = rng.integers(-160, 160, 200) * (dt_ps / 64)  # multiples of the grid, so that nothing is rounded
     time_ps = t0_ps[:, None] + dt_ps * np.arange(samples)
     mean = periscope.average(gauss(time_ps - 10_000.0, 150.0), t0_ps, dt_ps)
-    grid_ps = mean.t0_ps + dt_ps * np.arange(len(mean.mean))
-    np.testing.assert_allclose(mean.mean, gauss(grid_ps - 10_000.0, 150.0), atol=3e-4)
+    grid_ps = mean.t0_ps + dt_ps * np.arange(len(mean.values))
+    np.testing.assert_allclose(mean.values, gauss(grid_ps - 10_000.0, 150.0), atol=3e-4)
     blurred = gauss(time_ps - 10_000.0, 150.0).mean(axis=0)
     assert np.abs(blurred - gauss(dt_ps * np.arange(samples) - 10_000.0, 150.0)).max() > 0.02
 
