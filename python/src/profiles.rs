@@ -288,7 +288,7 @@ pub struct ResponseEstimate {
     response: Py<Response>,
     /// Height of the pulse, in the unit of the shots.
     height: f64,
-    /// Time of the maximum in each shot, ps, in the shot's own frame; NaN where a shot has no pulse; shape (shots,).
+    /// Time of the maximum in each shot, ps, on the clock of `t0_ps`; NaN where a shot has no pulse; shape (shots,).
     time_ps: Py<PyArray1<f64>>,
     /// Standard deviation of `time_ps`; shape (shots,).
     time_sd_ps: Py<PyArray1<f64>>,

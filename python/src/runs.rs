@@ -18,7 +18,7 @@ use pyo3::prelude::*;
 
 use crate::arrays::require;
 use crate::failure::{of_campaign, of_pipeline, of_run, of_scene, of_simulation, of_store};
-use crate::interrupt::interruptible;
+use crate::interrupt::interruptible_run;
 
 /// Runs a pipeline; `periscope.run` calls it.
 ///
@@ -61,7 +61,7 @@ pub fn run(
     let spec = Spec::new(&definition).map_err(of_pipeline)?;
     let shelf = Shelf::open(&out).map_err(of_store)?;
     let job = Job { spec, reference, settings, campaigns, shelf, until, style };
-    let outcome = interruptible(py, |cancel| job.execute(cancel))?.map_err(of_run)?;
+    let outcome = interruptible_run(py, |cancel| job.execute(cancel))?.map_err(of_run)?;
     Ok((outcome.rejects, outcome.left_out.iter().map(ToString::to_string).collect()))
 }
 
@@ -176,5 +176,5 @@ pub fn simulate(py: Python<'_>, scene: PathBuf, out: PathBuf, seed: u64, format:
         other => return Err(PyValueError::new_err(format!("format is {other:?}; give trc, wfm, bin, npy or csv"))),
     };
     let scene = Scene::load(&scene).map_err(of_scene)?;
-    interruptible(py, |_| simulation::simulate(&scene, seed, &out, format).map(drop))?.map_err(of_simulation)
+    interruptible_run(py, |_| simulation::simulate(&scene, seed, &out, format).map(drop))?.map_err(of_simulation)
 }

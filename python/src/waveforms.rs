@@ -4,14 +4,14 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use numpy::{PyArray1, PyArray2};
+use numpy::{Element, PyArray1, PyArray2, PyArrayMethods};
 use periscope::formats::{self, Contents, FormatError, Input, Joined, Source};
 use periscope::waveform::{CodeType, Head, Kind, Record};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PySlice, PyTuple};
 
-use crate::arrays::{matrix, vector};
+use crate::arrays::vector;
 use crate::failure::of_file;
 use crate::interrupt::interruptible;
 
@@ -45,19 +45,46 @@ impl Opened {
         read.map_err(|error| of_file(&self.path, &FormatError::Io(error)))
     }
 
-    /// Codes as an array of bytes, seen as the type of the codes: the file's bytes are copied once.
+    /// Codes of records, one after another: bytes of the file, seen as the type of the codes.
     fn codes<'py>(&self, py: Python<'py>, records: &[Record], samples: Range<usize>) -> PyResult<Bound<'py, PyAny>> {
         let code_type = records[0].head.code_type;
-        let mut bytes = Vec::with_capacity(records.len() * samples.len() * code_type.bytes());
-        self.visit(py, records, samples, |_, codes| bytes.extend_from_slice(codes))?;
-        PyArray1::from_vec(py, bytes).call_method1("view", (dtype(code_type),))
+        let bytes = empty::<u8>(py, records.len() * samples.len() * code_type.bytes())?;
+        {
+            let mut target = bytes.readwrite();
+            let mut rest = target.as_slice_mut()?;
+            self.visit(py, records, samples, |_, codes| rest = fill(std::mem::take(&mut rest), codes))?;
+        }
+        bytes.call_method1("view", (dtype(code_type),))
     }
 
-    fn values(&self, py: Python<'_>, records: &[Record], samples: Range<usize>) -> PyResult<Vec<f64>> {
-        let mut values = Vec::with_capacity(records.len() * samples.len());
-        self.visit(py, records, samples, |record, codes| values.extend(record.values(codes)))?;
+    /// Scaled values of records, one after another.
+    fn values<'py>(
+        &self,
+        py: Python<'py>,
+        records: &[Record],
+        samples: Range<usize>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let values = empty::<f64>(py, records.len() * samples.len())?;
+        {
+            let mut target = values.readwrite();
+            let mut rest = target.as_slice_mut()?;
+            let take = |record: &Record, codes: &[u8]| rest = fill(std::mem::take(&mut rest), &record.values(codes));
+            self.visit(py, records, samples, take)?;
+        }
         Ok(values)
     }
+}
+
+/// An array whose values are to be filled in. NumPy allocates it: on large pages, which are cleared much faster.
+fn empty<T: Element>(py: Python<'_>, count: usize) -> PyResult<Bound<'_, PyArray1<T>>> {
+    Ok(py.import("numpy")?.call_method1("empty", (count, T::get_dtype(py)))?.cast_into()?)
+}
+
+/// Copies values to the front of a target; returns the rest of it.
+fn fill<'a, T: Copy>(target: &'a mut [T], values: &[T]) -> &'a mut [T] {
+    let (front, rest) = target.split_at_mut(values.len());
+    front.copy_from_slice(values);
+    rest
 }
 
 /// NumPy's name of a type of codes.
@@ -252,7 +279,7 @@ impl Waveforms {
     fn volts(&self, py: Python<'_>, start: usize, stop: Option<usize>) -> PyResult<Py<PyArray2<f64>>> {
         let samples = range(self.head()?.samples, start, stop)?;
         let (height, width) = (self.records.len(), samples.len());
-        matrix(py, self.file.values(py, &self.records, samples)?, height, width)
+        Ok(self.file.values(py, &self.records, samples)?.reshape([height, width])?.unbind())
     }
 
     fn __len__(&self) -> usize {
@@ -448,7 +475,7 @@ impl Waveform {
     #[pyo3(signature = (start=0, stop=None))]
     fn volts(&self, py: Python<'_>, start: usize, stop: Option<usize>) -> PyResult<Py<PyArray1<f64>>> {
         let samples = range(self.record.head.samples, start, stop)?;
-        Ok(vector(py, self.file.values(py, std::slice::from_ref(&self.record), samples)?))
+        Ok(self.file.values(py, std::slice::from_ref(&self.record), samples)?.unbind())
     }
 
     /// Time of each sample after the trigger, ps.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import signal
 import subprocess
 import sys
@@ -68,6 +69,19 @@ except KeyboardInterrupt:
     assert time.monotonic() - sent < 2.0 and process.wait() == 0
     results = periscope.run(campaign, "all-visible", tmp_path / "out", progress="none")
     assert len(results.patches) > 0
+
+
+def arrival_ps(sd_ps: float) -> float:
+    time_ps = np.arange(200) * 50.0
+    pulses = periscope.deconvolve(gauss(time_ps - 4000.0, sd_ps), 1e-3, gaussian_response(sd_ps), dt_ps=50.0)
+    return float(pulses.time_ps[0])
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_kernels_compute_in_a_forked_process_too() -> None:
+    assert arrival_ps(50.0) == pytest.approx(4000.0, abs=1.0)  # starts the threads of this process
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        assert pool.map_async(arrival_ps, [50.0, 60.0, 70.0]).get(timeout=30) == pytest.approx([4000.0] * 3, abs=1.0)
 
 
 def test_other_threads_run_while_a_kernel_computes() -> None:
