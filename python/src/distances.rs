@@ -141,8 +141,8 @@ pub struct Ranges {
 
 /// Ranges to one hidden patch from third bounces: inverts T3.
 ///
-/// Light over visible patch i, the hidden patch and visible patch j covers, between the two visible ones, the sum of two
-/// ranges. Generalised least squares over all sums gives the ranges, where sums form an odd cycle.
+/// Light over visible patch i, the hidden patch and visible patch j covers, between the two visible ones, the sum of
+/// two ranges. Generalised least squares over all sums gives the ranges, where sums form an odd cycle.
 ///
 /// Parameters
 /// ----------

@@ -1,6 +1,6 @@
 //! Ctrl-C in long computations.
 //!
-//! Only the main thread of Python may look at signals, so it must be free to do so: it waits, and other threads compute.
+//! Only the main thread of Python may look at signals, so it must be free to do so: it waits, others compute.
 
 use std::process;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};

@@ -19,7 +19,8 @@ use crate::interrupt::interruptible;
 pub struct Positions {
     /// Position of each patch, m; shape (patches, 3).
     points_m: Py<PyArray2<f64>>,
-    /// Covariance, m^2; coordinate k of patch i is row 3 i + k; shape (3 patches, 3 patches). NaN for patches in `open`.
+    /// Covariance, m^2; coordinate k of patch i is row 3 i + k; shape (3 patches, 3 patches). NaN for patches in
+    /// `open`.
     covariance_m2: Py<PyArray2<f64>>,
     /// Measured less predicted time of each path, ps; shape (paths,).
     residual_ps: Py<PyArray1<f64>>,
@@ -134,8 +135,8 @@ type Fixed = (usize, [f64; 3], f64);
 /// Returns
 /// -------
 /// Positions
-///     What the times leave free, such as a rotation or a mirror image about the stations, is arbitrary; `free_rotations`
-///     and `open` name it.
+///     What the times leave free, such as a rotation or a mirror image about the stations, is arbitrary.
+///     `free_rotations` and `open` name rotations and patches.
 ///
 /// Raises
 /// ------

@@ -294,9 +294,10 @@ pub struct ResponseEstimate {
     time_sd_ps: Py<PyArray1<f64>>,
 }
 
-/// Estimates the impulse response of a sensor from shots of one short pulse, on a grid eight times finer than the samples.
+/// Estimates the impulse response of a sensor from shots of one short pulse.
 ///
-/// Trigger jitter moves the pulse between the samples: shape and times are estimated in turn (equivalent-time sampling).
+/// Its grid is eight times finer than the samples: trigger jitter moves the pulse between them, and shape and times are
+/// estimated in turn (equivalent-time sampling).
 ///
 /// Parameters
 /// ----------

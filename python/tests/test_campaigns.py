@@ -62,8 +62,9 @@ def test_tables_stream_into_polars_and_pyarrow(results: periscope.Results) -> No
 def test_tables_stream_into_duckdb_and_pandas(results: periscope.Results) -> None:
     onsets = results["onsets"]
     times_ps = pl.DataFrame(onsets)["time_ps"].to_numpy()
-    row = duckdb.execute("SELECT count(*), sum(time_ps) FROM onsets").fetchone()
-    assert row is not None and row[0] == len(onsets) and row[1] == pytest.approx(times_ps.sum())
+    with duckdb.connect() as connection:
+        ((count, total_ps),) = connection.execute("SELECT count(*), sum(time_ps) FROM onsets").fetchall()
+    assert count == len(onsets) and total_ps == pytest.approx(times_ps.sum())
     np.testing.assert_array_equal(pd.DataFrame.from_arrow(onsets)["time_ps"], times_ps)
 
 
