@@ -38,15 +38,27 @@ print(len(periscope.estimate_noise(mean).acf), flush=True)
 """
 
 
-def test_ctrl_c_ends_a_kernel() -> None:
-    process = subprocess.Popen([sys.executable, "-c", LONG], stdout=subprocess.PIPE, text=True)
+def interrupted(code: str, after_s: float) -> tuple[list[str], float]:
+    """What a program prints that gets Ctrl-C some time after its first line, and how long it takes to end.
+
+    One that does not end is killed.
+    """
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None and process.stdout.readline() == "ready\n"
-    time.sleep(0.5)
+    time.sleep(after_s)
     sent = time.monotonic()
     process.send_signal(signal.SIGINT)
-    assert process.stdout.readline() == "interrupted\n"
-    assert time.monotonic() - sent < 2.0
-    assert process.stdout.readline() == "32\n" and process.wait() == 0
+    try:
+        printed, _ = process.communicate(timeout=20)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        printed, _ = process.communicate()
+    return printed.splitlines(), time.monotonic() - sent
+
+
+def test_ctrl_c_ends_a_kernel() -> None:
+    printed, elapsed_s = interrupted(LONG, 0.5)
+    assert printed == ["interrupted", "32"] and elapsed_s < 3.0
 
 
 def test_ctrl_c_ends_a_run_and_keeps_what_is_finished(campaign: Path, tmp_path: Path) -> None:
@@ -60,13 +72,8 @@ try:
 except KeyboardInterrupt:
     print("interrupted", flush=True)
 """
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stdout.readline() == "ready\n"
-    time.sleep(0.3)
-    sent = time.monotonic()
-    process.send_signal(signal.SIGINT)
-    assert process.stdout.readline() == "interrupted\n"
-    assert time.monotonic() - sent < 2.0 and process.wait() == 0
+    printed, elapsed_s = interrupted(code, 0.3)
+    assert printed == ["interrupted"] and elapsed_s < 3.0
     results = periscope.run(campaign, "all-visible", tmp_path / "out", progress="none")
     assert len(results.patches) > 0
 
