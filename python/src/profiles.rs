@@ -75,6 +75,9 @@ pub fn average(
         None if is_aligned => 1.0,
         None => return Err(PyValueError::new_err("t0_ps differs between shots; give dt_ps too")),
     };
+    // Shots that share no time would spread the sums over all times between them.
+    let is_apart = starts_ps.iter().any(|start_ps| ((start_ps - starts_ps[0]) / dt_ps).abs() >= samples as f64);
+    require(!is_apart, || "no time is covered by all shots; check t0_ps and dt_ps".to_owned())?;
     let bytes = bytes.as_slice()?;
     let rows = || bytes.chunks_exact(samples * code_type.bytes());
     let codes = |row| Codes::of(code_type.name(), row).expect("the crates name types alike");

@@ -40,6 +40,8 @@ def test_wrong_shots_are_refused_with_the_fix() -> None:
         periscope.average(np.full((2, 3), np.nan))
     with pytest.raises(ValueError, match="covered by all shots"):
         periscope.average(np.zeros((2, 3)), [0.0, 1000.0], 1.0)
+    with pytest.raises(ValueError, match="covered by all shots"):
+        periscope.average(np.zeros((2, 3)), [0.0, 1e300], 1e-9)
 
 
 def test_noise_is_that_of_the_process(rng: np.random.Generator) -> None:
