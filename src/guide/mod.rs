@@ -19,6 +19,7 @@ pages! {
     files = "files.md";
     running = "running.md";
     report = "report.md";
+    python = "python.md";
     theory = "theory.md";
     glossary = "glossary.md";
 }

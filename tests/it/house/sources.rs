@@ -30,12 +30,12 @@ pub struct Source {
     test_modules: Vec<String>,
 }
 
-/// All Rust files of the crates, of `tests/` and of `benches/`.
+/// All Rust files of the crates, of `tests/`, of `benches/` and of `python/`.
 pub fn sources() -> &'static [Source] {
     static SOURCES: OnceLock<Vec<Source>> = OnceLock::new();
     SOURCES.get_or_init(|| {
         let mut files = BTreeSet::new();
-        ["src", "tests", "benches"].iter().for_each(|folder| walk(&root().join(folder), &mut files));
+        ["src", "tests", "benches", "python"].iter().for_each(|folder| walk(&root().join(folder), &mut files));
         let mut sources: Vec<Source> = files.into_iter().map(Source::read).collect();
         let test_modules: Vec<String> = sources.iter().flat_map(|source| source.test_modules.clone()).collect();
         for source in &mut sources {
