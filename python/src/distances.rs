@@ -19,6 +19,9 @@ use crate::interrupt::interruptible;
 fn lengths(name: &str, time_ps: &Vector<'_>, sd_ps: &Each<'_>, group_index: f64) -> PyResult<Vec<Length>> {
     let times_ps = finite(name, time_ps)?;
     let sds_ps = sd_ps.standard_deviations(&format!("standard deviation of {name}"), times_ps.len())?;
+    require(sds_ps.iter().all(|sd_ps| sd_ps.is_finite()), || {
+        format!("a standard deviation of {name} is not finite; leave out times that nobody knows")
+    })?;
     let index = positive("group_index", group_index)?;
     let length = |(time_ps, sd_ps): (&f64, &f64)| Length {
         length_m: path_m(*time_ps, index),
@@ -174,7 +177,6 @@ pub fn t3_ranges(
     group_index: f64,
 ) -> PyResult<Ranges> {
     let lengths = lengths("sum_ps", &sum_ps, &sum_sd_ps, group_index)?;
-    require(lengths.iter().all(|length| length.variance_m2.is_finite()), || "sum_sd_ps must be finite".to_owned())?;
     let pairs = pairs(&lit, &seen, lengths.len())?;
     let sum = |((lit, seen), length)| t3::Sum { lit, seen, length, common_m: Vec::new() };
     let sums: Vec<t3::Sum> = pairs.into_iter().zip(lengths).map(sum).collect();

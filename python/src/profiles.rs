@@ -14,6 +14,9 @@ use crate::arrays::{Each, Integers, Rows, Vector, finite, number, positive, requ
 use crate::failure::of_signal;
 use crate::interrupt::interruptible;
 
+/// Samples of a response beyond which its step is a mistake.
+const MOST_SAMPLES: f64 = 1e6;
+
 /// The mean of shots.
 #[pyclass(frozen, get_all, module = "periscope")]
 pub struct Mean {
@@ -275,7 +278,14 @@ impl Response {
         let shots: Vec<i32> = phase_shots.as_array().iter().map(|shots| *shots as i32).collect();
         let is_count = shots.len() == PHASES && shots.iter().all(|n| *n >= 0) && shots.iter().any(|n| *n > 0);
         require(is_count, || format!("phase_shots are {PHASES} counts of shots, as Mean.phase_shots has them"))?;
-        Ok(Self(averaged_response::averaged_response(&self.0, positive("dt_ps", dt_ps)?, &shots)))
+        let dt_ps = positive("dt_ps", dt_ps)?;
+        let (first_ps, last_ps) = self.0.support_ps();
+        require(last_ps - first_ps <= MOST_SAMPLES * dt_ps, || {
+            format!(
+                "dt_ps is {dt_ps}, of which the response has more than {MOST_SAMPLES}; give the time between samples of its shots"
+            )
+        })?;
+        Ok(Self(averaged_response::averaged_response(&self.0, dt_ps, &shots)))
     }
 
     fn __repr__(&self) -> String {

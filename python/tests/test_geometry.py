@@ -55,6 +55,8 @@ def test_t2_reports_what_it_cannot_use() -> None:
     assert result.skipped == [(1, 1), (1, 2)] or (1, 2) in result.skipped
     with pytest.raises(ValueError, match="lit has 2 values and seen 1, for 1 times"):
         periscope.t2_distances([1], [4000.0], 1.0, [1, 1], [2], [9000.0], 1.0)
+    with pytest.raises(ValueError, match="of second_ps is not finite"):
+        periscope.t2_distances([1], [4000.0], 1.0, [1, 1], [2, 2], [9000.0, 9000.0], [1.0, np.inf])
 
 
 def test_t3_inverts_sums_of_ranges_by_least_squares(rng: np.random.Generator) -> None:

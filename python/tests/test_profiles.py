@@ -93,6 +93,8 @@ def test_a_response_is_its_spline() -> None:
     assert response.averaged(50.0, [1] * 64).width_ps > response.width_ps
     with pytest.raises(ValueError, match="64 counts"):
         response.averaged(50.0, [1, 2])
+    with pytest.raises(ValueError, match="between samples of its shots"):
+        response.averaged(1e-9, [1] * 64)
     with pytest.raises(ValueError, match=r"values\[1\] is NaN"):
         periscope.Response(0.0, 1.0, [0.0, np.nan])
 
