@@ -31,6 +31,7 @@ built_in!(
     "characterize",
     "first-returns",
     "image",
+    "lidar",
     "locate",
     "mirror",
     "tdr",
