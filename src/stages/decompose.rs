@@ -53,12 +53,7 @@ pub struct Decompose {
 
 impl Default for Decompose {
     fn default() -> Self {
-        Self {
-            threshold_sigma: Positive::new(5.0),
-            share_min: Share::new(0.01),
-            pulse_fwhm_ps: None,
-            rail_code: None,
-        }
+        Self { threshold_sigma: Positive::new(5.0), share_min: Share::new(0.01), pulse_fwhm_ps: None, rail_code: None }
     }
 }
 
@@ -134,8 +129,7 @@ impl Decompose {
         let outgoing = self.outgoing(pulse)?;
         // Of the outgoing pulse's maximum, on the clock of the record.
         let left_ps = pulse.outgoing_t0_ps.map_or(0.0, |t0_ps| t0_ps + outgoing.peak * pulse.dt_ps);
-        let options =
-            EchoOptions { threshold_sigma: self.threshold_sigma.get(), share_min: self.share_min.get() };
+        let options = EchoOptions { threshold_sigma: self.threshold_sigma.get(), share_min: self.share_min.get() };
         let code_type = CodeType::parse(&pulse.code_type).expect("ingest_pulses writes known code types only");
         let codes = Codes::of(&pulse.code_type, &pulse.codes).expect("ingest_pulses writes known code types only");
         let step = if codes.is_whole() { pulse.gain.abs() } else { 0.0 };

@@ -87,9 +87,9 @@ pub fn decompose(
         // Where the fit is so bad that no echo is significant, the last one is held against the fast noise alone.
         let fast = Noise { sd: maxima::fast_noise(stretch), acf: vec![1.0], ..noise };
         let is_noise = echoes.len() != 1 || errors(&fit, &fast, outgoing, stretch)?.iter().all(is_weak);
-        let weakest = (0..echoes.len())
-            .filter(|k| is_noise && is_weak(&echoes[*k]))
-            .min_by(|a, b| (echoes[*a].height / echoes[*a].height_sd).total_cmp(&(echoes[*b].height / echoes[*b].height_sd)));
+        let weakest = (0..echoes.len()).filter(|k| is_noise && is_weak(&echoes[*k])).min_by(|a, b| {
+            (echoes[*a].height / echoes[*a].height_sd).total_cmp(&(echoes[*b].height / echoes[*b].height_sd))
+        });
         if let Some(weakest) = weakest {
             fit = refit(&mut model, &fit, weakest);
             continue;
@@ -154,6 +154,7 @@ fn errors(fit: &Fit, noise: &Noise, outgoing: &Outgoing, stretch: &Stretch<'_>) 
     let solved = regression(fit)?;
     let record = MeanRecord { samples: stretch.samples, dt_ps: 1.0, noise: noise.sd, acf: &noise.acf };
     let sd = |k: usize| record.sd_of_sum(&solved.influence(&fit.columns, 1.0, k));
+    let foot = maxima::quiet_level(stretch, outgoing.sigma) - fit.level;
     let echo = |k: usize, part: &Part| {
         let first = 1 + PARAMETERS * k;
         let curve = &fit.curves[k];
@@ -164,7 +165,7 @@ fn errors(fit: &Fit, noise: &Noise, outgoing: &Outgoing, stretch: &Stretch<'_>) 
             .zip(curve.iter().zip(&fit.residuals))
             .map(|(sample, (curve, residual))| if sample.is_finite() { curve + residual } else { f64::NAN })
             .collect();
-        let edge = edge::edge(curve, &alone, outgoing.sigma);
+        let edge = edge::edge(curve, &alone, foot, outgoing.sigma);
         let (width, variance_sd) = (part.variance.sqrt(), sd(first + 2));
         Echo {
             time: part.place,

@@ -8,6 +8,10 @@ const SMOOTHING: f64 = 0.4;
 const REACH: f64 = 4.0;
 /// Share of the samples that stand for the level.
 const LEVEL_SHARE: f64 = 0.2;
+/// Share of the samples whose mean is the level where the record is quiet, and how far that lies below it, in standard
+/// deviations of the smoothed noise, where half of the record is quiet.
+const QUIET_SHARE: f64 = 0.1;
+const QUIET_SIGMA: f64 = 1.4;
 /// Median of the magnitudes of a normal variable, over its standard deviation.
 const MEDIAN: f64 = 0.674_489_750_196_081_7;
 
@@ -54,6 +58,22 @@ pub fn fast_noise(stretch: &Stretch<'_>) -> f64 {
     (median / MEDIAN / 70.0_f64.sqrt()).max(stretch.step / 12.0_f64.sqrt())
 }
 
+/// Level of the record where it is quiet: the mean of the lowest smoothed values, less what noise makes them too low.
+pub fn quiet_level(stretch: &Stretch<'_>, sigma: f64) -> f64 {
+    let weights = weights(sigma);
+    let mut low = smooth(stretch.samples, &weights);
+    low.retain(|value| value.is_finite());
+    low.sort_by(f64::total_cmp);
+    let count = ((QUIET_SHARE * low.len() as f64) as usize).max(1);
+    low[..count].iter().sum::<f64>() / count as f64 + QUIET_SIGMA * smoothed_noise(stretch, &weights)
+}
+
+/// Standard deviation of fast noise after smoothing.
+fn smoothed_noise(stretch: &Stretch<'_>, weights: &[f64]) -> f64 {
+    let power = 2.0 * weights.iter().map(|weight| weight * weight).sum::<f64>() - weights[0] * weights[0];
+    fast_noise(stretch) * power.sqrt()
+}
+
 /// The maxima of a stretch in order of time, and its level.
 pub fn find(stretch: &Stretch<'_>, sigma: f64, options: &EchoOptions) -> (Vec<Maximum>, f64) {
     let weights = weights(sigma);
@@ -65,8 +85,7 @@ pub fn find(stretch: &Stretch<'_>, sigma: f64, options: &EchoOptions) -> (Vec<Ma
     }
     low.sort_by(f64::total_cmp);
     let level = low[(LEVEL_SHARE * low.len() as f64) as usize / 2];
-    let power = 2.0 * weights.iter().map(|weight| weight * weight).sum::<f64>() - weights[0] * weights[0];
-    let noise = fast_noise(stretch) * power.sqrt();
+    let noise = smoothed_noise(stretch, &weights);
     let highest = low[low.len() - 1] - level;
     let least = (options.threshold_sigma * noise).max(options.share_min * highest);
     let mut maxima = Vec::new();

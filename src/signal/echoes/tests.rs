@@ -11,7 +11,8 @@ const FLOOR: f64 = 200.0;
 /// An outgoing pulse with a steep front and a slow tail, its maximum at 0.
 fn pulse(time: f64) -> f64 {
     let sigma = if time < 0.0 { 3.5 } else { 5.0 };
-    (-0.5 * (time / sigma).powi(2)).exp() + if time > 0.0 { 0.05 * (1.0 - (-time / 6.0).exp()) * (-time / 12.0).exp() } else { 0.0 }
+    (-0.5 * (time / sigma).powi(2)).exp()
+        + if time > 0.0 { 0.05 * (1.0 - (-time / 6.0).exp()) * (-time / 12.0).exp() } else { 0.0 }
 }
 
 /// The pulse, widened by a Gaussian of this standard deviation.
@@ -21,7 +22,8 @@ fn widened(time: f64, sigma: f64) -> f64 {
     }
     let weight = |x: f64| (-0.5 * x * x).exp();
     let points = (-60..=60).map(|i| f64::from(i) / 12.0);
-    let (sum, all) = points.fold((0.0, 0.0), |(sum, all), x| (sum + weight(x) * pulse(time - sigma * x), all + weight(x)));
+    let (sum, all) =
+        points.fold((0.0, 0.0), |(sum, all), x| (sum + weight(x) * pulse(time - sigma * x), all + weight(x)));
     sum / all
 }
 
@@ -75,7 +77,9 @@ fn errors_have_the_size_of_the_standard_deviations() {
         let mut missed = 0;
         for _ in 0..600 {
             let light: Vec<[f64; 3]> = (0..count)
-                .map(|k| [45.0 + 50.0 * k as f64 + rng.random_range(-5.0..5.0), rng.random_range(60.0..400.0), widths[k]])
+                .map(|k| {
+                    [45.0 + 50.0 * k as f64 + rng.random_range(-5.0..5.0), rng.random_range(60.0..400.0), widths[k]]
+                })
                 .collect();
             let echoes = found(&record(90 + 50 * count, &light, 2.0, &mut rng)).echoes;
             if echoes.len() != count {
@@ -150,23 +154,4 @@ fn a_clipped_echo_is_fitted_on_its_flanks() {
 fn too_few_samples_have_no_echoes() {
     let few = Stretch { samples: &[1.0, 2.0, 5.0, 2.0], step: 1.0 };
     assert_eq!(decompose(&few, &outgoing(), &OPTIONS, &mut RealFft::new()), None);
-}
-
-#[test]
-fn neon_scratch() {
-    let text = std::fs::read_to_string("/tmp/li_neon.txt").unwrap();
-    let mut out = String::new();
-    for line in text.lines() {
-        let (a, b) = line.split_once('|').unwrap();
-        let nums = |s: &str| -> Vec<f64> { s.split_whitespace().map(|x| x.parse().unwrap()).collect() };
-        let (y, o) = (nums(a), nums(b));
-        let share = std::env::var("SHARE").map_or(0.01, |s| s.parse().unwrap());
-        let e = decompose(&Stretch { samples: &y, step: 1.0 }, &Outgoing::of(&o).unwrap(), &EchoOptions { threshold_sigma: 5.0, share_min: share }, &mut RealFft::new()).unwrap();
-        for k in &e.echoes {
-            let (x, s) = k.edge.unwrap_or((f64::NAN, f64::NAN));
-            out += &format!("{} {} {} {} {} {} {} {} {} ", k.time, k.time_sd, x, s, k.height, k.height_sd, k.width, k.width_sd, e.noise);
-        }
-        out += "\n";
-    }
-    std::fs::write("/tmp/li_out.txt", out).unwrap();
 }

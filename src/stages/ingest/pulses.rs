@@ -86,7 +86,8 @@ impl OpenSource for Flights<'_> {
         for capture in captures {
             for item in &capture.items {
                 let job = Job { capture, item, first_shot: 0 };
-                let read = Run::open(&self.0, &job, batch_bytes).map(|mut run| run.send(batch_bytes, feed).map(|sent| (run, sent)));
+                let read = Run::open(&self.0, &job, batch_bytes)
+                    .map(|mut run| run.send(batch_bytes, feed).map(|sent| (run, sent)));
                 let (digests, rejection) = match read {
                     Ok(read) => {
                         let (mut run, sent) = read?;
