@@ -77,11 +77,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
             say!("{}: {} points, {} numbers each", args.file.display(), shape[0], shape[1])?;
         }
-        Some("ply") if echoes_view.is_some() => {
-            let echoes: Vec<Echo> = rows(&shelf, echoes_view.as_deref().unwrap_or_default())?;
-            whole_file::write(&args.file, |out| ply::write_echoes(out, &echoes))?;
-            say!("{}: {} echoes", args.file.display(), echoes.len())?;
-        }
+        Some("ply") if echoes_view.is_some() => write_echoes(&shelf, args, &echoes_view.unwrap_or_default())?,
         Some("ply") => {
             let patches: Vec<Patch> = rows(&shelf, patches_view)?;
             let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;
@@ -138,6 +134,12 @@ fn echoes_view(shelf: &Shelf, args: &Export) -> Result<Option<String>> {
         None if is_of_lidar => shelf.table_of("echoes")?.map(|_| "echoes".to_owned()),
         None => None,
     })
+}
+
+fn write_echoes(shelf: &Shelf, args: &Export, view: &str) -> Result<()> {
+    let echoes: Vec<Echo> = rows(shelf, view)?;
+    whole_file::write(&args.file, |out| ply::write_echoes(out, &echoes))?;
+    say!("{}: {} echoes", args.file.display(), echoes.len())
 }
 
 /// Points of the surface: at least one.

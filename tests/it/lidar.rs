@@ -142,7 +142,7 @@ fn echoes_of_a_simulated_flight_lie_within_their_errors() {
             continue;
         }
         for (k, (echo, light)) in of_shot.iter().zip(light).enumerate() {
-            assert_eq!((echo.echo, echo.echoes), (k as i32 + 1, light.len() as i32), "{echo:?}");
+            assert_eq!((echo.echo, echo.echoes), (k as i32 + 1, of_shot.len() as i32), "{echo:?}");
             assert_eq!(echo.clipped > 0, light.strength > 1000.0, "{echo:?}");
             z[0].push((echo.time_ps - 1e3 * light.time) / echo.time_sd_ps);
             z[1].push((echo.width_ps - 1e3 * light.width) / echo.width_sd_ps);

@@ -39,7 +39,7 @@ fn record(samples: usize, echoes: &[[f64; 3]], noise: f64, rng: &mut ChaCha8Rng)
     (0..samples).map(|n| (FLOOR + light(n) + noise * normal(rng)).round()).collect()
 }
 
-fn found(samples: &[f64]) -> Echoes {
+fn echoes_of(samples: &[f64]) -> Echoes {
     decompose(&Stretch { samples, step: 1.0 }, &outgoing(), &OPTIONS, &mut RealFft::new()).unwrap()
 }
 
@@ -81,7 +81,7 @@ fn errors_have_the_size_of_the_standard_deviations() {
                     [45.0 + 50.0 * k as f64 + rng.random_range(-5.0..5.0), rng.random_range(60.0..400.0), widths[k]]
                 })
                 .collect();
-            let echoes = found(&record(90 + 50 * count, &light, 2.0, &mut rng)).echoes;
+            let echoes = echoes_of(&record(90 + 50 * count, &light, 2.0, &mut rng)).echoes;
             if echoes.len() != count {
                 missed += 1;
                 continue;
@@ -109,7 +109,7 @@ fn widened_top(width: f64) -> f64 {
 fn noise_alone_is_no_echo() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for noise in [0.1, 2.0] {
-        let alarms = (0..500).filter(|_| !found(&record(160, &[], noise, &mut rng)).echoes.is_empty()).count();
+        let alarms = (0..500).filter(|_| !echoes_of(&record(160, &[], noise, &mut rng)).echoes.is_empty()).count();
         println!("noise {noise}: {alarms} of 500 records have an echo");
         assert!(alarms <= 5, "{alarms} of 500");
     }
@@ -118,7 +118,8 @@ fn noise_alone_is_no_echo() {
 #[test]
 fn a_weak_echo_before_a_strong_one_is_found() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let both = |rng: &mut ChaCha8Rng| found(&record(160, &[[50.0, 15.0, 3.0], [90.0, 400.0, 3.0]], 1.0, rng)).echoes;
+    let both =
+        |rng: &mut ChaCha8Rng| echoes_of(&record(160, &[[50.0, 15.0, 3.0], [90.0, 400.0, 3.0]], 1.0, rng)).echoes;
     let hits = (0..100).filter(|_| both(&mut rng).len() == 2).count();
     assert!(hits >= 95, "{hits} of 100");
 }
@@ -126,7 +127,7 @@ fn a_weak_echo_before_a_strong_one_is_found() {
 #[test]
 fn two_echoes_with_one_maximum_are_one_wide_echo() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let echoes = found(&record(140, &[[60.0, 200.0, 0.0], [66.0, 200.0, 0.0]], 1.0, &mut rng)).echoes;
+    let echoes = echoes_of(&record(140, &[[60.0, 200.0, 0.0], [66.0, 200.0, 0.0]], 1.0, &mut rng)).echoes;
     assert_eq!(echoes.len(), 1, "{echoes:?}");
     assert!(echoes[0].width > 2.0 && (echoes[0].time - 63.0).abs() < 1.0, "{echoes:?}");
 }
@@ -141,7 +142,7 @@ fn a_clipped_echo_is_fitted_on_its_flanks() {
         let time = rng.random_range(55.0..65.0);
         let clip = |value: &f64| if *value < 450.0 { *value } else { f64::NAN };
         let samples: Vec<f64> = record(140, &[[time, 400.0, 3.0]], 2.0, &mut rng).iter().map(clip).collect();
-        let echoes = found(&samples).echoes;
+        let echoes = echoes_of(&samples).echoes;
         assert_eq!(echoes.len(), 1, "{echoes:?}");
         assert!((echoes[0].height / (400.0 * widened_top(3.0)) - 1.0).abs() < 0.3, "{echoes:?}");
         z.push((echoes[0].time - time - zero) / echoes[0].time_sd);
